@@ -1,0 +1,38 @@
+"""Sets everything up in `.venv` and runs one job: `python3 bootstrap.py demo` or `python3 bootstrap.py test`.
+
+Needs Python >= 3.11 and nothing else. Words after the job go to it: `python3 bootstrap.py test -k se2`.
+"""
+
+import os
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+
+
+def main() -> int:
+    if len(sys.argv) < 2 or sys.argv[1] not in ("demo", "test"):
+        print(__doc__)
+        return 2
+    job, more = sys.argv[1], sys.argv[2:]
+    home = Path(os.environ.get("MAPWEAVE_VENV", HERE / ".venv"))
+    binaries = home / ("Scripts" if os.name == "nt" else "bin")
+    python = binaries / ("python.exe" if os.name == "nt" else "python")
+    if not python.exists():
+        print(f"making {home}", flush=True)
+        venv.create(home, with_pip=True)
+    extra = "[test]" if job == "test" else ""
+    install = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    done = subprocess.run([*install, "-c", str(HERE / "constraints.txt"), "-e", f"{HERE}{extra}"], check=False)
+    if done.returncode:
+        return done.returncode
+    if job == "demo":
+        return subprocess.run([str(python), "-m", "mapweave", "demo", *more], check=False).returncode
+    workers = ["-n", "auto"] if not any(word.startswith("-n") for word in more) else []
+    return subprocess.run([str(python), "-m", "pytest", *workers, *more], cwd=HERE, check=False).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,5 @@
+"""`python -m mapweave`."""
+
+from .cli import main
+
+main()

@@ -1,0 +1,37 @@
+"""Progress on long work: on stderr, and silent when that is no terminal."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+
+class Tick(Protocol):
+    """What a verb calls: `done` of `total` (None when unknown) of the stage named."""
+
+    def __call__(self, stage: str, done: float, total: float | None = None) -> None: ...
+
+
+@contextmanager
+def progress() -> Iterator[Tick]:
+    """A `Tick` drawn as one bar a stage."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    bars: dict[str, TaskID] = {}
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f}%"),
+        TimeElapsedColumn(),
+        console=console,
+        disable=not console.is_terminal,
+        transient=True,
+    ) as drawn:
+
+        def tick(stage: str, done: float, total: float | None = None) -> None:
+            if stage not in bars:
+                bars[stage] = drawn.add_task(stage, total=total)
+            drawn.update(bars[stage], completed=done, total=total)
+
+        yield tick

@@ -1,0 +1,1 @@
+"""The words every other room uses: SE(2), Gaussians, records, errors, configuration."""

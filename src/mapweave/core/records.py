@@ -1,0 +1,104 @@
+"""What robots say, as immutable records. A log, a simulator and a live session yield the same `Event`s."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from .arrays import frozen
+from .se2 import IDENTITY
+
+
+@dataclass(frozen=True, slots=True)
+class Odometry:
+    """A packet of n >= 1 velocity rows, ascending in time; row i holds from t[i] until the next row.
+
+    t: (n,) [s]; v: (n,) forward [m/s]; w: (n,) turn rate [rad/s], counter-clockwise. How rows are packed
+    never changes a result.
+    """
+
+    t: Float[np.ndarray, " n"]
+    v: Float[np.ndarray, " n"]
+    w: Float[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryPoses:
+    """A packet of n >= 1 integrated odometry poses `T_odom_robot`, ascending in time. t: (n,) [s]; pose: (n, 3)."""
+
+    t: Float[np.ndarray, " n"]
+    pose: Float[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True, slots=True)
+class Sightings:
+    """What one camera frame saw: ids (n), range: (n,) [m], bearing: (n,) [rad] CCW from robot x. One stamp."""
+
+    ids: tuple[str, ...]
+    range: Float[np.ndarray, " n"]
+    bearing: Float[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """One laser revolution.
+
+    ranges: (n,) [m]; `hit` (n,) says which are returns (a miss is a value, not a NaN); intensities: (n,) in the
+    sensor's units or None; beam k points at `angle_min + k angle_increment` [rad], CCW from the sensor's x.
+    """
+
+    ranges: Float[np.ndarray, " n"]
+    hit: Bool[np.ndarray, " n"]
+    intensities: Float[np.ndarray, " n"] | None
+    angle_min: float
+    angle_increment: float
+    range_max: float
+    T_robot_sensor: Float[np.ndarray, "3"] = IDENTITY
+    host: str = ""
+
+
+Record = Odometry | OdometryPoses | Sightings | Scan
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """`record` from `robot`, complete at time `t` [s] (a packet's last stamp)."""
+
+    t: float
+    robot: str
+    record: Record
+
+
+class Log(Protocol):
+    """One robot's log after reading: what was read, what was dropped and why, and the events in order."""
+
+    @property
+    def robot(self) -> str: ...
+    @property
+    def source(self) -> str: ...
+    @property
+    def dropped(self) -> dict[str, int]: ...
+    @property
+    def warnings(self) -> tuple[str, ...]: ...
+    def events(self) -> Iterator[Event]: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """Poses along time.
+
+    t: (n,) [s], strictly ascending; pose: (n, 3) in `frame`; cov: (n, 3, 3) over x, y, theta, or None.
+    """
+
+    t: Float[np.ndarray, " n"]
+    pose: Float[np.ndarray, "n 3"]
+    cov: Float[np.ndarray, "n 3 3"] | None = None
+    frame: str = "map"
+
+    def __post_init__(self) -> None:
+        for name in ("t", "pose"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        if self.cov is not None:
+            object.__setattr__(self, "cov", frozen(self.cov))

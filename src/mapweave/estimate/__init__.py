@@ -1,0 +1,1 @@
+"""Estimators: plain functions ``init`` and ``step`` on immutable state, one robot each."""

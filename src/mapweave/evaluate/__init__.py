@@ -1,0 +1,1 @@
+"""Errors and consistency against truth; no estimator imports this room."""

@@ -1,0 +1,1 @@
+"""Robots that decide where to drive: ``choose(maps, poses, cfg) -> commands``."""

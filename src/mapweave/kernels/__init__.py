@@ -1,0 +1,1 @@
+"""The only home of Numba: arrays in, arrays out."""

@@ -1,0 +1,1 @@
+"""Motion and sensors: the function, its Jacobian and its noise stand together."""

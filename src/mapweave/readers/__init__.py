@@ -1,0 +1,1 @@
+"""Logs become events, one file a format."""

@@ -1,0 +1,1 @@
+"""Results become figures and one HTML page. Nothing below asks this room for anything."""

@@ -1,0 +1,74 @@
+"""One HTML file that needs nothing beside it: figures inside, light and dark, printable."""
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+
+from .. import __version__
+
+_CSS = """
+:root{color-scheme:light dark;--fg:#1b1f24;--bg:#fff;--line:#d9dde2;--soft:#f4f6f8;--accent:#0072B2;--warn:#b25400}
+@media (prefers-color-scheme:dark){:root{--fg:#e6e8eb;--bg:#14171a;--line:#343a41;--soft:#1d2126;--accent:#56B4E9;--warn:#E69F00}}
+*{box-sizing:border-box}body{margin:0 auto;max-width:72rem;padding:2rem 1.25rem;color:var(--fg);background:var(--bg);
+font:15px/1.5 system-ui,sans-serif}h1{font-size:1.6rem;margin:0}h2{font-size:1.15rem;margin:2.2rem 0 .6rem;
+border-bottom:1px solid var(--line);padding-bottom:.3rem}p.lead{margin:.3rem 0 1rem;opacity:.85}
+table{border-collapse:collapse;margin:.5rem 0;font-variant-numeric:tabular-nums;display:block;overflow-x:auto}
+th,td{padding:.25rem .7rem;border-bottom:1px solid var(--line);text-align:right;white-space:nowrap}
+th:first-child,td:first-child{text-align:left}td.text{text-align:left;white-space:normal;min-width:14rem}th{background:var(--soft);font-weight:600}
+figure{margin:1rem 0}figure img{max-width:100%;height:auto;background:#fff;border:1px solid var(--line);border-radius:6px}
+figcaption{font-size:.88rem;opacity:.8;margin-top:.25rem}.cards{display:flex;flex-wrap:wrap;gap:.75rem}
+.card{background:var(--soft);border-radius:8px;padding:.6rem .9rem;min-width:9rem}.card b{display:block;font-size:1.25rem}
+.warn{color:var(--warn)}footer{margin-top:3rem;font-size:.82rem;opacity:.7}
+"""
+
+
+@dataclass(slots=True)
+class Page:
+    """A report being written, top to bottom; `html()` is the finished page."""
+
+    title: str
+    lead: str = ""
+    parts: list[str] = field(default_factory=list)
+
+    def section(self, title: str) -> None:
+        self.parts.append(f"<h2>{escape(title)}</h2>")
+
+    def text(self, text: str, *, warn: bool = False) -> None:
+        self.parts.append(f'<p class="warn">⚠ {escape(text)}</p>' if warn else f"<p>{escape(text)}</p>")
+
+    def cards(self, values: Sequence[tuple[str, str]]) -> None:
+        """Headline figures as (what, value with unit)."""
+        inner = "".join(f'<div class="card"><b>{escape(v)}</b>{escape(k)}</div>' for k, v in values)
+        self.parts.append(f'<div class="cards">{inner}</div>')
+
+    def table(self, head: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+        """Numbers stand right, sentences left."""
+        top = "".join(f"<th>{escape(h)}</th>" for h in head)
+        body = "".join("<tr>" + "".join(_cell(v) for v in row) + "</tr>" for row in rows)
+        self.parts.append(f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>")
+
+    def figure(self, png: Path, caption: str) -> None:
+        data = base64.b64encode(png.read_bytes()).decode("ascii")
+        alt = escape(caption, quote=True)
+        self.parts.append(
+            f'<figure><img alt="{alt}" src="data:image/png;base64,{data}"><figcaption>{escape(caption)}</figcaption></figure>'
+        )
+
+    def html(self) -> str:
+        return (
+            '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+            '<meta name="viewport" content="width=device-width,initial-scale=1">'
+            f"<title>{escape(self.title)}</title><style>{_CSS}</style></head><body><h1>{escape(self.title)}</h1>"
+            f'<p class="lead">{escape(self.lead)}</p>{"".join(self.parts)}'
+            f"<footer>mapweave {escape(__version__)}</footer></body></html>\n"
+        )
+
+    def write(self, path: Path) -> None:
+        path.write_text(self.html(), encoding="utf-8")
+
+
+def _cell(value: object) -> str:
+    text = "–" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+    return f'<td class="text">{escape(text)}</td>' if len(text) > 24 else f"<td>{escape(text)}</td>"

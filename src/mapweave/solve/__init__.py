@@ -1,0 +1,1 @@
+"""Sparse nonlinear least squares in information form, robust kernels, marginals."""

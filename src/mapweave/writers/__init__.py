@@ -1,0 +1,1 @@
+"""Results become files other tools open, one file a format; whole or not at all."""

@@ -1,0 +1,77 @@
+"""SE(2) group laws and Jacobians."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mapweave.core import se2
+
+finite = st.floats(-50, 50)
+poses = st.tuples(finite, finite, st.floats(-3.1, 3.1)).map(np.array)
+
+
+def close(a, b):
+    d = a - b
+    d[..., 2] = se2.wrap_angle(d[..., 2])
+    return np.abs(d).max() < 1e-9
+
+
+@given(poses, poses, poses)
+def test_composition_is_associative(a, b, c):
+    assert close(se2.compose(se2.compose(a, b), c), se2.compose(a, se2.compose(b, c)))
+
+
+@given(poses)
+def test_a_pose_composed_with_its_inverse_is_the_identity(a):
+    assert close(se2.compose(a, se2.inverse(a)), np.zeros(3))
+    assert close(se2.compose(se2.inverse(a), a), np.zeros(3))
+
+
+@given(poses)
+def test_exp_undoes_log(a):
+    assert close(se2.exp(se2.log(a)), a)
+
+
+@given(poses, poses)
+def test_between_is_the_second_pose_seen_from_the_first(a, b):
+    assert close(se2.compose(a, se2.between(a, b)), b)
+
+
+@given(poses, poses, finite, finite)
+def test_acting_twice_is_acting_with_the_composition(a, b, x, y):
+    p = np.array([x, y])
+    assert np.allclose(se2.act(se2.compose(a, b), p), se2.act(a, se2.act(b, p)), atol=1e-9)
+
+
+def test_wrap_brings_every_angle_into_minus_pi_exclusive_to_pi():
+    assert se2.wrap_angle(np.pi) == np.pi
+    assert se2.wrap_angle(-np.pi) == np.pi
+    assert abs(se2.wrap_angle(7.0) - (7 - 2 * np.pi)) < 1e-15
+
+
+def test_compose_jacobians_agree_with_central_differences():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        a, b = rng.uniform(-3, 3, 3), rng.uniform(-3, 3, 3)
+        A, B = se2.compose_jacobians(a, b)
+        for J, f in ((A, lambda d: se2.compose(a + d, b)), (B, lambda d: se2.compose(a, b + d))):
+            for k in range(3):
+                d = np.zeros(3)
+                d[k] = 1e-6
+                diff = f(d) - f(-d)
+                diff[2] = se2.wrap_angle(diff[2])
+                assert np.allclose(J[:, k], diff / 2e-6, atol=1e-8)
+
+
+def test_interpolation_takes_the_shorter_arc():
+    poses = np.array([[0.0, 0, 3.0], [1.0, 2, -3.0]])
+    mid = se2.interpolate(np.array([0.5]), np.array([0.0, 1.0]), poses)[0]
+    assert np.allclose(mid[:2], [0.5, 1.0])
+    assert abs(abs(mid[2]) - np.pi) < 1e-9
+
+
+def test_align_recovers_a_rigid_transform():
+    rng = np.random.default_rng(1)
+    T = np.array([1.0, -2.0, 2.5])
+    p = rng.normal(size=(6, 2))
+    assert np.allclose(se2.align(p, se2.act(T, p), rng.uniform(0.1, 1, 6)), T)
