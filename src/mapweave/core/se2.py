@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 
 Pose = Float[np.ndarray, "... 3"]
 Points = Float[np.ndarray, "... 2"]
@@ -17,7 +16,7 @@ IDENTITY = np.zeros(3)
 IDENTITY.setflags(write=False)
 
 
-def wrap_angle(angle: ArrayLike) -> Any:
+def wrap_angle(angle: np.ndarray | float) -> Any:
     """`angle` [rad] brought into (-pi, pi]; a scalar in, a scalar out."""
     return np.pi - np.mod(np.pi - np.asarray(angle, dtype=float), 2 * np.pi)
 
@@ -72,7 +71,7 @@ def exp(twist: Pose) -> Pose:
     small = np.abs(w) < 1e-6
     d = np.where(small, 1.0, w)
     sinc = np.where(small, 1 - w * w / 6, np.sin(d) / d)
-    cosc = np.where(small, w / 2, (1 - np.cos(d)) / d)
+    cosc = np.where(small, w / 2, 2 * np.sin(0.5 * d) ** 2 / d)
     return np.stack([sinc * u[..., 0] - cosc * u[..., 1], cosc * u[..., 0] + sinc * u[..., 1], wrap_angle(w)], axis=-1)
 
 

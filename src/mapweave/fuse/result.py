@@ -1,0 +1,46 @@
+"""What fusing gives: one map for each component, and a plain reason for every merge made or refused."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from ..maps.landmarks import LandmarkMap
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """Why one robot's map was merged or not.
+
+    shared: landmarks in common with the rest; scale: the multiplicative scale found for its map; variance_factor:
+    what its covariance was multiplied by, found from the join's own residuals.
+    """
+
+    robot: str
+    shared: int
+    decision: str  # "reference", "merged" or "refused"
+    reason: str
+    scale: float | None = None
+    variance_factor: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Component:
+    """Robots tied together and their one map. `frames[k]` is `T_map_local_k`; `frame_cov[k]` (3, 3) over x, y, theta."""
+
+    robots: tuple[str, ...]
+    map: LandmarkMap
+    frames: Mapping[str, Float[np.ndarray, "3"]]
+    frame_cov: Mapping[str, Float[np.ndarray, "3 3"]]
+    members: Mapping[str, tuple[str, ...]]  # landmark id -> robots that saw it
+    scales: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Fusion:
+    """All components, the largest first, and a decision for every robot."""
+
+    components: tuple[Component, ...]
+    decisions: tuple[Decision, ...]
+    warnings: tuple[str, ...] = ()
