@@ -27,7 +27,7 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class Component:
-    """Robots tied together and their one map. `frames[k]` is `T_map_local_k`; `frame_cov[k]` (3, 3) over x, y, theta."""
+    """Robots tied together and their one map. `frames[k]` is `T_map_local_k`; `frame_cov[k]`: over x, y, theta."""
 
     robots: tuple[str, ...]
     map: LandmarkMap
