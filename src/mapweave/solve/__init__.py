@@ -1,1 +1,29 @@
-"""Sparse nonlinear least squares in information form, robust kernels, marginals."""
+"""Sparse Gauss-Newton and Levenberg-Marquardt in information form, robust kernels, marginal covariances.
+
+A `Problem` is one vector of variables and vectorised `Factor`s over it; `minimise` gives a `Solution` that says how
+it ended; `Information` is the factorised information matrix, whose inverse is the covariance.
+"""
+
+from .information import Information, SingularError
+from .optimise import Solution, SolveConfig, Status, minimise
+from .pattern import Pattern
+from .problem import Factor, Problem, Term, wrapping
+from .robust import Cauchy, GemanMcClure, Huber, Kernel
+
+__all__ = [
+    "Cauchy",
+    "Factor",
+    "GemanMcClure",
+    "Huber",
+    "Information",
+    "Kernel",
+    "Pattern",
+    "Problem",
+    "SingularError",
+    "Solution",
+    "SolveConfig",
+    "Status",
+    "Term",
+    "minimise",
+    "wrapping",
+]

@@ -1,0 +1,179 @@
+"""Gauss-Newton and Levenberg-Marquardt on the sparse information form."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float, Int
+
+from ..core.config import config
+from .information import Information, SingularError
+from .pattern import Pattern
+from .problem import Problem
+
+HARDEST = 1e12  # damping beyond which no step is found any more
+ROUNDING = 1e-11  # relative change of the cost that is arithmetic, not progress
+
+
+@config
+class SolveConfig:
+    """damping: at the start, relative to the diagonal; 0 is Gauss-Newton, which takes every step as it comes."""
+
+    max_iterations: int = 100
+    damping: float = 1e-6
+    step_tolerance: float = 1e-9  # largest change of any variable [its unit]
+    cost_tolerance: float = 1e-10  # relative decrease of the cost
+
+
+class Status(StrEnum):
+    """How a minimisation ended."""
+
+    CONVERGED = "converged"
+    MAX_ITERATIONS = "max_iterations"
+    SINGULAR = "singular"
+    DIVERGED = "diverged"
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """Where the minimum lies and how it was reached.
+
+    x: (n,); cost: sum of robust costs; chi2: sum of squared whitened residuals; dof: rows less free variables;
+    costs: after each accepted step, the first before any; free: the entries of x estimated; information: factorised
+    at x over the free variables, undamped, or None when it is singular there.
+    """
+
+    x: Float[np.ndarray, " n"]
+    status: Status
+    iterations: int
+    cost: float
+    chi2: float
+    dof: int
+    costs: tuple[float, ...]
+    free: Int[np.ndarray, " f"]
+    information: Information | None
+
+    @property
+    def converged(self) -> bool:
+        return self.status is Status.CONVERGED
+
+    def covariance(self, index: Int[np.ndarray, " k"] | None = None) -> Float[np.ndarray, "k k"]:
+        """The joint covariance of the entries `index` of x (all when None); zero where an entry is fixed."""
+        at = self._position(np.arange(len(self.x)) if index is None else index)
+        free = at >= 0
+        P = np.zeros((len(at), len(at)))
+        P[np.ix_(free, free)] = self._known().covariance(at[free])
+        return P
+
+    def blocks(self, index: Int[np.ndarray, "b k"]) -> Float[np.ndarray, "b k k"]:
+        """For each row of `index`, the covariance of those k entries of x; zero where an entry is fixed."""
+        at = self._position(index)
+        free = at >= 0
+        P = self._known().blocks(np.maximum(at, 0))
+        return np.asarray(P * free[:, :, None] * free[:, None, :])
+
+    def blocks_without_gauge(
+        self, index: Int[np.ndarray, "b k"], gauge: Float[np.ndarray, "n g"]
+    ) -> Float[np.ndarray, "b k k"]:
+        """`blocks` in the gauge of least trace, whichever entries were fixed to hold the gauge in the solve.
+
+        gauge: (n, g) spans the motions of x that no measurement sees. Baarda's S-transformation: the covariance is
+        projected off the gauge, so the blocks are those of the pseudo-inverse of the whole information matrix.
+        """
+        Q = np.linalg.pinv(gauge)
+        A = np.zeros((len(self.x), Q.shape[0]))
+        A[self.free] = self._known().solve(Q.T[self.free])
+        C, G, A = Q @ A, gauge[index], A[index]
+        P = self.blocks(index) - G @ A.swapaxes(1, 2) - A @ G.swapaxes(1, 2) + G @ C @ G.swapaxes(1, 2)
+        return np.asarray(0.5 * (P + P.swapaxes(1, 2)))
+
+    def _position(self, index: Int[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
+        at = np.full(len(self.x), -1)
+        at[self.free] = np.arange(len(self.free))
+        return np.asarray(at[index])
+
+    def _known(self) -> Information:
+        if self.information is None:
+            raise SingularError("the problem is singular at its solution: there is no covariance")
+        return self.information
+
+
+def minimise(problem: Problem, cfg: SolveConfig | None = None, pattern: Pattern | None = None) -> Solution:
+    """The local minimum of `problem` from its start; a failure is a status, never an exception.
+
+    `pattern` may be handed in when the same structure is solved again.
+    """
+    cfg = cfg or SolveConfig()
+    pattern = pattern or Pattern.of(problem)
+    free = problem.free
+    x, cost = problem.x0.copy(), problem.cost(problem.x0)
+    costs, damping, raised, status = [cost], cfg.damping, 2.0, Status.MAX_ITERATIONS
+    iterations = 0
+    H, g = pattern.assemble(*_normal(problem, x))
+    step = np.zeros(len(x))
+    while iterations < cfg.max_iterations:
+        iterations += 1
+        try:
+            dx = Information.of(_damped(pattern, H, damping)).solve(-g)
+        except SingularError:
+            if cfg.damping == 0 or damping > HARDEST:
+                status = Status.SINGULAR
+                break
+            damping, raised = max(damping, 1e-12) * raised, 2 * raised
+            continue
+        step[free] = dx
+        tried = problem.retract(x, step)
+        new = problem.cost(tried) if np.isfinite(dx).all() else np.inf
+        predicted = float(-2 * (g @ dx) - dx @ (H @ dx))
+        small = bool(np.abs(dx).max(initial=0.0) <= cfg.step_tolerance) or predicted <= ROUNDING * ROUNDING * cost
+        if cfg.damping == 0 and not np.isfinite(new):
+            status = Status.DIVERGED
+            break
+        if cfg.damping == 0 or new < cost or (small and new <= cost * (1 + ROUNDING)):
+            settled = small or (damping <= 1 and abs(cost - new) <= cfg.cost_tolerance * cost)
+            gain = (cost - new) / predicted if predicted > 0 else 1.0
+            damping, raised = damping * max(1 / 3, 1 - (2 * min(gain, 1.0) - 1) ** 3), 2.0
+            x, cost = tried, new
+            costs.append(cost)
+            H, g = pattern.assemble(*_normal(problem, x))
+            if settled:
+                status = Status.CONVERGED
+                break
+        elif small or damping > HARDEST:
+            status = Status.CONVERGED if small or predicted <= ROUNDING * cost else Status.DIVERGED
+            break
+        else:
+            damping, raised = max(damping, 1e-12) * raised, 2 * raised
+    return Solution(
+        x=x,
+        status=status,
+        iterations=iterations,
+        cost=cost,
+        chi2=problem.chi2(x),
+        dof=problem.dof,
+        costs=tuple(costs),
+        free=free,
+        information=_factorised(H),
+    )
+
+
+def _normal(problem: Problem, x: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    parts = [term.normal(x) for term in problem.terms]
+    return [p[0] for p in parts], [p[1] for p in parts]
+
+
+def _damped(pattern: Pattern, H: sp.csc_matrix, damping: float) -> sp.csc_matrix:
+    if damping == 0:
+        return H
+    data = H.data.copy()
+    diagonal = data[pattern.diagonal]
+    data[pattern.diagonal] += damping * np.maximum(diagonal, 1e-9 * diagonal.max(initial=1.0))
+    return pattern.matrix(data)
+
+
+def _factorised(H: sp.csc_matrix) -> Information | None:
+    try:
+        return Information.of(H)
+    except SingularError:
+        return None

@@ -1,0 +1,266 @@
+"""The minimiser equals dense linear algebra, keeps its promises, and agrees with GTSAM."""
+
+import numpy as np
+import pytest
+
+from mapweave.core import se2
+from mapweave.solve import (
+    Cauchy,
+    Factor,
+    GemanMcClure,
+    Huber,
+    Pattern,
+    Problem,
+    SolveConfig,
+    Status,
+    minimise,
+)
+
+from .problems import as_problem, numeric_jacobian, pose_landmark_world
+
+
+def random_linear(rng, n=30, m=80, k=2, d=5):
+    """A random linear problem, and its dense matrix and right side."""
+    columns = np.stack([rng.choice(n, d, replace=False) for _ in range(m)])
+    A, b = rng.normal(size=(m, k, d)), rng.normal(size=(m, k))
+    W = np.triu(rng.normal(size=(m, k, k))) + 2 * np.eye(k)
+    dense = np.zeros((m, k, n))
+    for i in range(m):
+        dense[i][:, columns[i]] = W[i] @ A[i]
+    right = (W @ b[..., None])[..., 0]
+    factor = Factor(
+        columns=columns,
+        residual=lambda x: (A @ x[columns][..., None])[..., 0] - b,
+        jacobian=lambda _: A,
+        rows=k,
+        sqrt_info=W,
+    )
+    return factor, dense.reshape(m * k, n), right.ravel()
+
+
+def test_a_linear_problem_is_solved_in_one_step_as_dense_least_squares_does():
+    rng = np.random.default_rng(1)
+    factor, A, b = random_linear(rng)
+    solution = minimise(Problem(x0=np.zeros(30), terms=[factor]), SolveConfig(damping=0.0, max_iterations=1))
+    expected, residual, *_ = np.linalg.lstsq(A, b, rcond=None)
+    np.testing.assert_allclose(solution.x, expected, atol=1e-11)
+    np.testing.assert_allclose(solution.chi2, residual[0], rtol=1e-11)
+    assert solution.dof == 160 - 30
+
+
+def test_marginals_equal_the_dense_inverse():
+    rng = np.random.default_rng(2)
+    factor, A, _ = random_linear(rng)
+    info = minimise(Problem(x0=np.zeros(30), terms=[factor])).information
+    P = np.linalg.inv(A.T @ A)
+    np.testing.assert_allclose(info.covariance(), P, atol=1e-12)
+    index = np.array([[3, 7, 20], [0, 29, 5]])
+    np.testing.assert_allclose(info.blocks(index), P[index[:, :, None], index[:, None, :]], atol=1e-12)
+    np.testing.assert_allclose(info.covariance(np.array([4, 2])), P[np.ix_([4, 2], [4, 2])], atol=1e-12)
+    np.testing.assert_allclose(info.logdet(), np.linalg.slogdet(A.T @ A)[1], rtol=1e-12)
+
+
+def test_fixed_entries_keep_their_value_and_condition_the_rest():
+    rng = np.random.default_rng(3)
+    factor, A, b = random_linear(rng)
+    x0, fixed = rng.normal(size=30), np.zeros(30, dtype=bool)
+    fixed[[0, 11, 12]] = True
+    solution = minimise(Problem(x0=x0, terms=[factor], fixed=fixed))
+    expected = np.linalg.lstsq(A[:, ~fixed], b - A[:, fixed] @ x0[fixed], rcond=None)[0]
+    np.testing.assert_array_equal(solution.x[fixed], x0[fixed])
+    np.testing.assert_allclose(solution.x[~fixed], expected, atol=1e-10)
+    P = solution.covariance()
+    np.testing.assert_allclose(P[np.ix_(~fixed, ~fixed)], np.linalg.inv(A[:, ~fixed].T @ A[:, ~fixed]), atol=1e-12)
+    assert not P[fixed].any()
+    index = np.array([[0, 1], [12, 20]])
+    np.testing.assert_allclose(solution.blocks(index), P[index[:, :, None], index[:, None, :]], atol=1e-12)
+
+
+def test_a_variable_named_twice_in_one_factor_gets_the_sum_of_its_columns():
+    factor = Factor(
+        columns=np.array([[0, 0]]),
+        residual=lambda x: 2 * x[None, :1] - 6,
+        jacobian=lambda _: np.array([[[1.5, 0.5]]]),
+        rows=1,
+    )
+    assert minimise(Problem(x0=np.zeros(1), terms=[factor])).x == pytest.approx(3.0, abs=1e-9)
+
+
+def test_marginals_without_a_gauge_are_those_of_the_pseudo_inverse():
+    rng = np.random.default_rng(4)
+    i, j = np.triu_indices(9, 1)
+    keep = rng.random(len(i)) < 0.5
+    i, j = np.append(i[keep], np.arange(8)), np.append(j[keep], np.arange(1, 9))
+    differences = Factor(
+        columns=np.stack([i, j], axis=1),
+        residual=lambda x: (x[j] - x[i])[:, None],
+        jacobian=lambda _: np.tile([[[-1.0, 1.0]]], (len(i), 1, 1)),
+        rows=1,
+    )
+    fixed = np.arange(9) == 4
+    solution = minimise(Problem(x0=np.zeros(9), terms=[differences], fixed=fixed))
+    L = np.zeros((9, 9))
+    np.add.at(L, (i, i), 1)
+    np.add.at(L, (j, j), 1)
+    np.add.at(L, (i, j), -1)
+    np.add.at(L, (j, i), -1)
+    pinv = np.linalg.pinv(L)
+    index = np.array([[0, 4, 8], [4, 5, 6]])
+    expected = pinv[index[:, :, None], index[:, None, :]]
+    np.testing.assert_allclose(solution.blocks_without_gauge(index, np.ones((9, 1))), expected, atol=1e-12)
+
+
+def test_the_analytic_jacobians_of_the_shared_problem_are_the_numeric_ones():
+    rng = np.random.default_rng(5)
+    problem = as_problem(*pose_landmark_world(rng), rng)
+    for factor in problem.terms:
+        numeric = numeric_jacobian(factor.residual, problem.x0)
+        picked = np.take_along_axis(numeric, np.repeat(factor.columns[:, None, :], factor.rows, 1), axis=2)
+        np.testing.assert_allclose(factor.jacobian(problem.x0), picked, atol=1e-7)
+
+
+def test_a_bad_start_converges_with_damping_to_the_same_minimum():
+    rng = np.random.default_rng(6)
+    world = pose_landmark_world(rng)
+    near = minimise(as_problem(*world, rng, start_noise=0.01), SolveConfig(damping=0.0))
+    far = minimise(as_problem(*world, rng, start_noise=0.6), SolveConfig(damping=1e-2, max_iterations=100))
+    assert near.status is Status.CONVERGED
+    assert far.status is Status.CONVERGED
+    assert all(b <= a * (1 + 1e-9) for a, b in zip(far.costs, far.costs[1:], strict=False))
+    np.testing.assert_allclose(far.x, near.x, atol=1e-7)
+
+
+def test_the_order_of_the_terms_does_not_matter():
+    rng = np.random.default_rng(7)
+    problem = as_problem(*pose_landmark_world(rng), rng)
+    turned = Problem(x0=problem.x0, terms=problem.terms[::-1], fixed=problem.fixed, retract=problem.retract)
+    np.testing.assert_allclose(minimise(turned).x, minimise(problem).x, atol=1e-9)
+
+
+def test_a_pattern_may_be_used_again_for_the_same_structure():
+    rng = np.random.default_rng(8)
+    problem = as_problem(*pose_landmark_world(rng), rng)
+    pattern = Pattern.of(problem)
+    np.testing.assert_array_equal(minimise(problem, pattern=pattern).x, minimise(problem).x)
+
+
+def test_a_free_gauge_is_said_to_be_singular_and_not_raised():
+    factor = Factor(
+        columns=np.array([[0, 1]]),
+        residual=lambda x: (x[None, 1:] - x[None, :1]) - 1,
+        jacobian=lambda _: np.array([[[-1.0, 1.0]]]),
+        rows=1,
+    )
+    gauss_newton = minimise(Problem(x0=np.zeros(2), terms=[factor]), SolveConfig(damping=0.0))
+    assert gauss_newton.status is Status.SINGULAR
+    damped = minimise(Problem(x0=np.zeros(2), terms=[factor]))
+    assert damped.converged
+    assert damped.x[1] - damped.x[0] == pytest.approx(1.0, abs=1e-9)
+
+
+def test_a_cost_that_is_not_a_number_ends_as_a_status():
+    factor = Factor(
+        columns=np.array([[0]]),
+        residual=lambda x: np.where(x > 0, x - 1, np.nan)[None, :],
+        jacobian=lambda x: np.where(x > 0, 1.0, np.nan)[None, :, None] * -5.0,
+        rows=1,
+    )
+    solution = minimise(Problem(x0=np.array([2.0]), terms=[factor]), SolveConfig(damping=0.0))
+    assert solution.status in {Status.DIVERGED, Status.CONVERGED, Status.MAX_ITERATIONS}
+    assert np.isfinite(solution.x).all()
+
+
+@pytest.mark.parametrize("kernel", [Huber(1.0), Cauchy(2.0), GemanMcClure(3.0)])
+def test_a_robust_kernel_is_square_near_zero_and_its_weight_is_its_slope(kernel):
+    s = np.array([1e-8, 0.3, 2.0, 30.0, 1e4])
+    h = 1e-6 * s
+    slope = (kernel.cost(s + h) - kernel.cost(s - h)) / (2 * h)
+    np.testing.assert_allclose(kernel.weight(s), slope, rtol=1e-5)
+    assert kernel.cost(s)[0] == pytest.approx(s[0], rel=1e-6)
+    assert (np.diff(kernel.cost(s)) > 0).all()
+
+
+@pytest.mark.parametrize("kernel", [Huber(1.0), Cauchy(2.0), GemanMcClure(3.0)])
+def test_a_robust_kernel_shrugs_off_gross_outliers(kernel):
+    rng = np.random.default_rng(9)
+    truth, points, odometry, (a, b, seen) = pose_landmark_world(rng)
+    clean = minimise(as_problem(truth, points, odometry, (a, b, seen), rng, start_noise=0.01))
+    seen = seen.copy()
+    seen[::12, 0] += 3.0
+    plain = minimise(as_problem(truth, points, odometry, (a, b, seen), rng, start_noise=0.01))
+    robust = minimise(as_problem(truth, points, odometry, (a, b, seen), rng, kernel, start_noise=0.01))
+    assert robust.converged
+    points = slice(3 * len(truth), None)
+    assert np.abs(robust.x - clean.x)[points].max() < 0.5 * np.abs(plain.x - clean.x)[points].max()
+    assert robust.cost < robust.chi2
+
+
+def test_the_minimum_and_its_covariance_are_those_of_gtsam():
+    gtsam = pytest.importorskip("gtsam")
+    rng = np.random.default_rng(10)
+    truth, points, odometry, sightings = pose_landmark_world(rng)
+    problem = as_problem(truth, points, odometry, sightings, rng)
+    ours = minimise(problem, SolveConfig(step_tolerance=1e-12))
+    n = len(truth)
+    graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*truth[0]), gtsam.noiseModel.Isotropic.Sigma(3, 1e-7)))
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.05, 0.05, 0.02]))
+    for i, j, z in zip(*odometry, strict=True):
+        # GTSAM's between residual is the logarithm; ours is the plain difference. A custom factor says ours.
+        def error(_, values, H, i=int(i), j=int(j), z=z):
+            p, q = (np.array([v.x(), v.y(), v.theta()]) for v in (values.atPose2(i), values.atPose2(j)))
+            r = se2.between(p, q) - z
+            r[2] = se2.wrap_angle(r[2])
+            if H is not None:
+                for k, (base, at) in enumerate(((p, i), (q, j))):
+
+                    def moved(d, at=at, base=base):
+                        new = se2.compose(base, se2.exp(d))
+                        other = se2.between(new, q) if at == i else se2.between(p, new)
+                        return other - z
+
+                    H[k] = np.asfortranarray(numeric_jacobian(moved, np.zeros(3)))
+            return r
+
+        graph.add(gtsam.CustomFactor(noise, [int(i), int(j)], error))
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.03, 0.1]))
+    for a, b, z in zip(*sightings, strict=True):
+        graph.add(gtsam.BearingRangeFactor2D(int(a), 100 + int(b), gtsam.Rot2(z[1]), z[0], noise))
+    for k in range(n):
+        start.insert(k, gtsam.Pose2(*problem.x0[3 * k : 3 * k + 3]))
+    for k in range(len(points)):
+        start.insert(100 + k, problem.x0[3 * n + 2 * k : 3 * n + 2 * k + 2])
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setRelativeErrorTol(1e-14)
+    theirs = gtsam.LevenbergMarquardtOptimizer(graph, start, parameters).optimize()
+    marginals = gtsam.Marginals(graph, theirs)
+    for k in range(len(points)):
+        at = 3 * n + 2 * k
+        np.testing.assert_allclose(ours.x[at : at + 2], theirs.atPoint2(100 + k), atol=1e-5)
+        block = ours.information.covariance(np.arange(at, at + 2) - 3)
+        np.testing.assert_allclose(block, marginals.marginalCovariance(100 + k), rtol=1e-3)
+
+
+def test_ten_thousand_robots_in_a_plane_are_one_sparse_problem():
+    rng = np.random.default_rng(11)
+    side = 60
+    truth = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2).astype(float)
+    k = np.arange(side * side).reshape(side, side)
+    i = np.concatenate([k[:, :-1].ravel(), k[:-1].ravel()])
+    j = np.concatenate([k[:, 1:].ravel(), k[1:].ravel()])
+    z = truth[j] - truth[i] + rng.normal(0, 0.01, (len(i), 2))
+    two = np.arange(2)
+    J = np.tile(np.concatenate([-np.eye(2), np.eye(2)], axis=1)[None], (len(i), 1, 1))
+    factor = Factor(
+        columns=np.concatenate([2 * i[:, None] + two, 2 * j[:, None] + two], axis=1),
+        residual=lambda x: x.reshape(-1, 2)[j] - x.reshape(-1, 2)[i] - z,
+        jacobian=lambda _: J,
+        rows=2,
+        sqrt_info=np.full((1, 2), 100.0),
+    )
+    fixed = np.zeros(2 * side * side, dtype=bool)
+    fixed[:2] = True
+    solution = minimise(Problem(x0=np.zeros(2 * side * side), terms=[factor], fixed=fixed))
+    assert solution.converged
+    assert np.sqrt(np.mean((solution.x - truth.ravel()) ** 2)) < 0.1
+    assert solution.information.factor_bytes < 20e6
