@@ -1,7 +1,7 @@
 """What robots say, as immutable records. A log, a simulator and a live session yield the same `Event`s."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -55,7 +55,7 @@ class Scan:
     angle_min: float
     angle_increment: float
     range_max: float
-    T_robot_sensor: Float[np.ndarray, "3"] = IDENTITY
+    T_robot_sensor: Float[np.ndarray, "3"] = field(default_factory=lambda: IDENTITY)
     host: str = ""
 
 
