@@ -1,0 +1,47 @@
+"""A network is whole when it exists: every mistake is named when it is made."""
+
+import numpy as np
+import pytest
+
+from mapweave.core.errors import DataError
+from mapweave.maps.network import Distance, Network, network
+
+
+def test_ids_stand_in_natural_order_and_sightings_by_index():
+    net = network(2, ["10", "2"], ["2", "b"], np.array([0.1, 0.2]), 0.01, {"b": [0.0, 0.0]})
+    assert net.ids == ("2", "10", "b")
+    assert net.observer.tolist() == [1, 0]
+    assert net.target.tolist() == [0, 2]
+    assert net.is_anchor.tolist() == [False, False, True]
+    np.testing.assert_allclose(net.direction[0], [np.cos(0.1), np.sin(0.1)])
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"bearing": np.array([np.nan, 0.0])}, "finite"),
+        ({"observer": np.array([1, 1])}, "sights itself"),
+        ({"target": np.array([1, 7])}, "not in the network"),
+        ({"anchors": {0: np.zeros(3)}}, "expected 2 finite coordinates"),
+        ({"sigma": np.array([0.0, 0.1])}, "zero for some"),
+        ({"distances": (Distance(0, 1, -1.0),)}, "positive"),
+        ({"dim": 4}, "expected 2 or 3"),
+        ({"ids": ("a", "a")}, "distinct"),
+    ],
+)
+def test_what_does_not_belong_together_is_refused(change, told):
+    good = {
+        "ids": ("a", "b"),
+        "dim": 2,
+        "observer": np.array([0, 1]),
+        "target": np.array([1, 0]),
+        "bearing": np.array([0.0, 3.1]),
+        "sigma": np.array([0.1, 0.1]),
+    }
+    with pytest.raises(DataError, match=told):
+        Network(**(good | change))
+
+
+def test_an_anchor_nobody_sighted_is_refused():
+    with pytest.raises(DataError, match="'z'"):
+        network(2, ["a"], ["b"], np.array([0.1]), 0.01, {"z": [0.0, 0.0]})
