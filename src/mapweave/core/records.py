@@ -45,8 +45,10 @@ class Sightings:
 class Scan:
     """One laser revolution.
 
-    ranges: (n,) [m]; `hit` (n,) says which are returns (a miss is a value, not a NaN); intensities: (n,) in the
-    sensor's units or None; beam k points at `angle_min + k angle_increment` [rad], CCW from the sensor's x.
+    ranges: (n,) [m], always finite; `hit` (n,) says which are returns: elsewhere the range says nothing (a reader puts
+    `range_max` there). intensities: (n,) in the sensor's units, or None; beam k points at
+    `angle_min + k angle_increment` [rad], CCW from the sensor's x. n may change from scan to scan, and may hold no
+    return at all. `odometry` is `T_odom_robot` at the scan's own stamp, or None when the log has no odometry.
     """
 
     ranges: Float[np.ndarray, " n"]
@@ -57,6 +59,11 @@ class Scan:
     range_max: float
     T_robot_sensor: Float[np.ndarray, "3"] = field(default_factory=lambda: IDENTITY)
     host: str = ""
+    odometry: Float[np.ndarray, "3"] | None = None
+
+    def angles(self) -> Float[np.ndarray, " n"]:
+        """Beam directions (n,) [rad] in the sensor frame."""
+        return self.angle_min + self.angle_increment * np.arange(len(self.ranges))
 
 
 Record = Odometry | OdometryPoses | Sightings | Scan

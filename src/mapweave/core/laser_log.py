@@ -1,0 +1,62 @@
+"""One robot's laser log after reading, whatever the format was: scans, odometry poses, what was mended and why."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from .arrays import frozen
+from .records import Event, OdometryPoses, Scan, Track
+
+
+@dataclass(frozen=True, slots=True)
+class LaserLog:
+    """Scans and odometry of one robot, both in time order.
+
+    scan_t: (m,) [s], ascending, one for each of `scans` (equal stamps only where the sensors differ).
+    odometry: `T_odom_robot` along time in frame `odom`, stamps strictly ascending (of several rows of one stamp the
+    last in the file), or None. `odometry_from` says what it was made of: "poses", "tf", "ticks" or "none". Every scan
+    of a log with odometry carries its own `Scan.odometry`; those need not be repeated in `odometry`.
+    Either all scans have intensities or none: a constant intensity tells nothing, so the reader leaves it out and
+    says so in `warnings`.
+    """
+
+    robot: str
+    source: str
+    scan_t: Float[np.ndarray, " m"]
+    scans: tuple[Scan, ...]
+    odometry: Track | None
+    odometry_from: str = "poses"
+    dropped: dict[str, int] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    log_hash: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "scan_t", frozen(self.scan_t))
+
+    @property
+    def has_intensity(self) -> bool:
+        return bool(self.scans) and self.scans[0].intensities is not None
+
+    def stamps(self) -> Float[np.ndarray, " n"]:
+        """Every odometry and every scan stamp once, ascending: where a trajectory has to give a pose."""
+        rows = np.zeros(0) if self.odometry is None else self.odometry.t
+        return np.unique(np.concatenate([rows, self.scan_t]))
+
+    def events(self) -> Iterator[Event]:
+        """`OdometryPoses` packets and `Scan`s in time order; the odometry of a scan's stamp comes before the scan."""
+        rows = self.odometry
+        at = 0
+        for t, scan in zip(self.scan_t.tolist(), self.scans, strict=True):
+            if rows is not None:
+                end = int(np.searchsorted(rows.t, t, side="right"))
+                if end > at:
+                    yield self._packet(rows, at, end)
+                    at = end
+            yield Event(t, self.robot, scan)
+        if rows is not None and at < len(rows.t):
+            yield self._packet(rows, at, len(rows.t))
+
+    def _packet(self, rows: Track, start: int, end: int) -> Event:
+        return Event(float(rows.t[end - 1]), self.robot, OdometryPoses(rows.t[start:end], rows.pose[start:end]))
