@@ -33,7 +33,7 @@ def test_a_survey_is_read_from_a_data_set_or_from_csv(tmp_path):
 
 
 def test_a_survey_that_is_missing_or_malformed_is_refused(tmp_path):
-    with pytest.raises(ReaderError, match="expected Landmark_Groundtruth.dat"):
+    with pytest.raises(ReaderError, match=r"expected Landmark_Groundtruth\.dat"):
         read_survey(tmp_path)
     (tmp_path / "survey.csv").write_text("id,x,y\n6,1,here\n")
     with pytest.raises(ReaderError, match=r"survey\.csv:2: expected id,x,y with numbers"):
