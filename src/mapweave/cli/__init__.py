@@ -10,6 +10,9 @@ if TYPE_CHECKING:
 
 COMMANDS: dict[str, str] = {
     # verb: where its command lives; imported only when that command is asked for
+    "simulate": "mapweave.cli.simulate:app",
+    "map": "mapweave.cli.map:map_logs",
+    "evaluate": "mapweave.cli.evaluate:evaluate",
 }
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..core.errors import UsageError
 
-MARKER = "metrics.json"
+MARKERS = ("metrics.json", "simulation.json")  # what tells an earlier result from anything else
 
 
 def check_target(out: Path, *, force: bool = False) -> None:
@@ -86,7 +86,11 @@ def plain(value: Any) -> Any:
 
 
 def _is_result(out: Path) -> bool:
+    return any(_has_version(out / name) for name in MARKERS)
+
+
+def _has_version(path: Path) -> bool:
     try:
-        return "version" in json.loads((out / MARKER).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return "version" in json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, TypeError):
         return False

@@ -1,0 +1,40 @@
+"""`mapweave evaluate`."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+
+def evaluate(
+    directory: Path,
+    /,
+    *,
+    truth: Annotated[list[Path], Parameter(negative="", consume_multiple=True)],
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Score a result against the truth: errors, and whether its uncertainty is honest.
+
+    Parameters
+    ----------
+    directory
+        What `map`, `fuse` or `locate` wrote.
+    truth
+        An MRCLAM data set (folder or zip), a landmark survey `id,x,y`, TUM trajectories, relations, or the truth of a
+        simulated swarm; found out from the name and the first lines.
+    json
+        Print JSON with the keys documented for `metrics.json`.
+    """
+    from ..verbs.evaluate import evaluate as score
+    from .say import say
+
+    told = score(directory, truth)
+    if json:
+        from json import dumps
+
+        from ..writers.directory import plain
+
+        say(dumps(plain(told.as_json()), indent=1, ensure_ascii=False))
+        return
+    for line in told.lines():
+        say(line)

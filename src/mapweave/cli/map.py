@@ -1,0 +1,84 @@
+"""`mapweave map`: one command for every kind of log."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+
+def map_logs(
+    *logs: Path,
+    out: Path,
+    robots: str | None = None,
+    method: str | None = None,
+    weights: str | None = None,
+    share: str | None = None,
+    start: Annotated[list[str] | None, Parameter(negative="")] = None,
+    truth: Annotated[list[Path] | None, Parameter(negative="", consume_multiple=True)] = None,
+    config: Path | None = None,
+    seed: int = 0,
+    jobs: int = 1,
+    fuse_every: float | None = None,
+    refine: bool = True,
+    force: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Make one map of the logs of a team: a local map a robot, then all of them woven together.
+
+    Parameters
+    ----------
+    logs
+        An MRCLAM data set (folder or zip), a folder with odometry.csv and sightings.csv, or laser logs. Which
+        kind it is is found out from names and content.
+    out
+        The folder the map, the trajectories, metrics.json and report.html are written to.
+    robots
+        Use these robots only, as 1,2.
+    method
+        How each robot maps its own surroundings; the kind of log has a default.
+    weights
+        How much each robot's map counts: constant, paper, diagonal, full, full-scaled or naive (full-scaled).
+    share
+        Use the first share of a robot's time span only, as 1:1.0,2:0.5.
+    start
+        Where a robot starts in the map if that is known, as robot2=x,y,theta in metres and radians.
+    truth
+        Score the result against this when it is done; no estimator ever sees it.
+    config
+        A TOML file with settings; options on the command line win.
+    seed
+        The same seed gives the same result, to the byte.
+    jobs
+        How many robots are worked on at once; the result is the same.
+    fuse_every
+        Also fuse every so many seconds while the logs play, and report how the map grew.
+    refine
+        Smooth the whole team at the end where the method offers it; --no-refine leaves the fused maps as they are.
+    force
+        Write into the folder even when something other than a result stands there.
+    """
+    from ..verbs.map import map_logs as run
+    from ..verbs.map_options import parse_robots, parse_shares, parse_starts
+    from .progress import progress
+    from .say import say
+
+    with progress() as tick:
+        result = run(
+            logs,
+            out=out,
+            robots=parse_robots(robots),
+            method=method,
+            weights=weights,
+            share=parse_shares(share),
+            start=parse_starts(start),
+            truth=truth,
+            config=config,
+            seed=seed,
+            jobs=jobs,
+            fuse_every=fuse_every,
+            refine=refine,
+            force=force,
+            tick=tick,
+        )
+    for line in result.lines():
+        say(line)
+    say(f"report: {out / 'report.html'}")

@@ -1,0 +1,12 @@
+"""`mapweave simulate WORLD`: each world's command is imported only when it is asked for."""
+
+from cyclopts import App
+
+WORLDS: dict[str, str] = {
+    # world: where its command lives
+    "landmarks": "mapweave.cli.simulate_landmarks:landmarks",
+}
+
+app = App(name="simulate", help="Make recordings whose truth is known.")
+for _name, _where in WORLDS.items():
+    app.command(_where, name=_name)

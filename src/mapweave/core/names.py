@@ -1,0 +1,28 @@
+"""Names of robots: `robotK` in code and folders, `K` in tables; a robot of a fused result is `DIR/robotK` in both."""
+
+
+def robot_key(robot: str) -> str:
+    """`K` of `robotK`; any other name as it is."""
+    number = robot.removeprefix("robot")
+    return number if number.isdecimal() else robot
+
+
+def robot_name(key: str) -> str:
+    """`robotK` of `K`; any other name as it is."""
+    return f"robot{key}" if key.isdecimal() else key
+
+
+def in_order(name: str) -> tuple[tuple[int, int, str], ...]:
+    """A sort key under which numbers in names count as numbers: 2 before 11, robot2 before robot11."""
+    parts: list[tuple[int, int, str]] = []
+    word = ""
+    digits = False
+    for letter in name:
+        if word and letter.isdecimal() != digits:
+            parts.append((0, int(word), "") if digits else (1, 0, word))
+            word = ""
+        digits = letter.isdecimal()
+        word += letter
+    if word:
+        parts.append((0, int(word), "") if digits else (1, 0, word))
+    return tuple(parts)

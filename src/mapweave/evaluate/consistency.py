@@ -1,0 +1,56 @@
+"""Is an estimate as good as it says? NEES against truth with the frame left free, NIS against the data alone."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.linalg as sla
+from jaxtyping import Float
+
+from ..core import se2
+from ..core.gaussian import symmetrise
+
+
+def gauge_free_nees(
+    mean: Float[np.ndarray, "n 2"], cov: Float[np.ndarray, "m m"], truth: Float[np.ndarray, "n 2"]
+) -> tuple[float, int] | None:
+    """`min over T of e^T P^-1 e` with `e = mean - T truth`, and its degrees of freedom `2n - 3`.
+
+    mean [m] and cov [m^2] (order x1 y1 x2 y2 ..) in the map's frame, truth [m] in a frame of its own. None where there
+    are fewer than two points or the covariance is not positive definite.
+    """
+    n = len(mean)
+    if n < 2:
+        return None
+    try:
+        factor = sla.cholesky(symmetrise(np.asarray(cov)), lower=True)
+    except sla.LinAlgError:
+        return None
+    T = se2.align(truth, mean)
+    value = np.inf
+    for _ in range(50):
+        placed = se2.act(T, truth)
+        e = sla.solve_triangular(factor, (mean - placed).ravel(), lower=True)
+        J = np.zeros((2 * n, 3))
+        J[0::2, 0] = J[1::2, 1] = 1.0
+        J[0::2, 2], J[1::2, 2] = -(placed[:, 1] - T[1]), placed[:, 0] - T[0]
+        A = sla.solve_triangular(factor, J, lower=True)
+        step = np.linalg.lstsq(A, e, rcond=None)[0]
+        before, value = value, float(e @ e)
+        T = T + step
+        if abs(before - value) <= 1e-12 * max(1.0, value):
+            break
+    return value, 2 * n - 3
+
+
+def nis_median_per_dof(nis: Float[np.ndarray, " n"], dof: Float[np.ndarray, " n"]) -> float | None:
+    """Median of NIS over its expected median: 1 for an honest filter, above for an overconfident one."""
+    if not len(nis):
+        return None
+    expected = dof * (1 - 2 / (9 * dof)) ** 3  # Wilson and Hilferty's median of chi-square
+    return float(np.median(nis / expected))
+
+
+def mean_or_none(values: Sequence[float | None]) -> float | None:
+    """The mean of the values that exist."""
+    there = [v for v in values if v is not None]
+    return float(np.mean(there)) if there else None

@@ -1,0 +1,44 @@
+"""TUM trajectories: `t x y z qx qy qz qw`, `#` comments."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ..core import se2
+from ..core.errors import ReaderError
+from ..core.records import Track
+
+
+def read_tum(path: Path, frame: str = "map") -> Track:
+    """The trajectory in `path`, seen from above, sorted; of equal stamps the last is kept.
+
+    Raises ReaderError naming the first line that is not eight finite numbers.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ReaderError(path, f"expected a TUM trajectory: {error}") from None
+    rows: list[tuple[float, ...]] = []
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            row = tuple(map(float, words))
+        except ValueError:
+            raise ReaderError(path, f"expected numbers `t x y z qx qy qz qw`, found {line.strip()!r}", number) from None
+        if len(row) != 8 or not np.isfinite(row).all():
+            raise ReaderError(path, f"expected 8 finite numbers `t x y z qx qy qz qw`, found {len(row)}", number)
+        rows.append(row)
+    if not rows:
+        raise ReaderError(path, "expected a trajectory, found no poses")
+    return track_from(np.array(rows), frame)
+
+
+def track_from(rows: np.ndarray, frame: str = "map") -> Track:
+    """A Track of rows `t x y z qx qy qz qw`, stably sorted, the last of equal stamps kept."""
+    rows = rows[np.argsort(rows[:, 0], kind="stable")]
+    rows = rows[np.append(np.diff(rows[:, 0]) > 0, True)]
+    qx, qy, qz, qw = rows[:, 4:].T
+    theta = np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+    return Track(rows[:, 0], np.column_stack([rows[:, 1], rows[:, 2], se2.wrap_angle(theta)]), None, frame)

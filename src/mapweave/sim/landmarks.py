@@ -1,0 +1,142 @@
+"""A team of robots with cameras among landmarks: commands that lag and turn too little, ranges that are scaled and
+wrong for seconds on end, sightings of each other, misread barcodes. What real logs do, from one seed.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.signal import lfilter
+
+from ..core import se2
+from ..core.config import config
+from ..core.errors import UsageError
+from ..core.team import RobotRecording, TeamRecording
+from .driving import COMMAND_STEP, Drive, drive_team, scattered
+
+START = 1.7e9  # Unix seconds of the first row
+FRAME = 0.236  # [s] between camera frames
+FIELD_OF_VIEW = 0.55  # [rad] to either side
+NEAREST, FARTHEST = 0.7, 7.5  # [m]
+SEEN = 0.65  # of the frames that could show a target do
+RANGE_FLOOR, RANGE_SLOPE, BEARING_SIGMA = 0.05, 0.045, 0.014  # [m], [1], [rad]
+RANGE_MEMORY, BEARING_MEMORY = 6.0, 2.0  # [s] over which errors to one target fade
+RANGE_WHITE, BEARING_WHITE = 0.05, 0.5  # share of the variance that is new in every frame
+TRUTH_STEP = 0.06  # [s]
+AREA_PER_LANDMARK = 8.0  # [m^2]
+
+
+@config
+class TeamWorld:
+    """What to simulate. noise and bias are relative to a real team's (1); outliers and misreads are probabilities."""
+
+    robots: int = 3
+    landmarks: int = 15
+    minutes: float = 5.0
+    noise: float = 1.0
+    bias: float = 1.0
+    outliers: float = 0.01
+    misreads: float = 0.001
+
+    def check(self) -> None:
+        """Raises UsageError when no world can be made of it."""
+        for name, least in (("robots", 1), ("landmarks", 0), ("noise", 0.0), ("bias", 0.0)):
+            if not least <= getattr(self, name) < np.inf:
+                raise UsageError(f"--{name} must be {least} or more, found {getattr(self, name)}")
+        if not 0.0 < self.minutes < np.inf:
+            raise UsageError(f"--minutes must be more than 0, found {self.minutes}")
+        for name in ("outliers", "misreads"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise UsageError(f"--{name} is a probability between 0 and 1, found {getattr(self, name)}")
+
+
+def simulate_team(world: TeamWorld, seed: int = 0) -> TeamRecording:
+    """The recording of `world`; the same for the same seed. Subjects: robots 1 .. R, then landmarks."""
+    world.check()
+    rng = np.random.default_rng([seed, 20120])
+    area = max(40.0, AREA_PER_LANDMARK * world.landmarks)
+    size = np.array([np.sqrt(area * 15 / 8), np.sqrt(area * 8 / 15)])
+    landmarks = scattered(world.landmarks, size, rng)
+    drives = drive_team(world.robots, size, 60 * world.minutes, world.noise, world.bias, rng)
+
+    count = world.robots + world.landmarks
+    codes = rng.permutation(np.arange(5, max(100, 5 + 2 * count)))
+    barcodes = {subject + 1: int(codes[subject]) for subject in range(count)}
+    unlisted = codes[count:]
+    robots = tuple(
+        _record(k, drives, landmarks, np.array([barcodes[s + 1] for s in range(count)]), unlisted, world, rng)
+        for k in range(world.robots)
+    )
+    places = {world.robots + 1 + i: (float(x), float(y)) for i, (x, y) in enumerate(landmarks)}
+    return TeamRecording(barcodes, places, robots)
+
+
+def _record(
+    k: int,
+    drives: list[Drive],
+    landmarks: Float[np.ndarray, "n 2"],
+    codes: np.ndarray,
+    unlisted: np.ndarray,
+    world: TeamWorld,
+    rng: np.random.Generator,
+) -> RobotRecording:
+    own = drives[k]
+    frames = np.arange(rng.uniform(0.5, 1.0), own.t[-1], FRAME)
+    pose = se2.interpolate(frames, own.t, own.pose)
+    others = [se2.interpolate(frames, d.t, d.pose)[:, :2] for d in drives]
+    targets = np.concatenate([np.stack(others, 1), np.broadcast_to(landmarks, (len(frames), *landmarks.shape))], axis=1)
+    seen, ranges, bearings = _look(pose, targets, k, own, world, rng)
+    frame, target = np.nonzero(seen)
+    r, b = ranges[seen], bearings[seen]
+    wild = rng.random(len(r)) < world.outliers * np.minimum((r / 3.5) ** 2, 3.0)
+    r = np.where(wild, np.abs(r + rng.normal(0.0, 1.0, len(r))) + 0.1, r)
+    code = np.where(rng.random(len(r)) < world.misreads, rng.choice(unlisted, len(r)), codes[target])
+    truth_at = np.arange(0.0, own.t[-1], TRUTH_STEP)
+    truth = np.column_stack([START + truth_at, se2.interpolate(truth_at, own.t, own.pose)])
+    return RobotRecording(
+        number=k + 1,
+        odometry=_rows(own, rng),
+        stamps=START + np.round(frames[frame], 3),
+        barcodes=code,
+        sightings=np.column_stack([r, b]),
+        truth=truth,
+    )
+
+
+def _look(
+    pose: Float[np.ndarray, "f 3"],
+    targets: Float[np.ndarray, "f n 2"],
+    k: int,
+    own: Drive,
+    world: TeamWorld,
+    rng: np.random.Generator,
+) -> tuple[Bool[np.ndarray, "f n"], Float[np.ndarray, "f n"], Float[np.ndarray, "f n"]]:
+    """Which target every frame shows, and every range and bearing as the camera of robot k would tell it."""
+    d = targets - pose[:, None, :2]
+    r = np.hypot(d[..., 0], d[..., 1])
+    b = se2.wrap_angle(np.arctan2(d[..., 1], d[..., 0]) - pose[:, None, 2])
+    seen = (np.abs(b) < FIELD_OF_VIEW) & (r > NEAREST) & (r < FARTHEST) & (rng.random(r.shape) < SEEN)
+    seen[:, k] = False
+    sigma = np.hypot(RANGE_FLOOR, RANGE_SLOPE * r)
+    e_r = _remembered(r.shape, RANGE_MEMORY, RANGE_WHITE, rng)
+    e_b = _remembered(r.shape, BEARING_MEMORY, BEARING_WHITE, rng)
+    measured = own.range_scale * r + world.noise * sigma * e_r
+    return seen, np.maximum(measured, 0.05), se2.wrap_angle(b + own.bearing_bias + world.noise * BEARING_SIGMA * e_b)
+
+
+def _remembered(shape: tuple[int, ...], memory: float, white: float, rng: np.random.Generator) -> np.ndarray:
+    """Errors of unit variance along axis 0, each column its own: a share `white`, the rest fading over `memory`."""
+    a = np.exp(-FRAME / memory)
+    drive = rng.normal(size=shape)
+    drive[1:] *= np.sqrt(1 - a * a)
+    slow = lfilter([1.0], [1.0, -a], drive, axis=0)
+    return np.asarray(np.sqrt(1 - white) * slow + np.sqrt(white) * rng.normal(size=shape))
+
+
+def _rows(own: Drive, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
+    """The command rows as logged: stamps in milliseconds, a few lost for up to a second, a few repeated."""
+    keep = np.ones(len(own.t), bool)
+    for _ in range(int(rng.poisson(own.t[-1] / 120.0))):
+        first = int(rng.integers(1, len(own.t)))
+        keep[first : first + int(rng.uniform(0.2, 1.0) / COMMAND_STEP)] = False
+    rows = np.column_stack([START + np.round(own.t, 3), own.command])[keep]
+    again = np.sort(rng.choice(len(rows), min(5, len(rows)), replace=False))
+    return np.insert(rows, again, rows[again], axis=0)
