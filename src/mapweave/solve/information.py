@@ -9,6 +9,8 @@ from jaxtyping import Float, Int
 from scipy.sparse.linalg import splu
 
 from ..core.gaussian import symmetrise
+from .cholesky import Cholesky, NotPositiveError
+from .fronts import Elimination
 
 CHUNK = 256  # right-hand sides solved together
 
@@ -25,11 +27,16 @@ class Information:
     factor: Any = field(repr=False)
 
     @classmethod
-    def of(cls, matrix: sp.csc_matrix) -> "Information":
-        """`matrix` (symmetric, positive definite, both triangles stored) factorised; raises SingularError."""
+    def of(cls, matrix: sp.csc_matrix, elimination: Elimination | None = None) -> "Information":
+        """`matrix` (symmetric, positive definite, both triangles stored) factorised; raises SingularError.
+
+        With an `elimination` made for this pattern the factor is multifrontal: many times faster on large graphs.
+        """
         try:
+            if elimination is not None:
+                return cls(matrix, Cholesky.of(matrix, elimination))
             factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        except RuntimeError as error:  # SuperLU's own word for a zero pivot
+        except (RuntimeError, NotPositiveError) as error:  # the first is SuperLU's own word for a zero pivot
             raise SingularError(str(error)) from None
         return cls(matrix, factor)
 
@@ -48,7 +55,7 @@ class Information:
 
     def pivots(self) -> Float[np.ndarray, " n"]:
         """The pivots of elimination: all positive exactly when the matrix is positive definite."""
-        return np.asarray(self.factor.U.diagonal())
+        return self.factor.pivots() if isinstance(self.factor, Cholesky) else np.asarray(self.factor.U.diagonal())
 
     def logdet(self) -> float:
         """Log det of the information; the covariance's is its negative. Raises SingularError when not positive."""
@@ -77,6 +84,8 @@ class Information:
 
     def blocks(self, index: Int[np.ndarray, "b k"]) -> Float[np.ndarray, "b k k"]:
         """For each row of `index`, the covariance over those k variables: marginals without the full inverse."""
+        if isinstance(self.factor, Cholesky) and self.factor.together(index):
+            return self.factor.blocks(index)
         b, k = index.shape
         out = np.empty((b, k, k))
         step = max(1, CHUNK // k)

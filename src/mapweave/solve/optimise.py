@@ -70,7 +70,7 @@ class Solution:
         """For each row of `index`, the covariance of those k entries of x; zero where an entry is fixed."""
         at = self._position(index)
         free = at >= 0
-        P = self._known().blocks(np.maximum(at, 0))
+        P = self._known().blocks(np.where(free, at, np.maximum(at.max(axis=1, keepdims=True), 0)))
         return np.asarray(P * free[:, :, None] * free[:, None, :])
 
     def blocks_without_gauge(
@@ -115,7 +115,7 @@ def minimise(problem: Problem, cfg: SolveConfig | None = None, pattern: Pattern 
     while iterations < cfg.max_iterations:
         iterations += 1
         try:
-            dx = Information.of(_damped(pattern, H, damping)).solve(-g)
+            dx = Information.of(_damped(pattern, H, damping), pattern.elimination).solve(-g)
         except SingularError:
             if cfg.damping == 0 or damping > HARDEST:
                 status = Status.SINGULAR
@@ -154,7 +154,7 @@ def minimise(problem: Problem, cfg: SolveConfig | None = None, pattern: Pattern 
         dof=problem.dof,
         costs=tuple(costs),
         free=free,
-        information=_factorised(H),
+        information=_factorised(H, pattern),
     )
 
 
@@ -172,8 +172,8 @@ def _damped(pattern: Pattern, H: sp.csc_matrix, damping: float) -> sp.csc_matrix
     return pattern.matrix(data)
 
 
-def _factorised(H: sp.csc_matrix) -> Information | None:
+def _factorised(H: sp.csc_matrix, pattern: Pattern) -> Information | None:
     try:
-        return Information.of(H)
+        return Information.of(H, pattern.elimination)
     except SingularError:
         return None

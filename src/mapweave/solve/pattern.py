@@ -1,12 +1,13 @@
 """Where every factor's block lands in the sparse information matrix: found once, used at each step."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
 
+from .fronts import Elimination
 from .problem import Problem
 
 
@@ -20,6 +21,7 @@ class Pattern:
     slots: tuple[np.ndarray, ...]  # for each term, (m d d,): its slot in the data, or nnz for a fixed variable
     rows: tuple[np.ndarray, ...]  # for each term, (m d,): its row of the gradient, or `size` for a fixed variable
     diagonal: Int[np.ndarray, " f"]
+    elimination: Elimination | None = None
 
     @classmethod
     def of(cls, problem: Problem) -> "Pattern":
@@ -50,6 +52,14 @@ class Pattern:
             rows=tuple(r.ravel() for r in rows),
             diagonal=parts[-1],
         )
+
+    def dissected(self, group: Int[np.ndarray, " f"]) -> "Pattern":
+        """The same pattern, to be factorised by nested dissection: pays from some thousand variables on.
+
+        group: (f,) which variables belong together (a pose, a point), by any number; their joint covariances are
+        then cheap for all groups at once.
+        """
+        return replace(self, elimination=Elimination.of(self.matrix(np.ones(len(self.indices))), group))
 
     def assemble(
         self, blocks: Sequence[np.ndarray], gradients: Sequence[np.ndarray]

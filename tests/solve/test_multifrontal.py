@@ -1,0 +1,97 @@
+"""The multifrontal factor equals dense algebra, whatever the graph looks like."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from mapweave.kernels.fronts import extend_add
+from mapweave.solve.cholesky import Cholesky, NotPositiveError
+from mapweave.solve.dissection import dissect
+from mapweave.solve.fronts import Elimination
+from mapweave.solve.information import Information, SingularError
+
+
+def laplacian(n, edges, block, rng):
+    """A positive definite matrix with a random PSD coupling of `block` variables a node on each edge."""
+    size = n * block
+    H = sp.lil_matrix((size, size))
+    for i, j in edges:
+        J = rng.normal(size=(block, 2 * block))
+        rows = np.concatenate([block * i + np.arange(block), block * j + np.arange(block)])
+        H[np.ix_(rows, rows)] += J.T @ J
+    H = sp.csc_matrix(H + sp.eye(size))
+    H.sort_indices()
+    return H
+
+
+def graphs(rng):
+    near = [(i, j) for i in range(400) for j in (i + 1, i + 20) if j < 400]
+    yield "grid", 400, near
+    yield "two pieces and loners", 420, [(i, i + 1) for i in range(150)] + [(i, i + 3) for i in range(200, 380)]
+    yield "random", 200, [tuple(rng.choice(200, 2, replace=False)) for _ in range(400)]
+    yield "star", 130, [(0, k) for k in range(1, 130)]
+    yield "complete", 60, [(i, j) for i in range(60) for j in range(i)]
+    yield "no edges", 100, []
+    yield "one node", 1, []
+
+
+@pytest.mark.parametrize("block", [1, 3])
+def test_factor_solution_pivots_and_selected_inverse_equal_dense_algebra(block):
+    rng = np.random.default_rng(8)
+    for name, n, edges in graphs(rng):
+        H = laplacian(n, edges, block, rng)
+        group = np.repeat(np.arange(n), block)
+        chol = Cholesky.of(H, Elimination.of(H, group))
+        dense = np.linalg.inv(H.toarray())
+        b = rng.normal(size=(len(dense), 2))
+        np.testing.assert_allclose(chol.solve(b), dense @ b, atol=1e-9, err_msg=name)
+        np.testing.assert_allclose(chol.solve(b[:, 0]), dense @ b[:, 0], atol=1e-9, err_msg=name)
+        index = np.arange(n * block).reshape(n, block)
+        want = np.stack([dense[np.ix_(r, r)] for r in index])
+        np.testing.assert_allclose(chol.blocks(index), want, atol=1e-9, err_msg=name)
+        assert np.log(chol.pivots()).sum() == pytest.approx(np.linalg.slogdet(H.toarray())[1])
+
+
+def test_no_edge_crosses_a_separator():
+    rng = np.random.default_rng(4)
+    for name, n, edges in graphs(rng):
+        i, j = np.array(edges, dtype=int).reshape(-1, 2).T
+        graph = sp.csr_array((np.ones(2 * len(i)), (np.r_[i, j], np.r_[j, i])), shape=(n, n))
+        part = dissect(graph, leaf=10).part
+        a, b = np.maximum(part[i], part[j]), np.minimum(part[i], part[j])
+        while (a > b).any():  # an ancestor in the heap is reached by halving
+            a = np.where(a > b, a // 2, a)
+        assert (a == b).all(), name
+
+
+def test_information_reads_the_same_from_either_factor():
+    rng = np.random.default_rng(3)
+    edges = [(i, j) for i in range(300) for j in (i + 1, i + 17) if j < 300]
+    H = laplacian(300, edges, 2, rng)
+    index = np.arange(600).reshape(300, 2)
+    plain, tree = Information.of(H), Information.of(H, Elimination.of(H, np.repeat(np.arange(300), 2)))
+    np.testing.assert_allclose(tree.blocks(index), plain.blocks(index), atol=1e-11)
+    np.testing.assert_allclose(tree.blocks(index[:, ::-1]), plain.blocks(index[:, ::-1]), atol=1e-11)
+    apart = np.array([[0, 599], [7, 300]])
+    np.testing.assert_allclose(tree.blocks(apart), plain.blocks(apart), atol=1e-11)
+    assert tree.logdet() == pytest.approx(plain.logdet())
+
+
+def test_a_matrix_that_is_not_positive_is_refused():
+    H = sp.csc_matrix(np.diag([1.0, -1.0]))
+    with pytest.raises(NotPositiveError):
+        Cholesky.of(H, Elimination.of(H))
+    with pytest.raises(SingularError):
+        Information.of(H, Elimination.of(H))
+
+
+@pytest.mark.kernel
+def test_a_child_is_added_into_the_lower_triangle_of_its_parent():
+    rng = np.random.default_rng(0)
+    where = np.array([0, 2, 5])
+    update = np.asfortranarray(rng.normal(size=(3, 3)))
+    front = np.zeros((6, 6), order="F")
+    extend_add(front, update, where)
+    want = np.zeros((6, 6))
+    want[np.ix_(where, where)] = np.tril(update)
+    np.testing.assert_array_equal(front, want)
