@@ -1,0 +1,93 @@
+"""A robot with a laser scanner driven through a world: its log, the truth, and what the walls really are."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core import se2
+from ..core.arrays import frozen
+from ..core.config import config
+from ..core.laser_log import LaserLog
+from ..core.quaternion import representable
+from ..core.records import Scan, Track
+from ..kernels.raycast import cast
+from .drift import DriftConfig, drifted
+from .laser_world import LaserWorld
+from .people import walking
+from .route import Route
+from .scanner import Reflectance, Scanner, measure
+
+START_NS = 1_000_000_000_000  # logs begin at 1000 s
+
+
+@config
+class DriveConfig:
+    """How the world is driven and seen."""
+
+    scan_every: float = 0.25  # [m]
+    odometry_every: float = 0.05  # [m]; a whole part of `scan_every`
+    speed: float = 0.5  # [m/s]
+    people: int = 0
+    sensor_pose: tuple[float, float, float] = (0.0, 0.0, 0.0)  # T_robot_sensor
+    scanner: Scanner = Scanner()
+    law: Reflectance = Reflectance()
+    drift: DriftConfig = DriftConfig()
+
+
+@dataclass(frozen=True, slots=True)
+class LaserSimulation:
+    """What was driven. truth: poses in the world's frame at every stamp of the log.
+
+    reflectance: (m, n), the true one of what each beam of each scan hit, 0 where nothing came back.
+    """
+
+    log: LaserLog
+    truth: Track
+    reflectance: Float[np.ndarray, "m n"]
+    world: LaserWorld
+    heading_bias: float
+
+
+def drive(world: LaserWorld, route: Route, cfg: DriveConfig, seed: int) -> LaserSimulation:
+    """The log of one drive along `route`, the same for the same seed.
+
+    Walls, odometry, scanner and people draw from streams of their own: changing one leaves the others as they were.
+    """
+    each = max(1, round(cfg.scan_every / cfg.odometry_every))
+    step = cfg.scan_every / each
+    s = step * np.arange(int(route.total / step + 1e-9) + 1)
+    t = (START_NS + np.round(s / cfg.speed * 1e9).astype(np.int64)) / 1e9
+    truth = route.poses(s)
+    odometry, bias = drifted(truth, cfg.drift, stream(seed, "odometry"))
+    x, y, theta = cfg.sensor_pose
+    T_robot_sensor = frozen([x, y, representable(theta)])
+    at = np.arange(0, len(s), each)
+    sensor = se2.compose(truth[at], T_robot_sensor)
+    discs, clothes = walking(cfg.people, route, t[at], truth[at], stream(seed, "people"))
+    true_range, what, cosine = cast(sensor, cfg.scanner.angles(), world.segments, discs, cfg.scanner.far + 0.3)
+    surface = np.concatenate([world.reflectance, clothes, [0.0]])
+    rho = surface[what]
+    ranges, light = measure(true_range, what, cosine, rho, cfg.scanner, cfg.law, stream(seed, "scanner"))
+    hit = ranges < cfg.scanner.range_max
+    scans = tuple(
+        Scan(
+            frozen(ranges[k]),
+            frozen(hit[k], dtype=bool),
+            frozen(light[k]),
+            cfg.scanner.angle_min,
+            cfg.scanner.angle_increment,
+            cfg.scanner.range_max,
+            T_robot_sensor,
+            "",
+            frozen(odometry[i]),
+        )
+        for k, i in enumerate(at.tolist())
+    )
+    log = LaserLog("1", f"simulated {world.name}, seed {seed}", t[at], scans, Track(t, odometry, frame="odom"))
+    return LaserSimulation(log, Track(t, truth, frame="world"), frozen(np.where(hit, rho, 0.0)), world, bias)
+
+
+def stream(seed: int, purpose: str) -> np.random.Generator:
+    """A generator of its own for each purpose."""
+    return np.random.default_rng([seed, *purpose.encode()])

@@ -1,0 +1,123 @@
+"""The ring corridor: what the specification says of it holds, and equal seeds give equal logs."""
+
+import numpy as np
+import pytest
+
+from mapweave.core import se2
+from mapweave.core.quaternion import from_yaw, representable, to_yaw
+from mapweave.sim.corridor import CorridorConfig, corridor_world, simulate_corridor
+from mapweave.sim.drift import DriftConfig, drifted
+from mapweave.sim.laser import DriveConfig
+from mapweave.sim.route import ring, through
+from mapweave.sim.scanner import SECOND_LAW
+
+
+@pytest.fixture(scope="module")
+def full():
+    return simulate_corridor(seed=3)
+
+
+SHORT = CorridorConfig(distance=6.0, drive=DriveConfig(drift=DriftConfig(end_error=None)))
+
+
+def test_the_drive_is_200_m_with_a_scan_every_quarter_metre_and_about_22_m_of_overlap(full):
+    steps = np.diff(full.truth.pose[:, :2], axis=0)
+    assert abs(np.hypot(*steps.T).sum() - 200) < 0.2
+    assert len(full.log.scans) == 801
+    last = full.truth.pose[-1]
+    assert abs(last[0] - 22) < 0.1
+    assert abs(last[1]) < 1e-6
+
+
+def test_odometry_ends_15_to_20_m_off(full):
+    end = se2.between(full.truth.pose[0], full.truth.pose[-1])[:2]
+    assert 15 <= np.hypot(*(full.log.odometry.pose[-1, :2] - end)) <= 20
+
+
+def test_beams_reach_the_walls_and_the_scanner_rounds_to_a_millimetre(full):
+    scan, pose = full.log.scans[0], full.truth.pose[0]
+    assert len(scan.ranges) == 342
+    assert np.degrees(scan.angles()[[0, -1]]) == pytest.approx([-120, 120])
+    a, r = scan.angles()[scan.hit], scan.ranges[scan.hit]
+    y = se2.act(pose, np.column_stack([r * np.cos(a), r * np.sin(a)]))[:, 1]
+    assert np.abs(np.abs(y) - 1.25).max() < 0.25
+    assert np.allclose(r * 1000, np.round(r * 1000), atol=2e-4)
+
+
+def test_light_follows_the_law_the_specification_gives(full):
+    scans = [(s, rho) for s, rho in zip(full.log.scans, full.reflectance, strict=True)][::40]
+    r = np.concatenate([s.ranges[s.hit] for s, _ in scans])
+    light = np.concatenate([s.intensities[s.hit] for s, _ in scans])
+    rho = np.concatenate([x[s.hit] for s, x in scans])
+    straight = light / (40000 * rho / (1 + (r / 1.5) ** 2))
+    assert straight.max() < 1.25
+    assert 0.9 < np.quantile(straight, 0.98) < 1.1
+
+
+def test_doors_are_recessed_on_the_short_legs_alone():
+    cfg = CorridorConfig()
+    S = corridor_world(cfg, 0).segments
+    long_y = S[np.abs(S[:, 1] - S[:, 3]) < 1e-9][:, 1]
+    lines = [-1.25, 1.25, 28.75, 31.25]
+    across_short = np.abs(S[:, 0] - S[:, 2]) < 1e-9
+    recessed = [x for x in S[across_short][:, 0] if min(abs(x - v) for v in (-16.25, -13.75, 43.75, 46.25)) > 0.1]
+    assert len(recessed) > 4
+    assert all(abs(min(abs(x - v) for v in (-16.25, -13.75, 43.75, 46.25)) - 0.12) < 1e-9 for x in recessed)
+    jambs = [y for y in long_y if min(abs(y - v) for v in lines) > 1e-9]
+    assert len(jambs) == 2 * len(recessed)
+
+
+def test_reflectances_are_paint_posters_and_doors():
+    rho = corridor_world(CorridorConfig(), 1).reflectance
+    paint = rho[(rho > 0.5) & (rho < 0.7)]
+    assert abs(paint.mean() - 0.6) < 0.01
+    assert abs(paint.std() - 0.018) < 0.004
+    assert rho.min() > 0.05
+    assert rho.max() < 0.95
+
+
+def test_the_same_seed_gives_the_same_log_and_another_a_different_one():
+    a, b, c = (simulate_corridor(SHORT, seed) for seed in (5, 5, 6))
+    assert all(np.array_equal(x.ranges, y.ranges) for x, y in zip(a.log.scans, b.log.scans, strict=True))
+    assert np.array_equal(a.log.odometry.pose, b.log.odometry.pose)
+    assert not np.array_equal(a.log.scans[0].ranges, c.log.scans[0].ranges)
+
+
+def test_another_reflectance_law_changes_the_light_and_nothing_else():
+    a = simulate_corridor(SHORT, 2)
+    other = CorridorConfig(distance=6.0, drive=DriveConfig(drift=DriftConfig(end_error=None), law=SECOND_LAW))
+    b = simulate_corridor(other, 2)
+    assert np.array_equal(a.log.odometry.pose, b.log.odometry.pose)
+    assert np.array_equal(a.log.scans[3].ranges, b.log.scans[3].ranges)
+    assert not np.array_equal(a.log.scans[3].intensities, b.log.scans[3].intensities)
+    assert np.array_equal(a.reflectance, b.reflectance)
+
+
+def test_people_stand_before_the_walls():
+    walked = CorridorConfig(distance=6.0, drive=DriveConfig(drift=DriftConfig(end_error=None), people=60))
+    a, b = simulate_corridor(SHORT, 2), simulate_corridor(walked, 2)
+    nearer = [np.mean(y.ranges < x.ranges - 0.2) for x, y in zip(a.log.scans, b.log.scans, strict=True)]
+    assert np.mean(nearer) > 0.05
+
+
+def test_odometry_without_noise_or_bias_is_the_truth():
+    truth = ring(10, 6, 1.0, 20.0, 3.0).poses(np.linspace(0, 20, 400))
+    quiet = DriftConfig(scale=0, translation=0, rotation=0, end_error=None)
+    poses, bias = drifted(truth, quiet, np.random.default_rng(0))
+    assert np.allclose(poses, se2.between(truth[0], truth), atol=1e-9)
+    assert bias == 0
+
+
+def test_a_route_through_points_rounds_its_corners_and_ends_at_the_last():
+    route = through([(0, 0), (4, 0), (4, 3)], 1.0)
+    poses = route.poses(np.linspace(0, route.total, 200))
+    assert np.allclose(poses[-1], [4, 3, np.pi / 2])
+    assert abs(route.total - (3 + 2 + np.pi / 2)) < 1e-9
+    assert np.hypot(poses[:, 0] - 4, poses[:, 1]).min() > 0.4
+
+
+def test_a_representable_heading_comes_back_from_its_quaternion_to_the_bit():
+    for theta in np.random.default_rng(1).uniform(-np.pi, np.pi, 3000):
+        r = representable(float(theta))
+        assert to_yaw(*from_yaw(r)) == r
+        assert abs(r - theta) < 1e-12
