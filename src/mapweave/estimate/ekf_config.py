@@ -1,0 +1,72 @@
+"""What EKF-SLAM assumes of a robot and its sensors; one set of defaults for the whole family of robots."""
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core.config import config
+from ..core.errors import ConfigError
+from ..kernels.ekf import Noise
+
+
+@config
+class EkfSlamConfig:
+    """Noise is for commands and readings as they are logged; a prior is a mean and a standard deviation.
+
+    A standard deviation of zero switches a calibration parameter off. The speed scale and the range scale are never
+    estimated together: they collapse the map.
+    """
+
+    odometry: bool = True  # whether commands are known at all; without them the pose walks at random
+    # how far commands can be trusted
+    noise_along: float = 0.05  # [m / sqrt(m)] of distance commanded
+    noise_across: float = 0.02  # [m / sqrt(m)]
+    noise_drift: float = 0.05  # [rad / sqrt(m)] heading over distance commanded
+    noise_turn: float = 0.05  # [rad / sqrt(rad)] heading over angle commanded
+    rest_xy: float = 1e-4  # [m / sqrt(s)] always
+    rest_theta: float = 1e-4  # [rad / sqrt(s)] always
+    lost_xy: float = 0.06  # [m / sqrt(s)] while no command is known
+    lost_theta: float = 0.3  # [rad / sqrt(s)]
+    hold: float = 2.0  # [s] a command holds without a new one
+    # the camera
+    range_floor: float = 0.05  # [m]
+    range_share: float = 0.045  # of the predicted distance
+    bearing: float = 0.014  # [rad]
+    range_inflation: float = 20.0  # of the variance: errors of one landmark's range last for seconds
+    bearing_inflation: float = 7.0
+    gate: float = 2.5  # normalised innovation from which a sighting counts less, never nothing
+    agree: int = 3  # sightings of a new landmark that must agree on its place
+    # calibration: prior mean and standard deviation
+    speed_scale: float = 1.0
+    speed_scale_sd: float = 0.0
+    turn_scale: float = 0.95
+    turn_scale_sd: float = 0.2
+    lag: float = 0.15  # [s] from command to motion
+    lag_sd: float = 0.1
+    bearing_bias: float = 0.0  # [rad]
+    bearing_bias_sd: float = 0.02
+    range_scale: float = 1.0
+    range_scale_sd: float = 0.02
+
+    def __post_init__(self) -> None:
+        if self.odometry and self.speed_scale_sd > 0 and self.range_scale_sd > 0:
+            raise ConfigError(
+                "speed_scale_sd and range_scale_sd: expected one of them 0, they collapse the map together"
+            )
+
+
+def calibration_prior(cfg: EkfSlamConfig) -> tuple[Float[np.ndarray, "5"], Float[np.ndarray, "5"]]:
+    """Means and standard deviations in the order of the state; without odometry none is estimated."""
+    mean = np.array([cfg.speed_scale, cfg.turn_scale, cfg.lag, cfg.bearing_bias, cfg.range_scale])
+    sd = np.array([cfg.speed_scale_sd, cfg.turn_scale_sd, cfg.lag_sd, cfg.bearing_bias_sd, cfg.range_scale_sd])
+    if not cfg.odometry:
+        mean[4] = 1.0
+        sd[:] = 0.0
+    return mean, sd
+
+
+def noise(cfg: EkfSlamConfig) -> Noise:
+    return Noise(
+        cfg.noise_along, cfg.noise_across, cfg.noise_drift, cfg.noise_turn, cfg.rest_xy, cfg.rest_theta,
+        cfg.lost_xy, cfg.lost_theta, cfg.hold, cfg.range_floor, cfg.range_share, cfg.bearing,
+        cfg.range_inflation, cfg.bearing_inflation, cfg.gate, cfg.agree,
+    )  # fmt: skip

@@ -1,0 +1,507 @@
+"""EKF-SLAM of one robot, compiled: drive along commands, update with one sighting, start a landmark.
+
+State `x`: [px, py, theta, v scale, turn scale, lag, bearing bias, range scale, p_1x, p_1y, ...]; `P` its covariance.
+A parameter that is not estimated has zero variance and stays. Between sightings the covariance is not touched: the
+drive since the last one is kept as `Phi` (3, 8), the pose's derivative by the pose and calibration it started from,
+and `Q` (3, 3), the noise gathered; `settle` works them into `P`.
+"""
+
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from ._jit import kernel
+
+Array: TypeAlias = np.ndarray
+
+POSE = 3
+HEAD = 8  # pose and calibration
+V_SCALE, TURN_SCALE, LAG, BEARING_BIAS, RANGE_SCALE = 3, 4, 5, 6, 7
+CANDIDATES = 8  # sightings of a landmark not yet started that are remembered
+
+
+class Noise(NamedTuple):
+    """What the kernels take from the configuration, in metres, radians and seconds."""
+
+    along: float  # [m / sqrt(m)] of distance commanded
+    across: float  # [m / sqrt(m)]
+    drift: float  # [rad / sqrt(m)] heading over distance commanded
+    turn: float  # [rad / sqrt(rad)] heading over angle commanded
+    rest_xy: float  # [m / sqrt(s)]
+    rest_theta: float  # [rad / sqrt(s)]
+    lost_xy: float  # [m / sqrt(s)] while no command is known
+    lost_theta: float  # [rad / sqrt(s)]
+    hold: float  # [s] a command is held at most
+    range_floor: float  # [m]
+    range_share: float  # of the distance
+    bearing: float  # [rad]
+    range_inflation: float  # of the variance, for correlated errors
+    bearing_inflation: float
+    gate: float  # normalised innovation from which a sighting counts less
+    agree: int  # sightings that must agree before a landmark starts
+
+
+@kernel
+def arc(
+    x: Array,
+    Phi: Array,
+    Q: Array,
+    v: float,
+    w: float,
+    dt: float,
+    noise: Noise,
+    known: bool,  # noqa: FBT001
+) -> None:
+    """The pose, its derivatives and its noise after `dt` [s] at commanded `v` [m/s] and `w` [rad/s] on an exact arc."""
+    sv, sw = x[V_SCALE], x[TURN_SCALE]
+    h = 0.5 * sw * w * dt
+    if abs(h) < 1e-4:
+        sinc, dsinc = 1.0 - h * h / 6.0, -h / 3.0
+    else:
+        sinc = np.sin(h) / h
+        dsinc = (np.cos(h) - sinc) / h
+    c, s = np.cos(x[2] + h), np.sin(x[2] + h)
+    step = v * dt
+    chord = sv * step * sinc
+    dx, dy = chord * c, chord * s
+    turn = 0.5 * w * dt  # dh / d(turn scale)
+    chord_h = sv * step * dsinc
+    for k in range(HEAD):
+        theta = Phi[2, k]
+        Phi[0, k] -= dy * theta
+        Phi[1, k] += dx * theta
+    Phi[0, V_SCALE] += step * sinc * c
+    Phi[1, V_SCALE] += step * sinc * s
+    Phi[0, TURN_SCALE] += (chord_h * c - dy) * turn
+    Phi[1, TURN_SCALE] += (chord_h * s + dx) * turn
+    Phi[2, TURN_SCALE] += w * dt
+    # Q <- F Q F^T, F = I + [-dy, dx] on theta
+    q02, q12, q22 = Q[0, 2], Q[1, 2], Q[2, 2]
+    Q[0, 0] += -2.0 * dy * q02 + dy * dy * q22
+    Q[0, 1] += dx * q02 - dy * q12 - dx * dy * q22
+    Q[1, 1] += 2.0 * dx * q12 + dx * dx * q22
+    Q[0, 2] -= dy * q22
+    Q[1, 2] += dx * q22
+    far, bend = abs(step), abs(w) * dt
+    if known:
+        rest = noise.rest_xy * noise.rest_xy * dt
+        along = noise.along * noise.along * far + rest
+        across = noise.across * noise.across * far + rest
+        heading = noise.drift * noise.drift * far + noise.turn * noise.turn * bend + noise.rest_theta**2 * dt
+    else:
+        along = noise.lost_xy * noise.lost_xy * dt
+        across = along
+        heading = noise.lost_theta * noise.lost_theta * dt
+    Q[0, 0] += c * c * along + s * s * across
+    Q[0, 1] += c * s * (along - across)
+    Q[1, 1] += s * s * along + c * c * across
+    Q[2, 2] += heading
+    Q[1, 0], Q[2, 0], Q[2, 1] = Q[0, 1], Q[0, 2], Q[1, 2]
+    x[0] += dx
+    x[1] += dy
+    x[2] += 2.0 * h
+
+
+@kernel
+def drive(
+    x: Array,
+    Phi: Array,
+    Q: Array,
+    t: float,
+    until: float,
+    cmd_t: Array,
+    cmd_v: Array,
+    cmd_w: Array,
+    at: int,
+    noise: Noise,
+) -> tuple[float, int]:
+    """Drives from `t` to `until` [s]; returns the time and command then in force.
+
+    Command i holds from cmd_t[i] + lag until the next one, but `noise.hold` at most; then, and before the first
+    command was given, the robot may go anywhere. `at` is the command in force, -1 before the first.
+    """
+    n = len(cmd_t)
+    lag = x[LAG]
+    while t < until:
+        v = w = 0.0
+        known = n > 0 and cmd_t[0] <= t
+        expiry = np.inf
+        if at >= 0:
+            expiry = cmd_t[at] + lag + noise.hold
+            if t < expiry:
+                v, w = cmd_v[at], cmd_w[at]
+            else:
+                known, expiry = False, np.inf
+        follows = cmd_t[at + 1] + lag if at + 1 < n else np.inf
+        end = min(until, follows, expiry)
+        if end > t:
+            arc(x, Phi, Q, v, w, end - t, noise, known)
+            t = end
+        if follows <= end:
+            at += 1
+            dv, dw = v - cmd_v[at], w - cmd_w[at]
+            Phi[0, LAG] += x[V_SCALE] * dv * np.cos(x[2])
+            Phi[1, LAG] += x[V_SCALE] * dv * np.sin(x[2])
+            Phi[2, LAG] += x[TURN_SCALE] * dw
+    return t, at
+
+
+@kernel
+def settle(
+    P: Array,
+    size: int,
+    Phi: Array,
+    Q: Array,
+) -> None:
+    """Works the drive since the last sighting into `P` and clears it."""
+    rows = np.zeros((POSE, size))
+    for i in range(POSE):
+        for j in range(size):
+            total = 0.0
+            for k in range(HEAD):
+                total += Phi[i, k] * P[k, j]
+            rows[i, j] = total
+    for i in range(POSE):
+        for j in range(POSE, size):
+            P[i, j] = rows[i, j]
+            P[j, i] = rows[i, j]
+    for i in range(POSE):
+        for j in range(i, POSE):
+            total = Q[i, j]
+            for k in range(HEAD):
+                total += rows[i, k] * Phi[j, k]
+            P[i, j] = total
+            P[j, i] = total
+    clear(Phi, Q)
+
+
+@kernel
+def clear(
+    Phi: Array,
+    Q: Array,
+) -> None:
+    """No drive since the last sighting."""
+    Phi[:, :] = 0.0
+    Q[:, :] = 0.0
+    for i in range(POSE):
+        Phi[i, i] = 1.0
+
+
+@kernel
+def pose_covariance(
+    P: Array,
+    Phi: Array,
+    Q: Array,
+    out: Array,
+) -> None:
+    """The pose's covariance now, (xx, xy, xt, yy, yt, tt) into `out`, with the drive that is not settled."""
+    k = 0
+    for i in range(POSE):
+        for j in range(i, POSE):
+            total = Q[i, j]
+            for a in range(HEAD):
+                inner = 0.0
+                for b in range(HEAD):
+                    inner += P[a, b] * Phi[j, b]
+                total += Phi[i, a] * inner
+            out[k] = total
+            k += 1
+
+
+@kernel
+def sight(
+    x: Array,
+    P: Array,
+    size: int,
+    slot: int,
+    z_range: float,
+    z_bearing: float,
+    noise: Noise,
+) -> tuple[float, float]:
+    """One sighting of a started landmark worked into `x` and `P` (settled); returns (NIS, weight).
+
+    Noise is taken at the predicted distance: the measured one favours short readings. A sighting whose normalised
+    innovation d exceeds the gate counts with weight gate / d.
+    """
+    a = HEAD + 2 * slot
+    dx, dy = x[a] - x[0], x[a + 1] - x[1]
+    r = max(np.sqrt(dx * dx + dy * dy), 1e-6)
+    e0 = z_range - x[RANGE_SCALE] * r
+    e1 = wrap(z_bearing - np.arctan2(dy, dx) + x[2] - x[BEARING_BIAS])
+    where = np.array([0, 1, 2, BEARING_BIAS, RANGE_SCALE, a, a + 1])
+    s = x[RANGE_SCALE]
+    ux, uy = dx / r, dy / r
+    gx, gy = -dy / (r * r), dx / (r * r)
+    H = np.array([[-s * ux, -s * uy, 0.0, 0.0, r, s * ux, s * uy], [-gx, -gy, -1.0, 1.0, 0.0, gx, gy]])
+    PHt = np.zeros((2, size))
+    for j in range(size):
+        h0 = h1 = 0.0
+        for k in range(7):
+            p = P[where[k], j]
+            h0 += H[0, k] * p
+            h1 += H[1, k] * p
+        PHt[0, j] = h0
+        PHt[1, j] = h1
+    s00 = s01 = s11 = 0.0
+    for k in range(7):
+        j = where[k]
+        s00 += H[0, k] * PHt[0, j]
+        s01 += H[0, k] * PHt[1, j]
+        s11 += H[1, k] * PHt[1, j]
+    r0 = noise.range_floor**2 + (noise.range_share * r) ** 2
+    r1 = noise.bearing**2
+    nis = quadratic(e0, e1, s00 + r0, s01, s11 + r1)
+    d = np.sqrt(nis)
+    weight = 1.0 if d <= noise.gate else noise.gate / d
+    s00 += r0 * noise.range_inflation / weight
+    s11 += r1 * noise.bearing_inflation / weight
+    det = s00 * s11 - s01 * s01
+    i00, i01, i11 = s11 / det, -s01 / det, s00 / det
+    y0, y1 = i00 * e0 + i01 * e1, i01 * e0 + i11 * e1
+    for i in range(size):
+        x[i] += PHt[0, i] * y0 + PHt[1, i] * y1
+        k0 = PHt[0, i] * i00 + PHt[1, i] * i01
+        k1 = PHt[0, i] * i01 + PHt[1, i] * i11
+        for j in range(i + 1):
+            p = P[i, j] - (k0 * PHt[0, j] + k1 * PHt[1, j])
+            P[i, j] = p
+            P[j, i] = p
+    return nis, weight
+
+
+@kernel
+def begin(
+    x: Array,
+    P: Array,
+    size: int,
+    slot: int,
+    z_range: float,
+    z_bearing: float,
+    noise: Noise,
+) -> None:
+    """Starts the landmark of `slot` from one sighting (pose settled), with its cross-covariances."""
+    a = HEAD + 2 * slot
+    s = x[RANGE_SCALE]
+    r = z_range / s
+    phi = x[2] + z_bearing - x[BEARING_BIAS]
+    c, n = np.cos(phi), np.sin(phi)
+    x[a] = x[0] + r * c
+    x[a + 1] = x[1] + r * n
+    where = np.array([0, 1, 2, BEARING_BIAS, RANGE_SCALE])
+    G = np.array([[1.0, 0.0, -r * n, r * n, -r * c / s], [0.0, 1.0, r * c, -r * c, -r * n / s]])
+    for i in range(2):
+        for j in range(size):
+            total = 0.0
+            for k in range(5):
+                total += G[i, k] * P[where[k], j]
+            P[a + i, j] = total
+    for j in range(size):
+        P[j, a], P[j, a + 1] = P[a, j], P[a + 1, j]
+    v0 = (noise.range_floor**2 + (noise.range_share * r) ** 2) * noise.range_inflation / (s * s)
+    v1 = noise.bearing**2 * noise.bearing_inflation * r * r
+    N = np.array([[c * c * v0 + n * n * v1, c * n * (v0 - v1)], [c * n * (v0 - v1), n * n * v0 + c * c * v1]])
+    for i in range(2):
+        for j in range(2):
+            total = N[i, j]
+            for k in range(5):
+                total += P[a + i, where[k]] * G[j, k]
+            P[a + i, a + j] = total
+
+
+@kernel
+def consider(
+    x: Array,
+    slot: int,
+    z_range: float,
+    z_bearing: float,
+    noise: Noise,
+    waiting: Array,
+    n_waiting: Array,
+) -> bool:
+    """Whether a landmark not yet started may start with this sighting: enough remembered ones agree on its place.
+
+    waiting: (slots, CANDIDATES, 2) places seen so far, the oldest overwritten; n_waiting: (slots,) how many there were.
+    """
+    r = z_range / x[RANGE_SCALE]
+    phi = x[2] + z_bearing - x[BEARING_BIAS]
+    px, py = x[0] + r * np.cos(phi), x[1] + r * np.sin(phi)
+    spread = noise.range_floor**2 + (noise.range_share * r) ** 2 + (noise.bearing * r) ** 2
+    agree = 1
+    for k in range(min(n_waiting[slot], CANDIDATES)):
+        dx, dy = waiting[slot, k, 0] - px, waiting[slot, k, 1] - py
+        if dx * dx + dy * dy < 9.0 * 2.0 * spread:
+            agree += 1
+    k = n_waiting[slot] % CANDIDATES
+    waiting[slot, k, 0], waiting[slot, k, 1] = px, py
+    n_waiting[slot] += 1
+    return agree >= noise.agree
+
+
+@kernel
+def frame(
+    x: Array,
+    P: Array,
+    size: int,
+    slots: Array,
+    ranges: Array,
+    bearings: Array,
+    noise: Noise,
+    started: Array,
+    waiting: Array,
+    n_waiting: Array,
+    nis: Array,
+    weight: Array,
+) -> None:
+    """All sightings of one camera frame (pose settled); fills `nis` and `weight`.
+
+    A slot below zero is no landmark of this filter; it and a landmark that only waits get NaN.
+    """
+    for k in range(len(slots)):
+        slot = slots[k]
+        nis[k] = np.nan
+        weight[k] = np.nan
+        if slot < 0:
+            continue
+        if started[slot]:
+            nis[k], weight[k] = sight(x, P, size, slot, ranges[k], bearings[k], noise)
+        elif consider(x, slot, ranges[k], bearings[k], noise, waiting, n_waiting):
+            begin(x, P, size, slot, ranges[k], bearings[k], noise)
+            started[slot] = True
+
+
+@kernel
+def drive_rows(
+    x: Array,
+    P: Array,
+    Phi: Array,
+    Q: Array,
+    t: float,
+    cmd_t: Array,
+    cmd_v: Array,
+    cmd_w: Array,
+    at: int,
+    rows: int,
+    noise: Noise,
+    pose: Array,
+    cov: Array,
+) -> tuple[float, int]:
+    """Drives to each of the last `rows` commands in turn; fills pose (rows, 3) and cov (rows, 6)."""
+    n = len(cmd_t)
+    for i in range(rows):
+        k = n - rows + i
+        t, at = drive(x, Phi, Q, t, cmd_t[k], cmd_t[: k + 1], cmd_v, cmd_w, at, noise)
+        pose[i, 0], pose[i, 1], pose[i, 2] = x[0], x[1], wrap(x[2])
+        pose_covariance(P, Phi, Q, cov[i])
+    return t, at
+
+
+@kernel
+def look(
+    x: Array,
+    P: Array,
+    Phi: Array,
+    Q: Array,
+    t: float,
+    now: float,
+    cmd_t: Array,
+    cmd_v: Array,
+    cmd_w: Array,
+    at: int,
+    slots: Array,
+    ranges: Array,
+    bearings: Array,
+    noise: Noise,
+    started: Array,
+    waiting: Array,
+    n_waiting: Array,
+    nis: Array,
+    weight: Array,
+    pose: Array,
+    cov: Array,
+) -> int:
+    """Drives to `now` and works one camera frame in; fills pose (3) and cov (6); returns the command in force."""
+    t, at = drive(x, Phi, Q, t, now, cmd_t, cmd_v, cmd_w, at, noise)
+    settle(P, len(x), Phi, Q)
+    frame(x, P, len(x), slots, ranges, bearings, noise, started, waiting, n_waiting, nis, weight)
+    pose[0], pose[1], pose[2] = x[0], x[1], wrap(x[2])
+    pose_covariance(P, Phi, Q, cov)
+    return at
+
+
+@kernel
+def replay(
+    x: Array,
+    P: Array,
+    Phi: Array,
+    Q: Array,
+    t: float,
+    cmd_t: Array,
+    cmd_v: Array,
+    cmd_w: Array,
+    stamp: Array,
+    slots: Array,
+    ranges: Array,
+    bearings: Array,
+    noise: Noise,
+    started: Array,
+    waiting: Array,
+    n_waiting: Array,
+    nis: Array,
+    weight: Array,
+    track_t: Array,
+    pose: Array,
+    cov: Array,
+) -> int:
+    """A whole log through the filter: what stepping its events one by one gives, to the bit, in one call.
+
+    stamp, slots, ranges, bearings: (n,) sightings in order; nis, weight: (n,) filled; track_t, pose, cov: filled at
+    every odometry and sighting stamp. Returns the rows of the track.
+    """
+    at = -1
+    rows = i = j = 0
+    while i < len(cmd_t) or j < len(stamp):
+        now = np.inf
+        if i < len(cmd_t):
+            now = cmd_t[i]
+        if j < len(stamp):
+            now = min(now, stamp[j])
+        if i < len(cmd_t) and cmd_t[i] == now:
+            i += 1
+        first = j
+        while j < len(stamp) and stamp[j] == now:
+            j += 1
+        if j > first:
+            at = look(
+                x, P, Phi, Q, t, now, cmd_t[:i], cmd_v, cmd_w, at, slots[first:j], ranges[first:j], bearings[first:j],
+                noise, started, waiting, n_waiting, nis[first:j], weight[first:j], pose[rows], cov[rows],
+            )  # fmt: skip
+            t = now
+        else:
+            t, at = drive_rows(
+                x, P, Phi, Q, t, cmd_t[:i], cmd_v, cmd_w, at, 1, noise, pose[rows : rows + 1], cov[rows : rows + 1]
+            )
+        track_t[rows] = now
+        rows += 1
+    return rows
+
+
+@kernel
+def quadratic(
+    e0: float,
+    e1: float,
+    s00: float,
+    s01: float,
+    s11: float,
+) -> float:
+    """`e^T S^-1 e` in two dimensions."""
+    q: float = (s11 * e0 * e0 - 2.0 * s01 * e0 * e1 + s00 * e1 * e1) / (s00 * s11 - s01 * s01)
+    return q
+
+
+@kernel
+def wrap(
+    angle: float,
+) -> float:
+    """`angle` [rad] in [-pi, pi)."""
+    wrapped: float = angle - 2.0 * np.pi * np.floor((angle + np.pi) / (2.0 * np.pi))
+    return wrapped
