@@ -62,11 +62,13 @@ class SwarmEstimate:
     weak_anchors: bool = False
     mode_share: float | None = None
     traffic: Traffic | None = None
-    information: sp.csc_array | None = None
-    gauge_basis: Float[np.ndarray, "s g"] | None = None
+    information: sp.csc_matrix | None = None
+    held: Bool[np.ndarray, " s"] | None = None  # scalars of `information` that are fixed
+    gauge_motions: Float[np.ndarray, "s g"] | None = None
+    gauge_conditions: Float[np.ndarray, "s g"] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("position", "cov", "heading", "heading_var", "gauge_basis"):
+        for name in ("position", "cov", "heading", "heading_var", "gauge_motions", "gauge_conditions"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, frozen(getattr(self, name)))
         for name in ("localisable", "anchor", "outlier"):
@@ -84,46 +86,44 @@ class SwarmEstimate:
     def joint(self, robots: Sequence[int] | np.ndarray) -> Float[np.ndarray, "k k"]:
         """Joint covariance [m^2] of the positions of `robots` (indices, all localisable), coordinates together.
 
-        From the information matrix, in the gauge named; anchors have zero rows. Raises ValueError when the estimator
-        left no information matrix.
+        In the gauge named; anchors have zero rows. Raises ValueError when the estimate carries no information matrix.
         """
-        if self.information is None:
+        if self.information is None or self.held is None:
             raise ValueError("this estimate carries no information matrix")
         width, chosen = self.state_width, np.asarray(robots, dtype=np.intp)
         rows = (width * chosen[:, None] + np.arange(self.dim)).ravel()
         E = np.zeros((self.information.shape[0], len(rows)))
         E[rows, np.arange(len(rows))] = 1.0
+        if self.gauge_motions is not None and self.gauge_conditions is not None:
+            G, C = self.gauge_motions, self.gauge_conditions
+            E -= C @ np.linalg.solve(G.T @ C, G.T @ E)
+        E[self.held] = 0.0
+        out = np.zeros((len(rows), len(rows)))
+        free = ~self.held
         lu = splu(
-            self.information.tocsc(),
+            sp.csc_matrix(self.information[free][:, free]),
             permc_spec="MMD_AT_PLUS_A",
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": True},
         )
-        held = np.repeat(self.anchor[chosen], self.dim)
-        if self.gauge_basis is not None and self.gauge_basis.shape[1]:
-            G = self.gauge_basis
-            E = E - G @ (G.T @ E)
-            S = lu.solve(E)
-            out = E.T @ S
-        else:
-            out = lu.solve(E)[rows]
-        out[held] = 0.0
-        out[:, held] = 0.0
+        out = E[free].T @ lu.solve(E[free])
         return np.asarray(0.5 * (out + out.T))
 
     def nees(self, truth: Float[np.ndarray, "n d"]) -> tuple[float, int]:
-        """`e^T P^-1 e` over all localisable free robots jointly, and its degrees of freedom (no gauge free)."""
-        if self.information is None:
-            raise ValueError("this estimate carries no information matrix")
-        free = self.localisable & ~self.anchor
-        width = self.state_width
-        A = self.information.tocsr()
-        keep = (width * np.flatnonzero(free)[:, None] + np.arange(self.dim)).ravel()
-        rest = np.setdiff1d(np.arange(A.shape[0]), keep)
-        e = (self.position - truth)[free].ravel()
+        """`e^T P^-1 e` over all localisable free robots jointly, and its degrees of freedom; no gauge may be free."""
+        if self.information is None or self.held is None or self.gauge:
+            raise ValueError("no information matrix, or a gauge that truth does not share")
+        n, w = len(self.ids), self.state_width
+        wanted = np.zeros((n, w), dtype=bool)
+        wanted[self.localisable, : self.dim] = True
+        free = ~self.held
+        keep, rest = np.flatnonzero(wanted.ravel() & free), np.flatnonzero(~wanted.ravel() & free)
+        error = np.zeros((n, w))
+        error[:, : self.dim] = np.where(self.localisable[:, None], self.position - truth, 0.0)
+        e = error.ravel()[keep]
+        A = sp.csr_matrix(self.information)
         value = float(e @ (A[keep][:, keep] @ e))
-        if len(rest):
-            g = A[rest][:, keep] @ e
-            if np.any(g):
-                value -= float(g @ splu(A[rest][:, rest].tocsc()).solve(g))
-        return value, len(e)
+        g = A[rest][:, keep] @ e
+        if np.any(g):
+            value -= float(g @ splu(sp.csc_matrix(A[rest][:, rest])).solve(g))
+        return value, len(keep)
