@@ -5,6 +5,7 @@ from cyclopts import App
 WORLDS: dict[str, str] = {
     # world: where its command lives
     "landmarks": "mapweave.cli.simulate_landmarks:landmarks",
+    "swarm": "mapweave.cli.simulate_swarm:swarm",
 }
 
 app = App(name="simulate", help="Make recordings whose truth is known.")
