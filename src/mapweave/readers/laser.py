@@ -47,6 +47,17 @@ def read_laser(path: Path, robot: str = "1", source: LaserSource | None = None) 
     source = source or LaserSource()
     if not path.exists():
         raise ReaderError(path, "no such file")
+    if is_bag(path):
+        from .ros import read_ros  # noqa: PLC0415  (message types cost a second; only recordings need them)
+
+        return read_ros(
+            path,
+            robot,
+            scan_topic=source.scan_topic,
+            odom_topic=source.odom_topic,
+            sensor_pose=source.sensor_pose,
+            mirrored=source.mirrored,
+        )
     log = TextLog(path)
     if is_carmen(log):
         return read_carmen(log, robot, sensor_pose=source.sensor_pose, mirrored=source.mirrored)

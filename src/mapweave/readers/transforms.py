@@ -1,0 +1,107 @@
+"""A tree of ROS frames: where the sensor stands on the robot, and which edge is the odometry."""
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from ..core.quaternion import is_upside_down, to_yaw
+
+Edge = tuple[str, str]  # parent, child
+Rigid = tuple[np.ndarray, np.ndarray]  # translation (3,), quaternion x y z w (4,)
+
+
+@dataclass(slots=True)
+class Transforms:
+    """Every transform seen, by edge, as (time [s], translation and rotation)."""
+
+    seen: dict[Edge, list[tuple[float, Rigid]]] = field(default_factory=dict)
+
+    def add(self, t: float, message: Any) -> None:
+        """One TransformStamped."""
+        edge = frame(message.header.frame_id), frame(message.child_frame_id)
+        self.seen.setdefault(edge, []).append((t, rigid(message.transform.translation, message.transform.rotation)))
+
+    def parent(self, child: str) -> str | None:
+        return next((p for p, c in self.seen if c == child), None)
+
+    def chain(self, child: str) -> list[str]:
+        """`child`, its parent, and so on to the root."""
+        out = [child]
+        while (up := self.parent(out[-1])) is not None and up not in out:
+            out.append(up)
+        return out
+
+    def moves(self, edge: Edge) -> bool:
+        first = self.seen[edge][0][1]
+        return any(np.abs(r[0] - first[0]).max() > 1e-6 or not _same_turn(r[1], first[1]) for _, r in self.seen[edge])
+
+    def odometry_edge(self, sensor: str) -> Edge | None:
+        """Above the sensor: the edge under a frame called like odometry, else the lowest that moves but not in map."""
+        line = self.chain(sensor)
+        edges = list(zip(line[1:], line, strict=False))
+        for edge in edges:
+            if "odom" in edge[0].lower():
+                return edge
+        return next((e for e in edges if "map" not in e[0].lower() and self.moves(e)), None)
+
+    def sensor_pose(self, robot: str, sensor: str) -> tuple[np.ndarray, bool] | None:
+        """`T_robot_sensor` seen from above and whether the sensor hangs upside down; None where frames do not meet."""
+        if robot == sensor:
+            return np.zeros(3), False
+        up_sensor, up_robot = self.chain(sensor), self.chain(robot)
+        meet = next((name for name in up_sensor if name in up_robot), None)
+        if meet is None:
+            return None
+        path = [_inverse(self._first(p, c)) for c, p in _steps(up_robot, meet)]
+        path += reversed([self._first(p, c) for c, p in _steps(up_sensor, meet)])
+        shift, turn = path[0]
+        for step in path[1:]:
+            shift, turn = shift + _rotated(turn, step[0]), _times(turn, step[1])
+        q = turn.tolist()
+        return np.array([shift[0], shift[1], to_yaw(*q)]), is_upside_down(*q)
+
+    def _first(self, parent: str, child: str) -> Rigid:
+        return self.seen[parent, child][0][1]
+
+
+def frame(name: str) -> str:
+    return name.lstrip("/")
+
+
+def rigid(translation: Any, rotation: Any) -> Rigid:
+    return (
+        np.array([translation.x, translation.y, translation.z]),
+        np.array([rotation.x, rotation.y, rotation.z, rotation.w]),
+    )
+
+
+def planar(transform: Rigid) -> tuple[float, float, float]:
+    shift, turn = transform
+    return float(shift[0]), float(shift[1]), to_yaw(*turn.tolist())
+
+
+def _steps(line: list[str], end: str) -> list[Edge]:
+    """(child, parent) pairs from the start of `line` up to `end`."""
+    upto = line[: line.index(end) + 1]
+    return list(pairwise(upto))
+
+
+def _same_turn(a: np.ndarray, b: np.ndarray) -> bool:
+    return bool(min(np.abs(a - b).max(), np.abs(a + b).max()) < 1e-6)
+
+
+def _times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    v = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3])
+    return np.append(v, a[3] * b[3] - a[:3] @ b[:3])
+
+
+def _rotated(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    w = np.cross(q[:3], v)
+    return np.asarray(v + 2 * (q[3] * w + np.cross(q[:3], w)))
+
+
+def _inverse(a: Rigid) -> Rigid:
+    turn = a[1] * np.array([-1.0, -1.0, -1.0, 1.0])
+    return -_rotated(turn, a[0]), turn

@@ -1,0 +1,126 @@
+"""ROS recordings made for tests, in each of the three formats."""
+
+import numpy as np
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+KINDS = {
+    "scan": "sensor_msgs/msg/LaserScan",
+    "odom": "nav_msgs/msg/Odometry",
+    "tf": "tf2_msgs/msg/TFMessage",
+    "text": "std_msgs/msg/String",
+}
+N = 90
+
+
+class Recording:
+    """Messages gathered as (time, topic, kind, message) and written in the format the file's suffix says."""
+
+    def __init__(self, path):
+        self.path, self.ros1 = path, path.suffix == ".bag"
+        self.store = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
+        if self.ros1:
+            self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", KINDS["tf"]))
+        self.rows = []
+
+    def of(self, name, **values):
+        return self.store.types[name](**values)
+
+    def header(self, t, frame):
+        ns = round(t * 1e9)
+        stamp = self.of("builtin_interfaces/msg/Time", sec=ns // 10**9, nanosec=ns % 10**9)
+        more = {"seq": 0} if self.ros1 else {}
+        return self.of("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **more)
+
+    def turn(self, roll, yaw):
+        q = np.array([np.sin(roll / 2), 0, 0, np.cos(roll / 2)])
+        z, w = np.sin(yaw / 2), np.cos(yaw / 2)
+        x, y, z, w = w * q[0] - z * q[1], w * q[1] + z * q[0], w * q[2] + z * q[3], w * q[3] - z * q[2]
+        return self.of("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+    def text(self, t, topic="/chatter"):
+        self.rows.append((t, topic, "text", self.of(KINDS["text"], data="hello")))
+
+    def scan(self, t, ranges, light=None, topic="/scan", frame="laser", at=None):
+        message = self.of(
+            KINDS["scan"],
+            header=self.header(t if at is None else at, frame),
+            angle_min=-1.5,
+            angle_max=1.5,
+            angle_increment=3.0 / (len(ranges) - 1),
+            time_increment=0.0,
+            scan_time=0.1,
+            range_min=0.1,
+            range_max=10.0,
+            ranges=np.asarray(ranges, np.float32),
+            intensities=np.asarray([] if light is None else light, np.float32),
+        )
+        self.rows.append((t, topic, "scan", message))
+
+    def odom(self, t, x, topic="/odom", yaw=0.0):
+        of = self.of
+        zero = of("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+        pose = of(
+            "geometry_msgs/msg/Pose",
+            position=of("geometry_msgs/msg/Point", x=x, y=0.0, z=0.0),
+            orientation=self.turn(0, yaw),
+        )
+        message = of(
+            KINDS["odom"],
+            header=self.header(t, "odom"),
+            child_frame_id="base_link",
+            pose=of("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
+            twist=of(
+                "geometry_msgs/msg/TwistWithCovariance",
+                twist=of("geometry_msgs/msg/Twist", linear=zero, angular=zero),
+                covariance=np.zeros(36),
+            ),
+        )
+        self.rows.append((t, topic, "odom", message))
+
+    def tf(self, t, parent, child, x=0.0, y=0.0, yaw=0.0, roll=0.0, topic="/tf"):
+        of = self.of
+        transform = of(
+            "geometry_msgs/msg/TransformStamped",
+            header=self.header(t, parent),
+            child_frame_id=child,
+            transform=of(
+                "geometry_msgs/msg/Transform",
+                translation=of("geometry_msgs/msg/Vector3", x=x, y=y, z=0.2),
+                rotation=self.turn(roll, yaw),
+            ),
+        )
+        self.rows.append((t, topic, "tf", of(KINDS["tf"], transforms=[transform])))
+
+    def write(self):
+        if self.ros1:
+            writer, serialize = Writer1(self.path), self.store.serialize_ros1
+        else:
+            plugin = StoragePlugin.MCAP if self.path.suffix == ".mcap" else StoragePlugin.SQLITE3
+            folder = self.path.with_suffix("")
+            writer, serialize = Writer2(folder, version=8, storage_plugin=plugin), self.store.serialize_cdr
+        with writer:
+            lines = {}
+            for t, topic, kind, message in self.rows:
+                if topic not in lines:
+                    lines[topic] = writer.add_connection(topic, KINDS[kind], typestore=self.store)
+                writer.write(lines[topic], round(t * 1e9), serialize(message, KINDS[kind]))
+        if not self.ros1:
+            next(folder.glob(f"*{self.path.suffix}")).rename(self.path)
+        return self.path
+
+
+def wall(k, n=N):
+    return 2.0 + 0.01 * k + 0.3 * np.sin(np.linspace(0, 4, n))
+
+
+def usual(path, n=30, light=True):
+    """A robot that drives ahead at 1 m/s with a laser 0.2 m ahead, scans between odometry rows."""
+    out = Recording(path)
+    out.tf(9.9, "base_link", "laser", x=0.2, topic="/tf_static")
+    for k in range(n):
+        out.odom(10.0 + 0.1 * k, 0.1 * k)
+        out.scan(10.05 + 0.1 * k, wall(k), np.arange(N) + k if light else None)
+    return out
