@@ -37,8 +37,9 @@ class SwarmEstimate:
     heading: (n,) [rad] where no axis was common, else None; cov: (n, d, d), zero for anchors, NaN for robots not
     localisable, None when left out; localisable: (n,), anchors included, up to the gauge; gauge: what was free and how
     it was fixed, "" when anchors fix all; null_space: free directions of the sightings with anchors and distances held;
-    chi2, dof: of the inliers' whitened residuals; outlier: (m,) sightings not used; reliable: whether all this may be
-    trusted, `warnings` say why not; weak_anchors: nearly all variance lies in one mode (share `mode_share`).
+    chi2, dof: of the inliers' whitened residuals; outlier: (m,) sightings not used: judged wrong, or made by a robot
+    whose heading nothing tells; reliable: whether all this may be trusted, `warnings` say why not; weak_anchors:
+    nearly all variance lies in one mode (share `mode_share`).
     """
 
     ids: tuple[str, ...]

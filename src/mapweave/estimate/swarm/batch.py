@@ -12,35 +12,40 @@ from jaxtyping import Bool, Float
 from ...core.errors import DataError
 from ...maps.network import Network
 from ...maps.swarm import SwarmEstimate
-from ...solve import Factor, GemanMcClure, Pattern, Problem, Solution, SolveConfig, minimise
+from ...solve import GemanMcClure, Pattern, Problem, Solution, SolveConfig, minimise
 from . import factors
+from .bare import start_without_axis
 from .config import SwarmConfig
 from .finish import finish
 from .gauge import Gauge, gauge_of, normalise, pins
 from .graph import Components, components
-from .headings import heading_start, world_directions
-from .linear import linear_start
-from .observability import Observability, observe
+from .headings import world_directions
+from .linear import linear_pattern, linear_start
+from .observability import Observability, observe, without_lines
 
-LOOSE = 1e4  # median sighting lengths a robot that nothing determines may stray from its start
+SELDOM = 4  # a robot with no more sightings than this, made or suffered, is kept apart from its neighbours
+NEAREST = 0.1  # median sighting lengths
+LOOSE = 10.0  # median sighting lengths a robot that nothing determines may stray from its start
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Everything found before the refinement: pieces, positions, headings, and who can be located."""
+    """Everything found before the refinement: pieces, positions, headings, who can be located, sightings of use."""
 
     parts: Components
     position: Float[np.ndarray, "n d"]
     heading: Float[np.ndarray, " n"] | None
     seen: Observability
     gauge: Gauge
+    used: Bool[np.ndarray, " m"]
 
 
 def batch(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) -> SwarmEstimate:
     """The maximum-likelihood positions of `net`; `initial` (n, d) takes the place of the linear start."""
     start = prepare(net, initial)
-    solution, problem, pattern = refine(net, start, cfg)
-    return finish(net, start, solution, problem, cfg, "batch", pattern=pattern)
+    used = net.select(start.used)
+    solution, problem, pattern = refine(used, start, cfg)
+    return finish(used, start, solution, problem, cfg, "batch", ~start.used, pattern=pattern)
 
 
 def prepare(
@@ -52,32 +57,19 @@ def prepare(
     if not len(net.observer):
         raise DataError("no sightings: nothing can be located")
     parts = components(net)
-    heading = None if net.axis else heading_start(net)
-    position = initial
-    if position is None:
-        direction = world_directions(net, heading)
-        position = linear_start(net, parts, direction, *linear_pattern(net, parts), weights)
-    seen = observe(net, parts, position)
+    heading, used = None, np.ones(len(net.observer), dtype=bool)
+    if net.axis:
+        position = initial
+        if position is None:
+            position = linear_start(net, parts, net.direction, *linear_pattern(net, parts), weights)
+        seen = observe(net, parts, position)
+    else:
+        position, heading, seen, used = start_without_axis(net, parts)
+        net = net.select(used)
+    seen = without_lines(net, parts, seen, world_directions(net, heading))
     gauge = gauge_of(net, parts, seen.localisable)
     position, heading = normalise(gauge, position, heading)
-    return Start(parts, position, heading, seen, gauge)
-
-
-def linear_pattern(net: Network, parts: Components) -> tuple[Pattern, Bool[np.ndarray, " n"]]:
-    """The sparsity of the linear start, and the robots it holds: anchors, and one of each piece without any."""
-    n, dim = len(net), net.dim
-    held = net.is_anchor
-    first = np.full(len(parts.known), n)
-    np.minimum.at(first, parts.label, np.arange(n))
-    has = np.zeros(len(parts.known), dtype=bool)
-    has[parts.label[held]] = True
-    held[first[~has]] = True
-    k = np.arange(dim)
-    at = np.concatenate([dim * net.observer[:, None] + k, dim * net.target[:, None] + k], axis=1)
-    none = np.zeros((len(at), 1))
-    shape = Factor(at, lambda _: none, lambda _: none[:, :, None], 1)
-    problem = Problem(np.zeros(n * dim), [shape], np.repeat(held, dim))
-    return Pattern.of(problem).dissected(problem.free // dim), held
+    return Start(parts, position, heading, seen, gauge, used)
 
 
 def refine(
@@ -100,13 +92,17 @@ def refine(
     for k, p in net.anchors.items():
         x0[k, :dim] = p
     flat = x0.ravel()
-    span = np.linalg.norm(start.position[net.target] - start.position[net.observer], axis=1)
+    span = float(np.median(np.linalg.norm(start.position[net.target] - start.position[net.observer], axis=1))) or 1.0
     terms = [factors.bearing_factor(net, kernel)]
     if net.distances:
         terms.append(factors.distance_factor(net))
     if loose.any():
-        terms.append(factors.prior_factor(np.flatnonzero(loose.ravel()), flat, LOOSE * float(np.median(span))))
+        terms.append(factors.prior_factor(np.flatnonzero(loose.ravel()), flat, LOOSE * span))
+    degree = np.bincount(np.concatenate([net.observer, net.target]), minlength=n)
+    seldom = np.flatnonzero(np.minimum(degree[net.observer], degree[net.target]) <= SELDOM)
+    if len(seldom):
+        terms.append(factors.apart_factor(net, seldom, NEAREST * span))
     problem = Problem(flat, terms, fixed.ravel(), lambda x, dx: factors.retract(net, x, dx))
     pattern = pattern or Pattern.of(problem).dissected(problem.free // w)
-    solve = SolveConfig(max_iterations=cfg.max_iterations, step_tolerance=1e-9 * float(np.median(span)))
+    solve = SolveConfig(max_iterations=cfg.max_iterations, step_tolerance=1e-9 * span, cost_tolerance=1e-7)
     return minimise(problem, solve, pattern), problem, pattern

@@ -86,6 +86,26 @@ def prior_factor(entries: Int[np.ndarray, " e"], x0: Float[np.ndarray, " n"], si
     return Factor(entries[:, None], residual, lambda _: ones, 1, np.full((1, 1), 1.0 / sigma), None, "loose prior")
 
 
+def apart_factor(net: Network, rows: Int[np.ndarray, " e"], nearest: float) -> Factor:
+    """The ends of sightings `rows` kept from falling together; silent beyond `nearest` [m].
+
+    A robot sighted seldom can escape a contradiction by sliding onto its neighbour, where every bearing is right.
+    """
+    w, k = width(net), np.arange(net.dim)
+    i, j = w * net.observer[rows, None] + k, w * net.target[rows, None] + k
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        _, r = bearing.predict(x[i], x[j])
+        return np.maximum(np.log(nearest / r), 0.0)[:, None]
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        u, r = bearing.predict(x[i], x[j])
+        J = np.where(r < nearest, 1.0 / r, 0.0)[:, None] * u
+        return np.concatenate([J, -J], axis=1)[:, None, :]
+
+    return Factor(np.concatenate([i, j], axis=1), residual, jacobian, 1, None, None, "apart")
+
+
 def heading_entries(net: Network) -> Int[np.ndarray, " h"]:
     """The state entries that are angles."""
     return np.zeros(0, dtype=np.intp) if net.axis else width(net) * np.arange(len(net)) + net.dim

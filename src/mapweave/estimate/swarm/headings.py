@@ -2,7 +2,7 @@
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from ...core.se2 import wrap_angle
@@ -23,30 +23,54 @@ def mutual_pairs(net: Network) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, "
     return a[once], b[once]
 
 
-def heading_start(net: Network) -> Float[np.ndarray, " n"]:
-    """Headings [rad] up to one turn for all: two robots that see each other look along the same line.
+def mutual_headings(net: Network) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """Headings [rad] up to one turn for all, and of whom: two robots that see each other look along the same line.
 
-    A spanning tree of the mutual sightings, then sweeps of circular averaging over all of them. Robots without a
-    mutual sighting keep 0 here and are found with their positions.
+    A spanning tree of the largest piece of the mutual sightings, then sweeps of circular averaging over all of them.
     """
     n = len(net)
     a, b = mutual_pairs(net)
     i, j = net.observer[a], net.target[a]
     turn = np.asarray(wrap_angle(net.bearing[b] + np.pi - net.bearing[a]))  # heading_i - heading_j
-    graph = sp.csr_array((np.ones(2 * len(i)), (np.r_[i, j], np.r_[j, i])), shape=(n, n))
-    offset = sp.csr_array((np.exp(1j * np.r_[turn, -turn]), (np.r_[i, j], np.r_[j, i])), shape=(n, n))
+    ends = (np.r_[i, j], np.r_[j, i])
+    offset = sp.csr_array((np.exp(1j * np.r_[turn, -turn]), ends), shape=(n, n))
+    _, label = connected_components(offset.astype(bool), directed=False)
+    known = label == np.argmax(np.bincount(label))
+    if np.count_nonzero(known) < 2:
+        return np.zeros(n), np.zeros(n, dtype=bool)
     z = np.zeros(n, dtype=complex)
-    count, label = connected_components(graph, directed=False)
-    for c in range(count):
-        root = int(np.flatnonzero(label == c)[0])
-        z[root] = 1.0
-        order, before = breadth_first_order(graph, root, directed=False)
-        for k in order[1:]:
-            z[k] = offset[k, before[k]] * z[before[k]]
+    root = int(np.flatnonzero(known)[0])
+    z[root] = 1.0
+    order, before = breadth_first_order(offset.astype(bool), root, directed=False)
+    for k in order[1:]:
+        z[k] = offset[k, before[k]] * z[before[k]]
     for _ in range(SWEEPS):
         z = z + offset @ z
-        z /= np.maximum(np.abs(z), 1e-300)
-    return np.angle(z)
+        z[known] /= np.abs(z[known])
+    return np.angle(z), known
+
+
+def resected_headings(
+    net: Network, position: np.ndarray, placed: np.ndarray, heading: np.ndarray, known: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Headings also of placed robots that see placed ones: the mean turn from what they see to where it is."""
+    rows = placed[net.observer] & placed[net.target] & ~known[net.observer]
+    i, j = net.observer[rows], net.target[rows]
+    d = position[j] - position[i]
+    turn = np.exp(1j * (np.arctan2(d[:, 1], d[:, 0]) - net.bearing[rows]))
+    total = np.zeros(len(net), dtype=complex)
+    np.add.at(total, i, turn)
+    fresh = np.zeros(len(net), dtype=bool)
+    fresh[i] = True
+    return np.where(fresh, np.angle(total), heading), known | fresh
+
+
+def anchored_turn(net: Network, position: Float[np.ndarray, "n 2"], chosen: np.ndarray) -> float:
+    """The turn [rad] that carries a shape onto its anchors best (place and scale free)."""
+    at = np.array([k for k in net.anchors if chosen[k]], dtype=np.intp)
+    here = position[at] @ np.array([1.0, 1j])
+    there = np.array([net.anchors[int(k)] for k in at]) @ np.array([1.0, 1j])
+    return float(np.angle(np.vdot(here - here.mean(), there - there.mean())))
 
 
 def world_directions(net: Network, heading: np.ndarray | None) -> Float[np.ndarray, "m d"]:

@@ -1,18 +1,26 @@
 """The linear start: positions from directions alone, without a guess.
 
 With B the projection across a sighting b, `sum |B (p_j - p_i)|^2` is quadratic in the positions (the bearing
-Laplacian of Zhao and Zelazo, Automatica 69, 2016). A trace of `sum |p_j - p_i - r b|^2`, with r the usual distance,
-decides what the sightings leave open: a robot sighted once stands at the usual distance along the ray.
+Laplacian of Zhao and Zelazo, Automatica 69, 2016). Noise turns b a little, which adds `tau sum |p_j - p_i|^2` on
+average and so shrinks the answer; a pull of equal strength towards the usual distance r along each ray,
+`mu sum |p_j - p_i - r b|^2`, undoes that, and decides what the sightings leave open: a robot sighted once stands at
+the usual distance along its ray.
 """
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ...maps.network import Network
-from ...solve import Information, Pattern, SingularError
-from .graph import Components, effective_sigma
+from ...solve import Factor, Information, Pattern, Problem
+from .graph import Components
 
-TRACE = 1e-7  # weight of the usual distance against a sighting's own
+TRACE = 1e-7  # least weight of the usual distance against a sighting's own
+
+
+def bias(net: Network) -> Float[np.ndarray, " m"]:
+    """tau: how much of `|p_j - p_i|^2` the noise of each sighting adds to the linear cost, on average."""
+    v = net.sigma**2
+    return np.asarray(2 * v / (1 + 4 * v) if net.dim == 3 else 0.5 * (1 - np.exp(-2 * v)))
 
 
 def linear_start(
@@ -26,46 +34,59 @@ def linear_start(
     """Positions [m] (units of the usual distance in pieces whose scale is free).
 
     direction: sightings in the common axes; pattern: of the sightings' blocks over both ends, positions of `held`
-    robots fixed: the anchors and one robot of every piece without any, which stands at the origin.
+    robots fixed: the anchors and one robot of every piece without any, which stands at the origin. weights: (m,).
     """
     n, dim = len(net), net.dim
     w = np.ones(len(direction)) if weights is None else weights
     origin = np.zeros((n, dim))
     for k, p in net.anchors.items():
         origin[k] = p
-    across = np.eye(dim) - direction[:, :, None] * direction[:, None, :]
-    information = None
-    variance = float(np.mean(effective_sigma(net) ** 2)) if np.any(net.sigma > 0) else 0.0
-    bias = 2 * variance / (1 + 4 * variance) if dim == 3 else 0.5 * (1 - np.exp(-2 * variance))
-    shared = parts.anchored and len(parts.known) == 1 and parts.known[0] >= 2 and weights is None
-    for tau in (bias, 0.0) if shared and variance > 0 else (0.0,):
-        W = w[:, None, None] * (across + (TRACE - tau) * np.eye(dim))
-        blocks = np.concatenate([np.concatenate([W, -W], axis=2), np.concatenate([-W, W], axis=2)], axis=1)
-        try:
-            H, _ = pattern.assemble([blocks], [np.zeros((len(w), 2 * dim))])
-            information = Information.of(H, pattern.elimination)
-            break
-        except SingularError:
-            continue
-    if information is None:
-        return origin
-    moving = np.repeat(~held, dim)
+    tau = bias(net)
+    mu = np.maximum(tau, TRACE)
+    W = w[:, None, None] * ((1.0 + mu)[:, None, None] * np.eye(dim) - direction[:, :, None] * direction[:, None, :])
+    blocks = np.concatenate([np.concatenate([W, -W], axis=2), np.concatenate([-W, W], axis=2)], axis=1)
     base = np.concatenate([origin[net.observer], origin[net.target]], axis=1)
-    pull = np.einsum("mab,mb->ma", blocks, base)
-    fixed = np.array([parts.known[c] >= 2 for c in range(len(parts.known))])[parts.label]
-    usual = np.where(fixed, 0.0, 1.0)  # by robot: its piece's usual distance
-    x = origin
-    for turn in range(2):
-        along = TRACE * (w * usual[net.observer])[:, None] * direction
-        _, g = pattern.assemble([blocks], [pull + np.concatenate([along, -along], axis=1)])
-        flat = origin.ravel().copy()
-        flat[moving] += information.solve(-g)
-        x = flat.reshape(n, dim)
-        if turn == 1 or not fixed.any():
-            break
-        r = np.linalg.norm(x[net.target] - x[net.observer], axis=1)[fixed[net.observer]]
-        usual[fixed] = float(np.median(r[r > 1e-3 * r.max(initial=0.0)])) if np.any(r > 0) else 1.0
+    along = (w * (mu + tau))[:, None] * direction
+    H, g_known = pattern.assemble([blocks], [np.einsum("mab,mb->ma", blocks, base)])
+    _, g_along = pattern.assemble([blocks], [np.concatenate([along, -along], axis=1)])
+    solved = Information.of(H, pattern.elimination).solve(-np.stack([g_known, g_along], axis=1))
+    moving = np.repeat(~held, dim)
+    still, pulled = origin.ravel().copy(), np.zeros(n * dim)
+    still[moving] += solved[:, 0]
+    pulled[moving] = solved[:, 1]
+    scaled = np.array([k >= 2 for k in parts.known])[parts.label]  # by robot: its piece has a scale
+    usual = np.where(scaled, _usual_distance(net, still.reshape(n, dim), pulled.reshape(n, dim), scaled), 1.0)
+    x = still.reshape(n, dim) + usual[:, None] * pulled.reshape(n, dim)
     return _scaled(net, parts, x)
+
+
+def linear_pattern(net: Network, parts: Components) -> tuple[Pattern, Bool[np.ndarray, " n"]]:
+    """The sparsity of the linear start, and the robots it holds: anchors, and one of each piece without any."""
+    n, dim = len(net), net.dim
+    held = net.is_anchor
+    first = np.full(len(parts.known), n)
+    np.minimum.at(first, parts.label, np.arange(n))
+    has = np.zeros(len(parts.known), dtype=bool)
+    has[parts.label[held]] = True
+    held[first[~has]] = True
+    k = np.arange(dim)
+    at = np.concatenate([dim * net.observer[:, None] + k, dim * net.target[:, None] + k], axis=1)
+    none = np.zeros((len(at), 1))
+    shape = Factor(at, lambda _: none, lambda _: none[:, :, None], 1)
+    problem = Problem(np.zeros(n * dim), [shape], np.repeat(held, dim))
+    return Pattern.of(problem).dissected(problem.free // dim), held
+
+
+def _usual_distance(net: Network, still: np.ndarray, pulled: np.ndarray, chosen: np.ndarray) -> float:
+    """The r that is the median distance of the sightings it leads to."""
+    rows = chosen[net.observer]
+    a = (still[net.target] - still[net.observer])[rows]
+    b = (pulled[net.target] - pulled[net.observer])[rows]
+    r = 0.0
+    for _ in range(20 if len(a) else 0):
+        length = np.linalg.norm(a + r * b, axis=1)
+        r = float(np.median(length[length > 1e-3 * length.max()])) if length.any() else 1.0
+    return r
 
 
 def _scaled(net: Network, parts: Components, x: np.ndarray) -> np.ndarray:

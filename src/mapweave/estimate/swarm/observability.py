@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ...core.gaussian import chi2_quantile
 from ...maps.network import Network
 from ...models import bearing
 from ...solve import Factor, Pattern, Problem
@@ -50,6 +51,29 @@ def observe(net: Network, parts: Components, position: Float[np.ndarray, "n d"],
             break
     assert best is not None  # noqa: S101  (a piece without anchors that is sighted has a sighting)
     return best
+
+
+def without_lines(
+    net: Network, parts: Components, seen: Observability, direction: Float[np.ndarray, "m d"]
+) -> Observability:
+    """`seen`, less the pieces whose sightings are all parallel but for noise: along such a line nothing is known.
+
+    Noise alone would make the rows of H at an estimate look independent, so this is judged by a chi-square.
+    """
+    localisable, nullity = seen.localisable.copy(), seen.nullity
+    sigma = net.sigma if np.any(net.sigma > 0) else np.full(len(net.sigma), 1e-9)
+    for c in np.unique(parts.label[net.observer]):
+        rows = parts.label[net.observer] == c
+        b = direction[rows]
+        _, _, axes = np.linalg.svd(b.T @ b)
+        sine = np.linalg.norm(b - np.outer(b @ axes[0], axes[0]), axis=1)
+        dof = (net.dim - 1) * (len(b) - 1)
+        chi2 = float(np.square(np.arcsin(np.minimum(sine, 1.0)) / sigma[rows]).sum())
+        mine = (parts.label == c) & ~net.is_anchor
+        if len(b) > 1 and mine.sum() > 1 and chi2 <= chi2_quantile(0.999, float(dof)):
+            localisable[mine] = False
+            nullity = max(nullity, int(mine.sum()))
+    return Observability(localisable, nullity)
 
 
 def gauge_size(net: Network, parts: Components) -> int:
