@@ -1,1 +1,7 @@
 """One map from many local maps, and why each was or was not merged."""
+
+from .config import FuseConfig
+from .join import fuse
+from .result import Component, Decision, Fusion
+
+__all__ = ["Component", "Decision", "FuseConfig", "Fusion", "fuse"]
