@@ -4,7 +4,9 @@ from typing import Any
 
 __version__ = "0.1.0"
 
-_VERBS: dict[str, str] = {}
+_VERBS: dict[str, str] = {
+    "reproduce_kojima": "mapweave.verbs.reproduce_kojima:reproduce_kojima",
+}
 
 
 def __getattr__(name: str) -> Any:

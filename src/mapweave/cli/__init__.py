@@ -13,6 +13,7 @@ COMMANDS: dict[str, str] = {
     "simulate": "mapweave.cli.simulate:app",
     "map": "mapweave.cli.map:map_logs",
     "evaluate": "mapweave.cli.evaluate:evaluate",
+    "reproduce": "mapweave.cli.reproduce:app",
 }
 
 
