@@ -69,6 +69,11 @@ class EkfSlamInfo:
 
 
 def init(robot: str, cfg: EkfSlamConfig, rng: np.random.Generator) -> EkfSlamState:  # noqa: ARG001
+    """`initial`, as `run` calls it."""
+    return initial(robot, cfg)
+
+
+def initial(robot: str, cfg: EkfSlamConfig) -> EkfSlamState:
     """Nothing seen, at the origin of `local_K`, sensors as the configuration expects them."""
     x, P = np.zeros(ekf.HEAD), np.zeros((ekf.HEAD, ekf.HEAD))
     x[ekf.POSE :], sd = calibration_prior(cfg)
@@ -112,7 +117,7 @@ def _drive(state: EkfSlamState, record: Odometry, cfg: EkfSlamConfig) -> tuple[E
 
 def _look(state: EkfSlamState, t: float, record: Sightings, cfg: EkfSlamConfig) -> tuple[EkfSlamState, EkfSlamInfo]:
     mine = [k for k, name in enumerate(record.ids) if is_landmark(name)]
-    new = _with_slots(state, tuple(record.ids[k] for k in mine))
+    new = with_slots(state, tuple(record.ids[k] for k in mine))
     slot = {name: k for k, name in enumerate(new.ids)}
     slots = np.array([slot[record.ids[k]] for k in mine], dtype=np.int64)
     n = len(mine)
@@ -133,7 +138,7 @@ def _look(state: EkfSlamState, t: float, record: Sightings, cfg: EkfSlamConfig) 
     return new, EkfSlamInfo(Status.USED, Track(np.array([t]), pose, square(cov), new.frame), nis, weight)
 
 
-def _with_slots(state: EkfSlamState, names: tuple[str, ...]) -> EkfSlamState:
+def with_slots(state: EkfSlamState, names: tuple[str, ...]) -> EkfSlamState:
     """`state` with a slot, not started, for each name it has none for."""
     fresh = tuple(dict.fromkeys(name for name in names if name not in state.ids))
     if not fresh:

@@ -17,6 +17,7 @@ Array: TypeAlias = np.ndarray
 POSE = 3
 HEAD = 8  # pose and calibration
 V_SCALE, TURN_SCALE, LAG, BEARING_BIAS, RANGE_SCALE = 3, 4, 5, 6, 7
+COAST_STEP = 0.1  # [s]
 CANDIDATES = 8  # sightings of a landmark not yet started that are remembered
 
 
@@ -32,6 +33,10 @@ class Noise(NamedTuple):
     lost_xy: float  # [m / sqrt(s)] while no command is known
     lost_theta: float  # [rad / sqrt(s)]
     hold: float  # [s] a command is held at most
+    speed: float  # [m/s] a robot without odometry drives at; 0: commands are known
+    speed_time: float  # [s] it keeps its speed
+    spin: float  # [rad/s] it turns at
+    spin_time: float  # [s]
     range_floor: float  # [m]
     range_share: float  # of the distance
     bearing: float  # [rad]
@@ -144,6 +149,32 @@ def drive(
             Phi[1, LAG] += x[V_SCALE] * dv * np.sin(x[2])
             Phi[2, LAG] += x[TURN_SCALE] * dw
     return t, at
+
+
+@kernel
+def coast(x: Array, P: Array, size: int, dt: float, noise: Noise) -> None:
+    """`dt` [s] of a robot without odometry: it keeps speed and turn rate, and forgets them slowly.
+
+    Then `x[V_SCALE]` is its speed [m/s] and `x[TURN_SCALE]` its turn rate [rad/s], each an Ornstein-Uhlenbeck process.
+    """
+    steps = max(1, int(np.ceil(dt / COAST_STEP)))
+    h = dt / steps
+    keep_v, keep_w = np.exp(-h / noise.speed_time), np.exp(-h / noise.spin_time)
+    Phi, Q = np.zeros((POSE, HEAD)), np.zeros((POSE, POSE))
+    for _ in range(steps):
+        clear(Phi, Q)
+        arc(x, Phi, Q, 1.0, 1.0, h, noise, False)
+        settle(P, size, Phi, Q)
+        x[V_SCALE] *= keep_v
+        x[TURN_SCALE] *= keep_w
+        for j in range(size):
+            P[V_SCALE, j] *= keep_v
+            P[TURN_SCALE, j] *= keep_w
+        for j in range(size):
+            P[j, V_SCALE] *= keep_v
+            P[j, TURN_SCALE] *= keep_w
+        P[V_SCALE, V_SCALE] += noise.speed**2 * (1.0 - keep_v**2)
+        P[TURN_SCALE, TURN_SCALE] += noise.spin**2 * (1.0 - keep_w**2)
 
 
 @kernel
@@ -420,8 +451,12 @@ def look(
     cov: Array,
 ) -> int:
     """Drives to `now` and works one camera frame in; fills pose (3) and cov (6); returns the command in force."""
-    t, at = drive(x, Phi, Q, t, now, cmd_t, cmd_v, cmd_w, at, noise)
-    settle(P, len(x), Phi, Q)
+    if noise.speed > 0.0:
+        if now > t:
+            coast(x, P, len(x), now - t, noise)
+    else:
+        t, at = drive(x, Phi, Q, t, now, cmd_t, cmd_v, cmd_w, at, noise)
+        settle(P, len(x), Phi, Q)
     frame(x, P, len(x), slots, ranges, bearings, noise, started, waiting, n_waiting, nis, weight)
     pose[0], pose[1], pose[2] = x[0], x[1], wrap(x[2])
     pose_covariance(P, Phi, Q, cov)
