@@ -37,9 +37,7 @@ def play_in_pieces(log: LandmarkLog, cfg: EkfSlamConfig) -> Played:
     track = _track(played, tied, where, T_local_root)
     told: tuple[str, ...] = ()
     if len(where) < len(played):
-        told = (
-            f"{len(played) - len(where)} of {len(played)} stretches of its log share too little with the rest: left out",
-        )
+        told = (f"{len(played) - len(where)} of {len(played)} stretches of its log share too little: left out",)
     nis, weight = (np.concatenate([getattr(done, name) for done in played]) for name in ("nis", "weight"))
     made = _submap(log.robot, landmarks, track, played, tied, where, T_local_root)
     return Played(log.sightings, played[first].x, played[first].P, made, track, nis, weight, told)
