@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...core.errors import DataError
 from ...maps.network import Network
 from ...maps.swarm import SwarmEstimate
 from ...solve import GemanMcClure, Pattern, Problem, Solution, SolveConfig, minimise
@@ -54,8 +53,6 @@ def prepare(
     weights: Float[np.ndarray, " m"] | None = None,
 ) -> Start:
     """A start without a guess, and what can be told from these sightings at all."""
-    if not len(net.observer):
-        raise DataError("no sightings: nothing can be located")
     parts = components(net)
     heading, used = None, np.ones(len(net.observer), dtype=bool)
     if net.axis:
@@ -104,5 +101,8 @@ def refine(
         terms.append(factors.apart_factor(net, seldom, NEAREST * span))
     problem = Problem(flat, terms, fixed.ravel(), lambda x, dx: factors.retract(net, x, dx))
     pattern = pattern or Pattern.of(problem).dissected(problem.free // w)
-    solve = SolveConfig(max_iterations=cfg.max_iterations, step_tolerance=1e-9 * span, cost_tolerance=1e-7)
+    anyone = (start.seen.localisable & ~net.is_anchor).any()
+    solve = SolveConfig(
+        max_iterations=cfg.max_iterations if anyone else 0, step_tolerance=1e-9 * span, cost_tolerance=1e-7
+    )
     return minimise(problem, solve, pattern), problem, pattern

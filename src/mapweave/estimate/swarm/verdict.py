@@ -16,11 +16,13 @@ def chi2_warnings(chi2: float, dof: int) -> list[str]:
     return [f"the residuals are larger than sigma says ({found}): outliers, a bias, or sigma too small"]
 
 
-def layout_warnings(net: Network, localisable: np.ndarray) -> list[str]:
+def layout_warnings(net: Network, localisable: np.ndarray, in_line: int) -> list[str]:
     """What in the layout itself stands against locating it."""
     told = []
     if len(net.anchors) > 1 and len({tuple(p) for p in net.anchors.values()}) == 1:
         told.append("all anchors stand at one place: they fix no scale")
+    if in_line:
+        told.append(f"{in_line} robots stand on one line, all sightings parallel but for noise: nothing tells how far")
     lost = int(np.count_nonzero(~localisable))
     if lost:
         told.append(f"{lost} of {len(net)} robots cannot be located from these sightings")
