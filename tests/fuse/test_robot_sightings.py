@@ -5,6 +5,8 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.records import Track
+from mapweave.fuse.config import FuseConfig
+from mapweave.fuse.join import fuse
 from mapweave.fuse.relative import fuse_relative
 from mapweave.fuse.sightings import frame_sightings
 from mapweave.maps.local_map import LocalMap, RobotSightings
@@ -69,3 +71,18 @@ def test_sightings_draw_the_frames_nearer_to_the_truth_and_stay_honest():
         nees.append(e @ np.linalg.solve(fused.frame_cov()[1], e) / 3)
     assert np.mean(np.square(with_them)) < 0.5 * np.mean(np.square(without))
     assert np.mean(nees) == pytest.approx(1.0, abs=0.35)
+
+
+@pytest.mark.parametrize("weights", ["full-scaled", "full", "diagonal"])
+def test_the_front_door_uses_sightings_of_robots_when_told_to(weights):
+    plain, told = [], []
+    for seed in range(6):
+        maps, sure = team(seed), []
+        for sums, use in ((plain, False), (told, True)):
+            (whole,) = fuse(maps, FuseConfig(weights=weights, robot_sightings=use)).components
+            e = whole.frames["2"] - FRAMES[1]
+            e[2] = se2.wrap_angle(e[2])
+            sums.append(e @ e)
+            sure.append(np.trace(whole.frame_cov["2"]))
+        assert sure[1] < sure[0]
+    assert np.mean(told) < 0.8 * np.mean(plain)

@@ -15,6 +15,7 @@ from .naive import average
 from .overlap import ENOUGH, Cluster
 from .relative import RelativeConfig, fuse_relative
 from .result import Component, Decision, Fusion
+from .sightings import FrameSightings, frame_sightings, sighting_factor
 from .start import arrange, as_cluster
 from .submaps import join
 
@@ -43,7 +44,8 @@ def fuse(maps: Sequence[LocalMap], cfg: FuseConfig | None = None) -> Fusion:
     components = []
     for start in starts:
         own = [inflated(landmarks[k], [d for d in doubts if d.owner == k]) for k in start.members]
-        joined = _join(own, start, cfg) if len(own) > 1 else _alone(own[0])
+        seen = frame_sightings([sound[k] for k in start.members], start.frames) if cfg.robot_sightings else []
+        joined = _join(own, start, cfg, seen) if len(own) > 1 else _alone(own[0])
         robots = tuple(names[k] for k in start.members)
         components.append(_component(robots, own, joined))
         decisions += [
@@ -70,21 +72,31 @@ def _prepare(
     return landmarks, [as_cluster(c, landmarks) for c in clusters], doubts, refused
 
 
-def _join(maps: Sequence[LandmarkMap], start: Cluster, cfg: FuseConfig) -> Joined:
+def _join(maps: Sequence[LandmarkMap], start: Cluster, cfg: FuseConfig, seen: Sequence[FrameSightings] = ()) -> Joined:
+    extra = [sighting_factor(s, 3 * s.a + np.arange(3), 3 * s.b + np.arange(3)) for s in seen]
     match cfg.weights:
         case "naive":
             return average(maps, start)
         case "full-scaled":
-            return join(maps, start, scale_sigma=cfg.scale_sigma, floor=cfg.floor, variance_prior=cfg.variance_prior)
+            return join(
+                maps,
+                start,
+                scale_sigma=cfg.scale_sigma,
+                floor=cfg.floor,
+                variance_prior=cfg.variance_prior,
+                extra=extra,
+            )
         case "full" if cfg.repeats == 1:  # what the relative form gives, to first order in the noise, in fewer steps
-            return join(maps, start)
+            return join(maps, start, extra=extra)
         case weights:
             how = RelativeConfig(weights=weights, delta=cfg.delta, variance=cfg.constant_variance, repeats=cfg.repeats)
-            return _relative(maps, start, how)
+            return _relative(maps, start, how, seen)
 
 
-def _relative(maps: Sequence[LandmarkMap], start: Cluster, cfg: RelativeConfig) -> Joined:
-    found = fuse_relative(maps, cfg, start=start)
+def _relative(
+    maps: Sequence[LandmarkMap], start: Cluster, cfg: RelativeConfig, seen: Sequence[FrameSightings]
+) -> Joined:
+    found = fuse_relative(maps, cfg, start=start, sightings=seen)
     one, landmarks, solution = np.ones(len(maps)), found.landmarks(), found.solution
     return Joined(
         ids=found.ids,

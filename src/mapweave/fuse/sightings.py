@@ -1,15 +1,53 @@
 """Robots seen by robots, made ready to be fused: which sightings count, between which frames, and how surely."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from ..core import se2
 from ..core.records import Track
 from ..maps.local_map import LocalMap
 from ..models import robot_sighting
-from .relative import FrameSightings
+from ..solve import Factor
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSightings:
+    """Robot of map `a` saw robot of map `b`, s times: poses of both in their own frames, z = [range, bearing].
+
+    T_a_seer, T_b_seen: (s, 3); z: (s, 2) [m, rad]; R: (s, 2, 2), everything but the frames' own uncertainty.
+    """
+
+    a: int
+    b: int
+    T_a_seer: Float[np.ndarray, "s 3"]
+    T_b_seen: Float[np.ndarray, "s 3"]
+    z: Float[np.ndarray, "s 2"]
+    R: Float[np.ndarray, "s 2 2"]
+
+
+def sighting_factor(s: FrameSightings, where_a: Int[np.ndarray, " i"], where_b: Int[np.ndarray, " j"]) -> Factor:
+    """The sightings as a least-squares term over the two frames.
+
+    where_a, where_b: (3,) the entries of x that hold each frame's pose, or none for the gauge, the identity.
+    """
+    n = np.ones((len(s.z), 1))
+    keep = np.r_[np.arange(len(where_a)), 6 + np.arange(len(where_b))]
+
+    def poses(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        T_a, T_b = (x[where] if len(where) else np.zeros(3) for where in (where_a, where_b))
+        return n * T_a, s.T_a_seer, n * T_b, s.T_b_seen
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        return -robot_sighting.residual(s.z, robot_sighting.predict(*poses(x)))
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        return robot_sighting.jacobian(*poses(x))[:, :, keep]
+
+    columns = np.tile(np.concatenate([where_a, where_b]), (len(s.z), 1))
+    return Factor(columns, residual, jacobian, 2, np.linalg.inv(np.linalg.cholesky(s.R)), name="sighting")
 
 
 def frame_sightings(
