@@ -120,7 +120,7 @@ def test_calibration_is_found_from_the_log_alone():
         log, _ = drive(200 + seed, 150.0, biases)
         for name, (value, sd) in local_map(log, WHITE).calibration.items():
             off[name].append((value - getattr(biases, name)) / sd)
-            assert sd < {"turn_scale": 0.05, "lag": 0.05, "bearing_bias": 0.015, "range_scale": 0.02}[name], name
+            assert sd < {"turn_scale": 0.05, "lag": 0.05, "bearing_bias": 0.02, "range_scale": 0.02}[name], name
     for name, z in off.items():
         assert np.sqrt(np.mean(np.square(z))) < 2.0, (name, z)
 
