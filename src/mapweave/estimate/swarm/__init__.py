@@ -11,6 +11,7 @@ from ...maps.swarm import SwarmEstimate
 from .batch import batch
 from .config import SwarmConfig
 from .filtered import filtered
+from .robust import robust
 
 __all__ = ["SwarmConfig", "locate"]
 
@@ -30,4 +31,6 @@ def locate(
         raise DataError("no sightings: nothing can be located")
     if cfg.method in {"ekf", "iekf", "fej"}:
         return filtered(net, cfg, cfg.method, initial)
+    if cfg.method == "robust":
+        return robust(net, cfg, initial)
     return batch(net, cfg, initial)

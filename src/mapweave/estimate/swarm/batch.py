@@ -70,9 +70,18 @@ def prepare(
 
 
 def refine(
-    net: Network, start: Start, cfg: SwarmConfig, kernel: GemanMcClure | None = None, pattern: Pattern | None = None
+    net: Network,
+    start: Start,
+    cfg: SwarmConfig,
+    kernel: GemanMcClure | None = None,
+    pattern: Pattern | None = None,
+    *,
+    seldom: int = SELDOM,
 ) -> tuple[Solution, Problem, Pattern]:
-    """Levenberg-Marquardt from `start`; robots that nothing determines are held loosely where they are."""
+    """Levenberg-Marquardt from `start`; robots that nothing determines are held loosely where they are.
+
+    seldom: robots with no more sightings than this are kept from falling onto their neighbours.
+    """
     n, w, dim = len(net), factors.width(net), net.dim
     x0 = np.zeros((n, w))
     x0[:, :dim] = start.position
@@ -96,9 +105,9 @@ def refine(
     if loose.any():
         terms.append(factors.prior_factor(np.flatnonzero(loose.ravel()), flat, LOOSE * span))
     degree = np.bincount(np.concatenate([net.observer, net.target]), minlength=n)
-    seldom = np.flatnonzero(np.minimum(degree[net.observer], degree[net.target]) <= SELDOM)
-    if len(seldom):
-        terms.append(factors.apart_factor(net, seldom, NEAREST * span))
+    few = np.flatnonzero(np.minimum(degree[net.observer], degree[net.target]) <= seldom)
+    if len(few):
+        terms.append(factors.apart_factor(net, few, NEAREST * span))
     problem = Problem(flat, terms, fixed.ravel(), lambda x, dx: factors.retract(net, x, dx))
     pattern = pattern or Pattern.of(problem).dissected(problem.free // w)
     anyone = (start.seen.localisable & ~net.is_anchor).any()

@@ -66,6 +66,8 @@ def finish(
     doubts = chi2_warnings(chi2, dof) if anyone and np.any(net.sigma > 0) else []
     if status is not Status.CONVERGED:
         doubts.append(f"the refinement ended with: {status}")
+    if information is None:
+        doubts.append("the information matrix is singular: there is no covariance")
     weak = found is not None and found.weak
     remarks = [*notes, *layout_warnings(net, localisable, start.seen.in_line)]
     if found is not None and weak:
@@ -88,7 +90,7 @@ def finish(
         chi2=chi2,
         dof=dof,
         status=status,
-        reliable=bool(anyone) and not doubts and information is not None,
+        reliable=bool(anyone) and not doubts,
         warnings=(*doubts, *remarks),
         heading=heading,
         heading_var=None if found is None else found.heading_var,
