@@ -5,6 +5,8 @@ from typing import Any
 __version__ = "0.1.0"
 
 _VERBS: dict[str, str] = {
+    "locate": "mapweave.verbs.locate:locate",
+    "simulate_swarm": "mapweave.verbs.simulate_swarm:simulate_swarm",
     "reproduce_kojima": "mapweave.verbs.reproduce_kojima:reproduce_kojima",
 }
 

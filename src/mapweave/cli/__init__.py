@@ -12,6 +12,7 @@ COMMANDS: dict[str, str] = {
     # verb: where its command lives; imported only when that command is asked for
     "simulate": "mapweave.cli.simulate:app",
     "map": "mapweave.cli.map:map_logs",
+    "locate": "mapweave.cli.locate:locate",
     "evaluate": "mapweave.cli.evaluate:evaluate",
     "reproduce": "mapweave.cli.reproduce:app",
 }
