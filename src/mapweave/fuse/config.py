@@ -3,6 +3,7 @@
 from typing import Literal
 
 from ..core.config import config
+from ..match.identities import IdentityConfig
 
 Weights = Literal["constant", "paper", "diagonal", "full", "full-scaled", "naive"]
 Identities = Literal["known", "unknown"]
@@ -32,3 +33,4 @@ class FuseConfig:
     delta: float = 1.0
     constant_variance: float = 1e-3
     robot_sightings: bool = False
+    matching: IdentityConfig = IdentityConfig()
