@@ -95,7 +95,8 @@ def _prepare(
 
 
 def _join(maps: Sequence[LandmarkMap], start: Cluster, cfg: FuseConfig, seen: Sequence[FrameSightings] = ()) -> Joined:
-    extra = [sighting_factor(s, 3 * s.a + np.arange(3), 3 * s.b + np.arange(3)) for s in seen]
+    m = 3 * len(maps)  # the frames come first, then the scales
+    extra = [sighting_factor(s, 3 * s.a + np.arange(3), 3 * s.b + np.arange(3), (m + s.a, m + s.b)) for s in seen]
     match cfg.weights:
         case "naive":
             return average(maps, start)
