@@ -8,11 +8,12 @@ from mapweave.core.records import Track
 from mapweave.fuse.config import FuseConfig
 from mapweave.fuse.join import fuse
 from mapweave.fuse.relative import fuse_relative
-from mapweave.fuse.sightings import frame_sightings
+from mapweave.fuse.sightings import FrameSightings, frame_sightings, sighting_factor
 from mapweave.maps.local_map import LocalMap, RobotSightings
 from mapweave.maps.submap import Submap
 from mapweave.models import robot_sighting
 
+SENSOR = {"range_sigma": 0.1, "bearing_sigma": 0.02}
 FRAMES = np.array([[0.0, 0.0, 0.0], [3.0, 1.0, 0.8]])
 
 
@@ -52,7 +53,7 @@ def test_sightings_are_thinned_and_those_outside_a_track_are_left_out():
 
 def test_the_noise_of_a_sighting_holds_the_uncertainty_of_both_tracks():
     maps = team(1)
-    (told,) = frame_sightings(maps, FRAMES)
+    (told,) = frame_sightings(maps, FRAMES, **SENSOR)
     assert np.allclose(told.R[:, 0, 0], 0.1**2 + 2e-6, rtol=1e-6)
     assert (told.R[:, 1, 1] > 0.02**2 + 1e-6).all()
 
@@ -63,7 +64,7 @@ def test_sightings_draw_the_frames_nearer_to_the_truth_and_stay_honest():
         maps = team(seed)
         landmarks = [m.submap.landmarks for m in maps]
         plain = fuse_relative(landmarks)
-        fused = fuse_relative(landmarks, sightings=frame_sightings(maps, plain.frames))
+        fused = fuse_relative(landmarks, sightings=frame_sightings(maps, plain.frames, **SENSOR))
         for errors, f in ((without, plain), (with_them, fused)):
             e = f.frames[1] - FRAMES[1]
             e[2] = se2.wrap_angle(e[2])
@@ -73,11 +74,26 @@ def test_sightings_draw_the_frames_nearer_to_the_truth_and_stay_honest():
     assert np.mean(nees) == pytest.approx(1.0, abs=0.35)
 
 
+def test_the_term_knows_how_frames_and_scales_move_a_sighting():
+    rng = np.random.default_rng(3)
+    x = np.r_[0.3, -0.2, 0.5, 4.0, 1.0, -0.7, 1.1, 0.9]
+    z = np.array([[4.0, 0.1], [3.0, -0.2]])
+    told = FrameSightings(
+        0, 1, rng.uniform(-1, 1, (2, 3)), rng.uniform(-1, 1, (2, 3)), z, np.tile(np.eye(2), (2, 1, 1))
+    )
+    term = sighting_factor(told, np.arange(3), 3 + np.arange(3), (6, 7))
+    J = term.jacobian(x)
+    for k in range(8):
+        d = np.zeros(8)
+        d[k] = 1e-5
+        assert np.abs(J[:, :, k] - (term.residual(x + d) - term.residual(x - d)) / 2e-5).max() < 1e-8
+
+
 @pytest.mark.parametrize("weights", ["full-scaled", "full", "diagonal"])
 def test_the_front_door_uses_sightings_of_robots_when_told_to(weights):
     plain, told = [], []
     for seed in range(6):
-        maps, sure = team(seed), []
+        maps, sure = team(seed, sigma=0.15), []
         for sums, use in ((plain, False), (told, True)):
             (whole,) = fuse(maps, FuseConfig(weights=weights, robot_sightings=use)).components
             e = whole.frames["2"] - FRAMES[1]

@@ -10,6 +10,7 @@ from ..maps.landmarks import LandmarkMap
 from ..maps.local_map import LocalMap
 from .config import FuseConfig
 from .doubts import Doubt, find_doubts, find_exchanged, inflated, relabelled
+from .identify import identify
 from .joined import Joined
 from .naive import average
 from .overlap import ENOUGH, Cluster
@@ -36,8 +37,18 @@ def fuse(maps: Sequence[LocalMap], cfg: FuseConfig | None = None) -> Fusion:
     decisions += [Decision(robot, 0, "refused", why) for robot, why in faults.items()]
     sound = [m for m in used if m.robot not in faults]
     landmarks = [m.submap.landmarks for m in sound]
-    landmarks, starts, doubts, refused = _prepare(landmarks, cfg)
     names = [m.robot for m in sound]
+    labels: dict[str, dict[str, str]] = {}
+    nameless: dict[int, str] = {}
+    if cfg.identities == "unknown":
+        identified = identify(landmarks, names, cfg.matching)
+        landmarks, nameless = list(identified.maps), dict(identified.reasons)
+        labels = {names[k]: dict(new) for k, new in identified.labels.items() if new}
+    before = landmarks
+    landmarks, starts, doubts, refused = _prepare(landmarks, cfg)
+    refused = nameless | refused
+    for k, (old, new) in enumerate(zip(before, landmarks, strict=True)):
+        _relabel(labels, sound[k], dict(zip(old.ids, new.ids, strict=True)))
     warnings += _tell(names, doubts)
     if cfg.repeats != 1:
         warnings.append(f"every map was counted {cfg.repeats} times: overconfident by that factor")
@@ -53,7 +64,18 @@ def fuse(maps: Sequence[LocalMap], cfg: FuseConfig | None = None) -> Fusion:
             for i, k in enumerate(start.members)
         ]
     order = {m.robot: i for i, m in enumerate(ordered)}
-    return Fusion(tuple(components), tuple(sorted(decisions, key=lambda d: order[d.robot])), tuple(warnings))
+    told = tuple(sorted(decisions, key=lambda d: order[d.robot]))
+    return Fusion(tuple(components), told, tuple(warnings), labels)
+
+
+def _relabel(labels: dict[str, dict[str, str]], m: LocalMap, moved: dict[str, str]) -> None:
+    """`labels` of this robot with labels that were put back taken into account."""
+    known = labels.get(m.robot, {})
+    new = {own: moved[known.get(own, own)] for own in m.submap.ids}
+    changed = {own: name for own, name in new.items() if own != name}
+    labels.pop(m.robot, None)
+    if changed:
+        labels[m.robot] = changed
 
 
 def _prepare(
@@ -73,7 +95,8 @@ def _prepare(
 
 
 def _join(maps: Sequence[LandmarkMap], start: Cluster, cfg: FuseConfig, seen: Sequence[FrameSightings] = ()) -> Joined:
-    extra = [sighting_factor(s, 3 * s.a + np.arange(3), 3 * s.b + np.arange(3)) for s in seen]
+    m = 3 * len(maps)  # the frames come first, then the scales
+    extra = [sighting_factor(s, 3 * s.a + np.arange(3), 3 * s.b + np.arange(3), (m + s.a, m + s.b)) for s in seen]
     match cfg.weights:
         case "naive":
             return average(maps, start)

@@ -10,7 +10,7 @@ from ..core import se2
 from ..core.records import Track
 from ..maps.local_map import LocalMap
 from ..models import robot_sighting
-from ..solve import Factor
+from ..solve import Factor, Huber
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,40 +28,57 @@ class FrameSightings:
     R: Float[np.ndarray, "s 2 2"]
 
 
-def sighting_factor(s: FrameSightings, where_a: Int[np.ndarray, " i"], where_b: Int[np.ndarray, " j"]) -> Factor:
-    """The sightings as a least-squares term over the two frames.
+def sighting_factor(
+    s: FrameSightings,
+    where_a: Int[np.ndarray, " i"],
+    where_b: Int[np.ndarray, " j"],
+    scales: tuple[int, int] | None = None,
+) -> Factor:
+    """The sightings as a least-squares term over the two frames, an outlier bounded.
 
-    where_a, where_b: (3,) the entries of x that hold each frame's pose, or none for the gauge, the identity.
+    where_a, where_b: (3,) the entries of x that hold each frame's pose, or none for the gauge, the identity; scales:
+    the entries that say how many times too large each map is. A robot's track is as much too large as its map.
     """
     n = np.ones((len(s.z), 1))
     keep = np.r_[np.arange(len(where_a)), 6 + np.arange(len(where_b))]
+    where = np.concatenate([where_a, where_b, np.array(scales or (), dtype=np.intp)]).astype(np.intp)
 
     def poses(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        T_a, T_b = (x[where] if len(where) else np.zeros(3) for where in (where_a, where_b))
-        return n * T_a, s.T_a_seer, n * T_b, s.T_b_seen
+        T_a, T_b = (x[at] if len(at) else np.zeros(3) for at in (where_a, where_b))
+        s_a, s_b = (1.0, 1.0) if scales is None else x[list(scales)]
+        return n * T_a, s.T_a_seer / [s_a, s_a, 1.0], n * T_b, s.T_b_seen / [s_b, s_b, 1.0]
 
     def residual(x: np.ndarray) -> np.ndarray:
         return -robot_sighting.residual(s.z, robot_sighting.predict(*poses(x)))
 
     def jacobian(x: np.ndarray) -> np.ndarray:
-        return robot_sighting.jacobian(*poses(x))[:, :, keep]
+        at = poses(x)
+        H = robot_sighting.jacobian(*at)
+        if scales is None:
+            return H[:, :, keep]
+        by_scale = [
+            -(H[:, :, c : c + 2] @ at[k][:, :2, None])[..., 0] / x[scale]
+            for c, k, scale in ((3, 1, scales[0]), (9, 3, scales[1]))
+        ]
+        return np.concatenate([H[:, :, keep], np.stack(by_scale, axis=-1)], axis=-1)
 
-    columns = np.tile(np.concatenate([where_a, where_b]), (len(s.z), 1))
-    return Factor(columns, residual, jacobian, 2, np.linalg.inv(np.linalg.cholesky(s.R)), name="sighting")
+    whiten = np.linalg.inv(np.linalg.cholesky(s.R))
+    return Factor(np.tile(where, (len(s.z), 1)), residual, jacobian, 2, whiten, Huber(2.0), "sighting")
 
 
 def frame_sightings(
     maps: Sequence[LocalMap],
     frames: Float[np.ndarray, "m 3"],
     *,
-    range_sigma: float = 0.1,
-    bearing_sigma: float = 0.02,
+    range_sigma: float = 0.3,
+    bearing_sigma: float = 0.1,
     every: float = 5.0,
 ) -> list[FrameSightings]:
     """The sightings between `maps`, as measurements between their frames.
 
     frames: (m, 3) `T_ref_local`, roughly: only the noise is linearised there. range_sigma [m], bearing_sigma [rad]: of
-    one sighting; the uncertainty of both robots' tracks is added. Tracks err slowly, so of the sightings of one robot
+    one sighting, by default what real logs show (tracks err more than cameras); the tracks' own uncertainty is added.
+    Tracks err slowly, so of the sightings of one robot
     by another only one in `every` seconds is kept, and none outside either track.
     """
     at = {m.robot: k for k, m in enumerate(maps)}

@@ -10,6 +10,7 @@ from ...maps.network import Network
 from ...maps.swarm import SwarmEstimate
 from .batch import batch
 from .config import SwarmConfig
+from .distributed import distributed
 from .filtered import filtered
 from .robust import robust
 
@@ -33,4 +34,6 @@ def locate(
         return filtered(net, cfg, cfg.method, initial)
     if cfg.method == "robust":
         return robust(net, cfg, initial)
+    if cfg.method == "distributed":
+        return distributed(net, cfg, initial)
     return batch(net, cfg, initial)
