@@ -4,9 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapweave.core import se2
 from mapweave.core.records import Odometry
-from mapweave.models import motion, range_bearing
 from mapweave.readers.landmark_log import LandmarkLog, SightingTable
 
 
@@ -28,6 +26,10 @@ class Biases:
     outliers: float = 0.0  # share of ranges that are anything
 
 
+def wrap(angle):
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
 def drive(seed: int, seconds: float = 60.0, biases: Biases = Biases(), landmarks: int = 8) -> tuple[LandmarkLog, Truth]:
     """A robot wandering through 6 x 6 m at 0.1 m/s: odometry at 20 Hz, a frame of all landmarks ahead at 4 Hz."""
     rng = np.random.default_rng(seed)
@@ -43,21 +45,24 @@ def drive(seed: int, seconds: float = 60.0, biases: Biases = Biases(), landmarks
     rows = []
     for k in range(1, n):
         u = k - 1 - delay
-        far, bend = (v[u] * h, abs(w[u]) * h) if u >= 0 else (0.0, 0.0)
-        speed, spin = (v[u], biases.turn_scale * w[u]) if u >= 0 else (0.0, 0.0)
-        p = motion.unicycle(pose[k - 1], speed, spin, h)
+        far, bend = (v[u] * h, w[u] * h) if u >= 0 else (0.0, 0.0)
         along, across = 0.05 * np.sqrt(far) * rng.normal(), 0.02 * np.sqrt(far) * rng.normal()
-        turn = np.sqrt(0.05**2 * far + 0.05**2 * bend) * rng.normal()
-        pose[k] = se2.compose(p, biases.noise * np.array([along, across, turn]))
+        turn = np.sqrt(0.05**2 * far + 0.05**2 * abs(bend)) * rng.normal()
+        x, y, theta = pose[k - 1]
+        half = 0.5 * biases.turn_scale * bend
+        c, s = np.cos(theta + half), np.sin(theta + half)
+        ahead, aside = far * np.sinc(half / np.pi) + biases.noise * along, biases.noise * across
+        pose[k] = x + c * ahead - s * aside, y + s * ahead + c * aside, theta + 2 * half + biases.noise * turn
         if k % 5 == 0:
-            for name, point in enumerate(points):
-                r, b = range_bearing.observe(pose[k], point)
-                if abs(b) < 1.2 and r < 6.0:
-                    z = biases.range_scale * r + biases.noise * np.hypot(0.05, 0.045 * r) * rng.normal()
-                    if rng.uniform() < biases.outliers:
-                        z = rng.uniform(0.3, 8.0)
-                    bearing = b + biases.bearing_bias + biases.noise * 0.014 * rng.normal()
-                    rows.append((t[k], name, max(z, 0.05), se2.wrap_angle(bearing)))
+            d = points - pose[k, :2]
+            r, b = np.hypot(*d.T), wrap(np.arctan2(d[:, 1], d[:, 0]) - pose[k, 2])
+            for name in np.flatnonzero((np.abs(b) < 1.2) & (r < 6.0)):
+                z = biases.range_scale * r[name] + biases.noise * np.hypot(0.05, 0.045 * r[name]) * rng.normal()
+                if rng.uniform() < biases.outliers:
+                    z = rng.uniform(0.3, 8.0)
+                bearing = b[name] + biases.bearing_bias + biases.noise * 0.014 * rng.normal()
+                rows.append((t[k], name, max(z, 0.05), wrap(bearing)))
+    pose[:, 2] = wrap(pose[:, 2])
     table = np.array(rows)
     ids = tuple(str(6 + k) for k in range(landmarks))
     seen = SightingTable(table[:, 0], table[:, 1].astype(np.int64), table[:, 2], table[:, 3], ids)

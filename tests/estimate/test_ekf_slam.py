@@ -80,6 +80,30 @@ def test_every_odometry_and_sighting_stamp_has_a_pose_and_an_honest_covariance()
     assert np.linalg.eigvalsh(m.track.cov[50:]).min() > 0
 
 
+@pytest.mark.parametrize("odometry", [True, False])
+def test_what_came_later_corrects_past_poses_and_stays_honest(odometry):
+    squares, nees = {True: [], False: []}, []
+    for seed in range(8):
+        log, truth = drive(400 + seed, 60.0)
+        if not odometry:
+            log = replace(log, odometry=None)
+        for smooth in (True, False):
+            cfg = replace(EXACT, smooth=smooth, speed=0.1, piece_gap=1e9, piece_heading=1e9)
+            track = local_map(log, cfg).track
+            e = track.pose - truth.pose[np.searchsorted(truth.t, track.t - 1e-6)]
+            e[:, 2] = se2.wrap_angle(e[:, 2])
+            late = len(e) // 5
+            points = track.pose[:, :2] - e[:, :2]
+            T = se2.align(track.pose[:, :2], points)
+            squares[smooth].append(((se2.act(T, track.pose[:, :2]) - points) ** 2).sum(axis=1).mean())
+            if smooth and odometry:
+                solved = np.linalg.solve(track.cov[late:], e[late:, :, None])[:, :, 0]
+                nees.append((e[late:] * solved).sum(axis=1).mean() / 3)
+    assert np.mean(squares[True]) < (0.7 if odometry else 0.95) * np.mean(squares[False])
+    if odometry:
+        assert 0.6 < np.mean(nees) < 1.5
+
+
 def test_an_event_from_the_past_is_left_out_and_said_to_be():
     log, _ = drive(5, 5.0)
     cfg = EkfSlamConfig()

@@ -19,6 +19,7 @@ class EkfSlamConfig:
     """
 
     odometry: bool = True  # whether commands are known at all; without them the robot wanders
+    smooth: bool = True  # whether past poses are corrected by what came later, once the map is finished
     # how far commands can be trusted
     noise_along: float = 0.05  # [m / sqrt(m)] of distance commanded
     noise_across: float = 0.02  # [m / sqrt(m)]

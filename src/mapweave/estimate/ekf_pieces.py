@@ -45,17 +45,17 @@ def play_in_pieces(log: LandmarkLog, cfg: EkfSlamConfig) -> Played:
 
 def _play_parts(log: LandmarkLog, cfg: EkfSlamConfig) -> list[Played]:
     """A filter's run for each part between long gaps; it ends early, and another begins, where the heading is lost."""
-    played = []
+    played, filtered = [], replace(cfg, smooth=False)
     waiting = _parts(log.sightings, cfg.piece_gap)[::-1]
     while waiting:
         part = waiting.pop()
-        done = play(replace(log, sightings=log.sightings.select(part)), cfg)
-        lost = np.zeros(0) if done.track.cov is None else done.track.t[done.track.cov[:, 2, 2] > cfg.piece_heading**2]
-        if len(lost) and lost[0] > done.track.t[0]:
+        track = play(replace(log, sightings=log.sightings.select(part)), filtered).track
+        lost = np.zeros(0) if track.cov is None else track.t[track.cov[:, 2, 2] > cfg.piece_heading**2]
+        if len(lost) and lost[0] > track.t[0]:
             ended = log.sightings.t[part] < lost[0]
             waiting.append(part[~ended])
-            done = play(replace(log, sightings=log.sightings.select(part[ended])), cfg)
-        played.append(done)
+            part = part[ended]
+        played.append(play(replace(log, sightings=log.sightings.select(part)), cfg))
     return played
 
 

@@ -7,11 +7,13 @@ from jaxtyping import Float
 
 from ..core.errors import EstimateError
 from ..core.records import Track
-from ..kernels import ekf
+from ..kernels import ekf, ekf_smooth
 from ..maps.submap import Submap
 from ..readers.landmark_log import LandmarkLog, SightingTable
 from . import ekf_slam
 from .ekf_config import EkfSlamConfig, noise
+
+MOST_NUMBERS = 30_000_000  # sightings times state: beyond, smoothing would take gigabytes and poses stay filtered
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +61,13 @@ def play(log: LandmarkLog, cfg: EkfSlamConfig) -> Played:
     if not (np.isfinite(x).all() and np.isfinite(P).all()):
         raise EstimateError(f"{log.source}: {log.robot}: EKF-SLAM left finite numbers")
     made = ekf_slam.submap(log.robot, state.frame, x, P, ids, started)
+    t, pose, square = t[:rows], pose[:rows], np.array(ekf_slam.square(cov[:rows]))
+    if cfg.smooth and started.any() and len(seen) * len(x) <= MOST_NUMBERS:
+        used_slots = np.where((slots >= 0) & started[slots], slots, -1)
+        ekf_smooth.smooth(
+            x, P, start, cmd_t, cmd_v, cmd_w, stamp, used_slots, distance, bearing, noise(cfg), t, pose, square
+        )
     scale = float(x[ekf.RANGE_SCALE])
     by = np.array([scale, scale, 1.0])
-    square = ekf_slam.square(cov[:rows]) * np.outer(by, by)
-    return Played(seen, x, P, made, Track(t[:rows], pose[:rows] * by, square, state.frame), nis, weight)
+    track = Track(t, pose * by, square * np.outer(by, by), state.frame)
+    return Played(seen, x, P, made, track, nis, weight)
