@@ -13,8 +13,8 @@ from mapweave.core.errors import DataError
 from mapweave.core.records import Odometry
 from mapweave.estimate.swarm_track import TrackConfig, smooth, smooth_driving
 from mapweave.estimate.swarm_track.factors import odometry_factor, sighting_factor, velocity_factor
-from mapweave.estimate.swarm_track.meeting import meet
 from mapweave.estimate.swarm_track.odometry import motion
+from mapweave.match.meeting import meet
 from mapweave.sim.swarm import SwarmScene, simulate_swarm
 
 DRIVING = TrackConfig(slip_floor=0.02, slip=0.05, turn_floor=0.02, turn=0.05)

@@ -22,6 +22,7 @@ def locate(
     truth: Path | None = None,
     covariance: bool | None = None,
     acceleration: float | None = None,
+    until: float | None = None,
     seed: int = 0,
     force: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -31,7 +32,8 @@ def locate(
     ----------
     sightings
         A table, CSV or Parquet: observer,target,bearing in radians; in space observer,target,azimuth,elevation or
-        observer,target,bx,by,bz; optional sigma and t. With stamps of moving robots positions over time are found.
+        observer,target,bx,by,bz; optional sigma and t. With stamps of moving robots positions over time are found. Or
+        an MRCLAM data set, of which bearings between robots and odometry are used.
     out
         The folder that positions.csv, metrics.json, report.html and figures are written to.
     anchor
@@ -58,6 +60,8 @@ def locate(
         Covariances of all positions; left out beyond 20,000 robots unless asked for.
     acceleration
         How briskly robots without odometry move: density of white acceleration noise, in square metres a second cubed.
+    until
+        Use the first so many seconds of stamped sightings only.
     seed
         The same seed gives the same result, to the byte.
     force
@@ -85,6 +89,7 @@ def locate(
         truth=truth,
         covariance=covariance,
         motion=None if acceleration is None else TrackConfig(acceleration=acceleration),
+        until=until,
         seed=seed,
         force=force,
     )

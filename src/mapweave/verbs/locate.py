@@ -10,16 +10,20 @@ import numpy as np
 from ..core.bearings import BearingTable
 from ..core.errors import DataError, UsageError
 from ..core.gaussian import chi2_quantile
+from ..core.records import Odometry
 from ..estimate.swarm import SwarmConfig
 from ..estimate.swarm import locate as estimate
 from ..estimate.swarm.config import Method
 from ..estimate.swarm_track import SwarmTrack, TrackConfig, smooth, smooth_driving
-from ..readers.sightings import read_swarm_odometry, read_swarm_truth
+from ..readers.sightings import SwarmTruth, read_swarm_odometry, read_swarm_truth
+from ..readers.team_bearings import read_team_bearings, read_team_truth
 from ..writers.directory import check_target, result_directory
 from .located import Located, Moved, Settings
 from .swarm_input import Place, SwarmInput, prepare
 from .swarm_score import places_of, score_estimate, score_track
 
+# Odometry of real robots says what was commanded: turns are off by a tenth, a few sightings are gross.
+COMMANDED = TrackConfig(slip_floor=0.003, slip=0.04, turn_floor=0.005, turn=0.05, scale_w=0.1, kernel=2.0)
 MANY = 20_000  # robots beyond which covariances are left out unless asked for
 
 
@@ -38,28 +42,40 @@ def locate(
     truth: Path | str | None = None,
     covariance: bool | None = None,
     motion: TrackConfig | None = None,
+    until: float | None = None,
     seed: int = 0,
     force: bool = False,
 ) -> Located | Moved:
     """Positions of all robots, written to the folder `out` when one is given.
 
-    anchors: known positions [m] by id; sigma: [rad], or a text such as "0.5deg", the file's own where None; distances:
-    (i, j, metres); axis: False when every robot has a heading of its own, None to find out; initial: a table
-    `id,x,y[,z]` for the filters to start from; truth: for scoring alone. Stamped sightings of robots that move give
-    `Moved`, anything else `Located`. Raises ReaderError, DataError or UsageError; nothing is written then.
+    sightings: a table, its file, or the folder or zip of a landmark log whose robots saw each other (its ranges are not
+    used); anchors: known positions [m] by id; sigma: [rad], or a text such as "0.5deg", the file's own where None;
+    distances: (i, j, metres); until: only so many first seconds of stamped sightings; axis: False when every robot has
+    a heading of its own, None to find out; initial: a table `id,x,y[,z]` for the filters to start from; truth: for
+    scoring alone. Stamped sightings of robots that move give `Moved`, anything else `Located`. Raises ReaderError,
+    DataError or UsageError; nothing is written then.
     """
     if method not in get_args(Method):
         raise UsageError(f"--method {method}: expected one of {', '.join(get_args(Method))}")
     if out is not None:
         check_target(Path(out), force=force)
     began = perf_counter()
-    given = prepare(sightings, anchors=dict(anchors or {}), dim=dim, sigma=sigma, distances=distances, axis=axis)
+    log: Mapping[str, Odometry] | None = None
+    if not isinstance(sightings, BearingTable) and _is_team_log(Path(sightings)):
+        sightings, log = read_team_bearings(Path(sightings))
+        axis = False
+    known = dict(anchors or {})
+    given = prepare(sightings, anchors=known, dim=dim, sigma=sigma, distances=distances, axis=axis, until=until)
     read = perf_counter()
-    settings = Settings(method, seed, {"read": read - began}, None if truth is None else read_swarm_truth(Path(truth)))
+    settings = Settings(method, seed, {"read": read - began}, _truth(truth))
     stamped = given.table.t is not None and len(np.unique(given.table.t)) > 1
+    if odometry is not None and given.table.t is None:
+        raise UsageError("--odometry: the sightings bear no time stamps")
     result: Located | Moved
     if odometry is not None:
-        result = _drive(given, settings, Path(odometry), motion)
+        result = _drive(given, settings, read_swarm_odometry(Path(odometry)), motion or TrackConfig())
+    elif log is not None:
+        result = _drive(given, settings, log, motion or COMMANDED)
     elif stamped:
         still = None if motion is not None else _stood_still(given, settings, covariance=covariance)
         result = still or _move(given, settings, motion)
@@ -106,14 +122,11 @@ def _move(given: SwarmInput, settings: Settings, motion: TrackConfig | None) -> 
     return _moved(given, settings, track, perf_counter() - began)
 
 
-def _drive(given: SwarmInput, settings: Settings, odometry: Path, motion: TrackConfig | None) -> Moved:
-    if given.table.t is None:
-        raise UsageError("--odometry: the sightings bear no time stamps")
-    rows = read_swarm_odometry(odometry)
+def _drive(given: SwarmInput, settings: Settings, rows: Mapping[str, Odometry], motion: TrackConfig) -> Moved:
     began = perf_counter()
     by_index = {k: rows[name] for k, name in enumerate(given.table.ids) if name in rows}
     if not by_index:
-        raise DataError(f"{odometry}: no robot of the sightings has odometry here")
+        raise DataError("the odometry names no robot of the sightings")
     track = smooth_driving(given.table, by_index, given.anchors, _tuned(motion, settings))
     return _moved(given, settings, track, perf_counter() - began)
 
@@ -124,6 +137,17 @@ def _moved(given: SwarmInput, settings: Settings, track: SwarmTrack, seconds: fl
     if settings.truth is not None:
         score, there = score_track(track, given.table.ids, list(given.anchors), settings.truth)
     return Moved(given, settings, track, score, there or {})
+
+
+def _truth(path: Path | str | None) -> SwarmTruth | None:
+    if path is None:
+        return None
+    where = Path(path)
+    return read_team_truth(where) if _is_team_log(where) else read_swarm_truth(where)
+
+
+def _is_team_log(path: Path) -> bool:
+    return path.is_dir() or path.suffix.lower() == ".zip"
 
 
 def _tuned(motion: TrackConfig | None, settings: Settings) -> TrackConfig:

@@ -58,6 +58,7 @@ def prepare(
     sigma: float | str | None,
     distances: Sequence[tuple[str, str, float]],
     axis: bool | None,
+    until: float | None = None,
 ) -> SwarmInput:
     """The sightings of `source` with the noise, axes and known places filled in.
 
@@ -75,6 +76,12 @@ def prepare(
         log = read_sightings(Path(source), dim=dim)
         table, name, dropped, lines = log.table, log.source, log.dropped, log.lines
         told += log.warnings
+    if until is not None:
+        if table.t is None:
+            raise UsageError("--until: the sightings bear no time stamps")
+        early = table.t < table.t.min() + until
+        lines = None if lines is None else [lines[k] for k in np.flatnonzero(early).tolist()]
+        table = table.rows(early)
     filled, said = _filled(table, sigma)
     table = BearingTable(table.ids, table.observer, table.target, table.direction, filled, table.t, axis is not False)
     if axis is None and not told and not shares_an_axis(table, filled):

@@ -42,7 +42,7 @@ def smooth_driving(
     else:
         x, placed = grow(problem, cfg)
         x = _onto_anchors(problem, x, anchors, placed)
-    solution = problem.solve(x, placed, cfg, hold_anchors=len(set(anchors) & placed) >= 2, iterations=60)
+    solution = problem.solve(x, placed, cfg, hold_anchors=len(set(anchors) & placed) >= 2, iterations=100)
     lost = sorted(set(np.unique(problem.line.robot).tolist()) - placed)
     if lost:
         told.append(f"{len(lost)} robots are never tied to the others: {', '.join(table.ids[k] for k in lost[:10])}")

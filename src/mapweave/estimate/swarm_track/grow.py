@@ -6,7 +6,7 @@ import numpy as np
 
 from ...core import se2
 from ...core.errors import DataError
-from .meeting import meet
+from ...match.meeting import meet
 from .poses import PoseProblem
 from .result import TrackConfig
 

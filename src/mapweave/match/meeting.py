@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from ...core import se2
+from ..core import se2
 
 TURNS = 90  # headings tried around the circle
 
