@@ -138,13 +138,34 @@ def test_one_sighting_equals_the_dense_update(gate):
     R = R @ np.diag([20.0, 5.0]) / weight
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
     wanted, wanted_P = x + K @ e, joseph(P, K, H, R)
-    nis, got_weight = ekf.sight(x, P, len(x), 1, z[0], z[1], noise)
+    U = np.empty((2, len(x)))
+    nis, got_weight = ekf.sight(x, P, U, 0, 1, z[0], z[1], noise)
+    ekf.release(P, U, 2)
     assert np.isclose(nis, d2)
     assert np.isclose(got_weight, weight)
     assert (weight < 1.0) == (gate < 1.0)
     assert np.allclose(x, wanted, atol=1e-8)
     assert np.allclose(P, wanted_P, atol=1e-9)
     assert np.array_equal(P, P.T)
+
+
+def test_a_frame_worked_in_at_once_is_its_sightings_one_by_one():
+    x, P = random_state(11)
+    y, R = x.copy(), P.copy()
+    noise = PLAIN._replace(range_inflation=20.0, gate=2.0)
+    slots, started = np.array([2, -1, 0, 1]), np.ones(3, bool)
+    z = np.array([[3.0, 0.5], [1.0, 0.0], [4.0, 0.9], [2.5, 0.7]])
+    waiting, count, nis, weight = np.zeros((3, ekf.CANDIDATES, 2)), np.zeros(3, np.int64), np.zeros(4), np.zeros(4)
+    ekf.frame(x, P, slots, z[:, 0].copy(), z[:, 1].copy(), noise, started, waiting, count, nis, weight)
+    U = np.empty((2, len(y)))
+    for slot, (r, b) in zip(slots, z, strict=True):
+        if slot >= 0:
+            ekf.sight(y, R, U, 0, slot, r, b, noise)
+            ekf.release(R, U, 2)
+    assert np.allclose(x, y, atol=1e-12)
+    assert np.allclose(P, R, atol=1e-12)
+    assert np.array_equal(P, P.T)
+    assert np.array_equal(np.isnan(nis), slots < 0)
 
 
 def test_a_landmark_starts_where_it_was_seen_with_its_cross_covariances():
