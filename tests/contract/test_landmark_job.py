@@ -33,7 +33,7 @@ RESULT = ("landmarks.*", "trajectories/*", "local/*/*")
 def world(tmp_path_factory):
     """A small recording and its map with truth, made through the command line."""
     home = tmp_path_factory.mktemp("job")
-    words = ("--robots", 3, "--landmarks", 12, "--minutes", 2, "--seed", 5)
+    words = ("--robots", 3, "--landmarks", 12, "--minutes", 1, "--seed", 5)
     code, out, err = run("simulate", "landmarks", "--out", home / "team", *words)
     assert (code, err) == (0, "")
     assert "3 robots, 12 landmarks" in out
@@ -189,3 +189,14 @@ def test_view_tells_where_the_report_is_when_there_is_no_display(world, monkeypa
     code, out, _ = run("view", world / "a")
     assert code == 0
     assert str(world / "a" / "report.html") in out
+
+
+def test_fused_while_the_logs_play_the_last_map_is_the_offline_one(world):
+    code, _, err = run("map", world / "team", "--out", world / "on", "--seed", 3, "--fuse-every", 20)
+    assert (code, err) == (0, "")
+    assert tree(world / "a", *RESULT) == tree(world / "on", *RESULT)
+    online = json.loads((world / "on" / "metrics.json").read_text())["online"]
+    assert [round(p["t"]) for p in online] == [20, 40, 60]
+    assert online[-1]["robots"] == 3
+    assert online[-1]["log_det"] < online[0]["log_det"] or online[-1]["landmarks"] > online[0]["landmarks"]
+    assert (world / "on" / "figures" / "growth.png").exists()

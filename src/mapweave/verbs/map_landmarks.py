@@ -12,11 +12,12 @@ from ..core.errors import DataError, UsageError
 from ..core.names import in_order, robot_key, robot_name
 from ..estimate.ekf_config import EkfSlamConfig
 from ..estimate.ekf_map import local_map
-from ..fuse import FuseConfig, fuse
+from ..fuse import FuseConfig, Fusion, fuse
 from ..maps.local_map import LocalMap
 from ..readers.landmark_log import LandmarkLog
 from ..readers.landmark_logs import is_landmark_log, read_landmark_logs
 from .map_options import MapOptions
+from .online import OnlineMap, fuse_online
 from .team import TeamResult, Watch, team_result
 
 METHODS = ("ekf",)
@@ -47,11 +48,13 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> TeamResult:
     watch.lap("read")
     local = _local_maps(read, cfg.ekf, options)
     watch.lap("estimate")
-    options.tick("fusing", 0, 1)
-    fusion = fuse(local, cfg.fuse)
-    options.tick("fusing", 1, 1)
+    online: tuple[OnlineMap, ...] = ()
+    if options.fuse_every is None:
+        fusion = fuse(local, cfg.fuse)
+    else:
+        fusion, online = _online(read, local, cfg, options)
     title = f"One map from {', '.join(p.name for p in logs)}"
-    return team_result(title, options.seed, local, fusion, options.truth, (), watch)
+    return team_result(title, options.seed, local, fusion, options.truth, online, watch)
 
 
 def _read(logs: Sequence[Path], options: MapOptions) -> list[LandmarkLog]:
@@ -84,13 +87,34 @@ def _shared(logs: list[LandmarkLog], options: MapOptions) -> list[LandmarkLog]:
 
 def _local_maps(logs: Sequence[LandmarkLog], cfg: EkfSlamConfig, options: MapOptions) -> list[LocalMap]:
     """A local map a robot, in the order of `logs`, whoever works on them."""
+    with _workers(options, len(logs)) as pool:
+        return _spread(logs, cfg, options, pool, "local maps")
+
+
+def _online(
+    logs: Sequence[LandmarkLog], local: Sequence[LocalMap], cfg: LandmarkMapConfig, options: MapOptions
+) -> tuple[Fusion, tuple[OnlineMap, ...]]:
+    """The fusion, and the global map every `--fuse-every` seconds on the way to it."""
+    every = options.fuse_every or 0.0
+    with _workers(options, len(logs)) as pool:
+
+        def make(cut: Sequence[LandmarkLog]) -> list[LocalMap]:
+            return _spread(cut, cfg.ekf, options, pool, "")
+
+        return fuse_online(logs, local, make, cfg.fuse, every, options.tick)
+
+
+def _spread(
+    logs: Sequence[LandmarkLog], cfg: EkfSlamConfig, options: MapOptions, pool: Executor | None, stage: str
+) -> list[LocalMap]:
     n = len(logs)
     out: list[LocalMap] = []
-    with _workers(options, n) as pool:
+    if n:
         spread = map if pool is None else pool.map
         for k, made in enumerate(spread(local_map, logs, [cfg] * n, [options.seed] * n)):
-            options.tick("local maps", k + 1, n)
             out.append(made)
+            if stage:
+                options.tick(stage, k + 1, n)
     return out
 
 

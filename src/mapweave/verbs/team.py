@@ -13,12 +13,14 @@ from ..core import se2
 from ..core.names import in_order, robot_key
 from ..core.records import Track
 from ..evaluate.growth import GrowthPoint
+from ..evaluate.landmarks import find_exchanges
 from ..evaluate.team import TeamScore, as_json, score_team
 from ..fuse import Component, Fusion
 from ..maps.landmarks import LandmarkMap
 from ..maps.local_map import LocalMap
 from ..maps.team_map import TeamMap
-from .evaluate_team import TeamTruth, read_team_truth, team_lines
+from .evaluate_team import NO_SURVEY, TeamTruth, read_team_truth, team_lines
+from .online import OnlineMap, growth
 
 NOTHING = LandmarkMap((), np.zeros((0, 2)), np.zeros((0, 0)))
 
@@ -119,15 +121,17 @@ def team_result(
     local: Sequence[LocalMap],
     fusion: Fusion,
     truth: Sequence[Path],
-    growth: Sequence[GrowthPoint],
+    online: Sequence[OnlineMap],
     watch: Watch,
 ) -> TeamResult:
     """The result of fusing `local`; truth is read here, when nothing is left to estimate."""
     maps = team_maps(local, fusion)
     watch.lap("fuse")
     known = score = None
+    survey = NO_SURVEY
     if truth:
         known = read_team_truth(truth, [m.robot for m in local])
+        survey = find_exchanges(maps[0].landmarks, known.survey)[1]
         score = score_team(maps, {m.robot: m.submap.landmarks for m in local}, known.survey, known.robots)
         watch.lap("evaluate")
     own = [f"robot {robot_key(m.robot)}: {w}" for m in local for w in m.warnings]
@@ -137,7 +141,7 @@ def team_result(
         maps=maps,
         local=tuple(local),
         fusion=fusion,
-        growth=tuple(growth),
+        growth=growth(online, survey),
         score=score,
         truth=known,
         warnings=(*fusion.warnings, *own),
