@@ -1,13 +1,14 @@
 """Grid maps: what a laser leaves behind, as cells that hold their mean point and mean feature."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from ..core.arrays import frozen
+from ..models.intensity import IntensityCalibration
 
-UNKNOWN = 0.5
+__all__ = ["GridMap", "IntensityCalibration"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,28 +64,3 @@ class GridMap:
         """Centres [m] of the cells that beams went through and (nearly) none ended in."""
         rows, cols = np.nonzero((self.passes >= least_passes) & (self.passes > 5 * self.hits))
         return np.asarray(self.origin + self.resolution * (np.column_stack([cols, rows]) + 0.5))
-
-
-@dataclass(frozen=True, slots=True)
-class IntensityCalibration:
-    """How intensity falls with range and incidence: `log I = log rho + log_gain(r) + exponent log c`.
-
-    knots: (k,) ranges [m]; log_gain: (k,) at the knots, linear between, held outside; exponent: p; scale: the
-    intensity of q = 1 at gain 1; residual: robust standard deviation of the fit in log units; samples: returns used.
-    residual_by_range: (k,) median absolute residual near each knot.
-    """
-
-    knots: Float[np.ndarray, " k"]
-    log_gain: Float[np.ndarray, " k"]
-    exponent: float
-    scale: float
-    residual: float
-    samples: int
-    residual_by_range: Float[np.ndarray, " k"] = field(default_factory=lambda: np.zeros(0))
-
-    def __post_init__(self) -> None:
-        for name in ("knots", "log_gain", "residual_by_range"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-
-    def gain(self, r: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        return np.asarray(np.exp(np.interp(r, self.knots, self.log_gain)))
