@@ -2,7 +2,6 @@
 
 from .config import FuseConfig
 from .join import fuse
-from .online import OnlineFuser
 from .result import Component, Decision, Fusion
 
-__all__ = ["Component", "Decision", "FuseConfig", "Fusion", "OnlineFuser", "fuse"]
+__all__ = ["Component", "Decision", "FuseConfig", "Fusion", "fuse"]

@@ -39,12 +39,8 @@ class Component:
 
 @dataclass(frozen=True, slots=True)
 class Fusion:
-    """All components, the largest first, and a decision for every robot.
-
-    labels[robot]: own landmark name -> name in the map, where they differ (exchanged labels, unknown identities).
-    """
+    """All components, the largest first, and a decision for every robot."""
 
     components: tuple[Component, ...]
     decisions: tuple[Decision, ...]
     warnings: tuple[str, ...] = ()
-    labels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)

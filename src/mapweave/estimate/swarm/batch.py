@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ...core.errors import DataError
 from ...maps.network import Network
 from ...maps.swarm import SwarmEstimate
 from ...solve import GemanMcClure, Pattern, Problem, Solution, SolveConfig, minimise
@@ -53,6 +54,8 @@ def prepare(
     weights: Float[np.ndarray, " m"] | None = None,
 ) -> Start:
     """A start without a guess, and what can be told from these sightings at all."""
+    if not len(net.observer):
+        raise DataError("no sightings: nothing can be located")
     parts = components(net)
     heading, used = None, np.ones(len(net.observer), dtype=bool)
     if net.axis:
@@ -70,18 +73,9 @@ def prepare(
 
 
 def refine(
-    net: Network,
-    start: Start,
-    cfg: SwarmConfig,
-    kernel: GemanMcClure | None = None,
-    pattern: Pattern | None = None,
-    *,
-    seldom: int = SELDOM,
+    net: Network, start: Start, cfg: SwarmConfig, kernel: GemanMcClure | None = None, pattern: Pattern | None = None
 ) -> tuple[Solution, Problem, Pattern]:
-    """Levenberg-Marquardt from `start`; robots that nothing determines are held loosely where they are.
-
-    seldom: robots with no more sightings than this are kept from falling onto their neighbours.
-    """
+    """Levenberg-Marquardt from `start`; robots that nothing determines are held loosely where they are."""
     n, w, dim = len(net), factors.width(net), net.dim
     x0 = np.zeros((n, w))
     x0[:, :dim] = start.position
@@ -105,13 +99,10 @@ def refine(
     if loose.any():
         terms.append(factors.prior_factor(np.flatnonzero(loose.ravel()), flat, LOOSE * span))
     degree = np.bincount(np.concatenate([net.observer, net.target]), minlength=n)
-    few = np.flatnonzero(np.minimum(degree[net.observer], degree[net.target]) <= seldom)
-    if len(few):
-        terms.append(factors.apart_factor(net, few, NEAREST * span))
+    seldom = np.flatnonzero(np.minimum(degree[net.observer], degree[net.target]) <= SELDOM)
+    if len(seldom):
+        terms.append(factors.apart_factor(net, seldom, NEAREST * span))
     problem = Problem(flat, terms, fixed.ravel(), lambda x, dx: factors.retract(net, x, dx))
     pattern = pattern or Pattern.of(problem).dissected(problem.free // w)
-    anyone = (start.seen.localisable & ~net.is_anchor).any()
-    solve = SolveConfig(
-        max_iterations=cfg.max_iterations if anyone else 0, step_tolerance=1e-9 * span, cost_tolerance=1e-7
-    )
+    solve = SolveConfig(max_iterations=cfg.max_iterations, step_tolerance=1e-9 * span, cost_tolerance=1e-7)
     return minimise(problem, solve, pattern), problem, pattern
