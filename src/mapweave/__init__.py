@@ -1,21 +1,61 @@
 """mapweave: one map, with honest uncertainty, from the logs of many robots."""
 
-from typing import Any
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-_VERBS: dict[str, str] = {}
+if TYPE_CHECKING:
+    from .verbs.demo import demo as demo
+    from .verbs.evaluate import evaluate as evaluate
+    from .verbs.fuse import fuse_results as fuse  # noqa: F401
+    from .verbs.locate import locate as locate
+    from .verbs.map import map_logs as map  # noqa: A004, F401
+    from .verbs.reproduce_kojima import reproduce_kojima as reproduce_kojima
+    from .verbs.simulate_landmarks import simulate_landmarks as simulate_landmarks
+    from .verbs.simulate_swarm import simulate_swarm as simulate_swarm
+    from .verbs.view import view as view
+
+_VERBS: dict[str, str] = {
+    # public name: where it lives; keep in step with the block above, which type checkers read
+    "demo": "mapweave.verbs.demo:demo",
+    "evaluate": "mapweave.verbs.evaluate:evaluate",
+    "fuse": "mapweave.verbs.fuse:fuse_results",
+    "locate": "mapweave.verbs.locate:locate",
+    "map": "mapweave.verbs.map:map_logs",
+    "reproduce_kojima": "mapweave.verbs.reproduce_kojima:reproduce_kojima",
+    "simulate_landmarks": "mapweave.verbs.simulate_landmarks:simulate_landmarks",
+    "simulate_swarm": "mapweave.verbs.simulate_swarm:simulate_swarm",
+    "view": "mapweave.verbs.view:view",
+}
 
 
-def __getattr__(name: str) -> Any:
-    """Public verbs are imported when first used, so that `import mapweave` stays instant."""
-    if name in _VERBS:
-        from importlib import import_module
+class _Verb:
+    """A public verb, imported when first used, so that `import mapweave` stays instant.
 
-        module, _, attribute = _VERBS[name].partition(":")
-        return getattr(import_module(module), attribute)
-    raise AttributeError(f"module 'mapweave' has no attribute {name!r}")
+    Some rooms carry a verb's name (`mapweave.fuse`); Python binds a room to this module when it is imported, and the
+    setter lets that pass: the attribute stays the verb, `from mapweave.fuse import ..` still finds the room.
+    """
+
+    def __init__(self, where: str) -> None:
+        self.module, _, self.attribute = where.partition(":")
+
+    def __get__(self, module: object, owner: type | None = None) -> Any:
+        return getattr(import_module(self.module), self.attribute)
+
+    def __set__(self, module: object, room: object) -> None:
+        pass
 
 
-def __dir__() -> list[str]:
-    return [*globals(), *_VERBS]
+class _Package(ModuleType):
+    """The package, with the verbs as attributes nothing else can take."""
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *_VERBS]
+
+
+for _name, _where in _VERBS.items():
+    setattr(_Package, _name, _Verb(_where))
+sys.modules[__name__].__class__ = _Package

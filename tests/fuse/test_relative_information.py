@@ -8,8 +8,9 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.errors import EstimateError
 from mapweave.fuse import relative_rls as rls
-from mapweave.fuse.relative import FrameSightings, RelativeConfig, as_measurement, fuse_relative
+from mapweave.fuse.relative import RelativeConfig, as_measurement, fuse_relative
 from mapweave.fuse.relative_online import begin, replace_map
+from mapweave.fuse.sightings import FrameSightings
 from mapweave.maps.landmarks import LandmarkMap
 from mapweave.models import relative, robot_sighting
 

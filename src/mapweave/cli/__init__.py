@@ -10,9 +10,14 @@ if TYPE_CHECKING:
 
 COMMANDS: dict[str, str] = {
     # verb: where its command lives; imported only when that command is asked for
+    "demo": "mapweave.cli.demo:demo",
     "simulate": "mapweave.cli.simulate:app",
     "map": "mapweave.cli.map:map_logs",
+    "fuse": "mapweave.cli.fuse:fuse",
+    "locate": "mapweave.cli.locate:locate",
     "evaluate": "mapweave.cli.evaluate:evaluate",
+    "reproduce": "mapweave.cli.reproduce:app",
+    "view": "mapweave.cli.view:view",
 }
 
 

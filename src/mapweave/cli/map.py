@@ -1,9 +1,48 @@
 """`mapweave map`: one command for every kind of log."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from ..verbs.map_options import LaserOptions
+
+
+@Parameter(name="*", group="Laser logs")
+@dataclass(frozen=True, kw_only=True)
+class Laser:
+    """What laser logs may be asked for beside.
+
+    Parameters
+    ----------
+    particles
+        How many hypotheses --method particle carries (100).
+    feature
+        What a return is known by beside its place: normalised, raw or none (normalised where there is intensity).
+    likelihood
+        How a scan weighs a hypothesis: matched, or paper as printed there.
+    resample
+        Draw hypotheses anew when fewer than this share of them count (0.5); 1 is always.
+    scan_topic
+        The LaserScan topic of a ROS recording, where there are several.
+    odom_topic
+        The odometry or tf topic of a ROS recording, where there are several.
+    sensor_pose
+        Where the scanner stands on the robot, as x,y,theta in metres and radians, if the log does not know.
+    mirrored
+        The beams of the log run clockwise.
+    """
+
+    particles: int | None = None
+    feature: Literal["normalised", "raw", "none"] | None = None
+    likelihood: Literal["matched", "paper"] | None = None
+    resample: float | None = None
+    scan_topic: str | None = None
+    odom_topic: str | None = None
+    sensor_pose: str | None = None
+    mirrored: Annotated[bool, Parameter(negative="")] = False
 
 
 def map_logs(
@@ -20,6 +59,7 @@ def map_logs(
     jobs: int = 1,
     fuse_every: float | None = None,
     refine: bool = True,
+    laser: Laser | None = None,
     force: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Make one map of the logs of a team: a local map a robot, then all of them woven together.
@@ -34,7 +74,7 @@ def map_logs(
     robots
         Use these robots only, as 1,2.
     method
-        How each robot maps its own surroundings; the kind of log has a default.
+        How each robot maps its own surroundings; laser logs: particle, gated or icp (particle).
     weights
         How much each robot's map counts: constant, paper, diagonal, full, full-scaled or naive (full-scaled).
     share
@@ -76,9 +116,31 @@ def map_logs(
             jobs=jobs,
             fuse_every=fuse_every,
             refine=refine,
+            laser=_laser(laser),
             force=force,
             tick=tick,
         )
     for line in result.lines():
         say(line)
     say(f"report: {out / 'report.html'}")
+
+
+def _laser(given: Laser | None) -> "LaserOptions":
+    from ..verbs.map_options import LaserOptions
+    from .numbers import numbers
+
+    asked = given or Laser()
+    place = None
+    if asked.sensor_pose is not None:
+        x, y, theta = numbers(asked.sensor_pose, 3, "--sensor-pose")
+        place = (x, y, theta)
+    return LaserOptions(
+        particles=asked.particles,
+        feature=asked.feature,
+        likelihood=asked.likelihood,
+        resample=asked.resample,
+        scan_topic=asked.scan_topic,
+        odom_topic=asked.odom_topic,
+        sensor_pose=place,
+        mirrored=asked.mirrored,
+    )

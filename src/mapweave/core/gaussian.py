@@ -44,6 +44,6 @@ def chi2_quantile(probability: float, dof: float) -> float:
 def ellipse(P: Float[np.ndarray, "2 2"], probability: float = 0.95) -> tuple[float, float, float]:
     """Half axes [m], larger first, and the larger one's angle [rad] of the region holding `probability`."""
     values, vectors = np.linalg.eigh(symmetrise(P))
-    k = chi2_quantile(probability, 2)
+    k = chi2_quantile(probability, 2.0)
     a, b = np.sqrt(k * np.maximum(values[::-1], 0.0))
     return float(a), float(b), float(np.arctan2(vectors[1, 1], vectors[0, 1]))

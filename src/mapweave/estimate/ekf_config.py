@@ -7,6 +7,8 @@ from ..core.config import config
 from ..core.errors import ConfigError
 from ..kernels.ekf import Noise
 
+WANDER = 0.005  # [m / sqrt(s)] and [rad / sqrt(s)] beside speed and spin, where there is no odometry
+
 
 @config
 class EkfSlamConfig:
@@ -16,7 +18,8 @@ class EkfSlamConfig:
     estimated together: they collapse the map.
     """
 
-    odometry: bool = True  # whether commands are known at all; without them the pose walks at random
+    odometry: bool = True  # whether commands are known at all; without them the robot wanders
+    smooth: bool = True  # whether past poses are corrected by what came later, once the map is finished
     # how far commands can be trusted
     noise_along: float = 0.05  # [m / sqrt(m)] of distance commanded
     noise_across: float = 0.02  # [m / sqrt(m)]
@@ -27,13 +30,20 @@ class EkfSlamConfig:
     lost_xy: float = 0.06  # [m / sqrt(s)] while no command is known
     lost_theta: float = 0.3  # [rad / sqrt(s)]
     hold: float = 2.0  # [s] a command holds without a new one
+    # a robot without odometry: its speed and turn rate wander about zero
+    speed: float = 0.08  # [m/s] standard deviation
+    speed_time: float = 5.0  # [s] it keeps its speed
+    spin: float = 0.35  # [rad/s] standard deviation
+    spin_time: float = 2.0  # [s]
+    piece_gap: float = 5.0  # [s] without a sighting after which a new piece of map is begun
+    piece_heading: float = 0.8  # [rad] standard deviation of the heading from which one is begun too
     # the camera
     range_floor: float = 0.05  # [m]
     range_share: float = 0.045  # of the predicted distance
     bearing: float = 0.014  # [rad]
     range_inflation: float = 20.0  # of the variance: errors of one landmark's range last for seconds
     bearing_inflation: float = 7.0
-    gate: float = 2.5  # normalised innovation from which a sighting counts less, never nothing
+    gate: float = 2.0  # normalised innovation from which a sighting counts less, never nothing
     agree: int = 3  # sightings of a new landmark that must agree on its place
     # calibration: prior mean and standard deviation
     speed_scale: float = 1.0
@@ -55,18 +65,22 @@ class EkfSlamConfig:
 
 
 def calibration_prior(cfg: EkfSlamConfig) -> tuple[Float[np.ndarray, "5"], Float[np.ndarray, "5"]]:
-    """Means and standard deviations in the order of the state; without odometry none is estimated."""
+    """Means and standard deviations in the order of the state.
+
+    Without odometry the first two are speed and turn rate themselves, and the sensor is taken as it is.
+    """
+    if not cfg.odometry:
+        return np.array([0.0, 0.0, 0.0, 0.0, 1.0]), np.array([cfg.speed, cfg.spin, 0.0, 0.0, 0.0])
     mean = np.array([cfg.speed_scale, cfg.turn_scale, cfg.lag, cfg.bearing_bias, cfg.range_scale])
     sd = np.array([cfg.speed_scale_sd, cfg.turn_scale_sd, cfg.lag_sd, cfg.bearing_bias_sd, cfg.range_scale_sd])
-    if not cfg.odometry:
-        mean[4] = 1.0
-        sd[:] = 0.0
     return mean, sd
 
 
 def noise(cfg: EkfSlamConfig) -> Noise:
+    known = cfg.odometry
     return Noise(
         cfg.noise_along, cfg.noise_across, cfg.noise_drift, cfg.noise_turn, cfg.rest_xy, cfg.rest_theta,
-        cfg.lost_xy, cfg.lost_theta, cfg.hold, cfg.range_floor, cfg.range_share, cfg.bearing,
-        cfg.range_inflation, cfg.bearing_inflation, cfg.gate, cfg.agree,
+        cfg.lost_xy if known else WANDER, cfg.lost_theta if known else WANDER,
+        cfg.hold, 0.0 if known else cfg.speed, cfg.speed_time, cfg.spin, cfg.spin_time,
+        cfg.range_floor, cfg.range_share, cfg.bearing, cfg.range_inflation, cfg.bearing_inflation, cfg.gate, cfg.agree,
     )  # fmt: skip

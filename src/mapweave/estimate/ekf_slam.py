@@ -4,6 +4,7 @@ The frame is `local_K`, the robot's first pose, with zero covariance. `init` and
 `local_map` plays a whole log through the same kernels in one call and gives the same numbers.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -42,6 +43,7 @@ class EkfSlamState:
     commands: Float[np.ndarray, "3 n"]
     at: int
     ids: tuple[str, ...]
+    slot: Mapping[str, int]
     started: Bool[np.ndarray, " k"]
     waiting: Float[np.ndarray, "k 8 2"]
     n_waiting: Int[np.ndarray, " k"]
@@ -69,6 +71,11 @@ class EkfSlamInfo:
 
 
 def init(robot: str, cfg: EkfSlamConfig, rng: np.random.Generator) -> EkfSlamState:  # noqa: ARG001
+    """`initial`, as `run` calls it."""
+    return initial(robot, cfg)
+
+
+def initial(robot: str, cfg: EkfSlamConfig) -> EkfSlamState:
     """Nothing seen, at the origin of `local_K`, sensors as the configuration expects them."""
     x, P = np.zeros(ekf.HEAD), np.zeros((ekf.HEAD, ekf.HEAD))
     x[ekf.POSE :], sd = calibration_prior(cfg)
@@ -76,7 +83,7 @@ def init(robot: str, cfg: EkfSlamConfig, rng: np.random.Generator) -> EkfSlamSta
     Phi, Q = np.zeros((ekf.POSE, ekf.HEAD)), np.zeros((ekf.POSE, ekf.POSE))
     ekf.clear(Phi, Q)
     nothing = (np.zeros(0, bool), np.zeros((0, ekf.CANDIDATES, 2)), np.zeros(0, np.int64))
-    return EkfSlamState(robot, None, x, P, Phi, Q, np.zeros((3, 0)), -1, (), *nothing)
+    return EkfSlamState(robot, None, x, P, Phi, Q, np.zeros((3, 0)), -1, (), {}, *nothing)
 
 
 def step(
@@ -112,9 +119,8 @@ def _drive(state: EkfSlamState, record: Odometry, cfg: EkfSlamConfig) -> tuple[E
 
 def _look(state: EkfSlamState, t: float, record: Sightings, cfg: EkfSlamConfig) -> tuple[EkfSlamState, EkfSlamInfo]:
     mine = [k for k, name in enumerate(record.ids) if is_landmark(name)]
-    new = _with_slots(state, tuple(record.ids[k] for k in mine))
-    slot = {name: k for k, name in enumerate(new.ids)}
-    slots = np.array([slot[record.ids[k]] for k in mine], dtype=np.int64)
+    new = with_slots(state, tuple(record.ids[k] for k in mine))
+    slots = np.array([new.slot[record.ids[k]] for k in mine], dtype=np.int64)
     n = len(mine)
     nis, weight, pose, cov = np.empty(n), np.empty(n), np.empty((1, ekf.POSE)), np.empty((1, 6))
     started, waiting, n_waiting = new.started.copy(), new.waiting.copy(), new.n_waiting.copy()
@@ -133,9 +139,9 @@ def _look(state: EkfSlamState, t: float, record: Sightings, cfg: EkfSlamConfig) 
     return new, EkfSlamInfo(Status.USED, Track(np.array([t]), pose, square(cov), new.frame), nis, weight)
 
 
-def _with_slots(state: EkfSlamState, names: tuple[str, ...]) -> EkfSlamState:
+def with_slots(state: EkfSlamState, names: tuple[str, ...]) -> EkfSlamState:
     """`state` with a slot, not started, for each name it has none for."""
-    fresh = tuple(dict.fromkeys(name for name in names if name not in state.ids))
+    fresh = tuple(dict.fromkeys(name for name in names if name not in state.slot))
     if not fresh:
         return state
     old, k = len(state.x), len(fresh)
@@ -147,6 +153,7 @@ def _with_slots(state: EkfSlamState, names: tuple[str, ...]) -> EkfSlamState:
         x=np.concatenate([state.x, np.zeros(2 * k)]),
         P=P,
         ids=state.ids + fresh,
+        slot={**state.slot, **{name: len(state.ids) + k for k, name in enumerate(fresh)}},
         started=np.concatenate([state.started, np.zeros(k, bool)]),
         waiting=np.concatenate([state.waiting, np.zeros((k, ekf.CANDIDATES, 2))]),
         n_waiting=np.concatenate([state.n_waiting, np.zeros(k, np.int64)]),

@@ -42,6 +42,20 @@ def gauge_free_nees(
     return value, 2 * n - 3
 
 
+def shape_covariance(mean: Float[np.ndarray, "n 2"], cov: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "m m"]:
+    """The covariance (2n, 2n) of what is left of a map's error after an unweighted rigid alignment.
+
+    Where the frame itself lies is no property of the map's shape, yet it makes up most of `cov`. Rank 2n - 3.
+    """
+    n = len(mean)
+    J = np.zeros((2 * n, 3))
+    J[0::2, 0] = J[1::2, 1] = 1.0
+    centred = mean - mean.mean(0)
+    J[0::2, 2], J[1::2, 2] = -centred[:, 1], centred[:, 0]
+    A = np.eye(2 * n) - J @ np.linalg.pinv(J)
+    return symmetrise(A @ cov @ A.T)
+
+
 def nis_median_per_dof(nis: Float[np.ndarray, " n"], dof: Float[np.ndarray, " n"]) -> float | None:
     """Median of NIS over its expected median: 1 for an honest filter, above for an overconfident one."""
     if not len(nis):

@@ -2,6 +2,7 @@
 
 from .config import FuseConfig
 from .join import fuse
+from .online import OnlineFuser
 from .result import Component, Decision, Fusion
 
-__all__ = ["Component", "Decision", "FuseConfig", "Fusion", "fuse"]
+__all__ = ["Component", "Decision", "FuseConfig", "Fusion", "OnlineFuser", "fuse"]

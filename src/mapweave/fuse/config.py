@@ -3,6 +3,7 @@
 from typing import Literal
 
 from ..core.config import config
+from ..match.identities import IdentityConfig
 
 Weights = Literal["constant", "paper", "diagonal", "full", "full-scaled", "naive"]
 Identities = Literal["known", "unknown"]
@@ -18,6 +19,8 @@ class FuseConfig:
     `gate` [m] and `gate_sigmas` standard deviations; a map is refused when half its shared landmarks lie further off
     than `refuse` [m] and as many deviations. repeats: how often each relative measurement is fed (the paper's
     habit; anything but 1 counts one measurement many times). delta: the paper's factor on the noise.
+    robot_sightings: sightings of robots by robots tie the frames too (on real logs, whose tracks err, this can make
+    a map worse).
     """
 
     weights: Weights = "full-scaled"
@@ -32,3 +35,4 @@ class FuseConfig:
     delta: float = 1.0
     constant_variance: float = 1e-3
     robot_sightings: bool = False
+    matching: IdentityConfig = IdentityConfig()

@@ -10,11 +10,13 @@ from ..maps.landmarks import LandmarkMap
 from ..maps.local_map import LocalMap
 from .config import FuseConfig
 from .doubts import Doubt, find_doubts, find_exchanged, inflated, relabelled
+from .identify import identify
 from .joined import Joined
 from .naive import average
 from .overlap import ENOUGH, Cluster
 from .relative import RelativeConfig, fuse_relative
 from .result import Component, Decision, Fusion
+from .sightings import FrameSightings, frame_sightings, sighting_factor
 from .start import arrange, as_cluster
 from .submaps import join
 
@@ -35,15 +37,26 @@ def fuse(maps: Sequence[LocalMap], cfg: FuseConfig | None = None) -> Fusion:
     decisions += [Decision(robot, 0, "refused", why) for robot, why in faults.items()]
     sound = [m for m in used if m.robot not in faults]
     landmarks = [m.submap.landmarks for m in sound]
-    landmarks, starts, doubts, refused = _prepare(landmarks, cfg)
     names = [m.robot for m in sound]
+    labels: dict[str, dict[str, str]] = {}
+    nameless: dict[int, str] = {}
+    if cfg.identities == "unknown":
+        identified = identify(landmarks, names, cfg.matching)
+        landmarks, nameless = list(identified.maps), dict(identified.reasons)
+        labels = {names[k]: dict(new) for k, new in identified.labels.items() if new}
+    before = landmarks
+    landmarks, starts, doubts, refused = _prepare(landmarks, cfg)
+    refused = nameless | refused
+    for k, (old, new) in enumerate(zip(before, landmarks, strict=True)):
+        _relabel(labels, sound[k], dict(zip(old.ids, new.ids, strict=True)))
     warnings += _tell(names, doubts)
     if cfg.repeats != 1:
         warnings.append(f"every map was counted {cfg.repeats} times: overconfident by that factor")
     components = []
     for start in starts:
         own = [inflated(landmarks[k], [d for d in doubts if d.owner == k]) for k in start.members]
-        joined = _join(own, start, cfg) if len(own) > 1 else _alone(own[0])
+        seen = frame_sightings([sound[k] for k in start.members], start.frames) if cfg.robot_sightings else []
+        joined = _join(own, start, cfg, seen) if len(own) > 1 else _alone(own[0])
         robots = tuple(names[k] for k in start.members)
         components.append(_component(robots, own, joined))
         decisions += [
@@ -51,7 +64,18 @@ def fuse(maps: Sequence[LocalMap], cfg: FuseConfig | None = None) -> Fusion:
             for i, k in enumerate(start.members)
         ]
     order = {m.robot: i for i, m in enumerate(ordered)}
-    return Fusion(tuple(components), tuple(sorted(decisions, key=lambda d: order[d.robot])), tuple(warnings))
+    told = tuple(sorted(decisions, key=lambda d: order[d.robot]))
+    return Fusion(tuple(components), told, tuple(warnings), labels)
+
+
+def _relabel(labels: dict[str, dict[str, str]], m: LocalMap, moved: dict[str, str]) -> None:
+    """`labels` of this robot with labels that were put back taken into account."""
+    known = labels.get(m.robot, {})
+    new = {own: moved[known.get(own, own)] for own in m.submap.ids}
+    changed = {own: name for own, name in new.items() if own != name}
+    labels.pop(m.robot, None)
+    if changed:
+        labels[m.robot] = changed
 
 
 def _prepare(
@@ -70,21 +94,32 @@ def _prepare(
     return landmarks, [as_cluster(c, landmarks) for c in clusters], doubts, refused
 
 
-def _join(maps: Sequence[LandmarkMap], start: Cluster, cfg: FuseConfig) -> Joined:
+def _join(maps: Sequence[LandmarkMap], start: Cluster, cfg: FuseConfig, seen: Sequence[FrameSightings] = ()) -> Joined:
+    m = 3 * len(maps)  # the frames come first, then the scales
+    extra = [sighting_factor(s, 3 * s.a + np.arange(3), 3 * s.b + np.arange(3), (m + s.a, m + s.b)) for s in seen]
     match cfg.weights:
         case "naive":
             return average(maps, start)
         case "full-scaled":
-            return join(maps, start, scale_sigma=cfg.scale_sigma, floor=cfg.floor, variance_prior=cfg.variance_prior)
+            return join(
+                maps,
+                start,
+                scale_sigma=cfg.scale_sigma,
+                floor=cfg.floor,
+                variance_prior=cfg.variance_prior,
+                extra=extra,
+            )
         case "full" if cfg.repeats == 1:  # what the relative form gives, to first order in the noise, in fewer steps
-            return join(maps, start)
+            return join(maps, start, extra=extra)
         case weights:
             how = RelativeConfig(weights=weights, delta=cfg.delta, variance=cfg.constant_variance, repeats=cfg.repeats)
-            return _relative(maps, start, how)
+            return _relative(maps, start, how, seen)
 
 
-def _relative(maps: Sequence[LandmarkMap], start: Cluster, cfg: RelativeConfig) -> Joined:
-    found = fuse_relative(maps, cfg, start=start)
+def _relative(
+    maps: Sequence[LandmarkMap], start: Cluster, cfg: RelativeConfig, seen: Sequence[FrameSightings]
+) -> Joined:
+    found = fuse_relative(maps, cfg, start=start, sightings=seen)
     one, landmarks, solution = np.ones(len(maps)), found.landmarks(), found.solution
     return Joined(
         ids=found.ids,

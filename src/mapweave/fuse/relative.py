@@ -9,17 +9,18 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..core.config import config
 from ..core.errors import EstimateError
 from ..core.se2 import wrap_angle
 from ..maps.landmarks import LandmarkMap
-from ..models import relative, robot_sighting
+from ..models import relative
 from ..models.relative import Weights
 from ..solve import Factor, Pattern, Problem, Solution, SolveConfig, minimise, wrapping
 from .overlap import Cluster, clusters
 from .relative_measurement import Layout, Measurement, measurement
+from .sightings import FrameSightings, sighting_factor
 
 ROUGH = SolveConfig(max_iterations=400)
 POLISH = SolveConfig(damping=0.0, max_iterations=8, step_tolerance=1e-12)
@@ -40,21 +41,6 @@ class RelativeConfig:
     reference: Literal["measurement", "prior"] = "measurement"
     prior_frame_variance: float = 1e5  # [m^2 and rad^2]
     prior_landmark_variance: float = 1e-3  # [m^2]
-
-
-@dataclass(frozen=True, slots=True)
-class FrameSightings:
-    """Robot of map `a` saw robot of map `b`, s times: poses of both in their own frames, z = [range, bearing].
-
-    T_a_seer, T_b_seen: (s, 3); z: (s, 2) [m, rad]; R: (s, 2, 2), everything but the frames' own uncertainty.
-    """
-
-    a: int
-    b: int
-    T_a_seer: Float[np.ndarray, "s 3"]
-    T_b_seen: Float[np.ndarray, "s 3"]
-    z: Float[np.ndarray, "s 2"]
-    R: Float[np.ndarray, "s 2 2"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +106,7 @@ def fuse_relative(
     x0 = layout.pack(start.frames, start.points)
     used = measurements if cfg.reference == "measurement" else measurements[1:]
     terms = [map_factor(layout, m, cfg.repeats) for m in used]
-    terms += [_sighting_factor(layout, s) for s in sightings]
+    terms += [sighting_factor(s, _where(layout, s.a), _where(layout, s.b)) for s in sightings]
     if cfg.reference == "prior":
         terms.append(_prior_factor(layout, x0, cfg))
     solution = _converge(Problem(x0, terms, retract=wrapping(layout.angles)), solve)
@@ -170,25 +156,8 @@ def map_factor(layout: Layout, m: Measurement, repeats: int = 1) -> Factor:
     return Factor(m.columns(layout)[None], residual, jacobian, len(m.y), whiten[None], name="map")
 
 
-def _sighting_factor(layout: Layout, s: FrameSightings) -> Factor:
-    none = np.zeros(0, dtype=np.intp)
-    columns = [(c, layout.columns(k, none)) for c, k in ((slice(0, 3), s.a), (slice(6, 9), s.b)) if k]
-    rows = np.arange(12)
-    keep = np.concatenate([rows[c] for c, _ in columns])
-    where = np.concatenate([w for _, w in columns])
-
-    def poses(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        n = np.ones((len(s.z), 1))
-        return n * layout.frame(x, s.a), s.T_a_seer, n * layout.frame(x, s.b), s.T_b_seen
-
-    def residual(x: np.ndarray) -> np.ndarray:
-        return -robot_sighting.residual(s.z, robot_sighting.predict(*poses(x)))
-
-    def jacobian(x: np.ndarray) -> np.ndarray:
-        return robot_sighting.jacobian(*poses(x))[:, :, keep]
-
-    whiten = np.linalg.inv(np.linalg.cholesky(s.R))
-    return Factor(np.tile(where, (len(s.z), 1)), residual, jacobian, 2, whiten, name="sighting")
+def _where(layout: Layout, k: int) -> Int[np.ndarray, " c"]:
+    return layout.columns(k, np.zeros(0, dtype=np.intp))
 
 
 def _prior_factor(layout: Layout, x0: Float[np.ndarray, " size"], cfg: RelativeConfig) -> Factor:

@@ -39,8 +39,12 @@ class Component:
 
 @dataclass(frozen=True, slots=True)
 class Fusion:
-    """All components, the largest first, and a decision for every robot."""
+    """All components, the largest first, and a decision for every robot.
+
+    labels[robot]: own landmark name -> name in the map, where they differ (exchanged labels, unknown identities).
+    """
 
     components: tuple[Component, ...]
     decisions: tuple[Decision, ...]
     warnings: tuple[str, ...] = ()
+    labels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)

@@ -122,7 +122,7 @@ class Layout:
 def build(
     maps: Sequence[LandmarkMap],
     start: Cluster,
-    noise: Sequence[Float[np.ndarray, "m m"]],
+    noise: Sequence[np.ndarray],
     scale_sigma: float | None,
     extra: Sequence[Term] = (),
 ) -> tuple[Problem, Layout]:

@@ -17,6 +17,7 @@ Array: TypeAlias = np.ndarray
 POSE = 3
 HEAD = 8  # pose and calibration
 V_SCALE, TURN_SCALE, LAG, BEARING_BIAS, RANGE_SCALE = 3, 4, 5, 6, 7
+COAST_STEP = 0.1  # [s]
 CANDIDATES = 8  # sightings of a landmark not yet started that are remembered
 
 
@@ -32,6 +33,10 @@ class Noise(NamedTuple):
     lost_xy: float  # [m / sqrt(s)] while no command is known
     lost_theta: float  # [rad / sqrt(s)]
     hold: float  # [s] a command is held at most
+    speed: float  # [m/s] a robot without odometry drives at; 0: commands are known
+    speed_time: float  # [s] it keeps its speed
+    spin: float  # [rad/s] it turns at
+    spin_time: float  # [s]
     range_floor: float  # [m]
     range_share: float  # of the distance
     bearing: float  # [rad]
@@ -147,6 +152,32 @@ def drive(
 
 
 @kernel
+def coast(x: Array, P: Array, size: int, dt: float, noise: Noise) -> None:
+    """`dt` [s] of a robot without odometry: it keeps speed and turn rate, and forgets them slowly.
+
+    Then `x[V_SCALE]` is its speed [m/s] and `x[TURN_SCALE]` its turn rate [rad/s], each an Ornstein-Uhlenbeck process.
+    """
+    steps = max(1, int(np.ceil(dt / COAST_STEP)))
+    h = dt / steps
+    keep_v, keep_w = np.exp(-h / noise.speed_time), np.exp(-h / noise.spin_time)
+    Phi, Q = np.zeros((POSE, HEAD)), np.zeros((POSE, POSE))
+    for _ in range(steps):
+        clear(Phi, Q)
+        arc(x, Phi, Q, 1.0, 1.0, h, noise, False)
+        settle(P, size, Phi, Q)
+        x[V_SCALE] *= keep_v
+        x[TURN_SCALE] *= keep_w
+        for j in range(size):
+            P[V_SCALE, j] *= keep_v
+            P[TURN_SCALE, j] *= keep_w
+        for j in range(size):
+            P[j, V_SCALE] *= keep_v
+            P[j, TURN_SCALE] *= keep_w
+        P[V_SCALE, V_SCALE] += noise.speed**2 * (1.0 - keep_v**2)
+        P[TURN_SCALE, TURN_SCALE] += noise.spin**2 * (1.0 - keep_w**2)
+
+
+@kernel
 def settle(
     P: Array,
     size: int,
@@ -210,38 +241,36 @@ def pose_covariance(
 
 @kernel
 def sight(
-    x: Array,
-    P: Array,
-    size: int,
-    slot: int,
-    z_range: float,
-    z_bearing: float,
-    noise: Noise,
+    x: Array, P: Array, U: Array, held: int, slot: int, z_range: float, z_bearing: float, noise: Noise
 ) -> tuple[float, float]:
-    """One sighting of a started landmark worked into `x` and `P` (settled); returns (NIS, weight).
+    """One sighting of a started landmark worked into `x`, its rank two of `P` into U[held : held + 2]: (NIS, weight).
 
-    Noise is taken at the predicted distance: the measured one favours short readings. A sighting whose normalised
-    innovation d exceeds the gate counts with weight gate / d.
+    The covariance is `P - U[:held]^T U[:held]`: a frame's sightings are worked in one by one, but `P`, large, is
+    passed over once. Noise is taken at the predicted distance: the measured one favours short readings. A sighting
+    whose normalised innovation d exceeds the gate counts with weight gate / d.
     """
+    size = len(x)
     a = HEAD + 2 * slot
     dx, dy = x[a] - x[0], x[a + 1] - x[1]
     r = max(np.sqrt(dx * dx + dy * dy), 1e-6)
-    e0 = z_range - x[RANGE_SCALE] * r
+    s = x[RANGE_SCALE]
+    e0 = z_range - s * r
     e1 = wrap(z_bearing - np.arctan2(dy, dx) + x[2] - x[BEARING_BIAS])
     where = np.array([0, 1, 2, BEARING_BIAS, RANGE_SCALE, a, a + 1])
-    s = x[RANGE_SCALE]
     ux, uy = dx / r, dy / r
     gx, gy = -dy / (r * r), dx / (r * r)
     H = np.array([[-s * ux, -s * uy, 0.0, 0.0, r, s * ux, s * uy], [-gx, -gy, -1.0, 1.0, 0.0, gx, gy]])
     PHt = np.zeros((2, size))
-    for j in range(size):
+    for k in range(7):
+        add(PHt[0], P[where[k]], H[0, k])
+        add(PHt[1], P[where[k]], H[1, k])
+    for q in range(held):
         h0 = h1 = 0.0
         for k in range(7):
-            p = P[where[k], j]
-            h0 += H[0, k] * p
-            h1 += H[1, k] * p
-        PHt[0, j] = h0
-        PHt[1, j] = h1
+            h0 += H[0, k] * U[q, where[k]]
+            h1 += H[1, k] * U[q, where[k]]
+        add(PHt[0], U[q], -h0)
+        add(PHt[1], U[q], -h1)
     s00 = s01 = s11 = 0.0
     for k in range(7):
         j = where[k]
@@ -253,20 +282,44 @@ def sight(
     nis = quadratic(e0, e1, s00 + r0, s01, s11 + r1)
     d = np.sqrt(nis)
     weight = 1.0 if d <= noise.gate else noise.gate / d
-    s00 += r0 * noise.range_inflation / weight
-    s11 += r1 * noise.bearing_inflation / weight
-    det = s00 * s11 - s01 * s01
-    i00, i01, i11 = s11 / det, -s01 / det, s00 / det
-    y0, y1 = i00 * e0 + i01 * e1, i01 * e0 + i11 * e1
-    for i in range(size):
-        x[i] += PHt[0, i] * y0 + PHt[1, i] * y1
-        k0 = PHt[0, i] * i00 + PHt[1, i] * i01
-        k1 = PHt[0, i] * i01 + PHt[1, i] * i11
-        for j in range(i + 1):
-            p = P[i, j] - (k0 * PHt[0, j] + k1 * PHt[1, j])
-            P[i, j] = p
-            P[j, i] = p
+    l00 = np.sqrt(s00 + r0 * noise.range_inflation / weight)  # S = L L^T, U = L^-1 H P
+    l10 = s01 / l00
+    l11 = np.sqrt(s11 + r1 * noise.bearing_inflation / weight - l10 * l10)
+    y0 = e0 / l00
+    y1 = (e1 - l10 * y0) / l11
+    for j in range(size):
+        u0 = PHt[0, j] / l00
+        u1 = (PHt[1, j] - l10 * u0) / l11
+        U[held, j], U[held + 1, j] = u0, u1
+        x[j] += u0 * y0 + u1 * y1
     return nis, weight
+
+
+@kernel
+def add(to: Array, row: Array, factor: float) -> None:
+    """`to += factor * row`, contiguous."""
+    for j in range(len(to)):
+        to[j] += factor * row[j]
+
+
+@kernel
+def release(P: Array, U: Array, held: int) -> None:
+    """`P -= U[:held]^T U[:held]`, symmetric to the bit; `held` is even."""
+    n = len(P)
+    for i in range(n):
+        row = P[i]
+        q = 0
+        while q + 4 <= held:
+            a, b, c, d = U[q], U[q + 1], U[q + 2], U[q + 3]
+            ai, bi, ci, di = a[i], b[i], c[i], d[i]
+            for j in range(n):
+                row[j] -= (ai * a[j] + bi * b[j]) + (ci * c[j] + di * d[j])
+            q += 4
+        if q < held:
+            a, b = U[q], U[q + 1]
+            ai, bi = a[i], b[i]
+            for j in range(n):
+                row[j] -= ai * a[j] + bi * b[j]
 
 
 @kernel
@@ -339,23 +392,16 @@ def consider(
 
 @kernel
 def frame(
-    x: Array,
-    P: Array,
-    size: int,
-    slots: Array,
-    ranges: Array,
-    bearings: Array,
-    noise: Noise,
-    started: Array,
-    waiting: Array,
-    n_waiting: Array,
-    nis: Array,
-    weight: Array,
-) -> None:
+    x: Array, P: Array, slots: Array, ranges: Array, bearings: Array, noise: Noise,
+    started: Array, waiting: Array, n_waiting: Array, nis: Array, weight: Array,
+) -> None:  # fmt: skip
     """All sightings of one camera frame (pose settled); fills `nis` and `weight`.
 
     A slot below zero is no landmark of this filter; it and a landmark that only waits get NaN.
     """
+    size = len(x)
+    U = np.empty((2 * len(slots), size))
+    held = 0
     for k in range(len(slots)):
         slot = slots[k]
         nis[k] = np.nan
@@ -363,10 +409,14 @@ def frame(
         if slot < 0:
             continue
         if started[slot]:
-            nis[k], weight[k] = sight(x, P, size, slot, ranges[k], bearings[k], noise)
+            nis[k], weight[k] = sight(x, P, U, held, slot, ranges[k], bearings[k], noise)
+            held += 2
         elif consider(x, slot, ranges[k], bearings[k], noise, waiting, n_waiting):
+            release(P, U, held)
+            held = 0
             begin(x, P, size, slot, ranges[k], bearings[k], noise)
             started[slot] = True
+    release(P, U, held)
 
 
 @kernel
@@ -420,9 +470,13 @@ def look(
     cov: Array,
 ) -> int:
     """Drives to `now` and works one camera frame in; fills pose (3) and cov (6); returns the command in force."""
-    t, at = drive(x, Phi, Q, t, now, cmd_t, cmd_v, cmd_w, at, noise)
-    settle(P, len(x), Phi, Q)
-    frame(x, P, len(x), slots, ranges, bearings, noise, started, waiting, n_waiting, nis, weight)
+    if noise.speed > 0.0:
+        if now > t:
+            coast(x, P, len(x), now - t, noise)
+    else:
+        t, at = drive(x, Phi, Q, t, now, cmd_t, cmd_v, cmd_w, at, noise)
+        settle(P, len(x), Phi, Q)
+    frame(x, P, slots, ranges, bearings, noise, started, waiting, n_waiting, nis, weight)
     pose[0], pose[1], pose[2] = x[0], x[1], wrap(x[2])
     pose_covariance(P, Phi, Q, cov)
     return at

@@ -19,7 +19,8 @@ class ScanRecords:
     pose odometry predicted [m, m, rad]; beams: returns in the scan; matches: returns that found a partner;
     decision: "first", "matched", "odometry" (the gate or too few matches refused the match), "skipped" (the robot
     had hardly moved) or "empty" (no returns); n_eff: effective number of particles, NaN where no weights changed;
-    resampled: (n,).
+    resampled: (n,); information: (n, 3, 3), of each pose seen from the one before [1/m^2, 1/rad^2], where the method
+    gives it (row 0 tells nothing).
     """
 
     t: Float[np.ndarray, " n"]
@@ -31,8 +32,11 @@ class ScanRecords:
     decision: tuple[str, ...]
     n_eff: Float[np.ndarray, " n"]
     resampled: Bool[np.ndarray, " n"]
+    information: Float[np.ndarray, "n 3 3"] | None = None
 
     def __post_init__(self) -> None:
+        if self.information is not None:
+            object.__setattr__(self, "information", frozen(self.information))
         for name in ("t", "pose", "innovation", "n_eff"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         for name in ("beams", "matches"):

@@ -12,8 +12,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..core.arrays import frozen
 from ..core.bearings import BearingTable, unit, unit3
 from ..core.errors import DataError, ReaderError
+from ..core.records import Odometry
+from ..maps.network import natural
 from .table import Table, read_table
 
 LAYOUTS = (("bearing",), ("azimuth", "elevation"), ("bx", "by", "bz"))
@@ -108,7 +111,7 @@ def read_swarm_truth(path: Path) -> SwarmTruth:
 
 def natural_order(names: set[str]) -> tuple[str, ...]:
     """`names` sorted, numbers as numbers: 2 before 10."""
-    return tuple(sorted(names, key=lambda w: (0, int(w), w) if w.isdecimal() else (1, 0, w)))
+    return tuple(sorted(names, key=natural))
 
 
 def _layout(file: Table, dim: int | None) -> tuple[str, ...]:
@@ -180,3 +183,24 @@ def _warnings(path: Path, layout: tuple[str, ...], values: Float[np.ndarray, "m 
     largest = float(np.abs(values).max())
     what = f"{int(beyond.sum())} of {len(values)} bearings lie beyond a full turn (largest {largest:.4g} rad)"
     return [f"{path}: {what}: are they degrees? Bearings are read as radians"]
+
+
+def read_swarm_odometry(path: Path) -> dict[str, Odometry]:
+    """Velocities by robot from `t,robot,v,w` [s, m/s, rad/s]; of equal stamps the last row counts.
+
+    Raises ReaderError for a row that does not parse or says nothing.
+    """
+    file = read_table(path)
+    _need(file, ("t", "robot", "v", "w"))
+    rows = np.column_stack([file.numbers(name) for name in ("t", "v", "w")]) if len(file) else np.zeros((0, 3))
+    if not np.isfinite(rows).all():
+        k = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
+        raise ReaderError(path, "expected finite t, v and w", file.lines[k])
+    names = np.array(file.names("robot"))
+    out = {}
+    for name in natural_order(set(names.tolist())):
+        mine = rows[names == name]
+        mine = mine[np.argsort(mine[:, 0], kind="stable")]
+        mine = mine[np.append(np.diff(mine[:, 0]) > 0.0, True)]
+        out[name] = Odometry(frozen(mine[:, 0]), frozen(mine[:, 1]), frozen(mine[:, 2]))
+    return out

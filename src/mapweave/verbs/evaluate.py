@@ -25,6 +25,7 @@ class Judge(Protocol):
 JUDGES: tuple[str, ...] = (
     # asked in this order; the first that applies judges
     "mapweave.verbs.evaluate_relations",
+    "mapweave.verbs.evaluate_swarm",
     "mapweave.verbs.evaluate_team",
 )
 

@@ -8,7 +8,7 @@ from typing import Protocol, cast
 
 from ..core.errors import ReaderError, UsageError
 from ..writers.directory import check_target, result_directory
-from .map_options import MapOptions, MapResult, Tick, no_tick
+from .map_options import LaserOptions, MapOptions, MapResult, Tick, no_tick
 
 
 class Mapper(Protocol):
@@ -20,6 +20,7 @@ class Mapper(Protocol):
 
 MAPPERS: tuple[str, ...] = (
     # asked in this order; the first that applies to every log maps them
+    "mapweave.verbs.map_landmarks",
 )
 
 
@@ -38,13 +39,15 @@ def map_logs(
     jobs: int = 1,
     fuse_every: float | None = None,
     refine: bool = True,
+    laser: LaserOptions | None = None,
     force: bool = False,
     executor: Executor | None = None,
     tick: Tick = no_tick,
 ) -> MapResult:
     """The map of `logs`, written to the folder `out` when one is given.
 
-    Robots are called `"1"`, `"2"`; `start` gives first poses [m, m, rad] in the map; `truth` is used for scoring alone.
+    Robots are called `"1"`, `"2"`; `start` gives first poses [m, m, rad] in the map; `truth` is used for scoring alone;
+    `laser` is for laser logs.
     Any `concurrent.futures` executor may be given; the result does not depend on it.
     Raises ReaderError, DataError, EstimateError or UsageError; nothing is written then.
     """
@@ -61,6 +64,7 @@ def map_logs(
         jobs=jobs,
         fuse_every=fuse_every,
         refine=refine,
+        laser=laser or LaserOptions(),
         executor=executor,
         tick=tick,
     )

@@ -22,6 +22,28 @@ def no_tick(stage: str, done: float, total: float | None = None) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class LaserOptions:
+    """What laser logs may be asked for beside; None: as the configuration or the log says.
+
+    resample: the share of the particles `N_eff` may fall to; sensor_pose: `T_robot_sensor` [m, m, rad]; mirrored: beam
+    angles run clockwise.
+    """
+
+    particles: int | None = None
+    feature: str | None = None
+    likelihood: str | None = None
+    resample: float | None = None
+    scan_topic: str | None = None
+    odom_topic: str | None = None
+    sensor_pose: tuple[float, float, float] | None = None
+    mirrored: bool = False
+
+    def given(self) -> list[str]:
+        """The options that were given, as the command line spells them."""
+        return [f"--{name.replace('_', '-')}" for name in self.__slots__ if getattr(self, name) not in {None, False}]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MapOptions:
     """What `map` was asked for. Robots are called by their key: `"2"` is robot 2.
 
@@ -40,6 +62,7 @@ class MapOptions:
     jobs: int = 1
     fuse_every: float | None = None
     refine: bool = True
+    laser: LaserOptions = field(default_factory=LaserOptions)
     executor: Executor | None = None
     tick: Tick = no_tick
 

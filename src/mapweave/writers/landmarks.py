@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core.names import in_order, robot_key
+from ..maps.landmarks import LandmarkMap
 from ..maps.team_map import TeamMap
 from .npz import write_npz
 from .rows import open_text
@@ -24,4 +25,10 @@ def write_landmarks(folder: Path, team: TeamMap) -> None:
             robots = ";".join(sorted(map(robot_key, team.members.get(name, ())), key=in_order))
             seen = team.sightings.get(name, 0)
             file.write(f"{name},{x:.9f},{y:.9f},{P[0, 0]:.9e},{P[0, 1]:.9e},{P[1, 1]:.9e},{robots},{seen}\n")
-    write_npz(folder / "landmarks.npz", ids=np.array(ids, dtype=np.str_), mean=held.mean, cov=held.cov)
+    write_landmark_arrays(folder, held)
+
+
+def write_landmark_arrays(folder: Path, landmarks: LandmarkMap) -> None:
+    """`landmarks.npz`: `ids (n,) str, mean (n, 2), cov (2n, 2n)`, in the order given."""
+    ids = np.array(landmarks.ids, dtype=np.str_)
+    write_npz(folder / "landmarks.npz", ids=ids, mean=landmarks.mean, cov=landmarks.cov)

@@ -43,7 +43,7 @@ def _word(value: object) -> str:
     if isinstance(value, float):
         if value != value:  # noqa: PLR0124  (NaN)
             return ""
-        return f"{value:.9f}" if 1e-3 <= abs(value) < 1e9 or value == 0.0 else f"{value:.10g}"
+        return f"{value:.9f}" if 1.0 <= abs(value) < 1e9 or value == 0.0 else f"{value:.12g}"
     return "" if value is None else str(value)
 
 

@@ -5,10 +5,14 @@
 
 import numpy as np
 
+from ...core.errors import DataError
 from ...maps.network import Network
 from ...maps.swarm import SwarmEstimate
 from .batch import batch
 from .config import SwarmConfig
+from .distributed import distributed
+from .filtered import filtered
+from .robust import robust
 
 __all__ = ["SwarmConfig", "locate"]
 
@@ -24,4 +28,12 @@ def locate(
     DataError when there is nothing to work on; what cannot be located is named in the result, never an error.
     """
     cfg = cfg or SwarmConfig()
+    if not len(net.observer):
+        raise DataError("no sightings: nothing can be located")
+    if cfg.method in {"ekf", "iekf", "fej"}:
+        return filtered(net, cfg, cfg.method, initial)
+    if cfg.method == "robust":
+        return robust(net, cfg, initial)
+    if cfg.method == "distributed":
+        return distributed(net, cfg, initial)
     return batch(net, cfg, initial)

@@ -7,7 +7,7 @@ import numpy as np
 from ...core.errors import DataError
 from ...maps.network import Network
 from .graph import Components, components
-from .headings import anchored_turn, mutual_headings, resected_headings, world_directions
+from .headings import anchored_turn, beacon_headings, mutual_headings, resected_headings, world_directions
 from .linear import linear_pattern, linear_start
 from .observability import Observability, observe
 
@@ -18,13 +18,17 @@ def start_without_axis(net: Network, parts: Components) -> tuple[np.ndarray, np.
     """Positions, headings, who can be located, and (m,) the sightings whose observer's heading was found.
 
     Robots that sighted each other share their headings directly; the others get theirs from the positions found so
-    far, as long as that reaches anybody new. Anchors give the orientation when two of them are reached. Raises
-    DataError when no two robots sighted each other.
+    far, as long as that reaches anybody new. Anchors give the orientation when two of them are reached. Where no two
+    robots sighted each other, those that see three anchors begin. Raises DataError when there are none of them either.
     """
     heading, known = mutual_headings(net)
+    turned = not known.any()
+    if turned:
+        heading, known = beacon_headings(net)
     if not known.any():
-        raise DataError("no axis is common and no two robots sighted each other: no heading can be started")
-    free = replace(net, anchors={}, distances=(), axis=True)
+        what = "no two robots sighted each other and none sees three anchors"
+        raise DataError(f"no axis is common, {what}: no heading can be started")
+    free = replace(net, anchors={}, distances=(), axis=True) if not turned else replace(net, axis=True)
     position, placed = np.zeros((len(net), 2)), np.zeros(len(net), dtype=bool)
     for _ in range(ROUNDS):
         rows = known[net.observer]
@@ -39,11 +43,11 @@ def start_without_axis(net: Network, parts: Components) -> tuple[np.ndarray, np.
         if (more == known).all():
             break
         known = more
-    if parts.known[parts.reference] >= 2 and np.count_nonzero(placed & net.is_anchor) >= 2:
+    if not turned and parts.known[parts.reference] >= 2 and np.count_nonzero(placed & net.is_anchor) >= 2:
         heading = heading + anchored_turn(net, position, placed)
         rows = known[net.observer]
-        level = replace(net, axis=True).select(rows)
-        pieces = components(level)
-        position = linear_start(level, pieces, world_directions(net, heading)[rows], *linear_pattern(level, pieces))
+        flat = replace(net, axis=True).select(rows)
+        pieces = components(flat)
+        position = linear_start(flat, pieces, world_directions(net, heading)[rows], *linear_pattern(flat, pieces))
     used = known[net.observer]
     return position, heading, observe(net.select(used), parts, position), used

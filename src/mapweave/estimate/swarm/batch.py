@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...core.errors import DataError
 from ...maps.network import Network
 from ...maps.swarm import SwarmEstimate
 from ...solve import GemanMcClure, Pattern, Problem, Solution, SolveConfig, minimise
@@ -54,8 +53,6 @@ def prepare(
     weights: Float[np.ndarray, " m"] | None = None,
 ) -> Start:
     """A start without a guess, and what can be told from these sightings at all."""
-    if not len(net.observer):
-        raise DataError("no sightings: nothing can be located")
     parts = components(net)
     heading, used = None, np.ones(len(net.observer), dtype=bool)
     if net.axis:
@@ -73,9 +70,18 @@ def prepare(
 
 
 def refine(
-    net: Network, start: Start, cfg: SwarmConfig, kernel: GemanMcClure | None = None, pattern: Pattern | None = None
+    net: Network,
+    start: Start,
+    cfg: SwarmConfig,
+    kernel: GemanMcClure | None = None,
+    pattern: Pattern | None = None,
+    *,
+    seldom: int = SELDOM,
 ) -> tuple[Solution, Problem, Pattern]:
-    """Levenberg-Marquardt from `start`; robots that nothing determines are held loosely where they are."""
+    """Levenberg-Marquardt from `start`; robots that nothing determines are held loosely where they are.
+
+    seldom: robots with no more sightings than this are kept from falling onto their neighbours.
+    """
     n, w, dim = len(net), factors.width(net), net.dim
     x0 = np.zeros((n, w))
     x0[:, :dim] = start.position
@@ -99,10 +105,13 @@ def refine(
     if loose.any():
         terms.append(factors.prior_factor(np.flatnonzero(loose.ravel()), flat, LOOSE * span))
     degree = np.bincount(np.concatenate([net.observer, net.target]), minlength=n)
-    seldom = np.flatnonzero(np.minimum(degree[net.observer], degree[net.target]) <= SELDOM)
-    if len(seldom):
-        terms.append(factors.apart_factor(net, seldom, NEAREST * span))
+    few = np.flatnonzero(np.minimum(degree[net.observer], degree[net.target]) <= seldom)
+    if len(few):
+        terms.append(factors.apart_factor(net, few, NEAREST * span))
     problem = Problem(flat, terms, fixed.ravel(), lambda x, dx: factors.retract(net, x, dx))
     pattern = pattern or Pattern.of(problem).dissected(problem.free // w)
-    solve = SolveConfig(max_iterations=cfg.max_iterations, step_tolerance=1e-9 * span, cost_tolerance=1e-7)
+    anyone = (start.seen.localisable & ~net.is_anchor).any()
+    solve = SolveConfig(
+        max_iterations=cfg.max_iterations if anyone else 0, step_tolerance=1e-9 * span, cost_tolerance=1e-7
+    )
     return minimise(problem, solve, pattern), problem, pattern

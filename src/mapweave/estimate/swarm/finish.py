@@ -44,7 +44,9 @@ def finish(
     `outlier`: (m_all,) of the whole network when `net` holds the inliers only; `notes`: warnings known already.
     """
     n, w, dim = len(net), factors.width(net), net.dim
-    gauge, localisable, status = start.gauge, start.seen.localisable, STATUS[solution.status]
+    gauge, localisable = start.gauge, start.seen.localisable
+    anyone = (localisable & ~net.is_anchor).any()  # else there was nothing to refine
+    status = STATUS[solution.status] if anyone else Status.CONVERGED
     before = solution.x.reshape(n, w)
     position, heading = normalise(gauge, before[:, :dim], None if net.axis else before[:, dim])
     x, information = solution.x, solution.information
@@ -61,11 +63,13 @@ def finish(
     chi2 = float(sum(term.squares(solution.x).sum() for term in measured))
     unknown = dim * (n - len(net.anchors)) + (0 if net.axis else len(np.unique(net.observer)))
     dof = len(net.observer) * (dim - 1) + len(net.distances) - unknown + start.seen.nullity
-    doubts = [] if not np.any(net.sigma > 0) else chi2_warnings(chi2, dof)
+    doubts = chi2_warnings(chi2, dof) if anyone and np.any(net.sigma > 0) else []
     if status is not Status.CONVERGED:
         doubts.append(f"the refinement ended with: {status}")
+    if information is None:
+        doubts.append("the information matrix is singular: there is no covariance")
     weak = found is not None and found.weak
-    remarks = [*notes, *layout_warnings(net, localisable)]
+    remarks = [*notes, *layout_warnings(net, localisable, start.seen.in_line)]
     if found is not None and weak:
         remarks.append(
             f"weak anchors: {100 * (found.mode_share or 0.0):.0f} % of all variance lies in one mode (most often the "
@@ -86,7 +90,7 @@ def finish(
         chi2=chi2,
         dof=dof,
         status=status,
-        reliable=not doubts and information is not None,
+        reliable=bool(anyone) and not doubts,
         warnings=(*doubts, *remarks),
         heading=heading,
         heading_var=None if found is None else found.heading_var,

@@ -22,12 +22,18 @@ class Gauge:
     members: Bool[np.ndarray, " n"]
     centre: Float[np.ndarray, " d"]  # the one anchor when place is known, else the origin
 
+    @property
+    def free(self) -> str:
+        """What is free, in a few words."""
+        named = (("place", self.place), ("scale", self.scale), ("orientation", self.turn))
+        return " and ".join(name for name, is_free in named if is_free)
+
 
 def gauge_of(net: Network, parts: Components, localisable: Bool[np.ndarray, " n"]) -> Gauge:
     """The gauge of the reference piece, over the robots located up to it."""
     c = parts.reference
     members = (parts.label == c) & localisable if len(net) else np.zeros(0, dtype=bool)
-    if not len(net) or parts.known[c] >= 2:
+    if not (members & ~net.is_anchor).any() or parts.known[c] >= 2:
         return Gauge("", False, False, False, members, np.zeros(net.dim))
     place, scale, turn = parts.known[c] == 0, not parts.measured[c], not net.axis
     centre = next((p for k, p in net.anchors.items() if parts.label[k] == c), np.zeros(net.dim))

@@ -7,8 +7,10 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from ...core.se2 import wrap_angle
 from ...maps.network import Network
+from ...match.meeting import meet
 
 SWEEPS = 30
+WILD = 0.3  # [rad]; a sighting of an anchor further off counts as this much off
 
 
 def mutual_pairs(net: Network) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
@@ -48,6 +50,22 @@ def mutual_headings(net: Network) -> tuple[Float[np.ndarray, " n"], Bool[np.ndar
         z = z + offset @ z
         z[known] /= np.abs(z[known])
     return np.angle(z), known
+
+
+def beacon_headings(net: Network) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """Headings [rad] of robots that see three anchors or more, and who they are: each alone, without a guess."""
+    heading, known = np.zeros(len(net)), np.zeros(len(net), dtype=bool)
+    rows = np.flatnonzero(net.is_anchor[net.target] & ~net.is_anchor[net.observer])
+    rows = rows[np.argsort(net.observer[rows], kind="stable")]
+    robots, first = np.unique(net.observer[rows], return_index=True)
+    for k, mine in zip(robots.tolist(), np.split(rows, first[1:]), strict=True):
+        seen = net.target[mine]
+        if len(np.unique(seen)) < 3:
+            continue
+        there = np.array([[*net.anchors[int(j)], 0.0] for j in seen])
+        pose, _ = meet(there, np.zeros_like(there), net.bearing[mine], np.zeros(len(mine), dtype=bool), WILD)
+        heading[k], known[k] = pose[2], True
+    return heading, known
 
 
 def resected_headings(

@@ -27,10 +27,11 @@ CANDIDATES = 4  # pairs tried as stand-ins for anchors
 
 @dataclass(frozen=True, slots=True)
 class Observability:
-    """localisable: (n,) up to the gauge; nullity: free directions with anchors and distances held."""
+    """localisable: (n,) up to the gauge; nullity: free directions with anchors and distances held; in_line: robots."""
 
     localisable: Bool[np.ndarray, " n"]
     nullity: int
+    in_line: int = 0
 
 
 def observe(net: Network, parts: Components, position: Float[np.ndarray, "n d"], seed: int = 0) -> Observability:
@@ -60,7 +61,7 @@ def without_lines(
 
     Noise alone would make the rows of H at an estimate look independent, so this is judged by a chi-square.
     """
-    localisable, nullity = seen.localisable.copy(), seen.nullity
+    localisable, nullity, in_line = seen.localisable.copy(), seen.nullity, 0
     sigma = net.sigma if np.any(net.sigma > 0) else np.full(len(net.sigma), 1e-9)
     for c in np.unique(parts.label[net.observer]):
         rows = parts.label[net.observer] == c
@@ -73,7 +74,8 @@ def without_lines(
         if len(b) > 1 and mine.sum() > 1 and chi2 <= chi2_quantile(0.999, float(dof)):
             localisable[mine] = False
             nullity = max(nullity, int(mine.sum()))
-    return Observability(localisable, nullity)
+            in_line += int((parts.label == c).sum())
+    return Observability(localisable, nullity, in_line)
 
 
 def gauge_size(net: Network, parts: Components) -> int:

@@ -1,0 +1,164 @@
+"""Real bearings: Roh's angulation data, and what the robots of MRCLAM set 6 saw of each other.
+
+`python benchmarks/swarm_real.py DATA [--json FILE]`, DATA being the folder with `bearings/` and `mrclam/`.
+"""
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+
+import mapweave
+from mapweave.core import se2
+from mapweave.estimate.swarm_track.odometry import motion
+from mapweave.evaluate.swarm import similarity
+from mapweave.readers.angulation import as_sightings, read_angulation
+from mapweave.readers.team_bearings import read_team_bearings, read_team_truth
+from mapweave.verbs.locate import COMMANDED
+
+HEADING = 0.5 * np.pi  # true of all nine places
+
+
+def angulation(folder: Path) -> dict:
+    """The bias found, and RMSE and NEES before and after it is allowed for."""
+    bearings, places, beacons = read_angulation(folder)
+    known = {f"b{k + 1}": p for k, p in enumerate(beacons)}
+    d = beacons[None] - places[:, None]
+    off = np.degrees(se2.wrap_angle(bearings - (np.arctan2(d[..., 1], d[..., 0]) - HEADING)[:, None]))
+    out = {
+        "bias_rms_deg": float(np.sqrt(np.mean(off.mean(axis=1) ** 2))),
+        "bias_largest_deg": float(np.abs(off.mean(axis=1)).max()),
+        "scatter_deg": float(np.median(off.std(axis=1))),
+        "correlation_of_neighbours": float(
+            np.median([np.corrcoef(off[p, :-1, b], off[p, 1:, b])[0, 1] for p in range(len(places)) for b in range(4)])
+        ),
+        "cases": {},
+    }
+    one = np.median(bearings, axis=1, keepdims=True)
+    sigma = np.radians(out["scatter_deg"])
+    cases = {
+        "all readings, heading as said, sigma their scatter": (bearings, sigma, HEADING),
+        "medians, heading as said, sigma from residuals": (one, None, HEADING),
+        "medians, heading found, sigma from residuals": (one, None, None),
+    }
+    for name, (z, noise, heading) in cases.items():
+        fitted = noise
+        if fitted is None:
+            first = mapweave.locate(as_sightings(z, np.radians(1.0), heading), anchors=known, axis=heading is not None)
+            fitted = np.radians(1.0) * np.sqrt(first.estimate.chi2 / first.estimate.dof)
+        e = mapweave.locate(as_sightings(z, fitted, heading), anchors=known, axis=heading is not None).estimate
+        error, cov = e.position[4:] - places, e.cov[4:]
+        nees = np.einsum("ka,ka->k", error, np.linalg.solve(cov, error[..., None])[..., 0])
+        out["cases"][name] = {
+            "sigma_deg": float(np.degrees(fitted)),
+            "rmse": float(np.sqrt(np.mean(np.sum(error**2, axis=1)))),
+            "largest": float(np.linalg.norm(error, axis=1).max()),
+            "promised": float(np.sqrt(np.trace(cov, axis1=1, axis2=2).mean())),
+            "nees_per_dof": float(nees.mean() / 2),
+            "reliable": e.reliable,
+            "heading_off_deg": None
+            if e.heading is None
+            else np.degrees(se2.wrap_angle(e.heading[4:] - HEADING)).round(2).tolist(),
+        }
+    return out
+
+
+def team(path: Path, seconds: float | None = None) -> dict:
+    """Five robots that drive: bearings of each other and odometry, no range, no landmark, no heading, no anchor."""
+    table, odometry = read_team_bearings(path)
+    if seconds is not None:
+        table = table.rows(table.t < table.t[0] + seconds)
+    truth = read_team_truth(path)
+    begun = time.perf_counter()
+    track, there = tracked(table, odometry, truth)
+    p = np.concatenate([one.position[ok] for one, ok, _ in there.values()])
+    q = np.concatenate([at for _, _, at in there.values()])
+    rigid = _left(p, q, scale=False)
+    similar = _left(p, q, scale=True)
+    span = float(table.t[-1] - table.t[0])
+    second = ((table.t - table.t[0]) // 1.0).astype(int)
+    n = len(table.ids)
+    pairs = [len(np.unique(table.observer[second == s] * n + table.target[second == s])) for s in np.unique(second)]
+    return {
+        "sightings": len(table.observer),
+        "seconds": span,
+        "rmse": rigid[0],
+        "rmse_after_scale": similar[0],
+        "scale": similar[1],
+        "odometry_alone": _dead_reckoning(table, odometry, truth),
+        "turn_scale": {table.ids[k]: round(w, 3) for k, (_, w) in track.scale.items()},
+        "outliers": int(track.outlier.sum()),
+        "most_pairs_in_a_second": max(pairs),
+        "pairs_needed_at_once": 3 * n - 4,
+        "took_s": time.perf_counter() - begun,
+    }
+
+
+def tracked(table, odometry, truth):
+    """The track, and by robot: its track, which stamps truth covers, the true positions there."""
+    from mapweave.core.bearings import BearingTable
+    from mapweave.estimate.swarm_track import smooth_driving
+
+    sigma = np.full(len(table.observer), np.radians(0.6))
+    ready = BearingTable(table.ids, table.observer, table.target, table.direction, sigma, table.t, axis=False)
+    track = smooth_driving(
+        ready, {k: odometry[name] for k, name in enumerate(table.ids)}, {}, COMMANDED, covariance=False
+    )
+    return track, {k: (one, *_true(truth, table.ids[k], one.t)) for k, one in track.tracks.items()}
+
+
+def _true(truth, name, t):
+    rows = np.flatnonzero(np.array(truth.ids) == name)
+    stamps = truth.t[rows]
+    ok = (t >= stamps[0]) & (t <= stamps[-1])
+    return ok, np.column_stack([np.interp(t[ok], stamps, truth.position[rows, c]) for c in range(2)])
+
+
+def _dead_reckoning(table, odometry, truth) -> float:
+    """RMSE [m] of every robot's odometry by itself, each aligned to its own truth."""
+    errors = []
+    for name in table.ids:
+        t = np.arange(max(table.t[0], odometry[name].t[0]), min(table.t[-1], odometry[name].t[-1]), 0.5)
+        ok, at = _true(truth, name, t)
+        p = motion(odometry[name], t, COMMANDED).pose[ok, :2]
+        errors.append(np.sum((se2.act(se2.align(p, at), p) - at) ** 2, axis=1))
+    return float(np.sqrt(np.mean(np.concatenate(errors))))
+
+
+def _left(p, q, *, scale: bool):
+    s, R, t = similarity(p, q, scale=scale, turn=True)
+    return float(np.sqrt(np.mean(np.sum((s * p @ R.T + t - q) ** 2, axis=1)))), s
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--json", type=Path)
+    asked = parser.parse_args()
+    roh = angulation(asked.data / "bearings" / "roh_angulation")
+    print(
+        f"Roh: biases {roh['bias_rms_deg']:.2f} deg rms, {roh['bias_largest_deg']:.1f} largest; scatter "
+        f"{roh['scatter_deg']:.2f} deg, correlation of neighbouring readings {roh['correlation_of_neighbours']:.2f}"
+    )
+    for name, c in roh["cases"].items():
+        trust = "trusted" if c["reliable"] else "not trusted"
+        print(
+            f"  {name:52s} sigma {c['sigma_deg']:5.2f} deg  RMSE {c['rmse']:.3f} m  promised {c['promised']:.3f} m  "
+            f"NEES/dof {c['nees_per_dof']:7.2f}  {trust}"
+        )
+    six = team(asked.data / "mrclam" / "MRCLAM_Dataset6.zip")
+    print(
+        f"MRCLAM 6: {six['sightings']} sightings in {six['seconds']:.0f} s: RMSE {six['rmse']:.3f} m in one rigid "
+        f"frame, {six['rmse_after_scale']:.3f} m with scale {six['scale']:.3f} taken out; odometry alone "
+        f"{six['odometry_alone']:.2f} m; at most {six['most_pairs_in_a_second']} pairs in a second, "
+        f"{six['pairs_needed_at_once']} would be needed to do without odometry; {six['outliers']} outliers; "
+        f"{six['took_s']:.0f} s"
+    )
+    if asked.json:
+        asked.json.write_text(json.dumps({"roh_angulation": roh, "mrclam6": six}, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,143 @@
+"""The least-squares problem of driving robots: a pose a knot, two odometry scales a robot."""
+
+from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...core.bearings import BearingTable
+from ...core.records import Odometry
+from ...solve import Factor, Problem, Solution, SolveConfig, Term, minimise, wrapping
+from .factors import odometry_factor, prior_factor, sighting_factor
+from .odometry import motion
+from .result import TrackConfig
+from .timeline import Timeline, timeline
+
+FAR = 1e4  # [m], [rad]: a prior this wide says nothing
+
+
+@dataclass(frozen=True, slots=True)
+class PoseProblem:
+    """Everything of the problem that does not change while it is solved.
+
+    index: (K, 3) where each knot's pose stands in x; scales: by robot, where its two scale errors stand; own: (K, 3)
+    poses in each robot's own odometry frame; delta, slope, sigma: of each of `line.moves`.
+    """
+
+    table: BearingTable
+    line: Timeline
+    index: Int[np.ndarray, "K 3"]
+    scales: Mapping[int, tuple[int, int]]
+    own: Float[np.ndarray, "K 3"]
+    delta: Float[np.ndarray, "s 3"]
+    slope: Float[np.ndarray, "s 3 2"]
+    sigma: Float[np.ndarray, "s 3"]
+    anchors: Mapping[int, Float[np.ndarray, "2"]]
+    odometry: AbstractSet[int]
+
+    @classmethod
+    def of(
+        cls,
+        table: BearingTable,
+        odometry: Mapping[int, Odometry],
+        anchors: Mapping[int, Float[np.ndarray, "2"]],
+        cfg: TrackConfig,
+    ) -> "PoseProblem":
+        present = set(table.observer.tolist()) | set(table.target.tolist())
+        still = (present - set(odometry)) | set(anchors)
+        line = timeline(table, still, cfg.merge)
+        robots = np.unique(line.robot).tolist()
+        parts = [motion(None if k in still else odometry[k], line.t[line.of(k)], cfg) for k in robots]
+        K = len(line)
+        scales = {k: (3 * K + 2 * i, 3 * K + 2 * i + 1) for i, k in enumerate(robots)}
+        return cls(
+            table,
+            line,
+            np.arange(3 * K).reshape(K, 3),
+            scales,
+            np.concatenate([p.pose for p in parts]),
+            np.concatenate([p.delta for p in parts]),
+            np.concatenate([p.slope for p in parts]),
+            np.concatenate([p.sigma for p in parts]),
+            anchors,
+            present - still,
+        )
+
+    @property
+    def x0(self) -> Float[np.ndarray, " n"]:
+        """Every robot at the origin of its own odometry frame; anchors at their places."""
+        x = np.zeros(self.index.size + 2 * len(self.scales))
+        x[self.index] = self.own
+        for robot, place in self.anchors.items():
+            rows = self.line.of(robot)
+            x[self.index[rows, :2]] = place
+        return x
+
+    def root(self, placed: AbstractSet[int]) -> int:
+        """The robot whose first pose is the frame: the first with odometry."""
+        return min(set(placed) & set(self.odometry) or set(placed))
+
+    def solve(
+        self,
+        x: np.ndarray,
+        placed: AbstractSet[int],
+        cfg: TrackConfig,
+        *,
+        hold_anchors: bool,
+        active: np.ndarray | None = None,
+        iterations: int = 15,
+    ) -> Solution:
+        """The minimum from `x` over the knots `active` (all when None) of robots `placed`; other knots stay."""
+        here = np.isin(self.line.robot, list(placed))
+        moving = here if active is None else here & active
+        fixed = np.ones(len(x), dtype=bool)
+        fixed[self.index[moving]] = False
+        for robot, at in self.scales.items():
+            driven = robot in placed and robot in self.odometry
+            fixed[list(at)] = not (cfg.scale_v > 0.0 and driven), not (cfg.scale_w > 0.0 and driven)
+        if hold_anchors:
+            for robot in self.anchors:
+                fixed[self.index[self.line.of(robot), :2]] = True
+        elif active is None or not (here & ~active).any():
+            fixed[self.index[self.line.of(self.root(placed))][0]] = True
+        if self.table.axis:
+            idle = [k for k in placed if k not in self.odometry]
+            for robot in idle:  # a robot that stands still in common axes has no heading to find
+                fixed[self.index[self.line.of(robot), 2]] = True
+        problem = Problem(x, self._terms(moving, here, placed, cfg), fixed, wrapping(self.index[:, 2]))
+        return minimise(problem, SolveConfig(max_iterations=iterations))
+
+    def _terms(self, moving: np.ndarray, here: np.ndarray, placed: AbstractSet[int], cfg: TrackConfig) -> list[Term]:
+        line = self.line
+        seen = here[line.observer] & here[line.target] & (moving[line.observer] | moving[line.target])
+        moves = line.moves
+        driven = here[moves[:, 0]] & (moving[moves[:, 0]] | moving[moves[:, 1]])
+        moves = moves[driven]
+        scale = np.array([self.scales[k] for k in line.robot[moves[:, 0]].tolist()], dtype=np.int64).reshape(-1, 2)
+        steps = np.column_stack([self.index[moves[:, 0]], self.index[moves[:, 1]], scale])
+        terms: list[Term] = [
+            self._sighting(seen, cfg.kernel),
+            odometry_factor(steps, self.delta[driven], self.slope[driven], self.sigma[driven]),
+            prior_factor(self.index[moving], np.zeros((int(moving.sum()), 3)), FAR),
+        ]
+        for which, sigma in enumerate((cfg.scale_v, cfg.scale_w)):
+            if sigma > 0.0:
+                at = np.array([[self.scales[k][which]] for k in sorted(placed & self.odometry)], dtype=np.int64)
+                terms.append(prior_factor(at, np.zeros(at.shape), sigma))
+        return terms
+
+    def sighted(self, placed: AbstractSet[int]) -> Factor:
+        """All sightings, without a kernel; those of robots not placed count nothing."""
+        here = np.isin(self.line.robot, list(placed))
+        return self._sighting(None, 0.0, here[self.line.observer] & here[self.line.target])
+
+    def _sighting(self, rows: np.ndarray | None, kernel: float, counted: np.ndarray | None = None) -> Factor:
+        rows = np.ones(len(self.table.observer), dtype=bool) if rows is None else rows
+        a, b = self.line.observer[rows], self.line.target[rows]
+        columns = [self.index[a, :2], self.index[b, :2]]
+        if not self.table.axis:
+            columns.append(self.index[a, 2:])
+        sigma = self.table.sigma[rows] if counted is None else np.where(counted, self.table.sigma[rows], np.inf)
+        return sighting_factor(np.column_stack(columns), self.table.direction[rows], sigma, kernel)

@@ -1,0 +1,75 @@
+"""What tracking a swarm needs to be told, and what it gives."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...core.arrays import frozen
+from ...core.config import config
+from ...solve import Solution
+
+OUTLIER = 4.0  # standard deviations
+
+
+@config
+class TrackConfig:
+    """How robots move. Odometry noise is white: its standard deviation over dt is (floor + share |v|) sqrt(dt)."""
+
+    acceleration: float = 0.02  # [m^2/s^3] white-noise acceleration density of each axis, without odometry
+    speed: float = 3.0  # [m/s] prior of each axis of the first velocity, without odometry
+    merge: float = 0.002  # [s]; stamps closer than this are one instant
+    slip_floor: float = 0.01  # [m/sqrt(s)]
+    slip: float = 0.1  # of v [sqrt(s)]
+    side: float = 0.3  # sideways slip, of the slip along
+    turn_floor: float = 0.01  # [rad/sqrt(s)]
+    turn: float = 0.1  # of w [sqrt(s)]
+    scale_v: float = 0.0  # prior of the scale of each robot's v about 1; 0: trusted as it is
+    scale_w: float = 0.0  # the same of its w
+    kernel: float = 0.0  # Cauchy kernel on sightings [standard deviations]; 0: none
+    window: float = 20.0  # [s] by which a start without common axes is grown
+
+
+@dataclass(frozen=True, slots=True)
+class RobotTrack:
+    """One robot over time. t: (k,) [s]; position: (k, d) [m]; cov: (k, d, d) or None; heading: (k,) [rad] or None."""
+
+    t: Float[np.ndarray, " k"]
+    position: Float[np.ndarray, "k d"]
+    cov: Float[np.ndarray, "k d d"] | None = None
+    heading: Float[np.ndarray, " k"] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("t", "position", "cov", "heading"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, frozen(getattr(self, name)))
+
+
+def without_outliers(
+    squares: Float[np.ndarray, " m"], rows: int, solution: Solution, cfg: TrackConfig
+) -> tuple[Bool[np.ndarray, " m"], float, int]:
+    """Which sightings (by their squared whitened residuals) are outliers, and chi2 and dof without them."""
+    out = np.asarray((squares > OUTLIER**2) & (cfg.kernel > 0.0))
+    return out, solution.chi2 - float(squares[out].sum()), solution.dof - rows * int(out.sum())
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmTrack:
+    """All robots over time.
+
+    tracks: by robot index; chi2, dof: of the whitened sightings and motions, without the sightings that are `outlier`
+    (m,), beyond `OUTLIER` standard deviations and looked for only with a robust kernel; gauge: what was free and how
+    it was held, "" when anchors fix all; scale: by robot index, the factors found on its odometry's v and w.
+    """
+
+    tracks: Mapping[int, RobotTrack]
+    method: str
+    converged: bool
+    iterations: int
+    chi2: float
+    dof: int
+    outlier: Bool[np.ndarray, " m"]
+    gauge: str = ""
+    warnings: tuple[str, ...] = ()
+    scale: Mapping[int, tuple[float, float]] | None = None

@@ -1,0 +1,200 @@
+"""Figures of a laser map: the map, the light it sends back, where the robot drove, what every scan did."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core import se2
+from ..core.records import Track
+from ..maps.grid import GridMap, IntensityCalibration
+from ..maps.laser_map import LaserMap
+from .style import MUTED, SEQUENTIAL, TRUTH, as_map, colour, figure
+
+DECISIONS = {"matched": 0, "odometry": 5, "skipped": 4, "empty": 3}  # decision -> colour
+MOST_Q = 1.0  # of the colour scale
+READABLE: Any = {"frameon": True, "framealpha": 0.85, "edgecolor": "none"}  # a legend over data
+UNSEEN = 0.86  # the grey of cells no beam reached
+
+
+def draw_map(path: Path, made: LaserMap, truth: Track | None) -> None:
+    """Walls black, free space white, unknown grey; the trajectory on top, the truth where there is one."""
+    with figure(path, *_size(made.grid)) as (fig, ax):
+        _occupancy(ax, made.grid)
+        ax.plot(*made.track.pose[:, :2].T, color=colour(0), label="estimate", linewidth=1.0)
+        if truth is not None:
+            ax.plot(*truth.pose[:, :2].T, color=TRUTH, label="truth", linewidth=0.8, linestyle="--")
+        _ends(ax, made.track)
+        _window(ax, made.grid)
+        fig.legend(loc="outside lower center", ncols=4)
+        as_map(ax, f"robot {made.robot}: {made.method}, feature {made.feature}")
+        ax.set_aspect("equal", adjustable="box")
+
+
+def draw_intensity(path: Path, made: LaserMap) -> None:
+    """Every cell with returns in the colour of its feature (dark to bright for any colour vision)."""
+    grid = made.grid
+    cells = grid.cells()
+    with figure(path, *_size(grid)) as (fig, ax):
+        _window(ax, grid)
+        ax.set_facecolor("#F4F6F8")
+        rows, cols = grid.shape
+        dot = float(np.clip((900.0 / max(rows, cols)) ** 2, 4.0, 16.0))
+        if made.feature == "none":
+            ax.scatter(*cells[:, :2].T, s=dot, marker="s", color=MUTED, linewidths=0)
+            title = f"robot {made.robot}: no intensity used, geometry alone"
+        else:
+            order = np.argsort(cells[:, 3])
+            drawn = ax.scatter(
+                cells[order, 0],
+                cells[order, 1],
+                c=cells[order, 2],
+                s=dot,
+                marker="s",
+                cmap=SEQUENTIAL,
+                vmin=0.0,
+                vmax=MOST_Q,
+                linewidths=0,
+            )
+            fig.colorbar(drawn, ax=ax, label="feature q", shrink=0.7, extend="max")
+            title = f"robot {made.robot}: light sent back ({made.feature})"
+        as_map(ax, title)
+        ax.set_aspect("equal", adjustable="box")
+
+
+def draw_tracks(path: Path, tracks: Mapping[str, Track]) -> None:
+    """Trajectories under their names; odometry and truth have colours of their own."""
+    colours = {"estimate": colour(0), "odometry": colour(1), "truth": TRUTH}
+    with figure(path, 7.0, 5.0) as (_, ax):
+        for k, (name, track) in enumerate(tracks.items()):
+            line = "--" if name == "truth" else "-"
+            ax.plot(*track.pose[:, :2].T, line, color=colours.get(name, colour(k + 2)), label=name, linewidth=1.0)
+        ax.plot(0.0, 0.0, "o", color=TRUTH, markersize=4)
+        ax.legend()
+        as_map(ax, "Where the robot drove")
+
+
+def draw_scans(path: Path, made: LaserMap) -> None:
+    """Along time: innovations, matched share, what was decided, effective number of particles."""
+    scans = made.scans
+    t = scans.t - scans.t[0]
+    with figure(path, 9.0, 7.5, nrows=4, sharex=True) as (_, axes):
+        step, turn, share, count = axes
+        step.plot(t, 100 * scans.innovation[:, 0], ".", color=colour(0), markersize=2, label="ahead")
+        step.plot(t, 100 * scans.innovation[:, 1], ".", color=colour(1), markersize=2, label="aside")
+        step.set_ylabel("innovation [cm]")
+        step.legend(loc="upper left", ncols=2, **READABLE)
+        step.set_title("What every scan did to the estimate")
+        turn.plot(t, np.degrees(scans.innovation[:, 2]), ".", color=colour(2), markersize=2)
+        turn.set_ylabel("innovation [deg]")
+        for ax, values in ((step, 100 * scans.innovation[:, :2]), (turn, np.degrees(scans.innovation[:, 2]))):
+            _within(ax, values)
+        part = scans.matches / np.maximum(scans.beams, 1)
+        decision = np.array(scans.decision)
+        for name, k in DECISIONS.items():
+            mine = decision == name
+            if mine.any():
+                share.plot(
+                    t[mine], 100 * part[mine], ".", color=colour(k), markersize=3, label=f"{name} ({mine.sum()})"
+                )
+        share.set_ylim(-3, 103)
+        share.set_ylabel("returns matched [%]")
+        share.legend(loc="lower left", ncols=4, **READABLE)
+        _draw_n_eff(count, t, made)
+        count.set_xlabel("time [s]")
+
+
+def draw_calibration(path: Path, calibration: IntensityCalibration) -> None:
+    """How light falls with range, and how far from it the log's returns are."""
+    with figure(path, 9.0, 3.6, ncols=3) as (_, (gain, angle, rest)):
+        r = np.linspace(calibration.knots[0], calibration.knots[-1], 300)
+        gain.plot(r, calibration.gain(r), color=colour(0))
+        gain.plot(calibration.knots, np.exp(calibration.log_gain), "o", color=colour(0), markersize=3)
+        gain.set_yscale("log")
+        gain.set_xlabel("range [m]")
+        gain.set_ylabel("gain")
+        gain.set_title("Light over range")
+        degrees = np.linspace(0, 85, 200)
+        c = np.maximum(np.cos(np.radians(degrees)), 0.15)
+        angle.plot(degrees, c**calibration.exponent, color=colour(1))
+        angle.set_ylim(0, 1.05)
+        angle.set_xlabel("incidence [deg]")
+        angle.set_ylabel("gain")
+        angle.set_title(f"Light over incidence, p = {calibration.exponent:.2f}")
+        spread = calibration.residual_by_range
+        if len(spread) == len(calibration.knots):
+            seen = spread > 0
+            rest.plot(
+                calibration.knots[seen],
+                100 * spread[seen],
+                "o-",
+                color=colour(2),
+                markersize=3,
+                label="median near a knot",
+            )
+        rest.axhline(100 * calibration.residual, color=MUTED, linestyle="--", label="all returns, robust s.d.")
+        rest.set_ylim(bottom=0)
+        rest.set_xlabel("range [m]")
+        rest.set_ylabel("residual of log intensity [%]")
+        rest.set_title("What the curve leaves")
+        rest.legend()
+
+
+def aligned(truth: Track, estimate: Track) -> Track:
+    """The truth carried to the estimate by the one rigid motion that fits both best where they overlap."""
+    inside = (truth.t >= estimate.t[0]) & (truth.t <= estimate.t[-1])
+    if inside.sum() < 2:
+        return truth
+    at = se2.interpolate(truth.t[inside], estimate.t, estimate.pose)
+    T = se2.align(truth.pose[inside, :2], at[:, :2])
+    return Track(truth.t, se2.compose(T, truth.pose), None, estimate.frame)
+
+
+def _draw_n_eff(ax: Any, t: Float[np.ndarray, " n"], made: LaserMap) -> None:
+    scans = made.scans
+    known = np.isfinite(scans.n_eff)
+    if not known.any():
+        ax.text(0.5, 0.5, "one hypothesis: no particles to weigh", ha="center", va="center", transform=ax.transAxes)
+        ax.set_yticks([])
+        return
+    ax.plot(t[known], scans.n_eff[known], color=colour(0), linewidth=0.8, label="effective particles")
+    again = known & scans.resampled
+    ax.plot(t[again], scans.n_eff[again], "v", color=colour(5), markersize=3, label=f"resampled ({again.sum()})")
+    ax.set_ylim(0, 1.05 * made.particles)
+    ax.set_ylabel("N_eff")
+    ax.legend(loc="lower left", ncols=2, **READABLE)
+
+
+def _occupancy(ax: Any, grid: GridMap) -> None:
+    p = grid.occupancy()
+    shade = np.where((grid.hits > 0) | (grid.passes > 0), 1.0 - p, UNSEEN)
+    ax.imshow(shade, cmap="gray", vmin=0.0, vmax=1.0, extent=grid.extent, origin="lower", interpolation="nearest")
+    ax.grid(visible=False)
+
+
+def _ends(ax: Any, track: Track) -> None:
+    ax.plot(*track.pose[0, :2], "o", color=colour(2), markersize=5, label="start")
+    ax.plot(*track.pose[-1, :2], "s", color=colour(5), markersize=5, label="end")
+
+
+def _window(ax: Any, grid: GridMap) -> None:
+    """The axes show the cells beams reached, with a metre round them."""
+    rows, cols = np.nonzero((grid.hits > 0) | (grid.passes > 0))
+    if len(rows):
+        x, y = grid.origin
+        ax.set_xlim(x + cols.min() * grid.resolution - 1, x + (cols.max() + 1) * grid.resolution + 1)
+        ax.set_ylim(y + rows.min() * grid.resolution - 1, y + (rows.max() + 1) * grid.resolution + 1)
+
+
+def _within(ax: Any, values: np.ndarray) -> None:
+    """Limits that hold all but a hundredth of the values."""
+    most = np.nanquantile(np.abs(values), 0.99) if np.isfinite(values).any() else 0.0
+    if most > 0:
+        ax.set_ylim(-1.3 * most, 1.3 * most)
+
+
+def _size(grid: GridMap) -> tuple[float, float]:
+    rows, cols = grid.shape
+    return 9.0, float(np.clip(7.6 * rows / max(cols, 1) + 0.8, 3.2, 9.0))

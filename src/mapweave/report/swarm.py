@@ -1,0 +1,160 @@
+"""The page that `locate` leaves: what was found, how sure it is, and who could not be located."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..estimate.swarm_track import SwarmTrack
+from ..maps.network import Network
+from ..maps.swarm import SwarmEstimate
+from ..models import bearing as model
+from .html import Page
+from .swarm_figures import (
+    MUTED_NOTE,
+    network_figure,
+    residual_figure,
+    shape_figure,
+    spread_figure,
+    track_errors_figure,
+    tracks_figure,
+)
+
+ROWS = 40  # robots listed on the page
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkStory:
+    """What is drawn of robots that stand still. truth, aligned: (n, d) or None; `aligned` is the estimate as scored."""
+
+    network: Network
+    estimate: SwarmEstimate
+    truth: Float[np.ndarray, "n d"] | None = None
+    aligned: Float[np.ndarray, "n d"] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MovedStory:
+    """What is drawn of robots that move. truth: by robot index, at the track's stamps."""
+
+    ids: tuple[str, ...]
+    track: SwarmTrack
+    anchors: Mapping[int, Float[np.ndarray, " d"]]
+    truth: Mapping[int, Float[np.ndarray, "k d"]]
+
+
+def write_network_report(out: Path, story: NetworkStory, lines: Sequence[str], metrics: Mapping[str, Any]) -> None:
+    """report.html and figures/ in `out`."""
+    net, found = story.network, story.estimate
+    figures = out / "figures"
+    page = Page("Where every robot is", lines[0])
+    page.cards(_cards(metrics))
+    for text in metrics["warnings"]:
+        page.text(text, warn=True)
+    if found.gauge:
+        page.text(f"There are too few anchors to fix everything. The shape is found; {found.gauge}.", warn=True)
+    page.section("The network")
+    scale = network_figure(figures / "network.png", net, found, story.truth)
+    larger = f", drawn {scale:g} times larger than they are" if scale != 1.0 else ""
+    page.figure(figures / "network.png", f"Robots as located; 95 % regions{larger}. {MUTED_NOTE}")
+    if found.gauge and story.truth is not None and story.aligned is not None:
+        shape_figure(figures / "shape.png", net, found, story.aligned, story.truth)
+        page.figure(figures / "shape.png", "The shape as answered, and fitted to the truth.")
+    lost = found.not_localisable
+    if lost:
+        page.section("Robots that cannot be located")
+        page.text(
+            f"{len(lost)} of {len(found.ids)}: the sightings leave at least one direction of each free, whatever the "
+            f"noise. {', '.join(lost[:200])}{', ..' if len(lost) > 200 else ''}"
+        )
+    free = found.localisable & ~found.anchor
+    if found.cov is not None and free.any() and np.any(net.sigma > 0):
+        page.section("How sure")
+        spread_figure(figures / "spread.png", found, story.aligned, story.truth)
+        page.figure(
+            figures / "spread.png", "Standard deviations, and (with truth) whether errors are as large as they say."
+        )
+    if np.any(net.sigma > 0):
+        page.section("Sightings")
+        residuals = whitened(net, found)
+        left = float(np.clip(found.dof / max(len(residuals), 1), 0.05, 1.0))
+        residual_figure(figures / "residuals.png", residuals, found.outlier, left)
+        page.figure(figures / "residuals.png", "Residuals of all sightings used, over their standard deviations.")
+    page.section("Robots")
+    page.table(["id", *"xyz"[: net.dim], "std", "locatable"], _robots(found))
+    if len(found.ids) > ROWS:
+        page.text(f"The {ROWS} least sure of {len(found.ids)}; all stand in positions.csv.")
+    page.section("All that was said")
+    for text in lines:
+        page.text(text)
+    page.write(out / "report.html")
+
+
+def write_moved_report(out: Path, story: MovedStory, lines: Sequence[str], metrics: Mapping[str, Any]) -> None:
+    """report.html and figures/ in `out`."""
+    figures = out / "figures"
+    page = Page("Where every robot went", lines[0])
+    page.cards(_cards(metrics))
+    for text in metrics["warnings"]:
+        page.text(text, warn=True)
+    page.section("Ways")
+    truth = dict(story.truth)
+    if story.track.gauge:
+        page.text(f"No anchors hold the frame: {story.track.gauge}.")
+        truth = {}
+    tracks_figure(figures / "tracks.png", story.ids, story.track, story.anchors, truth)
+    page.figure(figures / "tracks.png", "Every robot's way, smoothed over all sightings.")
+    if truth:
+        track_errors_figure(figures / "errors.png", story.track, truth, story.anchors)
+        page.figure(figures / "errors.png", "Errors against the truth, and what was promised.")
+    page.section("All that was said")
+    for text in lines:
+        page.text(text)
+    page.write(out / "report.html")
+
+
+def whitened(net: Network, found: SwarmEstimate) -> Float[np.ndarray, " r"]:
+    """Residuals over sigma of the sightings used, between robots that could be located."""
+    use = ~found.outlier & found.localisable[net.observer] & found.localisable[net.target]
+    p, q = found.position[net.observer[use]], found.position[net.target[use]]
+    if net.dim == 3:
+        return np.asarray((model.sphere_residual(net.bearing[use], p, q) / net.sigma[use, None]).ravel())
+    z = net.bearing[use]
+    if found.heading is not None:
+        z = z + found.heading[net.observer[use]]
+    return np.asarray(model.angle_residual(np.asarray(z), p, q) / net.sigma[use])
+
+
+def _cards(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
+    cards = [("robots", str(metrics["robots"])), ("sightings", str(metrics["sightings"]))]
+    cards.append(("cannot be located", str(len(metrics["not_localisable"]))))
+    cards.append(("trusted", "yes" if metrics["reliable"] else "no"))
+    for key, name, form in (
+        ("rmse", "RMSE", "{:.3g} m"),
+        ("rmse_over_crlb", "RMSE over the Cramer-Rao bound", "{:.3f}"),
+        ("nees_per_dof", "NEES per degree of freedom", "{:.3f}"),
+        ("distance_error", "distance error", "{:.3g} m"),
+        ("angle_error_deg", "angle error", "{:.3g}°"),
+    ):
+        if metrics.get(key) is not None:
+            cards.append((name, form.format(metrics[key])))
+    return cards
+
+
+def _robots(found: SwarmEstimate) -> list[list[object]]:
+    std = None if found.cov is None else np.sqrt(np.trace(found.cov, axis1=1, axis2=2))
+    order = (
+        np.arange(len(found.ids)) if std is None or len(std) <= ROWS else np.argsort(-np.nan_to_num(std, nan=np.inf))
+    )
+    return [
+        [
+            found.ids[k],
+            *(float(v) for v in found.position[k]),
+            None if std is None or not np.isfinite(std[k]) else float(std[k]),
+            "anchor" if found.anchor[k] else "yes" if found.localisable[k] else "no",
+        ]
+        for k in order[:ROWS].tolist()
+    ]

@@ -1,0 +1,134 @@
+"""The report of a team's map: what came out, how sure it is, why every robot was or was not merged, and the truth."""
+
+from pathlib import Path
+
+from ..core.names import robot_key
+from ..maps.local_map import LocalMap
+from . import team_figures, truth_figures
+from .html import Page
+from .team_story import TeamStory
+
+
+def write_team_report(folder: Path, story: TeamStory) -> None:
+    """`report.html` and `figures/*.png` in `folder`."""
+    team = story.maps[0]
+    page = Page(story.title, _lead(story))
+    page.cards(_headline(story))
+    for warning in story.warnings:
+        page.text(warning, warn=True)
+    figures = folder / "figures"
+    page.section("Map")
+    _add(page, figures / "fused_map.png", team_figures.fused_map(figures / "fused_map.png", story, team))
+    for k, other in enumerate(story.maps[1:], 2):
+        page.section(f"Component {k}: robots {', '.join(map(robot_key, other.robots))}")
+        name = figures / f"component_{k}.png"
+        _add(page, name, team_figures.fused_map(name, story, other))
+    if story.score is not None:
+        _truth(page, figures, story)
+    _fusion(page, figures, story)
+    _robots(page, figures, story)
+    if len(story.growth) > 1:
+        page.section("How the map grew")
+        _add(page, figures / "growth.png", truth_figures.growth(figures / "growth.png", story.growth))
+    page.write(folder / "report.html")
+
+
+def _add(page: Page, png: Path, caption: str) -> None:
+    if caption:
+        page.figure(png, caption)
+
+
+def _lead(story: TeamStory) -> str:
+    names = ", ".join(map(robot_key, story.robots))
+    tied = len(story.maps[0].robots)
+    return f"Robots {names}; {tied} of {len(story.robots)} tied into one map."
+
+
+def _headline(story: TeamStory) -> list[tuple[str, str]]:
+    team = story.maps[0]
+    cards = [
+        ("robots in the map", f"{len(team.robots)} of {len(story.robots)}"),
+        ("landmarks", str(len(team.landmarks))),
+        ("sightings", f"{sum(sum(m.sightings.values()) for m in story.local):,}"),
+    ]
+    if story.score is not None and story.score.landmarks.rmse is not None:
+        cards.append(("landmark RMSE", f"{story.score.landmarks.rmse:.3f} m"))
+        if story.score.landmarks.nees_per_dof is not None:
+            cards.append(("NEES per degree of freedom", f"{story.score.landmarks.nees_per_dof:.2f}"))
+    if story.score is not None:
+        ates = [r.ate for r in story.score.robots.values() if r.ate is not None]
+        if ates:
+            cards.append(("mean ATE", f"{sum(ates) / len(ates):.3f} m"))
+    return cards
+
+
+def _truth(page: Page, figures: Path, story: TeamStory) -> None:
+    score = story.score
+    assert score is not None  # noqa: S101  (the caller looked)
+    page.section("Beside the truth")
+    for exchange in score.exchanges:
+        page.text(str(exchange), warn=True)
+    if score.landmarks.alignment is not None:
+        name = figures / "landmark_errors.png"
+        _add(page, name, truth_figures.landmark_errors(name, story, score))
+        head = ["map", "landmark RMSE [m]", "NEES / dof", "against fused"]
+        rows: list[list[object]] = [["fused", score.landmarks.rmse, score.landmarks.nees_per_dof, None]]
+        for label, value in (("naive average", score.naive_rmse), ("mean single robot", score.mean_single_rmse)):
+            against = f"{value / score.landmarks.rmse:.2f} times" if value and score.landmarks.rmse else None
+            rows.append([label, value, None, against])
+        if score.landmarks_exchanged is not None:
+            mended = score.landmarks_exchanged
+            rows.append(["fused, labels exchanged back", mended.rmse, mended.nees_per_dof, None])
+        page.table(head, rows)
+    page.table(
+        ["robot", "ATE [m]", "poses", "truth used", "own map RMSE [m]", "drift in 10 s [m]"],
+        [[robot_key(n), r.ate, r.n, r.truth, r.single_map_rmse, r.rpe_trans] for n, r in score.robots.items()],
+    )
+    name = figures / "track_errors.png"
+    _add(page, name, truth_figures.track_errors(name, story, score))
+
+
+def _fusion(page: Page, figures: Path, story: TeamStory) -> None:
+    page.section("Fusion")
+    rows = [
+        [robot_key(d.robot), d.shared, d.decision, d.scale, d.variance_factor, d.reason] for d in story.fusion.decisions
+    ]
+    page.table(["robot", "landmarks shared", "decision", "scale", "variance factor", "reason"], rows)
+    if len(story.maps[0].landmarks):
+        name = figures / "local_maps.png"
+        _add(page, name, team_figures.local_against_fused(name, story))
+        name = figures / "uncertainty.png"
+        _add(page, name, team_figures.uncertainty(name, story))
+
+
+def _robots(page: Page, figures: Path, story: TeamStory) -> None:
+    page.section("Robots")
+    page.table(
+        ["robot", "odometry", "sightings", "landmarks", "robots seen", "dropped", "down-weighted", "median NIS"],
+        [_robot_row(m) for m in sorted(story.local, key=lambda m: story.colour_of(m.robot))],
+    )
+    page.text(
+        "Median NIS per degree of freedom: near 1 where innovations are as large as the filter expects, well below 1 "
+        "when variances are widened for errors that last for seconds, above 3 when something is wrong."
+    )
+    name = figures / "calibration.png"
+    _add(page, name, team_figures.calibration(name, story))
+    for m in story.local:
+        for warning in m.warnings:
+            page.text(f"robot {robot_key(m.robot)}: {warning}", warn=True)
+
+
+def _robot_row(m: LocalMap) -> list[object]:
+    seen = sum(m.sightings.values())
+    dropped = sum(m.dropped.values())
+    reasons = "; ".join(f"{n} {reason}" for reason, n in m.dropped.items())
+    return [
+        robot_key(m.robot),
+        m.odometry,
+        seen,
+        len(m.submap.ids),
+        len(m.robot_sightings.t),
+        f"{dropped} ({reasons})" if dropped else 0,
+        f"{100 * m.down_weighted / seen:.1f} %" if seen else None,
+        m.nis_median,
+    ]

@@ -1,0 +1,183 @@
+"""Figures of a team's map: the whole, each robot's part, how sure it is, what robots found out of themselves."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from ..core import se2
+from ..core.gaussian import ellipse
+from ..core.names import in_order, robot_key
+from ..evaluate.consistency import shape_covariance
+from ..maps.landmarks import LandmarkMap
+from ..maps.team_map import TeamMap
+from . import style
+from .team_story import TeamStory, thinned
+
+FACTORS = (1, 2, 5, 10, 20, 50, 100)
+INK = "#2B2F33"
+MANY = 40  # landmarks from which labels would cover the map
+CALIBRATION = (
+    ("turn_scale", "turn scale", 1.0),
+    ("speed_scale", "speed scale", 1.0),
+    ("range_scale", "range scale", 1.0),
+    ("lag", "command lag [s]", 0.0),
+    ("bearing_bias", "bearing bias [rad]", 0.0),
+)
+
+
+def shape(landmarks: LandmarkMap) -> LandmarkMap:
+    """The map with the covariance of its shape alone, its frame left free: what one wants to see."""
+    if len(landmarks) < 2:
+        return landmarks
+    return LandmarkMap(landmarks.ids, landmarks.mean, shape_covariance(landmarks.mean, landmarks.cov), landmarks.frame)
+
+
+def exaggeration(landmarks: LandmarkMap) -> int:
+    """How many times larger ellipses are drawn, so that a typical one can be seen beside the map."""
+    if len(landmarks) < 2:
+        return 1
+    size = float(np.ptp(landmarks.mean, axis=0).max())
+    half = float(
+        np.median([ellipse(landmarks.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2])[0] for i in range(len(landmarks))])
+    )
+    fitting = [f for f in FACTORS if f * half < 0.035 * size]
+    return fitting[-1] if fitting else 1
+
+
+def fused_map(path: Path, story: TeamStory, team: TeamMap) -> str:
+    """One component with its trajectories. The caption is returned."""
+    landmarks = shape(team.landmarks)
+    grow = exaggeration(landmarks)
+    with style.figure(path, 8.4, 6.0) as (_, ax):
+        for robot in team.robots:
+            if robot in team.tracks:
+                _draw_track(ax, story, team, robot)
+        _draw_landmarks(ax, landmarks, grow)
+        style.as_map(ax, "The fused map")
+        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), title="driven by")
+    larger = f", drawn {grow} times larger" if grow > 1 else ""
+    return (
+        f"Landmarks with their 95 % ellipses (the frame left free{larger}), and where the robots drove. "
+        "A ring marks where each began."
+    )
+
+
+def local_against_fused(path: Path, story: TeamStory) -> str:
+    """Every robot's own landmarks laid over the fused ones. The caption is returned."""
+    team = story.maps[0]
+    own = {m.robot: m.submap.landmarks for m in story.local}
+    robots = [r for r in team.robots if r in own]
+    columns = min(3, max(1, len(robots)))
+    rows = -(-len(robots) // columns)
+    scales = {r: c.scales.get(r, 1.0) for c in story.fusion.components for r in c.robots}
+    laid = {r: _laid_over(own[r], scales[r], team.landmarks) for r in robots}
+    size = float(np.ptp(team.landmarks.mean, axis=0).max())
+    typical = float(np.median(np.concatenate([np.hypot(*(p - q).T) for p, q in laid.values()])))
+    grow = ([f for f in FACTORS if f * typical < 0.04 * size] or [1])[-1]
+    with style.figure(path, 3.3 * columns + 0.4, 2.9 * rows + 0.3, nrows=rows, ncols=columns, squeeze=False) as (
+        _,
+        axes,
+    ):
+        for ax in axes.ravel()[len(robots) :]:
+            ax.set_axis_off()
+        for ax, robot in zip(axes.ravel(), robots, strict=False):
+            placed, there = laid[robot]
+            ax.plot(*team.landmarks.mean.T, ".", color=style.MUTED, ms=4, zorder=1)
+            k = story.colour_of(robot)
+            for p, q in zip(placed, there, strict=True):
+                end = q + grow * (p - q)
+                ax.plot([q[0], end[0]], [q[1], end[1]], color=style.colour(k), lw=1.1, zorder=2)
+                ax.plot(*end, style.marker(k), color=style.colour(k), ms=3.5, mfc="white", mew=1.1, zorder=3)
+            far = f", {100 * np.sqrt(np.mean(np.sum((placed - there) ** 2, axis=1))):.1f} cm off" if len(placed) else ""
+            style.as_map(ax, f"robot {robot_key(robot)}: {len(own[robot])} landmarks{far}")
+    return (
+        f"Each robot's own landmarks beside the fused ones (grey dots), aligned; differences drawn {grow} times larger."
+    )
+
+
+def uncertainty(path: Path, story: TeamStory) -> str:
+    """Standard deviations of every landmark, fused and in each robot's own map. The caption is returned."""
+    team = story.maps[0]
+    fused = _deviations(shape(team.landmarks))
+    names = sorted(fused, key=in_order)
+    at = {name: i for i, name in enumerate(names)}
+    with style.figure(path, 8.4, 3.4) as (_, ax):
+        for m in story.local:
+            if m.robot in team.robots:
+                own = {name: sd for name, sd in _deviations(shape(m.submap.landmarks)).items() if name in at}
+                k = story.colour_of(m.robot)
+                ax.plot(
+                    [at[n] for n in own],
+                    list(own.values()),
+                    style.marker(k),
+                    color=style.colour(k),
+                    mfc="none",
+                    ms=5,
+                    label=f"robot {robot_key(m.robot)}",
+                )
+        ax.plot(range(len(names)), [fused[n] for n in names], "_", color=INK, ms=11, mew=2.2, label="fused")
+        ax.set_yscale("log")
+        ax.set_ylabel("standard deviation of position [m]")
+        ax.set_xlabel("landmark")
+        if len(names) <= MANY:
+            ax.set_xticks(range(len(names)), names, rotation=90 if max(map(len, names), default=0) > 3 else 0)
+        ax.grid(visible=False, axis="x")
+        ax.set_title("What fusing gains")
+        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return (
+        "Standard deviation of each landmark's position, in the frame left free: every robot alone, and all together."
+    )
+
+
+def calibration(path: Path, story: TeamStory) -> str:
+    """What each robot estimated about its own wheels and camera. The caption is returned."""
+    there = [c for c in CALIBRATION if any(m.calibration.get(c[0], (0.0, 0.0))[1] > 0 for m in story.local)]
+    if not there:
+        return ""
+    robots = story.robots
+    by = {m.robot: m.calibration for m in story.local}
+    height = 0.9 + 0.28 * len(robots)
+    with style.figure(path, 2.3 * len(there) + 0.6, height, ncols=len(there), squeeze=False, sharey=True) as (_, axes):
+        for ax, (name, label, neutral) in zip(axes[0], there, strict=True):
+            ax.axvline(neutral, color=style.MUTED, lw=1.0, ls="--")
+            for k, robot in enumerate(robots):
+                value, sd = by[robot].get(name, (np.nan, np.nan))
+                if sd > 0:
+                    ax.errorbar(value, k, xerr=2 * sd, fmt=style.marker(k), color=style.colour(k), capsize=2.5, ms=5)
+            ax.set_yticks(range(len(robots)), [f"robot {robot_key(r)}" for r in robots])
+            ax.set_ylim(len(robots) - 0.5, -0.5)
+            ax.set_xlabel(label)
+            ax.locator_params(axis="x", nbins=4)
+    return "What each robot found out about its wheels and camera, with two standard deviations; dashed: perfect."
+
+
+def _laid_over(own: LandmarkMap, scale: float, fused: LandmarkMap) -> tuple[np.ndarray, np.ndarray]:
+    """A robot's landmarks that are in the fused map, rigidly aligned to it, and their places there."""
+    where = {name: i for i, name in enumerate(fused.ids)}
+    both = [i for i, name in enumerate(own.ids) if name in where]
+    there = fused.mean[[where[own.ids[i]] for i in both]].reshape(-1, 2)
+    mine = own.mean[both].reshape(-1, 2) / scale
+    return (se2.act(se2.align(mine, there), mine) if len(both) > 1 else there), there
+
+
+def _draw_track(ax: Axes, story: TeamStory, team: TeamMap, robot: str) -> None:
+    pose = thinned(team.tracks[robot])
+    k = story.colour_of(robot)
+    color: Any = style.colour(k)
+    ax.plot(pose[:, 0], pose[:, 1], color=color, lw=0.9, alpha=0.75, label=f"robot {robot_key(robot)}", zorder=1)
+    ax.plot(*pose[0, :2], "o", color=color, mfc="white", mew=1.8, ms=8, zorder=4)
+
+
+def _draw_landmarks(ax: Axes, landmarks: LandmarkMap, grow: float) -> None:
+    ax.plot(*landmarks.mean.T, ".", color=INK, ms=4, zorder=3)
+    for i, (name, p) in enumerate(zip(landmarks.ids, landmarks.mean, strict=True)):
+        style.draw_ellipse(ax, p, landmarks.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2], INK, grow, zorder=3)
+        if len(landmarks) <= MANY:
+            ax.annotate(name, p, xytext=(5, 4), textcoords="offset points", fontsize=8, color=INK, zorder=5)
+
+
+def _deviations(landmarks: LandmarkMap) -> dict[str, float]:
+    variance = np.diag(landmarks.cov).reshape(-1, 2).sum(axis=1)
+    return dict(zip(landmarks.ids, np.sqrt(0.5 * variance).tolist(), strict=True))

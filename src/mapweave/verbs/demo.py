@@ -1,0 +1,35 @@
+"""`demo`: a small simulated team, mapped, fused while it drives, and scored; everything from one seed."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from ..sim.landmarks import TeamWorld, simulate_team
+from ..writers.directory import check_target, result_directory
+from ..writers.mrclam import write_mrclam
+from .map_landmarks import map_logs
+from .map_options import MapOptions, Tick, no_tick
+from .team import TeamResult
+
+WORLD = TeamWorld(robots=4, landmarks=24, minutes=5.0)
+SHARE = {"2": 0.7, "4": 0.5}  # maps are unequal in practice
+FUSE_EVERY = 15.0  # [s]
+
+
+def demo(
+    out: Path | str = "mapweave-demo", *, seed: int = 2012, force: bool = False, tick: Tick = no_tick
+) -> TeamResult:
+    """The result, written to `out` with the recording it came from in `out/recording`."""
+    target = Path(out)
+    check_target(target, force=force)
+    with TemporaryDirectory() as held:
+        recording = Path(held) / "recording"
+        tick("simulating", 0, 1)
+        team = simulate_team(WORLD, seed)
+        write_mrclam(recording, team)
+        tick("simulating", 1, 1)
+        options = MapOptions(share=SHARE, truth=(recording,), seed=seed, fuse_every=FUSE_EVERY, tick=tick)
+        result = map_logs([recording], options)
+    with result_directory(target, force=force) as work:
+        result.write(work)
+        write_mrclam(work / "recording", team)
+    return result

@@ -1,0 +1,1 @@
+"""A result or a trace to a viewer; no algorithm ever asks for one."""

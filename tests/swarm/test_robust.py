@@ -1,0 +1,76 @@
+"""Wrong sightings are found, the rest is used to the full, and what cannot be trusted says so."""
+
+import numpy as np
+import pytest
+
+from mapweave.estimate.swarm import SwarmConfig, locate
+from mapweave.estimate.swarm.robust import mutual_agreement
+
+from .swarms import score, simulated
+
+ROBUST = SwarmConfig(method="robust")
+
+
+def ratios(outliers, draws, **scene):
+    """RMSE over the bound that the same sightings would have without outliers, by draw."""
+    found = []
+    for seed in range(draws):
+        net, truth = simulated(seed, robots=100, sigma=1.0, outliers=outliers, **scene)
+        clean, _ = simulated(seed, robots=100, sigma=1.0, **scene)
+        estimate, best = locate(net, ROBUST), locate(clean, initial=truth)
+        free = estimate.localisable & ~estimate.anchor
+        bound = np.trace(best.cov[free], axis1=1, axis2=2).mean()
+        found.append(np.sqrt(np.square(estimate.position - truth)[free].sum(axis=1).mean() / bound))
+    return np.array(found)
+
+
+@pytest.mark.parametrize(("outliers", "limit"), [(0.05, 1.25), (0.1, 1.25), (0.2, 1.6)])
+def test_mutual_sightings_carry_outliers_at_little_cost(outliers, limit):
+    assert np.median(ratios(outliers, 15, visibility="mutual")) <= limit
+
+
+def test_without_outliers_robust_costs_nothing_and_calls_almost_nothing_wrong():
+    net, truth = simulated(3, robots=100, sigma=1.0, visibility="mutual")
+    estimate = locate(net, ROBUST)
+    assert estimate.reliable
+    assert estimate.outlier.mean() < 0.005
+    rmse, bound, _ = score(estimate, truth)
+    assert rmse < 1.3 * bound
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_single_sightings_with_two_anchors_and_many_outliers_are_not_called_reliable(seed):
+    net, _ = simulated(seed, robots=100, sigma=1.0, visibility="single", outliers=0.2, anchors=(0, 99))
+    estimate = locate(net, ROBUST)
+    assert not estimate.reliable
+    assert estimate.warnings
+
+
+def test_the_plain_estimator_says_when_outliers_spoil_it():
+    net, _ = simulated(1, robots=100, sigma=1.0, visibility="mutual", outliers=0.05)
+    estimate = locate(net)
+    assert not estimate.reliable
+    assert any("larger than sigma says" in w for w in estimate.warnings)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_two_mutual_sightings_that_are_not_opposite_are_both_doubted(dim):
+    net, truth = simulated(2, robots=64, dim=dim, sigma=1.0, visibility="mutual", outliers=0.1)
+    d = truth[net.target] - truth[net.observer]
+    u = d / np.linalg.norm(d, axis=1, keepdims=True)
+    miss = np.arccos(np.clip(np.einsum("mk,mk->m", u, net.direction), -1, 1))
+    wrong = miss > np.radians(15.0)
+    agree = mutual_agreement(net, 4.0)
+    assert wrong.sum() > 10
+    assert agree[wrong].mean() < 0.05
+    pairs = {(i, j) for i, j, bad in zip(net.observer, net.target, ~agree, strict=True) if bad}
+    assert all((j, i) in pairs for i, j in pairs)
+
+
+def test_outliers_in_space_are_found():
+    net, truth = simulated(5, robots=125, dim=3, sigma=1.0, visibility="mutual", outliers=0.1)
+    estimate = locate(net, ROBUST)
+    rmse, bound, _ = score(estimate, truth)
+    assert estimate.reliable
+    assert 0.08 < estimate.outlier.mean() < 0.12
+    assert rmse < 1.3 * bound
