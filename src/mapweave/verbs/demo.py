@@ -1,5 +1,6 @@
 """`demo`: a small simulated team, mapped, fused while it drives, and scored; everything from one seed."""
 
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -28,7 +29,7 @@ def demo(
         write_mrclam(recording, team)
         tick("simulating", 1, 1)
         options = MapOptions(share=SHARE, truth=(recording,), seed=seed, fuse_every=FUSE_EVERY, tick=tick)
-        result = map_logs([recording], options)
+        result = replace(map_logs([recording], options), title="Four robots, one map")
     with result_directory(target, force=force) as work:
         result.write(work)
         write_mrclam(work / "recording", team)
