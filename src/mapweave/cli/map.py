@@ -67,8 +67,7 @@ def map_logs(
     Parameters
     ----------
     logs
-        An MRCLAM data set (folder or zip), a folder with odometry.csv and sightings.csv, or laser logs. Which
-        kind it is is found out from names and content.
+        An MRCLAM data set (folder or zip), a folder with odometry.csv and sightings.csv, or laser logs.
     out
         The folder the map, the trajectories, metrics.json and report.html are written to.
     robots
