@@ -20,6 +20,7 @@ from .overlap import Cluster
 SOLVE = SolveConfig(max_iterations=100, damping=1e-6, step_tolerance=1e-8, cost_tolerance=1e-11)
 NEARER = SolveConfig(max_iterations=2, damping=0.0)  # between two estimates of the variance factors
 ROUNDS = 20
+LARGE = 20_000  # variables from which nested dissection pays
 FACTORS = (0.05, 400.0)  # between which a variance factor is believed
 
 
@@ -154,6 +155,15 @@ def build(
     return Problem(x0=x0, terms=terms, fixed=fixed, retract=wrapping(3 * np.arange(len(maps)) + 2)), layout
 
 
+def grouped(pattern: Pattern, problem: Problem, layout: Layout) -> Pattern:
+    """The pattern, to be factorised by nested dissection where the problem is large; landmarks stay whole."""
+    if pattern.size < LARGE:
+        return pattern
+    k = layout.maps
+    group = np.concatenate([np.repeat(np.arange(k), 3), np.arange(k), k + np.repeat(np.arange(len(layout.ids)), 2)])
+    return pattern.dissected(group[problem.free])
+
+
 def join(
     maps: Sequence[LandmarkMap],
     start: Cluster,
@@ -170,7 +180,7 @@ def join(
     """
     factors = np.ones(len(maps))
     problem, layout = build(maps, start, _noise(maps, factors, floor), scale_sigma, extra)
-    pattern = Pattern.of(problem)
+    pattern = grouped(Pattern.of(problem), problem, layout)
     solution = minimise(problem, SOLVE, pattern)
     for i in range(ROUNDS if variance_prior is not None else 0):
         new = _variance_factors(maps, problem, solution, factors, variance_prior or 0.0)

@@ -1,0 +1,223 @@
+"""Fusing maps of 5, 50 and 500 robots: time a Gauss-Newton step and memory, beside GTSAM and one dense RLS pass.
+
+    python benchmarks/fusion.py [--robots 5,50,500] [--no-gtsam] [--json FILE]
+
+Every robot maps about 130 of 100 landmarks a robot that lie in a square world, with a full covariance. All solvers
+get the same problem in the same process; GTSAM gets each map as one factor over its frame and landmarks.
+"""
+
+import argparse
+import json
+import os
+import platform
+import resource
+import subprocess
+import sys
+import time
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from mapweave.core import se2
+from mapweave.fuse.overlap import Cluster
+from mapweave.fuse.submaps import build, grouped
+from mapweave.maps.landmarks import LandmarkMap
+from mapweave.solve import Pattern, SolveConfig, minimise
+
+STEPS = 5
+RADIUS = 6.4  # [m] that a robot maps around it
+CELL = 10.0  # [m] between robots, 100 landmarks in each cell
+
+
+def world(robots, seed=0):
+    """Maps of `robots` robots and a start that is off by half a metre and 3 degrees."""
+    rng = np.random.default_rng(seed)
+    side = int(np.ceil(np.sqrt(robots)))
+    centres = np.array([(CELL * (k % side), CELL * (k // side)) for k in range(robots)], float)
+    cells = centres[rng.integers(robots, size=100 * robots)]
+    points = cells + rng.uniform(-CELL / 2, CELL / 2, cells.shape)
+    frames = np.column_stack([centres, rng.uniform(-np.pi, np.pi, robots)])
+    T_first_world = se2.inverse(frames[0])
+    frames, points = se2.compose(T_first_world, frames), se2.act(T_first_world, points)
+    frames[0] = 0.0
+    maps = []
+    for T in frames:
+        near = np.flatnonzero(np.hypot(*(points - T[:2]).T) < RADIUS)
+        local = se2.act(se2.inverse(T), points[near])
+        own = np.repeat(np.exp(rng.uniform(np.log(0.01), np.log(0.05), len(near))), 2)
+        drift = 0.01 * np.stack([-local[:, 1], local[:, 0]], axis=1).ravel()
+        z = local.ravel() + own * rng.normal(size=len(own)) + drift * rng.normal()
+        cov = np.diag(own**2) + np.outer(drift, drift)
+        maps.append(LandmarkMap(tuple(map(str, near)), z.reshape(-1, 2), cov))
+    ids = tuple(dict.fromkeys(name for m in maps for name in m.ids))
+    true = points[[int(i) for i in ids]]
+    off = rng.normal(0, [0.3, 0.3, 0.05], frames.shape)
+    off[0] = 0.0
+    start = Cluster(
+        tuple(range(robots)),
+        se2.compose(frames, off),
+        ids,
+        true + rng.normal(0, 0.3, true.shape),
+        np.zeros(robots, int),
+    )
+    return maps, start, true
+
+
+def ours(maps, start, true):
+    tic = time.perf_counter()
+    problem, layout = build(maps, start, [m.cov for m in maps], None)
+    pattern = grouped(Pattern.of(problem), problem, layout)
+    prepared = time.perf_counter() - tic
+    tic = time.perf_counter()
+    cfg = SolveConfig(max_iterations=STEPS, damping=0.0, step_tolerance=0.0, cost_tolerance=0.0)
+    solution = minimise(problem, cfg, pattern)
+    seconds = time.perf_counter() - tic
+    off = solution.x[layout.landmarks :].reshape(-1, 2) - true
+    return {
+        "prepare_s": prepared,
+        "five_steps_s": seconds,
+        "step_s": seconds / (STEPS + 1),  # the last factorisation, for covariances, is a step's work too
+        "factor_mb": solution.information.factor_bytes / 1e6,
+        "chi2_per_dof": solution.chi2 / solution.dof,
+        "rmse_m": float(np.sqrt(np.mean(np.sum(off**2, axis=1)))),
+        "variables": len(problem.free),
+    }
+
+
+def with_gtsam(maps, start, true, steps=STEPS):
+    import gtsam
+
+    place = {name: i for i, name in enumerate(start.ids)}
+    robots = len(maps)
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k, T in enumerate(start.frames):
+        values.insert(k, gtsam.Pose2(*T))
+    for i, p in enumerate(start.points):
+        values.insert(robots + i, p)
+    graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(), gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)))
+    for k, m in enumerate(maps):
+        keys = [k, *(robots + place[name] for name in m.ids)]
+        z = m.mean.ravel()
+
+        def error(_, values, H, keys=keys, z=z):
+            T = values.atPose2(keys[0])
+            c, s = np.cos(T.theta()), np.sin(T.theta())
+            d = np.array([values.atPoint2(key) for key in keys[1:]]) - [T.x(), T.y()]
+            local = d @ np.array([[c, -s], [s, c]])
+            if H is not None:
+                J = np.zeros((len(z), 3), order="F")
+                J[0::2, 0] = J[1::2, 1] = -1.0
+                J[0::2, 2], J[1::2, 2] = local[:, 1], -local[:, 0]
+                H[0] = J
+                for i in range(len(keys) - 1):
+                    P = np.zeros((len(z), 2), order="F")
+                    P[2 * i], P[2 * i + 1] = (c, s), (-s, c)
+                    H[i + 1] = P
+            return local.ravel() - z
+
+        graph.add(gtsam.CustomFactor(gtsam.noiseModel.Gaussian.Covariance(m.cov), keys, error))
+    optimiser = gtsam.GaussNewtonOptimizer(graph, values, gtsam.GaussNewtonParams())
+    tic = time.perf_counter()
+    for _ in range(steps):
+        optimiser.iterate()
+    seconds = time.perf_counter() - tic
+    found = optimiser.values()
+    off = np.array([found.atPoint2(robots + i) for i in range(len(start.ids))]) - true
+    return {"step_s": seconds / steps, "rmse_m": float(np.sqrt(np.mean(np.sum(off**2, axis=1)))), "steps": steps}
+
+
+def dense_rls(maps, start, updates):
+    """Seconds of one pass of the dense recursive filter over all maps, from the first `updates` of them."""
+    place = {name: i for i, name in enumerate(start.ids)}
+    robots, n = len(maps), 3 * len(maps) + 2 * len(start.ids)
+    P = np.eye(n)
+    seconds = 0.0
+    for k, m in enumerate(maps[:updates]):
+        rows = np.array([place[name] for name in m.ids])
+        columns = np.concatenate([3 * k + np.arange(3), 3 * robots + (2 * rows[:, None] + np.arange(2)).ravel()])
+        H = np.random.default_rng(k).normal(size=(2 * len(rows), len(columns)))
+        tic = time.perf_counter()
+        PHt = P[:, columns] @ H.T
+        S = H @ PHt[columns] + m.cov
+        K = np.linalg.solve(S, PHt.T).T
+        P -= K @ PHt.T
+        seconds += time.perf_counter() - tic
+    return seconds / updates * robots
+
+
+def one(robots, *, gtsam):
+    """All figures for one size; runs in a process of its own, so that the peak of memory is its own."""
+    maps, start, true = world(robots)
+    before = peak_mb()
+    row = {"robots": robots, "landmarks": len(start.ids), "seen_a_robot": float(np.mean([len(m) for m in maps]))}
+    row["mapweave"] = ours(maps, start, true)
+    row["mapweave"]["peak_mb_over_start"] = peak_mb() - before
+    if 3 * robots + 2 * len(start.ids) < 15_000:
+        row["dense_rls_pass_s"] = dense_rls(maps, start, min(robots, 3))
+        row["rls_over_step"] = row["dense_rls_pass_s"] / row["mapweave"]["step_s"]
+    if gtsam:
+        row["gtsam"] = with_gtsam(maps, start, true, STEPS if robots <= 50 else 1)
+        row["gtsam_over_step"] = row["gtsam"]["step_s"] / row["mapweave"]["step_s"]
+    return row
+
+
+def peak_mb():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def machine():
+    names = ("numpy", "scipy", "gtsam", "mapweave")
+    versions = {}
+    for name in names:
+        try:
+            versions[name] = version(name)
+        except ImportError:
+            versions[name] = None
+    return {
+        "processor": platform.processor() or platform.machine(),
+        "cores": os.cpu_count(),
+        "threads": os.environ.get("OMP_NUM_THREADS", "default"),
+        "python": platform.python_version(),
+        **versions,
+    }
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--robots", default="5,50,500")
+    parser.add_argument("--no-gtsam", action="store_true")
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--one", type=int, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.one is not None:
+        print(json.dumps(one(args.one, gtsam=not args.no_gtsam)))
+        return
+    rows = []
+    print(json.dumps(machine()))
+    head = f"{'robots':>6} {'landmarks':>9} {'prepare s':>9} {'step s':>8} {'5 steps s':>9} {'factor MB':>9}"
+    print(
+        f"{head} {'peak MB':>8} {'GTSAM s':>8} {'ratio':>6} {'RLS pass s':>10} {'ratio':>6} {'RMSE m':>7} {'GTSAM':>7}"
+    )
+    for robots in map(int, args.robots.split(",")):
+        command = [sys.executable, __file__, "--one", str(robots), *(["--no-gtsam"] if args.no_gtsam else [])]
+        row = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+        rows.append(row)
+        m, g = row["mapweave"], row.get("gtsam", {})
+        print(
+            f"{robots:6d} {row['landmarks']:9d} {m['prepare_s']:9.2f} {m['step_s']:8.3f} {m['five_steps_s']:9.2f} "
+            f"{m['factor_mb']:9.1f} {m['peak_mb_over_start']:8.0f} {_or(g.get('step_s'), 8, 3)} "
+            f"{_or(row.get('gtsam_over_step'), 6, 1)} {_or(row.get('dense_rls_pass_s'), 10, 1)} "
+            f"{_or(row.get('rls_over_step'), 6, 0)} {m['rmse_m']:7.4f} {_or(g.get('rmse_m'), 7, 4)}",
+            flush=True,
+        )
+    if args.json:
+        args.json.write_text(json.dumps({"machine": machine(), "rows": rows}, indent=1) + "\n", encoding="utf-8")
+
+
+def _or(value, width, digits):
+    return f"{'-':>{width}}" if value is None else f"{value:{width}.{digits}f}"
+
+
+if __name__ == "__main__":
+    main()
