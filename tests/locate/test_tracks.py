@@ -11,7 +11,7 @@ from mapweave.cli import _run
 from mapweave.core import se2
 from mapweave.core.errors import DataError
 from mapweave.core.records import Odometry
-from mapweave.estimate.swarm_track import TrackConfig, smooth, smooth_driving
+from mapweave.estimate.swarm_track import TrackConfig, filtered, smooth, smooth_driving
 from mapweave.estimate.swarm_track.factors import odometry_factor, sighting_factor, velocity_factor
 from mapweave.estimate.swarm_track.odometry import motion
 from mapweave.match.meeting import meet
@@ -57,6 +57,33 @@ def test_smoothing_moving_robots_has_an_honest_covariance(dim, robots):
         found.append(scored(swarm, track))
     assert np.median([rmse for rmse, _ in found]) < 0.2
     assert np.mean([nees for _, nees in found]) == pytest.approx(1.0, abs=0.12)
+
+
+@pytest.mark.parametrize(("dim", "robots"), [(2, 16), (3, 18)])
+def test_filtering_moving_robots_has_an_honest_covariance_and_smoothing_is_no_worse(dim, robots):
+    filters, smoothers = [], []
+    for seed in range(12):
+        swarm, known = made(seed, robots=robots, dim=dim, steps=15)
+        track = filtered(swarm.table, known)
+        assert track.chi2 / track.dof == pytest.approx(1.0, abs=0.12)
+        filters.append(scored(swarm, track))
+        smoothers.append(scored(swarm, smooth(swarm.table, known))[0])
+    assert np.mean([nees for _, nees in filters]) == pytest.approx(1.0, abs=0.12)
+    assert np.median(smoothers) < np.median([rmse for rmse, _ in filters])
+
+
+def test_the_filter_never_looks_ahead():
+    swarm, known = made(0, robots=9, steps=12)
+    whole = filtered(swarm.table, known)
+    part = filtered(swarm.table.rows(swarm.table.t < 8.0), known)
+    for k, one in part.tracks.items():
+        assert np.array_equal(one.position, whole.tracks[k].position[: len(one.t)])
+
+
+def test_a_filter_of_too_few_instants_is_refused():
+    swarm, known = made(0, robots=9, steps=3)
+    with pytest.raises(DataError, match="more than 3 instants"):
+        filtered(swarm.table, known)
 
 
 def test_smoothing_beats_each_instant_by_itself():
@@ -190,6 +217,14 @@ def test_stamped_sightings_give_trajectories_over_time(tmp_path, capsys):
     capsys.readouterr()
     assert _run(["evaluate", str(tmp_path / "out"), "--truth", str(tmp_path / "s.truth.csv"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["rmse"] == pytest.approx(metrics["rmse"], rel=1e-4)
+
+
+def test_the_filter_can_be_asked_for(tmp_path):
+    path, known = simulated(tmp_path, "--steps", "12")
+    code, metrics = located(tmp_path, path, *known, "--filtered")
+    assert code == 0
+    assert metrics["reliable"] is True
+    assert len((tmp_path / "out" / "trajectories" / "5.csv").read_text().splitlines()) == 10
 
 
 def test_driving_robots_are_located_with_their_odometry_file(tmp_path):

@@ -23,6 +23,7 @@ def locate(
     covariance: bool | None = None,
     acceleration: float | None = None,
     until: float | None = None,
+    filtered: Annotated[bool, Parameter(negative="")] = False,
     seed: int = 0,
     force: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -62,6 +63,8 @@ def locate(
         How briskly robots without odometry move: density of white acceleration noise, in square metres a second cubed.
     until
         Use the first so many seconds of stamped sightings only.
+    filtered
+        Of moving robots: what was known at each instant from the sightings until then, in place of what all say of it.
     seed
         The same seed gives the same result, to the byte.
     force
@@ -90,6 +93,7 @@ def locate(
         covariance=covariance,
         motion=None if acceleration is None else TrackConfig(acceleration=acceleration),
         until=until,
+        filtered=filtered,
         seed=seed,
         force=force,
     )

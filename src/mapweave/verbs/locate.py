@@ -15,6 +15,7 @@ from ..estimate.swarm import SwarmConfig
 from ..estimate.swarm import locate as estimate
 from ..estimate.swarm.config import Method
 from ..estimate.swarm_track import SwarmTrack, TrackConfig, smooth, smooth_driving
+from ..estimate.swarm_track import filtered as follow_filtered
 from ..readers.sightings import SwarmTruth, read_swarm_odometry, read_swarm_truth
 from ..readers.team_bearings import read_team_bearings, read_team_truth
 from ..writers.directory import check_target, result_directory
@@ -43,6 +44,7 @@ def locate(
     covariance: bool | None = None,
     motion: TrackConfig | None = None,
     until: float | None = None,
+    filtered: bool = False,
     seed: int = 0,
     force: bool = False,
 ) -> Located | Moved:
@@ -50,7 +52,8 @@ def locate(
 
     sightings: a table, its file, or the folder or zip of a landmark log whose robots saw each other (its ranges are not
     used); anchors: known positions [m] by id; sigma: [rad], or a text such as "0.5deg", the file's own where None;
-    distances: (i, j, metres); until: only so many first seconds of stamped sightings; axis: False when every robot has
+    distances: (i, j, metres); until: only so many first seconds of stamped sightings; filtered: of
+    moving robots what was known at each instant, not what all sightings say of it; axis: False when every robot has
     a heading of its own, None to find out; initial: a table `id,x,y[,z]` for the filters to start from; truth: for
     scoring alone. Stamped sightings of robots that move give `Moved`, anything else `Located`. Raises ReaderError,
     DataError or UsageError; nothing is written then.
@@ -77,8 +80,8 @@ def locate(
     elif log is not None:
         result = _drive(given, settings, log, motion or COMMANDED)
     elif stamped:
-        still = None if motion is not None else _stood_still(given, settings, covariance=covariance)
-        result = still or _move(given, settings, motion)
+        still = None if motion is not None or filtered else _stood_still(given, settings, covariance=covariance)
+        result = still or _move(given, settings, motion, filtered=filtered)
     else:
         result = _stand(given, settings, initial, covariance=covariance)
     if out is not None:
@@ -114,11 +117,12 @@ def _stood_still(given: SwarmInput, settings: Settings, *, covariance: bool | No
     return found if enough else None
 
 
-def _move(given: SwarmInput, settings: Settings, motion: TrackConfig | None) -> Moved:
+def _move(given: SwarmInput, settings: Settings, motion: TrackConfig | None, *, filtered: bool) -> Moved:
     if not given.table.axis:
         raise DataError("robots that move without a common axis need their odometry: --odometry FILE (t,robot,v,w)")
     began = perf_counter()
-    track = smooth(given.table, given.anchors, _tuned(motion, settings))
+    follow = follow_filtered if filtered else smooth
+    track = follow(given.table, given.anchors, _tuned(motion, settings))
     return _moved(given, settings, track, perf_counter() - began)
 
 

@@ -4,7 +4,8 @@ The motion is nearly constant velocity, or the robots' own odometry; the sightin
 """
 
 from .drive import smooth_driving
+from .filtering import filtered
 from .result import RobotTrack, SwarmTrack, TrackConfig
 from .smooth import smooth
 
-__all__ = ["RobotTrack", "SwarmTrack", "TrackConfig", "smooth", "smooth_driving"]
+__all__ = ["RobotTrack", "SwarmTrack", "TrackConfig", "filtered", "smooth", "smooth_driving"]
