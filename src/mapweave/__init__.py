@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from .verbs.fuse import fuse_results as fuse  # noqa: F401
     from .verbs.locate import locate as locate
     from .verbs.map import map_logs as map  # noqa: A004, F401
+    from .verbs.reproduce_hamatani import reproduce_hamatani as reproduce_hamatani
     from .verbs.reproduce_kojima import reproduce_kojima as reproduce_kojima
     from .verbs.simulate_landmarks import simulate_landmarks as simulate_landmarks
     from .verbs.simulate_swarm import simulate_swarm as simulate_swarm
@@ -25,6 +26,7 @@ _VERBS: dict[str, str] = {
     "fuse": "mapweave.verbs.fuse:fuse_results",
     "locate": "mapweave.verbs.locate:locate",
     "map": "mapweave.verbs.map:map_logs",
+    "reproduce_hamatani": "mapweave.verbs.reproduce_hamatani:reproduce_hamatani",
     "reproduce_kojima": "mapweave.verbs.reproduce_kojima:reproduce_kojima",
     "simulate_landmarks": "mapweave.verbs.simulate_landmarks:simulate_landmarks",
     "simulate_swarm": "mapweave.verbs.simulate_swarm:simulate_swarm",

@@ -5,6 +5,7 @@ from cyclopts import App
 PAPERS: dict[str, str] = {
     # paper: where its command lives
     "kojima": "mapweave.cli.reproduce_kojima:kojima",
+    "hamatani": "mapweave.cli.reproduce_hamatani:hamatani",
 }
 
 app = App(name="reproduce", help="Repeat a paper's experiment and set its figures beside ours.")

@@ -17,6 +17,7 @@ from .factors import bearing_factor
 
 Form = Literal["ekf", "iekf", "fej"]
 SETTLED = 1e-9  # [m]; an iterated update ends when no coordinate moves further
+HALVINGS = 30
 RANK = 1e-10  # singular values below this share of the largest are zero (exact sightings)
 
 
@@ -68,13 +69,36 @@ def update(state: FilterState, net: Network, form: Form = "ekf", max_iterations:
             K = solve_psd(S, PHt.T).T  # [Hamatani] eq. 6
         here = x.ravel()[state.free]
         new = prior + K @ (e - H @ (prior - here))  # [Hamatani] eq. 7; the last term is zero in the first turn
-        moved = x.ravel().copy()
-        moved[state.free] = new
-        x = moved.reshape(x.shape)
+        x = _placed(x, state.free, new)
+        if exact:
+            x = _shortened(net, here, new, state.free, x, e)
+            new = x.ravel()[state.free]
         if np.abs(new - here).max(initial=0.0) < SETTLED:
             break
     P = state.P if exact else symmetrise(state.P - K @ (H @ state.P))  # [Hamatani] eq. 8
     return replace(state, x=x, P=P, updates=state.updates + 1, iterations=state.iterations + done)
+
+
+def _placed(x: np.ndarray, free: np.ndarray, values: np.ndarray) -> np.ndarray:
+    out = x.ravel().copy()
+    out[free] = values
+    return out.reshape(x.shape)
+
+
+def _shortened(
+    net: Network, here: np.ndarray, new: np.ndarray, free: np.ndarray, x: np.ndarray, e: np.ndarray
+) -> np.ndarray:
+    """`x`, or nearer to `here` by halves until the innovations `e` at `here` do not grow.
+
+    Without noise nothing else bounds the step of an update far from the truth.
+    """
+    for _ in range(HALVINGS):
+        after = innovation(net, x)
+        if after @ after <= e @ e:
+            break
+        new = 0.5 * (here + new)
+        x = _placed(x, free, new)
+    return x
 
 
 def sighting_matrix(net: Network, x: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "m s"]:
