@@ -25,6 +25,7 @@ def make_app() -> "App":
     from cyclopts import App
 
     app = App(
+        suppress_keyboard_interrupt=False,  # said in one line below
         name="mapweave",
         help="One map, with honest uncertainty, from the logs of many robots.",
         version=f"mapweave {__version__}",
