@@ -113,6 +113,10 @@ def test_labels_exchanged_in_one_robot_are_found_and_put_back():
         wrong = [*maps[:k], with_landmarks(m, ids), *maps[k + 1 :]]
         fused = fuse(wrong)
         found += len(fused.warnings) == 1 and f"robot{k + 1}: labels" in fused.warnings[0]
+        if fused.warnings:
+            assert fused.own_name(m.robot, m.submap.ids[a]) == m.submap.ids[b]
+            assert fused.own_name("robot9", m.submap.ids[a]) == m.submap.ids[a]
+            assert "look exchanged" in fused.about(m.robot)[0]
         assert rmse(fused.components[0], points) < 0.25
         assert [x.decision for x in fused.decisions] == ["reference", *["merged"] * 4]
     assert found >= 11

@@ -48,3 +48,12 @@ class Fusion:
     decisions: tuple[Decision, ...]
     warnings: tuple[str, ...] = ()
     labels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+
+    def own_name(self, robot: str, name: str) -> str:
+        """What `robot` calls the landmark that is `name` in the map."""
+        return next((own for own, common in self.labels.get(robot, {}).items() if common == name), name)
+
+    def about(self, robot: str) -> tuple[str, ...]:
+        """The warnings that speak of `robot`'s map alone, without its name."""
+        start = f"{robot}: "
+        return tuple(w.removeprefix(start) for w in self.warnings if w.startswith(start))

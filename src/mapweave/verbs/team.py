@@ -50,7 +50,7 @@ class TeamResult:
         told: dict[str, Any] = {
             "version": __version__,
             "seed": self.seed,
-            "robots": {robot_key(m.robot): _robot(m) for m in self.local},
+            "robots": {robot_key(m.robot): _robot(m, self.fusion) for m in self.local},
             "components": [[robot_key(r) for r in m.robots] for m in self.maps],
             "fusion": [
                 {
@@ -153,7 +153,7 @@ def team_maps(local: Sequence[LocalMap], fusion: Fusion) -> tuple[TeamMap, ...]:
     """The components with their robots' trajectories; a robot that mapped nothing stands alone, after the others."""
     by = {m.robot: m for m in local}
     factor = {d.robot: d.variance_factor or 1.0 for d in fusion.decisions}
-    maps = [_team_map(c, by, factor) for c in fusion.components]
+    maps = [_team_map(c, by, factor, fusion) for c in fusion.components]
     placed = {r for c in fusion.components for r in c.robots}
     once = {m.log_hash for r, m in by.items() if r in placed}
     left = [r for r in sorted(set(by) - placed, key=in_order) if by[r].log_hash not in once]
@@ -175,18 +175,21 @@ def carried(track: Track, T: np.ndarray, T_cov: np.ndarray, scale: float, factor
     return Track(track.t, pose, 0.5 * (cov + cov.transpose(0, 2, 1)))
 
 
-def _team_map(component: Component, by: Mapping[str, LocalMap], factor: Mapping[str, float]) -> TeamMap:
+def _team_map(component: Component, by: Mapping[str, LocalMap], factor: Mapping[str, float], fusion: Fusion) -> TeamMap:
     tracks = {
         r: carried(
             by[r].track, component.frames[r], component.frame_cov[r], component.scales.get(r, 1.0), factor.get(r, 1.0)
         )
         for r in component.robots
     }
-    seen = {name: sum(by[r].sightings.get(name, 0) for r in robots) for name, robots in component.members.items()}
+    seen = {
+        name: sum(by[r].sightings.get(fusion.own_name(r, name), 0) for r in robots)
+        for name, robots in component.members.items()
+    }
     return TeamMap(component.robots, component.map, tracks, component.members, seen)
 
 
-def _robot(m: LocalMap) -> dict[str, Any]:
+def _robot(m: LocalMap, fusion: Fusion) -> dict[str, Any]:
     return {
         "source": m.source,
         "odometry": m.odometry,
@@ -197,5 +200,5 @@ def _robot(m: LocalMap) -> dict[str, Any]:
         "down_weighted": m.down_weighted,
         "nis_median": m.nis_median,
         "calibration": {name: {"value": v, "sd": sd} for name, (v, sd) in m.calibration.items()},
-        "warnings": list(m.warnings),
+        "warnings": [*m.warnings, *fusion.about(m.robot)],
     }
