@@ -14,13 +14,17 @@ from .map_options import LaserOptions, MapOptions, MapResult, Tick, no_tick
 class Mapper(Protocol):
     """A module that maps one kind of log. `applies` looks at names and first lines only."""
 
+    __name__: str
+
     def applies(self, log: Path) -> bool: ...
     def map_logs(self, logs: Sequence[Path], options: MapOptions) -> MapResult: ...
 
 
+LASER = "mapweave.verbs.map_laser"
 MAPPERS: tuple[str, ...] = (
     # asked in this order; the first that applies to every log maps them
     "mapweave.verbs.map_landmarks",
+    LASER,
 )
 
 
@@ -72,6 +76,8 @@ def map_logs(
     if out is not None:
         check_target(Path(out), force=force)
     mapper = _mapper(paths)
+    if (given := options.laser.given()) and mapper.__name__ != LASER:
+        raise UsageError(f"{', '.join(given)}: only for laser logs, found {paths[0]}")
     result = mapper.map_logs(paths, options)
     if out is not None:
         with result_directory(Path(out), force=force) as work:
