@@ -11,11 +11,13 @@ if TYPE_CHECKING:
     from .verbs.demo import demo as demo
     from .verbs.evaluate import evaluate as evaluate
     from .verbs.fuse import fuse_results as fuse  # noqa: F401
+    from .verbs.localize import localize as localize
     from .verbs.locate import locate as locate
     from .verbs.map import map_logs as map  # noqa: A004, F401
     from .verbs.reproduce_hamatani import reproduce_hamatani as reproduce_hamatani
     from .verbs.reproduce_kojima import reproduce_kojima as reproduce_kojima
     from .verbs.simulate_landmarks import simulate_landmarks as simulate_landmarks
+    from .verbs.simulate_laser import simulate_laser as simulate_laser
     from .verbs.simulate_swarm import simulate_swarm as simulate_swarm
     from .verbs.view import view as view
 
@@ -24,11 +26,13 @@ _VERBS: dict[str, str] = {
     "demo": "mapweave.verbs.demo:demo",
     "evaluate": "mapweave.verbs.evaluate:evaluate",
     "fuse": "mapweave.verbs.fuse:fuse_results",
+    "localize": "mapweave.verbs.localize:localize",
     "locate": "mapweave.verbs.locate:locate",
     "map": "mapweave.verbs.map:map_logs",
     "reproduce_hamatani": "mapweave.verbs.reproduce_hamatani:reproduce_hamatani",
     "reproduce_kojima": "mapweave.verbs.reproduce_kojima:reproduce_kojima",
     "simulate_landmarks": "mapweave.verbs.simulate_landmarks:simulate_landmarks",
+    "simulate_laser": "mapweave.verbs.simulate_laser:simulate_laser",
     "simulate_swarm": "mapweave.verbs.simulate_swarm:simulate_swarm",
     "view": "mapweave.verbs.view:view",
 }

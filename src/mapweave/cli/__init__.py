@@ -16,6 +16,7 @@ COMMANDS: dict[str, str] = {
     "fuse": "mapweave.cli.fuse:fuse",
     "locate": "mapweave.cli.locate:locate",
     "evaluate": "mapweave.cli.evaluate:evaluate",
+    "localize": "mapweave.cli.localize:localize",
     "reproduce": "mapweave.cli.reproduce:app",
     "view": "mapweave.cli.view:view",
 }

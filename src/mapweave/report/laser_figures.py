@@ -21,13 +21,13 @@ UNSEEN = 0.86  # the grey of cells no beam reached
 
 def draw_map(path: Path, made: LaserMap, truth: Track | None) -> None:
     """Walls black, free space white, unknown grey; the trajectory on top, the truth where there is one."""
-    with figure(path, *_size(made.grid)) as (fig, ax):
-        _occupancy(ax, made.grid)
+    with figure(path, *map_size(made.grid)) as (fig, ax):
+        draw_occupancy(ax, made.grid)
         ax.plot(*made.track.pose[:, :2].T, color=colour(0), label="estimate", linewidth=1.0)
         if truth is not None:
             ax.plot(*truth.pose[:, :2].T, color=TRUTH, label="truth", linewidth=0.8, linestyle="--")
         _ends(ax, made.track)
-        _window(ax, made.grid)
+        map_window(ax, made.grid)
         fig.legend(loc="outside lower center", ncols=4)
         as_map(ax, f"robot {made.robot}: {made.method}, feature {made.feature}")
         ax.set_aspect("equal", adjustable="box")
@@ -37,8 +37,8 @@ def draw_intensity(path: Path, made: LaserMap) -> None:
     """Every cell with returns in the colour of its feature (dark to bright for any colour vision)."""
     grid = made.grid
     cells = grid.cells()
-    with figure(path, *_size(grid)) as (fig, ax):
-        _window(ax, grid)
+    with figure(path, *map_size(grid)) as (fig, ax):
+        map_window(ax, grid)
         ax.set_facecolor("#F4F6F8")
         rows, cols = grid.shape
         dot = float(np.clip((900.0 / max(rows, cols)) ** 2, 4.0, 16.0))
@@ -167,7 +167,7 @@ def _draw_n_eff(ax: Any, t: Float[np.ndarray, " n"], made: LaserMap) -> None:
     ax.legend(loc="lower left", ncols=2, **READABLE)
 
 
-def _occupancy(ax: Any, grid: GridMap) -> None:
+def draw_occupancy(ax: Any, grid: GridMap) -> None:
     p = grid.occupancy()
     shade = np.where((grid.hits > 0) | (grid.passes > 0), 1.0 - p, UNSEEN)
     ax.imshow(shade, cmap="gray", vmin=0.0, vmax=1.0, extent=grid.extent, origin="lower", interpolation="nearest")
@@ -179,7 +179,7 @@ def _ends(ax: Any, track: Track) -> None:
     ax.plot(*track.pose[-1, :2], "s", color=colour(5), markersize=5, label="end")
 
 
-def _window(ax: Any, grid: GridMap) -> None:
+def map_window(ax: Any, grid: GridMap) -> None:
     """The axes show the cells beams reached, with a metre round them."""
     rows, cols = np.nonzero((grid.hits > 0) | (grid.passes > 0))
     if len(rows):
@@ -195,6 +195,6 @@ def _within(ax: Any, values: np.ndarray) -> None:
         ax.set_ylim(-1.3 * most, 1.3 * most)
 
 
-def _size(grid: GridMap) -> tuple[float, float]:
+def map_size(grid: GridMap) -> tuple[float, float]:
     rows, cols = grid.shape
     return 9.0, float(np.clip(7.6 * rows / max(cols, 1) + 0.8, 3.2, 9.0))

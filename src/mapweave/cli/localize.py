@@ -1,0 +1,87 @@
+"""`mapweave localize`."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+Flag = Annotated[bool, Parameter(negative="")]
+
+
+def localize(
+    log: Path,
+    /,
+    *,
+    map_: Annotated[Path, Parameter(name="--map")],
+    out: Path,
+    start: str | None = None,
+    truth: Path | None = None,
+    config: Path | None = None,
+    particles: int | None = None,
+    feature: Literal["normalised", "raw", "none"] | None = None,
+    scan_topic: str | None = None,
+    odom_topic: str | None = None,
+    sensor_pose: str | None = None,
+    mirrored: Flag = False,
+    seed: int = 0,
+    force: Flag = False,
+) -> None:
+    """Follow a robot in a laser map that was finished before.
+
+    Parameters
+    ----------
+    log
+        A laser log, as for map.
+    map_
+        What map wrote for one robot.
+    out
+        The folder the trajectory, metrics.json and report.html are written to.
+    start
+        The robot's first pose in the map, as x,y,theta in metres and radians; without, it is searched everywhere.
+    truth
+        A TUM trajectory in the map's frame, to say whether the start was right; the estimator never sees it.
+    config
+        A TOML file with settings, as for map.
+    particles
+        How many hypotheses follow the robot once its place is known.
+    feature
+        none: geometry alone, even where the map holds intensity.
+    scan_topic
+        The LaserScan topic of a ROS recording, where there are several.
+    odom_topic
+        The odometry or tf topic of a ROS recording, where there are several.
+    sensor_pose
+        Where the scanner stands on the robot, as x,y,theta, if the log does not know.
+    mirrored
+        The beams of the log run clockwise.
+    seed
+        The same seed gives the same result.
+    force
+        Write into the folder even when something other than a result stands there.
+    """
+    from ..verbs.localize import localize as run
+    from ..verbs.map_options import LaserOptions
+    from .numbers import numbers
+    from .progress import progress
+    from .say import say
+
+    place = None
+    if sensor_pose is not None:
+        x, y, theta = numbers(sensor_pose, 3, "--sensor-pose")
+        place = (x, y, theta)
+    asked = LaserOptions(
+        particles=particles,
+        feature=feature,
+        scan_topic=scan_topic,
+        odom_topic=odom_topic,
+        sensor_pose=place,
+        mirrored=mirrored,
+    )
+    first = None if start is None else numbers(start, 3, "--start")
+    with progress() as tick:
+        result = run(
+            log, map_, out, start=first, truth=truth, config=config, laser=asked, seed=seed, force=force, tick=tick
+        )
+    for line in result.lines():
+        say(line)
+    say(f"report: {out / 'report.html'}")

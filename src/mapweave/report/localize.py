@@ -1,0 +1,70 @@
+"""The report of a localisation: where the robot was in the map, and since when that is known."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..maps.grid import GridMap
+from ..maps.localisation import Localisation
+from .html import Page
+from .laser_figures import READABLE, draw_occupancy, map_size, map_window
+from .style import as_map, colour, figure
+
+
+def write_localisation_report(folder: Path, found: Localisation, grid: GridMap, lines: Sequence[str]) -> None:
+    """`report.html` and `figures/` in `folder`."""
+    page = Page("Localisation", f"{Path(found.source).name}, followed in a finished map.")
+    page.cards(
+        [
+            ("scans", str(len(found.scans))),
+            ("start", found.start),
+            ("feature", found.feature),
+            ("particles", str(found.particles)),
+            ("returns explained", f"{100 * found.matched:.0f} %"),
+            ("trusted", "yes" if found.trusted else "no"),
+        ]
+    )
+    for line in lines:
+        page.text(line, warn=not found.trusted)
+    where, scans = folder / "figures" / "where.png", folder / "figures" / "scans.png"
+    _draw_where(where, found, grid)
+    page.figure(where, "The finished map and the robot in it; thin before the start was found.")
+    _draw_scans(scans, found)
+    page.figure(scans, "How much of every scan the map explains, and how many hypotheses still count.")
+    page.write(folder / "report.html")
+
+
+def _draw_where(path: Path, found: Localisation, grid: GridMap) -> None:
+    with figure(path, *map_size(grid)) as (fig, ax):
+        draw_occupancy(ax, grid)
+        pose, t = found.track.pose, found.track.t
+        known = t >= (np.inf if found.found_t is None else found.found_t)
+        ax.plot(pose[:, 0], pose[:, 1], color=colour(1), linewidth=0.6, label="before the start was found")
+        if known.any():
+            ax.plot(pose[known, 0], pose[known, 1], color=colour(0), linewidth=1.3, label="estimate")
+            ax.plot(*pose[np.argmax(known), :2], "o", color=colour(2), markersize=5, label="found here")
+        map_window(ax, grid)
+        as_map(ax, "Where the robot was")
+        ax.set_aspect("equal", adjustable="box")
+        fig.legend(loc="outside lower center", ncols=3)
+
+
+def _draw_scans(path: Path, found: Localisation) -> None:
+    scans = found.scans
+    t = scans.t - scans.t[0]
+    with figure(path, 9.0, 4.2, nrows=2, sharex=True) as (_, (share, count)):
+        asked = np.array(scans.decision) == "matched"
+        part = scans.matches / np.maximum(scans.beams, 1)
+        share.plot(t[asked], 100 * part[asked], ".", color=colour(0), markersize=3)
+        share.set_ylim(-3, 103)
+        share.set_ylabel("returns explained [%]")
+        known = np.isfinite(scans.n_eff)
+        count.plot(t[known], scans.n_eff[known], color=colour(0), label="effective particles")
+        count.set_yscale("log")
+        count.set_ylabel("N_eff")
+        count.set_xlabel("time [s]")
+        if found.found_t is not None:
+            for ax in (share, count):
+                ax.axvline(found.found_t - scans.t[0], color=colour(5), linestyle="--", label="start found")
+        count.legend(loc="upper right", **READABLE)
