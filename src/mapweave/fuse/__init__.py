@@ -2,7 +2,8 @@
 
 from .config import FuseConfig
 from .join import fuse
+from .known_starts import tie_by_starts
 from .online import OnlineFuser
 from .result import Component, Decision, Fusion
 
-__all__ = ["Component", "Decision", "FuseConfig", "Fusion", "OnlineFuser", "fuse"]
+__all__ = ["Component", "Decision", "FuseConfig", "Fusion", "OnlineFuser", "fuse", "tie_by_starts"]

@@ -12,7 +12,7 @@ from ..core.errors import DataError, UsageError
 from ..core.names import in_order, robot_key, robot_name
 from ..estimate.ekf_config import EkfSlamConfig
 from ..estimate.ekf_map import local_map
-from ..fuse import FuseConfig, Fusion, fuse
+from ..fuse import FuseConfig, Fusion, fuse, tie_by_starts
 from ..maps.local_map import LocalMap
 from ..readers.landmark_log import LandmarkLog
 from ..readers.landmark_logs import is_landmark_log, read_landmark_logs
@@ -53,6 +53,7 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> TeamResult:
         fusion = fuse(local, cfg.fuse)
     else:
         fusion, online = _online(read, local, cfg, options)
+    fusion = tie_by_starts(fusion, {robot_name(key): pose for key, pose in options.start.items()})
     title = f"One map from {', '.join(p.name for p in logs)}"
     return team_result(title, options.seed, local, fusion, options.truth, online, watch)
 
