@@ -41,7 +41,7 @@ def test_a_known_start_places_a_whole_component_into_the_lowest_robots_map():
     assert is_positive_definite(one.map.cov)
     assert one.members["9"] == ("robot1", "robot2", "robot3")
     assert {d.robot: d.decision for d in after.decisions} == {
-        "robot1": "refused",
+        "robot1": "reference",
         "robot2": "merged",
         "robot3": "merged",
     }
