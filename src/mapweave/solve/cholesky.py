@@ -57,7 +57,10 @@ class Cholesky:
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """`matrix^-1 b` for b (n,) or (n, c)."""
-        x = np.array(b, dtype=float, order="C").reshape(self.elimination.size, -1)
+        x = np.array(b, dtype=float, order="C")
+        if not x.size:
+            return x
+        x = x.reshape(self.elimination.size, -1)
         parts = list(zip(self.elimination.fronts, self.L11, self.L21, strict=True))
         for f, L, below in parts:
             y = dtrsm(1.0, L, x[f.index[: f.p]], lower=1)

@@ -44,6 +44,8 @@ class Elimination:
         coordinates: one row a group, where the groups lie; found from the pattern when None.
         """
         n = matrix.shape[0]
+        if n == 0:
+            return cls(0, ())
         group = np.arange(n) if group is None else np.unique(group, return_inverse=True)[1].ravel()
         column = np.repeat(np.arange(n), np.diff(matrix.indptr))
         many = int(group.max(initial=-1)) + 1

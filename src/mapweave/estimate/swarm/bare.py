@@ -50,4 +50,5 @@ def start_without_axis(net: Network, parts: Components) -> tuple[np.ndarray, np.
         pieces = components(flat)
         position = linear_start(flat, pieces, world_directions(net, heading)[rows], *linear_pattern(flat, pieces))
     used = known[net.observer]
-    return position, heading, observe(net.select(used), parts, position), used
+    heard = net.select(used)
+    return position, heading, observe(heard, components(heard), position), used

@@ -63,6 +63,7 @@ def prepare(
     else:
         position, heading, seen, used = start_without_axis(net, parts)
         net = net.select(used)
+        parts = components(net)
     seen = without_lines(net, parts, seen, world_directions(net, heading))
     gauge = gauge_of(net, parts, seen.localisable)
     position, heading = normalise(gauge, position, heading)

@@ -18,13 +18,14 @@ from ...solve import Status as SolveStatus
 from .batch import Start, prepare, refine
 from .config import SwarmConfig
 from .finish import finish
-from .graph import components
+from .graph import components, effective_sigma
 
 RELAXATION = 0.95
 SETTLED = 1e-4  # of the usual distance; a linear step below this is not worth telling
 RELINEARISE = 5  # rounds between new linearisations
 FAINT = 1e-8  # a robot's own prior, of the information of one sighting
 FIRMER = 1e-5  # a change of information smaller than this share of a link's own is not worth telling
+TINY = 1e-9  # [m rad]
 FLOAT = 8  # bytes
 
 
@@ -49,6 +50,8 @@ def distributed(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = Non
     parts = components(net)
     reached = (parts.known >= 2)[parts.label]  # others hear of no two anchors, whoever passes word on, and stay silent
     everyone, net = net, net.select(reached[net.observer])
+    if not len(net.observer):
+        raise DataError("no two anchors hang together by sightings: the distributed method has nothing to start from")
     links = links_of(net)
     anchors = np.array(list(net.anchors.values()))
     usual = float(np.linalg.norm(np.ptp(anchors, axis=0))) / np.sqrt(len(net))  # known to all beforehand
@@ -117,7 +120,7 @@ def believed(
     fixed = net.is_anchor
     x = start.copy()
     at = start.copy()  # where each robot's sightings are linearised
-    faint = FAINT / np.median(_range(net, x) * net.sigma) ** 2
+    faint = FAINT / max(float(np.median(_range(net, x) * effective_sigma(net))), TINY) ** 2
     W, s, size = _linearised(net, links, at)
     # Link a -> b: what a told b; at first as if a were known, since two who each know one direction tell nothing.
     Lam = W.copy()
@@ -129,14 +132,14 @@ def believed(
         belief, carried = np.tile(faint * eye, (n, 1, 1)), faint * x
         np.add.at(belief, links.b, Lam)
         np.add.at(carried, links.b, eta)
-        x[~fixed] = np.linalg.solve(belief, carried[..., None])[~fixed, :, 0]
+        x[~fixed] = np.linalg.solve(_firm(belief), carried[..., None])[~fixed, :, 0]
         if rounds % RELINEARISE == 0:
             at = x.copy()
             W, s, size = _linearised(net, links, at)
         own = np.einsum("lab,lb->la", W, at[links.b] - at[links.a]) + s  # of b; of a it is the negative
         cavity = W + belief[links.a] - Lam[links.back]
         left = carried[links.a] - eta[links.back] - own
-        gain = np.linalg.solve(cavity, np.concatenate([W, left[..., None]], axis=2))
+        gain = np.linalg.solve(_firm(cavity), np.concatenate([W, left[..., None]], axis=2))
         to_b = W - W @ gain[..., :dim]
         new_eta = own + np.einsum("lab,lb->la", W, gain[..., dim])
         known = fixed[links.a]
@@ -151,6 +154,11 @@ def believed(
     return x, Traffic(rounds, messages, messages * floats * FLOAT)
 
 
+def _firm(A: np.ndarray) -> np.ndarray:
+    """`A` (k, d, d) with enough on the diagonal that rounding cannot make it singular."""
+    return np.asarray(A + (1e-13 * np.abs(A).max(axis=(1, 2)) + 1e-30)[:, None, None] * np.eye(A.shape[1]))
+
+
 def _by_link(links: Links, value: np.ndarray) -> np.ndarray:
     """Sightings' values summed on their link and its opposite."""
     out = np.zeros((len(links.a), *value.shape[1:]))
@@ -162,12 +170,13 @@ def _linearised(net: Network, links: Links, at: np.ndarray) -> tuple[np.ndarray,
     """W (l, d, d) and s (l, d): information and pull of all sightings on a link; size (l,): from pull to radians."""
     u, r = bearing.predict(at[net.observer], at[net.target])
     e = bearing.log_map(u, net.direction)
-    information = 1.0 / (net.sigma * r) ** 2
+    sigma = effective_sigma(net)
+    information = 1.0 / (sigma * r) ** 2
     W = _by_link(links, information[:, None, None] * (np.eye(net.dim) - u[:, :, None] * u[:, None, :]))
     out = np.zeros((len(links.a), net.dim))
     np.add.at(out, links.of_sighting, (information * r)[:, None] * e)
     size = np.zeros(len(links.a))
-    np.maximum.at(size, links.of_sighting, net.sigma**2 * r)
+    np.maximum.at(size, links.of_sighting, sigma**2 * r)
     return W, out - out[links.back], np.maximum(size, size[links.back])
 
 

@@ -49,6 +49,9 @@ def finish(
     status = STATUS[solution.status] if anyone else Status.CONVERGED
     before = solution.x.reshape(n, w)
     position, heading = normalise(gauge, before[:, :dim], None if net.axis else before[:, dim])
+    position = position.copy()
+    for k, p in net.anchors.items():  # also those in other pieces, which the gauge of this one may have moved
+        position[k] = p
     x, information = solution.x, solution.information
     if gauge.name and information is not None:
         x = (position if heading is None else np.concatenate([position, heading[:, None]], axis=1)).ravel()

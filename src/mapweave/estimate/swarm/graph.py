@@ -32,7 +32,7 @@ class Components:
 
 
 def components(net: Network) -> Components:
-    """The pieces of the network; the reference is the largest with most anchors (2 count as many)."""
+    """The pieces of the network; the reference has sightings, most anchors (2 count as many), and is largest."""
     n = len(net)
     i = np.concatenate([net.observer, np.array([d.i for d in net.distances], dtype=np.intp)])
     j = np.concatenate([net.target, np.array([d.j for d in net.distances], dtype=np.intp)])
@@ -45,7 +45,8 @@ def components(net: Network) -> Components:
         measured[label[d.i]] = True
     size = np.bincount(label, minlength=count)
     worth = np.minimum(known + (measured & (known > 0)), 2)
-    reference = int(np.lexsort((size, worth))[-1]) if count else 0
+    seen = np.bincount(label[net.observer], minlength=count) > 0
+    reference = int(np.lexsort((size, worth, seen))[-1]) if count else 0
     return Components(label, known, measured, reference)
 
 

@@ -57,6 +57,8 @@ def beacon_headings(net: Network) -> tuple[Float[np.ndarray, " n"], Bool[np.ndar
     heading, known = np.zeros(len(net)), np.zeros(len(net), dtype=bool)
     rows = np.flatnonzero(net.is_anchor[net.target] & ~net.is_anchor[net.observer])
     rows = rows[np.argsort(net.observer[rows], kind="stable")]
+    if not len(rows):
+        return heading, known
     robots, first = np.unique(net.observer[rows], return_index=True)
     for k, mine in zip(robots.tolist(), np.split(rows, first[1:]), strict=True):
         seen = net.target[mine]

@@ -66,7 +66,7 @@ def update(state: FilterState, net: Network, form: Form = "ekf", max_iterations:
             K = PHt @ np.linalg.pinv(H @ PHt, rcond=RANK, hermitian=True)
         else:
             S = H @ PHt + np.diag(R)  # [Hamatani] eq. 5
-            K = solve_psd(S, PHt.T).T  # [Hamatani] eq. 6
+            K = _gain(S, PHt)  # [Hamatani] eq. 6
         here = x.ravel()[state.free]
         new = prior + K @ (e - H @ (prior - here))  # [Hamatani] eq. 7; the last term is zero in the first turn
         x = _placed(x, state.free, new)
@@ -77,6 +77,14 @@ def update(state: FilterState, net: Network, form: Form = "ekf", max_iterations:
             break
     P = state.P if exact else symmetrise(state.P - K @ (H @ state.P))  # [Hamatani] eq. 8
     return replace(state, x=x, P=P, updates=state.updates + 1, iterations=state.iterations + done)
+
+
+def _gain(S: np.ndarray, PHt: np.ndarray) -> np.ndarray:
+    """`PHt S^-1`; by the pseudo-inverse where robots so close together make S too uneven for Cholesky."""
+    try:
+        return solve_psd(S, PHt.T).T
+    except np.linalg.LinAlgError:
+        return np.asarray(PHt @ np.linalg.pinv(S, rcond=RANK, hermitian=True))
 
 
 def _placed(x: np.ndarray, free: np.ndarray, values: np.ndarray) -> np.ndarray:

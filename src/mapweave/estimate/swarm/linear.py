@@ -7,12 +7,14 @@ average and so shrinks the answer; a pull of equal strength towards the usual di
 the usual distance along its ray.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ...maps.network import Network
 from ...solve import Factor, Information, Pattern, Problem
-from .graph import Components
+from .graph import Components, components
 
 TRACE = 1e-7  # least weight of the usual distance against a sighting's own
 
@@ -64,10 +66,13 @@ def linear_pattern(net: Network, parts: Components) -> tuple[Pattern, Bool[np.nd
     """The sparsity of the linear start, and the robots it holds: anchors, and one of each piece without any."""
     n, dim = len(net), net.dim
     held = net.is_anchor
-    first = np.full(len(parts.known), n)
-    np.minimum.at(first, parts.label, np.arange(n))
-    has = np.zeros(len(parts.known), dtype=bool)
-    has[parts.label[held]] = True
+    label = parts.label
+    if net.distances:  # a piece that only a distance joins to others hangs free as far as directions go
+        label = components(replace(net, distances=())).label
+    first = np.full(label.max(initial=-1) + 1, n)
+    np.minimum.at(first, label, np.arange(n))
+    has = np.zeros(len(first), dtype=bool)
+    has[label[held]] = True
     held[first[~has]] = True
     k = np.arange(dim)
     at = np.concatenate([dim * net.observer[:, None] + k, dim * net.target[:, None] + k], axis=1)

@@ -19,7 +19,7 @@ from .batch import Start, batch, prepare, refine
 from .config import SwarmConfig
 from .factors import bearing_factor
 from .finish import finish
-from .graph import effective_sigma
+from .graph import components, effective_sigma
 from .headings import mutual_pairs, world_directions
 from .linear import linear_pattern, linear_start
 from .verdict import trust_warnings
@@ -36,6 +36,8 @@ def robust(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) ->
     if not np.any(net.sigma > 0):
         return replace(batch(net, cfg, initial), method="robust")
     agree = mutual_agreement(net, cfg.mutual_gate)
+    if not agree.any():
+        agree[:] = True  # nothing agrees: the verdict will say so
     kept = net.select(agree)
     start = prepare(kept, initial)
     used = agree.copy()
@@ -44,13 +46,15 @@ def robust(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) ->
     start = replace(start, position=unsquared_start(kept, start) if initial is None else start.position)
     x = graduated(kept, start, cfg)
     inlier = agreeing(net, x, cfg.inlier_gate) & ~unheard(net, used)
+    if not inlier.any():
+        return _nothing_agrees(net, cfg, initial)
     for _ in range(RESELECTIONS):
         chosen = net.select(inlier)
         start = prepare_at(chosen, x, start)
         solution, problem, pattern = refine(chosen, start, cfg, seldom=EVERYONE)
         x = solution.x
         again = agreeing(net, x, cfg.inlier_gate) & ~unheard(net, used)
-        if (again == inlier).all():
+        if (again == inlier).all() or not again.any():
             break
         inlier = again
     chosen = net.select(inlier)
@@ -60,6 +64,12 @@ def robust(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) ->
     estimate = finish(chosen, start, solution, problem, cfg, "robust", ~inlier, pattern=pattern)
     doubts = trust_warnings(net, ~inlier)
     return replace(estimate, reliable=estimate.reliable and not doubts, warnings=(*doubts, *estimate.warnings))
+
+
+def _nothing_agrees(net: Network, cfg: SwarmConfig, initial: np.ndarray | None) -> SwarmEstimate:
+    estimate = batch(net, cfg, initial)
+    told = "no sightings agree with each other: the estimate uses all of them"
+    return replace(estimate, method="robust", reliable=False, warnings=(told, *estimate.warnings))
 
 
 def mutual_agreement(net: Network, gate: float) -> Bool[np.ndarray, " m"]:
@@ -81,7 +91,7 @@ def mutual_agreement(net: Network, gate: float) -> Bool[np.ndarray, " m"]:
 
 def unsquared_start(net: Network, start: Start) -> Float[np.ndarray, "n d"]:
     """Positions of least summed (not squared) deviation, by reweighting the linear start."""
-    parts = start.parts
+    parts = components(net)
     pattern, held = linear_pattern(net, parts)
     direction = world_directions(net, start.heading)
     plain = net if net.axis else replace(net, axis=True)

@@ -52,6 +52,8 @@ def robot_blocks(
     A: Information, free: np.ndarray, n: int, w: int, G: np.ndarray, C: np.ndarray
 ) -> Float[np.ndarray, "n w w"]:
     """Covariance blocks by robot with the conditions `C^T dx = 0` (Baarda's S-transformation), zero where fixed."""
+    if not len(free):
+        return np.zeros((n, w, w))
     at = np.full(n * w, -1)
     at[free] = np.arange(len(free))
     index = at.reshape(n, w)
