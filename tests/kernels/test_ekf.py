@@ -13,7 +13,7 @@ pytestmark = pytest.mark.kernel
 PLAIN = ekf.Noise(
     along=0.05, across=0.02, drift=0.05, turn=0.04, rest_xy=0.0, rest_theta=0.0, lost_xy=0.06, lost_theta=0.3,
     hold=2.0, speed=0.0, speed_time=1.0, spin=0.0, spin_time=1.0, range_floor=0.05, range_share=0.045, bearing=0.014,
-    range_inflation=1.0, bearing_inflation=1.0, gate=1e9, agree=1,
+    range_inflation=1.0, bearing_inflation=1.0, gate=1e9, far=1e9, agree=1,
 )  # fmt: skip
 SILENT = PLAIN._replace(along=0.0, across=0.0, drift=0.0, turn=0.0)
 
@@ -139,7 +139,7 @@ def test_one_sighting_equals_the_dense_update(gate):
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
     wanted, wanted_P = x + K @ e, joseph(P, K, H, R)
     U = np.empty((2, len(x)))
-    nis, got_weight = ekf.sight(x, P, U, 0, 1, z[0], z[1], noise)
+    nis, got_weight = ekf.sight(x, P, U, 0, 1, z[0], z[1], noise, np.zeros(1, np.int64))
     ekf.release(P, U, 2)
     assert np.isclose(nis, d2)
     assert np.isclose(got_weight, weight)
@@ -155,12 +155,13 @@ def test_a_frame_worked_in_at_once_is_its_sightings_one_by_one():
     noise = PLAIN._replace(range_inflation=20.0, gate=2.0)
     slots, started = np.array([2, -1, 0, 1]), np.ones(3, bool)
     z = np.array([[3.0, 0.5], [1.0, 0.0], [4.0, 0.9], [2.5, 0.7]])
+    astray = np.zeros(1, np.int64)
     waiting, count, nis, weight = np.zeros((3, ekf.CANDIDATES, 2)), np.zeros(3, np.int64), np.zeros(4), np.zeros(4)
-    ekf.frame(x, P, slots, z[:, 0].copy(), z[:, 1].copy(), noise, started, waiting, count, nis, weight)
-    U = np.empty((2, len(y)))
+    ekf.frame(x, P, slots, z[:, 0].copy(), z[:, 1].copy(), noise, started, waiting, count, astray, nis, weight)
+    U, alone = np.empty((2, len(y))), np.zeros(1, np.int64)
     for slot, (r, b) in zip(slots, z, strict=True):
         if slot >= 0:
-            ekf.sight(y, R, U, 0, slot, r, b, noise)
+            ekf.sight(y, R, U, 0, slot, r, b, noise, alone)
             ekf.release(R, U, 2)
     assert np.allclose(x, y, atol=1e-12)
     assert np.allclose(P, R, atol=1e-12)
@@ -206,6 +207,16 @@ def test_coasting_forgets_speed_and_turn_rate_and_keeps_their_spread():
     assert np.allclose(x[3:5], [0.1 * np.exp(-1.5), 0.4 * np.exp(-3.0)])
     assert np.allclose([P[3, 3], P[4, 4]], [0.1**2, 0.5**2])
     assert np.linalg.eigvalsh(P)[0] > -1e-12
+
+
+def test_a_far_sighting_hardly_counts_unless_far_ones_keep_coming():
+    noise, astray = PLAIN._replace(gate=2.0, far=10.0), np.zeros(1, np.int64)
+    assert ekf.trust(1.9, noise, astray) == 1.0
+    assert np.isclose(ekf.trust(4.0, noise, astray), 0.5)
+    first = [ekf.trust(40.0, noise, astray) for _ in range(4)]
+    assert np.allclose(first, [0.05 / 16, 0.05 / 16, 0.05 / 16, 0.05])
+    assert ekf.trust(1.0, noise, astray) == 1.0
+    assert ekf.trust(40.0, noise, astray) < 0.01
 
 
 def test_wrap_brings_angles_into_half_open_turn():

@@ -44,6 +44,7 @@ class EkfSlamConfig:
     range_inflation: float = 20.0  # of the variance: errors of one landmark's range last for seconds
     bearing_inflation: float = 7.0
     gate: float = 2.0  # normalised innovation from which a sighting counts less, never nothing
+    far: float = 10.0  # normalised innovation from which it counts less by the square: a label misread
     agree: int = 3  # sightings of a new landmark that must agree on its place
     # calibration: prior mean and standard deviation
     speed_scale: float = 1.0
@@ -55,7 +56,7 @@ class EkfSlamConfig:
     bearing_bias: float = 0.0  # [rad]
     bearing_bias_sd: float = 0.02
     range_scale: float = 1.0
-    range_scale_sd: float = 0.02
+    range_scale_sd: float = 0.03
 
     def __post_init__(self) -> None:
         if self.odometry and self.speed_scale_sd > 0 and self.range_scale_sd > 0:
@@ -78,9 +79,10 @@ def calibration_prior(cfg: EkfSlamConfig) -> tuple[Float[np.ndarray, "5"], Float
 
 def noise(cfg: EkfSlamConfig) -> Noise:
     known = cfg.odometry
+    camera = (cfg.range_floor, cfg.range_share, cfg.bearing, cfg.range_inflation, cfg.bearing_inflation)
     return Noise(
         cfg.noise_along, cfg.noise_across, cfg.noise_drift, cfg.noise_turn, cfg.rest_xy, cfg.rest_theta,
         cfg.lost_xy if known else WANDER, cfg.lost_theta if known else WANDER,
         cfg.hold, 0.0 if known else cfg.speed, cfg.speed_time, cfg.spin, cfg.spin_time,
-        cfg.range_floor, cfg.range_share, cfg.bearing, cfg.range_inflation, cfg.bearing_inflation, cfg.gate, cfg.agree,
+        *camera, cfg.gate, cfg.far, cfg.agree,
     )  # fmt: skip

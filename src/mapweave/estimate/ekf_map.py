@@ -15,6 +15,7 @@ from .ekf_replay import Played, play
 CALIBRATION = ("speed_scale", "turn_scale", "lag", "bearing_bias", "range_scale")
 ENOUGH = 20  # sightings from which a landmark that keeps contradicting itself is told
 CONTRADICTED = 0.5  # share of its sightings that were down-weighted
+MOST_RESTLESS = 5  # landmarks left out so, one after the other: one that moves makes others look restless
 MUCH_DOWN_WEIGHTED = 0.3
 HIGH_NIS = 3.0
 
@@ -27,17 +28,18 @@ def local_map(log: LandmarkLog, cfg: EkfSlamConfig | None = None, seed: int = 0)
     """
     cfg = config_for(log, cfg or EkfSlamConfig())
     run = play if cfg.odometry else play_in_pieces
-    done = run(log, cfg)
-    restless = _restless(done)
-    dropped, warnings = dict(log.dropped), list(log.warnings)
-    if restless:
-        gone = log.sightings.counts()
-        for name in sorted(restless):
-            reason = "misread barcode" if name.startswith("barcode:") else "sighting: no fixed place"
-            dropped[reason] = dropped.get(reason, 0) + gone[name]
-            warnings.append(f"{name} was seen {gone[name]} times but at no fixed place: left out")
-        keep = np.array([name not in restless for name in log.sightings.ids], bool)
-        done = run(replace(log, sightings=log.sightings.select(keep[log.sightings.what])), cfg)
+    dropped, warnings, kept = dict(log.dropped), list(log.warnings), log
+    for _ in range(MOST_RESTLESS):
+        name = _restless(run(kept, replace(cfg, smooth=False)))
+        if name is None:
+            break
+        gone = kept.sightings.counts()[name]
+        reason = "misread barcode" if name.startswith("barcode:") else "sighting: no fixed place"
+        dropped[reason] = dropped.get(reason, 0) + gone
+        warnings.append(f"{name} was seen {gone} times but at no fixed place: left out")
+        stays = np.array([other != name for other in kept.sightings.ids], bool)
+        kept = replace(kept, sightings=kept.sightings.select(stays[kept.sightings.what]))
+    done = run(kept, cfg)
     return _result(log, cfg, done, dropped, [*warnings, *done.warnings])
 
 
@@ -46,15 +48,16 @@ def config_for(log: LandmarkLog, cfg: EkfSlamConfig) -> EkfSlamConfig:
     return replace(cfg, odometry=False) if log.odometry is None else cfg
 
 
-def _restless(done: Played) -> set[str]:
-    """Landmarks most of whose sightings had to be down-weighted."""
-    out = set()
-    for k, name in enumerate(done.seen.ids):
+def _restless(done: Played) -> str | None:
+    """The landmark with the largest share of its sightings down-weighted, if that is most of them."""
+    worst, name = CONTRADICTED, None
+    for k, other in enumerate(done.seen.ids):
         weight = done.weight[done.seen.what == k]
         weight = weight[np.isfinite(weight)]
-        if len(weight) >= ENOUGH and (weight < 1.0).mean() > CONTRADICTED:
-            out.add(name)
-    return out
+        share = float((weight < 1.0).mean()) if len(weight) >= ENOUGH else 0.0
+        if share > worst:
+            worst, name = share, other
+    return name
 
 
 def _result(

@@ -55,7 +55,7 @@ def play(log: LandmarkLog, cfg: EkfSlamConfig) -> Played:
     stamp, distance, bearing = (np.array(c) for c in (seen.t, seen.range, seen.bearing))
     rows = ekf.replay(
         x, P, Phi, Q, start, cmd_t, cmd_v, cmd_w, stamp, slots, distance, bearing,
-        noise(cfg), started, waiting, n_waiting, nis, weight, t, pose, cov,
+        noise(cfg), started, waiting, n_waiting, np.zeros(1, np.int64), nis, weight, t, pose, cov,
     )  # fmt: skip
     ekf.settle(P, len(x), Phi, Q)
     if not (np.isfinite(x).all() and np.isfinite(P).all()):

@@ -47,6 +47,7 @@ class EkfSlamState:
     started: Bool[np.ndarray, " k"]
     waiting: Float[np.ndarray, "k 8 2"]
     n_waiting: Int[np.ndarray, " k"]
+    astray: Int[np.ndarray, "1"]  # far sightings in a row
 
     @property
     def frame(self) -> str:
@@ -82,7 +83,7 @@ def initial(robot: str, cfg: EkfSlamConfig) -> EkfSlamState:
     P[range(ekf.POSE, ekf.HEAD), range(ekf.POSE, ekf.HEAD)] = sd**2
     Phi, Q = np.zeros((ekf.POSE, ekf.HEAD)), np.zeros((ekf.POSE, ekf.POSE))
     ekf.clear(Phi, Q)
-    nothing = (np.zeros(0, bool), np.zeros((0, ekf.CANDIDATES, 2)), np.zeros(0, np.int64))
+    nothing = (np.zeros(0, bool), np.zeros((0, ekf.CANDIDATES, 2)), np.zeros(0, np.int64), np.zeros(1, np.int64))
     return EkfSlamState(robot, None, x, P, Phi, Q, np.zeros((3, 0)), -1, (), {}, *nothing)
 
 
@@ -124,17 +125,18 @@ def _look(state: EkfSlamState, t: float, record: Sightings, cfg: EkfSlamConfig) 
     n = len(mine)
     nis, weight, pose, cov = np.empty(n), np.empty(n), np.empty((1, ekf.POSE)), np.empty((1, 6))
     started, waiting, n_waiting = new.started.copy(), new.waiting.copy(), new.n_waiting.copy()
+    astray = new.astray.copy()
     x, P, Phi, Q = new.x.copy(), new.P.copy(), new.Phi.copy(), new.Q.copy()
     at = ekf.look(
         x, P, Phi, Q, t if state.t is None else state.t, t,
         new.commands[0], new.commands[1], new.commands[2], new.at,
         slots, np.array(record.range)[mine], np.array(record.bearing)[mine], noise(cfg),
-        started, waiting, n_waiting, nis, weight, pose[0], cov[0],
+        started, waiting, n_waiting, astray, nis, weight, pose[0], cov[0],
     )  # fmt: skip
     gone = max(at, 0)
     new = replace(
         new, t=t, x=x, P=P, Phi=Phi, Q=Q, commands=new.commands[:, gone:].copy(), at=at - gone,
-        started=started, waiting=waiting, n_waiting=n_waiting,
+        started=started, waiting=waiting, n_waiting=n_waiting, astray=astray,
     )  # fmt: skip
     return new, EkfSlamInfo(Status.USED, Track(np.array([t]), pose, square(cov), new.frame), nis, weight)
 

@@ -18,6 +18,7 @@ POSE = 3
 HEAD = 8  # pose and calibration
 V_SCALE, TURN_SCALE, LAG, BEARING_BIAS, RANGE_SCALE = 3, 4, 5, 6, 7
 COAST_STEP = 0.1  # [s]
+DOUBT = 3  # far sightings in a row that are taken for wrong labels
 CANDIDATES = 8  # sightings of a landmark not yet started that are remembered
 
 
@@ -43,6 +44,7 @@ class Noise(NamedTuple):
     range_inflation: float  # of the variance, for correlated errors
     bearing_inflation: float
     gate: float  # normalised innovation from which a sighting counts less
+    far: float  # normalised innovation from which it hardly counts
     agree: int  # sightings that must agree before a landmark starts
 
 
@@ -241,13 +243,13 @@ def pose_covariance(
 
 @kernel
 def sight(
-    x: Array, P: Array, U: Array, held: int, slot: int, z_range: float, z_bearing: float, noise: Noise
+    x: Array, P: Array, U: Array, held: int, slot: int, z_range: float, z_bearing: float, noise: Noise, astray: Array
 ) -> tuple[float, float]:
     """One sighting of a started landmark worked into `x`, its rank two of `P` into U[held : held + 2]: (NIS, weight).
 
     The covariance is `P - U[:held]^T U[:held]`: a frame's sightings are worked in one by one, but `P`, large, is
     passed over once. Noise is taken at the predicted distance: the measured one favours short readings. A sighting
-    whose normalised innovation d exceeds the gate counts with weight gate / d.
+    far from the prediction counts less, by `trust`, never nothing.
     """
     size = len(x)
     a = HEAD + 2 * slot
@@ -281,7 +283,7 @@ def sight(
     r1 = noise.bearing**2
     nis = quadratic(e0, e1, s00 + r0, s01, s11 + r1)
     d = np.sqrt(nis)
-    weight = 1.0 if d <= noise.gate else noise.gate / d
+    weight = trust(d, noise, astray)
     l00 = np.sqrt(s00 + r0 * noise.range_inflation / weight)  # S = L L^T, U = L^-1 H P
     l10 = s01 / l00
     l11 = np.sqrt(s11 + r1 * noise.bearing_inflation / weight - l10 * l10)
@@ -293,6 +295,24 @@ def sight(
         U[held, j], U[held + 1, j] = u0, u1
         x[j] += u0 * y0 + u1 * y1
     return nis, weight
+
+
+@kernel
+def trust(d: float, noise: Noise, astray: Array) -> float:
+    """How much a sighting of normalised innovation `d` counts: all, gate / d, and beyond `far` less by its square.
+
+    That last only while few far ones have come in a row, counted in astray[0]: then it is a wrong label. When all
+    are far it is the robot that is elsewhere, and it must find back.
+    """
+    if d <= noise.gate:
+        astray[0] = 0
+        return 1.0
+    weight: float = noise.gate / d
+    if d > noise.far:
+        astray[0] += 1
+        if astray[0] <= DOUBT:
+            weight *= (noise.far / d) ** 2
+    return weight
 
 
 @kernel
@@ -393,7 +413,7 @@ def consider(
 @kernel
 def frame(
     x: Array, P: Array, slots: Array, ranges: Array, bearings: Array, noise: Noise,
-    started: Array, waiting: Array, n_waiting: Array, nis: Array, weight: Array,
+    started: Array, waiting: Array, n_waiting: Array, astray: Array, nis: Array, weight: Array,
 ) -> None:  # fmt: skip
     """All sightings of one camera frame (pose settled); fills `nis` and `weight`.
 
@@ -409,7 +429,7 @@ def frame(
         if slot < 0:
             continue
         if started[slot]:
-            nis[k], weight[k] = sight(x, P, U, held, slot, ranges[k], bearings[k], noise)
+            nis[k], weight[k] = sight(x, P, U, held, slot, ranges[k], bearings[k], noise, astray)
             held += 2
         elif consider(x, slot, ranges[k], bearings[k], noise, waiting, n_waiting):
             release(P, U, held)
@@ -464,6 +484,7 @@ def look(
     started: Array,
     waiting: Array,
     n_waiting: Array,
+    astray: Array,
     nis: Array,
     weight: Array,
     pose: Array,
@@ -476,7 +497,7 @@ def look(
     else:
         t, at = drive(x, Phi, Q, t, now, cmd_t, cmd_v, cmd_w, at, noise)
         settle(P, len(x), Phi, Q)
-    frame(x, P, slots, ranges, bearings, noise, started, waiting, n_waiting, nis, weight)
+    frame(x, P, slots, ranges, bearings, noise, started, waiting, n_waiting, astray, nis, weight)
     pose[0], pose[1], pose[2] = x[0], x[1], wrap(x[2])
     pose_covariance(P, Phi, Q, cov)
     return at
@@ -500,6 +521,7 @@ def replay(
     started: Array,
     waiting: Array,
     n_waiting: Array,
+    astray: Array,
     nis: Array,
     weight: Array,
     track_t: Array,
@@ -527,7 +549,7 @@ def replay(
         if j > first:
             at = look(
                 x, P, Phi, Q, t, now, cmd_t[:i], cmd_v, cmd_w, at, slots[first:j], ranges[first:j], bearings[first:j],
-                noise, started, waiting, n_waiting, nis[first:j], weight[first:j], pose[rows], cov[rows],
+                noise, started, waiting, n_waiting, astray, nis[first:j], weight[first:j], pose[rows], cov[rows],
             )  # fmt: skip
             t = now
         else:

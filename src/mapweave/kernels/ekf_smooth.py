@@ -24,6 +24,7 @@ from .ekf import (
     clear,
     drive,
     quadratic,
+    trust,
     wrap,
 )
 
@@ -31,7 +32,7 @@ Array: TypeAlias = np.ndarray
 
 
 @kernel
-def fix(x: Array, P: Array, B: Array, slot: int, z_range: float, z_bearing: float, noise: Noise) -> None:
+def fix(x: Array, P: Array, B: Array, slot: int, z_range: float, z_bearing: float, noise: Noise, astray: Array) -> None:
     """One sighting of a landmark whose place is a parameter, worked into the chain in `x`, its `P` and `B`."""
     d = len(P)
     a = HEAD + 2 * slot
@@ -49,7 +50,7 @@ def fix(x: Array, P: Array, B: Array, slot: int, z_range: float, z_bearing: floa
     r0 = noise.range_floor**2 + (noise.range_share * r) ** 2
     r1 = noise.bearing**2
     far = np.sqrt(quadratic(e[0], e[1], S[0, 0] + r0, S[0, 1], S[1, 1] + r1))
-    weight = 1.0 if far <= noise.gate else noise.gate / far
+    weight = trust(far, noise, astray)
     S[0, 0] += r0 * noise.range_inflation / weight
     S[1, 1] += r1 * noise.bearing_inflation / weight
     det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
@@ -135,6 +136,7 @@ def smooth(
     before, after = np.zeros((n, d)), np.zeros((n, d))  # predicted and filtered, later smoothed
     P_before, P_after, move = np.zeros((n, d, d)), np.zeros((n, d, d)), np.zeros((n, d, d))
     B_before, B_after = np.zeros((n, d, m)), np.zeros((n, d, m))
+    astray = np.zeros(1, np.int64)
     starts = np.full(n, -1, np.int64)  # command in force at each node
     P_after[0] = P
     now, at, j = t, -1, 0
@@ -145,7 +147,7 @@ def smooth(
         before[k], P_before[k], B_before[k], move[k] = x[:d], P, B, F
         while j < len(stamp) and stamp[j] == now:
             if slots[j] >= 0:
-                fix(x, P, B, slots[j], ranges[j], bearings[j], noise)
+                fix(x, P, B, slots[j], ranges[j], bearings[j], noise, astray)
             j += 1
         after[k], P_after[k], B_after[k] = x[:d], P, B
     back(before, P_before, B_before, move, after, P_after, B_after)
