@@ -24,7 +24,7 @@ class EkfSlamConfig:
     noise_along: float = 0.05  # [m / sqrt(m)] of distance commanded
     noise_across: float = 0.02  # [m / sqrt(m)]
     noise_drift: float = 0.05  # [rad / sqrt(m)] heading over distance commanded
-    noise_turn: float = 0.05  # [rad / sqrt(rad)] heading over angle commanded
+    noise_turn: float = 0.1  # [rad / sqrt(rad)] heading over angle commanded
     rest_xy: float = 1e-4  # [m / sqrt(s)] always
     rest_theta: float = 1e-4  # [rad / sqrt(s)] always
     lost_xy: float = 0.06  # [m / sqrt(s)] while no command is known
@@ -41,8 +41,10 @@ class EkfSlamConfig:
     range_floor: float = 0.05  # [m]
     range_share: float = 0.045  # of the predicted distance
     bearing: float = 0.014  # [rad]
-    range_inflation: float = 20.0  # of the variance: errors of one landmark's range last for seconds
-    bearing_inflation: float = 7.0
+    range_inflation: float = 30.0  # of the variance: errors of one landmark's range last for seconds
+    bearing_inflation: float = 10.0
+    track_range_inflation: float = 5.0  # the same where past poses are corrected by the finished map
+    track_bearing_inflation: float = 3.0
     gate: float = 2.0  # normalised innovation from which a sighting counts less, never nothing
     far: float = 10.0  # normalised innovation from which it counts less by the square: a label misread
     agree: int = 3  # sightings of a new landmark that must agree on its place
@@ -86,3 +88,8 @@ def noise(cfg: EkfSlamConfig) -> Noise:
         cfg.hold, 0.0 if known else cfg.speed, cfg.speed_time, cfg.spin, cfg.spin_time,
         *camera, cfg.gate, cfg.far, cfg.agree,
     )  # fmt: skip
+
+
+def track_noise(cfg: EkfSlamConfig) -> Noise:
+    """`noise` for correcting past poses."""
+    return noise(cfg)._replace(range_inflation=cfg.track_range_inflation, bearing_inflation=cfg.track_bearing_inflation)

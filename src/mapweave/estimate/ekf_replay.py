@@ -11,7 +11,7 @@ from ..kernels import ekf, ekf_smooth
 from ..maps.submap import Submap
 from ..readers.landmark_log import LandmarkLog, SightingTable
 from . import ekf_slam
-from .ekf_config import EkfSlamConfig, noise
+from .ekf_config import EkfSlamConfig, noise, track_noise
 
 MOST_NUMBERS = 30_000_000  # sightings times state: beyond, smoothing would take gigabytes and poses stay filtered
 
@@ -65,7 +65,7 @@ def play(log: LandmarkLog, cfg: EkfSlamConfig) -> Played:
     if cfg.smooth and started.any() and len(seen) * len(x) <= MOST_NUMBERS:
         used_slots = np.where((slots >= 0) & started[slots], slots, -1)
         ekf_smooth.smooth(
-            x, P, start, cmd_t, cmd_v, cmd_w, stamp, used_slots, distance, bearing, noise(cfg), t, pose, square
+            x, P, start, cmd_t, cmd_v, cmd_w, stamp, used_slots, distance, bearing, track_noise(cfg), t, pose, square
         )
     scale = float(x[ekf.RANGE_SCALE])
     by = np.array([scale, scale, 1.0])
