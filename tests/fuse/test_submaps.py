@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
+from mapweave.fuse import variance
+from mapweave.fuse.map_term import MapTerm
 from mapweave.fuse.overlap import Cluster
-from mapweave.fuse.submaps import MapTerm, build, join
+from mapweave.fuse.submaps import build, join
 from mapweave.maps.landmarks import LandmarkMap
 
 from .worlds import covariance, team
@@ -39,6 +41,7 @@ def test_the_normal_equations_of_a_map_are_those_of_its_numeric_jacobian():
     H, g = term.normal(x)
     np.testing.assert_allclose(H[0], J.T @ A @ J, rtol=1e-6, atol=1e-5)
     np.testing.assert_allclose(g[0], J.T @ A @ r, rtol=1e-6, atol=1e-5)
+    np.testing.assert_allclose(term.jacobian(x), J, atol=1e-7)
     assert term.squares(x)[0] == pytest.approx(r @ A @ r)
 
 
@@ -120,3 +123,15 @@ def test_a_map_turned_in_its_own_frame_gives_the_same_landmarks():
     once = join(maps, start)
     np.testing.assert_allclose(again.mean, once.mean, atol=1e-6)
     np.testing.assert_allclose(again.cov, once.cov, rtol=1e-4, atol=1e-8)
+
+
+def test_sampled_variance_factors_are_the_exact_ones(monkeypatch):
+    rng = np.random.default_rng(7)
+    maps, start, _, _ = world(rng, robots=6, landmarks=40, seen=30, scale_sigma=0.01)
+    maps[2] = LandmarkMap(maps[2].ids, maps[2].mean, maps[2].cov / 9, maps[2].frame)
+    how = {"scale_sigma": 0.02, "floor": 0.002, "variance_prior": 4.0}
+    exact = join(maps, start, **how)
+    monkeypatch.setattr(variance, "EXACT", 0)
+    sampled = join(maps, start, **how)
+    np.testing.assert_allclose(sampled.variance_factors, exact.variance_factors, rtol=0.12)
+    np.testing.assert_allclose(sampled.mean, exact.mean, atol=0.005)

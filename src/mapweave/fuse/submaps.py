@@ -15,82 +15,15 @@ from ..core.gaussian import solve_psd, symmetrise
 from ..maps.landmarks import LandmarkMap
 from ..solve import Factor, Pattern, Problem, Solution, SolveConfig, Term, minimise, wrapping
 from .joined import Joined
+from .map_term import MapTerm
 from .overlap import Cluster
+from .variance import variance_factors
 
 SOLVE = SolveConfig(max_iterations=100, damping=1e-6, step_tolerance=1e-8, cost_tolerance=1e-11)
 NEARER = SolveConfig(max_iterations=2, damping=0.0)  # between two estimates of the variance factors
 ROUNDS = 20
-LARGE = 20_000  # variables from which nested dissection pays
-FACTORS = (0.05, 400.0)  # between which a variance factor is believed
-
-
-@dataclass(frozen=True, slots=True)
-class MapTerm:
-    """One local map as a measurement of its frame (x, y, theta), its scale and its n landmarks, in that order.
-
-    z: (2n,) [m]; information: (2n, 2n), the inverse of V_k. Its normal equations cost n^2, not n^3: the information
-    is turned, not multiplied.
-    """
-
-    where: Int[np.ndarray, " d"]
-    z: Float[np.ndarray, " m"]
-    information: Float[np.ndarray, "m m"]
-
-    @property
-    def columns(self) -> Int[np.ndarray, "1 d"]:
-        return self.where[None]
-
-    @property
-    def size(self) -> int:
-        return len(self.z)
-
-    def residual(self, x: np.ndarray) -> Float[np.ndarray, " m"]:
-        frame, scale, points = x[self.where[:3]], x[self.where[3]], x[self.where[4:]].reshape(-1, 2)
-        c, s = np.cos(frame[2]), np.sin(frame[2])
-        d = points - frame[:2]
-        r = -self.z
-        r[0::2] += scale * (c * d[:, 0] + s * d[:, 1])
-        r[1::2] += scale * (c * d[:, 1] - s * d[:, 0])
-        return r
-
-    def squares(self, x: np.ndarray) -> Float[np.ndarray, "1"]:
-        r = self.residual(x)
-        return np.array([r @ self.information @ r])
-
-    def costs(self, x: np.ndarray) -> Float[np.ndarray, "1"]:
-        return self.squares(x)
-
-    def design(self, x: np.ndarray) -> Float[np.ndarray, "m 4"]:
-        """Derivatives of the residual by frame and scale."""
-        frame, scale, points = x[self.where[:3]], x[self.where[3]], x[self.where[4:]].reshape(-1, 2)
-        c, s = np.cos(frame[2]), np.sin(frame[2])
-        d = points - frame[:2]
-        u, v = c * d[:, 0] + s * d[:, 1], -s * d[:, 0] + c * d[:, 1]
-        D = np.empty((len(d), 2, 4))
-        D[:, 0, 0], D[:, 0, 1], D[:, 1, 0], D[:, 1, 1] = -scale * c, -scale * s, scale * s, -scale * c
-        D[:, 0, 2], D[:, 1, 2] = scale * v, -scale * u
-        D[:, 0, 3], D[:, 1, 3] = u, v
-        return D.reshape(-1, 4)
-
-    def normal(self, x: np.ndarray) -> tuple[Float[np.ndarray, "1 d d"], Float[np.ndarray, "1 d"]]:
-        A, D, r = self.information, self.design(x), self.residual(x)
-        c, s, k = np.cos(x[self.where[2]]), np.sin(x[self.where[2]]), x[self.where[3]]
-        AD, Ar = A @ D, A @ r
-        H = np.empty((len(self.where), len(self.where)))
-        H[:4, :4] = D.T @ AD
-        H[4:, :4] = k * _turn_rows(AD, c, s)
-        H[:4, 4:] = H[4:, :4].T
-        H[4:, 4:] = k * k * _turn_rows(_turn_rows(A, c, s).T, c, s).T
-        g = np.concatenate([D.T @ Ar, k * _turn_rows(Ar[:, None], c, s)[:, 0]])
-        return H[None], g[None]
-
-
-def _turn_rows(A: Float[np.ndarray, "m k"], c: float, s: float) -> Float[np.ndarray, "m k"]:
-    """Every pair of rows turned by the rotation [[c, -s], [s, c]]."""
-    out = np.empty_like(A)
-    out[0::2] = c * A[0::2] - s * A[1::2]
-    out[1::2] = s * A[0::2] + c * A[1::2]
-    return out
+STILL = 0.01  # relative change of the variance factors that is waited for
+LARGE = 3000  # variables from which nested dissection pays
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,8 +116,8 @@ def join(
     pattern = grouped(Pattern.of(problem), problem, layout)
     solution = minimise(problem, SOLVE, pattern)
     for i in range(ROUNDS if variance_prior is not None else 0):
-        new = _variance_factors(maps, problem, solution, factors, variance_prior or 0.0)
-        last = np.abs(np.log(new / factors)).max() < 1e-3 or i == ROUNDS - 1
+        new = variance_factors(maps, problem, solution, factors, variance_prior or 0.0)
+        last = np.abs(np.log(new / factors)).max() < STILL or i == ROUNDS - 1
         factors = new
         problem, layout = build(
             maps, _from(start, solution.x, layout), _noise(maps, factors, floor), scale_sigma, extra
@@ -197,38 +130,6 @@ def join(
 
 def _noise(maps: Sequence[LandmarkMap], factors: Float[np.ndarray, " k"], floor: float) -> list[np.ndarray]:
     return [v * m.cov + floor**2 * np.eye(2 * len(m)) for m, v in zip(maps, factors, strict=True)]
-
-
-def _variance_factors(
-    maps: Sequence[LandmarkMap],
-    problem: Problem,
-    solution: Solution,
-    factors: Float[np.ndarray, " k"],
-    prior: float,
-) -> Float[np.ndarray, " k"]:
-    """How much larger each map's covariance should be for its residuals to be what they are.
-
-    Helmert's variance components: the map's part of chi-square over its part of the redundancy, one step of it.
-    """
-    out = factors.copy()
-    for k, m in enumerate(maps):
-        term = problem.terms[k]
-        if not isinstance(term, MapTerm):  # pragma: no cover - terms begin with the maps
-            continue
-        r, A = term.residual(solution.x), term.information
-        J = np.concatenate([term.design(solution.x), _blocks(term, solution.x)], axis=1)
-        S = J @ solution.covariance(term.where) @ J.T
-        Ar = A @ r
-        own = factors[k] * m.cov  # the part of V_k that the factor scales
-        found = float(Ar @ own @ Ar)
-        expected = float(np.sum(A * own) - np.sum((A @ S @ A) * own))
-        out[k] = (factors[k] * found + prior) / (max(expected, 0.0) + prior)
-    return np.asarray(np.clip(out, *FACTORS))
-
-
-def _blocks(term: MapTerm, x: np.ndarray) -> Float[np.ndarray, "m m"]:
-    c, s, k = np.cos(x[term.where[2]]), np.sin(x[term.where[2]]), x[term.where[3]]
-    return np.kron(np.eye(term.size // 2), k * np.array([[c, s], [-s, c]]))
 
 
 def _from(start: Cluster, x: np.ndarray, layout: Layout) -> Cluster:
