@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
@@ -137,6 +138,19 @@ def test_robots_without_a_common_axis_are_noticed_and_located_with_their_heading
     assert found.score.rmse < 0.5
     error = found.estimate.heading - np.array([float(row["heading"]) for row in truth])
     assert np.abs(np.angle(np.exp(1j * error))).max() < np.deg2rad(3.0)
+
+
+def test_robots_in_space_without_common_axes_are_refused(tmp_path):
+    made = mapweave.simulate_swarm(scene=SwarmScene(robots=27, dim=3, axis=False))
+    with pytest.raises(DataError, match="in space robots need common axes"):
+        mapweave.locate(replace(made.table, axis=True), anchors={"1": made.position[0][0]})
+
+
+def test_a_network_in_which_nobody_is_held_says_so_and_still_draws_it(tmp_path):
+    code, metrics = run(tmp_path, table(tmp_path, ["1,2,0.0", "2,3,1.5"]), "--anchor", "1=0,0", "--anchor", "3=5,5")
+    assert code == 0
+    assert (tmp_path / "out" / "report.html").is_file()
+    assert metrics["rmse"] is None
 
 
 # Bad input, each as the issue lists it.

@@ -4,7 +4,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..core.bearings import BearingTable
-from ..core.se2 import wrap_angle
 
 GATE = 6.0 * np.sqrt(2.0)  # standard deviations between two sightings of the same pair
 FEW = 5  # mutual pairs below which nothing is said about axes
@@ -41,9 +40,7 @@ def contradictions(table: BearingTable, sigma: Float[np.ndarray, " m"]) -> Bool[
 
 
 def shares_an_axis(table: BearingTable, sigma: Float[np.ndarray, " m"]) -> bool:
-    """False when mutual sightings in the plane plainly do not point at each other: every robot has its own heading."""
-    if table.dim != 2:
-        return True
+    """False when mutual sightings plainly do not point at each other: every robot has axes of its own."""
     n = len(table.ids)
     forth, back = table.observer * n + table.target, table.target * n + table.observer
     _, a, b = np.intersect1d(forth, back, return_indices=True)
@@ -51,8 +48,7 @@ def shares_an_axis(table: BearingTable, sigma: Float[np.ndarray, " m"]) -> bool:
     a, b = a[mutual], b[mutual]
     if len(a) < FEW:
         return True
-    z = table.bearing()
-    off = np.abs(wrap_angle(z[a] - z[b] - np.pi))
+    off = _angle(table.direction[a], -table.direction[b])
     return bool(np.median(off) <= max(0.5, 20.0 * float(np.median(sigma))))
 
 

@@ -77,9 +77,9 @@ def write_network_report(out: Path, story: NetworkStory, lines: Sequence[str], m
         page.figure(
             figures / "spread.png", "Standard deviations, and (with truth) whether errors are as large as they say."
         )
-    if np.any(net.sigma > 0):
+    residuals = whitened(net, found)
+    if np.any(net.sigma > 0) and len(residuals):
         page.section("Sightings")
-        residuals = whitened(net, found)
         left = float(np.clip(found.dof / max(len(residuals), 1), 0.05, 1.0))
         residual_figure(figures / "residuals.png", residuals, found.outlier, left)
         page.figure(figures / "residuals.png", "Residuals of all sightings used, over their standard deviations.")

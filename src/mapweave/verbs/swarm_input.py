@@ -85,6 +85,8 @@ def prepare(
     filled, said = _filled(table, sigma)
     table = BearingTable(table.ids, table.observer, table.target, table.direction, filled, table.t, axis is not False)
     if axis is None and not told and not shares_an_axis(table, filled):
+        if table.dim == 3:
+            raise DataError(f"{name}: mutual sightings do not point at each other; in space robots need common axes")
         table = BearingTable(table.ids, table.observer, table.target, table.direction, filled, table.t, axis=False)
         told.append(
             "mutual sightings do not point at each other: no common axis, so every robot's heading is estimated"

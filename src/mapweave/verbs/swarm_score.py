@@ -105,7 +105,7 @@ def score_estimate(net: Network, found: SwarmEstimate, truth: SwarmTruth, *, bou
         alignment=alignment,
         scored=int(use.sum()),
         without_truth=int((~have).sum()),
-        errors=_paper(net, aligned, places, fit),
+        errors=_paper(net, aligned, places, fit) if use.any() else None,
         aligned=np.asarray(aligned),
         truth=places,
     )
