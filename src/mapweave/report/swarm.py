@@ -103,11 +103,10 @@ def write_moved_report(out: Path, story: MovedStory, lines: Sequence[str], metri
     page.section("Ways")
     truth = dict(story.truth)
     if story.track.gauge:
-        page.text(f"No anchors hold the frame: {story.track.gauge}.")
-        truth = {}
+        page.text(f"There are too few anchors to fix everything: {story.track.gauge}.", warn=True)
     tracks_figure(figures / "tracks.png", story.ids, story.track, story.anchors, truth)
     page.figure(figures / "tracks.png", "Every robot's way, smoothed over all sightings.")
-    if truth:
+    if truth and not story.track.gauge:
         track_errors_figure(figures / "errors.png", story.track, truth, story.anchors)
         page.figure(figures / "errors.png", "Errors against the truth, and what was promised.")
     page.section("All that was said")

@@ -184,7 +184,7 @@ def _plane(
             p[free, 1],
             s=float(np.clip(6e4 / n, 1.0, 12.0)),
             c=c,
-            cmap=SEQUENTIAL,
+            cmap=None if spread is None else SEQUENTIAL,
             linewidths=0,
             label="located",
             rasterized=True,

@@ -124,16 +124,18 @@ def marginal_nees(error: Float[np.ndarray, "k d"], cov: Float[np.ndarray, "k d d
 def score_track(
     track: SwarmTrack, ids: Sequence[str], anchors: Sequence[int], truth: SwarmTruth
 ) -> tuple[SwarmScore, dict[int, Float[np.ndarray, "k d"]]]:
-    """All positions over time of robots that are no anchors; also the true positions at each robot's stamps."""
+    """All positions over time of robots that are no anchors; also the true positions at each robot's stamps,
+    in the frame of the track."""
     there = _over_time(track, ids, truth)
     free = [k for k in there if k not in set(anchors)]
     found = {k: track.tracks[k].position for k in free}
-    alignment = "none"
+    alignment, there_in_frame = "none", there
     if track.gauge and free:
         s, R, t = similarity(
             np.concatenate([found[k] for k in free]), np.concatenate([there[k] for k in free]), scale=False, turn=True
         )
         found = {k: s * p @ R.T + t for k, p in found.items()}
+        there_in_frame = {k: (q - t) @ R / s for k, q in there.items()}
         alignment = "place and turn"
     dim = next(iter(track.tracks.values())).position.shape[1]
     error = np.concatenate([found[k] - there[k] for k in free]) if free else np.zeros((0, dim))
@@ -143,7 +145,7 @@ def score_track(
         nees = marginal_nees(error, np.concatenate([c for c in cov if c is not None]))
     last = np.full((len(ids), dim), np.nan)
     score = SwarmScore(rms(error), None, nees, alignment, len(free), len(track.tracks) - len(there), None, last, last)
-    return score, there
+    return score, there_in_frame
 
 
 def _over_time(track: SwarmTrack, ids: Sequence[str], truth: SwarmTruth) -> dict[int, Float[np.ndarray, "k d"]]:

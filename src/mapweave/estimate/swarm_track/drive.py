@@ -58,7 +58,11 @@ def smooth_driving(
         pose = solution.x[problem.index[rows]]
         tracks[robot] = RobotTrack(problem.line.t[rows], pose[:, :2], None if cov is None else cov[rows], pose[:, 2])
     scale = {k: (1.0 + solution.x[c], 1.0 + solution.x[d]) for k, (c, d) in problem.scales.items() if k in placed}
-    gauge = "" if len(set(anchors) & placed) >= 2 else f"frame: first pose of robot {table.ids[problem.root(placed)]}"
+    gauge = (
+        ""
+        if len(set(anchors) & placed) >= 2
+        else f"place and turn free (the frame is the first pose of robot {table.ids[problem.root(placed)]})"
+    )
     return SwarmTrack(
         tracks,
         "smoothed with odometry",

@@ -107,7 +107,7 @@ class PoseProblem:
             for robot in idle:  # a robot that stands still in common axes has no heading to find
                 fixed[self.index[self.line.of(robot), 2]] = True
         problem = Problem(x, self._terms(moving, here, placed, cfg), fixed, wrapping(self.index[:, 2]))
-        return minimise(problem, SolveConfig(max_iterations=iterations))
+        return minimise(problem, SolveConfig(max_iterations=iterations, cost_tolerance=1e-6))
 
     def _terms(self, moving: np.ndarray, here: np.ndarray, placed: AbstractSet[int], cfg: TrackConfig) -> list[Term]:
         line = self.line
