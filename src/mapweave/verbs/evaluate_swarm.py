@@ -14,7 +14,7 @@ from ..evaluate.swarm import paper_errors, rms, similarity
 from ..readers.sightings import read_swarm_truth
 from ..readers.table import Table, read_table
 from ..writers.positions import NAMES, ORDER
-from .swarm_score import marginal_nees, places_of
+from .swarm_score import marginal_nees, over_time, places_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,13 +130,15 @@ def _over_time(
             at = np.broadcast_to(true.position[rows[0], :dim], place.shape)
         else:
             rows = rows[np.argsort(true.t[rows], kind="stable")]
-            at = np.column_stack([np.interp(t, true.t[rows], true.position[rows, c]) for c in range(dim)])
+            at = over_time(t, true.t[rows], true.position[rows, :dim])
         found.append(place)
         there.append(at)
         covs.append(cov)
     if not found:
         return SwarmEvaluation(None, None, None, None, "none", 0, int((~located).sum()), missing)
     p, q, P = np.concatenate(found), np.concatenate(there), np.concatenate(covs)
+    have = np.isfinite(q).all(axis=1)
+    p, q, P = p[have], q[have], P[have]
     alignment = "none"
     if gauge:
         s, R, shift = similarity(p, q, scale=False, turn=True)

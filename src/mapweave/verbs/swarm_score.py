@@ -125,27 +125,39 @@ def score_track(
     track: SwarmTrack, ids: Sequence[str], anchors: Sequence[int], truth: SwarmTruth
 ) -> tuple[SwarmScore, dict[int, Float[np.ndarray, "k d"]]]:
     """All positions over time of robots that are no anchors; also the true positions at each robot's stamps,
-    in the frame of the track."""
+    in the frame of the track.
+    """
     there = _over_time(track, ids, truth)
     free = [k for k in there if k not in set(anchors)]
     found = {k: track.tracks[k].position for k in free}
     alignment, there_in_frame = "none", there
     if track.gauge and free:
-        s, R, t = similarity(
-            np.concatenate([found[k] for k in free]), np.concatenate([there[k] for k in free]), scale=False, turn=True
-        )
+        p, q = np.concatenate([found[k] for k in free]), np.concatenate([there[k] for k in free])
+        have = np.isfinite(q).all(axis=1)
+        s, R, t = similarity(p[have], q[have], scale=False, turn=True)
         found = {k: s * p @ R.T + t for k, p in found.items()}
         there_in_frame = {k: (q - t) @ R / s for k, q in there.items()}
         alignment = "place and turn"
     dim = next(iter(track.tracks.values())).position.shape[1]
     error = np.concatenate([found[k] - there[k] for k in free]) if free else np.zeros((0, dim))
+    have = np.isfinite(error).all(axis=1)
     nees = None
     cov = [track.tracks[k].cov for k in free]
     if not track.gauge and free and all(c is not None for c in cov):
-        nees = marginal_nees(error, np.concatenate([c for c in cov if c is not None]))
+        nees = marginal_nees(error[have], np.concatenate([c for c in cov if c is not None])[have])
     last = np.full((len(ids), dim), np.nan)
-    score = SwarmScore(rms(error), None, nees, alignment, len(free), len(track.tracks) - len(there), None, last, last)
+    score = SwarmScore(
+        rms(error[have]), None, nees, alignment, len(free), len(track.tracks) - len(there), None, last, last
+    )
     return score, there_in_frame
+
+
+def over_time(
+    t: Float[np.ndarray, " k"], stamps: Float[np.ndarray, " n"], place: Float[np.ndarray, "n d"]
+) -> Float[np.ndarray, "k d"]:
+    """The place at `t`, straight between `stamps`, NaN before the first and after the last."""
+    at = [np.interp(t, stamps, column, left=np.nan, right=np.nan) for column in place.T]
+    return np.column_stack(at)
 
 
 def _over_time(track: SwarmTrack, ids: Sequence[str], truth: SwarmTruth) -> dict[int, Float[np.ndarray, "k d"]]:
@@ -160,7 +172,7 @@ def _over_time(track: SwarmTrack, ids: Sequence[str], truth: SwarmTruth) -> dict
             out[k] = np.broadcast_to(truth.position[rows[0], :d], one.position.shape)
             continue
         rows = rows[np.argsort(truth.t[rows], kind="stable")]
-        out[k] = np.column_stack([np.interp(one.t, truth.t[rows], truth.position[rows, c]) for c in range(d)])
+        out[k] = over_time(one.t, truth.t[rows], truth.position[rows, :d])
     return out
 
 
