@@ -37,6 +37,7 @@ class Start:
     seen: Observability
     gauge: Gauge
     used: Bool[np.ndarray, " m"]
+    pattern: Pattern | None = None  # of the sightings alone with the anchors held, where that is the whole problem
 
 
 def batch(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) -> SwarmEstimate:
@@ -47,19 +48,17 @@ def batch(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) -> 
     return finish(used, start, solution, problem, cfg, "batch", ~start.used, pattern=pattern)
 
 
-def prepare(
-    net: Network,
-    initial: np.ndarray | None = None,
-    weights: Float[np.ndarray, " m"] | None = None,
-) -> Start:
+def prepare(net: Network, initial: np.ndarray | None = None) -> Start:
     """A start without a guess, and what can be told from these sightings at all."""
     parts = components(net)
     heading, used = None, np.ones(len(net.observer), dtype=bool)
+    pattern = None
     if net.axis:
-        position = initial
-        if position is None:
-            position = linear_start(net, parts, net.direction, *linear_pattern(net, parts), weights)
-        seen = observe(net, parts, position)
+        pattern, held = linear_pattern(net, parts)
+        position = linear_start(net, parts, net.direction, pattern, held) if initial is None else initial
+        if net.distances or not (held == net.is_anchor).all():
+            pattern = None  # what follows holds other entries
+        seen = observe(net, parts, position, pattern)
     else:
         position, heading, seen, used = start_without_axis(net, parts)
         net = net.select(used)
@@ -67,7 +66,7 @@ def prepare(
     seen = without_lines(net, parts, seen, world_directions(net, heading))
     gauge = gauge_of(net, parts, seen.localisable)
     position, heading = normalise(gauge, position, heading)
-    return Start(parts, position, heading, seen, gauge, used)
+    return Start(parts, position, heading, seen, gauge, used, pattern)
 
 
 def refine(
@@ -110,6 +109,8 @@ def refine(
     if len(few):
         terms.append(factors.apart_factor(net, few, NEAREST * span))
     problem = Problem(flat, terms, fixed.ravel(), lambda x, dx: factors.retract(net, x, dx))
+    if len(terms) == 1 and pattern is None and int(problem.free.size) == n * w - dim * len(net.anchors):
+        pattern = start.pattern
     pattern = pattern or Pattern.of(problem).dissected(problem.free // w)
     anyone = (start.seen.localisable & ~net.is_anchor).any()
     solve = SolveConfig(

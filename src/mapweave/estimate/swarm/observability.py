@@ -10,11 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ...core.errors import EstimateError
 from ...core.gaussian import chi2_quantile
 from ...maps.network import Network
 from ...models import bearing
 from ...solve import Factor, Pattern, Problem
 from ...solve.cholesky import Cholesky, NotPositiveError
+from ...solve.fronts import Elimination
 from .factors import columns, width
 from .graph import Components
 
@@ -34,10 +36,19 @@ class Observability:
     in_line: int = 0
 
 
-def observe(net: Network, parts: Components, position: Float[np.ndarray, "n d"], seed: int = 0) -> Observability:
-    """Judged at `position`; robots in pieces other than those with place and scale are not localisable."""
+def observe(
+    net: Network,
+    parts: Components,
+    position: Float[np.ndarray, "n d"],
+    pattern: Pattern | None = None,
+    seed: int = 0,
+) -> Observability:
+    """Judged at `position`; robots in pieces other than those with place and scale are not localisable.
+
+    pattern: of the sightings with the anchors held, where it is known already.
+    """
     if parts.anchored or not len(net.observer):
-        return _judge(net, parts, position, (), seed)
+        return _judge(net, parts, position, (), seed, pattern)
     inside = np.flatnonzero(parts.label[net.observer] == parts.reference)
     degree = np.bincount(np.concatenate([net.observer, net.target]), minlength=len(net))
     strength = np.minimum(degree[net.observer], degree[net.target])[inside]
@@ -88,7 +99,14 @@ def gauge_size(net: Network, parts: Components) -> int:
     return scale + turn + (net.dim if parts.known[c] == 0 else 0)
 
 
-def _judge(net: Network, parts: Components, position: np.ndarray, pair: tuple[int, ...], seed: int) -> Observability:
+def _judge(
+    net: Network,
+    parts: Components,
+    position: np.ndarray,
+    pair: tuple[int, ...],
+    seed: int,
+    pattern: Pattern | None = None,
+) -> Observability:
     n, dim, w = len(net), net.dim, width(net)
     u, r = bearing.predict(position[net.observer], position[net.target])
     size = float(np.median(r)) if len(r) else 1.0
@@ -114,17 +132,10 @@ def _judge(net: Network, parts: Components, position: np.ndarray, pair: tuple[in
     problem = Problem(np.zeros(n * w), terms, fixed.ravel())
     if not len(problem.free):
         return Observability(np.ones(n, dtype=bool), 0)
-    pattern = Pattern.of(problem).dissected(problem.free // w)
+    pattern = pattern or Pattern.of(problem).dissected(problem.free // w)
     normal = [term.normal(problem.x0) for term in terms]
     N, _ = pattern.assemble([a for a, _ in normal], [b for _, b in normal])
-    factor, shift = None, SHIFT
-    while factor is None:
-        data = N.data.copy()
-        data[pattern.diagonal] += shift
-        try:
-            factor = Cholesky.of(pattern.matrix(data), pattern.elimination) if pattern.elimination else None
-        except NotPositiveError:
-            shift *= 100
+    factor, shift = _factored(pattern, N.data)
     nullity = int(np.count_nonzero(factor.pivots() < PIVOT * shift / SHIFT))
     x = np.random.default_rng(seed).normal(size=(len(problem.free), PROBES))
     for _ in range(3):
@@ -137,6 +148,19 @@ def _judge(net: Network, parts: Components, position: np.ndarray, pair: tuple[in
         localisable &= parts.label == parts.reference
         nullity += gauge_size(net, parts)
     return Observability(localisable, nullity)
+
+
+def _factored(pattern: Pattern, values: np.ndarray) -> tuple[Cholesky, float]:
+    """The normal matrix factorised with the smallest shift that keeps it positive, and that shift."""
+    elimination = pattern.elimination or Elimination.of(pattern.matrix(values))
+    for shift in SHIFT * 100.0 ** np.arange(8):
+        data = values.copy()
+        data[pattern.diagonal] += shift
+        try:
+            return Cholesky.of(pattern.matrix(data), elimination), float(shift)
+        except NotPositiveError:
+            continue
+    raise EstimateError("the start has positions that are not finite: nothing can be judged there")
 
 
 def _rows(at: np.ndarray, J: np.ndarray) -> Factor:
