@@ -38,7 +38,7 @@ def test_particles_move_by_odometry_in_their_own_frames_plus_normal_noise():
 def test_the_papers_likelihood_is_normal_in_the_mean_distance_of_the_matched_beams():
     cfg = LaserConfig(likelihood="paper")
     D = np.array([[0.01, 0.02, 0.04], [0.0, 0.0, 0.0]], np.float32)
-    found, _ = log_likelihood(D, 0.04, cfg)
+    found, _ = log_likelihood(D, cfg, "none")
     d = np.array([0.015, 0.0])  # the third beam of the first particle found nothing
     assert np.allclose(found, -(d**2) / (2 * cfg.filter.paper_sigma2**2), rtol=1e-5)
 
@@ -47,12 +47,12 @@ def test_losing_a_match_never_pays_when_beams_are_shared():
     cfg = LaserConfig()
     D = np.full((4, 10), 0.01, np.float32)
     D[0, :3] = 0.04  # this particle lost three matches that the others have
-    found, beams = log_likelihood(D, 0.04, cfg)
+    found, beams = log_likelihood(D, cfg, "none")
     assert beams == 10
     assert found[0] < found[1]
     D[:, 9] = 0.04  # a beam that hardly anyone matches says nothing
     D[1, 9] = 0.0
-    assert log_likelihood(D, 0.04, cfg)[1] == 9
+    assert log_likelihood(D, cfg, "none")[1] == 9
 
 
 def test_the_effective_number_is_all_for_equal_weights_and_one_for_a_single_one():
@@ -87,7 +87,7 @@ def test_the_answer_is_one_particles_trajectory_with_the_map_its_scans_lay_down(
     cells = made.grid.cells()
     walls = np.array(short_drive.world.segments)
     ends = se2.act(se2.inverse(short_drive.truth.pose[0]), walls.reshape(-1, 2, 2))
-    assert np.median(_distance(cells[:, :2], ends)) < 0.05
+    assert np.median(_distance(cells[:, :2], ends)) < 0.08
 
 
 def _distance(points, segments):

@@ -6,6 +6,7 @@ PAPERS: dict[str, str] = {
     # paper: where its command lives
     "kojima": "mapweave.cli.reproduce_kojima:kojima",
     "hamatani": "mapweave.cli.reproduce_hamatani:hamatani",
+    "hara": "mapweave.cli.reproduce_hara:hara",
 }
 
 app = App(name="reproduce", help="Repeat a paper's experiment and set its figures beside ours.")

@@ -111,6 +111,7 @@ def finish(
         tuple(i.decision for i in infos),
         np.array([i.n_eff for i in infos]),
         np.array([i.resampled for i in infos]),
+        _information(infos),
     )
     return LaserMap(
         robot=log.robot,
@@ -141,7 +142,7 @@ def map_laser(
     cfg.check()
     if not len(log.scans):
         raise DataError(f"{log.source}: no scans")
-    set_threads(cfg.threads or 1024)
+    set_threads(cfg.threads if cfg.method == "particle" else 1)
     began = perf_counter()
     feature = choose_feature(log, cfg)
     calibrated = perf_counter()
@@ -161,6 +162,11 @@ def map_laser(
         "ms_per_scan": 1e3 * (ended - calibrated) / len(log.scans),
     }
     return replace(result, timing=timing)
+
+
+def _information(infos: list[ScanInfo]) -> np.ndarray | None:
+    told = [i.information for i in infos if i.information is not None]
+    return np.array(told) if len(told) == len(infos) else None
 
 
 def _first(log: LaserLog, poses: np.ndarray) -> np.ndarray:

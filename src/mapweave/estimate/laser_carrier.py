@@ -39,20 +39,28 @@ class Carrier:
         """`poses` has one more: where the carrier's robot was at the scan."""
         u, sd = self._increment(scan)
         if not self.poses:
-            return self._accept(b, np.zeros(3), ScanInfo(NO_INNOVATION, len(b.q), 0, "first"))
+            return self._accept(
+                b, np.zeros(3), ScanInfo(NO_INNOVATION, len(b.q), 0, "first", information=np.zeros((3, 3)))
+            )
         predicted = se2.compose(self.poses[-1], u)
         if len(b.q) < self.cfg.filter.least_beams:
-            return self._accept(None, predicted, ScanInfo(NO_INNOVATION, len(b.q), 0, "empty"))
+            info = ScanInfo(NO_INNOVATION, len(b.q), 0, "empty", information=np.diag(sd**-2.0))
+            return self._accept(None, predicted, info)
         if not self.matching:
-            return self._accept(None, predicted, ScanInfo(NO_INNOVATION, len(b.q), 0, "odometry"))
+            info = ScanInfo(NO_INNOVATION, len(b.q), 0, "odometry", information=np.diag(sd**-2.0))
+            return self._accept(None, predicted, info)
         found = self.front_end.match(b, predicted, sd)
         wanted = found.matches >= LEAST_SHARE * found.beams
         if wanted and self.gated and scan.odometry is not None:
             wanted = inside(found.innovation, self.cfg.eps(sd))
-        decision = "matched" if wanted else "odometry"
-        return self._accept(
-            b, found.pose if wanted else predicted, ScanInfo(found.innovation, found.beams, found.matches, decision)
+        info = ScanInfo(
+            found.innovation,
+            found.beams,
+            found.matches,
+            "matched" if wanted else "odometry",
+            information=found.information if wanted else np.diag(sd**-2.0),
         )
+        return self._accept(b, found.pose if wanted else predicted, info)
 
     def _increment(self, scan: Scan) -> tuple[np.ndarray, np.ndarray]:
         if scan.odometry is None:

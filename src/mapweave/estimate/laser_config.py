@@ -27,7 +27,7 @@ class FilterConfig:
     update_distance: float = 0.4  # [m] or
     update_turn: float = 0.4  # [rad] moved before weights and maps change
     sd_xy: float = 0.02  # [m] + sd_xy_per_m d: spread of the particles' moves
-    sd_xy_per_m: float = 0.03
+    sd_xy_per_m: float = 0.05
     sd_turn: float = 0.005  # [rad] + sd_turn_per_m d
     sd_turn_per_m: float = 0.0
     refine_iterations: int = 3
@@ -38,7 +38,8 @@ class FilterConfig:
     refine_bare_tangent: float = 0.03  # without
     refine_sd_xy: float = 0.1  # [m] and
     refine_sd_turn: float = 0.05  # [rad] a particle may be moved by refining
-    neff: float = 10.0  # independent returns in a scan, for weighing
+    neff: float = 30.0  # independent returns in a scan, for weighing, with a feature and
+    bare_neff: float = 10.0  # without
     sigma: float = 0.05  # [m] of each
     shared: float = 0.5  # a beam counts when matched in this share of the particles
     paper_sigma2: float = 7e-4  # [m^2] sigma_z of the paper's likelihood
@@ -56,7 +57,7 @@ class LaserConfig:
     gate_sd_xy: float = 0.07  # [m] and
     gate_sd_turn: float = 0.07  # [rad] being added to those of the front end: odometry and scan may be stamped apart
     matcher: str = "map"  # of the gated method: "map" (Gauss-Newton on lines) or "icp" (the paper's)
-    threads: int = 0  # 0: as many as there are cores
+    threads: int = 0  # 0: as many as there are free cores; the result is the same
     resolution: float = 0.1  # [m] cell of the map handed over
     beam: BeamConfig = BeamConfig()
     cells: CellConfig = CellConfig()
@@ -96,6 +97,6 @@ PAPER_FILTER = FilterConfig(
     sd_turn=0.002,
     sd_turn_per_m=0.015,
     refine_iterations=0,
-    neff=30.0,
+    bare_neff=30.0,
 )
 """The paper's filter for wheels that are good over a step: odometry proposes, every scan weighs."""

@@ -18,6 +18,7 @@ class ScanInfo:
     decision: str
     n_eff: float = np.nan
     resampled: bool = False
+    information: Float[np.ndarray, "3 3"] | None = None
 
 
 def blended(

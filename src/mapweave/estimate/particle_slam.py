@@ -4,7 +4,7 @@ p(x, m | u, z) = p(m | x, z) p(x | u, z) # [Hara07] eq. 6: given a trajectory it
 scans, so only trajectories are sampled.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -77,9 +77,7 @@ def step(
     d = float(np.hypot(u[0], u[1]))
     f = cfg.filter
     if (d < f.update_distance and abs(u[2]) < f.update_turn) or len(points) < f.least_beams:
-        return state, ScanInfo(
-            info.innovation, info.beams, info.matches, "skipped" if info.decision == "matched" else info.decision
-        )
+        return state, replace(info, decision="skipped" if info.decision == "matched" else info.decision)
     state.poses = move(state.poses, u, f, rng)
     if not (state.carrier.gated and info.decision == "odometry"):
         state.poses = _refined(state, points, b, f)
@@ -88,14 +86,8 @@ def step(
     state.maps.insert(np.arange(len(state.poses)), state.poses, points, weights)
     state.history.append((row, state.poses, ancestors))
     resampled = bool((state.log_weight == 0).all())
-    return state, ScanInfo(
-        info.innovation,
-        info.beams,
-        max(info.matches, matches),
-        info.decision if state.carrier.matching else "matched",
-        n_eff,
-        resampled,
-    )
+    decision = info.decision if state.carrier.matching else "matched"
+    return state, replace(info, matches=max(info.matches, matches), decision=decision, n_eff=n_eff, resampled=resampled)
 
 
 def trajectory(state: ParticleState) -> Float[np.ndarray, "m 3"]:
@@ -125,13 +117,14 @@ def move(
     return np.asarray(se2.compose(poses, u + rng.standard_normal((len(poses), 3)) * [xy, xy, turn]))
 
 
-def log_likelihood(D: Float[np.ndarray, "p n"], cap: float, cfg: LaserConfig) -> tuple[np.ndarray, int]:
+def log_likelihood(D: Float[np.ndarray, "p n"], cfg: LaserConfig, feature: str) -> tuple[Float[np.ndarray, " p"], int]:
     """(P,) log-likelihoods of one scan from the least D of its n beams in P maps, and how many beams counted.
 
     `matched`: the mean over the beams that at least half of the particles match, so that losing matches never pays.
     `paper`: -d^2 / (2 sigma_z^2) # [Hara07] eq. 8 with d the mean D of a particle's own matches # [Hara07] eq. 9.
     """
-    f = cfg.filter
+    f, cap = cfg.filter, cfg.cells.cap
+    neff = f.neff if feature != "none" else f.bare_neff
     matched = np.float32(cap) > D
     if cfg.likelihood == "paper":
         n = matched.sum(axis=1)
@@ -141,7 +134,7 @@ def log_likelihood(D: Float[np.ndarray, "p n"], cap: float, cfg: LaserConfig) ->
     count = int(shared.sum())
     if not count:
         return np.zeros(len(D)), 0
-    return -f.neff / (2 * f.sigma**2) * D[:, shared].mean(axis=1, dtype=float), count
+    return -neff / (2 * f.sigma**2) * D[:, shared].mean(axis=1, dtype=float), count
 
 
 def effective(log_weight: Float[np.ndarray, " p"]) -> tuple[Float[np.ndarray, " p"], float]:
@@ -180,7 +173,7 @@ def _weighed(state: ParticleState, points: np.ndarray, cfg: LaserConfig) -> tupl
     if len(state.poses) == 1:
         return state.log_weight, state.total, 0
     D = state.maps.score(np.arange(len(state.poses)), state.poses, points)
-    gain, matches = log_likelihood(D, cfg.cells.cap, cfg)
+    gain, matches = log_likelihood(D, cfg, state.feature)
     return state.log_weight + gain, state.total + gain, matches
 
 

@@ -1,5 +1,6 @@
 """Every Numba option of the project, said once."""
 
+import os
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -29,5 +30,11 @@ def parallel_kernel(fn: F) -> F:
 
 
 def set_threads(n: int) -> None:
-    """Parallel kernels use at most `n` threads from here on."""
-    numba.set_num_threads(max(1, min(n, numba.config.NUMBA_NUM_THREADS)))
+    """Parallel kernels use at most `n` threads from here on; 0: as many as there are cores that nobody uses now.
+
+    Threads that have to wait for a core make every parallel loop wait: on a busy machine fewer are faster.
+    """
+    most = int(numba.config.NUMBA_NUM_THREADS)
+    if n == 0:
+        n = round(most - os.getloadavg()[0]) if hasattr(os, "getloadavg") else most
+    numba.set_num_threads(max(1, min(n, most)))
