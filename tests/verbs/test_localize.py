@@ -112,6 +112,12 @@ def test_scores_against_the_truth_are_not_aligned(world):
     assert score_start(found, moved).position_rmse == pytest.approx(2.0)
 
 
+def test_a_start_may_begin_with_a_minus(world, capsys):
+    words = ["localize", str(world / "second.mcap"), "--map", str(world / "map"), "--out", str(world / "minus")]
+    assert _run([*words, "--start", "-0.5,0,0", "--sensor-pose", "-0.1,0,0"]) == 0
+    assert "the start was given" in capsys.readouterr().out
+
+
 def test_a_folder_without_a_map_and_a_feature_the_map_does_not_hold_are_told(world, tmp_path):
     with pytest.raises(ReaderError, match=r"expected a laser map with grid\.npz"):
         localize(world / "second.mcap", tmp_path)

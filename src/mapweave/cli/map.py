@@ -41,7 +41,7 @@ class Laser:
     resample: float | None = None
     scan_topic: str | None = None
     odom_topic: str | None = None
-    sensor_pose: str | None = None
+    sensor_pose: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     mirrored: Annotated[bool, Parameter(negative="")] = False
 
 

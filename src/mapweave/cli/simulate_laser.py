@@ -47,7 +47,7 @@ class Drive:
     people: int = 0
     beams: int = 342
     range_: Annotated[float, Parameter(name="--range")] = 5.6
-    sensor_pose: str = "0,0,0"
+    sensor_pose: Annotated[str, Parameter(allow_leading_hyphen=True)] = "0,0,0"
     law: Literal["spec", "second"] = "spec"
     falloff: float | None = None
     exponent: float | None = None
