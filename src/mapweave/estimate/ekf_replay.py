@@ -65,8 +65,9 @@ def play(log: LandmarkLog, cfg: EkfSlamConfig) -> Played:
     if cfg.smooth and started.any() and len(seen) * len(x) <= MOST_NUMBERS:
         used_slots = np.where((slots >= 0) & started[slots], slots, -1)
         ekf_smooth.smooth(
-            x, P, start, cmd_t, cmd_v, cmd_w, stamp, used_slots, distance, bearing, track_noise(cfg), t, pose, square
-        )
+            x, P, start, cmd_t, cmd_v, cmd_w, stamp, np.unique(stamp), used_slots, distance, bearing, track_noise(cfg),
+            t, pose, square,
+        )  # fmt: skip
     scale = float(x[ekf.RANGE_SCALE])
     by = np.array([scale, scale, 1.0])
     track = Track(t, pose * by, square * np.outer(by, by), state.frame)

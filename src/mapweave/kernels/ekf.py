@@ -49,6 +49,12 @@ class Noise(NamedTuple):
 
 
 @kernel
+def plain(number: int) -> int:
+    """`number`, no longer a literal: Numba compiles a callee once more for each literal argument."""
+    return number
+
+
+@kernel
 def arc(
     x: Array,
     Phi: Array,
@@ -165,7 +171,7 @@ def coast(x: Array, P: Array, size: int, dt: float, noise: Noise) -> None:
     Phi, Q = np.zeros((POSE, HEAD)), np.zeros((POSE, POSE))
     for _ in range(steps):
         clear(Phi, Q)
-        arc(x, Phi, Q, 1.0, 1.0, h, noise, False)
+        arc(x, Phi, Q, 1.0, 1.0, h, noise, plain(0) > 0)
         settle(P, size, Phi, Q)
         x[V_SCALE] *= keep_v
         x[TURN_SCALE] *= keep_w
@@ -421,7 +427,7 @@ def frame(
     """
     size = len(x)
     U = np.empty((2 * len(slots), size))
-    held = 0
+    held = plain(0)
     for k in range(len(slots)):
         slot = slots[k]
         nis[k] = np.nan
@@ -433,7 +439,7 @@ def frame(
             held += 2
         elif consider(x, slot, ranges[k], bearings[k], noise, waiting, n_waiting):
             release(P, U, held)
-            held = 0
+            held = plain(0)
             begin(x, P, size, slot, ranges[k], bearings[k], noise)
             started[slot] = True
     release(P, U, held)
@@ -533,7 +539,7 @@ def replay(
     stamp, slots, ranges, bearings: (n,) sightings in order; nis, weight: (n,) filled; track_t, pose, cov: filled at
     every odometry and sighting stamp. Returns the rows of the track.
     """
-    at = -1
+    at = plain(-1)
     rows = i = j = 0
     while i < len(cmd_t) or j < len(stamp):
         now = np.inf
@@ -554,7 +560,19 @@ def replay(
             t = now
         else:
             t, at = drive_rows(
-                x, P, Phi, Q, t, cmd_t[:i], cmd_v, cmd_w, at, 1, noise, pose[rows : rows + 1], cov[rows : rows + 1]
+                x,
+                P,
+                Phi,
+                Q,
+                t,
+                cmd_t[:i],
+                cmd_v,
+                cmd_w,
+                at,
+                plain(1),
+                noise,
+                pose[rows : rows + 1],
+                cov[rows : rows + 1],
             )
         track_t[rows] = now
         rows += 1

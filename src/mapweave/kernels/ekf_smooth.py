@@ -23,12 +23,72 @@ from .ekf import (
     arc,
     clear,
     drive,
+    plain,
     quadratic,
     trust,
     wrap,
 )
 
 Array: TypeAlias = np.ndarray
+
+
+@kernel
+def put(to: Array, new: Array) -> None:
+    """`to` (n, m) becomes the first n rows and m columns of `new`. A loop: sliced assignment takes long to compile."""
+    for i in range(to.shape[0]):
+        for j in range(to.shape[1]):
+            to[i, j] = new[i, j]
+
+
+@kernel
+def add_product(to: Array, A: Array, B: Array, factor: float) -> None:
+    """`to += factor * A @ B`, in place; `to` is neither `A` nor `B`."""
+    for i in range(A.shape[0]):
+        for k in range(A.shape[1]):
+            a = factor * A[i, k]
+            for j in range(B.shape[1]):
+                to[i, j] += a * B[k, j]
+
+
+@kernel
+def product(A: Array, B: Array) -> Array:
+    """`A @ B`, contiguous."""
+    out = np.zeros((A.shape[0], B.shape[1]))
+    add_product(out, A, B, 1.0)
+    return out
+
+
+@kernel
+def transposed(A: Array) -> Array:
+    """`A^T`, contiguous."""
+    out = np.empty((A.shape[1], A.shape[0]))
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            out[j, i] = A[i, j]
+    return out
+
+
+@kernel
+def solved(A: Array, B: Array) -> Array:
+    """`A^-1 B` for a small positive definite A (n, n), by Cholesky."""
+    n = A.shape[0]
+    L, X = np.zeros((n, n)), B.copy()
+    for i in range(n):
+        for j in range(i + 1):
+            total = A[i, j]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            L[i, j] = np.sqrt(max(total, 1e-300)) if i == j else total / L[j, j]
+    for c in range(X.shape[1]):
+        for i in range(n):
+            for k in range(i):
+                X[i, c] -= L[i, k] * X[k, c]
+            X[i, c] /= L[i, i]
+        for i in range(n - 1, -1, -1):
+            for k in range(i + 1, n):
+                X[i, c] -= L[k, i] * X[k, c]
+            X[i, c] /= L[i, i]
+    return X
 
 
 @kernel
@@ -45,29 +105,27 @@ def fix(x: Array, P: Array, B: Array, slot: int, z_range: float, z_bearing: floa
     H = np.zeros((2, d))
     H[0, 0], H[0, 1] = -s * ux, -s * uy
     H[1, 0], H[1, 1], H[1, 2] = -gx, -gy, -1.0
-    PHt = P @ H.T
-    S = H @ PHt
+    PHt = product(P, transposed(H))
+    S = product(H, PHt)
     r0 = noise.range_floor**2 + (noise.range_share * r) ** 2
     r1 = noise.bearing**2
     far = np.sqrt(quadratic(e[0], e[1], S[0, 0] + r0, S[0, 1], S[1, 1] + r1))
     weight = trust(far, noise, astray)
     S[0, 0] += r0 * noise.range_inflation / weight
     S[1, 1] += r1 * noise.bearing_inflation / weight
-    det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
-    inverse = np.array([[S[1, 1], -S[0, 1]], [-S[1, 0], S[0, 0]]]) / det
-    K = PHt @ inverse
-    step = K @ e
+    Kt = solved(S, transposed(PHt))
+    K = transposed(Kt)
     for i in range(d):
-        x[i] += step[i]
-    P[:, :] -= K @ S @ K.T
-    moved = H @ B
+        x[i] += K[i, 0] * e[0] + K[i, 1] * e[1]
+    add_product(P, PHt, Kt, -1.0)
+    moved = product(H, B)
     moved[0, RANGE_SCALE - POSE] += r
     moved[1, BEARING_BIAS - POSE] += 1.0
     moved[0, a - POSE] += s * ux
     moved[0, a + 1 - POSE] += s * uy
     moved[1, a - POSE] += gx
     moved[1, a + 1 - POSE] += gy
-    B -= K @ moved
+    add_product(B, K, moved, -1.0)
 
 
 @kernel
@@ -78,18 +136,20 @@ def coasted(x: Array, dt: float, noise: Noise, F: Array, Q: Array) -> None:
     keep_v, keep_w = np.exp(-h / noise.speed_time), np.exp(-h / noise.spin_time)
     Phi, own = np.zeros((POSE, HEAD)), np.zeros((POSE, POSE))
     A = np.zeros((5, 5))
-    F[:, :] = np.eye(5)
-    Q[:, :] = 0.0
+    put(F, np.eye(5))
+    put(Q, A)
     for _ in range(steps):
         clear(Phi, own)
-        arc(x, Phi, own, 1.0, 1.0, h, noise, False)
-        A[:POSE, :] = Phi[:, :5]
+        arc(x, Phi, own, 1.0, 1.0, h, noise, plain(0) > 0)
+        put(A[:POSE], Phi)
         A[3, 3], A[4, 4] = keep_v, keep_w
         x[V_SCALE] *= keep_v
         x[TURN_SCALE] *= keep_w
-        F[:, :] = A @ F
-        Q[:, :] = A @ Q @ A.T
-        Q[:POSE, :POSE] += own
+        put(F, product(A, F))
+        put(Q, product(product(A, Q), transposed(A)))
+        for i in range(POSE):
+            for k in range(POSE):
+                Q[i, k] += own[i, k]
         Q[3, 3] += noise.speed**2 * (1.0 - keep_v**2)
         Q[4, 4] += noise.spin**2 * (1.0 - keep_w**2)
 
@@ -102,34 +162,40 @@ def advance(
     """Moves the chain from `now` to `end` [s]: `x`, `P`, `B` in place, F and Q filled; returns the command in force."""
     if noise.speed > 0.0:
         coasted(x, end - now, noise, F, Q)
-        B[:, :] = F @ B
+        put(B, product(F, B))
     else:
         Phi = np.zeros((POSE, HEAD))
         clear(Phi, Q)
         now, at = drive(x, Phi, Q, now, end, cmd_t, cmd_v, cmd_w, at, noise)
-        F[:, :] = Phi[:, :POSE]
-        B[:, :] = F @ B
-        B[:, : HEAD - POSE] += Phi[:, POSE:]
-    P[:, :] = F @ P @ F.T + Q
+        put(F, Phi)
+        put(B, product(F, B))
+        for i in range(POSE):
+            for k in range(HEAD - POSE):
+                B[i, k] += Phi[i, POSE + k]
+    moved = product(product(F, P), transposed(F))
+    for i in range(len(P)):
+        for k in range(len(P)):
+            P[i, k] = moved[i, k] + Q[i, k]
     return at
 
 
 @kernel
 def smooth(
     final: Array, P_final: Array, t: float, cmd_t: Array, cmd_v: Array, cmd_w: Array,
-    stamp: Array, slots: Array, ranges: Array, bearings: Array, noise: Noise,
+    stamp: Array, node_t: Array, slots: Array, ranges: Array, bearings: Array, noise: Noise,
     track_t: Array, pose: Array, cov: Array,
 ) -> None:  # fmt: skip
     """Fills pose (rows, 3) and cov (rows, 3, 3) at `track_t`, all odometry and sighting stamps in order from `t` on.
 
-    final, P_final: the EKF's last state; slots below zero are passed over. The start is known exactly: it is the frame.
+    final, P_final: the EKF's last state; node_t: the distinct stamps of the sightings, ascending; slots below zero are
+    passed over. The start is known exactly: it is the frame.
     """
     d = 5 if noise.speed > 0.0 else POSE
     m = len(final) - POSE
-    node_t = np.unique(stamp)
     n = len(node_t) + 1
     x = final.copy()
-    x[:d] = 0.0
+    for i in range(d):
+        x[i] = 0.0
     P, B, F, Q = np.zeros((d, d)), np.zeros((d, m)), np.zeros((d, d)), np.zeros((d, d))
     if d == 5:
         P[3, 3], P[4, 4] = noise.speed**2, noise.spin**2
@@ -138,27 +204,38 @@ def smooth(
     B_before, B_after = np.zeros((n, d, m)), np.zeros((n, d, m))
     astray = np.zeros(1, np.int64)
     starts = np.full(n, -1, np.int64)  # command in force at each node
-    P_after[0] = P
-    now, at, j = t, -1, 0
+    put(P_after[0], P)
+    now, at, j = t, plain(-1), 0
     for k in range(1, n):
         at = advance(x, P, B, F, Q, now, node_t[k - 1], cmd_t, cmd_v, cmd_w, at, noise)
         now = node_t[k - 1]
         starts[k] = at
-        before[k], P_before[k], B_before[k], move[k] = x[:d], P, B, F
+        keep(x, P, B, before[k], P_before[k], B_before[k])
+        put(move[k], F)
         while j < len(stamp) and stamp[j] == now:
             if slots[j] >= 0:
                 fix(x, P, B, slots[j], ranges[j], bearings[j], noise, astray)
             j += 1
-        after[k], P_after[k], B_after[k] = x[:d], P, B
+        keep(x, P, B, after[k], P_after[k], B_after[k])
     back(before, P_before, B_before, move, after, P_after, B_after)
     total = marginal(P_after, B_after, P_final)
     if d == POSE:
         between(final, t, cmd_t, cmd_v, cmd_w, noise, node_t, after, total, starts, track_t, pose, cov)
         return
     for k in range(len(pose)):
-        pose[k] = after[k + 1, :POSE]
+        for i in range(POSE):
+            pose[k, i] = after[k + 1, i]
         pose[k, 2] = wrap(pose[k, 2])
-        cov[k] = total[k + 1]
+        put(cov[k], total[k + 1])
+
+
+@kernel
+def keep(x: Array, P: Array, B: Array, x_to: Array, P_to: Array, B_to: Array) -> None:
+    """The chain at a node, into the tables."""
+    for i in range(len(x_to)):
+        x_to[i] = x[i]
+    put(P_to, P)
+    put(B_to, B)
 
 
 @kernel
@@ -166,12 +243,19 @@ def back(
     before: Array, P_before: Array, B_before: Array, move: Array, after: Array, P_after: Array, B_after: Array
 ) -> None:
     """Rauch-Tung-Striebel: `after`, filtered, becomes smoothed, its covariance and its sensitivity with it."""
-    tiny = 1e-14 * np.eye(P_before.shape[1])
+    d = P_before.shape[1]
     for k in range(len(after) - 2, -1, -1):
-        G = np.linalg.solve(P_before[k + 1] + tiny, move[k + 1] @ P_after[k]).T
-        after[k] += G @ (after[k + 1] - before[k + 1])
-        P_after[k] += G @ (P_after[k + 1] - P_before[k + 1]) @ G.T
-        B_after[k] += G @ (B_after[k + 1] - B_before[k + 1])
+        ahead = P_before[k + 1].copy()
+        change_P, change_B = P_after[k + 1] - P_before[k + 1], B_after[k + 1] - B_before[k + 1]
+        for i in range(d):
+            ahead[i, i] += 1e-14
+        Gt = solved(ahead, product(move[k + 1], P_after[k]))
+        G = transposed(Gt)
+        for i in range(d):
+            for j in range(d):
+                after[k, i] += G[i, j] * (after[k + 1, j] - before[k + 1, j])
+        add_product(P_after[k], product(G, change_P), Gt, 1.0)
+        add_product(B_after[k], G, change_B, 1.0)
 
 
 @kernel
@@ -179,12 +263,14 @@ def marginal(P: Array, B: Array, P_final: Array) -> Array:
     """(n, 3, 3) covariance of each pose, the parameters' own worked in."""
     parameters = P_final[POSE:, POSE:].copy()
     if P.shape[1] == 5:  # speed and turn rate are in the chain
-        parameters[:2, :] = 0.0
-        parameters[:, :2] = 0.0
+        for i in range(2):
+            for j in range(len(parameters)):
+                parameters[i, j] = parameters[j, i] = 0.0
     total = np.zeros((len(P), POSE, POSE))
     for k in range(len(P)):
         part = B[k, :POSE].copy()
-        total[k] = P[k, :POSE, :POSE] + part @ parameters @ part.T
+        put(total[k], P[k])
+        add_product(total[k], product(part, parameters), transposed(part), 1.0)
     return total
 
 
@@ -202,29 +288,25 @@ def between(
         start = t if k == 0 else node_t[k - 1]
         end = node_t[k] if k + 1 < n else np.inf
         clear(Phi, Q)
-        x[:POSE] = node[k]
+        for i in range(POSE):
+            x[i] = node[k, i]
         now, at = start, starts[k]
         first = row
         while row < rows and track_t[row] < end:
             now, at = drive(x, Phi, Q, now, track_t[row], cmd_t, cmd_v, cmd_w, at, noise)
-            pose[row] = x[:POSE]
-            cov[row] = Q
+            for i in range(POSE):
+                pose[row, i] = x[i]
+            put(cov[row], Q)
             row += 1
         if k + 1 == n:  # after the last sighting: on from there
             for i in range(first, row):
                 F = carry(node[k], pose[i])
-                cov[i] += F @ node_cov[k] @ F.T
+                add_product(cov[i], product(F, node_cov[k]), transposed(F), 1.0)
         else:
             now, at = drive(x, Phi, Q, now, end, cmd_t, cmd_v, cmd_w, at, noise)
-            miss = node[k + 1] - x[:POSE]
-            miss[2] = wrap(miss[2])
-            inverse = np.linalg.inv(Q + 1e-14 * np.eye(POSE))
             for i in range(first, row):
                 share = (track_t[i] - start) / max(end - start, 1e-9)
-                own = cov[i].copy()
-                G = own @ carry(pose[i], x[:POSE]).T @ inverse
-                pose[i] += G @ miss
-                cov[i] = own - G @ Q @ G.T + (1.0 - share) * node_cov[k] + share * node_cov[k + 1]
+                bend(pose[i], cov[i], share, x, Q, node[k + 1], node_cov[k], node_cov[k + 1])
         for i in range(first, row):
             pose[i, 2] = wrap(pose[i, 2])
 
@@ -236,3 +318,24 @@ def carry(a: Array, b: Array) -> Array:
     F[0, 2] = -(b[1] - a[1])
     F[1, 2] = b[0] - a[0]
     return F
+
+
+@kernel
+def bend(
+    pose: Array, cov: Array, share: float, arrived: Array, Q: Array, node: Array, cov_from: Array, cov_to: Array
+) -> None:
+    """A pose on the way, `share` of it done, bent so that `arrived`, with the way's noise Q, becomes `node`."""
+    miss = np.zeros((POSE, 1))
+    total = Q.copy()
+    for i in range(POSE):
+        miss[i, 0] = node[i] - arrived[i]
+        total[i, i] += 1e-14
+    miss[2, 0] = wrap(miss[2, 0])
+    Gt = solved(total, product(carry(pose, arrived), cov))
+    G = transposed(Gt)
+    step = product(G, miss)
+    add_product(cov, product(G, Q), Gt, -1.0)
+    for i in range(POSE):
+        pose[i] += step[i, 0]
+        for j in range(POSE):
+            cov[i, j] += (1.0 - share) * cov_from[i, j] + share * cov_to[i, j]
