@@ -32,11 +32,11 @@ class EkfSlamConfig:
     hold: float = 2.0  # [s] a command holds without a new one
     # a robot without odometry: its speed and turn rate wander about zero
     speed: float = 0.08  # [m/s] standard deviation
-    speed_time: float = 5.0  # [s] it keeps its speed
+    speed_time: float = 30.0  # [s] it keeps its speed
     spin: float = 0.35  # [rad/s] standard deviation
     spin_time: float = 2.0  # [s]
     piece_gap: float = 5.0  # [s] without a sighting after which a new piece of map is begun
-    piece_heading: float = 0.8  # [rad] standard deviation of the heading from which one is begun too
+    piece_heading: float = 0.9  # [rad] standard deviation of the heading from which one is begun too
     # the camera
     range_floor: float = 0.05  # [m]
     range_share: float = 0.045  # of the predicted distance

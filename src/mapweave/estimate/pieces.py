@@ -18,6 +18,7 @@ BASELINE = 0.5  # [m] between the landmarks that tie a piece when there are only
 ROUGH = 1.0  # [m] root mean square misfit of a rigid fit that is not even tried
 CONSISTENT = 9.0  # chi-square a degree of freedom up to which a piece fits the others
 STEPS = 12
+SUSPECTS = 4  # largest pieces any of which may be the wrong one
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +46,21 @@ class Tied:
 
 
 def tie(pieces: Sequence[LandmarkMap]) -> Tied:
-    """The largest map the pieces give; a piece that fits the others badly, or shares too little, is left out."""
-    left_out: set[int] = set()
+    """The largest map the pieces give; a piece that fits the others badly, or shares too little, is left out.
+
+    A large piece that is wrong itself would push out all that are right: when pieces had to go, it is tried to do
+    without one of the largest instead, and what ties most landmarks, then most pieces, is taken.
+    """
+    best = _tie(pieces, set())
+    if any(len(set(piece.ids) & set(best.ids)) > 2 for k, piece in enumerate(pieces) if k not in best.frames):
+        large = sorted(range(len(pieces)), key=lambda k: (-len(pieces[k]), k))[:SUSPECTS]
+        best = max([best, *(_tie(pieces, {k}) for k in large)], key=lambda tied: (len(tied.ids), len(tied.frames)))
+    return best
+
+
+def _tie(pieces: Sequence[LandmarkMap], without: set[int]) -> Tied:
+    """The map of all pieces but those in `without` and those that fit the others badly."""
+    left_out = set(without)
     while True:
         frames, root, places = _start(pieces, left_out)
         tied, worst, misfit = _adjust(pieces, frames, root, places)
