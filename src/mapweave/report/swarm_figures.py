@@ -32,7 +32,7 @@ def network_figure(
     tall = float(np.clip((high - low)[1] / (high - low)[0], 0.35, 1.3))
     width = 7.2 if len(planes) == 1 else 5.5
     bar = len(net) > SOME and found.cov is not None
-    with figure(path, width * len(planes) + 1.3 * bar, width * tall + 0.5, ncols=len(planes)) as (fig, axes):
+    with figure(path, width * len(planes) + 1.3 * bar, width * tall + 0.8, ncols=len(planes)) as (fig, axes):
         for k, (ax, plane) in enumerate(zip(np.atleast_1d(axes), planes, strict=True)):
             _plane(ax, net, found, truth, plane, scale)
             as_map(ax, unit=unit)
