@@ -180,6 +180,17 @@ def test_a_topic_that_is_not_there_and_a_method_nobody_knows_are_told(log, tmp_p
     assert not (tmp_path / "o").exists()
 
 
+def test_progress_tells_of_reading_compiling_and_every_scan(log):
+    told = []
+    map_logs(
+        log, method="gated", share={"1": 0.2}, tick=lambda stage, done, total=None: told.append((stage, done, total))
+    )
+    stages = list(dict.fromkeys(stage for stage, _, _ in told))
+    assert stages[:2] == ["robot1: reading", "robot1: compiling (first run only)"]
+    assert ("robot1: compiling (first run only)", 1, 1) in told
+    assert told[-1][1] == told[-1][2] == 13
+
+
 def test_one_robot_of_several_logs_can_be_asked_for(log):
     made = map_logs([log, log], robots=["2"], method="gated", share={"2": 0.2})
     assert [m.robot for m in made.maps] == ["2"]

@@ -50,8 +50,11 @@ class Bag:
                 yield connection.topic, ns, reader.deserialize(data, connection.msgtype)
 
 
-def open_bag(path: Path) -> Bag:
-    """The recording at `path` (a file, or a ROS 2 folder). Raises ReaderError when nothing of it can be read."""
+def open_bag(path: Path, kinds_read: Collection[str]) -> Bag:
+    """The recording at `path` (a file, or a ROS 2 folder), of which topics of the types `kinds_read` will be read.
+
+    Those are read through once, since a damaged middle shows only then. Raises ReaderError when nothing can be read.
+    """
     path = _single(path)
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
@@ -59,7 +62,8 @@ def open_bag(path: Path) -> Bag:
             counts: Counter[str] = Counter()
             for c in reader.connections:
                 counts[c.topic] += c.msgcount
-            for _ in reader.messages():  # a damaged middle shows only when it is read
+            wanted = [c for c in reader.connections if c.msgtype in kinds_read]
+            for _ in reader.messages(connections=wanted) if wanted else ():
                 pass
     except (AnyReaderError, TypesysError, *DAMAGE) as error:
         found = salvage(path) if path.is_file() else Salvage()

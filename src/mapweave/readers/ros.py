@@ -32,7 +32,7 @@ def read_ros(
     `odom_topic` may name a tf topic. Stamps are those of the message headers. Raises ReaderError, listing what is
     there, for a topic that is not.
     """
-    bag = open_bag(path)
+    bag = open_bag(path, (SCAN, ODOMETRY, *TF))
     raw = RawLog(robot, str(path), bag_hash(path))
     if bag.lost:
         raw.warnings.append(f"{path.name}: {bag.lost}; they are used")

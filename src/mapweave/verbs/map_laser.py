@@ -106,7 +106,23 @@ def map_one(
     tick: Tick = no_tick,
 ) -> LaserMap:
     """The map of one log, or of the first `share` of its time."""
-    return map_laser(first_part(read_laser(path, robot, source), share), cfg, seed, run, tick)
+    name = robot_name(robot)
+    tick(f"{name}: reading", 0, None)
+    log = first_part(read_laser(path, robot, source), share)
+    tick(f"{name}: reading", 1, 1)
+    return map_laser(log, cfg, seed, run, _compiling_first(f"{name}: compiling (first run only)", tick))
+
+
+def _compiling_first(compiling: str, tick: Tick) -> Tick:
+    """`tick` that shows `compiling` until the first scan is done: that long the kernels of a first run compile."""
+    tick(compiling, 0, None)
+
+    def told(stage: str, done: float, total: float | None = None) -> None:
+        if done <= 1:
+            tick(compiling, 1, 1)
+        tick(stage, done, total)
+
+    return told
 
 
 def first_part(log: LaserLog, share: float) -> LaserLog:
