@@ -97,6 +97,25 @@ def test_the_localisable_robots_are_those_on_which_the_dense_null_space_is_zero(
         assert set(estimate.not_localisable) == {net.ids[k] for k in np.flatnonzero(~expected)}
 
 
+def test_robots_that_only_nearly_parallel_rays_determine_are_remarked_on():
+    net, truth = simulated(1, robots=49, sigma=1.0)
+    away = truth[10] + 400.0 * np.array([np.cos(0.3), np.sin(0.3)])
+    d = away - truth[[10, 11]]
+    far = Network(
+        (*net.ids, "far"),
+        2,
+        np.r_[net.observer, 10, 11],
+        np.r_[net.target, 49, 49],
+        np.r_[net.bearing, np.arctan2(d[:, 1], d[:, 0])],
+        np.r_[net.sigma, net.sigma[:2]],
+        net.anchors,
+    )
+    estimate = locate(far)
+    assert estimate.localisable.all()
+    assert any("robots barely determined, by rays nearly parallel: 1;" in w for w in estimate.warnings)
+    assert not any("barely" in w for w in locate(net).warnings)
+
+
 def test_a_robot_sighted_once_stands_along_its_ray_and_is_listed():
     net, truth = simulated(1, robots=36)
     lonely = Network(

@@ -14,7 +14,7 @@ from . import factors
 from .config import SwarmConfig
 from .gauge import basis, normalise
 from .spread import spread_of
-from .verdict import chi2_warnings, layout_warnings
+from .verdict import barely_determined, chi2_warnings, layout_warnings
 
 if TYPE_CHECKING:
     from .batch import Start
@@ -73,6 +73,8 @@ def finish(
         doubts.append("the information matrix is singular: there is no covariance")
     weak = found is not None and found.weak
     remarks = [*notes, *layout_warnings(net, localisable, start.seen.in_line)]
+    if found is not None:
+        remarks += barely_determined(net, position, found.cov, localisable)
     if found is not None and weak:
         remarks.append(
             f"weak anchors: {100 * (found.mode_share or 0.0):.0f} % of all variance lies in one mode (most often the "

@@ -31,6 +31,16 @@ def chi2_warnings(chi2: float, dof: int) -> list[str]:
     return [f"the residuals are larger than sigma says ({found}): outliers, a bias, or sigma too small"]
 
 
+def barely_determined(net: Network, position: np.ndarray, cov: np.ndarray, localisable: np.ndarray) -> list[str]:
+    """Robots that the null space calls localisable, but no better than to within their distance to those they see."""
+    span = float(np.median(np.linalg.norm(position[net.target] - position[net.observer], axis=1)))
+    worst = np.sqrt(np.linalg.eigvalsh(cov[localisable]).max(axis=1, initial=0.0))
+    count = int(np.count_nonzero(worst > span))
+    if not count or count > 0.5 * len(worst):  # most robots at once: that is the scale, said elsewhere
+        return []
+    return [f"robots barely determined, by rays nearly parallel: {count}; the covariance may fall short of their error"]
+
+
 def layout_warnings(net: Network, localisable: np.ndarray, in_line: int) -> list[str]:
     """What in the layout itself stands against locating it."""
     told = []
