@@ -1,0 +1,112 @@
+"""Correcting past poses equals dense least squares over all of them, and their covariance holds the map's."""
+
+import numpy as np
+import pytest
+
+from mapweave.core.se2 import wrap_angle
+from mapweave.kernels import ekf
+from mapweave.kernels.ekf_smooth import smooth
+from mapweave.models import range_bearing
+
+from .test_ekf import PLAIN, cleared
+
+pytestmark = pytest.mark.kernel
+
+NOISE = PLAIN._replace(
+    along=0.01, across=0.005, drift=0.01, turn=0.01, range_floor=0.002, range_share=0.0, bearing=0.001
+)
+
+
+def problem():
+    """A drive of nine frames among three landmarks: final state, commands, sightings and the track's stamps."""
+    rng = np.random.default_rng(0)
+    x = np.concatenate([np.zeros(3), [1.0, 0.95, 0.02, 0.01, 0.99], [1.5, 1.0, 2.0, -1.0, 0.5, -1.5]])
+    t = 0.05 * np.arange(40)
+    commands = (t, np.full(40, 0.3), rng.uniform(-0.5, 0.5, 40))
+    stamps = np.repeat(0.21 * np.arange(1, 10), 2)
+    slots = np.array([0, 1, 1, 2, 2, 0] * 3, dtype=np.int64)
+    truth = x.copy()
+    Phi, Q = cleared()
+    now, at, z = 0.0, -1, np.zeros((18, 2))
+    for k in range(18):
+        now, at = ekf.drive(truth, Phi, Q, now, stamps[k], *commands, at, NOISE)
+        z[k] = range_bearing.observe(truth[:3], truth[8 + 2 * slots[k] : 10 + 2 * slots[k]])
+        z[k] = x[7] * z[k, 0] + 0.002 * rng.normal(), z[k, 1] + x[6] + 0.001 * rng.normal()
+    return x, commands, stamps, slots, z, np.unique(np.concatenate([t, stamps]))
+
+
+def smoothed(x, P_final):
+    _, commands, stamps, slots, z, track_t = problem()
+    pose, cov = np.zeros((len(track_t), 3)), np.zeros((len(track_t), 3, 3))
+    ranges, bearings = z[:, 0].copy(), z[:, 1].copy()
+    smooth(x, P_final, 0.0, *commands, stamps, np.unique(stamps), slots, ranges, bearings, NOISE, track_t, pose, cov)
+    return pose, cov
+
+
+def dense():
+    """Gauss-Newton over all frames' poses, map and calibration fixed; poses and their joint covariance."""
+    x, commands, stamps, slots, z, _ = problem()
+    nodes = np.unique(stamps)
+    n = len(nodes)
+    poses = np.zeros((n, 3))
+    for _ in range(12):
+        A, b = np.zeros((3 * n, 3 * n)), np.zeros(3 * n)
+        now, at, before = 0.0, -1, np.zeros(3)
+        for k in range(n):
+            moved = x.copy()
+            moved[:3] = before
+            Phi, Q = cleared()
+            now, at = ekf.drive(moved, Phi, Q, now, nodes[k], *commands, at, NOISE)
+            J = np.zeros((3, 3 * n))
+            J[:, 3 * k : 3 * k + 3] = np.eye(3)
+            if k:
+                J[:, 3 * k - 3 : 3 * k] = -Phi[:, :3]
+            e = moved[:3] - poses[k]
+            W = np.linalg.inv(Q)
+            A += J.T @ W @ J
+            b += J.T @ W @ np.array([*e[:2], wrap_angle(e[2])])
+            for i in np.flatnonzero(stamps == nodes[k]):
+                point = x[8 + 2 * slots[i] : 10 + 2 * slots[i]]
+                r, angle = range_bearing.observe(poses[k], point)
+                by_pose, _ = range_bearing.observe_jacobians(poses[k], point)
+                H = np.zeros((2, 3 * n))
+                H[:, 3 * k : 3 * k + 3] = np.diag([x[7], 1.0]) @ by_pose
+                W = np.diag([1 / 0.002**2, 1 / 0.001**2])
+                A += H.T @ W @ H
+                b += H.T @ W @ np.array([z[i, 0] - x[7] * r, wrap_angle(z[i, 1] - angle - x[6])])
+            before = poses[k]
+        poses = poses + np.linalg.solve(A, b).reshape(n, 3)
+    return nodes, poses, np.linalg.inv(A)
+
+
+def test_smoothed_poses_and_covariances_equal_dense_least_squares():
+    x, *_, track_t = problem()
+    pose, cov = smoothed(x, np.zeros((14, 14)))
+    nodes, wanted, joint = dense()
+    at = np.searchsorted(track_t, nodes)
+    assert np.abs(pose[at] - wanted).max() < 2e-5
+    for k, row in enumerate(at):
+        assert np.allclose(cov[row], joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3], rtol=0.03, atol=1e-9)
+
+
+def test_poses_between_frames_lie_between_their_covariances_and_start_at_the_frame():
+    x, *_, track_t = problem()
+    pose, cov = smoothed(x, np.zeros((14, 14)))
+    assert np.array_equal(pose[0], np.zeros(3))
+    assert np.abs(np.diff(pose[:, :2], axis=0)).max() < 0.03
+    assert np.linalg.eigvalsh(cov[1:]).min() > -1e-12
+    assert len(track_t) == len(pose)
+
+
+def test_the_maps_own_covariance_moves_poses_as_shifting_a_landmark_does():
+    x, *_ = problem()
+    for k in (6, 7, 8, 11):
+        P = np.zeros((14, 14))
+        P[k, k] = 0.01**2
+        d = np.zeros(14)
+        d[k] = 1e-5
+        by = (smoothed(x + d, np.zeros((14, 14)))[0] - smoothed(x - d, np.zeros((14, 14)))[0]) / 2e-5
+        own, with_map = smoothed(x, np.zeros((14, 14)))[1], smoothed(x, P)[1]
+        frames = np.isin(problem()[-1], np.unique(problem()[2]))
+        wanted = 0.01**2 * by[frames, :, None] * by[frames, None, :]
+        assert np.allclose((with_map - own)[frames], wanted, rtol=0.05, atol=2e-7)
