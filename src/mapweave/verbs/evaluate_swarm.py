@@ -14,7 +14,7 @@ from ..evaluate.swarm import paper_errors, rms, similarity
 from ..readers.sightings import read_swarm_truth
 from ..readers.table import Table, read_table
 from ..writers.positions import NAMES, ORDER
-from .swarm_score import marginal_nees, over_time, places_of
+from .swarm_score import fitted, marginal_nees, over_time, places_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ def evaluate(directory: Path, truth: Sequence[Path]) -> SwarmEvaluation:
     ids = table.names("id")
     dim = 3 if "z" in table.columns else 2
     known = set(metrics.get("anchors", []))
-    gauge, axis = str(metrics.get("gauge", "")), bool(metrics.get("axis", True))
+    gauge = str(metrics.get("gauge", ""))
     place, cov = _columns(table, dim)
     located = table.numbers("localisable") > 0
     if metrics.get("moving"):
@@ -87,9 +87,7 @@ def evaluate(directory: Path, truth: Sequence[Path]) -> SwarmEvaluation:
     use = fit & ~np.isin(np.array(ids), sorted(known))
     alignment = "none"
     if gauge and fit.sum() >= 2:
-        s, R, t = similarity(place[fit], there[fit], scale=True, turn=not axis)
-        place = s * place @ R.T + t
-        alignment = "place and scale" if axis else "place, scale and turn"
+        place, alignment = fitted(place, there, fit, gauge)
     nees = None
     if not gauge and use.any() and np.isfinite(cov[use]).all():
         nees = marginal_nees(place[use] - there[use], cov[use])

@@ -89,7 +89,8 @@ class Located:
             free = e.localisable & ~e.anchor
             if free.any():
                 std = float(np.sqrt(np.trace(e.cov[free], axis1=1, axis2=2).mean()))
-                told.append(f"estimated standard deviation of a position: {std:.4g}{'' if e.gauge else ' m'} (rms)")
+                unit = "" if "scale free" in e.gauge else " m"
+                told.append(f"estimated standard deviation of a position: {std:.4g}{unit} (rms)")
         lost = e.not_localisable
         if lost:
             told.append(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..estimate.swarm import SwarmConfig
 from ..estimate.swarm import locate as estimate
@@ -80,10 +80,7 @@ def score_estimate(net: Network, found: SwarmEstimate, truth: SwarmTruth, *, bou
     aligned, alignment = found.position, "none"
     fit = have & found.localisable
     if found.gauge and fit.sum() >= 2:
-        # An anchor or a known distance may hold a part of the gauge; fitting it all to the truth then only helps less.
-        s, R, t = similarity(found.position[fit], places[fit], scale=True, turn=found.heading is not None)
-        aligned = s * found.position @ R.T + t
-        alignment = "place, scale and turn" if found.heading is not None else "place and scale"
+        aligned, alignment = fitted(found.position, places, fit, found.gauge)
     whole = bool(have[found.localisable].all())
     nees = None
     if not found.gauge and use.any():
@@ -109,6 +106,19 @@ def score_estimate(net: Network, found: SwarmEstimate, truth: SwarmTruth, *, bou
         aligned=np.asarray(aligned),
         truth=places,
     )
+
+
+def fitted(
+    position: Float[np.ndarray, "n d"], truth: Float[np.ndarray, "n d"], fit: Bool[np.ndarray, " n"], gauge: str
+) -> tuple[Float[np.ndarray, "n d"], str]:
+    """`position` carried onto `truth` at the robots `fit` by what `gauge` says is free, and which parts that are.
+
+    Place is always fitted, also where one anchor holds it.
+    """
+    scale, turn = "scale free" in gauge, "orientation free" in gauge
+    s, R, t = similarity(position[fit], truth[fit], scale=scale, turn=turn)
+    parts = ["place", *(["scale"] if scale else []), *(["turn"] if turn else [])]
+    return np.asarray(s * position @ R.T + t), " and ".join(parts)
 
 
 def marginal_nees(error: Float[np.ndarray, "k d"], cov: Float[np.ndarray, "k d d"]) -> float | None:
