@@ -16,6 +16,7 @@ from .style import MUTED, SEQUENTIAL, TRUTH, as_map, colour, figure
 DECISIONS = {"matched": 0, "odometry": 5, "skipped": 4, "empty": 3}  # decision -> colour
 MOST_Q = 1.0  # of the colour scale
 READABLE: Any = {"frameon": True, "framealpha": 0.85, "edgecolor": "none"}  # a legend over data
+PASSED_BY = 0.3  # occupancy up to which a cell's returns were of things that moved
 UNSEEN = 0.86  # the grey of cells no beam reached
 
 
@@ -34,9 +35,13 @@ def draw_map(path: Path, made: LaserMap, truth: Track | None) -> None:
 
 
 def draw_intensity(path: Path, made: LaserMap) -> None:
-    """Every cell with returns in the colour of its feature (dark to bright for any colour vision)."""
+    """Every cell with returns in the colour of its feature (dark to bright for any colour vision).
+
+    Cells that were mostly seen through are left out: somebody passed by.
+    """
     grid = made.grid
-    cells = grid.cells()
+    solid = grid.occupancy()[grid.weight > 0] > PASSED_BY  # in the order of `cells`
+    cells = grid.cells()[solid]
     with figure(path, *map_size(grid)) as (fig, ax):
         map_window(ax, grid)
         ax.set_facecolor("#F4F6F8")
