@@ -191,7 +191,7 @@ def test_one_map_alone_is_its_own_reference():
 
 def test_the_default_states_an_error_that_is_sane_when_maps_have_scales():
     total, dof = 0.0, 0
-    for draw in range(40):
+    for draw in range(25):
         rng = np.random.default_rng([13, draw])
         maps, points, _, _ = team(rng, robots=4, landmarks=12, seen=9, scale_sigma=0.01)
         a, b = nees(fuse(maps).components[0], points)
@@ -201,7 +201,7 @@ def test_the_default_states_an_error_that_is_sane_when_maps_have_scales():
 
 def test_a_fused_map_is_better_than_the_plain_mean_when_maps_are_unequal():
     full, naive = [], []
-    for draw in range(30):
+    for draw in range(20):
         rng = np.random.default_rng([14, draw])
         maps, points, _, _ = team(rng, robots=5, landmarks=12, seen=10, sigma=(0.005, 0.3))
         full.append(rmse(fuse(maps, FuseConfig(weights="full")).components[0], points))

@@ -29,7 +29,7 @@ def lies_right(found, T, source):
 @pytest.mark.parametrize("common", [6, 8, 14])
 def test_with_six_in_common_or_more_nearly_every_alignment_is_right_and_believed(common):
     right = believed = 0
-    for draw in range(30):
+    for draw in range(20):
         source, target, T, links = two_maps(np.random.default_rng([common, draw]), common)
         match = match_maps(source, target)
         ok = lies_right(match.T_target_source, T, source)
@@ -38,8 +38,8 @@ def test_with_six_in_common_or_more_nearly_every_alignment_is_right_and_believed
         assert ok or not match.accepted
         if match.accepted:
             assert len(links & {(int(i), int(j)) for i, j in match.links}) >= common - 2
-    assert right >= 29
-    assert believed >= (27 if common == 6 else 29)
+    assert right >= 19
+    assert believed >= (18 if common == 6 else 19)
 
 
 @pytest.mark.parametrize("common", [0, 2, 4])
