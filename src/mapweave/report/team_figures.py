@@ -17,6 +17,7 @@ from .team_story import TeamStory, thinned
 
 FACTORS = (1, 2, 5, 10, 20, 50, 100)
 INK = "#2B2F33"
+MOST_PANELS = 12
 MANY = 40  # landmarks from which labels would cover the map
 CALIBRATION = (
     ("turn_scale", "turn scale", 1.0),
@@ -32,6 +33,13 @@ def shape(landmarks: LandmarkMap) -> LandmarkMap:
     if len(landmarks) < 2:
         return landmarks
     return LandmarkMap(landmarks.ids, landmarks.mean, shape_covariance(landmarks.mean, landmarks.cov), landmarks.frame)
+
+
+def legend_beside(ax: Axes, rows: int, title: str | None = None) -> None:
+    """A legend right of the axes, in columns of `rows`; none where three columns would not hold it."""
+    count = len(ax.get_legend_handles_labels()[0])
+    if 0 < count <= 3 * rows:
+        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), title=title, ncols=-(-count // rows))
 
 
 def exaggeration(landmarks: LandmarkMap) -> int:
@@ -56,7 +64,7 @@ def fused_map(path: Path, story: TeamStory, team: TeamMap) -> str:
                 _draw_track(ax, story, team, robot)
         _draw_landmarks(ax, landmarks, grow)
         style.as_map(ax, "The fused map")
-        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), title="driven by")
+        legend_beside(ax, 20, "driven by")
     larger = f", drawn {grow} times larger" if grow > 1 else ""
     return (
         f"Landmarks with their 95 % ellipses (the frame left free{larger}), and where the robots drove. "
@@ -68,7 +76,8 @@ def local_against_fused(path: Path, story: TeamStory) -> str:
     """Every robot's own landmarks laid over the fused ones. The caption is returned."""
     team = story.maps[0]
     own = {m.robot: m.submap.landmarks for m in story.local}
-    robots = [r for r in team.robots if r in own]
+    there = [r for r in team.robots if r in own]
+    robots = there[:MOST_PANELS]
     columns = min(3, max(1, len(robots)))
     rows = -(-len(robots) // columns)
     scales = {r: c.scales.get(r, 1.0) for c in story.fusion.components for r in c.robots}
@@ -83,17 +92,23 @@ def local_against_fused(path: Path, story: TeamStory) -> str:
         for ax in axes.ravel()[len(robots) :]:
             ax.set_axis_off()
         for ax, robot in zip(axes.ravel(), robots, strict=False):
-            placed, there = laid[robot]
+            placed, fused = laid[robot]
             ax.plot(*team.landmarks.mean.T, ".", color=style.MUTED, ms=4, zorder=1)
             k = story.colour_of(robot)
-            for p, q in zip(placed, there, strict=True):
+            for p, q in zip(placed, fused, strict=True):
                 end = q + grow * (p - q)
                 ax.plot([q[0], end[0]], [q[1], end[1]], color=style.colour(k), lw=1.1, zorder=2)
                 ax.plot(*end, style.marker(k), color=style.colour(k), ms=3.5, mfc="white", mew=1.1, zorder=3)
-            far = f", {100 * np.sqrt(np.mean(np.sum((placed - there) ** 2, axis=1))):.1f} cm off" if len(placed) else ""
+            far = f", {100 * np.sqrt(np.mean(np.sum((placed - fused) ** 2, axis=1))):.1f} cm off" if len(placed) else ""
             style.as_map(ax, f"robot {robot_key(robot)}: {len(own[robot])} landmarks{far}")
+    some = (
+        f" Robots {robot_key(robots[0])} to {robot_key(robots[-1])} of {len(there)}."
+        if len(robots) < len(there)
+        else ""
+    )
     return (
         f"Each robot's own landmarks beside the fused ones (grey dots), aligned; differences drawn {grow} times larger."
+        + some
     )
 
 
@@ -125,7 +140,7 @@ def uncertainty(path: Path, story: TeamStory) -> str:
             ax.set_xticks(range(len(names)), names, rotation=90 if max(map(len, names), default=0) > 3 else 0)
         ax.grid(visible=False, axis="x")
         ax.set_title("What fusing gains")
-        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        legend_beside(ax, 10)
     return (
         "Standard deviation of each landmark's position, in the frame left free: every robot alone, and all together."
     )

@@ -12,7 +12,7 @@ from ..evaluate.growth import GrowthPoint
 from ..evaluate.team import TeamScore
 from ..evaluate.trajectory import paired
 from . import style
-from .team_figures import FACTORS, INK, MANY, shape
+from .team_figures import FACTORS, INK, MANY, legend_beside, shape
 from .team_story import TeamStory, thinned
 
 
@@ -73,7 +73,7 @@ def track_errors(path: Path, story: TeamStory, score: TeamScore) -> str:
         ax.set_xlabel("time since the first row [min]")
         ax.set_ylabel("position error [m]")
         ax.set_title("Where each robot thought it was, against the truth")
-        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        legend_beside(ax, 10)
     return "Distance between estimated and true position, under the alignment fitted to the landmarks."
 
 
