@@ -194,4 +194,7 @@ def test_progress_tells_of_reading_compiling_and_every_scan(log):
 def test_one_robot_of_several_logs_can_be_asked_for(log):
     made = map_logs([log, log], robots=["2"], method="gated", share={"2": 0.2})
     assert [m.robot for m in made.maps] == ["2"]
+    scans = made.maps[0].scans
+    assert np.isnan(scans.n_eff).all()  # one hypothesis has no weights, and nothing to draw anew
+    assert not scans.resampled.any()
     assert replace(made.maps[0], timing={}).scans.t[-1] < 1000.0 + 0.21 * 30

@@ -85,7 +85,9 @@ def step(
     n_eff, ancestors = _resampled(state, cfg, rng)
     state.maps.insert(np.arange(len(state.poses)), state.poses, points, weights)
     state.history.append((row, state.poses, ancestors))
-    resampled = bool((state.log_weight == 0).all())
+    many = len(state.poses) > 1  # a single hypothesis has no weight to tell of
+    resampled = many and bool((state.log_weight == 0).all())
+    n_eff = n_eff if many else np.nan
     decision = info.decision if state.carrier.matching else "matched"
     return state, replace(info, matches=max(info.matches, matches), decision=decision, n_eff=n_eff, resampled=resampled)
 
