@@ -29,8 +29,9 @@ def local_map(log: LandmarkLog, cfg: EkfSlamConfig | None = None, seed: int = 0)
     cfg = config_for(log, cfg or EkfSlamConfig())
     run = play if cfg.odometry else play_in_pieces
     dropped, warnings, kept = dict(log.dropped), list(log.warnings), log
+    done = run(kept, cfg)
     for _ in range(MOST_RESTLESS):
-        name = _restless(run(kept, replace(cfg, smooth=False)))
+        name = _restless(done)
         if name is None:
             break
         gone = kept.sightings.counts()[name]
@@ -39,7 +40,7 @@ def local_map(log: LandmarkLog, cfg: EkfSlamConfig | None = None, seed: int = 0)
         warnings.append(f"{name} was seen {gone} times but at no fixed place: left out")
         stays = np.array([other != name for other in kept.sightings.ids], bool)
         kept = replace(kept, sightings=kept.sightings.select(stays[kept.sightings.what]))
-    done = run(kept, cfg)
+        done = run(kept, cfg)
     return _result(log, cfg, done, dropped, [*warnings, *done.warnings])
 
 
