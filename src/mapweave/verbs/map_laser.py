@@ -192,7 +192,7 @@ def _metrics(maps: Sequence[LaserMap], options: MapOptions) -> dict[str, Any]:
         "robots": {made.robot: _robot_metrics(made) for made in maps},
         "components": [[made.robot] for made in maps],
         "fusion": [],
-        "timing": {robot_name(made.robot): dict(made.timing) for made in maps},
+        "timing": {f"{robot_name(m.robot)} {stage}": spent for m in maps for stage, spent in m.timing.items()},
     }
 
 
