@@ -218,6 +218,15 @@ def test_robots_all_at_one_point_give_an_answer_that_is_called_unreliable(tmp_pa
     assert metrics["reliable"] is False
 
 
+def test_a_truth_of_other_robots_is_refused(tmp_path, capsys):
+    truth = table(tmp_path, ["x,0,0", "y,1,1"], "id,x,y", "truth.csv")
+    code, metrics = run(tmp_path, table(tmp_path, rows_of(FIVE)), *TWO, "--truth", str(truth))
+    assert (code, metrics) == (1, None)
+    assert "names none of the robots" in capsys.readouterr().err
+    assert run(tmp_path, table(tmp_path, rows_of(FIVE)), *TWO)[0] == 0
+    assert _run(["evaluate", str(tmp_path / "out"), "--truth", str(truth)]) == 1
+
+
 def test_zero_sightings_are_refused(tmp_path, capsys):
     code, metrics = run(tmp_path, table(tmp_path, []), *TWO)
     assert (code, metrics) == (1, None)

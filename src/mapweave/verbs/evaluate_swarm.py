@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..core.errors import ReaderError
+from ..core.errors import DataError, ReaderError
 from ..evaluate.swarm import paper_errors, rms, similarity
 from ..readers.sightings import read_swarm_truth
 from ..readers.table import Table, read_table
@@ -77,6 +77,8 @@ def evaluate(directory: Path, truth: Sequence[Path]) -> SwarmEvaluation:
     dim = 3 if "z" in table.columns else 2
     known = set(metrics.get("anchors", []))
     gauge = str(metrics.get("gauge", ""))
+    if not set(true.ids) & set(ids):
+        raise DataError(f"{truth[0]}: the truth names none of the robots of {directory}")
     place, cov = _columns(table, dim)
     located = table.numbers("localisable") > 0
     if metrics.get("moving"):

@@ -71,6 +71,8 @@ def locate(
     given = prepare(sightings, anchors=known, dim=dim, sigma=sigma, distances=distances, axis=axis, until=until)
     read = perf_counter()
     settings = Settings(method, seed, {"read": read - began}, _truth(truth))
+    if settings.truth is not None and not set(settings.truth.ids) & set(given.table.ids):
+        raise DataError(f"{truth}: the truth names none of the robots")
     stamped = given.table.t is not None and len(np.unique(given.table.t)) > 1
     if odometry is not None and given.table.t is None:
         raise UsageError("--odometry: the sightings bear no time stamps")
