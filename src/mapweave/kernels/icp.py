@@ -56,16 +56,16 @@ def nearest(
         d = dx * dx + dy * dy + alpha * dq * dq
         if d <= best:
             best, found = d, guess
-    reach = math.sqrt(best)
+    reach, inverse = math.sqrt(best), 1.0 / cell
     rows = (starts.shape[0] - 1) // cols
     bx, by = x - corner[0], y - corner[1]
     ix0, ix1 = (
-        max(math.floor((bx - reach) / cell), 0),
-        min(math.floor((bx + reach) / cell), cols - 1),
+        max(math.floor((bx - reach) * inverse), 0),
+        min(math.floor((bx + reach) * inverse), cols - 1),
     )
     iy0, iy1 = (
-        max(math.floor((by - reach) / cell), 0),
-        min(math.floor((by + reach) / cell), rows - 1),
+        max(math.floor((by - reach) * inverse), 0),
+        min(math.floor((by + reach) * inverse), rows - 1),
     )
     if ix0 > ix1:
         return found, best
@@ -110,6 +110,7 @@ def intensity_icp(
         c, s = math.cos(pose[2]), math.sin(pose[2])
         count = 0
         mx = my = zx = zy = dot = cross = 0.0
+        before = -1
         for i in range(n):
             px, py = scan[i, 0], scan[i, 1]
             k, _ = nearest(
@@ -123,11 +124,12 @@ def intensity_icp(
                 scan[i, 2],
                 alpha,
                 limit,
-                pairs[i],
+                pairs[i] if pairs[i] >= 0 else before,
             )
             pairs[i] = k
             if k < 0:
                 continue
+            before = k
             qx, qy = ordered[k, 0], ordered[k, 1]
             count += 1
             mx += qx

@@ -9,7 +9,7 @@ from ..core import se2
 from ..core.config import config
 from ..kernels.icp import intensity_icp
 
-CELL = 0.15  # [m] of the grid the nearest points are found on; the result does not depend on it
+CELL = 0.1  # [m] of the grid the nearest points are found on; the result does not depend on it
 
 
 @config
