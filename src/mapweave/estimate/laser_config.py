@@ -36,8 +36,8 @@ class FilterConfig:
     refine_kappa: float = 0.1  # [m] width of the robust kernel
     refine_tangent: float = 0.1  # weight of the error along the line, with a feature and
     refine_bare_tangent: float = 0.03  # without
-    refine_sd_xy: float = 0.1  # [m] and
-    refine_sd_turn: float = 0.05  # [rad] a particle may be moved by refining
+    refine_sd_xy: float = 0.05  # [m] and
+    refine_sd_turn: float = 0.01  # [rad] a particle may be moved by refining
     neff: float = 30.0  # independent returns in a scan, for weighing, with a feature and
     bare_neff: float = 10.0  # without
     sigma: float = 0.05  # [m] of each
