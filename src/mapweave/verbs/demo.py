@@ -29,7 +29,9 @@ def demo(
         write_mrclam(recording, team)
         tick("simulating", 1, 1)
         options = MapOptions(share=SHARE, truth=(recording,), seed=seed, fuse_every=FUSE_EVERY, tick=tick)
-        result = replace(map_logs([recording], options), title="Four robots, one map")
+        made = map_logs([recording], options)
+    local = tuple(replace(m, source="recording") for m in made.local)  # where the log is in the result
+    result = replace(made, title="Four robots, one map", local=local)
     with result_directory(target, force=force) as work:
         result.write(work)
         write_mrclam(work / "recording", team)
