@@ -1,0 +1,71 @@
+"""Which cells of a rectangle a team has seen, by whom, and whether that knowledge is safe in the global map."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+
+@dataclass(slots=True)
+class Explored:
+    """Seen cells of one run; the only mutable object of exploration, owned by its loop.
+
+    fused: (ny, nx) cells whose sightings are in the global map; pending: (M, ny, nx) delivered to the team, in a submap
+    still; backlog: (M, ny, nx) not delivered yet. Lost with a robot: its pending and backlog cells.
+    sweeps counts passes over the rectangle.
+    """
+
+    lower: Float[np.ndarray, "2"]
+    cell: float
+    fused: Bool[np.ndarray, "ny nx"]
+    pending: Bool[np.ndarray, "r ny nx"]
+    backlog: Bool[np.ndarray, "r ny nx"]
+    sweeps: int = 1
+
+    @classmethod
+    def over(cls, lower: np.ndarray, upper: np.ndarray, robots: int, cell: float = 1.0) -> "Explored":
+        nx, ny = (int(np.ceil((upper[k] - lower[k]) / cell - 1e-9)) for k in (0, 1))
+        shape = (robots, ny, nx)
+        none = np.zeros(shape, dtype=bool)
+        return cls(np.asarray(lower, float), cell, np.zeros((ny, nx), dtype=bool), none, none.copy())
+
+    def team(self) -> Bool[np.ndarray, "ny nx"]:
+        """What the whole team knows to be seen."""
+        return np.asarray(self.fused | self.pending.any(axis=0))
+
+    def known_to(self, j: int) -> Bool[np.ndarray, "ny nx"]:
+        """What robot j knows to be seen: the team's cells and its own that were not delivered yet."""
+        return np.asarray(self.team() | self.backlog[j])
+
+    def sees(self, j: int, point: Float[np.ndarray, "2"]) -> bool:
+        """Whether robot j knows the cell around `point` [m] to be seen."""
+        ix, iy = ((point - self.lower) / self.cell).astype(int)
+        ny, nx = self.fused.shape
+        iy, ix = min(max(int(iy), 0), ny - 1), min(max(int(ix), 0), nx - 1)
+        return bool(self.fused[iy, ix] or self.pending[:, iy, ix].any() or self.backlog[j, iy, ix])
+
+    def deliver(self, j: int) -> None:
+        """Robot j's message came through: its backlog is the team's knowledge."""
+        self.pending[j] |= self.backlog[j]
+        self.backlog[j] = False
+
+    def fuse(self, j: int) -> None:
+        """Robot j's submap is in the global map: its cells are safe."""
+        self.fused |= self.pending[j] | self.backlog[j]
+        self.pending[j] = False
+        self.backlog[j] = False
+
+    def lose(self, j: int) -> None:
+        """Robot j died with its submap: cells only it had seen are unexplored again."""
+        self.pending[j] = False
+        self.backlog[j] = False
+
+    def again(self) -> None:
+        """Everything counts as unexplored: something was missed, look once more."""
+        for cells in (self.fused, self.pending, self.backlog):
+            cells[:] = False
+        self.sweeps += 1
+
+    def centres(self, cells: Int[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Centres [m] of `cells` given as rows (iy, ix)."""
+        return self.lower + (cells[:, ::-1] + 0.5) * self.cell

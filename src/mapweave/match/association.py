@@ -1,0 +1,135 @@
+"""Which observation belongs to which landmark: nearest neighbour and joint compatibility (JCBB)."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import linear_sum_assignment
+
+from ..core.gaussian import chi2_quantile
+from ..core.se2 import wrap_angle
+
+
+class Assignment(NamedTuple):
+    """For each observation: the landmark it matched or None, and whether it starts a new landmark.
+
+    None and not new means dropped: too far to match, too near to be new.
+    """
+
+    landmark: tuple[int | None, ...]
+    new: tuple[bool, ...]
+
+
+def individual_costs(
+    z: Float[np.ndarray, "m d"],
+    zhat: Float[np.ndarray, "n d"],
+    S: Float[np.ndarray, "k k"],
+    R: Float[np.ndarray, "d d"],
+    wrap_columns: tuple[int, ...] = (),
+) -> tuple[Float[np.ndarray, "m n"], Float[np.ndarray, " n"], Float[np.ndarray, "m n d"]]:
+    """Squared Mahalanobis distance of every pair, `ln|S_j|` of every landmark, and the innovations."""
+    m, d = z.shape
+    n = len(zhat)
+    e = z[:, None, :] - zhat[None, :, :]
+    for column in wrap_columns:
+        e[..., column] = wrap_angle(e[..., column])
+    if n == 0:
+        return np.zeros((m, 0)), np.zeros(0), e
+    blocks = S.reshape(n, d, n, d)[np.arange(n), :, np.arange(n), :] + R
+    D2 = np.einsum("mnd,ndk,mnk->mn", e, np.linalg.inv(blocks), e)
+    return D2, np.linalg.slogdet(blocks)[1], e
+
+
+def nearest_neighbour(
+    z: Float[np.ndarray, "m d"],
+    zhat: Float[np.ndarray, "n d"],
+    S: Float[np.ndarray, "k k"],
+    R: Float[np.ndarray, "d d"],
+    gate: float,
+    new_gate: float,
+    wrap_columns: tuple[int, ...] = (),
+) -> Assignment:
+    """One-to-one matches of least total `D^2 + ln|S|` among pairs inside `gate`.
+
+    z: (m, d) observed; zhat: (n, d) predicted; S: (n d, n d) joint covariance of zhat without noise; R: (d, d).
+    """
+    D2, logdet, _ = individual_costs(z, zhat, S, R, wrap_columns)
+    found: list[int | None] = [None] * len(z)
+    if D2.size:
+        allowed = gate > D2
+        cost = np.where(allowed, D2 + logdet - (gate + logdet.max() + 1.0), 0.0)
+        for k, j in zip(*linear_sum_assignment(cost), strict=True):
+            if allowed[k, j]:
+                found[int(k)] = int(j)
+    return Assignment(tuple(found), _new(D2, found, new_gate))
+
+
+def jcbb(
+    z: Float[np.ndarray, "m d"],
+    zhat: Float[np.ndarray, "n d"],
+    S: Float[np.ndarray, "k k"],
+    R: Float[np.ndarray, "d d"],
+    gate: float,
+    new_gate: float,
+    wrap_columns: tuple[int, ...] = (),
+) -> Assignment:
+    """The jointly compatible hypothesis with most pairings, then least joint distance (Neira and Tardos, 2001).
+
+    Arguments as `nearest_neighbour`; the joint gate has the probability of `gate` at the hypothesis's own size.
+    """
+    D2, _, e = individual_costs(z, zhat, S, R, wrap_columns)
+    m, d = z.shape
+    probability = 1.0 - np.exp(-0.5 * gate) if d == 2 else 0.99
+    limits = [chi2_quantile(float(probability), float(d * (k + 1))) for k in range(m)]
+    candidates = [[int(j) for j in np.argsort(row, kind="stable") if row[j] < gate] for row in D2]
+    search = _Search(S, R, e, candidates, limits)
+    search.grow(0, [], 0.0)
+    found: list[int | None] = [None] * m
+    for k, j in search.best:
+        found[k] = j
+    return Assignment(tuple(found), _new(D2, found, new_gate))
+
+
+@dataclass(slots=True)
+class _Search:
+    """Branch and bound over pairings (observation, landmark); `best` is the longest, then nearest, found."""
+
+    S: np.ndarray
+    R: np.ndarray
+    e: np.ndarray
+    candidates: list[list[int]]
+    limits: list[float]
+    best: list[tuple[int, int]] = field(default_factory=list)
+    distance: float = np.inf
+    budget: int = 20_000
+
+    def joint(self, pairs: list[tuple[int, int]]) -> float:
+        d = len(self.R)
+        rows = np.concatenate([np.arange(d * j, d * j + d) for _, j in pairs])
+        C = self.S[np.ix_(rows, rows)] + np.kron(np.eye(len(pairs)), self.R)
+        v = np.concatenate([self.e[k, j] for k, j in pairs])
+        return float(v @ np.linalg.solve(C, v))
+
+    def grow(self, k: int, pairs: list[tuple[int, int]], distance: float) -> None:
+        self.budget -= 1
+        if k == len(self.candidates) or self.budget < 0:
+            if (len(pairs), -distance) > (len(self.best), -self.distance):
+                self.best, self.distance = pairs, distance
+            return
+        taken = {j for _, j in pairs}
+        for j in self.candidates[k]:
+            if j in taken:
+                continue
+            longer = [*pairs, (k, j)]
+            D = self.joint(longer)
+            if self.limits[len(pairs)] > D:
+                self.grow(k + 1, longer, D)
+        bound = len(pairs) + sum(1 for some in self.candidates[k + 1 :] if some)
+        if (bound, -distance) > (len(self.best), -self.distance):
+            self.grow(k + 1, pairs, distance)
+
+
+def _new(D2: np.ndarray, found: list[int | None], new_gate: float) -> tuple[bool, ...]:
+    far = D2.min(axis=1) > new_gate if D2.shape[1] else np.ones(len(found), dtype=bool)
+    return tuple(a is None and bool(far[k]) for k, a in enumerate(found))
