@@ -10,6 +10,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from .verbs.demo import demo as demo
     from .verbs.evaluate import evaluate as evaluate
+    from .verbs.explore import explore as explore
     from .verbs.fuse import fuse_results as fuse  # noqa: F401
     from .verbs.localize import localize as localize
     from .verbs.locate import locate as locate
@@ -25,6 +26,7 @@ _VERBS: dict[str, str] = {
     # public name: where it lives; keep in step with the block above, which type checkers read
     "demo": "mapweave.verbs.demo:demo",
     "evaluate": "mapweave.verbs.evaluate:evaluate",
+    "explore": "mapweave.verbs.explore:explore",
     "fuse": "mapweave.verbs.fuse:fuse_results",
     "localize": "mapweave.verbs.localize:localize",
     "locate": "mapweave.verbs.locate:locate",

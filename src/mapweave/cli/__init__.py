@@ -19,6 +19,7 @@ COMMANDS: dict[str, str] = {
     "localize": "mapweave.cli.localize:localize",
     "reproduce": "mapweave.cli.reproduce:app",
     "view": "mapweave.cli.view:view",
+    "explore": "mapweave.cli.explore:explore",
 }
 
 

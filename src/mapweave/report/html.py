@@ -50,10 +50,11 @@ class Page:
         self.parts.append(f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>")
 
     def figure(self, png: Path, caption: str) -> None:
+        """A PNG or GIF, inside the page."""
         data = base64.b64encode(png.read_bytes()).decode("ascii")
         alt = escape(caption, quote=True)
         self.parts.append(
-            f'<figure><img alt="{alt}" src="data:image/png;base64,{data}"><figcaption>{escape(caption)}</figcaption></figure>'
+            f'<figure><img alt="{alt}" src="data:image/{png.suffix[1:]};base64,{data}"><figcaption>{escape(caption)}</figcaption></figure>'
         )
 
     def html(self) -> str:

@@ -1,0 +1,84 @@
+"""`mapweave explore`."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+
+def explore(
+    scenario: str,
+    *,
+    out: Path,
+    robots: int | None = None,
+    runs: int = 1,
+    seed: int = 0,
+    planner: str = "paper",
+    association: str | None = None,
+    noise: str = "calibrated",
+    until: str = "field",
+    kill: Annotated[list[str] | None, Parameter(negative="")] = None,
+    drop: float = 0.0,
+    config: Path | None = None,
+    jobs: int = 1,
+    force: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Let a team of robots decide where to drive until it knows the whole field, and score its map.
+
+    Parameters
+    ----------
+    scenario
+        yuan (the paper's field), yuan-large (four times as large), or a TOML file: lower, upper, landmarks, starts.
+    out
+        The folder runs.csv, metrics.json, report.html and the first run's log are written to.
+    robots
+        How many robots (2, or as many as the scenario has starts).
+    runs
+        How many runs; run k has seed + k.
+    seed
+        The same seed gives the same runs.
+    planner
+        paper, area, coverage, loop, or your own function as package.module:function.
+    association
+        Which sighting is which landmark: known, nn or jcbb (jcbb).
+    noise
+        printed, calibrated, or a factor on the printed standard deviations (calibrated is 0.05).
+    until
+        Stop when all landmarks were seen (landmarks), when no frontier is left (field), or after so many steps.
+    kill
+        A robot that dies, and the step at which it does, as robot2@100.
+    drop
+        The share of messages between the robots that is lost.
+    config
+        A TOML file with weights and thresholds; options on the command line win.
+    jobs
+        How many runs are worked on at once; the result is the same.
+    force
+        Write into the folder even when something other than a result stands there.
+    """
+    from ..verbs.explore import explore as run
+    from ..verbs.explore import parse_kills
+    from .progress import progress
+    from .say import say
+
+    with progress() as tick:
+        result = run(
+            scenario,
+            out,
+            robots=robots,
+            runs=runs,
+            seed=seed,
+            planner=planner,
+            association=association,
+            noise=noise,
+            until=until,
+            kill=parse_kills(kill),
+            drop=drop,
+            config=config,
+            jobs=jobs,
+            force=force,
+            tick=tick,
+        )
+    for line in result.lines():
+        say(line)
+    say(f"report: {out / 'report.html'}")

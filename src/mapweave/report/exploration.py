@@ -1,0 +1,167 @@
+"""An exploration as pictures: where the robots drove, what they mapped, how fast the field became known."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.patches import Polygon
+from PIL import Image
+from scipy.spatial import ConvexHull, QhullError
+
+from .html import Page
+from .style import MUTED, TRUTH, as_map, colour, draw_ellipse, figure, marker
+
+if TYPE_CHECKING:
+    from ..explore.experiment import RunRecord
+    from ..verbs.explore import ExploreResult
+
+FRAMES = 48
+
+
+def write_exploration(folder: Path, result: "ExploreResult") -> None:
+    """report.html and figures/ in `folder`."""
+    first = result.first
+    draw_map(folder / "figures" / "map.png", first)
+    draw_progress(folder / "figures" / "progress.png", first, result)
+    draw_animation(folder / "figures" / "first_run.gif", first)
+    s, m = result.summary(), result.mission
+    page = Page(
+        f"Exploration of {result.scenario}",
+        f"{len(first.robots)} robots, planner {m.planner}, identities {m.cfg.submap.association}, motion noise "
+        f"{result.noise:g} of the printed, until {m.until}, seeds {result.seed} to {result.seed + s['runs'] - 1}",
+    )
+    page.cards(
+        [
+            ("runs finished", f"{s['finished']} of {s['runs']}"),
+            ("steps, mean", f"{s['steps_mean']:.0f}"),
+            ("map error", _unit(s["map_error_m"], "m")),
+            ("uncertainty C/N", _unit(s["c_per_n_m2"], "m²")),
+            ("NEES per degree of freedom", _unit(s["nees_per_dof"], "")),
+        ]
+    )
+    page.section("The first run")
+    page.figure(folder / "figures" / "map.png", "Map, trajectories and submap borders of the first run")
+    page.figure(folder / "figures" / "first_run.gif", "The first run, from start to end")
+    page.figure(folder / "figures" / "progress.png", "Explored share of the field; steps and errors of all runs")
+    page.section("Every run")
+    head = ["run", "seed", "finished", "steps", "map error [m]", "C/N [m²]", "NEES/dof", "duplicates", "missed"]
+    rows = [
+        [
+            r.run,
+            r.seed,
+            "yes" if r.finished else "no",
+            r.steps,
+            r.map_error,
+            r.c_per_n,
+            r.nees_per_dof,
+            r.duplicates,
+            r.missed,
+        ]
+        for r in result.runs
+    ]
+    page.table(head, rows)
+    page.section("How to read it")
+    page.text(
+        "A step is one control of every robot. Map error is the mean distance of mapped landmarks to the true ones in "
+        "the global frame, without alignment. C/N is the mean area pi sqrt det of a landmark's covariance. NEES per "
+        "degree of freedom is 1 for an honest map; above 1 it is overconfident. The log folder replays with `map`."
+    )
+    page.write(folder / "report.html")
+
+
+def draw_map(path: Path, run: "RunRecord") -> None:
+    """Trajectories, landmarks with 95 % ellipses, truth, and the borders of submaps at hand-over."""
+    width, height = run.world.upper - run.world.lower
+    with figure(path, 8.0, 8.0 * float(height / width) + 0.6) as (_, ax):
+        _field(ax, run)
+        for step, j, points in run.submap_borders:
+            del step
+            _border(ax, points, colour(j))
+        poses = np.array([m.true_poses for m in run.moments])
+        for j, name in enumerate(run.robots):
+            ax.plot(poses[:, j, 0], poses[:, j, 1], color=colour(j), label=f"{name}, true path", zorder=3)
+            ax.plot(*run.world.starts[j, :2], marker=marker(j), color=colour(j), ms=7, zorder=4)
+        marks = run.map.landmarks
+        for i in range(len(marks)):
+            draw_ellipse(ax, marks.mean[i], marks.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2], "#D55E00", zorder=4)
+        ax.plot(*marks.mean.T, "+", color="#D55E00", ms=6, zorder=5, label="landmark, mapped (95 %)")
+        ax.plot(*run.world.landmarks.T, "*", color=TRUTH, ms=5, zorder=5, label="landmark, true")
+        ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4)
+
+
+def draw_progress(path: Path, run: "RunRecord", result: "ExploreResult") -> None:
+    """Explored share against steps for the first run; steps against map error for all."""
+    with figure(path, 8.0, 3.2, ncols=2) as (_, axes):
+        ax = axes[0]
+        ax.plot([m.step for m in run.moments], [100 * m.explored for m in run.moments], color=colour(0))
+        handed = [(m.step, 100 * m.explored) for m in run.moments if m.handed_over]
+        if handed:
+            ax.plot(*np.array(handed).T, marker(2), color=colour(1), ms=4, ls="none", label="a submap handed over")
+            ax.legend()
+        ax.set(xlabel="step", ylabel="explored [%]", ylim=(0, 102))
+        ax.set_title("First run")
+        ax = axes[1]
+        pairs = [(r.steps, r.map_error) for r in result.runs if r.map_error is not None]
+        if pairs:
+            ax.plot(*np.array(pairs).T, "o", color=colour(0), ms=4)
+        ax.set(xlabel="steps", ylabel="map error [m]")
+        ax.set_ylim(bottom=0)
+        ax.set_title("All runs")
+
+
+def draw_animation(path: Path, run: "RunRecord") -> None:
+    """The first run as a small animated GIF: paths so far, what each robot sees, landmarks."""
+    if not run.moments:
+        return
+    every = max(1, len(run.moments) // FRAMES)
+    shown = [*run.moments[::every], run.moments[-1]]
+    poses = np.array([m.true_poses for m in run.moments])
+    width, height = run.world.upper - run.world.lower
+    frames: list[Image.Image] = []
+    scratch = path.with_suffix(".png")
+    with figure(scratch, 5.2, 5.2 * float(height / width) + 0.4) as (fig, ax):
+        _field(ax, run)
+        ax.plot(*run.world.landmarks.T, "*", color=TRUTH, ms=4, zorder=5)
+        lines = [ax.plot([], [], color=colour(j))[0] for j in range(len(run.robots))]
+        heads = [ax.plot([], [], marker(j), color=colour(j), ms=7)[0] for j in range(len(run.robots))]
+        title = ax.set_title("", loc="left")
+        for moment in shown:
+            for j in range(len(run.robots)):
+                lines[j].set_data(poses[: moment.step, j, 0], poses[: moment.step, j, 1])
+                heads[j].set_data([moment.true_poses[j, 0]], [moment.true_poses[j, 1]])
+            title.set_text(f"step {moment.step}, {100 * moment.explored:.0f} % explored")
+            frames.append(_snapshot(fig))
+    scratch.unlink()
+    palette = frames[-1].quantize(32)
+    small = [f.quantize(32, palette=palette, dither=Image.Dither.NONE) for f in frames]
+    small[0].save(path, save_all=True, append_images=small[1:], duration=140, loop=0, optimize=True)
+
+
+def _snapshot(fig: Any) -> Image.Image:
+    canvas: Any = FigureCanvasAgg(fig)
+    fig.set_dpi(80)
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+
+
+def _field(ax: Any, run: "RunRecord") -> None:
+    (x0, y0), (x1, y1) = run.world.lower, run.world.upper
+    ax.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=MUTED, lw=1)
+    as_map(ax)
+    ax.set_aspect("equal", adjustable="box")
+    ax.set(xlim=(x0 - 2, x1 + 2), ylim=(y0 - 2, y1 + 2))
+
+
+def _border(ax: Any, points: np.ndarray, color: str) -> None:
+    if len(points) < 3:
+        return
+    try:
+        corners = points[ConvexHull(points).vertices]
+    except QhullError:
+        return
+    ax.add_patch(Polygon(corners, fill=True, facecolor=color, alpha=0.06, edgecolor=color, lw=0.6))
+
+
+def _unit(value: float | None, unit: str) -> str:
+    return "–" if value is None else f"{value:.3f} {unit}".strip()

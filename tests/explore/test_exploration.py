@@ -1,0 +1,175 @@
+"""Whole explorations: accuracy, consistency, deaths, lost messages, bad input."""
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+
+import numpy as np
+import pytest
+
+from mapweave.core import se2
+from mapweave.core.errors import ConfigError, DataError, EstimateError, UsageError
+from mapweave.estimate.submap_slam import SubmapConfig
+from mapweave.explore import team as team_module
+from mapweave.explore.experiment import CALIBRATED, Mission, explore_many, explore_once, with_noise
+from mapweave.explore.scenario import ScenarioConfig, find_scenario, make_field
+from mapweave.explore.team import Team
+from mapweave.explore.view import ExploreConfig, find_planner
+from mapweave.fuse.handover import hand_over
+from mapweave.maps.submap import Submap
+from mapweave.verbs.explore import explore
+
+
+def mission(planner="paper", association="known", until="landmarks", noise=CALIBRATED, **more):
+    own = {k: more.pop(k) for k in ("robots", "kills", "drop") if k in more}
+    cfg = with_noise(ExploreConfig(submap=SubmapConfig(association=association), **more), noise)
+    return Mission(find_scenario("yuan"), planner=planner, until=until, cfg=cfg, **own)
+
+
+def mean(runs, name):
+    return float(np.mean([getattr(r, name) for r in runs]))
+
+
+def runs_of(what, runs, initializer=None):
+    """Scores of many runs from fresh processes, where the tests' shape checks are off: they cost minutes here."""
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn"), initializer=initializer) as workers:
+        return [explore_many(m, runs, 0, workers) for m in what]
+
+
+@pytest.mark.slow
+@pytest.mark.eq("Yuan09:20", "Yuan09:21")
+def test_the_papers_planner_finishes_every_run_within_its_figures():
+    two, one = runs_of([mission(), mission(robots=1)], 30)
+    assert all(r.finished for r in two + one)
+    assert mean(two, "steps") <= 330
+    assert mean(two, "map_error") <= 0.40
+    assert mean(one, "steps") >= 1.5 * mean(two, "steps")
+
+
+@pytest.mark.slow
+def test_coverage_and_loops_beat_the_papers_planner():
+    cover, loop, alone = runs_of([mission("coverage"), mission("loop"), mission("loop", robots=1)], 30)
+    assert all(r.finished for r in cover + loop)
+    assert mean(cover, "steps") <= 205
+    assert max(r.steps for r in cover) <= 260
+    assert mean(loop, "steps") <= 205
+    assert mean(loop, "map_error") <= 0.32
+    assert mean(loop, "c_per_n") <= 0.18
+    assert mean(alone, "steps") < 503
+    assert mean(alone, "map_error") <= 0.48
+
+
+def count_twice():
+    """In this process every submap is handed over a second time, as if it were independent."""
+
+    def twice(G, L, **more):
+        done = hand_over(G, L, **more)
+        C = np.kron(np.eye(len(L.ids)), se2.rotation(-L.pose[2]))
+        P = np.zeros((3 + 2 * len(L.ids),) * 2)
+        P[3:, 3:] = C @ L.cov[3:, 3:] @ C.T
+        again = Submap(L.robot, np.zeros(3), L.ids, se2.act(se2.inverse(L.pose), L.mean), P, L.frame)
+        return replace(done, map=hand_over(done.map, again, **more).map)
+
+    team_module.hand_over = twice
+
+
+@pytest.mark.slow
+def test_the_map_is_consistent_and_counting_twice_is_noticed():
+    (honest,) = runs_of([mission(until=200)], 50)
+    assert 0.90 <= mean(honest, "nees_per_dof") <= 1.15
+    (doubled,) = runs_of([mission(until=200)], 8, initializer=count_twice)
+    assert mean(doubled, "nees_per_dof") > 1.3
+
+
+@pytest.mark.slow
+def test_with_the_printed_noise_robots_that_get_lost_find_back():
+    (runs,) = runs_of([mission(noise=1.0, max_steps=1000)], 30)
+    assert sum(r.finished for r in runs) >= 0.95 * len(runs)
+
+
+@pytest.mark.slow
+def test_a_robot_that_dies_leaves_no_landmark_missed_and_an_honest_map():
+    (runs,) = runs_of([mission("coverage", kills={1: 100})], 30)
+    assert sum(r.finished for r in runs) >= 0.95 * len(runs)
+    assert all(r.missed == 0 for r in runs if r.finished)
+    assert mean(runs, "nees_per_dof") <= 1.3
+
+
+def test_lost_messages_and_a_death_among_four_are_survived():
+    (runs,) = runs_of([mission("loop", robots=4, kills={1: 40}, drop=0.2)], 6)
+    assert all(r.finished for r in runs)
+    assert mean(runs, "nees_per_dof") <= 1.3
+
+
+def test_the_same_seed_is_the_same_run_bit_for_bit():
+    a, first = explore_once(mission(association="jcbb", until=60), 7)
+    b, second = explore_once(mission(association="jcbb", until=60), 7)
+    assert replace(a, ms_per_decision=0.0) == replace(b, ms_per_decision=0.0)
+    assert first.map.cov.tobytes() == second.map.cov.tobytes()
+    assert first.moments[-1].true_poses.tobytes() == second.moments[-1].true_poses.tobytes()
+
+
+def test_one_robot_explores_a_field_to_its_end():
+    small = ScenarioConfig(lower=(-20, -15), upper=(20, 15), landmarks=8)
+    score, record = explore_once(Mission(small, robots=1, planner="coverage", until="field"), 0)
+    assert score.finished
+    assert record.moments[-1].explored == 1.0
+    assert score.missed == 0
+
+
+def test_the_printed_escape_rule_gets_stuck_where_the_guard_does_not():
+    stuck = mission(noise=1.0, literal_escape=True, negligible_gain=0, fuse_by=10**9, max_steps=300)
+    (literal,) = runs_of([stuck], 4)
+    assert sum(r.finished for r in literal) == 0
+
+
+@pytest.mark.parametrize(
+    ("returned", "told"),
+    [
+        (lambda n: np.zeros((n + 1, 2)), "shape"),
+        (lambda n: np.full((n, 2), np.nan), "not a finite number"),
+        (lambda n: np.full((n, 2), 99.0), "beyond"),
+    ],
+)
+def test_a_planner_that_returns_nonsense_is_named(returned, told):
+    world = make_field(find_scenario("yuan"), 2, 0)
+    team = Team(world, ExploreConfig(), lambda v, p, c: returned(2), np.random.default_rng(0))
+    with pytest.raises(EstimateError, match=told):
+        list(team.play())
+
+
+def test_a_users_own_planner_is_found_by_dotted_name():
+    assert find_planner("mapweave.explore.coverage:choose") is find_planner("coverage")
+    with pytest.raises(UsageError, match="not an importable"):
+        find_planner("nowhere.at.all:choose")
+
+
+def test_a_scenario_without_landmarks_or_with_a_robot_outside_is_refused(tmp_path):
+    with pytest.raises(DataError, match="no landmarks"):
+        make_field(ScenarioConfig(landmarks=0), 2, 0)
+    with pytest.raises(DataError, match="outside the field"):
+        make_field(ScenarioConfig(starts=((99.0, 0.0, 0.0),)), None, 0)
+    with pytest.raises(UsageError, match="at least 1"):
+        make_field(ScenarioConfig(), 0, 0)
+    bad = tmp_path / "world.toml"
+    bad.write_text("wals = 3\nlandmarks = -1\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match="wals"):
+        find_scenario(str(bad))
+
+
+def test_explore_writes_what_the_contract_lists_and_its_log_can_be_read(tmp_path):
+    from mapweave.readers.mrclam import read_mrclam
+
+    out = tmp_path / "out"
+    result = explore("yuan", out, runs=2, planner="loop", until=30, association="known")
+    rows = (out / "runs.csv").read_text().splitlines()
+    assert rows[0] == (
+        "run,seed,finished,steps,map_error,c_per_n,nees_per_dof,duplicates,misassociations,missed,ms_per_decision"
+    )
+    assert len(rows) == 3
+    assert {"finished", "runs", "steps_min", "steps_mean", "steps_max", "map_error_m", "c_per_n_m2"} <= set(
+        result.metrics()["summary"]
+    )
+    assert (out / "report.html").stat().st_size > 10_000
+    assert (out / "figures" / "first_run.gif").exists()
+    assert len(read_mrclam(out / "log")) == 2
