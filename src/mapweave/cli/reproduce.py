@@ -7,6 +7,7 @@ PAPERS: dict[str, str] = {
     "kojima": "mapweave.cli.reproduce_kojima:kojima",
     "hamatani": "mapweave.cli.reproduce_hamatani:hamatani",
     "hara": "mapweave.cli.reproduce_hara:hara",
+    "yuan": "mapweave.cli.reproduce_yuan:yuan",
 }
 
 app = App(name="reproduce", help="Repeat a paper's experiment and set its figures beside ours.")

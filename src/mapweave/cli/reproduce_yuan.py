@@ -1,0 +1,46 @@
+"""`mapweave reproduce yuan`."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+
+def yuan(
+    *,
+    out: Path | None = None,
+    quick: Annotated[bool, Parameter(negative="")] = False,
+    seed: int = 0,
+    jobs: int = 1,
+    force: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Repeat the active SLAM of Yuan, Huang, Tao and Xi, and set Table 1 beside ours.
+
+    Parameters
+    ----------
+    out
+        A folder for metrics.json, report.html and figures.
+    quick
+        4 runs a case instead of 30.
+    seed
+        The same seed gives the same figures.
+    jobs
+        How many runs are worked on at once; the result is the same.
+    force
+        Write into the folder even when something other than a result stands there.
+    """
+    from ..verbs.reproduce_yuan import TITLES, differences, reproduce_yuan
+    from .progress import progress
+    from .say import say, say_table
+
+    with progress() as tick:
+        result = reproduce_yuan(out, quick=quick, seed=seed, jobs=jobs, force=force, tick=tick)
+    for group, title in TITLES.items():
+        say(title)
+        say_table(result.HEAD, result.table(group))
+        say()
+    say("What differs, and why")
+    for sentence in differences():
+        say(f"- {sentence}")
+    if out is not None:
+        say(f"\nreport: {out / 'report.html'}")
