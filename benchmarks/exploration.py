@@ -1,0 +1,218 @@
+"""What exploration costs and what it brings: decision times, runs, submaps against one big filter, planners, teams.
+
+python benchmarks/exploration.py [--quick] [--jobs 2] [--out exploration.json]
+"""
+
+import argparse
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mapweave.estimate.submap_slam import Observations, SubmapConfig, empty, predict, sight, sight_jacobians, update
+from mapweave.explore import coverage, objective
+from mapweave.explore.experiment import CALIBRATED, Mission, explore_many, with_noise
+from mapweave.explore.scenario import find_scenario, make_field
+from mapweave.explore.team import Team
+from mapweave.explore.view import ExploreConfig
+from mapweave.fuse.handover import hand_over
+from mapweave.maps.global_map import GlobalMap
+from mapweave.maps.submap import Submap
+from mapweave.verbs.explore import worker_pool
+
+STEPS, SIGHTINGS = 30, 3
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--quick", action="store_true", help="4 runs a row, no map of 2,000 landmarks")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--out", type=Path)
+    args = parser.parse_args()
+    runs = 4 if args.quick else 30
+    out = {"decisions": decisions(), "cost": [cost(n) for n in ((100, 500) if args.quick else (100, 500, 2000))]}
+    with worker_pool(args.jobs, max(runs, 3)) as pool:
+        out["planners"] = planners(pool, runs, args.jobs)
+        out["scaling"] = scaling(pool, 4 if args.quick else 10)
+        out["hardship"] = hardship(pool, runs)
+    if args.out:
+        args.out.write_text(json.dumps(out, indent=1), encoding="utf-8")
+
+
+def decisions() -> dict:
+    """Milliseconds of processor time a decision: median and worst of many."""
+    rng = np.random.default_rng(0)
+    world = make_field(find_scenario("yuan"), 1, 0)
+    cfg = ExploreConfig()
+    team = Team(world, cfg, objective.choose, rng)
+    A = 0.02 * rng.normal(size=(63, 63))
+    marks = rng.uniform(-14, 14, (30, 2))
+    team.submaps[0] = Submap("robot1", np.zeros(3), tuple(map(str, range(30))), marks, A @ A.T + 1e-4 * np.eye(63), "l")
+    one = timed(lambda: objective.choose(team.view(), team.poses(), cfg), 200)
+    eight = Team(make_field(find_scenario("yuan"), 8, 0), cfg, coverage.choose, rng)
+    view = eight.view()
+
+    def fresh() -> None:
+        eight.memory.clear()
+        coverage.choose(view, eight.poses(), cfg)
+
+    eight_ms = timed(fresh, 50)
+    table = {
+        "paper, 1 robot, 36 controls, 30 landmarks, 8,000 cells": one,
+        "coverage, 8 robots, all planned anew": eight_ms,
+    }
+    for name, (middle, worst) in table.items():
+        print(f"{name:58s} {middle:7.2f} ms median, {worst:7.2f} ms worst")
+    return {k: {"median_ms": v[0], "worst_ms": v[1]} for k, v in table.items()}
+
+
+def timed(job, times: int) -> tuple[float, float]:
+    job()
+    spent = []
+    for _ in range(times):
+        begun = time.process_time()
+        job()
+        spent.append(1e3 * (time.process_time() - begun))
+    return float(np.median(spent)), float(np.max(spent))
+
+
+def cost(n: int) -> dict:
+    """30 steps, 3 sightings each, in processor time [s]: one filter over all landmarks; a submap and its hand-over."""
+    rng = np.random.default_rng(n)
+    cfg = SubmapConfig(association="known")
+    side = 6.0 * np.sqrt(n)
+    marks = rng.uniform(-side / 2, side / 2, (n, 2))
+    near = np.argsort(np.hypot(*marks.T))[:12]  # what the robot meets on its way
+    U = 0.05 * rng.normal(size=(3 + 2 * n, 40))
+    P = U @ U.T + 1e-3 * np.eye(3 + 2 * n)
+    ids = tuple(map(str, range(n)))
+    G = GlobalMap(("robot1",), np.zeros((1, 3)), ids, marks, P)
+    script = [rng.choice(near, SIGHTINGS, replace=False) for _ in range(STEPS)]
+    u = np.array([0.5, 0.1])
+
+    def submap() -> None:
+        m = empty("robot1", "local_1")
+        for rows in script:
+            m = predict(m, u, cfg)
+            m, _ = update(m, Observations(sight(m.pose, marks[rows]), tuple(ids[k] for k in rows)), cfg)
+        hand_over(G, m, known=True)
+
+    def whole() -> dict[str, float]:
+        """The same filter over the global state: all of a step's sightings in one update, or one after the other."""
+        spent = {}
+        for how in ("together", "one by one"):
+            F = P.copy()
+            begun = time.process_time()
+            for rows in script:
+                J = np.eye(3)
+                J[:2, 2] = (-0.1, 0.2)
+                F[:3] = J @ F[:3]
+                F[:, :3] = F[:, :3] @ J.T
+                F[:3, :3] += cfg.Q
+                for group in [rows] if how == "together" else rows[:, None]:
+                    big_update(F, group, marks, cfg)
+            spent[how] = time.process_time() - begun
+        return spent
+
+    middle = timed(submap, 3)[0] / 1e3
+    full = whole()
+    row = {
+        "landmarks": n,
+        "submap_s": middle,
+        "ekf_together_s": full["together"],
+        "ekf_one_by_one_s": full["one by one"],
+    }
+    row |= {"ratio_together": full["together"] / middle, "ratio_one_by_one": full["one by one"] / middle}
+    print(
+        f"{n:5d} landmarks: submap {1e3 * middle:8.1f} ms, full EKF {1e3 * full['together']:9.1f} ms (x "
+        f"{row['ratio_together']:.0f}), sighting by sighting {1e3 * full['one by one']:9.1f} ms (x "
+        f"{row['ratio_one_by_one']:.0f})"
+    )
+    return row
+
+
+def big_update(F: np.ndarray, rows: np.ndarray, marks: np.ndarray, cfg: SubmapConfig) -> None:
+    """One Kalman update of the whole covariance, in place, multiplying only columns the sightings depend on."""
+    Hp, Hl = sight_jacobians(np.zeros(3), marks[rows])
+    used = np.concatenate([np.arange(3), *(3 + 2 * k + np.arange(2) for k in rows)])
+    H = np.zeros((2 * len(rows), len(used)))
+    for i in range(len(rows)):
+        H[2 * i : 2 * i + 2, :3] = Hp[i]
+        H[2 * i : 2 * i + 2, 3 + 2 * i : 5 + 2 * i] = Hl[i]
+    PH = F[:, used] @ H.T
+    S = H @ PH[used] + np.kron(np.eye(len(rows)), cfg.R)
+    W = np.linalg.solve(np.linalg.cholesky(S), PH.T).T
+    F -= W @ W.T
+
+
+def mission(planner="paper", robots=2, scenario="yuan", until="landmarks", how="known", **more) -> Mission:
+    kills, drop = more.pop("kills", None), more.pop("drop", 0.0)
+    cfg = with_noise(ExploreConfig(**more), CALIBRATED)
+    cfg = replace(cfg, submap=replace(cfg.submap, association=how))
+    return Mission(find_scenario(scenario), robots, planner, until, kills, drop, cfg)
+
+
+def row_of(name: str, scores) -> dict:
+    def mean(what: str) -> float:
+        return float(np.mean([v for r in scores if (v := getattr(r, what)) is not None]))
+
+    steps = [r.steps for r in scores]
+    row = {"name": name, "runs": len(scores), "finished": sum(r.finished for r in scores)}
+    row |= {"steps_min": min(steps), "steps_mean": mean("steps"), "steps_max": max(steps)}
+    row |= {
+        k: mean(k) for k in ("map_error", "c_per_n", "nees_per_dof", "misassociations", "missed", "ms_per_decision")
+    }
+    print(
+        f"{name:34s} {row['finished']:2d}/{row['runs']:2d}  steps {row['steps_min']:4d} / {row['steps_mean']:6.1f} / "
+        f"{row['steps_max']:4d}  error {row['map_error']:.3f} m  C/N {row['c_per_n']:.3f}  "
+        f"NEES/dof {row['nees_per_dof']:.2f}"
+    )
+    return row
+
+
+def planners(pool, runs: int, jobs: int) -> list[dict]:
+    """Two robots, calibrated noise; the first row is the paper's experiment, whose whole time is told."""
+    explore_many(mission(until=2), 2, 0, pool)  # kernels compiled
+    rows = []
+    for how in ("known", "jcbb", "nn"):
+        for planner in ("paper", "area", "coverage", "loop"):
+            begun = time.perf_counter()
+            rows.append(row_of(f"{planner}, {how}", explore_many(mission(planner, how=how), runs, 0, pool)))
+            rows[-1]["seconds"] = time.perf_counter() - begun
+            if len(rows) == 1:
+                print(f"{runs} runs of the paper's experiment: {rows[0]['seconds']:.1f} s with {jobs} processes")
+    rows.append(row_of("loop, 296 steps", explore_many(mission("loop", until=296), runs, 0, pool)))
+    rows.append(row_of("paper, one robot", explore_many(mission(robots=1), runs, 0, pool)))
+    rows.append(row_of("loop, one robot", explore_many(mission("loop", robots=1), runs, 0, pool)))
+    return rows
+
+
+def scaling(pool, runs: int) -> dict:
+    """2, 4 and 8 robots on four times the field: the exponent with which steps fall."""
+    rows = [
+        row_of(f"coverage, {k} robots, large field", explore_many(mission("coverage", k, "yuan-large"), runs, 0, pool))
+        for k in (2, 4, 8)
+    ]
+    steps = [r["steps_mean"] for r in rows]
+    exponent = float(-np.polyfit(np.log([2, 4, 8]), np.log(steps), 1)[0])
+    print(
+        f"steps fall as 1 / robots^{exponent:.2f}; 2 to 4: {np.log2(steps[0] / steps[1]):.2f}, 4 to 8: "
+        f"{np.log2(steps[1] / steps[2]):.2f}"
+    )
+    return {"rows": rows, "exponent": exponent}
+
+
+def hardship(pool, runs: int) -> list[dict]:
+    """A fifth of the messages lost; one robot of four dead at a third of the run."""
+    return [
+        row_of("loop, 20 % of messages lost", explore_many(mission("loop", drop=0.2), runs, 0, pool)),
+        row_of("coverage, robot 2 of 4 dead at 40", explore_many(mission("coverage", 4, kills={1: 40}), runs, 0, pool)),
+        row_of("loop, robot 2 of 4 dead at 40", explore_many(mission("loop", 4, kills={1: 40}), runs, 0, pool)),
+        row_of("paper, robot 2 of 2 dead at 100", explore_many(mission(kills={1: 100}), runs, 0, pool)),
+    ]
+
+
+if __name__ == "__main__":
+    main()
