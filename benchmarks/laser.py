@@ -69,7 +69,7 @@ def steps(*, quick: bool) -> dict:
     one, _, _, _ = drive(paper, feature, sim.log, part, 1)
     wall, _, _, _ = drive(paper, feature, sim.log, part, 4)
     front, _, _, _ = drive(usual, feature, sim.log, part, 1)
-    _, _, shared, unshared = drive(paper, feature, sim.log, part if quick else len(sim.log.scans), 4)
+    _, _, shared, unshared = drive(paper, feature, sim.log, part if quick else len(sim.log.scans), 1)
     rate = 1 / np.median(one[5:])
     return {
         "filter_step_ms_1_thread": 1e3 * float(np.median(one[5:])),
