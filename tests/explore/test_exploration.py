@@ -171,5 +171,10 @@ def test_explore_writes_what_the_contract_lists_and_its_log_can_be_read(tmp_path
         result.metrics()["summary"]
     )
     assert (out / "report.html").stat().st_size > 10_000
-    assert (out / "figures" / "first_run.gif").exists()
+    assert {f.name for f in (out / "figures").iterdir()} == {
+        "map.png",
+        "explored.png",
+        "progress.png",
+        "first_run.gif",
+    }
     assert len(read_mrclam(out / "log")) == 2

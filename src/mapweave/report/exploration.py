@@ -9,8 +9,9 @@ from matplotlib.patches import Polygon
 from PIL import Image
 from scipy.spatial import ConvexHull, QhullError
 
+from ..kernels.exploration import mark_half_disc
 from .html import Page
-from .style import MUTED, TRUTH, as_map, colour, draw_ellipse, figure, marker
+from .style import MUTED, SEQUENTIAL, TRUTH, as_map, colour, draw_ellipse, figure, marker
 
 if TYPE_CHECKING:
     from ..explore.experiment import RunRecord
@@ -24,6 +25,7 @@ def write_exploration(folder: Path, result: "ExploreResult") -> None:
     first = result.first
     draw_map(folder / "figures" / "map.png", first)
     draw_progress(folder / "figures" / "progress.png", first, result)
+    draw_explored(folder / "figures" / "explored.png", first, result)
     draw_animation(folder / "figures" / "first_run.gif", first)
     s, m = result.summary(), result.mission
     page = Page(
@@ -42,6 +44,7 @@ def write_exploration(folder: Path, result: "ExploreResult") -> None:
     )
     page.section("The first run")
     page.figure(folder / "figures" / "map.png", "Map, trajectories and submap borders of the first run")
+    page.figure(folder / "figures" / "explored.png", "When each cell was first seen; lines: the frontier at quarters")
     page.figure(folder / "figures" / "first_run.gif", "The first run, from start to end")
     page.figure(folder / "figures" / "progress.png", "Explored share of the field; steps and errors of all runs")
     page.section("Every run")
@@ -88,6 +91,29 @@ def draw_map(path: Path, run: "RunRecord") -> None:
         ax.plot(*marks.mean.T, "+", color="#D55E00", ms=6, zorder=5, label="landmark, mapped (95 %)")
         ax.plot(*run.world.landmarks.T, "*", color=TRUTH, ms=5, zorder=5, label="landmark, true")
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4)
+
+
+def draw_explored(path: Path, run: "RunRecord", result: "ExploreResult") -> None:
+    """The step at which each cell was first seen, and the frontier at each quarter of the run."""
+    cfg = result.mission.cfg
+    width, height = run.world.upper - run.world.lower
+    shape = (int(np.ceil(height / cfg.cell)), int(np.ceil(width / cfg.cell)))
+    seen, first = np.zeros(shape, dtype=bool), np.full(shape, np.nan)
+    for moment in (run.first_look, *run.moments):
+        for pose in moment.poses:
+            mark_half_disc(seen, pose, cfg.submap.reach, cfg.submap.half_angle, run.world.lower, cfg.cell)
+        first[seen & np.isnan(first)] = moment.step
+    with figure(path, 8.0, 7.2 * float(height / width) + 0.4) as (fig, ax):
+        _field(ax, run)
+        (x0, y0), (x1, y1) = run.world.lower, run.world.lower + cfg.cell * np.array(shape[::-1])
+        image = ax.imshow(first, origin="lower", extent=(x0, x1, y0, y1), cmap=SEQUENTIAL, interpolation="nearest")
+        quarters = [0.25 * k * max(len(run.moments), 1) for k in (1, 2, 3)]
+        filled = np.where(np.isnan(first), len(run.moments) + 1.0, first)
+        if filled.min() < filled.max():
+            centres = [lo + cfg.cell * (np.arange(n) + 0.5) for lo, n in ((x0, shape[1]), (y0, shape[0]))]
+            ax.contour(*centres, filled, levels=sorted(set(quarters)), colors="white", linewidths=1.0)
+        fig.colorbar(image, ax=ax, label="first seen at step", shrink=0.85)
+        ax.grid(visible=False)
 
 
 def draw_progress(path: Path, run: "RunRecord", result: "ExploreResult") -> None:
