@@ -106,7 +106,7 @@ def test_several_logs_are_mapped_each_on_its_own_whatever_the_number_of_processe
     [
         ("icp", "normalised", 0.3),
         ("icp", "none", 0.6),
-        ("particle", "raw", 3.0),
+        ("particle", "raw", 1.0),
         ("gated", "none", 0.5),
         ("particle", "normalised", 0.15),
         ("particle", "none", 0.5),

@@ -1,12 +1,14 @@
 """How the robot moved between two scans: odometry, a match against the local map, and a gate between them."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ..core import se2
 from ..core.records import Scan
 from ..match.front_end import FrontEnd, allowed_sd
-from ..models.beam import Beams
+from ..models.beam import STEERING, Beams
 from .laser_config import LaserConfig
 from .laser_trace import ScanInfo
 
@@ -29,8 +31,9 @@ class Carrier:
 
     def __init__(self, cfg: LaserConfig, *, feature: str, gated: bool, matching: bool = True) -> None:
         self.cfg, self.gated, self.matching = cfg, gated, matching
-        tangent = cfg.front_end.tangent if feature != "none" else cfg.front_end.bare_tangent
-        self.front_end = FrontEnd(cfg.front_end, tangent)
+        steers = feature in STEERING
+        front_end = cfg.front_end if steers else replace(cfg.front_end, alpha=0.0)
+        self.front_end = FrontEnd(front_end, front_end.tangent if steers else front_end.bare_tangent)
         self.poses: list[np.ndarray] = []
         self.odometry: np.ndarray | None = None
         self.step = np.zeros(3)

@@ -58,6 +58,7 @@ class LaserConfig:
     gate_sd_turn: float = 0.07  # [rad] being added to those of the front end: odometry and scan may be stamped apart
     matcher: str = "map"  # of the gated method: "map" (Gauss-Newton on lines) or "icp" (the paper's)
     threads: int = 0  # 0: as many as there are free cores; the result is the same
+    raw_alpha: float = 0.1  # [m^2 per q^2] what raw intensity counts, which range changes too
     resolution: float = 0.1  # [m] cell of the map handed over
     beam: BeamConfig = BeamConfig()
     cells: CellConfig = CellConfig()

@@ -14,7 +14,7 @@ from ..core.records import Event, Scan
 from ..kernels.refine import refine
 from ..kernels.resample import systematic
 from ..maps.particle_grid import ParticleGrid
-from ..models.beam import Beams, beams
+from ..models.beam import STEERING, Beams, beams
 from ..models.intensity import IntensityCalibration
 from .laser_carrier import Carrier
 from .laser_config import FilterConfig, LaserConfig
@@ -52,8 +52,9 @@ def init(
     P = 1 if gated else cfg.particles
     matching = cfg.filter.proposal == "front end"
     carrier = Carrier(cfg, feature=feature, gated=gated, matching=matching)
+    cells = replace(cfg.cells, alpha=cfg.raw_alpha) if feature == "raw" else cfg.cells
     zero = np.zeros(P)
-    return ParticleState(carrier, ParticleGrid(P, cfg.cells), np.zeros((P, 3)), zero, zero, feature, calibration)
+    return ParticleState(carrier, ParticleGrid(P, cells), np.zeros((P, 3)), zero, zero, feature, calibration)
 
 
 def step(
@@ -126,7 +127,7 @@ def log_likelihood(D: Float[np.ndarray, "p n"], cfg: LaserConfig, feature: str) 
     `paper`: -d^2 / (2 sigma_z^2) # [Hara07] eq. 8 with d the mean D of a particle's own matches # [Hara07] eq. 9.
     """
     f, cap = cfg.filter, cfg.cells.cap
-    neff = f.neff if feature != "none" else f.bare_neff
+    neff = f.neff if feature in STEERING else f.bare_neff
     matched = np.float32(cap) > D
     if cfg.likelihood == "paper":
         n = matched.sum(axis=1)
@@ -150,7 +151,7 @@ def _refined(state: ParticleState, points: np.ndarray, b: Beams, f: FilterConfig
         return state.poses
     m, c = state.maps, state.maps.cfg
     prior = np.diag([f.refine_sd_xy**-2.0, f.refine_sd_xy**-2.0, f.refine_sd_turn**-2.0])
-    tangent = f.refine_tangent if state.feature != "none" else f.refine_bare_tangent
+    steers = state.feature in STEERING
     return refine(
         m.pool,
         m.table,
@@ -161,10 +162,10 @@ def _refined(state: ParticleState, points: np.ndarray, b: Beams, f: FilterConfig
         state.poses,
         points,
         b.normal,
-        c.alpha,
+        c.alpha if steers else 0.0,
         c.cap,
         f.refine_neff / f.refine_sigma**2,
-        tangent,
+        f.refine_tangent if steers else f.refine_bare_tangent,
         f.refine_kappa,
         prior,
         f.refine_iterations,

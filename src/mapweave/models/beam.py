@@ -11,6 +11,7 @@ from ..core.records import Scan
 from ..kernels.beams import beam_lines
 from .intensity import IntensityCalibration
 
+STEERING = ("normalised",)  # features of the surface alone; raw intensity changes with range and would hold the robot
 FEATURES = ("normalised", "raw", "none")
 
 
