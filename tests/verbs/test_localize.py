@@ -90,6 +90,28 @@ def test_a_robot_somewhere_else_is_not_trusted(world, tmp_path):
     assert "not to be trusted" in result.lines()[0] or "not found" in result.lines()[0]
 
 
+def test_a_place_that_does_not_explain_the_scans_is_given_up_and_sought_anew(world):
+    from mapweave.estimate.laser_config import LaserConfig
+    from mapweave.estimate.localise import localise
+    from mapweave.estimate.localise_filter import LocaliseConfig
+    from mapweave.readers.grid import read_grid
+    from mapweave.readers.laser import read_laser
+
+    grid, calibration, feature = read_grid(next((world / "map").glob("grid.npz")))
+    log = read_laser(world / "second.mcap")
+    runs = [
+        localise(log, grid, calibration, feature, LaserConfig(), None, np.random.default_rng(0), quiet, how)
+        for how in (LocaliseConfig(), LocaliseConfig(trusted=1.01))  # nothing explains more than all of a scan
+    ]
+    assert not any("given up" in told for told in runs[0].warnings)
+    assert any("given up" in told for told in runs[1].warnings)
+    assert not runs[1].trusted
+
+
+def quiet(stage, done, total=None):
+    pass
+
+
 def test_a_log_without_intensity_or_odometry_is_followed_all_the_same_and_says_so(world, tmp_path):
     second = along(5.0, 7.0).log
     scans = tuple(replace(scan, intensities=None, odometry=None) for scan in second.scans)

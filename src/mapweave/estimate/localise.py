@@ -62,6 +62,8 @@ def localise(
     matched = sum(i.matches for i in told) / max(1, sum(i.beams for i in told))
     if way.found is None:
         warnings.append("the start was not found: the hypotheses never became one")
+    if way.restarts:
+        warnings.append(f"places found that did not explain the scans and were given up: {way.restarts}")
     total = perf_counter() - began
     return Localisation(
         log.robot,
@@ -85,7 +87,8 @@ def localise(
 class _Way:
     """What following the log gave: poses carried to every scan, corrected ones at the rows `at`, a record a scan.
 
-    found: the row at which the hypotheses had become one; searched: seconds spent until then.
+    found: the row at which the hypotheses had become one; searched: seconds spent until then; restarts: how often the
+    place found turned out wrong and the search began anew.
     """
 
     carried: list[np.ndarray]
@@ -94,6 +97,7 @@ class _Way:
     corrected: list[np.ndarray] = field(default_factory=list)
     found: int | None = None
     searched: float = 0.0
+    restarts: int = 0
 
 
 def _follow(
@@ -107,6 +111,7 @@ def _follow(
 ) -> _Way:
     carrier = Carrier(cfg, feature=light[0], gated=False)
     way = _Way(carrier.poses)
+    explained: list[float] = []  # share of the returns, since the place was found
     for row, scan in enumerate(log.scans):
         b = beams(scan, *light, cfg.beam)
         info = carrier.advance(scan, b)
@@ -121,9 +126,15 @@ def _follow(
         if way.at:
             particles.move(moved)
             particles.weigh(points)
+            if start is None and len(explained) >= how.doubts and np.mean(explained[-how.doubts :]) < how.trusted:
+                particles.begin(None, points)
+                way.found, explained = None, []
+                way.restarts += 1
         else:
             particles.begin(start, points)
         pose, matches, n_eff, resampled = particles.settle(b)
+        if particles.found:
+            explained.append(matches / max(1, len(b.q)))
         if way.found is None:
             way.searched += perf_counter() - clock
             way.found = row if particles.found else None

@@ -38,6 +38,7 @@ class LocaliseConfig:
     found_turn: float = np.radians(8.0)  # [rad]: spread under which the start counts as found
     found_share: float = 0.95  # of the weight within `found_xy` times 2 of its middle
     trusted: float = 0.6  # share of the returns the map must explain
+    doubts: int = 8  # updates in a row whose mean share is less: the place found was wrong, the search begins anew
 
 
 @dataclass(slots=True)
@@ -86,11 +87,11 @@ class PlaceFilter:
     def begin(self, start: Float[np.ndarray, "3"] | None, points: Float[np.ndarray, "n 3"]) -> None:
         """Particles round a given start, or wherever the first scan may have been taken."""
         how = self.how
+        self.found = start is not None
         if start is not None:
             spread = np.array([0.2, 0.2, np.radians(5.0)])
             poses = start + spread * self.rng.standard_normal((max(how.least, self.particles), 3))
             self.cloud = Cloud(poses, np.zeros(len(poses)))
-            self.found = True
             self.weigh(points)
             return
         places = _spaced(self.grid.free_cells(), how.spacing)
