@@ -26,7 +26,7 @@ from .view import ExploreConfig, Planner, find_planner
 try:
     from gymnasium import spaces
     from pettingzoo import ParallelEnv
-except ImportError:  # pragma: no cover
+except ImportError:
     raise UsageError("the exploration environment needs the extra: pip install 'mapweave[gym]'") from None
 
 BLOCKS = (12, 16)  # rows, columns
