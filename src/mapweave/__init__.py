@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from .verbs.locate import locate as locate
     from .verbs.map import map_logs as map  # noqa: A004, F401
     from .verbs.reproduce_hamatani import reproduce_hamatani as reproduce_hamatani
+    from .verbs.reproduce_hara import reproduce_hara as reproduce_hara
     from .verbs.reproduce_kojima import reproduce_kojima as reproduce_kojima
+    from .verbs.reproduce_yuan import reproduce_yuan as reproduce_yuan
     from .verbs.simulate_landmarks import simulate_landmarks as simulate_landmarks
     from .verbs.simulate_laser import simulate_laser as simulate_laser
     from .verbs.simulate_swarm import simulate_swarm as simulate_swarm
@@ -32,7 +34,9 @@ _VERBS: dict[str, str] = {
     "locate": "mapweave.verbs.locate:locate",
     "map": "mapweave.verbs.map:map_logs",
     "reproduce_hamatani": "mapweave.verbs.reproduce_hamatani:reproduce_hamatani",
+    "reproduce_hara": "mapweave.verbs.reproduce_hara:reproduce_hara",
     "reproduce_kojima": "mapweave.verbs.reproduce_kojima:reproduce_kojima",
+    "reproduce_yuan": "mapweave.verbs.reproduce_yuan:reproduce_yuan",
     "simulate_landmarks": "mapweave.verbs.simulate_landmarks:simulate_landmarks",
     "simulate_laser": "mapweave.verbs.simulate_laser:simulate_laser",
     "simulate_swarm": "mapweave.verbs.simulate_swarm:simulate_swarm",

@@ -78,8 +78,13 @@ class MapOptions:
 
 
 class MapResult(Protocol):
-    """What every kind of log's `map` gives: typed in its own way, and able to put itself into a folder."""
+    """What every kind of log's `map` gives: typed in its own way, and able to put itself into a folder.
 
+    maps: `TeamMap`s of landmark logs, the largest first; `LaserMap`s of laser logs, one a robot.
+    """
+
+    @property
+    def maps(self) -> tuple[Any, ...]: ...
     @property
     def metrics(self) -> dict[str, Any]: ...
     def write(self, folder: Path) -> None: ...
