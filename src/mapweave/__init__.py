@@ -7,14 +7,32 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
+__all__ = (
+    "demo",
+    "evaluate",
+    "explore",
+    "fuse",
+    "localize",
+    "locate",
+    "map",
+    "reproduce_hamatani",
+    "reproduce_hara",
+    "reproduce_kojima",
+    "reproduce_yuan",
+    "simulate_landmarks",
+    "simulate_laser",
+    "simulate_swarm",
+    "view",
+)
+
 if TYPE_CHECKING:
     from .verbs.demo import demo as demo
     from .verbs.evaluate import evaluate as evaluate
     from .verbs.explore import explore as explore
-    from .verbs.fuse import fuse_results as fuse  # noqa: F401
+    from .verbs.fuse import fuse_results as fuse
     from .verbs.localize import localize as localize
     from .verbs.locate import locate as locate
-    from .verbs.map import map_logs as map  # noqa: A004, F401
+    from .verbs.map import map_logs as map  # noqa: A004
     from .verbs.reproduce_hamatani import reproduce_hamatani as reproduce_hamatani
     from .verbs.reproduce_hara import reproduce_hara as reproduce_hara
     from .verbs.reproduce_kojima import reproduce_kojima as reproduce_kojima
