@@ -19,7 +19,8 @@ import scipy
 
 from mapweave import __version__
 from mapweave.estimate.swarm import SwarmConfig, locate
-from mapweave.estimate.swarm.batch import prepare, refine
+from mapweave.estimate.swarm.batch import refine
+from mapweave.estimate.swarm.start import prepare
 from mapweave.maps.network import Network
 from mapweave.models import bearing
 from mapweave.sim.swarm import Swarm, SwarmScene, observe, simulate_swarm

@@ -20,3 +20,6 @@ class Survey:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+
+NO_SURVEY = Survey((), np.zeros((0, 2)))

@@ -11,10 +11,8 @@ from ..evaluate.growth import GrowthPoint
 from ..evaluate.team import RobotTruth, TeamScore
 from ..fuse.result import Fusion
 from ..maps.local_map import LocalMap
-from ..maps.survey import Survey
+from ..maps.survey import NO_SURVEY, Survey
 from ..maps.team_map import TeamMap
-
-NO_SURVEY = Survey((), np.zeros((0, 2)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,12 +11,11 @@ import numpy as np
 from ..core.errors import DataError, ReaderError
 from ..core.names import in_order, robot_key, robot_name
 from ..evaluate.team import RobotTruth, TeamScore, as_json, score_team
-from ..maps.survey import Survey
+from ..maps.survey import NO_SURVEY, Survey
 from ..readers.landmark_truth import read_robot_truth, read_survey
 from ..readers.team_map import read_single_maps, read_team_maps
 from ..readers.tum import read_tum
 
-NO_SURVEY = Survey((), np.zeros((0, 2)))
 DENSE = 0.5  # [s] median spacing under which truth is thinned
 IN_NAME = re.compile(r"robot[_-]?([0-9]+)", re.IGNORECASE)
 KINDS = {"groundtruth": ("Groundtruth", True), "instants": ("Instants", False), "keyframes": ("Keyframes", True)}

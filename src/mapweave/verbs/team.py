@@ -18,8 +18,10 @@ from ..evaluate.team import TeamScore, as_json, score_team
 from ..fuse import Component, Fusion
 from ..maps.landmarks import LandmarkMap
 from ..maps.local_map import LocalMap
+from ..maps.survey import NO_SURVEY
 from ..maps.team_map import TeamMap
-from .evaluate_team import NO_SURVEY, TeamTruth, read_team_truth, team_lines
+from ..report.team_story import TeamStory
+from .evaluate_team import TeamTruth, read_team_truth, team_lines
 from .online import OnlineMap, growth
 
 NOTHING = LandmarkMap((), np.zeros((0, 2)), np.zeros((0, 0)))
@@ -83,11 +85,26 @@ class TeamResult:
         told["timing"] = {stage: round(s, 4) for stage, s in self.timing.items()}
         return told
 
+    @property
+    def story(self) -> TeamStory:
+        """What the report is told from."""
+        return TeamStory(
+            title=self.title,
+            maps=self.maps,
+            local=self.local,
+            fusion=self.fusion,
+            growth=self.growth,
+            score=self.score,
+            survey=NO_SURVEY if self.truth is None else self.truth.survey,
+            truths={} if self.truth is None else self.truth.robots,
+            warnings=self.warnings,
+        )
+
     def write(self, folder: Path) -> None:
         """Everything into `folder`, `metrics.json` last."""
         from .team_files import write_team  # noqa: PLC0415  (figures cost half a second; only files need them)
 
-        write_team(folder, self)
+        write_team(folder, self.story, self.metrics)
 
     def lines(self) -> list[str]:
         """What came out, in a few lines for people."""

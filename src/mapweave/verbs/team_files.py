@@ -1,47 +1,33 @@
 """A team's result as files."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 from ..maps.team_map import TeamMap
 from ..report.team import write_team_report
-from ..report.team_story import NO_SURVEY, TeamStory
+from ..report.team_story import TeamStory
 from ..writers.directory import write_json
 from ..writers.landmarks import write_landmark_arrays, write_landmarks
 from ..writers.local_map import write_local_map
 from ..writers.tum import write_tracks
-from .team import TeamResult
 
 
-def write_team(folder: Path, result: TeamResult) -> None:
+def write_team(folder: Path, story: TeamStory, metrics: Mapping[str, Any]) -> None:
     """Landmarks and trajectories of every component, local maps, report and, last, `metrics.json`."""
     began = perf_counter()
-    for k, team in enumerate(result.maps, 1):
+    for k, team in enumerate(story.maps, 1):
         _write_component(folder if k == 1 else folder / "components" / str(k), team)
-    for local in result.local:
+    for local in story.local:
         home = folder / "local" / local.robot
         write_local_map(home, local)
         write_landmark_arrays(home, local.submap.landmarks)
     wrote = perf_counter()
-    write_team_report(folder, story_of(result))
-    timing = {**result.timing, "write": wrote - began, "report": perf_counter() - wrote}
+    write_team_report(folder, story)
+    timing = {**metrics["timing"], "write": wrote - began, "report": perf_counter() - wrote}
     timing["total"] = sum(timing.values())
-    write_json(folder / "metrics.json", {**result.metrics, "timing": {k: round(v, 4) for k, v in timing.items()}})
-
-
-def story_of(result: TeamResult) -> TeamStory:
-    """What the report is told from."""
-    return TeamStory(
-        title=result.title,
-        maps=result.maps,
-        local=result.local,
-        fusion=result.fusion,
-        growth=result.growth,
-        score=result.score,
-        survey=NO_SURVEY if result.truth is None else result.truth.survey,
-        truths={} if result.truth is None else result.truth.robots,
-        warnings=result.warnings,
-    )
+    write_json(folder / "metrics.json", {**metrics, "timing": {k: round(v, 4) for k, v in timing.items()}})
 
 
 def _write_component(folder: Path, team: TeamMap) -> None:

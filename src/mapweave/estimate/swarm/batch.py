@@ -4,40 +4,20 @@ Nothing needs a guess, nothing fails because some robots cannot be located, and 
 is the shape, in a gauge that is named.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
-from jaxtyping import Bool, Float
 
 from ...maps.network import Network
 from ...maps.swarm import SwarmEstimate
 from ...solve import GemanMcClure, Pattern, Problem, Solution, SolveConfig, minimise
 from . import factors
-from .bare import start_without_axis
 from .config import SwarmConfig
 from .finish import finish
-from .gauge import Gauge, gauge_of, normalise, pins
-from .graph import Components, components
-from .headings import world_directions
-from .linear import linear_pattern, linear_start
-from .observability import Observability, observe, without_lines
+from .gauge import pins
+from .start import Start, prepare
 
 SELDOM = 4  # a robot with no more sightings than this, made or suffered, is kept apart from its neighbours
 NEAREST = 0.1  # median sighting lengths
 LOOSE = 10.0  # median sighting lengths a robot that nothing determines may stray from its start
-
-
-@dataclass(frozen=True, slots=True)
-class Start:
-    """Everything found before the refinement: pieces, positions, headings, who can be located, sightings of use."""
-
-    parts: Components
-    position: Float[np.ndarray, "n d"]
-    heading: Float[np.ndarray, " n"] | None
-    seen: Observability
-    gauge: Gauge
-    used: Bool[np.ndarray, " m"]
-    pattern: Pattern | None = None  # of the sightings alone with the anchors held, where that is the whole problem
 
 
 def batch(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) -> SwarmEstimate:
@@ -46,27 +26,6 @@ def batch(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) -> 
     used = net.select(start.used)
     solution, problem, pattern = refine(used, start, cfg)
     return finish(used, start, solution, problem, cfg, "batch", ~start.used, pattern=pattern)
-
-
-def prepare(net: Network, initial: np.ndarray | None = None) -> Start:
-    """A start without a guess, and what can be told from these sightings at all."""
-    parts = components(net)
-    heading, used = None, np.ones(len(net.observer), dtype=bool)
-    pattern = None
-    if net.axis:
-        pattern, held = linear_pattern(net, parts)
-        position = linear_start(net, parts, net.direction, pattern, held) if initial is None else initial
-        if net.distances or not (held == net.is_anchor).all():
-            pattern = None  # what follows holds other entries
-        seen = observe(net, parts, position, pattern)
-    else:
-        position, heading, seen, used = start_without_axis(net, parts)
-        net = net.select(used)
-        parts = components(net)
-    seen = without_lines(net, parts, seen, world_directions(net, heading))
-    gauge = gauge_of(net, parts, seen.localisable)
-    position, heading = normalise(gauge, position, heading)
-    return Start(parts, position, heading, seen, gauge, used, pattern)
 
 
 def refine(

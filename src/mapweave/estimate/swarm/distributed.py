@@ -15,10 +15,11 @@ from ...maps.network import Network
 from ...maps.swarm import SwarmEstimate, Traffic
 from ...models import bearing
 from ...solve import Status as SolveStatus
-from .batch import Start, prepare, refine
+from .batch import refine
 from .config import SwarmConfig
 from .finish import finish
 from .graph import components, effective_sigma
+from .start import Start, prepare
 
 RELAXATION = 0.95
 SETTLED = 1e-4  # of the usual distance; a linear step below this is not worth telling

@@ -1,7 +1,5 @@
 """From a minimum to an answer: covariances in the named gauge, degrees of freedom, and verdicts."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool
@@ -14,10 +12,8 @@ from . import factors
 from .config import SwarmConfig
 from .gauge import basis, normalise
 from .spread import spread_of
+from .start import Start
 from .verdict import barely_determined, chi2_warnings, layout_warnings
-
-if TYPE_CHECKING:
-    from .batch import Start
 
 STATUS = {
     SolveStatus.CONVERGED: Status.CONVERGED,
@@ -29,7 +25,7 @@ STATUS = {
 
 def finish(
     net: Network,
-    start: "Start",
+    start: Start,
     solution: Solution,
     problem: Problem,
     cfg: SwarmConfig,

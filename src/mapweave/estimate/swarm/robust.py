@@ -15,13 +15,14 @@ from ...core.gaussian import chi2_quantile
 from ...maps.network import Network
 from ...maps.swarm import SwarmEstimate
 from ...solve import GemanMcClure
-from .batch import Start, batch, prepare, refine
+from .batch import batch, refine
 from .config import SwarmConfig
 from .factors import bearing_factor
 from .finish import finish
 from .graph import components, effective_sigma
 from .headings import mutual_pairs, world_directions
 from .linear import linear_pattern, linear_start
+from .start import Start, prepare
 from .verdict import trust_warnings
 
 REWEIGHTS = 12  # of the least-unsquared-deviations start
