@@ -4,25 +4,18 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
 
-from ..core.arrays import frozen
 from ..core.config import config
+from ..maps.walls import Walls
 
 Stretch = tuple[float, float, float, float]  # from, to [m] along a wall; reflectance; depth behind the wall line [m]
 
 
 @dataclass(frozen=True, slots=True)
-class LaserWorld:
-    """segments: (s, 4) as x0 y0 x1 y1 [m]; reflectance: (s,), 1 for a surface that sends all light back."""
+class LaserWorld(Walls):
+    """Walls with a name, for a laser to look at."""
 
-    name: str
-    segments: Float[np.ndarray, "s 4"]
-    reflectance: Float[np.ndarray, " s"]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "segments", frozen(self.segments))
-        object.__setattr__(self, "reflectance", frozen(self.reflectance))
+    name: str = "world"
 
 
 @config
@@ -79,7 +72,7 @@ class WorldBuilder:
             self.segment(np.array(a), np.array(b), reflectance)
 
     def world(self) -> LaserWorld:
-        return LaserWorld(self.name, np.array(self._segments), np.array(self._reflectance))
+        return LaserWorld(np.array(self._segments), np.array(self._reflectance), name=self.name)
 
     def _objects(self, length: float, recess: float) -> list[Stretch]:
         style, rng = self.style, self.rng

@@ -1,0 +1,113 @@
+"""Shortest ways over the free cells of a raster: distances from many places at once, and the way as few waypoints."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from ..kernels.walls import descend, sight_on_raster
+
+STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))  # half of the eight neighbours; the graph has both directions
+
+
+@dataclass(slots=True)
+class Reach:
+    """Where a robot gets to over `free` (rows, cols; row 0 lowest y), a raster of `cell` [m] from `lower` (2,) [m].
+
+    A step goes to one of eight neighbours; a diagonal one only where both cells beside it are free. A place in a cell
+    that is not free counts as its nearest free cell, if one has its centre within `snap` [m] (else it is unreachable).
+    """
+
+    free: Bool[np.ndarray, "rows cols"]
+    lower: Float[np.ndarray, "2"]
+    cell: float
+    snap: float = 0.0
+    _graph: csr_array | None = None
+    _number: np.ndarray | None = None
+
+    def cells(self, points: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n 2"]:
+        """The free cell (row, col) each point counts as; (-1, -1) where there is none."""
+        at = np.floor((np.asarray(points) - self.lower) / self.cell).astype(np.int64)[:, ::-1]
+        return np.array([self._free_cell(a, p) for a, p in zip(at, points, strict=True)], dtype=np.int64).reshape(-1, 2)
+
+    def centres(self, cells: Int[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Centres [m] of `cells` given as (row, col)."""
+        return np.asarray(self.lower + (cells[:, ::-1] + 0.5) * self.cell)
+
+    def distances(self, sources: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "k rows cols"]:
+        """Length [m] of the shortest way from each source to every cell; infinite where there is none."""
+        out = np.full((len(sources), *self.free.shape), np.inf)
+        start = self.cells(sources)
+        known = np.flatnonzero(start[:, 0] >= 0)
+        if len(known):
+            graph, number = self._build()
+            found = dijkstra(graph, indices=number[start[known, 0], start[known, 1]])
+            for k, d in zip(known, found, strict=True):
+                out[k][self.free] = d
+        return out
+
+    def path(self, distance: Float[np.ndarray, "rows cols"], to: Float[np.ndarray, "2"]) -> np.ndarray | None:
+        """Waypoints (n, 2) [m] from the source of `distance` to the cell of `to`, as few as sight allows.
+
+        Cell centres joined by straight lines over free cells. None where no way leads.
+        """
+        row, col = self.cells(to[None])[0]
+        if row < 0 or not np.isfinite(distance[row, col]):
+            return None
+        chain = descend(distance, int(row), int(col), self.free, self.cell)[::-1]
+        middle = chain[:, ::-1] + 0.5
+        kept, at = [0], 0
+        while at < len(chain) - 1:
+            ahead = at + 1
+            while ahead + 1 < len(chain) and sight_on_raster(self.free, middle[at], middle[ahead + 1]):
+                ahead += 1
+            kept.append(ahead)
+            at = ahead
+        return self.centres(chain[kept])
+
+    def regions(self) -> Int[np.ndarray, "rows cols"]:
+        """Which connected region each free cell belongs to, from 0; -1 where it is not free."""
+        graph, _ = self._build()
+        out = np.full(self.free.shape, -1, dtype=np.int64)
+        out[self.free] = connected_components(graph, directed=False)[1]
+        return out
+
+    def _free_cell(self, at: np.ndarray, point: np.ndarray) -> tuple[int, int]:
+        rows, cols = self.free.shape
+        row, col = int(at[0]), int(at[1])
+        if 0 <= row < rows and 0 <= col < cols and self.free[row, col]:
+            return row, col
+        k = int(np.ceil(self.snap / self.cell))
+        r0, c0 = max(0, row - k), max(0, col - k)
+        near = np.argwhere(self.free[r0 : max(r0, row + k + 1), c0 : max(c0, col + k + 1)]) + np.array([r0, c0])
+        if len(near) == 0:
+            return -1, -1
+        d = np.hypot(*(self.centres(near) - point).T)
+        best = int(np.argmin(d))
+        return (int(near[best, 0]), int(near[best, 1])) if d[best] <= self.snap else (-1, -1)
+
+    def _build(self) -> tuple[csr_array, np.ndarray]:
+        if self._graph is None or self._number is None:
+            free = self.free
+            rows, cols = free.shape
+            number = np.full(free.shape, -1, dtype=np.int32)
+            number[free] = np.arange(int(free.sum()), dtype=np.int32)
+            heads, tails, lengths = [], [], []
+            for dy, dx in STEPS:
+                here = np.s_[: rows - dy, max(0, -dx) : cols - max(0, dx)]
+                there = np.s_[dy:, max(0, dx) : cols + min(0, dx)]
+                open_ = free[here] & free[there]
+                if dy and dx:
+                    beside = np.s_[: rows - dy, max(0, dx) : cols + min(0, dx)]
+                    above = np.s_[dy:, max(0, -dx) : cols - max(0, dx)]
+                    open_ &= free[beside] & free[above]
+                heads += [number[here][open_], number[there][open_]]
+                tails += [number[there][open_], number[here][open_]]
+                lengths += [np.full(2 * int(open_.sum()), self.cell * float(np.hypot(dy, dx)))]
+            n = int(free.sum())
+            at = (np.concatenate(heads), np.concatenate(tails))
+            self._number = number
+            self._graph = csr_array((np.concatenate(lengths), at), shape=(n, n))
+        return self._graph, self._number
