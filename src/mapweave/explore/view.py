@@ -83,7 +83,12 @@ BUILT_IN = {
 
 def find_planner(name: str) -> Planner:
     """A built-in planner by name, or a user's own by dotted name `package.module:function`."""
-    where = BUILT_IN.get(name, name)
+    return find_function(name, BUILT_IN)
+
+
+def find_function(name: str, built_in: dict[str, str]) -> Callable[..., Any]:
+    """The planner that `built_in` knows by `name`, or the one at the dotted name `package.module:function`."""
+    where = built_in.get(name, name)
     module, _, attribute = where.partition(":")
     if not attribute:
         module, _, attribute = where.rpartition(".")
@@ -91,7 +96,7 @@ def find_planner(name: str) -> Planner:
         found = getattr(import_module(module), attribute)
     except (ImportError, AttributeError, ValueError):
         raise UsageError(
-            f"planner {name!r}: not one of {', '.join(BUILT_IN)} and not an importable module:function"
+            f"planner {name!r}: not one of {', '.join(built_in)} and not an importable module:function"
         ) from None
     if not callable(found):
         raise UsageError(f"planner {name!r} is not a function choose(maps, poses, cfg)")

@@ -1,0 +1,87 @@
+"""Ways through a grid agree with an independent shortest-path library, and never cut a corner."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from mapweave.kernels.wavefront import DIAGONAL, STRAIGHT, UNREACHED, descend, in_sight, spread
+
+pytestmark = pytest.mark.kernel
+
+
+def random_weights(seed: int, rows: int = 17, cols: int = 23) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    weight = rng.integers(1, 5, size=(rows, cols)).astype(np.uint8)
+    weight[rng.random((rows, cols)) < 0.35] = 0
+    weight[3, 4] = 1
+    return weight
+
+
+def by_scipy(weight: np.ndarray, source: tuple[int, int]) -> np.ndarray:
+    rows, cols = weight.shape
+    a, b, price = [], [], []
+    for y in range(rows):
+        for x in range(cols):
+            for dy, dx in np.ndindex(3, 3):
+                v, u = y + dy - 1, x + dx - 1
+                if (v, u) == (y, x) or not (0 <= v < rows and 0 <= u < cols) or not weight[y, x] or not weight[v, u]:
+                    continue
+                if v != y and u != x and not (weight[y, u] and weight[v, x]):
+                    continue
+                a.append(y * cols + x)
+                b.append(v * cols + u)
+                price.append((DIAGONAL if v != y and u != x else STRAIGHT) * int(weight[v, u]))
+    graph = coo_matrix((price, (a, b)), shape=(rows * cols, rows * cols)).tocsr()
+    return dijkstra(graph, indices=source[0] * cols + source[1]).reshape(rows, cols)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_costs_equal_those_of_an_independent_dijkstra(seed):
+    weight = random_weights(seed)
+    got = spread(weight, np.array([[3, 4]])).astype(float)
+    got[got == UNREACHED] = np.inf
+    want = by_scipy(weight, (3, 4))
+    want[weight == 0] = np.inf
+    assert np.array_equal(got, want)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_way_down_ends_at_the_source_and_never_passes_a_blocked_corner(seed):
+    weight = random_weights(seed)
+    cost = spread(weight, np.array([[3, 4]]))
+    for cell in np.argwhere(cost > 0):
+        way = descend(cost, cell, 400)
+        assert tuple(way[-1]) == (3, 4)
+        for (y, x), (v, u) in pairwise(way):
+            assert all((weight[v, u], weight[y, u], weight[v, x]))
+
+
+def test_no_way_leads_from_a_cell_that_is_cut_off():
+    weight = np.ones((5, 7), dtype=np.uint8)
+    weight[:, 3] = 0
+    cost = spread(weight, np.array([[2, 1]]))
+    assert (cost[:, 4:] == UNREACHED).all()
+    assert len(descend(cost, np.array([2, 5]), 50)) == 0
+
+
+def test_a_blocked_source_reaches_nothing():
+    weight = np.ones((4, 4), dtype=np.uint8)
+    weight[1, 1] = 0
+    assert (spread(weight, np.array([[1, 1]])) == UNREACHED).all()
+
+
+def test_dear_cells_do_not_overflow_their_byte():
+    weight = np.full((1, 4), 200, dtype=np.uint8)
+    assert spread(weight, np.array([[0, 0]])).tolist() == [[0, 1000, 2000, 3000]]
+
+
+def test_a_wall_blocks_the_line_of_sight_and_a_door_does_not():
+    clear = np.ones((6, 9), dtype=bool)
+    clear[:, 4] = False
+    clear[2, 4] = True
+    assert in_sight(clear, np.array([1.5, 2.5]), np.array([7.5, 2.5]))
+    assert not in_sight(clear, np.array([1.5, 4.5]), np.array([7.5, 4.5]))
+    assert not in_sight(clear, np.array([1.5, 2.5]), np.array([9.5, 2.5]))
