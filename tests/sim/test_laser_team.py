@@ -7,12 +7,12 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.errors import DataError, EstimateError
-from mapweave.sim.laser_team import LaserTeamConfig, LaserTeamSim, OdometryNoise
+from mapweave.sim.laser_team import LaserRobotsConfig, LaserTeamSim, OdometryNoise
 from mapweave.sim.laser_world import LaserWorld
 
 ROOM = np.array([[-5, -5, 5, -5], [5, -5, 5, 5], [5, 5, -5, 5], [-5, 5, -5, -5]], dtype=float)
 WORLD = LaserWorld("room", ROOM, np.full(4, 0.6))
-PERFECT = LaserTeamConfig(odometry=OdometryNoise(factor=0.0))
+PERFECT = LaserRobotsConfig(odometry=OdometryNoise(factor=0.0))
 
 
 def team(*starts, cfg=PERFECT, seed=0):
@@ -78,7 +78,7 @@ def test_the_scan_covers_the_whole_circle_once_and_says_what_it_hit():
 
 
 def test_the_same_seed_gives_the_same_run_however_often_scans_are_asked_for():
-    one, two = (team((0, 0, 0), (2, 1, 1), cfg=LaserTeamConfig(), seed=5) for _ in range(2))
+    one, two = (team((0, 0, 0), (2, 1, 1), cfg=LaserRobotsConfig(), seed=5) for _ in range(2))
     for k in range(10):
         u = np.array([[0.5, 0.3], [0.4, -0.2]])
         one.step(u)
@@ -86,14 +86,14 @@ def test_the_same_seed_gives_the_same_run_however_often_scans_are_asked_for():
         two.scan(k % 2)
     assert np.array_equal(one.odometry, two.odometry)
     assert np.array_equal(one.scan(1).ranges, two.scan(1).ranges)
-    other = team((0, 0, 0), (2, 1, 1), cfg=LaserTeamConfig(), seed=6)
+    other = team((0, 0, 0), (2, 1, 1), cfg=LaserRobotsConfig(), seed=6)
     assert not np.array_equal(
-        other.scan(1).ranges, team((0, 0, 0), (2, 1, 1), cfg=LaserTeamConfig(), seed=5).scan(1).ranges
+        other.scan(1).ranges, team((0, 0, 0), (2, 1, 1), cfg=LaserRobotsConfig(), seed=5).scan(1).ranges
     )
 
 
 def test_every_stream_of_randomness_is_its_own():
-    noisy, quiet = LaserTeamConfig(), PERFECT
+    noisy, quiet = LaserRobotsConfig(), PERFECT
     with_noise, without = team((0, 0, 0), cfg=noisy), team((0, 0, 0), cfg=quiet)
     alone, beside = team((0, 0, 0), cfg=noisy), team((0, 0, 0), (-4, -4, 0), cfg=noisy)
     for _ in range(5):

@@ -1,7 +1,7 @@
 """An exploration as pictures: where the robots drove, what they mapped, how fast the field became known."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -9,18 +9,16 @@ from matplotlib.patches import Polygon
 from PIL import Image
 from scipy.spatial import ConvexHull, QhullError
 
+from ..explore.experiment import RunRecord
+from ..explore.result import ExploreResult
 from ..kernels.exploration import mark_half_disc
 from .html import Page
 from .style import MUTED, SEQUENTIAL, TRUTH, as_map, colour, draw_ellipse, figure, marker
 
-if TYPE_CHECKING:
-    from ..explore.experiment import RunRecord
-    from ..verbs.explore import ExploreResult
-
 FRAMES = 48
 
 
-def write_exploration(folder: Path, result: "ExploreResult") -> None:
+def write_exploration(folder: Path, result: ExploreResult) -> None:
     """report.html and figures/ in `folder`."""
     first = result.first
     draw_map(folder / "figures" / "map.png", first)
@@ -73,7 +71,7 @@ def write_exploration(folder: Path, result: "ExploreResult") -> None:
     page.write(folder / "report.html")
 
 
-def draw_map(path: Path, run: "RunRecord") -> None:
+def draw_map(path: Path, run: RunRecord) -> None:
     """Trajectories, landmarks with 95 % ellipses, truth, and the borders of submaps at hand-over."""
     width, height = run.world.upper - run.world.lower
     with figure(path, 8.0, 8.0 * float(height / width) + 0.6) as (_, ax):
@@ -93,7 +91,7 @@ def draw_map(path: Path, run: "RunRecord") -> None:
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4)
 
 
-def draw_explored(path: Path, run: "RunRecord", result: "ExploreResult") -> None:
+def draw_explored(path: Path, run: RunRecord, result: ExploreResult) -> None:
     """The step at which each cell was first seen, and the frontier at each quarter of the run."""
     cfg = result.mission.cfg
     width, height = run.world.upper - run.world.lower
@@ -116,7 +114,7 @@ def draw_explored(path: Path, run: "RunRecord", result: "ExploreResult") -> None
         ax.grid(visible=False)
 
 
-def draw_progress(path: Path, run: "RunRecord", result: "ExploreResult") -> None:
+def draw_progress(path: Path, run: RunRecord, result: ExploreResult) -> None:
     """Explored share against steps for the first run; steps against map error for all."""
     with figure(path, 8.0, 3.2, ncols=2) as (_, axes):
         ax = axes[0]
@@ -136,7 +134,7 @@ def draw_progress(path: Path, run: "RunRecord", result: "ExploreResult") -> None
         ax.set_title("All runs")
 
 
-def draw_animation(path: Path, run: "RunRecord") -> None:
+def draw_animation(path: Path, run: RunRecord) -> None:
     """The first run as a small animated GIF: paths so far, what each robot sees, landmarks."""
     if not run.moments:
         return
@@ -171,7 +169,7 @@ def _snapshot(fig: Any) -> Image.Image:
     return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
-def _field(ax: Any, run: "RunRecord") -> None:
+def _field(ax: Any, run: RunRecord) -> None:
     (x0, y0), (x1, y1) = run.world.lower, run.world.upper
     ax.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=MUTED, lw=1)
     as_map(ax)

@@ -33,7 +33,7 @@ class OdometryNoise:
 
 
 @config
-class LaserTeamConfig:
+class LaserRobotsConfig:
     """Robots and sensors of a laser world."""
 
     radius: float = 0.2  # [m], a robot is a disc
@@ -56,7 +56,7 @@ class LaserTeamSim:
 
     world: LaserWorld
     starts: Float[np.ndarray, "M 3"]
-    cfg: LaserTeamConfig = field(default_factory=LaserTeamConfig)
+    cfg: LaserRobotsConfig = field(default_factory=LaserRobotsConfig)
     seed: int = 0
     steps: int = 0
     true_poses: Float[np.ndarray, "M 3"] = field(init=False)

@@ -3,17 +3,17 @@
 from collections.abc import Mapping
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .. import __version__
 from ..core.config import load
 from ..core.errors import UsageError
-from ..explore.experiment import CALIBRATED, Mission, RunRecord, RunScore, explore_many, explore_once, with_noise
+from ..explore.experiment import CALIBRATED, Mission, explore_many, explore_once, with_noise
+from ..explore.result import ExploreResult
 from ..explore.scenario import find_scenario, make_field
 from ..explore.view import ExploreConfig, find_planner
 from ..writers.directory import check_target, result_directory
@@ -21,83 +21,6 @@ from .map_options import Tick, no_tick
 
 NOISE = {"printed": 1.0, "calibrated": CALIBRATED}
 ASSOCIATIONS = ("known", "nn", "jcbb")
-
-
-@dataclass(frozen=True, slots=True)
-class ExploreResult:
-    """Every run's score and the first run's record."""
-
-    scenario: str
-    mission: Mission
-    seed: int
-    noise: float
-    runs: tuple[RunScore, ...]
-    first: RunRecord
-
-    def summary(self) -> dict[str, Any]:
-        """Counts, and means over the runs; a figure no run has is None."""
-
-        def mean(name: str) -> float | None:
-            values = [v for r in self.runs if (v := getattr(r, name)) is not None]
-            return float(np.mean(values)) if values else None
-
-        steps = [r.steps for r in self.runs]
-        return {
-            "finished": sum(r.finished for r in self.runs),
-            "runs": len(self.runs),
-            "steps_min": min(steps),
-            "steps_mean": float(np.mean(steps)),
-            "steps_max": max(steps),
-            "map_error_m": mean("map_error"),
-            "c_per_n_m2": mean("c_per_n"),
-            "nees_per_dof": mean("nees_per_dof"),
-            "duplicates": mean("duplicates"),
-            "misassociations": mean("misassociations"),
-            "missed": mean("missed"),
-            "ms_per_decision": mean("ms_per_decision"),
-        }
-
-    def metrics(self) -> dict[str, Any]:
-        """What metrics.json holds; only `timing` and `ms_per_decision` differ between equal runs."""
-        m = self.mission
-        return {
-            "version": __version__,
-            "seed": self.seed,
-            "scenario": self.scenario,
-            "robots": len(self.first.robots),
-            "planner": m.planner,
-            "association": m.cfg.submap.association,
-            "noise_factor": self.noise,
-            "until": m.until,
-            "kill": {f"robot{j + 1}": step for j, step in (m.kills or {}).items()},
-            "drop": m.drop,
-            "summary": self.summary(),
-            "runs": [asdict(r) for r in self.runs],
-        }
-
-    def lines(self) -> list[str]:
-        """The outcome in a few lines for people."""
-        s = self.summary()
-        steps = f"{s['steps_min']} / {s['steps_mean']:.1f} / {s['steps_max']} (min / mean / max)"
-        told = [f"{s['finished']} of {s['runs']} runs finished; steps {steps}"]
-        if s["map_error_m"] is not None:
-            told.append(
-                f"map error {s['map_error_m']:.3f} m, uncertainty C/N {s['c_per_n_m2']:.3f} m², "
-                f"NEES per degree of freedom {s['nees_per_dof']:.2f}"
-            )
-        told.append(
-            f"a run: {s['duplicates']:.2f} duplicates, {s['misassociations']:.2f} misassociations, "
-            f"{s['missed']:.2f} landmarks missed; {s['ms_per_decision']:.2f} ms a decision"
-        )
-        return told
-
-    def write(self, folder: Path) -> None:
-        """runs.csv, metrics.json, the first run's log and figures, report.html."""
-        from ..report.exploration import write_exploration  # noqa: PLC0415  (figures cost a second)
-        from ..writers.exploration import write_runs  # noqa: PLC0415
-
-        write_runs(folder, self.runs, self.metrics(), self.first)
-        write_exploration(folder, self)
 
 
 def explore(
@@ -152,8 +75,17 @@ def explore(
     result = ExploreResult(scenario, mission, seed, factor, tuple(scores), first)
     if out is not None:
         with result_directory(Path(out), force=force) as work:
-            result.write(work)
+            _write(work, result)
     return result
+
+
+def _write(folder: Path, result: ExploreResult) -> None:
+    """runs.csv, metrics.json, the first run's log and figures, report.html."""
+    from ..report.exploration import write_exploration  # noqa: PLC0415  (figures cost a second)
+    from ..writers.exploration import write_runs  # noqa: PLC0415
+
+    write_runs(folder, result.runs, result.metrics(), result.first)
+    write_exploration(folder, result)
 
 
 def parse_kills(text: list[str] | None) -> dict[str, int]:
