@@ -11,7 +11,7 @@ from mapweave.sim.laser_team import LaserRobotsConfig, LaserTeamSim, OdometryNoi
 from mapweave.sim.laser_world import LaserWorld
 
 ROOM = np.array([[-5, -5, 5, -5], [5, -5, 5, 5], [5, 5, -5, 5], [-5, 5, -5, -5]], dtype=float)
-WORLD = LaserWorld("room", ROOM, np.full(4, 0.6))
+WORLD = LaserWorld(ROOM, np.full(4, 0.6), name="room")
 PERFECT = LaserRobotsConfig(odometry=OdometryNoise(factor=0.0))
 
 

@@ -15,6 +15,7 @@ from .laser_world import LaserWorld, WallStyle, WorldBuilder
 Box = tuple[float, float, float, float]  # x0 y0 x1 y1 [m]
 LEAST, GREATEST = 150.0, 20_000.0  # [m^2]
 SOLID, FREE, DESK = 0, 1, 2
+LEAST_GAP = 1.1  # [m] between pieces of furniture, where there is one
 
 
 @config
@@ -140,19 +141,24 @@ class _Plan:
             self.rooms.append(box)
 
     def _furnish(self, box: Box, *, door_below: bool) -> None:
-        """Desks along the wall across from the door and perhaps a cabinet beside them, all flush with their wall."""
+        """Desks along the wall across from the door and perhaps a cabinet in its corner, flush with their walls.
+
+        Between them is room for a robot or no room at all.
+        """
         rng, (x0, y0, x1, y1) = self.rng, box
-        deep, at = float(rng.uniform(0.6, 0.8)), x0
-        while at + 1.4 < x1:
-            if rng.random() < 0.7:
-                self.desks.append((at, y1 - deep, at + 1.4, y1) if door_below else (at, y0, at + 1.4, y0 + deep))
-                at += 1.4 + (0.0 if rng.random() < 0.5 else 1.1)
-            else:
-                at += 1.1
+        deep, at, end = float(rng.uniform(0.6, 0.8)), x0, x1
         if rng.random() < 0.5 and y1 - y0 > 3.4:
-            tall, x = float(rng.uniform(0.6, 1.0)), x0 if rng.random() < 0.5 else x1 - 0.45
-            y = y1 - deep - tall if door_below else y0 + deep
-            self.desks.append((x, y, x + 0.45, y + tall))
+            tall, left = float(rng.uniform(0.8, 1.2)), bool(rng.random() < 0.5)
+            at, end = (x0 + 0.45, x1) if left else (x0, x1 - 0.45)
+            x = x0 if left else end
+            self.desks.append((x, y1 - tall, x + 0.45, y1) if door_below else (x, y0, x + 0.45, y0 + tall))
+        while at + 1.4 <= end:
+            if rng.random() < 0.7:
+                to = at + 1.4 if end - at - 1.4 > LEAST_GAP else end
+                self.desks.append((at, y1 - deep, to, y1) if door_below else (at, y0, to, y0 + deep))
+                at = to + (0.0 if rng.random() < 0.5 else LEAST_GAP)
+            else:
+                at += LEAST_GAP
 
     def _hall(self, box: Box) -> None:
         """An open-plan hall: islands of desks, two doors below and two above."""
