@@ -11,13 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
-from mapweave.estimate.submap_slam import Observations, SubmapConfig, empty, predict, sight, sight_jacobians, update
+from mapweave.core.se2 import wrap_angle
+from mapweave.estimate.ekf_config import EkfSlamConfig, noise
+from mapweave.estimate.submap_slam import Observations, SubmapConfig, empty, move, predict, sight, update
 from mapweave.explore import coverage, objective
 from mapweave.explore.experiment import CALIBRATED, Mission, explore_many, with_noise
 from mapweave.explore.scenario import find_scenario, make_field
 from mapweave.explore.team import Team
 from mapweave.explore.view import ExploreConfig
 from mapweave.fuse.handover import hand_over
+from mapweave.kernels import ekf
+from mapweave.kernels.submap import sight_jacobian
 from mapweave.maps.global_map import GlobalMap
 from mapweave.maps.submap import Submap
 from mapweave.verbs.explore import worker_pool
@@ -79,7 +83,7 @@ def timed(job, times: int) -> tuple[float, float]:
 
 
 def cost(n: int) -> dict:
-    """30 steps, 3 sightings each, in processor time [s]: one filter over all landmarks; a submap and its hand-over."""
+    """30 steps, 3 sightings each, in processor time [s]: a submap and its hand-over; one filter over all landmarks."""
     rng = np.random.default_rng(n)
     cfg = SubmapConfig(association="known")
     side = 6.0 * np.sqrt(n)
@@ -89,62 +93,90 @@ def cost(n: int) -> dict:
     P = U @ U.T + 1e-3 * np.eye(3 + 2 * n)
     ids = tuple(map(str, range(n)))
     G = GlobalMap(("robot1",), np.zeros((1, 3)), ids, marks, P)
-    script = [rng.choice(near, SIGHTINGS, replace=False) for _ in range(STEPS)]
-    u = np.array([0.5, 0.1])
+    u, pose, script = np.array([0.5, 0.1]), np.zeros(3), []
+    for _ in range(STEPS):
+        pose, rows = move(pose, u, cfg.period), rng.choice(near, SIGHTINGS, replace=False)
+        z = sight(pose, marks[rows]) + rng.normal(size=(SIGHTINGS, 2)) * (cfg.range_sd, cfg.bearing_sd)
+        script.append((rows, z, Observations(z, tuple(ids[k] for k in rows))))
 
     def submap() -> None:
         m = empty("robot1", "local_1")
-        for rows in script:
-            m = predict(m, u, cfg)
-            m, _ = update(m, Observations(sight(m.pose, marks[rows]), tuple(ids[k] for k in rows)), cfg)
+        for _, _, seen in script:
+            m, _ = update(predict(m, u, cfg), seen, cfg)
         hand_over(G, m, known=True)
 
-    def whole() -> dict[str, float]:
-        """The same filter over the global state: all of a step's sightings in one update, or one after the other."""
-        spent = {}
-        for how in ("together", "one by one"):
-            F = P.copy()
-            begun = time.process_time()
-            for rows in script:
-                J = np.eye(3)
-                J[:2, 2] = (-0.1, 0.2)
-                F[:3] = J @ F[:3]
-                F[:, :3] = F[:, :3] @ J.T
-                F[:3, :3] += cfg.Q
-                for group in [rows] if how == "together" else rows[:, None]:
-                    big_update(F, group, marks, cfg)
-            spent[how] = time.process_time() - begun
-        return spent
-
-    middle = timed(submap, 3)[0] / 1e3
-    full = whole()
-    row = {
-        "landmarks": n,
-        "submap_s": middle,
-        "ekf_together_s": full["together"],
-        "ekf_one_by_one_s": full["one by one"],
-    }
-    row |= {"ratio_together": full["together"] / middle, "ratio_one_by_one": full["one by one"] / middle}
-    print(
-        f"{n:5d} landmarks: submap {1e3 * middle:8.1f} ms, full EKF {1e3 * full['together']:9.1f} ms (x "
-        f"{row['ratio_together']:.0f}), sighting by sighting {1e3 * full['one by one']:9.1f} ms (x "
-        f"{row['ratio_one_by_one']:.0f})"
-    )
+    middle = timed(submap, 9)[0] / 1e3
+    row = {"landmarks": n, "submap_s": middle}
+    print(f"{n:5d} landmarks: {'submap and hand-over':34s} {1e3 * middle:9.1f} ms")
+    for name, full in {
+        "full EKF, one sighting at a time": lambda: textbook(P, marks, script, u, cfg, 1),
+        "full EKF, a step's together": lambda: textbook(P, marks, script, u, cfg, SIGHTINGS),
+        "full EKF, compiled, one pass a step": lambda: compiled(P, marks, script, u, cfg),
+    }.items():
+        full()
+        spent = float(np.median([full() for _ in range(3)]))
+        row |= {name: spent, f"{name}, ratio": spent / middle}
+        print(f"{'':17s}{name:35s} {1e3 * spent:8.1f} ms (x {spent / middle:.1f})")
     return row
 
 
-def big_update(F: np.ndarray, rows: np.ndarray, marks: np.ndarray, cfg: SubmapConfig) -> None:
-    """One Kalman update of the whole covariance, in place, multiplying only columns the sightings depend on."""
-    Hp, Hl = sight_jacobians(np.zeros(3), marks[rows])
-    used = np.concatenate([np.arange(3), *(3 + 2 * k + np.arange(2) for k in rows)])
-    H = np.zeros((2 * len(rows), len(used)))
-    for i in range(len(rows)):
-        H[2 * i : 2 * i + 2, :3] = Hp[i]
-        H[2 * i : 2 * i + 2, 3 + 2 * i : 5 + 2 * i] = Hl[i]
-    PH = F[:, used] @ H.T
-    S = H @ PH[used] + np.kron(np.eye(len(rows)), cfg.R)
-    W = np.linalg.solve(np.linalg.cholesky(S), PH.T).T
-    F -= W @ W.T
+def textbook(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg: SubmapConfig, at_once: int) -> float:
+    """Processor time [s] of one filter over robot and all landmarks, `at_once` sightings an update, P changed in place.
+
+    Only the columns a sighting depends on are multiplied: `P H^T` costs little, `P - W W^T` is what takes the time.
+    """
+    x, P = np.concatenate([np.zeros(3), marks.ravel()]), P.copy()
+    begun = time.process_time()
+    for rows, z, _ in script:
+        J = np.eye(3)
+        J[:2, 2] = u[0] * cfg.period * np.array([-np.sin(x[2]), np.cos(x[2])])
+        x[:3] = move(x[:3], u, cfg.period)
+        P[:3] = J @ P[:3]
+        P[:, :3] = P[:, :3] @ J.T
+        P[:3, :3] += cfg.Q
+        for k in range(0, len(rows), at_once):
+            some = rows[k : k + at_once]
+            used = np.concatenate([np.arange(3), *(3 + 2 * j + np.arange(2) for j in some)])
+            H, one = np.zeros((2 * len(some), len(used))), np.empty((2, 5))
+            for i, j in enumerate(some):
+                sight_jacobian(x[:3], x[3 + 2 * j : 5 + 2 * j], one)
+                H[2 * i : 2 * i + 2, :3], H[2 * i : 2 * i + 2, 3 + 2 * i : 5 + 2 * i] = one[:, :3], one[:, 3:]
+            e = z[k : k + at_once] - sight(x[:3], x[3:].reshape(-1, 2)[some])
+            e[:, 1] = wrap_angle(e[:, 1])
+            PH = P[:, used] @ H.T
+            L = np.linalg.cholesky(H @ PH[used] + np.kron(np.eye(len(some)), cfg.R))
+            W = np.linalg.solve(L, PH.T).T
+            x += W @ np.linalg.solve(L, e.ravel())
+            P -= W @ W.T
+    return time.process_time() - begun
+
+
+def compiled(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg: SubmapConfig) -> float:
+    """The same by the kernels `map` uses for its landmark logs: a step's sightings pass over P once, in place."""
+    n, n_marks = ekf.HEAD, len(marks)
+    x = np.concatenate([np.zeros(3), [1.0, 1.0, 0.0, 0.0, 1.0], marks.ravel()])
+    own = np.concatenate([np.arange(3), n + np.arange(2 * n_marks)])
+    F = np.zeros((len(x), len(x)))
+    F[np.ix_(own, own)] = P
+    config = EkfSlamConfig(
+        range_floor=cfg.range_sd, range_share=0.0, bearing=cfg.bearing_sd, range_inflation=1.0, bearing_inflation=1.0,
+        gate=1e9, far=1e9,
+    )  # fmt: skip
+    known, Phi = noise(config), np.zeros((3, n))
+    started, places = np.ones(n_marks, dtype=bool), np.zeros((n_marks, ekf.CANDIDATES, 2))
+    counts, astray = np.zeros(n_marks, dtype=np.int64), np.zeros(1, dtype=np.int64)
+    begun = time.process_time()
+    for rows, z, _ in script:
+        Phi[:, :3] = np.eye(3)
+        Phi[:2, 2] = u[0] * cfg.period * np.array([-np.sin(x[2]), np.cos(x[2])])
+        x[:3] = move(x[:3], u, cfg.period)
+        ekf.settle(F, len(x), Phi, cfg.Q.copy())
+        ranges, bearings = z.T.copy()
+        ekf.frame(
+            x, F, rows, ranges, bearings, known, started, places, counts, astray, np.empty(len(rows)),
+            np.empty(len(rows)),
+        )  # fmt: skip
+    return time.process_time() - begun
 
 
 def mission(planner="paper", robots=2, scenario="yuan", until="landmarks", how="known", **more) -> Mission:

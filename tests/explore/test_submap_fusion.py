@@ -9,13 +9,14 @@ from mapweave.estimate.submap_slam import (
     SubmapConfig,
     empty,
     move,
-    move_jacobian,
     predict,
     sight,
-    sight_jacobians,
     update,
 )
-from mapweave.fuse.handover import _Joint, hand_over, merge_duplicates
+from mapweave.fuse.duplicates import merge_duplicates
+from mapweave.fuse.handover import hand_over
+from mapweave.fuse.joint import Joint
+from mapweave.kernels import submap as kernels
 from mapweave.maps.global_map import GlobalMap, known_starts
 from mapweave.maps.submap import Submap
 
@@ -41,12 +42,19 @@ def test_motion_and_sighting_jacobians_agree_with_central_differences():
     for _ in range(20):
         pose, control = rng.uniform(-3, 3, 3), rng.uniform(-2, 2, 2)
         points = rng.uniform(-10, 10, (3, 2))
-        assert np.allclose(move_jacobian(pose, control, 0.5), numeric(lambda x: move(x, control, 0.5), pose), atol=1e-6)
-        Hp, Hl = sight_jacobians(pose, points)
-        assert np.allclose(Hp.reshape(6, 3), numeric(lambda x: sight(x, points), pose), atol=1e-6)
-        for k in range(3):
-            one = numeric(lambda p: sight(pose, p[None]), points[k])
-            assert np.allclose(Hl[k], one, atol=1e-6)
+        assert np.abs(carried(pose, control) - numeric(lambda x: move(x, control, 0.5), pose)).max() < 1e-6
+        for p in points:
+            H = np.empty((2, 5))
+            kernels.sight_jacobian(pose, p, H)
+            both = numeric(lambda x: sight(x[:3], x[None, 3:]), np.concatenate([pose, p]))
+            assert np.abs(H - both).max() < 1e-6
+
+
+def carried(pose, control):
+    """The derivative the covariance is carried on with: what becomes of an identity beside the pose's block."""
+    P = np.zeros((6, 6))
+    P[:3, 3:] = P[3:, :3] = np.eye(3)
+    return kernels.predicted(pose, P, *control, 0.5, np.zeros((3, 3)))[1][:3, 3:]
 
 
 def test_the_bearing_has_the_sign_of_the_side_the_landmark_is_on():
@@ -62,16 +70,16 @@ def test_the_hand_over_residual_has_the_jacobian_of_its_differences():
     )
     L = Submap("robot2", rng.normal(size=3), ("p", "q"), rng.normal(size=(2, 2)), random_psd(rng, 7), "local_2")
     pairs = [(0, 1), (1, 0)]
-    H = _Joint(G, L).residuals(pairs)[1]
-    x0 = np.concatenate([G.frames.ravel(), G.mean.ravel(), L.pose, L.mean.ravel()])
+    _, H, used = Joint(G, L).residuals(pairs)
 
     def residual(x):
-        J = _Joint(G, L)
-        J.frames, J.marks = x[:6].reshape(2, 3), x[6:10].reshape(2, 2)
-        J.pose, J.points = x[10:13], x[13:].reshape(2, 2)
-        return J.residuals(pairs)[0]
+        Y = Joint(G, L)
+        Y.x[:] = x
+        return Y.residuals(pairs)[0]
 
-    assert np.allclose(H, numeric(residual, x0), atol=1e-6)
+    dense = numeric(residual, Joint(G, L).x)
+    assert np.allclose(H, dense[:, used], atol=1e-6)
+    assert not np.delete(dense, used, axis=1).any()
 
 
 @pytest.mark.eq("Yuan09:6", "Yuan09:7", "Yuan09:8", "Yuan09:9", "Yuan09:10", "Yuan09:11")
@@ -84,10 +92,10 @@ def test_a_submap_step_equals_a_dense_textbook_ekf():
     u = np.array([1.5, 0.4])
     p = predict(m, u, cfg)
     F = np.eye(7)
-    F[:3, :3] = move_jacobian(m.pose, u, cfg.period)
+    F[:3, :3] = numeric(lambda x: move(x, u, cfg.period), m.pose)
     P = F @ m.cov @ F.T
     P[:3, :3] += cfg.Q
-    assert np.allclose(p.cov, P, atol=1e-14)
+    assert np.allclose(p.cov, P, atol=1e-10)
     z = sight(p.pose, p.mean) + 0.01
     done, _ = update(p, Observations(z, ("0", "1")), cfg)
     H = numeric(lambda x: sight(x[:3], x[3:].reshape(2, 2)), np.concatenate([p.pose, p.mean.ravel()]))
@@ -193,6 +201,44 @@ def test_a_fusion_keeps_the_covariance_symmetric_and_touches_no_other_submap():
     G = hand_over(G, b, known=True).map
     assert np.array_equal(G.cov, G.cov.T)
     assert np.linalg.eigvalsh(G.cov).min() > -1e-9
+
+
+def test_a_hand_over_equals_conditioning_and_mapping_the_whole_joint_state():
+    """Dense: every product over all of Y, relinearised to the end; two of the submap's four landmarks are known."""
+    rng = np.random.default_rng(11)
+    marks = rng.uniform(2, 8, (6, 2))
+    G = GlobalMap(
+        ("robot1", "robot2"),
+        np.array([[0.0, 0.0, 0.1], [0.3, -0.2, 0.05]]),
+        ("0", "1", "2"),
+        marks[:3] + 0.05 * rng.normal(size=(3, 2)),
+        random_psd(rng, 12),
+    )
+    L = driven_submap(rng, "robot2", marks[1:5])
+    L = Submap(L.robot, L.pose, ("1", "2", "new", "newer"), L.mean, L.cov, L.frame)
+
+    def residual(x):  # l_i - T^-1(XL_2, m_g) of the two pairs
+        return (x[15:19].reshape(2, 2) - se2.act(se2.inverse(x[3:6]), x[8:12].reshape(2, 2))).ravel()
+
+    def forward(x):
+        new = [se2.compose(x[3:6], x[12:15]), x[6:12], se2.act(x[3:6], x[19:23].reshape(2, 2)).ravel()]
+        return np.concatenate([x[:3], *new])
+
+    x0 = np.concatenate([G.frames.ravel(), G.mean.ravel(), L.pose, L.mean.ravel()])
+    P = np.zeros((23, 23))
+    P[:12, :12], P[12:, 12:] = G.cov, L.cov
+    x = x0
+    for _ in range(20):
+        H = numeric(residual, x)
+        K = P @ H.T @ np.linalg.inv(H @ P @ H.T)
+        x = x0 - K @ (residual(x) - H @ (x - x0))
+    J = numeric(forward, x)
+    done = hand_over(G, L, known=True)
+    assert done.matched == (True, True, False, False)
+    assert done.map.ids == ("0", "1", "2", "new", "newer")
+    ours = np.concatenate([done.map.frames.ravel(), done.map.mean.ravel()])
+    assert np.abs(ours - forward(x)).max() < 1e-7
+    assert np.abs(done.map.cov - J @ (P - K @ H @ P) @ J.T).max() < 1e-7
 
 
 def test_a_submap_without_common_landmarks_leaves_the_old_ones_unchanged():

@@ -12,3 +12,9 @@ def frozen(values: Any, dtype: Any = np.float64) -> np.ndarray:
         a = a.copy() if a is values or a.base is not None else a
         a.setflags(write=False)
     return a
+
+
+def owned(a: np.ndarray) -> np.ndarray:
+    """`a`, made here and held by nobody else, read-only from now on: `frozen` takes it as it is, without a copy."""
+    a.setflags(write=False)
+    return a
