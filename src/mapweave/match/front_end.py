@@ -3,6 +3,7 @@
 The local map holds the last keyframes only, so it bends with the drift and never shows a wall twice.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,14 +11,14 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.config import config
+from ..core.errors import ConfigError
 from ..kernels.local_map import FAR, add_points, align_scan, count_matches, fit_lines
 from ..models.beam import Beams
-
-SIZE = 1024  # cells a side, a power of two; 102 m at the fine level, 205 m at the coarse one
 
 
 @config
 class FrontEndConfig:
+    size: int = 1024  # cells a side of either level, a power of two; the fine one must hold the whole local map
     coarse: float = 0.2  # cell [m] of the first iterations
     fine: float = 0.1  # cell [m] of the last ones
     coarse_iterations: int = 8
@@ -67,8 +68,10 @@ class FrontEnd:
     def __init__(self, cfg: FrontEndConfig, tangent: float | None = None) -> None:
         self.cfg = cfg
         self.tangent = cfg.tangent if tangent is None else tangent
-        self.sums = [np.zeros((SIZE, SIZE, 9), np.float32) for _ in range(2)]
-        self.lines = [np.zeros((SIZE, SIZE, 6), np.float32) for _ in range(2)]
+        if cfg.size < 8 or cfg.size & (cfg.size - 1):
+            raise ConfigError(f"front_end.size: expected a power of two from 8 on, found {cfg.size}")
+        self.sums = [np.zeros((cfg.size, cfg.size, 9), np.float32) for _ in range(2)]
+        self.lines = [np.zeros((cfg.size, cfg.size, 6), np.float32) for _ in range(2)]
         for level in self.lines:
             level[..., 0] = FAR
         self.fine, self.coarse = self.lines
@@ -105,6 +108,43 @@ class FrontEnd:
         if len(self.keyframes) > c.keyframes:
             self._put(self.keyframes.pop(0), -1.0)
         return True
+
+    def hold(self, scans: Sequence[tuple[Beams, Float[np.ndarray, "3"]]]) -> None:
+        """The local map is made of these scans, each at its pose, and of nothing else."""
+        for frame in self.keyframes:
+            self._put(frame, -1.0)
+        self.last_keyframe = None
+        parts = [(se2.act(pose, b.s), b.normal @ se2.rotation(float(pose[2])).T, b.q) for b, pose in scans]
+        self.keyframes = []
+        if parts:
+            points, normals, q = (np.concatenate(part) for part in zip(*parts, strict=True))
+            self.keyframes = [(points, normals, q)]
+            self._put(self.keyframes[0], 1.0)
+
+    def information(self, b: Beams, pose: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+        """What the lines alone tell of a scan at `pose`, over robot-frame x, y, theta: along a bare wall nothing.
+
+        Neither odometry nor the error along the line, which `match` uses to hold a scan in its place, has a part.
+        """
+        c = self.cfg
+        held = np.array([0.01, 0.01, 0.001])
+        _, H, _ = align_scan(
+            self.fine,
+            c.fine,
+            b.s,
+            b.normal,
+            b.q,
+            c.alpha,
+            c.agree,
+            pose,
+            pose,
+            held,
+            c.neff / c.sigma**2,
+            0.0,
+            c.kappa,
+            1,
+        )
+        return np.asarray(H - np.diag(held**-2.0))
 
     def _put(self, frame: tuple[np.ndarray, np.ndarray, np.ndarray], sign: float) -> None:
         points, normals, q = (np.ascontiguousarray(a) for a in frame)
