@@ -1,0 +1,70 @@
+"""Everything that can be set about a team's laser map."""
+
+from dataclasses import field
+
+from ...core.config import config
+from ...match.front_end import FrontEndConfig
+from ...models.beam import BeamConfig
+
+
+@config
+class StepNoise:
+    """How far a keyframe's step may err: what the lines of the scan and the wheels tell together, and drift.
+
+    wheels: sd of odometry, squares growing with the way; drift: sd of the front end where walls tell all, likewise.
+    trust: what one scan's information counts, its returns not being independent; blur: the share of the lines'
+    information that may come from nothing but noise in their normals, and is not believed.
+    """
+
+    wheels_xy: float = 0.04  # [m per sqrt(m)]
+    wheels_turn_per_m: float = 0.012  # [rad per sqrt(m)]
+    wheels_turn: float = 0.03  # [rad per sqrt(rad)]
+    drift_xy: float = 0.006  # [m per sqrt(m)]
+    drift_turn: float = 0.0012  # [rad per sqrt(m)]
+    least_xy: float = 0.002  # [m] and
+    least_turn: float = 0.0003  # [rad] a step errs at least
+    trust: float = 0.3
+    blur: float = 0.02
+
+
+@config
+class ClosureConfig:
+    """When a keyframe is matched against an old place, and when the match is believed."""
+
+    every: float = 1.0  # [m] between keyframes that are tried
+    tries: int = 2  # matches a robot and step, at most
+    reach: float = 5.0  # [m] between the keyframes
+    far: float = 20.0  # [m] driven since the old keyframe, within one robot: nearer ones are in its local map
+    around: int = 5  # keyframes on either side of the old one that its local map is made of
+    within: float = 4.0  # [m] from it
+    least_share: float = 0.5  # of the returns must match
+    least_matches: int = 60
+    gate: float = 16.27  # chi-square of the innovation, 3 degrees of freedom, 99.9 %
+    search: float = 0.25  # [m] uncertainty of the relative place beyond which a grid of starts is searched
+    trust: float = 0.15  # what a match's information counts
+    blur: float = 0.02  # as for steps
+    floor_xy: float = 0.015  # [m] and
+    floor_turn: float = 0.002  # [rad]: error of the old local map, which no match tells
+    kernel: float = 3.0  # [sd] width of the robust kernel
+    contradiction: float = 16.27  # squared residual after optimising beyond which a closure is dropped
+
+
+@config
+class LaserTeamConfig:
+    """start_xy, start_turn: sd of the starts of all robots but the first, whose start `map` hangs on."""
+
+    start_xy: float = 0.01  # [m]
+    start_turn: float = 0.0087  # [rad], half a degree
+    keyframe_distance: float = 0.6  # [m] or
+    keyframe_turn: float = 1.0  # [rad]: a keyframe of the pose graph beyond either
+    least_beams: int = 10  # scans with fewer returns are not matched
+    least_share: float = 0.25  # of the returns must match, or odometry is taken
+    teammate: float = 0.45  # [m] around a teammate: returns from there are not walls
+    open_share: float = 0.9  # of the scanner's range is free where a beam does not come back
+    resolve_share: float = 0.02  # the graph is solved anew when it has grown by this share, and
+    resolve_least: int = 8  # so many keyframes at least, or
+    resolve_innovation: float = 1.0  # [sd] when closures moved a pose by more than this
+    beams: BeamConfig = BeamConfig()
+    front_end: FrontEndConfig = field(default_factory=lambda: FrontEndConfig(size=512, keyframes=40, alpha=0.0))
+    steps: StepNoise = StepNoise()
+    closures: ClosureConfig = ClosureConfig()
