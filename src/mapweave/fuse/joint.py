@@ -97,7 +97,7 @@ class Joint:
             self.x[self.angles] = se2.wrap_angle(self.x[self.angles])
             if np.abs(moved - last).max() < SETTLED:
                 break
-        U = solve_triangular(np.linalg.cholesky(S), H @ rows, lower=True, check_finite=False)
+        U = solve_triangular(np.linalg.cholesky(S), H, lower=True, check_finite=False) @ rows
         self.U = np.vstack([self.U, U])
 
     def best_pair(self, taken: dict[int, int], gate: float) -> tuple[int, int] | None:
