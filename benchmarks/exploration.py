@@ -20,7 +20,7 @@ from mapweave.explore.scenario import find_scenario, make_field
 from mapweave.explore.team import Team
 from mapweave.explore.view import ExploreConfig
 from mapweave.fuse.handover import hand_over
-from mapweave.kernels import ekf
+from mapweave.kernels import ekf, ekf_settle, ekf_start, ekf_state
 from mapweave.kernels.submap import sight_jacobian
 from mapweave.maps.global_map import GlobalMap
 from mapweave.maps.submap import Submap
@@ -157,7 +157,7 @@ def textbook(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg:
 
 def compiled(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg: SubmapConfig) -> float:
     """The same by the kernels `map` uses for its landmark logs: a step's sightings pass over P once, in place."""
-    n, n_marks = ekf.HEAD, len(marks)
+    n, n_marks = ekf_state.HEAD, len(marks)
     x = np.concatenate([np.zeros(3), [1.0, 1.0, 0.0, 0.0, 1.0], marks.ravel()])
     own = np.concatenate([np.arange(3), n + np.arange(2 * n_marks)])
     F = np.zeros((len(x), len(x)))
@@ -167,14 +167,14 @@ def compiled(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg:
         gate=1e9, far=1e9,
     )  # fmt: skip
     known, Phi = noise(config), np.zeros((3, n))
-    started, places = np.ones(n_marks, dtype=bool), np.zeros((n_marks, ekf.CANDIDATES, 2))
+    started, places = np.ones(n_marks, dtype=bool), np.zeros((n_marks, ekf_start.CANDIDATES, 2))
     counts, astray = np.zeros(n_marks, dtype=np.int64), np.zeros(1, dtype=np.int64)
     begun = time.process_time()
     for rows, z, _ in script:
         Phi[:, :3] = np.eye(3)
         Phi[:2, 2] = u[0] * cfg.period * np.array([-np.sin(x[2]), np.cos(x[2])])
         x[:3] = move(x[:3], u, cfg.period)
-        ekf.settle(F, len(x), Phi, cfg.Q.copy())
+        ekf_settle.settle(F, len(x), Phi, cfg.Q.copy())
         ranges, bearings = z.T.copy()
         ekf.frame(
             x, F, rows, ranges, bearings, known, started, places, counts, astray, np.empty(len(rows)),

@@ -5,12 +5,12 @@ import pytest
 
 from mapweave.core.gaussian import joseph
 from mapweave.core.se2 import wrap_angle
-from mapweave.kernels import ekf
+from mapweave.kernels import ekf, ekf_drive, ekf_settle, ekf_sight, ekf_start, ekf_state
 from mapweave.models import motion, range_bearing
 
 pytestmark = pytest.mark.kernel
 
-PLAIN = ekf.Noise(
+PLAIN = ekf_state.Noise(
     along=0.05, across=0.02, drift=0.05, turn=0.04, rest_xy=0.0, rest_theta=0.0, lost_xy=0.06, lost_theta=0.3,
     hold=2.0, speed=0.0, speed_time=1.0, spin=0.0, spin_time=1.0, range_floor=0.05, range_share=0.045, bearing=0.014,
     range_inflation=1.0, bearing_inflation=1.0, gate=1e9, far=1e9, agree=1,
@@ -20,7 +20,7 @@ SILENT = PLAIN._replace(along=0.0, across=0.0, drift=0.0, turn=0.0)
 
 def random_state(seed, landmarks=3):
     rng = np.random.default_rng(seed)
-    size = ekf.HEAD + 2 * landmarks
+    size = ekf_state.HEAD + 2 * landmarks
     x = np.concatenate([rng.uniform(-1, 1, 3), [1.02, 0.93, 0.13, 0.01, 0.98], rng.uniform(2, 5, 2 * landmarks)])
     A = rng.normal(size=(size, size))
     return x, 1e-3 * (A @ A.T + np.eye(size))
@@ -28,14 +28,14 @@ def random_state(seed, landmarks=3):
 
 def cleared():
     Phi, Q = np.zeros((3, 8)), np.zeros((3, 3))
-    ekf.clear(Phi, Q)
+    ekf_settle.clear(Phi, Q)
     return Phi, Q
 
 
 def driven(head, until, commands, noise=SILENT, start=10.0):
     x = head.copy()
     Phi, Q = cleared()
-    ekf.drive(x, Phi, Q, start, until, *commands, -1, noise)
+    ekf_drive.drive(x, Phi, Q, start, until, *commands, -1, noise)
     return x, Phi, Q
 
 
@@ -48,11 +48,11 @@ def test_driving_is_the_unicycle_with_each_command_delayed_by_the_lag():
     x, _ = random_state(1)
     t, v, w = some_commands()
     got, _, _ = driven(x, 10.8, (t, v, w))
-    pose, now = x[:3].copy(), 10.0 + x[ekf.LAG]
+    pose, now = x[:3].copy(), 10.0 + x[ekf_state.LAG]
     for k in range(len(t)):
-        end = min(10.8, (t[k + 1] if k + 1 < len(t) else np.inf) + x[ekf.LAG])
+        end = min(10.8, (t[k + 1] if k + 1 < len(t) else np.inf) + x[ekf_state.LAG])
         if end > now:
-            pose = motion.unicycle(pose, x[ekf.V_SCALE] * v[k], x[ekf.TURN_SCALE] * w[k], end - now)
+            pose = motion.unicycle(pose, x[ekf_state.V_SCALE] * v[k], x[ekf_state.TURN_SCALE] * w[k], end - now)
             now = end
     assert np.allclose(got[:2], pose[:2], atol=1e-12)
     assert abs(wrap_angle(got[2] - pose[2])) < 1e-12
@@ -63,7 +63,7 @@ def test_the_derivative_of_driving_agrees_with_central_differences():
     x, _ = random_state(2)
     commands = some_commands()
     _, Phi, _ = driven(x, 10.81, commands)
-    for k in range(ekf.HEAD):
+    for k in range(ekf_state.HEAD):
         d = np.zeros(len(x))
         d[k] = 1e-6
         difference = (driven(x + d, 10.81, commands)[0] - driven(x - d, 10.81, commands)[0])[:3] / 2e-6
@@ -78,7 +78,7 @@ def test_driving_in_many_calls_is_driving_in_one():
     Phi, Q = cleared()
     now, at = 10.0, -1
     for until in np.linspace(10.01, 10.8, 60):
-        now, at = ekf.drive(b, Phi, Q, now, until, t, v, w, at, PLAIN)
+        now, at = ekf_drive.drive(b, Phi, Q, now, until, t, v, w, at, PLAIN)
     assert np.allclose(a, b, atol=1e-12)
     assert np.allclose(Phi_a, Phi, atol=1e-10)
     assert np.allclose(Q_a, Q, atol=2e-6)  # noise enters at the end of each step
@@ -87,9 +87,9 @@ def test_driving_in_many_calls_is_driving_in_one():
 def test_without_a_new_command_the_robot_stops_and_may_go_anywhere():
     x, _ = random_state(4)
     t, v, w = np.array([10.0]), np.array([0.2]), np.array([0.0])
-    held, _, Q_held = driven(x, 10.0 + x[ekf.LAG] + 2.0, (t, v, w), PLAIN)
-    later, _, Q_later = driven(x, 20.0 + x[ekf.LAG] + 2.0, (t, v, w), PLAIN)
-    assert np.allclose(np.hypot(*(held - x)[:2]), 0.4 * x[ekf.V_SCALE])
+    held, _, Q_held = driven(x, 10.0 + x[ekf_state.LAG] + 2.0, (t, v, w), PLAIN)
+    later, _, Q_later = driven(x, 20.0 + x[ekf_state.LAG] + 2.0, (t, v, w), PLAIN)
+    assert np.allclose(np.hypot(*(held - x)[:2]), 0.4 * x[ekf_state.V_SCALE])
     assert np.allclose(held[:3], later[:3])
     assert np.isclose(Q_later[2, 2] - Q_held[2, 2], 0.3**2 * 10.0)
 
@@ -102,8 +102,8 @@ def test_settling_equals_the_dense_prediction():
     wanted = F @ P @ F.T
     wanted[:3, :3] += Q
     packed = np.empty(6)
-    ekf.pose_covariance(P, Phi, Q, packed)
-    ekf.settle(P, len(x), Phi, Q)
+    ekf_settle.pose_covariance(P, Phi, Q, packed)
+    ekf_settle.settle(P, len(x), Phi, Q)
     assert np.allclose(P, wanted, atol=1e-14)
     assert np.allclose(packed, wanted[np.triu_indices(3)], atol=1e-14)
     assert np.array_equal(Phi, cleared()[0])
@@ -112,7 +112,7 @@ def test_settling_equals_the_dense_prediction():
 
 def predicted(x, slot):
     r, b = range_bearing.observe(x[:3], x[8 + 2 * slot : 10 + 2 * slot])
-    return np.array([x[ekf.RANGE_SCALE] * r, b + x[ekf.BEARING_BIAS]])
+    return np.array([x[ekf_state.RANGE_SCALE] * r, b + x[ekf_state.BEARING_BIAS]])
 
 
 def numeric(f, x):
@@ -139,8 +139,8 @@ def test_one_sighting_equals_the_dense_update(gate):
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
     wanted, wanted_P = x + K @ e, joseph(P, K, H, R)
     U = np.empty((2, len(x)))
-    nis, got_weight = ekf.sight(x, P, U, 0, 1, z[0], z[1], noise, np.zeros(1, np.int64))
-    ekf.release(P, U, 2)
+    nis, got_weight = ekf_sight.sight(x, P, U, 0, 1, z[0], z[1], noise, np.zeros(1, np.int64))
+    ekf_sight.release(P, U, 2)
     assert np.isclose(nis, d2)
     assert np.isclose(got_weight, weight)
     assert (weight < 1.0) == (gate < 1.0)
@@ -156,13 +156,18 @@ def test_a_frame_worked_in_at_once_is_its_sightings_one_by_one():
     slots, started = np.array([2, -1, 0, 1]), np.ones(3, bool)
     z = np.array([[3.0, 0.5], [1.0, 0.0], [4.0, 0.9], [2.5, 0.7]])
     astray = np.zeros(1, np.int64)
-    waiting, count, nis, weight = np.zeros((3, ekf.CANDIDATES, 2)), np.zeros(3, np.int64), np.zeros(4), np.zeros(4)
+    waiting, count, nis, weight = (
+        np.zeros((3, ekf_start.CANDIDATES, 2)),
+        np.zeros(3, np.int64),
+        np.zeros(4),
+        np.zeros(4),
+    )
     ekf.frame(x, P, slots, z[:, 0].copy(), z[:, 1].copy(), noise, started, waiting, count, astray, nis, weight)
     U, alone = np.empty((2, len(y))), np.zeros(1, np.int64)
     for slot, (r, b) in zip(slots, z, strict=True):
         if slot >= 0:
-            ekf.sight(y, R, U, 0, slot, r, b, noise, alone)
-            ekf.release(R, U, 2)
+            ekf_sight.sight(y, R, U, 0, slot, r, b, noise, alone)
+            ekf_sight.release(R, U, 2)
     assert np.allclose(x, y, atol=1e-12)
     assert np.allclose(P, R, atol=1e-12)
     assert np.array_equal(P, P.T)
@@ -175,14 +180,16 @@ def test_a_landmark_starts_where_it_was_seen_with_its_cross_covariances():
     z = np.array([2.5, 0.7])
 
     def place(y):
-        return range_bearing.locate(y[:3], np.array([y[8] / y[ekf.RANGE_SCALE], y[9] - y[ekf.BEARING_BIAS]]))
+        return range_bearing.locate(
+            y[:3], np.array([y[8] / y[ekf_state.RANGE_SCALE], y[9] - y[ekf_state.BEARING_BIAS]])
+        )
 
     G = numeric(place, np.concatenate([x[:8], z]))
-    R = range_bearing.noise(2.5 / x[ekf.RANGE_SCALE], 0.05, 0.045, 0.014)
+    R = range_bearing.noise(2.5 / x[ekf_state.RANGE_SCALE], 0.05, 0.045, 0.014)
     old = P[:-2, :-2].copy()
     cross = np.zeros((2, len(old)))
     cross[:, :] = G[:, :8] @ old[:8]
-    ekf.begin(x, P, len(x), 2, z[0], z[1], PLAIN)
+    ekf_start.begin(x, P, len(x), 2, z[0], z[1], PLAIN)
     assert np.allclose(x[-2:], place(np.concatenate([x[:8], z])))
     assert np.allclose(P[-2:, :-2], cross, atol=1e-9)
     assert np.allclose(P[-2:, -2:], G[:, :8] @ old[:8, :8] @ G[:, :8].T + G[:, 8:] @ R @ G[:, 8:].T, atol=1e-9)
@@ -192,8 +199,8 @@ def test_a_landmark_starts_where_it_was_seen_with_its_cross_covariances():
 def test_a_landmark_waits_until_enough_sightings_agree():
     x, _ = random_state(9)
     noise = PLAIN._replace(agree=3)
-    waiting, count = np.zeros((1, ekf.CANDIDATES, 2)), np.zeros(1, np.int64)
-    said = [ekf.consider(x, 0, r, 0.1, noise, waiting, count) for r in (2.0, 6.0, 2.05, 4.0, 1.95)]
+    waiting, count = np.zeros((1, ekf_start.CANDIDATES, 2)), np.zeros(1, np.int64)
+    said = [ekf_start.consider(x, 0, r, 0.1, noise, waiting, count) for r in (2.0, 6.0, 2.05, 4.0, 1.95)]
     assert said == [False, False, False, False, True]
 
 
@@ -203,7 +210,7 @@ def test_coasting_forgets_speed_and_turn_rate_and_keeps_their_spread():
     P[:, 3:5] = P[3:5, :] = 0.0
     P[3, 3], P[4, 4] = 0.1**2, 0.5**2
     noise = PLAIN._replace(speed=0.1, speed_time=2.0, spin=0.5, spin_time=1.0)
-    ekf.coast(x, P, len(x), 3.0, noise)
+    ekf_settle.coast(x, P, len(x), 3.0, noise)
     assert np.allclose(x[3:5], [0.1 * np.exp(-1.5), 0.4 * np.exp(-3.0)])
     assert np.allclose([P[3, 3], P[4, 4]], [0.1**2, 0.5**2])
     assert np.linalg.eigvalsh(P)[0] > -1e-12
@@ -211,15 +218,15 @@ def test_coasting_forgets_speed_and_turn_rate_and_keeps_their_spread():
 
 def test_a_far_sighting_hardly_counts_unless_far_ones_keep_coming():
     noise, astray = PLAIN._replace(gate=2.0, far=10.0), np.zeros(1, np.int64)
-    assert ekf.trust(1.9, noise, astray) == 1.0
-    assert np.isclose(ekf.trust(4.0, noise, astray), 0.5)
-    first = [ekf.trust(40.0, noise, astray) for _ in range(4)]
+    assert ekf_sight.trust(1.9, noise, astray) == 1.0
+    assert np.isclose(ekf_sight.trust(4.0, noise, astray), 0.5)
+    first = [ekf_sight.trust(40.0, noise, astray) for _ in range(4)]
     assert np.allclose(first, [0.05 / 16, 0.05 / 16, 0.05 / 16, 0.05])
-    assert ekf.trust(1.0, noise, astray) == 1.0
-    assert ekf.trust(40.0, noise, astray) < 0.01
+    assert ekf_sight.trust(1.0, noise, astray) == 1.0
+    assert ekf_sight.trust(40.0, noise, astray) < 0.01
 
 
 def test_wrap_brings_angles_into_half_open_turn():
     for angle in (-7.0, -np.pi, 0.0, 3.0, np.pi, 9.5):
-        assert -np.pi <= ekf.wrap(angle) < np.pi
-        assert abs(wrap_angle(ekf.wrap(angle) - angle)) < 1e-12
+        assert -np.pi <= ekf_state.wrap(angle) < np.pi
+        assert abs(wrap_angle(ekf_state.wrap(angle) - angle)) < 1e-12

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.se2 import wrap_angle
-from mapweave.kernels import ekf
+from mapweave.kernels import ekf_drive
 from mapweave.kernels.ekf_smooth import smooth
 from mapweave.models import range_bearing
 
@@ -29,7 +29,7 @@ def problem():
     Phi, Q = cleared()
     now, at, z = 0.0, -1, np.zeros((18, 2))
     for k in range(18):
-        now, at = ekf.drive(truth, Phi, Q, now, stamps[k], *commands, at, NOISE)
+        now, at = ekf_drive.drive(truth, Phi, Q, now, stamps[k], *commands, at, NOISE)
         z[k] = range_bearing.observe(truth[:3], truth[8 + 2 * slots[k] : 10 + 2 * slots[k]])
         z[k] = x[7] * z[k, 0] + 0.002 * rng.normal(), z[k, 1] + x[6] + 0.001 * rng.normal()
     return x, commands, stamps, slots, z, np.unique(np.concatenate([t, stamps]))
@@ -56,7 +56,7 @@ def dense():
             moved = x.copy()
             moved[:3] = before
             Phi, Q = cleared()
-            now, at = ekf.drive(moved, Phi, Q, now, nodes[k], *commands, at, NOISE)
+            now, at = ekf_drive.drive(moved, Phi, Q, now, nodes[k], *commands, at, NOISE)
             J = np.zeros((3, 3 * n))
             J[:, 3 * k : 3 * k + 3] = np.eye(3)
             if k:

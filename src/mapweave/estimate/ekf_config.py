@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from ..core.config import config
 from ..core.errors import ConfigError
-from ..kernels.ekf import Noise
+from ..kernels.ekf_state import Noise
 
 WANDER = 0.005  # [m / sqrt(s)] and [rad / sqrt(s)] beside speed and spin, where there is no odometry
 

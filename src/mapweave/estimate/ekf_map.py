@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..kernels import ekf
+from ..kernels.ekf_state import HEAD, POSE
 from ..maps.local_map import LocalMap, RobotSightings
 from ..readers.landmark_log import LandmarkLog
 from . import ekf_slam
@@ -101,5 +101,5 @@ def _calibration(done: Played, cfg: EkfSlamConfig) -> dict[str, tuple[float, flo
     if not cfg.odometry:
         return {}
     prior = (cfg.speed_scale_sd, cfg.turn_scale_sd, cfg.lag_sd, cfg.bearing_bias_sd, cfg.range_scale_sd)
-    sd = np.sqrt(np.maximum(np.diag(done.P)[ekf.POSE : ekf.HEAD], 0.0))
-    return {name: (float(done.x[ekf.POSE + k]), float(sd[k])) for k, name in enumerate(CALIBRATION) if prior[k] > 0}
+    sd = np.sqrt(np.maximum(np.diag(done.P)[POSE:HEAD], 0.0))
+    return {name: (float(done.x[POSE + k]), float(sd[k])) for k, name in enumerate(CALIBRATION) if prior[k] > 0}

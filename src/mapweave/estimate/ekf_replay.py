@@ -8,6 +8,9 @@ from jaxtyping import Float
 from ..core.errors import EstimateError
 from ..core.records import Track
 from ..kernels import ekf, ekf_smooth
+from ..kernels.ekf_settle import settle
+from ..kernels.ekf_start import CANDIDATES
+from ..kernels.ekf_state import POSE, RANGE_SCALE
 from ..maps.submap import Submap
 from ..readers.landmark_log import LandmarkLog, SightingTable
 from . import ekf_slam
@@ -44,12 +47,12 @@ def play(log: LandmarkLog, cfg: EkfSlamConfig) -> Played:
     slots, ids, n = slot[seen.what], tuple(seen.ids[k] for k in order), len(order)
     state = ekf_slam.with_slots(ekf_slam.initial(log.robot, cfg), ids)
     x, P, Phi, Q = state.x.copy(), state.P.copy(), state.Phi.copy(), state.Q.copy()
-    started, waiting, n_waiting = np.zeros(n, bool), np.zeros((n, ekf.CANDIDATES, 2)), np.zeros(n, np.int64)
+    started, waiting, n_waiting = np.zeros(n, bool), np.zeros((n, CANDIDATES, 2)), np.zeros(n, np.int64)
     odometry = log.odometry
     commands = [np.zeros(0)] * 3 if odometry is None else [odometry.t, odometry.v, odometry.w]
     nis, weight = np.empty(len(seen)), np.empty(len(seen))
     most = len(commands[0]) + len(seen)
-    t, pose, cov = np.empty(most), np.empty((most, ekf.POSE)), np.empty((most, 6))
+    t, pose, cov = np.empty(most), np.empty((most, POSE)), np.empty((most, 6))
     start = min((float(s[0]) for s in (commands[0], seen.t) if len(s)), default=0.0)
     cmd_t, cmd_v, cmd_w = (np.array(c) for c in commands)
     stamp, distance, bearing = (np.array(c) for c in (seen.t, seen.range, seen.bearing))
@@ -57,7 +60,7 @@ def play(log: LandmarkLog, cfg: EkfSlamConfig) -> Played:
         x, P, Phi, Q, start, cmd_t, cmd_v, cmd_w, stamp, slots, distance, bearing,
         noise(cfg), started, waiting, n_waiting, np.zeros(1, np.int64), nis, weight, t, pose, cov,
     )  # fmt: skip
-    ekf.settle(P, len(x), Phi, Q)
+    settle(P, len(x), Phi, Q)
     if not (np.isfinite(x).all() and np.isfinite(P).all()):
         raise EstimateError(f"{log.source}: {log.robot}: EKF-SLAM left finite numbers")
     made = ekf_slam.submap(log.robot, state.frame, x, P, ids, started)
@@ -68,7 +71,7 @@ def play(log: LandmarkLog, cfg: EkfSlamConfig) -> Played:
             x, P, start, cmd_t, cmd_v, cmd_w, stamp, np.unique(stamp), used_slots, distance, bearing, track_noise(cfg),
             t, pose, square,
         )  # fmt: skip
-    scale = float(x[ekf.RANGE_SCALE])
+    scale = float(x[RANGE_SCALE])
     by = np.array([scale, scale, 1.0])
     track = Track(t, pose * by, square * np.outer(by, by), state.frame)
     return Played(seen, x, P, made, track, nis, weight)

@@ -14,6 +14,9 @@ from jaxtyping import Bool, Float, Int
 from ..core.arrays import frozen
 from ..core.records import Event, Odometry, Sightings, Track
 from ..kernels import ekf
+from ..kernels.ekf_settle import clear, settle
+from ..kernels.ekf_start import CANDIDATES
+from ..kernels.ekf_state import HEAD, POSE, RANGE_SCALE
 from ..maps.submap import Submap
 from .ekf_config import EkfSlamConfig, calibration_prior, noise
 
@@ -28,7 +31,7 @@ class Status(Enum):
 
 @dataclass(frozen=True, slots=True)
 class EkfSlamState:
-    """The estimate and what the next event needs. Layout of `x` and `P`: see `kernels.ekf`.
+    """The estimate and what the next event needs. Layout of `x` and `P`: see `kernels.ekf_state`.
 
     ids: landmark of each slot, `started` or still waiting; t: None before the first event; commands: those not yet
     worked off, the one in force first when `at` is 0.
@@ -57,7 +60,7 @@ class EkfSlamState:
     def submap(self) -> Submap:
         """Pose and started landmarks in `frame`, the calibration marginalised away, distances in the range sensor's."""
         P = self.P.copy()
-        ekf.settle(P, len(self.x), self.Phi.copy(), self.Q.copy())
+        settle(P, len(self.x), self.Phi.copy(), self.Q.copy())
         return submap(self.robot, self.frame, self.x, P, self.ids, self.started)
 
 
@@ -78,12 +81,12 @@ def init(robot: str, cfg: EkfSlamConfig, rng: np.random.Generator) -> EkfSlamSta
 
 def initial(robot: str, cfg: EkfSlamConfig) -> EkfSlamState:
     """Nothing seen, at the origin of `local_K`, sensors as the configuration expects them."""
-    x, P = np.zeros(ekf.HEAD), np.zeros((ekf.HEAD, ekf.HEAD))
-    x[ekf.POSE :], sd = calibration_prior(cfg)
-    P[range(ekf.POSE, ekf.HEAD), range(ekf.POSE, ekf.HEAD)] = sd**2
-    Phi, Q = np.zeros((ekf.POSE, ekf.HEAD)), np.zeros((ekf.POSE, ekf.POSE))
-    ekf.clear(Phi, Q)
-    nothing = (np.zeros(0, bool), np.zeros((0, ekf.CANDIDATES, 2)), np.zeros(0, np.int64), np.zeros(1, np.int64))
+    x, P = np.zeros(HEAD), np.zeros((HEAD, HEAD))
+    x[POSE:], sd = calibration_prior(cfg)
+    P[range(POSE, HEAD), range(POSE, HEAD)] = sd**2
+    Phi, Q = np.zeros((POSE, HEAD)), np.zeros((POSE, POSE))
+    clear(Phi, Q)
+    nothing = (np.zeros(0, bool), np.zeros((0, CANDIDATES, 2)), np.zeros(0, np.int64), np.zeros(1, np.int64))
     return EkfSlamState(robot, None, x, P, Phi, Q, np.zeros((3, 0)), -1, (), {}, *nothing)
 
 
@@ -109,7 +112,7 @@ def _drive(state: EkfSlamState, record: Odometry, cfg: EkfSlamConfig) -> tuple[E
     x, Phi, Q = state.x.copy(), state.Phi.copy(), state.Q.copy()
     commands = np.concatenate([state.commands, np.stack([record.t, record.v, record.w])], axis=1)
     n, t = len(record.t), float(record.t[0]) if state.t is None else state.t
-    pose, cov = np.empty((n, ekf.POSE)), np.empty((n, 6))
+    pose, cov = np.empty((n, POSE)), np.empty((n, 6))
     t, at = ekf.drive_rows(
         x, state.P, Phi, Q, t, commands[0], commands[1], commands[2], state.at, n, noise(cfg), pose, cov
     )
@@ -123,7 +126,7 @@ def _look(state: EkfSlamState, t: float, record: Sightings, cfg: EkfSlamConfig) 
     new = with_slots(state, tuple(record.ids[k] for k in mine))
     slots = np.array([new.slot[record.ids[k]] for k in mine], dtype=np.int64)
     n = len(mine)
-    nis, weight, pose, cov = np.empty(n), np.empty(n), np.empty((1, ekf.POSE)), np.empty((1, 6))
+    nis, weight, pose, cov = np.empty(n), np.empty(n), np.empty((1, POSE)), np.empty((1, 6))
     started, waiting, n_waiting = new.started.copy(), new.waiting.copy(), new.n_waiting.copy()
     astray = new.astray.copy()
     x, P, Phi, Q = new.x.copy(), new.P.copy(), new.Phi.copy(), new.Q.copy()
@@ -157,7 +160,7 @@ def with_slots(state: EkfSlamState, names: tuple[str, ...]) -> EkfSlamState:
         ids=state.ids + fresh,
         slot={**state.slot, **{name: len(state.ids) + k for k, name in enumerate(fresh)}},
         started=np.concatenate([state.started, np.zeros(k, bool)]),
-        waiting=np.concatenate([state.waiting, np.zeros((k, ekf.CANDIDATES, 2))]),
+        waiting=np.concatenate([state.waiting, np.zeros((k, CANDIDATES, 2))]),
         n_waiting=np.concatenate([state.n_waiting, np.zeros(k, np.int64)]),
     )
 
@@ -170,20 +173,18 @@ def is_landmark(name: str) -> bool:
 def submap(robot: str, frame: str, x: np.ndarray, P: np.ndarray, ids: tuple[str, ...], started: np.ndarray) -> Submap:
     """The map in `x`, `P` (settled), its distances those of the range sensor: multiplied by the range scale."""
     slots = np.flatnonzero(started)
-    points = (ekf.HEAD + 2 * slots[:, None] + np.arange(2)).ravel()
-    rows = np.concatenate([np.arange(ekf.POSE), points])
-    s = float(x[ekf.RANGE_SCALE])
+    points = (HEAD + 2 * slots[:, None] + np.arange(2)).ravel()
+    rows = np.concatenate([np.arange(POSE), points])
+    s = float(x[RANGE_SCALE])
     by = np.ones(len(rows))
     by[rows != 2] = s
     J = np.zeros((len(rows), len(x)))
     J[np.arange(len(rows)), rows] = by
-    J[rows != 2, ekf.RANGE_SCALE] = x[rows[rows != 2]]
+    J[rows != 2, RANGE_SCALE] = x[rows[rows != 2]]
     cov = J @ P @ J.T
     value = x[rows] * by
-    pose = value[: ekf.POSE].copy()
-    return Submap(
-        robot, pose, tuple(ids[k] for k in slots), value[ekf.POSE :].reshape(-1, 2), 0.5 * (cov + cov.T), frame
-    )
+    pose = value[:POSE].copy()
+    return Submap(robot, pose, tuple(ids[k] for k in slots), value[POSE:].reshape(-1, 2), 0.5 * (cov + cov.T), frame)
 
 
 def square(packed: np.ndarray) -> Float[np.ndarray, "n 3 3"]:

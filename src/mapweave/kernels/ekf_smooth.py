@@ -11,23 +11,10 @@ from typing import TypeAlias
 import numpy as np
 
 from ._jit import kernel
-from .ekf import (
-    BEARING_BIAS,
-    COAST_STEP,
-    HEAD,
-    POSE,
-    RANGE_SCALE,
-    TURN_SCALE,
-    V_SCALE,
-    Noise,
-    arc,
-    clear,
-    drive,
-    plain,
-    quadratic,
-    trust,
-    wrap,
-)
+from .ekf_drive import arc, drive
+from .ekf_settle import COAST_STEP, clear
+from .ekf_sight import trust
+from .ekf_state import BEARING_BIAS, HEAD, POSE, RANGE_SCALE, TURN_SCALE, V_SCALE, Noise, plain, quadratic, wrap
 from .small import add_product, product, put, solved, transposed
 
 Array: TypeAlias = np.ndarray
@@ -72,7 +59,7 @@ def fix(x: Array, P: Array, B: Array, slot: int, z_range: float, z_bearing: floa
 
 @kernel
 def coasted(x: Array, dt: float, noise: Noise, F: Array, Q: Array) -> None:
-    """`kernels.ekf.coast` for the chain alone: moves `x[:5]`, fills its derivative F (5, 5) and noise Q (5, 5)."""
+    """`ekf_settle.coast` for the chain alone: moves `x[:5]`, fills its derivative F (5, 5) and noise Q (5, 5)."""
     steps = max(1, int(np.ceil(dt / COAST_STEP)))
     h = dt / steps
     keep_v, keep_w = np.exp(-h / noise.speed_time), np.exp(-h / noise.spin_time)
