@@ -47,6 +47,15 @@ def test_the_papers_planner_finishes_every_run_within_its_figures():
 
 
 @pytest.mark.slow
+def test_without_the_area_term_it_takes_twice_the_steps_and_without_the_escape_it_never_ends():
+    whole, blind = runs_of([mission(), mission(w_area=0.0)], 6)
+    assert all(r.finished for r in whole + blind)
+    assert mean(blind, "steps") >= 2 * mean(whole, "steps")
+    (shut,) = runs_of([mission(escape_uncertainty=-1.0, stall_steps=10**9, max_steps=300)], 2)
+    assert not any(r.finished for r in shut)
+
+
+@pytest.mark.slow
 def test_coverage_and_loops_beat_the_papers_planner():
     cover, loop, alone = runs_of([mission("coverage"), mission("loop"), mission("loop", robots=1)], 30)
     assert all(r.finished for r in cover + loop)

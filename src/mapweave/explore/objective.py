@@ -76,7 +76,7 @@ def _choose_one(
         else:
             return steer(view, pose, targets[j], cfg)
     controls, J, gain = objective(view, j, pose, hulls, cfg)
-    if gain.max() <= cfg.negligible_gain:
+    if gain.max() <= cfg.gain_threshold:
         sub = view.submaps[j]
         sure = map_uncertainty(np.asarray(sub.cov)) / (len(sub.ids) + 1) <= cfg.escape_uncertainty
         stalled = not cfg.literal_escape and view.stalled[j] >= cfg.stall_steps

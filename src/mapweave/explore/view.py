@@ -27,7 +27,7 @@ class ExploreConfig:
     w_area: float = 1 / 3
     w_apart: float = 1 / 3
     escape_uncertainty: float = 0.3  # C_t
-    negligible_gain: int = 12  # cells; a control that would see no more than these gains no area
+    negligible_gain: int | None = None  # cells; a control that would see no more gains no area; see `gain_threshold`
     stall_steps: int = 10  # steps without gain after which the robot escapes whatever its uncertainty
     lost: float = 6.0  # [m], standard deviation of a robot's place in the map beyond which it looks for known landmarks
     literal_escape: bool = False  # the printed rule alone: deadlocks under the stated noise
@@ -44,6 +44,16 @@ class ExploreConfig:
     loop_radius: float = 13.0  # [m], discs of the loop planner: fewer, so that a lap closes in time
     loop_rate: float = 20.5  # [m^2] of field a robot and step: how long the loop planner goes on to close loops
     loop_rate_alone: float = 17.0  # the same for one robot, whose lap is longer
+
+    @property
+    def gain_threshold(self) -> int:
+        """Cells that gain no area. None chosen: 12 as part of the area term, the printed 0 where there is no such term.
+
+        The printed rule (no cell at all) keeps the paper's robots at specks which their area term is too weak to fetch.
+        """
+        if self.negligible_gain is not None:
+            return self.negligible_gain
+        return 12 if self.w_area else 0
 
     @property
     def controls(self) -> Float[np.ndarray, "m 2"]:
