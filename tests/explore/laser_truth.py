@@ -1,6 +1,7 @@
 """Laser worlds in which the planner knows where its robots are: the map is drawn from their true poses."""
 
 import numpy as np
+from mapweave.sim.wall_index import WallIndex
 from scipy import ndimage
 
 from mapweave.core import se2
@@ -9,7 +10,6 @@ from mapweave.kernels.render import render
 from mapweave.maps.occupancy import FREE, OCCUPIED, Occupancy, from_counts
 from mapweave.sim.laser_team import LaserTeamSim
 from mapweave.sim.laser_world import LaserWorld
-from mapweave.sim.wall_index import WallIndex
 
 
 def world_of(*segments: tuple[float, float, float, float]) -> LaserWorld:

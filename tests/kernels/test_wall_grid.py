@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.kernels.raycast import cast
-from mapweave.sim.wall_index import WallIndex
+from mapweave.maps.wall_index import WallIndex
 
 
 def clutter(seed, many):

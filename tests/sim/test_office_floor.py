@@ -5,8 +5,8 @@ import pytest
 from scipy import ndimage
 
 from mapweave.core.errors import DataError
+from mapweave.maps.wall_index import WallIndex
 from mapweave.sim.office_floor import office_floor
-from mapweave.sim.wall_index import WallIndex
 
 CELL, ROBOT = 0.1, 0.2
 

@@ -11,10 +11,10 @@ from ..core.config import config
 from ..core.errors import DataError, EstimateError
 from ..core.quaternion import representable
 from ..core.records import Scan
+from ..maps.wall_index import WallIndex
 from .laser import START_NS, stream
 from .laser_world import LaserWorld
 from .scanner import Reflectance, Scanner, measure
-from .wall_index import WallIndex
 
 ROBOT_REFLECTANCE = 0.35
 
