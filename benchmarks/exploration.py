@@ -24,7 +24,7 @@ from mapweave.kernels import ekf, ekf_settle, ekf_start, ekf_state
 from mapweave.kernels.submap import sight_jacobian
 from mapweave.maps.global_map import GlobalMap
 from mapweave.maps.submap import Submap
-from mapweave.verbs.explore import worker_pool
+from mapweave.verbs.explore_options import worker_pool
 
 STEPS, SIGHTINGS = 30, 3
 

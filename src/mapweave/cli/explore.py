@@ -13,7 +13,7 @@ def explore(
     robots: int | None = None,
     runs: int = 1,
     seed: int = 0,
-    planner: str = "paper",
+    planner: str | None = None,
     association: str | None = None,
     noise: str = "calibrated",
     until: str = "field",
@@ -28,7 +28,8 @@ def explore(
     Parameters
     ----------
     scenario
-        yuan (the paper's field), yuan-large (four times as large), or a TOML file: lower, upper, landmarks, starts.
+        yuan (the paper's field), yuan-large (four times as large), office (500 m^2, lasers), office-AREA, or a TOML
+        file: lower, upper, landmarks, starts; or sensor = "laser" with office or walls, and starts.
     out
         The folder runs.csv, metrics.json, report.html and the first run's log are written to.
     robots
@@ -38,11 +39,12 @@ def explore(
     seed
         The same seed gives the same runs.
     planner
-        paper, area, coverage, loop, or your own function as package.module:function.
+        paper, area, coverage, loop, or your own function as package.module:function (paper; with lasers coverage).
     association
-        Which sighting is which landmark: known, nn or jcbb (jcbb).
+        Which sighting is which landmark: known, nn or jcbb (jcbb); not with lasers.
     noise
-        printed, calibrated, or a factor on the printed standard deviations (calibrated is 0.05).
+        printed, calibrated, or a factor on the printed standard deviations (calibrated is 0.05); with lasers
+        calibrated or a factor on the errors of odometry (calibrated is 1).
     until
         Stop when all landmarks were seen (landmarks), when no frontier is left (field), or after so many steps.
     kill
@@ -57,7 +59,7 @@ def explore(
         Write into the folder even when something other than a result stands there.
     """
     from ..verbs.explore import explore as run
-    from ..verbs.explore import parse_kills
+    from ..verbs.explore_options import parse_kills
     from .progress import progress
     from .say import say
 

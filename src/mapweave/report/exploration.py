@@ -155,16 +155,22 @@ def draw_animation(path: Path, run: RunRecord) -> None:
                 lines[j].set_data(poses[: moment.step, j, 0], poses[: moment.step, j, 1])
                 heads[j].set_data([moment.true_poses[j, 0]], [moment.true_poses[j, 1]])
             title.set_text(f"step {moment.step}, {100 * moment.explored:.0f} % explored")
-            frames.append(_snapshot(fig))
+            frames.append(snapshot(fig))
     scratch.unlink()
+    save_gif(path, frames)
+
+
+def save_gif(path: Path, frames: list[Image.Image]) -> None:
+    """An animation in the 32 colours of its last frame."""
     palette = frames[-1].quantize(32)
     small = [f.quantize(32, palette=palette, dither=Image.Dither.NONE) for f in frames]
     small[0].save(path, save_all=True, append_images=small[1:], duration=140, loop=0, optimize=True)
 
 
-def _snapshot(fig: Any) -> Image.Image:
+def snapshot(fig: Any, dpi: int = 80) -> Image.Image:
+    """The figure as it is now."""
     canvas: Any = FigureCanvasAgg(fig)
-    fig.set_dpi(80)
+    fig.set_dpi(dpi)
     canvas.draw()
     return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 

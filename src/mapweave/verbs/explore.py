@@ -1,22 +1,24 @@
 """Robots that decide where to drive: many seeded runs of one scenario, scored."""
 
 from collections.abc import Mapping
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..core.config import load
 from ..core.errors import UsageError
 from ..explore.experiment import CALIBRATED, Mission, explore_many, explore_once, with_noise
+from ..explore.laser_result import LaserExploreResult
+from ..explore.laser_scenario import find_laser_scenario
 from ..explore.result import ExploreResult
 from ..explore.scenario import find_scenario, make_field
 from ..explore.view import ExploreConfig, find_planner
 from ..writers.directory import check_target, result_directory
+from .explore_laser import explore_laser
+from .explore_options import kills_of, worker_pool
 from .map_options import Tick, no_tick
 
 NOISE = {"printed": 1.0, "calibrated": CALIBRATED}
@@ -30,7 +32,7 @@ def explore(
     robots: int | None = None,
     runs: int = 1,
     seed: int = 0,
-    planner: str = "paper",
+    planner: str | None = None,
     association: str | None = None,
     noise: str | float = "calibrated",
     until: str | int = "field",
@@ -41,14 +43,37 @@ def explore(
     force: bool = False,
     executor: Executor | None = None,
     tick: Tick = no_tick,
-) -> ExploreResult:
+) -> ExploreResult | LaserExploreResult:
     """`runs` explorations of `scenario` with seeds `seed`, `seed` + 1, ..., written to `out` when one is given.
 
     planner: paper, area, coverage, loop, or a dotted name of `choose(maps, poses, cfg) -> commands`; noise: printed,
     calibrated or a factor on the printed standard deviations; until: landmarks, field or a number of steps; kill: robot
     name -> step at whose start it dies; drop: the share of messages between robots that is lost.
-    Raises UsageError, ConfigError, DataError or EstimateError; nothing is written then.
+    Without a planner: paper, and coverage in laser worlds, where noise is a factor on odometry's errors.
+    Raises UsageError, ConfigError, ReaderError, DataError or EstimateError; nothing is written then.
     """
+    laser = find_laser_scenario(scenario)
+    if laser is not None:
+        return explore_laser(
+            scenario,
+            laser,
+            out,
+            robots=robots,
+            runs=runs,
+            seed=seed,
+            planner=planner or "coverage",
+            association=association,
+            noise=noise,
+            until=until,
+            kill=kill,
+            drop=drop,
+            config=config,
+            jobs=jobs,
+            force=force,
+            executor=executor,
+            tick=tick,
+        )
+    planner = planner or "paper"
     cfg = load(ExploreConfig, None if config is None else Path(config))
     if association is not None:
         cfg = replace(cfg, submap=replace(cfg.submap, association=association))
@@ -57,7 +82,7 @@ def explore(
         cfg = with_noise(cfg, factor)
     found = find_scenario(scenario)
     world = make_field(found, robots, seed)
-    mission = Mission(found, robots, planner, _until(until), _kills(kill or {}, len(world.starts)), drop, cfg)
+    mission = Mission(found, robots, planner, _until(until), kills_of(kill or {}, len(world.starts)), drop, cfg)
     _check(mission, runs, jobs)
     find_planner(planner)
     if out is not None:
@@ -88,24 +113,6 @@ def _write(folder: Path, result: ExploreResult) -> None:
     write_exploration(folder, result)
 
 
-def parse_kills(text: list[str] | None) -> dict[str, int]:
-    """`robot2@100` -> {"robot2": 100}."""
-    out: dict[str, int] = {}
-    for word in text or []:
-        name, at, step = word.partition("@")
-        if not at or not step.isdecimal():
-            raise UsageError(f"--kill: expected robotK@STEP, found {word!r}")
-        out[name] = int(step)
-    return out
-
-
-def worker_pool(jobs: int, runs: int) -> Any:
-    """Processes for `runs` runs, as a context; None inside it when one is enough."""
-    if jobs < 2 or runs < 3:
-        return nullcontext(None)
-    return ProcessPoolExecutor(min(jobs, runs - 1), mp_context=get_context("spawn"))
-
-
 def _noise(noise: str | float) -> float:
     if isinstance(noise, str) and noise in NOISE:
         return NOISE[noise]
@@ -128,14 +135,6 @@ def _until(until: str | int) -> str | int:
     if steps < 1:
         raise UsageError(f"--until: expected at least 1 step, found {steps}")
     return steps
-
-
-def _kills(kill: Mapping[str, int], robots: int) -> dict[int, int]:
-    names = {f"robot{k + 1}": k for k in range(robots)}
-    for name in kill:
-        if name not in names:
-            raise UsageError(f"--kill: no robot is called {name!r}; there are {', '.join(names)}")
-    return {names[name]: step for name, step in kill.items()}
 
 
 def _check(mission: Mission, runs: int, jobs: int) -> None:

@@ -15,7 +15,7 @@ from ..explore.scenario import find_scenario
 from ..explore.view import ExploreConfig
 from ..report import yuan as report
 from ..writers.directory import check_target, plain, result_directory, write_json
-from .explore import worker_pool
+from .explore_options import worker_pool
 from .map_options import Tick, no_tick
 
 # The paper's Table 1: steps min, max, mean, map error [m], uncertainty [m^2].

@@ -29,7 +29,7 @@ COLUMNS = (
 def write_table(path: Path, rows: list[Mapping[str, Any]]) -> None:
     """`path` as CSV with the contract's columns; numbers to six digits, nothing where a figure does not exist."""
     lines = [",".join(COLUMNS)]
-    lines += [",".join(_cell(row[name]) for name in COLUMNS) for row in rows]
+    lines += [",".join(cell(row[name]) for name in COLUMNS) for row in rows]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -77,7 +77,7 @@ def recording(first: Any) -> TeamRecording:
     return TeamRecording(codes, marks, tuple(robots))
 
 
-def _cell(value: Any) -> str:
+def cell(value: Any) -> str:
     if value is None:
         return ""
     if isinstance(value, bool | np.bool_):

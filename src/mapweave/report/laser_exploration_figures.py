@@ -1,0 +1,222 @@
+"""Figures of an exploration with lasers: map over walls, stages, when seen, closures, progress, the animation."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from ..explore.laser_experiment import LaserRecord, Still
+from ..maps.occupancy import Occupancy, of_grid
+from ..maps.walls import Walls
+from .exploration import save_gif, snapshot
+from .style import MARKERS, MUTED, PALETTE, SEQUENTIAL, TRUTH, as_map, colour, figure, marker
+
+SHADES = ListedColormap(["#DADDE1", "#FFFFFF", "#3C4043"])  # unknown, free, occupied
+WALL = "#D55E00"
+FRONTIER = "#E69F00"
+FEW_STILLS = 60
+GIF_DPI = 72
+
+
+def draw_map(path: Path, run: LaserRecord) -> None:
+    """The merged map, the true walls on it, the robots' trajectories as estimated and their starts."""
+    with figure(path, *_size(run, legend=True)) as (fig, ax):
+        _occupancy(ax, of_grid(run.grid))
+        _walls(ax, run, 0.5, "true wall")
+        for j, name in enumerate(run.robots):
+            look = "-" if j < len(PALETTE) else "--"
+            way = run.tracks[j].pose[:, :2]
+            ax.plot(*way.T, color=colour(j), lw=0.9, ls=look, label=f"{name}, estimate", zorder=4)
+            ax.plot(*run.place.starts[j, :2], marker=_marker(j), color=colour(j), mec=TRUTH, mew=0.5, ms=6, zorder=5)
+        _frame(ax, run)
+        fig.legend(loc="outside lower center", ncols=4)
+
+
+def draw_stages(path: Path, run: LaserRecord) -> None:
+    """The map at each quarter of the run: frontiers where known ground ends, and the robots."""
+    width, height = _size(run)
+    steps = np.array([still.step for still in run.stills])
+    with figure(path, width, height, nrows=2, ncols=2, sharex=True, sharey=True) as (fig, axes):
+        for ax, share in zip(axes.flat, (0.25, 0.5, 0.75, 1.0), strict=True):
+            still = run.stills[int(np.argmin(np.abs(steps - share * steps[-1])))]
+            _occupancy(ax, still.grid)
+            cells = still.grid.centres(np.argwhere(frontier_cells(still.grid)))
+            ax.plot(*cells.T, "s", color=FRONTIER, ms=1.6, label="frontier", zorder=3)
+            for j, name in enumerate(run.robots):
+                ax.plot(
+                    *still.poses[j, :2], _marker(j), color=colour(j), mec=TRUTH, mew=0.4, ms=5, label=name, zorder=4
+                )
+            _frame(ax, run)
+            ax.set_title(f"step {still.step}, {100 * still.explored:.0f} % mapped")
+            ax.label_outer()
+        fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
+
+
+def draw_explored(path: Path, run: LaserRecord) -> None:
+    """The step at which each reachable place was first known to be free."""
+    image = np.full(run.building.reached.shape, np.nan)
+    image[run.building.reached] = run.seen_at
+    x, y, h = float(run.building.lower[0]), float(run.building.lower[1]), run.building.cell
+    rows, cols = run.building.reached.shape
+    with figure(path, *_size(run)) as (fig, ax):
+        extent = (x, x + cols * h, y, y + rows * h)
+        shown = ax.imshow(image, origin="lower", extent=extent, cmap=SEQUENTIAL, interpolation="nearest")
+        never = run.building.places()[np.isnan(run.seen_at)]
+        ax.plot(*never.T, "s", color=WALL, ms=1.5, label=f"never mapped ({len(never) * h * h:.1f} m²)")
+        _walls(ax, run, 0.5)
+        _frame(ax, run)
+        fig.colorbar(shown, ax=ax, label="first known free at step", shrink=0.85)
+        if len(never):
+            fig.legend(loc="outside lower center")
+        ax.grid(visible=False)
+
+
+def draw_walls(path: Path, run: LaserRecord, tolerance: float) -> None:
+    """Which pieces of wall the map shows, which it misses, and which of its cells are no wall."""
+    grid = of_grid(run.grid)
+    cells = grid.centres(np.argwhere(grid.occupied))
+    wrong = cells[_far_from_walls(cells, run.place.world, tolerance)]
+    seen = run.building.seen
+    shown = np.zeros(len(seen), dtype=bool)
+    if len(cells):
+        shown = np.asarray(cKDTree(cells).query(seen)[0]) <= tolerance
+    with figure(path, *_size(run, legend=True)) as (fig, ax):
+        ax.plot(*seen[shown].T, ".", color=TRUTH, ms=1.0)
+        ax.plot(*wrong.T, "s", color=colour(4), ms=1.0)
+        ax.plot(*seen[~shown].T, "s", color=WALL, ms=1.8)
+        for color, label in (
+            (TRUTH, f"wall in the map ({100 * shown.mean() if len(shown) else 0:.1f} %)"),
+            (WALL, "wall the map misses"),
+            (
+                colour(4),
+                f"cell of the map that is no wall ({100 * len(wrong) / max(len(cells), 1):.1f} % of its cells)",
+            ),
+        ):
+            ax.plot([], [], "s", color=color, ms=4, label=label)
+        _frame(ax, run)
+        fig.legend(loc="outside lower center", ncols=3)
+
+
+def draw_closures(path: Path, run: LaserRecord) -> None:
+    """The pose graph: keyframes, and the closures that were believed or refused."""
+    pose = run.graph.pose[:, :2]
+    kinds = {
+        "closed within a robot": [c for c in run.closures if c.accepted and c.robots[0] == c.robots[1]],
+        "closed between robots": [c for c in run.closures if c.accepted and c.robots[0] != c.robots[1]],
+        "refused": [c for c in run.closures if not c.accepted],
+    }
+    looks = {"closed within a robot": colour(0), "closed between robots": colour(2), "refused": WALL}
+    with figure(path, *_size(run, legend=True)) as (fig, ax):
+        _walls(ax, run, 0.4, shade=MUTED)
+        for j in range(len(run.robots)):
+            ax.plot(*pose[run.owner == j].T, ".-", color="#5F6368", ms=1.5, lw=0.4, zorder=2)
+        for what, those in kinds.items():
+            ends = np.array([[pose[c.first], pose[c.second]] for c in those]).reshape(-1, 2, 2)
+            style = "dotted" if what == "refused" else "solid"
+            ax.add_collection(LineCollection(list(ends), colors=looks[what], lw=1.0, linestyles=style, zorder=3))
+            ax.plot([], [], color=looks[what], ls=style, label=f"{what} ({len(those)})")
+        ax.plot([], [], ".-", color="#5F6368", label=f"keyframes ({len(pose)})")
+        _frame(ax, run)
+        fig.legend(loc="outside lower center", ncols=4)
+
+
+def draw_progress(path: Path, run: LaserRecord) -> None:
+    """Against steps: share mapped, loops closed, how far the robots were from where they thought."""
+    steps = np.array([m.step for m in run.moments])
+    off = np.array([np.hypot(*(m.poses[:, :2] - m.true_poses[:, :2]).T) for m in run.moments])
+    with figure(path, 10.0, 3.2, ncols=3) as (fig, (share, loops, error)):
+        share.plot(steps, [100 * m.explored for m in run.moments], color=colour(0))
+        share.set(xlabel="step", ylabel="reachable area mapped [%]", ylim=(0, 102))
+        loops.plot(steps, [m.closures for m in run.moments], color=colour(5))
+        loops.set(xlabel="step", ylabel="loops closed")
+        loops.set_ylim(bottom=0)
+        for j, name in enumerate(run.robots):
+            alive = np.array([m.scans[j] is not None for m in run.moments])
+            look = "-" if j < len(PALETTE) else "--"
+            error.plot(steps[alive], 100 * off[alive, j], color=colour(j), lw=0.8, ls=look, label=name)
+        error.set(xlabel="step", ylabel="error of place [cm]")
+        error.set_ylim(bottom=0)
+        fig.legend(loc="outside lower center", ncols=8)
+
+
+def draw_animation(path: Path, run: LaserRecord) -> None:
+    """The first run as a small animated GIF: the map as it grew, the robots on it."""
+    stills = run.stills[:: max(1, len(run.stills) // FEW_STILLS)]
+    if stills[-1] is not run.stills[-1]:
+        stills = (*stills, run.stills[-1])
+    width, height = _size(run)
+    frames = []
+    scratch = path.with_suffix(".png")
+    with figure(scratch, 6.0, 6.0 * height / width) as (fig, ax):
+        image = _occupancy(ax, _onto(stills[0], run))
+        heads = [
+            ax.plot([], [], _marker(j), color=colour(j), mec=TRUTH, mew=0.4, ms=5, ls="none")[0]
+            for j in range(len(run.robots))
+        ]
+        _frame(ax, run)
+        title = ax.set_title("", loc="left")
+        for still in stills:
+            image.set_data(_onto(still, run).state + 1)
+            for j, head in enumerate(heads):
+                head.set_data([still.poses[j, 0]], [still.poses[j, 1]])
+            title.set_text(f"step {still.step}, {100 * still.explored:.0f} % mapped")
+            frames.append(snapshot(fig, GIF_DPI))
+    scratch.unlink()
+    save_gif(path, frames)
+
+
+def frontier_cells(grid: Occupancy) -> np.ndarray:
+    """Free cells (rows, cols) beside unknown ones."""
+    return np.asarray(grid.free & ndimage.binary_dilation(grid.unknown))
+
+
+def _onto(still: Still, run: LaserRecord) -> Occupancy:
+    """The still's cells on a raster over the whole world, the same for all stills."""
+    grid, h = still.grid, still.grid.resolution
+    cols, rows = np.ceil((run.place.upper - run.place.lower) / h).astype(int) + 2
+    low = run.place.lower - h
+    centres = np.stack(np.meshgrid(low[0] + (np.arange(cols) + 0.5) * h, low[1] + (np.arange(rows) + 0.5) * h), axis=-1)
+    at = np.floor((centres - grid.origin) / h).astype(int)
+    inside = ((at >= 0) & (at < grid.state.shape[::-1])).all(axis=-1)
+    state = np.full((rows, cols), -1, dtype=np.int8)
+    state[inside] = grid.state[at[inside][:, 1], at[inside][:, 0]]
+    return Occupancy(h, low, state)
+
+
+def _far_from_walls(cells: np.ndarray, world: Walls, tolerance: float) -> np.ndarray:
+    return np.asarray(Walls(world.segments, world.reflectance).clearance(cells) > tolerance)
+
+
+def _occupancy(ax: Any, grid: Occupancy) -> Any:
+    rows, cols = grid.state.shape
+    (x, y), h = grid.origin, grid.resolution
+    ax.grid(visible=False)
+    extent = (x, x + cols * h, y, y + rows * h)
+    return ax.imshow(
+        grid.state + 1, cmap=SHADES, vmin=0, vmax=2, extent=extent, origin="lower", interpolation="nearest", zorder=1
+    )
+
+
+def _walls(ax: Any, run: LaserRecord, width: float, label: str | None = None, shade: str = WALL) -> None:
+    lines = list(run.place.world.segments.reshape(-1, 2, 2))
+    ax.add_collection(LineCollection(lines, colors=shade, lw=width, zorder=2, label=label))
+
+
+def _frame(ax: Any, run: LaserRecord) -> None:
+    (x0, y0), (x1, y1) = run.place.lower, run.place.upper
+    as_map(ax)
+    ax.set_aspect("equal", adjustable="box")
+    ax.set(xlim=(x0 - 1, x1 + 1), ylim=(y0 - 1, y1 + 1))
+
+
+def _size(run: LaserRecord, *, legend: bool = False) -> tuple[float, float]:
+    width, height = run.place.upper - run.place.lower + 2.0
+    return 9.0, float(np.clip(8.0 * height / width + 0.7 + 0.5 * legend, 3.0, 11.0))
+
+
+def _marker(j: int) -> str:
+    return marker(j + j // len(MARKERS))

@@ -1,0 +1,118 @@
+"""Exploration with lasers: many seeded runs of one laser world, scored."""
+
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..core.config import load
+from ..core.errors import UsageError
+from ..explore.laser_experiment import LaserMission, explore_laser_many, explore_laser_once
+from ..explore.laser_mission import LaserMissionConfig, with_odometry_noise
+from ..explore.laser_result import LaserExploreResult
+from ..explore.laser_scenario import LaserScenarioConfig, make_place
+from ..explore.laser_view import find_laser_planner
+from ..writers.directory import check_target, result_directory
+from .explore_options import kills_of, worker_pool
+from .map_options import Tick, no_tick
+
+
+def explore_laser(
+    name: str,
+    scenario: LaserScenarioConfig,
+    out: Path | str | None = None,
+    *,
+    robots: int | None = None,
+    runs: int = 1,
+    seed: int = 0,
+    planner: str = "coverage",
+    association: str | None = None,
+    noise: str | float = "calibrated",
+    until: str | int = "field",
+    kill: Mapping[str, int] | None = None,
+    drop: float = 0.0,
+    config: Path | str | None = None,
+    jobs: int = 1,
+    force: bool = False,
+    executor: Executor | None = None,
+    tick: Tick = no_tick,
+) -> LaserExploreResult:
+    """`runs` explorations of the laser world `scenario`, called `name`; the options are those of `explore`.
+
+    noise: a factor on the errors of odometry, calibrated being 1. Raises UsageError, ConfigError, ReaderError,
+    DataError or EstimateError; nothing is written then.
+    """
+    if association is not None:
+        raise UsageError("--association: a laser world has no landmarks whose identities could be known or not")
+    factor = _factor(noise)
+    cfg = with_odometry_noise(load(LaserMissionConfig, None if config is None else Path(config)), factor)
+    place = make_place(scenario, robots, seed)
+    kills = kills_of(kill or {}, len(place.starts))
+    mission = LaserMission(scenario, robots, planner, _until(until), kills, drop, cfg)
+    if runs < 1 or jobs < 1:
+        raise UsageError(f"--runs and --jobs: expected at least 1, found {runs} and {jobs}")
+    if not 0 <= drop < 1:
+        raise UsageError(f"--drop: expected a share of messages from 0 to below 1, found {drop:g}")
+    find_laser_planner(planner)
+    if out is not None:
+        check_target(Path(out), force=force)
+
+    def share(step: int, explored: float) -> None:
+        del step
+        tick("the first run: area mapped", explored, 1.0)
+
+    first_score, first = explore_laser_once(mission, seed, tick=share)
+    scores = [first_score]
+    pool = worker_pool(jobs, runs) if executor is None else nullcontext(executor)
+    with pool as workers:
+        step = max(1, jobs) * 2
+        for start in range(1, runs, step):
+            more = explore_laser_many(mission, min(step, runs - start), seed + start, workers)
+            scores += [replace(r, run=start + k) for k, r in enumerate(more)]
+            tick("exploring", len(scores), runs)
+    result = LaserExploreResult(name, mission, seed, factor, tuple(scores), first)
+    if out is not None:
+        with result_directory(Path(out), force=force) as work:
+            _write(work, result)
+    return result
+
+
+def _write(folder: Path, result: LaserExploreResult) -> None:
+    from ..report.laser_exploration import write_laser_exploration  # noqa: PLC0415  (figures cost a second)
+    from ..writers.laser_exploration import write_laser_runs  # noqa: PLC0415
+
+    write_laser_runs(folder, result.runs, result.metrics(), result.first)
+    write_laser_exploration(folder, result)
+
+
+def _factor(noise: str | float) -> float:
+    if noise == "calibrated":
+        return 1.0
+    if noise == "printed":
+        raise UsageError(
+            "--noise printed: the paper prints noise of landmark worlds alone; give calibrated or a factor on odometry"
+        )
+    try:
+        factor = float(noise)
+    except ValueError:
+        raise UsageError(f"--noise: expected calibrated or a factor, found {noise!r}") from None
+    if not (np.isfinite(factor) and factor > 0):
+        raise UsageError(f"--noise: expected a positive factor, found {noise!r}")
+    return factor
+
+
+def _until(until: str | int) -> str | int:
+    if until == "field":
+        return until
+    if until == "landmarks":
+        raise UsageError("--until landmarks: a laser world has none; give field or a number of steps")
+    try:
+        steps = int(until)
+    except ValueError:
+        raise UsageError(f"--until: expected field or a number of steps, found {until!r}") from None
+    if steps < 1:
+        raise UsageError(f"--until: expected at least 1 step, found {steps}")
+    return steps
