@@ -13,7 +13,7 @@ from ..core.errors import DataError, ReaderError
 from . import mending
 from .files import Files, open_files
 from .landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
-from .tables import lines
+from .number_rows import lines
 
 ODOMETRY, SIGHTINGS = "odometry.csv", "sightings.csv"
 

@@ -14,7 +14,7 @@ from ..core.errors import DataError, ReaderError
 from . import mending
 from .files import Files, open_files
 from .landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
-from .tables import line_of, numbers
+from .number_rows import line_of, numbers
 
 ROBOT_FILE = re.compile(r"^Robot([0-9]+)_(Odometry|Measurement)\.dat$")
 BARCODES = "Barcodes.dat"

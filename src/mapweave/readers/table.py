@@ -1,4 +1,4 @@
-"""A table of named columns from CSV or Parquet: text columns as read, one clear error for a row that does not parse."""
+"""A table whose header names its columns, CSV or Parquet: text as read, one clear error for a row that is none."""
 
 import csv
 from collections.abc import Sequence

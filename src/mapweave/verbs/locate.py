@@ -19,7 +19,9 @@ from ..estimate.swarm_track import filtered as follow_filtered
 from ..readers.sightings import SwarmTruth, read_swarm_odometry, read_swarm_truth
 from ..readers.team_bearings import read_team_bearings, read_team_truth
 from ..writers.directory import check_target, result_directory
-from .located import Located, Moved, Settings
+from .located import Located
+from .located_common import Settings
+from .moved import Moved
 from .swarm_input import Place, SwarmInput, prepare
 from .swarm_score import places_of, score_estimate, score_track
 

@@ -1,4 +1,4 @@
-"""Columns of numbers from text, fast; a word in a line is an error that names the line."""
+"""Rows of numbers from text without a header, by position; a word in a line is an error that names the line."""
 
 from collections.abc import Iterator
 
