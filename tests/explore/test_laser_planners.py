@@ -1,5 +1,7 @@
 """Teams with scanners map whole offices, whatever the planner, and never touch anything."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from laser_truth import Team, room, world_of
@@ -7,7 +9,7 @@ from laser_truth import Team, room, world_of
 from mapweave.core.errors import UsageError
 from mapweave.explore.frontiers import frontiers, survey
 from mapweave.explore.laser_crew import Crew
-from mapweave.explore.laser_share import by_tours, nearest_first, offer
+from mapweave.explore.laser_share import by_tours, hold, nearest_first, offer
 from mapweave.explore.laser_view import BUILT_IN, LaserExploreConfig, find_laser_planner
 from mapweave.maps.occupancy import FREE, OCCUPIED, UNKNOWN, Occupancy
 from mapweave.sim.office_floor import office_floor
@@ -86,12 +88,35 @@ def offers_in_a_hall(places: list[tuple[float, float]], *, width: float = 30.0):
     return offer(ground, frontiers(ground, CFG), crew, poses, np.arange(len(places)), CFG)
 
 
+def test_tours_send_robots_to_different_sides():
+    offers = offers_in_a_hall([(14.5, 2.0), (15.5, 2.0)])
+    chosen = by_tours(offers, CFG)
+    first, second = (offers.pieces[chosen[j]].place[0] for j in (0, 1))
+    assert (first - 15.0) * (second - 15.0) < 0
+
+
 def test_no_two_robots_get_the_same_frontier():
     offers = offers_in_a_hall([(3.0, 1.0), (3.0, 3.0), (4.0, 2.0)])
     for share in (by_tours, nearest_first):
         chosen = share(offers, CFG)
         assert len(chosen) == 3
         assert len(set(chosen.values())) == 3
+
+
+def test_a_robot_on_its_way_changes_its_mind_only_for_what_is_nearer_or_on_the_way():
+    offers = replace(offers_in_a_hall([(15.0, 2.0)]), held={0: 0})
+    far = int(np.argmax(offers.first[0]))
+    near = int(np.argmin(offers.first[0]))
+    held = int(np.argmin(np.abs(offers.first[0] - offers.first[0, far] + 1.0)))
+    assert hold(replace(offers, held={0: held}), {0: far}, CFG) == {0: held}
+    assert hold(replace(offers, held={0: held}), {0: near}, CFG) == {0: near}
+
+
+def test_a_robot_leaves_its_frontier_to_a_nearer_one():
+    offers = offers_in_a_hall([(3.0, 2.0), (15.0, 2.0)])
+    left = int(np.argmin(offers.first[0]))
+    right = int(np.argmax(offers.first[0]))
+    assert hold(replace(offers, held={1: left}), {0: left, 1: right}, CFG) == {0: left, 1: right}
 
 
 def test_a_planner_of_ones_own_is_found_by_its_dotted_name():

@@ -75,7 +75,7 @@ def test_a_blocked_source_reaches_nothing():
 
 def test_dear_cells_do_not_overflow_their_byte():
     weight = np.full((1, 4), 200, dtype=np.uint8)
-    assert spread(weight, np.array([[0, 0]])).tolist() == [[0, 1000, 2000, 3000]]
+    assert spread(weight, np.array([[0, 0]])).tolist() == [[0, 14_000, 28_000, 42_000]]
 
 
 def test_a_wall_blocks_the_line_of_sight_and_a_door_does_not():

@@ -53,7 +53,7 @@ class Ways:
 @dataclass(slots=True)
 class Goal:
     """Where a robot heads and why. unknown: (k, 2) cells it is to see there; least: the shortest way left so far [m],
-    `since` the step when it last grew shorter.
+    `since` the step when it last grew shorter; done: all is seen, the robot goes on until it gets another goal.
     """
 
     place: np.ndarray
@@ -63,6 +63,7 @@ class Goal:
     born: int
     least: float = np.inf
     at: int | None = None  # the step when the robot got there
+    done: bool = False
 
 
 @dataclass(slots=True)

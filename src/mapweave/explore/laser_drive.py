@@ -7,7 +7,7 @@ from .frontiers import frontiers, pockets, survey
 from .laser_crew import SAME, Crew, Goal, Ways, crew_of, ways_to
 from .laser_follow import AHEAD, driven, steer
 from .laser_give_way import give_way, heading, order
-from .laser_share import Share, offer
+from .laser_share import Share, hold, offer
 from .laser_view import LaserExploreConfig, LaserView
 
 ARRIVED = 0.35  # [m]
@@ -45,7 +45,7 @@ def drive(
 
 
 def _tidy(crew: Crew, view: LaserView, poses: np.ndarray, live: np.ndarray, cfg: LaserExploreConfig) -> None:
-    """Goals that are seen are dropped; those reached for nothing or out of reach for long are put off."""
+    """Goals that are seen are done; those reached for nothing or out of reach for long are put off."""
     crew.asides = {j: aside for j, aside in crew.asides.items() if j in live}
     crew.goals = {j: goal for j, goal in crew.goals.items() if j in live}
     for j, goal in list(crew.goals.items()):
@@ -57,7 +57,7 @@ def _tidy(crew: Crew, view: LaserView, poses: np.ndarray, live: np.ndarray, cfg:
         if left < ARRIVED and goal.at is None:
             goal.at = view.step
         if len(goal.unknown) and (view.grid.state[tuple(view.grid.cells(goal.unknown).T)] >= 0).mean() >= SEEN:
-            del crew.goals[j]
+            goal.done = True
         elif _in_vain(goal, view.step, cfg):
             crew.defer(goal.place, view.step, cfg)
             del crew.goals[j]
@@ -72,7 +72,7 @@ def _in_vain(goal: Goal, step: int, cfg: LaserExploreConfig) -> bool:
 
 def _due(crew: Crew, step: int, live: np.ndarray, cfg: LaserExploreConfig) -> bool:
     age = step - crew.planned
-    idle = any(j not in crew.goals for j in live)
+    idle = any(j not in crew.goals or crew.goals[j].done for j in live)
     return crew.planned_for != tuple(live) or age >= cfg.replan_every or (idle and age >= cfg.replan_soonest)
 
 
@@ -94,18 +94,22 @@ def _plan(
     pieces = [f for f in found if not crew.barred(f.place, view.step, cfg)] or found
     view.memory["given_up"] = crew.given_up(cfg)
     view.memory["pockets"] = pockets(ground, cfg)
-    old, crew.goals = crew.goals, {}
+    old = crew.goals
     if pieces:
         offers = offer(ground, pieces, crew, poses, live, cfg)
-        for j, n in share(offers, cfg).items():
+        shared = hold(offers, share(offers, cfg), cfg)
+        crew.goals = {}
+        for j, n in shared.items():
             crew.goals[j] = _goal(old.get(j), pieces[n].place, pieces[n].unknown, offers.ways[n], view.step)
-    elif go_home:
+    else:
+        crew.goals = {}
+    if not pieces and go_home:
         _send_home(crew, old, poses, live, view.step, cfg)
     view.memory["finished"] = not pieces and not crew.goals
 
 
 def _goal(old: Goal | None, place: np.ndarray, unknown: np.ndarray, ways: Ways, step: int) -> Goal:
-    if old is not None and np.hypot(*(old.place - place)) < SAME:
+    if old is not None and not old.done and np.hypot(*(old.place - place)) < SAME:
         return Goal(place, unknown, ways, old.since, old.born, old.least, old.at)
     return Goal(place, unknown, ways, step, step)
 

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from scipy import ndimage
 
 from ..core.se2 import wrap_angle
+from ..kernels.tour_moves import improve_tours
 from ..kernels.tours import balanced_tours
 from ..kernels.wavefront import STRAIGHT
 from .frontiers import Frontier, Ground, nearest_cells
@@ -15,14 +16,15 @@ from .laser_crew import SAME, Crew, Ways, ways_to
 from .laser_view import LaserExploreConfig
 
 FAR = 1e4  # [m], stands for a place that no way leads to
+STILL = 1.5  # [m], how far what is left of a piece may be from the goal that was made of it
+ON_THE_WAY = 1.0  # [m], a detour that small is none
 TURN = 0.6  # [m / rad], what turning towards a goal costs
 
 
 @dataclass(frozen=True, slots=True)
 class Offers:
     """Pieces of frontier and how far they are. robots: (m,) who may go; first: (m, n) [m] from each robot, its turn
-    towards the piece counted and what it heads for already made cheaper by `keep`; between: (n, n) [m]; FAR where no
-    way leads.
+    towards the piece counted; between: (n, n) [m]; FAR where no way leads; held: robot -> piece it heads for already.
     """
 
     pieces: list[Frontier]
@@ -32,6 +34,7 @@ class Offers:
     between: Float[np.ndarray, "n n"]
     poses: Float[np.ndarray, "m 3"]
     ground: Ground
+    held: dict[int, int]
 
 
 Share = Callable[[Offers, LaserExploreConfig], dict[int, int]]
@@ -50,23 +53,57 @@ def offer(
     m = len(live)
     first, between = metres[:m].copy(), metres[m:]
     for r, j in enumerate(live):
-        for n, f in enumerate(pieces):
+        for n in range(len(pieces)):
             if first[r, n] >= FAR:
                 continue
             to = ways[n].target(poses[j, :2], 1.0)
             if to is not None and np.hypot(*(to - poses[j, :2])) > 0.2:
                 d = to - poses[j, :2]
                 first[r, n] += TURN * abs(wrap_angle(np.arctan2(d[1], d[0]) - poses[j, 2]))
-            if int(j) in crew.goals and np.hypot(*(crew.goals[int(j)].place - f.place)) < SAME:
-                first[r, n] -= cfg.keep
-    return Offers(pieces, ways, tuple(map(int, live)), first, between, poses[live], ground)
+    return Offers(pieces, ways, tuple(map(int, live)), first, between, poses[live], ground, _held(crew, pieces))
+
+
+def _held(crew: Crew, pieces: list[Frontier]) -> dict[int, int]:
+    """Robot -> what is left of the piece it heads for: the one with unknown cells nearest to its goal."""
+    out: dict[int, int] = {}
+    for j, goal in crew.goals.items():
+        away = [np.hypot(*(f.unknown - goal.place).T).min() for f in pieces]
+        if not goal.done and away and min(away) < STILL:
+            out[j] = int(np.argmin(away))
+    return out
+
+
+def hold(offers: Offers, chosen: dict[int, int], cfg: LaserExploreConfig) -> dict[int, int]:
+    """`chosen`, but who is on the way to a piece goes on, unless another robot does it, or the new one is nearer by
+    `keep` or lies on the way. Since every change of mind brings a goal nearer there is no driving to and fro.
+    """
+    out = dict(chosen)
+    row = {j: r for r, j in enumerate(offers.robots)}
+    for j, h in offers.held.items():
+        n = out.get(j)
+        far = offers.first[row[j], h]
+        if n == h or j not in row or far >= FAR / 2:
+            continue
+        who = next((i for i in out if i != j and out[i] == h), None)
+        if who is not None and offers.first[row[who], h] < far:
+            continue
+        if n is not None:
+            to = offers.first[row[j], n]
+            if to < far - cfg.keep or to + offers.between[n, h] < far + ON_THE_WAY:
+                continue
+        out[j] = h
+        if who is not None and n is not None:
+            out[who] = n
+        elif who is not None:
+            del out[who]
+    return out
 
 
 def by_tours(offers: Offers, cfg: LaserExploreConfig) -> dict[int, int]:
     """Robot -> piece: the first of its tour, the tours short in the longest and then in the sum."""
-    tours, counts = balanced_tours(
-        offers.first + cfg.service, offers.between + cfg.service, np.zeros_like(offers.first)
-    )
+    first, between = offers.first + cfg.service, offers.between + cfg.service
+    tours, counts = balanced_tours(first, between, np.zeros_like(first))
+    improve_tours(first, between, tours, counts)
     chosen = {j: int(tours[r, 0]) for r, j in enumerate(offers.robots) if counts[r]}
     return {j: n for j, n in chosen.items() if offers.first[offers.robots.index(j), n] < FAR / 2}
 

@@ -5,7 +5,7 @@ import numpy as np
 from ._jit import kernel
 
 UNREACHED = -1
-STRAIGHT, DIAGONAL = 5, 7  # what a move costs; their ratio stands for sqrt 2
+STRAIGHT, DIAGONAL = 70, 99  # what a move costs; 99 / 70 is sqrt 2 but for 5e-5
 
 
 @kernel
@@ -44,8 +44,8 @@ def spread(weight: np.ndarray, sources: np.ndarray) -> np.ndarray:
     """Cost (rows, cols) int32 of the cheapest way from the nearest of `sources` to every cell, or UNREACHED.
 
     weight: (rows, cols) uint8, what entering a cell multiplies the move's cost by, 0 for a cell that is blocked;
-    sources: (k, 2) rows (iy, ix), blocked ones do not count. A move along an axis costs 5, a diagonal one 7; diagonals
-    never pass a blocked corner. Dijkstra with one bucket a cost.
+    sources: (k, 2) rows (iy, ix), blocked ones do not count. A move along an axis costs 70, a diagonal one 99;
+    diagonals never pass a blocked corner. Dijkstra with one bucket a cost.
     """
     rows, cols = weight.shape
     size = rows * cols
