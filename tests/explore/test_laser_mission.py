@@ -89,7 +89,15 @@ def test_a_run_writes_its_scores_and_map_and_a_log_that_map_can_read(rooms, tmp_
     assert list(row)[:6] == ["run", "seed", "finished", "steps", "map_error", "c_per_n"]
     assert row["duplicates"] == ""
     assert float(row["area_mapped"]) == pytest.approx(told.area_mapped, rel=1e-5)
-    for name in ("report.html", "map.pgm", "map.yaml", "pose_graph.g2o", "closures.csv", "trajectories/robot2.tum"):
+    for name in (
+        "report.html",
+        "map.pgm",
+        "map.yaml",
+        "grid.npz",
+        "pose_graph.g2o",
+        "closures.csv",
+        "trajectories/robot2.tum",
+    ):
         assert (out / name).stat().st_size > 0, name
     for name in ("map", "stages", "explored", "progress", "walls", "closures"):
         assert (out / "figures" / f"{name}.png").stat().st_size > 5000

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mapweave.maps.occupancy import FREE, OCCUPIED, UNKNOWN, Occupancy, from_counts
+from mapweave.maps.occupancy import FREE, OCCUPIED, UNKNOWN, Occupancy, from_counts, without_gaps
 
 
 def test_a_cell_is_occupied_when_enough_of_its_beams_ended_there():
@@ -21,3 +21,17 @@ def test_the_middle_of_a_cell_lies_in_that_cell():
 def test_a_point_outside_comes_to_the_border():
     grid = Occupancy(0.5, np.zeros(2), np.zeros((4, 6), np.int8))
     assert grid.cells(np.array([[-3.0, 0.6], [99.0, 99.0]])).tolist() == [[1, 0], [3, 5]]
+
+
+def test_gaps_between_beams_close_and_neither_walls_nor_what_lies_behind_them_become_free():
+    state = np.zeros((9, 12), dtype=np.int8)
+    state[:, 2:4] = UNKNOWN  # a gap of two cells
+    state[4, 6] = UNKNOWN
+    state[:, 8], state[:, 9:] = OCCUPIED, UNKNOWN  # a wall and what is behind it
+    closed = without_gaps(Occupancy(0.05, np.zeros(2), state)).state
+    assert (closed[:, :8] == FREE).all()
+    assert (closed[:, 8] == OCCUPIED).all()
+    assert (closed[:, 9:] == UNKNOWN).all()
+    wide = state.copy()
+    wide[:, 2:6] = UNKNOWN
+    assert (without_gaps(Occupancy(0.05, np.zeros(2), wide)).state[:, 2:6] == UNKNOWN).all()

@@ -14,7 +14,7 @@ from ..core.records import Track
 from ..evaluate.building import Building, known_at, survey_building
 from ..fuse.laser import Closure
 from ..maps.grid import GridMap
-from ..maps.occupancy import Occupancy
+from ..maps.occupancy import Occupancy, of_grid, without_gaps
 from ..maps.pose_graph import PoseGraph
 from .frontiers import pockets, survey
 from .laser_mission import LaserMissionConfig, LaserMoment, LaserRun
@@ -53,9 +53,10 @@ class Still:
 class LaserRecord:
     """What one run did, for figures, logs and tables: its world, every moment, the final map and how it came about.
 
-    seen_at: for each reached cell of `building`, the step at which the map first knew it (NaN: never); tracks, truths:
-    a robot each, in the map's frame; pockets: (p, 2) ground the map shows and no robot gets to; given_up: (g, 2) places
-    that were not reached though they should be; status: per robot, what the front end made of its scans.
+    map: `grid` as free, occupied and unknown cells, the one that is written and scored; seen_at: for each reached cell
+    of `building`, the step at which the map first knew it (NaN: never); tracks, truths: a robot each, in the map's
+    frame; pockets: (p, 2) ground the map shows and no robot gets to; given_up: (g, 2) places that were not reached
+    though they should be; status: per robot, what the front end made of its scans.
     """
 
     place: LaserPlace
@@ -65,6 +66,7 @@ class LaserRecord:
     stills: tuple[Still, ...]
     seen_at: np.ndarray
     grid: GridMap
+    map: Occupancy
     tracks: tuple[Track, ...]
     truths: tuple[Track, ...]
     logs: tuple[LaserLog, ...]
@@ -104,7 +106,8 @@ def explore_laser_once(
     if moments and stills[-1].step != made.step:
         stills.append(Still(made.step, made.grid, moments[-1].poses, moments[-1].explored))
     grid = made.team.grid(mission.cfg.map_resolution)
-    told = score(made, moments, grid, run, perf_counter() - began)
+    merged = without_gaps(of_grid(grid))
+    told = score(made, moments, merged, run, perf_counter() - began)
     M = len(made.robots)
     record = LaserRecord(
         place=made.place,
@@ -114,6 +117,7 @@ def explore_laser_once(
         stills=tuple(stills),
         seen_at=seen_at,
         grid=grid,
+        map=merged,
         tracks=tuple(made.team.trajectory(j) for j in range(M)),
         truths=tuple(_truth(moments, j) for j in range(M)),
         logs=tuple(_log(moments, j, f"explored {made.place.world.name}, seed {seed}") for j in range(M)),
@@ -155,7 +159,8 @@ def _score_only(mission: LaserMission, job: tuple[int, int]) -> LaserScore:
     began = perf_counter()
     made, _ = start(mission, seed)
     moments = [replace(m, scans=()) for m in made.play()]  # scans are many and the score needs none
-    return score(made, moments, made.team.grid(mission.cfg.map_resolution), run, perf_counter() - began)
+    merged = without_gaps(of_grid(made.team.grid(mission.cfg.map_resolution)))
+    return score(made, moments, merged, run, perf_counter() - began)
 
 
 def _note_seen(seen_at: np.ndarray, places: np.ndarray, grid: Occupancy, step: int) -> None:

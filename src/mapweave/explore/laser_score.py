@@ -8,8 +8,7 @@ from jaxtyping import Float
 from ..core import se2
 from ..evaluate.building import share_free, wall_scores
 from ..fuse.laser import Closure
-from ..maps.grid import GridMap
-from ..maps.occupancy import of_grid
+from ..maps.occupancy import Occupancy
 from .laser_mission import LaserMoment, LaserRun
 
 FALSE_PLACE, FALSE_TURN = 0.5, np.radians(8.0)  # [m], [rad] off the truth: such a closure joins places that are two
@@ -51,11 +50,10 @@ class LaserScore:
     seconds: float
 
 
-def score(made: LaserRun, moments: list[LaserMoment], grid: GridMap, run: int, seconds: float) -> LaserScore:
-    """A finished run against the truth. grid: the merged map at the resolution that is scored."""
+def score(made: LaserRun, moments: list[LaserMoment], merged: Occupancy, run: int, seconds: float) -> LaserScore:
+    """A finished run against the truth. merged: the map at the resolution that is scored."""
     team, world, cfg = made.team, made.place.world, made.cfg
-    occupancy = of_grid(grid)
-    cells = occupancy.centres(np.argwhere(occupancy.occupied))
+    cells = merged.centres(np.argwhere(merged.occupied))
     error, precision, recall = wall_scores(cells, world, made.building, cfg.tolerance)
     true = true_keyframes(made, moments)
     pose, P = team.graph().pose, team.covariances()
@@ -78,7 +76,7 @@ def score(made: LaserRun, moments: list[LaserMoment], grid: GridMap, run: int, s
         ms_per_decision=1e3 * sum(m.seconds for m in moments) / max(sum(m.decisions for m in moments), 1),
         robots=len(made.robots),
         reachable_m2=made.building.area,
-        area_mapped=share_free(made.building, occupancy.free, grid.origin, grid.resolution),
+        area_mapped=share_free(made.building, merged.free, merged.origin, merged.resolution),
         collisions=int(made.sim.collisions.sum()),
         trajectory_rmse=trajectory_rmse(made, moments),
         wall_precision=precision,

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy import ndimage
 
 from ..core.arrays import frozen
 from .grid import GridMap
@@ -69,3 +70,14 @@ def from_counts(
 def of_grid(grid: GridMap, share: float = 0.2) -> Occupancy:
     """The occupancy of a grid map, cell by cell."""
     return from_counts(grid.resolution, grid.origin, grid.hits, grid.passes, share)
+
+
+def without_gaps(map_: Occupancy) -> Occupancy:
+    """The same map with gaps of up to two unknown cells between free ones known to be free.
+
+    Beams a degree apart are 9 cm apart at 5 m: a fine map has gaps between them where nothing stands.
+    """
+    closed = ndimage.binary_closing(np.pad(map_.free, 2), np.ones((3, 3), dtype=bool))[2:-2, 2:-2]
+    state = np.array(map_.state)
+    state[map_.unknown & closed] = FREE
+    return Occupancy(map_.resolution, map_.origin, state)

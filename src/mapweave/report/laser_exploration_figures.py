@@ -10,7 +10,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from ..explore.laser_experiment import LaserRecord, Still
-from ..maps.occupancy import Occupancy, of_grid
+from ..maps.occupancy import Occupancy
 from ..maps.walls import Walls
 from .exploration import save_gif, snapshot
 from .style import MARKERS, MUTED, PALETTE, SEQUENTIAL, TRUTH, as_map, colour, figure, marker
@@ -25,7 +25,7 @@ GIF_DPI = 72
 def draw_map(path: Path, run: LaserRecord) -> None:
     """The merged map, the true walls on it, the robots' trajectories as estimated and their starts."""
     with figure(path, *_size(run, legend=True)) as (fig, ax):
-        _occupancy(ax, of_grid(run.grid))
+        _occupancy(ax, run.map)
         _walls(ax, run, 0.5, "true wall")
         for j, name in enumerate(run.robots):
             look = "-" if j < len(PALETTE) else "--"
@@ -77,8 +77,7 @@ def draw_explored(path: Path, run: LaserRecord) -> None:
 
 def draw_walls(path: Path, run: LaserRecord, tolerance: float) -> None:
     """Which pieces of wall the map shows, which it misses, and which of its cells are no wall."""
-    grid = of_grid(run.grid)
-    cells = grid.centres(np.argwhere(grid.occupied))
+    cells = run.map.centres(np.argwhere(run.map.occupied))
     wrong = cells[_far_from_walls(cells, run.place.world, tolerance)]
     seen = run.building.seen
     shown = np.zeros(len(seen), dtype=bool)

@@ -5,10 +5,10 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
-from ..maps.occupancy import of_grid
 from .directory import plain, write_json
 from .exploration import COLUMNS, cell
 from .g2o import write_g2o
+from .grid import NAME, write_grid
 from .mcap import write_mcap
 from .ros_map import write_ros_states
 from .rows import open_text
@@ -20,7 +20,8 @@ CLOSURES = "first,second,robot_first,robot_second,accepted,share,nis,dx,dy,dthet
 def write_laser_runs(folder: Path, runs: tuple[Any, ...], metrics: Mapping[str, Any], first: Any) -> None:
     """runs.csv (the contract's columns, then the laser worlds' own) and metrics.json.
 
-    Of the first run: map.pgm, map.yaml, trajectories/, pose_graph.g2o, closures.csv and log/, which `map` replays.
+    Of the first run: map.pgm, map.yaml, grid.npz (in which `localize` finds a robot), trajectories/, pose_graph.g2o,
+    closures.csv and log/, which `map` replays.
     """
     own = [f.name for f in fields(runs[0]) if f.name not in COLUMNS]
     names = [*COLUMNS, *own]
@@ -28,7 +29,8 @@ def write_laser_runs(folder: Path, runs: tuple[Any, ...], metrics: Mapping[str, 
     lines = [",".join(names), *(",".join(cell(row[name]) for name in names) for row in rows)]
     (folder / "runs.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     write_json(folder / "metrics.json", plain(dict(metrics)))
-    write_ros_states(folder, of_grid(first.grid))
+    write_ros_states(folder, first.map)
+    write_grid(folder / NAME, first.grid, None, "none")
     write_g2o(folder / "pose_graph.g2o", first.graph)
     write_closures(folder / "closures.csv", first)
     for name, track, log, truth in zip(first.robots, first.tracks, first.logs, first.truths, strict=True):

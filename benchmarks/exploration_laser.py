@@ -1,0 +1,79 @@
+"""Offices of 500 to 5,000 m^2 explored by 1 to 8 robots with lasers: what is mapped, how well, how long it takes.
+
+python benchmarks/exploration_laser.py [--quick] [--seeds 3] [--first 0] [--jobs 1] [--planner NAME] [--out FILE.json]
+"""
+
+import argparse
+import json
+import os
+import platform
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from mapweave.explore.laser_experiment import LaserMission, explore_laser_many
+from mapweave.explore.laser_scenario import LaserScenarioConfig
+from mapweave.explore.laser_score import LaserScore
+from mapweave.verbs.explore_options import worker_pool
+
+AREAS, TEAMS = (500, 1000, 2000, 5000), (1, 2, 4, 8)
+QUICK = {500: (1, 2), 1000: (4,)}
+HEAD = ("area [m2]", "robots", "finished", "steps", "mapped [%]", "collisions", "map error [m]", "RMSE [m]", "NEES/dof")
+HEAD = (*HEAD, "closed", "refused", "false", "ms/decision", "s/run")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--quick", action="store_true", help="one seed of three small offices")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--planner", default="coverage")
+    parser.add_argument("--out", type=Path)
+    args = parser.parse_args()
+    plan = QUICK if args.quick else dict.fromkeys(AREAS, TEAMS)
+    seeds = 1 if args.quick else args.seeds
+    machine = {name: version(name) for name in ("mapweave", "numpy", "scipy", "numba")}
+    machine |= {"python": platform.python_version(), "cores": str(os.cpu_count()), "processor": platform.machine()}
+    print(", ".join(f"{k} {v}" for k, v in machine.items()))
+    print(" ".join(f"{name:>13s}" for name in HEAD))
+    told = []
+    with worker_pool(args.jobs, max(seeds, 3)) as pool:
+        for area, teams in plan.items():
+            for robots in teams:
+                mission = LaserMission(LaserScenarioConfig(office=area), robots, args.planner)
+                runs = explore_laser_many(mission, seeds, args.first, pool)
+                told += [{"area": area, "planner": args.planner, **asdict(r)} for r in runs]
+                print(" ".join(f"{cell:>13s}" for cell in row(area, robots, runs)), flush=True)
+    if args.out:
+        args.out.write_text(json.dumps({"machine": machine, "runs": told}, indent=1), encoding="utf-8")
+
+
+def row(area: int, robots: int, runs: list[LaserScore]) -> list[str]:
+    """Means over the seeds; of what is mapped the least, of collisions the sum."""
+
+    def mean(name: str) -> float:
+        return float(np.mean([getattr(r, name) for r in runs if getattr(r, name) is not None]))
+
+    return [
+        str(area),
+        str(robots),
+        f"{sum(r.finished for r in runs)} of {len(runs)}",
+        f"{mean('steps'):.0f}",
+        f"{100 * min(r.area_mapped for r in runs):.2f}",
+        str(sum(r.collisions for r in runs)),
+        f"{mean('map_error'):.3f}",
+        f"{mean('trajectory_rmse'):.3f}",
+        f"{mean('nees_per_dof'):.2f}",
+        f"{mean('closures'):.0f}",
+        f"{mean('refused'):.0f}",
+        str(sum(r.misassociations for r in runs)),
+        f"{mean('ms_per_decision'):.1f}",
+        f"{mean('seconds'):.0f}",
+    ]
+
+
+if __name__ == "__main__":
+    main()
