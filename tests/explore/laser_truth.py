@@ -1,13 +1,13 @@
 """Laser worlds in which the planner knows where its robots are: the map is drawn from their true poses."""
 
 import numpy as np
-from mapweave.sim.wall_index import WallIndex
 from scipy import ndimage
 
 from mapweave.core import se2
 from mapweave.explore.laser_view import LaserExploreConfig, LaserView, find_laser_planner
 from mapweave.kernels.render import render
 from mapweave.maps.occupancy import FREE, OCCUPIED, Occupancy, from_counts
+from mapweave.maps.wall_index import WallIndex
 from mapweave.sim.laser_team import LaserTeamSim
 from mapweave.sim.laser_world import LaserWorld
 

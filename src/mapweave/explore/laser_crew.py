@@ -10,6 +10,7 @@ from ..maps.occupancy import Occupancy
 from .frontiers import PARKED, Ground, disc_mask, nearest_cells
 from .laser_view import LaserExploreConfig, LaserView
 
+LEFT = 0.6  # [m] from where a robot was, then it has left that place
 SAME = 0.8  # [m], places nearer than this are one goal
 
 
@@ -78,6 +79,7 @@ class Crew:
     planned: int = -10_000
     planned_for: tuple[int, ...] = ()
     still: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # steps without moving
+    about: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))  # x, y, and since when a robot is near there
     last: np.ndarray | None = None  # poses a step ago
     home: np.ndarray | None = None
 
@@ -103,7 +105,7 @@ class Crew:
 
 @dataclass(slots=True)
 class Aside:
-    """Where a robot lets another pass. until: the step when waiting ends whatever happens."""
+    """Where robot `whom` is let pass, or, by oneself, where one tries again from. until: when waiting ends anyway."""
 
     place: np.ndarray
     ways: Ways
@@ -119,9 +121,12 @@ def crew_of(view: LaserView, poses: np.ndarray) -> Crew:
         crew.home = poses[:, :2].copy() if crew.home is None else crew.home
         crew.rank = np.arange(M, dtype=float)
         crew.still = np.zeros(M, dtype=np.int64)
+        crew.about = np.column_stack([poses[:, :2], np.full(M, view.step)])
     else:
         moved = np.hypot(*(poses[:, :2] - crew.last[:, :2]).T) > 0.03
         crew.still = np.where(moved, 0, crew.still + 1)
+        left = np.hypot(*(poses[:, :2] - crew.about[:, :2]).T) > LEFT
+        crew.about[left] = np.column_stack([poses[left, :2], np.full(int(left.sum()), view.step)])
     crew.last = poses.copy()
     return crew
 

@@ -11,6 +11,7 @@ from .laser_view import LaserExploreConfig
 AHEAD = 2.0  # [m] of way that is looked ahead
 BACK = 1 / 3  # of the top speed backwards, to leave a tight spot
 HEADING = 0.8  # [m] of distance that a radian of wrong heading is worth
+REVERSE = 0.25  # [m] of distance that driving backwards is worth
 SAMPLE = 0.02  # [m] between samples of an arc
 CLOSE = 0.3  # what a metre of clearance below `roomy` is worth [m]
 
@@ -61,7 +62,8 @@ def steer(
     distance = np.hypot(d[:, 0], d[:, 1])
     error = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - ends[:, 2])) * np.minimum(1.0, distance / 0.3)
     tight = np.clip(cfg.roomy - clearance, 0.0, cfg.roomy)
-    cost = np.where(free, distance + HEADING * error + CLOSE * tight, np.inf)
+    backwards = REVERSE * (commands[:, 0] < 0.0)
+    cost = np.where(free, distance + HEADING * error + CLOSE * tight + backwards, np.inf)
     return np.asarray(commands[np.argmin(cost)])
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..kernels.wavefront import spread
+from ..kernels.wavefront import STRAIGHT, spread
 from .frontiers import disc_mask, nearest_cells
 from .laser_crew import Aside, Crew, Ways, ways_to
 from .laser_view import LaserExploreConfig
@@ -12,7 +12,9 @@ NEXT = 2.0  # [m] of way that may be in another's way
 WHOLE = 6.0  # [m] of way that a waiting robot keeps clear of
 WAIT = 40  # steps a robot waits aside at most
 BESIDE = 0.1  # [m] beyond what two robots need, where a robot waits
-STUCK = 25  # steps without moving after which ranks are drawn anew
+STUCK = 30  # steps about one place after which a robot tries something else
+NEARBY = (1.0, 4.0)  # [m], how far away from there
+RETRY = 15  # steps it takes for that at most
 
 
 def order(crew: Crew, live: np.ndarray) -> list[int]:
@@ -29,8 +31,8 @@ def heading(crew: Crew, j: int) -> Ways | None:
 
 def give_way(crew: Crew, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig) -> None:
     """Whoever stands in the way of a robot that goes first gets a place aside; who has waited long enough goes on."""
-    _redraw_ranks(crew, live, step)
     _end_waiting(crew, poses, live, step, cfg)
+    _get_unstuck(crew, poses, live, step, cfg)
     ranked = order(crew, live)
     near = 2 * cfg.radius + cfg.apart
     for a, i in enumerate(ranked):
@@ -79,6 +81,10 @@ def _end_waiting(crew: Crew, poses: np.ndarray, live: np.ndarray, step: int, cfg
     near = 2 * cfg.radius + cfg.apart
     for k, aside in list(crew.asides.items()):
         i = aside.whom
+        if i == k:
+            if step >= aside.until or np.hypot(*(aside.place - poses[k, :2])) < 0.3:
+                del crew.asides[k]
+            continue
         gone = i not in live or np.hypot(*(poses[i, :2] - poses[k, :2])) > 1.5 * MEET
         passed = not _in_way(crew, poses, i, k, near, WHOLE) and not _goal_blocked(crew, poses, k, i, near)
         if gone or passed or step >= aside.until:
@@ -95,9 +101,22 @@ def _goal_blocked(crew: Crew, poses: np.ndarray, k: int, i: int, near: float) ->
     return len(way) > 0 and float(np.hypot(*(way - poses[i, :2]).T).min()) < near
 
 
-def _redraw_ranks(crew: Crew, live: np.ndarray, step: int) -> None:
-    """New ranks by lot when a robot that wants to move has not for long; the same run draws the same lots."""
-    stuck = [j for j in live if (j in crew.goals and j not in crew.asides) and crew.still[j] >= STUCK]
-    if stuck:
-        crew.rank = np.random.default_rng([step, len(crew.rank)]).permutation(len(crew.rank)).astype(float)
-        crew.still[stuck] = 0
+def _get_unstuck(crew: Crew, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig) -> None:
+    """Who has a goal and yet stays about one place for long goes some other way first; ranks are drawn anew.
+
+    The lots are the same in the same run.
+    """
+    ground = crew.ground
+    for j in map(int, live):
+        if ground is None or j not in crew.goals or j in crew.asides or step - crew.about[j, 2] < STUCK:
+            continue
+        rng = np.random.default_rng([step, j])
+        crew.about[j, 2] = step
+        crew.rank = rng.permutation(len(crew.rank)).astype(float)
+        here = spread(ground.weight, nearest_cells(ground.grid, ground.weight > 0, poses[j : j + 1, :2]))
+        metres = here * ground.grid.resolution / STRAIGHT
+        around = (metres > NEARBY[0]) & (metres < NEARBY[1])
+        cells = np.argwhere(around & (ground.weight == ground.weight[around].min(initial=255)))
+        if len(cells):
+            place = ground.grid.centres(rng.choice(cells)[None])[0]
+            crew.asides[j] = Aside(place, ways_to(ground, place, np.zeros((0, 2)), cfg), j, step + RETRY)
