@@ -173,7 +173,8 @@ def test_explore_writes_what_the_contract_lists_and_its_log_can_be_read(tmp_path
     result = explore("yuan", out, runs=2, planner="loop", until=30, association="known")
     rows = (out / "runs.csv").read_text().splitlines()
     assert rows[0] == (
-        "run,seed,finished,steps,map_error,c_per_n,nees_per_dof,duplicates,misassociations,missed,ms_per_decision"
+        "run,seed,finished,steps,map_error,c_per_n,nees_per_dof,duplicates,misassociations,missed,ms_per_decision,"
+        "collisions,hidden"
     )
     assert len(rows) == 3
     assert {"finished", "runs", "steps_min", "steps_mean", "steps_max", "map_error_m", "c_per_n_m2"} <= set(

@@ -5,9 +5,9 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from ..core.se2 import wrap_angle
-from ..kernels.exploration import unexplored_cells
 from ..kernels.tours import balanced_tours, greedy_cover
-from .steering import nearest_unexplored, offered, steer
+from . import among_walls
+from .steering import ahead, nearest_unexplored, new_cells, offered, steer
 from .view import ExploreConfig, TeamView
 
 TURN_COST = 2.0  # [m / rad], what turning towards the first disc costs
@@ -42,7 +42,7 @@ def held_target(view: TeamView, j: int, pose: np.ndarray, cfg: ExploreConfig) ->
     if j in targets and ex.sees(j, targets[j]):
         del targets[j]
     if j not in targets and view.stalled[j] >= cfg.stall_steps:
-        goal = nearest_unexplored(ex.centres(np.argwhere(~ex.known_to(j))), pose)
+        goal = nearest_unexplored(ex.centres(np.argwhere(~ex.known_to(j))), pose, view.ground)
         if goal is not None:
             targets[j] = goal
     return targets.get(j)
@@ -54,6 +54,8 @@ def plan(view: TeamView, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig
     cells = ex.centres(np.argwhere(~ex.team()))
     if len(cells) == 0:
         return {}
+    if view.ground is not None:
+        return among_walls.plan(view, view.ground, cells, poses, live, cfg)
     chosen = discs(view, cells, cfg.cover_radius)
     first = approach_cost(poses[live], chosen)
     between = np.linalg.norm(chosen[:, None] - chosen[None], axis=-1)
@@ -75,14 +77,14 @@ def approach_cost(poses: Float[np.ndarray, "r 3"], places: Float[np.ndarray, "n 
 
 def towards(view: TeamView, j: int, pose: np.ndarray, goal: np.ndarray | None, cfg: ExploreConfig) -> np.ndarray:
     """The offered control (2,) that trades getting to `goal` against new cells seen; straight on without a goal."""
-    controls, after = offered(view, pose, cfg)
-    if goal is None:
+    place = None if goal is None else ahead(view, pose, goal, cfg)
+    controls, after = offered(view, pose, cfg, place)
+    if place is None:
         return np.asarray(controls[np.argmax(controls[:, 0] - np.abs(controls[:, 1]))])
-    d = goal - after[:, :2]
+    d = place - after[:, :2]
     error = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - after[:, 2]))
     distance = np.hypot(d[:, 0], d[:, 1])
-    ex = view.explored
-    gain = unexplored_cells(ex.known_to(j), after, cfg.submap.reach, cfg.submap.half_angle, ex.lower, ex.cell)
+    gain = new_cells(view, j, after, cfg)
     return np.asarray(controls[np.argmin(distance + 3.0 * error - cfg.gain_weight * gain)])
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from ..core.gaussian import mahalanobis2
 from ..maps.global_map import GlobalMap
 from ..sim.field import Field
+from .ground import Ground
 from .scenario import ScenarioConfig, make_field
 from .team import Moment, Team
 from .view import ExploreConfig, find_planner
@@ -46,6 +47,8 @@ class RunScore:
     misassociations: int
     missed: int
     ms_per_decision: float
+    collisions: int = 0  # how often a robot's true motion met a wall; it was stopped short of it
+    hidden: int = 0  # landmarks that walls hide from every place a robot can reach: neither sought nor missed
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +63,7 @@ class RunRecord:
     source: Mapping[str, int]
     period: float
     submap_borders: tuple[tuple[int, int, np.ndarray], ...]  # (step, robot, corners (k, 2)) at each hand-over
+    ground: Ground | None = None
 
 
 def with_noise(cfg: ExploreConfig, factor: float) -> ExploreConfig:
@@ -92,6 +96,7 @@ def explore_once(mission: Mission, seed: int, run: int = 0) -> tuple[RunScore, R
         dict(team.truth.source),
         mission.cfg.submap.period,
         tuple(team.borders),
+        team.ground,
     )
     return score(team, run, seed, moments), record
 
@@ -129,6 +134,8 @@ def score(team: Team, run: int, seed: int, moments: tuple[Moment, ...]) -> RunSc
         nees_per_dof=mahalanobis2(error.ravel(), marks.cov) / error.size if known else None,
         duplicates=len(known) - len(set(true.tolist())),
         misassociations=team.truth.misassociations,
-        missed=len(team.world.landmarks) - len(set(true.tolist())),
+        missed=len(team.wanted - set(true.tolist())),
         ms_per_decision=1e3 * seconds / max(decisions, 1),
+        collisions=team.collisions,
+        hidden=len(team.world.landmarks) - len(team.wanted),
     )

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..kernels.tours import balanced_tours
-from . import coverage
+from . import among_walls, coverage
 from .view import ExploreConfig, TeamView
 
 ARRIVED = 4.0  # [m]
@@ -43,9 +43,10 @@ def choose(view: TeamView, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig) 
 def loop_steps(view: TeamView, cfg: ExploreConfig) -> int:
     """How long the live robots need, at the configured rate, to lap the whole field."""
     width, height = view.upper - view.lower
+    area = float(width * height) if view.ground is None else view.ground.area
     live = max(1, int(view.alive.sum()))
     rate = cfg.loop_rate if live > 1 else cfg.loop_rate_alone
-    return round(float(width * height) / (rate * live))
+    return round(area / (rate * live))
 
 
 def plan_laps(view: TeamView, poses: np.ndarray, cfg: ExploreConfig) -> dict[int, list[np.ndarray]]:
@@ -55,6 +56,8 @@ def plan_laps(view: TeamView, poses: np.ndarray, cfg: ExploreConfig) -> dict[int
     cells = ex.centres(np.argwhere(~ex.team()))
     if len(cells) == 0:
         return {int(j): [] for j in live}
+    if view.ground is not None:
+        return among_walls.laps(view, view.ground, cells, poses, live, cfg)
     chosen = coverage.discs(view, cells, cfg.loop_radius)
     first = coverage.approach_cost(poses[live], chosen)
     between = np.linalg.norm(chosen[:, None] - chosen[None], axis=-1)
@@ -66,11 +69,13 @@ def plan_laps(view: TeamView, poses: np.ndarray, cfg: ExploreConfig) -> dict[int
 def _passed(view: TeamView, j: int, pose: np.ndarray, lap: list[np.ndarray], cfg: ExploreConfig) -> bool:
     """Whether the lap's next place was reached, or all its disc covers is seen; home itself must be reached."""
     if np.hypot(*(lap[0] - pose[:2])) < ARRIVED:
-        return True
+        return view.ground is None or bool(view.ground.sees(pose[:2], lap[0][None], ARRIVED)[0])
     if len(lap) == 1:
         return False
     ex = view.explored
     cells = ex.centres(np.argwhere(~ex.known_to(j)))
+    if view.ground is not None:
+        return not view.ground.sees(lap[0], cells, cfg.loop_radius).any()
     return len(cells) == 0 or bool(np.hypot(*(cells - lap[0]).T).min() > cfg.loop_radius)
 
 

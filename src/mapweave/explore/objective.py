@@ -7,9 +7,11 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
 from ..core import se2
-from ..kernels.exploration import expected_uncertainty, map_uncertainty, unexplored_cells
-from .steering import nearest_unexplored, offered, steer, way_back
+from ..kernels.exploration import expected_uncertainty, map_uncertainty
+from .steering import nearest_unexplored, new_cells, offered, steer, way_back
 from .view import ExploreConfig, TeamView
+
+HIDDEN = 1e6  # [m], where landmarks are put that nobody sees
 
 
 def choose(view: TeamView, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig) -> Float[np.ndarray, "r 2"]:
@@ -32,15 +34,13 @@ def objective(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Offered controls (m, 2) of robot j, their J (m,) and the cells each would newly see (m,)."""
     controls, after = offered(view, pose, cfg)
-    sub, known = view.submaps[j], view.explored.known_to(j)
-    gain = unexplored_cells(
-        known, after, cfg.submap.reach, cfg.submap.half_angle, view.explored.lower, view.explored.cell
-    )
+    sub = view.submaps[j]
+    gain = new_cells(view, j, after, cfg)
     J = cfg.w_area * gain * view.explored.cell**2 / (0.5 * np.pi * cfg.submap.reach**2)
     if cfg.w_accuracy:
         C = expected_uncertainty(
             np.asarray(sub.pose),
-            np.asarray(sub.mean),
+            _within_sight(view, j, pose, cfg),
             np.asarray(sub.cov),
             controls,
             cfg.submap.period,
@@ -80,11 +80,22 @@ def _choose_one(
         sub = view.submaps[j]
         sure = map_uncertainty(np.asarray(sub.cov)) / (len(sub.ids) + 1) <= cfg.escape_uncertainty
         stalled = not cfg.literal_escape and view.stalled[j] >= cfg.stall_steps
-        goal = nearest_unexplored(ex.centres(np.argwhere(~ex.known_to(j))), pose) if sure or stalled else None
+        left = ex.centres(np.argwhere(~ex.known_to(j)))
+        goal = nearest_unexplored(left, pose, view.ground) if sure or stalled else None
         if goal is not None:
             targets[j] = goal
             return steer(view, pose, goal, cfg)
     return np.asarray(controls[np.argmax(J)])
+
+
+def _within_sight(view: TeamView, j: int, pose: np.ndarray, cfg: ExploreConfig) -> np.ndarray:
+    """Landmarks (n, 2) of robot j's submap; those that walls hide from where it is are put out of reach."""
+    marks = np.asarray(view.submaps[j].mean)
+    if view.ground is None:
+        return marks
+    there = se2.act(view.global_map.frames[j], marks)
+    hidden = ~view.ground.sees(pose[:2], there, 1.5 * cfg.submap.reach)
+    return np.where(hidden[:, None], HIDDEN, marks)
 
 
 def _submap_points(view: TeamView, i: int, pose: np.ndarray) -> np.ndarray:

@@ -18,12 +18,14 @@ class Reach:
 
     A step goes to one of eight neighbours; a diagonal one only where both cells beside it are free. A place in a cell
     that is not free counts as its nearest free cell, if one has its centre within `snap` [m] (else it is unreachable).
+    weight: what a metre in each cell counts as, 1 or more; lengths are weighed lengths then.
     """
 
     free: Bool[np.ndarray, "rows cols"]
     lower: Float[np.ndarray, "2"]
     cell: float
     snap: float = 0.0
+    weight: Float[np.ndarray, "rows cols"] | None = None
     _graph: csr_array | None = None
     _number: np.ndarray | None = None
 
@@ -56,7 +58,7 @@ class Reach:
         row, col = self.cells(to[None])[0]
         if row < 0 or not np.isfinite(distance[row, col]):
             return None
-        chain = descend(distance, int(row), int(col), self.free, self.cell)[::-1]
+        chain = self.chain(distance, int(row), int(col))[::-1]
         middle = chain[:, ::-1] + 0.5
         kept, at = [0], 0
         while at < len(chain) - 1:
@@ -66,6 +68,14 @@ class Reach:
             kept.append(ahead)
             at = ahead
         return self.centres(chain[kept])
+
+    def chain(self, distance: Float[np.ndarray, "rows cols"], row: int, col: int) -> Int[np.ndarray, "n 2"]:
+        """Neighbouring cells (row, col) from the given one to the source of `distance`."""
+        return np.asarray(descend(distance, row, col, self.free, self.cell))
+
+    def sees(self, a: Int[np.ndarray, "2"], b: Int[np.ndarray, "2"]) -> bool:
+        """Whether the straight line between the centres of cells a and b (row, col) runs over free cells alone."""
+        return bool(sight_on_raster(self.free, a[::-1] + 0.5, b[::-1] + 0.5))
 
     def regions(self) -> Int[np.ndarray, "rows cols"]:
         """Which connected region each free cell belongs to, from 0; -1 where it is not free."""
@@ -105,7 +115,10 @@ class Reach:
                     open_ &= free[beside] & free[above]
                 heads += [number[here][open_], number[there][open_]]
                 tails += [number[there][open_], number[here][open_]]
-                lengths += [np.full(2 * int(open_.sum()), self.cell * float(np.hypot(dy, dx)))]
+                length = np.full(int(open_.sum()), self.cell * float(np.hypot(dy, dx)))
+                if self.weight is not None:
+                    length *= 0.5 * (self.weight[here][open_] + self.weight[there][open_])
+                lengths += [length, length]
             n = int(free.sum())
             at = (np.concatenate(heads), np.concatenate(tails))
             self._number = number

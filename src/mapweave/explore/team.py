@@ -14,10 +14,12 @@ from ..core.se2 import wrap_angle
 from ..estimate.submap_slam import Observations, empty, in_view, move, predict, sight, update
 from ..fuse.handover import hand_over, pose_in_map
 from ..kernels.exploration import map_uncertainty, mark_half_disc
+from ..kernels.sight import mark_in_sight
 from ..maps.explored import Explored
 from ..maps.global_map import GlobalMap, known_starts
 from ..maps.submap import Submap
 from ..sim.field import Field
+from .ground import Ground, survey
 from .view import ExploreConfig, Planner, TeamView
 
 
@@ -71,7 +73,12 @@ class Team:
     G: GlobalMap = field(init=False)
     explored: Explored = field(init=False)
     truth: Truth = field(init=False)
+    wanted: set[int] = field(init=False)  # landmarks somebody can see
     memory: dict[str, Any] = field(default_factory=dict)
+    ground: Ground | None = None
+    collisions: int = 0  # how often a robot's true motion met a wall and was stopped short of it
+    touching: set[int] = field(default_factory=set)  # robots stopped by a wall in the last step
+    contacts: list[tuple[int, np.ndarray]] = field(default_factory=list)  # step and place (2,) in the map
     borders: list[tuple[int, int, np.ndarray]] = field(default_factory=list)
     finished: bool = False
     step: int = 0
@@ -80,7 +87,12 @@ class Team:
         M = len(self.world.starts)
         self.robots = tuple(f"robot{k + 1}" for k in range(M))
         self.G = known_starts(self.robots, self.world.starts)
-        self.explored = Explored.over(self.world.lower, self.world.upper, M, self.cfg.cell)
+        outside = None
+        if self.world.walls is not None:
+            self.ground = survey(self.world, self.world.walls, self.cfg)
+            outside = ~self.ground.field
+        self.explored = Explored.over(self.world.lower, self.world.upper, M, self.cfg.cell, outside)
+        self.wanted = set(range(len(self.world.landmarks))) - set(self.ground.hidden if self.ground else ())
         self.submaps = [empty(name, f"local_{k + 1}") for k, name in enumerate(self.robots)]
         self.ages, self.stalled, self.alive = [0] * M, np.zeros(M, dtype=int), np.ones(M, dtype=bool)
         self.truth = Truth(self.world.starts.copy(), pending=[set() for _ in range(M)], origin=[{} for _ in range(M)])
@@ -101,24 +113,27 @@ class Team:
             self.G,
             self.stalled,
             self.memory,
+            self.ground,
+            np.array([p for _, p in self.contacts]).reshape(-1, 2),
         )
 
     def look_around(self) -> Moment:
         """What every robot sees from its start, before the first step."""
         seen = tuple(self._look(j) for j in range(len(self.robots)))
         still = np.zeros((len(self.robots), 2))
-        share = float(self.explored.team().mean())
+        share = self.explored.share()
         return Moment(0, still, self.truth.poses.copy(), self.poses(), seen, (), share, 0.0, 0)
 
     def play(self) -> Iterator[Moment]:
         """Steps until the goal, every robot's death or `max_steps`; then the submaps left are handed over."""
         while not self.reached() and self.step < self.cfg.max_steps and self.alive.any():
             self._deaths()
-            if self.until == "landmarks" and len(self.truth.seen()) < len(self.world.landmarks):
+            if self.until == "landmarks" and not self.wanted <= self.truth.seen():
                 self._look_again()
             before = perf_counter()
-            commands = self._ask()
+            commands = self._ask().copy()
             seconds, decisions = perf_counter() - before, int(self.alive.sum())
+            self.contacts = [c for c in self.contacts if c[0] > self.step - self.cfg.contact_steps]
             seen = tuple(self._drive(j, commands[j]) if self.alive[j] else _NOTHING for j in range(len(self.robots)))
             self.step += 1
             handed = tuple(j for j in range(len(self.robots)) if self.alive[j] and self._due(j) and self._hand_over(j))
@@ -129,7 +144,7 @@ class Team:
                 self.poses(),
                 seen,
                 handed,
-                float(self.explored.team().mean()),
+                self.explored.share(),
                 seconds,
                 decisions,
             )
@@ -141,10 +156,7 @@ class Team:
         """Whether the goal is reached: all landmarks seen, the field explored, or the steps done."""
         if isinstance(self.until, int):
             return self.step >= self.until
-        if self.until == "field":
-            seen = bool(self.explored.team().all())
-        else:
-            seen = len(self.truth.seen()) == len(self.world.landmarks)
+        seen = bool(self.explored.team().all()) if self.until == "field" else self.wanted <= self.truth.seen()
         return seen and self.step >= int(self.memory.get("go_on_until", 0))
 
     def _look_again(self) -> None:
@@ -182,18 +194,47 @@ class Team:
         return commands
 
     def _drive(self, j: int, command: np.ndarray) -> Observations:
+        """Robot j moves and looks; `command` becomes what was carried out, if a wall was in the way."""
         s = self.cfg.submap
         sd = self.true_motion_sd or s.motion_sd
         pose = move(self.truth.poses[j], command, s.period) + self.rng.normal(size=3) * sd
         pose[2] = wrap_angle(pose[2])
+        stopped = self._stopped(j, pose, command)
         self.truth.poses[j] = pose
         self.submaps[j] = predict(self.submaps[j], command, s)
+        if stopped:
+            self._remember_contact(j)
         return self._look(j)
+
+    def _stopped(self, j: int, pose: np.ndarray, command: np.ndarray) -> bool:
+        """Whether a wall stopped robot j on its way to the true `pose`; then that and `command` are cut, in place."""
+        if self.ground is None:
+            return False
+        here = self.truth.poses[j, :2]
+        share = self.ground.walls.free_share(here, pose[:2], self.cfg.robot_radius)
+        if share == 1.0:
+            self.touching.discard(j)
+            return False
+        pose[:2] = here + share * (pose[:2] - here)
+        if command[0] == 0.0:  # it turned on the spot and slipped
+            return False
+        command[0] *= share
+        self.collisions += j not in self.touching
+        self.touching.add(j)
+        return True
+
+    def _remember_contact(self, j: int) -> None:
+        """The wall stands, as far as robot j knows where it is, a radius ahead of it."""
+        x, y, theta = self.G.pose_in_map(self.robots[j], self.submaps[j].pose)
+        ahead = self.cfg.robot_radius * np.array([np.cos(theta), np.sin(theta)])
+        self.contacts.append((self.step, np.array([x, y]) + ahead))
 
     def _look(self, j: int) -> Observations:
         s = self.cfg.submap
         z = sight(self.truth.poses[j], self.world.landmarks)
         rows = np.flatnonzero(in_view(z, s))
+        if self.ground is not None:
+            rows = rows[self.ground.sees(self.truth.poses[j, :2], self.world.landmarks[rows], s.reach)]
         noise = self.rng.normal(size=(len(rows), 2)) * (s.range_sd, s.bearing_sd)
         noisy = z[rows] + noise
         noisy[:, 1] = wrap_angle(noisy[:, 1])
@@ -215,7 +256,11 @@ class Team:
         s, ex = self.cfg.submap, self.explored
         known = int(ex.known_to(j).sum())
         pose = self.G.pose_in_map(self.robots[j], self.submaps[j].pose)
-        mark_half_disc(ex.backlog[j], pose, s.reach, s.half_angle, ex.lower, ex.cell)
+        if self.ground is None:
+            mark_half_disc(ex.backlog[j], pose, s.reach, s.half_angle, ex.lower, ex.cell)
+        else:
+            walls = self.ground.walls.segments
+            mark_in_sight(ex.backlog[j], pose, s.reach, s.half_angle, ex.lower, ex.cell, walls)
         self.stalled[j] = 0 if int(ex.known_to(j).sum()) > known else self.stalled[j] + 1
         if self._through():
             ex.deliver(j)

@@ -1,9 +1,9 @@
 """What a planner is given, and how a planner is found: `choose(maps, poses, cfg) -> commands`."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,6 +14,9 @@ from ..estimate.submap_slam import SubmapConfig
 from ..maps.explored import Explored
 from ..maps.global_map import GlobalMap
 from ..maps.submap import Submap
+
+if TYPE_CHECKING:
+    from .ground import Ground
 
 
 @config
@@ -45,6 +48,12 @@ class ExploreConfig:
     loop_rate: float = 20.5  # [m^2] of field a robot and step: how long the loop planner goes on to close loops
     loop_rate_alone: float = 17.0  # the same for one robot, whose lap is longer
 
+    robot_radius: float = 0.3  # [m]
+    wall_margin: float = 0.4  # [m] beyond the radius that planned ways and offered controls keep from walls
+    wall_comfort: float = 1.2  # [m] beyond the radius that robots keep where nothing draws them nearer
+    path_cell: float = 0.5  # [m], raster on which ways round walls are found
+    contact_steps: int = 40  # for so long the place where a robot met a wall unexpectedly is kept clear of
+
     @property
     def gain_threshold(self) -> int:
         """Cells that gain no area. None chosen: 12 as part of the area term, the printed 0 where there is no such term.
@@ -66,7 +75,9 @@ class TeamView:
     """What the team knows at one step; arrays are the run's own: read, never write.
 
     alive: (M,); explored: cells by who knows of them; submaps and the global map with their covariances; stalled: (M,)
-    steps since a robot last saw new ground; memory: a planner's scratch pad, kept between the calls of one run.
+    steps since a robot last saw new ground; memory: a planner's scratch pad, kept between the calls of one run;
+    ground: what the plan of the walls tells, None in an open field; contacts: (k, 2) places in the map where a robot
+    lately met a wall that it thought farther away.
     """
 
     step: int
@@ -79,6 +90,8 @@ class TeamView:
     global_map: GlobalMap
     stalled: np.ndarray
     memory: dict[str, Any]
+    ground: "Ground | None" = None
+    contacts: Float[np.ndarray, "k 2"] = field(default_factory=lambda: np.zeros((0, 2)))
 
 
 Planner = Callable[[TeamView, Float[np.ndarray, "r 3"], ExploreConfig], Float[np.ndarray, "r 2"]]

@@ -165,3 +165,43 @@ def descend(distance: np.ndarray, row: int, col: int, free: np.ndarray, cell: fl
         out[count, 0], out[count, 1] = row, col
         count += 1
     return out[:count]
+
+
+@kernel
+def distance_of_moves(a: np.ndarray, b: np.ndarray, segments: np.ndarray) -> np.ndarray:
+    """Distance (n,) [m] from each straight move a (n, 2) -> b (n, 2) to the nearest segment; 0 where they meet."""
+    out = np.full(a.shape[0], np.inf)
+    move = np.empty((1, 4))
+    for i in range(a.shape[0]):
+        move[0, 0], move[0, 1], move[0, 2], move[0, 3] = a[i, 0], a[i, 1], b[i, 0], b[i, 1]
+        for k in range(segments.shape[0]):
+            if touches(a[i, 0], a[i, 1], b[i, 0], b[i, 1], segments, k):
+                out[i] = 0.0
+                break
+            out[i] = min(out[i], _to_segment(a[i, 0], a[i, 1], segments, k), _to_segment(b[i, 0], b[i, 1], segments, k))
+            out[i] = min(out[i], _to_segment(segments[k, 0], segments[k, 1], move, 0))
+            out[i] = min(out[i], _to_segment(segments[k, 2], segments[k, 3], move, 0))
+        out[i] = np.sqrt(out[i])
+    return out
+
+
+@kernel
+def free_share(a: np.ndarray, b: np.ndarray, radius: float, segments: np.ndarray) -> float:
+    """How much of the straight move a (2,) -> b (2,) a disc of `radius` can make without coming nearer to a wall.
+
+    1 where the whole move is clear. A disc that stands nearer already may move as long as it does not come nearer.
+    """
+    here, there = a.reshape(1, 2), np.empty((1, 2))
+    least = min(radius, distance_of_moves(here, here, segments)[0]) - 1e-9
+    there[0] = b
+    if distance_of_moves(here, there, segments)[0] >= least:
+        return 1.0
+    low, high = 0.0, 1.0
+    for _ in range(40):
+        share = 0.5 * (low + high)
+        there[0] = a + share * (b - a)
+        if distance_of_moves(here, there, segments)[0] >= least:
+            low = share
+        else:
+            high = share
+    return low

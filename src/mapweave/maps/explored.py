@@ -12,7 +12,7 @@ class Explored:
 
     fused: (ny, nx) cells whose sightings are in the global map; pending: (M, ny, nx) delivered to the team, in a submap
     still; backlog: (M, ny, nx) not delivered yet. Lost with a robot: its pending and backlog cells.
-    sweeps counts passes over the rectangle.
+    sweeps counts passes over the rectangle. outside: (ny, nx) cells that are no part of the field, None without any.
     """
 
     lower: Float[np.ndarray, "2"]
@@ -21,13 +21,18 @@ class Explored:
     pending: Bool[np.ndarray, "r ny nx"]
     backlog: Bool[np.ndarray, "r ny nx"]
     sweeps: int = 1
+    outside: Bool[np.ndarray, "ny nx"] | None = None
 
     @classmethod
-    def over(cls, lower: np.ndarray, upper: np.ndarray, robots: int, cell: float = 1.0) -> "Explored":
+    def over(
+        cls, lower: np.ndarray, upper: np.ndarray, robots: int, cell: float = 1.0, outside: np.ndarray | None = None
+    ) -> "Explored":
+        """Nothing seen yet; cells `outside` (ny, nx) the field need not be: they count as seen from the start."""
         nx, ny = (int(np.ceil((upper[k] - lower[k]) / cell - 1e-9)) for k in (0, 1))
         shape = (robots, ny, nx)
         none = np.zeros(shape, dtype=bool)
-        return cls(np.asarray(lower, float), cell, np.zeros((ny, nx), dtype=bool), none, none.copy())
+        fused = np.zeros((ny, nx), dtype=bool) if outside is None else outside.copy()
+        return cls(np.asarray(lower, float), cell, fused, none, none.copy(), outside=outside)
 
     def team(self) -> Bool[np.ndarray, "ny nx"]:
         """What the whole team knows to be seen."""
@@ -36,6 +41,12 @@ class Explored:
     def known_to(self, j: int) -> Bool[np.ndarray, "ny nx"]:
         """What robot j knows to be seen: the team's cells and its own that were not delivered yet."""
         return np.asarray(self.team() | self.backlog[j])
+
+    def share(self) -> float:
+        """What share of the field the team has seen."""
+        if self.outside is None:
+            return float(self.team().mean())
+        return float(self.team()[~self.outside].mean())
 
     def sees(self, j: int, point: Float[np.ndarray, "2"]) -> bool:
         """Whether robot j knows the cell around `point` [m] to be seen."""
@@ -64,6 +75,8 @@ class Explored:
         """Everything counts as unexplored: something was missed, look once more."""
         for cells in (self.fused, self.pending, self.backlog):
             cells[:] = False
+        if self.outside is not None:
+            self.fused |= self.outside
         self.sweeps += 1
 
     def centres(self, cells: Int[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from ..core import se2
 from ..core.arrays import frozen
-from ..kernels.walls import distance_to_walls, enclosed, mark_near, moves_that_touch
+from ..kernels.walls import distance_of_moves, distance_to_walls, enclosed, free_share, mark_near, moves_that_touch
 
 PAINT = 0.6  # reflectance of a wall of which nothing else is known
 
@@ -47,6 +47,14 @@ class Walls:
     def crosses(self, a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
         """Which straight moves a -> b touch a wall line."""
         return np.asarray(moves_that_touch(frozen(a), frozen(b), self.segments))
+
+    def clearance_of_moves(self, a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+        """Least distance [m] to a wall line along each straight move a -> b; 0 where they meet."""
+        return np.asarray(distance_of_moves(frozen(a), frozen(b), self.segments))
+
+    def free_share(self, a: Float[np.ndarray, "2"], b: Float[np.ndarray, "2"], radius: float) -> float:
+        """How much (0 to 1) of the move a -> b a disc of `radius` [m] makes before it would touch a wall."""
+        return float(free_share(frozen(a), frozen(b), radius, self.segments))
 
     def blocked(
         self, lower: Float[np.ndarray, "2"], upper: Float[np.ndarray, "2"], cell: float, radius: float

@@ -1,4 +1,4 @@
-"""An open field with point landmarks and the robots' starts: the world of [Yuan09]."""
+"""A field with point landmarks and the robots' starts: the world of [Yuan09], and walls if there are any."""
 
 from dataclasses import dataclass
 
@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from ..core.arrays import frozen
 from ..core.errors import DataError
+from ..maps.walls import Walls
 
 YUAN_LOWER, YUAN_UPPER, YUAN_LANDMARKS = (-50.0, -40.0), (50.0, 40.0), 29
 
@@ -19,6 +20,7 @@ class Field:
     upper: Float[np.ndarray, "2"]
     landmarks: Float[np.ndarray, "n 2"]
     starts: Float[np.ndarray, "r 3"]
+    walls: Walls | None = None
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper", "landmarks", "starts"):
@@ -32,6 +34,11 @@ class Field:
             if len(outside):
                 x, y = points[outside[0]]
                 raise DataError(f"{what} {outside[0] + 1} at ({x:g}, {y:g}) lies outside the field")
+            if self.walls is not None:
+                walled = np.flatnonzero(self.walls.clearance(points) <= 0.0)
+                if len(walled):
+                    x, y = points[walled[0]]
+                    raise DataError(f"{what} {walled[0] + 1} at ({x:g}, {y:g}) lies inside a wall")
 
     def inside(self, points: Float[np.ndarray, "... 2"]) -> np.ndarray:
         """Which of `points` lie in the field."""

@@ -23,6 +23,8 @@ COLUMNS = (
     "misassociations",
     "missed",
     "ms_per_decision",
+    "collisions",
+    "hidden",
 )
 
 
