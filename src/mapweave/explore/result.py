@@ -41,6 +41,22 @@ class ExploreResult:
             "misassociations": mean("misassociations"),
             "missed": mean("missed"),
             "ms_per_decision": mean("ms_per_decision"),
+            "collisions": mean("collisions"),
+        }
+
+    def left_out(self) -> dict[str, Any] | None:
+        """What walls hide from everybody, None in an open field: pockets, and the first run's landmarks."""
+        ground = self.first.ground
+        if ground is None:
+            return None
+        return {
+            "pockets": len(ground.pockets),
+            "area_m2": sum(ground.pockets),
+            "pocket_areas_m2": list(ground.pockets),
+            "landmarks": [
+                {"landmark": k + 1, "x": float(x), "y": float(y)}
+                for k, (x, y) in zip(ground.hidden, self.first.world.landmarks[list(ground.hidden)], strict=True)
+            ],
         }
 
     def metrics(self) -> dict[str, Any]:
@@ -58,6 +74,7 @@ class ExploreResult:
             "kill": {f"robot{j + 1}": step for j, step in (m.kills or {}).items()},
             "drop": m.drop,
             "summary": self.summary(),
+            "left_out": self.left_out(),
             "runs": [asdict(r) for r in self.runs],
         }
 
@@ -75,4 +92,18 @@ class ExploreResult:
             f"a run: {s['duplicates']:.2f} duplicates, {s['misassociations']:.2f} misassociations, "
             f"{s['missed']:.2f} landmarks missed; {s['ms_per_decision']:.2f} ms a decision"
         )
+        return told + self.lines_on_walls()
+
+    def lines_on_walls(self) -> list[str]:
+        out = self.left_out()
+        if out is None:
+            return []
+        met = [r.collisions for r in self.runs]
+        told = [f"robots were stopped short of walls {sum(met)} times, in {sum(n > 0 for n in met)} of {len(met)} runs"]
+        if out["pockets"]:
+            what = "a pocket" if out["pockets"] == 1 else f"{out['pockets']} pockets"
+            told.append(f"left out: {what} no robot can see into, {out['area_m2']:.0f} m²")
+        if out["landmarks"]:
+            named = ", ".join(f"{m['landmark']} at ({m['x']:.1f}, {m['y']:.1f})" for m in out["landmarks"])
+            told.append(f"left out: landmarks that no robot can see: {named} (seed {self.seed})")
         return told

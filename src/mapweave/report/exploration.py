@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
 from matplotlib.patches import Polygon
 from PIL import Image
 from scipy.spatial import ConvexHull, QhullError
@@ -12,6 +13,7 @@ from scipy.spatial import ConvexHull, QhullError
 from ..explore.experiment import RunRecord
 from ..explore.result import ExploreResult
 from ..kernels.exploration import mark_half_disc
+from ..kernels.sight import mark_in_sight
 from .html import Page
 from .style import MUTED, SEQUENTIAL, TRUTH, as_map, colour, draw_ellipse, figure, marker
 
@@ -47,6 +49,9 @@ def write_exploration(folder: Path, result: ExploreResult) -> None:
     page.figure(folder / "figures" / "progress.png", "Explored share of the field; steps and errors of all runs")
     page.section("Every run")
     head = ["run", "seed", "finished", "steps", "map error [m]", "C/N [m²]", "NEES/dof", "duplicates", "missed"]
+    walled = first.ground is not None
+    if walled:
+        head += ["met a wall", "landmarks nobody can see"]
     rows = [
         [
             r.run,
@@ -58,10 +63,19 @@ def write_exploration(folder: Path, result: ExploreResult) -> None:
             r.nees_per_dof,
             r.duplicates,
             r.missed,
+            *((r.collisions, r.hidden) if walled else ()),
         ]
         for r in result.runs
     ]
     page.table(head, rows)
+    if walled:
+        page.section("Walls")
+        for line in result.lines_on_walls():
+            page.text(f"{line[0].upper()}{line[1:]}.")
+        page.text(
+            "Robots know the plan. A robot whose true motion would touch a wall is stopped short of it. The field is "
+            "what can be seen from ground a robot reaches; shaded cells are no part of it."
+        )
     page.section("How to read it")
     page.text(
         "A step is one control of every robot. Map error is the mean distance of mapped landmarks to the true ones in "
@@ -99,7 +113,11 @@ def draw_explored(path: Path, run: RunRecord, result: ExploreResult) -> None:
     seen, first = np.zeros(shape, dtype=bool), np.full(shape, np.nan)
     for moment in (run.first_look, *run.moments):
         for pose in moment.poses:
-            mark_half_disc(seen, pose, cfg.submap.reach, cfg.submap.half_angle, run.world.lower, cfg.cell)
+            if run.ground is None:
+                mark_half_disc(seen, pose, cfg.submap.reach, cfg.submap.half_angle, run.world.lower, cfg.cell)
+            else:
+                walls = run.ground.walls.segments
+                mark_in_sight(seen, pose, cfg.submap.reach, cfg.submap.half_angle, run.world.lower, cfg.cell, walls)
         first[seen & np.isnan(first)] = moment.step
     with figure(path, 8.0, 7.2 * float(height / width) + 0.4) as (fig, ax):
         _field(ax, run)
@@ -178,6 +196,14 @@ def snapshot(fig: Any, dpi: int = 80) -> Image.Image:
 def _field(ax: Any, run: RunRecord) -> None:
     (x0, y0), (x1, y1) = run.world.lower, run.world.upper
     ax.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=MUTED, lw=1)
+    if run.ground is not None:
+        rows, cols = run.ground.field.shape
+        shade = np.ma.masked_where(run.ground.field, np.ones((rows, cols)))
+        extent = (x0, x0 + cols * run.ground.cell, y0, y0 + rows * run.ground.cell)
+        ax.imshow(shade, origin="lower", extent=extent, cmap="Greys", vmin=0, vmax=4, interpolation="nearest", zorder=1)
+        ax.add_collection(
+            LineCollection(list(run.ground.walls.segments.reshape(-1, 2, 2)), colors=TRUTH, linewidths=1.2, zorder=2)
+        )
     as_map(ax)
     ax.set_aspect("equal", adjustable="box")
     ax.set(xlim=(x0 - 2, x1 + 2), ylim=(y0 - 2, y1 + 2))
