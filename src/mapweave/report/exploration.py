@@ -178,9 +178,12 @@ def draw_animation(path: Path, run: RunRecord) -> None:
     save_gif(path, frames)
 
 
-def save_gif(path: Path, frames: list[Image.Image]) -> None:
-    """An animation in the 32 colours of its last frame."""
-    palette = frames[-1].quantize(32)
+def save_gif(path: Path, frames: list[Image.Image], kept: tuple[str, ...] = ()) -> None:
+    """An animation in 32 colours: those of its last frame, and `kept` ones that cover little of it."""
+    sample = frames[-1].copy()
+    for k, shade in enumerate(kept):
+        sample.paste(shade, (32 * k, 0, 32 * k + 32, 64))
+    palette = sample.quantize(32)
     small = [f.quantize(32, palette=palette, dither=Image.Dither.NONE) for f in frames]
     small[0].save(path, save_all=True, append_images=small[1:], duration=140, loop=0, optimize=True)
 

@@ -19,7 +19,7 @@ SHADES = ListedColormap(["#DADDE1", "#FFFFFF", "#3C4043"])  # unknown, free, occ
 WALL = "#D55E00"
 FRONTIER = "#E69F00"
 FEW_STILLS = 60
-GIF_DPI = 72
+GIF_DPI = 95
 
 
 def draw_map(path: Path, run: LaserRecord) -> None:
@@ -65,12 +65,16 @@ def draw_explored(path: Path, run: LaserRecord) -> None:
     with figure(path, *_size(run)) as (fig, ax):
         extent = (x, x + cols * h, y, y + rows * h)
         shown = ax.imshow(image, origin="lower", extent=extent, cmap=SEQUENTIAL, interpolation="nearest")
-        never = run.building.places()[np.isnan(run.seen_at)]
-        ax.plot(*never.T, "s", color=WALL, ms=1.5, label=f"never mapped ({len(never) * h * h:.1f} m²)")
-        _walls(ax, run, 0.5)
+        never = np.full((rows, cols), np.nan)
+        never[run.building.reached & np.isnan(image)] = 1.0
+        ax.imshow(never, origin="lower", extent=extent, cmap=ListedColormap([WALL]), interpolation="nearest", zorder=2)
+        left = int(np.isnan(run.seen_at).sum())
+        if left:
+            ax.plot([], [], "s", color=WALL, label=f"never mapped ({left * h * h:.1f} m²)")
+        _walls(ax, run, 0.5, shade=TRUTH)
         _frame(ax, run)
         fig.colorbar(shown, ax=ax, label="first known free at step", shrink=0.85)
-        if len(never):
+        if left:
             fig.legend(loc="outside lower center")
         ax.grid(visible=False)
 
@@ -165,7 +169,7 @@ def draw_animation(path: Path, run: LaserRecord) -> None:
             title.set_text(f"step {still.step}, {100 * still.explored:.0f} % mapped")
             frames.append(snapshot(fig, GIF_DPI))
     scratch.unlink()
-    save_gif(path, frames)
+    save_gif(path, frames, tuple(dict.fromkeys(colour(j) for j in range(len(run.robots)))))
 
 
 def frontier_cells(grid: Occupancy) -> np.ndarray:
