@@ -23,8 +23,8 @@ def write_laser_runs(folder: Path, runs: tuple[Any, ...], metrics: Mapping[str, 
     Of the first run: map.pgm, map.yaml, grid.npz (in which `localize` finds a robot), trajectories/, pose_graph.g2o,
     closures.csv and log/, which `map` replays.
     """
-    own = [f.name for f in fields(runs[0]) if f.name not in COLUMNS]
-    names = [*COLUMNS, *own]
+    told = [f.name for f in fields(runs[0])]
+    names = [*(name for name in COLUMNS if name in told), *(name for name in told if name not in COLUMNS)]
     rows = [asdict(r) for r in runs]
     lines = [",".join(names), *(",".join(cell(row[name]) for name in names) for row in rows)]
     (folder / "runs.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
