@@ -1,7 +1,5 @@
 """Everything that can be set about a team's laser map."""
 
-from dataclasses import field
-
 from ...core.config import config
 from ...match.front_end import FrontEndConfig
 from ...models.beam import BeamConfig
@@ -11,20 +9,20 @@ from ...models.beam import BeamConfig
 class StepNoise:
     """How far a keyframe's step may err: what the lines of the scan and the wheels tell together, and drift.
 
-    wheels: sd of odometry, squares growing with the way; drift: sd of the front end where walls tell all, likewise.
-    trust: what one scan's information counts, its returns not being independent; blur: the share of the lines'
-    information that may come from nothing but noise in their normals, and is not believed.
+    Squares grow with the way. A scan's place is told by lines and wheels; its heading is held by long walls, so that
+    what one scan errs does not add up: it is jitter, which every keyframe has once and no step inherits.
     """
 
-    wheels_xy: float = 0.04  # [m per sqrt(m)]
-    wheels_turn_per_m: float = 0.012  # [rad per sqrt(m)]
-    wheels_turn: float = 0.03  # [rad per sqrt(rad)]
-    drift_xy: float = 0.006  # [m per sqrt(m)]
-    drift_turn: float = 0.0012  # [rad per sqrt(m)]
-    least_xy: float = 0.002  # [m] and
-    least_turn: float = 0.0003  # [rad] a step errs at least
-    trust: float = 0.3
-    blur: float = 0.02
+    wheels_xy: float = 0.033  # [m per sqrt(m)] sd of odometry, whose scale errs for metres on end
+    wheels_turn_per_m: float = 0.0075  # [rad per sqrt(m)]
+    wheels_turn: float = 0.018  # [rad per sqrt(rad)]
+    trust: float = 2.0  # what one scan's information on its place counts, its returns not being independent
+    blur: float = 0.02  # share of the information across lines that noise in their normals feigns along them
+    hold: float = 100.0  # headings: how many scans' information a step counts, jitter not adding up
+    drift_xy: float = 0.002  # [m per sqrt(m)] and
+    drift_turn: float = 0.0003  # [rad per sqrt(m)] that the front end drifts where walls tell all
+    jitter_xy: float = 0.002  # [m] and
+    jitter_turn: float = 0.001  # [rad] of every keyframe
 
 
 @config
@@ -41,12 +39,27 @@ class ClosureConfig:
     least_matches: int = 60
     gate: float = 16.27  # chi-square of the innovation, 3 degrees of freedom, 99.9 %
     search: float = 0.25  # [m] uncertainty of the relative place beyond which a grid of starts is searched
-    trust: float = 0.15  # what a match's information counts
+    trust: float = 1.0  # what a match's information counts
     blur: float = 0.02  # as for steps
-    floor_xy: float = 0.015  # [m] and
+    floor_xy: float = 0.008  # [m] and
     floor_turn: float = 0.002  # [rad]: error of the old local map, which no match tells
     kernel: float = 3.0  # [sd] width of the robust kernel
     contradiction: float = 16.27  # squared residual after optimising beyond which a closure is dropped
+
+
+FRONT_END = FrontEndConfig(
+    size=512,
+    keyframes=40,
+    keyframe_turn=1.0,
+    alpha=0.0,
+    neff=20.0,
+    sd_xy=0.01,
+    sd_xy_per_m=0.06,
+    sd_turn=0.01,
+    sd_turn_per_m=0.03,
+    sd_turn_per_rad=0.06,
+)
+"""For scanners that see all round, on wheels that are good over a step."""
 
 
 @config
@@ -65,6 +78,6 @@ class LaserTeamConfig:
     resolve_least: int = 8  # so many keyframes at least, or
     resolve_innovation: float = 1.0  # [sd] when closures moved a pose by more than this
     beams: BeamConfig = BeamConfig()
-    front_end: FrontEndConfig = field(default_factory=lambda: FrontEndConfig(size=512, keyframes=40, alpha=0.0))
+    front_end: FrontEndConfig = FRONT_END
     steps: StepNoise = StepNoise()
     closures: ClosureConfig = ClosureConfig()

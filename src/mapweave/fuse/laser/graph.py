@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from ...core import se2
 from ...core.se2 import wrap_angle
-from ...solve import Factor, GemanMcClure, Information, Pattern, Problem, Solution, SolveConfig, minimise, wrapping
+from ...solve import Factor, Huber, Information, Pattern, Problem, Solution, SolveConfig, minimise, wrapping
 from ...solve.robust import Kernel
 
 SOLVE = SolveConfig(max_iterations=12, step_tolerance=1e-6, cost_tolerance=1e-7)
@@ -77,7 +77,7 @@ def problem(
     if len(steps.first):
         terms.append(steps.factor("steps"))
     if len(closures.first):
-        terms.append(closures.factor("closures", GemanMcClure(kernel)))
+        terms.append(closures.factor("closures", Huber(kernel)))
     return Problem(x.ravel(), terms, None, wrapping(np.arange(2, x.size, 3)))
 
 

@@ -129,7 +129,8 @@ class LaserTeam:
         if self.team.due or self.team.known < len(self.team) or self.team.solved is None:
             self.team.solve()
         assert self.team.solved is not None  # noqa: S101  (solving makes it)
-        return self.team.solved.covariances()
+        n = self.cfg.steps
+        return self.team.solved.covariances() + np.diag(np.square([n.jitter_xy, n.jitter_xy, n.jitter_turn]))
 
     def trajectory(self, j: int) -> Track:
         """Robot j's poses in `map` at the stamps of its scans that reached the team."""

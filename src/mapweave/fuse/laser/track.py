@@ -107,7 +107,9 @@ def believed(told: Float[np.ndarray, "3 3"], trust: float, blur: float) -> Float
 def step_covariance(
     told: Float[np.ndarray, "3 3"], wheels: Float[np.ndarray, "3 3"], way: float, n: StepNoise
 ) -> Float[np.ndarray, "3 3"]:
-    """Covariance of a keyframe's step: lines and wheels together, and drift over `way` [m]."""
-    information = believed(told, n.trust, n.blur) + np.linalg.inv(wheels + 1e-10 * np.eye(3))
-    xy, turn = n.drift_xy**2 * way + n.least_xy**2, n.drift_turn**2 * way + n.least_turn**2
-    return symmetrise(np.linalg.inv(information)) + np.diag([xy, xy, turn])
+    """Covariance of a keyframe's step over `way` [m], without the jitter of its ends."""
+    place = believed(told, n.trust, n.blur)[:2, :2] + np.linalg.inv(wheels[:2, :2] + 1e-10 * np.eye(2))
+    cov = np.zeros((3, 3))
+    cov[:2, :2] = symmetrise(np.linalg.inv(place)) + (n.drift_xy**2 * way + 1e-8) * np.eye(2)
+    cov[2, 2] = 1.0 / (n.hold * told[2, 2] + 1.0 / (wheels[2, 2] + 1e-10)) + n.drift_turn**2 * way + 1e-10
+    return cov
