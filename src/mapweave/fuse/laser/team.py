@@ -130,7 +130,8 @@ class LaserTeam:
             self.team.solve()
         assert self.team.solved is not None  # noqa: S101  (solving makes it)
         n = self.cfg.steps
-        return self.team.solved.covariances() + np.diag(np.square([n.jitter_xy, n.jitter_xy, n.jitter_turn]))
+        jitter = np.diag(np.square([n.jitter_xy, n.jitter_xy, n.jitter_turn]))
+        return np.asarray(self.team.solved.covariances() + jitter)
 
     def trajectory(self, j: int) -> Track:
         """Robot j's poses in `map` at the stamps of its scans that reached the team."""
