@@ -94,3 +94,20 @@ def test_no_walls_are_infinitely_far_away():
     none = Walls.of(np.zeros((0, 4)))
     assert np.isinf(none.clearance(np.zeros((2, 2)))).all()
     assert not none.blocked(np.zeros(2), np.ones(2), 0.5, 1.0).any()
+
+
+@pytest.mark.kernel
+def test_a_raster_is_enclosed_where_each_of_its_cells_is():
+    rng = np.random.default_rng(6)
+    corners = rng.uniform(-3, 3, (9, 2))
+    star = np.hstack([corners, np.roll(corners, -1, axis=0)])
+    box = np.array([[-2.0, -2, 2, -2], [2, -2, 2, 2], [2, 2, -2, 2], [-2, 2, -2, -2]])
+    for segments in (star, box + 0.03, box + 0.05):
+        walls = Walls.of(segments, solid=True)
+        lower, cell = np.array([-2.45, -2.9]), 0.1
+        made = walls.blocked(lower, np.array([2.6, 3.1]), cell, 0.0)
+        rows, cols = made.shape
+        x, y = np.meshgrid(lower[0] + (np.arange(cols) + 0.5) * cell, lower[1] + (np.arange(rows) + 0.5) * cell)
+        inside = walls.inside(np.column_stack([x.ravel(), y.ravel()])).reshape(rows, cols)
+        assert inside.any()
+        assert np.array_equal(made, inside)

@@ -107,6 +107,30 @@ def enclosed(points: np.ndarray, segments: np.ndarray) -> np.ndarray:
 
 
 @kernel
+def enclosed_cells(segments: np.ndarray, lower: np.ndarray, cell: float, rows: int, cols: int) -> np.ndarray:
+    """`enclosed` of the centres of a raster's cells (rows, cols), in one sweep over the segments."""
+    turns = np.zeros((rows, cols + 1), dtype=np.bool_)  # by how many columns' centres a crossing lies right of
+    for k in range(segments.shape[0]):
+        y0, y1 = segments[k, 1], segments[k, 3]
+        first = max(0, int(np.floor((min(y0, y1) - lower[1]) / cell - 0.5)))
+        last = min(rows, int(np.ceil((max(y0, y1) - lower[1]) / cell - 0.5)) + 1)
+        for row in range(first, last):
+            py = lower[1] + (row + 0.5) * cell
+            if (y0 > py) != (y1 > py):
+                x = segments[k, 0] + (py - y0) * (segments[k, 2] - segments[k, 0]) / (y1 - y0)
+                col = min(cols, max(0, int(np.ceil((x - lower[0]) / cell - 0.5))))
+                turns[row, col] = not turns[row, col]
+    out = np.zeros((rows, cols), dtype=np.bool_)
+    for row in range(rows):
+        inside = False
+        for col in range(cols - 1, -1, -1):
+            if turns[row, col + 1]:
+                inside = not inside
+            out[row, col] = inside
+    return out
+
+
+@kernel
 def sight_on_raster(free: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
     """Whether the straight line from a to b (x, y in cells, cell (0, 0) from 0 to 1) runs over free cells alone.
 

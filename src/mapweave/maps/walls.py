@@ -7,7 +7,15 @@ from jaxtyping import Bool, Float
 
 from ..core import se2
 from ..core.arrays import frozen
-from ..kernels.walls import distance_of_moves, distance_to_walls, enclosed, free_share, mark_near, moves_that_touch
+from ..kernels.walls import (
+    distance_of_moves,
+    distance_to_walls,
+    enclosed,
+    enclosed_cells,
+    free_share,
+    mark_near,
+    moves_that_touch,
+)
 
 PAINT = 0.6  # reflectance of a wall of which nothing else is known
 
@@ -64,9 +72,7 @@ class Walls:
         out = np.zeros((rows, cols), dtype=bool)
         mark_near(out, self.segments, radius, frozen(lower), cell)
         if self.solid:
-            x, y = (lower[k] + (np.arange(n) + 0.5) * cell for k, n in ((0, cols), (1, rows)))
-            centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-            out |= enclosed(centres, self.segments).reshape(rows, cols)
+            out |= enclosed_cells(self.segments, frozen(lower), cell, rows, cols)
         return out
 
 
