@@ -25,9 +25,12 @@ def test_a_disc_reaches_the_room_but_neither_the_closed_cell_nor_what_lies_behin
     assert not inside.any()
     expected = 5.6 * 3.6 - 1.4 * 1.4 + (4 - np.pi) * 0.04  # the corners round the cell are round
     assert made.area == pytest.approx(expected, rel=0.02)
+    ((x, y, area),) = made.shut  # the cell is as small as furniture
+    assert (x, y, area) == pytest.approx((7.0, 2.0, 1.6 * 3.6), abs=0.15)
 
 
 def test_a_smaller_disc_goes_through_the_gap():
+    assert len(building(0.1).shut) == 0
     assert building(0.1).places()[:, 0].max() > 7.5
 
 

@@ -84,6 +84,11 @@ def test_a_run_writes_its_scores_and_map_and_a_log_that_map_can_read(rooms, tmp_
     assert metrics["summary"]["collisions"] == 0
     assert metrics["summary"]["area_mapped"] == told.area_mapped
     assert metrics["summary"]["missed"] is None
+    (left_out,) = metrics["first_run"]["unreachable"]
+    assert left_out["x"] == pytest.approx(10.75, abs=0.1)
+    assert left_out["y"] == pytest.approx(4.0, abs=0.1)
+    assert any("where no robot gets to" in line for line in result.lines())
+    assert "where no robot gets to" in (out / "report.html").read_text()
     assert metrics["first_run"]["front_end"]["robot2"]["scans"] == told.steps + 1
     (row,) = csv.DictReader((out / "runs.csv").open())
     assert list(row)[:6] == ["run", "seed", "finished", "steps", "map_error", "c_per_n"]

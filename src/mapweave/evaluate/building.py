@@ -1,6 +1,6 @@
 """What of a building robots can reach and see, and how well a map of it agrees with its walls."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,19 +14,22 @@ from ..maps.walls import Walls
 CELL = 0.1  # [m], the raster on which a disc is driven everywhere
 VANTAGE = 0.8  # [m] between the places from which walls are looked at
 BEAMS = 360
+FURNITURE = 2.0  # [m^2] of ground inside walls up to which they are taken for a piece of furniture
 PIECE = 0.1  # [m], walls are counted in pieces at most this long
 
 
 @dataclass(frozen=True, slots=True)
 class Building:
     """reached: (rows, cols), row 0 lowest y, cells of `cell` [m] from `lower` on which a robot's centre can stand, by a
-    way from a start; seen: (p, 2) middles of the pieces of wall that a scanner there can see.
+    way from a start; seen: (p, 2) middles of the pieces of wall that a scanner there can see; shut: (s, 3) ground that
+    no robot gets to, as the middle x, y [m] and its area [m^2], the largest first.
     """
 
     lower: Float[np.ndarray, "2"]
     cell: float
     reached: Bool[np.ndarray, "rows cols"]
     seen: Float[np.ndarray, "p 2"]
+    shut: Float[np.ndarray, "s 3"]
 
     def places(self) -> Float[np.ndarray, "n 2"]:
         """Centres [m] of the reached cells."""
@@ -52,8 +55,17 @@ def survey_building(
     at = np.clip(((starts[:, :2] - lower) / CELL).astype(int), 0, np.array(free.shape[::-1]) - 1)
     homes = np.unique(regions[at[:, 1], at[:, 0]])
     reached = np.isin(regions, homes[homes > 0])
-    made = Building(frozen(lower), CELL, frozen(reached, dtype=bool), np.zeros((0, 2)))
-    return Building(made.lower, CELL, made.reached, frozen(_seen_pieces(walls, made.places(), reach)))
+    shut = frozen(_shut(regions, set(homes.tolist()), lower))
+    made = Building(frozen(lower), CELL, frozen(reached, dtype=bool), np.zeros((0, 2)), shut)
+    return replace(made, seen=frozen(_seen_pieces(walls, made.places(), reach)))
+
+
+def _shut(regions: np.ndarray, homes: set[int], lower: Float[np.ndarray, "2"]) -> Float[np.ndarray, "s 3"]:
+    """Regions too large to be furniture that are nobody's home."""
+    area = np.bincount(regions.ravel()) * CELL**2
+    names = [k for k in np.argsort(-area).tolist() if k and k not in homes and area[k] >= FURNITURE]
+    middles = np.array(ndimage.center_of_mass(regions > 0, regions, names)).reshape(-1, 2)
+    return np.column_stack([lower + (middles[:, ::-1] + 0.5) * CELL, area[names]])
 
 
 def _seen_pieces(walls: Walls, places: Float[np.ndarray, "n 2"], reach: float) -> Float[np.ndarray, "p 2"]:

@@ -89,6 +89,7 @@ class LaserExploreResult:
                     "between_robots": sum(c.accepted and c.robots[0] != c.robots[1] for c in first.closures),
                     "refused": refusals(first.closures),
                 },
+                "unreachable": [dict(zip(("x", "y", "m2"), row, strict=True)) for row in first.building.shut.tolist()],
                 "pockets": first.pockets.tolist(),
                 "given_up": first.given_up.tolist(),
             },
@@ -114,6 +115,10 @@ class LaserExploreResult:
             f"a run: {s['closures']:.1f} loops closed, {s['refused']:.1f} refused, {s['misassociations']:.2f} false; "
             f"{s['driven_m']:.0f} m driven; {s['ms_per_decision']:.2f} ms a decision"
         )
+        told += [
+            f"left out: {area:.1f} m² around ({x:.1f}, {y:.1f}) m, where no robot gets to"
+            for x, y, area in self.first.building.shut.tolist()
+        ]
         return told
 
 

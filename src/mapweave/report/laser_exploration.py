@@ -94,6 +94,8 @@ def _robots(result: LaserExploreResult) -> list[list[object]]:
 
 def _left_out(page: Page, result: LaserExploreResult) -> None:
     first = result.first
+    for x, y, area in first.building.shut:
+        page.text(f"left out: {area:.1f} m² around ({x:.1f}, {y:.1f}) m, where no robot gets to")
     for what, places in (
         ("ground that the map shows and no robot gets to", first.pockets),
         ("a place that was given up after several tries", first.given_up),
