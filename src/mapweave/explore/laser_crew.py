@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from ..kernels.wavefront import STRAIGHT, descend, in_sight, spread
+from ..kernels.walls import sight_on_raster
+from ..kernels.wavefront import STRAIGHT, descend, spread
 from ..maps.occupancy import Occupancy
 from .frontiers import PARKED, Ground, disc_mask, nearest_cells
 from .laser_view import LaserExploreConfig, LaserView
@@ -18,12 +19,13 @@ SAME = 0.8  # [m], places nearer than this are one goal
 class Ways:
     """How far every cell of `grid` is from a place.
 
-    cost: (rows, cols) as `kernels.wavefront.spread` leaves it; clear: (rows, cols) cells where a robot's disc fits and
-    no other robot stands.
+    cost: (rows, cols) as `kernels.wavefront.spread` makes it of `weight`, which is PARKED where another robot stands;
+    clear: (rows, cols) where a robot's disc fits and nobody stands.
     """
 
     grid: Occupancy
     cost: np.ndarray
+    weight: np.ndarray
     clear: np.ndarray
 
     def metres(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
@@ -39,7 +41,7 @@ class Ways:
             return None
         start, *cells = (way - self.grid.origin) / self.grid.resolution
         for k in range(len(way) - 1, 2, -1):
-            if in_sight(self.clear, start, cells[k - 1]):
+            if sight_on_raster(self.clear, start, cells[k - 1]):
                 return np.asarray(way[k])
         return np.asarray(way[min(2, len(way) - 1)])
 
@@ -48,7 +50,7 @@ class Ways:
         cell = nearest_cells(self.grid, self.cost >= 0, place[None])[0]
         if cell[0] < 0:
             return np.zeros((0, 2))
-        return self.grid.centres(descend(self.cost, cell, int(metres / self.grid.resolution) + 1))
+        return self.grid.centres(descend(self.cost, self.weight, cell, int(metres / self.grid.resolution) + 1))
 
 
 @dataclass(slots=True)
@@ -138,5 +140,5 @@ def ways_to(ground: Ground, place: np.ndarray, parked: np.ndarray, cfg: LaserExp
         taken = disc_mask(ground.grid, parked, 2 * cfg.radius + cfg.apart) & (weight > 0)
         weight = np.where(taken, np.uint8(PARKED), weight)
     source = nearest_cells(ground.grid, weight > 0, place[None])
-    cost = spread(np.ascontiguousarray(weight), source[source[:, 0] >= 0])
-    return Ways(ground.grid, cost, (weight > 0) & (weight < PARKED))
+    weight = np.ascontiguousarray(weight)
+    return Ways(ground.grid, spread(weight, source[source[:, 0] >= 0]), weight, (weight > 0) & (weight < PARKED))

@@ -162,36 +162,6 @@ def sight_on_raster(free: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
 
 
 @kernel
-def descend(distance: np.ndarray, row: int, col: int, free: np.ndarray, cell: float) -> np.ndarray:
-    """Cells (n, 2) as (row, col) from (row, col) down `distance` (ny, nx) to where it is 0, by 8-neighbour steps.
-
-    A diagonal step needs both cells beside it free.
-    """
-    ny, nx = distance.shape
-    out = np.empty((ny * nx, 2), dtype=np.int64)
-    out[0, 0], out[0, 1] = row, col
-    count = 1
-    while distance[row, col] > 0.0 and count < ny * nx:
-        best, to_row, to_col = np.inf, row, col
-        for dy in range(-1, 2):
-            for dx in range(-1, 2):
-                y, x = row + dy, col + dx
-                if (dy == 0 and dx == 0) or not (0 <= y < ny and 0 <= x < nx) or not free[y, x]:
-                    continue
-                if dy != 0 and dx != 0 and not (free[row, x] and free[y, col]):
-                    continue
-                length = distance[y, x] + cell * np.sqrt(float(dy * dy + dx * dx))
-                if distance[y, x] < distance[row, col] and length < best:
-                    best, to_row, to_col = length, y, x
-        if to_row == row and to_col == col:
-            break
-        row, col = to_row, to_col
-        out[count, 0], out[count, 1] = row, col
-        count += 1
-    return out[:count]
-
-
-@kernel
 def distance_of_moves(a: np.ndarray, b: np.ndarray, segments: np.ndarray) -> np.ndarray:
     """Distance (n,) [m] from each straight move a (n, 2) -> b (n, 2) to the nearest segment; 0 where they meet."""
     out = np.full(a.shape[0], np.inf)

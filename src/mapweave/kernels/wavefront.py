@@ -1,11 +1,11 @@
-"""Ways through a grid: path lengths from a place to everywhere, the way down them, and straight lines of sight."""
+"""Ways through a grid: what it costs from a place to everywhere, and the cheapest way back."""
 
 import numpy as np
 
 from ._jit import kernel
 
 UNREACHED = -1
-STRAIGHT, DIAGONAL = 70, 99  # what a move costs; 99 / 70 is sqrt 2 but for 5e-5
+STRAIGHT, DIAGONAL = 140, 198  # what a move between cells of weight 1 costs; 198 / 140 is sqrt 2 but for 5e-5
 
 
 @kernel
@@ -28,24 +28,25 @@ def _link(head: np.ndarray, after: np.ndarray, before: np.ndarray, bucket: int, 
 
 @kernel
 def _price(weight: np.ndarray, y: int, x: int, dy: int, dx: int) -> int:
-    """What the move (dy, dx) from cell y, x costs; 0 where it may not be made."""
+    """What the move (dy, dx) from cell y, x costs, and the move back; 0 where it may not be made."""
     v, u = y + dy, x + dx
-    if (dy == 0 and dx == 0) or v < 0 or u < 0 or v >= weight.shape[0] or u >= weight.shape[1]:
+    if (dy == 0 and dx == 0) or v < 0 or u < 0 or v >= weight.shape[0] or u >= weight.shape[1] or weight[v, u] == 0:
         return 0
+    both = int(weight[y, x]) + int(weight[v, u])
     if dy == 0 or dx == 0:
-        return STRAIGHT * int(weight[v, u])
+        return (STRAIGHT // 2) * both
     if weight[y, u] == 0 or weight[v, x] == 0:
         return 0
-    return DIAGONAL * int(weight[v, u])
+    return (DIAGONAL // 2) * both
 
 
 @kernel
 def spread(weight: np.ndarray, sources: np.ndarray) -> np.ndarray:
     """Cost (rows, cols) int32 of the cheapest way from the nearest of `sources` to every cell, or UNREACHED.
 
-    weight: (rows, cols) uint8, what entering a cell multiplies the move's cost by, 0 for a cell that is blocked;
-    sources: (k, 2) rows (iy, ix), blocked ones do not count. A move along an axis costs 70, a diagonal one 99;
-    diagonals never pass a blocked corner. Dijkstra with one bucket a cost.
+    weight: (rows, cols) uint8, what the length within a cell is multiplied by, 0 for a cell that is blocked; sources:
+    (k, 2) rows (iy, ix), blocked ones do not count. A move along an axis costs 140, a diagonal one 198, times the mean
+    of the two cells' weights; diagonals never pass a blocked corner. Dijkstra with one bucket a cost.
     """
     rows, cols = weight.shape
     size = rows * cols
@@ -85,39 +86,27 @@ def spread(weight: np.ndarray, sources: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def descend(cost: np.ndarray, start: np.ndarray, most: int) -> np.ndarray:
-    """Cells (k, 2) from `start` (iy, ix) down `cost` to a source, at most `most`; none from an unreached one."""
-    rows, cols = cost.shape
+def descend(cost: np.ndarray, weight: np.ndarray, start: np.ndarray, most: int) -> np.ndarray:
+    """Cells (k, 2) of a cheapest way from `start` (iy, ix) to a source, at most `most`; none from an unreached one.
+
+    cost: what `spread` made of `weight`.
+    """
     out = np.empty((most, 2), dtype=np.int64)
-    y, x = np.int64(start[0]), np.int64(start[1])
+    y, x = int(start[0]), int(start[1])
     count = 0
     while count < most and cost[y, x] >= 0:
         out[count, 0], out[count, 1] = y, x
         count += 1
-        best, by, bx = np.int64(cost[y, x]), y, x
+        least, to_y, to_x = np.inf, y, x
         for dy in range(-1, 2):
             for dx in range(-1, 2):
                 v, u = y + dy, x + dx
-                if v < 0 or u < 0 or v >= rows or u >= cols or cost[v, u] < 0 or cost[v, u] >= best:
+                if _price(weight, y, x, dy, dx) == 0 or cost[v, u] < 0 or cost[v, u] >= cost[y, x]:
                     continue
-                if dy != 0 and dx != 0 and (cost[y, u] < 0 or cost[v, x] < 0):
-                    continue
-                best, by, bx = np.int64(cost[v, u]), v, u
-        if by == y and bx == x:
+                through = cost[v, u] + _price(weight, y, x, dy, dx)
+                if through < least:
+                    least, to_y, to_x = float(through), v, u
+        if to_y == y and to_x == x:
             break
-        y, x = by, bx
+        y, x = to_y, to_x
     return out[:count]
-
-
-@kernel
-def in_sight(clear: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether the straight line from a to b, (x, y) in cells from the grid's corner, crosses clear cells alone."""
-    rows, cols = clear.shape
-    length = np.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2)
-    steps = np.int64(np.ceil(4.0 * length)) + 1
-    for k in range(steps + 1):
-        x = np.int64(np.floor(a[0] + (b[0] - a[0]) * k / steps))
-        y = np.int64(np.floor(a[1] + (b[1] - a[1]) * k / steps))
-        if x < 0 or y < 0 or x >= cols or y >= rows or not clear[y, x]:
-            return False
-    return True
