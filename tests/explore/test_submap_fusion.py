@@ -280,6 +280,22 @@ def test_unknown_landmarks_are_recognised_and_duplicates_merged():
     assert merged.ids == done.map.ids
 
 
+def test_merging_two_pairs_of_duplicates_is_conditioning_on_both_at_once():
+    rng = np.random.default_rng(12)
+    mean = np.array([[0.0, 0.0], [20.0, 0.0], [0.1, 0.0], [40.0, 5.0], [20.0, 0.1]])
+    G = GlobalMap(("robot1",), np.zeros((1, 3)), ("a", "b", "c", "d", "e"), mean, random_psd(rng, 13))
+    merged, pairs = merge_duplicates(G)
+    assert set(pairs) == {("a", "c"), ("b", "e")}
+    assert merged.ids == ("a", "b", "d")
+    H = np.zeros((4, 13))
+    H[:2, 3:5], H[:2, 7:9], H[2:, 5:7], H[2:, 11:] = np.eye(2), -np.eye(2), np.eye(2), -np.eye(2)
+    K = G.cov @ H.T @ np.linalg.inv(H @ G.cov @ H.T)
+    x0 = np.concatenate([np.zeros(3), mean.ravel()])
+    x, rows = x0 - K @ (H @ x0), np.r_[:7, 9:11]
+    assert np.allclose(np.concatenate([merged.frames.ravel(), merged.mean.ravel()]), x[rows], atol=1e-8)
+    assert np.allclose(merged.cov, (G.cov - K @ H @ G.cov)[np.ix_(rows, rows)], atol=1e-9)
+
+
 def test_no_landmark_in_view_and_a_singular_pose_block_are_no_errors():
     cfg = SubmapConfig()
     m = empty("robot1", "local")

@@ -20,40 +20,59 @@ def merge_duplicates(
 
     The older name stays; the pairs come back as (kept, gone).
     """
+    state = _Merging(G)
     merged: list[tuple[str, str]] = []
-    while True:
-        pair = _nearest_duplicate(G, gate, reach)
-        if pair is None:
-            return G, tuple(merged)
+    while (pair := state.nearest(gate, reach)) is not None:
+        state.merge(*pair)
         merged.append((G.ids[pair[0]], G.ids[pair[1]]))
-        G = _merge(G, *pair)
+    return (state.map() if merged else G), tuple(merged)
 
 
-def _merge(G: GlobalMap, a: int, b: int) -> GlobalMap:
-    """`G` conditioned on landmarks a and b being one point, and without b."""
-    k = 3 * len(G.robots)
-    i, j = k + 2 * a, k + 2 * b
-    HP = G.cov[i : i + 2] - G.cov[j : j + 2]
-    L = np.linalg.cholesky(symmetrise(HP[:, i : i + 2] - HP[:, j : j + 2]) + FLOOR * np.eye(2))
-    U = solve_triangular(L, HP, lower=True, check_finite=False)
-    dx = U.T @ solve_triangular(L, G.mean[b] - G.mean[a], lower=True, check_finite=False)
-    frames = G.frames + dx[:k].reshape(-1, 3)
-    frames[:, 2] = se2.wrap_angle(frames[:, 2])
-    mean = np.delete(G.mean + dx[k:].reshape(-1, 2), b, axis=0)
-    P = np.delete(np.delete(lessened(G.cov, U), [j, j + 1], axis=0), [j, j + 1], axis=1)
-    return GlobalMap(G.robots, frames, G.ids[:b] + G.ids[b + 1 :], mean, owned(P))
+class _Merging:
+    """A map being conditioned on landmarks being one: mean `x`, covariance `P - U^T U`, the landmarks in `keep`."""
 
+    def __init__(self, G: GlobalMap) -> None:
+        self.G, self.P, self.first = G, G.cov, 3 * len(G.robots)
+        self.x = np.concatenate([G.frames.ravel(), G.mean.ravel()])
+        self.U = np.zeros((0, len(self.x)))
+        self.keep = np.arange(len(G.ids))
 
-def _nearest_duplicate(G: GlobalMap, gate: float, reach: float) -> tuple[int, int] | None:
-    if len(G.ids) < 2:
-        return None
-    k = 3 * len(G.robots)
-    best, least = None, gate
-    for a, b in cKDTree(G.mean).query_pairs(reach):
-        e = G.mean[a] - G.mean[b]
-        i, j = slice(k + 2 * a, k + 2 * a + 2), slice(k + 2 * b, k + 2 * b + 2)
-        S = G.cov[i, i] + G.cov[j, j] - G.cov[i, j] - G.cov[j, i]
-        D2 = float(e @ np.linalg.solve(S + FLOOR * np.eye(2), e))
-        if least > D2:
-            best, least = (min(a, b), max(a, b)), D2
-    return best
+    def nearest(self, gate: float, reach: float) -> tuple[int, int] | None:
+        """The pair of least D^2 below `gate`, the older landmark first."""
+        best, least = None, gate
+        marks = self.x[self.first :].reshape(-1, 2)
+        if len(self.keep) < 2:
+            return None
+        for p, q in cKDTree(marks[self.keep]).query_pairs(reach):
+            a, b = int(self.keep[min(p, q)]), int(self.keep[max(p, q)])
+            e = marks[a] - marks[b]
+            D2 = float(e @ np.linalg.solve(self._spread(a, b), e))
+            if least > D2:
+                best, least = (a, b), D2
+        return best
+
+    def merge(self, a: int, b: int) -> None:
+        """Conditions the map on landmarks a and b being one point, and drops b."""
+        i, j = self.first + 2 * a, self.first + 2 * b
+        HU = self.U[:, i : i + 2] - self.U[:, j : j + 2]
+        HP = self.P[i : i + 2] - self.P[j : j + 2] - HU.T @ self.U
+        L = np.linalg.cholesky(self._spread(a, b))
+        U = solve_triangular(L, HP, lower=True, check_finite=False)
+        self.x += solve_triangular(L, self.x[j : j + 2] - self.x[i : i + 2], lower=True, check_finite=False) @ U
+        self.x[2 : self.first : 3] = se2.wrap_angle(self.x[2 : self.first : 3])
+        self.U = np.vstack([self.U, U])
+        self.keep = self.keep[self.keep != b]
+
+    def _spread(self, a: int, b: int) -> np.ndarray:
+        """The covariance of the difference of two landmarks, never singular."""
+        i, j = (slice(self.first + 2 * k, self.first + 2 * k + 2) for k in (a, b))
+        HU = self.U[:, i] - self.U[:, j]
+        S = self.P[i, i] + self.P[j, j] - self.P[i, j] - self.P[j, i] - HU.T @ HU
+        return np.asarray(symmetrise(S) + FLOOR * np.eye(2))
+
+    def map(self) -> GlobalMap:
+        """The map of the landmarks kept."""
+        rows = np.append(np.arange(self.first), (self.first + 2 * self.keep[:, None] + np.arange(2)).ravel())
+        P = lessened(self.P, self.U)[np.ix_(rows, rows)]
+        frames, mean = self.x[: self.first].reshape(-1, 3), self.x[self.first :].reshape(-1, 2)[self.keep]
+        return GlobalMap(self.G.robots, frames, tuple(self.G.ids[k] for k in self.keep), mean, owned(P))
