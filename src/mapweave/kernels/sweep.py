@@ -12,6 +12,7 @@ UNIT = 65536  # parts of a cell that sums of points count in
 @kernel
 def lay_sweep(
     hits: np.ndarray,
+    far: np.ndarray,
     passes: np.ndarray,
     sums: np.ndarray,
     corner: np.ndarray,
@@ -19,18 +20,24 @@ def lay_sweep(
     eye: np.ndarray,
     points: np.ndarray,
     ends: np.ndarray,
+    near: float,
     sign: int,
 ) -> None:
-    """`hits`, `passes` (rows, cols) int32 and `sums` (rows, cols, 2) int64 of offsets in the cell, times `sign`.
+    """`hits`, `far`, `passes` (rows, cols) int32 and `sums` (rows, cols, 2) int64 of offsets in the cell, times `sign`.
 
     corner: (2,) int64 cell of entry [0, 0]; eye: (2,) sensor; points: (n, 2) returns; ends: (m, 2) where beams that
-    came to nothing were last known free, all [m] in the map. A beam passes every cell it crosses before the one it
-    ends in; a beam without return passes that one too. The same pose counts the same, wherever the corner lies.
+    came to nothing were last known free, all [m] in the map. Returns from beyond `near` [m] count as `far` ones. A beam
+    passes every cell it crosses before the one it ends in; a beam without return passes that one too. The same pose
+    counts the same, wherever the corner lies.
     """
     for i in range(points.shape[0]):
         jx, jy = walk(passes, corner, cell, eye[0], eye[1], points[i, 0], points[i, 1], sign)
         if 0 <= jy < hits.shape[0] and 0 <= jx < hits.shape[1]:
-            hits[jy, jx] += sign
+            away = (points[i, 0] - eye[0]) ** 2 + (points[i, 1] - eye[1]) ** 2 > near * near
+            if away:
+                far[jy, jx] += sign
+            else:
+                hits[jy, jx] += sign
             vx, vy = points[i, 0] / cell, points[i, 1] / cell
             sums[jy, jx, 0] += sign * np.int64((vx - math.floor(vx)) * UNIT)
             sums[jy, jx, 1] += sign * np.int64((vy - math.floor(vy)) * UNIT)

@@ -89,12 +89,12 @@ def test_a_map_kept_up_to_date_is_exactly_the_map_drawn_anew(watched):
     kept = team.grid(0.1)
     assert laid > len(team.sweeps)  # some were laid anew
     canvas = team.canvas(0.1)
-    fresh = type(canvas)(0.1)
-    fresh.update(team.sweeps, np.array(canvas.laid))
+    fresh = type(canvas)(0.1, canvas.near)
+    fresh.update(team.sweeps, canvas.laid)
     again = fresh.grid()
     for name in ("origin", "hits", "passes", "mean"):
         assert np.array_equal(getattr(kept, name), getattr(again, name)), name
-    d = team.sweep_poses() - np.array(canvas.laid)
+    d = team.sweep_poses() - canvas.laid
     assert np.hypot(d[:, 0], d[:, 1]).max() <= 0.05
     assert np.abs(se2.wrap_angle(d[:, 2])).max() <= np.radians(0.5)
 
@@ -104,8 +104,8 @@ def test_where_a_robot_thinks_it_is_never_jumps_in_its_own_frame(watched):
     assert np.hypot(step[..., 0], step[..., 1]).max() < 0.4  # 0.3 m driven
 
 
-def test_a_wrong_closure_is_named_and_leaves_no_trace(ring_run):
-    team = estimate(ring_run)
+def test_a_wrong_closure_is_named_and_leaves_no_trace(office):
+    team = estimate(office)
     right = team.graph().pose
     first, second = 3, len(right) - 1
     wrong = se2.compose(se2.between(right[first], right[second]), np.array([0.8, 0.4, 0.1]))

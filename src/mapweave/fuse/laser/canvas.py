@@ -2,6 +2,7 @@
 
 import numpy as np
 from jaxtyping import Float
+from scipy.ndimage import maximum_filter
 
 from ...core import se2
 from ...kernels.sweep import UNIT, lay_sweep
@@ -10,6 +11,8 @@ from .messages import Sweep
 
 MARGIN = 80  # cells the arrays grow by beyond what is needed
 EDGE = 2  # cells round the map that is handed over
+BESIDE = 0.15  # [m] of a wall seen from near: far returns are of that wall
+CLEAR = 4  # so many beams through for each far return and a cell is free all the same
 TURN = float(np.radians(0.5))
 
 
@@ -19,52 +22,74 @@ class Canvas:
     All are whole numbers, sums of points too: what is taken out leaves no trace.
     """
 
-    def __init__(self, resolution: float) -> None:
-        self.resolution = resolution
+    def __init__(self, resolution: float, near: float = np.inf) -> None:
+        self.resolution, self.near = resolution, near
         self.corner = np.zeros(2, dtype=np.int64)  # cell of the arrays' lower left entry
         self.hits = np.zeros((0, 0), np.int32)
+        self.far = np.zeros((0, 0), np.int32)  # returns from beyond `near`
         self.passes = np.zeros((0, 0), np.int32)
         self.sums = np.zeros((0, 0, 2), np.int64)
-        self.laid: list[np.ndarray] = []  # where each sweep lies now
+        self.laid = np.zeros((0, 3))  # where each sweep lies now
 
     def update(self, sweeps: list[Sweep], poses: Float[np.ndarray, "n 3"]) -> int:
         """Every sweep lies within half a cell and half a degree of its pose; returns how many were laid anew."""
-        old = np.array(self.laid).reshape(-1, 3)
+        old = self.laid
         d = poses[: len(old)] - old
         far = np.hypot(d[:, 0], d[:, 1]) > 0.5 * self.resolution
         moved = np.flatnonzero(far | (np.abs(se2.wrap_angle(d[:, 2])) > TURN))
         for k in moved.tolist():
             self._lay(sweeps[k], self.laid[k], -1)
         new = [*moved.tolist(), *range(len(old), len(sweeps))]
-        self.laid += [np.zeros(3)] * (len(sweeps) - len(old))
+        self.laid = np.concatenate([self.laid, poses[len(old) :]])
         self._grow([self._bounds(sweeps[k], poses[k]) for k in new])
         for k in new:
-            self.laid[k] = np.array(poses[k])
+            self.laid[k] = poses[k]
             self._lay(sweeps[k], self.laid[k], 1)
         return len(new)
 
     def grid(self) -> GridMap:
-        """The map so far, cut to what was seen."""
-        seen = (self.hits + self.passes).astype(bool)
-        rows, cols = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
+        """The map so far, cut to what was seen.
+
+        Returns scatter with their range: where a wall was seen from nearer than `near`, far ones beside it do not
+        draw it again; a cell that they alone would make a wall is unknown.
+        """
         h = self.resolution
+        seen = self.hits + self.far + self.passes
+        rows, cols = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
         if not len(rows):
             shape = (2 * EDGE + 1, 2 * EDGE + 1)
             none, zero = np.zeros(shape, np.int32), np.zeros(shape)
             return GridMap(h, np.array([-EDGE * h, -EDGE * h]), none, none, np.zeros((*shape, 2)), zero, zero)
         window = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-        hits, passes, sums = (np.pad(a[window], [(EDGE, EDGE)] * 2 + [(0, 0)] * (a.ndim - 2)) for a in
-                              (self.hits, self.passes, self.sums))  # fmt: skip
+        hits, far, passes = (np.pad(a[window], EDGE) for a in (self.hits, self.far, self.passes))
+        beside = maximum_filter(hits, 2 * round(BESIDE / h) + 1) > 0 if far.any() else np.zeros(hits.shape, dtype=bool)
+        again = beside & (far > 0) & (hits == 0) & (CLEAR * far > passes)
+        hits = np.where(beside, hits, hits + far)
+        passes[again] = 0
         low = self.corner + np.array([cols[0], rows[0]]) - EDGE
-        row, col = np.indices(hits.shape)
-        mean = sums / (UNIT * np.maximum(hits, 1)[..., None]) + low + np.stack([col, row], axis=-1)
-        mean = np.where(hits.astype(bool)[..., None], mean * h, 0.0)
+        mean = np.zeros((*hits.shape, 2))
+        row, col = np.nonzero(hits)
+        cell = np.column_stack([col, row]) + low
+        at = (row - EDGE + rows[0], col - EDGE + cols[0])
+        mean[row, col] = h * (cell + self.sums[at] / (UNIT * (self.hits[at] + self.far[at])[:, None]))
         return GridMap(h, low * h, hits, passes, mean, np.zeros(hits.shape), hits.astype(np.float32))
 
     def _lay(self, sweep: Sweep, pose: np.ndarray, sign: int) -> None:
         eye = se2.act(pose, sweep.origin)
         points, ends = se2.act(pose, sweep.points), se2.act(pose, sweep.ends)
-        lay_sweep(self.hits, self.passes, self.sums, self.corner, self.resolution, eye, points, ends, sign)
+        lay_sweep(
+            self.hits,
+            self.far,
+            self.passes,
+            self.sums,
+            self.corner,
+            self.resolution,
+            eye,
+            points,
+            ends,
+            self.near,
+            sign,
+        )
 
     def _bounds(self, sweep: Sweep, pose: np.ndarray) -> np.ndarray:
         """Lower and upper cell [x0 y0 x1 y1] the sweep touches."""
@@ -85,7 +110,7 @@ class Canvas:
             high = np.where(high > upper, high + MARGIN, upper)
         dx, dy = (self.corner - low if self.hits.size else np.zeros(2, dtype=np.int64)).tolist()
         width, height = (high - low).tolist()
-        for name in ("hits", "passes", "sums"):
+        for name in ("hits", "far", "passes", "sums"):
             old = getattr(self, name)
             new = np.zeros((height, width, *old.shape[2:]), old.dtype)
             new[dy : dy + rows, dx : dx + cols] = old

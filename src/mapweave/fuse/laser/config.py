@@ -73,6 +73,7 @@ class LaserTeamConfig:
     least_beams: int = 10  # scans with fewer returns are not matched
     least_share: float = 0.25  # of the returns must match, or odometry is taken
     teammate: float = 0.45  # [m] around a teammate: returns from there are not walls
+    near: float = 6.0  # [m] a wall seen from within is not drawn again by returns from beyond
     open_share: float = 0.9  # of the scanner's range is free where a beam does not come back
     resolve_share: float = 0.02  # the graph is solved anew when it has grown by this share, and
     resolve_least: int = 8  # so many keyframes at least, or

@@ -43,15 +43,13 @@ class LoopSearch:
 
     def candidates(self, graph: TeamGraph, i: int) -> list[int]:
         """Solved keyframes near in the estimate, one a chain (another robot, or this one long ago), nearest first."""
-        c, node = self.cfg, graph.nodes[i]
-        d = np.hypot(*(graph.pose[: graph.known, :2] - graph.pose[i, :2]).T)
+        c, node, n = self.cfg, graph.nodes[i], graph.known
+        d = np.hypot(*(graph.pose[:n, :2] - graph.pose[i, :2]).T)
+        robot = graph.robot[:n]
+        near = (d < c.reach) & ((robot != node.robot) | (graph.path[:n] < node.path - c.far))
         out: list[tuple[float, int]] = []
-        for robot, of in enumerate(graph.of):
-            mine = np.array([k for k in of if k < graph.known], dtype=np.int64)
-            if robot == node.robot:
-                mine = mine[[graph.nodes[k].path < node.path - c.far for k in mine]] if len(mine) else mine
-            near = mine[d[mine] < c.reach]
-            if len(near):
-                best = int(near[np.argmin(d[near])])
-                out.append((float(d[best]), best))
+        for j in np.unique(robot[near]):
+            mine = np.flatnonzero(near & (robot == j))
+            best = int(mine[np.argmin(d[mine])])
+            out.append((float(d[best]), best))
         return [k for _, k in sorted(out)]

@@ -38,6 +38,9 @@ class LaserTeam:
         self._node: list[int] = []  # the keyframe of each sweep
         self._waiting: list[list[Keyframe | Sweep]] = [[] for _ in range(M)]
         self._stamp = np.full(M, -np.inf)
+        self._now = self.starts.copy()  # each robot's latest pose
+        self._moved = np.zeros(M)  # [m] it drove before its latest scan
+        self._offset = np.zeros((0, 3))  # of each sweep in its keyframe
         self._gone = np.zeros(M, dtype=bool)
         self._canvas: dict[float, Canvas] = {}
 
@@ -56,8 +59,9 @@ class LaserTeam:
             offset = se2.between(track.last.local, local)
             eye = np.array(scan.T_robot_sensor[:2], dtype=float)
             self._waiting[j].append(Sweep(j, track.last.number, t, offset, b.s, self._open_ends(scan), eye))
-        self._stamp[j] = t
-        return self._latest(j)
+        self._stamp[j], self._moved[j] = t, np.hypot(*track.step[:2])
+        self._now[j] = self._latest(j)
+        return np.array(self._now[j])
 
     def deliver(self, j: int) -> int:
         """All that robot j has waiting reaches the team, and loops are looked for; returns how many keyframes came.
@@ -74,12 +78,14 @@ class LaserTeam:
                 self._node.append(self.team.of[j][message.number])
         self._waiting[j] = []
         self.loops.step(self.team, j)
+        self._now[j] = self._latest(j)
         return came
 
     def bury(self, j: int) -> None:
         """Robot j is dead: what it had not delivered is gone; what it had stays."""
         self._waiting[j] = []
         self._gone[j] = True
+        self._now[j] = self._latest(j)
 
     def waiting(self, j: int) -> int:
         """How many messages of robot j have not reached the team."""
@@ -87,7 +93,7 @@ class LaserTeam:
 
     def poses(self) -> Float[np.ndarray, "M 3"]:
         """Each robot's latest pose in `map`, its start before its first scan; of a dead one the last the team knows."""
-        return np.array([self._latest(j) for j in range(len(self.tracks))])
+        return self._now.copy()
 
     def optimise(self, *, force: bool = False) -> bool:
         """Whether the graph was solved anew: because a closure moved something, or it has grown enough, or by `force`.
@@ -100,7 +106,7 @@ class LaserTeam:
         unknown = any(of and of[0] >= team.known for of in team.of)
         if not len(team) or not (force or team.due or grown or unknown):
             return False
-        team.solve()
+        self._solve()
         return True
 
     @property
@@ -127,7 +133,7 @@ class LaserTeam:
         if not len(self.team):
             return np.zeros((0, 3, 3))
         if self.team.due or self.team.known < len(self.team) or self.team.solved is None:
-            self.team.solve()
+            self._solve()
         assert self.team.solved is not None  # noqa: S101  (solving makes it)
         n = self.cfg.steps
         jitter = np.diag(np.square([n.jitter_xy, n.jitter_xy, n.jitter_turn]))
@@ -147,13 +153,17 @@ class LaserTeam:
 
     def canvas(self, resolution: float) -> Canvas:
         """What `grid` keeps at this resolution [m]."""
-        return self._canvas.setdefault(resolution, Canvas(resolution))
+        return self._canvas.setdefault(resolution, Canvas(resolution, self.cfg.near))
 
     def sweep_poses(self) -> Float[np.ndarray, "n 3"]:
         """Where each delivered scan was taken, in `map`."""
-        if not self.sweeps:
-            return np.zeros((0, 3))
-        return np.asarray(se2.compose(self.team.pose[self._node], np.array([sweep.offset for sweep in self.sweeps])))
+        new = [sweep.offset for sweep in self.sweeps[len(self._offset) :]]
+        self._offset = np.concatenate([self._offset, np.reshape(new, (-1, 3))])
+        return np.asarray(se2.compose(self.team.pose[self._node], self._offset))
+
+    def _solve(self) -> None:
+        self.team.solve()
+        self._now = np.array([self._latest(j) for j in range(len(self.tracks))])
 
     def _latest(self, j: int) -> np.ndarray:
         """The robot's own way, put onto its last keyframe that the team has."""
@@ -174,14 +184,12 @@ class LaserTeam:
 
     def _without_teammates(self, j: int, t: float, b: Beams, scan: Scan) -> Beams:
         """The returns that are not from another robot, wherever it may have gone since it was last heard of."""
-        others = [k for k in range(len(self.tracks)) if k != j]
-        if not others or not len(b.q):
+        others = np.delete(np.arange(len(self.tracks)), j)
+        if not len(others) or not len(b.q):
             return b
         track = self.tracks[j]
-        here = se2.compose(self._latest(j), se2.between(track.local, track.predict(scan.odometry)))
-        near = np.zeros(len(b.q), dtype=bool)
-        for k in others:
-            at = se2.act(se2.inverse(here), self._latest(k)[:2])
-            late = 0.0 if self._stamp[k] >= t else float(np.hypot(*self.tracks[k].step[:2]))
-            near |= np.hypot(b.s[:, 0] - at[0], b.s[:, 1] - at[1]) < self.cfg.teammate + late
+        here = se2.compose(self._now[j], se2.between(track.local, track.predict(scan.odometry)))
+        at = se2.act(se2.inverse(here), self._now[others, :2])
+        reach = self.cfg.teammate + np.where(self._stamp[others] < t, self._moved[others], 0.0)
+        near = (np.hypot(*(b.s[:, None] - at).transpose(2, 0, 1)) < reach).any(axis=1)
         return Beams(*(a[~near] for a in b)) if near.any() else b

@@ -1,5 +1,6 @@
 """The team's pose graph as it grows: keyframes come in, closures tie them, solving moves them."""
 
+from bisect import bisect_left
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +25,8 @@ class TeamGraph:
         self.nodes: list[Keyframe] = []
         self.pose = np.zeros((0, 3))
         self.of: list[list[int]] = [[] for _ in starts]
+        self.robot = np.zeros(0, dtype=np.int64)  # (n,) whose each is
+        self.path = np.zeros(0)  # (n,) [m] driven up to each
         self.closures: list[Closure] = []
         self.solved: Solved | None = None
         self.due = False  # a closure says that poses are elsewhere
@@ -49,12 +52,14 @@ class TeamGraph:
         self.nodes.append(made)
         self._since.append(since)
         self.pose = np.concatenate([self.pose, np.asarray(pose)[None]])
+        self.robot, self.path = np.append(self.robot, made.robot), np.append(self.path, made.path)
         return of[-1]
 
     def anchor(self, i: int) -> int | None:
         """The last solved keyframe of the robot of keyframe `i`, up to `i`."""
-        solved = [k for k in self.of[self.nodes[i].robot][: self.nodes[i].number + 1] if k < self.known]
-        return solved[-1] if solved else None
+        of, number = self.of[self.nodes[i].robot], self.nodes[i].number
+        solved = min(bisect_left(of, self.known), number + 1)
+        return of[solved - 1] if solved else None
 
     def relative(self, k: int, i: int) -> Float[np.ndarray, "3 3"] | None:
         """Covariance of keyframe `i` seen from the solved keyframe `k`, in i's frame; None when i has no anchor."""
