@@ -1,6 +1,6 @@
 """Offices of 500 to 5,000 m^2 explored by 1 to 8 robots with lasers: what is mapped, how well, how long it takes.
 
-python benchmarks/exploration_laser.py [--quick] [--seeds 3] [--first 0] [--jobs 1] [--planner NAME] [--out FILE.json]
+python benchmarks/exploration_laser.py [--quick] [--areas 500 1000] [--seeds 3] [--jobs 1] [--planner NAME] [--out FILE]
 """
 
 import argparse
@@ -27,13 +27,14 @@ HEAD = (*HEAD, "closed", "refused", "false", "ms/decision", "s/run")
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--quick", action="store_true", help="one seed of three small offices")
+    parser.add_argument("--areas", type=int, nargs="+", default=AREAS, help="[m^2]")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--planner", default="coverage")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    plan = QUICK if args.quick else dict.fromkeys(AREAS, TEAMS)
+    plan = QUICK if args.quick else dict.fromkeys(args.areas, TEAMS)
     seeds = 1 if args.quick else args.seeds
     machine = {name: version(name) for name in ("mapweave", "numpy", "scipy", "numba")}
     machine |= {"python": platform.python_version(), "cores": str(os.cpu_count()), "processor": platform.machine()}

@@ -39,6 +39,19 @@ def test_every_room_is_reached_from_every_start_but_the_pockets_told(area, seed)
     assert 0.4 < (piece == at[0]).sum() * CELL**2 / area < 0.75
 
 
+def test_all_that_is_not_free_is_solid():
+    floor = office_floor(500, 1)
+    walls = floor.world
+    rng = np.random.default_rng(0)
+    points = rng.uniform(floor.lower, floor.upper, (4000, 2))
+    in_room = np.array([((points > (x0, y0)) & (points < (x1, y1))).all(axis=1) for x0, y0, x1, y1 in floor.rooms])
+    solid = walls.inside(points)
+    assert not walls.inside(floor.starts[:, :2]).any()
+    assert walls.inside(np.array([[-1.0, 3.0], [floor.upper[0] + 0.5, 3.0]])).all()
+    assert 0.05 < solid[in_room.any(axis=0)].mean() < 0.35  # desks
+    assert (walls.clearance(points[~solid]) > 0).all()
+
+
 def test_corridors_form_loops():
     """Taking away a stretch of corridor beside the starts does not cut the floor in two."""
     floor = office_floor(1000, 5)

@@ -1,6 +1,6 @@
 """Office floors of any size: corridors that form loops, rooms and halls between them, desks, now and then a pocket."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,12 +9,14 @@ from jaxtyping import Float
 from ..core.arrays import frozen
 from ..core.config import config
 from ..core.errors import DataError
+from ..maps.walls import PAINT
 from .laser import stream
 from .laser_world import LaserWorld, WallStyle, WorldBuilder
 
 Box = tuple[float, float, float, float]  # x0 y0 x1 y1 [m]
 LEAST, GREATEST = 150.0, 20_000.0  # [m^2]
 SOLID, FREE, DESK = 0, 1, 2
+OUTSIDE = 5.0  # [m] of solid all round the building
 LEAST_GAP = 1.1  # [m] between pieces of furniture, where there is one
 
 
@@ -185,7 +187,7 @@ class _Plan:
         return np.array([(0.5 * wide + c.apart * s, 0.5 * (y0 + y1), 0.0 if s > 0 else np.pi) for s in side])
 
     def walls(self, name: str, rng: np.random.Generator) -> LaserWorld:
-        """The borders of what is free, painted; a desk has one shade all round."""
+        """The borders of what is free, painted; a desk has one shade all round. All that is not free is solid."""
         build = WorldBuilder(name, self.cfg.style, rng)
         desk_light = rng.uniform(0.2, 0.8, len(self.desks))
         free = [*self.corridors, *self.rooms, *self.doors]
@@ -201,7 +203,9 @@ class _Plan:
                 build.wall(a, b)
             else:
                 build.plain(a, b, float(desk_light[what - DESK]))
-        return build.world()
+        wide, high = self.size
+        build.box(-OUTSIDE, -OUTSIDE, wide + 2 * OUTSIDE, high + 2 * OUTSIDE, PAINT)  # what lies between is solid
+        return replace(build.world(), solid=True)
 
 
 def _borders(
