@@ -8,9 +8,10 @@ from laser_truth import Team, room, world_of
 
 from mapweave.core.errors import UsageError
 from mapweave.explore.frontiers import frontiers, survey
-from mapweave.explore.laser_crew import Crew
-from mapweave.explore.laser_share import by_tours, hold, nearest_first, offer
+from mapweave.explore.laser_crew import Crew, ways_to
+from mapweave.explore.laser_share import by_tours, halved, hold, nearest_first, offer
 from mapweave.explore.laser_view import BUILT_IN, LaserExploreConfig, find_laser_planner
+from mapweave.kernels.wavefront import NO_LIMIT, UNREACHED, spread
 from mapweave.maps.occupancy import FREE, OCCUPIED, UNKNOWN, Occupancy
 from mapweave.sim.office_floor import office_floor
 
@@ -123,3 +124,18 @@ def test_a_planner_of_ones_own_is_found_by_its_dotted_name():
     assert find_laser_planner("mapweave.explore.laser_planners:coverage") is find_laser_planner("coverage")
     with pytest.raises(UsageError, match="best"):
         find_laser_planner("best")
+
+
+def test_shares_go_by_lengths_that_are_nearly_those_of_the_ways():
+    offers = offers_in_a_hall([(3.0, 1.0)])
+    for n, piece in enumerate(offers.pieces):
+        exact = ways_to(offers.ground, piece.place, np.zeros((0, 2)), CFG).metres(offers.poses[:, :2])[0]
+        assert offers.first[0, n] == pytest.approx(exact, rel=0.1, abs=2.5)
+
+
+def test_a_wall_stays_shut_over_cells_twice_as_large():
+    for at in range(6, 12):
+        weight = np.ones((16, 20), dtype=np.uint8)
+        weight[:, at : at + 3] = 0
+        cost = spread(halved(weight), np.array([[2, 1]]), NO_LIMIT)
+        assert (cost[:, 8:] == UNREACHED).all()

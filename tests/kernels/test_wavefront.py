@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from mapweave.kernels.wavefront import DIAGONAL, STRAIGHT, UNREACHED, descend, spread
+from mapweave.kernels.wavefront import DIAGONAL, NO_LIMIT, STRAIGHT, UNREACHED, descend, spread
 
 pytestmark = pytest.mark.kernel
 
@@ -42,7 +42,7 @@ def by_scipy(weight: np.ndarray, source: tuple[int, int]) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(6))
 def test_costs_equal_those_of_an_independent_dijkstra(seed):
     weight = random_weights(seed)
-    got = spread(weight, np.array([[3, 4]])).astype(float)
+    got = spread(weight, np.array([[3, 4]]), NO_LIMIT).astype(float)
     got[got == UNREACHED] = np.inf
     want = by_scipy(weight, (3, 4))
     want[weight == 0] = np.inf
@@ -52,7 +52,7 @@ def test_costs_equal_those_of_an_independent_dijkstra(seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_the_way_down_ends_at_the_source_and_never_passes_a_blocked_corner(seed):
     weight = random_weights(seed)
-    cost = spread(weight, np.array([[3, 4]]))
+    cost = spread(weight, np.array([[3, 4]]), NO_LIMIT)
     for cell in np.argwhere(cost > 0):
         way = descend(cost, weight, cell, 400)
         assert tuple(way[-1]) == (3, 4)
@@ -67,7 +67,7 @@ def test_the_way_down_ends_at_the_source_and_never_passes_a_blocked_corner(seed)
 def test_no_way_leads_from_a_cell_that_is_cut_off():
     weight = np.ones((5, 7), dtype=np.uint8)
     weight[:, 3] = 0
-    cost = spread(weight, np.array([[2, 1]]))
+    cost = spread(weight, np.array([[2, 1]]), NO_LIMIT)
     assert (cost[:, 4:] == UNREACHED).all()
     assert len(descend(cost, weight, np.array([2, 5]), 50)) == 0
 
@@ -75,9 +75,16 @@ def test_no_way_leads_from_a_cell_that_is_cut_off():
 def test_a_blocked_source_reaches_nothing():
     weight = np.ones((4, 4), dtype=np.uint8)
     weight[1, 1] = 0
-    assert (spread(weight, np.array([[1, 1]])) == UNREACHED).all()
+    assert (spread(weight, np.array([[1, 1]]), NO_LIMIT) == UNREACHED).all()
 
 
 def test_dear_cells_do_not_overflow_their_byte():
     weight = np.full((1, 4), 200, dtype=np.uint8)
-    assert spread(weight, np.array([[0, 0]])).tolist() == [[0, 28_000, 56_000, 84_000]]
+    assert spread(weight, np.array([[0, 0]]), NO_LIMIT).tolist() == [[0, 28_000, 56_000, 84_000]]
+
+
+def test_costs_up_to_the_limit_are_what_they_are_without_one():
+    weight = random_weights(7, 40, 40)
+    every, near = spread(weight, np.array([[3, 4]]), NO_LIMIT), spread(weight, np.array([[3, 4]]), 2000)
+    assert np.array_equal(near[(every >= 0) & (every <= 2000)], every[(every >= 0) & (every <= 2000)])
+    assert (near[every > 2000 + 4 * DIAGONAL] == UNREACHED).all()

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..kernels.walls import sight_on_raster
-from ..kernels.wavefront import STRAIGHT, descend, spread
+from ..kernels.wavefront import NO_LIMIT, STRAIGHT, descend, spread
 from ..maps.occupancy import Occupancy
 from .frontiers import PARKED, Ground, disc_mask, nearest_cells
 from .laser_view import LaserExploreConfig, LaserView
@@ -133,12 +133,20 @@ def crew_of(view: LaserView, poses: np.ndarray) -> Crew:
     return crew
 
 
-def ways_to(ground: Ground, place: np.ndarray, parked: np.ndarray, cfg: LaserExploreConfig) -> Ways:
-    """Ways to `place` from everywhere on the ground, round robots `parked` (k, 2) if there is a way round."""
-    weight = ground.weight
-    if len(parked):
-        taken = disc_mask(ground.grid, parked, 2 * cfg.radius + cfg.apart) & (weight > 0)
-        weight = np.where(taken, np.uint8(PARKED), weight)
+def priced(ground: Ground, parked: np.ndarray, cfg: LaserExploreConfig) -> np.ndarray:
+    """`ground.weight` with PARKED where robots stand at `parked` (k, 2): one goes round them if one can."""
+    if not len(parked):
+        return ground.weight
+    taken = disc_mask(ground.grid, parked, 2 * cfg.radius + cfg.apart) & (ground.weight > 0)
+    return np.where(taken, np.uint8(PARKED), ground.weight)
+
+
+def ways_to(
+    ground: Ground, place: np.ndarray, parked: np.ndarray, cfg: LaserExploreConfig, far: float = np.inf
+) -> Ways:
+    """Ways to `place` from everywhere on the ground that is at most `far` [m] away, round robots `parked` (k, 2)."""
+    weight = np.ascontiguousarray(priced(ground, parked, cfg))
     source = nearest_cells(ground.grid, weight > 0, place[None])
-    weight = np.ascontiguousarray(weight)
-    return Ways(ground.grid, spread(weight, source[source[:, 0] >= 0]), weight, (weight > 0) & (weight < PARKED))
+    limit = int(min(far / ground.grid.resolution * STRAIGHT, NO_LIMIT))
+    cost = spread(weight, source[source[:, 0] >= 0], limit)
+    return Ways(ground.grid, cost, weight, (weight > 0) & (weight < PARKED))

@@ -7,12 +7,13 @@ from .frontiers import frontiers, pockets, survey
 from .laser_crew import SAME, Crew, Goal, Ways, crew_of, ways_to
 from .laser_follow import AHEAD, driven, steer
 from .laser_give_way import give_way, heading, order
-from .laser_share import Share, hold, offer
+from .laser_share import Share, hold, offer, parked
 from .laser_view import LaserExploreConfig, LaserView
 
 ARRIVED = 0.35  # [m]
 NEARER = 0.2  # [m], what counts as progress
 SEEN = 0.8  # share of a goal's unknown cells after which it is done
+SPARE = 20.0  # [m], how much farther than needed ways to a goal are looked for
 LONG = 10  # times `patience` after which a goal is put off however often it came nearer
 
 
@@ -98,9 +99,12 @@ def _plan(
     if pieces:
         offers = offer(ground, pieces, crew, poses, live, cfg)
         shared = hold(offers, share(offers, cfg), cfg)
+        stand = parked(crew, poses, live)
         crew.goals = {}
         for j, n in shared.items():
-            crew.goals[j] = _goal(old.get(j), pieces[n].place, pieces[n].unknown, offers.ways[n], view.step)
+            far = SPARE + 2.0 * float(offers.first[offers.robots.index(j), n])
+            ways = ways_to(ground, pieces[n].place, stand, cfg, far)
+            crew.goals[j] = _goal(old.get(j), pieces[n].place, pieces[n].unknown, ways, view.step)
     else:
         crew.goals = {}
     if not pieces and go_home:

@@ -1,9 +1,12 @@
 """From a way to the next command: along the way, never nearer to anything seen than the robot's radius."""
 
+from functools import cache
+
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ..core import se2
+from ..core.arrays import frozen
 from ..core.se2 import wrap_angle
 from ..kernels.arcs import arc_clearance, arc_points
 from .laser_view import LaserExploreConfig
@@ -16,13 +19,17 @@ SAMPLE = 0.02  # [m] between samples of an arc
 CLOSE = 0.3  # what a metre of clearance below `roomy` is worth [m]
 
 
-def offered(cfg: LaserExploreConfig) -> Float[np.ndarray, "m 2"]:
-    """All (v, w) a robot chooses from: standing still first, then turning on the spot, then faster."""
+@cache
+def offered(cfg: LaserExploreConfig) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 3"]]:
+    """All (v, w) a robot chooses from: standing still first, then turning on the spot, then faster; and where each
+    ends in the robot's frame.
+    """
     turns = cfg.turn * np.array([0.0, *(s * k / 10 for k in range(1, 11) for s in (1, -1))])
     speeds = cfg.speed * np.array([0.0, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0])
     ahead = np.array([(v, w) for v in speeds for w in turns])
     back = np.array([(-BACK * cfg.speed, w) for w in turns[::4]])
-    return np.concatenate([ahead, back])
+    commands = frozen(np.concatenate([ahead, back]))
+    return commands, frozen([arc_points(v, w, cfg.period, 1)[1] for v, w in commands])
 
 
 def allowed(
@@ -52,12 +59,11 @@ def steer(
     """
     if target is None:
         return np.zeros(2)
-    commands = offered(cfg)
+    commands, ends = offered(cfg)
     free, clearance = allowed(commands, scan, cfg.radius + cfg.guard, cfg)
     if len(others):
         free &= allowed(commands, se2.act(se2.inverse(pose), others), 2 * cfg.radius + cfg.apart, cfg)[0]
     goal = se2.act(se2.inverse(pose), target)
-    ends = np.array([arc_points(v, w, cfg.period, 1)[1] for v, w in commands])
     d = goal - ends[:, :2]
     distance = np.hypot(d[:, 0], d[:, 1])
     error = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - ends[:, 2])) * np.minimum(1.0, distance / 0.3)

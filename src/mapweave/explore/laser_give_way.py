@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..kernels.wavefront import STRAIGHT, spread
+from ..kernels.wavefront import NO_LIMIT, STRAIGHT, spread
 from .frontiers import disc_mask, nearest_cells
 from .laser_crew import Aside, Crew, Ways, ways_to
 from .laser_view import LaserExploreConfig
@@ -66,7 +66,7 @@ def _step_aside(crew: Crew, poses: np.ndarray, k: int, i: int, step: int, cfg: L
     weight[disc_mask(ground.grid, poses[i : i + 1, :2], near)] = 0
     if len(others):
         weight[disc_mask(ground.grid, others, near)] = 0
-    cost = spread(weight, nearest_cells(ground.grid, weight > 0, poses[k : k + 1, :2]))
+    cost = spread(weight, nearest_cells(ground.grid, weight > 0, poses[k : k + 1, :2]), NO_LIMIT)
     cost[disc_mask(ground.grid, way, near + BESIDE)] = -1
     cells = np.argwhere(cost >= 0)
     if len(cells) == 0:
@@ -113,7 +113,7 @@ def _get_unstuck(crew: Crew, poses: np.ndarray, live: np.ndarray, step: int, cfg
         rng = np.random.default_rng([step, j])
         crew.about[j, 2] = step
         crew.rank = rng.permutation(len(crew.rank)).astype(float)
-        here = spread(ground.weight, nearest_cells(ground.grid, ground.weight > 0, poses[j : j + 1, :2]))
+        here = spread(ground.weight, nearest_cells(ground.grid, ground.weight > 0, poses[j : j + 1, :2]), NO_LIMIT)
         metres = here * ground.grid.resolution / STRAIGHT
         around = (metres > NEARBY[0]) & (metres < NEARBY[1])
         cells = np.argwhere(around & (ground.weight == ground.weight[around].min(initial=255)))

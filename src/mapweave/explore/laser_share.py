@@ -10,12 +10,13 @@ from scipy import ndimage
 from ..core.se2 import wrap_angle
 from ..kernels.tour_moves import improve_tours
 from ..kernels.tours import balanced_tours
-from ..kernels.wavefront import STRAIGHT
+from ..kernels.wavefront import NO_LIMIT, STRAIGHT, spread
 from .frontiers import Frontier, Ground, nearest_cells
-from .laser_crew import SAME, Crew, Ways, ways_to
+from .laser_crew import SAME, Crew, priced
 from .laser_view import LaserExploreConfig
 
 FAR = 1e4  # [m], stands for a place that no way leads to
+RING = np.array([(y, x) for y in range(-2, 3) for x in range(-2, 3) if max(abs(y), abs(x)) == 2])
 STILL = 1.5  # [m], how far what is left of a piece may be from the goal that was made of it
 ON_THE_WAY = 1.0  # [m], a detour that small is none
 TURN = 0.6  # [m / rad], what turning towards a goal costs
@@ -28,7 +29,6 @@ class Offers:
     """
 
     pieces: list[Frontier]
-    ways: list[Ways]
     robots: tuple[int, ...]
     first: Float[np.ndarray, "m n"]
     between: Float[np.ndarray, "n n"]
@@ -43,24 +43,50 @@ Share = Callable[[Offers, LaserExploreConfig], dict[int, int]]
 def offer(
     ground: Ground, pieces: list[Frontier], crew: Crew, poses: np.ndarray, live: np.ndarray, cfg: LaserExploreConfig
 ) -> Offers:
-    """All ways between live robots and pieces; robots that stand idle are gone round where that is possible."""
-    parked = poses[[j for j in live if j not in crew.goals and crew.still[j] > 5], :2]
-    ways = [ways_to(ground, f.place, parked, cfg) for f in pieces]
+    """All ways between live robots and pieces, over cells twice as large: shares need no exact lengths."""
+    weight = halved(priced(ground, parked(crew, poses, live), cfg))
+    metre = 2 * ground.grid.resolution / STRAIGHT
     places = np.vstack([poses[live, :2], *(f.place[None] for f in pieces)])
-    cells = nearest_cells(ground.grid, ground.weight > 0, places)
-    cost = np.array([w.cost[tuple(cells.T)] for w in ways], dtype=float)
-    metres = np.where((cost >= 0) & (cells[:, 0] >= 0), cost * ground.grid.resolution / STRAIGHT, FAR).T
+    fine = nearest_cells(ground.grid, ground.weight > 0, places)
+    cells = fine // 2
     m = len(live)
-    first, between = metres[:m].copy(), metres[m:]
+    costs = [spread(weight, cells[m + n : m + n + 1], NO_LIMIT) for n in range(len(pieces))]
+    found = np.array([c[tuple(cells.T)] for c in costs], dtype=float)
+    metres = np.where((found >= 0) & (fine[:, 0] >= 0), found * metre, FAR).T
+    first = metres[:m].copy()
     for r, j in enumerate(live):
-        for n in range(len(pieces)):
-            if first[r, n] >= FAR:
-                continue
-            to = ways[n].target(poses[j, :2], 1.0)
-            if to is not None and np.hypot(*(to - poses[j, :2])) > 0.2:
-                d = to - poses[j, :2]
-                first[r, n] += TURN * abs(wrap_angle(np.arctan2(d[1], d[0]) - poses[j, 2]))
-    return Offers(pieces, ways, tuple(map(int, live)), first, between, poses[live], ground, _held(crew, pieces))
+        away = departures(costs, cells[r])
+        first[r] += np.where(np.isfinite(away), TURN * np.abs(wrap_angle(np.nan_to_num(away) - poses[j, 2])), 0.0)
+    return Offers(pieces, tuple(map(int, live)), first, metres[m:], poses[live], ground, _held(crew, pieces))
+
+
+def parked(crew: Crew, poses: np.ndarray, live: np.ndarray) -> Float[np.ndarray, "k 2"]:
+    """Places of live robots that stand idle: they are gone round where that is possible."""
+    return np.asarray(poses[[j for j in live if j not in crew.goals and crew.still[j] > 5], :2])
+
+
+def halved(weight: np.ndarray) -> np.ndarray:
+    """`weight` over cells twice as large: blocked where all four are, else the mean of those that are not.
+
+    Walls stay shut, since a robot's width is blocked on both sides of them.
+    """
+    padded = np.pad(weight, [(0, n % 2) for n in weight.shape]).astype(np.uint16)
+    four = np.stack([padded[a::2, b::2] for a in (0, 1) for b in (0, 1)])
+    return np.asarray((four.sum(axis=0) / np.maximum((four > 0).sum(axis=0), 1)).round(), dtype=np.uint8)
+
+
+def departures(costs: list[np.ndarray], cell: np.ndarray) -> Float[np.ndarray, " n"]:
+    """Direction [rad] (n,) in which the way down each of `costs` leaves `cell`; NaN where it is there or unreached."""
+    rows, cols = costs[0].shape
+    ring = cell + RING
+    inside = np.all((ring >= 0) & (ring < (rows, cols)), axis=1)
+    y, x = ring[inside].T
+    around = np.array([c[y, x] for c in costs], dtype=float)
+    here = np.array([c[tuple(cell)] for c in costs], dtype=float)
+    around[around < 0] = np.inf
+    best = np.argmin(around, axis=1)
+    angle = np.arctan2(*RING[inside][best].T.astype(float))
+    return np.where((here > 0) & (around[np.arange(len(costs)), best] < here), angle, np.nan)
 
 
 def _held(crew: Crew, pieces: list[Frontier]) -> dict[int, int]:

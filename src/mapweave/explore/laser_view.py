@@ -28,9 +28,9 @@ class LaserExploreConfig:
     roomy: float = 0.6  # from walls, where a way costs no more than its length
     sliver: float = 0.15  # [m^2], unknown patches smaller than this are nobody's goal
     split: float = 2.5  # longest side of a piece of frontier that makes one goal
-    most_goals: int = 48  # considered at once; longer frontiers are cut into larger pieces
+    most_goals: int = 40  # considered at once; longer frontiers are cut into larger pieces
     replan_every: int = 12
-    replan_soonest: int = 3
+    replan_soonest: int = 4
     keep: float = 2.0  # what another goal must be nearer before a robot changes its mind
     service: float = 2.0  # what looking round at a goal is taken to cost
     patience: int = 40  # without coming nearer, then a goal is put off

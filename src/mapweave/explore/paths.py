@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from ..kernels.walls import sight_on_raster
-from ..kernels.wavefront import STRAIGHT, UNREACHED, descend, spread
+from ..kernels.wavefront import NO_LIMIT, STRAIGHT, UNREACHED, descend, spread
 
 
 @dataclass(slots=True)
@@ -43,7 +43,7 @@ class Reach:
         weight = self._prices()
         for k, start in enumerate(self.cells(sources)):
             if start[0] >= 0:
-                cost = spread(weight, start[None])
+                cost = spread(weight, start[None], NO_LIMIT)
                 out[k][cost >= 0] = cost[cost >= 0] * (self.cell / STRAIGHT)
         return out
 

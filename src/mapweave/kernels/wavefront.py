@@ -5,6 +5,7 @@ import numpy as np
 from ._jit import kernel
 
 UNREACHED = -1
+NO_LIMIT = 2**31 - 1
 STRAIGHT, DIAGONAL = 140, 198  # what a move between cells of weight 1 costs; 198 / 140 is sqrt 2 but for 5e-5
 
 
@@ -41,12 +42,13 @@ def _price(weight: np.ndarray, y: int, x: int, dy: int, dx: int) -> int:
 
 
 @kernel
-def spread(weight: np.ndarray, sources: np.ndarray) -> np.ndarray:
+def spread(weight: np.ndarray, sources: np.ndarray, limit: int) -> np.ndarray:
     """Cost (rows, cols) int32 of the cheapest way from the nearest of `sources` to every cell, or UNREACHED.
 
     weight: (rows, cols) uint8, what the length within a cell is multiplied by, 0 for a cell that is blocked; sources:
-    (k, 2) rows (iy, ix), blocked ones do not count. A move along an axis costs 140, a diagonal one 198, times the mean
-    of the two cells' weights; diagonals never pass a blocked corner. Dijkstra with one bucket a cost.
+    (k, 2) rows (iy, ix), blocked and negative ones do not count. A move along an axis costs 140, a diagonal one 198,
+    times the mean of the two cells' weights; diagonals never pass a blocked corner. Cells dearer than `limit` stay
+    unreached or are dearer than they need be. Dijkstra with one bucket a cost.
     """
     rows, cols = weight.shape
     size = rows * cols
@@ -58,11 +60,11 @@ def spread(weight: np.ndarray, sources: np.ndarray) -> np.ndarray:
     after, before = np.full(size, -1, dtype=np.int32), np.full(size, -1, dtype=np.int32)
     for k in range(sources.shape[0]):
         c = sources[k, 0] * cols + sources[k, 1]
-        if w[c] > 0 and cost[c] < 0:
+        if sources[k, 0] >= 0 and w[c] > 0 and cost[c] < 0:
             cost[c] = 0
             _link(head, after, before, 0, c)
     now, empty = 0, 0
-    while empty < buckets:
+    while empty < buckets and now <= limit:
         bucket = now % buckets
         c = int(head[bucket])
         if c < 0:
