@@ -1,6 +1,6 @@
 """Offices of 500 to 5,000 m^2 explored by 1 to 8 robots with lasers: what is mapped, how well, how long it takes.
 
-python benchmarks/exploration_laser.py [--quick] [--areas 500 1000] [--seeds 3] [--jobs 1] [--planner NAME] [--out FILE]
+python benchmarks/exploration_laser.py [--quick] [--areas 500 1000] [--robots 1 2] [--seeds 3] [--jobs 1] [--out FILE]
 """
 
 import argparse
@@ -28,13 +28,14 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--quick", action="store_true", help="one seed of three small offices")
     parser.add_argument("--areas", type=int, nargs="+", default=AREAS, help="[m^2]")
+    parser.add_argument("--robots", type=int, nargs="+", default=TEAMS)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--planner", default="coverage")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    plan = QUICK if args.quick else dict.fromkeys(args.areas, TEAMS)
+    plan = QUICK if args.quick else dict.fromkeys(args.areas, args.robots)
     seeds = 1 if args.quick else args.seeds
     machine = {name: version(name) for name in ("mapweave", "numpy", "scipy", "numba")}
     machine |= {"python": platform.python_version(), "cores": str(os.cpu_count()), "processor": platform.machine()}
