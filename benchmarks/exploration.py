@@ -213,7 +213,7 @@ def planners(pool, runs: int, jobs: int) -> list[dict]:
     explore_many(mission(until=2), 2, 0, pool)  # kernels compiled
     rows = []
     for how in ("known", "jcbb", "nn"):
-        for planner in ("paper", "area", "coverage", "loop"):
+        for planner in ("paper", "area", "coverage", "loop", "joint"):
             begun = time.perf_counter()
             rows.append(row_of(f"{planner}, {how}", explore_many(mission(planner, how=how), runs, 0, pool)))
             rows[-1]["seconds"] = time.perf_counter() - begun
@@ -222,6 +222,8 @@ def planners(pool, runs: int, jobs: int) -> list[dict]:
     rows.append(row_of("loop, 296 steps", explore_many(mission("loop", until=296), runs, 0, pool)))
     rows.append(row_of("paper, one robot", explore_many(mission(robots=1), runs, 0, pool)))
     rows.append(row_of("loop, one robot", explore_many(mission("loop", robots=1), runs, 0, pool)))
+    rows.append(row_of("joint, 296 steps", explore_many(mission("joint", until=296), runs, 0, pool)))
+    rows.append(row_of("joint, one robot", explore_many(mission("joint", robots=1), runs, 0, pool)))
     return rows
 
 
@@ -246,6 +248,8 @@ def hardship(pool, runs: int) -> list[dict]:
         row_of("loop, 20 % of messages lost", explore_many(mission("loop", drop=0.2), runs, 0, pool)),
         row_of("coverage, robot 2 of 4 dead at 40", explore_many(mission("coverage", 4, kills={1: 40}), runs, 0, pool)),
         row_of("loop, robot 2 of 4 dead at 40", explore_many(mission("loop", 4, kills={1: 40}), runs, 0, pool)),
+        row_of("joint, 20 % of messages lost", explore_many(mission("joint", drop=0.2), runs, 0, pool)),
+        row_of("joint, robot 2 of 4 dead at 30", explore_many(mission("joint", 4, kills={1: 30}), runs, 0, pool)),
         row_of("paper, robot 2 of 2 dead at 100", explore_many(mission(kills={1: 100}), runs, 0, pool)),
     ]
 

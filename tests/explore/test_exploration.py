@@ -68,6 +68,14 @@ def test_coverage_and_loops_beat_the_papers_planner():
     assert mean(alone, "map_error") <= 0.48
 
 
+@pytest.mark.slow
+def test_laps_planned_together_are_shorter_than_each_robots_own_and_as_sure():
+    (joint,) = runs_of([mission("joint")], 12)
+    assert all(r.finished for r in joint)
+    assert mean(joint, "steps") <= 185
+    assert mean(joint, "map_error") <= 0.34
+
+
 def count_twice():
     """In this process every submap is handed over a second time, as if it were independent."""
 
@@ -108,6 +116,17 @@ def test_lost_messages_and_a_death_among_four_are_survived():
     (runs,) = runs_of([mission("loop", robots=4, kills={1: 40}, drop=0.2)], 6)
     assert all(r.finished for r in runs)
     assert mean(runs, "nees_per_dof") <= 1.3
+
+
+def test_laps_planned_together_survive_a_death_and_budgets_longer_than_they_are():
+    few = {"joint_tries": 40}
+    dead, long = runs_of(
+        [mission("joint", robots=4, kills={1: 30}, drop=0.2, **few), mission("joint", until=260, **few)], 3
+    )
+    assert all(r.finished for r in dead + long)
+    assert mean(dead, "nees_per_dof") <= 1.4
+    assert all(r.steps == 260 for r in long)
+    assert mean(long, "missed") < 1
 
 
 def test_the_same_seed_is_the_same_run_bit_for_bit():

@@ -39,7 +39,7 @@ def explore(
     seed
         The same seed gives the same runs.
     planner
-        paper, area, coverage, loop, or your own function as package.module:function (paper; with lasers coverage).
+        paper, area, coverage, loop, joint, or your own as package.module:function (paper; with lasers coverage).
     association
         Which sighting is which landmark: known, nn or jcbb (jcbb); not with lasers.
     noise

@@ -90,10 +90,17 @@ def towards(view: TeamView, j: int, pose: np.ndarray, goal: np.ndarray | None, c
 
 def discs(view: TeamView, cells: Float[np.ndarray, "n 2"], radius: float) -> Float[np.ndarray, "k 2"]:
     """Few places (k, 2) [m] within `radius` of which all `cells` lie: each the middle of the cells it covers."""
+    return discs_over(view.lower, view.upper, cells, radius)
+
+
+def discs_over(
+    lower: Float[np.ndarray, "2"], upper: Float[np.ndarray, "2"], cells: Float[np.ndarray, "n 2"], radius: float
+) -> Float[np.ndarray, "k 2"]:
+    """The same for `cells` of any rectangle."""
     step = radius / 3
     xs, ys = (
         np.linspace(lo + step, hi - step, max(2, round((hi - lo - 2 * step) / step) + 1))
-        for lo, hi in zip(view.lower, view.upper, strict=True)
+        for lo, hi in zip(lower, upper, strict=True)
     )
     return to_the_middle(greedy_cover(cells, xs, ys, radius), cells, radius)
 

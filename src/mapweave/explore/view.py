@@ -47,6 +47,11 @@ class ExploreConfig:
     loop_radius: float = 13.0  # [m], discs of the loop planner: fewer, so that a lap closes in time
     loop_rate: float = 20.5  # [m^2] of field a robot and step: how long the loop planner goes on to close loops
     loop_rate_alone: float = 17.0  # the same for one robot, whose lap is longer
+    joint_rate: float = 23.5  # [m^2] of field a robot and step: how long the joint planner's laps take
+    joint_rate_alone: float = 20.0  # the same for one robot
+    joint_density: float = 1 / 275  # landmarks a square metre that the joint planner expects
+    joint_error_weight: float = 60.0  # steps that a metre of expected map error is worth to it
+    joint_tries: int = 1500  # plans it tries before the first step
 
     robot_radius: float = 0.3  # [m]
     wall_margin: float = 0.4  # [m] beyond the radius that planned ways and offered controls keep from walls
@@ -101,6 +106,7 @@ BUILT_IN = {
     "area": "mapweave.explore.objective:choose_area",
     "coverage": "mapweave.explore.coverage:choose",
     "loop": "mapweave.explore.loop:choose",
+    "joint": "mapweave.explore.joint:choose",
 }
 
 

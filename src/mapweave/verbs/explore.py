@@ -46,9 +46,9 @@ def explore(
 ) -> ExploreResult | LaserExploreResult:
     """`runs` explorations of `scenario` with seeds `seed`, `seed` + 1, ..., written to `out` when one is given.
 
-    planner: paper, area, coverage, loop, or a dotted name of `choose(maps, poses, cfg) -> commands`; noise: printed,
-    calibrated or a factor on the printed standard deviations; until: landmarks, field or a number of steps; kill: robot
-    name -> step at whose start it dies; drop: the share of messages between robots that is lost.
+    planner: paper, area, coverage, loop, joint, or a dotted name of `choose(maps, poses, cfg) -> commands`; noise:
+    printed, calibrated or a factor on the printed standard deviations; until: landmarks, field or a number of steps;
+    kill: robot name -> step at whose start it dies; drop: the share of messages between robots that is lost.
     Without a planner: paper, and coverage in laser worlds, where noise is a factor on odometry's errors.
     Raises UsageError, ConfigError, ReaderError, DataError or EstimateError; nothing is written then.
     """

@@ -152,6 +152,10 @@ def missions() -> list[tuple[str, str, int, Mission]]:
             ("loop, jcbb", "loop", 2, "landmarks", "jcbb"),
             ("loop, 296 steps", "loop", 2, 296, "known"),
             ("loop, one robot", "loop", 1, "landmarks", "known"),
+            ("joint", "joint", 2, "landmarks", "known"),
+            ("joint, jcbb", "joint", 2, "landmarks", "jcbb"),
+            ("joint, 296 steps", "joint", 2, 296, "known"),
+            ("joint, one robot", "joint", 1, "landmarks", "known"),
         )
     ]
     return out
@@ -219,7 +223,7 @@ def _write(work: Path, result: YuanReproduction) -> None:
             [r.map_error for r in c.runs if r.map_error is not None],
         )
         for c in result.cases
-        if c.name in ("two robots, calibrated noise", "coverage", "loop", "loop, 296 steps")
+        if c.name in ("two robots, calibrated noise", "coverage", "loop", "loop, 296 steps", "joint")
     }
     steps = {c.name: float(c.mean("steps") or 0.0) for c in result.cases if c.group == "ablation"}
     report.write(work, tables, differences(), spread, PRINTED[2], steps, len(result.cases[0].runs))

@@ -1,0 +1,109 @@
+"""What laps are judged by: the drive, the ground seen, the information gathered, against dense textbook forms."""
+
+import numpy as np
+import pytest
+
+from mapweave.estimate.submap_slam import SubmapConfig, move
+from mapweave.explore.steering import steer
+from mapweave.explore.team import Team
+from mapweave.explore.view import ExploreConfig
+from mapweave.kernels.exploration import mark_half_disc
+from mapweave.kernels.laps import (
+    add_landmark_information,
+    drive_laps,
+    landmark_errors,
+    odometry_information,
+    seen_shares,
+)
+from mapweave.kernels.submap import sight_jacobian
+from mapweave.sim.field import Field
+
+LOWER, UPPER = np.array([-20.0, -15.0]), np.array([20.0, 15.0])
+STARTS = np.array([[-3.0, 0.0, np.pi], [3.0, 1.0, 0.0]])
+WAYS = np.array([[[-12.0, 8.0], [-14.0, -12.0], [0.0, -9.0]], [[15.0, 4.0], [10.0, 13.0], [0.0, 0.0]]])
+COUNTS = np.array([3, 2])
+
+
+def drive(steps, ways=WAYS, counts=COUNTS):
+    cfg = ExploreConfig()
+    return drive_laps(ways, counts, STARTS, cfg.controls, cfg.submap.period, LOWER, UPPER, 3.0, steps)
+
+
+@pytest.mark.kernel
+def test_planned_laps_are_driven_as_the_robots_steer():
+    cfg = ExploreConfig()
+    track = drive(30)
+    view = Team(Field(LOWER, UPPER, np.zeros((1, 2)), STARTS), cfg, None, np.random.default_rng(0)).view()
+    for j in range(2):
+        pose, lap = STARTS[j], list(WAYS[j, : COUNTS[j]])
+        for t in range(1, 31):
+            while lap and np.hypot(*(lap[0] - pose[:2])) < 3.0:
+                lap.pop(0)
+            if lap:
+                pose = move(pose, steer(view, pose, lap[0], cfg), cfg.submap.period)
+            assert np.allclose(track[j, t, :2], pose[:2])
+            assert np.allclose(np.exp(1j * track[j, t, 2]), np.exp(1j * pose[2]))
+
+
+@pytest.mark.kernel
+def test_robots_stand_still_when_their_places_are_passed_and_nothing_seen_is_forgotten():
+    track = drive(150)
+    assert np.array_equal(track[0, -1], track[0, -2])
+    share = seen_shares(track, np.zeros((30, 40), dtype=bool), 6.0, np.pi / 2, LOWER, 1.0)
+    first = np.zeros((30, 40), dtype=bool)
+    for pose in STARTS:
+        mark_half_disc(first, pose, 6.0, np.pi / 2, LOWER, 1.0)
+    assert share[0] == first.mean()
+    assert np.all(np.diff(share) >= 0)
+    assert share[-1] > 2 * share[0]
+
+
+@pytest.mark.kernel
+def test_odometrys_information_is_the_inverse_of_the_covariance_that_adds_up_on_the_way():
+    cfg = SubmapConfig()
+    track = drive(12)
+    S = odometry_information(track, 4, cfg.Q)
+    P = np.linalg.inv(S)
+    for j in range(2):
+        want = np.zeros((3, 3))
+        for t in range(12):
+            d = track[j, t + 1] - track[j, t]
+            F = np.array([[1.0, 0.0, -d[1]], [0.0, 1.0, d[0]], [0.0, 0.0, 1.0]])
+            want = F @ want @ F.T + cfg.Q
+        b = 3 * (3 * j + 2)
+        assert np.allclose(P[b : b + 3, b : b + 3], want)
+
+
+@pytest.mark.kernel
+def test_landmark_errors_are_those_of_the_dense_information_matrix():
+    cfg = SubmapConfig()
+    track, every = drive(24), 4
+    marks = np.array([[-8.0, 5.0], [7.0, 5.0], [0.0, -6.0], [-200.0, 0.0]])
+    poses = [(j, i) for j in range(2) for i in range(1, 7)]
+    S = odometry_information(track, every, cfg.Q)
+    n = len(S)
+    dense = np.zeros((n + 6, n + 6))
+    dense[:n, :n] = S
+    W = np.linalg.inv(cfg.R) * every
+    for k in range(3):
+        for j in range(2):
+            for i in range(7):
+                pose = track[j, i * every]
+                d = marks[k] - pose[:2]
+                if np.hypot(*d) > cfg.reach or d @ [np.cos(pose[2]), np.sin(pose[2])] < 0:
+                    continue
+                near = np.zeros((2, 5))
+                sight_jacobian(pose, marks[k], near)
+                H = np.zeros((2, n + 6))
+                if i:
+                    b = 3 * poses.index((j, i))
+                    H[:, b : b + 3] = near[:, :3]
+                H[:, n + 2 * k : n + 2 * k + 2] = near[:, 3:]
+                dense += H.T @ W @ H
+    P = np.linalg.inv(dense)
+    add_landmark_information(S, track, every, marks, 1.0, cfg.reach, cfg.half_angle, cfg.R)
+    assert np.allclose(np.linalg.inv(S), P[:n, :n])
+    errors = landmark_errors(np.linalg.inv(S), track, every, marks, cfg.reach, cfg.half_angle, cfg.R)
+    each = [P[b : b + 2, b : b + 2] for b in range(n, n + 6, 2)]
+    assert np.allclose(errors[:3], [np.sqrt(np.trace(p)) for p in each])
+    assert np.isnan(errors[3])
