@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mapweave.core.errors import DataError
 from mapweave.evaluate.building import known_at, share_free, survey_building, wall_scores
 from mapweave.maps.walls import Walls
 
@@ -32,6 +33,12 @@ def test_a_disc_reaches_the_room_but_neither_the_closed_cell_nor_what_lies_behin
 def test_a_smaller_disc_goes_through_the_gap():
     assert len(building(0.1).shut) == 0
     assert building(0.1).places()[:, 0].max() > 7.5
+
+
+def test_a_world_with_a_way_out_is_refused():
+    open_ = Walls.of(np.delete(WALLS.segments, 3, axis=0))
+    with pytest.raises(DataError, match="the walls do not close round the robots"):
+        survey_building(open_, np.zeros(2), np.array([8.0, 4.0]), START, 0.2, 12.0)
 
 
 def test_only_walls_that_can_be_seen_are_asked_of_a_map():

@@ -8,6 +8,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from ..core.arrays import frozen
+from ..core.errors import DataError
 from ..maps.wall_index import WallIndex
 from ..maps.walls import Walls
 
@@ -15,6 +16,7 @@ CELL = 0.1  # [m], the raster on which a disc is driven everywhere
 VANTAGE = 0.8  # [m] between the places from which walls are looked at
 BEAMS = 360
 FURNITURE = 2.0  # [m^2] of ground inside walls up to which they are taken for a piece of furniture
+ROUND = 1.0  # [m] of ground round the walls that is looked at too
 PIECE = 0.1  # [m], walls are counted in pieces at most this long
 
 
@@ -49,23 +51,42 @@ def survey_building(
     radius: float,
     reach: float,
 ) -> Building:
-    """What discs of `radius` [m] reach from `starts` between `lower` and `upper`, and see within `reach` [m]."""
+    """What discs of `radius` [m] reach from `starts` between `lower` and `upper`, and see within `reach` [m].
+
+    Raises DataError when the walls do not close round the robots: such a world has no end.
+    """
+    lower, upper = np.asarray(lower) - ROUND, np.asarray(upper) + ROUND
     free = ~walls.blocked(lower, upper, CELL, radius)
     regions, _ = ndimage.label(free)
     at = np.clip(((starts[:, :2] - lower) / CELL).astype(int), 0, np.array(free.shape[::-1]) - 1)
     homes = np.unique(regions[at[:, 1], at[:, 0]])
     reached = np.isin(regions, homes[homes > 0])
+    _check_closed(reached, lower)
     shut = frozen(_shut(regions, set(homes.tolist()), lower))
     made = Building(frozen(lower), CELL, frozen(reached, dtype=bool), np.zeros((0, 2)), shut)
     return replace(made, seen=frozen(_seen_pieces(walls, made.places(), reach)))
 
 
+def _check_closed(reached: Bool[np.ndarray, "rows cols"], lower: Float[np.ndarray, "2"]) -> None:
+    out = np.argwhere(reached & _edge(reached.shape))
+    if len(out):
+        x, y = lower + (out[0][::-1] + 0.5) * CELL
+        raise DataError(f"the walls do not close round the robots: they can leave by ({x:.1f}, {y:.1f})")
+
+
 def _shut(regions: np.ndarray, homes: set[int], lower: Float[np.ndarray, "2"]) -> Float[np.ndarray, "s 3"]:
-    """Regions too large to be furniture that are nobody's home."""
+    """Regions within the walls, too large to be furniture, that are nobody's home."""
+    homes = homes | set(regions[_edge(regions.shape)].tolist())
     area = np.bincount(regions.ravel()) * CELL**2
     names = [k for k in np.argsort(-area).tolist() if k and k not in homes and area[k] >= FURNITURE]
     middles = np.array(ndimage.center_of_mass(regions > 0, regions, names)).reshape(-1, 2)
     return np.column_stack([lower + (middles[:, ::-1] + 0.5) * CELL, area[names]])
+
+
+def _edge(shape: tuple[int, ...]) -> Bool[np.ndarray, "rows cols"]:
+    out = np.ones(shape, dtype=bool)
+    out[1:-1, 1:-1] = False
+    return out
 
 
 def _seen_pieces(walls: Walls, places: Float[np.ndarray, "n 2"], reach: float) -> Float[np.ndarray, "p 2"]:
