@@ -63,9 +63,9 @@ class Team:
         names = tuple(f"robot{j + 1}" for j in range(len(scans)))
         return LaserView(self.step, names, self.alive, self.grid(), scans, np.zeros(len(scans), int), self.memory)
 
-    def play(self, planner: str, most: int) -> bool:
+    def play(self, planner, most: int) -> bool:
         """Steps until the planner says that all is done, or `most`; whether it did."""
-        choose = find_laser_planner(planner)
+        choose = find_laser_planner(planner) if isinstance(planner, str) else planner
         while self.step < most:
             commands = choose(self.view(), self.sim.true_poses.copy(), self.cfg)
             if self.memory.get("finished"):

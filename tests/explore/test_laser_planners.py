@@ -1,6 +1,7 @@
 """Teams with scanners map whole offices, whatever the planner, and never touch anything."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -139,3 +140,14 @@ def test_a_wall_stays_shut_over_cells_twice_as_large():
         weight[:, at : at + 3] = 0
         cost = spread(halved(weight), np.array([[2, 1]]), NO_LIMIT)
         assert (cost[:, 8:] == UNREACHED).all()
+
+
+def test_the_planner_that_the_documentation_shows_maps_an_office():
+    text = (Path(__file__).parents[2] / "docs" / "methods" / "active-exploration.md").read_text(encoding="utf-8")
+    example = text.partition("## Laser worlds: planning")[2].partition("```python\n")[2].partition("```")[0]
+    names = {}
+    exec(example, names)  # noqa: S102  (what a reader would run)
+    team = office_team(300, 4, 2)
+    assert team.play(names["choose"], 900)
+    assert team.mapped() >= 0.99
+    assert team.sim.collisions.sum() == 0
