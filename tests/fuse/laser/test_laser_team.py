@@ -8,7 +8,9 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.records import Scan
 from mapweave.fuse.laser import LaserTeam, LaserTeamConfig
+from mapweave.fuse.laser.canvas import Canvas
 from mapweave.fuse.laser.closures import Matched
+from mapweave.fuse.laser.messages import Sweep
 
 from .buildings import drive, errors, estimate, lap, ring, rooms, wall_distance
 
@@ -176,3 +178,16 @@ def test_what_teammates_send_back_is_not_a_wall():
     alone.look(0, 0.0, scan)
     alone.deliver(0)
     assert alone.grid(0.1).hits.sum() == 11
+
+
+def test_a_wall_seen_from_near_is_not_drawn_again_from_afar():
+    none = np.zeros((0, 2))
+    canvas = Canvas(0.1, near=6.0)
+    near = Sweep(0, 0, 0.0, np.zeros(3), np.array([[2.05, 0.05]]), none, np.zeros(2))
+    far = near._replace(points=np.array([[8.15, 0.05], [8.15, 3.05]]))
+    canvas.update([near, far], np.array([[0.0, 0.0, 0.0], [-6.0, 0.0, 0.0]]))
+    grid = canvas.grid()
+    row, col = np.nonzero(grid.hits)
+    assert np.allclose(grid.mean[row, col], [[2.05, 0.05], [2.15, 3.05]], atol=1e-4)
+    behind = np.floor((np.array([2.15, 0.05]) - grid.origin) / 0.1 + 1e-9).astype(int)
+    assert grid.passes[behind[1], behind[0]] == 0  # unknown, not free

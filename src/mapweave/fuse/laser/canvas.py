@@ -1,8 +1,7 @@
 """The merged grid, kept up to date: a scan whose pose moved is taken out and laid in again, exactly."""
 
 import numpy as np
-from jaxtyping import Float
-from scipy.ndimage import maximum_filter
+from jaxtyping import Bool, Float
 
 from ...core import se2
 from ...kernels.sweep import UNIT, lay_sweep
@@ -62,7 +61,7 @@ class Canvas:
             return GridMap(h, np.array([-EDGE * h, -EDGE * h]), none, none, np.zeros((*shape, 2)), zero, zero)
         window = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
         hits, far, passes = (np.pad(a[window], EDGE) for a in (self.hits, self.far, self.passes))
-        beside = maximum_filter(hits, 2 * round(BESIDE / h) + 1) > 0 if far.any() else np.zeros(hits.shape, dtype=bool)
+        beside = widened(hits > 0, max(1, round(BESIDE / h)))
         again = beside & (far > 0) & (hits == 0) & (CLEAR * far > passes)
         hits = np.where(beside, hits, hits + far)
         passes[again] = 0
@@ -116,3 +115,15 @@ class Canvas:
             new[dy : dy + rows, dx : dx + cols] = old
             setattr(self, name, new)
         self.corner = low
+
+
+def widened(cells: Bool[np.ndarray, "rows cols"], by: int) -> Bool[np.ndarray, "rows cols"]:
+    """The cells within `by` columns and `by` rows of one that is set."""
+    out = cells
+    for _ in range(2):
+        near = out.copy()
+        for k in range(1, by + 1):
+            near[:, k:] |= out[:, :-k]
+            near[:, :-k] |= out[:, k:]
+        out = near.T
+    return np.asarray(out)
