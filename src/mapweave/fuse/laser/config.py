@@ -77,7 +77,7 @@ class LaserTeamConfig:
     open_share: float = 0.9  # of the scanner's range is free where a beam does not come back
     resolve_share: float = 0.02  # the graph is solved anew when it has grown by this share, and
     resolve_least: int = 8  # so many keyframes at least, or
-    resolve_innovation: float = 1.0  # [sd] when closures moved a pose by more than this
+    resolve_innovation: float = 2.0  # [sd] when a closure moved a pose by more than this
     beams: BeamConfig = BeamConfig()
     front_end: FrontEndConfig = FRONT_END
     steps: StepNoise = StepNoise()
