@@ -34,8 +34,8 @@ knows where it is drives to landmarks it knows.
 
 Without the area term runs take three times as many steps. The escape seeks new ground too, and ours leaves specks of up
 to 12 cells: a part of the area term, which goes with it. Where it stays, the escape alone still explores, in 1.4 times
-the steps; with the printed escape, which leaves no speck, on both sides it is 1.9 times. With the escape off no run
-finishes, with the area term or without it. Accuracy and distance to the others change steps and error by no more than
+the steps; with the printed escape, which leaves no speck, on both sides it is 1.9 times. With the escape off runs
+hardly finish, with the area term or without it. Accuracy and distance to the others change steps and error by no more than
 what chance does in 30 runs.
 """
 
