@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
 
 from ..core.se2 import wrap_angle
 from ..kernels.tours import balanced_tours
@@ -64,17 +65,21 @@ def cover(
     row[ground.field] = np.arange(int(ground.field.sum()))
     at = np.floor((cells - ground.lower) / ground.cell).astype(int)
     sees = have.sees[row[at[:, 1], at[:, 0]]]
-    open_ = np.ones(len(cells), dtype=bool)
+    open_ = sees.any(axis=1)
     gain = sees.sum(axis=0)
-    chosen, goals = [], []
+    groups: list[tuple[int, np.ndarray]] = []
     while open_.any():
         best = int(np.argmax(gain))
         group = np.flatnonzero(open_ & sees[:, best])
-        if not len(group):  # seen by no station from near enough: the nearest one stands for it
-            group = np.flatnonzero(open_)[:1]
-            best = int(np.argmin(np.hypot(*(have.places - ground.view_of(cells[group])).T)))
         open_[group] = False
         gain = gain - sees[group].sum(axis=0)
+        groups.append((best, group))
+    far = np.flatnonzero(~sees.any(axis=1))  # seen from farther away alone: grouped by the place they are seen from
+    if len(far):
+        _, station = cKDTree(have.places).query(ground.view_of(cells[far]))
+        groups += [(int(k), far[station == k]) for k in np.unique(station)]
+    chosen, goals = [], []
+    for best, group in groups:
         middle = cells[group].mean(axis=0)
         nearest = group[int(np.argmin(np.hypot(*(cells[group] - middle).T)))]
         chosen.append(best)

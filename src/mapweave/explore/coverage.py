@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from ..core.se2 import wrap_angle
 from ..kernels.tours import balanced_tours, greedy_cover
 from . import among_walls
-from .steering import ahead, nearest_unexplored, new_cells, offered, steer
+from .steering import ahead, given_up, nearest_unexplored, new_cells, next_target, offered, steer
 from .view import ExploreConfig, TeamView
 
 TURN_COST = 2.0  # [m / rad], what turning towards the first disc costs
@@ -39,10 +39,10 @@ def held_target(view: TeamView, j: int, pose: np.ndarray, cfg: ExploreConfig) ->
     """
     targets: dict[int, np.ndarray] = view.memory.setdefault("targets", {})
     ex = view.explored
-    if j in targets and ex.sees(j, targets[j]):
+    if j in targets and (ex.sees(j, targets[j]) or given_up(view, j, targets[j], cfg)):
         del targets[j]
     if j not in targets and view.stalled[j] >= cfg.stall_steps:
-        goal = nearest_unexplored(ex.centres(np.argwhere(~ex.known_to(j))), pose, view.ground)
+        goal = next_target(view, j, pose)
         if goal is not None:
             targets[j] = goal
     return targets.get(j)

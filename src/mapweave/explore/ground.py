@@ -15,10 +15,11 @@ from .paths import Reach
 from .view import ExploreConfig
 
 EASE = 1.0  # [m] a cell or landmark must be nearer than the sensor's reach to count as one that can be seen
-NEIGHBOURS = 3  # places around a place that must see it too: a robot never stands exactly where it meant to
+NEIGHBOURS = 5  # places around a place that must see it too: a robot never stands exactly where it meant to
 FAR = 1e4  # [m], said of places no way leads to, where a cost must be finite
 SEARCH = 5.0  # [m] around an estimated pose in which it finds ground to stand on
 STRIDE = 3  # cells of a way a robot looks ahead where room is scarce
+POCKET = 1.0  # [m^2] that is worth telling of
 KEPT = 64  # goals whose distances are remembered
 
 
@@ -28,8 +29,8 @@ class Ground:
 
     reach: the ground, a metre near a wall counting more; roomy: its cells with comfortable room around; field: (ny, nx)
     cells of the explored raster that can be seen from ground a robot reaches; views: (ny, nx, 2) the
-    nearest cell of `reach` to see each from (-1 outside the field); pockets: area [m^2] of each part of the field no
-    robot can see into; hidden: landmarks no robot can ever see.
+    nearest cell of `reach` to see each from (-1 outside the field); pockets: area [m^2] of each part between walls that
+    no robot sees, though it would have room there; hidden: landmarks no robot can ever see.
     """
 
     walls: Walls
@@ -71,13 +72,19 @@ class Ground:
             cells[none] = self.stand(points[none])
         return self.reach.centres(cells)
 
+    def goal_cell(self, goal: Float[np.ndarray, "2"]) -> tuple[int, int]:
+        """The ground (row, col) to go to for `goal`: the goal itself if it is ground, else where it is seen from."""
+        cell = self.reach.cells(goal[None])[0]
+        if cell[0] < 0:
+            cell = self.reach.cells(self.view_of(goal[None]))[0]
+        return int(cell[0]), int(cell[1])
+
     def from_places(self, places: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "k rows cols"]:
         """Length [m] of the shortest way from each place to every piece of ground; infinite where none leads."""
         return self.reach.distances(self.reach.centres(self.stand(places)))
 
-    def to_goal(self, goal: Float[np.ndarray, "2"]) -> Float[np.ndarray, "rows cols"]:
-        """Length [m] of the shortest way from every piece of ground to `goal`."""
-        row, col = (int(v) for v in self.stand(goal[None])[0])
+    def to_cell(self, row: int, col: int) -> Float[np.ndarray, "rows cols"]:
+        """Length [m] of the shortest way from every piece of ground to the one given; remembered."""
         if (row, col) not in self._to:
             while len(self._to) >= KEPT:
                 del self._to[next(iter(self._to))]
@@ -92,10 +99,10 @@ class Ground:
         Where that is not far, `STRIDE` cells along the way. The way keeps `room` [m] from the points `shut`, if any
         such way leads there.
         """
-        mine, its = self.stand(np.stack([place, goal]))
+        mine, its = self.stand(place[None])[0], self.goal_cell(goal)
         distance = self._detour(its, shut, room) if len(shut) else None
         if distance is None or not np.isfinite(distance[mine[0], mine[1]]):
-            distance = self.to_goal(goal)
+            distance = self.to_cell(*its)
         if not np.isfinite(distance[mine[0], mine[1]]):
             return goal
         way = self.reach.chain(distance, int(mine[0]), int(mine[1]))
@@ -105,13 +112,13 @@ class Ground:
             k += 1
         return goal if k == last else self.reach.centres(way[k][None])[0]
 
-    def _detour(self, to: np.ndarray, shut: np.ndarray, room: float) -> np.ndarray:
-        """Like `to_goal`, for ground without what is nearer than `room` to a point of `shut`; not remembered."""
+    def _detour(self, to: tuple[int, int], shut: np.ndarray, room: float) -> np.ndarray:
+        """Like `to_cell`, for ground without what is nearer than `room` to a point of `shut`; not remembered."""
         r = self.reach
         d = np.linalg.norm(r.centres(np.argwhere(r.free))[:, None] - shut[None], axis=-1)
         free = r.free.copy()
         free[r.free] = d.min(axis=1) >= room
-        return np.asarray(Reach(free, r.lower, r.cell, SEARCH, r.weight).distances(r.centres(to[None]))[0])
+        return np.asarray(Reach(free, r.lower, r.cell, SEARCH, r.weight).distances(r.centres(np.array([to])))[0])
 
     def sees(self, place: Float[np.ndarray, "2"], points: Float[np.ndarray, "n 2"], far: float) -> np.ndarray:
         """Which points lie within `far` [m] of `place` with no wall between."""
@@ -155,7 +162,7 @@ def survey(world: Field, walls: Walls, cfg: ExploreConfig) -> Ground:
         free & (weight == 1.0),
         seen,
         views.reshape(ny, nx, 2),
-        _pockets(world, walls, cell, reach, centres[seen.ravel()]),
+        _pockets(world, walls, reach, seen, cfg.cell, room),
         tuple(int(k) for k in np.flatnonzero(marks[:, 0] < 0)),
         {},
     )
@@ -171,16 +178,25 @@ def _check_starts(world: Field, walls: Walls, cfg: ExploreConfig) -> None:
 
 
 def _pockets(
-    world: Field, walls: Walls, cell: float, reach: Reach, seen: Float[np.ndarray, "n 2"]
+    world: Field, walls: Walls, reach: Reach, seen: Bool[np.ndarray, "ny nx"], size: float, room: float
 ) -> tuple[float, ...]:
-    """Areas [m^2], largest first, of the parts between walls no ground to stand on and no seen cell lies in."""
-    parts, count = label(~walls.blocked(reach.lower, world.upper, cell, 0.51 * cell))
+    """Areas [m^2], largest first, of what nobody sees between the walls, where a robot would have room to stand."""
+    cell = reach.cell
+    outside = walls.blocked(reach.lower, world.upper, cell, 0.0)
+    parts, _ = label(~walls.blocked(reach.lower, world.upper, cell, 0.51 * cell))
     nearest = distance_transform_edt(parts == 0, return_distances=False, return_indices=True)
-    parts = np.where(walls.blocked(reach.lower, world.upper, cell, 0.0), 0, parts[tuple(nearest)])
-    known = set(np.unique(parts[reach.free]))
-    at = np.floor((seen - reach.lower) / cell).astype(int)
-    known |= set(np.unique(parts[at[:, 1], at[:, 0]]))
-    area = np.bincount(parts.ravel(), minlength=count + 1) * cell**2
-    return tuple(
-        sorted((float(area[k]) for k in range(1, count + 1) if k not in known and area[k] >= 1.0), reverse=True)
+    parts = np.where(outside, 0, parts[tuple(nearest)])
+    rows, cols = np.indices(parts.shape)
+    shape = seen.shape
+    row, col = (
+        np.minimum(((k + 0.5) * cell / size).astype(int), n - 1) for k, n in ((rows, shape[0]), (cols, shape[1]))
     )
+    unseen = np.where(seen[row, col], 0, parts)
+    roomy = ~walls.blocked(reach.lower, world.upper, cell, room)
+    areas = []
+    for part in np.unique(unseen[unseen > 0]):
+        pieces, count = label(unseen == part)
+        area = np.bincount(pieces.ravel(), minlength=count + 1) * cell**2
+        stands = set(np.unique(pieces[roomy]))
+        areas += [float(area[k]) for k in range(1, count + 1) if k in stands and area[k] >= POCKET]
+    return tuple(sorted(areas, reverse=True))

@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from ..core import se2
 from ..kernels.exploration import expected_uncertainty, map_uncertainty
-from .steering import nearest_unexplored, new_cells, offered, steer, way_back
+from .steering import given_up, new_cells, next_target, offered, steer, way_back
 from .view import ExploreConfig, TeamView
 
 HIDDEN = 1e6  # [m], where landmarks are put that nobody sees
@@ -71,7 +71,7 @@ def _choose_one(
     if known is not None:
         return steer(view, pose, known, cfg)
     if j in targets:
-        if ex.sees(j, targets[j]):
+        if ex.sees(j, targets[j]) or given_up(view, j, targets[j], cfg):
             del targets[j]
         else:
             return steer(view, pose, targets[j], cfg)
@@ -80,8 +80,7 @@ def _choose_one(
         sub = view.submaps[j]
         sure = map_uncertainty(np.asarray(sub.cov)) / (len(sub.ids) + 1) <= cfg.escape_uncertainty
         stalled = not cfg.literal_escape and view.stalled[j] >= cfg.stall_steps
-        left = ex.centres(np.argwhere(~ex.known_to(j)))
-        goal = nearest_unexplored(left, pose, view.ground) if sure or stalled else None
+        goal = next_target(view, j, pose) if sure or stalled else None
         if goal is not None:
             targets[j] = goal
             return steer(view, pose, goal, cfg)

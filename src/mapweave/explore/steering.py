@@ -50,7 +50,8 @@ def clear_controls(
 
     Clear: as far from walls, and from places where one was met lately, as is comfortable, or as the straight way
     `towards` a place is; a robot that is nearer comes no nearer. Where no control is, the margin has to do, or a third
-    of it; where that is not kept either, the robot turns on the spot, to the nearest side on which it can drive on.
+    of it; where that is not kept either, the robot turns on the spot, to the side on which it can drive on that is
+    nearest to its heading, or to the way `towards` a place.
     """
     obstacles = np.vstack([ground.walls.segments, np.hstack([view.contacts, view.contacts])])
     comfort = cfg.wall_comfort
@@ -71,7 +72,8 @@ def clear_controls(
     slow = move(around, np.broadcast_to([min(cfg.speeds), 0.0], (32, 2)), cfg.submap.period)
     ways = rim[_clear(view, pose, slow, obstacles, cfg.robot_radius + cfg.wall_margin / 3)]
     if len(ways):
-        best = ways[np.argmin(np.abs(ways))]
+        wish = 0.0 if towards is None else np.arctan2(*(towards - pose[:2])[::-1]) - pose[2]
+        best = ways[np.argmin(np.abs(wrap_angle(ways - wish)) + 1e-6 * np.abs(ways))]
         turns = turns[[np.argmin(np.abs(wrap_angle(turns[:, 1] * cfg.submap.period - best)))]]
     return turns, move(pose, turns, cfg.submap.period)
 
@@ -138,6 +140,28 @@ def way_back(view: TeamView, j: int, pose: Float[np.ndarray, "3"], cfg: ExploreC
         seen.clear()
         left = list(range(len(G.ids)))
     return np.asarray(G.mean[left[int(np.argmin(d[left]))]])
+
+
+def next_target(view: TeamView, j: int, pose: Float[np.ndarray, "3"]) -> np.ndarray | None:
+    """The unexplored cell (2,) robot j goes for next: the nearest, among walls one that was not put off lately."""
+    ex = view.explored
+    left = ex.centres(np.argwhere(~ex.known_to(j)))
+    if view.ground is None:
+        return nearest_unexplored(left, pose)
+    off: dict[tuple[float, float], int] = view.memory.setdefault("put_off", {})
+    fresh = np.array([view.step >= off.get((float(x), float(y)), 0) for x, y in left], dtype=bool)
+    goal = nearest_unexplored(left[fresh] if fresh.any() else left, pose, view.ground)
+    view.memory.setdefault("target_since", {})[j] = view.step
+    return goal
+
+
+def given_up(view: TeamView, j: int, target: np.ndarray, cfg: ExploreConfig) -> bool:
+    """Whether robot j, among walls, has gone for `target` for so long that it puts it off for another."""
+    if view.ground is None or view.step - view.memory.get("target_since", {}).get(j, view.step) < cfg.put_off_after:
+        return False
+    off = view.memory.setdefault("put_off", {})
+    off[float(target[0]), float(target[1])] = view.step + 4 * cfg.put_off_after
+    return True
 
 
 def nearest_unexplored(

@@ -56,7 +56,8 @@ class ExploreConfig:
     robot_radius: float = 0.3  # [m]
     wall_margin: float = 0.4  # [m] beyond the radius that planned ways and offered controls keep from walls
     wall_comfort: float = 1.2  # [m] beyond the radius that robots keep where nothing draws them nearer
-    path_cell: float = 0.5  # [m], raster on which ways round walls are found
+    path_cell: float = 0.4  # [m], raster on which ways round walls are found
+    put_off_after: int = 60  # steps after which a target among walls that was not seen is put off
     contact_steps: int = 40  # for so long the place where a robot met a wall unexpectedly is kept clear of
 
     @property
