@@ -29,7 +29,7 @@ def explore(
     ----------
     scenario
         yuan (the paper's field), yuan-large (four times as large), office (500 m^2, lasers), office-AREA, or a TOML
-        file: lower, upper, landmarks, starts; or sensor = "laser" with office or walls, and starts.
+        file: lower, upper, landmarks, starts, walls; or sensor = "laser" with office or walls, and starts.
     out
         The folder runs.csv, metrics.json, report.html and the first run's log are written to.
     robots

@@ -162,7 +162,7 @@ def survey(world: Field, walls: Walls, cfg: ExploreConfig) -> Ground:
         free & (weight == 1.0),
         seen,
         views.reshape(ny, nx, 2),
-        _pockets(world, walls, reach, seen, cfg.cell, room),
+        _pockets(world, walls, 0.25 * cell, seen, cfg.cell, room),
         tuple(int(k) for k in np.flatnonzero(marks[:, 0] < 0)),
         {},
     )
@@ -178,12 +178,11 @@ def _check_starts(world: Field, walls: Walls, cfg: ExploreConfig) -> None:
 
 
 def _pockets(
-    world: Field, walls: Walls, reach: Reach, seen: Bool[np.ndarray, "ny nx"], size: float, room: float
+    world: Field, walls: Walls, cell: float, seen: Bool[np.ndarray, "ny nx"], size: float, room: float
 ) -> tuple[float, ...]:
     """Areas [m^2], largest first, of what nobody sees between the walls, where a robot would have room to stand."""
-    cell = reach.cell
-    outside = walls.blocked(reach.lower, world.upper, cell, 0.0)
-    parts, _ = label(~walls.blocked(reach.lower, world.upper, cell, 0.51 * cell))
+    outside = walls.blocked(world.lower, world.upper, cell, 0.0)
+    parts, _ = label(~walls.blocked(world.lower, world.upper, cell, 0.51 * cell))
     nearest = distance_transform_edt(parts == 0, return_distances=False, return_indices=True)
     parts = np.where(outside, 0, parts[tuple(nearest)])
     rows, cols = np.indices(parts.shape)
@@ -192,7 +191,7 @@ def _pockets(
         np.minimum(((k + 0.5) * cell / size).astype(int), n - 1) for k, n in ((rows, shape[0]), (cols, shape[1]))
     )
     unseen = np.where(seen[row, col], 0, parts)
-    roomy = ~walls.blocked(reach.lower, world.upper, cell, room)
+    roomy = ~walls.blocked(world.lower, world.upper, cell, room)
     areas = []
     for part in np.unique(unseen[unseen > 0]):
         pieces, count = label(unseen == part)
