@@ -90,3 +90,41 @@ def test_a_mirrored_matrix_has_its_lower_triangle_twice(n):
     lower = np.tril(P)
     symmetric.mirror(P)
     assert np.array_equal(P, lower + np.tril(lower, -1).T)
+
+
+def test_a_landmark_close_by_is_corrected_as_a_place_by_the_textbook_update():
+    rng = np.random.default_rng(3)
+    pose, mean, P = random_state(rng, 3)
+    mean[1] = pose[0] + 0.5, pose[1] + 0.3
+    R, z = np.diag([0.04, 0.0016]), np.array([0.9, 0.4])
+
+    def place(x):
+        d, c, s = x[5:7] - x[:2], np.cos(x[2]), np.sin(x[2])
+        return np.array([c * d[0] + s * d[1], c * d[1] - s * d[0]])
+
+    x = np.concatenate([pose, mean.ravel()])
+    H = np.stack([(place(x + h) - place(x - h)) / 2e-6 for h in 1e-6 * np.eye(9)], axis=1)
+    c, s = np.cos(z[1]), np.sin(z[1])
+    G = np.array([[c, -z[0] * s], [s, z[0] * c]])
+    S = H @ P @ H.T + G @ R @ G.T
+    K = P @ H.T @ np.linalg.inv(S)
+    after, marks, out = submap.placed(pose, mean, P, 1, z, R)
+    expected = x + K @ (z[0] * np.array([c, s]) - place(x))
+    assert np.allclose(np.concatenate([after, marks.ravel()]), expected, atol=1e-8)
+    assert np.allclose(out, P - K @ S @ K.T, atol=1e-8)
+    assert np.array_equal(out, out.T)
+
+
+def test_only_landmarks_within_their_spread_are_too_near():
+    P = np.diag([0.0, 0.0, 0.0, 0.02, 0.02, 0.02, 0.02, 0.5, 0.5])
+    mean = np.array([[0.9, 0.0], [1.1, 0.0], [0.5, 0.0]])  # five deviations are 1 m; the last is known too badly
+    near = submap.too_near(np.zeros(3), mean, P, np.arange(3), 5.0, np.diag([0.04, 0.0016]))
+    assert near.tolist() == [True, False, False]
+
+
+def test_a_first_reading_of_no_range_does_not_make_a_landmark_certain():
+    marks, out = submap.grown(
+        np.zeros(3), np.zeros((0, 2)), np.zeros((3, 3)), np.array([[-0.01, 0.0]]), np.diag([0.04, 0.0016])
+    )
+    assert np.allclose(marks, [[-0.01, 0.0]])
+    assert np.sqrt(out[4, 4]) == pytest.approx(0.04 * 0.6)

@@ -11,6 +11,7 @@ from ._jit import kernel
 
 Array: TypeAlias = np.ndarray
 
+CLOSE = 3.0  # deviations of the range within which a reading is near nothing
 TOUCHING = 1e-9  # [m] nearer than this no direction is defined
 
 
@@ -136,6 +137,65 @@ def corrected(pose: Array, mean: Array, P: Array, index: Array, z: Array, R: Arr
 
 
 @kernel
+def across(r: float, R: Array) -> float:
+    """The range [m] at which a bearing's noise acts when `r` was read: a reading near nothing says little of it."""
+    out: float = max(r, CLOSE * np.sqrt(R[0, 0]))
+    return out
+
+
+@kernel
+def too_near(pose: Array, mean: Array, P: Array, index: Array, factor: float, R: Array) -> Array:
+    """Which landmarks of `index` (m,) lie within `factor` deviations of where they are relative to the robot."""
+    out = np.zeros(len(index), dtype=np.bool_)
+    for k in range(len(index)):
+        i = 3 + 2 * index[k]
+        dx, dy = mean[index[k], 0] - pose[0], mean[index[k], 1] - pose[1]
+        spread = P[i, i] + P[i + 1, i + 1] + P[0, 0] + P[1, 1] - 2.0 * (P[i, 0] + P[i + 1, 1])
+        out[k] = spread < 4.0 * R[0, 0] and dx * dx + dy * dy < factor * factor * spread
+    return out
+
+
+@kernel
+def placed(pose: Array, mean: Array, P: Array, j: int, z: Array, R: Array) -> tuple[Array, Array, Array]:
+    """Pose, landmarks and P after one sighting z (2,) of landmark j, taken as the place where z puts it.
+
+    Range and bearing bend within the spread of a landmark close by; its place relative to the robot does not.
+    """
+    size, i = len(P), 3 + 2 * j
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    ux, uy, rho = np.cos(z[1]), np.sin(z[1]), across(z[0], R)
+    dx, dy = mean[j, 0] - pose[0], mean[j, 1] - pose[1]
+    px, py = c * dx + s * dy, c * dy - s * dx
+    H = np.array([[-c, -s, py, c, s], [s, -c, -px, -s, c]])
+    where = np.array([0, 1, 2, i, i + 1])
+    G = np.array([[ux, -rho * uy], [uy, rho * ux]])
+    S, HP = G @ R @ G.T, np.zeros((2, size))
+    for q in range(2):
+        for a in range(5):
+            for k in range(size):
+                HP[q, k] += H[q, a] * P[where[a], k]
+    for q in range(2):
+        for w in range(2):
+            for a in range(5):
+                S[q, w] += HP[q, where[a]] * H[w, a]
+    det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
+    e0, e1 = z[0] * ux - px, z[0] * uy - py
+    y0, y1 = (S[1, 1] * e0 - S[0, 1] * e1) / det, (S[0, 0] * e1 - S[1, 0] * e0) / det
+    dx_all, out = HP[0] * y0 + HP[1] * y1, P.copy()
+    for k in range(size):
+        k0 = (S[1, 1] * HP[0, k] - S[0, 1] * HP[1, k]) / det
+        k1 = (S[0, 0] * HP[1, k] - S[1, 0] * HP[0, k]) / det
+        for q in range(k + 1):
+            out[k, q] -= k0 * HP[0, q] + k1 * HP[1, q]
+            out[q, k] = out[k, q]
+    after = np.array([pose[0] + dx_all[0], pose[1] + dx_all[1], wrapped(pose[2] + dx_all[2])])
+    marks = np.empty_like(mean)
+    for k in range(len(mean)):
+        marks[k, 0], marks[k, 1] = mean[k, 0] + dx_all[3 + 2 * k], mean[k, 1] + dx_all[4 + 2 * k]
+    return after, marks, out
+
+
+@kernel
 def grown(pose: Array, mean: Array, P: Array, z: Array, R: Array) -> tuple[Array, Array]:
     """Landmarks and P with those first seen as z (m, 2) at the end, by inverse observation, all covariances right."""
     n, size, m = len(mean), len(P), len(z)
@@ -153,6 +213,7 @@ def grown(pose: Array, mean: Array, P: Array, z: Array, R: Array) -> tuple[Array
             out[a, j] = out[0, j] + gx * out[2, j]
             out[a + 1, j] = out[1, j] + gy * out[2, j]
             out[j, a], out[j, a + 1] = out[a, j], out[a + 1, j]
+        gx, gy = -across(r, R) * s, across(r, R) * c
         n00 = c * c * R[0, 0] + 2.0 * c * gx * R[0, 1] + gx * gx * R[1, 1]
         n01 = c * s * R[0, 0] + (c * gy + s * gx) * R[0, 1] + gx * gy * R[1, 1]
         n11 = s * s * R[0, 0] + 2.0 * s * gy * R[0, 1] + gy * gy * R[1, 1]
