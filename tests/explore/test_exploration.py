@@ -30,10 +30,10 @@ def mean(runs, name):
     return float(np.mean([getattr(r, name) for r in runs]))
 
 
-def runs_of(what, runs, initializer=None):
+def runs_of(what, runs, initializer=None, first=0):
     """Scores of many runs from fresh processes, where the tests' shape checks are off: they cost minutes here."""
     with ProcessPoolExecutor(2, mp_context=get_context("spawn"), initializer=initializer) as workers:
-        return [explore_many(m, runs, 0, workers) for m in what]
+        return [explore_many(m, runs, first, workers) for m in what]
 
 
 @pytest.mark.slow
@@ -110,6 +110,27 @@ def test_a_robot_that_dies_leaves_no_landmark_missed_and_an_honest_map():
     assert sum(r.finished for r in runs) >= 0.95 * len(runs)
     assert all(r.missed == 0 for r in runs if r.finished)
     assert mean(runs, "nees_per_dof") <= 1.3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("planner", ["coverage", "loop"])
+def test_a_map_of_unknown_landmarks_is_as_honest_as_one_of_known(planner):
+    known, unknown = runs_of([mission(planner), mission(planner, "jcbb")], 20, first=30)
+    assert all(r.finished for r in unknown)
+    assert mean(unknown, "nees_per_dof") <= 1.2
+    assert max(r.nees_per_dof for r in unknown) <= 3
+    assert mean(unknown, "map_error") <= 1.2 * mean(known, "map_error")
+    assert mean(unknown, "steps") <= 1.05 * mean(known, "steps")
+    assert sum(r.duplicates for r in unknown) <= 0.02 * 29 * len(unknown)
+
+
+@pytest.mark.slow
+def test_one_of_four_dead_at_a_third_leaves_every_map_honest():
+    (runs,) = runs_of([mission("loop", robots=4, kills={1: 33})], 30)
+    assert all(r.finished for r in runs)
+    assert all(r.missed == 0 for r in runs)
+    assert mean(runs, "nees_per_dof") <= 1.3
+    assert max(r.nees_per_dof for r in runs) <= 3
 
 
 def test_lost_messages_and_a_death_among_four_are_survived():

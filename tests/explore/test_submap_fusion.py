@@ -8,6 +8,7 @@ from mapweave.estimate.submap_slam import (
     Observations,
     SubmapConfig,
     empty,
+    in_view,
     move,
     predict,
     sight,
@@ -294,6 +295,62 @@ def test_merging_two_pairs_of_duplicates_is_conditioning_on_both_at_once():
     x, rows = x0 - K @ (H @ x0), np.r_[:7, 9:11]
     assert np.allclose(np.concatenate([merged.frames.ravel(), merged.mean.ravel()]), x[rows], atol=1e-8)
     assert np.allclose(merged.cov, (G.cov - K @ H @ G.cov)[np.ix_(rows, rows)], atol=1e-9)
+
+
+def one_submap(robot, points, sd, pose_sd=0.0):
+    """A submap with these landmarks, each known to `sd` [m], whose robot has not moved."""
+    P = np.diag([pose_sd**2] * 3 + [sd**2] * (2 * len(points)))
+    return Submap(robot, np.zeros(3), tuple(f"l{k}" for k in range(len(points))), np.array(points, float), P, "local")
+
+
+def test_landmarks_that_one_submap_holds_apart_are_never_merged():
+    close = [[5.0, 0.0], [5.3, 0.0], [9.0, 2.0]]
+    G = hand_over(known_starts(("robot1",), np.zeros((1, 3))), one_submap("robot1", close, 0.2), known=False).map
+    assert len(G.ids) == 3
+    assert merge_duplicates(G) == (G, ())
+    told = GlobalMap(G.robots, G.frames, G.ids, G.mean, G.cov)
+    assert merge_duplicates(told)[1] == ((G.ids[0], G.ids[1]),)
+
+
+def test_a_landmark_between_two_that_it_may_be_is_left_out():
+    start = known_starts(("robot1", "robot2"), np.zeros((2, 3)))
+    G = hand_over(start, one_submap("robot1", [[5.0, 0.0], [5.0, 0.4]], 0.1), known=False, prefix="m").map
+    done = hand_over(G, one_submap("robot2", [[5.0, 0.2], [5.0, 8.0]], 0.1), known=False, prefix="m")
+    assert done.names == (None, "m2")
+    assert done.map.ids == ("m0", "m1", "m2")
+    assert np.allclose(done.map.mean[:2], G.mean, atol=1e-9)
+
+
+def test_a_landmark_that_may_be_new_stays_one_until_more_is_known():
+    lost = GlobalMap(("robot1", "robot2"), np.zeros((2, 3)), (), np.zeros((0, 2)), np.diag([0, 0, 0, 4.0, 4.0, 1e-6]))
+    G = hand_over(lost, one_submap("robot1", [[5.0, 0.0], [8.0, 3.0]], 0.1), known=False, prefix="m").map
+    one = hand_over(G, one_submap("robot2", [[9.0, -3.5]], 0.1), known=False, prefix="m")
+    assert one.matched == (False,)
+    assert one.map.ids == ("m0", "m1", "m2")
+    both = hand_over(G, one_submap("robot2", [[6.0, -1.0], [9.0, 2.0]], 0.1), known=False, prefix="m")
+    assert both.names == ("m0", "m1")  # one shift explains the two
+
+
+@pytest.mark.parametrize("speed", [0.5, 2.0])
+def test_driving_close_past_a_landmark_leaves_an_honest_submap(speed):
+    cfg, nees = SubmapConfig(association="known"), []
+    for seed in range(150):
+        rng = np.random.default_rng(seed)
+        marks = np.array([[rng.uniform(0.2, 1.5), rng.uniform(-1, 1)], [8.0, 5.0], [10.0, -4.0]])
+        pose, m = np.zeros(3), empty("robot1", "local")
+        for step in range(11):
+            if step:
+                u = np.array([speed, rng.choice([-0.4, 0.0, 0.4])])
+                pose = move(pose, u, cfg.period) + rng.normal(size=3) * cfg.motion_sd
+                m = predict(m, u, cfg)
+            z = sight(pose, marks)
+            rows = np.flatnonzero(in_view(z, cfg))
+            seen = z[rows] + rng.normal(size=(len(rows), 2)) * (cfg.range_sd, cfg.bearing_sd)
+            m, _ = update(m, Observations(seen, tuple(map(str, rows))), cfg)
+        error = np.concatenate([m.pose - pose, (m.mean - marks[[int(name) for name in m.ids]]).ravel()])
+        nees.append(error @ np.linalg.solve(m.cov, error) / len(error))
+    assert 0.85 <= np.mean(nees) <= 1.15
+    assert max(nees) < 6
 
 
 def test_no_landmark_in_view_and_a_singular_pose_block_are_no_errors():

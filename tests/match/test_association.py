@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mapweave.match.association import jcbb, nearest_neighbour
+from mapweave.match.association import certain, jcbb, nearest_neighbour
 
 R = np.diag([0.04, 0.0016])
 
@@ -45,3 +45,23 @@ def test_without_landmarks_every_observation_is_new():
     for rule in (nearest_neighbour, jcbb):
         found = rule(np.array([[5.0, 0.0], [6.0, 0.0]]), np.zeros((0, 2)), np.zeros((0, 0)), R, 9.21, 25.0, (1,))
         assert found.new == (True, True)
+
+
+def test_an_observation_that_two_landmarks_explain_as_well_is_dropped_and_the_others_stay():
+    zhat = np.array([[5.0, 0.0], [5.0, 0.02], [9.0, 0.8]])
+    z = np.array([[5.0, 0.01], [9.05, 0.81], [5.1, 0.0]])
+    S = 1e-3 * np.eye(6)
+    found = jcbb(z, zhat, S, R, 9.21, 25.0, (1,))
+    assert None not in found.landmark
+    kept = certain(found, z, zhat, S, R, 9.21, 25.0, (1,), np.full(3, 1e-5), 0.95)
+    assert kept.landmark == (None, 2, None)
+    assert kept.new == (False, False, False)
+
+
+def test_a_second_observation_beside_a_sure_one_is_another_landmark():
+    zhat = np.array([[5.0, 0.0]])
+    z = np.array([[5.0, 0.0], [5.0, 0.17]])  # the second at D^2 = 18: too near to be new, were the first not there
+    found = jcbb(z, zhat, 1e-9 * np.eye(2), R, 9.21, 25.0, (1,))
+    assert found == ((0, None), (False, False))
+    kept = certain(found, z, zhat, 1e-9 * np.eye(2), R, 9.21, 25.0, (1,), np.full(2, 1e-5), 0.95)
+    assert kept == ((0, None), (False, True))

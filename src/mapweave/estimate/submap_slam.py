@@ -11,7 +11,7 @@ from ..core.config import config
 from ..core.se2 import wrap_angle
 from ..kernels import submap as kernels
 from ..maps.submap import Submap
-from ..match.association import Assignment, jcbb, nearest_neighbour
+from ..match.association import Assignment, certain, jcbb, nearest_neighbour
 
 
 @config
@@ -25,8 +25,11 @@ class SubmapConfig:
     reach: float = 15.0  # [m]
     half_angle: float = np.pi / 2  # [rad]
     association: str = "jcbb"  # known | nn | jcbb
-    gate: float = 9.21  # D^2 of a match, 0.99 of chi-square with 2 degrees of freedom
+    gate: float = 13.82  # D^2 of a match, 0.999 of chi-square with 2 degrees of freedom
     new_gate: float = 25.0  # D^2 from every landmark beyond which an observation starts a new one
+    sure: float = 0.95  # probability below which a match is not used
+    hidden: float = 1e-6  # [1/m^2] new landmarks expected inside the gate of a known one
+    linear: float = 5.0  # deviations from the robot within which a landmark is too near for range and bearing
 
     @property
     def Q(self) -> np.ndarray:
@@ -91,8 +94,9 @@ def predict(m: Submap, control: Float[np.ndarray, "2"], cfg: SubmapConfig) -> Su
 def update(m: Submap, seen: Observations, cfg: SubmapConfig, name: str = "n") -> tuple[Submap, SubmapInfo]:
     """`m` after all of a step's observations, associated together before any is used: [Yuan09] eq. 9-11.
 
-    An observation matches below `gate`, starts a landmark beyond `new_gate` from every landmark (never with known
-    identities, where the id decides), and is dropped in between. New landmarks are called `name` and a number.
+    An observation matches below `gate`, unless another landmark explains it nearly as well, starts a landmark beyond
+    `new_gate` from every landmark that has none in this step (never with known identities, where the id decides), and
+    is dropped in between. New landmarks are called `name` and a number.
     """
     if len(seen.z) == 0:
         return m, SubmapInfo((), (), 0)
@@ -129,16 +133,24 @@ def _associate(m: Submap, seen: Observations, cfg: SubmapConfig) -> Assignment:
             msg = "association='known' needs observations with ids"
             raise ValueError(msg)
         where = {name: i for i, name in enumerate(m.ids)}
-        found = tuple(where.get(name) for name in seen.ids)
-        return Assignment(found, tuple(a is None for a in found))
+        named = tuple(where.get(name) for name in seen.ids)
+        return Assignment(named, tuple(a is None for a in named))
     zhat = sight(m.pose, m.mean)
     S = kernels.innovation(m.pose, m.mean, m.cov, np.arange(len(m.ids)))[1]
     rule = nearest_neighbour if cfg.association == "nn" else jcbb
-    return rule(seen.z, zhat, S, cfg.R, cfg.gate, cfg.new_gate, wrap_columns=(1,))
+    found = rule(seen.z, zhat, S, cfg.R, cfg.gate, cfg.new_gate, wrap_columns=(1,))
+    around = cfg.hidden * np.maximum(seen.z[:, 0], cfg.range_sd)
+    return certain(found, seen.z, zhat, S, cfg.R, cfg.gate, cfg.new_gate, (1,), around, cfg.sure)
 
 
 def _correct(m: Submap, index: np.ndarray, z: np.ndarray, cfg: SubmapConfig) -> Submap:
-    pose, mean, P = kernels.corrected(m.pose, m.mean, m.cov, index, z, cfg.R)
+    """One update with all sightings, [Yuan09] eq. 9-11; those too near to be linear come after, as places."""
+    pose, mean, P = m.pose, m.mean, m.cov
+    near = kernels.too_near(pose, mean, P, index, cfg.linear, cfg.R)
+    if not near.all():
+        pose, mean, P = kernels.corrected(pose, mean, P, index[~near], z[~near], cfg.R)
+    for k in np.flatnonzero(near):
+        pose, mean, P = kernels.placed(pose, mean, P, index[k], z[k], cfg.R)
     return Submap(m.robot, owned(pose), m.ids, owned(mean), owned(P), m.frame)
 
 

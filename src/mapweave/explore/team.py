@@ -12,7 +12,7 @@ from ..core import se2
 from ..core.errors import EstimateError
 from ..core.se2 import wrap_angle
 from ..estimate.submap_slam import Observations, empty, in_view, move, predict, sight, update
-from ..fuse.handover import hand_over, pose_in_map
+from ..fuse.handover import Handover, hand_over, pose_in_map
 from ..kernels.exploration import map_uncertainty, mark_half_disc
 from ..kernels.sight import mark_in_sight
 from ..maps.explored import Explored
@@ -285,8 +285,17 @@ class Team:
             return False
         known = self.cfg.submap.association == "known"
         self.borders.append((self.step, j, _corners(self.G, self.submaps[j])))
-        done = hand_over(self.G, self.submaps[j], known=known, gate=self.cfg.fusion_gate, prefix="m")
-        self._score_names(j, done.names, done.matched)
+        c = self.cfg
+        done = hand_over(
+            self.G,
+            self.submaps[j],
+            known=known,
+            gate=c.fusion_gate,
+            prefix="m",
+            density=c.fusion_density,
+            sure=c.fusion_sure,
+        )
+        self._score_names(j, done)
         self.G = done.map
         self.submaps[j] = empty(self.robots[j], self.submaps[j].frame)
         self.ages[j] = 0
@@ -295,12 +304,14 @@ class Team:
         self.truth.pending[j], self.truth.origin[j] = set(), {}
         return True
 
-    def _score_names(self, j: int, names: tuple[str, ...], matched: tuple[bool, ...]) -> None:
-        for local, name, was_matched in zip(self.submaps[j].ids, names, matched, strict=True):
-            true = self.truth.origin[j].get(local)
-            if true is None:
-                continue
-            if self.truth.source.setdefault(name, true) != true and was_matched:
+    def _score_names(self, j: int, done: Handover) -> None:
+        source, origin = self.truth.source, self.truth.origin[j]
+        for local, name in zip(self.submaps[j].ids, done.names, strict=True):
+            true = origin.get(local)
+            if name is not None and true is not None and source.setdefault(name, true) != true:
+                self.truth.misassociations += 1
+        for kept, gone in done.merged:
+            if source.pop(gone, None) not in (None, source.get(kept)):
                 self.truth.misassociations += 1
 
 

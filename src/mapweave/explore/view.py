@@ -40,6 +40,8 @@ class ExploreConfig:
     fuse_uncertainty: float = 0.3  # C_f
     fuse_by: int = 60  # steps after which a submap is handed over whatever its uncertainty
     fusion_gate: float = 18.42
+    fusion_sure: float = 0.9  # probability above which two landmarks of unknown identity become one
+    fusion_density: float = 4e-4  # [1/m^2] landmarks expected, times the chance that one beside a new one went unseen
     max_steps: int = 1500
     cover_radius: float = 10.0  # [m], discs of the coverage planner
     replan_every: int = 4  # steps

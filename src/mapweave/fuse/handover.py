@@ -4,7 +4,8 @@ It replaces [Yuan09]'s eq. 14, which covers neither new landmarks, nor the next 
 the joint state of map and submap is conditioned on "a landmark both know is one point", then mapped forward whole.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float
@@ -14,29 +15,46 @@ from ..core.arrays import owned
 from ..core.gaussian import symmetrise
 from ..maps.global_map import GlobalMap
 from ..maps.submap import Submap
-from .duplicates import GATE, merge_duplicates
+from .duplicates import DENSITY, GATE, SURE, merge_duplicates, told
 from .joint import Joint
+
+KEPT_APART = 10.0  # [m] landmarks farther from each other are never mistaken for one
 
 
 @dataclass(frozen=True, slots=True)
 class Handover:
-    """The global map afterwards; what each submap landmark is called there; (kept, dropped) of duplicates merged."""
+    """The global map afterwards; what each submap landmark is called there; (kept, dropped) of duplicates merged.
+
+    names: `None` for a landmark left out. A dropped name may be given to another landmark later.
+    """
 
     map: GlobalMap
-    names: tuple[str, ...]
+    names: tuple[str | None, ...]
     matched: tuple[bool, ...]
     merged: tuple[tuple[str, str], ...] = ()
 
 
-def hand_over(G: GlobalMap, L: Submap, *, known: bool, gate: float = GATE, prefix: str = "") -> Handover:
+def hand_over(
+    G: GlobalMap,
+    L: Submap,
+    *,
+    known: bool,
+    gate: float = GATE,
+    prefix: str = "",
+    density: float = DENSITY,
+    sure: float = SURE,
+) -> Handover:
     """`G` with all that `L` knows: matched landmarks fused, the others added, the robot's frame moved to its pose.
 
-    With `known` identities equal ids are one landmark; otherwise the best pair inside `gate` is fused first, one to
-    one, distances computed anew after each, and near duplicates in the map are merged at the end. Unknown landmarks
-    are named `prefix` and a number. Other robots' submaps are not touched: they are independent of `L`.
+    With `known` identities equal ids are one landmark. Otherwise pairs inside `gate` are weighed together, over all
+    ways to pair (`pairing_probabilities`, which says what `density` is); those with a probability above `sure` are
+    fused. A landmark that may be new is added, and merged later if it turns out to be an old one; one that is surely
+    old, with no telling which, is left out. Landmarks of one submap were told apart by it and are never merged.
+    Unknown landmarks are named `prefix` and a number. Other robots' submaps are not touched: they are independent.
     """
     Y = Joint(G, L)
     pairs: dict[int, int] = {}
+    torn: frozenset[int] = frozenset()
     if known:
         where = {name: k for k, name in enumerate(G.ids)}
         pairs = {i: where[name] for i, name in enumerate(L.ids) if name in where}
@@ -44,33 +62,47 @@ def hand_over(G: GlobalMap, L: Submap, *, known: bool, gate: float = GATE, prefi
             Y.constrain(list(pairs.items()))
     else:
         while True:
-            best = Y.best_pair(pairs, gate)
-            if best is None:
+            found, torn = Y.sure_pairs(pairs, gate, density, sure)
+            if not found:
                 break
-            Y.constrain([best])
-            pairs[best[0]] = best[1]
-    names = _names(G, L, pairs, known=known, prefix=prefix)
-    out = _forward(G, Y, names, [i for i in range(len(L.ids)) if i not in pairs])
+            Y.constrain(found)
+            pairs.update(found)
+    names = _names(G, L, pairs, torn, known=known, prefix=prefix)
+    out = _forward(G, Y, names, [i for i, name in enumerate(names) if name is not None and i not in pairs])
     merged: tuple[tuple[str, str], ...] = ()
     if not known:
-        out, merged = merge_duplicates(out, gate)
+        out = replace(out, apart=out.apart | _apart(out, [name for name in names if name is not None]))
+        out, merged = merge_duplicates(out, gate, density=density, sure=sure)
         renamed = {gone: kept for kept, gone in merged}
         names = tuple(_follow(name, renamed) for name in names)
     return Handover(out, names, tuple(i in pairs for i in range(len(L.ids))), merged)
 
 
-def _names(G: GlobalMap, L: Submap, pairs: dict[int, int], *, known: bool, prefix: str) -> tuple[str, ...]:
+def _apart(G: GlobalMap, names: list[str]) -> frozenset[tuple[str, str]]:
+    """Landmarks of one submap are told apart by it; of those far from each other nobody will ever ask."""
+    at = [G.mean[G.ids.index(name)] for name in names]
+    return frozenset(
+        told(a, b) for (a, p), (b, q) in combinations(zip(names, at, strict=True), 2) if np.hypot(*(p - q)) < KEPT_APART
+    )
+
+
+def _names(
+    G: GlobalMap, L: Submap, pairs: dict[int, int], torn: frozenset[int], *, known: bool, prefix: str
+) -> tuple[str | None, ...]:
     """What the map calls each landmark of `L`."""
     taken = set(G.ids)
-    names: list[str] = []
+    names: list[str | None] = []
     for i, name in enumerate(L.ids):
+        if i in torn:
+            names.append(None)
+            continue
         label = G.ids[pairs[i]] if i in pairs else name if known else _unused(prefix, taken)
         taken.add(label)
         names.append(label)
     return tuple(names)
 
 
-def _forward(G: GlobalMap, Y: Joint, names: tuple[str, ...], new: list[int]) -> GlobalMap:
+def _forward(G: GlobalMap, Y: Joint, names: tuple[str | None, ...], new: list[int]) -> GlobalMap:
     """`XL_j <- XL_j (+) r_j`, unmatched landmarks `XL_j,old (+) l_i`: one Jacobian over all of Y.
 
     It is the identity but for the frame and the landmarks `new`: only their rows and columns change.
@@ -95,7 +127,7 @@ def _forward(G: GlobalMap, Y: Joint, names: tuple[str, ...], new: list[int]) -> 
     frames = Y.frames.copy()
     frames[Y.frame[0] // 3] = se2.compose(old, pose)
     mean = np.vstack([Y.marks, se2.act(old, points)])
-    return GlobalMap(G.robots, frames, (*G.ids, *(names[i] for i in new)), mean, owned(P))
+    return GlobalMap(G.robots, frames, (*G.ids, *(str(names[i]) for i in new)), mean, owned(P), G.apart)
 
 
 def _unused(prefix: str, taken: set[str]) -> str:
@@ -105,8 +137,8 @@ def _unused(prefix: str, taken: set[str]) -> str:
     return f"{prefix}{k}"
 
 
-def _follow(name: str, renamed: dict[str, str]) -> str:
-    while name in renamed:
+def _follow(name: str | None, renamed: dict[str, str]) -> str | None:
+    while name is not None and name in renamed:
         name = renamed[name]
     return name
 

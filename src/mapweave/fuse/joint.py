@@ -9,9 +9,11 @@ from ..core.gaussian import solve_psd, symmetrise
 from ..kernels.symmetric import mirror
 from ..maps.global_map import GlobalMap
 from ..maps.submap import Submap
+from ..match.pairing import pairing_probabilities
 
 ITERATIONS = 10  # at most; with little noise two suffice
 SETTLED = 1e-6  # [m], [rad]
+CANDIDATES = 40  # pairs weighed together, the nearest
 FLOOR = 1e-12  # what keeps a constraint on things already certain solvable: [m^2], and as a share
 
 Pairs = list[tuple[int, int]]  # (landmark of the submap, landmark of the map)
@@ -100,18 +102,32 @@ class Joint:
         U = solve_triangular(np.linalg.cholesky(S), H, lower=True, check_finite=False) @ rows
         self.U = np.vstack([self.U, U])
 
-    def best_pair(self, taken: dict[int, int], gate: float) -> tuple[int, int] | None:
-        """The pair of least D^2 below `gate` among landmarks of neither side used yet."""
+    def sure_pairs(
+        self, taken: dict[int, int], gate: float, density: float, sure: float
+    ) -> tuple[Pairs, frozenset[int]]:
+        """Pairs of landmarks of neither side used yet, each one landmark with a probability above `sure`.
+
+        With them those of the submap that are surely among the map's landmarks, though there is no telling which.
+        """
         free_l = np.setdiff1d(np.arange(len(self.points)), list(taken))
         free_g = np.setdiff1d(np.arange(len(self.marks)), list(taken.values()))
         if not len(free_l) or not len(free_g):
-            return None
+            return [], frozenset()
         away = np.linalg.norm(self.points[free_l][:, None] - self.local(free_g)[0], axis=2).ravel()
-        order = np.argsort(away)[: 4 * len(free_l) + 8]
+        order = np.argsort(away)[: 8 * len(free_l) + 32]
         i, m = free_l[order // len(free_g)], free_g[order % len(free_g)]
         D2 = self._distances(i, m)
-        k = int(np.argmin(D2))
-        return (int(i[k]), int(m[k])) if gate > D2[k] else None
+        order = np.argsort(D2)[: min(int((gate > D2).sum()), CANDIDATES)]
+        i, m = i[order], m[order]
+        if not len(i):
+            return [], frozenset()
+        pairs = list(zip(i.tolist(), m.tolist(), strict=True))
+        h, H, used = self.residuals(pairs)
+        S = symmetrise(H @ self.rows(used)[:, used] @ H.T)
+        p = pairing_probabilities(np.stack([i, len(self.points) + m], axis=1), h.reshape(-1, 2), S, density)
+        old = np.bincount(i, weights=p, minlength=len(self.points))
+        torn = frozenset(int(k) for k in np.unique(i) if old[k] > sure and p[i == k].max() <= sure)
+        return [pair for pair, q in zip(pairs, p, strict=True) if q > sure], torn
 
     def _distances(self, i: Int[np.ndarray, " k"], m: Int[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
         """D^2 of submap landmark i[k] and map landmark m[k] being one point."""

@@ -12,13 +12,17 @@ from .landmarks import LandmarkMap
 
 @dataclass(frozen=True, slots=True)
 class GlobalMap:
-    """`G = [XL_1 .. XL_M, m_1 .. m_n]`: frames (M, 3) = `T_map_local`, landmarks (n, 2), cov (3M + 2n, 3M + 2n)."""
+    """`G = [XL_1 .. XL_M, m_1 .. m_n]`: frames (M, 3) = `T_map_local`, landmarks (n, 2), cov (3M + 2n, 3M + 2n).
+
+    apart: pairs of ids, each sorted, that a robot has told apart and that are therefore never one landmark.
+    """
 
     robots: tuple[str, ...]
     frames: Float[np.ndarray, "r 3"]
     ids: tuple[str, ...]
     mean: Float[np.ndarray, "n 2"]
     cov: Float[np.ndarray, "m m"]
+    apart: frozenset[tuple[str, str]] = frozenset()
 
     def __post_init__(self) -> None:
         for name in ("frames", "mean", "cov"):

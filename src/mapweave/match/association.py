@@ -9,6 +9,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ..core.gaussian import chi2_quantile
 from ..core.se2 import wrap_angle
+from .pairing import pairing_probabilities
 
 
 class Assignment(NamedTuple):
@@ -128,6 +129,40 @@ class _Search:
         bound = len(pairs) + sum(1 for some in self.candidates[k + 1 :] if some)
         if (bound, -distance) > (len(self.best), -self.distance):
             self.grow(k + 1, pairs, distance)
+
+
+def certain(
+    found: Assignment,
+    z: Float[np.ndarray, "m 2"],
+    zhat: Float[np.ndarray, "n 2"],
+    S: Float[np.ndarray, "k k"],
+    R: Float[np.ndarray, "2 2"],
+    gate: float,
+    new_gate: float,
+    wrap_columns: tuple[int, ...],
+    density: Float[np.ndarray, " m"],
+    sure: float,
+) -> Assignment:
+    """`found` without the matches of probability below `sure`: those observations are dropped.
+
+    density (m,): landmarks in a unit of the space of z around each observation. A landmark gives one observation a
+    time, so one whose own is sure keeps no other from being new.
+    """
+    if not len(zhat) or not len(z):
+        return found
+    D2, _, e = individual_costs(z, zhat, S, R, wrap_columns)
+    k, j = np.nonzero(gate > D2)
+    rows = (2 * j[:, None] + np.arange(2)).ravel()
+    C = S[np.ix_(rows, rows)] + np.kron(k[:, None] == k[None], R)
+    p = pairing_probabilities(np.stack([k, len(z) + j], axis=1), e[k, j], C, density[k])
+    good = {(int(a), int(b)) for a, b, q in zip(k, j, p, strict=True) if q > sure}
+    landmark = tuple(a if (i, a) in good else None for i, a in enumerate(found.landmark))
+    D2[:, [a for a in landmark if a is not None]] = np.inf
+    torn = [a is not None and b is None for a, b in zip(found.landmark, landmark, strict=True)]
+    new = tuple(
+        a is None and not t and bool(row.min() > new_gate) for a, t, row in zip(landmark, torn, D2, strict=True)
+    )
+    return Assignment(landmark, new)
 
 
 def _new(D2: np.ndarray, found: list[int | None], new_gate: float) -> tuple[bool, ...]:
