@@ -180,7 +180,7 @@ def test_a_robot_driven_into_a_wall_stops_short_of_it_and_knows_how_far_it_came(
     moments = list(team.play())
     true = np.array([m.true_poses[0] for m in moments])
     assert true[:, 0].max() == pytest.approx(11.7, abs=1e-3)
-    assert team.collisions == 1
+    assert team.bumper.collisions == 1
     assert moments[-1].commands[0, 0] < 0.1
     assert np.hypot(*(moments[-1].poses[0] - moments[-1].true_poses[0])[:2]) < 0.3
     assert len(team.view().contacts) >= 1

@@ -136,6 +136,6 @@ def score(team: Team, run: int, seed: int, moments: tuple[Moment, ...]) -> RunSc
         misassociations=team.truth.misassociations,
         missed=len(team.wanted - set(true.tolist())),
         ms_per_decision=1e3 * seconds / max(decisions, 1),
-        collisions=team.collisions,
+        collisions=team.bumper.collisions,
         hidden=len(team.world.landmarks) - len(team.wanted),
     )

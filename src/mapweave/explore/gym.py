@@ -5,8 +5,8 @@ Observation of an agent, (12 + 16 x 12,) float32 in [-1, 1]:
   heading over pi (cut at 1); steps in the current submap over `fuse_by`; landmarks in it over 50; explored share;
   distance to the nearest other live robot over the field's diagonal (1 when alone); 1 when alive, else 0;
 - what the team has seen, as this robot knows it: the field in 16 x 12 blocks, each its seen share, rows from low y.
-Action: one of the 36 controls of `ExploreConfig.controls` by its number. One that would leave the field is replaced by
-the offered one closest to it.
+Action: one of the 36 controls of `ExploreConfig.controls` by its number. One that would leave the field, or come too
+near to a wall, is replaced by the offered one closest to it.
 Reward: the share of the field newly seen by the agent in this step, times 100, minus 0.1; plus 10 for each robot when
 the goal is reached.
 A dead robot's agent terminates; all terminate when the goal is reached and are truncated after `max_steps`.

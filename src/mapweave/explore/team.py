@@ -19,6 +19,7 @@ from ..maps.explored import Explored
 from ..maps.global_map import GlobalMap, known_starts
 from ..maps.submap import Submap
 from ..sim.field import Field
+from .bumper import Bumper
 from .ground import Ground, survey
 from .view import ExploreConfig, Planner, TeamView
 
@@ -76,9 +77,7 @@ class Team:
     wanted: set[int] = field(init=False)  # landmarks somebody can see
     memory: dict[str, Any] = field(default_factory=dict)
     ground: Ground | None = None
-    collisions: int = 0  # how often a robot's true motion met a wall and was stopped short of it
-    touching: set[int] = field(default_factory=set)  # robots stopped by a wall in the last step
-    contacts: list[tuple[int, np.ndarray]] = field(default_factory=list)  # step and place (2,) in the map
+    bumper: Bumper = field(init=False)
     borders: list[tuple[int, int, np.ndarray]] = field(default_factory=list)
     finished: bool = False
     step: int = 0
@@ -87,6 +86,7 @@ class Team:
         M = len(self.world.starts)
         self.robots = tuple(f"robot{k + 1}" for k in range(M))
         self.G = known_starts(self.robots, self.world.starts)
+        self.bumper = Bumper(self.world.walls, self.cfg.robot_radius)
         outside = None
         if self.world.walls is not None:
             self.ground = survey(self.world, self.world.walls, self.cfg)
@@ -114,7 +114,7 @@ class Team:
             self.stalled,
             self.memory,
             self.ground,
-            np.array([p for _, p in self.contacts]).reshape(-1, 2),
+            self.bumper.places(),
         )
 
     def look_around(self) -> Moment:
@@ -133,7 +133,7 @@ class Team:
             before = perf_counter()
             commands = self._ask().copy()
             seconds, decisions = perf_counter() - before, int(self.alive.sum())
-            self.contacts = [c for c in self.contacts if c[0] > self.step - self.cfg.contact_steps]
+            self.bumper.forget(self.step - self.cfg.contact_steps)
             seen = tuple(self._drive(j, commands[j]) if self.alive[j] else _NOTHING for j in range(len(self.robots)))
             self.step += 1
             handed = tuple(j for j in range(len(self.robots)) if self.alive[j] and self._due(j) and self._hand_over(j))
@@ -199,35 +199,13 @@ class Team:
         sd = self.true_motion_sd or s.motion_sd
         pose = move(self.truth.poses[j], command, s.period) + self.rng.normal(size=3) * sd
         pose[2] = wrap_angle(pose[2])
-        stopped = self._stopped(j, pose, command)
+        stopped = self.bumper.stop(j, self.truth.poses[j, :2], pose, command)
         self.truth.poses[j] = pose
         self.submaps[j] = predict(self.submaps[j], command, s)
         if stopped:
-            self._remember_contact(j)
+            there = self.G.pose_in_map(self.robots[j], self.submaps[j].pose)
+            self.bumper.remember(self.step, there, there[2] - command[1] * s.period)
         return self._look(j)
-
-    def _stopped(self, j: int, pose: np.ndarray, command: np.ndarray) -> bool:
-        """Whether a wall stopped robot j on its way to the true `pose`; then that and `command` are cut, in place."""
-        if self.ground is None:
-            return False
-        here = self.truth.poses[j, :2]
-        share = self.ground.walls.free_share(here, pose[:2], self.cfg.robot_radius)
-        if share == 1.0:
-            self.touching.discard(j)
-            return False
-        pose[:2] = here + share * (pose[:2] - here)
-        if command[0] == 0.0:  # it turned on the spot and slipped
-            return False
-        command[0] *= share
-        self.collisions += j not in self.touching
-        self.touching.add(j)
-        return True
-
-    def _remember_contact(self, j: int) -> None:
-        """The wall stands, as far as robot j knows where it is, a radius ahead of it."""
-        x, y, theta = self.G.pose_in_map(self.robots[j], self.submaps[j].pose)
-        ahead = self.cfg.robot_radius * np.array([np.cos(theta), np.sin(theta)])
-        self.contacts.append((self.step, np.array([x, y]) + ahead))
 
     def _look(self, j: int) -> Observations:
         s = self.cfg.submap
