@@ -12,12 +12,26 @@ from .errors import ConfigError
 
 T = TypeVar("T")
 
+_WORDS = {
+    "unexpected_keyword_argument": "unknown key",
+    "missing": "missing",
+    "tuple_type": "expected a list",
+    "string_type": "expected text",
+    "int_type": "expected a whole number",
+    "float_type": "expected a number",
+    "float_parsing": "expected a number",
+    "int_parsing": "expected a whole number",
+    "int_from_float": "expected a whole number",
+    "finite_number": "expected a number, found one that is not finite",
+}
+_TYPES = {"str", "int", "float", "bool", "none"}  # how a union's members are called in a place
+
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 def config(cls: type[T]) -> type[T]:
-    """A frozen, keyword-only dataclass that refuses unknown keys when it is read from a file."""
+    """A frozen, keyword-only dataclass that refuses unknown keys and NaN when it is read from a file."""
     made = dataclass(frozen=True, slots=True, kw_only=True)(cls)
-    made.__pydantic_config__ = {"extra": "forbid"}  # type: ignore[attr-defined]
+    made.__pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # type: ignore[attr-defined]
     return made
 
 
@@ -28,8 +42,8 @@ def build(cls: type[T], values: dict[str, Any], where: str = "configuration") ->
     try:
         return TypeAdapter(cls).validate_python(values)
     except ValidationError as error:
-        told = "; ".join(f"{'.'.join(map(str, e['loc'])) or '(top)'}: {e['msg']}" for e in error.errors())
-        raise ConfigError(f"{where}: {told}") from None
+        told = [f"{_place(e['loc'])}: {_WORDS.get(e['type'], e['msg'])}" for e in error.errors()]
+        raise ConfigError(f"{where}: {'; '.join(dict.fromkeys(told))}") from None
 
 
 def load(cls: type[T], path: Path | None, overrides: dict[str, Any] | None = None) -> T:
@@ -40,9 +54,40 @@ def load(cls: type[T], path: Path | None, overrides: dict[str, Any] | None = Non
             values = tomllib.loads(path.read_text(encoding="utf-8"))
         except OSError as error:
             raise ConfigError(f"{path}: {error.strerror}") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        except tomllib.TOMLDecodeError as error:
+            raise ConfigError(_with_line(path, str(error))) from None
+        except UnicodeDecodeError as error:
             raise ConfigError(f"{path}: {error}") from None
     return build(cls, _merge(values, overrides or {}), str(path) if path else "options")
+
+
+def expect_positive(cfg: object, where: str, *names: str) -> None:
+    """Raises ConfigError that lists all of `names` (dotted fields, numbers or lists of them) that are not above 0."""
+    told = []
+    for name in names:
+        value: Any = cfg
+        for part in name.split("."):
+            value = getattr(value, part)
+        numbers = value if isinstance(value, tuple) else (value,)
+        if not numbers or not all(v > 0 for v in numbers):
+            told.append(
+                f"{name}: expected {'numbers' if isinstance(value, tuple) else 'a number'} above 0, found {value}"
+            )
+    if told:
+        raise ConfigError(f"{where}: {'; '.join(told)}")
+
+
+def _place(loc: tuple[int | str, ...]) -> str:
+    """`a.b.2` of a value; which of several types was tried is left out."""
+    names = [str(part) for part in loc if not (str(part) in _TYPES or "[" in str(part))]
+    return ".".join(names) or "(top)"
+
+
+def _with_line(path: Path, message: str) -> str:
+    """`path:line: message`, from the `(at line 3, column 1)` that tomllib ends a message with."""
+    what, _, where = message.rpartition(" (at line ")
+    line = where.split(",")[0]
+    return f"{path}:{line}: {what}" if line.isdecimal() else f"{path}: {message}"
 
 
 def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:

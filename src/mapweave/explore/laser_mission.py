@@ -10,13 +10,13 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.config import config
-from ..core.errors import EstimateError
 from ..core.records import Scan
 from ..evaluate.building import Building, known_at
 from ..fuse.laser import LaserTeam, LaserTeamConfig
 from ..maps.occupancy import Occupancy, of_grid
 from ..sim.laser import stream
 from ..sim.laser_team import LaserRobotsConfig, LaserTeamSim
+from .asking import ask
 from .frontiers import frontiers, survey
 from .laser_scenario import LaserPlace
 from .laser_view import LaserExploreConfig, LaserPlanner, LaserView
@@ -160,23 +160,7 @@ class LaserRun:
         return not frontiers(survey(self.grid, poses[self.alive], poses[~self.alive], self.plan), self.plan)
 
     def _ask(self) -> Float[np.ndarray, "r 2"]:
-        """The planner's commands; raises EstimateError when they are none a robot can follow."""
-        u = np.array(self.planner(self.view(), self.team.poses(), self.plan), dtype=float)
-        if u.shape != (len(self.robots), 2):
-            raise EstimateError(
-                f"step {self.step}: the planner returned shape {u.shape}, expected ({len(self.robots)}, 2)"
-            )
-        live = np.flatnonzero(self.alive)
-        bad = [self.robots[j] for j in live if not np.isfinite(u[j]).all()]
-        if bad:
-            raise EstimateError(f"step {self.step}: the planner's command for {', '.join(bad)} is not a finite number")
-        top, turn = self.plan.speed, self.plan.turn
-        wild = [self.robots[j] for j in live if abs(u[j, 0]) > top + 1e-9 or abs(u[j, 1]) > turn + 1e-9]
-        if wild:
-            raise EstimateError(
-                f"step {self.step}: command for {', '.join(wild)} is beyond {top:g} m/s or {turn:.3g} rad/s"
-            )
-        return u
+        return ask(self.planner, self.view(), self.team.poses(), self.plan, (self.plan.speed, self.plan.turn))
 
     def _deaths(self) -> None:
         for j, when in self.kills.items():

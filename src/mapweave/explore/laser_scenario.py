@@ -14,6 +14,7 @@ from ..maps.walls import Walls
 from ..readers.ros_map import read_plan, read_ros_map
 from ..sim.laser_world import LaserWorld
 from ..sim.office_floor import GREATEST, LEAST, office_floor
+from .scenario import check_segments
 
 OFFICE = 500.0  # [m^2], the scenario `office`
 TEAM = 2  # robots unless said
@@ -64,6 +65,7 @@ def find_laser_scenario(name: str) -> LaserScenarioConfig | None:
         raise ConfigError(f"{path}: expected office = AREA or walls, one of them")
     if found.walls is not None and not found.starts:
         raise ConfigError(f"{path}: expected starts = [[x, y, theta], ...], one a robot")
+    check_segments(path, found.walls)
     if isinstance(found.walls, str):
         return replace(found, walls=str(path.parent / found.walls))
     return found

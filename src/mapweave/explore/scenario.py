@@ -10,7 +10,7 @@ from ..core.config import config, load
 from ..core.errors import ConfigError, DataError, UsageError
 from ..maps.walls import Walls
 from ..readers.ros_map import RosMap, read_plan, read_ros_map
-from ..sim.field import YUAN_LANDMARKS, YUAN_LOWER, YUAN_UPPER, Field, circle_of_starts
+from ..sim.field import START_RADIUS, YUAN_LANDMARKS, YUAN_LOWER, YUAN_UPPER, Field, circle_of_starts
 
 WALL_GAP = 0.3  # [m] that random landmarks keep from walls
 BUILT_IN = {"yuan": 1.0, "yuan-large": 4.0}  # name -> area relative to the paper's field
@@ -43,16 +43,25 @@ def find_scenario(name: str) -> ScenarioConfig:
         )
     path = Path(name)
     if path.suffix != ".toml" and not path.exists():
-        raise UsageError(f"scenario {name!r}: not one of {', '.join(BUILT_IN)} and not a TOML file")
+        known = ", ".join((*BUILT_IN, "office", "office-AREA"))
+        raise UsageError(f"scenario {name!r}: not one of {known} and not a TOML file")
     found = load(ScenarioConfig, path)
     if isinstance(found.walls, str):
         found = replace(found, walls=str(path.parent / found.walls))
-    if found.walls is not None and not isinstance(found.walls, str) and not np.isfinite(found.walls).all():
-        raise ConfigError(f"{path}: walls: expected segments x0, y0, x1, y1 in metres, found one that is not finite")
+    check_segments(path, found.walls)
     lower, upper = bounds(found)
     if lower[0] >= upper[0] or lower[1] >= upper[1]:
         raise ConfigError(f"{path}: lower {tuple(lower.tolist())} must lie below upper {tuple(upper.tolist())}")
     return found
+
+
+def check_segments(path: Path, walls: str | tuple[tuple[float, float, float, float], ...] | None) -> None:
+    """Raises ConfigError when one of the segments that `walls` lists has no length."""
+    for k, (x0, y0, x1, y1) in enumerate(walls if isinstance(walls, tuple) else ()):
+        if (x0, y0) == (x1, y1):
+            raise ConfigError(
+                f"{path}: walls.{k}: expected x0, y0, x1, y1, found a wall without length at ({x0:g}, {y0:g})"
+            )
 
 
 def floor_plan(scenario: ScenarioConfig) -> RosMap | None:
@@ -108,7 +117,7 @@ def make_field(scenario: ScenarioConfig, robots: int | None, seed: int) -> Field
         landmarks = _scatter(lower, upper, scenario.landmarks, walls, rng)
     else:
         landmarks = np.array(scenario.landmarks, dtype=float).reshape(-1, 2)
-    return Field(lower, upper, landmarks, _starts(scenario, robots, 0.5 * (lower + upper)), walls)
+    return Field(lower, upper, landmarks, _starts(scenario, robots, lower, upper), walls)
 
 
 def _scatter(lower: np.ndarray, upper: np.ndarray, n: int, walls: Walls | None, rng: np.random.Generator) -> np.ndarray:
@@ -124,12 +133,14 @@ def _scatter(lower: np.ndarray, upper: np.ndarray, n: int, walls: Walls | None, 
     raise DataError(f"the walls leave no room for {n} landmarks")
 
 
-def _starts(scenario: ScenarioConfig, robots: int | None, middle: np.ndarray) -> np.ndarray:
+def _starts(scenario: ScenarioConfig, robots: int | None, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """As given; else a circle around the middle, of the paper's radius or, in a smaller field, half way to its edge."""
     if scenario.starts is not None:
-        given = np.array(scenario.starts, dtype=float)
+        given = np.array(scenario.starts, dtype=float).reshape(-1, 3)
         if robots is not None and robots > len(given):
             raise UsageError(f"--robots: {robots} asked for, the scenario has {len(given)} starts")
         return given[:robots]
-    around = circle_of_starts(2 if robots is None else robots)
-    around[:, :2] += middle
+    radius = min(START_RADIUS, 0.25 * float((upper - lower).min()))
+    around = circle_of_starts(2 if robots is None else robots, radius)
+    around[:, :2] += 0.5 * (lower + upper)
     return around

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.errors import EstimateError
+from ..core.errors import DataError
 from ..core.se2 import wrap_angle
 from ..estimate.submap_slam import Observations, empty, in_view, move, predict, sight, update
 from ..fuse.handover import Handover, hand_over, pose_in_map
@@ -19,6 +19,7 @@ from ..maps.explored import Explored
 from ..maps.global_map import GlobalMap, known_starts
 from ..maps.submap import Submap
 from ..sim.field import Field
+from .asking import ask
 from .bumper import Bumper
 from .ground import Ground, survey
 from .view import ExploreConfig, Planner, TeamView
@@ -93,6 +94,8 @@ class Team:
             outside = ~self.ground.field
         self.explored = Explored.over(self.world.lower, self.world.upper, M, self.cfg.cell, outside)
         self.wanted = set(range(len(self.world.landmarks))) - set(self.ground.hidden if self.ground else ())
+        if not self.wanted:
+            raise DataError("walls hide every landmark from every place a robot can reach: there is nothing to map")
         self.submaps = [empty(name, f"local_{k + 1}") for k, name in enumerate(self.robots)]
         self.ages, self.stalled, self.alive = [0] * M, np.zeros(M, dtype=int), np.ones(M, dtype=bool)
         self.truth = Truth(self.world.starts.copy(), pending=[set() for _ in range(M)], origin=[{} for _ in range(M)])
@@ -131,7 +134,7 @@ class Team:
             if self.until == "landmarks" and not self.wanted <= self.truth.seen():
                 self._look_again()
             before = perf_counter()
-            commands = self._ask().copy()
+            commands = self._ask()
             seconds, decisions = perf_counter() - before, int(self.alive.sum())
             self.bumper.forget(self.step - self.cfg.contact_steps)
             seen = tuple(self._drive(j, commands[j]) if self.alive[j] else _NOTHING for j in range(len(self.robots)))
@@ -173,25 +176,8 @@ class Team:
                 self.truth.origin[j] = {}
 
     def _ask(self) -> Float[np.ndarray, "r 2"]:
-        commands = np.asarray(self.planner(self.view(), self.poses(), self.cfg), dtype=float)
-        if commands.shape != (len(self.robots), 2):
-            raise EstimateError(
-                f"step {self.step}: the planner returned shape {commands.shape}, expected ({len(self.robots)}, 2)"
-            )
-        bad = [self.robots[j] for j in np.flatnonzero(self.alive) if not np.isfinite(commands[j]).all()]
-        if bad:
-            raise EstimateError(f"step {self.step}: the planner's command for {', '.join(bad)} is not a finite number")
-        top, turn = max(self.cfg.speeds), max(abs(w) for w in self.cfg.turns)
-        wild = [
-            self.robots[j]
-            for j in np.flatnonzero(self.alive)
-            if abs(commands[j, 0]) > top + 1e-9 or abs(commands[j, 1]) > turn + 1e-9
-        ]
-        if wild:
-            raise EstimateError(
-                f"step {self.step}: command for {', '.join(wild)} is beyond {top:g} m/s or {turn:.3g} rad/s"
-            )
-        return commands
+        limits = max(self.cfg.speeds), max(abs(w) for w in self.cfg.turns)
+        return ask(self.planner, self.view(), self.poses(), self.cfg, limits)
 
     def _drive(self, j: int, command: np.ndarray) -> Observations:
         """Robot j moves and looks; `command` becomes what was carried out, if a wall was in the way."""

@@ -93,7 +93,7 @@ def draw_map(path: Path, run: RunRecord) -> None:
         for step, j, points in run.submap_borders:
             del step
             _border(ax, points, colour(j))
-        poses = np.array([m.true_poses for m in run.moments])
+        poses = np.array([m.true_poses for m in (run.first_look, *run.moments)])
         for j, name in enumerate(run.robots):
             ax.plot(poses[:, j, 0], poses[:, j, 1], color=colour(j), label=f"{name}, true path", zorder=3)
             ax.plot(*run.world.starts[j, :2], marker=marker(j), color=colour(j), ms=7, zorder=4)
@@ -154,11 +154,10 @@ def draw_progress(path: Path, run: RunRecord, result: ExploreResult) -> None:
 
 def draw_animation(path: Path, run: RunRecord) -> None:
     """The first run as a small animated GIF: paths so far, what each robot sees, landmarks."""
-    if not run.moments:
-        return
-    every = max(1, len(run.moments) // FRAMES)
-    shown = [*run.moments[::every], run.moments[-1]]
-    poses = np.array([m.true_poses for m in run.moments])
+    moments = (run.first_look, *run.moments)
+    every = max(1, len(moments) // FRAMES)
+    shown = [*moments[::every], moments[-1]]
+    poses = np.array([m.true_poses for m in moments])
     width, height = run.world.upper - run.world.lower
     frames: list[Image.Image] = []
     scratch = path.with_suffix(".png")
@@ -170,7 +169,7 @@ def draw_animation(path: Path, run: RunRecord) -> None:
         title = ax.set_title("", loc="left")
         for moment in shown:
             for j in range(len(run.robots)):
-                lines[j].set_data(poses[: moment.step, j, 0], poses[: moment.step, j, 1])
+                lines[j].set_data(poses[: moment.step + 1, j, 0], poses[: moment.step + 1, j, 1])
                 heads[j].set_data([moment.true_poses[j, 0]], [moment.true_poses[j, 1]])
             title.set_text(f"step {moment.step}, {100 * moment.explored:.0f} % explored")
             frames.append(snapshot(fig))

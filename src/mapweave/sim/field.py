@@ -9,6 +9,7 @@ from ..core.arrays import frozen
 from ..core.errors import DataError
 from ..maps.walls import Walls
 
+START_RADIUS = 5.0  # [m], of the circle on which teams start unless said
 YUAN_LOWER, YUAN_UPPER, YUAN_LANDMARKS = (-50.0, -40.0), (50.0, 40.0), 29
 
 
@@ -45,7 +46,7 @@ class Field:
         return np.asarray(np.all((points >= self.lower) & (points <= self.upper), axis=-1))
 
 
-def circle_of_starts(robots: int, radius: float = 5.0) -> Float[np.ndarray, "r 3"]:
+def circle_of_starts(robots: int, radius: float = START_RADIUS) -> Float[np.ndarray, "r 3"]:
     """Starts of a team: the origin for one robot, else evenly on a circle facing out (the paper's two for two)."""
     if robots == 1:
         return np.zeros((1, 3))

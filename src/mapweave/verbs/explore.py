@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.config import load
-from ..core.errors import UsageError
+from ..core.config import expect_positive, load
+from ..core.errors import ConfigError, UsageError
 from ..explore.experiment import CALIBRATED, Mission, explore_many, explore_once, with_noise
 from ..explore.laser_result import LaserExploreResult
 from ..explore.laser_scenario import find_laser_scenario
@@ -18,10 +18,15 @@ from ..explore.scenario import find_scenario, make_field
 from ..explore.view import ExploreConfig, find_planner
 from ..writers.directory import check_target, result_directory
 from .explore_laser import explore_laser
-from .explore_options import kills_of, worker_pool
+from .explore_options import check_numbers, kills_of, worker_pool
 from .map_options import Tick, no_tick
 
 NOISE = {"printed": 1.0, "calibrated": CALIBRATED}
+POSITIVE = (
+    *("cell", "speeds", "cover_radius", "loop_radius", "apart_distance", "fuse_by", "max_steps", "replan_every"),
+    *("robot_radius", "path_cell", "submap.period", "submap.reach", "submap.half_angle"),
+    *("submap.range_sd", "submap.bearing_sd", "submap.gate"),
+)
 ASSOCIATIONS = ("known", "nn", "jcbb")
 
 
@@ -61,7 +66,7 @@ def explore(
             robots=robots,
             runs=runs,
             seed=seed,
-            planner=planner or "coverage",
+            planner="coverage" if planner is None else planner,
             association=association,
             noise=noise,
             until=until,
@@ -73,17 +78,22 @@ def explore(
             executor=executor,
             tick=tick,
         )
-    planner = planner or "paper"
+    planner = "paper" if planner is None else planner
+    check_numbers(runs=runs, seed=seed, jobs=jobs, drop=drop)
     cfg = load(ExploreConfig, None if config is None else Path(config))
+    expect_positive(cfg, str(config), *POSITIVE)
+    if not cfg.turns:
+        raise ConfigError(f"{config}: turns: expected at least one turn rate [rad/s]")
     if association is not None:
         cfg = replace(cfg, submap=replace(cfg.submap, association=association))
+    if cfg.submap.association not in ASSOCIATIONS:
+        raise UsageError(f"--association: expected {', '.join(ASSOCIATIONS)}, found {cfg.submap.association!r}")
     factor = _noise(noise)
     if config is None or noise != "calibrated":
         cfg = with_noise(cfg, factor)
     found = find_scenario(scenario)
     world = make_field(found, robots, seed)
     mission = Mission(found, robots, planner, _until(until), kills_of(kill or {}, len(world.starts)), drop, cfg)
-    _check(mission, runs, jobs)
     find_planner(planner)
     if out is not None:
         check_target(Path(out), force=force)
@@ -135,14 +145,3 @@ def _until(until: str | int) -> str | int:
     if steps < 1:
         raise UsageError(f"--until: expected at least 1 step, found {steps}")
     return steps
-
-
-def _check(mission: Mission, runs: int, jobs: int) -> None:
-    if runs < 1 or jobs < 1:
-        raise UsageError(f"--runs and --jobs: expected at least 1, found {runs} and {jobs}")
-    if not 0 <= mission.drop < 1:
-        raise UsageError(f"--drop: expected a share of messages from 0 to below 1, found {mission.drop:g}")
-    if mission.cfg.submap.association not in ASSOCIATIONS:
-        raise UsageError(
-            f"--association: expected one of {', '.join(ASSOCIATIONS)}, found {mission.cfg.submap.association!r}"
-        )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.config import load
+from ..core.config import expect_positive, load
 from ..core.errors import UsageError
 from ..explore.laser_experiment import LaserMission, explore_laser_many, explore_laser_once
 from ..explore.laser_mission import LaserMissionConfig, with_odometry_noise
@@ -16,8 +16,14 @@ from ..explore.laser_result import LaserExploreResult
 from ..explore.laser_scenario import LaserScenarioConfig, make_place
 from ..explore.laser_view import find_laser_planner
 from ..writers.directory import check_target, result_directory
-from .explore_options import kills_of, worker_pool
+from .explore_options import check_numbers, kills_of, worker_pool
 from .map_options import Tick, no_tick
+
+POSITIVE = (
+    *("robots.radius", "robots.speed", "robots.turn", "robots.period", "robots.scanner.beams", "robots.scanner.far"),
+    *("plan.resolution", "plan.max_steps", "plan.replan_every", "plan.split", "plan.most_goals"),
+    *("map_resolution", "tolerance"),
+)
 
 
 def explore_laser(
@@ -47,15 +53,14 @@ def explore_laser(
     """
     if association is not None:
         raise UsageError("--association: a laser world has no landmarks whose identities could be known or not")
+    check_numbers(runs=runs, seed=seed, jobs=jobs, drop=drop)
     factor = _factor(noise)
-    cfg = with_odometry_noise(load(LaserMissionConfig, None if config is None else Path(config)), factor)
+    cfg = load(LaserMissionConfig, None if config is None else Path(config))
+    expect_positive(cfg, str(config), *POSITIVE)
+    cfg = with_odometry_noise(cfg, factor)
     place = make_place(scenario, robots, seed)
     kills = kills_of(kill or {}, len(place.starts))
     mission = LaserMission(scenario, robots, planner, _until(until), kills, drop, cfg)
-    if runs < 1 or jobs < 1:
-        raise UsageError(f"--runs and --jobs: expected at least 1, found {runs} and {jobs}")
-    if not 0 <= drop < 1:
-        raise UsageError(f"--drop: expected a share of messages from 0 to below 1, found {drop:g}")
     find_laser_planner(planner)
     if out is not None:
         check_target(Path(out), force=force)

@@ -33,3 +33,13 @@ def kills_of(kill: Mapping[str, int], robots: int) -> dict[int, int]:
         if name not in names:
             raise UsageError(f"--kill: no robot is called {name!r}; there are {', '.join(names)}")
     return {names[name]: step for name, step in kill.items()}
+
+
+def check_numbers(*, runs: int, seed: int, jobs: int, drop: float) -> None:
+    """Raises UsageError for a number of runs, a seed, a number of processes or a share that cannot be."""
+    if runs < 1 or jobs < 1:
+        raise UsageError(f"--runs and --jobs: expected at least 1, found {runs} and {jobs}")
+    if seed < 0:
+        raise UsageError(f"--seed: expected 0 or more, found {seed}")
+    if not 0 <= drop < 1:
+        raise UsageError(f"--drop: expected a share of messages from 0 to below 1, found {drop:g}")
