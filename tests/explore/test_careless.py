@@ -7,6 +7,7 @@ import pytest
 
 from mapweave.core.errors import ConfigError, DataError, EstimateError, UsageError
 from mapweave.explore.asking import ask
+from mapweave.explore.laser_scenario import find_laser_scenario, make_place
 from mapweave.explore.scenario import find_scenario, make_field
 from mapweave.verbs.explore import explore
 
@@ -81,6 +82,7 @@ def test_a_dead_robots_command_is_nobodys_concern():
         (FIELD + "walls = [[1, 2, 1, 2]]\n", r"walls\.0: .* without length at \(1, 2\)"),
         (HALL.replace("[0, 0, 6, 0]", "[0, 0, 0, 0]"), r"walls\.0: .* without length at \(0, 0\)"),
         (HALL.replace("[0, 0, 6, 0]", "[0, nan, 0, 0]"), r"walls\.0\.1: expected a number, found .* not finite"),
+        ("office = 200\nfloor = -1\n", "floor: expected 0 or more, found -1"),
         ("lower = [nan, -5]\n", r"lower\.0: expected a number, found .* not finite"),
         ("upper = [5, inf]\n", r"upper\.1: expected a number, found .* not finite"),
     ],
@@ -132,3 +134,26 @@ def test_landmarks_that_walls_hide_from_everybody_are_refused(tmp_path):
     text = FIELD.replace("[-3.0, 3.0], ", "") + "walls = [[0, -6, 0, 6]]\nstarts = [[-2, 0, 0]]\n"
     with pytest.raises(DataError, match="walls hide every landmark"):
         explore(written(tmp_path, text))
+
+
+def test_on_a_turned_plan_random_landmarks_lie_inside_the_building(tmp_path):
+    from PIL import Image
+
+    pixels = np.full((60, 120), 254, np.uint8)
+    pixels[:2] = pixels[-2:] = pixels[:, :2] = pixels[:, -2:] = 0
+    Image.fromarray(pixels).save(tmp_path / "plan.png")
+    (tmp_path / "map.yaml").write_text("image: plan.png\nresolution: 0.1\norigin: [10, 5, 0.5]\n", encoding="utf-8")
+    text = "walls = 'map.yaml'\nlandmarks = 40\nstarts = [[11.0, 8.5, 0]]\n"
+    field = make_field(find_scenario(written(tmp_path, text)), None, 0)
+    turn = np.array([[np.cos(0.5), -np.sin(0.5)], [np.sin(0.5), np.cos(0.5)]])
+    within = (field.landmarks - [10, 5]) @ turn
+    assert ((within > 0.2) & (within < [11.8, 5.8])).all()
+
+
+def test_the_corner_of_an_image_may_be_told_without_a_turn(tmp_path):
+    from PIL import Image
+
+    Image.fromarray(np.full((30, 40), 255, np.uint8)).save(tmp_path / "plan.png")
+    text = 'sensor = "laser"\nwalls = "plan.png"\nresolution = 0.1\norigin = [1.0, 2.0]\nstarts = [[2, 3, 0]]\n'
+    place = make_place(find_laser_scenario(written(tmp_path, text)), None, 0)
+    np.testing.assert_allclose([*place.lower, *place.upper], [1, 2, 5, 5])

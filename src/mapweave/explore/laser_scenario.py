@@ -33,7 +33,7 @@ class LaserScenarioConfig:
     floor: int | None = None  # the seed of one office for all runs; else each run has its own
     walls: str | tuple[Segment, ...] | None = None
     resolution: float | None = None  # [m] a pixel of an image
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # pose of an image's lower left corner
+    origin: tuple[float, float] | tuple[float, float, float] = (0.0, 0.0)  # lower left corner of an image, its turn
     starts: tuple[tuple[float, float, float], ...] | None = None  # one a robot; an office has its own
 
 
@@ -63,6 +63,8 @@ def find_laser_scenario(name: str) -> LaserScenarioConfig | None:
     found = build(LaserScenarioConfig, values, str(path))
     if (found.office is None) == (found.walls is None):
         raise ConfigError(f"{path}: expected office = AREA or walls, one of them")
+    if found.floor is not None and found.floor < 0:
+        raise ConfigError(f"{path}: floor: expected 0 or more, found {found.floor}")
     if found.walls is not None and not found.starts:
         raise ConfigError(f"{path}: expected starts = [[x, y, theta], ...], one a robot")
     check_segments(path, found.walls)
@@ -100,7 +102,7 @@ def _walls(scenario: LaserScenarioConfig) -> tuple[Walls, np.ndarray, np.ndarray
         elif scenario.resolution is None or not scenario.resolution > 0:
             raise ConfigError(f"walls = {path.name!r}: an image needs resolution = METRES A PIXEL beside it")
         else:
-            found = read_plan(path, scenario.resolution, np.array(scenario.origin))
+            found = read_plan(path, scenario.resolution, np.array([*scenario.origin, 0.0][:3]))
         return found.walls(), *found.extent()
     segments = np.array(scenario.walls, dtype=float).reshape(-1, 4)
     if not len(segments) or not np.isfinite(segments).all():

@@ -114,20 +114,23 @@ def make_field(scenario: ScenarioConfig, robots: int | None, seed: int) -> Field
         if scenario.landmarks < 1:
             raise DataError("the scenario has no landmarks: there is nothing to map")
         rng = np.random.default_rng([seed, 0])
-        landmarks = _scatter(lower, upper, scenario.landmarks, walls, rng)
+        landmarks = _scatter(lower, upper, scenario.landmarks, walls, floor_plan(scenario), rng)
     else:
         landmarks = np.array(scenario.landmarks, dtype=float).reshape(-1, 2)
     return Field(lower, upper, landmarks, _starts(scenario, robots, lower, upper), walls)
 
 
-def _scatter(lower: np.ndarray, upper: np.ndarray, n: int, walls: Walls | None, rng: np.random.Generator) -> np.ndarray:
-    """`n` random places (n, 2), none nearer than `WALL_GAP` to a wall."""
+def _scatter(
+    lower: np.ndarray, upper: np.ndarray, n: int, walls: Walls | None, plan: RosMap | None, rng: np.random.Generator
+) -> np.ndarray:
+    """`n` random places (n, 2), none nearer than `WALL_GAP` to a wall, all on free ground of the `plan`."""
     if walls is None:
         return rng.uniform(lower, upper, size=(n, 2))
     found = np.zeros((0, 2))
     for _ in range(1000):
         more = rng.uniform(lower, upper, size=(n, 2))
-        found = np.vstack([found, more[walls.clearance(more) >= WALL_GAP]])
+        good = walls.clearance(more) >= WALL_GAP
+        found = np.vstack([found, more[good if plan is None else good & plan.free(more)]])
         if len(found) >= n:
             return found[:n]
     raise DataError(f"the walls leave no room for {n} landmarks")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int8
+from jaxtyping import Bool, Float, Int8
 from PIL import Image, UnidentifiedImageError
 
 from ..core.arrays import frozen
@@ -31,6 +31,16 @@ class RosMap:
     def walls(self) -> Walls:
         """Solid walls round all that is not known to be free."""
         return walls_of_raster(self.state != FREE, self.origin, self.resolution)
+
+    def free(self, points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+        """Which of `points` [m] in the map lie on a cell known to be free."""
+        c, s = np.cos(self.origin[2]), np.sin(self.origin[2])
+        cells = np.floor((points - self.origin[:2]) @ np.array([[c, -s], [s, c]]) / self.resolution).astype(int)
+        col, row = cells.T
+        inside = (row >= 0) & (row < self.state.shape[0]) & (col >= 0) & (col < self.state.shape[1])
+        out = np.zeros(len(points), dtype=bool)
+        out[inside] = self.state[row[inside], col[inside]] == FREE
+        return out
 
     def extent(self) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
         """Lower and upper corner [m] of the upright rectangle around the raster."""
