@@ -189,6 +189,17 @@ def test_a_users_own_planner_drives_and_its_collisions_are_counted(rooms):
     assert still.runs[0].driven == pytest.approx(0.0)
 
 
+def test_a_run_ends_when_nothing_is_left_to_see_even_if_the_planner_never_says_so(tmp_path):
+    path = tmp_path / "closet.toml"
+    path.write_text(
+        'sensor = "laser"\nwalls = [[0, 0, 3, 0], [3, 0, 3, 3], [3, 3, 0, 3], [0, 3, 0, 0]]\nstarts = [[1.5, 1.5, 0]]\n'
+    )
+    (told,) = explore(str(path), planner=f"{__name__}:stand_still").runs
+    assert told.finished
+    assert told.steps == 0
+    assert told.area_mapped > 0.99
+
+
 @pytest.mark.parametrize(
     ("options", "told"),
     [
