@@ -1,5 +1,6 @@
 """What a careless user gives to `explore`: each mistake is told in one line, and small worlds are explored as well."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -95,6 +96,21 @@ def test_a_scenario_file_that_cannot_be_is_told_with_file_and_place(tmp_path, te
 def test_the_names_of_all_scenarios_are_told():
     with pytest.raises(UsageError, match="yuan, yuan-large, office, office-AREA and not a TOML file"):
         explore("yaun")
+    with pytest.raises(UsageError, match="a laser world, where there are no landmarks"):
+        find_scenario("office")
+
+
+def test_ones_own_planner_may_stand_in_the_folder_one_is_in(tmp_path, monkeypatch):
+    from mapweave.cli import explore as command
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if p])
+    (tmp_path / "mine_alone.py").write_text("def stand(maps, poses, cfg):\n    return 0 * poses[:, :2]\n")
+    (tmp_path / "mine_broken.py").write_text("def stand(:\n")
+    command.explore(written(tmp_path, HALL), out=tmp_path / "out", planner="mine_alone:stand", until="1")
+    assert (tmp_path / "out" / "runs.csv").exists()
+    with pytest.raises(UsageError, match=r"planner 'mine_broken:stand': .*SyntaxError"):
+        command.explore(written(tmp_path, HALL), out=tmp_path / "out", planner="mine_broken:stand", until="1")
 
 
 @pytest.mark.parametrize(

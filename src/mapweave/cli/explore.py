@@ -58,11 +58,14 @@ def explore(
     force
         Write into the folder even when something other than a result stands there.
     """
+    import sys
+
     from ..verbs.explore import explore as run
     from ..verbs.explore_options import parse_kills
     from .progress import progress
     from .say import say
 
+    sys.path.append(str(Path.cwd()))  # where one's own planner may stand
     with progress() as tick:
         result = run(
             scenario,

@@ -43,6 +43,8 @@ def find_scenario(name: str) -> ScenarioConfig:
         )
     path = Path(name)
     if path.suffix != ".toml" and not path.exists():
+        if name.startswith("office"):
+            raise UsageError(f"scenario {name!r}: a laser world, where there are no landmarks")
         known = ", ".join((*BUILT_IN, "office", "office-AREA"))
         raise UsageError(f"scenario {name!r}: not one of {known} and not a TOML file")
     found = load(ScenarioConfig, path)

@@ -126,10 +126,11 @@ def find_function(name: str, built_in: dict[str, str]) -> Callable[..., Any]:
         module, _, attribute = where.rpartition(".")
     try:
         found = getattr(import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError):
+    except Exception as error:  # whatever a module does when it is imported
         raise UsageError(
-            f"planner {name!r}: not one of {', '.join(built_in)} and not an importable module:function"
-        ) from None
+            f"planner {name!r}: not one of {', '.join(built_in)} and not an importable module:function "
+            f"({type(error).__name__}: {error})"
+        ) from error
     if not callable(found):
         raise UsageError(f"planner {name!r} is not a function choose(maps, poses, cfg)")
     return found  # type: ignore[no-any-return]
