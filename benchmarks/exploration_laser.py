@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mapweave.explore.laser_experiment import LaserMission, explore_laser_many
-from mapweave.explore.laser_scenario import LaserScenarioConfig
-from mapweave.explore.laser_score import LaserScore
+from mapweave.explore.laser.experiment import LaserMission, explore_laser_many
+from mapweave.explore.laser.scenario import LaserScenarioConfig
+from mapweave.explore.laser.score import LaserScore
 from mapweave.verbs.explore_options import worker_pool
 
 AREAS, TEAMS = (500, 1000, 2000, 5000), (1, 2, 4, 8)

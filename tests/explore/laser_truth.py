@@ -4,7 +4,7 @@ import numpy as np
 from scipy import ndimage
 
 from mapweave.core import se2
-from mapweave.explore.laser_view import LaserExploreConfig, LaserView, find_laser_planner
+from mapweave.explore.laser.view import LaserExploreConfig, LaserView, find_laser_planner
 from mapweave.kernels.render import render
 from mapweave.maps.occupancy import FREE, OCCUPIED, Occupancy, from_counts
 from mapweave.maps.wall_index import WallIndex

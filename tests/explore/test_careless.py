@@ -8,7 +8,7 @@ import pytest
 
 from mapweave.core.errors import ConfigError, DataError, EstimateError, UsageError
 from mapweave.explore.asking import ask
-from mapweave.explore.laser_scenario import find_laser_scenario, make_place
+from mapweave.explore.laser.scenario import find_laser_scenario, make_place
 from mapweave.explore.scenario import find_scenario, make_field
 from mapweave.verbs.explore import explore
 

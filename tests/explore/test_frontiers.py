@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mapweave.explore.frontiers import frontiers, pockets, survey
-from mapweave.explore.laser_view import LaserExploreConfig
+from mapweave.explore.laser.frontiers import frontiers, pockets, survey
+from mapweave.explore.laser.view import LaserExploreConfig
 from mapweave.maps.occupancy import FREE, OCCUPIED, UNKNOWN, Occupancy
 
 CFG = LaserExploreConfig()

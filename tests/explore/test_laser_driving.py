@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from laser_truth import Team, known_map, room, world_of
 
-from mapweave.explore.laser_crew import Crew
-from mapweave.explore.laser_follow import driven, steer
-from mapweave.explore.laser_view import LaserExploreConfig
+from mapweave.explore.laser.crew import Crew
+from mapweave.explore.laser.follow import driven, steer
+from mapweave.explore.laser.view import LaserExploreConfig
 
 CFG = LaserExploreConfig()
 ALONE = np.zeros((0, 2))

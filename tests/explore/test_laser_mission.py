@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import ConfigError, DataError, EstimateError, ReaderError, UsageError
-from mapweave.explore.laser_experiment import LaserMission, explore_laser_once, start
-from mapweave.explore.laser_scenario import find_laser_scenario
+from mapweave.explore.laser.experiment import LaserMission, explore_laser_once, start
+from mapweave.explore.laser.scenario import find_laser_scenario
 from mapweave.readers.laser import read_laser
 from mapweave.verbs.explore import explore
 

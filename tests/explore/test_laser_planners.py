@@ -8,10 +8,10 @@ import pytest
 from laser_truth import Team, room, world_of
 
 from mapweave.core.errors import UsageError
-from mapweave.explore.frontiers import frontiers, survey
-from mapweave.explore.laser_crew import Crew, ways_to
-from mapweave.explore.laser_share import by_tours, halved, hold, nearest_first, offer
-from mapweave.explore.laser_view import BUILT_IN, LaserExploreConfig, find_laser_planner
+from mapweave.explore.laser.crew import Crew, ways_to
+from mapweave.explore.laser.frontiers import frontiers, survey
+from mapweave.explore.laser.share import by_tours, halved, hold, nearest_first, offer
+from mapweave.explore.laser.view import BUILT_IN, LaserExploreConfig, find_laser_planner
 from mapweave.kernels.wavefront import NO_LIMIT, UNREACHED, spread
 from mapweave.maps.occupancy import FREE, OCCUPIED, UNKNOWN, Occupancy
 from mapweave.sim.office_floor import office_floor
@@ -122,7 +122,7 @@ def test_a_robot_leaves_its_frontier_to_a_nearer_one():
 
 
 def test_a_planner_of_ones_own_is_found_by_its_dotted_name():
-    assert find_laser_planner("mapweave.explore.laser_planners:coverage") is find_laser_planner("coverage")
+    assert find_laser_planner("mapweave.explore.laser.planners:coverage") is find_laser_planner("coverage")
     with pytest.raises(UsageError, match="best"):
         find_laser_planner("best")
 

@@ -9,7 +9,7 @@ from matplotlib.colors import ListedColormap
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from ..explore.laser_experiment import LaserRecord, Still
+from ..explore.laser.experiment import LaserRecord, Still
 from ..maps.occupancy import Occupancy
 from ..maps.walls import Walls
 from .exploration import save_gif, snapshot

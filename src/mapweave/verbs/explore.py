@@ -11,8 +11,8 @@ import numpy as np
 from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
 from ..explore.experiment import CALIBRATED, Mission, explore_many, explore_once, with_noise
-from ..explore.laser_result import LaserExploreResult
-from ..explore.laser_scenario import find_laser_scenario
+from ..explore.laser.result import LaserExploreResult
+from ..explore.laser.scenario import find_laser_scenario
 from ..explore.result import ExploreResult
 from ..explore.scenario import find_scenario, make_field
 from ..explore.view import ExploreConfig, find_planner

@@ -10,11 +10,11 @@ import numpy as np
 
 from ..core.config import expect_positive, load
 from ..core.errors import UsageError
-from ..explore.laser_experiment import LaserMission, explore_laser_many, explore_laser_once
-from ..explore.laser_mission import LaserMissionConfig, with_odometry_noise
-from ..explore.laser_result import LaserExploreResult
-from ..explore.laser_scenario import LaserScenarioConfig, make_place
-from ..explore.laser_view import find_laser_planner
+from ..explore.laser.experiment import LaserMission, explore_laser_many, explore_laser_once
+from ..explore.laser.mission import LaserMissionConfig, with_odometry_noise
+from ..explore.laser.result import LaserExploreResult
+from ..explore.laser.scenario import LaserScenarioConfig, make_place
+from ..explore.laser.view import find_laser_planner
 from ..writers.directory import check_target, result_directory
 from .explore_options import check_numbers, kills_of, worker_pool
 from .map_options import Tick, no_tick

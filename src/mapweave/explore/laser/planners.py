@@ -3,9 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
-from .laser_drive import drive
-from .laser_share import by_objective, by_tours, nearest_first
-from .laser_view import LaserExploreConfig, LaserView
+from .drive import drive
+from .share import by_objective, by_tours, nearest_first
+from .view import LaserExploreConfig, LaserView
 
 
 def coverage(view: LaserView, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:

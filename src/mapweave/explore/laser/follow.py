@@ -5,11 +5,11 @@ from functools import cache
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..core import se2
-from ..core.arrays import frozen
-from ..core.se2 import wrap_angle
-from ..kernels.arcs import arc_clearance, arc_points
-from .laser_view import LaserExploreConfig
+from ...core import se2
+from ...core.arrays import frozen
+from ...core.se2 import wrap_angle
+from ...kernels.arcs import arc_clearance, arc_points
+from .view import LaserExploreConfig
 
 AHEAD = 2.0  # [m] of way that is looked ahead
 BACK = 1 / 3  # of the top speed backwards, to leave a tight spot

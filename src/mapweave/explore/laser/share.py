@@ -7,13 +7,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 
-from ..core.se2 import wrap_angle
-from ..kernels.tour_moves import improve_tours
-from ..kernels.tours import balanced_tours
-from ..kernels.wavefront import NO_LIMIT, STRAIGHT, spread
+from ...core.se2 import wrap_angle
+from ...kernels.tour_moves import improve_tours
+from ...kernels.tours import balanced_tours
+from ...kernels.wavefront import NO_LIMIT, STRAIGHT, spread
+from .crew import SAME, Crew, priced
 from .frontiers import Frontier, Ground, nearest_cells
-from .laser_crew import SAME, Crew, priced
-from .laser_view import LaserExploreConfig
+from .view import LaserExploreConfig
 
 FAR = 1e4  # [m], stands for a place that no way leads to
 RING = np.array([(y, x) for y in range(-2, 3) for x in range(-2, 3) if max(abs(y), abs(x)) == 2])

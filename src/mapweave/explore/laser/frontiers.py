@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-from ..maps.occupancy import Occupancy
-from .laser_view import LaserExploreConfig
+from ...maps.occupancy import Occupancy
+from .view import LaserExploreConfig
 
 EIGHT = np.ones((3, 3), dtype=bool)
 DEAREST = 4  # what a cell by a wall costs beside one in the open

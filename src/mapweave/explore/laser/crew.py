@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from ..kernels.walls import sight_on_raster
-from ..kernels.wavefront import NO_LIMIT, STRAIGHT, descend, spread
-from ..maps.occupancy import Occupancy
+from ...kernels.walls import sight_on_raster
+from ...kernels.wavefront import NO_LIMIT, STRAIGHT, descend, spread
+from ...maps.occupancy import Occupancy
 from .frontiers import PARKED, Ground, disc_mask, nearest_cells
-from .laser_view import LaserExploreConfig, LaserView
+from .view import LaserExploreConfig, LaserView
 
 LEFT = 0.6  # [m] from where a robot was, then it has left that place
 SAME = 0.8  # [m], places nearer than this are one goal

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..core.config import config
-from ..maps.occupancy import Occupancy
-from .view import find_function
+from ...core.config import config
+from ...maps.occupancy import Occupancy
+from ..view import find_function
 
 
 @config
@@ -65,11 +65,11 @@ class LaserView:
 LaserPlanner = Callable[[LaserView, Float[np.ndarray, "r 3"], LaserExploreConfig], Float[np.ndarray, "r 2"]]
 
 BUILT_IN = {
-    "coverage": "mapweave.explore.laser_planners:coverage",
-    "paper": "mapweave.explore.laser_planners:paper",
-    "area": "mapweave.explore.laser_planners:area",
-    "loop": "mapweave.explore.laser_planners:loop",
-    "nearest": "mapweave.explore.laser_planners:nearest",
+    "coverage": "mapweave.explore.laser.planners:coverage",
+    "paper": "mapweave.explore.laser.planners:paper",
+    "area": "mapweave.explore.laser.planners:area",
+    "loop": "mapweave.explore.laser.planners:loop",
+    "nearest": "mapweave.explore.laser.planners:nearest",
 }
 
 

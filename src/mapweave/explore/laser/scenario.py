@@ -8,13 +8,13 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from ..core.config import build, config
-from ..core.errors import ConfigError, DataError, UsageError
-from ..maps.walls import Walls
-from ..readers.ros_map import read_plan, read_ros_map
-from ..sim.laser_world import LaserWorld
-from ..sim.office_floor import GREATEST, LEAST, office_floor
-from .scenario import check_segments
+from ...core.config import build, config
+from ...core.errors import ConfigError, DataError, UsageError
+from ...maps.walls import Walls
+from ...readers.ros_map import read_plan, read_ros_map
+from ...sim.laser_world import LaserWorld
+from ...sim.office_floor import GREATEST, LEAST, office_floor
+from ..scenario import check_segments
 
 OFFICE = 500.0  # [m^2], the scenario `office`
 TEAM = 2  # robots unless said

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ..core import se2
-from ..evaluate.building import share_free, wall_scores
-from ..fuse.laser import Closure
-from ..maps.occupancy import Occupancy
-from .laser_mission import LaserMoment, LaserRun
+from ...core import se2
+from ...evaluate.building import share_free, wall_scores
+from ...fuse.laser import Closure
+from ...maps.occupancy import Occupancy
+from .mission import LaserMoment, LaserRun
 
 FALSE_PLACE, FALSE_TURN = 0.5, np.radians(8.0)  # [m], [rad] off the truth: such a closure joins places that are two
 

@@ -3,12 +3,12 @@
 import numpy as np
 from jaxtyping import Float
 
+from .crew import SAME, Crew, Goal, Ways, crew_of, ways_to
+from .follow import AHEAD, driven, steer
 from .frontiers import frontiers, pockets, survey
-from .laser_crew import SAME, Crew, Goal, Ways, crew_of, ways_to
-from .laser_follow import AHEAD, driven, steer
-from .laser_give_way import give_way, heading, order
-from .laser_share import Share, hold, offer, parked
-from .laser_view import LaserExploreConfig, LaserView
+from .give_way import give_way, heading, order
+from .share import Share, hold, offer, parked
+from .view import LaserExploreConfig, LaserView
 
 ARRIVED = 0.35  # [m]
 NEARER = 0.2  # [m], what counts as progress

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from ..kernels.wavefront import NO_LIMIT, STRAIGHT, spread
+from ...kernels.wavefront import NO_LIMIT, STRAIGHT, spread
+from .crew import Aside, Crew, Ways, ways_to
 from .frontiers import disc_mask, nearest_cells
-from .laser_crew import Aside, Crew, Ways, ways_to
-from .laser_view import LaserExploreConfig
+from .view import LaserExploreConfig
 
 MEET = 2.5  # [m], robots farther apart than this do not meet
 NEXT = 2.0  # [m] of way that may be in another's way

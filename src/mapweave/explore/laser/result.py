@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__
-from ..fuse.laser import Closure
-from .laser_experiment import LaserMission, LaserRecord
-from .laser_score import LaserScore
+from ... import __version__
+from ...fuse.laser import Closure
+from .experiment import LaserMission, LaserRecord
+from .score import LaserScore
 
 # summary key -> the score it is the mean of
 MEANS = {

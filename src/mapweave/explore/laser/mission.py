@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..core import se2
-from ..core.config import config
-from ..core.records import Scan
-from ..evaluate.building import Building, known_at
-from ..fuse.laser import LaserTeam, LaserTeamConfig
-from ..maps.occupancy import Occupancy, of_grid
-from ..sim.laser import stream
-from ..sim.laser_team import LaserRobotsConfig, LaserTeamSim
-from .asking import ask
+from ...core import se2
+from ...core.config import config
+from ...core.records import Scan
+from ...evaluate.building import Building, known_at
+from ...fuse.laser import LaserTeam, LaserTeamConfig
+from ...maps.occupancy import Occupancy, of_grid
+from ...sim.laser import stream
+from ...sim.laser_team import LaserRobotsConfig, LaserTeamSim
+from ..asking import ask
 from .frontiers import frontiers, survey
-from .laser_scenario import LaserPlace
-from .laser_view import LaserExploreConfig, LaserPlanner, LaserView
+from .scenario import LaserPlace
+from .view import LaserExploreConfig, LaserPlanner, LaserView
 
 NEW_GROUND = 12  # samples on beams in unknown cells, from which on a scan showed something new
 LOOK_EVERY = 10  # steps between looks for frontiers, where the planner does not say when it has finished

@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from ..core.laser_log import LaserLog
-from ..core.records import Track
-from ..evaluate.building import Building, known_at, survey_building
-from ..fuse.laser import Closure
-from ..maps.grid import GridMap
-from ..maps.occupancy import Occupancy, of_grid, without_gaps
-from ..maps.pose_graph import PoseGraph
+from ...core.laser_log import LaserLog
+from ...core.records import Track
+from ...evaluate.building import Building, known_at, survey_building
+from ...fuse.laser import Closure
+from ...maps.grid import GridMap
+from ...maps.occupancy import Occupancy, of_grid, without_gaps
+from ...maps.pose_graph import PoseGraph
 from .frontiers import pockets, survey
-from .laser_mission import LaserMissionConfig, LaserMoment, LaserRun
-from .laser_scenario import LaserPlace, LaserScenarioConfig, make_place
-from .laser_score import LaserScore, score
-from .laser_view import find_laser_planner
+from .mission import LaserMissionConfig, LaserMoment, LaserRun
+from .scenario import LaserPlace, LaserScenarioConfig, make_place
+from .score import LaserScore, score
+from .view import find_laser_planner
 
 STILLS = 48  # moments kept as pictures, about
 SEEN_EVERY = 5  # steps between looks at what is known
