@@ -7,6 +7,7 @@ from multiprocessing import get_context
 import numpy as np
 import pytest
 
+import mapweave
 from mapweave.core import se2
 from mapweave.core.errors import ConfigError, DataError, EstimateError, UsageError
 from mapweave.estimate.submap_slam import SubmapConfig
@@ -228,3 +229,10 @@ def test_explore_writes_what_the_contract_lists_and_its_log_can_be_read(tmp_path
         "first_run.gif",
     }
     assert len(read_mrclam(out / "log")) == 2
+
+
+@pytest.mark.parametrize(("sd", "told"), [("[0.1, 0.1, 0.01]", None), ("[0.15, 0.15, 0.025]", 0.5)])
+def test_the_motion_noise_told_is_the_one_used(tmp_path, sd, told):
+    (tmp_path / "own.toml").write_text(f"[submap]\nmotion_sd = {sd}\n")
+    assert mapweave.explore(until=1, config=tmp_path / "own.toml").metrics()["noise_factor"] == told
+    assert mapweave.explore(until=1, config=tmp_path / "own.toml", noise=0.7).metrics()["noise_factor"] == 0.7

@@ -72,6 +72,12 @@ def with_noise(cfg: ExploreConfig, factor: float) -> ExploreConfig:
     return replace(cfg, submap=replace(cfg.submap, motion_sd=sd))
 
 
+def noise_factor(cfg: ExploreConfig) -> float | None:
+    """The motion noise of `cfg` over the printed one; None where it is not a multiple of it."""
+    ratio = np.array(cfg.submap.motion_sd) / PRINTED_SD
+    return round(float(ratio[0]), 12) if np.allclose(ratio, ratio[0], rtol=1e-9) else None
+
+
 def explore_once(mission: Mission, seed: int, run: int = 0) -> tuple[RunScore, RunRecord]:
     """One run: the landmarks' layout and all noise follow from `seed`."""
     world = make_field(mission.scenario, mission.robots, seed)

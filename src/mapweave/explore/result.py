@@ -11,12 +11,12 @@ from .experiment import Mission, RunRecord, RunScore
 
 @dataclass(frozen=True, slots=True)
 class ExploreResult:
-    """Every run's score and the first run's record."""
+    """Every run's score and the first run's record. noise: motion noise over the printed one, None if no multiple."""
 
     scenario: str
     mission: Mission
     seed: int
-    noise: float
+    noise: float | None
     runs: tuple[RunScore, ...]
     first: RunRecord
 

@@ -28,10 +28,11 @@ def write_exploration(folder: Path, result: ExploreResult) -> None:
     draw_explored(folder / "figures" / "explored.png", first, result)
     draw_animation(folder / "figures" / "first_run.gif", first)
     s, m = result.summary(), result.mission
+    noise = "as configured" if result.noise is None else f"{result.noise:g} of the printed"
     page = Page(
         f"Exploration of {result.scenario}",
         f"{len(first.robots)} robots, planner {m.planner}, identities {m.cfg.submap.association}, motion noise "
-        f"{result.noise:g} of the printed, until {m.until}, seeds {result.seed} to {result.seed + s['runs'] - 1}",
+        f"{noise}, until {m.until}, seeds {result.seed} to {result.seed + s['runs'] - 1}",
     )
     page.cards(
         [

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
-from ..explore.experiment import CALIBRATED, Mission, explore_many, explore_once, with_noise
+from ..explore.experiment import CALIBRATED, Mission, explore_many, explore_once, noise_factor, with_noise
 from ..explore.laser.result import LaserExploreResult
 from ..explore.laser.scenario import find_laser_scenario
 from ..explore.result import ExploreResult
@@ -88,9 +88,8 @@ def explore(
         cfg = replace(cfg, submap=replace(cfg.submap, association=association))
     if cfg.submap.association not in ASSOCIATIONS:
         raise UsageError(f"--association: expected {', '.join(ASSOCIATIONS)}, found {cfg.submap.association!r}")
-    factor = _noise(noise)
     if config is None or noise != "calibrated":
-        cfg = with_noise(cfg, factor)
+        cfg = with_noise(cfg, _noise(noise))
     found = find_scenario(scenario)
     world = make_field(found, robots, seed)
     mission = Mission(found, robots, planner, _until(until), kills_of(kill or {}, len(world.starts)), drop, cfg)
@@ -107,7 +106,7 @@ def explore(
             more = explore_many(mission, min(step, runs - start), seed + start, workers)
             scores += [replace(r, run=start + k) for k, r in enumerate(more)]
             tick("exploring", len(scores), runs)
-    result = ExploreResult(scenario, mission, seed, factor, tuple(scores), first)
+    result = ExploreResult(scenario, mission, seed, noise_factor(cfg), tuple(scores), first)
     if out is not None:
         with result_directory(Path(out), force=force) as work:
             _write(work, result)
