@@ -15,10 +15,10 @@ from mapweave.core.se2 import wrap_angle
 from mapweave.estimate.ekf_config import EkfSlamConfig, noise
 from mapweave.estimate.submap_slam import Observations, SubmapConfig, empty, move, predict, sight, update
 from mapweave.explore import coverage, objective
+from mapweave.explore.config import ExploreConfig
 from mapweave.explore.experiment import CALIBRATED, Mission, explore_many, with_noise
 from mapweave.explore.scenario import find_scenario, make_field
 from mapweave.explore.team import Team
-from mapweave.explore.view import ExploreConfig
 from mapweave.fuse.handover import hand_over
 from mapweave.kernels import ekf, ekf_settle, ekf_start, ekf_state
 from mapweave.kernels.submap import sight_jacobian

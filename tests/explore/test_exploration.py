@@ -12,10 +12,11 @@ from mapweave.core import se2
 from mapweave.core.errors import ConfigError, DataError, EstimateError, UsageError
 from mapweave.estimate.submap_slam import SubmapConfig
 from mapweave.explore import team as team_module
+from mapweave.explore.config import ExploreConfig
 from mapweave.explore.experiment import CALIBRATED, Mission, explore_many, explore_once, with_noise
 from mapweave.explore.scenario import ScenarioConfig, find_scenario, make_field
 from mapweave.explore.team import Team
-from mapweave.explore.view import ExploreConfig, find_planner
+from mapweave.explore.view import find_planner
 from mapweave.fuse.handover import hand_over
 from mapweave.maps.submap import Submap
 from mapweave.verbs.explore import explore

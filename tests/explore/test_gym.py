@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
+from mapweave.explore.config import ExploreConfig
 from mapweave.explore.gym import ExplorationEnv
-from mapweave.explore.view import ExploreConfig
 
 
 def test_the_environment_passes_pettingzoos_api_test():

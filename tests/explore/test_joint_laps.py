@@ -6,8 +6,8 @@ import numpy as np
 
 from mapweave.estimate.submap_slam import SubmapConfig
 from mapweave.explore import lap_search
+from mapweave.explore.config import ExploreConfig
 from mapweave.explore.lap_search import LapTask, find_laps
-from mapweave.explore.view import ExploreConfig
 
 TASK = LapTask(
     lower=(-30.0, -25.0),

@@ -10,11 +10,12 @@ from PIL import Image
 
 from mapweave.core.errors import ConfigError, DataError, ReaderError, UsageError
 from mapweave.estimate.submap_slam import SubmapConfig, move
+from mapweave.explore.config import ExploreConfig
 from mapweave.explore.experiment import CALIBRATED, Mission, explore_many, explore_once, with_noise
 from mapweave.explore.scenario import ScenarioConfig, bounds, find_scenario, find_walls, make_field
 from mapweave.explore.steering import given_up, next_target, offered
 from mapweave.explore.team import Team
-from mapweave.explore.view import ExploreConfig, find_planner
+from mapweave.explore.view import find_planner
 from mapweave.readers.mrclam import read_mrclam
 from mapweave.verbs.explore import explore
 

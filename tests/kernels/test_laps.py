@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from mapweave.estimate.submap_slam import SubmapConfig, move
+from mapweave.explore.config import ExploreConfig
 from mapweave.explore.steering import steer
 from mapweave.explore.team import Team
-from mapweave.explore.view import ExploreConfig
 from mapweave.kernels.exploration import mark_half_disc
 from mapweave.kernels.laps import (
     add_landmark_information,

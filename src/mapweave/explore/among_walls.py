@@ -8,8 +8,9 @@ from scipy.spatial import cKDTree
 
 from ..core.se2 import wrap_angle
 from ..kernels.tours import balanced_tours
+from .config import ExploreConfig
 from .ground import FAR, Ground
-from .view import ExploreConfig, TeamView
+from .view import TeamView
 
 SPACING = 2.0  # [m] between the places that are considered
 TURN_COST = 2.0  # [m / rad], what turning towards the first place costs

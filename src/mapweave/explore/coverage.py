@@ -7,8 +7,9 @@ from scipy.spatial import cKDTree
 from ..core.se2 import wrap_angle
 from ..kernels.tours import balanced_tours, greedy_cover
 from . import among_walls
+from .config import ExploreConfig
 from .steering import ahead, given_up, nearest_unexplored, new_cells, next_target, offered, steer
-from .view import ExploreConfig, TeamView
+from .view import TeamView
 
 TURN_COST = 2.0  # [m / rad], what turning towards the first disc costs
 

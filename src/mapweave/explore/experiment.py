@@ -10,10 +10,11 @@ import numpy as np
 from ..core.gaussian import mahalanobis2
 from ..maps.global_map import GlobalMap
 from ..sim.field import Field
+from .config import ExploreConfig
 from .ground import Ground
 from .scenario import ScenarioConfig, make_field
 from .team import Moment, Team
-from .view import ExploreConfig, find_planner
+from .view import find_planner
 
 PRINTED_SD = (0.3, 0.3, 0.05)  # [m], [m], [rad] a step, as the paper prints them
 CALIBRATED = 0.05  # the factor on them with which the paper's table comes out

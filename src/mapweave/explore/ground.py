@@ -11,8 +11,8 @@ from ..kernels.sight import nearest_views, points_in_sight
 from ..kernels.walls import sight_on_raster
 from ..maps.walls import Walls
 from ..sim.field import Field
+from .config import ExploreConfig
 from .paths import Reach
-from .view import ExploreConfig
 
 EASE = 1.0  # [m] a cell or landmark must be nearer than the sensor's reach to count as one that can be seen
 NEIGHBOURS = 5  # places around a place that must see it too: a robot never stands exactly where it meant to

@@ -18,10 +18,11 @@ import numpy as np
 
 from ..core.errors import UsageError
 from ..fuse.handover import pose_in_map
+from .config import ExploreConfig
 from .scenario import find_scenario, make_field
 from .steering import offered
 from .team import Team
-from .view import ExploreConfig, Planner, find_planner
+from .view import Planner, find_planner
 
 try:
     from gymnasium import spaces

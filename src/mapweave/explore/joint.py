@@ -12,9 +12,10 @@ from jaxtyping import Float
 from ..kernels.exploration import mark_half_disc
 from ..maps.explored import Explored
 from . import coverage, loop
+from .config import ExploreConfig
 from .lap_search import ARRIVED, LapTask, find_laps
 from .steering import steer
-from .view import ExploreConfig, TeamView
+from .view import TeamView
 
 SURE = 1.0  # [m] within the reach at which a cell is surely seen
 LARGEST = 800  # robots times steps; beyond, planning would take minutes, and `loop` takes over

@@ -8,7 +8,8 @@ from jaxtyping import Float
 
 from ..kernels.tours import balanced_tours
 from . import among_walls, coverage
-from .view import ExploreConfig, TeamView
+from .config import ExploreConfig
+from .view import TeamView
 
 ARRIVED = 4.0  # [m]
 

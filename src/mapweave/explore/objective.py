@@ -8,8 +8,9 @@ from scipy.spatial import ConvexHull, QhullError
 
 from ..core import se2
 from ..kernels.exploration import expected_uncertainty, map_uncertainty
+from .config import ExploreConfig
 from .steering import given_up, new_cells, next_target, offered, steer, way_back
-from .view import ExploreConfig, TeamView
+from .view import TeamView
 
 HIDDEN = 1e6  # [m], where landmarks are put that nobody sees
 

@@ -9,8 +9,9 @@ from ..fuse.handover import pose_in_map
 from ..kernels.exploration import unexplored_cells
 from ..kernels.sight import unexplored_in_sight
 from ..kernels.walls import distance_of_moves
+from .config import ExploreConfig
 from .ground import Ground
-from .view import ExploreConfig, TeamView
+from .view import TeamView
 
 LANDMARK_REACHED = 4.0  # [m]
 LEG = 2.0  # [m] of the way ahead whose narrowness allows a robot to come nearer to walls

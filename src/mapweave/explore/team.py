@@ -21,8 +21,9 @@ from ..maps.submap import Submap
 from ..sim.field import Field
 from .asking import ask
 from .bumper import Bumper
+from .config import ExploreConfig
 from .ground import Ground, survey
-from .view import ExploreConfig, Planner, TeamView
+from .view import Planner, TeamView
 
 
 @dataclass(slots=True)

@@ -10,12 +10,13 @@ import numpy as np
 
 from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
+from ..explore.config import ExploreConfig
 from ..explore.experiment import CALIBRATED, Mission, explore_many, explore_once, noise_factor, with_noise
 from ..explore.laser.result import LaserExploreResult
 from ..explore.laser.scenario import find_laser_scenario
 from ..explore.result import ExploreResult
 from ..explore.scenario import find_scenario, make_field
-from ..explore.view import ExploreConfig, find_planner
+from ..explore.view import find_planner
 from ..writers.directory import check_target, result_directory
 from .explore_laser import explore_laser
 from .explore_options import check_numbers, kills_of, worker_pool

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from ..explore.config import ExploreConfig
 from ..explore.experiment import CALIBRATED, Mission, RunScore, explore_many, with_noise
 from ..explore.scenario import find_scenario
-from ..explore.view import ExploreConfig
 from ..report import yuan as report
 from ..writers.directory import check_target, plain, result_directory, write_json
 from .explore_options import worker_pool
