@@ -3,7 +3,7 @@
 import sys
 from typing import TYPE_CHECKING
 
-from .. import __version__
+from ..core.version import __version__
 
 if TYPE_CHECKING:
     from cyclopts import App

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__
+from ..core.version import __version__
 from .experiment import Mission, RunRecord, RunScore
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 
-from .. import __version__
+from ..core.version import __version__
 
 _CSS = """
 :root{color-scheme:light dark;--fg:#1b1f24;--bg:#fff;--line:#d9dde2;--soft:#f4f6f8;--accent:#0072B2;--warn:#b25400}

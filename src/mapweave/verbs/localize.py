@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__
 from ..core import se2
 from ..core.config import load
 from ..core.errors import ReaderError, UsageError
 from ..core.records import Track
+from ..core.version import __version__
 from ..estimate.laser_config import LaserConfig
 from ..estimate.localise import localise
 from ..maps.grid import GridMap

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from .. import __version__
+from ..core.version import __version__
 from ..readers.sightings import SwarmTruth
 from ..writers.directory import write_json
 from ..writers.swarm import write_csv

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__
 from ..core.config import load
 from ..core.errors import UsageError
 from ..core.laser_log import LaserLog
 from ..core.names import robot_name
 from ..core.records import Track
+from ..core.version import __version__
 from ..estimate.laser import map_laser
 from ..estimate.laser_config import LaserConfig
 from ..maps.laser_map import LaserMap

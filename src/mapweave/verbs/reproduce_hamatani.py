@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from .. import __version__
+from ..core.version import __version__
 from ..estimate.swarm import locate
 from ..report import hamatani as report
 from ..writers.directory import check_target, result_directory, write_json

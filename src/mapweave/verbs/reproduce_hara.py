@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .. import __version__
+from ..core.version import __version__
 from ..report import hara as report
 from ..writers.directory import check_target, result_directory, write_json
 from .hara_experiments import Method, Picture, Tick, compare, methods

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__
+from ..core.version import __version__
 from ..models.relative import Weights
 from ..report import kojima as report
 from ..sim.kojima import KojimaConfig, Worlds, draw_worlds

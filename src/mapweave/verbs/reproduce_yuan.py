@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__
+from ..core.version import __version__
 from ..explore.config import ExploreConfig
 from ..explore.experiment import CALIBRATED, Mission, RunScore, explore_many, with_noise
 from ..explore.scenario import find_scenario

@@ -3,8 +3,8 @@
 from dataclasses import asdict
 from pathlib import Path
 
-from .. import __version__
 from ..core.team import TeamRecording
+from ..core.version import __version__
 from ..sim.landmarks import TeamWorld, simulate_team
 from ..writers.directory import result_directory, write_json
 from ..writers.mrclam import write_mrclam

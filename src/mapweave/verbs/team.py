@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__
 from ..core import se2
 from ..core.names import in_order, robot_key
 from ..core.records import Track
+from ..core.version import __version__
 from ..evaluate.growth import GrowthPoint
 from ..evaluate.landmarks import find_exchanges
 from ..evaluate.team import TeamScore, as_json, score_team

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ... import __version__
+from ...core.version import __version__
 from ...fuse.laser import Closure
 from .experiment import LaserMission, LaserRecord
 from .score import LaserScore
