@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from time import perf_counter
 from typing import Any
 
@@ -16,11 +16,12 @@ from ...fuse.laser import Closure
 from ...maps.grid import GridMap
 from ...maps.occupancy import Occupancy, of_grid, without_gaps
 from ...maps.pose_graph import PoseGraph
+from ...sim.office_floor import LEAST
 from .frontiers import pockets, survey
 from .mission import LaserMissionConfig, LaserMoment, LaserRun
 from .scenario import LaserPlace, LaserScenarioConfig, make_place
 from .score import LaserScore, score
-from .view import find_laser_planner
+from .view import BUILT_IN, find_laser_planner
 
 STILLS = 48  # moments kept as pictures, about
 SEEN_EVERY = 5  # steps between looks at what is known
@@ -140,9 +141,22 @@ def start(mission: LaserMission, seed: int) -> tuple[LaserRun, Building]:
     robots = mission.cfg.robots
     building = survey_building(place.world, place.lower, place.upper, place.starts, robots.radius, robots.scanner.far)
     planner = find_laser_planner(mission.planner)
+    _compile(mission.planner)
     kills = dict(mission.kills or {})
     made = LaserRun(place, building, mission.cfg, planner, seed, kills=kills, drop=mission.drop, until=mission.until)
     return made, building
+
+
+@cache
+def _compile(planner: str) -> None:
+    """Has a built-in planner take a few steps, once a process, so that decisions are timed and not compilation."""
+    if planner not in BUILT_IN:
+        return
+    place = make_place(LaserScenarioConfig(office=LEAST), 2, 0)
+    cfg = LaserMissionConfig()
+    building = survey_building(place.world, place.lower, place.upper, place.starts, cfg.robots.radius, 1.0)
+    for _ in LaserRun(place, building, cfg, find_laser_planner(planner), 0, until=3).play():
+        pass
 
 
 def explore_laser_many(
