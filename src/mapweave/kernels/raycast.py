@@ -30,28 +30,43 @@ def cast(
             best, hit, across = far, NONE, 0.0
             for k in range(count):
                 a = near[k]
-                ex, ey = segments[a, 2] - segments[a, 0], segments[a, 3] - segments[a, 1]
-                det = ux * ey - uy * ex
-                if det == 0.0:
-                    continue
-                wx, wy = segments[a, 0] - px, segments[a, 1] - py
-                r = (wx * ey - wy * ex) / det
-                along = (wx * uy - wy * ux) / det
-                if 0.0 < r < best and 0.0 <= along <= 1.0:
-                    best, hit = r, a
-                    across = abs(det) / np.sqrt(ex * ex + ey * ey)
+                r, slant = meet(px, py, ux, uy, segments, a)
+                if r < best:
+                    best, hit, across = r, a, slant
             for k in range(d):
-                wx, wy, radius = discs[i, k, 0] - px, discs[i, k, 1] - py, discs[i, k, 2]
-                middle = wx * ux + wy * uy
-                square = radius * radius - (wx * wx + wy * wy - middle * middle)
-                if radius > 0.0 and square > 0.0:
-                    r = middle - np.sqrt(square)
-                    if 0.0 < r < best:
-                        best, hit = r, s + k
-                        across = np.sqrt(square) / radius
+                r, slant = meet_disc(px, py, ux, uy, discs[i, k])
+                if r < best:
+                    best, hit, across = r, s + k, slant
             if hit != NONE:
                 rng[i, j], what[i, j], cosine[i, j] = best, hit, across
     return rng, what, cosine
+
+
+@kernel
+def meet(px: float, py: float, ux: float, uy: float, segments: np.ndarray, a: int) -> tuple[float, float]:
+    """Where the beam from p along the unit vector u meets segment a, infinite if nowhere; cosine of incidence."""
+    ex, ey = segments[a, 2] - segments[a, 0], segments[a, 3] - segments[a, 1]
+    det = ux * ey - uy * ex
+    if det == 0.0:
+        return np.inf, 0.0
+    wx, wy = segments[a, 0] - px, segments[a, 1] - py
+    r = (wx * ey - wy * ex) / det
+    along = (wx * uy - wy * ux) / det
+    if r <= 0.0 or along < 0.0 or along > 1.0:
+        return np.inf, 0.0
+    return r, abs(det) / np.sqrt(ex * ex + ey * ey)
+
+
+@kernel
+def meet_disc(px: float, py: float, ux: float, uy: float, disc: np.ndarray) -> tuple[float, float]:
+    """As `meet`, for a disc (3,) as x y radius."""
+    wx, wy, radius = disc[0] - px, disc[1] - py, disc[2]
+    middle = wx * ux + wy * uy
+    square = radius * radius - (wx * wx + wy * wy - middle * middle)
+    if radius <= 0.0 or square <= 0.0:
+        return np.inf, 0.0
+    r = middle - np.sqrt(square)
+    return (r, np.sqrt(square) / radius) if r > 0.0 else (np.inf, 0.0)
 
 
 @kernel

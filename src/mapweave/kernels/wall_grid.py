@@ -3,8 +3,8 @@
 import numpy as np
 
 from ._jit import kernel
+from .raycast import NONE, meet, meet_disc
 
-NONE = -1
 SLACK = 1e-9  # [m] by which a bucket reaches beyond its square, so that a wall on a border is in both
 
 
@@ -75,13 +75,9 @@ def cast_in_grid(
             ux, uy = np.cos(heading + angles[j]), np.sin(heading + angles[j])
             best, hit, across = far, NONE, 0.0
             for k in range(d):
-                wx, wy, radius = discs[i, k, 0] - px, discs[i, k, 1] - py, discs[i, k, 2]
-                middle = wx * ux + wy * uy
-                square = radius * radius - (wx * wx + wy * wy - middle * middle)
-                if radius > 0.0 and square > 0.0:
-                    r = middle - np.sqrt(square)
-                    if 0.0 < r < best:
-                        best, hit, across = r, s + k, np.sqrt(square) / radius
+                r, slant = meet_disc(px, py, ux, uy, discs[i, k])
+                if r < best:
+                    best, hit, across = r, s + k, slant
             r, wall, slant = _first_wall(px, py, ux, uy, best, segments, corner, cell, cols, first, items)
             if wall != NONE:
                 best, hit, across = r, wall, slant
@@ -119,15 +115,9 @@ def _first_wall(
         b = row * cols + col
         for at in range(first[b], first[b + 1]):
             a = items[at]
-            ex, ey = segments[a, 2] - segments[a, 0], segments[a, 3] - segments[a, 1]
-            det = ux * ey - uy * ex
-            if det == 0.0:
-                continue
-            wx, wy = segments[a, 0] - px, segments[a, 1] - py
-            r = (wx * ey - wy * ex) / det
-            along = (wx * uy - wy * ux) / det
-            if 0.0 < r < best and 0.0 <= along <= 1.0:
-                best, hit, across = r, a, abs(det) / np.sqrt(ex * ex + ey * ey)
+            r, cosine = meet(px, py, ux, uy, segments, a)
+            if r < best:
+                best, hit, across = r, a, cosine
         if next_c < next_r:
             gone, col, next_c = next_c, col + step_c, next_c + each_c
         else:
