@@ -11,6 +11,7 @@ from mapweave.explore.asking import ask
 from mapweave.explore.laser.scenario import find_laser_scenario, make_place
 from mapweave.explore.scenario import find_scenario, make_field
 from mapweave.verbs.explore import explore
+from mapweave.verbs.explore_options import parse_kills
 
 FIELD = "lower = [-5, -5]\nupper = [5, 5]\nlandmarks = [[-3.0, 3.0], [3.0, 3.0]]\n"
 HALL = """
@@ -173,3 +174,9 @@ def test_the_corner_of_an_image_may_be_told_without_a_turn(tmp_path):
     text = 'sensor = "laser"\nwalls = "plan.png"\nresolution = 0.1\norigin = [1.0, 2.0]\nstarts = [[2, 3, 0]]\n'
     place = make_place(find_laser_scenario(written(tmp_path, text)), None, 0)
     np.testing.assert_allclose([*place.lower, *place.upper], [1, 2, 5, 5])
+
+
+def test_a_robot_is_told_once_when_it_dies():
+    assert parse_kills(["robot1@5", "robot2@7"]) == {"robot1": 5, "robot2": 7}
+    with pytest.raises(UsageError, match="robot2 can die but once, found robot2@7 and robot2@9"):
+        parse_kills(["robot2@7", "robot2@9"])

@@ -2,11 +2,9 @@
 
 from collections.abc import Mapping
 from concurrent.futures import Executor
-from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-
-import numpy as np
 
 from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
@@ -19,7 +17,7 @@ from ..explore.scenario import find_scenario, make_field
 from ..explore.view import find_planner
 from ..writers.directory import check_target, result_directory
 from .explore_laser import explore_laser
-from .explore_options import check_numbers, kills_of, worker_pool
+from .explore_options import check_numbers, factor_of, kills_of, remaining_runs, steps_of
 from .map_options import Tick, no_tick
 
 NOISE = {"printed": 1.0, "calibrated": CALIBRATED}
@@ -99,15 +97,9 @@ def explore(
         check_target(Path(out), force=force)
     tick("exploring", 0, runs)
     first_score, first = explore_once(mission, seed)
-    scores = [first_score]
-    pool = worker_pool(jobs, runs) if executor is None else nullcontext(executor)
-    with pool as workers:
-        step = max(1, jobs) * 2
-        for start in range(1, runs, step):
-            more = explore_many(mission, min(step, runs - start), seed + start, workers)
-            scores += [replace(r, run=start + k) for k, r in enumerate(more)]
-            tick("exploring", len(scores), runs)
-    result = ExploreResult(scenario, mission, seed, noise_factor(cfg), tuple(scores), first)
+    more = remaining_runs(partial(explore_many, mission), runs, seed, jobs, executor, tick)
+    scores = (first_score, *(replace(score, run=k) for k, score in enumerate(more, 1)))
+    result = ExploreResult(scenario, mission, seed, noise_factor(cfg), scores, first)
     if out is not None:
         with result_directory(Path(out), force=force) as work:
             _write(work, result)
@@ -126,22 +118,10 @@ def _write(folder: Path, result: ExploreResult) -> None:
 def _noise(noise: str | float) -> float:
     if isinstance(noise, str) and noise in NOISE:
         return NOISE[noise]
-    try:
-        factor = float(noise)
-    except ValueError:
-        raise UsageError(f"--noise: expected printed, calibrated or a factor, found {noise!r}") from None
-    if not (np.isfinite(factor) and factor > 0):
-        raise UsageError(f"--noise: expected a positive factor, found {noise!r}")
-    return factor
+    return factor_of(noise, "printed, calibrated")
 
 
 def _until(until: str | int) -> str | int:
     if isinstance(until, str) and until in ("landmarks", "field"):
         return until
-    try:
-        steps = int(until)
-    except ValueError:
-        raise UsageError(f"--until: expected landmarks, field or a number of steps, found {until!r}") from None
-    if steps < 1:
-        raise UsageError(f"--until: expected at least 1 step, found {steps}")
-    return steps
+    return steps_of(until, "landmarks, field")

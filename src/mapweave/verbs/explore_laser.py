@@ -2,11 +2,9 @@
 
 from collections.abc import Mapping
 from concurrent.futures import Executor
-from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-
-import numpy as np
 
 from ..core.config import expect_positive, load
 from ..core.errors import UsageError
@@ -16,7 +14,7 @@ from ..explore.laser.result import LaserExploreResult
 from ..explore.laser.scenario import LaserScenarioConfig, make_place
 from ..explore.laser.view import find_laser_planner
 from ..writers.directory import check_target, result_directory
-from .explore_options import check_numbers, kills_of, worker_pool
+from .explore_options import check_numbers, factor_of, kills_of, remaining_runs, steps_of
 from .map_options import Tick, no_tick
 
 POSITIVE = (
@@ -70,15 +68,9 @@ def explore_laser(
         tick("the first run: area mapped", explored, 1.0)
 
     first_score, first = explore_laser_once(mission, seed, tick=share)
-    scores = [first_score]
-    pool = worker_pool(jobs, runs) if executor is None else nullcontext(executor)
-    with pool as workers:
-        step = max(1, jobs) * 2
-        for start in range(1, runs, step):
-            more = explore_laser_many(mission, min(step, runs - start), seed + start, workers)
-            scores += [replace(r, run=start + k) for k, r in enumerate(more)]
-            tick("exploring", len(scores), runs)
-    result = LaserExploreResult(name, mission, seed, factor, tuple(scores), first)
+    more = remaining_runs(partial(explore_laser_many, mission), runs, seed, jobs, executor, tick)
+    scores = (first_score, *(replace(score, run=k) for k, score in enumerate(more, 1)))
+    result = LaserExploreResult(name, mission, seed, factor, scores, first)
     if out is not None:
         with result_directory(Path(out), force=force) as work:
             _write(work, result)
@@ -100,13 +92,7 @@ def _factor(noise: str | float) -> float:
         raise UsageError(
             "--noise printed: the paper prints noise of landmark worlds alone; give calibrated or a factor on odometry"
         )
-    try:
-        factor = float(noise)
-    except ValueError:
-        raise UsageError(f"--noise: expected calibrated or a factor, found {noise!r}") from None
-    if not (np.isfinite(factor) and factor > 0):
-        raise UsageError(f"--noise: expected a positive factor, found {noise!r}")
-    return factor
+    return factor_of(noise, "calibrated")
 
 
 def _until(until: str | int) -> str | int:
@@ -114,10 +100,4 @@ def _until(until: str | int) -> str | int:
         return until
     if until == "landmarks":
         raise UsageError("--until landmarks: a laser world has none; give field or a number of steps")
-    try:
-        steps = int(until)
-    except ValueError:
-        raise UsageError(f"--until: expected field or a number of steps, found {until!r}") from None
-    if steps < 1:
-        raise UsageError(f"--until: expected at least 1 step, found {steps}")
-    return steps
+    return steps_of(until, "field")

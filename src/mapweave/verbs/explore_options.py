@@ -1,12 +1,17 @@
 """Options every kind of exploration takes."""
 
-from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import nullcontext
 from multiprocessing import get_context
-from typing import Any
+from typing import Any, TypeVar
+
+import numpy as np
 
 from ..core.errors import UsageError
+from .map_options import Tick
+
+Score = TypeVar("Score")
 
 
 def parse_kills(text: list[str] | None) -> dict[str, int]:
@@ -16,6 +21,8 @@ def parse_kills(text: list[str] | None) -> dict[str, int]:
         name, at, step = word.partition("@")
         if not at or not step.isdecimal():
             raise UsageError(f"--kill: expected robotK@STEP, found {word!r}")
+        if name in out:
+            raise UsageError(f"--kill: {name} can die but once, found {name}@{out[name]} and {word}")
         out[name] = int(step)
     return out
 
@@ -25,6 +32,50 @@ def worker_pool(jobs: int, runs: int) -> Any:
     if jobs < 2 or runs < 3:
         return nullcontext(None)
     return ProcessPoolExecutor(min(jobs, runs - 1), mp_context=get_context("spawn"))
+
+
+def remaining_runs(
+    many: Callable[[int, int, Executor | None], list[Score]],
+    runs: int,
+    seed: int,
+    jobs: int,
+    executor: Executor | None,
+    tick: Tick,
+) -> list[Score]:
+    """Scores of runs 1, 2, ... `runs` - 1, a few at a time, so that progress can be told; run 0 is there already.
+
+    many: (how many, the seed of the first, where to run them) -> their scores.
+    """
+    scores: list[Score] = []
+    pool = worker_pool(jobs, runs) if executor is None else nullcontext(executor)
+    with pool as workers:
+        step = max(1, jobs) * 2
+        for start in range(1, runs, step):
+            scores += many(min(step, runs - start), seed + start, workers)
+            tick("exploring", 1 + len(scores), runs)
+    return scores
+
+
+def factor_of(noise: str | float, names: str) -> float:
+    """A positive factor; `names` are the words that would have been understood too."""
+    try:
+        factor = float(noise)
+    except ValueError:
+        raise UsageError(f"--noise: expected {names} or a factor, found {noise!r}") from None
+    if not (np.isfinite(factor) and factor > 0):
+        raise UsageError(f"--noise: expected a positive factor, found {noise!r}")
+    return factor
+
+
+def steps_of(until: str | int, names: str) -> int:
+    """At least one step; `names` are the words that would have been understood too."""
+    try:
+        steps = int(until)
+    except ValueError:
+        raise UsageError(f"--until: expected {names} or a number of steps, found {until!r}") from None
+    if steps < 1:
+        raise UsageError(f"--until: expected at least 1 step, found {steps}")
+    return steps
 
 
 def kills_of(kill: Mapping[str, int], robots: int) -> dict[int, int]:
