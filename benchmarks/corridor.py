@@ -12,16 +12,16 @@ from pathlib import Path
 
 import numpy as np
 
-from mapweave.estimate import particle_slam
-from mapweave.estimate.laser import choose_feature, finish, map_laser
-from mapweave.estimate.laser_config import LaserConfig
-from mapweave.models.beam import beams
-from mapweave.models.intensity import IntensityCalibration
-from mapweave.run import run
+from mapweave.core.run import run
+from mapweave.laser import particle_slam
+from mapweave.laser.beam import beams
+from mapweave.laser.config import LaserConfig
+from mapweave.laser.intensity import IntensityCalibration
+from mapweave.laser.mapping import choose_feature, finish, map_laser
+from mapweave.papers.hara.experiments import score
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 from mapweave.sim.laser import DriveConfig
 from mapweave.sim.scanner import SECOND_LAW
-from mapweave.verbs.hara_experiments import score
 
 KNOTS = np.linspace(0.0, 6.0, 31)
 TRUE = IntensityCalibration(KNOTS, -np.log1p((KNOTS / 1.5) ** 2), 1.0, 40000 * 0.9, 0.0, 1)

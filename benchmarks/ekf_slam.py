@@ -18,9 +18,8 @@ import numpy as np
 
 from mapweave.core import se2
 from mapweave.core.records import Event, Odometry, Sightings
-from mapweave.estimate import ekf_slam
-from mapweave.estimate.ekf_config import EkfSlamConfig
-from mapweave.models import motion, range_bearing
+from mapweave.landmarks import ekf_slam, motion, range_bearing
+from mapweave.landmarks.config import EkfSlamConfig
 
 ROWS, H, V, W = 5, 0.05, 0.5, 0.15  # odometry rows a step, [s], [m/s], [rad/s]
 SIGMA_R, SIGMA_B = 0.05, 0.014  # [m], [rad]

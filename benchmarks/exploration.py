@@ -11,20 +11,20 @@ from pathlib import Path
 
 import numpy as np
 
+from mapweave.api.explore_options import worker_pool
 from mapweave.core.se2 import wrap_angle
-from mapweave.estimate.ekf_config import EkfSlamConfig, noise
-from mapweave.estimate.submap_slam import Observations, SubmapConfig, empty, move, predict, sight, update
-from mapweave.explore import coverage, objective
-from mapweave.explore.config import ExploreConfig
-from mapweave.explore.experiment import CALIBRATED, Mission, explore_many, with_noise
-from mapweave.explore.scenario import find_scenario, make_field
-from mapweave.explore.team import Team
-from mapweave.fuse.handover import hand_over
-from mapweave.kernels import ekf, ekf_settle, ekf_start, ekf_state
-from mapweave.kernels.submap import sight_jacobian
-from mapweave.maps.global_map import GlobalMap
-from mapweave.maps.submap import Submap
-from mapweave.verbs.explore_options import worker_pool
+from mapweave.exploration.landmarks import coverage, objective
+from mapweave.exploration.landmarks.config import ExploreConfig
+from mapweave.exploration.landmarks.experiment import CALIBRATED, Mission, explore_many, with_noise
+from mapweave.exploration.landmarks.scenario import find_scenario, make_field
+from mapweave.exploration.landmarks.team import Team
+from mapweave.fusion.handover import hand_over
+from mapweave.kernels.landmarks import ekf, ekf_apply_drive, ekf_start, ekf_state
+from mapweave.kernels.landmarks.submap import sight_jacobian
+from mapweave.landmarks.config import EkfSlamConfig, noise
+from mapweave.landmarks.global_map import GlobalMap
+from mapweave.landmarks.submap import Submap
+from mapweave.landmarks.submap_slam import Observations, SubmapConfig, empty, move, predict, sight, update
 
 STEPS, SIGHTINGS = 30, 3
 
@@ -174,7 +174,7 @@ def compiled(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg:
         Phi[:, :3] = np.eye(3)
         Phi[:2, 2] = u[0] * cfg.period * np.array([-np.sin(x[2]), np.cos(x[2])])
         x[:3] = move(x[:3], u, cfg.period)
-        ekf_settle.settle(F, len(x), Phi, cfg.Q.copy())
+        ekf_apply_drive.settle(F, len(x), Phi, cfg.Q.copy())
         ranges, bearings = z.T.copy()
         ekf.frame(
             x, F, rows, ranges, bearings, known, started, places, counts, astray, np.empty(len(rows)),

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mapweave.explore.laser.experiment import LaserMission, explore_laser_many
-from mapweave.explore.laser.scenario import LaserScenarioConfig
-from mapweave.explore.laser.score import LaserScore
-from mapweave.verbs.explore_options import worker_pool
+from mapweave.api.explore_options import worker_pool
+from mapweave.exploration.laser.experiment import LaserMission, explore_laser_many
+from mapweave.exploration.laser.scenario import LaserScenarioConfig
+from mapweave.exploration.laser.score import LaserScore
 
 AREAS, TEAMS = (500, 1000, 2000, 5000), (1, 2, 4, 8)
 QUICK = {500: (1, 2), 1000: (4,)}

@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from mapweave.core import se2
-from mapweave.fuse.overlap import Cluster
-from mapweave.fuse.submaps import build, grouped
-from mapweave.maps.landmarks import LandmarkMap
+from mapweave.fusion.full_covariance import build, grouped
+from mapweave.fusion.overlap import Cluster
+from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.solve import Pattern, SolveConfig, minimise
 
 STEPS = 5

@@ -14,13 +14,13 @@ from scipy.spatial import cKDTree
 
 from mapweave.core import se2
 from mapweave.core.records import Event
-from mapweave.estimate import particle_slam
-from mapweave.estimate.laser import choose_feature
-from mapweave.estimate.laser_config import PAPER_FILTER, LaserConfig
 from mapweave.kernels._jit import parallel_kernel, prange, set_threads
-from mapweave.kernels.icp import intensity_icp
-from mapweave.maps.particle_grid import CellConfig, ParticleGrid
-from mapweave.models.beam import beams
+from mapweave.kernels.laser.icp import intensity_icp
+from mapweave.laser import particle_slam
+from mapweave.laser.beam import beams
+from mapweave.laser.config import PAPER_FILTER, LaserConfig
+from mapweave.laser.mapping import choose_feature
+from mapweave.laser.particle_grid import CellConfig, ParticleGrid
 from mapweave.sim.corridor import simulate_corridor
 
 SENSOR_HZ = 10.0

@@ -20,13 +20,14 @@ from pathlib import Path
 
 import numpy as np
 
-from mapweave.estimate.ekf_map import local_map
-from mapweave.evaluate.landmarks import rmse_after_alignment, score_landmarks
-from mapweave.fuse import FuseConfig, fuse
-from mapweave.maps.survey import Survey
-from mapweave.match.identities import match_maps
-from mapweave.readers.landmark_logs import read_landmark_logs
-from mapweave.readers.landmark_truth import read_survey
+from mapweave.core.survey import Survey
+from mapweave.evaluation.landmarks import rmse_after_alignment, score_landmarks
+from mapweave.fusion.config import FuseConfig
+from mapweave.fusion.identities import match_maps
+from mapweave.fusion.join import fuse
+from mapweave.io.landmark_logs import read_landmark_logs
+from mapweave.io.landmark_truth import read_survey
+from mapweave.landmarks.mapping import local_map
 
 WEIGHTS = ("naive", "constant", "paper", "diagonal", "full", "full-scaled")
 SHARES = (1.0, 0.5, 0.25, 0.12, 0.06)

@@ -18,12 +18,13 @@ import numpy as np
 import scipy
 
 from mapweave import __version__
-from mapweave.estimate.swarm import SwarmConfig, locate
-from mapweave.estimate.swarm.batch import refine
-from mapweave.estimate.swarm.start import prepare
-from mapweave.maps.network import Network
-from mapweave.models import bearing
 from mapweave.sim.swarm import Swarm, SwarmScene, observe, simulate_swarm
+from mapweave.swarm import bearing
+from mapweave.swarm.batch import refine
+from mapweave.swarm.config import SwarmConfig
+from mapweave.swarm.locate import locate
+from mapweave.swarm.network import Network
+from mapweave.swarm.start import prepare
 
 
 def network(swarm: Swarm, known: tuple[int, ...]) -> Network:

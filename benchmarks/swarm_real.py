@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 
 import mapweave
+from mapweave.api.locate import COMMANDED
 from mapweave.core import se2
-from mapweave.estimate.swarm_track.odometry import motion
-from mapweave.evaluate.swarm import similarity
-from mapweave.readers.angulation import as_sightings, read_angulation
-from mapweave.readers.team_bearings import read_team_bearings, read_team_truth
-from mapweave.verbs.locate import COMMANDED
+from mapweave.evaluation.swarm import similarity
+from mapweave.io.angulation import as_sightings, read_angulation
+from mapweave.io.team_bearings import read_team_bearings, read_team_truth
+from mapweave.swarm.moving.odometry import motion
 
 HEADING = 0.5 * np.pi  # true of all nine places
 
@@ -99,7 +99,7 @@ def team(path: Path, seconds: float | None = None) -> dict:
 def tracked(table, odometry, truth):
     """The track, and by robot: its track, which stamps truth covers, the true positions there."""
     from mapweave.core.bearings import BearingTable
-    from mapweave.estimate.swarm_track import smooth_driving
+    from mapweave.swarm.moving.drive import smooth_driving
 
     sigma = np.full(len(table.observer), np.radians(0.6))
     ready = BearingTable(table.ids, table.observer, table.target, table.direction, sigma, table.t, axis=False)

@@ -7,7 +7,7 @@ import pytest
 from jaxtyping import install_import_hook
 
 # Shapes and types of every public function are checked while the tests run; in production they cost nothing.
-CHECKED = ("core", "models", "maps", "match", "solve", "fuse", "evaluate")
+CHECKED = ("core", "solve", "landmarks", "fusion", "laser", "swarm", "team", "evaluation")
 if os.environ.get("MAPWEAVE_TYPECHECK", "1") == "1":
     install_import_hook([f"mapweave.{room}" for room in CHECKED], "beartype.beartype")
 

@@ -26,46 +26,46 @@ __all__ = (
 )
 
 if TYPE_CHECKING:
-    from .verbs.demo import demo as demo
-    from .verbs.evaluate import evaluate as evaluate
-    from .verbs.explore import explore as explore
-    from .verbs.fuse import fuse_results as fuse
-    from .verbs.localize import localize as localize
-    from .verbs.locate import locate as locate
-    from .verbs.map import map_logs as map  # noqa: A004
-    from .verbs.reproduce_hamatani import reproduce_hamatani as reproduce_hamatani
-    from .verbs.reproduce_hara import reproduce_hara as reproduce_hara
-    from .verbs.reproduce_kojima import reproduce_kojima as reproduce_kojima
-    from .verbs.reproduce_yuan import reproduce_yuan as reproduce_yuan
-    from .verbs.simulate_landmarks import simulate_landmarks as simulate_landmarks
-    from .verbs.simulate_laser import simulate_laser as simulate_laser
-    from .verbs.simulate_swarm import simulate_swarm as simulate_swarm
-    from .verbs.view import view as view
+    from .api.demo import demo as demo
+    from .api.evaluate import evaluate as evaluate
+    from .api.explore import explore as explore
+    from .api.fuse import fuse_results as fuse
+    from .api.localize import localize as localize
+    from .api.locate import locate as locate
+    from .api.map import map_logs as map  # noqa: A004
+    from .api.simulate_landmarks import simulate_landmarks as simulate_landmarks
+    from .api.simulate_laser import simulate_laser as simulate_laser
+    from .api.simulate_swarm import simulate_swarm as simulate_swarm
+    from .api.view import view as view
+    from .papers.hamatani.reproduce import reproduce_hamatani as reproduce_hamatani
+    from .papers.hara.reproduce import reproduce_hara as reproduce_hara
+    from .papers.kojima.reproduce import reproduce_kojima as reproduce_kojima
+    from .papers.yuan.reproduce import reproduce_yuan as reproduce_yuan
 
 _VERBS: dict[str, str] = {
     # public name: where it lives; keep in step with the block above, which type checkers read
-    "demo": "mapweave.verbs.demo:demo",
-    "evaluate": "mapweave.verbs.evaluate:evaluate",
-    "explore": "mapweave.verbs.explore:explore",
-    "fuse": "mapweave.verbs.fuse:fuse_results",
-    "localize": "mapweave.verbs.localize:localize",
-    "locate": "mapweave.verbs.locate:locate",
-    "map": "mapweave.verbs.map:map_logs",
-    "reproduce_hamatani": "mapweave.verbs.reproduce_hamatani:reproduce_hamatani",
-    "reproduce_hara": "mapweave.verbs.reproduce_hara:reproduce_hara",
-    "reproduce_kojima": "mapweave.verbs.reproduce_kojima:reproduce_kojima",
-    "reproduce_yuan": "mapweave.verbs.reproduce_yuan:reproduce_yuan",
-    "simulate_landmarks": "mapweave.verbs.simulate_landmarks:simulate_landmarks",
-    "simulate_laser": "mapweave.verbs.simulate_laser:simulate_laser",
-    "simulate_swarm": "mapweave.verbs.simulate_swarm:simulate_swarm",
-    "view": "mapweave.verbs.view:view",
+    "demo": "mapweave.api.demo:demo",
+    "evaluate": "mapweave.api.evaluate:evaluate",
+    "explore": "mapweave.api.explore:explore",
+    "fuse": "mapweave.api.fuse:fuse_results",
+    "localize": "mapweave.api.localize:localize",
+    "locate": "mapweave.api.locate:locate",
+    "map": "mapweave.api.map:map_logs",
+    "reproduce_hamatani": "mapweave.papers.hamatani.reproduce:reproduce_hamatani",
+    "reproduce_hara": "mapweave.papers.hara.reproduce:reproduce_hara",
+    "reproduce_kojima": "mapweave.papers.kojima.reproduce:reproduce_kojima",
+    "reproduce_yuan": "mapweave.papers.yuan.reproduce:reproduce_yuan",
+    "simulate_landmarks": "mapweave.api.simulate_landmarks:simulate_landmarks",
+    "simulate_laser": "mapweave.api.simulate_laser:simulate_laser",
+    "simulate_swarm": "mapweave.api.simulate_swarm:simulate_swarm",
+    "view": "mapweave.api.view:view",
 }
 
 
 class _Verb:
     """A public verb, imported when first used, so that `import mapweave` stays instant.
 
-    Some rooms carry a verb's name (`mapweave.fuse`); Python binds a room to this module when it is imported, and the
+    Some rooms carry a verb's name (`mapweave.fusion`); Python binds a room to this module when it is imported, and the
     setter lets that pass: the attribute stays the verb, `from mapweave.fuse import ..` still finds the room.
     """
 

@@ -5,8 +5,8 @@ import pytest
 
 from mapweave.cli import _run
 from mapweave.core import se2
-from mapweave.readers.laser import read_laser
-from mapweave.readers.tum import read_tum
+from mapweave.io.laser_logs import read_laser
+from mapweave.io.tum import read_tum
 from mapweave.sim.office import OfficeConfig, simulate_office
 from mapweave.sim.tunnel import TunnelConfig, simulate_tunnel
 

@@ -3,7 +3,7 @@
 import pytest
 
 from mapweave.cli import _run
-from mapweave.readers.sightings import read_sightings, read_swarm_truth
+from mapweave.io.sightings import read_sightings, read_swarm_truth
 
 
 def simulate(tmp_path, *words):

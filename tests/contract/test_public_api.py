@@ -4,8 +4,8 @@ import subprocess
 import sys
 
 import mapweave
-import mapweave.evaluate.team
-import mapweave.fuse.result
+import mapweave.evaluation.team
+import mapweave.fusion.join
 
 
 def test_every_public_verb_can_be_had_and_is_a_function():
@@ -15,8 +15,8 @@ def test_every_public_verb_can_be_had_and_is_a_function():
 
 
 def test_a_room_with_a_verbs_name_does_not_take_its_place():
-    assert mapweave.fuse is not sys.modules["mapweave.fuse"]
-    assert mapweave.evaluate is not sys.modules["mapweave.evaluate"]
+    assert mapweave.fuse is not sys.modules["mapweave.fusion"]
+    assert mapweave.evaluate is not sys.modules["mapweave.evaluation"]
     assert mapweave.fuse.__doc__.startswith("One map from the local maps")
 
 

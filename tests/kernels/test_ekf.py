@@ -5,8 +5,8 @@ import pytest
 
 from mapweave.core.gaussian import joseph
 from mapweave.core.se2 import wrap_angle
-from mapweave.kernels import ekf, ekf_drive, ekf_settle, ekf_sight, ekf_start, ekf_state
-from mapweave.models import motion, range_bearing
+from mapweave.kernels.landmarks import ekf, ekf_apply_drive, ekf_drive, ekf_sight, ekf_start, ekf_state
+from mapweave.landmarks import motion, range_bearing
 
 pytestmark = pytest.mark.kernel
 
@@ -28,7 +28,7 @@ def random_state(seed, landmarks=3):
 
 def cleared():
     Phi, Q = np.zeros((3, 8)), np.zeros((3, 3))
-    ekf_settle.clear(Phi, Q)
+    ekf_apply_drive.clear(Phi, Q)
     return Phi, Q
 
 
@@ -102,8 +102,8 @@ def test_settling_equals_the_dense_prediction():
     wanted = F @ P @ F.T
     wanted[:3, :3] += Q
     packed = np.empty(6)
-    ekf_settle.pose_covariance(P, Phi, Q, packed)
-    ekf_settle.settle(P, len(x), Phi, Q)
+    ekf_apply_drive.pose_covariance(P, Phi, Q, packed)
+    ekf_apply_drive.settle(P, len(x), Phi, Q)
     assert np.allclose(P, wanted, atol=1e-14)
     assert np.allclose(packed, wanted[np.triu_indices(3)], atol=1e-14)
     assert np.array_equal(Phi, cleared()[0])
@@ -210,7 +210,7 @@ def test_coasting_forgets_speed_and_turn_rate_and_keeps_their_spread():
     P[:, 3:5] = P[3:5, :] = 0.0
     P[3, 3], P[4, 4] = 0.1**2, 0.5**2
     noise = PLAIN._replace(speed=0.1, speed_time=2.0, spin=0.5, spin_time=1.0)
-    ekf_settle.coast(x, P, len(x), 3.0, noise)
+    ekf_apply_drive.coast(x, P, len(x), 3.0, noise)
     assert np.allclose(x[3:5], [0.1 * np.exp(-1.5), 0.4 * np.exp(-3.0)])
     assert np.allclose([P[3, 3], P[4, 4]], [0.1**2, 0.5**2])
     assert np.linalg.eigvalsh(P)[0] > -1e-12

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from mapweave.core.se2 import wrap_angle
-from mapweave.kernels import ekf_drive
-from mapweave.kernels.ekf_smooth import smooth
-from mapweave.models import range_bearing
+from mapweave.kernels.landmarks import ekf_drive
+from mapweave.kernels.landmarks.ekf_smooth import smooth
+from mapweave.landmarks import range_bearing
 
 from .test_ekf import PLAIN, cleared
 

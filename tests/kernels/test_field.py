@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.kernels.field import score_field
-from mapweave.maps.field import nearest_field
-from mapweave.maps.grid import GridMap
+from mapweave.kernels.laser.likelihood_field import score_field
+from mapweave.laser.grid import GridMap
+from mapweave.laser.likelihood_field import nearest_field
 
 
 @pytest.mark.kernel

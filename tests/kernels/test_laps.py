@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from mapweave.estimate.submap_slam import SubmapConfig, move
-from mapweave.explore.config import ExploreConfig
-from mapweave.explore.steering import steer
-from mapweave.explore.team import Team
-from mapweave.kernels.exploration import mark_half_disc
-from mapweave.kernels.laps import (
+from mapweave.exploration.landmarks.config import ExploreConfig
+from mapweave.exploration.landmarks.steering import steer
+from mapweave.exploration.landmarks.team import Team
+from mapweave.kernels.exploration.laps import (
     add_landmark_information,
     drive_laps,
     landmark_errors,
     odometry_information,
     seen_shares,
 )
-from mapweave.kernels.submap import sight_jacobian
+from mapweave.kernels.exploration.objective import mark_half_disc
+from mapweave.kernels.landmarks.submap import sight_jacobian
+from mapweave.landmarks.submap_slam import SubmapConfig, move
 from mapweave.sim.field import Field
 
 LOWER, UPPER = np.array([-20.0, -15.0]), np.array([20.0, 15.0])

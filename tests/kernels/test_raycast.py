@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapweave.kernels.raycast import cast
+from mapweave.kernels.walls.raycast import cast
 
 
 def dense(pose, angle, segments, discs):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mapweave.kernels.sight import mark_in_sight, nearest_views, points_in_sight, unexplored_in_sight
-from mapweave.kernels.walls import distance_of_moves, free_share
+from mapweave.kernels.walls.segments import distance_of_moves, free_share
+from mapweave.kernels.walls.sight import mark_in_sight, nearest_views, points_in_sight, unexplored_in_sight
 
 RNG = np.random.default_rng(2)
 SEGMENTS = RNG.uniform(0, 20, (7, 4))

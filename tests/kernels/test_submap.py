@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from mapweave.core.se2 import wrap_angle
-from mapweave.kernels import submap, symmetric
+from mapweave.kernels import symmetric
+from mapweave.kernels.landmarks import submap
 
 pytestmark = pytest.mark.kernel
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapweave.kernels.sweep import UNIT, lay_sweep
+from mapweave.kernels.laser.sweep import UNIT, lay_sweep
 
 pytestmark = pytest.mark.kernel
 

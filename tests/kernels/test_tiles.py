@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mapweave.kernels.resample import systematic
-from mapweave.maps.particle_grid import CellConfig, ParticleGrid
+from mapweave.kernels.laser.resample import systematic
+from mapweave.laser.particle_grid import CellConfig, ParticleGrid
 
 pytestmark = pytest.mark.kernel
 

@@ -5,8 +5,8 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from mapweave.kernels.tour_moves import improve_tours, open_length, tours_cost
-from mapweave.kernels.tours import balanced_tours
+from mapweave.kernels.exploration.tour_moves import improve_tours, open_length, tours_cost
+from mapweave.kernels.exploration.tours import balanced_tours
 
 pytestmark = pytest.mark.kernel
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mapweave.kernels.raycast import cast
-from mapweave.maps.wall_index import WallIndex
+from mapweave.core.wall_index import WallIndex
+from mapweave.kernels.walls.raycast import cast
 
 
 def clutter(seed, many):

@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from mapweave.kernels.wavefront import DIAGONAL, NO_LIMIT, STRAIGHT, UNREACHED, descend, spread
+from mapweave.kernels.exploration.wavefront import DIAGONAL, NO_LIMIT, STRAIGHT, UNREACHED, descend, spread
 
 pytestmark = pytest.mark.kernel
 

@@ -1,20 +1,17 @@
 """The report of laser maps says what was done, warns, and shows every figure; no figure is empty."""
 
 import re
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib import image
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "writers"))
-from made_laser_map import made_laser_map
-
 from mapweave.core import se2
 from mapweave.core.records import Track
 from mapweave.report.laser import write_laser_report
 from mapweave.report.laser_figures import aligned
+
+from ..io.made_laser_map import made_laser_map
 
 
 @pytest.fixture(scope="module")

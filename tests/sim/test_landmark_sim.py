@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from mapweave.api.simulate_landmarks import simulate_landmarks
 from mapweave.core import se2
 from mapweave.core.errors import UsageError
-from mapweave.readers.landmark_logs import read_landmark_logs
-from mapweave.readers.landmark_truth import read_robot_truth, read_survey
+from mapweave.io.landmark_logs import read_landmark_logs
+from mapweave.io.landmark_truth import read_robot_truth, read_survey
 from mapweave.sim.landmarks import TeamWorld, simulate_team
-from mapweave.verbs.simulate_landmarks import simulate_landmarks
 
 SHORT = {"robots": 2, "landmarks": 8, "minutes": 0.5}
 

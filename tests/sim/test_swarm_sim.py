@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import UsageError
-from mapweave.readers.sightings import read_sightings
+from mapweave.io.sightings import read_sightings
+from mapweave.io.swarm import write_sightings
 from mapweave.sim.swarm import SwarmScene, simulate_swarm
-from mapweave.writers.swarm import write_sightings
 
 
 def made(seed=0, **more):

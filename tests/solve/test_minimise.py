@@ -4,17 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.solve import (
-    Cauchy,
-    Factor,
-    GemanMcClure,
-    Huber,
-    Pattern,
-    Problem,
-    SolveConfig,
-    Status,
-    minimise,
-)
+from mapweave.solve import Cauchy, Factor, GemanMcClure, Huber, Pattern, Problem, SolveConfig, Status, minimise
 
 from .problems import as_problem, numeric_jacobian, pose_landmark_world
 

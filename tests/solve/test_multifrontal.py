@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from mapweave.kernels.fronts import extend_add
+from mapweave.kernels.solve.fronts import extend_add
 from mapweave.solve.cholesky import Cholesky, NotPositiveError
 from mapweave.solve.dissection import dissect
 from mapweave.solve.fronts import Elimination

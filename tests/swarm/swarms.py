@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from mapweave.maps.network import Network
 from mapweave.sim.swarm import SwarmScene, simulate_swarm
+from mapweave.swarm.network import Network
 
 ROOT3 = np.sqrt(3.0)
 PAPER = np.array([[0.0, 0.0], [10.0, 0.0], [20.0, 0.0], [5.0, 5 * ROOT3], [15.0, 5 * ROOT3]])

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from mapweave.estimate.swarm import SwarmConfig, locate
+from mapweave.swarm.config import SwarmConfig
+from mapweave.swarm.locate import locate
 
 from .swarms import simulated
 

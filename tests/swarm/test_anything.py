@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import MapweaveError
-from mapweave.estimate.swarm import SwarmConfig, locate
-from mapweave.maps.network import Distance, Network
+from mapweave.swarm.config import SwarmConfig
+from mapweave.swarm.locate import locate
+from mapweave.swarm.network import Distance, Network
 
 
 def anything(seed):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import DataError
-from mapweave.estimate.swarm import locate
-from mapweave.maps.network import Network
-from mapweave.maps.swarm import Status
+from mapweave.swarm.locate import locate
+from mapweave.swarm.network import Network
+from mapweave.swarm.result import Status
 
 from .swarms import score, simulated
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapweave.models import bearing
+from mapweave.swarm import bearing
 
 RNG = np.random.default_rng(5)
 STEP = 1e-6

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import DataError
-from mapweave.estimate.swarm import SwarmConfig, locate
-from mapweave.estimate.swarm.distributed import links_of
-from mapweave.maps.network import Network
-from mapweave.maps.swarm import Status
+from mapweave.swarm.config import SwarmConfig
+from mapweave.swarm.distributed import links_of
+from mapweave.swarm.locate import locate
+from mapweave.swarm.network import Network
+from mapweave.swarm.result import Status
 
 from .swarms import simulated
 

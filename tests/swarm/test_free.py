@@ -7,9 +7,9 @@ import pytest
 
 from mapweave.core.errors import DataError
 from mapweave.core.se2 import wrap_angle
-from mapweave.estimate.swarm import locate
-from mapweave.estimate.swarm.factors import bearing_factor, columns
-from mapweave.maps.network import Distance, Network
+from mapweave.swarm.factors import bearing_factor, columns
+from mapweave.swarm.locate import locate
+from mapweave.swarm.network import Distance, Network
 
 from .swarms import PAPER, complete, score, simulated
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import DataError
-from mapweave.estimate.swarm import SwarmConfig, locate
-from mapweave.estimate.swarm.kalman import filter_start, innovation, sighting_matrix, update
+from mapweave.swarm.config import SwarmConfig
+from mapweave.swarm.kalman import filter_start, innovation, sighting_matrix, update
+from mapweave.swarm.locate import locate
 
 from .swarms import PAPER, complete, score, simulated
 

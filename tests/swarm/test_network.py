@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import DataError
-from mapweave.maps.network import Distance, Network, network
+from mapweave.swarm.network import Distance, Network, network
 
 
 def test_ids_stand_in_natural_order_and_sightings_by_index():

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from mapweave.estimate.swarm import SwarmConfig, locate
-from mapweave.estimate.swarm.robust import mutual_agreement
+from mapweave.swarm.config import SwarmConfig
+from mapweave.swarm.locate import locate
+from mapweave.swarm.robust import mutual_agreement
 
 from .swarms import score, simulated
 

@@ -20,13 +20,13 @@ def demo(
     force
         Write into the folder even when something other than a result stands there.
     """
-    from ..verbs.demo import demo as run
+    from ..api.demo import demo as run
     from .progress import progress
     from .say import say
 
     say("Four simulated robots drive for five minutes among 24 landmarks, none knowing where the others began.")
-    with progress() as tick:
-        result = run(out, seed=seed, force=force, tick=tick)
+    with progress() as on_progress:
+        result = run(out, seed=seed, force=force, on_progress=on_progress)
     for line in result.lines():
         say(line)
     say(f"Look at {out / 'report.html'}")

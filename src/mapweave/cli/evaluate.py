@@ -25,14 +25,14 @@ def evaluate(
     json
         Print JSON with the keys documented for `metrics.json`.
     """
-    from ..verbs.evaluate import evaluate as score
+    from ..api.evaluate import evaluate as score
     from .say import say
 
     told = score(directory, truth)
     if json:
         from json import dumps
 
-        from ..writers.directory import plain
+        from ..io.directory import plain
 
         say(dumps(plain(told.as_json()), indent=1, ensure_ascii=False))
         return

@@ -60,13 +60,13 @@ def explore(
     """
     import sys
 
-    from ..verbs.explore import explore as run
-    from ..verbs.explore_options import parse_kills
+    from ..api.explore import explore as run
+    from ..api.explore_options import parse_kills
     from .progress import progress
     from .say import say
 
     sys.path.append(str(Path.cwd()))  # where one's own planner may stand
-    with progress() as tick:
+    with progress() as on_progress:
         result = run(
             scenario,
             out,
@@ -82,7 +82,7 @@ def explore(
             config=config,
             jobs=jobs,
             force=force,
-            tick=tick,
+            on_progress=on_progress,
         )
     for line in result.lines():
         say(line)

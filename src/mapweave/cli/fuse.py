@@ -37,11 +37,11 @@ def fuse(
     force
         Write into the folder even when something other than a result stands there.
     """
-    from ..verbs.fuse import fuse_results
+    from ..api.fuse import fuse_results
     from .progress import progress
     from .say import say
 
-    with progress() as tick:
+    with progress() as on_progress:
         result = fuse_results(
             directories,
             out,
@@ -51,7 +51,7 @@ def fuse(
             config=config,
             seed=seed,
             force=force,
-            tick=tick,
+            on_progress=on_progress,
         )
     for line in result.lines():
         say(line)

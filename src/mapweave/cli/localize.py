@@ -59,8 +59,8 @@ def localize(
     force
         Write into the folder even when something other than a result stands there.
     """
-    from ..verbs.localize import localize as run
-    from ..verbs.map_options import LaserOptions
+    from ..api.localize import localize as run
+    from ..api.map_options import LaserOptions
     from .numbers import numbers
     from .progress import progress
     from .say import say
@@ -78,9 +78,18 @@ def localize(
         mirrored=mirrored,
     )
     first = None if start is None else numbers(start, 3, "--start")
-    with progress() as tick:
+    with progress() as on_progress:
         result = run(
-            log, map_, out, start=first, truth=truth, config=config, laser=asked, seed=seed, force=force, tick=tick
+            log,
+            map_,
+            out,
+            start=first,
+            truth=truth,
+            config=config,
+            laser=asked,
+            seed=seed,
+            force=force,
+            on_progress=on_progress,
         )
     for line in result.lines():
         say(line)

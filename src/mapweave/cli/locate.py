@@ -70,10 +70,10 @@ def locate(
     force
         Write into the folder even when something other than a result stands there.
     """
+    from ..api.locate import locate as run
+    from ..api.locate_options import parse_anchors, parse_distances
     from ..core.errors import UsageError
-    from ..estimate.swarm_track import TrackConfig
-    from ..verbs.locate import locate as run
-    from ..verbs.locate_options import parse_anchors, parse_distances
+    from ..swarm.moving.result import TrackConfig
     from .say import say
 
     if dim not in {None, 2, 3}:

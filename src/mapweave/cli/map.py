@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
-    from ..verbs.map_options import LaserOptions
+    from ..api.map_options import LaserOptions
 
 
 @Parameter(name="*", group="Laser logs")
@@ -95,12 +95,12 @@ def map_logs(
     force
         Write into the folder even when something other than a result stands there.
     """
-    from ..verbs.map import map_logs as run
-    from ..verbs.map_options import parse_robots, parse_shares, parse_starts
+    from ..api.map import map_logs as run
+    from ..api.map_options import parse_robots, parse_shares, parse_starts
     from .progress import progress
     from .say import say
 
-    with progress() as tick:
+    with progress() as on_progress:
         result = run(
             logs,
             out=out,
@@ -117,7 +117,7 @@ def map_logs(
             refine=refine,
             laser=_laser(laser),
             force=force,
-            tick=tick,
+            on_progress=on_progress,
         )
     for line in result.lines():
         say(line)
@@ -125,7 +125,7 @@ def map_logs(
 
 
 def _laser(given: Laser | None) -> "LaserOptions":
-    from ..verbs.map_options import LaserOptions
+    from ..api.map_options import LaserOptions
     from .numbers import numbers
 
     asked = given or Laser()

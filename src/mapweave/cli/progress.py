@@ -2,18 +2,13 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Protocol
 
-
-class Tick(Protocol):
-    """What a verb calls: `done` of `total` (None when unknown) of the stage named."""
-
-    def __call__(self, stage: str, done: float, total: float | None = None) -> None: ...
+from ..core.progress import Progress as OnProgress
 
 
 @contextmanager
-def progress() -> Iterator[Tick]:
-    """A `Tick` drawn as one bar a stage."""
+def progress() -> Iterator[OnProgress]:
+    """A progress callback drawn as one bar a stage."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
@@ -29,9 +24,9 @@ def progress() -> Iterator[Tick]:
         transient=True,
     ) as drawn:
 
-        def tick(stage: str, done: float, total: float | None = None) -> None:
+        def on_progress(stage: str, done: float, total: float | None = None) -> None:
             if stage not in bars:
                 bars[stage] = drawn.add_task(stage, total=total)
             drawn.update(bars[stage], completed=done, total=total)
 
-        yield tick
+        yield on_progress

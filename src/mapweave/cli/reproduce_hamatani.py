@@ -26,12 +26,12 @@ def hamatani(
     force
         Write into the folder even when something other than a result stands there.
     """
-    from ..verbs.reproduce_hamatani import PRINTED, TITLES, reproduce_hamatani
+    from ..papers.hamatani.reproduce import PRINTED, TITLES, reproduce_hamatani
     from .progress import progress
     from .say import say, say_table
 
-    with progress() as tick:
-        result = reproduce_hamatani(out, quick=quick, seed=seed, force=force, tick=tick)
+    with progress() as on_progress:
+        result = reproduce_hamatani(out, quick=quick, seed=seed, force=force, on_progress=on_progress)
     say("Hamatani, Nakamura, Naruse: five robots, bearings alone\n")
     say(f"Settings: {result.settings()}\n")
     for number in PRINTED:

@@ -26,12 +26,12 @@ def hara(
     force
         Write into the folder even when something other than a result stands there.
     """
-    from ..verbs.reproduce_hara import NOTES, reproduce_hara
+    from ..papers.hara.reproduce import NOTES, reproduce_hara
     from .progress import progress
     from .say import say, say_table
 
-    with progress() as tick:
-        result = reproduce_hara(out, quick=quick, seed=seed, force=force, tick=tick)
+    with progress() as on_progress:
+        result = reproduce_hara(out, quick=quick, seed=seed, force=force, on_progress=on_progress)
     say(f"Hara, Kawata, Ohya, Yuta: trajectory error [m] on a loop of 200 m, {result.errors.shape[1]} drives\n")
     say_table(*result.table())
     say("\nWhat differs, and why")

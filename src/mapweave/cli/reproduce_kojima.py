@@ -26,12 +26,12 @@ def kojima(
     force
         Write into the folder even when something other than a result stands there.
     """
-    from ..verbs.reproduce_kojima import reproduce_kojima
+    from ..papers.kojima.reproduce import reproduce_kojima
     from .progress import progress
     from .say import say, say_table
 
-    with progress() as tick:
-        result = reproduce_kojima(out, quick=quick, seed=seed, force=force, tick=tick)
+    with progress() as on_progress:
+        result = reproduce_kojima(out, quick=quick, seed=seed, force=force, on_progress=on_progress)
     say(f"Kojima, Okawa, Namerikawa: two robots, 700 merges, {result.seeds} simulated worlds\n")
     for title, (head, rows) in (
         ("Table 2, errors (root mean square over the worlds, and the spread between worlds)", result.table2()),

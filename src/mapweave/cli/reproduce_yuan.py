@@ -29,12 +29,12 @@ def yuan(
     force
         Write into the folder even when something other than a result stands there.
     """
-    from ..verbs.reproduce_yuan import TITLES, differences, reproduce_yuan
+    from ..papers.yuan.reproduce import TITLES, differences, reproduce_yuan
     from .progress import progress
     from .say import say, say_table
 
-    with progress() as tick:
-        result = reproduce_yuan(out, quick=quick, seed=seed, jobs=jobs, force=force, tick=tick)
+    with progress() as on_progress:
+        result = reproduce_yuan(out, quick=quick, seed=seed, jobs=jobs, force=force, on_progress=on_progress)
     for group, title in TITLES.items():
         say(title)
         say_table(result.HEAD, result.table(group))

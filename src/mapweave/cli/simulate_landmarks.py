@@ -44,7 +44,7 @@ def landmarks(
     force
         Write into the folder even when something else stands there.
     """
-    from ..verbs.simulate_landmarks import simulate_landmarks
+    from ..api.simulate_landmarks import simulate_landmarks
     from .say import say
 
     made = simulate_landmarks(

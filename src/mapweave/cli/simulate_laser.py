@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
+    from ..api.simulate_laser import World
     from ..sim.laser import DriveConfig
-    from ..verbs.simulate_laser import World
 
 
 @Parameter(name="*")
@@ -186,7 +186,7 @@ def _drive(given: Drive | None, end_error: tuple[float, float]) -> "DriveConfig"
 
 
 def _write(out: Path, world: "World", seed: int) -> None:
-    from ..verbs.simulate_laser import simulate_laser
+    from ..api.simulate_laser import simulate_laser
     from .say import say
 
     made = simulate_laser(out, world, seed=seed)

@@ -67,10 +67,10 @@ def swarm(
     seed
         The same seed gives the same bytes.
     """
+    from ..api.simulate_swarm import simulate_swarm
     from ..core.bearings import parse_angle
     from ..core.errors import UsageError
     from ..sim.swarm import SwarmScene
-    from ..verbs.simulate_swarm import simulate_swarm
     from .say import say
 
     if mutual and single:

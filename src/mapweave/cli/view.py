@@ -13,7 +13,7 @@ def view(directory: Path, /) -> None:
     directory
         What a command wrote.
     """
-    from ..verbs.view import view as open_view
+    from ..api.view import view as open_view
     from .say import say
 
     for line in open_view(directory):

@@ -10,10 +10,10 @@ from matplotlib.patches import Polygon
 from PIL import Image
 from scipy.spatial import ConvexHull, QhullError
 
-from ..explore.experiment import RunRecord
-from ..explore.result import ExploreResult
-from ..kernels.exploration import mark_half_disc
-from ..kernels.sight import mark_in_sight
+from ..exploration.landmarks.experiment import RunRecord
+from ..exploration.landmarks.result import ExploreResult
+from ..kernels.exploration.objective import mark_half_disc
+from ..kernels.walls.sight import mark_in_sight
 from .html import Page
 from .style import MUTED, SEQUENTIAL, TRUTH, as_map, colour, draw_ellipse, figure, marker
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.names import robot_name
 from ..core.records import Track
-from ..maps.laser_map import LaserMap
+from ..laser.laser_map import LaserMap
 from .html import Page
 from .laser_figures import aligned, draw_calibration, draw_intensity, draw_map, draw_scans, draw_tracks
 

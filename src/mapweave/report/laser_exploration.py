@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ..explore.laser.result import LaserExploreResult, refusals
+from ..exploration.laser.result import LaserExploreResult, refusals
 from .html import Page
 from .laser_exploration_figures import (
     draw_animation,

@@ -9,9 +9,9 @@ from matplotlib.colors import ListedColormap
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from ..explore.laser.experiment import LaserRecord, Still
-from ..maps.occupancy import Occupancy
-from ..maps.walls import Walls
+from ..core.walls import Walls
+from ..exploration.laser.experiment import LaserRecord, Still
+from ..laser.occupancy import Occupancy
 from .exploration import save_gif, snapshot
 from .style import MARKERS, MUTED, PALETTE, SEQUENTIAL, TRUTH, as_map, colour, figure, marker
 

@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.records import Track
-from ..maps.grid import GridMap, IntensityCalibration
-from ..maps.laser_map import LaserMap
+from ..laser.grid import GridMap, IntensityCalibration
+from ..laser.laser_map import LaserMap
 from .style import MUTED, SEQUENTIAL, TRUTH, as_map, colour, figure
 
 DECISIONS = {"matched": 0, "odometry": 5, "skipped": 4, "empty": 3}  # decision -> colour

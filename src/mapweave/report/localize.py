@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..maps.grid import GridMap
-from ..maps.localisation import Localisation
+from ..laser.grid import GridMap
+from ..laser.localisation import Localisation
 from .html import Page
 from .laser_figures import READABLE, draw_occupancy, map_size, map_window
 from .style import as_map, colour, figure

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..estimate.swarm_track import SwarmTrack
-from ..maps.network import Network
-from ..maps.swarm import SwarmEstimate
-from ..models import bearing as model
+from ..swarm import bearing as model
+from ..swarm.moving.result import SwarmTrack
+from ..swarm.network import Network
+from ..swarm.result import SwarmEstimate
 from .html import Page
 from .swarm_figures import (
     MUTED_NOTE,

@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 
 from ..core.gaussian import chi2_quantile
-from ..estimate.swarm_track import SwarmTrack
-from ..maps.network import Network
-from ..maps.swarm import SwarmEstimate
+from ..swarm.moving.result import SwarmTrack
+from ..swarm.network import Network
+from ..swarm.result import SwarmEstimate
 from .style import PALETTE, SEQUENTIAL, TRUTH, as_map, figure
 
 FEW = 60  # robots up to which each is named

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ..core.names import robot_key
-from ..maps.local_map import LocalMap
+from ..landmarks.local_map import LocalMap
 from . import team_figures, truth_figures
 from .html import Page
 from .team_story import TeamStory

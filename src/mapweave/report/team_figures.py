@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from ..core import se2
 from ..core.gaussian import ellipse
 from ..core.names import in_order, robot_key
-from ..evaluate.consistency import shape_covariance
-from ..maps.landmarks import LandmarkMap
-from ..maps.team_map import TeamMap
+from ..evaluation.consistency import shape_covariance
+from ..landmarks.landmark_map import LandmarkMap
+from ..team.team_map import TeamMap
 from . import style
 from .team_story import TeamStory, thinned
 

@@ -7,12 +7,12 @@ import numpy as np
 
 from ..core.names import in_order
 from ..core.records import Track
-from ..evaluate.growth import GrowthPoint
-from ..evaluate.team import RobotTruth, TeamScore
-from ..fuse.result import Fusion
-from ..maps.local_map import LocalMap
-from ..maps.survey import NO_SURVEY, Survey
-from ..maps.team_map import TeamMap
+from ..core.survey import NO_SURVEY, Survey
+from ..evaluation.growth import GrowthPoint
+from ..evaluation.team import RobotTruth, TeamScore
+from ..fusion.result import Fusion
+from ..landmarks.local_map import LocalMap
+from ..team.team_map import TeamMap
 
 
 @dataclass(frozen=True, slots=True)

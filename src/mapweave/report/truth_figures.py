@@ -8,9 +8,9 @@ import numpy as np
 from ..core import se2
 from ..core.gaussian import chi2_quantile
 from ..core.names import robot_key
-from ..evaluate.growth import GrowthPoint
-from ..evaluate.team import TeamScore
-from ..evaluate.trajectory import paired
+from ..evaluation.growth import GrowthPoint
+from ..evaluation.team import TeamScore
+from ..evaluation.trajectory import paired
 from . import style
 from .team_figures import FACTORS, INK, MANY, legend_beside, shape
 from .team_story import TeamStory, thinned

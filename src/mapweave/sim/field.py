@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from ..core.arrays import frozen
 from ..core.errors import DataError
-from ..maps.walls import Walls
+from ..core.walls import Walls
 
 START_RADIUS = 5.0  # [m], of the circle on which teams start unless said
 YUAN_LOWER, YUAN_UPPER, YUAN_LANDMARKS = (-50.0, -40.0), (50.0, 40.0), 29

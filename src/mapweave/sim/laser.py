@@ -11,7 +11,7 @@ from ..core.config import config
 from ..core.laser_log import LaserLog
 from ..core.quaternion import representable
 from ..core.records import Scan, Track
-from ..kernels.raycast import cast
+from ..kernels.walls.raycast import cast
 from .drift import DriftConfig, drifted
 from .laser_world import LaserWorld
 from .people import walking

@@ -11,7 +11,7 @@ from ..core.config import config
 from ..core.errors import DataError, EstimateError
 from ..core.quaternion import representable
 from ..core.records import Scan
-from ..maps.wall_index import WallIndex
+from ..core.wall_index import WallIndex
 from .laser import START_NS, stream
 from .laser_world import LaserWorld
 from .scanner import Reflectance, Scanner, measure

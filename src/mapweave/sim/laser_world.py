@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..core.config import config
-from ..maps.walls import Walls
+from ..core.walls import Walls
 
 Stretch = tuple[float, float, float, float]  # from, to [m] along a wall; reflectance; depth behind the wall line [m]
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from ..core.arrays import frozen
 from ..core.config import config
 from ..core.errors import DataError
-from ..maps.walls import PAINT
+from ..core.walls import PAINT
 from .laser import stream
 from .laser_world import LaserWorld, WallStyle, WorldBuilder
 

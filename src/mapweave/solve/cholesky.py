@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf, dpotri
 
-from ..kernels.fronts import extend_add
+from ..kernels.solve.fronts import extend_add
 from .fronts import Elimination, Front
 
 

@@ -3,7 +3,7 @@
 from importlib.util import find_spec
 from typing import Protocol
 
-from ..maps.team_map import TeamMap
+from ..team.team_map import TeamMap
 
 
 class Viewer(Protocol):

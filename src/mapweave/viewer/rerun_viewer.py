@@ -4,7 +4,7 @@ import numpy as np
 import rerun as rr
 
 from ..core.gaussian import ellipse
-from ..maps.team_map import TeamMap
+from ..team.team_map import TeamMap
 
 AROUND = np.linspace(0.0, 2 * np.pi, 33)
 COLOURS = ((0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (213, 94, 0), (240, 228, 66))

@@ -1,0 +1,39 @@
+"""`demo`: a small simulated team, mapped, fused while it drives, and scored; everything from one seed."""
+
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from ..core.progress import Progress, no_progress
+from ..io.directory import check_target, result_directory
+from ..io.mrclam_writer import write_mrclam
+from ..sim.landmarks import TeamWorld, simulate_team
+from .map_landmarks import map_logs
+from .map_options import MapOptions
+from .team import TeamResult
+
+WORLD = TeamWorld(robots=4, landmarks=24, minutes=5.0)
+SHARE = {"2": 0.7, "4": 0.5}  # maps are unequal in practice
+FUSE_EVERY = 15.0  # [s]
+
+
+def demo(
+    out: Path | str = "mapweave-demo", *, seed: int = 2012, force: bool = False, on_progress: Progress = no_progress
+) -> TeamResult:
+    """The result, written to `out` with the recording it came from in `out/recording`."""
+    target = Path(out)
+    check_target(target, force=force)
+    with TemporaryDirectory() as held:
+        recording = Path(held) / "recording"
+        on_progress("simulating", 0, 1)
+        team = simulate_team(WORLD, seed)
+        write_mrclam(recording, team)
+        on_progress("simulating", 1, 1)
+        options = MapOptions(share=SHARE, truth=(recording,), seed=seed, fuse_every=FUSE_EVERY, on_progress=on_progress)
+        made = map_logs([recording], options)
+    local = tuple(replace(m, source="recording") for m in made.local)  # where the log is in the result
+    result = replace(made, title="Four robots, one map", local=local)
+    with result_directory(target, force=force) as work:
+        result.write(work)
+        write_mrclam(work / "recording", team)
+    return result

@@ -1,0 +1,127 @@
+"""Robots that decide where to drive: many seeded runs of one scenario, scored."""
+
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from ..core.config import expect_positive, load
+from ..core.errors import ConfigError, UsageError
+from ..core.progress import Progress, no_progress
+from ..exploration.landmarks.config import ExploreConfig
+from ..exploration.landmarks.experiment import CALIBRATED, Mission, explore_many, explore_once, noise_factor, with_noise
+from ..exploration.landmarks.result import ExploreResult
+from ..exploration.landmarks.scenario import find_scenario, make_field
+from ..exploration.landmarks.view import find_planner
+from ..exploration.laser.result import LaserExploreResult
+from ..exploration.laser.scenario import find_laser_scenario
+from ..io.directory import check_target, result_directory
+from .explore_laser import explore_laser
+from .explore_options import check_numbers, factor_of, kills_of, remaining_runs, steps_of
+
+NOISE = {"printed": 1.0, "calibrated": CALIBRATED}
+POSITIVE = (
+    *("cell", "speeds", "cover_radius", "loop_radius", "apart_distance", "fuse_by", "max_steps", "replan_every"),
+    *("robot_radius", "path_cell", "submap.period", "submap.reach", "submap.half_angle"),
+    *("submap.range_sd", "submap.bearing_sd", "submap.gate"),
+)
+ASSOCIATIONS = ("known", "nn", "jcbb")
+
+
+def explore(
+    scenario: str = "yuan",
+    out: Path | str | None = None,
+    *,
+    robots: int | None = None,
+    runs: int = 1,
+    seed: int = 0,
+    planner: str | None = None,
+    association: str | None = None,
+    noise: str | float = "calibrated",
+    until: str | int = "field",
+    kill: Mapping[str, int] | None = None,
+    drop: float = 0.0,
+    config: Path | str | None = None,
+    jobs: int = 1,
+    force: bool = False,
+    executor: Executor | None = None,
+    on_progress: Progress = no_progress,
+) -> ExploreResult | LaserExploreResult:
+    """`runs` explorations of `scenario` with seeds `seed`, `seed` + 1, ..., written to `out` when one is given.
+
+    planner: paper, area, coverage, loop, joint, or a dotted name of `choose(maps, poses, cfg) -> commands`; noise:
+    printed, calibrated or a factor on the printed standard deviations; until: landmarks, field or a number of steps;
+    kill: robot name -> step at whose start it dies; drop: the share of messages between robots that is lost.
+    Without a planner: paper, and coverage in laser worlds, where noise is a factor on odometry's errors.
+    Raises UsageError, ConfigError, ReaderError, DataError or EstimateError; nothing is written then.
+    """
+    laser = find_laser_scenario(scenario)
+    if laser is not None:
+        return explore_laser(
+            scenario,
+            laser,
+            out,
+            robots=robots,
+            runs=runs,
+            seed=seed,
+            planner="coverage" if planner is None else planner,
+            association=association,
+            noise=noise,
+            until=until,
+            kill=kill,
+            drop=drop,
+            config=config,
+            jobs=jobs,
+            force=force,
+            executor=executor,
+            on_progress=on_progress,
+        )
+    planner = "paper" if planner is None else planner
+    check_numbers(runs=runs, seed=seed, jobs=jobs, drop=drop)
+    cfg = load(ExploreConfig, None if config is None else Path(config))
+    expect_positive(cfg, str(config), *POSITIVE)
+    if not cfg.turns:
+        raise ConfigError(f"{config}: turns: expected at least one turn rate [rad/s]")
+    if association is not None:
+        cfg = replace(cfg, submap=replace(cfg.submap, association=association))
+    if cfg.submap.association not in ASSOCIATIONS:
+        raise UsageError(f"--association: expected {', '.join(ASSOCIATIONS)}, found {cfg.submap.association!r}")
+    if config is None or noise != "calibrated":
+        cfg = with_noise(cfg, _noise(noise))
+    found = find_scenario(scenario)
+    world = make_field(found, robots, seed)
+    mission = Mission(found, robots, planner, _until(until), kills_of(kill or {}, len(world.starts)), drop, cfg)
+    find_planner(planner)
+    if out is not None:
+        check_target(Path(out), force=force)
+    on_progress("exploring", 0, runs)
+    first_score, first = explore_once(mission, seed)
+    more = remaining_runs(partial(explore_many, mission), runs, seed, jobs, executor, on_progress)
+    scores = (first_score, *(replace(score, run=k) for k, score in enumerate(more, 1)))
+    result = ExploreResult(scenario, mission, seed, noise_factor(cfg), scores, first)
+    if out is not None:
+        with result_directory(Path(out), force=force) as work:
+            _write(work, result)
+    return result
+
+
+def _write(folder: Path, result: ExploreResult) -> None:
+    """runs.csv, metrics.json, the first run's log and figures, report.html."""
+    from ..io.exploration import write_runs  # noqa: PLC0415
+    from ..report.exploration import write_exploration  # noqa: PLC0415  (figures cost a second)
+
+    write_runs(folder, result.runs, result.metrics(), result.first)
+    write_exploration(folder, result)
+
+
+def _noise(noise: str | float) -> float:
+    if isinstance(noise, str) and noise in NOISE:
+        return NOISE[noise]
+    return factor_of(noise, "printed, calibrated")
+
+
+def _until(until: str | int) -> str | int:
+    if isinstance(until, str) and until in ("landmarks", "field"):
+        return until
+    return steps_of(until, "landmarks, field")

@@ -1,0 +1,103 @@
+"""Exploration with lasers: many seeded runs of one laser world, scored."""
+
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from ..core.config import expect_positive, load
+from ..core.errors import UsageError
+from ..core.progress import Progress, no_progress
+from ..exploration.laser.experiment import LaserMission, explore_laser_many, explore_laser_once
+from ..exploration.laser.mission import LaserMissionConfig, with_odometry_noise
+from ..exploration.laser.result import LaserExploreResult
+from ..exploration.laser.scenario import LaserScenarioConfig, make_place
+from ..exploration.laser.view import find_laser_planner
+from ..io.directory import check_target, result_directory
+from .explore_options import check_numbers, factor_of, kills_of, remaining_runs, steps_of
+
+POSITIVE = (
+    *("robots.radius", "robots.speed", "robots.turn", "robots.period", "robots.scanner.beams", "robots.scanner.far"),
+    *("plan.resolution", "plan.max_steps", "plan.replan_every", "plan.split", "plan.most_goals"),
+    *("map_resolution", "tolerance"),
+)
+
+
+def explore_laser(
+    name: str,
+    scenario: LaserScenarioConfig,
+    out: Path | str | None = None,
+    *,
+    robots: int | None = None,
+    runs: int = 1,
+    seed: int = 0,
+    planner: str = "coverage",
+    association: str | None = None,
+    noise: str | float = "calibrated",
+    until: str | int = "field",
+    kill: Mapping[str, int] | None = None,
+    drop: float = 0.0,
+    config: Path | str | None = None,
+    jobs: int = 1,
+    force: bool = False,
+    executor: Executor | None = None,
+    on_progress: Progress = no_progress,
+) -> LaserExploreResult:
+    """`runs` explorations of the laser world `scenario`, called `name`; the options are those of `explore`.
+
+    noise: a factor on the errors of odometry, calibrated being 1. Raises UsageError, ConfigError, ReaderError,
+    DataError or EstimateError; nothing is written then.
+    """
+    if association is not None:
+        raise UsageError("--association: a laser world has no landmarks whose identities could be known or not")
+    check_numbers(runs=runs, seed=seed, jobs=jobs, drop=drop)
+    factor = _factor(noise)
+    cfg = load(LaserMissionConfig, None if config is None else Path(config))
+    expect_positive(cfg, str(config), *POSITIVE)
+    cfg = with_odometry_noise(cfg, factor)
+    place = make_place(scenario, robots, seed)
+    kills = kills_of(kill or {}, len(place.starts))
+    mission = LaserMission(scenario, robots, planner, _until(until), kills, drop, cfg)
+    find_laser_planner(planner)
+    if out is not None:
+        check_target(Path(out), force=force)
+
+    def share(step: int, explored: float) -> None:
+        del step
+        on_progress("the first run: area mapped", explored, 1.0)
+
+    first_score, first = explore_laser_once(mission, seed, on_progress=share)
+    more = remaining_runs(partial(explore_laser_many, mission), runs, seed, jobs, executor, on_progress)
+    scores = (first_score, *(replace(score, run=k) for k, score in enumerate(more, 1)))
+    result = LaserExploreResult(name, mission, seed, factor, scores, first)
+    if out is not None:
+        with result_directory(Path(out), force=force) as work:
+            _write(work, result)
+    return result
+
+
+def _write(folder: Path, result: LaserExploreResult) -> None:
+    from ..io.laser_exploration import write_laser_runs  # noqa: PLC0415
+    from ..report.laser_exploration import write_laser_exploration  # noqa: PLC0415  (figures cost a second)
+
+    write_laser_runs(folder, result.runs, result.metrics(), result.first)
+    write_laser_exploration(folder, result)
+
+
+def _factor(noise: str | float) -> float:
+    if noise == "calibrated":
+        return 1.0
+    if noise == "printed":
+        raise UsageError(
+            "--noise printed: the paper prints noise of landmark worlds alone; give calibrated or a factor on odometry"
+        )
+    return factor_of(noise, "calibrated")
+
+
+def _until(until: str | int) -> str | int:
+    if until == "field":
+        return until
+    if until == "landmarks":
+        raise UsageError("--until landmarks: a laser world has none; give field or a number of steps")
+    return steps_of(until, "field")

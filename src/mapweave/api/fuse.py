@@ -1,0 +1,88 @@
+"""`fuse`: saved local maps of several runs become one map."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from ..core.config import load
+from ..core.errors import DataError, ReaderError, UsageError
+from ..core.names import in_order
+from ..core.progress import Progress, no_progress
+from ..fusion.config import FuseConfig
+from ..fusion.join import fuse
+from ..io.directory import check_target, result_directory
+from ..io.local_map import read_local_map
+from ..landmarks.local_map import LocalMap
+from .team import TeamResult, Watch, team_result
+
+
+def fuse_results(
+    directories: Path | str | Sequence[Path | str],
+    out: Path | str | None = None,
+    *,
+    weights: str | None = None,
+    identities: str | None = None,
+    truth: Sequence[Path | str] = (),
+    config: Path | str | None = None,
+    seed: int = 0,
+    force: bool = False,
+    on_progress: Progress = no_progress,
+) -> TeamResult:
+    """One map from the local maps in `directories` (results of `map` or `fuse`), written to `out` when one is given.
+
+    Robots are called `DIR/robotK`. identities: "known" (equal ids are one landmark) or "unknown" (found out from the
+    places alone). Raises ReaderError, DataError or UsageError; nothing is written then.
+    """
+    given = [Path(directories)] if isinstance(directories, Path | str) else [Path(d) for d in directories]
+    if not given:
+        raise UsageError("expected a result of map, found none")
+    cfg = load(FuseConfig, None if config is None else Path(config), {"weights": weights, "identities": identities})
+    if out is not None:
+        check_target(Path(out), force=force)
+    watch = Watch()
+    local: list[LocalMap] = []
+    for k, (path, label) in enumerate(zip(given, distinct_names(given), strict=True)):
+        on_progress("reading", k, len(given))
+        local += _read_all(path, label)
+    watch.lap("read")
+    result = team_result(
+        f"One map fused from {', '.join(distinct_names(given))}",
+        seed,
+        local,
+        fuse(local, cfg),
+        tuple(Path(p) for p in truth),
+        (),
+        watch,
+    )
+    if out is not None:
+        with result_directory(Path(out), force=force) as work:
+            result.write(work)
+    return result
+
+
+def distinct_names(paths: Sequence[Path]) -> list[str]:
+    """As much of the end of every path as tells it from the others: `a/run` and `b/run`, else `run`."""
+    parts = [path.resolve().parts for path in paths]
+    if len(set(parts)) < len(parts):
+        twice = next(str(p) for k, p in enumerate(paths) if parts[k] in parts[:k])
+        raise UsageError(f"{twice}: given twice")
+    deep = 1
+    while len({p[-deep:] for p in parts}) < len(parts):
+        deep += 1
+    return ["/".join(p[-deep:]) for p in parts]
+
+
+def _read_all(path: Path, label: str) -> list[LocalMap]:
+    if not path.is_dir():
+        raise ReaderError(path, "no such folder")
+    found = [p.parent for p in (path / "local").rglob("local_map.json")]
+    homes = sorted(found, key=lambda p: in_order(p.as_posix()))
+    if not homes:
+        raise DataError(f"{path}: expected a result with local maps, found none")
+    return [_renamed(read_local_map(home), f"{label}/{home.relative_to(path / 'local').as_posix()}") for home in homes]
+
+
+def _renamed(m: LocalMap, name: str) -> LocalMap:
+    fleet = name.removesuffix(m.robot)
+    seen = replace(m.robot_sightings, target=tuple(f"{fleet}{target}" for target in m.robot_sightings.target))
+    return replace(m, robot=name, submap=replace(m.submap, robot=name), robot_sightings=seen)

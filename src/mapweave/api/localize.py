@@ -1,0 +1,185 @@
+"""A robot followed in a map that was finished before."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core import se2
+from ..core.config import load
+from ..core.errors import ReaderError, UsageError
+from ..core.progress import Progress, no_progress
+from ..core.records import Track
+from ..core.run import robot_rng
+from ..core.version import __version__
+from ..io.directory import check_target, result_directory, write_json
+from ..io.grid import read_grid
+from ..io.grid_writer import NAME
+from ..io.laser_logs import LaserSource, read_laser
+from ..io.scans import write_scans
+from ..io.tum import read_tum
+from ..io.tum_writer import write_tum
+from ..laser.config import LaserConfig
+from ..laser.grid import GridMap
+from ..laser.localisation import Localisation
+from ..laser.localise import localise
+from ..report.localize import write_localisation_report
+from .map_options import LaserOptions
+
+NEAR, NEAR_ANGLE = 0.5, np.radians(10.0)  # a start that errs by less than this, once found, was right
+
+
+@dataclass(frozen=True, slots=True)
+class StartScore:
+    """Errors against a truth in the map's frame, over its stamps after the start was found.
+
+    right: whether the median error there is under half a metre and ten degrees.
+    """
+
+    n: int
+    position_rmse: float | None
+    position_median: float | None
+    heading_median_deg: float | None
+    right: bool | None
+
+    def as_json(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in self.__slots__}
+
+
+@dataclass(frozen=True, slots=True)
+class LocalizeResult:
+    """What `localize` gives; `score` where truth was given."""
+
+    found: Localisation
+    grid: GridMap
+    metrics: dict[str, Any]
+    score: StartScore | None = None
+
+    def write(self, folder: Path) -> None:
+        write_json(folder / "metrics.json", self.metrics)
+        write_tum(folder / "trajectories" / "robot1.tum", self.found.track)
+        write_scans(folder / "scans.csv", self.found.scans)
+        write_localisation_report(folder, self.found, self.grid, self.lines())
+
+    def lines(self) -> list[str]:
+        made = self.found
+        if made.start == "given":
+            start = "the start was given"
+        elif made.found_t is None:
+            start = "the start was not found"
+        else:
+            after = made.found_t - made.scans.t[0]
+            took = made.timing.get("global_start", 0.0)
+            start = f"the start was found after {after:.1f} s, {made.found_scans} scans ({took:.1f} s of work)"
+        trust = "the map explains" if made.trusted else "not to be trusted: the map explains"
+        lines = [f"robot1: {start}; {trust} {100 * made.matched:.0f} % of the returns", *made.warnings]
+        if self.score is not None and self.score.n:
+            judged = "right" if self.score.right else "wrong"
+            lines.append(
+                f"robot1: the start was {judged}: position error {self.score.position_rmse:.3f} m (median "
+                f"{self.score.position_median:.3f} m, {self.score.heading_median_deg:.2f} deg), {self.score.n} poses"
+            )
+        return lines
+
+
+def localize(
+    log: Path | str,
+    map: Path | str,  # noqa: A002  (the option's name)
+    out: Path | str | None = None,
+    *,
+    start: Sequence[float] | None = None,
+    truth: Path | str | None = None,
+    config: Path | str | None = None,
+    laser: LaserOptions | None = None,
+    seed: int = 0,
+    force: bool = False,
+    on_progress: Progress = no_progress,
+) -> LocalizeResult:
+    """Where the robot of `log` was in the map that `map` holds, written to `out` when one is given.
+
+    start: its first pose in the map [m, m, rad]; without, it is searched everywhere. truth: a TUM file in the map's
+    frame, for scoring alone. Raises ReaderError, DataError or UsageError; nothing is written then.
+    """
+    if out is not None:
+        check_target(Path(out), force=force)
+    if start is not None and len(start) != 3:
+        raise UsageError(f"--start: expected x,y,theta, found {len(start)} numbers")
+    asked = laser or LaserOptions()
+    grid, calibration, feature = read_grid(_grid_path(Path(map)))
+    source = LaserSource(
+        scan_topic=asked.scan_topic,
+        odom_topic=asked.odom_topic,
+        sensor_pose=asked.sensor_pose,
+        mirrored=asked.mirrored,
+    )
+    cfg = load(LaserConfig, None if config is None else Path(config), {"particles": asked.particles})
+    cfg.check()
+    recording = read_laser(Path(log), "1", source)
+    place = None if start is None else np.array(start, dtype=float)
+    wanted = asked.feature or feature
+    if wanted not in {feature, "none"}:
+        raise UsageError(f"--feature {wanted}: the map holds {feature}")
+    found = localise(recording, grid, calibration, wanted, cfg, place, robot_rng(seed, recording.robot), on_progress)
+    score = None if truth is None else score_start(found, read_tum(Path(truth)))
+    result = LocalizeResult(found, grid, _metrics(found, Path(map), seed, score), score)
+    if out is not None:
+        with result_directory(Path(out), force=force) as work:
+            result.write(work)
+    return result
+
+
+def score_start(found: Localisation, truth: Track) -> StartScore:
+    """The score of `found` against a truth in the same frame, without any alignment."""
+    since = found.track.t[0] if found.found_t is None else found.found_t
+    inside = (truth.t >= since) & (truth.t <= found.track.t[-1])
+    if not inside.any():
+        return StartScore(0, None, None, None, None)
+    at = se2.interpolate(truth.t[inside], found.track.t, found.track.pose)
+    off = at - truth.pose[inside]
+    far, turned = np.hypot(off[:, 0], off[:, 1]), np.abs(se2.wrap_angle(off[:, 2]))
+    near, straight = float(np.median(far)), float(np.median(turned))
+    right = bool(found.found_t is not None and near < NEAR and straight < NEAR_ANGLE)
+    return StartScore(int(inside.sum()), float(np.sqrt((far**2).mean())), near, float(np.degrees(straight)), right)
+
+
+def _grid_path(folder: Path) -> Path:
+    """The map at the top of a result, else the only robot's own."""
+    inside = [folder / NAME, *sorted(folder.glob(f"local/*/{NAME}"))]
+    there = [path for path in inside if path.is_file()]
+    if not there:
+        raise ReaderError(folder, f"expected a laser map with {NAME}, found none")
+    if there[0] != folder / NAME and len(there) > 1:
+        told = ", ".join(str(path.parent) for path in there)
+        raise UsageError(f"--map {folder}: holds {len(there)} maps; give one of {told}")
+    return there[0]
+
+
+def _metrics(found: Localisation, where: Path, seed: int, score: StartScore | None) -> dict[str, Any]:
+    after = None if found.found_t is None else found.found_t - float(found.scans.t[0])
+    metrics: dict[str, Any] = {
+        "version": __version__,
+        "seed": seed,
+        "robots": {
+            "1": {
+                "source": found.source,
+                "sightings": len(found.scans),
+                "dropped": dict(found.dropped),
+                "warnings": list(found.warnings),
+                "feature": found.feature,
+                "particles": found.particles,
+            }
+        },
+        "localisation": {
+            "map": str(where),
+            "start": found.start,
+            "found": found.found_t is not None,
+            "found_after_s": after,
+            "found_after_scans": found.found_scans,
+            "matched": found.matched,
+            "trusted": found.trusted,
+        },
+        "timing": dict(found.timing),
+    }
+    return metrics if score is None else metrics | {"evaluation": score.as_json()}

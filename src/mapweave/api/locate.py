@@ -1,0 +1,175 @@
+"""Where every robot of a swarm is, from who sees whom in which direction."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import get_args
+
+import numpy as np
+
+from ..core.bearings import BearingTable
+from ..core.errors import DataError, UsageError
+from ..core.gaussian import chi2_quantile
+from ..core.records import Odometry
+from ..io.directory import check_target, result_directory
+from ..io.sightings import SwarmTruth, read_swarm_odometry, read_swarm_truth
+from ..io.team_bearings import read_team_bearings, read_team_truth
+from ..swarm.config import Method, SwarmConfig
+from ..swarm.locate import locate as estimate
+from ..swarm.moving.drive import smooth_driving
+from ..swarm.moving.filtering import filtered as follow_filtered
+from ..swarm.moving.result import SwarmTrack, TrackConfig
+from ..swarm.moving.smooth import smooth
+from .located import Located
+from .located_common import Settings
+from .moving_result import Moved
+from .swarm_input import Place, SwarmInput, prepare
+from .swarm_score import places_of, score_estimate, score_track
+
+# Odometry of real robots says what was commanded: turns are off by a tenth, a few sightings are gross.
+COMMANDED = TrackConfig(slip_floor=0.003, slip=0.04, turn_floor=0.005, turn=0.05, scale_w=0.1, kernel=2.0)
+MANY = 20_000  # robots beyond which covariances are left out unless asked for
+
+
+def locate(
+    sightings: Path | str | BearingTable,
+    out: Path | str | None = None,
+    *,
+    anchors: Mapping[str, Place] | None = None,
+    dim: int | None = None,
+    sigma: float | str | None = None,
+    distances: Sequence[tuple[str, str, float]] = (),
+    method: str = "batch",
+    axis: bool | None = None,
+    odometry: Path | str | None = None,
+    initial: Path | str | None = None,
+    truth: Path | str | None = None,
+    covariance: bool | None = None,
+    motion: TrackConfig | None = None,
+    until: float | None = None,
+    filtered: bool = False,
+    seed: int = 0,
+    force: bool = False,
+) -> Located | Moved:
+    """Positions of all robots, written to the folder `out` when one is given.
+
+    sightings: a table, its file, or the folder or zip of a landmark log whose robots saw each other (its ranges are not
+    used); anchors: known positions [m] by id; sigma: [rad], or a text such as "0.5deg", the file's own where None;
+    distances: (i, j, metres); until: only so many first seconds of stamped sightings; filtered: of
+    moving robots what was known at each instant, not what all sightings say of it; axis: False when every robot has
+    a heading of its own, None to find out; initial: a table `id,x,y[,z]` for the filters to start from; truth: for
+    scoring alone. Stamped sightings of robots that move give `Moved`, anything else `Located`. Raises ReaderError,
+    DataError or UsageError; nothing is written then.
+    """
+    if method not in get_args(Method):
+        raise UsageError(f"--method {method}: expected one of {', '.join(get_args(Method))}")
+    if out is not None:
+        check_target(Path(out), force=force)
+    began = perf_counter()
+    log: Mapping[str, Odometry] | None = None
+    if not isinstance(sightings, BearingTable) and _is_team_log(Path(sightings)):
+        sightings, log = read_team_bearings(Path(sightings))
+        axis = False
+    known = dict(anchors or {})
+    given = prepare(sightings, anchors=known, dim=dim, sigma=sigma, distances=distances, axis=axis, until=until)
+    read = perf_counter()
+    settings = Settings(method, seed, {"read": read - began}, _truth(truth))
+    if settings.truth is not None and not set(settings.truth.ids) & set(given.table.ids):
+        raise DataError(f"{truth}: the truth names none of the robots")
+    stamped = given.table.t is not None and len(np.unique(given.table.t)) > 1
+    if odometry is not None and given.table.t is None:
+        raise UsageError("--odometry: the sightings bear no time stamps")
+    result: Located | Moved
+    if odometry is not None:
+        result = _drive(given, settings, read_swarm_odometry(Path(odometry)), motion or TrackConfig())
+    elif log is not None:
+        result = _drive(given, settings, log, motion or COMMANDED)
+    elif stamped:
+        still = None if motion is not None or filtered else _stood_still(given, settings, covariance=covariance)
+        result = still or _move(given, settings, motion, filtered=filtered)
+    else:
+        result = _stand(given, settings, initial, covariance=covariance)
+    if out is not None:
+        with result_directory(Path(out), force=force) as work:
+            result.write(work)
+    return result
+
+
+def _stand(given: SwarmInput, settings: Settings, initial: Path | str | None, *, covariance: bool | None) -> Located:
+    began = perf_counter()
+    net = given.network()
+    wanted = len(net) <= MANY if covariance is None else covariance
+    start = None
+    if initial is not None:
+        start = places_of(read_swarm_truth(Path(initial)), net.ids, net.dim)
+        missing = np.flatnonzero(~np.isfinite(start).all(axis=1))
+        if len(missing):
+            raise DataError(f"{initial}: no place for robot {net.ids[missing[0]]}")
+    found = estimate(net, SwarmConfig(method=_method(settings.method), covariance=wanted), start)
+    solved = perf_counter()
+    settings.timing["solve"] = solved - began
+    score = None
+    if settings.truth is not None:
+        score = score_estimate(net, found, settings.truth, bound=wanted)
+        settings.timing["score"] = perf_counter() - solved
+    return Located(given, settings, net, found, score)
+
+
+def _stood_still(given: SwarmInput, settings: Settings, *, covariance: bool | None) -> Located | None:
+    """The answer for robots that stand still, when the stamped sightings agree that they do."""
+    found = _stand(given, settings, None, covariance=covariance)
+    enough = found.estimate.dof > 0 and found.estimate.chi2 <= chi2_quantile(0.999, float(found.estimate.dof))
+    return found if enough else None
+
+
+def _move(given: SwarmInput, settings: Settings, motion: TrackConfig | None, *, filtered: bool) -> Moved:
+    if not given.table.axis:
+        raise DataError("robots that move without a common axis need their odometry: --odometry FILE (t,robot,v,w)")
+    began = perf_counter()
+    follow = follow_filtered if filtered else smooth
+    track = follow(given.table, given.anchors, _tuned(motion, settings))
+    return _moved(given, settings, track, perf_counter() - began)
+
+
+def _drive(given: SwarmInput, settings: Settings, rows: Mapping[str, Odometry], motion: TrackConfig) -> Moved:
+    began = perf_counter()
+    by_index = {k: rows[name] for k, name in enumerate(given.table.ids) if name in rows}
+    if not by_index:
+        raise DataError("the odometry names no robot of the sightings")
+    track = smooth_driving(given.table, by_index, given.anchors, _tuned(motion, settings))
+    return _moved(given, settings, track, perf_counter() - began)
+
+
+def _moved(given: SwarmInput, settings: Settings, track: SwarmTrack, seconds: float) -> Moved:
+    settings.timing["solve"] = seconds
+    score = there = None
+    if settings.truth is not None:
+        score, there = score_track(track, given.table.ids, list(given.anchors), settings.truth)
+    return Moved(given, settings, track, score, there or {})
+
+
+def _truth(path: Path | str | None) -> SwarmTruth | None:
+    if path is None:
+        return None
+    where = Path(path)
+    return read_team_truth(where) if _is_team_log(where) else read_swarm_truth(where)
+
+
+def _is_team_log(path: Path) -> bool:
+    return path.is_dir() or path.suffix.lower() == ".zip"
+
+
+def _tuned(motion: TrackConfig | None, settings: Settings) -> TrackConfig:
+    cfg = motion or TrackConfig()
+    if settings.method in ("batch", "robust"):
+        from dataclasses import replace  # noqa: PLC0415
+
+        return replace(cfg, kernel=cfg.kernel or 2.0) if settings.method == "robust" else cfg
+    raise UsageError(f"--method {settings.method}: robots that move are located with batch or robust")
+
+
+def _method(name: str) -> Method:
+    for known in get_args(Method):
+        if name == known:
+            return known  # type: ignore[no-any-return]
+    raise UsageError(f"--method {name}: not known")

@@ -1,0 +1,122 @@
+"""What `locate` found of robots that stand still: for programs, for files and for people."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+
+from ..io.positions import write_positions, write_track
+from ..report.swarm import NetworkStory, write_network_report
+from ..swarm.network import Network
+from ..swarm.result import SwarmEstimate
+from .located_common import NO_SCORE, Settings, counts, file_name, head, told_dropped, told_sigma, write_rest
+from .swarm_input import SwarmInput
+from .swarm_score import SwarmScore
+
+
+@dataclass(frozen=True, slots=True)
+class Located:
+    """Robots that stand still: one position each."""
+
+    given: SwarmInput
+    settings: Settings
+    network: Network
+    estimate: SwarmEstimate
+    score: SwarmScore | None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return (*self.given.told, *self.estimate.warnings)
+
+    def metrics(self) -> dict[str, Any]:
+        """`metrics.json`; keys as the contract names them."""
+        e = self.estimate
+        return {
+            **head(self.given, self.settings),
+            **(NO_SCORE if self.score is None else self.score.as_json()),
+            "iterations": e.iterations,
+            "status": str(e.status),
+            "chi2": e.chi2,
+            "dof": e.dof,
+            "gauge": e.gauge,
+            "null_space": e.null_space,
+            "not_localisable": list(e.not_localisable),
+            "reliable": e.reliable,
+            "weak_anchors": e.weak_anchors,
+            "mode_share": e.mode_share,
+            "outliers": int(e.outlier.sum()),
+            "traffic": None
+            if e.traffic is None
+            else {"rounds": e.traffic.rounds, "messages": e.traffic.messages, "bytes": e.traffic.bytes},
+            "moving": False,
+            "warnings": list(self.warnings),
+            "timing": self.settings.timing,
+        }
+
+    def lines(self) -> list[str]:
+        """A summary for people."""
+        e = self.estimate
+        told = [
+            (
+                f"{len(e.ids)} robots in {e.dim}D, {len(self.network.observer)} sightings, {told_sigma(self.given)}, "
+                f"{len(self.given.anchors)} anchors, method {e.method}: {e.status} after {e.iterations} iterations"
+            )
+        ]
+        told += told_dropped(self.given)
+        if e.gauge:
+            told.append(f"without enough anchors the answer is the shape alone: {e.gauge}")
+        if e.cov is not None:
+            free = e.localisable & ~e.anchor
+            if free.any():
+                std = float(np.sqrt(np.trace(e.cov[free], axis1=1, axis2=2).mean()))
+                unit = "" if "scale free" in e.gauge else " m"
+                told.append(f"estimated standard deviation of a position: {std:.4g}{unit} (rms)")
+        lost = e.not_localisable
+        if lost:
+            told.append(
+                f"{len(lost)} robots cannot be located: {', '.join(lost[:20])}{', ..' if len(lost) > 20 else ''}"
+            )
+        told.append(
+            f"chi-square {e.chi2:.4g} with {e.dof} degrees of freedom, {int(e.outlier.sum())} outliers: "
+            f"{'reliable' if e.reliable else 'NOT reliable'}"
+        )
+        if e.traffic:
+            told.append(
+                f"{e.traffic.rounds} rounds, {e.traffic.messages} messages, {e.traffic.bytes} bytes between robots"
+            )
+        if self.score is not None:
+            told += self.score.lines()
+        return [*told, *(f"warning: {text}" for text in self.warnings)]
+
+    def write(self, out: Path) -> None:
+        """positions.csv, metrics.json, report.html, figures/ and, for stamped sightings, trajectories/."""
+        e = self.estimate
+        seen, wild = self.counts()
+        write_positions(
+            out / "positions.csv", e.ids, e.position, e.cov, e.localisable, seen, wild, e.heading, e.heading_var
+        )
+        t = self.given.table.t
+        if t is not None:
+            for k, name in enumerate(e.ids):
+                rows = (self.given.table.observer == k) | (self.given.table.target == k)
+                at = np.unique(t[rows])
+                place = np.tile(e.position[k], (len(at), 1))
+                cov = None if e.cov is None else np.tile(e.cov[k], (len(at), 1, 1))
+                write_track(out / "trajectories" / f"{file_name(name)}.csv", at, place, cov)
+        write_network_report(out, self.story(), self.lines(), self.metrics())
+        write_rest(out, self.given, self.metrics())
+
+    def counts(self) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+        """Sightings each robot has a part in, and how many of them are outliers."""
+        return counts(len(self.estimate.ids), self.network.observer, self.network.target, self.estimate.outlier)
+
+    def story(self) -> NetworkStory:
+        score = self.score
+        return NetworkStory(
+            self.network,
+            self.estimate,
+            None if score is None else score.truth,
+            None if score is None else score.aligned,
+        )

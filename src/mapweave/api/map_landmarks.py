@@ -1,0 +1,127 @@
+"""`map` of landmark logs: EKF-SLAM for every robot in its own frame, then all local maps fused."""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import field
+from pathlib import Path
+
+from ..core.config import config, load
+from ..core.errors import DataError, UsageError
+from ..core.landmark_log import LandmarkLog
+from ..core.names import in_order, robot_key, robot_name
+from ..core.workers import worker_pool
+from ..fusion.config import FuseConfig
+from ..fusion.join import fuse
+from ..fusion.known_starts import tie_by_starts
+from ..fusion.result import Fusion
+from ..io.landmark_logs import is_landmark_log, read_landmark_logs
+from ..landmarks.config import EkfSlamConfig
+from ..landmarks.local_map import LocalMap
+from ..landmarks.mapping import local_map
+from .map_options import MapOptions
+from .online import OnlineMap, fuse_online
+from .team import TeamResult, Watch, team_result
+
+METHODS = ("ekf",)
+
+
+@config
+class LandmarkMapConfig:
+    """The tables `[ekf]` and `[fuse]` of a configuration file."""
+
+    ekf: EkfSlamConfig = field(default_factory=EkfSlamConfig)
+    fuse: FuseConfig = field(default_factory=FuseConfig)
+
+
+def applies(log: Path) -> bool:
+    """Folders and zip files with `Barcodes.dat`, `RobotN_*.dat` or CSV sightings."""
+    return (log.is_dir() or log.suffix.lower() == ".zip") and is_landmark_log(log)
+
+
+def map_logs(logs: Sequence[Path], options: MapOptions) -> TeamResult:
+    """One map of all robots in `logs`."""
+    if options.method not in (None, *METHODS):
+        raise UsageError(f"--method: landmark logs know {', '.join(METHODS)}, found {options.method!r}")
+    cfg = load(LandmarkMapConfig, options.config, {"fuse": {"weights": options.weights}})
+    watch = Watch()
+    options.on_progress("reading", 0, 1)
+    read = _shared(_read(logs, options), options)
+    options.on_progress("reading", 1, 1)
+    watch.lap("read")
+    local = _local_maps(read, cfg.ekf, options)
+    watch.lap("estimate")
+    online: tuple[OnlineMap, ...] = ()
+    if options.fuse_every is None:
+        fusion = fuse(local, cfg.fuse)
+    else:
+        fusion, online = _online(read, local, cfg, options)
+    fusion = tie_by_starts(fusion, {robot_name(key): pose for key, pose in options.start.items()})
+    title = f"One map from {', '.join(p.name for p in logs)}"
+    return team_result(title, options.seed, local, fusion, options.truth, online, watch)
+
+
+def _read(logs: Sequence[Path], options: MapOptions) -> list[LandmarkLog]:
+    """All logs, in the order of their robots' numbers."""
+    wanted = None if options.robots is None else [_number(key) for key in options.robots]
+    if len(logs) == 1:
+        return list(read_landmark_logs(logs[0], wanted))
+    read: dict[str, LandmarkLog] = {}
+    for path in logs:
+        for log in read_landmark_logs(path):
+            if log.robot in read:
+                raise DataError(f"{path}: {log.robot} is in {read[log.robot].source} too: two data sets are mixed")
+            read[log.robot] = log
+    names = sorted(read, key=in_order) if wanted is None else [f"robot{k}" for k in wanted]
+    for name in names:
+        if name not in read:
+            raise DataError(f"{logs[0]}: no {name}; there are {', '.join(sorted(read, key=in_order))}")
+    return [read[name] for name in names]
+
+
+def _shared(logs: list[LandmarkLog], options: MapOptions) -> list[LandmarkLog]:
+    """The logs, those of `--share` cut."""
+    names = [log.robot for log in logs]
+    for option, given in (("--share", options.share), ("--start", options.start)):
+        for key in given:
+            if robot_name(key) not in names:
+                raise UsageError(f"{option}: no robot {key}; there are {', '.join(map(robot_key, names))}")
+    return [log.share(options.share.get(robot_key(log.robot), 1.0)) for log in logs]
+
+
+def _local_maps(logs: Sequence[LandmarkLog], cfg: EkfSlamConfig, options: MapOptions) -> list[LocalMap]:
+    """A local map a robot, in the order of `logs`, whoever works on them."""
+    with worker_pool(options.jobs, len(logs), options.executor) as pool:
+        return _spread(logs, cfg, options, pool, "local maps")
+
+
+def _online(
+    logs: Sequence[LandmarkLog], local: Sequence[LocalMap], cfg: LandmarkMapConfig, options: MapOptions
+) -> tuple[Fusion, tuple[OnlineMap, ...]]:
+    """The fusion, and the global map every `--fuse-every` seconds on the way to it."""
+    every = options.fuse_every or 0.0
+    with worker_pool(options.jobs, len(logs), options.executor) as pool:
+
+        def make(cut: Sequence[LandmarkLog]) -> list[LocalMap]:
+            return _spread(cut, cfg.ekf, options, pool, "")
+
+        return fuse_online(logs, local, make, cfg.fuse, every, options.on_progress)
+
+
+def _spread(
+    logs: Sequence[LandmarkLog], cfg: EkfSlamConfig, options: MapOptions, pool: Executor | None, stage: str
+) -> list[LocalMap]:
+    n = len(logs)
+    out: list[LocalMap] = []
+    if n:
+        spread = map if pool is None else pool.map
+        for k, made in enumerate(spread(local_map, logs, [cfg] * n, [options.seed] * n)):
+            out.append(made)
+            if stage:
+                options.on_progress(stage, k + 1, n)
+    return out
+
+
+def _number(key: str) -> int:
+    if not key.isdecimal():
+        raise UsageError(f"--robots: expected numbers as 1,2, found {key!r}")
+    return int(key)

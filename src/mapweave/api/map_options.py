@@ -1,0 +1,123 @@
+"""The options of `map`, in Python's own types; and how the command line spells them."""
+
+import math
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from ..core.errors import UsageError
+from ..core.names import robot_key
+from ..core.progress import Progress, no_progress
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LaserOptions:
+    """What laser logs may be asked for beside; None: as the configuration or the log says.
+
+    resample: the share of the particles `N_eff` may fall to; sensor_pose: `T_robot_sensor` [m, m, rad]; mirrored: beam
+    angles run clockwise.
+    """
+
+    particles: int | None = None
+    feature: str | None = None
+    likelihood: str | None = None
+    resample: float | None = None
+    scan_topic: str | None = None
+    odom_topic: str | None = None
+    sensor_pose: tuple[float, float, float] | None = None
+    mirrored: bool = False
+
+    def given(self) -> list[str]:
+        """The options that were given, as the command line spells them."""
+        return [f"--{name.replace('_', '-')}" for name in self.__slots__ if getattr(self, name) not in {None, False}]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MapOptions:
+    """What `map` was asked for. Robots are called by their key: `"2"` is robot 2.
+
+    share: robot -> first part of its time span, in (0, 1]; start: robot -> its first pose in the map [m, m, rad];
+    executor: where robots are worked on; None: here, or in `jobs` processes.
+    """
+
+    robots: tuple[str, ...] | None = None
+    method: str | None = None
+    weights: str | None = None
+    share: Mapping[str, float] = field(default_factory=dict)
+    start: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    truth: tuple[Path, ...] = ()
+    config: Path | None = None
+    seed: int = 0
+    jobs: int = 1
+    fuse_every: float | None = None
+    refine: bool = True
+    laser: LaserOptions = field(default_factory=LaserOptions)
+    executor: Executor | None = None
+    on_progress: Progress = no_progress
+
+    def check(self) -> None:
+        """Raises UsageError naming the option that cannot be."""
+        if self.jobs < 1:
+            raise UsageError(f"--jobs must be 1 or more, found {self.jobs}")
+        if self.fuse_every is not None and not 0 < self.fuse_every < math.inf:
+            raise UsageError(f"--fuse-every must be more than 0 seconds, found {self.fuse_every}")
+        for robot, part in self.share.items():
+            if not 0 < part <= 1:
+                raise UsageError(f"--share of robot {robot} must be in (0, 1], found {part}")
+
+
+class MapResult(Protocol):
+    """What every kind of log's `map` gives: typed in its own way, and able to put itself into a folder.
+
+    maps: `TeamMap`s of landmark logs, the largest first; `LaserMap`s of laser logs, one a robot.
+    """
+
+    @property
+    def maps(self) -> tuple[Any, ...]: ...
+    @property
+    def metrics(self) -> dict[str, Any]: ...
+    def write(self, folder: Path) -> None: ...
+    def lines(self) -> list[str]: ...
+
+
+def parse_robots(text: str | None) -> tuple[str, ...] | None:
+    """`1,2` or `robot1,robot2` as keys; None when not given."""
+    if text is None:
+        return None
+    keys = tuple(robot_key(word.strip()) for word in text.split(",") if word.strip())
+    if not keys:
+        raise UsageError(f"--robots: expected numbers as 1,2, found {text!r}")
+    return keys
+
+
+def parse_shares(text: str | None) -> dict[str, float]:
+    """`1:1.0,2:0.5` as robot -> share."""
+    shares: dict[str, float] = {}
+    for word in (text or "").split(","):
+        if not word.strip():
+            continue
+        robot, colon, part = word.partition(":")
+        try:
+            shares[robot_key(robot.strip())] = float(part)
+        except ValueError:
+            raise UsageError(f"--share: expected robot:share as 2:0.5, found {word!r}") from None
+        if not colon:
+            raise UsageError(f"--share: expected robot:share as 2:0.5, found {word!r}")
+    return shares
+
+
+def parse_starts(words: Sequence[str] | None) -> dict[str, tuple[float, float, float]]:
+    """`robot2=x,y,theta` each, as robot -> pose."""
+    starts: dict[str, tuple[float, float, float]] = {}
+    for word in words or ():
+        robot, _, numbers = word.partition("=")
+        try:
+            x, y, theta = (float(n) for n in numbers.split(","))
+        except ValueError:
+            raise UsageError(f"--start: expected robot2=x,y,theta, found {word!r}") from None
+        if not all(map(math.isfinite, (x, y, theta))):
+            raise UsageError(f"--start: expected finite numbers, found {word!r}")
+        starts[robot_key(robot.strip())] = (x, y, theta)
+    return starts

@@ -1,0 +1,125 @@
+"""What `locate` found of robots that move: for programs, for files and for people."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core.gaussian import chi2_quantile
+from ..io.positions import write_positions, write_track
+from ..report.swarm import MovedStory, write_moved_report
+from ..swarm.moving.result import SwarmTrack
+from ..swarm.result import Status
+from .located_common import NO_SCORE, Settings, counts, file_name, head, told_dropped, told_sigma, write_rest
+from .swarm_input import SwarmInput
+from .swarm_score import SwarmScore
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """Robots that move: a track each. truth: by robot index, the true positions at the track's stamps."""
+
+    given: SwarmInput
+    settings: Settings
+    track: SwarmTrack
+    score: SwarmScore | None
+    truth: Mapping[int, Float[np.ndarray, "k d"]]
+
+    @property
+    def reliable(self) -> bool:
+        return self.track.converged and self.track.chi2 <= chi2_quantile(0.999, max(float(self.track.dof), 1.0))
+
+    @property
+    def not_localisable(self) -> tuple[str, ...]:
+        """Robots without a track, and those whose positions are less sure than the swarm is wide."""
+        tracks = self.track.tracks
+        everywhere = np.concatenate([one.position for one in tracks.values()])
+        width = float(np.linalg.norm(np.quantile(everywhere, 0.9, axis=0) - np.quantile(everywhere, 0.1, axis=0)))
+        lost = []
+        for k, name in enumerate(self.given.table.ids):
+            one = tracks.get(k)
+            if one is None or (one.cov is not None and np.sqrt(np.trace(one.cov, axis1=1, axis2=2)).min() > width):
+                lost.append(name)
+        return tuple(lost)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        told = [*self.given.told, *self.track.warnings]
+        if not self.track.converged:
+            told.append("the smoothing did not converge")
+        elif not self.reliable:
+            ratio = self.track.chi2 / max(self.track.dof, 1)
+            told.append(
+                f"residuals are {ratio:.3g} times what sigma and the motion model say: covariances are too small"
+            )
+        return tuple(told)
+
+    def metrics(self) -> dict[str, Any]:
+        """`metrics.json`; keys as the contract names them."""
+        t = self.track
+        names = self.given.table.ids
+        return {
+            **head(self.given, self.settings),
+            **(NO_SCORE if self.score is None else self.score.as_json()),
+            "iterations": t.iterations,
+            "status": str(Status.CONVERGED if t.converged else Status.ITERATION_LIMIT),
+            "chi2": t.chi2,
+            "dof": t.dof,
+            "gauge": t.gauge,
+            "null_space": None,
+            "not_localisable": list(self.not_localisable),
+            "reliable": self.reliable,
+            "outliers": int(t.outlier.sum()),
+            "moving": True,
+            "odometry_scale": None
+            if t.scale is None
+            else {names[k]: [v, w] for k, (v, w) in sorted(t.scale.items()) if (v, w) != (1.0, 1.0)},
+            "warnings": list(self.warnings),
+            "timing": self.settings.timing,
+        }
+
+    def lines(self) -> list[str]:
+        """A summary for people."""
+        t = self.track
+        knots = sum(len(one.t) for one in t.tracks.values())
+        told = [
+            (
+                f"{len(self.given.table.ids)} moving robots in {self.given.table.dim}D, "
+                f"{len(self.given.table.observer)} sightings, {told_sigma(self.given)}, "
+                f"{len(self.given.anchors)} anchors: {knots} positions, {t.method}, {t.iterations} iterations"
+            )
+        ]
+        told += told_dropped(self.given)
+        if t.gauge:
+            told.append(t.gauge)
+        if self.not_localisable:
+            told.append(f"{len(self.not_localisable)} robots cannot be located: {', '.join(self.not_localisable[:20])}")
+        told.append(
+            f"chi-square {t.chi2:.4g} with {t.dof} degrees of freedom, {int(t.outlier.sum())} outliers: "
+            f"{'reliable' if self.reliable else 'NOT reliable'}"
+        )
+        if self.score is not None:
+            told += self.score.lines()
+        return [*told, *(f"warning: {text}" for text in self.warnings)]
+
+    def write(self, out: Path) -> None:
+        """trajectories/ID.csv, positions.csv (each robot's last), metrics.json, report.html and figures/."""
+        table, tracks = self.given.table, self.track.tracks
+        n, d = len(table.ids), table.dim
+        last, cov, found = np.full((n, d), np.nan), np.full((n, d, d), np.nan), np.zeros(n, dtype=bool)
+        lost = set(self.not_localisable)
+        for k, one in tracks.items():
+            write_track(
+                out / "trajectories" / f"{file_name(table.ids[k])}.csv", one.t, one.position, one.cov, one.heading
+            )
+            last[k], found[k] = one.position[-1], table.ids[k] not in lost
+            if one.cov is not None:
+                cov[k] = one.cov[-1]
+        seen, wild = counts(n, table.observer, table.target, self.track.outlier)
+        write_positions(out / "positions.csv", table.ids, last, cov, found, seen, wild)
+        story = MovedStory(table.ids, self.track, self.given.anchors, self.truth if self.score is not None else {})
+        write_moved_report(out, story, self.lines(), self.metrics())
+        write_rest(out, self.given, self.metrics())

@@ -1,0 +1,65 @@
+"""Fusing while the logs play: every so often each robot hands over the map it has by then."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.landmark_log import LandmarkLog
+from ..core.progress import Progress
+from ..core.survey import Survey
+from ..evaluation.growth import GrowthPoint, growth_point
+from ..fusion.config import FuseConfig
+from ..fusion.online import OnlineFuser
+from ..fusion.result import Fusion
+from ..landmarks.landmark_map import LandmarkMap
+from ..landmarks.local_map import LocalMap
+
+LocalMaps = Callable[[Sequence[LandmarkLog]], list[LocalMap]]
+
+
+@dataclass(frozen=True, slots=True)
+class OnlineMap:
+    """The largest component `t` [s] after the first row of all logs; robots: how many were tied in."""
+
+    t: float
+    robots: int
+    landmarks: LandmarkMap
+
+
+def fuse_online(
+    logs: Sequence[LandmarkLog],
+    whole: Sequence[LocalMap],
+    make: LocalMaps,
+    cfg: FuseConfig,
+    every: float,
+    on_progress: Progress,
+) -> tuple[Fusion, tuple[OnlineMap, ...]]:
+    """The fusion of all `whole` maps, and the global map every `every` seconds until then.
+
+    A robot's map at a time is what its estimator (`make`) makes of its log until that time, so that the last is the
+    map the whole log gives; the price is that early rows are played once for every update.
+    """
+    spans = [log.span for log in logs if len(log)]
+    first, last = min(a for a, _ in spans), max(b for _, b in spans)
+    times = np.arange(first + every, last, every)
+    fuser = OnlineFuser(cfg)
+    grown = []
+    for k, t in enumerate(times):
+        on_progress("fusing online", k, len(times))
+        heard = [cut for cut in (log.until(float(t)) for log in logs) if len(cut.sightings)]
+        fresher = [m for m in make(heard) if len(m.submap.ids)]
+        if fresher:
+            fuser = fuser.update(*fresher)
+        if fuser.largest is not None:
+            grown.append(OnlineMap(float(t - first), fuser.tied_in, fuser.largest.map))
+    fuser = fuser.update(*whole)
+    if fuser.largest is not None:
+        grown.append(OnlineMap(float(last - first), fuser.tied_in, fuser.largest.map))
+    on_progress("fusing online", len(times), len(times))
+    return fuser.fusion, tuple(grown)
+
+
+def growth(grown: Sequence[OnlineMap], survey: Survey) -> tuple[GrowthPoint, ...]:
+    """Trace, log-determinant, error and consistency of every online map."""
+    return tuple(growth_point(g.t, g.robots, g.landmarks, survey) for g in grown)

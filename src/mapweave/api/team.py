@@ -1,0 +1,221 @@
+"""Local maps woven into a team's result: shared by `map` and `fuse`, which differ in where local maps come from."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from ..core import se2
+from ..core.names import in_order, robot_key
+from ..core.records import Track
+from ..core.survey import NO_SURVEY
+from ..core.version import __version__
+from ..evaluation.growth import GrowthPoint
+from ..evaluation.landmarks import find_exchanges
+from ..evaluation.team import TeamScore, as_json, score_team
+from ..fusion.result import Component, Fusion
+from ..landmarks.landmark_map import LandmarkMap
+from ..landmarks.local_map import LocalMap
+from ..report.team_story import TeamStory
+from ..team.team_map import TeamMap
+from .evaluate_team import TeamTruth, read_team_truth, team_lines
+from .online import OnlineMap, growth
+
+NOTHING = LandmarkMap((), np.zeros((0, 2)), np.zeros((0, 0)))
+
+
+@dataclass(frozen=True, slots=True)
+class TeamResult:
+    """One map of a team and how it came about.
+
+    maps: components, the largest first; local: what each robot handed over; growth: the global map over time, where
+    it was fused while the logs played; score: against truth, where truth was given.
+    """
+
+    title: str
+    seed: int
+    maps: tuple[TeamMap, ...]
+    local: tuple[LocalMap, ...]
+    fusion: Fusion
+    growth: tuple[GrowthPoint, ...] = ()
+    score: TeamScore | None = None
+    truth: TeamTruth | None = None
+    warnings: tuple[str, ...] = ()
+    timing: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """What stands in `metrics.json`."""
+        told: dict[str, Any] = {
+            "version": __version__,
+            "seed": self.seed,
+            "robots": {robot_key(m.robot): _robot(m, self.fusion) for m in self.local},
+            "components": [[robot_key(r) for r in m.robots] for m in self.maps],
+            "fusion": [
+                {
+                    "robot": robot_key(d.robot),
+                    "shared": d.shared,
+                    "decision": d.decision,
+                    "reason": d.reason,
+                    "scale": d.scale,
+                    "variance_factor": d.variance_factor,
+                }
+                for d in self.fusion.decisions
+            ],
+            "warnings": list(self.warnings),
+        }
+        if self.growth:
+            told["online"] = [
+                {
+                    "t": p.t,
+                    "robots": p.robots,
+                    "landmarks": p.landmarks,
+                    "trace": p.trace,
+                    "log_det": p.log_det,
+                    "landmark_rmse": p.rmse,
+                    "nees_per_dof": p.nees_per_dof,
+                }
+                for p in self.growth
+            ]
+        if self.score is not None:
+            told["evaluation"] = as_json(self.score)
+        told["timing"] = {stage: round(s, 4) for stage, s in self.timing.items()}
+        return told
+
+    @property
+    def story(self) -> TeamStory:
+        """What the report is told from."""
+        return TeamStory(
+            title=self.title,
+            maps=self.maps,
+            local=self.local,
+            fusion=self.fusion,
+            growth=self.growth,
+            score=self.score,
+            survey=NO_SURVEY if self.truth is None else self.truth.survey,
+            truths={} if self.truth is None else self.truth.robots,
+            warnings=self.warnings,
+        )
+
+    def write(self, folder: Path) -> None:
+        """Everything into `folder`, `metrics.json` last."""
+        from .team_files import write_team  # noqa: PLC0415  (figures cost half a second; only files need them)
+
+        write_team(folder, self.story, self.metrics)
+
+    def lines(self) -> list[str]:
+        """What came out, in a few lines for people."""
+        first = self.maps[0]
+        out = [
+            f"{len(first.robots)} of {len(self.local)} robots in one map of {len(first.landmarks)} landmarks",
+            f"{sum(sum(m.sightings.values()) for m in self.local)} sightings",
+        ]
+        out += [f"robot {robot_key(d.robot)}: {d.decision}, {d.reason}" for d in self.fusion.decisions]
+        out += [f"warning: {w}" for w in self.warnings]
+        return out + ([] if self.score is None else team_lines(self.score))
+
+
+class Watch:
+    """Seconds spent in each stage, in the order they began."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._at = perf_counter()
+
+    def lap(self, stage: str) -> None:
+        """The time since the last lap was spent on `stage`."""
+        now = perf_counter()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._at
+        self._at = now
+
+
+def team_result(
+    title: str,
+    seed: int,
+    local: Sequence[LocalMap],
+    fusion: Fusion,
+    truth: Sequence[Path],
+    online: Sequence[OnlineMap],
+    watch: Watch,
+) -> TeamResult:
+    """The result of fusing `local`; truth is read here, when nothing is left to estimate."""
+    maps = team_maps(local, fusion)
+    watch.lap("fuse")
+    known = score = None
+    survey = NO_SURVEY
+    if truth:
+        known = read_team_truth(truth, [m.robot for m in local])
+        survey = find_exchanges(maps[0].landmarks, known.survey)[1]
+        score = score_team(maps, {m.robot: m.submap.landmarks for m in local}, known.survey, known.robots)
+        watch.lap("evaluate")
+    own = [f"robot {robot_key(m.robot)}: {w}" for m in local for w in m.warnings]
+    return TeamResult(
+        title=title,
+        seed=seed,
+        maps=maps,
+        local=tuple(local),
+        fusion=fusion,
+        growth=growth(online, survey),
+        score=score,
+        truth=known,
+        warnings=(*fusion.warnings, *own),
+        timing=watch.seconds,
+    )
+
+
+def team_maps(local: Sequence[LocalMap], fusion: Fusion) -> tuple[TeamMap, ...]:
+    """The components with their robots' trajectories; a robot that mapped nothing stands alone, after the others."""
+    by = {m.robot: m for m in local}
+    factor = {d.robot: d.variance_factor or 1.0 for d in fusion.decisions}
+    maps = [_team_map(c, by, factor, fusion) for c in fusion.components]
+    placed = {r for c in fusion.components for r in c.robots}
+    once = {m.log_hash for r, m in by.items() if r in placed}
+    left = [r for r in sorted(set(by) - placed, key=in_order) if by[r].log_hash not in once]
+    return (*maps, *(TeamMap((robot,), NOTHING, {robot: by[robot].track}) for robot in left))
+
+
+def carried(track: Track, T: np.ndarray, T_cov: np.ndarray, scale: float, factor: float) -> Track:
+    """A local track in the map's frame: shrunk by `scale`, moved by `T_map_local`; their errors independent."""
+    small = track.pose / np.array([scale, scale, 1.0])
+    pose = se2.compose(T, small)
+    if track.cov is None:
+        return Track(track.t, pose)
+    c, s = np.cos(T[2]), np.sin(T[2])
+    B = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    A = np.tile(np.eye(3), (len(pose), 1, 1))
+    A[:, 0, 2], A[:, 1, 2] = -(pose[:, 1] - T[1]), pose[:, 0] - T[0]
+    shrink = B @ np.diag([1 / scale, 1 / scale, 1.0])
+    cov = A @ T_cov @ A.transpose(0, 2, 1) + factor * (shrink @ track.cov @ shrink.T)
+    return Track(track.t, pose, 0.5 * (cov + cov.transpose(0, 2, 1)))
+
+
+def _team_map(component: Component, by: Mapping[str, LocalMap], factor: Mapping[str, float], fusion: Fusion) -> TeamMap:
+    tracks = {
+        r: carried(
+            by[r].track, component.frames[r], component.frame_cov[r], component.scales.get(r, 1.0), factor.get(r, 1.0)
+        )
+        for r in component.robots
+    }
+    seen = {
+        name: sum(by[r].sightings.get(fusion.own_name(r, name), 0) for r in robots)
+        for name, robots in component.members.items()
+    }
+    return TeamMap(component.robots, component.map, tracks, component.members, seen)
+
+
+def _robot(m: LocalMap, fusion: Fusion) -> dict[str, Any]:
+    return {
+        "source": m.source,
+        "odometry": m.odometry,
+        "sightings": sum(m.sightings.values()),
+        "landmarks": len(m.submap.ids),
+        "robot_sightings": len(m.robot_sightings.t),
+        "dropped": dict(m.dropped),
+        "down_weighted": m.down_weighted,
+        "nis_median": m.nis_median,
+        "calibration": {name: {"value": v, "sd": sd} for name, (v, sd) in m.calibration.items()},
+        "warnings": [*m.warnings, *fusion.about(m.robot)],
+    }

@@ -1,0 +1,139 @@
+"""One robot's log of velocities and sightings, mended where that is safe and counted where it was."""
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .arrays import frozen
+from .errors import DataError
+from .records import Event, Odometry, Sightings
+
+
+@dataclass(frozen=True, slots=True)
+class SightingTable:
+    """n sightings in order of time. t: (n,) [s]; what: (n,) index into `ids`; range: (n,) [m]; bearing: (n,) [rad].
+
+    `ids` are landmark names, `barcode:NN` for a barcode nobody listed, `robotK` for another robot.
+    """
+
+    t: Float[np.ndarray, " n"]
+    what: Int[np.ndarray, " n"]
+    range: Float[np.ndarray, " n"]
+    bearing: Float[np.ndarray, " n"]
+    ids: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("t", "range", "bearing"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "what", frozen(self.what, np.int64))
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def select(self, keep: np.ndarray) -> "SightingTable":
+        """The rows of a mask or an index, `ids` unchanged."""
+        return SightingTable(self.t[keep], self.what[keep], self.range[keep], self.bearing[keep], self.ids)
+
+    def counts(self) -> dict[str, int]:
+        """How often each id was sighted, ids never sighted left out."""
+        n = np.bincount(self.what, minlength=len(self.ids))
+        return {name: int(k) for name, k in zip(self.ids, n, strict=True) if k}
+
+    def frames(self) -> Iterator[tuple[float, slice]]:
+        """Rows that share one stamp, in order."""
+        starts = np.flatnonzero(np.diff(self.t, prepend=np.nan) != 0)
+        for a, b in zip(starts, [*starts[1:], len(self.t)], strict=True):
+            yield float(self.t[a]), slice(int(a), int(b))
+
+
+NOTHING_SEEN = SightingTable(np.zeros(0), np.zeros(0, np.int64), np.zeros(0), np.zeros(0), ())
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkLog:
+    """What one robot drove and saw. robot: `robotK`; odometry: commanded velocities or None when there are none.
+
+    dropped: rows left out, by reason; log_hash: SHA-256 of the whole log's content, kept by `share`, so that a part
+    of a log is known to be no independent witness beside the whole.
+    """
+
+    robot: str
+    odometry: Odometry | None
+    sightings: SightingTable
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    source: str = ""
+    log_hash: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.log_hash:
+            object.__setattr__(self, "log_hash", _hash(self.odometry, self.sightings))
+
+    @property
+    def number(self) -> int:
+        return int(self.robot.removeprefix("robot"))
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last stamp [s] of all rows; raises DataError when there are none."""
+        stamps = [self.sightings.t] if self.odometry is None else [self.sightings.t, self.odometry.t]
+        ends = [(t[0], t[-1]) for t in stamps if len(t)]
+        if not ends:
+            raise DataError(f"{self.source}: {self.robot} has neither odometry nor sightings")
+        return float(min(a for a, _ in ends)), float(max(b for _, b in ends))
+
+    def __len__(self) -> int:
+        return len(self.sightings) + (0 if self.odometry is None else len(self.odometry.t))
+
+    def events(self) -> Iterator[Event]:
+        """Odometry packed between camera frames, and the frames; an odometry row at a frame's own stamp goes first."""
+        odometry = self.odometry
+        at = 0
+        for t, rows in self.sightings.frames():
+            if odometry is not None:
+                end = int(np.searchsorted(odometry.t, t, side="right"))
+                if end > at:
+                    yield self._packet(odometry, at, end)
+                    at = end
+            s = self.sightings
+            ids = tuple(s.ids[k] for k in s.what[rows])
+            yield Event(t, self.robot, Sightings(ids, s.range[rows], s.bearing[rows]))
+        if odometry is not None and at < len(odometry.t):
+            yield self._packet(odometry, at, len(odometry.t))
+
+    def share(self, fraction: float) -> "LandmarkLog":
+        """The first `fraction` of the log's time span; the whole log when it is 1."""
+        if not 0.0 < fraction <= 1.0:
+            raise DataError(f"{self.robot}: expected a share in (0, 1], found {fraction}")
+        if fraction == 1.0 or not len(self):
+            return self
+        first, last = self.span
+        return self.until(first + fraction * (last - first))
+
+    def until(self, t: float) -> "LandmarkLog":
+        """The rows stamped `t` [s] or earlier."""
+        odometry = self.odometry
+        if odometry is not None:
+            n = int(np.searchsorted(odometry.t, t, side="right"))
+            odometry = Odometry(odometry.t[:n], odometry.v[:n], odometry.w[:n]) if n else None
+        return replace(self, odometry=odometry, sightings=self.sightings.select(self.sightings.t <= t))
+
+    def _packet(self, odometry: Odometry, a: int, b: int) -> Event:
+        rows = slice(a, b)
+        return Event(
+            float(odometry.t[b - 1]), self.robot, Odometry(odometry.t[rows], odometry.v[rows], odometry.w[rows])
+        )
+
+
+def _hash(odometry: Odometry | None, sightings: SightingTable) -> str:
+    digest = hashlib.sha256()
+    if odometry is not None:
+        for column in (odometry.t, odometry.v, odometry.w):
+            digest.update(np.ascontiguousarray(column).tobytes())
+    digest.update("\n".join(sightings.ids).encode())
+    for column in (sightings.t, sightings.what, sightings.range, sightings.bearing):
+        digest.update(np.ascontiguousarray(column).tobytes())
+    return digest.hexdigest()

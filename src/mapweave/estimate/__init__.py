@@ -1,1 +1,0 @@
-"""Estimators: plain functions ``init`` and ``step`` on immutable state, one robot each."""

@@ -1,1 +1,0 @@
-"""Errors and consistency against truth; no estimator imports this room."""

@@ -1,0 +1,1 @@
+"""Errors and consistency against truth, every score once; no estimator imports this room."""

@@ -1,0 +1,156 @@
+"""Landmarks against a survey: one rigid alignment, errors, consistency, and labels that look exchanged."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core import se2
+from ..core.survey import Survey
+from ..landmarks.landmark_map import LandmarkMap
+from .consistency import gauge_free_nees
+
+BETTER = 0.9  # every exchange must take a tenth off the error
+MUCH_BETTER = 0.5  # and the last of them halve it
+WORTH_NAMING = 0.05  # [m] and take at least this off
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """Labels `a` and `b` swapped take the landmark error from `before` to `after` [m]."""
+
+    a: str
+    b: str
+    before: float
+    after: float
+
+    def __str__(self) -> str:
+        return f"{self.a} and {self.b} look exchanged: {self.before:.2f} m -> {self.after:.2f} m"
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkScore:
+    """rmse [m] over the n landmarks that have a survey, after `alignment` (`T_survey_map`); None where it is undefined.
+
+    errors: (n, 2) [m] aligned map minus survey, in the survey's frame, in the order of `ids`.
+    """
+
+    ids: tuple[str, ...]
+    unsurveyed: int
+    rmse: float | None
+    nees_per_dof: float | None
+    dof: int | None
+    alignment: Float[np.ndarray, "3"] | None
+    errors: Float[np.ndarray, "n 2"]
+
+
+def score_landmarks(landmarks: LandmarkMap, survey: Survey) -> LandmarkScore:
+    """The score under one rigid transform fitted, unweighted, to the surveyed landmarks present in the map."""
+    ours, true = _common(landmarks, survey)
+    left = len(landmarks) - len(ours)
+    if len(ours) < 2:
+        return LandmarkScore(ours.ids, left, None, None, None, None, np.zeros((len(ours), 2)))
+    T = se2.align(ours.mean, true)
+    errors = se2.act(T, ours.mean) - true
+    nees = gauge_free_nees(ours.mean, ours.cov, true)
+    per_dof, dof = (None, None) if nees is None or nees[1] < 1 else (nees[0] / nees[1], nees[1])
+    return LandmarkScore(ours.ids, left, _rms(errors), per_dof, dof, T, errors)
+
+
+def rmse_after_alignment(landmarks: LandmarkMap, survey: Survey) -> float | None:
+    """RMS error [m] of a map's surveyed landmarks after its own rigid alignment."""
+    return score_landmarks(landmarks, survey).rmse
+
+
+def find_exchanges(landmarks: LandmarkMap, survey: Survey) -> tuple[tuple[Exchange, ...], Survey]:
+    """Pairs of labels that, swapped, explain a large error, the best first; and the survey with them swapped.
+
+    Every pair is tried: swapping changes neither centroid, so with centred points a, b as complex numbers the best
+    fit's error is |a|^2 + |b|^2 - 2 |sum conj(a) b|, and a swap changes that sum by one product.
+    """
+    ours, true = _common(landmarks, survey)
+    n = len(ours)
+    found: list[Exchange] = []
+    names = list(ours.ids)
+    if n < 3:
+        return (), survey
+    a, b = _centred(ours.mean), _centred(true)
+    taken = np.zeros(n, bool)
+    for _ in range(n // 2):
+        energy = float(np.sum(np.abs(a) ** 2) + np.sum(np.abs(b) ** 2))
+        S = np.sum(np.conj(a) * b)
+        swapped = np.abs(S - np.conj(a[:, None] - a[None, :]) * (b[:, None] - b[None, :]))
+        swapped[taken] = swapped[:, taken] = -np.inf
+        i, j = (int(k) for k in np.unravel_index(int(np.argmax(np.triu(swapped, 1))), swapped.shape))
+        before = np.sqrt(max(0.0, energy - 2 * float(np.abs(S))) / n)
+        after = np.sqrt(max(0.0, energy - 2 * float(swapped[i, j])) / n)
+        if not after < BETTER * before:
+            break
+        found.append(Exchange(names[i], names[j], float(before), float(after)))
+        b[i], b[j] = b[j], b[i]
+        taken[i] = taken[j] = True
+    while found and not (found[-1].after < MUCH_BETTER * found[-1].before and _gain(found[-1]) > WORTH_NAMING):
+        found.pop()
+    return tuple(found), _exchanged(survey, found)
+
+
+def naive_mean(maps: Sequence[LandmarkMap], rounds: int = 20) -> LandmarkMap | None:
+    """The equal-weight Procrustes mean: what one would do without covariances. Its covariance is the identity.
+
+    Every map is aligned to the mean so far over what they share, most in common first; then all again, until still.
+    A map that shares fewer than two landmarks with the rest is left out.
+    """
+    waiting = sorted((m for m in maps if len(m) > 1), key=lambda m: -len(m))
+    if not waiting:
+        return None
+    placed = [waiting.pop(0)]
+    mean = dict(zip(placed[0].ids, placed[0].mean, strict=True))
+    while waiting:
+        waiting.sort(key=lambda m: -sum(name in mean for name in m.ids))
+        if sum(name in mean for name in waiting[0].ids) < 2:
+            break
+        placed.append(waiting.pop(0))
+        mean = _average([_fit(m, mean) for m in placed])
+    for _ in range(rounds):
+        mean = _average([_fit(m, mean) for m in placed])
+    ids = tuple(sorted(mean))
+    return LandmarkMap(ids, np.array([mean[name] for name in ids]), np.eye(2 * len(ids)))
+
+
+def _gain(exchange: Exchange) -> float:
+    return exchange.before - exchange.after
+
+
+def _fit(landmarks: LandmarkMap, mean: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    both = [i for i, name in enumerate(landmarks.ids) if name in mean]
+    T = se2.align(landmarks.mean[both], np.array([mean[landmarks.ids[i]] for i in both]))
+    return dict(zip(landmarks.ids, se2.act(T, landmarks.mean), strict=True))
+
+
+def _average(placed: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    names = dict.fromkeys(name for one in placed for name in one)
+    return {name: np.mean([one[name] for one in placed if name in one], axis=0) for name in names}
+
+
+def _common(landmarks: LandmarkMap, survey: Survey) -> tuple[LandmarkMap, Float[np.ndarray, "n 2"]]:
+    where = {name: i for i, name in enumerate(survey.ids)}
+    ids = [name for name in landmarks.ids if name in where]
+    return landmarks.select(ids), survey.xy[[where[name] for name in ids]].reshape(-1, 2)
+
+
+def _exchanged(survey: Survey, exchanges: Sequence[Exchange]) -> Survey:
+    names = list(survey.ids)
+    for e in exchanges:
+        i, j = names.index(e.a), names.index(e.b)
+        names[i], names[j] = names[j], names[i]
+    return Survey(tuple(names), survey.xy)
+
+
+def _centred(points: Float[np.ndarray, "n 2"]) -> np.ndarray:
+    p = points - points.mean(0)
+    return np.asarray(p[:, 0] + 1j * p[:, 1])
+
+
+def _rms(errors: Float[np.ndarray, "n 2"]) -> float:
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))

@@ -1,0 +1,153 @@
+"""The whole score of a team's map: landmarks, trajectories under the same alignment, single maps for comparison."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core.names import in_order, robot_key
+from ..core.records import Track
+from ..core.survey import Survey
+from ..landmarks.landmark_map import LandmarkMap
+from ..team.team_map import TeamMap
+from .consistency import mean_or_none
+from .landmarks import Exchange, LandmarkScore, find_exchanges, naive_mean, rmse_after_alignment, score_landmarks
+from .trajectory import align_tracks, ate, rpe
+
+RPE_SECONDS = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class RobotTruth:
+    """kind: which truth it is (Groundtruth, Instants, Keyframes or TUM); dense: it is thinned to 1 Hz."""
+
+    kind: str
+    track: Track
+    dense: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class RobotScore:
+    """ate [m] over n truth poses; `component`: from 1; rpe over ten seconds [m, rad]."""
+
+    ate: float | None
+    n: int
+    truth: str | None
+    single_map_rmse: float | None
+    component: int | None
+    rpe_trans: float | None = None
+    rpe_rot: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TeamScore:
+    """What `evaluate` prints. `alignment`: `T_truth_map` of the largest component."""
+
+    landmarks: LandmarkScore
+    alignment: Float[np.ndarray, "3"] | None
+    mean_single_rmse: float | None
+    naive_rmse: float | None
+    robots: Mapping[str, RobotScore]
+    exchanges: tuple[Exchange, ...] = ()
+    landmarks_exchanged: LandmarkScore | None = None
+    mean_single_rmse_exchanged: float | None = None
+    naive_rmse_exchanged: float | None = None
+    components: tuple[LandmarkScore, ...] = field(default_factory=tuple)
+
+
+def score_team(
+    maps: Sequence[TeamMap],
+    singles: Mapping[str, LandmarkMap],
+    survey: Survey,
+    truths: Mapping[str, RobotTruth],
+) -> TeamScore:
+    """The score of `maps` (largest component first); `singles`: each robot's own landmarks, in any frame."""
+    scores = tuple(score_landmarks(m.landmarks, survey) for m in maps)
+    robots: dict[str, RobotScore] = {}
+    alignments = [_alignment(m, s, truths) for m, s in zip(maps, scores, strict=True)]
+    where = {robot: k for k, m in enumerate(maps) for robot in m.robots}
+    for robot in sorted({*where, *singles}, key=in_order):
+        k = where.get(robot)
+        track = maps[k].tracks.get(robot) if k is not None else None
+        single = rmse_after_alignment(singles[robot], survey) if robot in singles else None
+        robots[robot] = _score_robot(track, truths.get(robot), None if k is None else alignments[k], single, k)
+    tied = [singles[r] for r in maps[0].robots if r in singles]
+    naive = naive_mean(tied)
+    exchanges, mended = find_exchanges(maps[0].landmarks, survey)
+    return TeamScore(
+        landmarks=scores[0],
+        alignment=alignments[0],
+        mean_single_rmse=mean_or_none([rmse_after_alignment(m, survey) for m in tied]),
+        naive_rmse=None if naive is None else rmse_after_alignment(naive, survey),
+        robots=robots,
+        exchanges=exchanges,
+        landmarks_exchanged=score_landmarks(maps[0].landmarks, mended) if exchanges else None,
+        mean_single_rmse_exchanged=(
+            mean_or_none([rmse_after_alignment(m, mended) for m in tied]) if exchanges else None
+        ),
+        naive_rmse_exchanged=rmse_after_alignment(naive, mended) if exchanges and naive is not None else None,
+        components=scores,
+    )
+
+
+def as_json(score: TeamScore) -> dict[str, object]:
+    """The keys of the contract and a few more; what does not exist is None."""
+    mended = score.landmarks_exchanged
+    return {
+        "landmark_rmse": score.landmarks.rmse,
+        "landmark_n": len(score.landmarks.ids),
+        "landmark_unsurveyed": score.landmarks.unsurveyed,
+        "nees_per_dof": score.landmarks.nees_per_dof,
+        "dof": score.landmarks.dof,
+        "alignment": None if score.alignment is None else score.alignment.tolist(),
+        "mean_single_rmse": score.mean_single_rmse,
+        "naive_rmse": score.naive_rmse,
+        "ratio_to_naive": _ratio(score.landmarks.rmse, score.naive_rmse),
+        "ratio_to_mean_single": _ratio(score.landmarks.rmse, score.mean_single_rmse),
+        "exchanged": [[e.a, e.b, e.before, e.after] for e in score.exchanges],
+        "landmark_rmse_exchanged": mended.rmse if mended else None,
+        "nees_per_dof_exchanged": mended.nees_per_dof if mended else None,
+        "mean_single_rmse_exchanged": score.mean_single_rmse_exchanged,
+        "naive_rmse_exchanged": score.naive_rmse_exchanged,
+        "mean_ate": mean_or_none([r.ate for r in score.robots.values()]),
+        "robots": {
+            robot_key(name): {
+                "ate": r.ate,
+                "n": r.n,
+                "truth": r.truth,
+                "single_map_rmse": r.single_map_rmse,
+                "component": r.component,
+                "rpe_trans_10s": r.rpe_trans,
+                "rpe_rot_10s": r.rpe_rot,
+            }
+            for name, r in score.robots.items()
+        },
+    }
+
+
+def _alignment(team: TeamMap, score: LandmarkScore, truths: Mapping[str, RobotTruth]) -> Float[np.ndarray, "3"] | None:
+    """Fitted to the landmarks; where there are none, to all trajectories together."""
+    if score.alignment is not None:
+        return score.alignment
+    known = [(team.tracks[r], truths[r]) for r in team.robots if r in truths and r in team.tracks]
+    return align_tracks([(track, truth.track, truth.dense) for track, truth in known])
+
+
+def _score_robot(
+    track: Track | None,
+    truth: RobotTruth | None,
+    alignment: Float[np.ndarray, "3"] | None,
+    single: float | None,
+    k: int | None,
+) -> RobotScore:
+    component = None if k is None else k + 1
+    if track is None or truth is None or alignment is None:
+        return RobotScore(None, 0, None if truth is None else truth.kind, single, component)
+    error, n = ate(track, truth.track, alignment, dense=truth.dense)
+    drift = rpe(track, truth.track, RPE_SECONDS, dense=truth.dense)
+    return RobotScore(error, n, truth.kind, single, component, *drift)
+
+
+def _ratio(a: float | None, b: float | None) -> float | None:
+    return None if a is None or not b else a / b

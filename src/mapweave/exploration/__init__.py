@@ -1,0 +1,1 @@
+"""Where robots should drive: ``choose(maps, poses, cfg) -> commands``."""

@@ -1,0 +1,1 @@
+"""Teams that explore a field of landmarks: planners, one mission step by step, its scores."""

@@ -1,0 +1,125 @@
+"""Coverage tours where walls stand: what is unexplored in groups that one place sees, joined by ways round walls."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from ...core.se2 import wrap_angle
+from ...kernels.exploration.tours import balanced_tours
+from .config import ExploreConfig
+from .ground import FAR, Ground
+from .view import TeamView
+
+SPACING = 2.0  # [m] between the places that are considered
+TURN_COST = 2.0  # [m / rad], what turning towards the first place costs
+
+
+@dataclass(slots=True)
+class Stations:
+    """Places (k, 2) all over the ground, its cells at (k, 2), and what each sees within `radius`: cells (n, k).
+
+    Remembers the ways (k,) [m] from the stations asked for to all others.
+    """
+
+    places: Float[np.ndarray, "k 2"]
+    at: Int[np.ndarray, "k 2"]
+    sees: Bool[np.ndarray, "n k"]
+    _ways: dict[int, np.ndarray] = field(default_factory=dict)
+
+    def ways(self, ground: Ground, chosen: Int[np.ndarray, " m"]) -> Float[np.ndarray, "m m"]:
+        """Length [m] of the shortest way between each two of the `chosen` stations."""
+        new = [int(k) for k in chosen if int(k) not in self._ways]
+        if new:
+            for k, d in zip(new, ground.reach.distances(self.places[new]), strict=True):
+                self._ways[k] = np.minimum(d[self.at[:, 0], self.at[:, 1]], FAR)
+        return np.stack([self._ways[int(k)][chosen] for k in chosen])
+
+
+def stations(view: TeamView, ground: Ground, radius: float) -> Stations:
+    """The stations of this run for discs of `radius`, made once."""
+    made: dict[float, Stations] = view.memory.setdefault("stations", {})
+    if radius not in made:
+        step = max(1, round(SPACING / ground.reach.cell))
+        cells = np.argwhere(ground.reach.free)
+        middle = np.abs(cells % step - (step - 1) / 2).sum(axis=1)
+        order = np.lexsort((middle, *(cells // step).T))
+        _, first = np.unique(cells[order] // step, axis=0, return_index=True)
+        at = cells[order][first]
+        places = ground.reach.centres(at)
+        centres = view.explored.centres(np.argwhere(ground.field))
+        sees = np.stack([ground.sees(p, centres, radius) for p in places], axis=1)
+        made[radius] = Stations(places, at, sees)
+    return made[radius]
+
+
+def cover(
+    view: TeamView, ground: Ground, cells: Float[np.ndarray, "n 2"], radius: float
+) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 2"]]:
+    """Few stations (k,) that see all `cells`, the one that sees most first, and where (k, 2) to go for each.
+
+    That is the place from which the middle one of the cells it newly sees is seen best.
+    """
+    have = stations(view, ground, radius)
+    row = np.full(ground.field.shape, -1)
+    row[ground.field] = np.arange(int(ground.field.sum()))
+    at = np.floor((cells - ground.lower) / ground.cell).astype(int)
+    sees = have.sees[row[at[:, 1], at[:, 0]]]
+    open_ = sees.any(axis=1)
+    gain = sees.sum(axis=0)
+    groups: list[tuple[int, np.ndarray]] = []
+    while open_.any():
+        best = int(np.argmax(gain))
+        group = np.flatnonzero(open_ & sees[:, best])
+        open_[group] = False
+        gain = gain - sees[group].sum(axis=0)
+        groups.append((best, group))
+    far = np.flatnonzero(~sees.any(axis=1))  # seen from farther away alone: grouped by the place they are seen from
+    if len(far):
+        _, station = cKDTree(have.places).query(ground.view_of(cells[far]))
+        groups += [(int(k), far[station == k]) for k in np.unique(station)]
+    chosen, goals = [], []
+    for best, group in groups:
+        middle = cells[group].mean(axis=0)
+        nearest = group[int(np.argmin(np.hypot(*(cells[group] - middle).T)))]
+        chosen.append(best)
+        goals.append(ground.view_of(cells[nearest][None])[0])
+    return np.array(chosen), np.array(goals)
+
+
+def plan(
+    view: TeamView, ground: Ground, cells: np.ndarray, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig
+) -> dict[int, np.ndarray]:
+    """The next place (2,) for each live robot: the first of its tour, or the nearest from which new cells are seen."""
+    chosen, goals = cover(view, ground, cells, cfg.cover_radius)
+    first = _approach(ground, poses[live], goals)
+    between = stations(view, ground, cfg.cover_radius).ways(ground, chosen)
+    tours, counts = balanced_tours(first, between, np.zeros_like(first))
+    return {int(j): goals[tours[k, 0] if counts[k] else int(np.argmin(first[k]))] for k, j in enumerate(live)}
+
+
+def laps(
+    view: TeamView, ground: Ground, cells: np.ndarray, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig
+) -> dict[int, list[np.ndarray]]:
+    """For each live robot the places of its closed tour in order, its home last."""
+    chosen, _ = cover(view, ground, cells, cfg.loop_radius)
+    have = stations(view, ground, cfg.loop_radius)
+    places = have.places[chosen]
+    first = _approach(ground, poses[live], places)
+    last = _ways(ground, poses[live], places)
+    tours, counts = balanced_tours(first, have.ways(ground, chosen), last)
+    return {int(j): [*(places[i] for i in tours[k, : counts[k]]), poses[j, :2].copy()] for k, j in enumerate(live)}
+
+
+def _ways(ground: Ground, poses: np.ndarray, places: np.ndarray) -> Float[np.ndarray, "r n"]:
+    """Length [m] of the way from each pose to each place; FAR where none leads."""
+    at = ground.reach.cells(places)
+    return np.asarray(np.minimum(ground.from_places(poses[:, :2])[:, at[:, 0], at[:, 1]], FAR))
+
+
+def _approach(ground: Ground, poses: np.ndarray, places: np.ndarray) -> Float[np.ndarray, "r n"]:
+    """The same with what turning towards the place costs."""
+    d = places[None, :, :] - poses[:, None, :2]
+    angle = np.abs(wrap_angle(np.arctan2(d[..., 1], d[..., 0]) - poses[:, None, 2]))
+    return np.asarray(_ways(ground, poses, places) + TURN_COST * angle)

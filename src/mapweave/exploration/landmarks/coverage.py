@@ -1,0 +1,114 @@
+"""Discs over everything unexplored, shared out as balanced tours and planned anew every few steps."""
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from ...core.se2 import wrap_angle
+from ...kernels.exploration.tours import balanced_tours, greedy_cover
+from . import among_walls
+from .config import ExploreConfig
+from .steering import ahead, given_up, nearest_unexplored, new_cells, next_target, offered, steer
+from .view import TeamView
+
+TURN_COST = 2.0  # [m / rad], what turning towards the first disc costs
+
+
+def choose(view: TeamView, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig) -> Float[np.ndarray, "r 2"]:
+    """Every live robot heads for the first disc of its tour, on a course that shows it new ground on the way."""
+    memory = view.memory
+    live = np.flatnonzero(view.alive)
+    stale = view.step >= memory.get("plan_until", -1) or memory.get("plan_for") != tuple(live)
+    if stale:
+        memory["goals"] = plan(view, poses, live, cfg)
+        memory["plan_until"] = view.step + cfg.replan_every
+        memory["plan_for"] = tuple(live)
+    out = np.zeros((len(view.robots), 2))
+    for j in live:
+        goal = held_target(view, int(j), poses[j], cfg)
+        if goal is not None:
+            out[j] = steer(view, poses[j], goal, cfg)
+        else:
+            out[j] = towards(view, int(j), poses[j], memory["goals"].get(int(j)), cfg)
+    return out
+
+
+def held_target(view: TeamView, j: int, pose: np.ndarray, cfg: ExploreConfig) -> np.ndarray | None:
+    """After `stall_steps` without new ground: the nearest unexplored cell, held until it is seen; else None.
+
+    It breaks the ties in which plans made anew send a robot to and fro.
+    """
+    targets: dict[int, np.ndarray] = view.memory.setdefault("targets", {})
+    ex = view.explored
+    if j in targets and (ex.sees(j, targets[j]) or given_up(view, j, targets[j], cfg)):
+        del targets[j]
+    if j not in targets and view.stalled[j] >= cfg.stall_steps:
+        goal = next_target(view, j, pose)
+        if goal is not None:
+            targets[j] = goal
+    return targets.get(j)
+
+
+def plan(view: TeamView, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig) -> dict[int, np.ndarray]:
+    """The next place (2,) for each live robot: the first disc of its tour, or the nearest unexplored cell."""
+    ex = view.explored
+    cells = ex.centres(np.argwhere(~ex.team()))
+    if len(cells) == 0:
+        return {}
+    if view.ground is not None:
+        return among_walls.plan(view, view.ground, cells, poses, live, cfg)
+    chosen = discs(view, cells, cfg.cover_radius)
+    first = approach_cost(poses[live], chosen)
+    between = np.linalg.norm(chosen[:, None] - chosen[None], axis=-1)
+    tours, counts = balanced_tours(first, between, np.zeros_like(first))
+    goals: dict[int, np.ndarray] = {}
+    for k, j in enumerate(live):
+        goal = chosen[tours[k, 0]] if counts[k] else nearest_unexplored(cells, poses[j])
+        if goal is not None:
+            goals[int(j)] = goal
+    return goals
+
+
+def approach_cost(poses: Float[np.ndarray, "r 3"], places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "r n"]:
+    """Distance [m] from each pose to each place, with what turning towards it costs."""
+    d = places[None, :, :] - poses[:, None, :2]
+    angle = np.abs(wrap_angle(np.arctan2(d[..., 1], d[..., 0]) - poses[:, None, 2]))
+    return np.asarray(np.hypot(d[..., 0], d[..., 1]) + TURN_COST * angle)
+
+
+def towards(view: TeamView, j: int, pose: np.ndarray, goal: np.ndarray | None, cfg: ExploreConfig) -> np.ndarray:
+    """The offered control (2,) that trades getting to `goal` against new cells seen; straight on without a goal."""
+    place = None if goal is None else ahead(view, pose, goal, cfg)
+    controls, after = offered(view, pose, cfg, place)
+    if place is None:
+        return np.asarray(controls[np.argmax(controls[:, 0] - np.abs(controls[:, 1]))])
+    d = place - after[:, :2]
+    error = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - after[:, 2]))
+    distance = np.hypot(d[:, 0], d[:, 1])
+    gain = new_cells(view, j, after, cfg)
+    return np.asarray(controls[np.argmin(distance + 3.0 * error - cfg.gain_weight * gain)])
+
+
+def discs(view: TeamView, cells: Float[np.ndarray, "n 2"], radius: float) -> Float[np.ndarray, "k 2"]:
+    """Few places (k, 2) [m] within `radius` of which all `cells` lie: each the middle of the cells it covers."""
+    return discs_over(view.lower, view.upper, cells, radius)
+
+
+def discs_over(
+    lower: Float[np.ndarray, "2"], upper: Float[np.ndarray, "2"], cells: Float[np.ndarray, "n 2"], radius: float
+) -> Float[np.ndarray, "k 2"]:
+    """The same for `cells` of any rectangle."""
+    step = radius / 3
+    xs, ys = (
+        np.linspace(lo + step, hi - step, max(2, round((hi - lo - 2 * step) / step) + 1))
+        for lo, hi in zip(lower, upper, strict=True)
+    )
+    return to_the_middle(greedy_cover(cells, xs, ys, radius), cells, radius)
+
+
+def to_the_middle(places: np.ndarray, cells: np.ndarray, radius: float) -> np.ndarray:
+    """Each place moved to the mean of the cells within `radius` of it."""
+    near = cKDTree(cells).query_ball_point(places, radius)
+    return np.array([cells[some].mean(axis=0) if some else p for some, p in zip(near, places, strict=True)]).reshape(
+        -1, 2
+    )

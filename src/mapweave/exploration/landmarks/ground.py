@@ -1,0 +1,201 @@
+"""What a floor plan tells a team that knows it: where robots can stand, what can be seen, how to get there."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import distance_transform_edt, label
+
+from ...core.errors import DataError
+from ...core.walls import Walls
+from ...kernels.walls.segments import sight_on_raster
+from ...kernels.walls.sight import nearest_views, points_in_sight
+from ...sim.field import Field
+from ..paths import Reach
+from .config import ExploreConfig
+
+EASE = 1.0  # [m] a cell or landmark must be nearer than the sensor's reach to count as one that can be seen
+NEIGHBOURS = 5  # places around a place that must see it too: a robot never stands exactly where it meant to
+FAR = 1e4  # [m], said of places no way leads to, where a cost must be finite
+SEARCH = 5.0  # [m] around an estimated pose in which it finds ground to stand on
+STRIDE = 3  # cells of a way a robot looks ahead where room is scarce
+POCKET = 1.0  # [m^2] that is worth telling of
+KEPT = 64  # goals whose distances are remembered
+
+
+@dataclass(slots=True)
+class Ground:
+    """The plan as the robots use it; remembers distances to the goals asked for last.
+
+    reach: the ground, a metre near a wall counting more; roomy: its cells with comfortable room around; field: (ny, nx)
+    cells of the explored raster that can be seen from ground a robot reaches; views: (ny, nx, 2) the
+    nearest cell of `reach` to see each from (-1 outside the field); pockets: area [m^2] of each part between walls that
+    no robot sees, though it would have room there; hidden: landmarks no robot can ever see.
+    """
+
+    walls: Walls
+    lower: Float[np.ndarray, "2"]
+    cell: float
+    reach: Reach
+    roomy: Bool[np.ndarray, "rows cols"]
+    field: Bool[np.ndarray, "ny nx"]
+    views: Int[np.ndarray, "ny nx 2"]
+    pockets: tuple[float, ...]
+    hidden: tuple[int, ...]
+    _to: dict[tuple[int, int], np.ndarray]
+
+    @property
+    def area(self) -> float:
+        """Area [m^2] of the field: all that can be seen."""
+        return float(self.field.sum()) * self.cell**2
+
+    def stand(self, points: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n 2"]:
+        """For each point the ground (row, col) to stand on: its own, the nearest in sight, or else the nearest."""
+        points = np.ascontiguousarray(points, dtype=float)
+        r = self.reach
+        out = nearest_views(points, r.free, r.lower, r.cell, SEARCH, self.walls.segments, 0)
+        lost = np.flatnonzero(out[:, 0] < 0)
+        if len(lost):
+            free = np.argwhere(r.free)
+            for i in lost:
+                d = r.centres(free) - points[i]
+                out[i] = free[int(np.argmin(np.einsum("ij,ij->i", d, d)))]
+        return np.asarray(out)
+
+    def view_of(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Where (n, 2) [m] to stand to see each point of the field; for others, the nearest ground."""
+        ny, nx = self.field.shape
+        at = np.clip(np.floor((points - self.lower) / self.cell).astype(int), 0, [nx - 1, ny - 1])
+        cells = self.views[at[:, 1], at[:, 0]].copy()
+        none = cells[:, 0] < 0
+        if none.any():
+            cells[none] = self.stand(points[none])
+        return self.reach.centres(cells)
+
+    def goal_cell(self, goal: Float[np.ndarray, "2"]) -> tuple[int, int]:
+        """The ground (row, col) to go to for `goal`: the goal itself if it is ground, else where it is seen from."""
+        cell = self.reach.cells(goal[None])[0]
+        if cell[0] < 0:
+            cell = self.reach.cells(self.view_of(goal[None]))[0]
+        return int(cell[0]), int(cell[1])
+
+    def from_places(self, places: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "k rows cols"]:
+        """Length [m] of the shortest way from each place to every piece of ground; infinite where none leads."""
+        return self.reach.distances(self.reach.centres(self.stand(places)))
+
+    def to_cell(self, row: int, col: int) -> Float[np.ndarray, "rows cols"]:
+        """Length [m] of the shortest way from every piece of ground to the one given; remembered."""
+        if (row, col) not in self._to:
+            while len(self._to) >= KEPT:
+                del self._to[next(iter(self._to))]
+            self._to[row, col] = self.reach.distances(self.reach.centres(np.array([[row, col]])))[0]
+        return self._to[row, col]
+
+    def waypoint(
+        self, place: Float[np.ndarray, "2"], goal: Float[np.ndarray, "2"], shut: Float[np.ndarray, "k 2"], room: float
+    ) -> Float[np.ndarray, "2"]:
+        """Where (2,) to head for now to get from `place` to `goal`: as far along the way as roomy ground is in sight.
+
+        Where that is not far, `STRIDE` cells along the way. The way keeps `room` [m] from the points `shut`, if any
+        such way leads there.
+        """
+        mine, its = self.stand(place[None])[0], self.goal_cell(goal)
+        distance = self._detour(its, shut, room) if len(shut) else None
+        if distance is None or not np.isfinite(distance[mine[0], mine[1]]):
+            distance = self.to_cell(*its)
+        if not np.isfinite(distance[mine[0], mine[1]]):
+            return goal
+        way = self.reach.chain(distance, int(mine[0]), int(mine[1]))
+        last = len(way) - 1
+        k = min(STRIDE, last)
+        while k < last and sight_on_raster(self.roomy, way[0, ::-1] + 0.5, way[k + 1, ::-1] + 0.5):
+            k += 1
+        return goal if k == last else self.reach.centres(way[k][None])[0]
+
+    def _detour(self, to: tuple[int, int], shut: np.ndarray, room: float) -> np.ndarray:
+        """Like `to_cell`, for ground without what is nearer than `room` to a point of `shut`; not remembered."""
+        r = self.reach
+        d = np.linalg.norm(r.centres(np.argwhere(r.free))[:, None] - shut[None], axis=-1)
+        free = r.free.copy()
+        free[r.free] = d.min(axis=1) >= room
+        return np.asarray(Reach(free, r.lower, r.cell, SEARCH, r.weight).distances(r.centres(np.array([to])))[0])
+
+    def sees(self, place: Float[np.ndarray, "2"], points: Float[np.ndarray, "n 2"], far: float) -> np.ndarray:
+        """Which points lie within `far` [m] of `place` with no wall between."""
+        return np.asarray(points_in_sight(np.ascontiguousarray(place), points, far, self.walls.segments))
+
+
+def survey(world: Field, walls: Walls, cfg: ExploreConfig) -> Ground:
+    """The ground of `world` for robots of the configured size.
+
+    Raises DataError when a robot starts in a wall, nearer to one than its radius, or where it cannot leave.
+    """
+    _check_starts(world, walls, cfg)
+    room = cfg.robot_radius + cfg.wall_margin
+    lower, cell = np.asarray(world.lower), cfg.path_cell
+    free = ~walls.blocked(lower, world.upper, cell, room)
+    reach = Reach(free, lower, cell)
+    starts = np.ascontiguousarray(world.starts[:, :2])
+    at = nearest_views(starts, free, lower, cell, SEARCH, walls.segments, 0)
+    for j in np.flatnonzero(at[:, 0] < 0):
+        x, y = starts[j]
+        raise DataError(f"robot {j + 1} at ({x:g}, {y:g}) has nowhere to go: no ground with {room:g} m of room is near")
+    regions = reach.regions()
+    free = np.isin(regions, regions[at[:, 0], at[:, 1]])
+    weight = np.ones(free.shape)
+    for share in (0.75, 1.0):
+        weight += walls.blocked(lower, world.upper, cell, cfg.robot_radius + share * cfg.wall_comfort)
+    reach = Reach(free, lower, cell, weight=weight)
+    nx, ny = (int(np.ceil((world.upper[k] - lower[k]) / cfg.cell - 1e-9)) for k in (0, 1))
+    x, y = (lower[k] + (np.arange(n) + 0.5) * cfg.cell for k, n in ((0, nx), (1, ny)))
+    centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    far = cfg.submap.reach - EASE
+    views = nearest_views(centres, reach.free, lower, cell, far, walls.segments, NEIGHBOURS)
+    views[walls.inside(centres)] = -1
+    marks = nearest_views(np.asarray(world.landmarks), reach.free, lower, cell, far, walls.segments, NEIGHBOURS)
+    seen = (views[:, 0] >= 0).reshape(ny, nx)
+    return Ground(
+        walls,
+        lower,
+        cfg.cell,
+        reach,
+        free & (weight == 1.0),
+        seen,
+        views.reshape(ny, nx, 2),
+        _pockets(world, walls, 0.25 * cell, seen, cfg.cell, room),
+        tuple(int(k) for k in np.flatnonzero(marks[:, 0] < 0)),
+        {},
+    )
+
+
+def _check_starts(world: Field, walls: Walls, cfg: ExploreConfig) -> None:
+    clear = walls.clearance(world.starts[:, :2])
+    for j in np.flatnonzero(clear < cfg.robot_radius):
+        x, y = world.starts[j, :2]
+        inside = walls.inside(world.starts[j : j + 1, :2])[0]
+        where = "inside a wall" if inside else f"{clear[j]:.2g} m from a wall; its radius is {cfg.robot_radius:g} m"
+        raise DataError(f"robot {j + 1} at ({x:g}, {y:g}) starts {where}: give it another of `starts`")
+
+
+def _pockets(
+    world: Field, walls: Walls, cell: float, seen: Bool[np.ndarray, "ny nx"], size: float, room: float
+) -> tuple[float, ...]:
+    """Areas [m^2], largest first, of what nobody sees between the walls, where a robot would have room to stand."""
+    outside = walls.blocked(world.lower, world.upper, cell, 0.0)
+    parts, _ = label(~walls.blocked(world.lower, world.upper, cell, 0.51 * cell))
+    nearest = distance_transform_edt(parts == 0, return_distances=False, return_indices=True)
+    parts = np.where(outside, 0, parts[tuple(nearest)])
+    rows, cols = np.indices(parts.shape)
+    shape = seen.shape
+    row, col = (
+        np.minimum(((k + 0.5) * cell / size).astype(int), n - 1) for k, n in ((rows, shape[0]), (cols, shape[1]))
+    )
+    unseen = np.where(seen[row, col], 0, parts)
+    roomy = ~walls.blocked(world.lower, world.upper, cell, room)
+    areas = []
+    for part in np.unique(unseen[unseen > 0]):
+        pieces, count = label(unseen == part)
+        area = np.bincount(pieces.ravel(), minlength=count + 1) * cell**2
+        stands = set(np.unique(pieces[roomy]))
+        areas += [float(area[k]) for k in range(1, count + 1) if k in stands and area[k] >= POCKET]
+    return tuple(sorted(areas, reverse=True))

@@ -1,0 +1,186 @@
+"""Laps for a whole team, searched so that the field is seen soon and the map is expected to be sure.
+
+A plan is judged by driving it without noise. Its cost, in steps, is when the last landmark is expected to be seen, and
+`error_weight` times the error that the landmarks are expected to have by then, from the information in odometry and
+in landmarks of the expected density. That error is small where robots end at ground that one of them saw early.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...kernels.exploration.laps import (
+    add_landmark_information,
+    drive_laps,
+    landmark_errors,
+    odometry_information,
+    seen_shares,
+)
+from ...landmarks.submap_slam import SubmapConfig
+
+ARRIVED = 5.0  # [m]
+MOST_PLACES = 12  # a lap
+TAIL = 40  # steps that repair takes where something is left
+MISSED = 10.0  # steps more for each landmark that the laps are expected to miss
+COARSE = 2.0  # [m], cells in which coverage is judged
+MARGIN = 0.7  # [m] of the reach not counted on: the drive will differ a little
+EVERY = 12  # steps between the poses that carry the information
+BORDER = 12.0  # [m] from the border, the first plans' ring
+OVERLAP = 1.2  # shares of the ring that a robot may go round, on into the next one's
+BEGUN = 4  # first plans that are improved before one is chosen
+LAYOUTS = 8  # of landmarks, on which the map's error is judged
+Plan = tuple[Float[np.ndarray, "r k 2"], Int[np.ndarray, " r"]]
+
+
+@dataclass(frozen=True)
+class LapTask:
+    """What a plan is for. steps: when the laps should be done; density: expected landmarks a square metre."""
+
+    lower: tuple[float, float]
+    upper: tuple[float, float]
+    starts: tuple[tuple[float, float, float], ...]
+    controls: tuple[tuple[float, float], ...]
+    submap: SubmapConfig
+    steps: int
+    density: float
+    error_weight: float  # steps a metre
+    tries: int
+
+
+@lru_cache(maxsize=8)
+def find_laps(task: LapTask) -> tuple[tuple[np.ndarray, ...], int]:
+    """The places (k, 2) [m] that each robot should pass in turn, and the step at which they show nothing new any more.
+
+    The same for the same task; the step is no sooner than the task's.
+    """
+    rng = np.random.default_rng(0)
+    judge = _Judge(task)
+    first = sorted(_first_plans(task), key=judge)[:BEGUN]
+    begun = [_improve(plan, judge, task.tries // 8, rng) for plan in first]
+    _, plan = _improve(min(begun, key=lambda b: b[0])[1], judge, task.tries, rng)
+    share = judge.shares(judge.drive(plan))
+    end = max(task.steps, int(np.argmax(share >= share[-1])))
+    return tuple(w[:n].copy() for w, n in zip(*plan, strict=True)), end
+
+
+class _Judge:
+    """The cost of a plan, in steps."""
+
+    def __init__(self, task: LapTask) -> None:
+        self.task = task
+        self.lower, self.upper = np.array(task.lower), np.array(task.upper)
+        self.starts, self.controls = np.array(task.starts), np.array(task.controls)
+        nx, ny = np.ceil((self.upper - self.lower) / COARSE - 1e-9).astype(int)
+        self.nothing = np.zeros((ny, nx), dtype=bool)
+        self.landmarks = max(1, round(task.density * float(np.prod(self.upper - self.lower))))
+        rng = np.random.default_rng(1)
+        self.layouts = rng.uniform(self.lower, self.upper, size=(LAYOUTS, self.landmarks, 2))
+
+    def __call__(self, plan: Plan, enough: float = np.inf) -> float:
+        """Its cost, or something above `enough` when that is sure to be exceeded."""
+        t = self.task
+        track = self.drive(plan)
+        share = self.shares(track)
+        missed = self.landmarks * (1.0 - share[-1])
+        cost = float(t.steps + (1.0 - share[t.steps :] ** self.landmarks).sum() + MISSED * missed)
+        if cost > enough:
+            return cost
+        return cost + t.error_weight * self.error(track[:, : t.steps // EVERY * EVERY + 1])
+
+    def drive(self, plan: Plan) -> np.ndarray:
+        """Poses (M, n, 3) of a drive without noise, a little longer than the task."""
+        t = self.task
+        period, steps = t.submap.period, t.steps + TAIL
+        return drive_laps(*plan, self.starts, self.controls, period, self.lower, self.upper, ARRIVED, steps)
+
+    def shares(self, track: np.ndarray) -> np.ndarray:
+        """What share of the field is seen by each step of `track`."""
+        s = self.task.submap
+        return seen_shares(track, self.nothing, s.reach - MARGIN, s.half_angle, self.lower, COARSE)
+
+    def error(self, track: np.ndarray) -> float:
+        """Mean error [m] expected of the landmarks along `track` (M, n, 3), over layouts drawn once."""
+        s = self.task.submap
+        track = np.ascontiguousarray(track)
+        odometry = odometry_information(track, EVERY, s.Q)
+        total = 0.0  # of landmarks seen: those missed are dear already
+        for marks in self.layouts:
+            S = odometry.copy()
+            add_landmark_information(S, track, EVERY, marks, 1.0, s.reach, s.half_angle, s.R)
+            errors = landmark_errors(np.linalg.inv(S), track, EVERY, marks, s.reach, s.half_angle, s.R)
+            total += float(np.nanmean(errors))
+        return total / len(self.layouts)
+
+
+def _first_plans(task: LapTask) -> list[Plan]:
+    """Out to a ring along the border and round a share of it or somewhat more, then home.
+
+    All robots alike, from eight sides, both ways.
+    """
+    lower, upper, starts = np.array(task.lower), np.array(task.upper), np.array(task.starts)
+    around = starts[:, :2] - starts[:, :2].mean(axis=0)
+    place = np.argsort(np.argsort(np.arctan2(around[:, 1], around[:, 0])))
+    plans = []
+    share = 2 * np.pi / len(starts)
+    for turn in (share, -share, OVERLAP * share, -OVERLAP * share):
+        for first in np.arange(8) * np.pi / 4:
+            ways, counts = np.zeros((len(starts), MOST_PLACES, 2)), np.zeros(len(starts), dtype=np.int64)
+            for j, k in enumerate(place):
+                lap = [*_on_the_ring(lower, upper, first + share * k, turn), starts[j, :2]]
+                ways[j, : len(lap)], counts[j] = lap, len(lap)
+            plans.append((ways, counts))
+    return plans
+
+
+def _on_the_ring(lower: np.ndarray, upper: np.ndarray, begin: float, turn: float) -> list[np.ndarray]:
+    """Places from direction `begin` of the middle through `turn` [rad], its corners among them, BORDER inside."""
+    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+    half = np.maximum(half - BORDER, 0.5 * half)
+    corner = np.arctan2(half[1], half[0]) * np.array([1.0, -1.0, 1.0, -1.0]) + np.array([0.0, 0.0, np.pi, np.pi])
+    past = np.mod(np.sign(turn) * (corner - begin), 2 * np.pi)
+    between = np.sort(past[past < abs(turn)])
+    angles = begin + np.sign(turn) * np.concatenate([[0.0], between, [abs(turn)]])
+    out = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return list(middle + out / np.max(np.abs(out) / half, axis=1, keepdims=True))
+
+
+def _improve(plan: Plan, judge: _Judge, tries: int, rng: np.random.Generator) -> tuple[float, Plan]:
+    """The best plan met on a walk of small changes that cools down, and its cost."""
+    now = best = judge(plan)
+    found = plan
+    for k in range(tries):
+        left = 1.0 - k / tries
+        other = _changed(plan, judge.lower, judge.upper, 1.0 + 8.0 * left, rng)
+        bound = now - 2.0 * left * np.log(rng.random())
+        cost = judge(other, bound)
+        if cost < bound:
+            plan, now = other, cost
+            if now < best:
+                best, found = now, plan
+    return best, found
+
+
+def _changed(plan: Plan, lower: np.ndarray, upper: np.ndarray, size: float, rng: np.random.Generator) -> Plan:
+    """One place of one robot moved by about `size` [m], left out or put in, or a stretch of its lap turned round."""
+    ways, counts = plan[0].copy(), plan[1].copy()
+    j = int(rng.integers(len(counts)))
+    way, n, what = ways[j], int(counts[j]), rng.random()
+    if what < 0.7 and n:
+        k = int(rng.integers(n))
+        way[k] = np.clip(way[k] + size * rng.normal(size=2), lower, upper)
+    elif what < 0.8 and n > 1:
+        k = int(rng.integers(n))
+        way[k : n - 1] = way[k + 1 : n].copy()
+        counts[j] = n - 1
+    elif what < 0.9 and n < len(way):
+        k = int(rng.integers(n + 1))
+        middle = 0.5 * (way[max(k - 1, 0)] + way[min(k, n - 1)]) if n else 0.5 * (lower + upper)
+        way[k + 1 : n + 1] = way[k:n].copy()
+        way[k] = np.clip(middle + size * rng.normal(size=2), lower, upper)
+        counts[j] = n + 1
+    elif n > 1:
+        a, b = np.sort(rng.integers(0, n, size=2))
+        way[a : b + 1] = way[a : b + 1][::-1].copy()
+    return ways, counts

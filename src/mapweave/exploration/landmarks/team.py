@@ -1,0 +1,289 @@
+"""One exploration, step by step: choose, drive, see, map, hand over; deaths and lost messages included."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ...core import se2
+from ...core.errors import DataError
+from ...core.se2 import wrap_angle
+from ...fusion.handover import Handover, hand_over, pose_in_map
+from ...kernels.exploration.objective import map_uncertainty, mark_half_disc
+from ...kernels.walls.sight import mark_in_sight
+from ...landmarks.global_map import GlobalMap, known_starts
+from ...landmarks.submap import Submap
+from ...landmarks.submap_slam import Observations, empty, in_view, move, predict, sight, update
+from ...sim.field import Field
+from ..planner_interface import ask
+from .bumper import Bumper
+from .config import ExploreConfig
+from .explored import Explored
+from .ground import Ground, survey
+from .view import Planner, TeamView
+
+
+@dataclass(slots=True)
+class Truth:
+    """What only the simulator and the score know: true poses, who saw what, which landmark an estimate stems from."""
+
+    poses: Float[np.ndarray, "r 3"]
+    safe: set[int] = field(default_factory=set)  # landmarks in the global map
+    pending: list[set[int]] = field(default_factory=list)  # seen in a submap that is not handed over yet
+    origin: list[dict[str, int]] = field(default_factory=list)  # submap landmark -> true landmark
+    source: dict[str, int] = field(default_factory=dict)  # global landmark -> true landmark
+    misassociations: int = 0
+
+    def seen(self) -> set[int]:
+        return self.safe.union(*self.pending)
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """One step of the run, for figures, logs and replay. commands (M, 2), true and estimated poses (M, 3)."""
+
+    step: int
+    commands: np.ndarray
+    true_poses: np.ndarray
+    poses: np.ndarray
+    sightings: tuple[Observations, ...]
+    handed_over: tuple[int, ...]
+    explored: float
+    seconds: float
+    decisions: int
+
+
+@dataclass(slots=True)
+class Team:
+    """A team at work. `play` yields a `Moment` a step; afterwards the attributes hold the outcome."""
+
+    world: Field
+    cfg: ExploreConfig
+    planner: Planner
+    rng: np.random.Generator
+    kills: dict[int, int] = field(default_factory=dict)  # robot index -> step at whose start it dies
+    drop: float = 0.0
+    until: str | int = "landmarks"
+    true_motion_sd: tuple[float, float, float] | None = None
+    robots: tuple[str, ...] = ()
+    submaps: list[Submap] = field(default_factory=list)
+    ages: list[int] = field(default_factory=list)
+    stalled: Any = None
+    alive: Any = None
+    G: GlobalMap = field(init=False)
+    explored: Explored = field(init=False)
+    truth: Truth = field(init=False)
+    wanted: set[int] = field(init=False)  # landmarks somebody can see
+    memory: dict[str, Any] = field(default_factory=dict)
+    ground: Ground | None = None
+    bumper: Bumper = field(init=False)
+    borders: list[tuple[int, int, np.ndarray]] = field(default_factory=list)
+    finished: bool = False
+    step: int = 0
+
+    def __post_init__(self) -> None:
+        M = len(self.world.starts)
+        self.robots = tuple(f"robot{k + 1}" for k in range(M))
+        self.G = known_starts(self.robots, self.world.starts)
+        self.bumper = Bumper(self.world.walls, self.cfg.robot_radius)
+        outside = None
+        if self.world.walls is not None:
+            self.ground = survey(self.world, self.world.walls, self.cfg)
+            outside = ~self.ground.field
+        self.explored = Explored.over(self.world.lower, self.world.upper, M, self.cfg.cell, outside)
+        self.wanted = set(range(len(self.world.landmarks))) - set(self.ground.hidden if self.ground else ())
+        if not self.wanted:
+            raise DataError("walls hide every landmark from every place a robot can reach: there is nothing to map")
+        self.submaps = [empty(name, f"local_{k + 1}") for k, name in enumerate(self.robots)]
+        self.ages, self.stalled, self.alive = [0] * M, np.zeros(M, dtype=int), np.ones(M, dtype=bool)
+        self.truth = Truth(self.world.starts.copy(), pending=[set() for _ in range(M)], origin=[{} for _ in range(M)])
+
+    def poses(self) -> Float[np.ndarray, "r 3"]:
+        """Estimated poses in the map."""
+        return np.stack([self.G.pose_in_map(n, m.pose) for n, m in zip(self.robots, self.submaps, strict=True)])
+
+    def view(self) -> TeamView:
+        return TeamView(
+            self.step,
+            self.robots,
+            self.alive,
+            self.world.lower,
+            self.world.upper,
+            self.explored,
+            tuple(self.submaps),
+            self.G,
+            self.stalled,
+            self.memory,
+            self.ground,
+            self.bumper.places(),
+        )
+
+    def look_around(self) -> Moment:
+        """What every robot sees from its start, before the first step."""
+        seen = tuple(self._look(j) for j in range(len(self.robots)))
+        still = np.zeros((len(self.robots), 2))
+        share = self.explored.share()
+        return Moment(0, still, self.truth.poses.copy(), self.poses(), seen, (), share, 0.0, 0)
+
+    def play(self) -> Iterator[Moment]:
+        """Steps until the goal, every robot's death or `max_steps`; then the submaps left are handed over."""
+        while not self.reached() and self.step < self.cfg.max_steps and self.alive.any():
+            self._deaths()
+            if self.until == "landmarks" and not self.wanted <= self.truth.seen():
+                self._look_again()
+            before = perf_counter()
+            commands = self._ask()
+            seconds, decisions = perf_counter() - before, int(self.alive.sum())
+            self.bumper.forget(self.step - self.cfg.contact_steps)
+            seen = tuple(self._drive(j, commands[j]) if self.alive[j] else _NOTHING for j in range(len(self.robots)))
+            self.step += 1
+            handed = tuple(j for j in range(len(self.robots)) if self.alive[j] and self._due(j) and self._hand_over(j))
+            yield Moment(
+                self.step,
+                commands,
+                self.truth.poses.copy(),
+                self.poses(),
+                seen,
+                handed,
+                self.explored.share(),
+                seconds,
+                decisions,
+            )
+        self.finished = self.reached()
+        for j in map(int, np.flatnonzero(self.alive)):
+            self._hand_over(j, surely=True)
+
+    def reached(self) -> bool:
+        """Whether the goal is reached: all landmarks seen, the field explored, or the steps done."""
+        if isinstance(self.until, int):
+            return self.step >= self.until
+        seen = bool(self.explored.team().all()) if self.until == "field" else self.wanted <= self.truth.seen()
+        return seen and self.step >= int(self.memory.get("go_on_until", 0))
+
+    def _look_again(self) -> None:
+        """All cells count as seen and yet a landmark is missing (poses are estimates): sweep once more."""
+        if self.explored.team().all():
+            self.explored.again()
+
+    def _deaths(self) -> None:
+        for j, when in self.kills.items():
+            if self.step >= when and self.alive[j]:
+                self.alive[j] = False
+                self.explored.lose(j)
+                self.truth.pending[j] = set()
+                self.truth.origin[j] = {}
+
+    def _ask(self) -> Float[np.ndarray, "r 2"]:
+        limits = max(self.cfg.speeds), max(abs(w) for w in self.cfg.turns)
+        return ask(self.planner, self.view(), self.poses(), self.cfg, limits)
+
+    def _drive(self, j: int, command: np.ndarray) -> Observations:
+        """Robot j moves and looks; `command` becomes what was carried out, if a wall was in the way."""
+        s = self.cfg.submap
+        sd = self.true_motion_sd or s.motion_sd
+        pose = move(self.truth.poses[j], command, s.period) + self.rng.normal(size=3) * sd
+        pose[2] = wrap_angle(pose[2])
+        stopped = self.bumper.stop(j, self.truth.poses[j, :2], pose, command)
+        self.truth.poses[j] = pose
+        self.submaps[j] = predict(self.submaps[j], command, s)
+        if stopped:
+            there = self.G.pose_in_map(self.robots[j], self.submaps[j].pose)
+            self.bumper.remember(self.step, there, there[2] - command[1] * s.period)
+        return self._look(j)
+
+    def _look(self, j: int) -> Observations:
+        s = self.cfg.submap
+        z = sight(self.truth.poses[j], self.world.landmarks)
+        rows = np.flatnonzero(in_view(z, s))
+        if self.ground is not None:
+            rows = rows[self.ground.sees(self.truth.poses[j, :2], self.world.landmarks[rows], s.reach)]
+        noise = self.rng.normal(size=(len(rows), 2)) * (s.range_sd, s.bearing_sd)
+        noisy = z[rows] + noise
+        noisy[:, 1] = wrap_angle(noisy[:, 1])
+        seen = Observations(noisy, tuple(str(k) for k in rows))
+        given = seen if s.association == "known" else Observations(noisy, None)
+        self.submaps[j], info = update(self.submaps[j], given, s, name=f"{self.robots[j]}-")
+        self.ages[j] += 1
+        origin, ids = self.truth.origin[j], self.submaps[j].ids
+        for k, a in enumerate(info.assignment):
+            if a is None:
+                continue
+            self.truth.pending[j].add(int(rows[k]))
+            if origin.setdefault(ids[a], int(rows[k])) != rows[k]:
+                self.truth.misassociations += 1
+        self._mark(j)
+        return seen
+
+    def _mark(self, j: int) -> None:
+        s, ex = self.cfg.submap, self.explored
+        known = int(ex.known_to(j).sum())
+        pose = self.G.pose_in_map(self.robots[j], self.submaps[j].pose)
+        if self.ground is None:
+            mark_half_disc(ex.backlog[j], pose, s.reach, s.half_angle, ex.lower, ex.cell)
+        else:
+            walls = self.ground.walls.segments
+            mark_in_sight(ex.backlog[j], pose, s.reach, s.half_angle, ex.lower, ex.cell, walls)
+        self.stalled[j] = 0 if int(ex.known_to(j).sum()) > known else self.stalled[j] + 1
+        if self._through():
+            ex.deliver(j)
+
+    def _through(self) -> bool:
+        return self.drop <= 0 or self.rng.random() >= self.drop
+
+    def _due(self, j: int) -> bool:
+        c, sub = self.cfg, self.submaps[j]
+        sure = map_uncertainty(np.asarray(sub.cov)) / (len(sub.ids) + 1) < c.fuse_uncertainty
+        helps = bool(self._lost(j) and len(sub.ids))
+        return (self.ages[j] > c.fuse_after and (sure or helps)) or self.ages[j] >= c.fuse_by
+
+    def _lost(self, j: int) -> bool:
+        """Whether robot j no longer knows where in the map it is: what it sees now may tell."""
+        P = pose_in_map(self.G, self.submaps[j])[1]
+        return bool(np.linalg.eigvalsh(P[:2, :2])[-1] > self.cfg.lost**2)
+
+    def _hand_over(self, j: int, *, surely: bool = False) -> bool:
+        """The submap joins the map and starts anew; a lost message leaves it as it is, to be sent again next step."""
+        if not surely and not self._through():
+            return False
+        known = self.cfg.submap.association == "known"
+        self.borders.append((self.step, j, _corners(self.G, self.submaps[j])))
+        c = self.cfg
+        done = hand_over(
+            self.G,
+            self.submaps[j],
+            known=known,
+            gate=c.fusion_gate,
+            prefix="m",
+            density=c.fusion_density,
+            sure=c.fusion_sure,
+        )
+        self._score_names(j, done)
+        self.G = done.map
+        self.submaps[j] = empty(self.robots[j], self.submaps[j].frame)
+        self.ages[j] = 0
+        self.explored.fuse(j)
+        self.truth.safe |= self.truth.pending[j]
+        self.truth.pending[j], self.truth.origin[j] = set(), {}
+        return True
+
+    def _score_names(self, j: int, done: Handover) -> None:
+        source, origin = self.truth.source, self.truth.origin[j]
+        for local, name in zip(self.submaps[j].ids, done.names, strict=True):
+            true = origin.get(local)
+            if name is not None and true is not None and source.setdefault(name, true) != true:
+                self.truth.misassociations += 1
+        for kept, gone in done.merged:
+            if source.pop(gone, None) not in (None, source.get(kept)):
+                self.truth.misassociations += 1
+
+
+def _corners(G: GlobalMap, L: Submap) -> np.ndarray:
+    """The submap's landmarks and the robot in the map (k, 2): the points whose hull is its border."""
+    points = np.vstack([L.mean, L.pose[:2]])
+    return se2.act(G.frame_of(L.robot), points)
+
+
+_NOTHING = Observations(np.zeros((0, 2)), ())

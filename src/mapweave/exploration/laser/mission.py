@@ -1,0 +1,236 @@
+"""One exploration with lasers, step by step: choose, drive, scan, map; deaths and lost messages included."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ...core import se2
+from ...core.config import config
+from ...core.records import Scan
+from ...evaluation.building import Building, known_at
+from ...laser.occupancy import Occupancy, of_grid
+from ...laser.team import LaserTeam
+from ...laser.team_config import LaserTeamConfig
+from ...sim.laser import stream
+from ...sim.laser_team import LaserRobotsConfig, LaserTeamSim
+from ..planner_interface import ask
+from .frontiers import frontiers, survey
+from .scenario import LaserPlace
+from .view import LaserExploreConfig, LaserPlanner, LaserView
+
+NEW_GROUND = 12  # samples on beams in unknown cells, from which on a scan showed something new
+LOOK_EVERY = 10  # steps between looks for frontiers, where the planner does not say when it has finished
+THIN = 4  # every so many beams are sampled for it
+
+
+@config
+class LaserMissionConfig:
+    """Robots, how the team maps, how it plans. The planner's limits are taken from the robots."""
+
+    robots: LaserRobotsConfig = field(default_factory=LaserRobotsConfig)
+    team: LaserTeamConfig = field(default_factory=LaserTeamConfig)
+    plan: LaserExploreConfig = field(default_factory=LaserExploreConfig)
+    map_resolution: float = 0.05  # [m], of the map that is written and scored
+    tolerance: float = 0.1  # [m] from a wall up to which a cell of the map shows it
+
+    def planning(self) -> LaserExploreConfig:
+        """The planner's configuration, with the limits and the reach of the robots."""
+        r = self.robots
+        return replace(self.plan, period=r.period, radius=r.radius, speed=r.speed, turn=r.turn, reach=r.scanner.far)
+
+
+def with_odometry_noise(cfg: LaserMissionConfig, factor: float) -> LaserMissionConfig:
+    """`cfg` with all odometry errors times `factor`, in the world and in the estimator alike."""
+    odometry = replace(cfg.robots.odometry, factor=cfg.robots.odometry.factor * factor)
+    steps = cfg.team.steps
+    steps = replace(
+        steps,
+        wheels_xy=steps.wheels_xy * factor,
+        wheels_turn=steps.wheels_turn * factor,
+        wheels_turn_per_m=steps.wheels_turn_per_m * factor,
+    )
+    return replace(cfg, robots=replace(cfg.robots, odometry=odometry), team=replace(cfg.team, steps=steps))
+
+
+@dataclass(frozen=True, slots=True)
+class LaserMoment:
+    """One step. commands (M, 2); true and estimated poses (M, 3) in the map's frame; scans: each robot's, None of the
+    dead; explored: share of the reachable area known to be free; closures: loops closed so far; seconds: what the
+    decision took.
+    """
+
+    step: int
+    t: float
+    commands: np.ndarray
+    true_poses: np.ndarray
+    poses: np.ndarray
+    scans: tuple[Scan | None, ...]
+    explored: float
+    closures: int
+    seconds: float
+    decisions: int
+
+
+@dataclass(slots=True)
+class LaserRun:
+    """A team at work. `play` yields a `LaserMoment` a step, the first before any drive; then the attributes hold the
+    outcome. The map's frame is the world's: the first robot's start is known, the others' with the team's start errors.
+    """
+
+    place: LaserPlace
+    building: Building
+    cfg: LaserMissionConfig
+    planner: LaserPlanner
+    seed: int
+    kills: Mapping[int, int] = field(default_factory=dict)  # robot index -> step at whose start it dies
+    drop: float = 0.0
+    until: str | int = "field"
+    robots: tuple[str, ...] = ()
+    sim: LaserTeamSim = field(init=False)
+    team: LaserTeam = field(init=False)
+    grid: Occupancy = field(init=False)
+    plan: LaserExploreConfig = field(init=False)
+    alive: Any = None
+    stalled: Any = None
+    memory: dict[str, Any] = field(default_factory=dict)
+    finished: bool = False
+    step: int = 0
+    status: list[dict[str, int]] = field(default_factory=list)
+    timing: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("decide", "drive", "look", "map"), 0.0))
+    _messages: Any = None
+    _sample: Any = None
+    _views: list[np.ndarray] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        starts = self.place.starts
+        M = len(starts)
+        self.sim = LaserTeamSim(self.place.world, starts, self.cfg.robots, self.seed)
+        believed = starts.copy()
+        sd = [self.cfg.team.start_xy, self.cfg.team.start_xy, self.cfg.team.start_turn]
+        believed[1:] += stream(self.seed, "starts").standard_normal((M, 3))[1:] * sd
+        self.team = LaserTeam(self.cfg.team, believed)
+        self.plan = self.cfg.planning()
+        self.robots = tuple(f"robot{k + 1}" for k in range(M))
+        self.alive, self.stalled = np.ones(M, dtype=bool), np.zeros(M, dtype=int)
+        self.status = [{} for _ in range(M)]
+        self._messages = stream(self.seed, "messages")
+        places = self.building.places()
+        self._sample = places[:: max(1, len(places) // 20_000)]
+        self._views = [np.zeros((0, 2)) for _ in range(M)]
+
+    def play(self) -> Iterator[LaserMoment]:
+        """A look around, then steps until the planner has finished, `until` steps are done or every robot is dead."""
+        still = np.zeros((len(self.robots), 2))
+        yield self._moment(still, self._look(), 0.0, 0)
+        while self.alive.any() and self.step < self.plan.max_steps:
+            if isinstance(self.until, int) and self.step >= self.until:
+                self.finished = True
+                break
+            self._deaths()
+            before = perf_counter()
+            commands = self._ask()
+            seconds, decisions = perf_counter() - before, int(self.alive.sum())
+            self.timing["decide"] += seconds
+            if self._reached():
+                self.finished = True
+                break
+            commands[~self.alive] = 0.0
+            self._timed("drive", lambda u=commands: self.sim.step(u))
+            self.step += 1
+            yield self._moment(commands, self._look(), seconds, decisions)
+        for j in map(int, np.flatnonzero(self.alive)):
+            self.team.deliver(j)
+        self._timed("map", lambda: self.team.optimise(force=True))
+
+    def view(self) -> LaserView:
+        return LaserView(self.step, self.robots, self.alive, self.grid, tuple(self._views), self.stalled, self.memory)
+
+    def _reached(self) -> bool:
+        """Whether the planner has finished; of one that never says so, whether no frontier is left to get to."""
+        if self.until != "field":
+            return False
+        if "finished" in self.memory:
+            return bool(self.memory["finished"])
+        if self.step % LOOK_EVERY:
+            return False
+        poses = self.team.poses()[:, :2]
+        return not frontiers(survey(self.grid, poses[self.alive], poses[~self.alive], self.plan), self.plan)
+
+    def _ask(self) -> Float[np.ndarray, "r 2"]:
+        return ask(self.planner, self.view(), self.team.poses(), self.plan, (self.plan.speed, self.plan.turn))
+
+    def _deaths(self) -> None:
+        for j, when in self.kills.items():
+            if self.step >= when and self.alive[j]:
+                self.alive[j] = False
+                self.team.bury(j)
+                self._views[j] = np.zeros((0, 2))
+
+    def _look(self) -> tuple[Scan | None, ...]:
+        """Every live robot scans, tells the team unless its message is lost, and the map is brought up to date."""
+        scans: list[Scan | None] = []
+        before = perf_counter()
+        for j in range(len(self.robots)):
+            if not self.alive[j]:
+                scans.append(None)
+                continue
+            scan = self.sim.scan(j)
+            pose = self.team.look(j, self.sim.t, scan)
+            status = self.team.tracks[j].status
+            self.status[j][status] = self.status[j].get(status, 0) + 1
+            if self.step:
+                self.stalled[j] = 0 if self._shows_new(scan, pose) else self.stalled[j] + 1
+            if self._messages.random() >= self.drop:
+                self.team.deliver(j)
+            self._views[j] = _points(scan)
+            scans.append(scan)
+        middle = perf_counter()
+        self.team.optimise()
+        self.grid = of_grid(self.team.grid(self.plan.resolution))
+        self.timing["look"] += middle - before
+        self.timing["map"] += perf_counter() - middle
+        return tuple(scans)
+
+    def _shows_new(self, scan: Scan, pose: Float[np.ndarray, "3"]) -> bool:
+        """Whether the scan's beams pass cells that the map did not know before it."""
+        grid = self.grid
+        angle = (scan.angles() + pose[2])[::THIN]
+        r = np.minimum(scan.ranges[::THIN], self.plan.reach)
+        along = np.arange(0.5, self.plan.reach / grid.resolution) * grid.resolution
+        kept = along[None] < r[:, None] - grid.resolution
+        points = pose[:2] + along[None, :, None] * np.column_stack([np.cos(angle), np.sin(angle)])[:, None]
+        known = known_at(points[kept], grid.state != -1, grid.origin, grid.resolution)
+        return int((~known).sum()) >= NEW_GROUND
+
+    def _moment(
+        self, commands: np.ndarray, scans: tuple[Scan | None, ...], seconds: float, decisions: int
+    ) -> LaserMoment:
+        g = self.grid
+        share = known_at(self._sample, g.free, g.origin, g.resolution)
+        return LaserMoment(
+            self.step,
+            self.sim.t,
+            commands,
+            self.sim.true_poses.copy(),
+            self.team.poses(),
+            scans,
+            float(share.mean()) if len(share) else 0.0,
+            sum(c.accepted for c in self.team.closures),
+            seconds,
+            decisions,
+        )
+
+    def _timed(self, what: str, work: Any) -> None:
+        before = perf_counter()
+        work()
+        self.timing[what] += perf_counter() - before
+
+
+def _points(scan: Scan) -> Float[np.ndarray, "k 2"]:
+    """The returns in the robot's frame."""
+    angle, r = scan.angles()[scan.hit], scan.ranges[scan.hit]
+    return np.asarray(se2.act(scan.T_robot_sensor, r[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])))

@@ -1,0 +1,128 @@
+"""What many explorations with lasers come to: every run's score, their means, the lines that tell of them."""
+
+import re
+from collections import Counter
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from ...core.version import __version__
+from ...laser.closures import Closure
+from .experiment import LaserMission, LaserRecord
+from .score import LaserScore
+
+# summary key -> the score it is the mean of
+MEANS = {
+    "map_error_m": "map_error",
+    "c_per_n_m2": "c_per_n",
+    "nees_per_dof": "nees_per_dof",
+    "duplicates": "duplicates",
+    "misassociations": "misassociations",
+    "missed": "missed",
+    "ms_per_decision": "ms_per_decision",
+    "area_mapped": "area_mapped",
+    "trajectory_rmse_m": "trajectory_rmse",
+    "wall_precision": "wall_precision",
+    "wall_recall": "wall_recall",
+    "closures": "closures",
+    "refused": "refused",
+    "driven_m": "driven",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LaserExploreResult:
+    """Every run's score and the first run's record. noise: the factor on odometry errors."""
+
+    scenario: str
+    mission: LaserMission
+    seed: int
+    noise: float
+    runs: tuple[LaserScore, ...]
+    first: LaserRecord
+
+    def summary(self) -> dict[str, Any]:
+        """Counts, and means over the runs; a figure no run has is None."""
+        steps = [r.steps for r in self.runs]
+        told: dict[str, Any] = {
+            "finished": sum(r.finished for r in self.runs),
+            "runs": len(self.runs),
+            "steps_min": min(steps),
+            "steps_mean": float(np.mean(steps)),
+            "steps_max": max(steps),
+        }
+        for key, name in MEANS.items():
+            values = [v for r in self.runs if (v := getattr(r, name)) is not None]
+            told[key] = float(np.mean(values)) if values else None
+        told["area_mapped_min"] = min(r.area_mapped for r in self.runs)
+        told["collisions"] = sum(r.collisions for r in self.runs)
+        return told
+
+    def metrics(self) -> dict[str, Any]:
+        """What metrics.json holds; only `timing`, `seconds` and `ms_per_decision` differ between equal runs."""
+        m, first = self.mission, self.first
+        runs = [asdict(r) for r in self.runs]
+        seconds = [r.pop("seconds") for r in runs]
+        return {
+            "version": __version__,
+            "seed": self.seed,
+            "scenario": self.scenario,
+            "sensor": "laser",
+            "robots": len(first.robots),
+            "planner": m.planner,
+            "noise_factor": self.noise,
+            "until": m.until,
+            "kill": {f"robot{j + 1}": step for j, step in (m.kills or {}).items()},
+            "drop": m.drop,
+            "summary": self.summary(),
+            "runs": runs,
+            "first_run": {
+                "front_end": {
+                    name: {"scans": sum(first.status[j].values()), **dict(sorted(first.status[j].items()))}
+                    for j, name in enumerate(first.robots)
+                },
+                "collisions": dict(zip(first.robots, first.collisions, strict=True)),
+                "keyframes": len(first.graph),
+                "closures": {
+                    "accepted": sum(c.accepted for c in first.closures),
+                    "between_robots": sum(c.accepted and c.robots[0] != c.robots[1] for c in first.closures),
+                    "refused": refusals(first.closures),
+                },
+                "unreachable": [dict(zip(("x", "y", "m2"), row, strict=True)) for row in first.building.shut.tolist()],
+                "pockets": first.pockets.tolist(),
+                "given_up": first.given_up.tolist(),
+            },
+            "timing": {"runs_s": seconds, "first_run_s": dict(first.timing)},
+        }
+
+    def lines(self) -> list[str]:
+        """The outcome in a few lines for people."""
+        s = self.summary()
+        steps = f"{s['steps_min']} / {s['steps_mean']:.1f} / {s['steps_max']} (min / mean / max)"
+        mapped = f"{100 * s['area_mapped']:.2f} % (least {100 * s['area_mapped_min']:.2f} %)"
+        told = [
+            f"{s['finished']} of {s['runs']} runs finished; steps {steps}",
+            f"{mapped} of the reachable area mapped, {s['collisions']} collisions",
+        ]
+        if s["map_error_m"] is not None and s["trajectory_rmse_m"] is not None:
+            told.append(
+                f"map error {s['map_error_m']:.3f} m, trajectory RMSE {s['trajectory_rmse_m']:.3f} m; "
+                f"{100 * s['wall_precision']:.1f} % of the map's walls are walls, "
+                f"{100 * (s['wall_recall'] or 0.0):.1f} % of the walls are in the map"
+            )
+        told.append(
+            f"a run: {s['closures']:.1f} loops closed, {s['refused']:.1f} refused, {s['misassociations']:.2f} false; "
+            f"{s['driven_m']:.0f} m driven; {s['ms_per_decision']:.2f} ms a decision"
+        )
+        told += [
+            f"left out: {area:.1f} m² around ({x:.1f}, {y:.1f}) m, where no robot gets to"
+            for x, y, area in self.first.building.shut.tolist()
+        ]
+        return told
+
+
+def refusals(closures: tuple[Closure, ...]) -> dict[str, int]:
+    """Why closures were not believed, numbers left out of the reasons, most frequent first."""
+    why = Counter(re.sub(r"-?\d+(\.\d+)?", "#", c.reason) for c in closures if not c.accepted)
+    return dict(why.most_common())

@@ -1,0 +1,131 @@
+"""Where a team explores with lasers: an office of any size by name, or walls of the user's own from a TOML file."""
+
+import tomllib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from ...core.config import build, config
+from ...core.errors import ConfigError, DataError, UsageError
+from ...core.walls import Walls
+from ...io.ros_map import read_plan, read_ros_map
+from ...sim.laser_world import LaserWorld
+from ...sim.office_floor import GREATEST, LEAST, office_floor
+from ..landmarks.scenario import check_segments
+
+OFFICE = 500.0  # [m^2], the scenario `office`
+TEAM = 2  # robots unless said
+Segment = tuple[float, float, float, float]
+
+
+@config
+class LaserScenarioConfig:
+    """An office by its area, or walls: a ROS map, an image with `resolution` and `origin`, or segments.
+
+    Lengths in metres, headings in radians; a file's name is relative to the TOML file.
+    """
+
+    sensor: Literal["laser"] = "laser"
+    office: float | None = None  # [m^2]
+    floor: int | None = None  # the seed of one office for all runs; else each run has its own
+    walls: str | tuple[Segment, ...] | None = None
+    resolution: float | None = None  # [m] a pixel of an image
+    origin: tuple[float, float] | tuple[float, float, float] = (0.0, 0.0)  # lower left corner of an image, its turn
+    starts: tuple[tuple[float, float, float], ...] | None = None  # one a robot; an office has its own
+
+
+@dataclass(frozen=True, slots=True)
+class LaserPlace:
+    """The world of one run: walls between `lower` and `upper` (2,) [m], and where the robots (M, 3) start."""
+
+    world: LaserWorld
+    lower: Float[np.ndarray, "2"]
+    upper: Float[np.ndarray, "2"]
+    starts: Float[np.ndarray, "r 3"]
+
+
+def find_laser_scenario(name: str) -> LaserScenarioConfig | None:
+    """`office`, `office-AREA`, or what a TOML file with `sensor = "laser"` describes; None when it is none of these."""
+    if name == "office":
+        return LaserScenarioConfig(office=OFFICE)
+    if name.startswith("office-"):
+        return LaserScenarioConfig(office=_area(name))
+    path = Path(name)
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError):
+        return None  # said by who reads landmark scenarios
+    if "sensor" not in values and "office" not in values:
+        return None
+    found = build(LaserScenarioConfig, values, str(path))
+    if (found.office is None) == (found.walls is None):
+        raise ConfigError(f"{path}: expected office = AREA or walls, one of them")
+    if found.floor is not None and found.floor < 0:
+        raise ConfigError(f"{path}: floor: expected 0 or more, found {found.floor}")
+    if found.walls is not None and not found.starts:
+        raise ConfigError(f"{path}: expected starts = [[x, y, theta], ...], one a robot")
+    check_segments(path, found.walls)
+    if isinstance(found.walls, str):
+        return replace(found, walls=str(path.parent / found.walls))
+    return found
+
+
+def make_place(scenario: LaserScenarioConfig, robots: int | None, seed: int) -> LaserPlace:
+    """The world of one run; an office follows from `seed` unless the scenario says which floor it is."""
+    if robots is not None and robots < 1:
+        raise UsageError(f"--robots: expected at least 1, found {robots}")
+    if scenario.office is not None:
+        floor = office_floor(scenario.office, seed if scenario.floor is None else scenario.floor)
+        world, lower, upper, starts = floor.world, floor.lower, floor.upper, floor.starts
+        wanted: int | None = TEAM if robots is None else robots
+    else:
+        walls, lower, upper = _walls(scenario)
+        world = LaserWorld(walls.segments, walls.reflectance, walls.solid, "walls")
+        starts, wanted = np.zeros((0, 3)), robots
+    if scenario.starts is not None:
+        starts, wanted = np.array(scenario.starts, dtype=float), robots
+    if wanted is not None and wanted > len(starts):
+        raise UsageError(f"--robots: {wanted} asked for, the scenario has {len(starts)} starts")
+    place = LaserPlace(world, lower, upper, starts[:wanted])
+    _check_starts(place)
+    return place
+
+
+def _walls(scenario: LaserScenarioConfig) -> tuple[Walls, np.ndarray, np.ndarray]:
+    if isinstance(scenario.walls, str):
+        path = Path(scenario.walls)
+        if path.suffix in {".yaml", ".yml"}:
+            found = read_ros_map(path)
+        elif scenario.resolution is None or not scenario.resolution > 0:
+            raise ConfigError(f"walls = {path.name!r}: an image needs resolution = METRES A PIXEL beside it")
+        else:
+            found = read_plan(path, scenario.resolution, np.array([*scenario.origin, 0.0][:3]))
+        return found.walls(), *found.extent()
+    segments = np.array(scenario.walls, dtype=float).reshape(-1, 4)
+    if not len(segments) or not np.isfinite(segments).all():
+        raise ConfigError("walls: expected segments [x0, y0, x1, y1] of finite numbers")
+    ends = segments.reshape(-1, 2)
+    return Walls.of(segments), ends.min(axis=0), ends.max(axis=0)
+
+
+def _check_starts(place: LaserPlace) -> None:
+    at = place.starts[:, :2]
+    if not np.isfinite(place.starts).all():
+        raise DataError("starts: expected finite numbers")
+    for j in np.flatnonzero(~((at >= place.lower) & (at <= place.upper)).all(axis=1)).tolist():
+        raise DataError(f"robot{j + 1} would start outside the walls at ({at[j, 0]:g}, {at[j, 1]:g})")
+    for j in np.flatnonzero(place.world.inside(at)).tolist():
+        raise DataError(f"robot{j + 1} would start inside a wall at ({at[j, 0]:g}, {at[j, 1]:g})")
+
+
+def _area(name: str) -> float:
+    try:
+        area = float(name.removeprefix("office-"))
+    except ValueError:
+        area = np.nan
+    if not LEAST <= area <= GREATEST:
+        raise UsageError(f"scenario {name!r}: expected office-AREA with {LEAST:g} to {GREATEST:g} m^2")
+    return area

@@ -1,1 +1,0 @@
-"""Robots that decide where to drive: ``choose(maps, poses, cfg) -> commands``."""

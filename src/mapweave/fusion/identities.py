@@ -1,0 +1,256 @@
+"""Which landmark of one map is which of another when nobody told: alignment first, then names, then the joint test.
+
+Distances do not depend on the frame: two landmarks of one map and two of the other that lie equally far apart propose
+an alignment. The one that brings most landmarks together names them by optimal assignment; names are then exchanged
+in pairs while that makes the joint chi-square smaller.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.optimize import linear_sum_assignment
+
+from ..core import se2
+from ..core.config import config
+from ..landmarks.landmark_map import LandmarkMap
+from .joint_fit import JointFit, joint_fit
+
+CHUNK = 2_000_000  # distances held at once
+RIVALS = 8  # distinct alignments that are worked out
+LONE = 18.0  # chi-square (two degrees) that one link alone may add
+
+
+@config
+class IdentityConfig:
+    """When a match is believed: links needed, how many more than the next best alignment, chi-square per degree.
+
+    lead: a difference in links less misfit that does instead of the margin. gate: standard deviations within which
+    two landmarks may be one. noise: what covariances do not know of [m]; scale_sigma: deviation of one map's scale
+    from the other's.
+    """
+
+    links: int = 6
+    margin: int = 2
+    lead: float = 0.75
+    chi2_per_dof: float = 3.0
+    gate: float = 3.0
+    noise: float = 0.01
+    scale_sigma: float = 0.02
+    hypotheses: int = 20_000
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """links: (k, 2) indices into source and target; `accepted`, or the plain reason why not.
+
+    T_target_source: the alignment found; rival: how many links the next best alignment has.
+    """
+
+    links: Int[np.ndarray, "k 2"]
+    T_target_source: Float[np.ndarray, "3"]
+    chi2: float
+    dof: int
+    rival: int
+    accepted: bool
+    reason: str
+
+
+def match_maps(source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig | None = None) -> Match:
+    """The landmarks that `source` and `target` have in common, names ignored; refused with a reason when unsure."""
+    cfg = cfg or IdentityConfig()
+    found = [_worked_out(source, target, T, cfg) for T in _proposals(source, target, cfg)]
+    found = [m for m in found if len(m[0]) >= 2]
+    if not found:
+        none = np.zeros((0, 2), dtype=np.intp)
+        return Match(
+            none, np.zeros(3), 0.0, 0, 0, accepted=False, reason="no two landmarks lie equally far apart in both"
+        )
+    found.sort(key=lambda m: -_worth(m[0], m[1], cfg))
+    links, fit = found[0]
+    rivals = [(l, f) for l, f in found[1:] if _distinct(f.T, fit.T, source, target, cfg) and _fits(l, f, cfg)]
+    rival = max((len(l) for l, _ in rivals), default=0)
+    lead = _worth(links, fit, cfg) - max((_worth(l, f, cfg) for l, f in rivals), default=0.0)
+    reason = _doubt(links, fit, rival, lead, cfg)
+    return Match(links, fit.T, fit.chi2, 2 * len(links) - 3, rival, accepted=not reason, reason=reason)
+
+
+def _doubt(links: np.ndarray, fit: JointFit, rival: int, lead: float, cfg: IdentityConfig) -> str:
+    k = len(links)
+    if k < cfg.links:
+        return f"{k} landmarks fit together, {cfg.links} are needed"
+    if k - rival < cfg.margin and lead < cfg.lead:
+        return f"{k} landmarks fit together, but {rival} do as well in another alignment"
+    per_dof = fit.chi2 / (2 * k - 3)
+    if per_dof > cfg.chi2_per_dof:
+        return f"the {k} landmarks that lie together do not fit: chi-square per degree of freedom {per_dof:.1f}"
+    return ""
+
+
+def _worth(links: np.ndarray, fit: JointFit, cfg: IdentityConfig) -> float:
+    """Links, less what their misfit takes away."""
+    return len(links) - fit.chi2 / (cfg.gate**2)
+
+
+def _fits(links: np.ndarray, fit: JointFit, cfg: IdentityConfig) -> bool:
+    return len(links) > 2 and fit.chi2 <= cfg.chi2_per_dof * (2 * len(links) - 3)
+
+
+def _distinct(
+    T: Float[np.ndarray, "3"], U: Float[np.ndarray, "3"], source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig
+) -> bool:
+    """Whether two alignments put the source's landmarks in different places."""
+    apart = np.hypot(*(se2.act(T, source.mean) - se2.act(U, source.mean)).T)
+    return bool(np.median(apart) > np.median(_gates(source, target, cfg)))
+
+
+def _variances(m: LandmarkMap) -> Float[np.ndarray, " n"]:
+    """Of each landmark, the mean of both axes [m^2]."""
+    return np.asarray(0.5 * np.diag(m.cov).reshape(-1, 2).sum(axis=1))
+
+
+def _gates(
+    source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig, scale_sigma: float | None = None
+) -> Float[np.ndarray, "n m"]:
+    """How far apart two landmarks may be and still be one [m], whatever the scale (or within `scale_sigma` of it)."""
+    scale = cfg.scale_sigma if scale_sigma is None else scale_sigma
+    both = _variances(source)[:, None] + _variances(target)[None] + 2 * cfg.noise**2
+    off = np.hypot(*(source.mean - source.mean.mean(axis=0)).T)
+    return np.asarray(cfg.gate * np.sqrt(both + (scale * off[:, None]) ** 2))
+
+
+def _proposals(source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig) -> list[np.ndarray]:
+    """Distinct alignments, the one that brings most landmarks together first."""
+    turn, shift = _hypotheses(source, target, cfg)
+    if not len(turn):
+        return []
+    s, t = source.mean @ (1, 1j), target.mean @ (1, 1j)
+    gates2 = _gates(source, target, cfg) ** 2
+    score = np.empty(len(turn))
+    step = max(1, CHUNK // (len(s) * len(t)))
+    for a in range(0, len(turn), step):
+        moved = turn[a : a + step, None] * s + shift[a : a + step, None]
+        d = moved[:, :, None] - t
+        near = 1.0 - (d.real**2 + d.imag**2) / gates2
+        score[a : a + step] = np.maximum(near.max(axis=2), 0.0).sum(axis=1)
+    out: list[np.ndarray] = []
+    for h in np.argsort(-score, kind="stable")[: 40 * RIVALS]:
+        T = se2.pose(shift[h].real, shift[h].imag, float(np.angle(turn[h])))
+        if all(_distinct(T, U, source, target, cfg) for U in out):
+            out.append(T)
+            if len(out) == RIVALS:
+                break
+    return out
+
+
+def _hypotheses(source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Rigid transforms, as rotation and shift of the complex plane, of pairs equally far apart; longest first."""
+    i, j, long, u = _pairs(source, cfg)
+    k, l, far, v = _pairs(target, cfg)
+    order = np.argsort(-long, kind="stable")
+    by_length = np.argsort(far, kind="stable")
+    sure = float(v.max(initial=0.0))
+    reach = cfg.gate * np.sqrt(u + sure + (cfg.scale_sigma * long) ** 2)
+    first = np.searchsorted(far[by_length], (long - reach)[order])
+    last = np.searchsorted(far[by_length], (long + reach)[order])
+    count = last - first
+    keep = np.cumsum(count) <= max(cfg.hypotheses // 2, int(count[:1].sum()))
+    order, first, count = order[keep], first[keep], count[keep]
+    a = np.repeat(order, count)
+    b = by_length[np.repeat(first - np.concatenate([[0], np.cumsum(count)[:-1]]), count) + np.arange(count.sum())]
+    fits = np.abs(long[a] - far[b]) < cfg.gate * np.sqrt(u[a] + v[b] + (cfg.scale_sigma * long[a]) ** 2)
+    a, b = a[fits], b[fits]
+    s, t = source.mean @ (1, 1j), target.mean @ (1, 1j)
+    turns, shifts = [], []
+    for p, q in ((k[b], l[b]), (l[b], k[b])):
+        turn = (t[q] - t[p]) * np.conj(s[j[a]] - s[i[a]])
+        turn /= np.maximum(np.abs(turn), 1e-300)
+        turns.append(turn)
+        shifts.append(0.5 * (t[p] + t[q]) - turn * 0.5 * (s[i[a]] + s[j[a]]))
+    return np.concatenate(turns), np.concatenate(shifts)
+
+
+def _pairs(m: LandmarkMap, cfg: IdentityConfig) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Every pair: the two, how far apart [m], and the variance of that [m^2]."""
+    i, j = np.triu_indices(len(m), 1)
+    v = _variances(m) + cfg.noise**2
+    d = np.hypot(*(m.mean[i] - m.mean[j]).T)
+    keep = d > 3 * np.sqrt(v[i] + v[j])  # shorter ones do not tell a direction
+    return i[keep], j[keep], d[keep], (v[i] + v[j])[keep]
+
+
+def _worked_out(
+    source: LandmarkMap, target: LandmarkMap, T: Float[np.ndarray, "3"], cfg: IdentityConfig
+) -> tuple[Int[np.ndarray, "k 2"], JointFit]:
+    """Names by assignment, alignment by the names, until still; then exchanges and the joint test of every link."""
+    gates2 = _gates(source, target, cfg) ** 2
+    links = np.zeros((0, 2), dtype=np.intp)
+    for _ in range(6):
+        before, links = links, _assigned(se2.act(T, source.mean), target.mean, gates2)
+        if len(links) < 2 or np.array_equal(links, before):
+            break
+        T = se2.align(source.mean[links[:, 0]], target.mean[links[:, 1]])
+    fit = JointFit(T, 1.0, 0.0, np.zeros(len(links)))
+    tight2 = _gates(source, target, cfg, 0.0) ** 2
+    for _ in range(6):  # now with the scale that was found, no longer with any that may be
+        if len(links) < 3:
+            return links, fit
+        fit = joint_fit(source, target, links, fit.T, cfg.noise, cfg.scale_sigma)
+        before, links = links, _assigned(se2.act(fit.T, fit.scale * source.mean), target.mean, tight2)
+        if np.array_equal(links, before):
+            break
+    if len(links) < 3:
+        return links, fit
+    fit = joint_fit(source, target, links, fit.T, cfg.noise, cfg.scale_sigma)
+    links, fit = _exchanged(source, target, links, fit, cfg)
+    while len(links) > 2 and fit.single.max() > LONE:
+        links = np.delete(links, int(np.argmax(fit.single)), axis=0)
+        fit = joint_fit(source, target, links, fit.T, cfg.noise, cfg.scale_sigma)
+    return links, fit
+
+
+def _assigned(
+    moved: Float[np.ndarray, "n 2"], there: Float[np.ndarray, "m 2"], gates2: Float[np.ndarray, "n m"]
+) -> Int[np.ndarray, "k 2"]:
+    """Links within their gates of least squared distance together."""
+    cost = np.minimum(np.square(moved[:, None] - there).sum(axis=2) / gates2, 1.0)
+    rows, columns = linear_sum_assignment(cost)
+    near = cost[rows, columns] < 1.0
+    return np.stack([rows[near], columns[near]], axis=1)
+
+
+def _exchanged(
+    source: LandmarkMap, target: LandmarkMap, links: Int[np.ndarray, "k 2"], fit: JointFit, cfg: IdentityConfig
+) -> tuple[Int[np.ndarray, "k 2"], JointFit]:
+    """The links with names exchanged in pairs, or given to a free landmark near by, while chi-square falls."""
+    gates = _gates(source, target, cfg, 0.0)
+    while True:
+        best = (fit.chi2, links, fit)
+        for changed in _neighbours(se2.act(fit.T, fit.scale * source.mean), target.mean, links, gates):
+            new = joint_fit(source, target, changed, fit.T, cfg.noise, cfg.scale_sigma)
+            if new.chi2 < best[0] - 1e-9:
+                best = (new.chi2, changed, new)
+        if best[1] is links:
+            return links, fit
+        _, links, fit = best
+
+
+def _neighbours(
+    moved: Float[np.ndarray, "n 2"], there: Float[np.ndarray, "m 2"], links: np.ndarray, gates: np.ndarray
+) -> Sequence[np.ndarray]:
+    """Assignments one exchange away in which everything still lies within twice its gate."""
+    near = np.hypot(*np.moveaxis(moved[:, None] - there, -1, 0)) < 2 * gates
+    out = []
+    free = np.setdiff1d(np.arange(len(there)), links[:, 1])
+    for a in range(len(links)):
+        for b in range(a + 1, len(links)):
+            if near[links[a, 0], links[b, 1]] and near[links[b, 0], links[a, 1]]:
+                changed = links.copy()
+                changed[a, 1], changed[b, 1] = links[b, 1], links[a, 1]
+                out.append(changed)
+        for other in free[near[links[a, 0], free]]:
+            changed = links.copy()
+            changed[a, 1] = other
+            out.append(changed)
+    return out

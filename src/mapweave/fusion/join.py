@@ -1,0 +1,209 @@
+"""The front door of fusing: local maps in, one map for each component out, with a reason for every robot."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..core.gaussian import is_positive_definite
+from ..core.names import in_order
+from ..landmarks.landmark_map import LandmarkMap
+from ..landmarks.local_map import LocalMap
+from .common_names import identify
+from .config import FuseConfig
+from .full_covariance import join
+from .initial_frames import arrange, as_cluster
+from .joined import Joined
+from .naive import average
+from .outlier_rejection import Doubt, find_doubts, find_exchanged, inflated, relabelled
+from .overlap import ENOUGH, Cluster
+from .relative import RelativeConfig, fuse_relative
+from .result import Component, Decision, Fusion
+from .robot_sightings import FrameSightings, frame_sightings, sighting_factor
+
+
+def fuse(maps: Sequence[LocalMap], cfg: FuseConfig | None = None) -> Fusion:
+    """One map from `maps`, whose robots must have distinct names; the largest component first.
+
+    A log that comes twice (by its hash) counts once. Labels exchanged in one robot are mended, a landmark that one
+    robot alone misplaces hardly counts, a map that is grossly wrong is refused; all of it is told. The order of
+    `maps` does not matter: each component stands in the first pose of its lowest-numbered robot.
+    """
+    cfg = cfg or FuseConfig()
+    ordered = sorted(maps, key=lambda m: in_order(m.robot))
+    if len({m.robot for m in ordered}) != len(ordered):
+        raise ValueError("two local maps carry the same robot's name")
+    used, decisions, warnings = _single_use(ordered)
+    faults = {m.robot: why for m in used if (why := _unsound(m)) is not None}
+    decisions += [Decision(robot, 0, "refused", why) for robot, why in faults.items()]
+    sound = [m for m in used if m.robot not in faults]
+    landmarks = [m.submap.landmarks for m in sound]
+    names = [m.robot for m in sound]
+    labels: dict[str, dict[str, str]] = {}
+    nameless: dict[int, str] = {}
+    if cfg.identities == "unknown":
+        identified = identify(landmarks, names, cfg.matching)
+        landmarks, nameless = list(identified.maps), dict(identified.reasons)
+        labels = {names[k]: dict(new) for k, new in identified.labels.items() if new}
+    before = landmarks
+    landmarks, starts, doubts, refused = _prepare(landmarks, cfg)
+    refused = nameless | refused
+    for k, (old, new) in enumerate(zip(before, landmarks, strict=True)):
+        _relabel(labels, sound[k], dict(zip(old.ids, new.ids, strict=True)))
+    warnings += _tell(names, doubts)
+    if cfg.repeats != 1:
+        warnings.append(f"every map was counted {cfg.repeats} times: overconfident by that factor")
+    components = []
+    for start in starts:
+        own = [inflated(landmarks[k], [d for d in doubts if d.owner == k]) for k in start.members]
+        seen = frame_sightings([sound[k] for k in start.members], start.frames) if cfg.robot_sightings else []
+        joined = _join(own, start, cfg, seen) if len(own) > 1 else _alone(own[0])
+        robots = tuple(names[k] for k in start.members)
+        components.append(_component(robots, own, joined))
+        decisions += [
+            _decide(robots, i, joined, start, refused.get(k), first=not len(components) > 1)
+            for i, k in enumerate(start.members)
+        ]
+    order = {m.robot: i for i, m in enumerate(ordered)}
+    told = tuple(sorted(decisions, key=lambda d: order[d.robot]))
+    return Fusion(tuple(components), told, tuple(warnings), labels)
+
+
+def _relabel(labels: dict[str, dict[str, str]], m: LocalMap, moved: dict[str, str]) -> None:
+    """`labels` of this robot with labels that were put back taken into account."""
+    known = labels.get(m.robot, {})
+    new = {own: moved[known.get(own, own)] for own in m.submap.ids}
+    changed = {own: name for own, name in new.items() if own != name}
+    labels.pop(m.robot, None)
+    if changed:
+        labels[m.robot] = changed
+
+
+def _prepare(
+    landmarks: list[LandmarkMap], cfg: FuseConfig
+) -> tuple[list[LandmarkMap], list[Cluster], list[Doubt], dict[int, str]]:
+    """Maps with exchanged labels put back, how they lie, what is still doubted, and which were refused."""
+    clusters, refused = arrange(landmarks, cfg)
+    doubts = [d for c in clusters for d in find_exchanged(c, find_doubts(c))]
+    mended = [d for d in doubts if d.belongs_to]
+    if mended:
+        landmarks = [relabelled(m, [d for d in mended if d.owner == k]) for k, m in enumerate(landmarks)]
+        clusters, refused = arrange(landmarks, cfg)
+        doubts = mended + [d for c in clusters for d in find_doubts(c)]
+    for cluster in clusters:
+        cluster.settle()
+    return landmarks, [as_cluster(c, landmarks) for c in clusters], doubts, refused
+
+
+def _join(maps: Sequence[LandmarkMap], start: Cluster, cfg: FuseConfig, seen: Sequence[FrameSightings] = ()) -> Joined:
+    m = 3 * len(maps)  # the frames come first, then the scales
+    extra = [sighting_factor(s, 3 * s.a + np.arange(3), 3 * s.b + np.arange(3), (m + s.a, m + s.b)) for s in seen]
+    match cfg.weights:
+        case "naive":
+            return average(maps, start)
+        case "full-scaled":
+            return join(
+                maps,
+                start,
+                scale_sigma=cfg.scale_sigma,
+                floor=cfg.floor,
+                variance_prior=cfg.variance_prior,
+                extra=extra,
+            )
+        case "full" if cfg.repeats == 1:  # what the relative form gives, to first order in the noise, in fewer steps
+            return join(maps, start, extra=extra)
+        case weights:
+            how = RelativeConfig(weights=weights, delta=cfg.delta, variance=cfg.constant_variance, repeats=cfg.repeats)
+            return _relative(maps, start, how, seen)
+
+
+def _relative(
+    maps: Sequence[LandmarkMap], start: Cluster, cfg: RelativeConfig, seen: Sequence[FrameSightings]
+) -> Joined:
+    found = fuse_relative(maps, cfg, start=start, sightings=seen)
+    one, landmarks, solution = np.ones(len(maps)), found.landmarks(), found.solution
+    return Joined(
+        ids=found.ids,
+        mean=landmarks.mean,
+        cov=landmarks.cov,
+        frames=found.frames,
+        frame_cov=found.frame_cov(),
+        scales=one,
+        variance_factors=one,
+        chi2=solution.chi2,
+        dof=solution.dof,
+    )
+
+
+def _alone(landmarks: LandmarkMap) -> Joined:
+    one = np.ones(1)
+    return Joined(landmarks.ids, landmarks.mean, landmarks.cov, np.zeros((1, 3)), np.zeros((1, 3, 3)), one, one, 0.0, 0)
+
+
+def _component(robots: tuple[str, ...], maps: Sequence[LandmarkMap], joined: Joined) -> Component:
+    members = {name: tuple(r for r, m in zip(robots, maps, strict=True) if name in m.ids) for name in joined.ids}
+    ids = sorted(joined.ids, key=in_order)
+    return Component(
+        robots=robots,
+        map=LandmarkMap(joined.ids, joined.mean, joined.cov).select(ids),
+        frames=dict(zip(robots, joined.frames, strict=True)),
+        frame_cov=dict(zip(robots, joined.frame_cov, strict=True)),
+        members={name: members[name] for name in ids},
+        scales=dict(zip(robots, (float(s) for s in joined.scales), strict=True)),
+    )
+
+
+def _decide(
+    robots: tuple[str, ...], i: int, joined: Joined, start: Cluster, refused: str | None, *, first: bool
+) -> Decision:
+    shared, robot = int(start.shared[i]), robots[i]
+    scale, factor = float(joined.scales[i]), float(joined.variance_factors[i])
+    if refused is not None:
+        return Decision(robot, shared, "refused", refused, scale, factor)
+    if len(robots) == 1 and not first:
+        why = f"shares fewer than {ENOUGH} landmarks with the others: left in its own component"
+        return Decision(robot, shared, "refused", why, scale, factor)
+    if i == 0:
+        return Decision(robot, shared, "reference", "its first pose is the map's frame", scale, factor)
+    return Decision(robot, shared, "merged", f"shares {shared} landmarks with the others", scale, factor)
+
+
+def _single_use(maps: Sequence[LocalMap]) -> tuple[list[LocalMap], list[Decision], list[str]]:
+    first: dict[str, str] = {}
+    used, decisions, warnings = [], [], []
+    for m in maps:
+        same = first.setdefault(m.log_hash, m.robot) if m.log_hash else m.robot
+        if same == m.robot:
+            used.append(m)
+            continue
+        decisions.append(Decision(m.robot, 0, "refused", f"made from the same log as {same}: counted once"))
+        warnings.append(f"{m.robot} and {same} were made from the same log: counted once")
+    return used, decisions, warnings
+
+
+def _unsound(m: LocalMap) -> str | None:
+    landmarks = m.submap.landmarks
+    if not (np.isfinite(landmarks.mean).all() and np.isfinite(landmarks.cov).all()):
+        return "its map holds numbers that are not finite"
+    if not is_positive_definite(landmarks.cov):
+        return "its covariance is not positive definite"
+    return None
+
+
+def _tell(names: Sequence[str], doubts: Sequence[Doubt]) -> list[str]:
+    told: list[str] = []
+    for k in sorted({d.owner for d in doubts}):
+        mine = [d for d in doubts if d.owner == k]
+        moved = [d for d in mine if d.belongs_to]
+        if moved:
+            labels = " and ".join(sorted((d.id for d in moved), key=in_order))
+            which = " (or the other robot's: only two see them)" if any(d.alone for d in moved) else ""
+            worst = max(d.residual for d in moved)
+            told.append(f"{names[k]}: labels {labels} look exchanged{which}, {worst:.2f} m off as they are: put back")
+        for d in mine:
+            if not d.belongs_to:
+                alone = " (only two see it: either may be wrong)" if d.alone else ""
+                told.append(
+                    f"{names[k]}: landmark {d.id} lies {d.residual:.2f} m from where the others put it{alone}: "
+                    "hardly counted"
+                )
+    return told

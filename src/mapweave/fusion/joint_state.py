@@ -1,0 +1,165 @@
+"""The joint state of a map and a submap while it is conditioned on "these two landmarks are one point"."""
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.linalg import blas, solve_triangular
+
+from ..core import se2
+from ..core.gaussian import solve_psd, symmetrise
+from ..kernels.symmetric import mirror
+from ..landmarks.global_map import GlobalMap
+from ..landmarks.pairing import pairing_probabilities
+from ..landmarks.submap import Submap
+
+ITERATIONS = 10  # at most; with little noise two suffice
+SETTLED = 1e-6  # [m], [rad]
+CANDIDATES = 40  # pairs weighed together, the nearest
+FLOOR = 1e-12  # what keeps a constraint on things already certain solvable: [m^2], and as a share
+
+Pairs = list[tuple[int, int]]  # (landmark of the submap, landmark of the map)
+
+
+class Joint:
+    """`Y = [G; L]`, mean `x`, covariance `blkdiag(P_G, P_L) - U^T U`: each constraint adds rows to `U` (k, size).
+
+    Constraints touch few variables, so only their rows of the covariance are ever worked out; the map's own, large,
+    is passed over once, when all constraints are in, by `map_covariance`.
+    """
+
+    def __init__(self, G: GlobalMap, L: Submap) -> None:
+        self.P_g, self.P_l = G.cov, L.cov
+        self.x = np.concatenate([G.frames.ravel(), G.mean.ravel(), L.pose, L.mean.ravel()])
+        n, robots = len(G.cov), len(G.robots)
+        self.frame = 3 * G.robots.index(L.robot) + np.arange(3)
+        self.pose = n + np.arange(3)
+        self.frames = self.x[: 3 * robots].reshape(-1, 3)
+        self.marks = self.x[3 * robots : n].reshape(-1, 2)
+        self.points = self.x[n + 3 :].reshape(-1, 2)
+        self.angles = np.append(np.arange(2, 3 * robots, 3), n + 2)
+        self.U = np.zeros((0, len(self.x)))
+
+    def mark(self, m: Int[np.ndarray, "*k"]) -> Int[np.ndarray, "*k 2"]:
+        """Where landmarks of the map stand in `x`."""
+        return self.frames.size + 2 * m[..., None] + np.arange(2)
+
+    def point(self, i: Int[np.ndarray, "*k"]) -> Int[np.ndarray, "*k 2"]:
+        """Where landmarks of the submap stand in `x`."""
+        return len(self.P_g) + 3 + 2 * i[..., None] + np.arange(2)
+
+    def rows(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k size"]:
+        """These rows of the covariance: first those of the map, then those of the submap."""
+        n = len(self.P_g)
+        k = int((index < n).sum())
+        out = np.zeros((len(index), len(self.x)))
+        out[:k, :n] = self.P_g[index[:k]]
+        out[k:, n:] = self.P_l[index[k:] - n]
+        if len(self.U):
+            out -= self.U[:, index].T @ self.U
+        return out
+
+    def local(self, m: Int[np.ndarray, " k"]) -> tuple[np.ndarray, np.ndarray]:
+        """`T^-1(XL_j, m_g)` of landmarks of the map (k, 2), and its derivative by frame and landmark (k, 2, 5)."""
+        x, y, theta = self.x[self.frame]
+        c, s = np.cos(theta), np.sin(theta)
+        C = np.array([[c, s], [-s, c]])
+        local = (self.marks[m] - (x, y)) @ C.T
+        J = np.empty((len(m), 2, 5))
+        J[:, :, :2], J[:, :, 3:] = -C, C
+        J[:, 0, 2], J[:, 1, 2] = local[:, 1], -local[:, 0]
+        return local, J
+
+    def residuals(self, pairs: Pairs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`h = l_i - T^-1(XL_j, m_g)` stacked (2k,), its Jacobian (2k, 3 + 4k), and the variables its columns are."""
+        i, m = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+        k, each = len(pairs), np.arange(len(pairs))
+        local, J = self.local(m)
+        H = np.zeros((k, 2, 3 + 4 * k))
+        H[:, :, :3] = -J[:, :, :3]
+        for a in range(2):
+            H[each, :, 3 + 2 * each + a] = -J[:, :, 3 + a]
+            H[each, a, 3 + 2 * k + 2 * each + a] = 1.0
+        used = np.concatenate([self.frame, self.mark(m).ravel(), self.point(i).ravel()])
+        return (self.points[i] - local).ravel(), H.reshape(2 * k, -1), used
+
+    def constrain(self, pairs: Pairs) -> None:
+        """One update of all of Y with `h = 0`, without noise, linearised anew where it ends up until it stays there.
+
+        `h` depends on few variables, so a round costs one product of their rows with a vector.
+        """
+        used = self.residuals(pairs)[2]
+        rows = self.rows(used)
+        block = rows[:, used]
+        start, moved = self.x.copy(), np.zeros(len(self.x))
+        for _ in range(ITERATIONS):
+            h, H, _ = self.residuals(pairs)
+            S = symmetrise(H @ block @ H.T)
+            S[np.diag_indices_from(S)] += FLOOR * np.trace(S) / len(S) + 1e-300
+            last, moved = moved, -(solve_psd(S, h - H @ moved[used]) @ H) @ rows
+            self.x[:] = start + moved
+            self.x[self.angles] = se2.wrap_angle(self.x[self.angles])
+            if np.abs(moved - last).max() < SETTLED:
+                break
+        U = solve_triangular(np.linalg.cholesky(S), H, lower=True, check_finite=False) @ rows
+        self.U = np.vstack([self.U, U])
+
+    def sure_pairs(
+        self, taken: dict[int, int], gate: float, density: float, sure: float
+    ) -> tuple[Pairs, frozenset[int]]:
+        """Pairs of landmarks of neither side used yet, each one landmark with a probability above `sure`.
+
+        With them those of the submap that are surely among the map's landmarks, though there is no telling which.
+        """
+        free_l = np.setdiff1d(np.arange(len(self.points)), list(taken))
+        free_g = np.setdiff1d(np.arange(len(self.marks)), list(taken.values()))
+        if not len(free_l) or not len(free_g):
+            return [], frozenset()
+        away = np.linalg.norm(self.points[free_l][:, None] - self.local(free_g)[0], axis=2).ravel()
+        order = np.argsort(away)[: 8 * len(free_l) + 32]
+        i, m = free_l[order // len(free_g)], free_g[order % len(free_g)]
+        D2 = self._distances(i, m)
+        order = np.argsort(D2)[: min(int((gate > D2).sum()), CANDIDATES)]
+        i, m = i[order], m[order]
+        if not len(i):
+            return [], frozenset()
+        pairs = list(zip(i.tolist(), m.tolist(), strict=True))
+        h, H, used = self.residuals(pairs)
+        S = symmetrise(H @ self.rows(used)[:, used] @ H.T)
+        p = pairing_probabilities(np.stack([i, len(self.points) + m], axis=1), h.reshape(-1, 2), S, density)
+        old = np.bincount(i, weights=p, minlength=len(self.points))
+        torn = frozenset(int(k) for k in np.unique(i) if old[k] > sure and p[i == k].max() <= sure)
+        return [pair for pair, q in zip(pairs, p, strict=True) if q > sure], torn
+
+    def _distances(self, i: Int[np.ndarray, " k"], m: Int[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """D^2 of submap landmark i[k] and map landmark m[k] being one point."""
+        local, J = self.local(m)
+        g = np.concatenate([np.broadcast_to(self.frame, (len(m), 3)), self.mark(m)], axis=1)
+        p = self.point(i)
+        U = self.U[:, p] - np.einsum("rkv,kav->rka", self.U[:, g], J)
+        q = p - len(self.P_g)
+        S = self.P_l[q[:, :, None], q[:, None]] + J @ self.P_g[g[:, :, None], g[:, None]] @ np.swapaxes(J, 1, 2)
+        S += FLOOR * np.eye(2) - np.einsum("rka,rkb->kab", U, U)
+        e = self.points[i] - local
+        return np.asarray(np.einsum("ka,ka->k", e, np.linalg.solve(S, e[:, :, None])[:, :, 0]))
+
+    def map_covariance(self, new: int) -> Float[np.ndarray, "m m"]:
+        """The map's covariance as it is now, with room, zeros, for `new` more variables."""
+        n = len(self.P_g)
+        return lessened(self.P_g, self.U[:, :n], new)
+
+
+def lessened(P: Float[np.ndarray, "n n"], U: Float[np.ndarray, "k n"], new: int = 0) -> Float[np.ndarray, "m m"]:
+    """`P - U^T U`, exactly symmetric, with `new` rows and columns of zeros after it: one BLAS update of one triangle.
+
+    Where `U` has no rows it is P, to the bit.
+    """
+    n = len(P)
+    if new:
+        out = np.zeros((n + new, n + new))
+        out[:n, :n] = P
+        U = np.hstack([U, np.zeros((len(U), new))])
+    else:
+        out = P.copy()
+    if len(U):
+        blas.dsyrk(-1.0, np.ascontiguousarray(U).T, 1.0, out.T, overwrite_c=1)  # in place: out.T is its own layout
+        mirror(out)
+    return out

@@ -1,0 +1,78 @@
+"""Which local maps hang together, and a first guess of how: the start every way of fusing begins from."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..core import se2
+from ..landmarks.landmark_map import LandmarkMap
+
+ENOUGH = 2  # landmarks in common that fix a rigid transform
+
+
+@dataclass(frozen=True, slots=True)
+class Cluster:
+    """Maps tied together by shared landmarks, and roughly where everything is.
+
+    members: positions in the sequence of maps, ascending; frames: (k, 3) `T_ref_local` of each, ref being the first
+    member's frame; ids, points: every landmark of the cluster, in order of first appearance, (n, 2) in ref;
+    shared: (k,) how many of each member's landmarks another member has too.
+    """
+
+    members: tuple[int, ...]
+    frames: Float[np.ndarray, "k 3"]
+    ids: tuple[str, ...]
+    points: Float[np.ndarray, "n 2"]
+    shared: Int[np.ndarray, " k"]
+
+
+def clusters(maps: Sequence[LandmarkMap]) -> tuple[Cluster, ...]:
+    """The maps parted so that no two parts share two landmarks; the largest part first.
+
+    Parts that share most are joined first, each time by a Procrustes fit over what they share, so the outcome does
+    not depend on the order of the maps but for ties.
+    """
+    index = {name: i for i, name in enumerate(dict.fromkeys(name for m in maps for name in m.ids))}
+    where = [np.array([index[name] for name in m.ids], dtype=np.intp) for m in maps]
+    seen = np.zeros((len(maps), len(index)), dtype=np.float32)
+    points = np.zeros((len(maps), len(index), 2))
+    for k, m in enumerate(maps):
+        seen[k, where[k]] = 1.0
+        points[k, where[k]] = m.mean
+    held = seen.copy()
+    parts: list[dict[int, np.ndarray]] = [{k: np.zeros(3)} for k in range(len(maps))]
+    overlap = seen @ seen.T
+    np.fill_diagonal(overlap, 0)
+    while len(maps) and overlap.max() >= ENOUGH:
+        a, b = sorted(int(i) for i in np.unravel_index(int(np.argmax(overlap)), overlap.shape))
+        common = (seen[a] > 0) & (seen[b] > 0)
+        T_a_b = se2.align(points[b, common], points[a, common])
+        parts[a] |= {k: se2.compose(T_a_b, T) for k, T in parts[b].items()}
+        new = (seen[b] > 0) & ~common
+        points[a, new] = se2.act(T_a_b, points[b, new])
+        seen[a, new] = 1.0
+        seen[b], parts[b] = 0.0, {}
+        row = seen @ seen[a]
+        row[a] = 0
+        overlap[a], overlap[:, a] = row, row
+        overlap[b], overlap[:, b] = 0, 0
+    names = list(index)
+    out = []
+    for k, part in enumerate(parts):
+        if part:
+            members = tuple(sorted(part))
+            T_ref_part = se2.inverse(part[members[0]])
+            known = np.flatnonzero(seen[k])
+            times = held[list(members)].sum(axis=0)
+            out.append(
+                Cluster(
+                    members=members,
+                    frames=np.stack([se2.compose(T_ref_part, part[i]) for i in members]),
+                    ids=tuple(names[i] for i in known),
+                    points=se2.act(T_ref_part, points[k, known]),
+                    shared=np.array([np.count_nonzero(times[where[i]] > 1) for i in members]),
+                )
+            )
+    return tuple(sorted(out, key=lambda c: (-len(c.members), c.members)))

@@ -1,0 +1,218 @@
+"""From rows as a format gives them to a `LaserLog`: order, doubles, no-returns and intensities mended and counted."""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core import se2
+from ..core.arrays import frozen
+from ..core.errors import DataError
+from ..core.laser_log import LaserLog
+from ..core.records import Scan, Track
+from .mirror import looks_mirrored
+
+FEW = 0.05  # share of scans without intensities that are dropped rather than all intensities
+
+
+@dataclass(frozen=True, slots=True)
+class RawScan:
+    """A scan as the file has it: ranges may be NaN, infinite, zero or beyond the limits, which count as no return."""
+
+    t: float
+    ranges: np.ndarray
+    intensities: np.ndarray | None
+    angle_min: float
+    angle_increment: float
+    range_min: float
+    range_max: float
+    T_robot_sensor: Float[np.ndarray, "3"] = field(default_factory=lambda: se2.IDENTITY)
+    host: str = ""
+    odometry: Float[np.ndarray, "3"] | None = None
+
+
+@dataclass(slots=True)
+class RawLog:
+    """What a format reader has gathered; `finish` makes the `LaserLog`."""
+
+    robot: str
+    source: str
+    log_hash: str
+    scans: list[RawScan] = field(default_factory=list)
+    odometry: list[tuple[float, float, float, float]] = field(default_factory=list)
+    odometry_from: str = "none"
+    dropped: Counter = field(default_factory=Counter)
+    warnings: list[str] = field(default_factory=list)
+
+    def finish(self, *, mirrored: bool = False, sensor_pose: Sequence[float] | None = None) -> LaserLog:
+        """The log; `mirrored` turns the sense of all beam angles, `sensor_pose` replaces every `T_robot_sensor`.
+
+        Raises DataError when there is no scan at all.
+        """
+        if not self.scans:
+            raise DataError(f"{self.source}: no laser scan in it")
+        if not self.odometry:
+            self.odometry = [odometry_row(raw.t, raw.odometry) for raw in self.scans if raw.odometry is not None]
+        odometry = self._odometry()
+        scans = self._in_order()
+        scans = self._with_intensities(scans)
+        self._tell_beams(scans)
+        made = self._with_odometry([_scan(raw, mirrored, sensor_pose) for raw in scans], scans, odometry)
+        if made[0].odometry is None:
+            self.odometry_from = "none"
+            self.warnings.append("no odometry: poses come from scan matching alone")
+        elif looks_mirrored(made):
+            self.warnings.append(
+                "the scans turn against the odometry: beam angles seem to have the wrong sign (try --mirrored)"
+            )
+        return LaserLog(
+            self.robot,
+            self.source,
+            np.array([raw.t for raw in scans]),
+            tuple(made),
+            odometry,
+            self.odometry_from,
+            dict(self.dropped),
+            tuple(self.warnings),
+            self.log_hash,
+        )
+
+    def _odometry(self) -> Track | None:
+        rows = np.array(self.odometry, dtype=float).reshape(-1, 4)
+        good = np.isfinite(rows).all(axis=1)
+        if not good.all():
+            self.dropped["odometry row that is not finite"] += int((~good).sum())
+            rows = rows[good]
+        if not len(rows):
+            return None
+        if (back := int((np.diff(rows[:, 0]) < 0).sum())) > 0:
+            self.warnings.append(f"odometry steps back in time {back} times: sorted by stamp")
+            rows = rows[np.argsort(rows[:, 0], kind="stable")]
+        last = np.append(rows[1:, 0] != rows[:-1, 0], True)
+        if not last.all():
+            self.dropped["odometry row whose stamp comes again"] += int((~last).sum())
+        return Track(rows[last, 0], rows[last, 1:], frame="odom")
+
+    def _in_order(self) -> list[RawScan]:
+        scans = [raw for raw in self.scans if np.isfinite(raw.t)]
+        if len(scans) < len(self.scans):
+            self.dropped["scan without a finite stamp"] += len(self.scans) - len(scans)
+        back = sum(b.t < a.t for a, b in pairwise(scans))
+        if back:
+            self.warnings.append(f"scans step back in time {back} times: sorted by stamp")
+            scans.sort(key=lambda raw: raw.t)
+        out: list[RawScan] = []
+        for raw in scans:
+            if _doubles(raw, out):
+                self.dropped["scan doubled"] += 1
+            else:
+                out.append(raw)
+        return out
+
+    def _with_intensities(self, scans: list[RawScan]) -> list[RawScan]:
+        have = [raw.intensities is not None and len(raw.intensities) == len(raw.ranges) for raw in scans]
+        without = have.count(False)
+        if without == len(scans):
+            return [replace(raw, intensities=None) for raw in scans]
+        if without > FEW * len(scans):
+            self.warnings.append(f"{without} of {len(scans)} scans have no intensities: intensity is not used")
+            return [replace(raw, intensities=None) for raw in scans]
+        if without:
+            self.dropped["scan without intensities"] += without
+            scans = [raw for raw, kept in zip(scans, have, strict=True) if kept]
+        values = [_received(raw) for raw in scans]
+        low = min((float(v.min()) for v in values if len(v)), default=0.0)
+        high = max((float(v.max()) for v in values if len(v)), default=0.0)
+        if low == high:
+            self.warnings.append(f"all intensities are {low:g}: the log is used as one without intensity")
+            return [replace(raw, intensities=None) for raw in scans]
+        return scans
+
+    def _tell_beams(self, scans: list[RawScan]) -> None:
+        counts = Counter(len(raw.ranges) for raw in scans)
+        if len(counts) > 1:
+            told = ", ".join(f"{n} beams in {k} scans" for n, k in counts.most_common())
+            self.warnings.append(f"the beam count changes: {told}")
+        empty = sum(not _hit(raw).any() for raw in scans)
+        if empty:
+            self.warnings.append(f"{empty} of {len(scans)} scans have no return at all: odometry carries over them")
+        if nan := sum(int(np.isnan(raw.ranges).sum()) for raw in scans):
+            self.warnings.append(f"{nan} ranges are not a number: read as no return")
+
+    def _with_odometry(self, made: list[Scan], scans: list[RawScan], odometry: Track | None) -> list[Scan]:
+        own = [raw.odometry for raw in scans]
+        if odometry is None or all(pose is not None for pose in own):
+            if any(pose is None for pose in own):
+                return [replace(scan, odometry=None) for scan in made]
+            return [replace(scan, odometry=frozen(pose)) for scan, pose in zip(made, own, strict=True)]
+        outside = sum(not odometry.t[0] - 0.5 <= raw.t <= odometry.t[-1] + 0.5 for raw in scans)
+        if outside:
+            self.warnings.append(f"{outside} of {len(scans)} scans are outside the time of the odometry: it is held")
+        poses = poses_at(np.array([raw.t for raw in scans]), odometry)
+        return [replace(scan, odometry=frozen(pose)) for scan, pose in zip(made, poses, strict=True)]
+
+
+def poses_at(t: Float[np.ndarray, " m"], track: Track) -> Float[np.ndarray, "m 3"]:
+    """The track at `t`, interpolated; where a stamp of the track is hit its own pose, to the bit; ends held."""
+    poses = se2.interpolate(t, track.t, track.pose)
+    at = np.clip(np.searchsorted(track.t, t), 0, len(track.t) - 1)
+    exact = track.t[at] == t
+    poses[exact] = track.pose[at[exact]]
+    return poses
+
+
+def median_pose(poses: Iterable[Float[np.ndarray, "3"]]) -> tuple[Float[np.ndarray, "3"], float]:
+    """The middle of many nearly equal poses and the largest deviation of nine in ten of them [m or rad]."""
+    P = np.array(list(poses))
+    mid = np.median(P, axis=0)
+    mid[2] = P[0, 2] + np.median(se2.wrap_angle(P[:, 2] - P[0, 2]))
+    off = P - mid
+    off[:, 2] = se2.wrap_angle(off[:, 2])
+    mid[2] = se2.wrap_angle(mid[2])
+    return mid, float(np.quantile(np.abs(off).max(axis=1), 0.9))
+
+
+def odometry_row(t: float, pose: Float[np.ndarray, "3"]) -> tuple[float, float, float, float]:
+    return t, float(pose[0]), float(pose[1]), float(pose[2])
+
+
+def _doubles(raw: RawScan, before: list[RawScan]) -> bool:
+    for other in reversed(before):
+        if other.t != raw.t:
+            return False
+        if np.array_equal(other.T_robot_sensor, raw.T_robot_sensor):
+            return True
+    return False
+
+
+def _hit(raw: RawScan) -> np.ndarray:
+    with np.errstate(invalid="ignore"):
+        r = raw.ranges
+        return np.asarray(np.isfinite(r) & (r > 0) & (r >= raw.range_min) & (r < raw.range_max))
+
+
+def _received(raw: RawScan) -> np.ndarray:
+    assert raw.intensities is not None  # noqa: S101  (checked by the caller)
+    values = raw.intensities[_hit(raw)]
+    return np.asarray(values[np.isfinite(values)])
+
+
+def _scan(raw: RawScan, mirrored: bool, sensor_pose: Sequence[float] | None) -> Scan:  # noqa: FBT001
+    hit = _hit(raw)
+    sign = -1.0 if mirrored else 1.0
+    light = None
+    if raw.intensities is not None:
+        light = np.where(hit & np.isfinite(raw.intensities), np.maximum(raw.intensities, 0.0), 0.0)
+    return Scan(
+        frozen(np.where(hit, raw.ranges, raw.range_max)),
+        frozen(hit, dtype=bool),
+        None if light is None else frozen(light),
+        sign * raw.angle_min,
+        sign * raw.angle_increment,
+        raw.range_max,
+        frozen(raw.T_robot_sensor if sensor_pose is None else np.asarray(sensor_pose, float)),
+        raw.host,
+    )

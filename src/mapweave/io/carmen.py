@@ -1,0 +1,172 @@
+"""CARMEN text logs: FLASER, RLASER, ODOM and ROBOTLASER with remission."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..core import se2
+from ..core.errors import ReaderError
+from ..core.laser_log import LaserLog
+from .assemble import RawLog, RawScan, median_pose
+from .text import TextLog
+
+KEYWORDS = ("FLASER", "RLASER", "ROBOTLASER1", "ROBOTLASER2", "ODOM")
+NO_RETURN = 81.0  # [m]: what SICK scanners say when nothing comes back is 81.83 or 81.91
+WRONG_OFFSET = 0.05  # [m or rad]: a sensor whose place on the robot varies more has been corrected by another program
+
+
+def is_carmen(log: TextLog) -> bool:
+    return any(words[0] in KEYWORDS for words in log.head())
+
+
+def read_carmen(
+    log: TextLog, robot: str, *, sensor_pose: Sequence[float] | None = None, mirrored: bool = False
+) -> LaserLog:
+    """The log. Stamps are the `ipc` ones; a last line cut short is dropped and counted.
+
+    Sensor poses are the middle of laser pose against robot pose over the whole log. Raises ReaderError, naming the
+    line, for a row that does not have the fields it announces.
+    """
+    raw = RawLog(robot, str(log.path), log.log_hash, odometry_from="poses")
+    kinds: list[str] = []
+    rows = list(log.lines())
+    for number, line in rows:
+        words = line.split()
+        if not words or words[0] not in KEYWORDS:
+            continue
+        try:
+            if words[0] == "ODOM":
+                raw.odometry.append(_odometry(words))
+            else:
+                raw.scans.append(_robotlaser(words) if words[0].startswith("ROBOT") else _flaser(words))
+                kinds.append(words[0])
+        except (ValueError, IndexError) as error:
+            if number == len(rows) and (log.truncated or not log.complete):
+                raw.dropped["last line cut short"] += 1
+                break
+            raise ReaderError(log.path, str(error), number) from None
+    if log.truncated:
+        raw.warnings.append(f"{Path(log.path).name}: {log.truncated}; what was readable is used")
+    _place_sensors(raw, kinds)
+    _find_no_return(raw)
+    return raw.finish(mirrored=mirrored, sensor_pose=sensor_pose)
+
+
+def _numbers(words: list[str]) -> np.ndarray:
+    try:
+        return np.array(words, dtype=float)
+    except ValueError:
+        bad = next(word for word in words if not _is_number(word))
+        raise ValueError(f"expected a number, found {bad!r}") from None
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _odometry(words: list[str]) -> tuple[float, float, float, float]:
+    if len(words) < 8:
+        raise ValueError(f"ODOM needs 7 numbers, found {len(words) - 1}")
+    x, y, theta = _numbers(words[1:4])
+    return float(_numbers(words[7:8])[0]), float(x), float(y), float(theta)
+
+
+def _announced(words: list[str], at: int, what: str) -> int:
+    count = _numbers(words[at : at + 1])
+    if len(count) != 1 or count[0] < 0 or count[0] != int(count[0]):
+        raise ValueError(f"{words[0]} must say how many {what} follow, found {' '.join(words[at : at + 1])!r}")
+    return int(count[0])
+
+
+def _flaser(words: list[str]) -> RawScan:
+    """`FLASER n r.. laser_x laser_y laser_th odom_x odom_y odom_th ipc host logger`."""
+    n = _announced(words, 1, "ranges")
+    tail = words[2 + n :]
+    if n < 2 or not 7 <= len(tail) <= 9 or not all(map(_is_number, tail[:7])):
+        raise ValueError(f"{words[0]} says {n} ranges, found {max(0, len(words) - 11)}")
+    ranges, numbers = _numbers(words[2 : 2 + n]), _numbers(tail[:7])
+    increment = np.pi / n if n % 2 == 0 else np.pi / (n - 1)
+    return RawScan(
+        float(numbers[6]),
+        ranges,
+        None,
+        -np.pi / 2,
+        increment,
+        0.0,
+        NO_RETURN,
+        se2.between(numbers[3:6], numbers[0:3]),
+        tail[7] if len(tail) > 7 else "",
+        numbers[3:6],
+    )
+
+
+def _robotlaser(words: list[str]) -> RawScan:
+    """`ROBOTLASER1 type start fov step max accuracy remission_mode n r.. m i.. laser robot .. ipc host logger`."""
+    head = _numbers(words[2:6])
+    n = _announced(words, 8, "ranges")
+    if len(words) < 10 + n:
+        raise ValueError(f"{words[0]} says {n} ranges, found {len(words) - 9}")
+    m = _announced(words, 9 + n, "remissions")
+    tail = words[10 + n + m :]
+    if len(head) < 4 or len(tail) < 12:
+        raise ValueError(f"{words[0]} says {n} ranges and {m} remissions, found {len(words) - 9} fields after them")
+    start, fov, step, far = head
+    numbers = _numbers(tail[:12])
+    if step <= 0:
+        step = fov / max(1, n - 1)
+    return RawScan(
+        float(numbers[11]),
+        _numbers(words[9 : 9 + n]),
+        _numbers(words[10 + n : 10 + n + m]) if m == n and m > 0 else None,
+        float(start),
+        float(step),
+        0.0,
+        float(far) if far > 0 else NO_RETURN,
+        se2.between(numbers[3:6], numbers[0:3]),
+        tail[12] if len(tail) > 12 else "",
+        numbers[3:6],
+    )
+
+
+def _place_sensors(raw: RawLog, kinds: list[str]) -> None:
+    """Gives all scans of one kind one sensor pose."""
+    for kind in sorted(set(kinds)):
+        mine = [k for k, other in enumerate(kinds) if other == kind]
+        pose, spread = median_pose(raw.scans[k].T_robot_sensor for k in mine)
+        if spread > WRONG_OFFSET:
+            raw.warnings.append(
+                f"{kind}: the laser pose moves against the robot pose by {spread:.2f}; it is not the sensor's place, "
+                "which is taken to be the robot's (give --sensor-pose if not)"
+            )
+            pose = np.zeros(3)
+        for k in mine:
+            raw.scans[k] = replace(raw.scans[k], T_robot_sensor=np.round(pose, 6))
+
+
+def _find_no_return(raw: RawLog) -> None:
+    """Lowers `range_max` under the value that stands for "nothing came back", where a log shows one."""
+    if not raw.scans:
+        return
+    limit = no_return_limit(np.concatenate([scan.ranges for scan in raw.scans]))
+    raw.scans = [replace(scan, range_max=min(scan.range_max, limit)) for scan in raw.scans]
+
+
+def no_return_limit(ranges: np.ndarray) -> float:
+    """The range [m] from which on values mean no return: under a pile at the very top, else infinite.
+
+    A pile: the top 1 % of the range axis holds a thousandth of all values at least and three times as many as the
+    4 % below it.
+    """
+    values = ranges[np.isfinite(ranges) & (ranges > 0)]
+    if not len(values):
+        return np.inf
+    top = float(values.max())
+    pile = int((values >= 0.99 * top).sum())
+    below = int(((values >= 0.95 * top) & (values < 0.99 * top)).sum())
+    return 0.99 * top if pile >= max(0.001 * len(values), 3 * below, 10) else np.inf

@@ -1,0 +1,108 @@
+"""A folder with `odometry.csv` (t,robot,v,w) and `sightings.csv` (t,robot,id,range,bearing) becomes logs.
+
+The header line is needed and may order the columns freely. Robots are whole numbers; an id `robotK` names a robot.
+"""
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..core.errors import DataError, ReaderError
+from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
+from . import mending
+from .files import Files, open_files
+from .number_rows import lines
+
+ODOMETRY, SIGHTINGS = "odometry.csv", "sightings.csv"
+
+
+def is_csv(files: Files) -> bool:
+    return SIGHTINGS in files.names or ODOMETRY in files.names
+
+
+def read_csv_landmarks(path: Path, robots: Sequence[int] | None = None) -> tuple[LandmarkLog, ...]:
+    """The logs of all robots (or of `robots`) in order of number; raises ReaderError with file and line."""
+    with open_files(path) as files:
+        if SIGHTINGS not in files.names:
+            raise ReaderError(path, f"expected {SIGHTINGS}, found none")
+        drive = _columns(files, ODOMETRY, ("t", "robot", "v", "w")) if ODOMETRY in files.names else None
+        seen = _columns(files, SIGHTINGS, ("t", "robot", "id", "range", "bearing"))
+    robot_of_drive = np.zeros(0, np.int64) if drive is None else drive[1]
+    found = sorted({*robot_of_drive.tolist(), *seen[1].tolist()})
+    missing = [k for k in robots or () if k not in found]
+    if missing:
+        raise DataError(f"{path}: no robot {missing[0]}; there are {', '.join(map(str, found))}")
+    names = {f"robot{k}" for k in found}
+    logs = []
+    for k in found if robots is None else robots:
+        mend = mending.Mending()
+        odometry = None
+        if drive is not None:
+            odometry = mending.odometry(drive[0][robot_of_drive == k], f"{path}/{ODOMETRY}", mend)
+        if odometry is None:
+            mend.warnings.append("no odometry: mapped with a random walk between sightings")
+        table = _sightings(seen, k, names, f"{path}/{SIGHTINGS}", mend)
+        if not len(table):
+            mend.warnings.append("it saw nothing")
+        logs.append(LandmarkLog(f"robot{k}", odometry, table, mend.dropped, tuple(mend.warnings), str(path)))
+    if not any(len(log.sightings) for log in logs):
+        raise DataError(f"{path}: no robot saw anything")
+    mending.check_one_recording({log.robot: log.span for log in logs if len(log)}, path)
+    return tuple(logs)
+
+
+def _sightings(
+    seen: tuple[np.ndarray, np.ndarray, list[str]], k: int, robots: set[str], label: str, mend: mending.Mending
+) -> SightingTable:
+    numeric, robot, ids = seen
+    rows = np.flatnonzero(robot == k)
+    own = f"robot{k}"
+    mine = sorted({ids[i] for i in rows})
+    index = {name: i for i, name in enumerate(mine)}
+    what = np.array([index[ids[i]] for i in rows], dtype=float)
+    table = np.column_stack([numeric[rows, 0], what, numeric[rows, 1:]])
+    stranger = np.array([ids[i] == own or (ids[i].startswith("robot") and ids[i] not in robots) for i in rows], bool)
+    mend.drop("sighting of itself or of no robot", int(stranger.sum()))
+    table = mending.sightings(table[~stranger] if len(rows) else table, label, mend)
+    if not len(table):
+        return NOTHING_SEEN
+    return SightingTable(table[:, 0], table[:, 1].astype(np.int64), table[:, 2], table[:, 3], tuple(mine))
+
+
+def _columns(files: Files, name: str, columns: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """The numeric columns but the robot, the robots' numbers, the ids (empty when the file has none)."""
+    label = files.label(name)
+    rows = csv.reader(lines(files.read(name), label), skipinitialspace=True)
+    header = [h.strip().lower() for h in next(rows, [])]
+    if sorted(header) != sorted(columns):
+        raise ReaderError(label, f"expected the columns {','.join(columns)}, found {','.join(header) or 'none'}", 1)
+    where = [header.index(c) for c in columns]
+    numeric: list[list[float]] = []
+    robot: list[int] = []
+    ids: list[str] = []
+    for row in rows:
+        if not row or row[0].startswith("#"):
+            continue
+        if len(row) != len(columns):
+            raise ReaderError(label, f"expected {len(columns)} columns, found {len(row)}", rows.line_num)
+        values = []
+        for column, i in zip(columns, where, strict=True):
+            word = row[i].strip()
+            if column == "id":
+                if not word:
+                    raise ReaderError(label, "expected an id, found none", rows.line_num)
+                ids.append(word)
+                continue
+            try:
+                if column == "robot":
+                    robot.append(int(word))
+                else:
+                    values.append(float(word))
+            except ValueError:
+                kind = "whole number" if column == "robot" else "number"
+                raise ReaderError(label, f"expected a {kind} for {column}, found {word!r}", rows.line_num) from None
+        numeric.append(values)
+    width = len(columns) - 1 - ("id" in columns)
+    return np.array(numeric, dtype=np.float64).reshape(-1, width), np.array(robot, dtype=np.int64), ids

@@ -1,0 +1,37 @@
+"""Grid maps as data: everything a cell holds, for `localize` and for other programs."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ..laser.grid import GridMap, IntensityCalibration
+from .npz import write_npz
+
+NAME = "grid.npz"
+
+
+def write_grid(path: Path, grid: GridMap, calibration: IntensityCalibration | None, feature: str) -> None:
+    """`path` holds the cells and what is needed to work out the feature of a new scan as it was worked out here.
+
+    Arrays as in `GridMap` and, with a calibration, `knots`, `log_gain`, `gain_figures` = (exponent, scale, residual,
+    samples) and `residual_by_range`.
+    """
+    arrays = {
+        "resolution": np.array(grid.resolution),
+        "origin": grid.origin,
+        "hits": grid.hits,
+        "passes": grid.passes,
+        "mean": grid.mean,
+        "feature": grid.feature,
+        "weight": grid.weight,
+        "kind": np.array(feature),
+    }
+    if calibration is not None:
+        c = calibration
+        arrays |= {
+            "knots": c.knots,
+            "log_gain": c.log_gain,
+            "gain_figures": np.array([c.exponent, c.scale, c.residual, float(c.samples)]),
+            "residual_by_range": c.residual_by_range,
+        }
+    write_npz(path, **arrays)

@@ -1,0 +1,81 @@
+"""Truth for scoring alone: surveyed landmarks and the robots' true poses. No estimator imports this file."""
+
+import csv
+import re
+from pathlib import Path
+
+import numpy as np
+
+from ..core.errors import ReaderError
+from ..core.records import Track
+from ..core.se2 import wrap_angle
+from ..core.survey import Survey
+from .files import Files, open_files
+from .number_rows import lines, numbers
+
+SURVEY = "Landmark_Groundtruth.dat"
+TRUTH_FILE = re.compile(r"^Robot([0-9]+)_(Groundtruth|GroundtruthInstants|GroundtruthKeyframes)\.dat$")
+KINDS = ("Groundtruth", "GroundtruthInstants", "GroundtruthKeyframes")  # the first there is is used
+LABELS = {"Groundtruth": "groundtruth", "GroundtruthInstants": "instants", "GroundtruthKeyframes": "keyframes"}
+EXTRA = {"Groundtruth": 0, "GroundtruthInstants": 2, "GroundtruthKeyframes": 0}  # columns after t, x, y, theta
+
+
+def read_survey(path: Path) -> Survey:
+    """Surveyed landmarks: of an MRCLAM data set (folder or zip), or an `id,x,y` CSV file."""
+    if path.is_file() and path.suffix.lower() == ".csv":
+        return _survey_csv(path)
+    with open_files(path) as files:
+        names = [n for n in files.names if n.rpartition("/")[2] == SURVEY]
+        if not names:
+            raise ReaderError(path, f"expected {SURVEY}, found none")
+        files.folder_of(names)
+        label = files.label(names[0])
+        table = numbers(files.read(names[0]), label, ("subject", "x", "y", "x std", "y std"))
+    return Survey(tuple(str(int(s)) for s in table[:, 0]), table[:, 1:3])
+
+
+def read_robot_truth(path: Path) -> dict[str, tuple[Track, str]]:
+    """Robot -> its true poses in the survey's frame and which kind of truth that is; empty when there is none.
+
+    `groundtruth`, else `instants`, else `keyframes`.
+    """
+    out: dict[str, tuple[Track, str]] = {}
+    if not path.is_dir() and path.suffix.lower() != ".zip":
+        return out
+    with open_files(path) as files:
+        found: dict[int, dict[str, str]] = {}
+        for name in files.names:
+            match = TRUTH_FILE.match(name.rpartition("/")[2])
+            if match:
+                found.setdefault(int(match[1]), {})[match[2]] = name
+        for k in sorted(found):
+            kind = next(kind for kind in KINDS if kind in found[k])
+            out[f"robot{k}"] = (_poses(files, found[k][kind], EXTRA[kind]), LABELS[kind])
+    return out
+
+
+def _poses(files: Files, name: str, extra: int) -> Track:
+    columns = ("t", "x", "y", "theta", *(f"column {5 + k}" for k in range(extra)))
+    table = numbers(files.read(name), files.label(name), columns)[:, :4]
+    table = table[np.isfinite(table).all(axis=1)]
+    t, first = np.unique(table[:, 0], return_index=True)
+    pose = table[first, 1:]
+    pose[:, 2] = wrap_angle(pose[:, 2])
+    return Track(t, pose, frame="survey")
+
+
+def _survey_csv(path: Path) -> Survey:
+    rows = csv.reader(lines(path.read_bytes(), str(path)), skipinitialspace=True)
+    header = [h.strip().lower() for h in next(rows, [])]
+    if header[:3] != ["id", "x", "y"]:
+        raise ReaderError(path, f"expected the columns id,x,y, found {','.join(header) or 'none'}", 1)
+    ids, xy = [], []
+    for row in rows:
+        if not row or row[0].startswith("#"):
+            continue
+        try:
+            ids.append(row[0].strip())
+            xy.append([float(row[1]), float(row[2])])
+        except (ValueError, IndexError):
+            raise ReaderError(path, f"expected id,x,y with numbers, found {','.join(row)!r}", rows.line_num) from None
+    return Survey(tuple(ids), np.array(xy, dtype=np.float64).reshape(-1, 2))

@@ -1,0 +1,72 @@
+"""Any laser log, told apart by what is in it."""
+
+from pathlib import Path
+
+from ..core.config import config
+from ..core.errors import ReaderError
+from ..core.laser_log import LaserLog
+from .carmen import is_carmen, read_carmen
+from .stampless import is_stampless, read_stampless
+from .text import TextLog
+from .wheel_ticks import is_wheel_ticks, read_wheel_ticks
+
+BAGS = (".bag", ".db3", ".mcap")
+
+
+@config
+class LaserSource:
+    """Which topics of a bag are read, and where the sensor stands when the log does not say or says it wrongly."""
+
+    scan_topic: str | None = None
+    odom_topic: str | None = None
+    sensor_pose: tuple[float, float, float] | None = None  # T_robot_sensor [m, m, rad]
+    mirrored: bool = False  # beam angles run clockwise
+
+
+def is_laser_log(path: Path) -> bool:
+    """Whether `read_laser` would try: a bag, or a text whose first rows are of a known format."""
+    if is_bag(path):
+        return True
+    if not path.is_file():
+        return False
+    try:
+        log = TextLog(path)
+    except ReaderError:
+        return False
+    return is_carmen(log) or is_stampless(log) or is_wheel_ticks(log)
+
+
+def is_bag(path: Path) -> bool:
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file() or any(p.suffix in BAGS[1:] for p in path.iterdir())
+    return path.suffix in BAGS
+
+
+def read_laser(path: Path, robot: str = "1", source: LaserSource | None = None) -> LaserLog:
+    """The log at `path` as robot `robot`. Raises ReaderError when its format is not known or the file is damaged."""
+    source = source or LaserSource()
+    if not path.exists():
+        raise ReaderError(path, "no such file")
+    if is_bag(path):
+        from .ros import read_ros  # noqa: PLC0415  (message types cost a second; only recordings need them)
+
+        return read_ros(
+            path,
+            robot,
+            scan_topic=source.scan_topic,
+            odom_topic=source.odom_topic,
+            sensor_pose=source.sensor_pose,
+            mirrored=source.mirrored,
+        )
+    log = TextLog(path)
+    if is_carmen(log):
+        return read_carmen(log, robot, sensor_pose=source.sensor_pose, mirrored=source.mirrored)
+    if is_stampless(log):
+        return read_stampless(log, robot, sensor_pose=source.sensor_pose, mirrored=source.mirrored)
+    if is_wheel_ticks(log):
+        return read_wheel_ticks(log, robot, sensor_pose=source.sensor_pose, mirrored=source.mirrored)
+    raise ReaderError(
+        path,
+        "not a laser log: expected a ROS bag (.bag, .db3, .mcap), a CARMEN log (FLASER, RLASER, ROBOTLASER1, ODOM), "
+        "'Odometry'/'Laser' rows, or URG-04LX rows with wheel ticks",
+    )

@@ -1,0 +1,131 @@
+"""MRCLAM landmark logs (folder or zip) become one `LandmarkLog` a robot. Truth files are not looked at.
+
+Layout: `Barcodes.dat` (subject, barcode), `RobotN_Odometry.dat` (t [s], v [m/s], w [rad/s], commanded),
+`RobotN_Measurement.dat` (t [s], barcode, range [m], bearing [rad]).
+"""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..core.errors import DataError, ReaderError
+from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
+from . import mending
+from .files import Files, open_files
+from .number_rows import line_of, numbers
+
+ROBOT_FILE = re.compile(r"^Robot([0-9]+)_(Odometry|Measurement)\.dat$")
+BARCODES = "Barcodes.dat"
+ENOUGH = 20  # sightings that make an unlisted barcode a landmark (its place is the estimator's to judge)
+
+
+def read_mrclam(path: Path, robots: Sequence[int] | None = None) -> tuple[LandmarkLog, ...]:
+    """The logs of all robots (or of `robots`) in order of number; raises ReaderError on a damaged data set."""
+    with open_files(path) as files:
+        found = _robot_files(files)
+        folder = files.folder_of([*(n for kinds in found.values() for n in kinds.values()), *_barcode_files(files)])
+        table = _barcodes(files, folder)
+        wanted = sorted(found) if robots is None else list(robots)
+        missing = [k for k in wanted if k not in found]
+        if missing:
+            raise DataError(f"{path}: no robot {missing[0]}; there are {', '.join(map(str, sorted(found)))}")
+        logs = tuple(_robot(files, k, found, table) for k in wanted)
+    mending.check_one_recording({f"{log.robot}": log.span for log in logs if len(log)}, path)
+    if not any(len(log.sightings) for log in logs):
+        raise DataError(f"{path}: no robot saw anything")
+    return logs
+
+
+def is_mrclam(files: Files) -> bool:
+    return bool(_barcode_files(files)) or any(ROBOT_FILE.match(n.rpartition("/")[2]) for n in files.names)
+
+
+def _barcode_files(files: Files) -> list[str]:
+    return [n for n in files.names if n.rpartition("/")[2] == BARCODES]
+
+
+def _robot_files(files: Files) -> dict[int, dict[str, str]]:
+    found: dict[int, dict[str, str]] = {}
+    for name in files.names:
+        match = ROBOT_FILE.match(name.rpartition("/")[2])
+        if match:
+            kinds = found.setdefault(int(match[1]), {})
+            if match[2] in kinds:
+                files.folder_of([kinds[match[2]], name])
+            kinds[match[2]] = name
+    if not found:
+        raise ReaderError(files.where, "expected RobotN_Odometry.dat or RobotN_Measurement.dat, found none")
+    return found
+
+
+def _barcodes(files: Files, folder: str) -> dict[int, int]:
+    """Barcode -> subject."""
+    name = f"{folder}{BARCODES}"
+    if name not in files.names:
+        raise ReaderError(files.where, f"expected {BARCODES} beside the robots' files, found none")
+    data, label = files.read(name), files.label(name)
+    table = numbers(data, label, ("subject", "barcode"))
+    if not len(table):
+        raise ReaderError(label, "expected rows of subject and barcode, found none")
+    seen: dict[int, int] = {}
+    for row, (subject, code) in enumerate(table):
+        if not (float(subject).is_integer() and float(code).is_integer()):
+            raise ReaderError(label, f"expected whole numbers, found {subject:g} {code:g}", line_of(data, label, row))
+        if int(code) in seen or int(subject) in seen.values():
+            raise ReaderError(
+                label, f"expected every number once, found {subject:g} {code:g} again", line_of(data, label, row)
+            )
+        seen[int(code)] = int(subject)
+    return seen
+
+
+def _robot(files: Files, k: int, found: dict[int, dict[str, str]], codes: dict[int, int]) -> LandmarkLog:
+    mend = mending.Mending()
+    kinds = found[k]
+    odometry = None
+    if "Odometry" in kinds:
+        name = kinds["Odometry"]
+        label = files.label(name)
+        odometry = mending.odometry(numbers(files.read(name), label, ("t", "v", "w")), label, mend)
+    if odometry is None:
+        mend.warnings.append("no odometry: mapped with a random walk between sightings")
+    seen = NOTHING_SEEN
+    if "Measurement" in kinds:
+        name = kinds["Measurement"]
+        data, label = files.read(name), files.label(name)
+        table = numbers(data, label, ("t", "barcode", "range", "bearing"))
+        wrong = np.flatnonzero(np.isfinite(table[:, 1]) & (table[:, 1] != np.round(table[:, 1])))
+        if len(wrong):
+            line = line_of(data, label, int(wrong[0]))
+            raise ReaderError(label, f"expected a whole number for barcode, found {table[wrong[0], 1]:g}", line)
+        seen = _named(mending.sightings(table, label, mend), codes, set(found), k, mend)
+    if not len(seen):
+        mend.warnings.append("it saw nothing")
+    spans = {"its sightings": seen.t} if odometry is None else {"its odometry": odometry.t, "its sightings": seen.t}
+    ends = {w: (float(t[0]), float(t[-1])) for w, t in spans.items() if len(t)}
+    mending.check_one_recording(ends, files.label(f"Robot{k}_*"))
+    return LandmarkLog(f"robot{k}", odometry, seen, mend.dropped, tuple(mend.warnings), str(files.where))
+
+
+def _named(
+    table: np.ndarray, codes: dict[int, int], robots: set[int], own: int, mend: mending.Mending
+) -> SightingTable:
+    """Barcodes become names; unlisted ones seldom seen, and the robot's own, are dropped as misreads."""
+    values, what, count = np.unique(table[:, 1].astype(np.int64), return_inverse=True, return_counts=True)
+    names: list[str] = []
+    keep = np.ones(len(values), bool)
+    for i, (code, n) in enumerate(zip(values.tolist(), count.tolist(), strict=True)):
+        subject = codes.get(code)
+        if subject is None:
+            names.append(f"barcode:{code}")
+            keep[i] = n >= ENOUGH
+        else:
+            names.append(f"robot{subject}" if subject in robots else str(subject))
+            keep[i] = subject != own
+    mend.drop("misread barcode", int(count[~keep].sum()))
+    rows = keep[what]
+    ids = tuple(name for name, k in zip(names, keep, strict=True) if k)
+    index = (np.cumsum(keep) - 1)[what[rows]]
+    return SightingTable(table[rows, 0], index, table[rows, 2], table[rows, 3], ids)

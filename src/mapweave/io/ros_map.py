@@ -1,0 +1,155 @@
+"""Maps as ROS navigation tools write them: `map.yaml` beside a PGM or PNG; and plain images as floor plans."""
+
+import ast
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int8
+from PIL import Image, UnidentifiedImageError
+
+from ..core.arrays import frozen
+from ..core.errors import ReaderError
+from ..core.walls import Walls, walls_of_raster
+
+UNKNOWN, FREE, OCCUPIED = -1, 0, 1
+KEYS = ("image", "resolution", "origin")
+
+
+@dataclass(frozen=True, slots=True)
+class RosMap:
+    """state: (rows, cols), row 0 lowest y, -1 unknown, 0 free, 1 occupied; resolution: cell side [m];
+
+    origin: (3,), pose of the raster's lower left corner in the map.
+    """
+
+    state: Int8[np.ndarray, "rows cols"]
+    resolution: float
+    origin: Float[np.ndarray, "3"]
+
+    def walls(self) -> Walls:
+        """Solid walls round all that is not known to be free."""
+        return walls_of_raster(self.state != FREE, self.origin, self.resolution)
+
+    def free(self, points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+        """Which of `points` [m] in the map lie on a cell known to be free."""
+        c, s = np.cos(self.origin[2]), np.sin(self.origin[2])
+        cells = np.floor((points - self.origin[:2]) @ np.array([[c, -s], [s, c]]) / self.resolution).astype(int)
+        col, row = cells.T
+        inside = (row >= 0) & (row < self.state.shape[0]) & (col >= 0) & (col < self.state.shape[1])
+        out = np.zeros(len(points), dtype=bool)
+        out[inside] = self.state[row[inside], col[inside]] == FREE
+        return out
+
+    def extent(self) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+        """Lower and upper corner [m] of the upright rectangle around the raster."""
+        rows, cols = self.state.shape
+        corners = np.array([[0, 0], [cols, 0], [0, rows], [cols, rows]]) * self.resolution
+        c, s = np.cos(self.origin[2]), np.sin(self.origin[2])
+        placed = corners @ np.array([[c, s], [-s, c]]) + self.origin[:2]
+        return placed.min(axis=0), placed.max(axis=0)
+
+
+def read_ros_map(path: Path) -> RosMap:
+    """The map that `path` (map.yaml) describes, its image read from beside it.
+
+    Raises ReaderError naming the file and what was expected when something is missing, damaged or out of range.
+    """
+    told = _read_yaml(path)
+    missing = [key for key in KEYS if key not in told]
+    if missing:
+        raise ReaderError(path, f"expected a ROS map with {', '.join(KEYS)}; {', '.join(missing)} is missing")
+    mode = str(told.get("mode", "trinary")).lower()
+    if mode not in ("trinary", "scale", "raw"):
+        raise ReaderError(path, f"mode: expected trinary, scale or raw, found {mode!r}")
+    resolution = _number(path, told, "resolution")
+    if resolution <= 0:
+        raise ReaderError(path, f"resolution: expected metres a pixel above 0, found {resolution:g}")
+    pixels = _read_image(path.parent / str(told["image"]))
+    if mode == "raw":
+        p = np.where(pixels > 100, np.nan, pixels / 100.0)
+    else:
+        negate = told.get("negate", 0)
+        if negate not in (0, 1, True, False):
+            raise ReaderError(path, f"negate: expected 0 or 1, found {negate!r}")
+        p = pixels / 255.0 if negate else (255.0 - pixels) / 255.0
+    occupied = _number(path, told, "occupied_thresh", 0.65)
+    free = _number(path, told, "free_thresh", 0.196)
+    if not 0 <= free <= occupied <= 1:
+        raise ReaderError(path, f"expected 0 <= free_thresh <= occupied_thresh <= 1, found {free:g} and {occupied:g}")
+    state = np.full(p.shape, UNKNOWN, dtype=np.int8)
+    state[p < free] = FREE
+    state[p > occupied] = OCCUPIED
+    return RosMap(state, resolution, _origin(path, told["origin"]))
+
+
+def read_plan(path: Path, resolution: float, origin: Float[np.ndarray, "3"]) -> RosMap:
+    """A floor plan from a plain image: darker than half is wall, the rest is free. origin: lower left corner."""
+    state = np.where(_read_image(path) < 127.5, OCCUPIED, FREE).astype(np.int8)
+    return RosMap(state, resolution, frozen(origin))
+
+
+def _read_image(path: Path) -> Float[np.ndarray, "rows cols"]:
+    """Brightness 0..255 of every pixel, the lowest row of the picture first."""
+    try:
+        with Image.open(path) as image:
+            deep = 65535.0 if image.mode.startswith("I") else 255.0
+            image.load()
+            if image.mode.startswith(("I", "F")):
+                grey = np.asarray(image, dtype=float) * (255.0 / deep)
+            else:
+                grey = np.asarray(image.convert("RGB"), dtype=float).mean(axis=-1)
+    except FileNotFoundError:
+        raise ReaderError(path, "expected an image, found no such file") from None
+    except (OSError, UnidentifiedImageError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise ReaderError(path, f"expected a PGM or PNG image: {error}") from None
+    return np.ascontiguousarray(grey[::-1])
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    """Keys and values of the flat YAML that ROS writes: scalars, and lists in brackets or one item a line."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ReaderError(path, f"expected a ROS map.yaml: {getattr(error, 'strerror', None) or error}") from None
+    out: dict[str, Any] = {}
+    key = ""
+    for number, line in enumerate(lines, start=1):
+        text = line.split(" #")[0].strip()
+        if not text or text.startswith(("#", "---", "%")):
+            continue
+        if text.startswith("- ") and key:
+            out[key] = [*(out[key] if isinstance(out[key], list) else []), _value(text[2:])]
+            continue
+        name, colon, value = text.partition(":")
+        if not colon or line[0].isspace():
+            raise ReaderError(path, f"expected `key: value`, found {text!r}", number)
+        key = name.strip().strip("'\"")
+        out[key] = _value(value)
+    return out
+
+
+def _value(text: str) -> Any:
+    """A number, a list of numbers, a truth value or the text itself."""
+    text = text.strip()
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text
+
+
+def _number(path: Path, told: dict[str, Any], key: str, default: float | None = None) -> float:
+    value = told.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise ReaderError(path, f"{key}: expected a number, found {value!r}")
+    return float(value)
+
+
+def _origin(path: Path, value: Any) -> Float[np.ndarray, "3"]:
+    good = isinstance(value, list) and len(value) in (2, 3) and all(isinstance(v, int | float) for v in value)
+    if not good or not np.isfinite(value).all():
+        raise ReaderError(path, f"origin: expected [x, y, theta], found {value!r}")
+    return frozen([*map(float, value), 0.0][:3])

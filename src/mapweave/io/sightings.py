@@ -1,0 +1,206 @@
+"""Sightings of a swarm, its truth and its odometry, from CSV or Parquet.
+
+`observer,target,bearing` [rad] in the plane; `observer,target,azimuth,elevation` or `observer,target,bx,by,bz` in
+space; optional `sigma` [rad] and `t` [s]. `robot,id` are understood for `observer,target`.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..core.arrays import frozen
+from ..core.bearings import BearingTable, unit, unit3
+from ..core.errors import DataError, ReaderError
+from ..core.records import Odometry
+from ..swarm.network import natural
+from .table import Table, read_table
+
+LAYOUTS = (("bearing",), ("azimuth", "elevation"), ("bx", "by", "bz"))
+
+
+@dataclass(frozen=True, slots=True)
+class Dropped:
+    """One row that was left out: where it stands, whom it names, why."""
+
+    line: int
+    observer: str
+    target: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmLog:
+    """Sightings as read, every row that was left out, and what looked wrong. `lines[k]`: line of the table's row k."""
+
+    source: str
+    table: BearingTable
+    lines: Sequence[int]
+    dropped: tuple[Dropped, ...]
+    warnings: tuple[str, ...]
+
+    def counts(self) -> dict[str, int]:
+        return dict(sorted(Counter(row.reason for row in self.dropped).items()))
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmTruth:
+    """Where robots really were. position: (n, d) [m]; t: (n,) [s] or None; heading: (n,) [rad] or None."""
+
+    ids: tuple[str, ...]
+    position: Float[np.ndarray, "n d"]
+    t: Float[np.ndarray, " n"] | None = None
+    heading: Float[np.ndarray, " n"] | None = None
+
+
+def read_sightings(path: Path, *, dim: int | None = None, axis: bool = True) -> SwarmLog:
+    """The sightings in `path`; rows with NaN or observer = target are left out and listed.
+
+    Raises ReaderError for a row that does not parse, and DataError when no sighting is left.
+    """
+    file = read_table(path)
+    layout = _layout(file, dim)
+    observer, target = file.names(_column(file, "observer", "robot")), file.names(_column(file, "target", "id"))
+    values = np.column_stack([file.numbers(name) for name in layout]) if len(file) else np.zeros((0, len(layout)))
+    t = file.numbers("t") if "t" in file.columns else None
+    sigma = file.numbers("sigma") if "sigma" in file.columns else np.full(len(file), np.nan)
+    _check_sigma(file, sigma)
+
+    bad, reasons = _bad_rows(layout, values, t, observer, target)
+    dropped = tuple(Dropped(file.lines[k], observer[k], target[k], reasons[k]) for k in np.flatnonzero(bad).tolist())
+    keep = np.flatnonzero(~bad)
+    if not len(keep):
+        told = f" ({len(dropped)} rows dropped: {dropped[0].reason})" if dropped else ""
+        raise DataError(f"{path}: no sightings{told}")
+    ids = natural_order(set(observer) | set(target))
+    place = {name: k for k, name in enumerate(ids)}
+    index = [np.fromiter((place[w] for w in names), np.int64, len(file))[keep] for names in (observer, target)]
+    values = values[keep]
+    direction = (
+        unit(values[:, 0])
+        if len(layout) == 1
+        else unit3(values[:, 0], values[:, 1])
+        if len(layout) == 2
+        else values / np.linalg.norm(values, axis=1, keepdims=True)
+    )
+    table = BearingTable(ids, index[0], index[1], direction, sigma[keep], None if t is None else t[keep], axis)
+    lines = [file.lines[k] for k in keep.tolist()]
+    return SwarmLog(str(path), table, lines, dropped, tuple(_warnings(path, layout, values)))
+
+
+def read_swarm_truth(path: Path) -> SwarmTruth:
+    """The truth in `path`: `id,x,y[,z]`, optional `t` and `heading`; a repeated id without `t` is an error."""
+    file = read_table(path)
+    _need(file, ("id", "x", "y"))
+    ids = tuple(file.names("id"))
+    names = [name for name in ("x", "y", "z") if name in file.columns]
+    position = np.column_stack([file.numbers(name) for name in names]) if len(file) else np.zeros((0, len(names)))
+    if not np.all(np.isfinite(position)):
+        row = int(np.flatnonzero(~np.isfinite(position).all(axis=1))[0])
+        raise ReaderError(path, f"expected finite {','.join(names)} for {ids[row]}", file.lines[row])
+    t = file.numbers("t") if "t" in file.columns else None
+    if t is None and len(set(ids)) < len(ids):
+        twice = Counter(ids).most_common(1)[0][0]
+        raise ReaderError(path, f"robot {twice} stands twice and there is no column t")
+    heading = file.numbers("heading") if "heading" in file.columns else None
+    return SwarmTruth(ids, position, t, heading)
+
+
+def natural_order(names: set[str]) -> tuple[str, ...]:
+    """`names` sorted, numbers as numbers: 2 before 10."""
+    return tuple(sorted(names, key=natural))
+
+
+def _layout(file: Table, dim: int | None) -> tuple[str, ...]:
+    found = [names for names in LAYOUTS if all(name in file.columns for name in names)]
+    if dim is not None:
+        found = [names for names in found if (len(names) == 1) == (dim == 2)]
+    if len(found) != 1:
+        wanted = {2: "bearing", 3: "azimuth,elevation or bx,by,bz"}
+        expected = wanted[dim] if dim else "one of bearing; azimuth,elevation; bx,by,bz"
+        head = ",".join(file.columns)
+        raise ReaderError(file.path, f"expected observer,target and {expected}; found {head}", 1)
+    return found[0]
+
+
+def _column(file: Table, *names: str) -> str:
+    for name in names:
+        if name in file.columns:
+            return name
+    raise ReaderError(file.path, f"expected a column {names[0]}, found {','.join(file.columns)}", 1)
+
+
+def _need(file: Table, names: tuple[str, ...]) -> None:
+    missing = [name for name in names if name not in file.columns]
+    if missing:
+        raise ReaderError(file.path, f"expected columns {','.join(names)}, found {','.join(file.columns)}", 1)
+
+
+def _check_sigma(file: Table, sigma: Float[np.ndarray, " n"]) -> None:
+    wrong = np.flatnonzero((sigma <= 0.0) | np.isinf(sigma))
+    if len(wrong):
+        row = int(wrong[0])
+        raise ReaderError(file.path, f"expected a positive sigma [rad], found {sigma[row]:g}", file.lines[row])
+
+
+def _bad_rows(
+    layout: tuple[str, ...],
+    values: Float[np.ndarray, "n c"],
+    t: Float[np.ndarray, " n"] | None,
+    observer: Sequence[str],
+    target: Sequence[str],
+) -> tuple[Bool[np.ndarray, " n"], dict[int, str]]:
+    """Which rows cannot be used, and why each."""
+    reasons: dict[int, str] = {}
+    bad = ~np.isfinite(values).all(axis=1)
+    reasons.update(dict.fromkeys(np.flatnonzero(bad).tolist(), "not a number"))
+    if t is not None:
+        unstamped = ~np.isfinite(t) & ~bad
+        reasons.update(dict.fromkeys(np.flatnonzero(unstamped).tolist(), "no time stamp"))
+        bad |= unstamped
+    if len(layout) == 3:
+        short = (np.linalg.norm(np.where(bad[:, None], 1.0, values), axis=1) < 1e-9) & ~bad
+        reasons.update(dict.fromkeys(np.flatnonzero(short).tolist(), "zero direction"))
+        bad |= short
+    own = [k for k, (a, b) in enumerate(zip(observer, target, strict=True)) if a == b]
+    for k in own:
+        reasons.setdefault(k, "observer is target")
+    bad[own] = True
+    return bad, reasons
+
+
+def _warnings(path: Path, layout: tuple[str, ...], values: Float[np.ndarray, "m c"]) -> list[str]:
+    if len(layout) == 3:
+        return []
+    beyond = np.abs(values[:, 0]) > 2.0 * np.pi + 1e-6
+    if len(layout) == 2:
+        beyond |= np.abs(values[:, 1]) > 0.5 * np.pi + 1e-6
+    if not beyond.any():
+        return []
+    largest = float(np.abs(values).max())
+    what = f"{int(beyond.sum())} of {len(values)} bearings lie beyond a full turn (largest {largest:.4g} rad)"
+    return [f"{path}: {what}: are they degrees? Bearings are read as radians"]
+
+
+def read_swarm_odometry(path: Path) -> dict[str, Odometry]:
+    """Velocities by robot from `t,robot,v,w` [s, m/s, rad/s]; of equal stamps the last row counts.
+
+    Raises ReaderError for a row that does not parse or says nothing.
+    """
+    file = read_table(path)
+    _need(file, ("t", "robot", "v", "w"))
+    rows = np.column_stack([file.numbers(name) for name in ("t", "v", "w")]) if len(file) else np.zeros((0, 3))
+    if not np.isfinite(rows).all():
+        k = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
+        raise ReaderError(path, "expected finite t, v and w", file.lines[k])
+    names = np.array(file.names("robot"))
+    out = {}
+    for name in natural_order(set(names.tolist())):
+        mine = rows[names == name]
+        mine = mine[np.argsort(mine[:, 0], kind="stable")]
+        mine = mine[np.append(np.diff(mine[:, 0]) > 0.0, True)]
+        out[name] = Odometry(frozen(mine[:, 0]), frozen(mine[:, 1]), frozen(mine[:, 2]))
+    return out

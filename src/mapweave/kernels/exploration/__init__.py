@@ -1,0 +1,1 @@
+"""Kernels of exploration: objectives, tours, laps, ways through a grid."""

@@ -1,0 +1,218 @@
+"""What a plan of laps would bring: where the robots would be, what they would have seen, how sure the map would be."""
+
+import numpy as np
+
+from .._jit import kernel
+from ..small import solved
+from .objective import mark_half_disc
+
+NEAREST = 2.0  # [m], closer sightings are not counted on to tell more
+
+
+@kernel
+def drive_laps(
+    ways: np.ndarray,
+    counts: np.ndarray,
+    starts: np.ndarray,
+    controls: np.ndarray,
+    period: float,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    arrived: float,
+    steps: int,
+) -> np.ndarray:
+    """Poses (M, steps + 1, 3) of robots that steer through their places in turn, without noise, and then stand still.
+
+    ways: (M, k, 2) [m], counts: (M,) places used of each; starts: (M, 3); controls: (m, 2); a place counts as reached
+    within `arrived` [m]. The rule is that of `explore.steering.steer`.
+    """
+    M = len(starts)
+    track = np.empty((M, steps + 1, 3))
+    for j in range(M):
+        x, y, th = starts[j, 0], starts[j, 1], starts[j, 2]
+        track[j, 0] = starts[j]
+        at = 0
+        for t in range(1, steps + 1):
+            while at < counts[j] and np.hypot(ways[j, at, 0] - x, ways[j, at, 1] - y) < arrived:
+                at += 1
+            if at < counts[j]:
+                gx, gy = ways[j, at, 0], ways[j, at, 1]
+                best, nx, ny, nth = np.inf, x, y, th
+                c, s = np.cos(th), np.sin(th)
+                last, bearing = np.nan, 0.0
+                for u in range(len(controls)):
+                    d = controls[u, 0] * period
+                    ux, uy, uth = x + d * c, y + d * s, th + controls[u, 1] * period
+                    if ux < lower[0] or ux > upper[0] or uy < lower[1] or uy > upper[1]:
+                        continue
+                    if d != last:
+                        last, bearing = d, np.arctan2(gy - uy, gx - ux)
+                    off = bearing - uth
+                    off -= 2 * np.pi * np.floor((off + np.pi) / (2 * np.pi))
+                    cost = np.hypot(gx - ux, gy - uy) + 3.0 * abs(off)
+                    if cost < best:
+                        best, nx, ny, nth = cost, ux, uy, uth
+                x, y, th = nx, ny, nth
+            track[j, t, 0], track[j, t, 1], track[j, t, 2] = x, y, th
+    return track
+
+
+@kernel
+def seen_shares(
+    track: np.ndarray, explored: np.ndarray, reach: float, half_angle: float, origin: np.ndarray, cell: float
+) -> np.ndarray:
+    """Share (steps + 1,) of the cells seen by each step of `track` (M, steps + 1, 3), `explored` (ny, nx) before it."""
+    seen = explored.copy()
+    out = np.empty(track.shape[1])
+    for t in range(track.shape[1]):
+        for j in range(track.shape[0]):
+            if t == 0 or not np.array_equal(track[j, t], track[j, t - 1]):
+                mark_half_disc(seen, track[j, t], reach, half_angle, origin, cell)
+        out[t] = seen.mean()
+    return out
+
+
+@kernel
+def odometry_information(track: np.ndarray, every: int, Q: np.ndarray) -> np.ndarray:
+    """Information (3 K, 3 K) that odometry gives about the poses at steps every, 2 every, ... of each robot in turn.
+
+    Errors in world axes; the first poses are certain. Q: (3, 3) noise of a step.
+    """
+    M, n = track.shape[0], (track.shape[1] - 1) // every
+    S = np.zeros((3 * M * n, 3 * M * n))
+    for j in range(M):
+        for k in range(n):
+            P = np.zeros((3, 3))
+            for t in range(k * every, (k + 1) * every):
+                dx, dy = track[j, t + 1, 0] - track[j, t, 0], track[j, t + 1, 1] - track[j, t, 1]
+                P[0] -= dy * P[2]
+                P[1] += dx * P[2]
+                P[:, 0] -= dy * P[:, 2]
+                P[:, 1] += dx * P[:, 2]
+                P += Q
+            W = solved(P, np.eye(3))
+            b = 3 * (j * n + k)
+            S[b : b + 3, b : b + 3] += W
+            if k == 0:
+                continue
+            a = b - 3
+            F = np.eye(3)
+            F[0, 2] = -(track[j, (k + 1) * every, 1] - track[j, k * every, 1])
+            F[1, 2] = track[j, (k + 1) * every, 0] - track[j, k * every, 0]
+            WF = W @ F
+            S[b : b + 3, a : a + 3] -= WF
+            S[a : a + 3, b : b + 3] -= WF.T
+            S[a : a + 3, a : a + 3] += F.T @ WF
+    return S
+
+
+@kernel
+def _sightings(
+    track: np.ndarray,
+    every: int,
+    point: np.ndarray,
+    reach: float,
+    half_angle: float,
+    R: np.ndarray,
+    B: np.ndarray,
+    C: np.ndarray,
+    nodes: np.ndarray,
+) -> tuple[int, float, float, float]:
+    """Fills nodes (which poses see `point`), B (k, 3, 2) and C (k, 3, 3); k and the point's own information."""
+    M, n = track.shape[0], (track.shape[1] - 1) // every
+    k, a00, a01, a11 = 0, 0.0, 0.0, 0.0
+    cos_half = np.cos(half_angle)
+    wr, wb = every / R[0, 0], every / R[1, 1]
+    for j in range(M):
+        for i in range(n + 1):
+            p = track[j, i * every]
+            dx, dy = point[0] - p[0], point[1] - p[1]
+            r = np.hypot(dx, dy)
+            if r > reach or dx * np.cos(p[2]) + dy * np.sin(p[2]) < cos_half * r:
+                continue
+            if i > 0 and np.array_equal(p, track[j, (i - 1) * every]):
+                continue
+            r = max(r, NEAREST)
+            ux, uy = dx / r, dy / r
+            gx, gy = -uy / r, ux / r
+            a00 += wr * ux * ux + wb * gx * gx
+            a01 += wr * ux * uy + wb * gx * gy
+            a11 += wr * uy * uy + wb * gy * gy
+            if i == 0:
+                continue
+            nodes[k] = j * n + i - 1
+            h = np.array([[-ux, -uy, 0.0], [-gx, -gy, -1.0]])
+            for a in range(3):
+                B[k, a, 0] = wr * h[0, a] * ux + wb * h[1, a] * gx
+                B[k, a, 1] = wr * h[0, a] * uy + wb * h[1, a] * gy
+                for b in range(3):
+                    C[k, a, b] = wr * h[0, a] * h[0, b] + wb * h[1, a] * h[1, b]
+            k += 1
+    return k, a00, a01, a11
+
+
+@kernel
+def add_landmark_information(
+    S: np.ndarray,
+    track: np.ndarray,
+    every: int,
+    points: np.ndarray,
+    density: float,
+    reach: float,
+    half_angle: float,
+    R: np.ndarray,
+) -> None:
+    """Adds to S what landmarks, `density` of them expected at each of `points` (n, 2), tell about the poses, in place.
+
+    The landmark itself is eliminated: what is left ties together all poses that see it.
+    """
+    most = len(S) // 3 + track.shape[0]
+    B, C, nodes = np.empty((most, 3, 2)), np.empty((most, 3, 3)), np.empty(most, dtype=np.int64)
+    for m in range(len(points)):
+        k, a00, a01, a11 = _sightings(track, every, points[m], reach, half_angle, R, B, C, nodes)
+        det = a00 * a11 - a01 * a01
+        if k == 0 or det <= 0:
+            continue
+        for i in range(k):
+            r = 3 * nodes[i]
+            for a in range(3):
+                f0 = density * (B[i, a, 0] * a11 - B[i, a, 1] * a01) / det
+                f1 = density * (B[i, a, 1] * a00 - B[i, a, 0] * a01) / det
+                for b in range(3):
+                    S[r + a, r + b] += density * C[i, a, b]
+                for q in range(k):
+                    c = 3 * nodes[q]
+                    for b in range(3):
+                        S[r + a, c + b] -= f0 * B[q, b, 0] + f1 * B[q, b, 1]
+
+
+@kernel
+def landmark_errors(
+    P: np.ndarray, track: np.ndarray, every: int, points: np.ndarray, reach: float, half_angle: float, R: np.ndarray
+) -> np.ndarray:
+    """Expected root mean square error (n,) [m] of a landmark at each of `points`, NaN where none would be seen.
+
+    P: (3 K, 3 K) covariance of the poses, as `odometry_information` orders them.
+    """
+    most = len(P) // 3 + track.shape[0]
+    B, C, nodes = np.empty((most, 3, 2)), np.empty((most, 3, 3)), np.empty(most, dtype=np.int64)
+    out = np.full(len(points), np.nan)
+    for m in range(len(points)):
+        k, a00, a01, a11 = _sightings(track, every, points[m], reach, half_angle, R, B, C, nodes)
+        det = a00 * a11 - a01 * a01
+        if det <= 0:
+            continue
+        V = np.zeros((2, 2))
+        for i in range(k):
+            for q in range(k):
+                for a in range(3):
+                    for b in range(3):
+                        p = P[3 * nodes[i] + a, 3 * nodes[q] + b]
+                        V[0, 0] += B[i, a, 0] * p * B[q, b, 0]
+                        V[0, 1] += B[i, a, 0] * p * B[q, b, 1]
+                        V[1, 1] += B[i, a, 1] * p * B[q, b, 1]
+        i00, i01, i11 = a11 / det, -a01 / det, a00 / det
+        v00 = i00 * (V[0, 0] * i00 + V[0, 1] * i01) + i01 * (V[0, 1] * i00 + V[1, 1] * i01)
+        v11 = i01 * (V[0, 0] * i01 + V[0, 1] * i11) + i11 * (V[0, 1] * i01 + V[1, 1] * i11)
+        out[m] = np.sqrt(i00 + i11 + v00 + v11)
+    return out

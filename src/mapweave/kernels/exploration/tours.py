@@ -1,0 +1,186 @@
+"""Set cover by discs and balanced open tours: where a team should go to see everything soon."""
+
+import numpy as np
+
+from .._jit import kernel
+
+BALANCE = 0.3  # what the sum of all tours weighs beside the longest
+
+
+@kernel
+def _add_disc(gain: np.ndarray, cell: np.ndarray, xs: np.ndarray, ys: np.ndarray, radius: float, by: int) -> None:
+    """`by` more cells for every disc of the grid `ys` x `xs` that reaches `cell`."""
+    for iy in range(len(ys)):
+        dy = ys[iy] - cell[1]
+        if abs(dy) > radius:
+            continue
+        half = np.sqrt(radius * radius - dy * dy)
+        for ix in range(np.searchsorted(xs, cell[0] - half), np.searchsorted(xs, cell[0] + half, side="right")):
+            gain[iy, ix] += by
+
+
+@kernel
+def greedy_cover(cells: np.ndarray, xs: np.ndarray, ys: np.ndarray, radius: float) -> np.ndarray:
+    """Centres (k, 2) on the grid `xs` x `ys` (ascending) of discs that cover every coverable cell (n, 2).
+
+    The disc with the largest gain first.
+    """
+    gain = np.zeros((len(ys), len(xs)), dtype=np.int64)
+    for i in range(len(cells)):
+        _add_disc(gain, cells[i], xs, ys, radius, 1)
+    covered = np.zeros(len(cells), dtype=np.bool_)
+    out = np.empty((len(xs) * len(ys), 2))
+    count = 0
+    while count < len(out):
+        best = np.argmax(gain)
+        iy, ix = best // len(xs), best % len(xs)
+        if gain[iy, ix] <= 0:
+            break
+        out[count, 0], out[count, 1] = xs[ix], ys[iy]
+        count += 1
+        for i in range(len(cells)):
+            dx, dy = cells[i, 0] - xs[ix], cells[i, 1] - ys[iy]
+            if not covered[i] and dx * dx + dy * dy <= radius * radius:
+                covered[i] = True
+                _add_disc(gain, cells[i], xs, ys, radius, -1)
+    return out[:count]
+
+
+@kernel
+def _length(first: np.ndarray, between: np.ndarray, last: np.ndarray, tour: np.ndarray, n: int, robot: int) -> float:
+    if n == 0:
+        return 0.0
+    total: float = first[robot, tour[0]] + last[robot, tour[n - 1]]
+    for k in range(n - 1):
+        total += between[tour[k], tour[k + 1]]
+    return total
+
+
+@kernel
+def _insertion_cost(
+    first: np.ndarray, between: np.ndarray, last: np.ndarray, tour: np.ndarray, n: int, robot: int, v: int, p: int
+) -> float:
+    """What putting node v at place p of a tour of n nodes adds to its length."""
+    cost: float = 0.0
+    if n == 0:
+        cost = first[robot, v] + last[robot, v]
+    elif p == 0:
+        cost = first[robot, v] + between[v, tour[0]] - first[robot, tour[0]]
+    elif p < n:
+        cost = between[tour[p - 1], v] + between[v, tour[p]] - between[tour[p - 1], tour[p]]
+    else:
+        cost = between[tour[n - 1], v] + last[robot, v] - last[robot, tour[n - 1]]
+    return cost
+
+
+@kernel
+def _insert(tour: np.ndarray, n: int, v: int, p: int) -> None:
+    for k in range(n, p, -1):
+        tour[k] = tour[k - 1]
+    tour[p] = v
+
+
+@kernel
+def _reverse_while_shorter(
+    first: np.ndarray, between: np.ndarray, last: np.ndarray, tour: np.ndarray, n: int, robot: int
+) -> bool:
+    """2-opt on one tour, in place; whether it helped."""
+    helped = False
+    length = _length(first, between, last, tour, n, robot)
+    for a in range(n - 1):
+        for b in range(a + 1, n):
+            tour[a : b + 1] = tour[a : b + 1][::-1].copy()
+            shorter = _length(first, between, last, tour, n, robot)
+            if shorter < length - 1e-9:
+                length = shorter
+                helped = True
+            else:
+                tour[a : b + 1] = tour[a : b + 1][::-1].copy()
+    return helped
+
+
+@kernel
+def _relocate(
+    first: np.ndarray, between: np.ndarray, last: np.ndarray, tours: np.ndarray, counts: np.ndarray, r: int, a: int
+) -> bool:
+    """Node a of robot r's tour moved to where it costs least, another tour or place; whether it moved."""
+    v, n = tours[r, a], counts[r]
+    before = _length(first, between, last, tours[r], n, r)
+    rest = np.empty(n, dtype=np.int64)
+    rest[:a], rest[a : n - 1] = tours[r, :a], tours[r, a + 1 : n]
+    without = _length(first, between, last, rest, n - 1, r)
+    for s in range(first.shape[0]):
+        there = without if s == r else _length(first, between, last, tours[s], counts[s], s)
+        size = n - 1 if s == r else counts[s]
+        for p in range(size + 1):
+            tour = rest if s == r else tours[s]
+            length = there + _insertion_cost(first, between, last, tour, size, s, v, p)
+            if s == r:
+                better = length < before - 1e-9
+            else:
+                top_now, top_then = max(before, there), max(without, length)
+                better = top_then + BALANCE * (without + length) < top_now + BALANCE * (before + there) - 1e-9
+            if better:
+                tours[r, : n - 1] = rest[: n - 1]
+                counts[r] = n - 1
+                _insert(tours[s], counts[s], v, p)
+                counts[s] += 1
+                return True
+    return False
+
+
+@kernel
+def _cheapest(
+    first: np.ndarray,
+    between: np.ndarray,
+    last: np.ndarray,
+    tours: np.ndarray,
+    counts: np.ndarray,
+    lengths: np.ndarray,
+    done: np.ndarray,
+) -> tuple[int, int, int]:
+    """The node left, robot and place whose insertion keeps the tours shortest."""
+    best, node, robot, place = np.inf, 0, 0, 0
+    longest = lengths.max()
+    for v in range(len(done)):
+        for r in range(len(counts)):
+            for p in range(counts[r] + 1):
+                extra = _insertion_cost(first, between, last, tours[r], counts[r], r, v, p)
+                cost = max(longest, lengths[r] + extra) + BALANCE * extra
+                if not done[v] and cost < best:
+                    best, node, robot, place = cost, v, r, p
+    return node, robot, place
+
+
+@kernel
+def balanced_tours(first: np.ndarray, between: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Tours of all nodes, one a robot, short in the longest and then in the sum.
+
+    first: (M, n) cost from each robot to each node; between: (n, n); last: (M, n) cost from each node to where the
+    robot should end, zeros for open tours. Returns (tours (M, n), counts (M,)): cheapest insertion, then reversals
+    and relocations while they help.
+    """
+    M, n = first.shape
+    tours = np.zeros((M, n + 1), dtype=np.int64)
+    counts = np.zeros(M, dtype=np.int64)
+    lengths = np.zeros(M)
+    done = np.zeros(n, dtype=np.bool_)
+    for _ in range(n):
+        node, robot, place = _cheapest(first, between, last, tours, counts, lengths, done)
+        lengths[robot] += _insertion_cost(first, between, last, tours[robot], counts[robot], robot, node, place)
+        _insert(tours[robot], counts[robot], node, place)
+        counts[robot] += 1
+        done[node] = True
+    for _ in range(50):
+        helped = False
+        for r in range(M):
+            helped |= _reverse_while_shorter(first, between, last, tours[r], counts[r], r)
+            a = 0
+            while a < counts[r]:
+                if _relocate(first, between, last, tours, counts, r, a):
+                    helped = True
+                else:
+                    a += 1
+        if not helped:
+            break
+    return tours[:, :n], counts

@@ -1,0 +1,1 @@
+"""Kernels of landmark SLAM: the EKF over a whole log, submaps."""

@@ -1,0 +1,71 @@
+"""What EKF-SLAM's kernels share: the layout of the state, the noise, angles.
+
+State `x`: [px, py, theta, v scale, turn scale, lag, bearing bias, range scale, p_1x, p_1y, ...]; `P` its covariance.
+A parameter that is not estimated has zero variance and stays.
+"""
+
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from .._jit import kernel
+
+Array: TypeAlias = np.ndarray
+
+POSE = 3
+HEAD = 8  # pose and calibration
+V_SCALE, TURN_SCALE, LAG, BEARING_BIAS, RANGE_SCALE = 3, 4, 5, 6, 7
+
+
+class Noise(NamedTuple):
+    """What the kernels take from the configuration, in metres, radians and seconds."""
+
+    along: float  # [m / sqrt(m)] of distance commanded
+    across: float  # [m / sqrt(m)]
+    drift: float  # [rad / sqrt(m)] heading over distance commanded
+    turn: float  # [rad / sqrt(rad)] heading over angle commanded
+    rest_xy: float  # [m / sqrt(s)]
+    rest_theta: float  # [rad / sqrt(s)]
+    lost_xy: float  # [m / sqrt(s)] while no command is known
+    lost_theta: float  # [rad / sqrt(s)]
+    hold: float  # [s] a command is held at most
+    speed: float  # [m/s] a robot without odometry drives at; 0: commands are known
+    speed_time: float  # [s] it keeps its speed
+    spin: float  # [rad/s] it turns at
+    spin_time: float  # [s]
+    range_floor: float  # [m]
+    range_share: float  # of the distance
+    bearing: float  # [rad]
+    range_inflation: float  # of the variance, for correlated errors
+    bearing_inflation: float
+    gate: float  # normalised innovation from which a sighting counts less
+    far: float  # normalised innovation from which it hardly counts
+    agree: int  # sightings that must agree before a landmark starts
+
+
+@kernel
+def plain(number: int) -> int:
+    """`number`, no longer a literal: Numba compiles a callee once more for each literal argument."""
+    return number
+
+
+@kernel
+def quadratic(
+    e0: float,
+    e1: float,
+    s00: float,
+    s01: float,
+    s11: float,
+) -> float:
+    """`e^T S^-1 e` in two dimensions."""
+    q: float = (s11 * e0 * e0 - 2.0 * s01 * e0 * e1 + s00 * e1 * e1) / (s00 * s11 - s01 * s01)
+    return q
+
+
+@kernel
+def wrap(
+    angle: float,
+) -> float:
+    """`angle` [rad] in [-pi, pi)."""
+    wrapped: float = angle - 2.0 * np.pi * np.floor((angle + np.pi) / (2.0 * np.pi))
+    return wrapped

@@ -1,0 +1,75 @@
+"""One scan laid into, or taken out of, a dense grid in whole numbers."""
+
+import math
+
+import numpy as np
+
+from .._jit import kernel
+
+UNIT = 65536  # parts of a cell that sums of points count in
+
+
+@kernel
+def lay_sweep(
+    hits: np.ndarray,
+    far: np.ndarray,
+    passes: np.ndarray,
+    sums: np.ndarray,
+    corner: np.ndarray,
+    cell: float,
+    eye: np.ndarray,
+    points: np.ndarray,
+    ends: np.ndarray,
+    near: float,
+    sign: int,
+) -> None:
+    """`hits`, `far`, `passes` (rows, cols) int32 and `sums` (rows, cols, 2) int64 of offsets in the cell, times `sign`.
+
+    corner: (2,) int64 cell of entry [0, 0]; eye: (2,) sensor; points: (n, 2) returns; ends: (m, 2) where beams that
+    came to nothing were last known free, all [m] in the map. Returns from beyond `near` [m] count as `far` ones. A beam
+    passes every cell it crosses before the one it ends in; a beam without return passes that one too. The same pose
+    counts the same, wherever the corner lies.
+    """
+    for i in range(points.shape[0]):
+        jx, jy = walk(passes, corner, cell, eye[0], eye[1], points[i, 0], points[i, 1], sign)
+        if 0 <= jy < hits.shape[0] and 0 <= jx < hits.shape[1]:
+            away = (points[i, 0] - eye[0]) ** 2 + (points[i, 1] - eye[1]) ** 2 > near * near
+            if away:
+                far[jy, jx] += sign
+            else:
+                hits[jy, jx] += sign
+            vx, vy = points[i, 0] / cell, points[i, 1] / cell
+            sums[jy, jx, 0] += sign * np.int64((vx - math.floor(vx)) * UNIT)
+            sums[jy, jx, 1] += sign * np.int64((vy - math.floor(vy)) * UNIT)
+    for i in range(ends.shape[0]):
+        jx, jy = walk(passes, corner, cell, eye[0], eye[1], ends[i, 0], ends[i, 1], sign)
+        if 0 <= jy < hits.shape[0] and 0 <= jx < hits.shape[1]:
+            passes[jy, jx] += sign
+
+
+@kernel
+def walk(
+    passes: np.ndarray, corner: np.ndarray, cell: float, x0: float, y0: float, x1: float, y1: float, sign: int
+) -> tuple[int, int]:
+    """`passes` changes by `sign` in every cell from (x0, y0) to before that of (x1, y1), whose column and row come."""
+    rows, cols = passes.shape
+    ux, uy, vx, vy = x0 / cell, y0 / cell, x1 / cell, y1 / cell
+    fx, fy, gx, gy = math.floor(ux), math.floor(uy), math.floor(vx), math.floor(vy)
+    dx, dy = vx - ux, vy - uy
+    sx, sy = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
+    tx = math.inf if dx == 0.0 else (fx + (1 if dx > 0 else 0) - ux) / dx
+    ty = math.inf if dy == 0.0 else (fy + (1 if dy > 0 else 0) - uy) / dy
+    stepx = math.inf if dx == 0.0 else abs(1.0 / dx)
+    stepy = math.inf if dy == 0.0 else abs(1.0 / dy)
+    ix, iy = np.int64(fx) - corner[0], np.int64(fy) - corner[1]
+    jx, jy = np.int64(gx) - corner[0], np.int64(gy) - corner[1]
+    for _ in range(abs(jx - ix) + abs(jy - iy)):
+        if 0 <= iy < rows and 0 <= ix < cols:
+            passes[iy, ix] += sign
+        if tx < ty:
+            ix += sx
+            tx += stepx
+        else:
+            iy += sy
+            ty += stepy
+    return jx, jy

@@ -1,0 +1,1 @@
+"""Kernels of walls: rays, sight, distances, buckets of segments."""

@@ -1,0 +1,172 @@
+"""What is in view among walls: cells and points no segment hides, and from where a place can be seen."""
+
+import numpy as np
+
+from .._jit import kernel
+from .segments import _to_segment, touches
+
+
+@kernel
+def _near(px: float, py: float, segments: np.ndarray, reach: float) -> np.ndarray:
+    """The segments within `reach` of a point: no other can hide what lies within `reach`."""
+    out = np.empty_like(segments)
+    count = 0
+    for k in range(segments.shape[0]):
+        if _to_segment(px, py, segments, k) <= reach * reach:
+            out[count] = segments[k]
+            count += 1
+    return out[:count]
+
+
+@kernel
+def _clear(ax: float, ay: float, bx: float, by: float, segments: np.ndarray) -> bool:
+    for k in range(segments.shape[0]):  # noqa: SIM110  (compiled)
+        if touches(ax, ay, bx, by, segments, k):
+            return False
+    return True
+
+
+@kernel
+def points_in_sight(place: np.ndarray, points: np.ndarray, reach: float, segments: np.ndarray) -> np.ndarray:
+    """Which of `points` (n, 2) lie within `reach` of `place` (2,) with no wall between."""
+    near = _near(place[0], place[1], segments, reach)
+    out = np.zeros(points.shape[0], dtype=np.bool_)
+    for i in range(points.shape[0]):
+        dx, dy = points[i, 0] - place[0], points[i, 1] - place[1]
+        out[i] = dx * dx + dy * dy <= reach * reach and _clear(place[0], place[1], points[i, 0], points[i, 1], near)
+    return out
+
+
+@kernel
+def mark_in_sight(
+    explored: np.ndarray,
+    pose: np.ndarray,
+    reach: float,
+    half_angle: float,
+    origin: np.ndarray,
+    cell: float,
+    segments: np.ndarray,
+) -> None:
+    """Cells whose centre is within `reach` and `half_angle` of `pose`, and not hidden, become True, in place.
+
+    explored: (ny, nx); origin: (2,) [m], the grid's lower left corner; cell: [m].
+    """
+    ny, nx = explored.shape
+    near = _near(pose[0], pose[1], segments, reach)
+    c, s, cos_half = np.cos(pose[2]), np.sin(pose[2]), np.cos(half_angle)
+    x0 = max(0, int(np.floor((pose[0] - reach - origin[0]) / cell)))
+    x1 = min(nx - 1, int(np.floor((pose[0] + reach - origin[0]) / cell)))
+    y0 = max(0, int(np.floor((pose[1] - reach - origin[1]) / cell)))
+    y1 = min(ny - 1, int(np.floor((pose[1] + reach - origin[1]) / cell)))
+    for iy in range(y0, y1 + 1):
+        y = origin[1] + (iy + 0.5) * cell
+        for ix in range(x0, x1 + 1):
+            if explored[iy, ix]:
+                continue
+            x = origin[0] + (ix + 0.5) * cell
+            dx, dy = x - pose[0], y - pose[1]
+            d2 = dx * dx + dy * dy
+            if d2 <= reach * reach and dx * c + dy * s >= cos_half * np.sqrt(d2) - 1e-9:
+                explored[iy, ix] = _clear(pose[0], pose[1], x, y, near)
+
+
+@kernel
+def unexplored_in_sight(
+    explored: np.ndarray,
+    poses: np.ndarray,
+    reach: float,
+    half_angle: float,
+    origin: np.ndarray,
+    cell: float,
+    segments: np.ndarray,
+) -> np.ndarray:
+    """How many unexplored cells (m,) come into view from each of `poses` (m, 3) among walls.
+
+    What can be seen from a place is found once for all headings that follow each other there.
+    """
+    ny, nx = explored.shape
+    out = np.zeros(poses.shape[0], dtype=np.int64)
+    cos_half = np.cos(half_angle)
+    seen = np.empty((ny * nx, 3))
+    count = 0
+    for k in range(poses.shape[0]):
+        px, py = poses[k, 0], poses[k, 1]
+        if k == 0 or px != poses[k - 1, 0] or py != poses[k - 1, 1]:
+            near = _near(px, py, segments, reach)
+            count = 0
+            x0 = max(0, int(np.floor((px - reach - origin[0]) / cell)))
+            x1 = min(nx - 1, int(np.floor((px + reach - origin[0]) / cell)))
+            y0 = max(0, int(np.floor((py - reach - origin[1]) / cell)))
+            y1 = min(ny - 1, int(np.floor((py + reach - origin[1]) / cell)))
+            for iy in range(y0, y1 + 1):
+                y = origin[1] + (iy + 0.5) * cell
+                for ix in range(x0, x1 + 1):
+                    if explored[iy, ix]:
+                        continue
+                    x = origin[0] + (ix + 0.5) * cell
+                    dx, dy = x - px, y - py
+                    d2 = dx * dx + dy * dy
+                    if d2 <= reach * reach and _clear(px, py, x, y, near):
+                        seen[count, 0], seen[count, 1], seen[count, 2] = dx, dy, np.sqrt(d2)
+                        count += 1
+        c, s = np.cos(poses[k, 2]), np.sin(poses[k, 2])
+        for i in range(count):
+            if seen[i, 0] * c + seen[i, 1] * s >= cos_half * seen[i, 2] - 1e-9:
+                out[k] += 1
+    return out
+
+
+@kernel
+def _sees(row: int, col: int, x: float, y: float, lower: np.ndarray, cell: float, near: np.ndarray) -> bool:
+    return _clear(lower[0] + (col + 0.5) * cell, lower[1] + (row + 0.5) * cell, x, y, near)
+
+
+@kernel
+def _seen_by_neighbours(
+    row: int, col: int, x: float, y: float, stand: np.ndarray, lower: np.ndarray, cell: float, near: np.ndarray
+) -> int:
+    """From how many of the eight cells around (row, col) where a robot may stand the point is in sight."""
+    count = 0
+    for r in range(max(0, row - 1), min(stand.shape[0], row + 2)):
+        for c in range(max(0, col - 1), min(stand.shape[1], col + 2)):
+            if (r != row or c != col) and stand[r, c] and _sees(r, c, x, y, lower, cell, near):
+                count += 1
+    return count
+
+
+@kernel
+def nearest_views(
+    points: np.ndarray,
+    stand: np.ndarray,
+    lower: np.ndarray,
+    cell: float,
+    reach: float,
+    segments: np.ndarray,
+    neighbours: int,
+) -> np.ndarray:
+    """For each point (n, 2) the nearest cell (row, col) of `stand` (ny, nx) within `reach` that has it in sight.
+
+    At least `neighbours` of the cells around that one must have it in sight too, so that a robot need not stand
+    exactly there. (-1, -1) where there is none. lower: (2,) [m], corner of `stand`; cell: [m].
+    """
+    out = np.full((points.shape[0], 2), -1, dtype=np.int64)
+    rings = int(np.ceil(reach / cell)) + 1
+    for i in range(points.shape[0]):
+        x, y = points[i, 0], points[i, 1]
+        near = _near(x, y, segments, reach + 2 * cell)
+        row, col = int(np.floor((y - lower[1]) / cell)), int(np.floor((x - lower[0]) / cell))
+        best = reach
+        for ring in range(rings):
+            if (ring - 1) * cell > best:
+                break
+            for r in range(max(0, row - ring), min(stand.shape[0], row + ring + 1)):
+                for c in range(max(0, col - ring), min(stand.shape[1], col + ring + 1)):
+                    if (abs(r - row) != ring and abs(c - col) != ring) or not stand[r, c]:
+                        continue
+                    d = np.hypot(lower[0] + (c + 0.5) * cell - x, lower[1] + (r + 0.5) * cell - y)
+                    if d >= best or not _sees(r, c, x, y, lower, cell, near):
+                        continue
+                    if _seen_by_neighbours(r, c, x, y, stand, lower, cell, near) >= neighbours:
+                        best = d
+                        out[i, 0], out[i, 1] = r, c
+    return out

@@ -1,0 +1,95 @@
+"""What EKF-SLAM assumes of a robot and its sensors; one set of defaults for the whole family of robots."""
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core.config import config
+from ..core.errors import ConfigError
+from ..kernels.landmarks.ekf_state import Noise
+
+WANDER = 0.005  # [m / sqrt(s)] and [rad / sqrt(s)] beside speed and spin, where there is no odometry
+
+
+@config
+class EkfSlamConfig:
+    """Noise is for commands and readings as they are logged; a prior is a mean and a standard deviation.
+
+    A standard deviation of zero switches a calibration parameter off. The speed scale and the range scale are never
+    estimated together: they collapse the map.
+    """
+
+    odometry: bool = True  # whether commands are known at all; without them the robot wanders
+    smooth: bool = True  # whether past poses are corrected by what came later, once the map is finished
+    # how far commands can be trusted
+    noise_along: float = 0.05  # [m / sqrt(m)] of distance commanded
+    noise_across: float = 0.02  # [m / sqrt(m)]
+    noise_drift: float = 0.05  # [rad / sqrt(m)] heading over distance commanded
+    noise_turn: float = 0.1  # [rad / sqrt(rad)] heading over angle commanded
+    rest_xy: float = 1e-4  # [m / sqrt(s)] always
+    rest_theta: float = 1e-4  # [rad / sqrt(s)] always
+    lost_xy: float = 0.06  # [m / sqrt(s)] while no command is known
+    lost_theta: float = 0.3  # [rad / sqrt(s)]
+    hold: float = 2.0  # [s] a command holds without a new one
+    # a robot without odometry: its speed and turn rate wander about zero
+    speed: float = 0.08  # [m/s] standard deviation
+    speed_time: float = 30.0  # [s] it keeps its speed
+    spin: float = 0.35  # [rad/s] standard deviation
+    spin_time: float = 2.0  # [s]
+    piece_gap: float = 5.0  # [s] without a sighting after which a new piece of map is begun
+    piece_heading: float = 0.9  # [rad] standard deviation of the heading from which one is begun too
+    # the camera
+    range_floor: float = 0.05  # [m]
+    range_share: float = 0.045  # of the predicted distance
+    bearing: float = 0.014  # [rad]
+    range_inflation: float = 30.0  # of the variance: errors of one landmark's range last for seconds
+    bearing_inflation: float = 10.0
+    track_range_inflation: float = 5.0  # the same where past poses are corrected by the finished map
+    track_bearing_inflation: float = 3.0
+    gate: float = 2.0  # normalised innovation from which a sighting counts less, never nothing
+    far: float = 10.0  # normalised innovation from which it counts less by the square: a label misread
+    agree: int = 3  # sightings of a new landmark that must agree on its place
+    # calibration: prior mean and standard deviation
+    speed_scale: float = 1.0
+    speed_scale_sd: float = 0.0
+    turn_scale: float = 0.95
+    turn_scale_sd: float = 0.2
+    lag: float = 0.15  # [s] from command to motion
+    lag_sd: float = 0.1
+    bearing_bias: float = 0.0  # [rad]
+    bearing_bias_sd: float = 0.02
+    range_scale: float = 1.0
+    range_scale_sd: float = 0.03
+
+    def __post_init__(self) -> None:
+        if self.odometry and self.speed_scale_sd > 0 and self.range_scale_sd > 0:
+            raise ConfigError(
+                "speed_scale_sd and range_scale_sd: expected one of them 0, they collapse the map together"
+            )
+
+
+def calibration_prior(cfg: EkfSlamConfig) -> tuple[Float[np.ndarray, "5"], Float[np.ndarray, "5"]]:
+    """Means and standard deviations in the order of the state.
+
+    Without odometry the first two are speed and turn rate themselves, and the sensor is taken as it is.
+    """
+    if not cfg.odometry:
+        return np.array([0.0, 0.0, 0.0, 0.0, 1.0]), np.array([cfg.speed, cfg.spin, 0.0, 0.0, 0.0])
+    mean = np.array([cfg.speed_scale, cfg.turn_scale, cfg.lag, cfg.bearing_bias, cfg.range_scale])
+    sd = np.array([cfg.speed_scale_sd, cfg.turn_scale_sd, cfg.lag_sd, cfg.bearing_bias_sd, cfg.range_scale_sd])
+    return mean, sd
+
+
+def noise(cfg: EkfSlamConfig) -> Noise:
+    known = cfg.odometry
+    camera = (cfg.range_floor, cfg.range_share, cfg.bearing, cfg.range_inflation, cfg.bearing_inflation)
+    return Noise(
+        cfg.noise_along, cfg.noise_across, cfg.noise_drift, cfg.noise_turn, cfg.rest_xy, cfg.rest_theta,
+        cfg.lost_xy if known else WANDER, cfg.lost_theta if known else WANDER,
+        cfg.hold, 0.0 if known else cfg.speed, cfg.speed_time, cfg.spin, cfg.spin_time,
+        *camera, cfg.gate, cfg.far, cfg.agree,
+    )  # fmt: skip
+
+
+def track_noise(cfg: EkfSlamConfig) -> Noise:
+    """`noise` for correcting past poses."""
+    return noise(cfg)._replace(range_inflation=cfg.track_range_inflation, bearing_inflation=cfg.track_bearing_inflation)

@@ -1,0 +1,192 @@
+"""EKF-SLAM of one robot with known landmark identities: pose, landmarks and its sensors' biases in one state.
+
+The frame is `local_K`, the robot's first pose, with zero covariance. `init` and `step` run under `core.run.run`;
+`local_map` plays a whole log through the same kernels in one call and gives the same numbers.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..core.arrays import frozen
+from ..core.records import Event, Odometry, Sightings, Track
+from ..kernels.landmarks import ekf
+from ..kernels.landmarks.ekf_apply_drive import clear, settle
+from ..kernels.landmarks.ekf_start import CANDIDATES
+from ..kernels.landmarks.ekf_state import HEAD, POSE, RANGE_SCALE
+from .config import EkfSlamConfig, calibration_prior, noise
+from .submap import Submap
+
+
+class Status(Enum):
+    """What became of an event."""
+
+    USED = "used"
+    LATE = "late"  # stamped before what was already worked in: left out
+    IGNORED = "ignored"  # a record this estimator has no use for
+
+
+@dataclass(frozen=True, slots=True)
+class EkfSlamState:
+    """The estimate and what the next event needs. Layout of `x` and `P`: see `kernels.ekf_state`.
+
+    ids: landmark of each slot, `started` or still waiting; t: None before the first event; commands: those not yet
+    worked off, the one in force first when `at` is 0.
+    """
+
+    robot: str
+    t: float | None
+    x: Float[np.ndarray, " m"]
+    P: Float[np.ndarray, "m m"]
+    Phi: Float[np.ndarray, "3 8"]
+    Q: Float[np.ndarray, "3 3"]
+    commands: Float[np.ndarray, "3 n"]
+    at: int
+    ids: tuple[str, ...]
+    slot: Mapping[str, int]
+    started: Bool[np.ndarray, " k"]
+    waiting: Float[np.ndarray, "k 8 2"]
+    n_waiting: Int[np.ndarray, " k"]
+    astray: Int[np.ndarray, "1"]  # far sightings in a row
+
+    @property
+    def frame(self) -> str:
+        return f"local_{self.robot.removeprefix('robot')}"
+
+    @property
+    def submap(self) -> Submap:
+        """Pose and started landmarks in `frame`, the calibration marginalised away, distances in the range sensor's."""
+        P = self.P.copy()
+        settle(P, len(self.x), self.Phi.copy(), self.Q.copy())
+        return submap(self.robot, self.frame, self.x, P, self.ids, self.started)
+
+
+@dataclass(frozen=True, slots=True)
+class EkfSlamInfo:
+    """What an event did. track: poses at its stamps; nis, weight: of each landmark sighted, NaN while it waits."""
+
+    status: Status
+    track: Track | None = None
+    nis: Float[np.ndarray, " n"] | None = None
+    weight: Float[np.ndarray, " n"] | None = None
+
+
+def init(robot: str, cfg: EkfSlamConfig, rng: np.random.Generator) -> EkfSlamState:  # noqa: ARG001
+    """`initial`, as `run` calls it."""
+    return initial(robot, cfg)
+
+
+def initial(robot: str, cfg: EkfSlamConfig) -> EkfSlamState:
+    """Nothing seen, at the origin of `local_K`, sensors as the configuration expects them."""
+    x, P = np.zeros(HEAD), np.zeros((HEAD, HEAD))
+    x[POSE:], sd = calibration_prior(cfg)
+    P[range(POSE, HEAD), range(POSE, HEAD)] = sd**2
+    Phi, Q = np.zeros((POSE, HEAD)), np.zeros((POSE, POSE))
+    clear(Phi, Q)
+    nothing = (np.zeros(0, bool), np.zeros((0, CANDIDATES, 2)), np.zeros(0, np.int64), np.zeros(1, np.int64))
+    return EkfSlamState(robot, None, x, P, Phi, Q, np.zeros((3, 0)), -1, (), {}, *nothing)
+
+
+def step(
+    state: EkfSlamState,
+    event: Event,
+    cfg: EkfSlamConfig,
+    rng: np.random.Generator,  # noqa: ARG001
+) -> tuple[EkfSlamState, EkfSlamInfo]:
+    """`state` with `event` worked in: drive to each odometry row, or to the frame and update with each sighting."""
+    record = event.record
+    if not isinstance(record, Odometry | Sightings):
+        return state, EkfSlamInfo(Status.IGNORED)
+    first = float(record.t[0]) if isinstance(record, Odometry) else event.t
+    if state.t is not None and first < state.t:
+        return state, EkfSlamInfo(Status.LATE)
+    if isinstance(record, Odometry):
+        return _drive(state, record, cfg)
+    return _look(state, event.t, record, cfg)
+
+
+def _drive(state: EkfSlamState, record: Odometry, cfg: EkfSlamConfig) -> tuple[EkfSlamState, EkfSlamInfo]:
+    x, Phi, Q = state.x.copy(), state.Phi.copy(), state.Q.copy()
+    commands = np.concatenate([state.commands, np.stack([record.t, record.v, record.w])], axis=1)
+    n, t = len(record.t), float(record.t[0]) if state.t is None else state.t
+    pose, cov = np.empty((n, POSE)), np.empty((n, 6))
+    t, at = ekf.drive_rows(
+        x, state.P, Phi, Q, t, commands[0], commands[1], commands[2], state.at, n, noise(cfg), pose, cov
+    )
+    gone = max(at, 0)
+    new = replace(state, t=t, x=x, Phi=Phi, Q=Q, commands=commands[:, gone:].copy(), at=at - gone)
+    return new, EkfSlamInfo(Status.USED, Track(record.t, pose, square(cov), state.frame))
+
+
+def _look(state: EkfSlamState, t: float, record: Sightings, cfg: EkfSlamConfig) -> tuple[EkfSlamState, EkfSlamInfo]:
+    mine = [k for k, name in enumerate(record.ids) if is_landmark(name)]
+    new = with_slots(state, tuple(record.ids[k] for k in mine))
+    slots = np.array([new.slot[record.ids[k]] for k in mine], dtype=np.int64)
+    n = len(mine)
+    nis, weight, pose, cov = np.empty(n), np.empty(n), np.empty((1, POSE)), np.empty((1, 6))
+    started, waiting, n_waiting = new.started.copy(), new.waiting.copy(), new.n_waiting.copy()
+    astray = new.astray.copy()
+    x, P, Phi, Q = new.x.copy(), new.P.copy(), new.Phi.copy(), new.Q.copy()
+    at = ekf.look(
+        x, P, Phi, Q, t if state.t is None else state.t, t,
+        new.commands[0], new.commands[1], new.commands[2], new.at,
+        slots, np.array(record.range)[mine], np.array(record.bearing)[mine], noise(cfg),
+        started, waiting, n_waiting, astray, nis, weight, pose[0], cov[0],
+    )  # fmt: skip
+    gone = max(at, 0)
+    new = replace(
+        new, t=t, x=x, P=P, Phi=Phi, Q=Q, commands=new.commands[:, gone:].copy(), at=at - gone,
+        started=started, waiting=waiting, n_waiting=n_waiting, astray=astray,
+    )  # fmt: skip
+    return new, EkfSlamInfo(Status.USED, Track(np.array([t]), pose, square(cov), new.frame), nis, weight)
+
+
+def with_slots(state: EkfSlamState, names: tuple[str, ...]) -> EkfSlamState:
+    """`state` with a slot, not started, for each name it has none for."""
+    fresh = tuple(dict.fromkeys(name for name in names if name not in state.slot))
+    if not fresh:
+        return state
+    old, k = len(state.x), len(fresh)
+    size = old + 2 * k
+    P = np.zeros((size, size))
+    P[:old, :old] = state.P
+    return replace(
+        state,
+        x=np.concatenate([state.x, np.zeros(2 * k)]),
+        P=P,
+        ids=state.ids + fresh,
+        slot={**state.slot, **{name: len(state.ids) + k for k, name in enumerate(fresh)}},
+        started=np.concatenate([state.started, np.zeros(k, bool)]),
+        waiting=np.concatenate([state.waiting, np.zeros((k, CANDIDATES, 2))]),
+        n_waiting=np.concatenate([state.n_waiting, np.zeros(k, np.int64)]),
+    )
+
+
+def is_landmark(name: str) -> bool:
+    """Sightings of robots are kept for fusion, not used here."""
+    return not name.startswith("robot")
+
+
+def submap(robot: str, frame: str, x: np.ndarray, P: np.ndarray, ids: tuple[str, ...], started: np.ndarray) -> Submap:
+    """The map in `x`, `P` (settled), its distances those of the range sensor: multiplied by the range scale."""
+    slots = np.flatnonzero(started)
+    points = (HEAD + 2 * slots[:, None] + np.arange(2)).ravel()
+    rows = np.concatenate([np.arange(POSE), points])
+    s = float(x[RANGE_SCALE])
+    by = np.ones(len(rows))
+    by[rows != 2] = s
+    J = np.zeros((len(rows), len(x)))
+    J[np.arange(len(rows)), rows] = by
+    J[rows != 2, RANGE_SCALE] = x[rows[rows != 2]]
+    cov = J @ P @ J.T
+    value = x[rows] * by
+    pose = value[:POSE].copy()
+    return Submap(robot, pose, tuple(ids[k] for k in slots), value[POSE:].reshape(-1, 2), 0.5 * (cov + cov.T), frame)
+
+
+def square(packed: np.ndarray) -> Float[np.ndarray, "n 3 3"]:
+    """(n, 3, 3) covariances from rows xx, xy, xt, yy, yt, tt."""
+    return frozen(packed[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3))

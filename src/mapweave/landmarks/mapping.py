@@ -1,0 +1,105 @@
+"""One robot's log becomes its local map: all of it through EKF-SLAM, and what there is to say about the result."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..core.landmark_log import LandmarkLog
+from ..kernels.landmarks.ekf_state import HEAD, POSE
+from . import ekf_slam
+from .config import EkfSlamConfig
+from .ekf_replay import Played, play
+from .local_map import LocalMap, RobotSightings
+from .without_odometry import play_in_pieces
+
+CALIBRATION = ("speed_scale", "turn_scale", "lag", "bearing_bias", "range_scale")
+ENOUGH = 20  # sightings from which a landmark that keeps contradicting itself is told
+CONTRADICTED = 0.5  # share of its sightings that were down-weighted
+MOST_RESTLESS = 5  # landmarks left out so, one after the other: one that moves makes others look restless
+MUCH_DOWN_WEIGHTED = 0.3
+HIGH_NIS = 3.0
+
+
+def local_map(log: LandmarkLog, cfg: EkfSlamConfig | None = None, seed: int = 0) -> LocalMap:  # noqa: ARG001
+    """The map of `log` in `local_K`; raises EstimateError when the filter leaves finite numbers.
+
+    A name that keeps contradicting itself has no fixed place: it is left out and told, an unlisted barcode as
+    misreads. Nothing is random here; `seed` is what every estimator takes.
+    """
+    cfg = config_for(log, cfg or EkfSlamConfig())
+    run = play if cfg.odometry else play_in_pieces
+    dropped, warnings, kept = dict(log.dropped), list(log.warnings), log
+    done = run(kept, cfg)
+    for _ in range(MOST_RESTLESS):
+        name = _restless(done)
+        if name is None:
+            break
+        gone = kept.sightings.counts()[name]
+        reason = "misread barcode" if name.startswith("barcode:") else "sighting: no fixed place"
+        dropped[reason] = dropped.get(reason, 0) + gone
+        warnings.append(f"{name} was seen {gone} times but at no fixed place: left out")
+        stays = np.array([other != name for other in kept.sightings.ids], bool)
+        kept = replace(kept, sightings=kept.sightings.select(stays[kept.sightings.what]))
+        done = run(kept, cfg)
+    return _result(log, cfg, done, dropped, [*warnings, *done.warnings])
+
+
+def config_for(log: LandmarkLog, cfg: EkfSlamConfig) -> EkfSlamConfig:
+    """`cfg` for this log: a robot without odometry wanders."""
+    return replace(cfg, odometry=False) if log.odometry is None else cfg
+
+
+def _restless(done: Played) -> str | None:
+    """The landmark with the largest share of its sightings down-weighted, if that is most of them."""
+    worst, name = CONTRADICTED, None
+    for k, other in enumerate(done.seen.ids):
+        weight = done.weight[done.seen.what == k]
+        weight = weight[np.isfinite(weight)]
+        share = float((weight < 1.0).mean()) if len(weight) >= ENOUGH else 0.0
+        if share > worst:
+            worst, name = share, other
+    return name
+
+
+def _result(
+    log: LandmarkLog, cfg: EkfSlamConfig, done: Played, dropped: dict[str, int], warnings: list[str]
+) -> LocalMap:
+    table = log.sightings
+    all_counts = done.seen.counts()
+    counts = {name: all_counts[name] for name in done.submap.ids}
+    unused = sum(n for name, n in all_counts.items() if ekf_slam.is_landmark(name) and name not in counts)
+    if unused:
+        dropped["sighting: landmark not confirmed"] = unused
+    judged = np.isfinite(done.nis)
+    nis_median = float(np.median(done.nis[judged])) if judged.any() else None
+    down = int((done.weight[judged] < 1.0).sum())
+    if judged.any() and down > MUCH_DOWN_WEIGHTED * judged.sum():
+        warnings.append(f"{down} of {int(judged.sum())} sightings had to be down-weighted: its map may be wrong")
+    if nis_median is not None and nis_median > HIGH_NIS:
+        warnings.append(f"sightings disagree with the filter: median NIS {nis_median:.1f}, expected about 1.4")
+    robots = np.array([not ekf_slam.is_landmark(name) for name in table.ids], bool)
+    r = table.select(robots[table.what]) if len(table) else table
+    return LocalMap(
+        robot=log.robot,
+        submap=done.submap,
+        track=done.track,
+        sightings=counts,
+        robot_sightings=RobotSightings(r.t, tuple(r.ids[k] for k in r.what), r.range, r.bearing),
+        odometry="velocity" if cfg.odometry else "none",
+        source=log.source,
+        log_hash=log.log_hash,
+        nis_median=nis_median,
+        down_weighted=down,
+        dropped=dropped,
+        calibration=_calibration(done, cfg),
+        warnings=tuple(warnings),
+    )
+
+
+def _calibration(done: Played, cfg: EkfSlamConfig) -> dict[str, tuple[float, float]]:
+    """Value and standard deviation of what was estimated."""
+    if not cfg.odometry:
+        return {}
+    prior = (cfg.speed_scale_sd, cfg.turn_scale_sd, cfg.lag_sd, cfg.bearing_bias_sd, cfg.range_scale_sd)
+    sd = np.sqrt(np.maximum(np.diag(done.P)[POSE:HEAD], 0.0))
+    return {name: (float(done.x[POSE + k]), float(sd[k])) for k, name in enumerate(CALIBRATION) if prior[k] > 0}

@@ -1,0 +1,135 @@
+"""EKF-SLAM of a robot without odometry: a piece of map for each stretch between long blinks, tied into one."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..core import se2
+from ..core.landmark_log import LandmarkLog, SightingTable
+from ..core.records import Track
+from .config import EkfSlamConfig
+from .ekf_replay import Played, play
+from .ekf_slam import is_landmark
+from .landmark_map import LandmarkMap
+from .pieces import Tied, tie
+from .submap import Submap
+
+SEEN_ENOUGH = 5  # sightings in a piece before a landmark helps to tie it
+ASTRAY = 0.1  # [m/s] how fast a robot gets away from where it was while nothing is known of it
+
+
+def play_in_pieces(log: LandmarkLog, cfg: EkfSlamConfig) -> Played:
+    """The largest map that pieces without a gap longer than `cfg.piece_gap` give; poses at every sighting stamp.
+
+    Its frame is the first pose of the first piece tied, its covariance that relative to the largest piece.
+    """
+    played = _play_parts(log, cfg)
+    maps = [_piece(done) for done in played]
+    able = [k for k, m in enumerate(maps) if len(m) >= 2]
+    if len(played) <= 1 or not able:
+        return played[0] if played else play(log, cfg)
+    tied = tie([maps[k] for k in able])
+    where = {able[k]: k for k in tied.frames}  # part -> piece, for the parts tied
+    first = min(where)
+    T_local_root = se2.inverse(tied.frames[where[first]])
+    frame = played[0].submap.frame
+    landmarks = LandmarkMap(tied.ids, tied.mean, tied.landmark_cov).moved(T_local_root, frame)
+    track = _track(played, tied, where, T_local_root)
+    told: tuple[str, ...] = ()
+    if len(where) < len(played):
+        told = (f"{len(played) - len(where)} of {len(played)} stretches of its log share too little: left out",)
+    nis, weight = (np.concatenate([getattr(done, name) for done in played]) for name in ("nis", "weight"))
+    made = _submap(log.robot, landmarks, track, played, tied, where, T_local_root)
+    return Played(log.sightings, played[first].x, played[first].P, made, track, nis, weight, told)
+
+
+def _play_parts(log: LandmarkLog, cfg: EkfSlamConfig) -> list[Played]:
+    """A filter's run for each part between long gaps; it ends early, and another begins, where the heading is lost."""
+    played, filtered = [], replace(cfg, smooth=False)
+    waiting = _parts(log.sightings, cfg.piece_gap)[::-1]
+    while waiting:
+        part = waiting.pop()
+        track = play(replace(log, sightings=log.sightings.select(part)), filtered).track
+        lost = np.zeros(0) if track.cov is None else track.t[track.cov[:, 2, 2] > cfg.piece_heading**2]
+        if len(lost) and lost[0] > track.t[0]:
+            ended = log.sightings.t[part] < lost[0]
+            waiting.append(part[~ended])
+            part = part[ended]
+        played.append(play(replace(log, sightings=log.sightings.select(part)), cfg))
+    return played
+
+
+def _parts(seen: SightingTable, gap: float) -> list[np.ndarray]:
+    """Rows of each part; a new one begins with the first landmark sighted after more than `gap` [s] without any."""
+    landmark = np.array([is_landmark(name) for name in seen.ids], bool)
+    rows = np.flatnonzero(landmark[seen.what]) if len(seen) else np.zeros(0, np.int64)
+    cuts = rows[1:][np.diff(seen.t[rows]) > gap]
+    cuts = np.searchsorted(seen.t, seen.t[cuts], side="left")  # a frame stays whole
+    return [part for part in np.split(np.arange(len(seen)), np.unique(cuts)) if len(part)]
+
+
+def _piece(done: Played) -> LandmarkMap:
+    landmarks, counts = done.submap.landmarks, done.seen.counts()
+    return landmarks.select([name for name in landmarks.ids if counts[name] >= SEEN_ENOUGH])
+
+
+def _track(played: list[Played], tied: Tied, where: dict[int, int], T_local_root: np.ndarray) -> Track:
+    """Poses of tied pieces in `local_K`; in the others, straight on from tied pose to tied pose and little trusted."""
+    ts, poses, covs = [], [], []
+    for part, k in where.items():
+        own = played[part].track
+        T = se2.compose(T_local_root, tied.frames[k])
+        rows = tied.frame_rows(k)
+        turn = np.eye(3)
+        turn[:2, :2] = se2.rotation(float(T_local_root[2]))
+        frame_cov = turn @ tied.cov[rows, rows] @ turn.T
+        c, s = np.cos(T[2]), np.sin(T[2])
+        A = np.tile(np.eye(3), (len(own.t), 1, 1))
+        A[:, 0, 2] = -s * own.pose[:, 0] - c * own.pose[:, 1]
+        A[:, 1, 2] = c * own.pose[:, 0] - s * own.pose[:, 1]
+        B = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        ts.append(own.t)
+        poses.append(se2.compose(T, own.pose))
+        covs.append(A @ frame_cov @ A.transpose(0, 2, 1) + (0 if own.cov is None else B @ own.cov @ B.T))
+    order = np.argsort(np.concatenate(ts))
+    t, pose, cov = (np.concatenate(a)[order] for a in (ts, poses, covs))
+    lost = np.concatenate([played[k].track.t for k in range(len(played)) if k not in where] or [np.zeros(0)])
+    if not len(lost):
+        return Track(t, pose, cov, played[0].track.frame)
+    nearest = np.abs(lost[:, None] - t[np.clip(np.searchsorted(t, lost)[:, None] + [-1, 0], 0, len(t) - 1)]).min(axis=1)
+    guess = np.zeros((len(lost), 3, 3))
+    guess[:, 0, 0] = guess[:, 1, 1] = cov[:, :2, :2].max() + (ASTRAY * nearest) ** 2
+    guess[:, 2, 2] = np.pi**2 / 3.0  # any heading
+    all_t = np.concatenate([t, lost])
+    order = np.argsort(all_t)
+    all_pose = np.concatenate([pose, se2.interpolate(lost, t, pose)])
+    return Track(all_t[order], all_pose[order], np.concatenate([cov, guess])[order], played[0].track.frame)
+
+
+def _submap(
+    robot: str,
+    landmarks: LandmarkMap,
+    track: Track,
+    played: list[Played],
+    tied: Tied,
+    where: dict[int, int],
+    T_local_root: np.ndarray,
+) -> Submap:
+    """Landmarks and the last tied pose, correlated through the frame of its piece."""
+    last = max(where)
+    own = played[last].track.pose[-1]
+    at = int(np.searchsorted(track.t, played[last].track.t[-1]))
+    rows = tied.frame_rows(where[last])
+    n = 2 * len(landmarks)
+    turn = np.eye(3 + n)
+    R = se2.rotation(float(T_local_root[2]))
+    turn[:2, :2], turn[3:, 3:] = R, np.kron(np.eye(len(landmarks)), R)
+    A, _ = se2.compose_jacobians(tied.frames[where[last]], own)
+    cross = A @ tied.cov[rows, 3 * len(tied.frames) :]
+    cov = np.zeros((3 + n, 3 + n))
+    cov[:3, 3:], cov[3:, :3] = cross, cross.T
+    cov = turn @ cov @ turn.T
+    cov[3:, 3:] = landmarks.cov
+    if track.cov is not None:
+        cov[:3, :3] = track.cov[at]
+    return Submap(robot, track.pose[at], landmarks.ids, landmarks.mean, cov, landmarks.frame)

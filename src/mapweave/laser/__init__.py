@@ -1,0 +1,1 @@
+"""Laser SLAM: beams, scan matching, particle filter, pose graph, closures, occupancy, localisation."""

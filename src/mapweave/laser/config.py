@@ -1,0 +1,103 @@
+"""Everything that can be set about mapping a laser log."""
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core.config import config
+from ..core.errors import ConfigError
+from .beam import FEATURES, BeamConfig
+from .icp import IcpConfig
+from .intensity_calibration import CalibrationConfig
+from .particle_grid import CellConfig
+from .scan_matching import FrontEndConfig
+
+METHODS = ("particle", "gated", "icp")
+LIKELIHOODS = ("matched", "paper")
+
+
+@config
+class FilterConfig:
+    """The particle filter; a single map refined the same way is the `gated` method's.
+
+    proposal "front end": particles move as scan matching says and every particle is refined against its own map;
+    "odometry": they move as odometry says and are not refined, which is the paper's filter.
+    """
+
+    proposal: str = "front end"
+    update_distance: float = 0.4  # [m] or
+    update_turn: float = 0.4  # [rad] moved before weights and maps change
+    sd_xy: float = 0.02  # [m] + sd_xy_per_m d: spread of the particles' moves
+    sd_xy_per_m: float = 0.05
+    sd_turn: float = 0.005  # [rad] + sd_turn_per_m d
+    sd_turn_per_m: float = 0.0
+    refine_iterations: int = 3
+    refine_neff: float = 60.0  # independent returns in a scan, for refining
+    refine_sigma: float = 0.02  # [m] of each
+    refine_kappa: float = 0.1  # [m] width of the robust kernel
+    refine_tangent: float = 0.1  # weight of the error along the line, with a feature and
+    refine_bare_tangent: float = 0.03  # without
+    refine_sd_xy: float = 0.05  # [m] and
+    refine_sd_turn: float = 0.01  # [rad] a particle may be moved by refining
+    neff: float = 30.0  # independent returns in a scan, for weighing, with a feature and
+    bare_neff: float = 10.0  # without
+    sigma: float = 0.05  # [m] of each
+    shared: float = 0.5  # a beam counts when matched in this share of the particles
+    paper_sigma2: float = 7e-4  # [m^2] sigma_z of the paper's likelihood
+    least_beams: int = 10  # scans with fewer returns change no weights
+
+
+@config
+class LaserConfig:
+    method: str = "particle"
+    particles: int = 100
+    feature: str = "normalised"
+    likelihood: str = "matched"
+    resample: float = 0.5  # when n_eff falls to this share of the particles; 1: always, as the paper does
+    gate: float = 3.0  # a match may deviate from odometry by this many standard deviations in x, y and theta,
+    gate_sd_xy: float = 0.07  # [m] and
+    gate_sd_turn: float = 0.07  # [rad] being added to those of the front end: odometry and scan may be stamped apart
+    matcher: str = "map"  # of the gated method: "map" (Gauss-Newton on lines) or "icp" (the paper's)
+    threads: int = 0  # 0: as many as there are free cores; the result is the same
+    raw_alpha: float = 0.1  # [m^2 per q^2] what raw intensity counts, which range changes too
+    resolution: float = 0.1  # [m] cell of the map handed over
+    beam: BeamConfig = BeamConfig()
+    cells: CellConfig = CellConfig()
+    front_end: FrontEndConfig = FrontEndConfig()
+    filter: FilterConfig = FilterConfig()
+    icp: IcpConfig = IcpConfig()
+    calibration: CalibrationConfig = CalibrationConfig()
+
+    def eps(self, sd: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """How far [m, m, rad] a match may deviate from an odometry increment allowed `sd`."""
+        return np.asarray(self.gate * (sd + np.array([self.gate_sd_xy, self.gate_sd_xy, self.gate_sd_turn])))
+
+    def check(self) -> None:
+        """Raises ConfigError for a word that is not known or a number out of range."""
+        for name, known in (
+            ("method", METHODS),
+            ("feature", FEATURES),
+            ("likelihood", LIKELIHOODS),
+            ("matcher", ("map", "icp")),
+        ):
+            if (said := getattr(self, name)) not in known:
+                raise ConfigError(f"{name}: expected one of {', '.join(known)}, found {said!r}")
+        if self.filter.proposal not in {"front end", "odometry"}:
+            raise ConfigError(f"filter.proposal: expected 'front end' or 'odometry', found {self.filter.proposal!r}")
+        if self.particles < 1:
+            raise ConfigError(f"particles: expected at least 1, found {self.particles}")
+        if not 0.0 <= self.resample <= 1.0:
+            raise ConfigError(f"resample: expected a share from 0 to 1, found {self.resample}")
+
+
+PAPER_FILTER = FilterConfig(
+    proposal="odometry",
+    update_distance=0.0,
+    update_turn=0.0,
+    sd_xy=0.005,
+    sd_xy_per_m=0.04,
+    sd_turn=0.002,
+    sd_turn_per_m=0.015,
+    refine_iterations=0,
+    bare_neff=30.0,
+)
+"""The paper's filter for wheels that are good over a step: odometry proposes, every scan weighs."""

@@ -1,0 +1,127 @@
+"""The team's pose graph as a least-squares problem, and what its solution knows of two poses together."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..core import se2
+from ..core.se2 import wrap_angle
+from ..solve import Factor, Huber, Information, Pattern, Problem, Solution, SolveConfig, minimise, wrapping
+from ..solve.robust import Kernel
+
+SOLVE = SolveConfig(max_iterations=12, step_tolerance=1e-6, cost_tolerance=1e-7)
+
+
+@dataclass(frozen=True, slots=True)
+class Links:
+    """first, second: (m,) poses tied; measured: (m, 3) of second in first; information: (m, 3, 3) in second's frame."""
+
+    first: Int[np.ndarray, " m"]
+    second: Int[np.ndarray, " m"]
+    measured: Float[np.ndarray, "m 3"]
+    information: Float[np.ndarray, "m 3 3"]
+
+    def factor(self, name: str, kernel: Kernel | None = None) -> Factor:
+        """The links as one factor over x = [x0 y0 theta0 x1 ...]."""
+        i, k, z = self.first, self.second, self.measured
+        W = np.linalg.cholesky(self.information).swapaxes(1, 2)
+        columns = np.concatenate([3 * i[:, None] + np.arange(3), 3 * k[:, None] + np.arange(3)], axis=1)
+
+        def residual(x: np.ndarray) -> np.ndarray:
+            X = x.reshape(-1, 3)
+            return se2.between(z, se2.between(X[i], X[k]))
+
+        def jacobian(x: np.ndarray) -> np.ndarray:
+            X = x.reshape(-1, 3)
+            A, B = between_jacobians(X[i], X[k])
+            R = np.zeros((len(z), 3, 3))
+            c, s = np.cos(z[:, 2]), np.sin(z[:, 2])
+            R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = c, s, -s, c, 1.0
+            return np.concatenate([R @ A, R @ B], axis=2)
+
+        return Factor(columns, residual, jacobian, 3, W, kernel, name)
+
+
+def between_jacobians(
+    a: Float[np.ndarray, "m 3"], b: Float[np.ndarray, "m 3"]
+) -> tuple[Float[np.ndarray, "m 3 3"], Float[np.ndarray, "m 3 3"]]:
+    """Derivatives of `se2.between(a, b)` by a and by b."""
+    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+    dx, dy = b[:, 0] - a[:, 0], b[:, 1] - a[:, 1]
+    A, B = np.zeros((2, len(a), 3, 3))
+    B[:, 0, 0], B[:, 0, 1], B[:, 1, 0], B[:, 1, 1], B[:, 2, 2] = c, s, -s, c, 1.0
+    A[:, :2, :2], A[:, 2, 2] = -B[:, :2, :2], -1.0
+    A[:, 0, 2], A[:, 1, 2] = -s * dx + c * dy, -c * dx - s * dy
+    return A, B
+
+
+def problem(
+    x: Float[np.ndarray, "n 3"],
+    steps: Links,
+    closures: Links,
+    starts: tuple[Int[np.ndarray, " s"], Float[np.ndarray, "s 3"], Float[np.ndarray, "s 3"]],
+    kernel: float,
+) -> Problem:
+    """starts: pose numbers, where they are known to be, and with what sd; kernel: width [sd] of the closures' one."""
+    at, known, sd = starts
+    columns = 3 * at[:, None] + np.arange(3)
+
+    def residual(v: np.ndarray) -> np.ndarray:
+        r = np.asarray(v[columns] - known)
+        r[:, 2] = wrap_angle(r[:, 2])
+        return r
+
+    unit = np.broadcast_to(np.eye(3), (len(at), 3, 3))
+    terms = [Factor(columns, residual, lambda _: unit, 3, 1.0 / sd, None, "starts")]
+    if len(steps.first):
+        terms.append(steps.factor("steps"))
+    if len(closures.first):
+        terms.append(closures.factor("closures", Huber(kernel)))
+    return Problem(x.ravel(), terms, None, wrapping(np.arange(2, x.size, 3)))
+
+
+@dataclass(slots=True)
+class Solved:
+    """A solution of the first n poses; columns of its covariance are worked out once each, when asked for."""
+
+    pose: Float[np.ndarray, "n 3"]
+    solution: Solution
+    problem: Problem
+    _columns: dict[int, np.ndarray] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, made: Problem) -> "Solved":
+        found = minimise(made, SOLVE)
+        return cls(found.x.reshape(-1, 3), found, made)
+
+    def __len__(self) -> int:
+        return len(self.pose)
+
+    def prepare(self, anchors: list[int]) -> None:
+        """The columns of these poses, all in one go."""
+        missing = [a for a in anchors if a not in self._columns]
+        if missing and self.solution.information is not None:
+            C = self.solution.information.columns((3 * np.array(missing)[:, None] + np.arange(3)).ravel())
+            self._columns |= {a: C[:, 3 * k : 3 * k + 3] for k, a in enumerate(missing)}
+
+    def relative(self, k: int, a: int) -> Float[np.ndarray, "3 3"]:
+        """Covariance of `between(pose k, pose a)`."""
+        self.prepare([k, a])
+        P, Q = self._columns[k], self._columns[a]
+        rows = np.concatenate([3 * k + np.arange(3), 3 * a + np.arange(3)])
+        joint = np.concatenate([P[rows], Q[rows]], axis=1)
+        A, B = between_jacobians(self.pose[k][None], self.pose[a][None])
+        J = np.concatenate([A[0], B[0]], axis=1)
+        return np.asarray(J @ (0.5 * (joint + joint.T)) @ J.T)
+
+    def covariances(self) -> Float[np.ndarray, "n 3 3"]:
+        """The covariance of every pose, over x, y, theta in `map`."""
+        found = self.solution
+        if found.information is None:
+            return np.full((len(self), 3, 3), np.inf)
+        pattern = Pattern.of(self.problem)
+        group = np.arange(3 * len(self)) // 3
+        H, _ = pattern.assemble(*zip(*[term.normal(found.x) for term in self.problem.terms], strict=True))
+        pattern = pattern.dissected(group)
+        return Information.of(H, pattern.elimination).blocks(np.arange(3 * len(self)).reshape(-1, 3))

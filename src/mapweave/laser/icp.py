@@ -1,0 +1,88 @@
+"""Intensity-ICP [Hara07]: scans laid on each other by nearest points whose brightness agrees too."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core import se2
+from ..core.config import config
+from ..kernels.laser.icp import intensity_icp
+
+CELL = 0.1  # [m] of the grid the nearest points are found on; the result does not depend on it
+
+
+@config
+class IcpConfig:
+    alpha: float = 1.0  # [m^2 per q^2] what a difference in the feature counts
+    gate: float = 0.4  # [m] farthest D^(1/2) of a pair in the first iteration,
+    gate_decay: float = 0.8  # shrinking by this
+    least_gate: float = 0.1  # [m] down to this
+    iterations: int = 50
+    tolerance: float = 1e-4  # [m, rad] a smaller step ends the search
+    least_pairs: int = 20
+
+
+class IcpMatch(NamedTuple):
+    """pose: `T_map_robot` where the scan fits; status: "converged", "stopped" (out of iterations) or "failed"."""
+
+    pose: Float[np.ndarray, "3"]
+    status: str
+    pairs: int
+    iterations: int
+    rms: float
+
+
+def match(
+    reference: Float[np.ndarray, "m 3"], scan: Float[np.ndarray, "n 3"], start: Float[np.ndarray, "3"], cfg: IcpConfig
+) -> IcpMatch:
+    """Where `scan` (x, y, q in the robot frame) fits `reference` (x, y, q in the map), searched from pose `start`.
+
+    First step: for every point the reference point of least D = |m_s - z_s|^2 + alpha (m_q - z_q)^2 # [Hara07] eq. 1
+    inside the gate. Second step: the pose of least F = mean |m_s - T z_s|^2 # [Hara07] eq. 2, in closed form.
+    Third step: the scan moved by it # [Hara07] eq. 3, and again.
+    """
+    pose, pairs, iterations, mean2, _ = intensity_icp(
+        np.ascontiguousarray(reference, dtype=float),
+        np.ascontiguousarray(scan, dtype=float),
+        np.ascontiguousarray(start, dtype=float),
+        cfg.alpha,
+        cfg.gate,
+        cfg.least_gate,
+        cfg.gate_decay,
+        cfg.iterations,
+        cfg.tolerance,
+        cfg.least_pairs,
+        CELL,
+    )
+    status = "failed" if pairs < cfg.least_pairs else "stopped" if iterations == cfg.iterations else "converged"
+    pose[2] = se2.wrap_angle(pose[2])
+    return IcpMatch(pose, status, int(pairs), int(iterations), float(np.sqrt(mean2)))
+
+
+def newton_pose(
+    m: Float[np.ndarray, "n 2"], z: Float[np.ndarray, "n 2"], start: Float[np.ndarray, "3"], iterations: int = 50
+) -> Float[np.ndarray, "3"]:
+    """The pose of least mean |m - T z|^2 by Newton's method, as the paper finds it; equals `se2.align(z, m)`.
+
+    Full Hessian, its theta term kept positive so that the step descends from anywhere.
+    """
+    x = np.array(start, float)
+    n = len(z)
+    for _ in range(iterations):
+        R = se2.rotation(float(x[2]))
+        turned = z @ R.T
+        e = turned + x[:2] - m
+        dz = np.column_stack([-turned[:, 1], turned[:, 0]])  # d(R z)/dtheta
+        g = np.array([e[:, 0].mean(), e[:, 1].mean(), (e * dz).sum() / n])
+        H = np.eye(3)
+        H[:2, 2] = H[2, :2] = dz.mean(axis=0)
+        curvature = ((dz * dz).sum() - (e * turned).sum()) / n
+        least = float(H[:2, 2] @ H[:2, 2])
+        H[2, 2] = curvature if curvature > least + 1e-9 else (dz * dz).sum() / n + 1e-9
+        step = np.linalg.solve(H, g)
+        x -= step
+        if np.abs(step).max() < 1e-13:
+            break
+    x[2] = se2.wrap_angle(x[2])
+    return x

@@ -1,0 +1,57 @@
+"""A finished map as something to score poses against: every cell knows its nearest occupied cell."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.ndimage import distance_transform_edt
+
+from ..core.arrays import frozen
+from ..kernels.laser.likelihood_field import score_field
+from .grid import GridMap
+
+MARGIN = 10  # cells round the map in which a beam still finds its nearest
+LEAST_OCCUPANCY = 0.3  # what was mostly seen through was somebody passing by
+
+
+@dataclass(frozen=True, slots=True)
+class NearestField:
+    """near: (rows, cols, 3), mean point [m] and feature of the nearest occupied cell; origin, cell: as in GridMap."""
+
+    near: Float[np.ndarray, "rows cols 3"]
+    origin: Float[np.ndarray, "2"]
+    cell: float
+
+    def score(
+        self,
+        poses: Float[np.ndarray, "p 3"],
+        points: Float[np.ndarray, "n 3"],
+        *,
+        alpha: float,
+        cap: float,
+        matched_under: float = 0.04,
+    ) -> tuple[Float[np.ndarray, " p"], Int[np.ndarray, " p"]]:
+        """Mean of `min(D, cap)` over the beams, and how many beams match, for every pose."""
+        return score_field(
+            self.near,
+            self.origin,
+            self.cell,
+            np.ascontiguousarray(poses, dtype=float),
+            np.ascontiguousarray(points, dtype=float),
+            alpha,
+            cap,
+            matched_under,
+        )
+
+
+def nearest_field(grid: GridMap) -> NearestField:
+    """The table of `grid`. Raises ValueError when no cell of it is occupied."""
+    there = (grid.weight > 0) & (grid.occupancy() > LEAST_OCCUPANCY)
+    if not there.any():
+        raise ValueError("no cell of the map is occupied")
+    there = np.pad(there, MARGIN)
+    index = distance_transform_edt(~there, return_distances=False, return_indices=True)
+    held = np.concatenate([grid.mean, grid.feature[..., None]], axis=-1).astype(float)
+    held = np.pad(held, ((MARGIN, MARGIN), (MARGIN, MARGIN), (0, 0)))
+    near = held[index[0], index[1]]
+    return NearestField(frozen(near), frozen(grid.origin - MARGIN * grid.resolution), grid.resolution)

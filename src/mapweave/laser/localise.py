@@ -1,0 +1,178 @@
+"""A robot followed in a finished map: searched everywhere, then tracked by particles that share the one map."""
+
+from dataclasses import dataclass, field
+from time import perf_counter
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core import se2
+from ..core.errors import DataError
+from ..core.laser_log import LaserLog
+from ..core.progress import Progress
+from ..core.records import Track
+from .beam import Beams, beams
+from .config import LaserConfig
+from .grid import GridMap, IntensityCalibration
+from .laser_map import ScanRecords
+from .likelihood_field import nearest_field
+from .localisation import Localisation
+from .localise_filter import LocaliseConfig, PlaceFilter
+from .scan_odometry import Carrier
+from .trace import ScanInfo, blended
+
+
+def localise(
+    log: LaserLog,
+    grid: GridMap,
+    calibration: IntensityCalibration | None,
+    feature: str,
+    cfg: LaserConfig,
+    start: Float[np.ndarray, "3"] | None,
+    rng: np.random.Generator,
+    on_progress: Progress,
+    how: LocaliseConfig | None = None,
+) -> Localisation:
+    """Where the robot of `log` was in `grid`; `start`: its pose at the first scan, or None to search everywhere.
+
+    The log's returns are made comparable with the map's by the map's own calibration; a log without intensity, or a
+    map without, is followed by geometry alone. Raises DataError where the map has no free place or no walls.
+    """
+    how = how or LocaliseConfig()
+    began = perf_counter()
+    warnings = list(log.warnings)
+    if feature != "none" and (not log.has_intensity or calibration is None):
+        feature = "none"
+        warnings.append("the log or the map has no intensity: geometry alone is used")
+    try:
+        walls = nearest_field(grid)
+    except ValueError as error:
+        raise DataError(f"{log.source}: {error}") from None
+    alpha = cfg.cells.alpha if feature != "none" else 0.0
+    particles = PlaceFilter(walls, grid, alpha, how, cfg.particles, rng)
+    way = _follow(log, particles, cfg, how, (feature, calibration), start, on_progress)
+    if not way.at:
+        raise DataError(f"{log.source}: no scan with enough returns to be placed in the map")
+    since = way.found or 0
+    first = way.at.index(since) if since in way.at else 0
+    poses = blended(np.array(way.carried), np.array(way.at[first:]), np.array(way.corrected[first:]))
+    told = [i for i in way.infos[since:] if i.decision == "matched"]
+    matched = sum(i.matches for i in told) / max(1, sum(i.beams for i in told))
+    if way.found is None:
+        warnings.append("the start was not found: the hypotheses never became one")
+    if way.restarts:
+        warnings.append(f"places found that did not explain the scans and were given up: {way.restarts}")
+    total = perf_counter() - began
+    return Localisation(
+        log.robot,
+        log.source,
+        _filled(log, poses),
+        _records(log, poses, way.infos),
+        "global" if start is None else "given",
+        None if way.found is None else float(log.scan_t[way.found]),
+        None if way.found is None else way.found + 1,
+        float(matched),
+        way.found is not None and matched >= how.trusted,
+        feature,
+        cfg.particles,
+        dict(log.dropped),
+        tuple(warnings),
+        {"localise": total, "global_start": way.searched, "ms_per_scan": 1e3 * total / len(log.scans)},
+    )
+
+
+@dataclass(slots=True)
+class _Way:
+    """What following the log gave: poses carried to every scan, corrected ones at the rows `at`, a record a scan.
+
+    found: the row at which the hypotheses had become one; searched: seconds spent until then; restarts: how often the
+    place found turned out wrong and the search began anew.
+    """
+
+    carried: list[np.ndarray]
+    infos: list[ScanInfo] = field(default_factory=list)
+    at: list[int] = field(default_factory=list)
+    corrected: list[np.ndarray] = field(default_factory=list)
+    found: int | None = None
+    searched: float = 0.0
+    restarts: int = 0
+
+
+def _follow(
+    log: LaserLog,
+    particles: PlaceFilter,
+    cfg: LaserConfig,
+    how: LocaliseConfig,
+    light: tuple[str, IntensityCalibration | None],
+    start: Float[np.ndarray, "3"] | None,
+    on_progress: Progress,
+) -> _Way:
+    carrier = Carrier(cfg, feature=light[0], gated=False)
+    way = _Way(carrier.poses)
+    explained: list[float] = []  # share of the returns, since the place was found
+    for row, scan in enumerate(log.scans):
+        b = beams(scan, *light, cfg.beam)
+        info = carrier.advance(scan, b)
+        on_progress("scans", row + 1, len(log.scans))
+        points = _some(b, how.beams)
+        moved = se2.between(carrier.poses[way.at[-1]], carrier.poses[row]) if way.at else np.zeros(3)
+        far = np.hypot(moved[0], moved[1]) >= how.update_distance or abs(moved[2]) >= how.update_turn
+        if len(points) < cfg.filter.least_beams or (way.at and not far):
+            way.infos.append(ScanInfo(info.innovation, info.beams, 0, "skipped" if len(points) else "empty"))
+            continue
+        clock = perf_counter()
+        if way.at:
+            particles.move(moved)
+            particles.weigh(points)
+            if start is None and len(explained) >= how.doubts and np.mean(explained[-how.doubts :]) < how.trusted:
+                particles.begin(None, points)
+                way.found, explained = None, []
+                way.restarts += 1
+        else:
+            particles.begin(start, points)
+        pose, matches, n_eff, resampled = particles.settle(b)
+        if particles.found:
+            explained.append(matches / max(1, len(b.q)))
+        if way.found is None:
+            way.searched += perf_counter() - clock
+            way.found = row if particles.found else None
+        way.at.append(row)
+        way.corrected.append(pose)
+        way.infos.append(ScanInfo(info.innovation, info.beams, matches, "matched", n_eff, resampled))
+    return way
+
+
+def _some(b: Beams, count: int) -> Float[np.ndarray, "n 3"]:
+    """About `count` of the returns, spread evenly over the scan, as x, y, q."""
+    points = np.column_stack([b.s, b.q])
+    return points[np.linspace(0, len(points) - 1, count).astype(int)] if len(points) > count else points
+
+
+def _filled(log: LaserLog, poses: Float[np.ndarray, "m 3"]) -> Track:
+    """Poses in `map` at every odometry and scan stamp, from those at the scans."""
+    rows = log.odometry
+    if rows is None or log.scans[0].odometry is None:
+        last = np.append(np.diff(log.scan_t) > 0, True)
+        return Track(log.scan_t[last], poses[last])
+    between = ~np.isin(rows.t, log.scan_t)
+    t = np.concatenate([rows.t[between], log.scan_t])
+    order = np.argsort(t, kind="stable")
+    odometry = np.concatenate([rows.pose[between], [scan.odometry for scan in log.scans]])[order]
+    filled = blended(odometry, np.flatnonzero(order >= int(between.sum())), poses)
+    t = t[order]
+    last = np.append(np.diff(t) > 0, True)
+    return Track(t[last], filled[last])
+
+
+def _records(log: LaserLog, poses: Float[np.ndarray, "m 3"], infos: list[ScanInfo]) -> ScanRecords:
+    return ScanRecords(
+        log.scan_t,
+        tuple(scan.host for scan in log.scans),
+        poses,
+        np.array([i.innovation for i in infos]),
+        np.array([i.beams for i in infos]),
+        np.array([i.matches for i in infos]),
+        tuple(i.decision for i in infos),
+        np.array([i.n_eff for i in infos]),
+        np.array([i.resampled for i in infos]),
+    )

@@ -1,0 +1,167 @@
+"""Many places a robot may be in one finished map, weighed by its scans until one is left."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core import se2
+from ..core.config import config
+from ..core.errors import DataError
+from ..kernels.laser.resample import systematic
+from .beam import Beams
+from .grid import GridMap
+from .likelihood_field import NearestField
+
+
+@config
+class LocaliseConfig:
+    spacing: float = 0.2  # [m] between places tried and
+    turn: float = np.radians(5.0)  # [rad] between headings tried, when the start is searched everywhere
+    most: int = 20_000  # particles while the start is not found, at most
+    least: int = 2_000  # and at least
+    per_bin: int = 20  # particles for each bin that is held likely
+    bin: tuple[float, float] = (0.5, np.radians(15.0))  # [m], [rad]
+    beams: int = 60  # of a scan are asked, spread over it
+    update_distance: float = 0.25  # [m] or
+    update_turn: float = 0.25  # [rad] moved before weights change
+    sd_xy: float = 0.02  # [m] + sd_xy_per_m d
+    sd_xy_per_m: float = 0.08
+    sd_turn: float = 0.01  # [rad] + sd_turn_per_m d
+    sd_turn_per_m: float = 0.02
+    neff: float = 10.0  # independent returns in a scan
+    search_sigma: float = 0.2  # [m] of each while searching
+    search_cap: float = 0.25  # [m^2]
+    sigma: float = 0.07  # [m] of each once found
+    cap: float = 0.06  # [m^2]
+    found_xy: float = 0.3  # [m] and
+    found_turn: float = np.radians(8.0)  # [rad]: spread under which the start counts as found
+    found_share: float = 0.95  # of the weight within `found_xy` times 2 of its middle
+    trusted: float = 0.6  # share of the returns the map must explain
+    doubts: int = 8  # updates in a row whose mean share is less: the place found was wrong, the search begins anew
+
+
+@dataclass(slots=True)
+class Cloud:
+    """poses: (P, 3) in `map`; log_weight: (P,)."""
+
+    poses: Float[np.ndarray, "p 3"]
+    log_weight: Float[np.ndarray, " p"]
+
+    def shares(self) -> Float[np.ndarray, " p"]:
+        w = np.exp(self.log_weight - self.log_weight.max())
+        return np.asarray(w / w.sum())
+
+    def middle(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], float]:
+        """Mean pose round the heaviest particle, spread there [m, m, rad], and the share of the weight it holds."""
+        w = self.shares()
+        best = self.poses[int(np.argmax(w))]
+        off = self.poses - best
+        off[:, 2] = se2.wrap_angle(off[:, 2])
+        close = (np.hypot(off[:, 0], off[:, 1]) < 1.0) & (np.abs(off[:, 2]) < np.radians(20.0))
+        share = float(w[close].sum())
+        v = w[close] / share
+        mean = v @ off[close]
+        spread = np.sqrt(v @ (off[close] - mean) ** 2)
+        pose = best + mean
+        pose[2] = se2.wrap_angle(pose[2])
+        return pose, spread, share
+
+
+class PlaceFilter:
+    """The particles; every method changes them."""
+
+    def __init__(
+        self,
+        walls: NearestField,
+        grid: GridMap,
+        alpha: float,
+        how: LocaliseConfig,
+        particles: int,
+        rng: np.random.Generator,
+    ) -> None:
+        self.walls, self.grid, self.alpha, self.how, self.particles, self.rng = walls, grid, alpha, how, particles, rng
+        self.cloud = Cloud(np.zeros((1, 3)), np.zeros(1))
+        self.found = False
+
+    def begin(self, start: Float[np.ndarray, "3"] | None, points: Float[np.ndarray, "n 3"]) -> None:
+        """Particles round a given start, or wherever the first scan may have been taken."""
+        how = self.how
+        self.found = start is not None
+        if start is not None:
+            spread = np.array([0.2, 0.2, np.radians(5.0)])
+            poses = start + spread * self.rng.standard_normal((max(how.least, self.particles), 3))
+            self.cloud = Cloud(poses, np.zeros(len(poses)))
+            self.weigh(points)
+            return
+        places = _spaced(self.grid.free_cells(), how.spacing)
+        if not len(places):
+            raise DataError("the map has no free place a robot could be in")
+        headings = np.arange(-np.pi, np.pi, how.turn)
+        best: list[np.ndarray] = []
+        scores: list[np.ndarray] = []
+        for part in np.array_split(places, max(1, len(places) // 2000)):
+            poses = np.column_stack([np.repeat(part, len(headings), axis=0), np.tile(headings, len(part))])
+            mean, _ = self.walls.score(poses, points, alpha=self.alpha, cap=how.search_cap)
+            best.append(poses)
+            scores.append(self._gain(mean))
+        log_weight = np.concatenate(scores)
+        cloud = Cloud(np.concatenate(best), log_weight)
+        self._draw(cloud, how.most)
+
+    def move(self, u: Float[np.ndarray, "3"]) -> None:
+        how, P = self.how, len(self.cloud.poses)
+        d = float(np.hypot(u[0], u[1]))
+        xy, turn = how.sd_xy + how.sd_xy_per_m * d, how.sd_turn + how.sd_turn_per_m * d
+        self.cloud.poses = se2.compose(self.cloud.poses, u + self.rng.standard_normal((P, 3)) * [xy, xy, turn])
+
+    def weigh(self, points: Float[np.ndarray, "n 3"]) -> None:
+        """Weights take the scan in; says whether the hypotheses have become one."""
+        how = self.how
+        cap = how.cap if self.found else how.search_cap
+        mean, _ = self.walls.score(self.cloud.poses, points, alpha=self.alpha, cap=cap)
+        self.cloud.log_weight = self.cloud.log_weight + self._gain(mean)
+        if not self.found:
+            _, spread, share = self.cloud.middle()
+            narrow = max(spread[0], spread[1]) < how.found_xy and spread[2] < how.found_turn
+            self.found = narrow and share > how.found_share
+
+    def settle(self, b: Beams) -> tuple[Float[np.ndarray, "3"], int, float, bool]:
+        """The estimate, its matched returns, the effective number before drawing anew, and whether that was done."""
+        pose, _, _ = self.cloud.middle()
+        every = np.column_stack([b.s, b.q])
+        _, matched = self.walls.score(pose[None], every, alpha=self.alpha, cap=1.0)
+        w = self.cloud.shares()
+        n_eff = float(1.0 / (w @ w))
+        wanted = max(self.particles, 50) if self.found else self._wanted(w)
+        again = n_eff < 0.5 * len(w) or len(w) > 2 * wanted
+        if again:
+            self._draw(self.cloud, wanted)
+        return pose, int(matched[0]), n_eff, again
+
+    def _gain(self, mean: Float[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
+        sigma = self.how.sigma if self.found else self.how.search_sigma
+        return np.asarray(-self.how.neff / (2 * sigma**2) * mean)
+
+    def _wanted(self, w: Float[np.ndarray, " p"]) -> int:
+        """As many particles as the places that are still likely ask for."""
+        likely = self.cloud.poses[w > 1e-3 / len(w)]
+        size, turn = self.how.bin
+        bins = len(np.unique(np.floor(likely / [size, size, turn]).astype(np.int64), axis=0))
+        return int(np.clip(self.how.per_bin * bins, self.how.least, self.how.most))
+
+    def _draw(self, cloud: Cloud, count: int) -> None:
+        """`count` particles drawn from `cloud` by weight, evenly."""
+        w = cloud.shares()
+        if count == len(w):
+            poses = cloud.poses[systematic(w, float(self.rng.random()))]
+        else:
+            at = (np.arange(count) + self.rng.random()) / count
+            poses = cloud.poses[np.minimum(np.searchsorted(np.cumsum(w), at), len(w) - 1)]
+        self.cloud = Cloud(poses.copy(), np.zeros(len(poses)))
+
+
+def _spaced(places: Float[np.ndarray, "n 2"], spacing: float) -> Float[np.ndarray, "m 2"]:
+    """One of the places for every square of side `spacing`."""
+    _, first = np.unique(np.floor(places / spacing).astype(np.int64), axis=0, return_index=True)
+    return places[np.sort(first)]

@@ -1,0 +1,192 @@
+"""A laser log becomes a map: features chosen, estimator run, poses filled in at every stamp, grid laid."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core import se2
+from ..core.errors import DataError
+from ..core.laser_log import LaserLog
+from ..core.progress import Progress, no_progress
+from ..core.records import Event, Track
+from ..kernels._jit import set_threads
+from . import icp_slam, particle_slam
+from .beam import beams
+from .config import LaserConfig
+from .intensity import IntensityCalibration
+from .intensity_calibration import calibrate, raw_scale
+from .laser_map import LaserMap, ScanRecords
+from .render import render
+from .trace import ScanInfo, blended
+
+
+@dataclass(frozen=True, slots=True)
+class Feature:
+    """What q is made of in this log, and why not what was asked for."""
+
+    name: str
+    calibration: IntensityCalibration | None
+    warnings: tuple[str, ...] = ()
+
+
+def choose_feature(log: LaserLog, cfg: LaserConfig) -> Feature:
+    """The feature asked for where the log's intensity allows it, else `none` with a warning."""
+    if cfg.feature == "none":
+        return Feature("none", None)
+    scans = [beams(scan, "raw", None, cfg.beam) for scan in log.scans] if log.has_intensity else []
+    light = np.concatenate([b.intensity for b in scans]) if scans else np.zeros(0)
+    if not len(light):
+        return Feature("none", None, ("the log has no intensity: geometry alone is used",))
+    if np.ptp(light) <= 1e-9 * float(np.abs(light).max()):
+        return Feature("none", None, ("all intensities are equal: geometry alone is used",))
+    if cfg.feature == "raw":
+        return Feature("raw", raw_scale(scans))
+    if log.scans[0].odometry is None:
+        return Feature("raw", raw_scale(scans), ("no odometry to calibrate intensity with: it is used raw",))
+    return _calibrated(calibrate(scans, np.array([scan.odometry for scan in log.scans]), cfg.calibration), cfg)
+
+
+def _calibrated(found: IntensityCalibration | None, cfg: LaserConfig) -> Feature:
+    if found is None:
+        return Feature("none", None, ("no place was seen twice: intensity cannot be calibrated and is not used",))
+    if found.residual > cfg.calibration.most_residual:
+        told = f"intensity does not follow range and incidence (residual {found.residual:.2f} in log units)"
+        return Feature("none", found, (f"{told}: geometry alone is used",))
+    return Feature("normalised", found)
+
+
+class _Begun:
+    """An estimator module whose `init` already knows the feature: what `mapweave.core.run` takes."""
+
+    def __init__(self, module: Any, feature: Feature, *, gated: bool) -> None:
+        self.module, self.feature, self.gated = module, feature, gated
+
+    def init(self, robot: str, cfg: Any, rng: np.random.Generator) -> Any:
+        f = self.feature
+        return self.module.init(robot, cfg, rng, feature=f.name, calibration=f.calibration, gated=self.gated)
+
+    def step(self, state: Any, event: Event, cfg: Any, rng: np.random.Generator) -> tuple[Any, Any]:
+        found: tuple[Any, Any] = self.module.step(state, event, cfg, rng)
+        return found
+
+
+def estimator(cfg: LaserConfig, feature: Feature) -> _Begun:
+    """The estimator of `cfg.method` with `init` and `step`, to be run by `mapweave.core.run.run`."""
+    icp = cfg.method == "icp" or (cfg.method == "gated" and cfg.matcher == "icp")
+    return _Begun(icp_slam if icp else particle_slam, feature, gated=cfg.method == "gated")
+
+
+def scan_poses(state: Any) -> Float[np.ndarray, "m 3"]:
+    """The estimate's poses at every scan so far."""
+    return np.array(state.poses) if isinstance(state, icp_slam.IcpState) else particle_slam.trajectory(state)
+
+
+def finish(
+    log: LaserLog, cfg: LaserConfig, feature: Feature, poses: Float[np.ndarray, "m 3"], infos: list[ScanInfo]
+) -> LaserMap:
+    """The result from the poses at every scan: poses at every stamp, the records, the grid."""
+    frame = f"local_{log.robot}"
+    track, dead = _tracks(log, poses, frame)
+    at = np.searchsorted(track.t, log.scan_t)
+    shift = se2.inverse(_first(log, poses))
+    corrected = se2.compose(shift, poses)
+    seen = [beams(scan, feature.name, feature.calibration, cfg.beam) for scan in log.scans]
+    sensors = np.array([scan.T_robot_sensor for scan in log.scans])
+    records = ScanRecords(
+        log.scan_t,
+        tuple(scan.host for scan in log.scans),
+        track.pose[at],
+        np.array([i.innovation for i in infos]),
+        np.array([i.beams for i in infos]),
+        np.array([i.matches for i in infos]),
+        tuple(i.decision for i in infos),
+        np.array([i.n_eff for i in infos]),
+        np.array([i.resampled for i in infos]),
+        _information(infos),
+    )
+    return LaserMap(
+        robot=log.robot,
+        method=cfg.method,
+        feature=feature.name,
+        track=track,
+        grid=render(seen, corrected, sensors, cfg.resolution, frame),
+        scans=records,
+        odometry=log.odometry_from,
+        dead_reckoning=dead,
+        calibration=feature.calibration,
+        particles=cfg.particles if cfg.method == "particle" else 1,
+        source=log.source,
+        log_hash=log.log_hash,
+        dropped=dict(log.dropped),
+        warnings=(*log.warnings, *feature.warnings),
+    )
+
+
+def map_laser(
+    log: LaserLog,
+    cfg: LaserConfig,
+    seed: int,
+    run: Callable[[Any, Any, Iterator[Event], int], Iterator[Any]],
+    on_progress: Progress = no_progress,
+) -> LaserMap:
+    """The map of one log; `run` is `mapweave.core.run.run`, which lives above this room. The same for the same seed."""
+    cfg.check()
+    if not len(log.scans):
+        raise DataError(f"{log.source}: no scans")
+    set_threads(cfg.threads if cfg.method == "particle" else 1)
+    began = perf_counter()
+    feature = choose_feature(log, cfg)
+    calibrated = perf_counter()
+    infos: list[ScanInfo] = []
+    state = None
+    for done in run(estimator(cfg, feature), cfg, log.events(), seed):
+        state = done.state
+        if done.info is not None:
+            infos.append(done.info)
+            on_progress(f"robot {log.robot}", len(infos), len(log.scans))
+    ended = perf_counter()
+    result = finish(log, cfg, feature, scan_poses(state), infos)
+    timing = {
+        "calibrate": calibrated - began,
+        "estimate": ended - calibrated,
+        "grid": perf_counter() - ended,
+        "ms_per_scan": 1e3 * (ended - calibrated) / len(log.scans),
+    }
+    return replace(result, timing=timing)
+
+
+def _information(infos: list[ScanInfo]) -> np.ndarray | None:
+    told = [i.information for i in infos if i.information is not None]
+    return np.array(told) if len(told) == len(infos) else None
+
+
+def _first(log: LaserLog, poses: np.ndarray) -> np.ndarray:
+    """The robot's pose at the log's first stamp, in the frame whose origin is the first scan."""
+    rows = log.odometry
+    if rows is None or log.scans[0].odometry is None or rows.t[0] >= log.scan_t[0]:
+        return np.asarray(poses[0])
+    return np.asarray(se2.compose(poses[0], se2.between(log.scans[0].odometry, rows.pose[0])))
+
+
+def _tracks(log: LaserLog, poses: np.ndarray, frame: str) -> tuple[Track, Track | None]:
+    """Estimate and dead reckoning at every odometry and scan stamp, from the first stamp's pose."""
+    shift = se2.inverse(_first(log, poses))
+    rows = log.odometry
+    if rows is None or log.scans[0].odometry is None:
+        last = np.append(np.diff(log.scan_t) > 0, True)
+        return Track(log.scan_t[last], se2.compose(shift, poses)[last], frame=frame), None
+    own = np.array([scan.odometry for scan in log.scans])
+    between = ~np.isin(rows.t, log.scan_t)
+    t = np.concatenate([rows.t[between], log.scan_t])
+    order = np.argsort(t, kind="stable")
+    odometry = np.concatenate([rows.pose[between], own])[order]
+    at = np.flatnonzero(order >= int(between.sum()))
+    filled = blended(odometry, at, se2.compose(shift, poses))
+    t = t[order]
+    last = np.append(np.diff(t) > 0, True)
+    dead = se2.between(odometry[0], odometry)
+    return Track(t[last], filled[last], frame=frame), Track(t[last], dead[last], frame="odom")

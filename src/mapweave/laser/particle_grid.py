@@ -1,0 +1,140 @@
+"""The grid maps of many particles: one pool of tiles, shared until written to."""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..core.config import config
+from ..kernels.laser import tiles
+
+Rows = Int[np.ndarray, " p"]
+Poses = Float[np.ndarray, "p 3"]
+MARGIN = 1  # tiles kept empty around what is written, so that a clamped search finds nothing
+
+
+@config
+class CellConfig:
+    size: float = 0.1  # cell [m]
+    alpha: float = 1.0  # [m^2 per q^2] what a difference in the feature counts
+    most_weight: float = 30.0  # W is capped, so that a map can still change
+    cap: float = 0.04  # [m^2] greatest D a beam is charged
+
+
+class ParticleGrid:
+    """`maps` maps over one growing rectangle. It owns its arrays: `insert` and `resample` change it in place."""
+
+    def __init__(self, maps: int, cfg: CellConfig) -> None:
+        self.cfg = cfg
+        self.tile = cfg.size * tiles.CELLS
+        self.corner = np.array([-8, -8])  # tile coordinates of the table's lower left corner
+        self.shape = np.array([16, 16])  # tiles along y, x
+        self.table = np.zeros((maps, 256), np.int32)
+        self.used = np.zeros((maps, 64), np.int32)
+        self.n_used = np.zeros(maps, np.int64)
+        self.pool = np.tile(np.array([tiles.FAR, tiles.FAR, 0.0, 0.0], np.float32), tiles.CELLS**2)
+        self.refs, self.free, self.n_free = np.ones(1, np.int32), np.zeros(1, np.int32), 0
+        self.jobs = np.empty((1, 2), np.int32)
+        self._allocate(max(64, maps))
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    @property
+    def origin(self) -> Float[np.ndarray, "2"]:
+        return np.asarray(self.corner * self.tile)
+
+    @property
+    def tiles_in_use(self) -> int:
+        return len(self.refs) - 1 - self.n_free
+
+    @property
+    def bytes_of_tiles(self) -> int:
+        return self.tiles_in_use * tiles.FLOATS * 4
+
+    @property
+    def bytes_unshared(self) -> int:
+        """What the same maps would take if each had its own tiles."""
+        return int(self.n_used.sum()) * tiles.FLOATS * 4
+
+    def score(self, rows: Rows, poses: Poses, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "p n"]:
+        """Least D of each beam in each map, at most `cap`; (P, n) float32."""
+        out = np.empty((len(poses), len(points)), np.float32)
+        c = self.cfg
+        tiles.score(
+            self.pool, self.table, int(self.shape[1]), self.origin, c.size, rows, poses, points, c.alpha, c.cap, out
+        )
+        return out
+
+    def insert(
+        self, rows: Rows, poses: Poses, points: Float[np.ndarray, "n 3"], weights: Float[np.ndarray, " n"]
+    ) -> None:
+        """The scan laid into the maps `rows` (each at most once) at `poses`; points, weights: float32."""
+        if not len(points):
+            return
+        reach = float(np.sqrt((points[:, :2] ** 2).sum(axis=1).max())) + self.cfg.size
+        self._cover(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
+        args = (self.table, int(self.shape[1]), self.origin, self.cfg.size, rows)
+        jobs, done = 0, False
+        while not done:
+            self.n_free, jobs, done = tiles.touch(
+                *args, self.used, self.n_used, self.refs, self.free, self.n_free, poses, points, self.jobs, jobs
+            )
+            if not done and self.n_free == 0:
+                self._allocate(len(self.refs) // 2)
+            elif not done:
+                self.used = np.pad(self.used, ((0, 0), (0, self.used.shape[1])))
+        tiles.copy_tiles(self.pool, self.jobs, jobs)
+        tiles.insert(self.pool, *args, poses, points, weights, self.cfg.most_weight)
+
+    def resample(self, ancestors: Rows) -> None:
+        """Map i becomes a copy of map ancestors[i]; who is an ancestor stays in its own place."""
+        dead = np.flatnonzero(ancestors != np.arange(len(ancestors)))
+        self.n_free = tiles.inherit(
+            self.table, self.used, self.n_used, self.refs, self.free, self.n_free, dead, ancestors[dead]
+        )
+
+    def cells(
+        self, row: int, centre: Float[np.ndarray, "2"] | None = None, reach: float = 1e9
+    ) -> Float[np.ndarray, "n 4"]:
+        """Cells (x, y, q, W) of one map, float32, within `reach` [m] of `centre`."""
+        keys = self.used[row, : self.n_used[row]]
+        if centre is None:
+            centre = np.zeros(2)
+        else:
+            near = np.column_stack([keys % self.shape[1], keys // self.shape[1]]) * self.tile + self.origin
+            away = np.maximum(np.abs(near + 0.5 * self.tile - centre) - 0.5 * self.tile, 0.0)
+            keys = keys[(away**2).sum(axis=1) < reach * reach]
+        return tiles.gather(self.pool, self.table[row], np.ascontiguousarray(keys), centre, reach)
+
+    def check(self) -> None:
+        """Raises AssertionError unless every count of references is the number of references."""
+        counted = np.bincount(self.table.ravel(), minlength=len(self.refs))
+        assert np.array_equal(counted[1:], self.refs[1:])  # noqa: S101
+        assert np.count_nonzero(self.refs[1:]) == self.tiles_in_use  # noqa: S101
+
+    def _allocate(self, more: int) -> None:
+        """`more` free tiles; what is not written to yet costs no memory."""
+        old = len(self.refs)
+        total = old + more
+        pool, jobs = np.empty(total * tiles.FLOATS, np.float32), np.empty((total, 2), np.int32)
+        pool[: old * tiles.FLOATS], jobs[:old] = self.pool, self.jobs
+        free = np.arange(total - 1, old - 1, -1, dtype=np.int32)  # the lowest is handed out first
+        self.free = np.concatenate([free, self.free[: self.n_free], np.zeros(old - self.n_free, np.int32)])
+        self.refs = np.concatenate([self.refs, np.zeros(more, np.int32)])
+        self.pool, self.jobs, self.n_free = pool, jobs, self.n_free + more
+
+    def _cover(self, low: np.ndarray, high: np.ndarray) -> None:
+        """The table reaches from `low` to `high` [m] with a margin of empty tiles."""
+        first = np.floor(low / self.tile).astype(int) - MARGIN
+        last = np.floor(high / self.tile).astype(int) + MARGIN
+        end = self.corner + self.shape[::-1]
+        if (first >= self.corner).all() and (last < end).all():
+            return
+        corner = np.where(first < self.corner, first - 8, self.corner)
+        shape = (np.where(last >= end, last + 9, end) - corner)[::-1]
+        table = np.zeros((len(self.table), *shape), np.int32)
+        y, x = (self.corner - corner)[::-1]
+        h, w = self.shape
+        table[:, y : y + h, x : x + w] = self.table.reshape(-1, h, w)
+        keys = (self.used // w + y) * shape[1] + self.used % w + x
+        self.used, self.table = keys.astype(np.int32), table.reshape(len(table), -1)
+        self.corner, self.shape = corner, shape

@@ -1,0 +1,193 @@
+"""Rao-Blackwellized particle filter [Hara07]: many trajectories, each with its own map of geometry and intensity.
+
+p(x, m | u, z) = p(m | x, z) p(x | u, z) # [Hara07] eq. 6: given a trajectory its map is a mere laying together of
+scans, so only trajectories are sampled.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core import se2
+from ..core.records import Event, Scan
+from ..kernels.laser.refine import refine
+from ..kernels.laser.resample import systematic
+from .beam import STEERING, Beams, beams
+from .config import FilterConfig, LaserConfig
+from .intensity import IntensityCalibration
+from .particle_grid import ParticleGrid
+from .scan_odometry import Carrier
+from .trace import ScanInfo, blended
+
+
+@dataclass(slots=True)
+class ParticleState:
+    """P particles. `step` changes it in place: the maps are too large to copy.
+
+    poses: (P, 3) in `local_k`; log_weight: (P,) since the last resampling; total: (P,) accumulated log-likelihood,
+    inherited; history: for every update the carrier's row, poses (P, 3) and ancestors (P,).
+    """
+
+    carrier: Carrier
+    maps: ParticleGrid
+    poses: Float[np.ndarray, "p 3"]
+    log_weight: Float[np.ndarray, " p"]
+    total: Float[np.ndarray, " p"]
+    feature: str
+    calibration: IntensityCalibration | None
+    history: list[tuple[int, np.ndarray, np.ndarray]] = field(default_factory=list)
+
+
+def init(
+    robot: str,  # noqa: ARG001  (every estimator is begun the same way)
+    cfg: LaserConfig,
+    rng: np.random.Generator,  # noqa: ARG001
+    *,
+    feature: str = "none",
+    calibration: IntensityCalibration | None = None,
+    gated: bool = False,
+) -> ParticleState:
+    """All particles at the origin of `local_k` with empty maps. `gated`: one particle that moves where it must."""
+    P = 1 if gated else cfg.particles
+    matching = cfg.filter.proposal == "front end"
+    carrier = Carrier(cfg, feature=feature, gated=gated, matching=matching)
+    cells = replace(cfg.cells, alpha=cfg.raw_alpha) if feature == "raw" else cfg.cells
+    zero = np.zeros(P)
+    return ParticleState(carrier, ParticleGrid(P, cells), np.zeros((P, 3)), zero, zero, feature, calibration)
+
+
+def step(
+    state: ParticleState, event: Event, cfg: LaserConfig, rng: np.random.Generator
+) -> tuple[ParticleState, ScanInfo | None]:
+    """Scans move the estimate; odometry packets do not (a scan brings its own odometry) and give no info."""
+    if not isinstance(event.record, Scan):
+        return state, None
+    b = beams(event.record, state.feature, state.calibration, cfg.beam)
+    info = state.carrier.advance(event.record, b)
+    row = len(state.carrier.poses) - 1
+    if info.decision in {"first", "empty"} and state.history:
+        return state, info
+    points, weights = as_points(b), b.w.astype(np.float32)
+    if not state.history:
+        ancestors = np.arange(len(state.poses))
+        state.maps.insert(ancestors, state.poses, points, weights)
+        state.history.append((row, state.poses, ancestors))
+        return state, info
+    u = se2.between(state.carrier.poses[state.history[-1][0]], state.carrier.poses[row])
+    d = float(np.hypot(u[0], u[1]))
+    f = cfg.filter
+    if (d < f.update_distance and abs(u[2]) < f.update_turn) or len(points) < f.least_beams:
+        return state, replace(info, decision="skipped" if info.decision == "matched" else info.decision)
+    state.poses = move(state.poses, u, f, rng)
+    if not (state.carrier.gated and info.decision == "odometry"):
+        state.poses = _refined(state, points, b, f)
+    state.log_weight, state.total, matches = _weighed(state, points, cfg)
+    n_eff, ancestors = _resampled(state, cfg, rng)
+    state.maps.insert(np.arange(len(state.poses)), state.poses, points, weights)
+    state.history.append((row, state.poses, ancestors))
+    many = len(state.poses) > 1  # a single hypothesis has no weight to tell of
+    resampled = many and bool((state.log_weight == 0).all())
+    n_eff = n_eff if many else np.nan
+    decision = info.decision if state.carrier.matching else "matched"
+    return state, replace(info, matches=max(info.matches, matches), decision=decision, n_eff=n_eff, resampled=resampled)
+
+
+def trajectory(state: ParticleState) -> Float[np.ndarray, "m 3"]:
+    """Poses at every scan of the particle with the greatest accumulated likelihood, and of its ancestors."""
+    i = int(np.argmax(state.total))
+    poses = []
+    for _, now, ancestors in reversed(state.history):
+        poses.append(now[i])
+        i = int(ancestors[i])
+    at = np.array([row for row, _, _ in state.history])
+    return blended(np.array(state.carrier.poses), at, np.array(poses[::-1]))
+
+
+def as_points(b: Beams) -> Float[np.ndarray, "n 3"]:
+    """(x, y, q) as the kernels want them, float32."""
+    return np.ascontiguousarray(np.column_stack([b.s, b.q]), dtype=np.float32)
+
+
+def move(
+    poses: Float[np.ndarray, "p 3"], u: Float[np.ndarray, "3"], f: FilterConfig, rng: np.random.Generator
+) -> Float[np.ndarray, "p 3"]:
+    """x_i = x_i (+) (u + w_i) with w_i normal # [Hara07] eq. 7; a single particle is not scattered."""
+    if len(poses) == 1:
+        return np.asarray(se2.compose(poses, u))
+    d = float(np.hypot(u[0], u[1]))
+    xy, turn = f.sd_xy + f.sd_xy_per_m * d, f.sd_turn + f.sd_turn_per_m * d
+    return np.asarray(se2.compose(poses, u + rng.standard_normal((len(poses), 3)) * [xy, xy, turn]))
+
+
+def log_likelihood(D: Float[np.ndarray, "p n"], cfg: LaserConfig, feature: str) -> tuple[Float[np.ndarray, " p"], int]:
+    """(P,) log-likelihoods of one scan from the least D of its n beams in P maps, and how many beams counted.
+
+    `matched`: the mean over the beams that at least half of the particles match, so that losing matches never pays.
+    `paper`: -d^2 / (2 sigma_z^2) # [Hara07] eq. 8 with d the mean D of a particle's own matches # [Hara07] eq. 9.
+    """
+    f, cap = cfg.filter, cfg.cells.cap
+    neff = f.neff if feature in STEERING else f.bare_neff
+    matched = np.float32(cap) > D
+    if cfg.likelihood == "paper":
+        n = matched.sum(axis=1)
+        d = np.where(matched, D, 0.0).sum(axis=1, dtype=float) / np.maximum(n, 1)
+        return np.where(n > 0, -(d**2) / (2 * f.paper_sigma2**2), -(cap**2) / (2 * f.paper_sigma2**2)), int(n.max())
+    shared = matched.sum(axis=0) >= f.shared * len(D)
+    count = int(shared.sum())
+    if not count:
+        return np.zeros(len(D)), 0
+    return -neff / (2 * f.sigma**2) * D[:, shared].mean(axis=1, dtype=float), count
+
+
+def effective(log_weight: Float[np.ndarray, " p"]) -> tuple[Float[np.ndarray, " p"], float]:
+    """Weights (their greatest is 1) and the effective number of particles, 1 / sum of squared shares."""
+    w = np.exp(log_weight - log_weight.max())
+    return w, float(w.sum() ** 2 / (w @ w))
+
+
+def _refined(state: ParticleState, points: np.ndarray, b: Beams, f: FilterConfig) -> np.ndarray:
+    if not f.refine_iterations:
+        return state.poses
+    m, c = state.maps, state.maps.cfg
+    prior = np.diag([f.refine_sd_xy**-2.0, f.refine_sd_xy**-2.0, f.refine_sd_turn**-2.0])
+    steers = state.feature in STEERING
+    return refine(
+        m.pool,
+        m.table,
+        int(m.shape[1]),
+        m.origin,
+        c.size,
+        np.arange(len(m)),
+        state.poses,
+        points,
+        b.normal,
+        c.alpha if steers else 0.0,
+        c.cap,
+        f.refine_neff / f.refine_sigma**2,
+        f.refine_tangent if steers else f.refine_bare_tangent,
+        f.refine_kappa,
+        prior,
+        f.refine_iterations,
+    )
+
+
+def _weighed(state: ParticleState, points: np.ndarray, cfg: LaserConfig) -> tuple[np.ndarray, np.ndarray, int]:
+    if len(state.poses) == 1:
+        return state.log_weight, state.total, 0
+    D = state.maps.score(np.arange(len(state.poses)), state.poses, points)
+    gain, matches = log_likelihood(D, cfg, state.feature)
+    return state.log_weight + gain, state.total + gain, matches
+
+
+def _resampled(state: ParticleState, cfg: LaserConfig, rng: np.random.Generator) -> tuple[float, np.ndarray]:
+    """The state after resampling where it was due; the effective number before, and the ancestors."""
+    P = len(state.poses)
+    w, n_eff = effective(state.log_weight)
+    if P == 1 or n_eff > cfg.resample * P:
+        return n_eff, np.arange(P)
+    ancestors = systematic(w, float(rng.random()))
+    state.maps.resample(ancestors)
+    state.poses, state.total = state.poses[ancestors], state.total[ancestors]
+    state.log_weight = np.zeros(P)
+    return n_eff, ancestors

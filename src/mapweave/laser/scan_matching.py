@@ -1,0 +1,196 @@
+"""Scan to local map: how the robot moved since the last scan, far better than its wheels know.
+
+The local map holds the last keyframes only, so it bends with the drift and never shows a wall twice.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core import se2
+from ..core.config import config
+from ..core.errors import ConfigError
+from ..kernels.laser.local_map import FAR, add_points, align_scan, count_matches, fit_lines
+from .beam import Beams
+
+
+@config
+class FrontEndConfig:
+    size: int = 1024  # cells a side of either level, a power of two; the fine one must hold the whole local map
+    coarse: float = 0.2  # cell [m] of the first iterations
+    fine: float = 0.1  # cell [m] of the last ones
+    coarse_iterations: int = 8
+    fine_iterations: int = 12
+    coarse_kappa: float = 0.15  # [m] width of the robust kernel
+    kappa: float = 0.1  # [m]
+    keyframes: int = 60  # scans the local map holds
+    keyframe_distance: float = 0.4  # [m] and
+    keyframe_turn: float = 0.4  # [rad]: a new keyframe beyond either
+    alpha: float = 1.0  # [m^2 per q^2]
+    agree: float = 0.5  # least cosine between a beam's normal and its cell's
+    neff: float = 60.0  # a scan counts as so many independent returns
+    sigma: float = 0.02  # [m] of each
+    tangent: float = 0.1  # weight of the error along the line, with a feature and
+    bare_tangent: float = 0.03  # without: a bare wall is alike all along
+    sd_xy: float = 0.03  # [m] + sd_xy_per_m d: how far odometry may err in a step
+    sd_xy_per_m: float = 0.3
+    sd_turn: float = 0.03  # [rad] + sd_turn_per_m d + sd_turn_per_rad |turn|
+    sd_turn_per_m: float = 0.15
+    sd_turn_per_rad: float = 0.6
+    wide_search: float = 0.3  # [rad] rotations tried to either side when under wide_under of the returns match
+    wide_step: float = 0.03  # [rad]
+    wide_under: float = 0.65
+    reach: float = 0.1  # [m] a return this near its line counts as matched
+
+
+def allowed_sd(u: Float[np.ndarray, "3"], c: FrontEndConfig) -> Float[np.ndarray, "3"]:
+    """Standard deviations [m, m, rad] allowed to an odometry increment `u`."""
+    d, turn = float(np.hypot(u[0], u[1])), abs(float(u[2]))
+    xy = c.sd_xy + c.sd_xy_per_m * d
+    return np.array([xy, xy, c.sd_turn + c.sd_turn_per_m * d + c.sd_turn_per_rad * turn])
+
+
+class Motion(NamedTuple):
+    """pose: (3,) in the front end's own frame; information: (3, 3) over robot-frame x, y, theta; counts of returns."""
+
+    pose: Float[np.ndarray, "3"]
+    information: Float[np.ndarray, "3 3"]
+    innovation: Float[np.ndarray, "3"]
+    matches: int
+    beams: int
+
+
+class FrontEnd:
+    """The local map. `insert` changes it: it belongs to one estimator state."""
+
+    def __init__(self, cfg: FrontEndConfig, tangent: float | None = None) -> None:
+        self.cfg = cfg
+        self.tangent = cfg.tangent if tangent is None else tangent
+        if cfg.size < 8 or cfg.size & (cfg.size - 1):
+            raise ConfigError(f"front_end.size: expected a power of two from 8 on, found {cfg.size}")
+        self.sums = [np.zeros((cfg.size, cfg.size, 9), np.float32) for _ in range(2)]
+        self.lines = [np.zeros((cfg.size, cfg.size, 6), np.float32) for _ in range(2)]
+        for level in self.lines:
+            level[..., 0] = FAR
+        self.fine, self.coarse = self.lines
+        self.keyframes: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self.last_keyframe: np.ndarray | None = None
+
+    def match(self, b: Beams, predicted: Float[np.ndarray, "3"], sd: Float[np.ndarray, "3"]) -> Motion:
+        """Where the scan fits, given where odometry says; the map is not touched."""
+        c = self.cfg
+        n = len(b.q)
+        pose, H, _ = self._refine(b, predicted, predicted, sd)
+        matches = self._count(self.fine, c.fine, b, pose, c.reach)
+        if n and matches < c.wide_under * n:
+            turns = np.arange(-c.wide_search, c.wide_search + 1e-9, c.wide_step)
+            scores = [self._count(self.coarse, c.coarse, b, predicted + np.array([0, 0, a]), 0.1) for a in turns]
+            for k in np.argsort(scores, kind="stable")[::-1][:3]:
+                tried = self._refine(b, predicted + np.array([0, 0, turns[k]]), predicted, np.maximum(sd, [0, 0, 0.15]))
+                count = self._count(self.fine, c.fine, b, tried[0], c.reach)
+                if count > matches:
+                    (pose, H, _), matches = tried, count
+        return Motion(pose, H, se2.between(predicted, pose), matches, n)
+
+    def insert(self, b: Beams, pose: Float[np.ndarray, "3"]) -> bool:
+        """True when `pose` was far enough from the last keyframe for its scan to become one."""
+        c = self.cfg
+        if self.last_keyframe is not None:
+            d = se2.between(self.last_keyframe, pose)
+            if np.hypot(d[0], d[1]) < c.keyframe_distance and abs(d[2]) < c.keyframe_turn:
+                return False
+        self.last_keyframe = np.array(pose, float)
+        frame = (se2.act(pose, b.s), b.normal @ se2.rotation(float(pose[2])).T, b.q)
+        self._put(frame, 1.0)
+        self.keyframes.append(frame)
+        if len(self.keyframes) > c.keyframes:
+            self._put(self.keyframes.pop(0), -1.0)
+        return True
+
+    def hold(self, scans: Sequence[tuple[Beams, Float[np.ndarray, "3"]]]) -> None:
+        """The local map is made of these scans, each at its pose, and of nothing else."""
+        for frame in self.keyframes:
+            self._put(frame, -1.0)
+        self.last_keyframe = None
+        parts = [(se2.act(pose, b.s), b.normal @ se2.rotation(float(pose[2])).T, b.q) for b, pose in scans]
+        self.keyframes = []
+        if parts:
+            points, normals, q = (np.concatenate(part) for part in zip(*parts, strict=True))
+            self.keyframes = [(points, normals, q)]
+            self._put(self.keyframes[0], 1.0)
+
+    def information(self, b: Beams, pose: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+        """What the lines alone tell of a scan at `pose`, over robot-frame x, y, theta: along a bare wall nothing.
+
+        Neither odometry nor the error along the line, which `match` uses to hold a scan in its place, has a part.
+        """
+        c = self.cfg
+        held = np.array([0.01, 0.01, 0.001])
+        _, H, _ = align_scan(
+            self.fine,
+            c.fine,
+            b.s,
+            b.normal,
+            b.q,
+            c.alpha,
+            c.agree,
+            pose,
+            pose,
+            held,
+            c.neff / c.sigma**2,
+            0.0,
+            c.kappa,
+            1,
+        )
+        return np.asarray(H - np.diag(held**-2.0))
+
+    def _put(self, frame: tuple[np.ndarray, np.ndarray, np.ndarray], sign: float) -> None:
+        points, normals, q = (np.ascontiguousarray(a) for a in frame)
+        for sums, lines, cell in zip(self.sums, self.lines, (self.cfg.fine, self.cfg.coarse), strict=True):
+            add_points(sums, cell, points, normals, q, sign)
+            fit_lines(sums, lines, cell, points)
+
+    def _refine(
+        self, b: Beams, start: np.ndarray, predicted: np.ndarray, sd: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        c = self.cfg
+        information = c.neff / c.sigma**2
+        pose, _, _ = align_scan(
+            self.coarse,
+            c.coarse,
+            b.s,
+            b.normal,
+            b.q,
+            c.alpha,
+            c.agree,
+            start,
+            predicted,
+            sd,
+            information,
+            self.tangent,
+            c.coarse_kappa,
+            c.coarse_iterations,
+        )
+        pose, H, cost = align_scan(
+            self.fine,
+            c.fine,
+            b.s,
+            b.normal,
+            b.q,
+            c.alpha,
+            c.agree,
+            pose,
+            predicted,
+            sd,
+            information,
+            self.tangent,
+            c.kappa,
+            c.fine_iterations,
+        )
+        pose[2] = se2.wrap_angle(pose[2])
+        return pose, H, cost
+
+    def _count(self, grid: np.ndarray, cell: float, b: Beams, pose: np.ndarray, reach: float) -> int:
+        return count_matches(grid, cell, b.s, b.normal, b.q, self.cfg.alpha, self.cfg.agree, pose, reach)

@@ -1,0 +1,195 @@
+"""Laser SLAM of a team: each robot its own front end, one pose graph over all robots' keyframes, one merged map.
+
+Frames: `local_k` is robot k's own, from its first scan; it never jumps. `map` is the frame the starts are given in and
+hangs on the first robot's start; it may jump when loops close.
+"""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..core import se2
+from ..core.records import Scan, Track
+from .beam import Beams, beams
+from .closures import Closure, Matcher
+from .grid import GridMap
+from .keyframes import Keyframe, Sweep
+from .loop_search import LoopSearch
+from .occupancy_mapper import Canvas
+from .pose_graph import PoseGraph
+from .team_config import LaserTeamConfig
+from .team_graph import TeamGraph
+from .team_odometry import RobotTrack
+
+
+class LaserTeam:
+    """The estimator of a team, changed by `look`, `deliver`, `bury` and `optimise`; everything else reads it.
+
+    starts: (M, 3) in `map`. It belongs to one mission; the same calls give the same numbers.
+    """
+
+    def __init__(self, cfg: LaserTeamConfig | None, starts: Float[np.ndarray, "M 3"]) -> None:
+        self.cfg = cfg or LaserTeamConfig()
+        self.starts = np.array(starts, dtype=float).reshape(-1, 3)
+        M = len(self.starts)
+        self.tracks = [RobotTrack(j, self.cfg) for j in range(M)]
+        self.team = TeamGraph(self.cfg, self.starts)
+        self.loops = LoopSearch(self.cfg.closures, Matcher(self.cfg.closures, self.cfg.front_end), M)
+        self.sweeps: list[Sweep] = []
+        self._node: list[int] = []  # the keyframe of each sweep
+        self._waiting: list[list[Keyframe | Sweep]] = [[] for _ in range(M)]
+        self._stamp = np.full(M, -np.inf)
+        self._now = self.starts.copy()  # each robot's latest pose
+        self._moved = np.zeros(M)  # [m] it drove before its latest scan
+        self._offset = np.zeros((0, 3))  # of each sweep in its keyframe
+        self._gone = np.zeros(M, dtype=bool)
+        self._canvas: dict[float, Canvas] = {}
+
+    def look(self, j: int, t: float, scan: Scan) -> Float[np.ndarray, "3"]:
+        """Robot j's latest pose in `map` after `scan`, taken at `t` [s]; what it learned waits until it is delivered.
+
+        The first look of a robot is taken at its start.
+        """
+        track = self.tracks[j]
+        b = self._without_teammates(j, t, beams(scan, "none", None, self.cfg.beams), scan)
+        local = track.look(b, scan.odometry)
+        made = track.keyframe(t, b)
+        if made is not None:
+            self._waiting[j].append(made)
+        if track.last is not None:
+            offset = se2.between(track.last.local, local)
+            eye = np.array(scan.T_robot_sensor[:2], dtype=float)
+            self._waiting[j].append(Sweep(j, track.last.number, t, offset, b.s, self._open_ends(scan), eye))
+        self._stamp[j], self._moved[j] = t, np.hypot(*track.step[:2])
+        self._now[j] = self._latest(j)
+        return np.array(self._now[j])
+
+    def deliver(self, j: int) -> int:
+        """All that robot j has waiting reaches the team, and loops are looked for; returns how many keyframes came.
+
+        A lost message is one that is not delivered: it waits for the next call.
+        """
+        came = 0
+        for message in self._waiting[j]:
+            if isinstance(message, Keyframe):
+                self.loops.offer(self.team, self.team.add(message))
+                came += 1
+            else:
+                self.sweeps.append(message)
+                self._node.append(self.team.of[j][message.number])
+        self._waiting[j] = []
+        self.loops.step(self.team, j)
+        self._now[j] = self._latest(j)
+        return came
+
+    def bury(self, j: int) -> None:
+        """Robot j is dead: what it had not delivered is gone; what it had stays."""
+        self._waiting[j] = []
+        self._gone[j] = True
+        self._now[j] = self._latest(j)
+
+    def waiting(self, j: int) -> int:
+        """How many messages of robot j have not reached the team."""
+        return len(self._waiting[j])
+
+    def poses(self) -> Float[np.ndarray, "M 3"]:
+        """Each robot's latest pose in `map`, its start before its first scan; of a dead one the last the team knows."""
+        return self._now.copy()
+
+    def optimise(self, *, force: bool = False) -> bool:
+        """Whether the graph was solved anew: because a closure moved something, or it has grown enough, or by `force`.
+
+        Closures that contradict the rest are dropped on the way. After it `poses` may jump.
+        """
+        team, c = self.team, self.cfg
+        fresh = len(team) - team.known
+        grown = fresh >= max(c.resolve_least, c.resolve_share * len(team))
+        unknown = any(of and of[0] >= team.known for of in team.of)
+        if not len(team) or not (force or team.due or grown or unknown):
+            return False
+        self._solve()
+        return True
+
+    @property
+    def closures(self) -> tuple[Closure, ...]:
+        """Every closure tried, in order: `first` and `second` number the keyframes of `graph`."""
+        return tuple(self.team.closures)
+
+    @property
+    def owner(self) -> Int[np.ndarray, " n"]:
+        """(n,) the robot of each keyframe of `graph`."""
+        return np.array([node.robot for node in self.team.nodes], dtype=np.int64)
+
+    @property
+    def stamp(self) -> Float[np.ndarray, " n"]:
+        """(n,) when each keyframe of `graph` was taken [s]."""
+        return np.array([node.t for node in self.team.nodes], dtype=float)
+
+    def graph(self) -> PoseGraph:
+        """The delivered keyframes in the order they came, their steps and the closures believed."""
+        return self.team.graph()
+
+    def covariances(self) -> Float[np.ndarray, "n 3 3"]:
+        """Covariance of every delivered keyframe's pose in `map`, over x, y, theta. Solves what is not solved yet."""
+        if not len(self.team):
+            return np.zeros((0, 3, 3))
+        if self.team.due or self.team.known < len(self.team) or self.team.solved is None:
+            self._solve()
+        assert self.team.solved is not None  # noqa: S101  (solving makes it)
+        n = self.cfg.steps
+        jitter = np.diag(np.square([n.jitter_xy, n.jitter_xy, n.jitter_turn]))
+        return np.asarray(self.team.solved.covariances() + jitter)
+
+    def trajectory(self, j: int) -> Track:
+        """Robot j's poses in `map` at the stamps of its scans that reached the team."""
+        mine = [k for k, sweep in enumerate(self.sweeps) if sweep.robot == j]
+        stamps = np.array([self.sweeps[k].t for k in mine], dtype=float)
+        return Track(stamps, self.sweep_poses()[mine].reshape(-1, 3))
+
+    def grid(self, resolution: float) -> GridMap:
+        """The merged map of all delivered scans; kept between calls, only scans that moved are laid in anew."""
+        canvas = self.canvas(resolution)
+        canvas.update(self.sweeps, self.sweep_poses())
+        return canvas.grid()
+
+    def canvas(self, resolution: float) -> Canvas:
+        """What `grid` keeps at this resolution [m]."""
+        return self._canvas.setdefault(resolution, Canvas(resolution, self.cfg.near))
+
+    def sweep_poses(self) -> Float[np.ndarray, "n 3"]:
+        """Where each delivered scan was taken, in `map`."""
+        new = [sweep.offset for sweep in self.sweeps[len(self._offset) :]]
+        self._offset = np.concatenate([self._offset, np.reshape(new, (-1, 3))])
+        return np.asarray(se2.compose(self.team.pose[self._node], self._offset))
+
+    def _solve(self) -> None:
+        self.team.solve()
+        self._now = np.array([self._latest(j) for j in range(len(self.tracks))])
+
+    def _latest(self, j: int) -> np.ndarray:
+        """The robot's own way, put onto its last keyframe that the team has."""
+        of, local = self.team.of[j], self.tracks[j].local
+        if not of:
+            return np.array(se2.compose(self.starts[j], local))
+        if self._gone[j]:
+            return np.array(self.team.pose[of[-1]])
+        return np.array(se2.compose(self.team.pose[of[-1]], se2.between(self.team.nodes[of[-1]].local, local)))
+
+    def _open_ends(self, scan: Scan) -> np.ndarray:
+        """(m, 2) how far the beams that did not come back are free, in the robot frame [m]."""
+        far = self.cfg.open_share * min(scan.range_max, self.cfg.beams.greatest_range)
+        silent = ~scan.hit & (scan.ranges >= scan.range_max)
+        angle = scan.angles()[silent]
+        ends = far * np.column_stack([np.cos(angle), np.sin(angle)])
+        return np.asarray(se2.act(scan.T_robot_sensor, ends))
+
+    def _without_teammates(self, j: int, t: float, b: Beams, scan: Scan) -> Beams:
+        """The returns that are not from another robot, wherever it may have gone since it was last heard of."""
+        others = np.delete(np.arange(len(self.tracks)), j)
+        if not len(others) or not len(b.q):
+            return b
+        track = self.tracks[j]
+        here = se2.compose(self._now[j], se2.between(track.local, track.predict(scan.odometry)))
+        at = se2.act(se2.inverse(here), self._now[others, :2])
+        reach = self.cfg.teammate + np.where(self._stamp[others] < t, self._moved[others], 0.0)
+        near = (np.hypot(*(b.s[:, None] - at).transpose(2, 0, 1)) < reach).any(axis=1)
+        return Beams(*(a[~near] for a in b)) if near.any() else b

@@ -1,0 +1,142 @@
+"""The team's pose graph as it grows: keyframes come in, closures tie them, solving moves them."""
+
+from bisect import bisect_left
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core import se2
+from .closures import Closure, Matched, Place
+from .graph_problem import Links, Solved, problem
+from .keyframes import Keyframe
+from .pose_graph import PoseGraph
+from .team_config import LaserTeamConfig
+from .team_odometry import carried
+
+EXACT = 1e-4  # [m, rad] sd of the start that `map` hangs on
+
+
+class TeamGraph:
+    """nodes: the keyframes in the order they came; pose: (n, 3) of each in `map`; of: each robot's, by number."""
+
+    def __init__(self, cfg: LaserTeamConfig, starts: Float[np.ndarray, "M 3"]) -> None:
+        self.cfg, self.starts = cfg, starts
+        self.nodes: list[Keyframe] = []
+        self.pose = np.zeros((0, 3))
+        self.of: list[list[int]] = [[] for _ in starts]
+        self.robot = np.zeros(0, dtype=np.int64)  # (n,) whose each is
+        self.path = np.zeros(0)  # (n,) [m] driven up to each
+        self.closures: list[Closure] = []
+        self.solved: Solved | None = None
+        self.due = False  # a closure says that poses are elsewhere
+        self._since: list[np.ndarray] = []  # covariance of each seen from its robot's last solved one before it
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    @property
+    def known(self) -> int:
+        """How many keyframes the last solution holds."""
+        return 0 if self.solved is None else len(self.solved)
+
+    def add(self, made: Keyframe) -> int:
+        """The number of the new keyframe; it stands where its step puts it."""
+        of = self.of[made.robot]
+        pose, since = self.starts[made.robot], np.zeros((3, 3))
+        if of:
+            pose = se2.compose(self.pose[of[-1]], made.step)
+            before = np.zeros((3, 3)) if of[-1] < self.known else self._since[of[-1]]
+            since = carried(before, made.step) + made.cov
+        of.append(len(self.nodes))
+        self.nodes.append(made)
+        self._since.append(since)
+        self.pose = np.concatenate([self.pose, np.asarray(pose)[None]])
+        self.robot, self.path = np.append(self.robot, made.robot), np.append(self.path, made.path)
+        return of[-1]
+
+    def anchor(self, i: int) -> int | None:
+        """The last solved keyframe of the robot of keyframe `i`, up to `i`."""
+        of, number = self.of[self.nodes[i].robot], self.nodes[i].number
+        solved = min(bisect_left(of, self.known), number + 1)
+        return of[solved - 1] if solved else None
+
+    def relative(self, k: int, i: int) -> Float[np.ndarray, "3 3"] | None:
+        """Covariance of keyframe `i` seen from the solved keyframe `k`, in i's frame; None when i has no anchor."""
+        a = self.anchor(i)
+        if a is None or k >= self.known or self.solved is None:
+            return None
+        C = self.solved.relative(k, a)
+        turn = self.pose[a, 2] - self.pose[k, 2]
+        c, s = np.cos(turn), np.sin(turn)
+        R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        C = np.asarray(R @ C @ R.T)
+        return C if i == a else np.asarray(carried(C, se2.between(self.pose[a], self.pose[i])) + self._since[i])
+
+    def place(self, k: int) -> Place:
+        """Keyframe `k` and those its robot made before and after it, in its frame."""
+        c, node = self.cfg.closures, self.nodes[k]
+        of = self.of[node.robot]
+        near = of[max(0, node.number - c.around) : node.number + c.around + 1]
+        rel = se2.between(self.pose[k], self.pose[near])
+        inside = np.hypot(rel[:, 0], rel[:, 1]) <= c.within
+        return Place([(self.nodes[m].beams, rel[p]) for p, m in enumerate(near) if inside[p]])
+
+    def close(self, k: int, i: int, found: Matched) -> None:
+        """The closure is on record and, when accepted, in the graph."""
+        robots = (self.nodes[k].robot, self.nodes[i].robot)
+        self.closures.append(Closure(robots, k, i, *found))
+
+    def links(self) -> tuple[Links, Links]:
+        """Steps and accepted closures."""
+        steps = [(of[n - 1], of[n]) for of in self.of for n in range(1, len(of))]
+        steps.sort(key=lambda pair: pair[1])
+        later = [self.nodes[i] for _, i in steps]
+        believed = [c for c in self.closures if c.accepted]
+        return (
+            _links(steps, [n.step for n in later], np.linalg.inv(np.array([n.cov for n in later]).reshape(-1, 3, 3))),
+            _links([(c.first, c.second) for c in believed], [c.measured for c in believed],
+                   np.array([c.information for c in believed]).reshape(-1, 3, 3)),
+        )  # fmt: skip
+
+    def solve(self) -> None:
+        """All poses at the optimum; closures that contradict the rest there are dropped, one after the other."""
+        c = self.cfg
+        while True:
+            steps, closed = self.links()
+            first = [of[0] for of in self.of if of]
+            robots = [self.nodes[i].robot for i in first]
+            sd = np.array([[c.start_xy, c.start_xy, c.start_turn] if j else [EXACT] * 3 for j in robots])
+            starts = (np.array(first), self.starts[robots], sd)
+            self.solved = Solved.of(problem(self.pose, steps, closed, starts, c.closures.kernel))
+            self.pose = np.array(self.solved.pose)
+            if not self._drop_worst(closed):
+                break
+        self.due = False
+        self.solved.prepare([of[-1] for of in self.of if of])
+
+    def graph(self) -> PoseGraph:
+        """Keyframes, steps and accepted closures."""
+        steps, closed = self.links()
+        both = [
+            np.concatenate([getattr(steps, name), getattr(closed, name)])
+            for name in ("first", "second", "measured", "information")
+        ]
+        return PoseGraph(self.pose, *both)
+
+    def _drop_worst(self, closed: Links) -> bool:
+        if not len(closed.first):
+            return False
+        squares = closed.factor("closures").squares(self.pose.ravel())
+        worst = int(np.argmax(squares))
+        if squares[worst] <= self.cfg.closures.contradiction:
+            return False
+        at = [p for p, c in enumerate(self.closures) if c.accepted][worst]
+        said = f"it contradicts the other measurements by {np.sqrt(squares[worst]):.1f} standard deviations"
+        self.closures[at] = replace(self.closures[at], accepted=False, reason=said)
+        return True
+
+
+def _links(pairs: list[tuple[int, int]], measured: list[np.ndarray], information: np.ndarray) -> Links:
+    both = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    return Links(both[:, 0], both[:, 1], np.array(measured, dtype=float).reshape(-1, 3), information)

@@ -1,1 +1,0 @@
-"""What a map is: landmarks, submaps, grids."""

@@ -1,1 +1,0 @@
-"""Which observation belongs to which landmark, beam or map."""

@@ -1,1 +1,0 @@
-"""Motion and sensors: the function, its Jacobian and its noise stand together."""

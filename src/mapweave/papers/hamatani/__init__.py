@@ -1,0 +1,1 @@
+"""Hamatani, Nakamura, Naruse: five camera robots that locate themselves from bearings."""

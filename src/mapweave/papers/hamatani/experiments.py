@@ -1,0 +1,106 @@
+"""The experiment of Hamatani, Nakamura and Naruse: five robots in the plane, filters run over repeated sightings."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from ...core.se2 import wrap_angle
+from ...swarm.bearing import angle
+from ...swarm.config import SwarmConfig
+from ...swarm.kalman import Form, filter_start, update
+from ...swarm.locate import locate
+from ...swarm.network import Network
+
+H = 5.0 * np.sqrt(3.0)
+LAYOUT = np.array([[0.0, 0.0], [10.0, 0.0], [20.0, 0.0], [5.0, H], [15.0, H]])  # [m]
+TRIANGLES = ((0, 1, 3), (1, 4, 3), (1, 2, 4))  # the three with sides of 10
+SIDES = tuple(sorted({tuple(sorted(p)) for a, b, c in TRIANGLES for p in ((a, b), (b, c), (a, c))}))
+IDS = ("1", "2", "3", "4", "5")
+PRIOR_SIGMA = 10.0  # [m]: P0 = 100 I
+UPDATES = 200
+VARIANCES = (0.0, 0.01, 25.0)  # of the first positions [m^2] and of the bearings [deg^2]
+FirstEstimate = Literal["guess", "linear"]
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One cell: variance of the guess [m^2], of a bearing [deg^2], whether robots 1 and 2 are known, the filter."""
+
+    guess: float
+    bearing: float
+    known: bool
+    form: Form = "ekf"
+    first: FirstEstimate = "guess"
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """Errors of one case over all trials: of a triangle's side [m] and of its angle [deg], each trial's mean."""
+
+    case: Case
+    side: Float[np.ndarray, " t"]
+    angle: Float[np.ndarray, " t"]
+
+
+def sightings(variance: float, known: bool, rng: np.random.Generator) -> Network:  # noqa: FBT001
+    """One set: each pair of robots sighted once, from the lower number, with fresh noise of `variance` [deg^2]."""
+    i, j = np.triu_indices(len(LAYOUT), 1)
+    sigma = np.radians(np.sqrt(variance))
+    z = np.asarray(wrap_angle(angle(LAYOUT[i], LAYOUT[j]) + sigma * rng.normal(size=len(i))))
+    anchors = {k: LAYOUT[k] for k in (0, 1)} if known else {}
+    return Network(IDS, 2, i, j, z, np.full(len(i), sigma), anchors)
+
+
+def guess(variance: float, rng: np.random.Generator) -> Float[np.ndarray, "5 2"]:
+    """The true positions with noise of `variance` [m^2] on each coordinate."""
+    return np.asarray(LAYOUT + np.sqrt(variance) * rng.normal(size=LAYOUT.shape))
+
+
+def run_filter(
+    case: Case, rng: np.random.Generator, updates: int = UPDATES
+) -> tuple[Float[np.ndarray, "5 2"], Float[np.ndarray, "k 5 2"]]:
+    """The first estimate, and the positions after each of `updates` sets of sightings."""
+    first = guess(case.guess, rng)
+    if case.first == "linear":  # the shape the first sightings give, as large as the guess and where it is
+        shape = locate(sightings(case.bearing, case.known, rng), SwarmConfig(covariance=False)).position
+        if not case.known:
+            spread = np.square(first - first.mean(axis=0)).sum() / np.square(shape - shape.mean(axis=0)).sum()
+            shape = first.mean(axis=0) + np.sqrt(spread) * (shape - shape.mean(axis=0))
+        first = shape
+    state = filter_start(sightings(case.bearing, case.known, rng), first, PRIOR_SIGMA)
+    path = np.empty((updates, *LAYOUT.shape))
+    for k in range(updates):
+        state = update(state, sightings(case.bearing, case.known, rng), case.form)
+        path[k] = state.x
+    return state.first, path
+
+
+def measure(case: Case, trials: int, seed: int) -> Cell:
+    """The mean errors of each trial after the last update."""
+    side, corner = np.empty(trials), np.empty(trials)
+    for trial in range(trials):
+        key = [seed, trial, int(case.known), round(100 * case.guess), round(100 * case.bearing)]
+        _, path = run_filter(case, np.random.default_rng(key))
+        side[trial], corner[trial] = side_error(path[-1]), angle_error(path[-1])
+    return Cell(case, side, corner)
+
+
+def side_error(x: Float[np.ndarray, "5 2"]) -> float:
+    """Mean error [m] of the seven sides of the three triangles."""
+    return float(np.mean([abs(np.linalg.norm(x[i] - x[j]) - np.linalg.norm(LAYOUT[i] - LAYOUT[j])) for i, j in SIDES]))
+
+
+def angle_error(x: Float[np.ndarray, "5 2"]) -> float:
+    """Mean error [deg] of the nine interior angles of the three triangles."""
+    errors = []
+    for a, b, c in TRIANGLES:
+        for top, left, right in ((a, b, c), (b, c, a), (c, a, b)):
+            errors.append(abs(_corner(x, top, left, right) - _corner(LAYOUT, top, left, right)))
+    return float(np.degrees(np.mean(errors)))
+
+
+def _corner(x: np.ndarray, top: int, left: int, right: int) -> float:
+    u, v = x[left] - x[top], x[right] - x[top]
+    return float(abs(np.arctan2(u[0] * v[1] - u[1] * v[0], u @ v)))

@@ -1,0 +1,198 @@
+"""The experiments behind `reproduce kojima`: the paper's Table 2 and Fig. 7, honesty of the weights, unequal maps."""
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from ...core import se2
+from ...core.progress import Progress, no_progress
+from ...fusion.relative_information import Weights, baseline_pair
+from ...fusion.relative_measurement import Layout, Measurement, measurement
+from . import limits, rls
+from .dense import solve_all
+from .unequal_maps import UnequalConfig, UnequalMaps, draw_unequal
+from .world import SEEN, KojimaConfig, LocalMaps, Worlds, run_filters
+
+Reading = Literal["prior", "measurement"]
+Rule = Literal["certain", "widest", "narrowest"]
+
+LAYOUT = Layout(2, 8)
+READINGS: tuple[Reading, ...] = ("prior", "measurement")
+SHORT: tuple[Weights, ...] = ("constant", "paper")
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One weighting under one reading of the reference map, over S worlds and K updates.
+
+    robot, landmark: (S,) errors [m], the landmarks' as the root of their mean square; trace: (K + 1,) mean trace of
+    the covariance over the worlds, low and high its 5 and 95 % quantiles; limit: what Theorem 2 says it tends to.
+    """
+
+    reading: Reading
+    weights: Weights
+    robot: Float[np.ndarray, " s"]
+    landmark: Float[np.ndarray, " s"]
+    trace: Float[np.ndarray, " k"]
+    low: Float[np.ndarray, " k"]
+    high: Float[np.ndarray, " k"]
+    limit: float
+    final: rls.Estimate
+
+    @property
+    def robot_rmse(self) -> float:
+        return float(np.sqrt(np.mean(self.robot**2)))
+
+    @property
+    def landmark_rmse(self) -> float:
+        return float(np.sqrt(np.mean(self.landmark**2)))
+
+
+def merge_online(
+    cfg: KojimaConfig, worlds: Worlds, rng: np.random.Generator, on_progress: Progress = no_progress
+) -> tuple[tuple[Run, ...], LocalMaps]:
+    """Both weightings under both readings, merging at every step since the robots stand; and the maps at the start."""
+    keys = tuple(product(READINGS, SHORT))
+    maps = run_filters(cfg, worlds, rng)
+    on_progress("driving", 0, None)
+    first = next(maps)
+    estimates = dict.fromkeys(keys, _initial(cfg, first))
+    traces: dict[tuple, list[np.ndarray]] = {key: [_trace(estimates[key])] for key in keys}
+    for step, local in enumerate(maps):
+        on_progress("merging", step + 1, cfg.steps - cfg.drive_steps)
+        told = {w: [_measure(cfg, local, k, w) for k in (0, 1)] for w in SHORT}
+        for reading, weights in keys:
+            used = told[weights] if reading == "measurement" else told[weights][1:]
+            estimates[reading, weights] = rls.repeat(LAYOUT, estimates[reading, weights], used)
+            traces[reading, weights].append(_trace(estimates[reading, weights]))
+    return tuple(_run(cfg, worlds, key, estimates[key], traces[key], first) for key in keys), first
+
+
+def _initial(cfg: KojimaConfig, local: LocalMaps) -> rls.Estimate:
+    """The paper's start: robot 1's map, robot 2's fitted onto it by the two common landmarks, and a wide prior."""
+    T = np.stack([se2.align(m[1, :2], m[0, :2]) for m in local.mean])
+    points = np.concatenate([local.mean[:, 0], se2.act(T[:, None], local.mean[:, 1, 2:])], axis=1)
+    x = np.concatenate([T, points.reshape(len(T), -1)], axis=1)
+    return rls.Estimate(x, np.tile(np.linalg.inv(_prior(cfg)), (len(T), 1, 1)))
+
+
+def _prior(cfg: KojimaConfig) -> Float[np.ndarray, "n n"]:
+    return np.diag(1 / np.r_[np.full(3, cfg.prior_frame_variance), np.full(16, cfg.prior_landmark_variance)])
+
+
+def _measure(cfg: KojimaConfig, local: LocalMaps, k: int, weights: Weights) -> Measurement:
+    return measurement(
+        k, SEEN[k], local.mean[:, k], local.cov[:, k], weights, delta=cfg.delta, variance=cfg.rls_variance
+    )
+
+
+def _trace(estimate: rls.Estimate) -> Float[np.ndarray, " s"]:
+    return np.asarray(np.trace(estimate.P, axis1=-2, axis2=-1))
+
+
+def _run(
+    cfg: KojimaConfig,
+    worlds: Worlds,
+    key: tuple[Reading, Weights],
+    estimate: rls.Estimate,
+    traces: list[np.ndarray],
+    first: LocalMaps,
+) -> Run:
+    reading, weights = key
+    trace = np.stack(traces)
+    limit = 0.0
+    if reading == "prior":
+        H = _measure(cfg, first, 1, weights).dense_jacobian(LAYOUT, estimate.x)
+        limit = float(np.mean([np.trace(limits.limit(_prior(cfg), each)) for each in H]))
+    return Run(
+        reading=reading,
+        weights=weights,
+        robot=np.linalg.norm(estimate.x[:, :2] - worlds.start[:, 1, :2], axis=1),
+        landmark=np.sqrt(np.mean(np.sum((LAYOUT.points(estimate.x) - worlds.landmarks) ** 2, axis=-1), axis=1)),
+        trace=trace.mean(axis=1),
+        low=np.quantile(trace, 0.05, axis=1),
+        high=np.quantile(trace, 0.95, axis=1),
+        limit=limit,
+        final=estimate,
+    )
+
+
+def honesty(worlds: Worlds, local: LocalMaps, draws: int, rng: np.random.Generator) -> dict[tuple[Weights, int], float]:
+    """Mean NEES per degree of freedom of the fused state, by weights and repeats, over `draws` of each world's maps.
+
+    The maps are drawn about the truth from the covariances the filters ended with.
+    """
+    S = len(worlds.landmarks)
+    cov = np.repeat(local.cov, draws, axis=0)
+    L = np.linalg.cholesky(cov)
+    own = se2.act(se2.inverse(worlds.start[:, 1])[:, None], worlds.landmarks[:, SEEN[1]])
+    true = np.repeat(np.stack([worlds.landmarks[:, SEEN[0]], own], axis=1), draws, axis=0)
+    mean = true + (L @ rng.standard_normal((S * draws, 2, 10, 1))).reshape(true.shape)
+    x = np.repeat(np.concatenate([worlds.start[:, 1], worlds.landmarks.reshape(S, -1)], axis=1), draws, axis=0)
+    out: dict[tuple[Weights, int], float] = {}
+    cases: tuple[tuple[Weights, int], ...] = (("full", 1), ("paper", 1), ("full", 700))
+    for weights, repeats in cases:
+        told = [measurement(k, SEEN[k], mean[:, k], cov[:, k], weights) for k in (0, 1)]
+        estimate = solve_all(LAYOUT, x, told, repeats=repeats)
+        e = estimate.x - x
+        e[:, LAYOUT.angles] = se2.wrap_angle(e[:, LAYOUT.angles])
+        nees = np.sum(e * np.linalg.solve(estimate.P, e[..., None])[..., 0], axis=1)
+        out[weights, repeats] = float(nees.mean() / LAYOUT.size)
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class Unequal:
+    """Root mean square errors [m] over all seeds of unequal maps, for one baseline rule and one weighting."""
+
+    rule: Rule
+    weights: Weights
+    landmark_rmse: float
+    frame_rmse: float
+
+
+def unequal(
+    seeds: int,
+    rng: np.random.Generator,
+    cases: tuple[tuple[Rule, Weights], ...],
+    cfg: UnequalConfig | None = None,
+    on_progress: Progress = no_progress,
+) -> tuple[Unequal, ...]:
+    """The same `seeds` worlds fused once for every (rule, weights), each map counted once and without a prior."""
+    cfg = cfg or UnequalConfig()
+    worlds = draw_unequal(cfg, seeds, rng)
+    layout = Layout(2, cfg.total)
+    out = []
+    for at, (rule, weights) in enumerate(cases):
+        on_progress("unequal maps", at, len(cases))
+        x = np.stack([_fuse_unequal(cfg, layout, worlds, s, rule, weights) for s in range(seeds)])
+        landmark = np.sum((layout.points(x) - worlds.landmarks) ** 2, axis=-1)
+        frame = np.sum((x[:, :2] - worlds.frame[:, :2]) ** 2, axis=-1)
+        out.append(Unequal(rule, weights, float(np.sqrt(landmark.mean())), float(np.sqrt(frame.mean()))))
+    return tuple(out)
+
+
+def _fuse_unequal(
+    cfg: UnequalConfig, layout: Layout, worlds: UnequalMaps, s: int, rule: Rule, weights: Weights
+) -> Float[np.ndarray, " size"]:
+    told = []
+    for k in (0, 1):
+        mean, cov = worlds.mean[s, k], worlds.cov[s, k]
+        pair = _pair(rule, mean, cov, cfg.m)
+        order = np.array([*pair, *(i for i in range(cfg.n) if i not in pair)])
+        rows = (2 * order[:, None] + np.arange(2)).ravel()
+        told.append(measurement(k, worlds.index[k][order], mean[order], cov[np.ix_(rows, rows)], weights))
+    x0 = np.concatenate([worlds.frame[s], worlds.landmarks[s].ravel()])
+    return solve_all(layout, x0, told, iterations=30).x
+
+
+def _pair(rule: Rule, mean: Float[np.ndarray, "n 2"], cov: Float[np.ndarray, "d d"], common: int) -> tuple[int, int]:
+    if rule == "certain":
+        return baseline_pair(mean, cov, np.arange(common))
+    d = np.linalg.norm(mean[:common, None] - mean[None, :common], axis=-1)
+    d = d if rule == "widest" else -d - 1e9 * np.eye(common)
+    i, j = np.unravel_index(int(np.argmax(d)), d.shape)
+    return int(i), int(j)

@@ -1,1 +1,0 @@
-"""Logs become events, one file a format."""

@@ -1,0 +1,1 @@
+"""Where every robot of a swarm is, from bearings alone. [Hamatani], and beyond it."""

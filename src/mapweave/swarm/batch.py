@@ -1,0 +1,78 @@
+"""The default: a linear start, sparse Levenberg-Marquardt on whitened bearings, covariance from the information.
+
+Nothing needs a guess, nothing fails because some robots cannot be located, and where anchors are too few the answer
+is the shape, in a gauge that is named.
+"""
+
+import numpy as np
+
+from ..solve import GemanMcClure, Pattern, Problem, Solution, SolveConfig, minimise
+from . import factors
+from .config import SwarmConfig
+from .gauge import pins
+from .network import Network
+from .posterior import finish
+from .result import SwarmEstimate
+from .start import Start, prepare
+
+SELDOM = 4  # a robot with no more sightings than this, made or suffered, is kept apart from its neighbours
+NEAREST = 0.1  # median sighting lengths
+LOOSE = 10.0  # median sighting lengths a robot that nothing determines may stray from its start
+
+
+def batch(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) -> SwarmEstimate:
+    """The maximum-likelihood positions of `net`; `initial` (n, d) takes the place of the linear start."""
+    start = prepare(net, initial)
+    used = net.select(start.used)
+    solution, problem, pattern = refine(used, start, cfg)
+    return finish(used, start, solution, problem, cfg, "batch", ~start.used, pattern=pattern)
+
+
+def refine(
+    net: Network,
+    start: Start,
+    cfg: SwarmConfig,
+    kernel: GemanMcClure | None = None,
+    pattern: Pattern | None = None,
+    *,
+    seldom: int = SELDOM,
+) -> tuple[Solution, Problem, Pattern]:
+    """Levenberg-Marquardt from `start`; robots that nothing determines are held loosely where they are.
+
+    seldom: robots with no more sightings than this are kept from falling onto their neighbours.
+    """
+    n, w, dim = len(net), factors.width(net), net.dim
+    x0 = np.zeros((n, w))
+    x0[:, :dim] = start.position
+    if start.heading is not None:
+        x0[:, dim] = start.heading
+    fixed = pins(net, start.gauge, start.position)
+    fixed[list(net.anchors), :dim] = True
+    loose = np.repeat(~start.seen.localisable[:, None], w, axis=1)
+    if not net.axis:
+        deaf = np.ones(n, dtype=bool)
+        deaf[net.observer] = False
+        fixed[deaf, dim] = True
+    loose &= ~fixed
+    for k, p in net.anchors.items():
+        x0[k, :dim] = p
+    flat = x0.ravel()
+    span = float(np.median(np.linalg.norm(start.position[net.target] - start.position[net.observer], axis=1))) or 1.0
+    terms = [factors.bearing_factor(net, kernel)]
+    if net.distances:
+        terms.append(factors.distance_factor(net))
+    if loose.any():
+        terms.append(factors.prior_factor(np.flatnonzero(loose.ravel()), flat, LOOSE * span))
+    degree = np.bincount(np.concatenate([net.observer, net.target]), minlength=n)
+    few = np.flatnonzero(np.minimum(degree[net.observer], degree[net.target]) <= seldom)
+    if len(few):
+        terms.append(factors.apart_factor(net, few, NEAREST * span))
+    problem = Problem(flat, terms, fixed.ravel(), lambda x, dx: factors.retract(net, x, dx))
+    if len(terms) == 1 and pattern is None and int(problem.free.size) == n * w - dim * len(net.anchors):
+        pattern = start.pattern
+    pattern = pattern or Pattern.of(problem).dissected(problem.free // w)
+    anyone = (start.seen.localisable & ~net.is_anchor).any()
+    solve = SolveConfig(
+        max_iterations=cfg.max_iterations if anyone else 0, step_tolerance=1e-9 * span, cost_tolerance=1e-7
+    )
+    return minimise(problem, solve, pattern), problem, pattern

@@ -1,0 +1,125 @@
+"""The paper's filter: an update-only EKF over all free robots, with its iterated and first-estimate forms.
+
+Dense, as the paper writes it, and kept as the reference the batch estimator is measured against. Each call of
+`update` takes one full set of sightings; standing robots need no prediction.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..core.errors import DataError
+from ..core.gaussian import solve_psd, symmetrise
+from .factors import bearing_factor
+from .network import Network
+
+Form = Literal["ekf", "iekf", "fej"]
+SETTLED = 1e-9  # [m]; an iterated update ends when no coordinate moves further
+HALVINGS = 30
+RANK = 1e-10  # singular values below this share of the largest are zero (exact sightings)
+
+
+@dataclass(frozen=True, slots=True)
+class FilterState:
+    """x: (n, d) positions [m], anchors in their places; P: (f, f) over the free coordinates; first: where it began."""
+
+    x: Float[np.ndarray, "n d"]
+    P: Float[np.ndarray, "f f"]
+    first: Float[np.ndarray, "n d"]
+    free: Int[np.ndarray, " f"]
+    updates: int = 0
+    iterations: int = 0
+
+
+def filter_start(net: Network, initial: Float[np.ndarray, "n d"], sigma: float = 10.0) -> FilterState:
+    """The state before any sighting: known robots are not part of it; `sigma` [m] each free coordinate."""
+    if not net.axis:
+        raise DataError("the filters need a common axis: locate robots without one by the batch method")
+    x = np.array(initial, dtype=float)
+    for k, p in net.anchors.items():
+        x[k] = p
+    free = np.flatnonzero(np.repeat(~net.is_anchor, net.dim))
+    return FilterState(x, sigma**2 * np.eye(len(free)), x, free)
+
+
+def update(state: FilterState, net: Network, form: Form = "ekf", max_iterations: int = 50) -> FilterState:
+    """One set of sightings taken in.
+
+    `ekf` linearises at the estimate, `fej` always at the first one, so that directions no sighting sees gain no
+    information; `iekf` linearises again at its own result until it settles. Exact sightings (sigma 0), where the
+    paper's S is singular, are taken in by the pseudo-inverse, P serving as the metric and left as it is.
+    """
+    turns = max_iterations if form == "iekf" else 1
+    prior, x = state.x.ravel()[state.free], state.x
+    K, H = np.zeros((0, 0)), np.zeros((0, 0))
+    exact = not np.any(net.sigma > 0)
+    R = np.repeat(net.sigma**2, net.dim - 1)  # the variances of the sightings
+    done = 0
+    while done < turns:
+        done += 1
+        H = sighting_matrix(net, state.first if form == "fej" else x)[:, state.free]
+        e = innovation(net, x)
+        PHt = state.P @ H.T
+        if exact:
+            K = PHt @ np.linalg.pinv(H @ PHt, rcond=RANK, hermitian=True)
+        else:
+            S = H @ PHt + np.diag(R)  # [Hamatani] eq. 5
+            K = _gain(S, PHt)  # [Hamatani] eq. 6
+        here = x.ravel()[state.free]
+        new = prior + K @ (e - H @ (prior - here))  # [Hamatani] eq. 7; the last term is zero in the first turn
+        x = _placed(x, state.free, new)
+        if exact:
+            x = _shortened(net, here, new, state.free, x, e)
+            new = x.ravel()[state.free]
+        if np.abs(new - here).max(initial=0.0) < SETTLED:
+            break
+    P = state.P if exact else symmetrise(state.P - K @ (H @ state.P))  # [Hamatani] eq. 8
+    return replace(state, x=x, P=P, updates=state.updates + 1, iterations=state.iterations + done)
+
+
+def _gain(S: np.ndarray, PHt: np.ndarray) -> np.ndarray:
+    """`PHt S^-1`; by the pseudo-inverse where robots so close together make S too uneven for Cholesky."""
+    try:
+        return solve_psd(S, PHt.T).T
+    except np.linalg.LinAlgError:
+        return np.asarray(PHt @ np.linalg.pinv(S, rcond=RANK, hermitian=True))
+
+
+def _placed(x: np.ndarray, free: np.ndarray, values: np.ndarray) -> np.ndarray:
+    out = x.ravel().copy()
+    out[free] = values
+    return out.reshape(x.shape)
+
+
+def _shortened(
+    net: Network, here: np.ndarray, new: np.ndarray, free: np.ndarray, x: np.ndarray, e: np.ndarray
+) -> np.ndarray:
+    """`x`, or nearer to `here` by halves until the innovations `e` at `here` do not grow.
+
+    Without noise nothing else bounds the step of an update far from the truth.
+    """
+    for _ in range(HALVINGS):
+        after = innovation(net, x)
+        if after @ after <= e @ e:
+            break
+        new = 0.5 * (here + new)
+        x = _placed(x, free, new)
+    return x
+
+
+def sighting_matrix(net: Network, x: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "m s"]:
+    """H: the dense derivative of all predicted sightings by all coordinates, at `x`."""
+    factor = bearing_factor(net)
+    J = factor.jacobian(x.ravel())
+    m, k, _ = J.shape
+    H = np.zeros((m * k, x.size))
+    rows = np.arange(m * k).reshape(m, k)
+    H[rows[:, :, None], factor.columns[:, None, :]] = J
+    return H
+
+
+def innovation(net: Network, x: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " r"]:
+    """Sightings less predictions [rad]."""
+    return np.asarray(-bearing_factor(net).residual(x.ravel()).ravel())

@@ -1,0 +1,54 @@
+"""Whether an answer may be trusted, in plain words."""
+
+import numpy as np
+
+from ..core.gaussian import chi2_quantile
+from .headings import mutual_pairs
+from .network import Network
+
+DOUBT = 1e-3  # probability below which a chi-square is called wrong
+MANY = 0.07  # share found wrong, beyond which single sightings cannot be trusted (some of the wrong stay unfound)
+TOO_MANY = 0.25  # share found wrong, beyond which nothing can
+
+
+def trust_warnings(net: Network, outlier: np.ndarray) -> list[str]:
+    """What stands against trusting which sightings were called wrong."""
+    share = float(outlier.mean())
+    told = f"{100 * share:.0f} % of the sightings were called wrong"
+    if share > TOO_MANY:
+        return [f"{told}: too many to say which ones"]
+    single = 2 * len(mutual_pairs(net)[0]) < 0.5 * len(net.observer)
+    if share > MANY and single:
+        return [f"{told}; where robots are not sighted from both ends the rest cannot be told from them"]
+    return []
+
+
+def chi2_warnings(chi2: float, dof: int) -> list[str]:
+    """What stands against trusting residuals of `chi2` with `dof` degrees of freedom."""
+    if dof <= 0 or chi2 <= chi2_quantile(1 - DOUBT, float(dof)):
+        return []
+    found = f"chi-square {chi2:.4g} with {dof} degrees of freedom"
+    return [f"the residuals are larger than sigma says ({found}): outliers, a bias, or sigma too small"]
+
+
+def barely_determined(net: Network, position: np.ndarray, cov: np.ndarray, localisable: np.ndarray) -> list[str]:
+    """Robots that the null space calls localisable, but no better than to within their distance to those they see."""
+    span = float(np.median(np.linalg.norm(position[net.target] - position[net.observer], axis=1)))
+    worst = np.sqrt(np.linalg.eigvalsh(cov[localisable]).max(axis=1, initial=0.0))
+    count = int(np.count_nonzero(worst > span))
+    if not count or count > 0.5 * len(worst):  # most robots at once: that is the scale, said elsewhere
+        return []
+    return [f"robots barely determined, by rays nearly parallel: {count}; the covariance may fall short of their error"]
+
+
+def layout_warnings(net: Network, localisable: np.ndarray, in_line: int) -> list[str]:
+    """What in the layout itself stands against locating it."""
+    told = []
+    if len(net.anchors) > 1 and len({tuple(p) for p in net.anchors.values()}) == 1:
+        told.append("all anchors stand at one place: they fix no scale")
+    if in_line:
+        told.append(f"{in_line} robots stand on one line, all sightings parallel but for noise: nothing tells how far")
+    lost = int(np.count_nonzero(~localisable))
+    if lost:
+        told.append(f"{lost} of {len(net)} robots cannot be located from these sightings")
+    return told

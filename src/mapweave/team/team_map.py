@@ -1,0 +1,18 @@
+"""The map of one component: landmarks and the trajectories of the robots tied into it, all in one frame."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from ..core.records import Track
+from ..landmarks.landmark_map import LandmarkMap
+
+
+@dataclass(frozen=True, slots=True)
+class TeamMap:
+    """What `map` and `fuse` write and `evaluate` reads. `members[id]`: who saw it; `sightings[id]`: how often."""
+
+    robots: tuple[str, ...]
+    landmarks: LandmarkMap
+    tracks: Mapping[str, Track] = field(default_factory=dict)
+    members: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    sightings: Mapping[str, int] = field(default_factory=dict)

@@ -1,0 +1,149 @@
+"""`mapweave localize`: a robot found and followed in a finished map, with and without intensity."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapweave.api.localize import localize
+from mapweave.api.map import map_logs
+from mapweave.api.map_options import LaserOptions
+from mapweave.cli import _run
+from mapweave.core import se2
+from mapweave.core.errors import ReaderError, UsageError
+from mapweave.core.records import Track
+from mapweave.io.mcap import write_mcap
+from mapweave.io.tum import read_tum
+from mapweave.io.tum_writer import write_tum
+from mapweave.sim.corridor import CorridorConfig, corridor_world
+from mapweave.sim.drift import DriftConfig
+from mapweave.sim.laser import DriveConfig, drive
+from mapweave.sim.route import Route
+
+DRIVE = DriveConfig(drift=DriftConfig(end_error=None))
+RING = CorridorConfig(long_leg=24.0, short_leg=12.0, start=6.0, drive=DRIVE)
+
+
+def along(start, length):
+    """A drive along the first leg of the ring from x = `start`, metres, with noise of its own."""
+    route = Route(np.array([start, 0.0, 0.0]), np.array([length]), np.array([0.0]))
+    return drive(corridor_world(RING, 4), route, DRIVE, seed=50 + int(start))
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """The map of a drive down the first leg, and a second drive with its true poses in the map's frame."""
+    folder = tmp_path_factory.mktemp("localize")
+    write_mcap(folder / "first.mcap", along(0.0, 14.0).log)
+    map_logs(folder / "first.mcap", folder / "map", method="gated")
+    second = along(5.0, 7.0)
+    write_mcap(folder / "second.mcap", second.log)
+    write_tum(folder / "second.truth.tum", second.truth)
+    return folder
+
+
+def test_a_robot_is_found_anywhere_in_the_map_and_followed(world):
+    out = world / "out"
+    truth = str(world / "second.truth.tum")
+    words = ["localize", str(world / "second.mcap"), "--map", str(world / "map"), "--out", str(out), "--truth", truth]
+    assert _run(words) == 0
+    metrics = json.loads((out / "metrics.json").read_text())
+    told = metrics["localisation"]
+    assert (told["start"], told["found"], told["trusted"]) == ("global", True, True)
+    assert told["found_after_scans"] <= 15
+    assert metrics["evaluation"]["right"] is True
+    assert metrics["evaluation"]["position_rmse"] < 0.2
+    assert metrics["timing"]["global_start"] > 0
+    track = read_tum(out / "trajectories" / "robot1.tum")
+    assert np.allclose(track.t, read_tum(world / "second.truth.tum").t, atol=1e-6)
+    assert (out / "report.html").is_file()
+    assert (out / "scans.csv").is_file()
+
+
+def test_the_same_seed_gives_the_same_answer(world):
+    a, b = (localize(world / "second.mcap", world / "map", seed=3).found.track.pose for _ in range(2))
+    assert np.array_equal(a, b)
+
+
+def test_a_given_start_is_used_at_once(world):
+    found = localize(world / "second.mcap", world / "map", start=(5.0, 0.0, 0.0)).found
+    assert (found.start, found.found_scans, found.trusted) == ("given", 1, True)
+    assert np.abs(found.track.pose[-1] - [12.0, 0.0, 0.0]).max() < 0.2
+
+
+def test_along_a_flush_corridor_intensity_finds_the_start_and_geometry_alone_does_not_know(world):
+    truth = world / "second.truth.tum"
+    bare = localize(world / "second.mcap", world / "map", truth=truth, laser=LaserOptions(feature="none"))
+    assert bare.found.feature == "none"
+    assert bare.score.right is not True
+    assert localize(world / "second.mcap", world / "map", truth=truth).score.right is True
+
+
+def test_a_robot_somewhere_else_is_not_trusted(world, tmp_path):
+    from mapweave.sim.office import OfficeConfig, simulate_office
+
+    office = simulate_office(OfficeConfig(rooms=2, visited=1, drive=DRIVE), 1)
+    write_mcap(tmp_path / "office.mcap", office.log)
+    result = localize(tmp_path / "office.mcap", world / "map")
+    assert not result.found.trusted
+    assert "not to be trusted" in result.lines()[0] or "not found" in result.lines()[0]
+
+
+def test_a_place_that_does_not_explain_the_scans_is_given_up_and_sought_anew(world):
+    from mapweave.io.grid import read_grid
+    from mapweave.io.laser_logs import read_laser
+    from mapweave.laser.config import LaserConfig
+    from mapweave.laser.localise import localise
+    from mapweave.laser.localise_filter import LocaliseConfig
+
+    grid, calibration, feature = read_grid(next((world / "map").glob("grid.npz")))
+    log = read_laser(world / "second.mcap")
+    runs = [
+        localise(log, grid, calibration, feature, LaserConfig(), None, np.random.default_rng(0), quiet, how)
+        for how in (LocaliseConfig(), LocaliseConfig(trusted=1.01))  # nothing explains more than all of a scan
+    ]
+    assert not any("given up" in told for told in runs[0].warnings)
+    assert any("given up" in told for told in runs[1].warnings)
+    assert not runs[1].trusted
+
+
+def quiet(stage, done, total=None):
+    pass
+
+
+def test_a_log_without_intensity_or_odometry_is_followed_all_the_same_and_says_so(world, tmp_path):
+    second = along(5.0, 7.0).log
+    scans = tuple(replace(scan, intensities=None, odometry=None) for scan in second.scans)
+    write_mcap(tmp_path / "bare.mcap", replace(second, scans=scans, odometry=None))
+    found = localize(tmp_path / "bare.mcap", world / "map", start=(5.0, 0.0, 0.0)).found
+    assert found.feature == "none"
+    assert any("geometry alone" in w for w in found.warnings)
+    assert any("no odometry" in w for w in found.warnings)
+    assert np.isfinite(found.track.pose).all()
+    assert np.abs(found.track.pose[:, 1]).max() < 0.3
+
+
+def test_scores_against_the_truth_are_not_aligned(world):
+    from mapweave.api.localize import score_start
+
+    found = localize(world / "second.mcap", world / "map", start=(5.0, 0.0, 0.0)).found
+    moved = Track(found.track.t, se2.compose(np.array([2.0, 0, 0]), found.track.pose))
+    assert score_start(found, found.track).right is True
+    assert score_start(found, moved).right is False
+    assert score_start(found, moved).position_rmse == pytest.approx(2.0)
+
+
+def test_a_start_may_begin_with_a_minus(world, capsys):
+    words = ["localize", str(world / "second.mcap"), "--map", str(world / "map"), "--out", str(world / "minus")]
+    assert _run([*words, "--start", "-0.5,0,0", "--sensor-pose", "-0.1,0,0"]) == 0
+    assert "the start was given" in capsys.readouterr().out
+
+
+def test_a_folder_without_a_map_and_a_feature_the_map_does_not_hold_are_told(world, tmp_path):
+    with pytest.raises(ReaderError, match=r"expected a laser map with grid\.npz"):
+        localize(world / "second.mcap", tmp_path)
+    with pytest.raises(UsageError, match="--feature raw: the map holds normalised"):
+        localize(world / "second.mcap", world / "map", laser=LaserOptions(feature="raw"))
+    with pytest.raises(UsageError, match="--start"):
+        localize(world / "second.mcap", world / "map", start=(1.0, 2.0))

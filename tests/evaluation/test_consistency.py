@@ -1,0 +1,60 @@
+"""NEES with the frame left free, and NIS."""
+
+import numpy as np
+from scipy.optimize import minimize
+
+from mapweave.core import se2
+from mapweave.evaluation.consistency import gauge_free_nees, mean_or_none, nis_median_per_dof
+
+
+def random_map(rng, n=8):
+    truth = rng.uniform(-4, 4, (n, 2))
+    A = rng.normal(size=(2 * n, 2 * n)) * 0.05
+    cov = A @ A.T + 1e-4 * np.eye(2 * n)
+    mean = se2.act(np.array([3.0, -1.0, 2.0]), truth) + rng.multivariate_normal(np.zeros(2 * n), cov).reshape(-1, 2)
+    return mean, cov, truth
+
+
+def test_the_frame_found_is_the_one_a_general_optimiser_finds():
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        mean, cov, truth = random_map(rng)
+        information = np.linalg.inv(cov)
+
+        def cost(T, mean=mean, truth=truth, information=information):
+            e = (mean - se2.act(T, truth)).ravel()
+            return e @ information @ e
+
+        best = minimize(cost, se2.align(truth, mean), method="BFGS", options={"gtol": 1e-9}).fun
+        value, dof = gauge_free_nees(mean, cov, truth)
+        assert dof == 2 * 8 - 3
+        assert abs(value - best) < 1e-5 * best
+
+
+def test_an_honest_map_has_a_mean_of_one_per_degree_of_freedom():
+    rng = np.random.default_rng(1)
+    values = [gauge_free_nees(*random_map(rng)) for _ in range(300)]
+    mean = np.mean([v / dof for v, dof in values])
+    assert abs(mean - 1) < 4 * np.sqrt(2 / (13 * 300))
+
+
+def test_moving_the_truth_rigidly_changes_nothing():
+    mean, cov, truth = random_map(np.random.default_rng(2))
+    a, _ = gauge_free_nees(mean, cov, truth)
+    b, _ = gauge_free_nees(mean, cov, se2.act(np.array([9.0, 4.0, -1.3]), truth))
+    assert abs(a - b) < 1e-6 * a
+
+
+def test_a_covariance_that_is_none_gives_no_figure():
+    mean, cov, truth = random_map(np.random.default_rng(3))
+    assert gauge_free_nees(mean, -cov, truth) is None
+    assert gauge_free_nees(mean[:1], cov[:2, :2], truth[:1]) is None
+
+
+def test_the_median_nis_of_an_honest_filter_is_one():
+    rng = np.random.default_rng(4)
+    dof = np.full(20_000, 2.0)
+    assert abs(nis_median_per_dof(rng.chisquare(2, 20_000), dof) - 1) < 0.05
+    assert nis_median_per_dof(np.zeros(0), np.zeros(0)) is None
+    assert mean_or_none([1.0, None, 3.0]) == 2.0
+    assert mean_or_none([None]) is None

@@ -1,0 +1,87 @@
+"""Laser worlds in which the planner knows where its robots are: the map is drawn from their true poses."""
+
+import numpy as np
+from scipy import ndimage
+
+from mapweave.core import se2
+from mapweave.core.wall_index import WallIndex
+from mapweave.exploration.laser.view import LaserExploreConfig, LaserView, find_laser_planner
+from mapweave.kernels.laser.render import render
+from mapweave.laser.occupancy import FREE, OCCUPIED, Occupancy, from_counts
+from mapweave.sim.laser_team import LaserTeamSim
+from mapweave.sim.laser_world import LaserWorld
+
+
+def world_of(*segments: tuple[float, float, float, float]) -> LaserWorld:
+    return LaserWorld(np.array(segments, float), np.full(len(segments), 0.6))
+
+
+def room(x0: float, y0: float, x1: float, y1: float) -> list[tuple[float, float, float, float]]:
+    return [(x0, y0, x1, y0), (x1, y0, x1, y1), (x1, y1, x0, y1), (x0, y1, x0, y0)]
+
+
+def known_map(world: LaserWorld, lower, upper, cell: float = 0.2) -> Occupancy:
+    """The true map: cells that a wall crosses are occupied, all others free."""
+    cols, rows = np.round((np.array(upper) - lower) / cell).astype(int)
+    at = np.array(lower) + cell * (np.stack(np.meshgrid(np.arange(cols), np.arange(rows)), axis=-1) + 0.5)
+    walls = WallIndex.of(world.segments).touches(at.reshape(-1, 2), 0.5 * cell).reshape(rows, cols)
+    return Occupancy(cell, np.array(lower, float), np.where(walls, OCCUPIED, FREE))
+
+
+class Team:
+    """A simulated team, the map it has drawn so far, and its planner's memory."""
+
+    def __init__(self, world, starts, lower, upper, cfg: LaserExploreConfig | None = None, seed: int = 0) -> None:
+        self.cfg = cfg or LaserExploreConfig()
+        self.sim = LaserTeamSim(world, np.array(starts, float), seed=seed)
+        M = len(self.sim.true_poses)
+        self.alive, self.memory, self.step = np.ones(M, dtype=bool), {}, 0
+        self.corner = np.array(lower, float) - 1.0
+        cols, rows = np.ceil((np.array(upper) + 1.0 - self.corner) / self.cfg.resolution).astype(int)
+        self.hits, self.passes = np.zeros((rows, cols), np.int32), np.zeros((rows, cols), np.int32)
+        self.given: Occupancy | None = None
+
+    def grid(self) -> Occupancy:
+        return self.given or from_counts(self.cfg.resolution, self.corner, self.hits, self.passes)
+
+    def look(self, j: int) -> np.ndarray:
+        """Robot j's scan is drawn into the map, other robots left out; its points in the robot's frame."""
+        scan, pose = self.sim.scan(j), self.sim.true_poses[j]
+        angles = self.sim.cfg.scanner.angles()
+        points = np.asarray(scan.ranges)[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+        there = se2.act(pose, points)
+        others = [p[:2] for k, p in enumerate(self.sim.true_poses) if k != j and self.alive[k]]
+        wall = scan.hit & np.all([np.hypot(*(there - o).T) > 0.45 for o in others] or [scan.hit], axis=0)
+        for hits, kept in ((self.hits, wall), (np.zeros_like(self.hits), ~scan.hit)):
+            flat = np.column_stack([there[kept], np.zeros(int(kept.sum()))])
+            sums = np.zeros((*self.hits.shape, 4))
+            render(hits, self.passes, sums, self.corner, self.cfg.resolution, pose[:2], flat, np.ones(len(flat)))
+        return points[scan.hit]
+
+    def view(self) -> LaserView:
+        scans = tuple(self.look(j) if a else np.zeros((0, 2)) for j, a in enumerate(self.alive))
+        names = tuple(f"robot{j + 1}" for j in range(len(scans)))
+        return LaserView(self.step, names, self.alive, self.grid(), scans, np.zeros(len(scans), int), self.memory)
+
+    def play(self, planner, most: int) -> bool:
+        """Steps until the planner says that all is done, or `most`; whether it did."""
+        choose = find_laser_planner(planner) if isinstance(planner, str) else planner
+        while self.step < most:
+            commands = choose(self.view(), self.sim.true_poses.copy(), self.cfg)
+            if self.memory.get("finished"):
+                return True
+            commands[~self.alive] = 0.0
+            self.sim.step(commands)
+            self.step += 1
+        return False
+
+    def mapped(self) -> float:
+        """Share of the area that the discs get to from their starts which is known to be free."""
+        grid = self.grid()
+        cells = np.argwhere(np.ones(grid.state.shape, dtype=bool))
+        keep = self.cfg.radius + self.cfg.margin
+        fits = ~self.sim.walls.touches(grid.centres(cells), keep).reshape(grid.state.shape)
+        regions = ndimage.label(fits)[0]
+        starts = regions[tuple(grid.cells(self.sim.starts[:, :2]).T)]
+        reachable = np.isin(regions, starts[starts > 0])
+        return float((grid.free & reachable).sum() / reachable.sum())

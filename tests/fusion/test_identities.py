@@ -1,0 +1,108 @@
+"""Landmarks without names: how often their identity is found, and that what cannot be told is refused."""
+
+import numpy as np
+import pytest
+
+from mapweave.core import se2
+from mapweave.fusion.alignment import align_robust
+from mapweave.fusion.identities import match_maps
+from mapweave.landmarks.landmark_map import LandmarkMap
+
+
+def two_maps(rng, common, n=20, size=3.0, sigma=0.01):
+    """Two maps of n points in a square with `common` in both, their alignment and the true links."""
+    points = rng.uniform(0, size, (2 * n - common, 2))
+    order = rng.permutation(n)
+    T = np.append(rng.uniform(-5, 5, 2), rng.uniform(-np.pi, np.pi))
+    first = points[:n] + rng.normal(0, sigma, (n, 2))
+    second = se2.act(T, points[n - common :][order]) + rng.normal(0, sigma, (n, 2))
+    names = tuple(str(i) for i in range(n))
+    P = sigma**2 * np.eye(2 * n)
+    links = {(n - common + i, int(np.flatnonzero(order == i)[0])) for i in range(common)}
+    return LandmarkMap(names, first, P), LandmarkMap(names, second, P), T, links
+
+
+def lies_right(found, T, source):
+    return np.hypot(*(se2.act(found, source.mean) - se2.act(T, source.mean)).T).max() < 0.15
+
+
+@pytest.mark.parametrize("common", [6, 8, 14])
+def test_with_six_in_common_or_more_nearly_every_alignment_is_right_and_believed(common):
+    right = believed = 0
+    for draw in range(20):
+        source, target, T, links = two_maps(np.random.default_rng([common, draw]), common)
+        match = match_maps(source, target)
+        ok = lies_right(match.T_target_source, T, source)
+        right += ok
+        believed += match.accepted
+        assert ok or not match.accepted
+        if match.accepted:
+            assert len(links & {(int(i), int(j)) for i, j in match.links}) >= common - 2
+    assert right >= 19
+    assert believed >= (18 if common == 6 else 19)
+
+
+@pytest.mark.parametrize("common", [0, 2, 4])
+def test_with_too_few_in_common_a_match_is_refused_with_the_reason(common):
+    wrong, reasons = 0, []
+    for draw in range(20):
+        source, target, T, _ = two_maps(np.random.default_rng([90 + common, draw]), common)
+        match = match_maps(source, target)
+        wrong += match.accepted and not lies_right(match.T_target_source, T, source)
+        if not match.accepted:
+            reasons.append(match.reason)
+    assert wrong <= 1
+    assert len(reasons) > 15
+    assert all("needed" in r or "another alignment" in r or "chi-square" in r for r in reasons)
+
+
+def test_a_regular_grid_fits_in_many_ways_and_is_refused():
+    grid = np.stack(np.meshgrid(np.arange(4.0), np.arange(4.0)), axis=-1).reshape(-1, 2)
+    m = LandmarkMap(tuple("abcdefghijklmnop"), grid, 1e-4 * np.eye(32))
+    match = match_maps(m, m)
+    assert not match.accepted
+    assert "another alignment" in match.reason
+
+
+def test_a_mirrored_map_is_not_a_match():
+    rng = np.random.default_rng(3)
+    points = rng.uniform(0, 3, (12, 2))
+    names = tuple("abcdefghijkl")
+    m = LandmarkMap(names, points, 1e-4 * np.eye(24))
+    mirrored = LandmarkMap(names, points * [1, -1], 1e-4 * np.eye(24))
+    assert match_maps(m, m).accepted
+    assert not match_maps(m, mirrored).accepted
+
+
+def test_the_order_of_landmarks_does_not_matter_to_a_match():
+    rng = np.random.default_rng(4)
+    source, target, _, _ = two_maps(rng, 10)
+    once = match_maps(source, target)
+    turned = target.select([target.ids[i] for i in rng.permutation(len(target))])
+    again = match_maps(source, turned)
+    named = {(source.ids[i], target.ids[j]) for i, j in once.links}
+    assert named == {(source.ids[i], turned.ids[j]) for i, j in again.links}
+    np.testing.assert_allclose(once.T_target_source, again.T_target_source, atol=1e-9)
+
+
+def test_a_robust_alignment_is_exact_for_clean_points_and_unmoved_by_wrong_ones():
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-5, 5, (30, 2))
+    T = se2.pose(1.0, -2.0, 2.7)
+    target = se2.act(T, points)
+    target[:12] = rng.uniform(-5, 5, (12, 2))
+    fit = align_robust(points, target, np.full(30, 0.2))
+    np.testing.assert_allclose(fit.T_target_source, T, atol=1e-9)
+    assert fit.inliers[12:].all()
+    assert fit.inliers[:12].sum() == 0
+    assert fit.median < 1e-9
+
+
+def test_many_points_are_aligned_from_a_spread_of_their_pairs():
+    rng = np.random.default_rng(6)
+    points = rng.uniform(-50, 50, (300, 2))
+    T = se2.pose(-7.0, 3.0, -1.2)
+    target = se2.act(T, points) + rng.normal(0, 0.02, (300, 2))
+    target[::3] += 10.0
+    fit = align_robust(points, target, np.full(300, 0.2))
+    np.testing.assert_allclose(fit.T_target_source, T, atol=0.01)

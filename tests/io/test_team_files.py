@@ -1,0 +1,83 @@
+"""Landmarks and trajectories to files and back."""
+
+import numpy as np
+import pytest
+
+from mapweave.core.errors import DataError, ReaderError
+from mapweave.core.names import in_order, robot_key, robot_name
+from mapweave.core.records import Track
+from mapweave.io.landmarks import write_landmarks
+from mapweave.io.npz import write_npz
+from mapweave.io.team_map import read_team_maps
+from mapweave.io.tum import read_tum
+from mapweave.io.tum_writer import write_track_covariance, write_tracks, write_tum
+from mapweave.landmarks.landmark_map import LandmarkMap
+from mapweave.team.team_map import TeamMap
+
+
+def a_team():
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(6, 6))
+    t = np.linspace(1.2e9, 1.2e9 + 10, 50)
+    cov = np.tile(np.diag([1e-4, 2e-4, 3e-4]), (50, 1, 1))
+    track = Track(t, np.column_stack([t - t[0], np.zeros(50), np.linspace(-3, 3, 50)]), cov)
+    landmarks = LandmarkMap(("11", "6", "barcode:90"), rng.normal(size=(3, 2)), A @ A.T)
+    members = {"11": ("robot10", "robot2"), "6": ("robot2",), "barcode:90": ("robot2",)}
+    tracks = {"robot2": track, "robot10": track}
+    return TeamMap(("robot2", "robot10"), landmarks, tracks, members, {"11": 5, "6": 2, "barcode:90": 30})
+
+
+def test_a_team_map_written_and_read_back_is_the_same(tmp_path):
+    team = a_team()
+    write_landmarks(tmp_path, team)
+    write_tracks(tmp_path, team)
+    (back,) = read_team_maps(tmp_path)
+    assert back.robots == team.robots
+    assert back.landmarks.ids == ("6", "11", "barcode:90")
+    same = team.landmarks.select(back.landmarks.ids)
+    assert np.array_equal(back.landmarks.mean, same.mean)
+    assert np.array_equal(back.landmarks.cov, same.cov)
+    assert {k: sorted(v) for k, v in back.members.items()} == {k: sorted(v) for k, v in team.members.items()}
+    assert back.sightings == team.sightings
+    assert np.abs(back.tracks["robot2"].pose - team.tracks["robot2"].pose).max() < 1e-6
+    head = (tmp_path / "landmarks.csv").read_text().splitlines()
+    assert head[0] == "id,x,y,var_x,cov_xy,var_y,robots,sightings"
+    assert head[2].endswith(",2;10,5")
+
+
+def test_the_same_arrays_give_the_same_bytes(tmp_path):
+    for name in ("a", "b"):
+        write_npz(tmp_path / f"{name}.npz", x=np.arange(5.0), ids=np.array(["a", "bb"]))
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    with np.load(tmp_path / "a.npz") as held:
+        assert list(held["ids"]) == ["a", "bb"]
+
+
+def test_covariances_stand_line_by_line_beside_the_poses(tmp_path):
+    track = a_team().tracks["robot2"]
+    write_track_covariance(tmp_path / "t.cov.csv", track)
+    lines = (tmp_path / "t.cov.csv").read_text().splitlines()
+    assert lines[0] == "t,xx,xy,yy,xt,yt,tt"
+    assert len(lines) == 51
+    assert [float(v) for v in lines[1].split(",")[1:]] == [1e-4, 0, 2e-4, 0, 0, 3e-4]
+
+
+def test_a_trajectory_that_goes_back_in_time_is_refused(tmp_path):
+    with pytest.raises(DataError, match="ascend"):
+        write_tum(tmp_path / "t.tum", Track(np.array([1.0, 1.0]), np.zeros((2, 3))))
+
+
+@pytest.mark.parametrize("line", ["1 2 3", "1 2 3 0 0 0 zero 1", "1 nan 3 0 0 0 0 1"])
+def test_a_broken_tum_line_is_named(tmp_path, line):
+    path = tmp_path / "t.tum"
+    path.write_text(f"# t x y z qx qy qz qw\n0 0 0 0 0 0 0 1\n{line}\n")
+    with pytest.raises(ReaderError, match=r"t\.tum:3"):
+        read_tum(path)
+
+
+def test_numbers_in_names_are_put_in_order_as_numbers():
+    assert sorted(["11", "6", "barcode:90", "barcode:7"], key=in_order) == ["6", "11", "barcode:7", "barcode:90"]
+    assert sorted(["b/robot2", "a/robot11", "a/robot2"], key=in_order) == ["a/robot2", "a/robot11", "b/robot2"]
+    assert robot_key("robot3") == "3"
+    assert robot_name("3") == "robot3"
+    assert robot_name("run/robot3") == robot_key("run/robot3") == "run/robot3"

@@ -1,0 +1,81 @@
+"""Intensity-ICP: nearest points, the pose they ask for, and the whole match."""
+
+import numpy as np
+import pytest
+
+from mapweave.core import se2
+from mapweave.kernels.laser.icp import nearest, sort_into_cells
+from mapweave.laser.icp import IcpConfig, match, newton_pose
+
+pytestmark = pytest.mark.kernel
+
+
+@pytest.mark.eq("Hara07:1")
+def test_the_point_found_on_the_grid_is_the_one_of_least_distance_brightness_included():
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(-2, 2, (60, 2)), rng.uniform(0, 1, 60)])
+    cell = 0.15
+    ordered, starts, corner, cols = sort_into_cells(points, cell)
+    for guess in (-1, 5):
+        for z in np.column_stack([rng.uniform(-2.2, 2.2, (40, 2)), rng.uniform(0, 1, 40)]):
+            D = ((ordered - z) ** 2 * [1, 1, 0.5]).sum(axis=1)
+            k, d = nearest(ordered, starts, corner, cols, cell, *z, 0.5, 0.4**2, guess)
+            if D.min() <= 0.4**2:
+                assert k == D.argmin()
+                assert abs(d - D.min()) < 1e-12
+            else:
+                assert k == -1
+
+
+@pytest.mark.eq("Hara07:2")
+def test_newtons_method_ends_where_the_closed_form_stands():
+    rng = np.random.default_rng(1)
+    for _ in range(10):
+        z = rng.normal(0, 2, (30, 2))
+        T = np.array([*rng.uniform(-1, 1, 2), rng.uniform(-3, 3)])
+        m = se2.act(T, z) + rng.normal(0, 0.05, (30, 2))
+        closed = se2.align(z, m)
+        newton = newton_pose(m, z, np.zeros(3))
+        d = newton - closed
+        d[2] = se2.wrap_angle(d[2])
+        assert np.abs(d).max() < 1e-6
+
+
+def room(rng, n=90):
+    """Points on the walls of a room of 5 x 4 m, with brightness."""
+    s = np.sort(rng.uniform(0, 18, n))
+    x = np.where(s < 5, s, np.where(s < 9, 5, np.where(s < 14, 14 - s, 0))) - 2.2
+    y = np.where(s < 5, 0, np.where(s < 9, s - 5, np.where(s < 14, 4, 18 - s))) - 1.7
+    return np.column_stack([x, y, np.floor(s / 0.7) % 2])
+
+
+@pytest.mark.eq("Hara07:3")
+def test_a_scan_moved_away_is_moved_back():
+    rng = np.random.default_rng(2)
+    reference = room(rng)
+    T = np.array([0.12, -0.08, 0.05])
+    scan = np.column_stack([se2.act(se2.inverse(T), reference[:, :2]), reference[:, 2]])
+    found = match(reference, scan, np.zeros(3), IcpConfig())
+    assert found.status == "converged"
+    assert np.abs(se2.between(T, found.pose)).max() < 1e-6
+    assert found.rms < 1e-6
+    assert found.pairs == len(scan)
+
+
+def test_along_a_bare_wall_only_brightness_tells_where_the_scan_belongs():
+    x = np.arange(0, 6, 0.05)
+    reference = np.column_stack([x, np.zeros_like(x), np.floor(x / 0.3) % 2])
+    seen = reference[30:90]
+    start = np.array([0.22, 0.0, 0.0])
+    with_light = match(reference, seen, start, IcpConfig())
+    without = match(reference * [1, 1, 0], seen * [1, 1, 0], start, IcpConfig())
+    assert abs(with_light.pose[0]) < 0.06
+    assert without.pose[0] > 0.15
+
+
+def test_too_few_pairs_is_a_failure_that_says_so_and_moves_nothing():
+    far = match(np.zeros((30, 3)) + 50, room(np.random.default_rng(3)), np.array([0.1, 0.2, 0.3]), IcpConfig())
+    assert far.status == "failed"
+    assert far.pairs == 0
+    assert np.allclose(far.pose, [0.1, 0.2, 0.3])
+    assert match(np.zeros((0, 3)), np.zeros((4, 3)), np.zeros(3), IcpConfig()).status == "failed"

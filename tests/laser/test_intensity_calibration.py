@@ -1,0 +1,59 @@
+"""Self-calibration of intensity, from the log and its odometry alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapweave.laser.beam import BeamConfig, beams
+from mapweave.laser.config import LaserConfig
+from mapweave.laser.intensity_calibration import CalibrationConfig, calibrate
+from mapweave.laser.mapping import choose_feature
+from mapweave.sim.corridor import CorridorConfig, simulate_corridor
+from mapweave.sim.laser import DriveConfig
+from mapweave.sim.scanner import SECOND_LAW, Reflectance
+
+
+def correlation(sim):
+    scans = [beams(s, "raw", None, BeamConfig()) for s in sim.log.scans]
+    poses = np.array([s.odometry for s in sim.log.scans])
+    found = calibrate(scans, poses, CalibrationConfig())
+    made = [beams(s, "normalised", found, BeamConfig()) for s in sim.log.scans]
+    q = np.concatenate([b.q for b in made])
+    rho = np.concatenate([sim.reflectance[k][b.beam] for k, b in enumerate(made)])
+    return found, float(np.corrcoef(q, rho)[0, 1])
+
+
+@pytest.mark.parametrize("law", [Reflectance(), SECOND_LAW], ids=["one law", "another law"])
+def test_the_feature_found_follows_the_true_reflectance(law):
+    """Neither law is told to the estimator; the second has a specular term its model does not even have."""
+    sim = simulate_corridor(CorridorConfig(distance=60.0, drive=DriveConfig(law=law)), seed=21)
+    found, r = correlation(sim)
+    assert r >= 0.90
+    assert found.residual < 0.15
+    assert (np.diff(found.log_gain[3:]) < 0.02).all()
+
+
+def test_the_95th_percentile_of_the_feature_is_nine_tenths():
+    sim = simulate_corridor(CorridorConfig(distance=20.0), seed=22)
+    feature = choose_feature(sim.log, LaserConfig())
+    q = np.concatenate([beams(s, "normalised", feature.calibration, BeamConfig()).q for s in sim.log.scans])
+    assert abs(np.quantile(q, 0.95) - 0.9) < 0.05
+
+
+def test_a_log_whose_intensity_says_nothing_is_used_without_it_and_says_so():
+    sim = simulate_corridor(CorridorConfig(distance=20.0), seed=23)
+    rng = np.random.default_rng(0)
+
+    def with_light(make):
+        return replace(sim.log, scans=tuple(replace(s, intensities=make(len(s.ranges))) for s in sim.log.scans))
+
+    for make, said in (
+        (lambda n: None, "no intensity"),
+        (lambda n: np.full(n, 7.0), "equal"),
+        (lambda n: np.exp(rng.normal(0, 2, n)), "does not follow"),
+    ):
+        feature = choose_feature(with_light(make), LaserConfig())
+        assert feature.name == "none"
+        assert said in feature.warnings[0]
+    assert choose_feature(sim.log, LaserConfig(feature="none")).warnings == ()

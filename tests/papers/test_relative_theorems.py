@@ -1,0 +1,114 @@
+"""The paper's two theorems about the covariance of repeated least squares, as printed and as they are true."""
+
+import numpy as np
+import pytest
+
+from mapweave.fusion.relative_measurement import Layout, measurement
+from mapweave.papers.kojima import limits, rls
+
+INFORMATION = np.array([1e-5] * 3 + [1e3] * 16)  # the paper's initial covariance, inverted
+
+
+def stationary(seed, n=5, total=8, delta=1.0):
+    """A second robot's map of n of `total` landmarks, the state it is seen at and the layout."""
+    rng = np.random.default_rng(seed)
+    layout = Layout(2, total)
+    points = rng.uniform(-1, 1, (n, 2)) + np.array([3.0, 0.0])
+    A = rng.normal(size=(2 * n, 2 * n)) * 0.01
+    told = measurement(1, np.arange(n), points, A @ A.T + 1e-4 * np.eye(2 * n), "paper", delta=delta)
+    x = np.concatenate([np.zeros(3), points.ravel(), rng.uniform(-1, 1, 2 * (total - n))])
+    return layout, told, x
+
+
+@pytest.mark.eq("Kojima12:10", "Kojima12:11", "Kojima12:12", "Kojima12:19", "Kojima12:8")
+@pytest.mark.parametrize("seed", range(5))
+def test_theorem_1_the_determinant_falls_strictly_with_every_update(seed):
+    layout, told, x = stationary(seed)
+    estimate = rls.Estimate(x, np.diag(1 / INFORMATION))
+    logdet = [np.linalg.slogdet(estimate.P)[1]]
+    for _ in range(60):
+        estimate = rls.update(layout, estimate, told)
+        sign, value = np.linalg.slogdet(estimate.P)
+        assert sign > 0
+        logdet.append(value)
+    assert (np.diff(logdet) < 0).all()
+
+
+@pytest.mark.eq("Kojima12:15", "Kojima12:17", "Kojima12:28")
+@pytest.mark.parametrize("seed", range(5))
+def test_log_det_falls_with_log_k_at_the_rank_of_h(seed):
+    layout, told, x = stationary(seed)
+    H = told.dense_jacobian(layout, x)
+    k = np.array([1e6, 1e7])
+    logdet = [np.linalg.slogdet(limits.after(np.diag(INFORMATION), H, told.R, at))[1] for at in k]
+    slope = np.diff(logdet)[0] / np.diff(np.log(k))[0]
+    assert np.linalg.matrix_rank(H) == 10
+    assert abs(slope + 10) < 0.01
+
+
+@pytest.mark.eq("Kojima12:12", "Kojima12:28")
+def test_k_updates_in_joseph_form_are_k_times_the_information():
+    layout, told, x = stationary(7)
+    H = told.dense_jacobian(layout, x)
+    information = np.diag(np.r_[np.full(3, 1.0), np.full(16, 1e3)])
+    estimate = rls.repeat_stationary(layout, rls.Estimate(x, np.linalg.inv(information)), told, 100)
+    wanted = limits.after(information, H, told.R, 100.0)
+    assert np.abs(estimate.P - wanted).max() < 1e-9 * np.abs(wanted).max()
+
+
+@pytest.mark.eq("Kojima12:23")
+@pytest.mark.parametrize("seed", range(5))
+def test_theorem_2_corrected_k_times_the_error_is_constant_within_1_percent(seed):
+    layout, told, x = stationary(seed)
+    H = told.dense_jacobian(layout, x)
+    information = np.diag(np.r_[np.full(3, 1.0), np.full(16, 10.0)])
+    P_inf = limits.limit(information, H)
+    k = [100.0, 300.0, 1000.0, 3000.0, 10000.0]
+    scaled = np.array([at * np.linalg.norm(limits.after(information, H, told.R, at) - P_inf) for at in k])
+    assert np.ptp(scaled) < 0.01 * scaled.mean()
+    assert np.linalg.matrix_rank(P_inf, tol=1e-9) == layout.size - 10
+
+
+@pytest.mark.eq("Kojima12:22", "Kojima12:24", "Kojima12:25", "Kojima12:26", "Kojima12:27")
+@pytest.mark.parametrize("seed", range(5))
+def test_the_printed_limit_is_exact_when_the_map_holds_every_landmark_and_wrong_otherwise(seed):
+    for total, exact in ((5, True), (8, False)):
+        layout, told, x = stationary(seed, total=total)
+        H = told.dense_jacobian(layout, x)
+        information = np.diag(np.r_[np.full(3, 1.0), np.full(2 * total, 1e3)])
+        printed = limits.printed_limit(information[:3, :3], information[3:, 3:], H[:, :3], H[:, 3:])
+        true = limits.limit(information, H)
+        error = np.abs(printed - true).max() / np.abs(true).max()
+        assert error < 1e-9 if exact else error > 1e-3
+
+
+def test_repeating_one_stationary_measurement_k_times_is_overconfident_by_k_and_delta_k_undoes_it():
+    layout, told, x = stationary(3)
+    rng = np.random.default_rng(0)
+    start = rls.Estimate(x + 1e-3 * rng.normal(size=layout.size), np.diag(np.r_[np.full(3, 1e2), np.full(16, 1.0)]))
+    once = rls.repeat_stationary(layout, start, told, 1)
+    cautious = stationary(3, delta=50.0)[1]
+    undone = rls.repeat_stationary(layout, start, cautious, 50)
+    assert np.abs(undone.x - once.x).max() < 1e-10
+    assert np.abs(undone.P - once.P).max() < 1e-10
+    many = rls.repeat_stationary(layout, start, told, 50)
+    gained_once, gained_many = (np.linalg.inv(e.P) - np.linalg.inv(start.P) for e in (once, many))
+    assert np.abs(gained_many - 50 * gained_once).max() < 1e-6 * np.abs(gained_many).max()
+
+
+def test_many_worlds_updated_at_once_are_the_same_as_one_by_one():
+    told, states = [], []
+    for seed in range(4):
+        layout, m, x = stationary(seed)
+        told.append(m)
+        states.append(x)
+    whole = measurement(
+        1, told[0].landmarks, np.stack([s[3:13].reshape(5, 2) for s in states]), np.tile(1e-4 * np.eye(10), (4, 1, 1))
+    )
+    P = np.tile(np.diag(1 / INFORMATION), (4, 1, 1))
+    batch = rls.repeat(layout, rls.Estimate(np.stack(states), P), [whole], 3)
+    for k in range(4):
+        one = measurement(1, told[0].landmarks, states[k][3:13].reshape(5, 2), 1e-4 * np.eye(10))
+        alone = rls.repeat(layout, rls.Estimate(states[k], P[k]), [one], 3)
+        assert np.allclose(batch.x[k], alone.x, atol=1e-10)
+        assert np.allclose(batch.P[k], alone.P, rtol=1e-6, atol=1e-10)
