@@ -6,10 +6,12 @@ from pathlib import Path
 import pytest
 from jaxtyping import install_import_hook
 
+from . import typecheck
+
 # Shapes and types of every public function are checked while the tests run; in production they cost nothing.
 CHECKED = ("core", "solve", "landmarks", "fusion", "laser", "swarm", "team", "evaluation")
 if os.environ.get("MAPWEAVE_TYPECHECK", "1") == "1":
-    install_import_hook([f"mapweave.{room}" for room in CHECKED], "beartype.beartype")
+    install_import_hook([f"mapweave.{room}" for room in CHECKED], f"{typecheck.__name__}.checked")
 
 
 @pytest.fixture(scope="session")

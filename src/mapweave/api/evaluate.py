@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, Protocol, cast, runtime_checkable
 
 from ..core.errors import ReaderError, UsageError
 
 
+@runtime_checkable
 class Evaluation(Protocol):
     """A score: typed for programs, `as_json` with the documented keys, `lines` for people."""
 
@@ -15,6 +16,7 @@ class Evaluation(Protocol):
     def lines(self) -> list[str]: ...
 
 
+@runtime_checkable
 class Judge(Protocol):
     """A module that knows one kind of truth. `applies` looks at names and first lines only."""
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from importlib import import_module
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Protocol, cast, runtime_checkable
 
 from ..core.errors import ReaderError, UsageError
 from ..core.progress import Progress, no_progress
@@ -12,6 +12,7 @@ from ..io.directory import check_target, result_directory
 from .map_options import LaserOptions, MapOptions, MapResult
 
 
+@runtime_checkable
 class Mapper(Protocol):
     """A module that maps one kind of log. `applies` looks at names and first lines only."""
 

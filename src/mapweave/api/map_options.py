@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from ..core.errors import UsageError
 from ..core.names import robot_key
@@ -68,6 +68,7 @@ class MapOptions:
                 raise UsageError(f"--share of robot {robot} must be in (0, 1], found {part}")
 
 
+@runtime_checkable
 class MapResult(Protocol):
     """What every kind of log's `map` gives: typed in its own way, and able to put itself into a folder.
 

@@ -1,8 +1,9 @@
 """Progress on long work: one callback for the whole house, and the one that says nothing."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 
+@runtime_checkable
 class Progress(Protocol):
     """Told `done` of `total` (None when unknown) of the stage named."""
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -78,6 +78,7 @@ class Event:
     record: Record
 
 
+@runtime_checkable
 class Log(Protocol):
     """One robot's log after reading: what was read, what was dropped and why, and the events in order."""
 

@@ -3,13 +3,14 @@
 import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from .records import Event
 
 
+@runtime_checkable
 class Estimator(Protocol):
     """`init -> state`; `step(state, event) -> (state, info)`: state is what goes on, info is what explains."""
 

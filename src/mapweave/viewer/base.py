@@ -1,11 +1,12 @@
 """What a viewer shows, and the viewer that shows nothing: callers never ask whether there is one."""
 
 from importlib.util import find_spec
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from ..team.team_map import TeamMap
 
 
+@runtime_checkable
 class Viewer(Protocol):
     """Shows maps as they come."""
 

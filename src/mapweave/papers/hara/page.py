@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -12,6 +12,7 @@ from ...report.html import Page
 from ...report.style import MUTED, SEQUENTIAL, TRUTH, as_map, colour, figure
 
 
+@runtime_checkable
 class Shown(Protocol):
     @property
     def name(self) -> str: ...
