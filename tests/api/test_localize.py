@@ -14,8 +14,7 @@ from mapweave.core import se2
 from mapweave.core.errors import ReaderError, UsageError
 from mapweave.core.records import Track
 from mapweave.io.mcap import write_mcap
-from mapweave.io.tum import read_tum
-from mapweave.io.tum_writer import write_tum
+from mapweave.io.tum import read_tum, write_tum
 from mapweave.sim.corridor import CorridorConfig, corridor_world
 from mapweave.sim.drift import DriftConfig
 from mapweave.sim.laser import DriveConfig, drive

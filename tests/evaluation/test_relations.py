@@ -12,7 +12,7 @@ from mapweave.core.records import Track
 from mapweave.core.relations import Relations
 from mapweave.evaluation.relations import exact_pairs, score_relations
 from mapweave.io.relations import read_relations
-from mapweave.io.tum_writer import write_tum
+from mapweave.io.tum import write_tum
 
 KEYS = ["n", "used", "trans_mean", "trans_std", "trans_max", "rot_mean_deg", "rot_std_deg"]
 

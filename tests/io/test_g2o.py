@@ -5,8 +5,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.errors import ReaderError
-from mapweave.io.g2o import read_g2o
-from mapweave.io.g2o_writer import write_g2o
+from mapweave.io.g2o import read_g2o, write_g2o
 from mapweave.laser.pose_graph import PoseGraph
 
 

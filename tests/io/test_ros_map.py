@@ -5,8 +5,7 @@ import pytest
 from PIL import Image
 
 from mapweave.core.errors import ReaderError
-from mapweave.io.ros_map import read_plan, read_ros_map
-from mapweave.io.ros_map_writer import write_ros_map
+from mapweave.io.ros_map import read_plan, read_ros_map, write_ros_map
 from mapweave.laser.grid import GridMap
 
 RNG = np.random.default_rng(1)

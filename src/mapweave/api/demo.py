@@ -6,7 +6,7 @@ from tempfile import TemporaryDirectory
 
 from ..core.progress import Progress, no_progress
 from ..io.directory import check_target, result_directory
-from ..io.mrclam_writer import write_mrclam
+from ..io.mrclam import write_mrclam
 from ..sim.landmarks import TeamWorld, simulate_team
 from .map_landmarks import map_logs
 from .map_options import MapOptions

@@ -15,12 +15,10 @@ from ..core.records import Track
 from ..core.run import robot_rng
 from ..core.version import __version__
 from ..io.directory import check_target, result_directory, write_json
-from ..io.grid import read_grid
-from ..io.grid_writer import NAME
+from ..io.grid import NAME, read_grid
 from ..io.laser_logs import LaserSource, read_laser
 from ..io.scans import write_scans
-from ..io.tum import read_tum
-from ..io.tum_writer import write_tum
+from ..io.tum import read_tum, write_tum
 from ..laser.config import LaserConfig
 from ..laser.grid import GridMap
 from ..laser.localisation import Localisation

@@ -10,7 +10,7 @@ from jaxtyping import Int
 from ..core.version import __version__
 from ..io.directory import write_json
 from ..io.sightings import SwarmTruth
-from ..io.swarm import write_csv
+from ..io.table import write_table
 from .swarm_input import SwarmInput
 
 LISTED = 1000  # dropped rows named in metrics.json
@@ -56,7 +56,7 @@ def write_rest(out: Path, given: SwarmInput, metrics: dict[str, Any]) -> None:
     """metrics.json and, where rows were left out, dropped.csv."""
     if given.dropped:
         rows = [(r.line, r.observer, r.target, r.reason) for r in given.dropped]
-        write_csv(out / "dropped.csv", ["line", "observer", "target", "reason"], rows)
+        write_table(out / "dropped.csv", ["line", "observer", "target", "reason"], rows)
     write_json(out / "metrics.json", metrics)
 
 

@@ -22,8 +22,7 @@ from ..core.workers import worker_pool
 from ..io.directory import write_json
 from ..io.laser_logs import LaserSource, is_laser_log, read_laser
 from ..io.laser_map import write_laser_map
-from ..io.tum import read_tum
-from ..io.tum_writer import write_tum
+from ..io.tum import read_tum, write_tum
 from ..laser.config import LaserConfig
 from ..laser.laser_map import LaserMap
 from ..laser.mapping import map_laser

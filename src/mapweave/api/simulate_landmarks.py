@@ -6,7 +6,7 @@ from pathlib import Path
 from ..core.recording import TeamRecording
 from ..core.version import __version__
 from ..io.directory import result_directory, write_json
-from ..io.mrclam_writer import write_mrclam
+from ..io.mrclam import write_mrclam
 from ..sim.landmarks import TeamWorld, simulate_team
 
 

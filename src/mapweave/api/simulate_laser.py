@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ..core.errors import UsageError
 from ..io.mcap import write_mcap
-from ..io.tum_writer import write_tum
+from ..io.tum import write_tum
 from ..sim.corridor import CorridorConfig, simulate_corridor
 from ..sim.laser import LaserSimulation
 from ..sim.office import OfficeConfig, simulate_office

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from ..core.errors import UsageError
-from ..io.swarm import write_csv, write_sightings
+from ..io.swarm import write_sightings
+from ..io.table import write_table
 from ..sim.swarm import Swarm, SwarmScene
 from ..sim.swarm import simulate_swarm as simulate
 
@@ -39,7 +40,7 @@ def _write_truth(path: Path, made: Swarm) -> None:
             (name, *place, *([t] if moving else []), *([heading] if turned else []))
             for name, place, heading in zip(made.table.ids, places, headings, strict=True)
         ]
-    write_csv(path, head, rows)
+    write_table(path, head, rows)
 
 
 def _write_odometry(path: Path, made: Swarm) -> None:
@@ -51,4 +52,4 @@ def _write_odometry(path: Path, made: Swarm) -> None:
         for i, name in enumerate(made.table.ids)
         if i not in still
     ]
-    write_csv(path, ["t", "robot", "v", "w"], rows)
+    write_table(path, ["t", "robot", "v", "w"], rows)

@@ -7,8 +7,8 @@ from typing import Any
 
 from ..io.directory import write_json
 from ..io.landmarks import write_landmark_arrays, write_landmarks
-from ..io.local_map_writer import write_local_map
-from ..io.tum_writer import write_tracks
+from ..io.local_map import write_local_map
+from ..io.team_map import write_tracks
 from ..report.team import write_team_report
 from ..report.team_story import TeamStory
 from ..team.team_map import TeamMap

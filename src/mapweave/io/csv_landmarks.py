@@ -13,7 +13,7 @@ from ..core.errors import DataError, ReaderError
 from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from . import mending
 from .files import Files, open_files
-from .number_rows import lines
+from .rows import lines
 
 ODOMETRY, SIGHTINGS = "odometry.csv", "sightings.csv"
 

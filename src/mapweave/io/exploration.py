@@ -1,6 +1,6 @@
 """What an exploration leaves: a row a run, metrics, and the first run's log in the layout `map` reads."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,8 @@ import numpy as np
 
 from ..core.recording import RobotRecording, TeamRecording
 from .directory import plain, write_json
-from .mrclam_writer import write_mrclam
+from .mrclam import write_mrclam
+from .table import write_table
 
 COLUMNS = (
     "run",
@@ -28,16 +29,15 @@ COLUMNS = (
 )
 
 
-def write_table(path: Path, rows: list[Mapping[str, Any]]) -> None:
-    """`path` as CSV with the contract's columns; numbers to six digits, nothing where a figure does not exist."""
-    lines = [",".join(COLUMNS)]
-    lines += [",".join(cell(row[name]) for name in COLUMNS) for row in rows]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+def write_scores(path: Path, names: Sequence[str], runs: Sequence[Any]) -> None:
+    """`path`: a row a run with the columns `names`; numbers to six digits, nothing where a figure does not exist."""
+    rows = (asdict(run) for run in runs)
+    write_table(path, names, ((row[name] for name in names) for row in rows), "{:.6g}".format)
 
 
 def write_runs(folder: Path, runs: tuple[Any, ...], metrics: Mapping[str, Any], first: Any) -> None:
     """runs.csv, metrics.json and log/ in `folder`."""
-    write_table(folder / "runs.csv", [asdict(r) for r in runs])
+    write_scores(folder / "runs.csv", COLUMNS, runs)
     write_json(folder / "metrics.json", plain(dict(metrics)))
     write_mrclam(folder / "log", recording(first))
 
@@ -77,11 +77,3 @@ def recording(first: Any) -> TeamRecording:
         )
     marks = {M + 1 + k: (float(x), float(y)) for k, (x, y) in enumerate(first.world.landmarks)}
     return TeamRecording(codes, marks, tuple(robots))
-
-
-def cell(value: Any) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, bool | np.bool_):
-        return str(bool(value)).lower()
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,4 +1,4 @@
-"""Pose graphs from g2o text, plain or gzipped."""
+"""Pose graphs as g2o text: `VERTEX_SE2 i x y theta`, `EDGE_SE2 i j dx dy dtheta I11 I12 I13 I22 I23 I33`."""
 
 from pathlib import Path
 
@@ -7,13 +7,14 @@ import numpy as np
 from ..core import se2
 from ..core.errors import ReaderError
 from ..laser.pose_graph import PoseGraph
+from .rows import open_text, write_rows
 from .text import TextLog
 
 SIZES = {"VERTEX_SE2": 5, "EDGE_SE2": 12}
 
 
 def read_g2o(path: Path) -> PoseGraph:
-    """The graph in `path`. Vertices are numbered anew in the order of their ids.
+    """The graph in `path`, plain or gzipped. Vertices are numbered anew in the order of their ids.
 
     A graph without vertices (or with some missing) gets poses by walking the edges from the first, those from one id
     to the next before others. Raises ReaderError naming the line for a row that does not parse, and for a graph that
@@ -86,3 +87,16 @@ def _walked(path: Path, pose: np.ndarray, first: np.ndarray, second: np.ndarray,
     if np.isnan(pose).any():
         raise ReaderError(path, f"{int(np.isnan(pose[:, 0]).sum())} poses have no vertex and no edge leads to them")
     return pose
+
+
+def write_g2o(path: Path, graph: PoseGraph) -> None:
+    """`path` holds the graph; its first vertex is fixed."""
+    vertices = np.column_stack([np.arange(len(graph)), graph.pose])
+    I = graph.information
+    upper = np.column_stack([I[:, 0, 0], I[:, 0, 1], I[:, 0, 2], I[:, 1, 1], I[:, 1, 2], I[:, 2, 2]])
+    with open_text(path) as file:
+        write_rows(file, "VERTEX_SE2 %d %.9g %.9g %.9g\n", vertices)
+        if len(graph):
+            file.write("FIX 0\n")
+        edges = np.column_stack([graph.first, graph.second, graph.measured, upper])
+        write_rows(file, "EDGE_SE2 %d %d" + " %.9g" * 9 + "\n", edges)

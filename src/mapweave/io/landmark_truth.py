@@ -11,7 +11,7 @@ from ..core.records import Track
 from ..core.se2 import wrap_angle
 from ..core.survey import Survey
 from .files import Files, open_files
-from .number_rows import lines, numbers
+from .rows import lines, numbers
 
 SURVEY = "Landmark_Groundtruth.dat"
 TRUTH_FILE = re.compile(r"^Robot([0-9]+)_(Groundtruth|GroundtruthInstants|GroundtruthKeyframes)\.dat$")

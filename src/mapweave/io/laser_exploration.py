@@ -1,18 +1,19 @@
 """What an exploration with lasers leaves: scores, the merged map, trajectories, the pose graph, replayable logs."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from .directory import plain, write_json
-from .exploration import COLUMNS, cell
-from .g2o_writer import write_g2o
-from .grid_writer import NAME, write_grid
+from .exploration import COLUMNS, write_scores
+from .g2o import write_g2o
+from .grid import NAME, write_grid
 from .mcap import write_mcap
-from .ros_map_writer import write_ros_states
+from .ros_map import write_ros_states
 from .rows import open_text
-from .tum_writer import write_tum
+from .table import cell, quoted
+from .tum import write_tum
 
 CLOSURES = "first,second,robot_first,robot_second,accepted,share,nis,dx,dy,dtheta,reason"
 
@@ -25,9 +26,7 @@ def write_laser_runs(folder: Path, runs: tuple[Any, ...], metrics: Mapping[str, 
     """
     told = [f.name for f in fields(runs[0])]
     names = [*(name for name in COLUMNS if name in told), *(name for name in told if name not in COLUMNS)]
-    rows = [asdict(r) for r in runs]
-    lines = [",".join(names), *(",".join(cell(row[name]) for name in names) for row in rows)]
-    (folder / "runs.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_scores(folder / "runs.csv", names, runs)
     write_json(folder / "metrics.json", plain(dict(metrics)))
     write_ros_states(folder, first.map)
     write_grid(folder / NAME, first.grid, None, "none")
@@ -47,4 +46,4 @@ def write_closures(path: Path, first: Any) -> None:
         for c in first.closures:
             a, b = (first.robots[k] for k in c.robots)
             values = [c.first, c.second, a, b, c.accepted, c.share, c.nis, *map(float, c.measured)]
-            file.write(",".join(cell(v) for v in values) + f',"{c.reason}"\n')
+            file.write(",".join([*map(cell, values), quoted(c.reason)]) + "\n")

@@ -8,11 +8,11 @@ from ..core import se2
 from ..laser.grid import IntensityCalibration
 from ..laser.laser_map import LaserMap
 from ..laser.pose_graph import PoseGraph
-from .g2o_writer import write_g2o
-from .grid_writer import NAME, write_grid
-from .ros_map_writer import write_ros_map
-from .rows import open_text
+from .g2o import write_g2o
+from .grid import NAME, write_grid
+from .ros_map import write_ros_map
 from .scans import write_scans
+from .table import write_table
 
 # Spread of one step between scans where the method does not tell: [m, m/m, rad, rad/rad].
 STEP, STEP_A_METRE, TURN, TURN_A_RADIAN = 0.01, 0.02, 0.005, 0.02
@@ -47,9 +47,9 @@ def scan_graph(made: LaserMap) -> PoseGraph:
 
 def write_calibration(path: Path, calibration: IntensityCalibration) -> None:
     """`path` holds the gain at each knot [m] and the median absolute residual of log intensity near it."""
-    with open_text(path) as file:
-        file.write("range,log_gain,gain,residual\n")
-        spread = calibration.residual_by_range
-        for k, (r, g) in enumerate(zip(calibration.knots, calibration.log_gain, strict=True)):
-            told = f"{spread[k]:.6f}" if k < len(spread) and np.isfinite(spread[k]) else ""
-            file.write(f"{r:.4f},{g:.6f},{np.exp(g):.6f},{told}\n")
+    gain, residual = calibration.log_gain, np.full(len(calibration.knots), np.nan)
+    held = calibration.residual_by_range[: len(residual)]
+    residual[: len(held)] = np.where(np.isfinite(held), held, np.nan)
+    rows = np.column_stack([calibration.knots, gain, np.exp(gain), residual]).tolist()
+    number = ["{:.4f}".format, *["{:.6f}".format] * 3]
+    write_table(path, ("range", "log_gain", "gain", "residual"), rows, number)

@@ -1,4 +1,4 @@
-"""MRCLAM landmark logs (folder or zip) become one `LandmarkLog` a robot. Truth files are not looked at.
+"""The layout of the UTIAS MRCLAM data sets, a folder or a zip: read as one `LandmarkLog` a robot, truth left alone.
 
 Layout: `Barcodes.dat` (subject, barcode), `RobotN_Odometry.dat` (t [s], v [m/s], w [rad/s], commanded),
 `RobotN_Measurement.dat` (t [s], barcode, range [m], bearing [rad]).
@@ -12,9 +12,10 @@ import numpy as np
 
 from ..core.errors import DataError, ReaderError
 from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
+from ..core.recording import TeamRecording
 from . import mending
 from .files import Files, open_files
-from .number_rows import line_of, numbers
+from .rows import line_of, numbers, open_text, row_texts
 
 ROBOT_FILE = re.compile(r"^Robot([0-9]+)_(Odometry|Measurement)\.dat$")
 BARCODES = "Barcodes.dat"
@@ -129,3 +130,29 @@ def _named(
     ids = tuple(name for name, k in zip(names, keep, strict=True) if k)
     index = (np.cumsum(keep) - 1)[what[rows]]
     return SightingTable(table[rows, 0], index, table[rows, 2], table[rows, 3], ids)
+
+
+def write_mrclam(folder: Path, team: TeamRecording) -> None:
+    """`folder` holds barcodes, survey and three files a robot; the bytes depend on `team` alone."""
+    folder.mkdir(parents=True, exist_ok=True)
+    codes = np.array(list(team.barcodes.items()), dtype=float).reshape(-1, 2)
+    _write(folder / BARCODES, "Subject #    Barcode #", "%3d\t%4d\n", codes)
+    survey = np.array([(s, x, y, 1e-4, 1e-4) for s, (x, y) in team.landmarks.items()]).reshape(-1, 5)
+    head = "Subject #    x [m]    y [m]    x std-dev [m]    y std-dev [m]"
+    _write(folder / "Landmark_Groundtruth.dat", head, "%3d" + "\t%.8f" * 4 + "\n", survey)
+    for robot in team.robots:
+        name = f"Robot{robot.number}"
+        head = "Time [s]    forward velocity [m/s]    angular velocity [rad/s]"
+        _write(folder / f"{name}_Odometry.dat", head, "%.3f\t%.3f\t%.3f\n", robot.odometry)
+        head = "Time [s]    Barcode #    range [m]    bearing [rad]"
+        seen = np.column_stack([robot.stamps, robot.barcodes, robot.sightings])
+        _write(folder / f"{name}_Measurement.dat", head, "%.3f\t%4d\t%.3f\t%.3f\n", seen)
+        head = "Time [s]    x [m]    y [m]    orientation [rad]"
+        _write(folder / f"{name}_Groundtruth.dat", head, "%.3f\t%.8f\t%.8f\t%.8f\n", robot.truth)
+
+
+def _write(path: Path, head: str, fmt: str, rows: np.ndarray) -> None:
+    """A table under one comment line, without a minus before a zero between two others."""
+    with open_text(path) as file:
+        file.write(f"# {head}\n")
+        file.writelines(text.replace("\t-0.000\t", "\t0.000\t") for text in row_texts(fmt, rows))

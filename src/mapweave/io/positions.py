@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .swarm import write_csv
+from .table import write_table
 
 ORDER = {2: ((0, 0), (0, 1), (1, 1)), 3: ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))}
 NAMES = {2: ("var_x", "cov_xy", "var_y"), 3: ("var_x", "cov_xy", "var_y", "cov_xz", "cov_yz", "var_z")}
@@ -32,7 +32,7 @@ def write_positions(
     if heading is not None:
         head += ["heading", "var_heading"]
         columns += [heading.tolist(), (np.full(n, np.nan) if heading_var is None else heading_var).tolist()]
-    write_csv(path, head, zip(*columns, strict=True))
+    write_table(path, head, zip(*columns, strict=True))
 
 
 def write_track(
@@ -52,4 +52,4 @@ def write_track(
     if heading is not None:
         head.append("heading")
         columns.append(heading.tolist())
-    write_csv(path, head, zip(*columns, strict=True))
+    write_table(path, head, zip(*columns, strict=True))

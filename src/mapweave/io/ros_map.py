@@ -6,15 +6,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int8
+from jaxtyping import Bool, Float, Int8, UInt8
 from PIL import Image, UnidentifiedImageError
 
 from ..core.arrays import frozen
 from ..core.errors import ReaderError
 from ..core.walls import Walls, walls_of_raster
+from ..laser.grid import GridMap
+from ..laser.occupancy import Occupancy
+from .rows import open_text
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 1
 KEYS = ("image", "resolution", "origin")
+OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.196  # probabilities: thresholds written, and assumed where a map names none
+BLACK, GREY, WHITE = 0, 205, 254
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +79,8 @@ def read_ros_map(path: Path) -> RosMap:
         if negate not in (0, 1, True, False):
             raise ReaderError(path, f"negate: expected 0 or 1, found {negate!r}")
         p = pixels / 255.0 if negate else (255.0 - pixels) / 255.0
-    occupied = _number(path, told, "occupied_thresh", 0.65)
-    free = _number(path, told, "free_thresh", 0.196)
+    occupied = _number(path, told, "occupied_thresh", OCCUPIED_ABOVE)
+    free = _number(path, told, "free_thresh", FREE_BELOW)
     if not 0 <= free <= occupied <= 1:
         raise ReaderError(path, f"expected 0 <= free_thresh <= occupied_thresh <= 1, found {free:g} and {occupied:g}")
     state = np.full(p.shape, UNKNOWN, dtype=np.int8)
@@ -153,3 +158,40 @@ def _origin(path: Path, value: Any) -> Float[np.ndarray, "3"]:
     if not good or not np.isfinite(value).all():
         raise ReaderError(path, f"origin: expected [x, y, theta], found {value!r}")
     return frozen([*map(float, value), 0.0][:3])
+
+
+def write_ros_map(folder: Path, grid: GridMap) -> None:
+    """`map.pgm` (row 0 at the top, so highest y) and `map.yaml` in `folder`."""
+    _write_picture(folder, trinary(grid), grid.resolution, grid.origin)
+
+
+def write_ros_states(folder: Path, occupancy: Occupancy) -> None:
+    """The same of a map whose cells are free, occupied or unknown already."""
+    picture = np.full(occupancy.state.shape, GREY, dtype=np.uint8)
+    picture[occupancy.free] = WHITE
+    picture[occupancy.occupied] = BLACK
+    _write_picture(folder, np.ascontiguousarray(picture[::-1]), occupancy.resolution, occupancy.origin)
+
+
+def _write_picture(
+    folder: Path, picture: UInt8[np.ndarray, "rows cols"], resolution: float, origin: Float[np.ndarray, "2"]
+) -> None:
+    rows, cols = picture.shape
+    with (folder / "map.pgm").open("wb") as file:
+        file.write(f"P5\n{cols} {rows}\n255\n".encode())
+        file.write(picture.tobytes())
+    with open_text(folder / "map.yaml") as text:
+        text.write(
+            f"image: map.pgm\nmode: trinary\nresolution: {resolution:.9g}\n"
+            f"origin: [{float(origin[0]):.9g}, {float(origin[1]):.9g}, 0.0]\n"
+            f"negate: 0\noccupied_thresh: {OCCUPIED_ABOVE}\nfree_thresh: {FREE_BELOW}\n"
+        )
+
+
+def trinary(grid: GridMap) -> UInt8[np.ndarray, "rows cols"]:
+    """Black where occupied, white where free, grey where not known; top row first."""
+    p = grid.occupancy()
+    picture = np.full(p.shape, GREY, dtype=np.uint8)
+    picture[p < FREE_BELOW] = WHITE
+    picture[p > OCCUPIED_ABOVE] = BLACK
+    return np.ascontiguousarray(picture[::-1])

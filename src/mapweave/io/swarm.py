@@ -1,6 +1,5 @@
 """Swarm tables as `locate` reads them: sightings, truth, odometry."""
 
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +7,7 @@ import numpy as np
 from ..core.bearings import BearingTable
 from ..core.errors import UsageError
 from .directory import result_file
+from .table import write_table
 
 
 def write_sightings(path: Path, table: BearingTable) -> None:
@@ -29,22 +29,7 @@ def write_sightings(path: Path, table: BearingTable) -> None:
     if path.suffix.lower() in (".parquet", ".pq"):
         _write_parquet(path, columns)
     else:
-        write_csv(path, list(columns), zip(*columns.values(), strict=True))
-
-
-def write_csv(path: Path, head: list[str], rows: Iterable[Iterable[object]]) -> None:
-    """A CSV table, whole or not at all; floats with nine digits after the point, None and NaN as nothing."""
-    with result_file(path) as work, work.open("w", encoding="utf-8", newline="") as out:
-        out.write(",".join(head) + "\n")
-        out.writelines(",".join(map(_word, row)) + "\n" for row in rows)
-
-
-def _word(value: object) -> str:
-    if isinstance(value, float):
-        if value != value:  # noqa: PLR0124  (NaN)
-            return ""
-        return f"{value:.9f}" if 1.0 <= abs(value) < 1e9 or value == 0.0 else f"{value:.12g}"
-    return "" if value is None else str(value)
+        write_table(path, list(columns), zip(*columns.values(), strict=True))
 
 
 def _write_parquet(path: Path, columns: dict[str, list]) -> None:

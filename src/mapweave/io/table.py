@@ -1,14 +1,18 @@
-"""A table whose header names its columns, CSV or Parquet: text as read, one clear error for a row that is none."""
+"""A table whose header names its columns: CSV or Parquet read, one clear error for a row that is none; CSV written."""
 
 import csv
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from ..core.errors import ReaderError
+from ..core.errors import EstimateError, ReaderError
+from .directory import result_file
+
+Number = Callable[[float], str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,3 +97,53 @@ def _read_parquet(path: Path) -> Table:
         numeric = values.dtype.kind in "fiu" and name.lower() not in ("observer", "target", "robot", "id")
         columns[name.lower()] = values if numeric else ["" if v is None else str(v) for v in values.tolist()]
     return Table(path, columns, range(1, table.num_rows + 1))
+
+
+def nine_digits(value: float) -> str:
+    """Nine digits after the point; of numbers under 1 or from a thousand million on, twelve digits that count."""
+    return f"{value:.9f}" if 1.0 <= abs(value) < 1e9 or value == 0.0 else f"{value:.12g}"
+
+
+def write_table(
+    path: Path,
+    head: Sequence[str],
+    rows: Iterable[Iterable[object]],
+    number: Number | Sequence[Number] = nine_digits,
+) -> None:
+    """A CSV table, whole or not at all; `number` writes the floats of all columns, or of each column its own.
+
+    Raises EstimateError, naming the file and the column, for a number that is infinite.
+    """
+    each = [number] * len(head) if callable(number) else number
+    with result_file(path) as work, work.open("w", encoding="utf-8", newline="\n") as out:
+        out.write(",".join(head) + "\n")
+        for row in rows:
+            try:
+                fields = [cell(value, as_text) for value, as_text in zip(row, each, strict=True)]
+            except OverflowError as error:
+                raise EstimateError(f"{path.parent.name}/{path.name}: {error}, where {','.join(head)} stand") from None
+            out.write(",".join(fields) + "\n")
+
+
+def cell(value: object, number: Number = "{:.6g}".format) -> str:
+    """One field of a CSV line: floats by `number`, None and NaN as nothing, words quoted where they must be.
+
+    Raises OverflowError for a number that is infinite.
+    """
+    if isinstance(value, float):
+        if math.isnan(value):
+            return ""
+        if math.isinf(value):
+            raise OverflowError("a number is infinite")
+        return number(value)
+    if value is None:
+        return ""
+    if isinstance(value, bool | np.bool_):
+        return str(bool(value)).lower()
+    text = str(value)
+    return quoted(text) if any(c in text for c in ',"\r\n') else text
+
+
+def quoted(text: str) -> str:
+    """`text` as a CSV field in quotes, line ends as blanks: a row is a line."""
+    return '"' + " ".join(text.split("\n")).replace("\r", " ").replace('"', '""') + '"'

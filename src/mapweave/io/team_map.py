@@ -1,6 +1,5 @@
-"""A result on disk, read back: what `map` and `fuse` wrote, for scoring and for viewing."""
+"""A team's result on disk: its trajectories written, and the whole read back for scoring and for viewing."""
 
-import csv
 import json
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,8 @@ from ..core.errors import ReaderError
 from ..core.names import in_order, robot_name
 from ..landmarks.landmark_map import LandmarkMap
 from ..team.team_map import TeamMap
-from .tum import read_tum
+from .landmarks import read_landmarks, read_members
+from .tum import read_tum, write_track_covariance, write_tum
 
 
 def read_metrics(folder: Path) -> dict[str, Any]:
@@ -41,22 +41,10 @@ def read_single_maps(folder: Path) -> dict[str, LandmarkMap]:
     return {p.parent.relative_to(local).as_posix(): read_landmarks(p, "local") for p in found}
 
 
-def read_landmarks(path: Path, frame: str = "map") -> LandmarkMap:
-    """The map in a `landmarks.npz`; raises ReaderError when it is damaged."""
-    try:
-        with np.load(path, allow_pickle=False) as held:
-            ids = tuple(str(name) for name in held["ids"])
-            return LandmarkMap(ids, held["mean"].reshape(-1, 2), held["cov"], frame)
-    except FileNotFoundError:
-        raise ReaderError(path, "no such file") from None
-    except Exception as error:  # noqa: BLE001  (numpy and zipfile raise a dozen kinds for a damaged file)
-        raise ReaderError(path, f"expected ids, mean and cov of landmarks: {error}") from None
-
-
 def _component(folder: Path) -> TeamMap:
     tracks = folder / "trajectories"
     found = sorted(tracks.rglob("*.tum"), key=lambda p: in_order(p.as_posix()))
-    members, sightings = _table(folder / "landmarks.csv")
+    members, sightings = read_members(folder / "landmarks.csv")
     held = folder / "landmarks.npz"
     empty = LandmarkMap((), np.zeros((0, 2)), np.zeros((0, 0)))
     by_robot = {p.relative_to(tracks).with_suffix("").as_posix(): read_tum(p) for p in found}
@@ -69,16 +57,9 @@ def _component(folder: Path) -> TeamMap:
     )
 
 
-def _table(path: Path) -> tuple[dict[str, tuple[str, ...]], dict[str, int]]:
-    if not path.exists():
-        return {}, {}
-    members: dict[str, tuple[str, ...]] = {}
-    sightings: dict[str, int] = {}
-    with path.open(encoding="utf-8", newline="") as file:
-        for number, row in enumerate(csv.DictReader(file), 2):
-            try:
-                members[row["id"]] = tuple(robot_name(k) for k in row["robots"].split(";") if k)
-                sightings[row["id"]] = int(row["sightings"])
-            except (KeyError, ValueError, AttributeError) as error:
-                raise ReaderError(path, f"expected id, robots and sightings: {error}", number) from None
-    return members, sightings
+def write_tracks(folder: Path, team: TeamMap) -> None:
+    """`trajectories/robotK.tum`, and `.cov.csv` where the method gives covariances."""
+    for robot, track in team.tracks.items():
+        stem = folder / "trajectories" / robot_name(robot)
+        write_tum(stem.with_name(stem.name + ".tum"), track)
+        write_track_covariance(stem.with_name(stem.name + ".cov.csv"), track)

@@ -1,12 +1,15 @@
-"""TUM trajectories: `t x y z qx qy qz qw`, `#` comments."""
+"""TUM trajectories, lines `t x y z qx qy qz qw` and `#` comments, and the covariance of every pose beside them."""
 
 from pathlib import Path
 
 import numpy as np
 
 from ..core import se2
-from ..core.errors import ReaderError
+from ..core.errors import DataError, ReaderError
 from ..core.records import Track
+from .rows import open_text, write_rows
+
+COVARIANCE_HEAD = "t,xx,xy,yy,xt,yt,tt"
 
 
 def read_tum(path: Path, frame: str = "map") -> Track:
@@ -42,3 +45,24 @@ def track_from(rows: np.ndarray, frame: str = "map") -> Track:
     qx, qy, qz, qw = rows[:, 4:].T
     theta = np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
     return Track(rows[:, 0], np.column_stack([rows[:, 1], rows[:, 2], se2.wrap_angle(theta)]), None, frame)
+
+
+def write_tum(path: Path, track: Track) -> None:
+    """`path` holds one line a stamp, ascending; z and roll and pitch are zero."""
+    if len(track.t) > 1 and not (np.diff(track.t) > 0).all():
+        raise DataError(f"{path.name}: stamps of a trajectory must ascend strictly")
+    half = 0.5 * track.pose[:, 2]
+    rows = np.column_stack([track.t, track.pose[:, :2], np.sin(half), np.cos(half)])
+    with open_text(path) as file:
+        write_rows(file, "%.6f %.6f %.6f 0 0 0 %.9f %.9f\n", rows + 0.0)
+
+
+def write_track_covariance(path: Path, track: Track) -> None:
+    """`path` holds `t,xx,xy,yy,xt,yt,tt` [m^2, m rad, rad^2], a line for each line of the trajectory."""
+    if track.cov is None:
+        return
+    P = track.cov
+    rows = np.column_stack([track.t, P[:, 0, 0], P[:, 0, 1], P[:, 1, 1], P[:, 0, 2], P[:, 1, 2], P[:, 2, 2]])
+    with open_text(path) as file:
+        file.write(COVARIANCE_HEAD + "\n")
+        write_rows(file, "%.6f" + ",%.6e" * 6 + "\n", rows)
