@@ -1,9 +1,11 @@
 """Sparse Gauss-Newton and Levenberg-Marquardt in information form, robust kernels, marginal covariances.
 
 A `Problem` is one vector of variables and vectorised `Factor`s over it; `minimise` gives a `Solution` that says how
-it ended; `Information` is the factorised information matrix, whose inverse is the covariance.
+it ended; `Information` is the factorised information matrix, whose inverse is the covariance. A handful of variables
+takes `gauss_newton`.
 """
 
+from .dense import DenseSolution, gauss_newton
 from .information import Information, SingularError
 from .optimise import Solution, SolveConfig, Status, minimise
 from .pattern import Pattern
@@ -12,6 +14,7 @@ from .robust import Cauchy, GemanMcClure, Huber, Kernel
 
 __all__ = [
     "Cauchy",
+    "DenseSolution",
     "Factor",
     "GemanMcClure",
     "Huber",
@@ -24,6 +27,7 @@ __all__ = [
     "SolveConfig",
     "Status",
     "Term",
+    "gauss_newton",
     "minimise",
     "wrapping",
 ]

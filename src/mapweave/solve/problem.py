@@ -93,7 +93,8 @@ def wrapping(angles: Int[np.ndarray, " a"] | Sequence[int]) -> Retract:
     return retract
 
 
-def _add(x: np.ndarray, dx: np.ndarray) -> np.ndarray:
+def add(x: np.ndarray, dx: np.ndarray) -> np.ndarray:
+    """The plainest retraction: every variable is a number."""
     return np.asarray(x + dx)
 
 
@@ -107,7 +108,7 @@ class Problem:
     x0: Vector
     terms: Sequence[Term]
     fixed: Bool[np.ndarray, " n"] | None = None
-    retract: Retract = _add
+    retract: Retract = add
 
     @property
     def free(self) -> Int[np.ndarray, " f"]:
