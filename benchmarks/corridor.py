@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from mapweave.core.run import run
 from mapweave.laser import particle_slam
 from mapweave.laser.beam import beams
 from mapweave.laser.config import LaserConfig
@@ -67,14 +66,14 @@ def main() -> None:
     for seed in range(said.seeds):
         sim = simulate_corridor(seed=seed)
         for name, cfg in METHODS.items():
-            made = map_laser(sim.log, cfg, seed, run)
+            made = map_laser(sim.log, cfg, seed)
             errors[name].append(score(made.track, sim.truth))
         errors["odometry"].append(score(made.dead_reckoning, sim.truth))
         errors["RBPF-128, true law"].append(
             score(with_true_law(sim, LaserConfig(particles=128), seed).track, sim.truth)
         )
         other = simulate_corridor(CorridorConfig(drive=DriveConfig(law=SECOND_LAW)), seed)
-        made = map_laser(other.log, LaserConfig(particles=128), seed, run)
+        made = map_laser(other.log, LaserConfig(particles=128), seed)
         errors["RBPF-128, another law"].append(score(made.track, other.truth))
         alike.append(correlation(sim))
         print(f"seed {seed}: " + ", ".join(f"{n} {e[-1]:.3f}" for n, e in errors.items()), flush=True)

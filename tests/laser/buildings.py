@@ -7,8 +7,8 @@ import numpy as np
 from mapweave.core import se2
 from mapweave.core.walls import Walls
 from mapweave.exploration.paths import Reach
+from mapweave.laser.config import LaserTeamConfig
 from mapweave.laser.team import LaserTeam
-from mapweave.laser.team_config import LaserTeamConfig
 from mapweave.sim.laser_team import LaserRobotsConfig, LaserTeamSim, OdometryNoise
 from mapweave.sim.laser_world import WallStyle, WorldBuilder
 from mapweave.sim.office_floor import office_floor
@@ -101,7 +101,7 @@ def estimate(run, cfg=None, *, teammates=False, deliver=lambda k, j: True, after
     team = LaserTeam(cfg if teammates else replace(cfg, teammate=0.0), run.starts)
     for k, t in enumerate(run.t):
         for j in range(len(run.starts)):
-            team.look(j, t, run.scans[k][j])
+            team.add_scan(j, t, run.scans[k][j])
             if deliver(k, j):
                 team.deliver(j)
         team.optimise()

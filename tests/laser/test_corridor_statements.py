@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.core.run import run
 from mapweave.laser.beam import beams
 from mapweave.laser.config import LaserConfig
 from mapweave.laser.intensity import IntensityCalibration
@@ -23,7 +22,7 @@ CFG = LaserConfig(particles=64, threads=1)
 def errors(sim, **more):
     from dataclasses import replace
 
-    made = map_laser(sim.log, replace(CFG, **more), 0, run)
+    made = map_laser(sim.log, replace(CFG, **more), 0)
     return score(made.track, sim.truth), score(made.dead_reckoning, sim.truth)
 
 

@@ -7,7 +7,6 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.errors import ConfigError
-from mapweave.core.run import run
 from mapweave.laser.config import LaserConfig
 from mapweave.laser.mapping import map_laser
 from mapweave.laser.scan_matching import FrontEndConfig
@@ -51,8 +50,8 @@ def test_injected_match_failures_are_refused_by_the_gate_and_the_map_survives(wi
     def heading_error(made):
         return float(np.abs(se2.wrap_angle(made.scans.pose[:, 2] - truth[:, 2])).max())
 
-    gated = map_laser(log, replace(cfg, method="gated"), 0, run)
-    free = map_laser(log, replace(cfg, method="gated", gate=1e9), 0, run)
+    gated = map_laser(log, replace(cfg, method="gated"), 0)
+    free = map_laser(log, replace(cfg, method="gated", gate=1e9), 0)
     refused = [k for k, d in enumerate(gated.scans.decision) if d == "odometry"]
     assert len(set(refused) & set(bad)) >= 0.8 * len(bad)
     assert len(set(refused) - set(bad)) <= 0.2 * len(log.scans)

@@ -8,10 +8,10 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.records import Scan
 from mapweave.laser.closures import Matched
+from mapweave.laser.config import LaserTeamConfig
 from mapweave.laser.keyframes import Sweep
-from mapweave.laser.occupancy_mapper import Canvas
+from mapweave.laser.occupancy_mapper import OccupancyMapper
 from mapweave.laser.team import LaserTeam
-from mapweave.laser.team_config import LaserTeamConfig
 
 from .buildings import drive, errors, estimate, lap, ring, rooms, wall_distance
 
@@ -37,7 +37,7 @@ def watched(ring_run):
     def watch(k, team):
         own.append([track.local.copy() for track in team.tracks])
         if k % 7 == 0:
-            laid.append(team.canvas(0.1).update(team.sweeps, team.sweep_poses()))
+            laid.append(team.mapper(0.1).update(team.sweeps, team.sweep_poses()))
 
     return estimate(ring_run, after=watch), sum(laid), np.array(own)
 
@@ -91,13 +91,13 @@ def test_a_map_kept_up_to_date_is_exactly_the_map_drawn_anew(watched):
     team, laid, _ = watched
     kept = team.grid(0.1)
     assert laid > len(team.sweeps)  # some were laid anew
-    canvas = team.canvas(0.1)
-    fresh = type(canvas)(0.1, canvas.near)
-    fresh.update(team.sweeps, canvas.laid)
+    mapper = team.mapper(0.1)
+    fresh = type(mapper)(0.1, mapper.near)
+    fresh.update(team.sweeps, mapper.laid)
     again = fresh.grid()
     for name in ("origin", "hits", "passes", "mean"):
         assert np.array_equal(getattr(kept, name), getattr(again, name)), name
-    d = team.sweep_poses() - canvas.laid
+    d = team.sweep_poses() - mapper.laid
     assert np.hypot(d[:, 0], d[:, 1]).max() <= 0.05
     assert np.abs(se2.wrap_angle(d[:, 2])).max() <= np.radians(0.5)
 
@@ -128,11 +128,11 @@ def test_a_lost_message_waits_and_arrives(office, office_team):
 
 
 def test_a_dead_robot_leaves_what_it_had_told(office):
-    def bury(k, team):
+    def remove(k, team):
         if k == 120:
-            team.bury(1)
+            team.remove_robot(1)
 
-    team = estimate(office, deliver=lambda k, j: j == 0 or k < 80, after=bury)
+    team = estimate(office, deliver=lambda k, j: j == 0 or k < 80, after=remove)
     last = team.stamp[team.owner == 1].max()
     assert last <= office.t[80]
     assert (team.owner == 1).sum() > 5
@@ -152,8 +152,8 @@ def test_a_robot_that_sees_nothing_or_a_blank_wall_is_no_error():
     assert team.grid(0.1).hits.sum() == 0
     for k in range(12):
         at = np.array([0.0, 0.1 * k, 0.0])
-        team.look(0, float(k), replace(nothing, odometry=at))
-        team.look(1, float(k), replace(wall, odometry=at))
+        team.add_scan(0, float(k), replace(nothing, odometry=at))
+        team.add_scan(1, float(k), replace(wall, odometry=at))
         for j in range(2):
             team.deliver(j)
         team.optimise()
@@ -172,22 +172,22 @@ def test_what_teammates_send_back_is_not_a_wall():
     r[175:186] = 1.8  # a disc 2 m ahead
     scan = Scan(r, r < 12.0, None, -np.pi, 2 * np.pi / n, 12.0, odometry=np.zeros(3))
     team = LaserTeam(None, np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
-    team.look(0, 0.0, scan)
+    team.add_scan(0, 0.0, scan)
     team.deliver(0)
     assert team.grid(0.1).hits.sum() == 0
     alone = LaserTeam(None, np.zeros((1, 3)))
-    alone.look(0, 0.0, scan)
+    alone.add_scan(0, 0.0, scan)
     alone.deliver(0)
     assert alone.grid(0.1).hits.sum() == 11
 
 
 def test_a_wall_seen_from_near_is_not_drawn_again_from_afar():
     none = np.zeros((0, 2))
-    canvas = Canvas(0.1, near=6.0)
+    mapper = OccupancyMapper(0.1, near=6.0)
     near = Sweep(0, 0, 0.0, np.zeros(3), np.array([[2.05, 0.05]]), none, np.zeros(2))
     far = near._replace(points=np.array([[8.15, 0.05], [8.15, 3.05]]))
-    canvas.update([near, far], np.array([[0.0, 0.0, 0.0], [-6.0, 0.0, 0.0]]))
-    grid = canvas.grid()
+    mapper.update([near, far], np.array([[0.0, 0.0, 0.0], [-6.0, 0.0, 0.0]]))
+    grid = mapper.grid()
     row, col = np.nonzero(grid.hits)
     assert np.allclose(grid.mean[row, col], [[2.05, 0.05], [2.15, 3.05]], atol=1e-4)
     behind = np.floor((np.array([2.15, 0.05]) - grid.origin) / 0.1 + 1e-9).astype(int)

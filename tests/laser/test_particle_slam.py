@@ -8,7 +8,6 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.laser_log import LaserLog
 from mapweave.core.records import Scan
-from mapweave.core.run import run
 from mapweave.laser.config import PAPER_FILTER, FilterConfig, LaserConfig
 from mapweave.laser.mapping import map_laser
 from mapweave.laser.particle_slam import effective, log_likelihood, move
@@ -75,7 +74,7 @@ def small(**more):
 
 @pytest.mark.eq("Hara07:4", "Hara07:6")
 def test_the_answer_is_one_particles_trajectory_with_the_map_its_scans_lay_down(short_drive):
-    made = map_laser(short_drive.log, small(), 0, run)
+    made = map_laser(short_drive.log, small(), 0)
     assert np.array_equal(made.track.t, short_drive.log.stamps())
     assert np.abs(made.track.pose[0]).max() < 1e-9
     truth = se2.interpolate(made.track.t, short_drive.truth.t, short_drive.truth.pose)
@@ -98,16 +97,16 @@ def _distance(points, segments):
 
 
 def test_the_same_seed_gives_the_same_map_whatever_the_number_of_threads(short_drive):
-    one, two = (map_laser(short_drive.log, small(threads=n), 3, run) for n in (1, 2))
+    one, two = (map_laser(short_drive.log, small(threads=n), 3) for n in (1, 2))
     assert np.array_equal(one.track.pose, two.track.pose)
     assert np.array_equal(one.grid.feature, two.grid.feature)
     assert np.array_equal(one.scans.n_eff, two.scans.n_eff, equal_nan=True)
-    other = map_laser(short_drive.log, small(), 4, run)
+    other = map_laser(short_drive.log, small(), 4)
     assert not np.array_equal(one.track.pose, other.track.pose)
 
 
 def test_the_papers_filter_weighs_every_scan_and_may_resample_every_time(short_drive):
-    made = map_laser(short_drive.log, small(filter=PAPER_FILTER, likelihood="paper", resample=1.0), 0, run)
+    made = map_laser(short_drive.log, small(filter=PAPER_FILTER, likelihood="paper", resample=1.0), 0)
     assert made.scans.resampled[1:].all()
     assert np.isfinite(made.scans.n_eff[1:]).all()
 
@@ -115,7 +114,7 @@ def test_the_papers_filter_weighs_every_scan_and_may_resample_every_time(short_d
 def test_a_log_without_odometry_is_mapped_by_scan_matching_alone():
     truth = np.column_stack([np.linspace(-1.5, 1.5, 31), np.zeros(31), np.linspace(0, 0.6, 31)])
     log = LaserLog("1", "box", np.arange(31.0), tuple(box_scan(pose) for pose in truth), None, "none")
-    made = map_laser(log, small(), 0, run)
+    made = map_laser(log, small(), 0)
     assert made.odometry == "none"
     assert made.feature == "none"
     assert made.dead_reckoning is None
@@ -127,7 +126,7 @@ def test_a_scan_without_returns_is_carried_over_by_odometry(short_drive):
     log = short_drive.log
     scans = list(log.scans)
     scans[10] = replace(scans[10], hit=np.zeros(len(scans[10].ranges), bool))
-    made = map_laser(replace(log, scans=tuple(scans)), small(), 0, run)
+    made = map_laser(replace(log, scans=tuple(scans)), small(), 0)
     assert made.scans.decision[10] == "empty"
-    full = map_laser(log, small(), 0, run)
+    full = map_laser(log, small(), 0)
     assert np.abs(made.track.pose[-1, :2] - full.track.pose[-1, :2]).max() < 0.3

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from mapweave.core.relations import Relations
-from mapweave.core.run import run
 from mapweave.evaluation.relations import exact_pairs, score_relations
 from mapweave.io.laser_logs import read_laser
 from mapweave.io.relations import read_relations
@@ -24,7 +23,7 @@ def test_the_intel_log_keeps_its_known_relations(data, method, all_of_them, exac
     """Published: scan matching 0.220 m, a particle filter 0.070 m. 30 particles here, 100 are the default."""
     log = read_laser(data / "carmen" / "intel.clf.gz")
     known = read_relations(data / "carmen" / "intel.relations.gz")
-    made = map_laser(log, LaserConfig(method=method, particles=30), 0, run)
+    made = map_laser(log, LaserConfig(method=method, particles=30), 0)
     every = score_relations(made.track, known)
     pairs = exact_pairs(known, log.scan_t, made.scans.host)
     sure = score_relations(made.track, Relations(known.t1[pairs], known.t2[pairs], known.pose[pairs]))
@@ -39,7 +38,7 @@ def test_a_place_seen_again_lies_where_it_was_seen_first(data, name):
     """Scans of the later half that overlap the map of the first quarter are refined against it: they hardly move."""
     log = read_laser(data / name)
     cfg = LaserConfig(particles=30, threads=1)
-    made = map_laser(log, cfg, 0, run)
+    made = map_laser(log, cfg, 0)
     assert sum(d == "odometry" for d in made.scans.decision) <= 0.02 * len(log.scans)
     poses = made.scans.pose
     seen = [beams(scan, "none", None, cfg.beam) for scan in log.scans]

@@ -21,8 +21,7 @@ from ..io.scans import write_scans
 from ..io.tum import read_tum, write_tum
 from ..laser.config import LaserConfig
 from ..laser.grid import GridMap
-from ..laser.localisation import Localisation
-from ..laser.localise import localise
+from ..laser.localise import Localisation, localise
 from ..report.localize import write_localisation_report
 from .map_options import LaserOptions
 

@@ -16,7 +16,6 @@ from ..core.laser_log import LaserLog
 from ..core.names import robot_name
 from ..core.progress import Progress, no_progress
 from ..core.records import Track
-from ..core.run import run
 from ..core.version import __version__
 from ..core.workers import worker_pool
 from ..io.directory import write_json
@@ -108,7 +107,7 @@ def map_one(
     on_progress(f"{name}: reading", 0, None)
     log = first_part(read_laser(path, robot, source), share)
     on_progress(f"{name}: reading", 1, 1)
-    return map_laser(log, cfg, seed, run, _compiling_first(f"{name}: compiling (first run only)", on_progress))
+    return map_laser(log, cfg, seed, _compiling_first(f"{name}: compiling (first run only)", on_progress))
 
 
 def _compiling_first(compiling: str, on_progress: Progress) -> Progress:

@@ -7,12 +7,42 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
+from ..core.config import config
 from ..core.gaussian import mahalanobis2, symmetrise
 from ..kernels.laser.local_map import count_matches
 from .beam import Beams
 from .scan_matching import FrontEnd, FrontEndConfig
-from .team_config import ClosureConfig
-from .team_odometry import believed
+from .step_noise import believed
+
+
+@config
+class ClosureConfig:
+    """When a keyframe is matched against an old place, and when the match is believed."""
+
+    every: float = 1.0  # [m] between keyframes that are tried
+    tries: int = 2  # matches a robot and step, at most
+    reach: float = 5.0  # [m] between the keyframes
+    far: float = 20.0  # [m] driven since the old keyframe, within one robot: nearer ones are in its local map
+    around: int = 5  # keyframes on either side of the old one that its local map is made of
+    within: float = 4.0  # [m] from it
+    least_share: float = 0.5  # share of the returns that must match
+    least_matches: int = 60  # returns that must match
+    least_information: float = 1.0  # [1/m^2] across the second weakest direction: less, and the place looks alike
+    gate: float = 16.27  # chi-square of the innovation, 3 degrees of freedom, 99.9 %
+    search: float = 0.25  # [m] uncertainty of the relative place beyond which a grid of starts is searched
+    search_sd: float = 2.5  # [sd] how far the grid reaches,
+    search_xy: float = 3.0  # [m] at most and
+    search_turn: float = 0.3  # [rad]
+    search_step: float = 0.3  # [m] between its starts and
+    search_turn_step: float = 0.04  # [rad]
+    search_reach: float = 0.15  # [m] a return this near its line counts in the search
+    search_beams: int = 90  # returns of the scan that take part in the search, about
+    trust: float = 1.0  # [-] what a match's information counts
+    blur: float = 0.02  # [-] as for steps
+    floor_xy: float = 0.008  # [m] error of the old local map, which no match tells, and
+    floor_turn: float = 0.002  # [rad] of its heading
+    kernel: float = 3.0  # [sd] width of the robust kernel
+    contradiction: float = 16.27  # squared residual [sd^2] after optimising beyond which a closure is dropped
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,29 +99,29 @@ class Matcher:
         fe.hold(place.scans)
         sd = np.sqrt(np.diag(cov))
         start = predicted if max(sd[0], sd[1]) < c.search else self._search(b, predicted, sd)
-        found = fe.match(b, start, np.maximum(3.0 * sd, [0.3, 0.3, 0.1]))
-        innovation = se2.between(predicted, found.pose)
-        share = found.matches / max(found.beams, 1)
-        nothing = Matched(False, "", found.pose, np.zeros((3, 3)), innovation, share, None)
-        if found.matches < c.least_matches or share < c.least_share:
-            return nothing._replace(reason=f"too few returns match: {found.matches} of {found.beams}")
-        told = believed(fe.information(b, found.pose), c.trust, c.blur)
-        values, vectors = np.linalg.eigh(told)
-        if values[1] < 1.0:
-            return nothing._replace(reason="the place looks alike in too many directions")
+        match = fe.match(b, start, np.maximum(3.0 * sd, [0.3, 0.3, 0.1]))
+        innovation = se2.between(predicted, match.pose)
+        share = match.matches / max(match.beams, 1)
+        refused = Matched(False, "", match.pose, np.zeros((3, 3)), innovation, share, None)
+        if match.matches < c.least_matches or share < c.least_share:
+            return refused._replace(reason=f"too few returns match: {match.matches} of {match.beams}")
+        lines = believed(fe.information(b, match.pose), c.trust, c.blur)
+        values, vectors = np.linalg.eigh(lines)
+        if values[1] < c.least_information:
+            return refused._replace(reason="the place looks alike in too many directions")
         R = symmetrise(vectors @ np.diag(1.0 / np.maximum(values, 1e-2)) @ vectors.T)
         R = R + np.diag([c.floor_xy**2, c.floor_xy**2, c.floor_turn**2])
         nis = mahalanobis2(innovation, cov + R)
         if nis > c.gate:
-            return nothing._replace(
+            return refused._replace(
                 nis=nis,
                 reason=f"it lies {np.hypot(*innovation[:2]):.2f} m and {np.degrees(innovation[2]):.1f} degrees from "
                 f"where the estimate puts it, {np.sqrt(nis):.1f} standard deviations",
             )
         return Matched(
             True,
-            f"{found.matches} of {found.beams} returns match, {np.sqrt(nis):.1f} standard deviations from the estimate",
-            found.pose,
+            f"{match.matches} of {match.beams} returns match, {np.sqrt(nis):.1f} standard deviations from the estimate",
+            match.pose,
             symmetrise(np.linalg.inv(R)),
             innovation,
             share,
@@ -99,19 +129,19 @@ class Matcher:
         )
 
     def _search(self, b: Beams, predicted: np.ndarray, sd: np.ndarray) -> np.ndarray:
-        """The best of a grid of starts within 2.5 standard deviations, 3 m and 0.3 rad at most."""
-        fe, thin = self.front_end, slice(None, None, max(1, len(b.q) // 90))
+        """The best of a grid of starts around the predicted pose, as far as the configuration says."""
+        c, fe = self.cfg, self.front_end
+        thin = slice(None, None, max(1, len(b.q) // c.search_beams))
         s, normal, q = (np.ascontiguousarray(a[thin]) for a in (b.s, b.normal, b.q))
-        reach = np.minimum(2.5 * sd, [3.0, 3.0, 0.3])
-        axes = [
-            np.arange(-np.floor(r / h), np.floor(r / h) + 1) * h for r, h in zip(reach, (0.3, 0.3, 0.04), strict=True)
-        ]
+        reach = np.minimum(c.search_sd * sd, [c.search_xy, c.search_xy, c.search_turn])
+        steps = (c.search_step, c.search_step, c.search_turn_step)
+        axes = [np.arange(-np.floor(r / h), np.floor(r / h) + 1) * h for r, h in zip(reach, steps, strict=True)]
         best, most = predicted, -1
         for dx in axes[0]:
             for dy in axes[1]:
                 for turn in axes[2]:
                     pose = se2.compose(predicted, np.array([dx, dy, turn]))
-                    n = count_matches(fe.coarse, fe.cfg.coarse, s, normal, q, 0.0, fe.cfg.agree, pose, 0.15)
+                    n = count_matches(fe.coarse, fe.cfg.coarse, s, normal, q, 0.0, fe.cfg.agree, pose, c.search_reach)
                     if n > most:
                         best, most = pose, n
         return best

@@ -1,4 +1,4 @@
-"""Everything that can be set about mapping a laser log."""
+"""Everything that can be set about laser maps: of one log, and of a team that explores."""
 
 import numpy as np
 from jaxtyping import Float
@@ -6,8 +6,10 @@ from jaxtyping import Float
 from ..core.config import config
 from ..core.errors import ConfigError
 from .beam import FEATURES, BeamConfig
+from .closures import ClosureConfig
 from .icp import IcpConfig
 from .intensity_calibration import CalibrationConfig
+from .keyframes import KeyframeConfig
 from .particle_grid import CellConfig
 from .scan_matching import FrontEndConfig
 
@@ -101,3 +103,36 @@ PAPER_FILTER = FilterConfig(
     bare_neff=30.0,
 )
 """The paper's filter for wheels that are good over a step: odometry proposes, every scan weighs."""
+
+
+ALL_ROUND = FrontEndConfig(
+    size=512,
+    keyframes=40,
+    keyframe_turn=1.0,
+    alpha=0.0,
+    neff=20.0,
+    sd_xy=0.01,
+    sd_xy_per_m=0.06,
+    sd_turn=0.01,
+    sd_turn_per_m=0.03,
+    sd_turn_per_rad=0.06,
+)
+"""The front end for scanners that see all round, on wheels that are good over a step."""
+
+
+@config
+class LaserTeamConfig:
+    """A team whose starts are known: those of all robots but the first err, `map` hangs on the first's."""
+
+    start_xy: float = 0.01  # [m] sd of a start and
+    start_turn: float = 0.0087  # [rad] of its heading, half a degree
+    teammate: float = 0.45  # [m] around a teammate: returns from there are not walls
+    near: float = 6.0  # [m] a wall seen from within is not drawn again by returns from beyond
+    open_share: float = 0.9  # share of the scanner's range that is free where a beam does not come back
+    resolve_share: float = 0.02  # the graph is solved anew when it has grown by this share, and
+    resolve_least: int = 8  # so many keyframes at least, or
+    resolve_innovation: float = 2.0  # [sd] when a closure moved a pose by more than this
+    beams: BeamConfig = BeamConfig()
+    front_end: FrontEndConfig = ALL_ROUND
+    keyframes: KeyframeConfig = KeyframeConfig()
+    closures: ClosureConfig = ClosureConfig()

@@ -9,38 +9,30 @@ from ..core import se2
 from ..core.se2 import wrap_angle
 from ..solve import Factor, Huber, Information, Pattern, Problem, Solution, SolveConfig, minimise, wrapping
 from ..solve.robust import Kernel
+from .pose_graph import PoseGraph
 
 SOLVE = SolveConfig(max_iterations=12, step_tolerance=1e-6, cost_tolerance=1e-7)
 
 
-@dataclass(frozen=True, slots=True)
-class Links:
-    """first, second: (m,) poses tied; measured: (m, 3) of second in first; information: (m, 3, 3) in second's frame."""
+def edge_factor(graph: PoseGraph, name: str, kernel: Kernel | None = None) -> Factor:
+    """The edges of `graph` as one factor over x = [x0 y0 theta0 x1 ...]; its poses are not read."""
+    i, k, z = graph.first, graph.second, graph.measured
+    W = np.linalg.cholesky(graph.information).swapaxes(1, 2)
+    columns = np.concatenate([3 * i[:, None] + np.arange(3), 3 * k[:, None] + np.arange(3)], axis=1)
 
-    first: Int[np.ndarray, " m"]
-    second: Int[np.ndarray, " m"]
-    measured: Float[np.ndarray, "m 3"]
-    information: Float[np.ndarray, "m 3 3"]
+    def residual(x: np.ndarray) -> np.ndarray:
+        X = x.reshape(-1, 3)
+        return np.asarray(se2.between(z, se2.between(X[i], X[k])))
 
-    def factor(self, name: str, kernel: Kernel | None = None) -> Factor:
-        """The links as one factor over x = [x0 y0 theta0 x1 ...]."""
-        i, k, z = self.first, self.second, self.measured
-        W = np.linalg.cholesky(self.information).swapaxes(1, 2)
-        columns = np.concatenate([3 * i[:, None] + np.arange(3), 3 * k[:, None] + np.arange(3)], axis=1)
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        X = x.reshape(-1, 3)
+        A, B = between_jacobians(X[i], X[k])
+        R = np.zeros((len(z), 3, 3))
+        c, s = np.cos(z[:, 2]), np.sin(z[:, 2])
+        R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = c, s, -s, c, 1.0
+        return np.concatenate([R @ A, R @ B], axis=2)
 
-        def residual(x: np.ndarray) -> np.ndarray:
-            X = x.reshape(-1, 3)
-            return se2.between(z, se2.between(X[i], X[k]))
-
-        def jacobian(x: np.ndarray) -> np.ndarray:
-            X = x.reshape(-1, 3)
-            A, B = between_jacobians(X[i], X[k])
-            R = np.zeros((len(z), 3, 3))
-            c, s = np.cos(z[:, 2]), np.sin(z[:, 2])
-            R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = c, s, -s, c, 1.0
-            return np.concatenate([R @ A, R @ B], axis=2)
-
-        return Factor(columns, residual, jacobian, 3, W, kernel, name)
+    return Factor(columns, residual, jacobian, 3, W, kernel, name)
 
 
 def between_jacobians(
@@ -57,13 +49,15 @@ def between_jacobians(
 
 
 def problem(
-    x: Float[np.ndarray, "n 3"],
-    steps: Links,
-    closures: Links,
+    steps: PoseGraph,
+    closures: PoseGraph,
     starts: tuple[Int[np.ndarray, " s"], Float[np.ndarray, "s 3"], Float[np.ndarray, "s 3"]],
     kernel: float,
 ) -> Problem:
-    """starts: pose numbers, where they are known to be, and with what sd; kernel: width [sd] of the closures' one."""
+    """Least squares over the poses of `steps`, which `closures` shares.
+
+    starts: pose numbers, where they are known to be, and with what sd; kernel: width [sd] of the closures' one.
+    """
     at, known, sd = starts
     columns = 3 * at[:, None] + np.arange(3)
 
@@ -74,11 +68,12 @@ def problem(
 
     unit = np.broadcast_to(np.eye(3), (len(at), 3, 3))
     terms = [Factor(columns, residual, lambda _: unit, 3, 1.0 / sd, None, "starts")]
-    if len(steps.first):
-        terms.append(steps.factor("steps"))
-    if len(closures.first):
-        terms.append(closures.factor("closures", Huber(kernel)))
-    return Problem(x.ravel(), terms, None, wrapping(np.arange(2, x.size, 3)))
+    if steps.edges:
+        terms.append(edge_factor(steps, "steps"))
+    if closures.edges:
+        terms.append(edge_factor(closures, "closures", Huber(kernel)))
+    x = steps.pose.ravel()
+    return Problem(x, terms, None, wrapping(np.arange(2, x.size, 3)))
 
 
 @dataclass(slots=True)
@@ -91,9 +86,9 @@ class Solved:
     _columns: dict[int, np.ndarray] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, made: Problem) -> "Solved":
-        found = minimise(made, SOLVE)
-        return cls(found.x.reshape(-1, 3), found, made)
+    def of(cls, asked: Problem) -> "Solved":
+        solution = minimise(asked, SOLVE)
+        return cls(solution.x.reshape(-1, 3), solution, asked)
 
     def __len__(self) -> int:
         return len(self.pose)
@@ -117,11 +112,11 @@ class Solved:
 
     def covariances(self) -> Float[np.ndarray, "n 3 3"]:
         """The covariance of every pose, over x, y, theta in `map`."""
-        found = self.solution
-        if found.information is None:
+        solution = self.solution
+        if solution.information is None:
             return np.full((len(self), 3, 3), np.inf)
         pattern = Pattern.of(self.problem)
         group = np.arange(3 * len(self)) // 3
-        H, _ = pattern.assemble(*zip(*[term.normal(found.x) for term in self.problem.terms], strict=True))
+        H, _ = pattern.assemble(*zip(*[term.normal(solution.x) for term in self.problem.terms], strict=True))
         pattern = pattern.dissected(group)
         return Information.of(H, pattern.elimination).blocks(np.arange(3 * len(self)).reshape(-1, 3))

@@ -58,31 +58,3 @@ def match(
     status = "failed" if pairs < cfg.least_pairs else "stopped" if iterations == cfg.iterations else "converged"
     pose[2] = se2.wrap_angle(pose[2])
     return IcpMatch(pose, status, int(pairs), int(iterations), float(np.sqrt(mean2)))
-
-
-def newton_pose(
-    m: Float[np.ndarray, "n 2"], z: Float[np.ndarray, "n 2"], start: Float[np.ndarray, "3"], iterations: int = 50
-) -> Float[np.ndarray, "3"]:
-    """The pose of least mean |m - T z|^2 by Newton's method, as the paper finds it; equals `se2.align(z, m)`.
-
-    Full Hessian, its theta term kept positive so that the step descends from anywhere.
-    """
-    x = np.array(start, float)
-    n = len(z)
-    for _ in range(iterations):
-        R = se2.rotation(float(x[2]))
-        turned = z @ R.T
-        e = turned + x[:2] - m
-        dz = np.column_stack([-turned[:, 1], turned[:, 0]])  # d(R z)/dtheta
-        g = np.array([e[:, 0].mean(), e[:, 1].mean(), (e * dz).sum() / n])
-        H = np.eye(3)
-        H[:2, 2] = H[2, :2] = dz.mean(axis=0)
-        curvature = ((dz * dz).sum() - (e * turned).sum()) / n
-        least = float(H[:2, 2] @ H[:2, 2])
-        H[2, 2] = curvature if curvature > least + 1e-9 else (dz * dz).sum() / n + 1e-9
-        step = np.linalg.solve(H, g)
-        x -= step
-        if np.abs(step).max() < 1e-13:
-            break
-    x[2] = se2.wrap_angle(x[2])
-    return x

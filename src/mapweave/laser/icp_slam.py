@@ -14,7 +14,7 @@ from .intensity import IntensityCalibration
 from .particle_grid import ParticleGrid
 from .particle_slam import as_points
 from .scan_matching import allowed_sd
-from .scan_odometry import ALONE, NO_INNOVATION, inside
+from .scan_odometry import NO_INNOVATION, alone_sd, inside
 from .trace import ScanInfo
 
 ONE = np.zeros(1, np.int64)
@@ -66,18 +66,18 @@ def step(
         return state, ScanInfo(NO_INNOVATION, len(b.q), 0, "empty")
     reach = float(b.r.max()) + 0.5
     cells = state.maps.cells(0, predicted[:2], reach)[:, :3]
-    found = match(np.concatenate([state.last, cells]), np.column_stack([b.s, b.q]), predicted, cfg.icp)
-    innovation = se2.between(predicted, found.pose)
-    wanted = found.status != "failed"
-    if wanted and state.gated and scan.odometry is not None:
-        wanted = inside(innovation, cfg.eps(sd))
-    _accept(state, b, found.pose if wanted else predicted)
-    return state, ScanInfo(innovation, len(b.q), found.pairs, "matched" if wanted else "odometry")
+    matched = match(np.concatenate([state.last, cells]), np.column_stack([b.s, b.q]), predicted, cfg.icp)
+    innovation = se2.between(predicted, matched.pose)
+    accepted = matched.status != "failed"
+    if accepted and state.gated and scan.odometry is not None:
+        accepted = inside(innovation, cfg.eps(sd))
+    _accept(state, b, matched.pose if accepted else predicted)
+    return state, ScanInfo(innovation, len(b.q), matched.pairs, "matched" if accepted else "odometry")
 
 
 def _increment(state: IcpState, scan: Scan, cfg: LaserConfig) -> tuple[np.ndarray, np.ndarray]:
     if scan.odometry is None:
-        return state.moved, ALONE
+        return state.moved, alone_sd(cfg.front_end)
     u = np.zeros(3) if state.odometry is None else se2.between(state.odometry, scan.odometry)
     state.odometry = np.asarray(scan.odometry)
     return u, allowed_sd(u, cfg.front_end)

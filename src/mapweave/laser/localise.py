@@ -1,5 +1,6 @@
 """A robot followed in a finished map: searched everywhere, then tracked by particles that share the one map."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from time import perf_counter
 
@@ -16,10 +17,36 @@ from .config import LaserConfig
 from .grid import GridMap, IntensityCalibration
 from .laser_map import ScanRecords
 from .likelihood_field import nearest_field
-from .localisation import Localisation
 from .localise_filter import LocaliseConfig, PlaceFilter
-from .scan_odometry import Carrier
+from .scan_odometry import ScanOdometry
 from .trace import ScanInfo, blended
+
+
+@dataclass(frozen=True, slots=True)
+class Localisation:
+    """One log tracked in a finished map.
+
+    track: poses in `map` at every odometry and every scan stamp (before the start was found: carried back by
+    odometry); scans: as for mapping, innovation against odometry. start: "given" or "global"; found_t: stamp [s] at
+    which the hypotheses had become one, None where they never did (a given start: the first stamp); found_scans:
+    scans used until then; matched: share of the returns after that which the map explains; trusted: whether that
+    share, and the hypotheses being one, speak for the answer; feature: the one really used.
+    """
+
+    robot: str
+    source: str
+    track: Track
+    scans: ScanRecords
+    start: str
+    found_t: float | None
+    found_scans: int | None
+    matched: float
+    trusted: bool
+    feature: str
+    particles: int
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    timing: Mapping[str, float] = field(default_factory=dict)
 
 
 def localise(
@@ -107,15 +134,15 @@ def _follow(
     start: Float[np.ndarray, "3"] | None,
     on_progress: Progress,
 ) -> _Way:
-    carrier = Carrier(cfg, feature=light[0], gated=False)
-    way = _Way(carrier.poses)
+    odometry = ScanOdometry(cfg.front_end, feature=light[0])
+    way = _Way(odometry.poses)
     explained: list[float] = []  # share of the returns, since the place was found
     for row, scan in enumerate(log.scans):
         b = beams(scan, *light, cfg.beam)
-        info = carrier.advance(scan, b)
+        info = odometry.advance(scan, b)
         on_progress("scans", row + 1, len(log.scans))
         points = _some(b, how.beams)
-        moved = se2.between(carrier.poses[way.at[-1]], carrier.poses[row]) if way.at else np.zeros(3)
+        moved = se2.between(odometry.poses[way.at[-1]], odometry.poses[row]) if way.at else np.zeros(3)
         far = np.hypot(moved[0], moved[1]) >= how.update_distance or abs(moved[2]) >= how.update_turn
         if len(points) < cfg.filter.least_beams or (way.at and not far):
             way.infos.append(ScanInfo(info.innovation, info.beams, 0, "skipped" if len(points) else "empty"))
@@ -130,7 +157,7 @@ def _follow(
                 way.restarts += 1
         else:
             particles.begin(start, points)
-        pose, matches, n_eff, resampled = particles.settle(b)
+        pose, matches, n_eff, resampled = particles.posterior(b)
         if particles.found:
             explained.append(matches / max(1, len(b.q)))
         if way.found is None:

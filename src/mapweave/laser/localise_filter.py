@@ -126,7 +126,7 @@ class PlaceFilter:
             narrow = max(spread[0], spread[1]) < how.found_xy and spread[2] < how.found_turn
             self.found = narrow and share > how.found_share
 
-    def settle(self, b: Beams) -> tuple[Float[np.ndarray, "3"], int, float, bool]:
+    def posterior(self, b: Beams) -> tuple[Float[np.ndarray, "3"], int, float, bool]:
         """The estimate, its matched returns, the effective number before drawing anew, and whether that was done."""
         pose, _, _ = self.cloud.middle()
         every = np.column_stack([b.s, b.q])

@@ -3,8 +3,7 @@
 import numpy as np
 
 from ..core import se2
-from .closures import Matcher
-from .team_config import ClosureConfig
+from .closures import ClosureConfig, Matcher
 from .team_graph import TeamGraph
 
 
@@ -33,12 +32,12 @@ class LoopSearch:
                 if cov is None:
                     continue
                 left -= 1
-                found = self.matcher.match(
+                match = self.matcher.match(
                     graph.place(k), graph.nodes[i].beams, se2.between(graph.pose[k], graph.pose[i]), cov
                 )
-                graph.close(k, i, found)
-                if found.accepted:
-                    moved = found.innovation @ np.linalg.solve(cov + 1e-12 * np.eye(3), found.innovation)
+                graph.close(k, i, match)
+                if match.accepted:
+                    moved = match.innovation @ np.linalg.solve(cov + 1e-12 * np.eye(3), match.innovation)
                     graph.due |= bool(moved > graph.cfg.resolve_innovation**2)
 
     def candidates(self, graph: TeamGraph, i: int) -> list[int]:

@@ -1,6 +1,5 @@
 """A laser log becomes a map: features chosen, estimator run, poses filled in at every stamp, grid laid."""
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any
@@ -13,6 +12,7 @@ from ..core.errors import DataError
 from ..core.laser_log import LaserLog
 from ..core.progress import Progress, no_progress
 from ..core.records import Event, Track
+from ..core.run import run
 from ..kernels._jit import set_threads
 from . import icp_slam, particle_slam
 from .beam import beams
@@ -50,13 +50,13 @@ def choose_feature(log: LaserLog, cfg: LaserConfig) -> Feature:
     return _calibrated(calibrate(scans, np.array([scan.odometry for scan in log.scans]), cfg.calibration), cfg)
 
 
-def _calibrated(found: IntensityCalibration | None, cfg: LaserConfig) -> Feature:
-    if found is None:
+def _calibrated(calibration: IntensityCalibration | None, cfg: LaserConfig) -> Feature:
+    if calibration is None:
         return Feature("none", None, ("no place was seen twice: intensity cannot be calibrated and is not used",))
-    if found.residual > cfg.calibration.most_residual:
-        told = f"intensity does not follow range and incidence (residual {found.residual:.2f} in log units)"
-        return Feature("none", found, (f"{told}: geometry alone is used",))
-    return Feature("normalised", found)
+    if calibration.residual > cfg.calibration.most_residual:
+        reason = f"intensity does not follow range and incidence (residual {calibration.residual:.2f} in log units)"
+        return Feature("none", calibration, (f"{reason}: geometry alone is used",))
+    return Feature("normalised", calibration)
 
 
 class _Begun:
@@ -70,12 +70,12 @@ class _Begun:
         return self.module.init(robot, cfg, rng, feature=f.name, calibration=f.calibration, gated=self.gated)
 
     def step(self, state: Any, event: Event, cfg: Any, rng: np.random.Generator) -> tuple[Any, Any]:
-        found: tuple[Any, Any] = self.module.step(state, event, cfg, rng)
-        return found
+        after: tuple[Any, Any] = self.module.step(state, event, cfg, rng)
+        return after
 
 
 def estimator(cfg: LaserConfig, feature: Feature) -> _Begun:
-    """The estimator of `cfg.method` with `init` and `step`, to be run by `mapweave.core.run.run`."""
+    """The estimator of `cfg.method` with `init` and `step`, to be run by `run`."""
     icp = cfg.method == "icp" or (cfg.method == "gated" and cfg.matcher == "icp")
     return _Begun(icp_slam if icp else particle_slam, feature, gated=cfg.method == "gated")
 
@@ -130,10 +130,9 @@ def map_laser(
     log: LaserLog,
     cfg: LaserConfig,
     seed: int,
-    run: Callable[[Any, Any, Iterator[Event], int], Iterator[Any]],
     on_progress: Progress = no_progress,
 ) -> LaserMap:
-    """The map of one log; `run` is `mapweave.core.run.run`, which lives above this room. The same for the same seed."""
+    """The map of one log, the same for the same seed."""
     cfg.check()
     if not len(log.scans):
         raise DataError(f"{log.source}: no scans")
@@ -160,8 +159,8 @@ def map_laser(
 
 
 def _information(infos: list[ScanInfo]) -> np.ndarray | None:
-    told = [i.information for i in infos if i.information is not None]
-    return np.array(told) if len(told) == len(infos) else None
+    known = [i.information for i in infos if i.information is not None]
+    return np.array(known) if len(known) == len(infos) else None
 
 
 def _first(log: LaserLog, poses: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ CLEAR = 4  # so many beams through for each far return and a cell is free all th
 TURN = float(np.radians(0.5))
 
 
-class Canvas:
+class OccupancyMapper:
     """Counts of returns and beams over the cells of one resolution [m]. `update` changes them.
 
     All are whole numbers, sums of points too: what is taken out leaves no trace.

@@ -17,7 +17,7 @@ from .beam import STEERING, Beams, beams
 from .config import FilterConfig, LaserConfig
 from .intensity import IntensityCalibration
 from .particle_grid import ParticleGrid
-from .scan_odometry import Carrier
+from .scan_odometry import ScanOdometry
 from .trace import ScanInfo, blended
 
 
@@ -26,10 +26,10 @@ class ParticleState:
     """P particles. `step` changes it in place: the maps are too large to copy.
 
     poses: (P, 3) in `local_k`; log_weight: (P,) since the last resampling; total: (P,) accumulated log-likelihood,
-    inherited; history: for every update the carrier's row, poses (P, 3) and ancestors (P,).
+    inherited; history: for every update the odometry's row, poses (P, 3) and ancestors (P,).
     """
 
-    carrier: Carrier
+    odometry: ScanOdometry
     maps: ParticleGrid
     poses: Float[np.ndarray, "p 3"]
     log_weight: Float[np.ndarray, " p"]
@@ -51,10 +51,11 @@ def init(
     """All particles at the origin of `local_k` with empty maps. `gated`: one particle that moves where it must."""
     P = 1 if gated else cfg.particles
     matching = cfg.filter.proposal == "front end"
-    carrier = Carrier(cfg, feature=feature, gated=gated, matching=matching)
+    gate = cfg.eps if gated else None
+    odometry = ScanOdometry(cfg.front_end, feature=feature, gate=gate, matching=matching)
     cells = replace(cfg.cells, alpha=cfg.raw_alpha) if feature == "raw" else cfg.cells
     zero = np.zeros(P)
-    return ParticleState(carrier, ParticleGrid(P, cells), np.zeros((P, 3)), zero, zero, feature, calibration)
+    return ParticleState(odometry, ParticleGrid(P, cells), np.zeros((P, 3)), zero, zero, feature, calibration)
 
 
 def step(
@@ -64,8 +65,8 @@ def step(
     if not isinstance(event.record, Scan):
         return state, None
     b = beams(event.record, state.feature, state.calibration, cfg.beam)
-    info = state.carrier.advance(event.record, b)
-    row = len(state.carrier.poses) - 1
+    info = state.odometry.advance(event.record, b)
+    row = len(state.odometry.poses) - 1
     if info.decision in {"first", "empty"} and state.history:
         return state, info
     points, weights = as_points(b), b.w.astype(np.float32)
@@ -74,13 +75,13 @@ def step(
         state.maps.insert(ancestors, state.poses, points, weights)
         state.history.append((row, state.poses, ancestors))
         return state, info
-    u = se2.between(state.carrier.poses[state.history[-1][0]], state.carrier.poses[row])
+    u = se2.between(state.odometry.poses[state.history[-1][0]], state.odometry.poses[row])
     d = float(np.hypot(u[0], u[1]))
     f = cfg.filter
     if (d < f.update_distance and abs(u[2]) < f.update_turn) or len(points) < f.least_beams:
         return state, replace(info, decision="skipped" if info.decision == "matched" else info.decision)
     state.poses = move(state.poses, u, f, rng)
-    if not (state.carrier.gated and info.decision == "odometry"):
+    if not (state.odometry.gate is not None and info.decision == "odometry"):
         state.poses = _refined(state, points, b, f)
     state.log_weight, state.total, matches = _weighed(state, points, cfg)
     n_eff, ancestors = _resampled(state, cfg, rng)
@@ -89,7 +90,7 @@ def step(
     many = len(state.poses) > 1  # a single hypothesis has no weight to tell of
     resampled = many and bool((state.log_weight == 0).all())
     n_eff = n_eff if many else np.nan
-    decision = info.decision if state.carrier.matching else "matched"
+    decision = info.decision if state.odometry.matching else "matched"
     return state, replace(info, matches=max(info.matches, matches), decision=decision, n_eff=n_eff, resampled=resampled)
 
 
@@ -101,7 +102,7 @@ def trajectory(state: ParticleState) -> Float[np.ndarray, "m 3"]:
         poses.append(now[i])
         i = int(ancestors[i])
     at = np.array([row for row, _, _ in state.history])
-    return blended(np.array(state.carrier.poses), at, np.array(poses[::-1]))
+    return blended(np.array(state.odometry.poses), at, np.array(poses[::-1]))
 
 
 def as_points(b: Beams) -> Float[np.ndarray, "n 3"]:

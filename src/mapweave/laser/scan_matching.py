@@ -43,6 +43,10 @@ class FrontEndConfig:
     wide_step: float = 0.03  # [rad]
     wide_under: float = 0.65
     reach: float = 0.1  # [m] a return this near its line counts as matched
+    least_beams: int = 10  # scans with fewer returns are not matched
+    least_share: float = 0.25  # share of the returns that must match, or odometry is taken
+    alone_xy: float = 0.25  # [m] a robot without odometry may move in a step, one sigma, and
+    alone_turn: float = 0.35  # [rad] turn
 
 
 def allowed_sd(u: Float[np.ndarray, "3"], c: FrontEndConfig) -> Float[np.ndarray, "3"]:
@@ -52,7 +56,7 @@ def allowed_sd(u: Float[np.ndarray, "3"], c: FrontEndConfig) -> Float[np.ndarray
     return np.array([xy, xy, c.sd_turn + c.sd_turn_per_m * d + c.sd_turn_per_rad * turn])
 
 
-class Motion(NamedTuple):
+class ScanMatch(NamedTuple):
     """pose: (3,) in the front end's own frame; information: (3, 3) over robot-frame x, y, theta; counts of returns."""
 
     pose: Float[np.ndarray, "3"]
@@ -78,7 +82,7 @@ class FrontEnd:
         self.keyframes: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         self.last_keyframe: np.ndarray | None = None
 
-    def match(self, b: Beams, predicted: Float[np.ndarray, "3"], sd: Float[np.ndarray, "3"]) -> Motion:
+    def match(self, b: Beams, predicted: Float[np.ndarray, "3"], sd: Float[np.ndarray, "3"]) -> ScanMatch:
         """Where the scan fits, given where odometry says; the map is not touched."""
         c = self.cfg
         n = len(b.q)
@@ -92,7 +96,7 @@ class FrontEnd:
                 count = self._count(self.fine, c.fine, b, tried[0], c.reach)
                 if count > matches:
                     (pose, H, _), matches = tried, count
-        return Motion(pose, H, se2.between(predicted, pose), matches, n)
+        return ScanMatch(pose, H, se2.between(predicted, pose), matches, n)
 
     def insert(self, b: Beams, pose: Float[np.ndarray, "3"]) -> bool:
         """True when `pose` was far enough from the last keyframe for its scan to become one."""

@@ -1,6 +1,8 @@
 """How the robot moved between two scans: odometry, a match against the local map, and a gate between them."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -8,13 +10,17 @@ from jaxtyping import Bool, Float
 from ..core import se2
 from ..core.records import Scan
 from .beam import STEERING, Beams
-from .config import LaserConfig
-from .scan_matching import FrontEnd, allowed_sd
+from .scan_matching import FrontEnd, FrontEndConfig, allowed_sd
 from .trace import ScanInfo
 
 NO_INNOVATION = np.zeros(3)
-LEAST_SHARE = 0.25  # of the returns must match, or odometry is taken
-ALONE = np.array([0.25, 0.25, 0.35])  # [m, m, rad] a robot without odometry may move in a step, one sigma
+
+
+class Increment(NamedTuple):
+    """u: (3,) odometry since the last scan (without odometry: as the robot moved last); sd: (3,) it may err by."""
+
+    u: Float[np.ndarray, "3"]
+    sd: Float[np.ndarray, "3"]
 
 
 def inside(innovation: Float[np.ndarray, "3"], eps: Float[np.ndarray, "3"]) -> bool:
@@ -23,59 +29,82 @@ def inside(innovation: Float[np.ndarray, "3"], eps: Float[np.ndarray, "3"]) -> b
     return bool(allowed.all())
 
 
-class Carrier:
+def alone_sd(cfg: FrontEndConfig) -> Float[np.ndarray, "3"]:
+    """Standard deviations [m, m, rad] of a step of a robot without odometry."""
+    return np.array([cfg.alone_xy, cfg.alone_xy, cfg.alone_turn])
+
+
+class ScanOdometry:
     """A trajectory through all scans that drifts but never jumps. It belongs to one state, which `advance` changes.
 
-    gated: a match outside the gate is refused and odometry taken; else only a match of too few returns is.
+    poses: one a scan, the first zero; step: (3,) the latest motion; lines: (3, 3) information of the walls alone on
+    the latest pose, over robot-frame x, y, theta (zero where no match was taken; asked for by `tell_lines`).
+    gate: what deviations from odometry [m, m, rad] it allows for the sd of an increment; a match outside is refused
+    and odometry taken. None: only a match of too few returns is refused. matching: False is odometry alone.
     """
 
-    def __init__(self, cfg: LaserConfig, *, feature: str, gated: bool, matching: bool = True) -> None:
-        self.cfg, self.gated, self.matching = cfg, gated, matching
+    def __init__(
+        self,
+        cfg: FrontEndConfig,
+        *,
+        feature: str = "none",
+        gate: Callable[[Float[np.ndarray, "3"]], Float[np.ndarray, "3"]] | None = None,
+        matching: bool = True,
+        tell_lines: bool = False,
+    ) -> None:
         steers = feature in STEERING
-        front_end = cfg.front_end if steers else replace(cfg.front_end, alpha=0.0)
-        self.front_end = FrontEnd(front_end, front_end.tangent if steers else front_end.bare_tangent)
+        self.cfg = cfg if steers else replace(cfg, alpha=0.0)
+        self.gate, self.matching, self.tell_lines = gate, matching, tell_lines
+        self.front_end = FrontEnd(self.cfg, cfg.tangent if steers else cfg.bare_tangent)
         self.poses: list[np.ndarray] = []
         self.odometry: np.ndarray | None = None
         self.step = np.zeros(3)
+        self.lines = np.zeros((3, 3))
+
+    @property
+    def pose(self) -> Float[np.ndarray, "3"]:
+        """The latest pose; zero before the first scan."""
+        return self.poses[-1] if self.poses else np.zeros(3)
+
+    def increment(self, odometry: Float[np.ndarray, "3"] | None) -> Increment:
+        """What odometry says of the motion since the last scan."""
+        if odometry is None:
+            return Increment(self.step, alone_sd(self.cfg))
+        u = np.zeros(3) if self.odometry is None else se2.between(self.odometry, odometry)
+        return Increment(u, allowed_sd(u, self.cfg))
 
     def advance(self, scan: Scan, b: Beams) -> ScanInfo:
-        """`poses` has one more: where the carrier's robot was at the scan."""
-        u, sd = self._increment(scan)
+        """`poses` has one more: where the robot was at the scan."""
+        u, sd = self.increment(scan.odometry)
+        self.odometry = None if scan.odometry is None else np.array(scan.odometry, float)
+        self.lines = np.zeros((3, 3))
+        n = len(b.q)
         if not self.poses:
-            return self._accept(
-                b, np.zeros(3), ScanInfo(NO_INNOVATION, len(b.q), 0, "first", information=np.zeros((3, 3)))
-            )
+            return self._accept(b, np.zeros(3), ScanInfo(NO_INNOVATION, n, 0, "first", information=np.zeros((3, 3))))
         predicted = se2.compose(self.poses[-1], u)
-        if len(b.q) < self.cfg.filter.least_beams:
-            info = ScanInfo(NO_INNOVATION, len(b.q), 0, "empty", information=np.diag(sd**-2.0))
-            return self._accept(None, predicted, info)
-        if not self.matching:
-            info = ScanInfo(NO_INNOVATION, len(b.q), 0, "odometry", information=np.diag(sd**-2.0))
-            return self._accept(None, predicted, info)
-        found = self.front_end.match(b, predicted, sd)
-        wanted = found.matches >= LEAST_SHARE * found.beams
-        if wanted and self.gated and scan.odometry is not None:
-            wanted = inside(found.innovation, self.cfg.eps(sd))
+        if n < self.cfg.least_beams or not self.matching:
+            decision = "odometry" if n >= self.cfg.least_beams else "empty"
+            info = ScanInfo(NO_INNOVATION, n, 0, decision, information=np.diag(sd**-2.0))
+            return self._accept(b, predicted, info)
+        match = self.front_end.match(b, predicted, sd)
+        accepted = match.matches >= self.cfg.least_share * match.beams
+        if accepted and self.gate is not None and scan.odometry is not None:
+            accepted = inside(match.innovation, self.gate(sd))
+        if accepted and self.tell_lines:
+            self.lines = self.front_end.information(b, match.pose)
         info = ScanInfo(
-            found.innovation,
-            found.beams,
-            found.matches,
-            "matched" if wanted else "odometry",
-            information=found.information if wanted else np.diag(sd**-2.0),
+            match.innovation,
+            match.beams,
+            match.matches,
+            "matched" if accepted else "odometry",
+            information=match.information if accepted else np.diag(sd**-2.0),
         )
-        return self._accept(b, found.pose if wanted else predicted, info)
+        return self._accept(b, match.pose if accepted else predicted, info)
 
-    def _increment(self, scan: Scan) -> tuple[np.ndarray, np.ndarray]:
-        if scan.odometry is None:
-            return self.step, ALONE
-        u = np.zeros(3) if self.odometry is None else se2.between(self.odometry, scan.odometry)
-        self.odometry = np.asarray(scan.odometry)
-        return u, allowed_sd(u, self.cfg.front_end)
-
-    def _accept(self, b: Beams | None, pose: np.ndarray, info: ScanInfo) -> ScanInfo:
+    def _accept(self, b: Beams, pose: np.ndarray, info: ScanInfo) -> ScanInfo:
         if self.poses:
             self.step = se2.between(self.poses[-1], pose)
         self.poses.append(pose)
-        if b is not None and self.matching:
+        if self.matching and len(b.q) >= self.cfg.least_beams:
             self.front_end.insert(b, pose)
         return info

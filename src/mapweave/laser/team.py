@@ -11,18 +11,17 @@ from ..core import se2
 from ..core.records import Scan, Track
 from .beam import Beams, beams
 from .closures import Closure, Matcher
+from .config import LaserTeamConfig
 from .grid import GridMap
-from .keyframes import Keyframe, Sweep
+from .keyframes import Keyframe, KeyframeOdometry, Sweep
 from .loop_search import LoopSearch
-from .occupancy_mapper import Canvas
+from .occupancy_mapper import OccupancyMapper
 from .pose_graph import PoseGraph
-from .team_config import LaserTeamConfig
 from .team_graph import TeamGraph
-from .team_odometry import RobotTrack
 
 
 class LaserTeam:
-    """The estimator of a team, changed by `look`, `deliver`, `bury` and `optimise`; everything else reads it.
+    """The estimator of a team, changed by `add_scan`, `deliver`, `remove_robot` and `optimise`; the rest reads it.
 
     starts: (M, 3) in `map`. It belongs to one mission; the same calls give the same numbers.
     """
@@ -31,7 +30,7 @@ class LaserTeam:
         self.cfg = cfg or LaserTeamConfig()
         self.starts = np.array(starts, dtype=float).reshape(-1, 3)
         M = len(self.starts)
-        self.tracks = [RobotTrack(j, self.cfg) for j in range(M)]
+        self.tracks = [KeyframeOdometry(j, self.cfg.keyframes, self.cfg.front_end) for j in range(M)]
         self.team = TeamGraph(self.cfg, self.starts)
         self.loops = LoopSearch(self.cfg.closures, Matcher(self.cfg.closures, self.cfg.front_end), M)
         self.sweeps: list[Sweep] = []
@@ -42,19 +41,20 @@ class LaserTeam:
         self._moved = np.zeros(M)  # [m] it drove before its latest scan
         self._offset = np.zeros((0, 3))  # of each sweep in its keyframe
         self._gone = np.zeros(M, dtype=bool)
-        self._canvas: dict[float, Canvas] = {}
+        self._mapper: dict[float, OccupancyMapper] = {}
 
-    def look(self, j: int, t: float, scan: Scan) -> Float[np.ndarray, "3"]:
+    def add_scan(self, j: int, t: float, scan: Scan) -> Float[np.ndarray, "3"]:
         """Robot j's latest pose in `map` after `scan`, taken at `t` [s]; what it learned waits until it is delivered.
 
-        The first look of a robot is taken at its start.
+        A robot's first scan is taken at its start.
         """
         track = self.tracks[j]
         b = self._without_teammates(j, t, beams(scan, "none", None, self.cfg.beams), scan)
-        local = track.look(b, scan.odometry)
-        made = track.keyframe(t, b)
-        if made is not None:
-            self._waiting[j].append(made)
+        track.advance(scan, b)
+        local = track.local
+        keyframe = track.keyframe(t, b)
+        if keyframe is not None:
+            self._waiting[j].append(keyframe)
         if track.last is not None:
             offset = se2.between(track.last.local, local)
             eye = np.array(scan.T_robot_sensor[:2], dtype=float)
@@ -81,7 +81,7 @@ class LaserTeam:
         self._now[j] = self._latest(j)
         return came
 
-    def bury(self, j: int) -> None:
+    def remove_robot(self, j: int) -> None:
         """Robot j is dead: what it had not delivered is gone; what it had stays."""
         self._waiting[j] = []
         self._gone[j] = True
@@ -135,7 +135,7 @@ class LaserTeam:
         if self.team.due or self.team.known < len(self.team) or self.team.solved is None:
             self._solve()
         assert self.team.solved is not None  # noqa: S101  (solving makes it)
-        n = self.cfg.steps
+        n = self.cfg.keyframes.noise
         jitter = np.diag(np.square([n.jitter_xy, n.jitter_xy, n.jitter_turn]))
         return np.asarray(self.team.solved.covariances() + jitter)
 
@@ -147,13 +147,13 @@ class LaserTeam:
 
     def grid(self, resolution: float) -> GridMap:
         """The merged map of all delivered scans; kept between calls, only scans that moved are laid in anew."""
-        canvas = self.canvas(resolution)
-        canvas.update(self.sweeps, self.sweep_poses())
-        return canvas.grid()
+        mapper = self.mapper(resolution)
+        mapper.update(self.sweeps, self.sweep_poses())
+        return mapper.grid()
 
-    def canvas(self, resolution: float) -> Canvas:
+    def mapper(self, resolution: float) -> OccupancyMapper:
         """What `grid` keeps at this resolution [m]."""
-        return self._canvas.setdefault(resolution, Canvas(resolution, self.cfg.near))
+        return self._mapper.setdefault(resolution, OccupancyMapper(resolution, self.cfg.near))
 
     def sweep_poses(self) -> Float[np.ndarray, "n 3"]:
         """Where each delivered scan was taken, in `map`."""

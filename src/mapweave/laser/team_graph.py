@@ -8,11 +8,11 @@ from jaxtyping import Float
 
 from ..core import se2
 from .closures import Closure, Matched, Place
-from .graph_problem import Links, Solved, problem
+from .config import LaserTeamConfig
+from .graph_problem import Solved, edge_factor, problem
 from .keyframes import Keyframe
 from .pose_graph import PoseGraph
-from .team_config import LaserTeamConfig
-from .team_odometry import carried
+from .step_noise import carried
 
 EXACT = 1e-4  # [m, rad] sd of the start that `map` hangs on
 
@@ -40,19 +40,19 @@ class TeamGraph:
         """How many keyframes the last solution holds."""
         return 0 if self.solved is None else len(self.solved)
 
-    def add(self, made: Keyframe) -> int:
+    def add(self, new: Keyframe) -> int:
         """The number of the new keyframe; it stands where its step puts it."""
-        of = self.of[made.robot]
-        pose, since = self.starts[made.robot], np.zeros((3, 3))
+        of = self.of[new.robot]
+        pose, since = self.starts[new.robot], np.zeros((3, 3))
         if of:
-            pose = se2.compose(self.pose[of[-1]], made.step)
+            pose = se2.compose(self.pose[of[-1]], new.step)
             before = np.zeros((3, 3)) if of[-1] < self.known else self._since[of[-1]]
-            since = carried(before, made.step) + made.cov
+            since = carried(before, new.step) + new.cov
         of.append(len(self.nodes))
-        self.nodes.append(made)
+        self.nodes.append(new)
         self._since.append(since)
         self.pose = np.concatenate([self.pose, np.asarray(pose)[None]])
-        self.robot, self.path = np.append(self.robot, made.robot), np.append(self.path, made.path)
+        self.robot, self.path = np.append(self.robot, new.robot), np.append(self.path, new.path)
         return of[-1]
 
     def anchor(self, i: int) -> int | None:
@@ -82,33 +82,38 @@ class TeamGraph:
         inside = np.hypot(rel[:, 0], rel[:, 1]) <= c.within
         return Place([(self.nodes[m].beams, rel[p]) for p, m in enumerate(near) if inside[p]])
 
-    def close(self, k: int, i: int, found: Matched) -> None:
+    def close(self, k: int, i: int, match: Matched) -> None:
         """The closure is on record and, when accepted, in the graph."""
         robots = (self.nodes[k].robot, self.nodes[i].robot)
-        self.closures.append(Closure(robots, k, i, *found))
+        self.closures.append(Closure(robots, k, i, *match))
 
-    def links(self) -> tuple[Links, Links]:
-        """Steps and accepted closures."""
+    def edges(self) -> tuple[PoseGraph, PoseGraph]:
+        """Steps and accepted closures, over the same poses."""
         steps = [(of[n - 1], of[n]) for of in self.of for n in range(1, len(of))]
         steps.sort(key=lambda pair: pair[1])
         later = [self.nodes[i] for _, i in steps]
-        believed = [c for c in self.closures if c.accepted]
+        covs = np.array([node.cov for node in later]).reshape(-1, 3, 3)
+        accepted = [c for c in self.closures if c.accepted]
         return (
-            _links(steps, [n.step for n in later], np.linalg.inv(np.array([n.cov for n in later]).reshape(-1, 3, 3))),
-            _links([(c.first, c.second) for c in believed], [c.measured for c in believed],
-                   np.array([c.information for c in believed]).reshape(-1, 3, 3)),
-        )  # fmt: skip
+            PoseGraph.of(self.pose, steps, [node.step for node in later], list(np.linalg.inv(covs))),
+            PoseGraph.of(
+                self.pose,
+                [(c.first, c.second) for c in accepted],
+                [c.measured for c in accepted],
+                [c.information for c in accepted],
+            ),
+        )
 
     def solve(self) -> None:
         """All poses at the optimum; closures that contradict the rest there are dropped, one after the other."""
         c = self.cfg
         while True:
-            steps, closed = self.links()
+            steps, closed = self.edges()
             first = [of[0] for of in self.of if of]
             robots = [self.nodes[i].robot for i in first]
             sd = np.array([[c.start_xy, c.start_xy, c.start_turn] if j else [EXACT] * 3 for j in robots])
             starts = (np.array(first), self.starts[robots], sd)
-            self.solved = Solved.of(problem(self.pose, steps, closed, starts, c.closures.kernel))
+            self.solved = Solved.of(problem(steps, closed, starts, c.closures.kernel))
             self.pose = np.array(self.solved.pose)
             if not self._drop_worst(closed):
                 break
@@ -117,26 +122,17 @@ class TeamGraph:
 
     def graph(self) -> PoseGraph:
         """Keyframes, steps and accepted closures."""
-        steps, closed = self.links()
-        both = [
-            np.concatenate([getattr(steps, name), getattr(closed, name)])
-            for name in ("first", "second", "measured", "information")
-        ]
-        return PoseGraph(self.pose, *both)
+        steps, closed = self.edges()
+        return steps.joined(closed)
 
-    def _drop_worst(self, closed: Links) -> bool:
-        if not len(closed.first):
+    def _drop_worst(self, closed: PoseGraph) -> bool:
+        if not closed.edges:
             return False
-        squares = closed.factor("closures").squares(self.pose.ravel())
+        squares = edge_factor(closed, "closures").squares(self.pose.ravel())
         worst = int(np.argmax(squares))
         if squares[worst] <= self.cfg.closures.contradiction:
             return False
         at = [p for p, c in enumerate(self.closures) if c.accepted][worst]
-        said = f"it contradicts the other measurements by {np.sqrt(squares[worst]):.1f} standard deviations"
-        self.closures[at] = replace(self.closures[at], accepted=False, reason=said)
+        reason = f"it contradicts the other measurements by {np.sqrt(squares[worst]):.1f} standard deviations"
+        self.closures[at] = replace(self.closures[at], accepted=False, reason=reason)
         return True
-
-
-def _links(pairs: list[tuple[int, int]], measured: list[np.ndarray], information: np.ndarray) -> Links:
-    both = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    return Links(both[:, 0], both[:, 1], np.array(measured, dtype=float).reshape(-1, 3), information)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ..laser.grid import GridMap
-from ..laser.localisation import Localisation
+from ..laser.localise import Localisation
 from .html import Page
 from .laser_figures import READABLE, draw_occupancy, map_size, map_window
 from .style import as_map, colour, figure

@@ -12,9 +12,9 @@ from ...core import se2
 from ...core.config import config
 from ...core.records import Scan
 from ...evaluation.building import Building, known_at
+from ...laser.config import LaserTeamConfig
 from ...laser.occupancy import Occupancy, of_grid
 from ...laser.team import LaserTeam
-from ...laser.team_config import LaserTeamConfig
 from ...sim.laser import stream
 from ...sim.laser_team import LaserRobotsConfig, LaserTeamSim
 from ..planner_interface import ask
@@ -46,14 +46,15 @@ class LaserMissionConfig:
 def with_odometry_noise(cfg: LaserMissionConfig, factor: float) -> LaserMissionConfig:
     """`cfg` with all odometry errors times `factor`, in the world and in the estimator alike."""
     odometry = replace(cfg.robots.odometry, factor=cfg.robots.odometry.factor * factor)
-    steps = cfg.team.steps
-    steps = replace(
-        steps,
-        wheels_xy=steps.wheels_xy * factor,
-        wheels_turn=steps.wheels_turn * factor,
-        wheels_turn_per_m=steps.wheels_turn_per_m * factor,
+    noise = cfg.team.keyframes.noise
+    noise = replace(
+        noise,
+        wheels_xy=noise.wheels_xy * factor,
+        wheels_turn=noise.wheels_turn * factor,
+        wheels_turn_per_m=noise.wheels_turn_per_m * factor,
     )
-    return replace(cfg, robots=replace(cfg.robots, odometry=odometry), team=replace(cfg.team, steps=steps))
+    team = replace(cfg.team, keyframes=replace(cfg.team.keyframes, noise=noise))
+    return replace(cfg, robots=replace(cfg.robots, odometry=odometry), team=team)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +168,7 @@ class LaserRun:
         for j, when in self.kills.items():
             if self.step >= when and self.alive[j]:
                 self.alive[j] = False
-                self.team.bury(j)
+                self.team.remove_robot(j)
                 self._views[j] = np.zeros((0, 2))
 
     def _look(self) -> tuple[Scan | None, ...]:
@@ -179,7 +180,7 @@ class LaserRun:
                 scans.append(None)
                 continue
             scan = self.sim.scan(j)
-            pose = self.team.look(j, self.sim.t, scan)
+            pose = self.team.add_scan(j, self.sim.t, scan)
             status = self.team.tracks[j].status
             self.status[j][status] = self.status[j].get(status, 0) + 1
             if self.step:

@@ -9,7 +9,6 @@ from jaxtyping import Float
 from ...core import se2
 from ...core.progress import Progress
 from ...core.records import Track
-from ...core.run import run
 from ...evaluation.trajectory import align_tracks, ate
 from ...laser.beam import beams
 from ...laser.config import LaserConfig
@@ -78,7 +77,7 @@ def compare(
         sim = simulate_corridor(loop, seed)
         for m, method in enumerate(chosen):
             on_progress("reproduce hara", s * len(chosen) + m, len(seeds) * len(chosen))
-            made = map_laser(sim.log, method.cfg or LaserConfig(method="icp", feature="none"), seed, run)
+            made = map_laser(sim.log, method.cfg or LaserConfig(method="icp", feature="none"), seed)
             track = made.track if method.cfg else made.dead_reckoning
             errors[m, s] = score(track, sim.truth) if track is not None else np.nan
             if seed == shown:
