@@ -6,6 +6,8 @@ from typing import Any, TypeVar
 
 import numba
 
+from ._cache import KernelCache
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 # The subset of fast-math that keeps NaN and infinity meaningful.
@@ -16,17 +18,12 @@ prange = numba.prange
 
 def kernel(fn: F) -> F:
     """`fn` compiled, cached on disk, exact IEEE arithmetic, one thread, without the GIL."""
-    return numba.njit(cache=True, nogil=True)(fn)  # type: ignore[no-any-return]
-
-
-def fast_kernel(fn: F) -> F:
-    """`kernel` with reassociation and fused operations: only where it was measured to pay."""
-    return numba.njit(cache=True, nogil=True, fastmath=SAFE_FASTMATH)(fn)  # type: ignore[no-any-return]
+    return _cached(numba.njit(nogil=True)(fn), fn, "kernel")
 
 
 def parallel_kernel(fn: F) -> F:
     """`kernel` whose `prange` loops use threads; results must not depend on how many."""
-    return numba.njit(cache=True, nogil=True, parallel=True, fastmath=SAFE_FASTMATH)(fn)  # type: ignore[no-any-return]
+    return _cached(numba.njit(nogil=True, parallel=True, fastmath=SAFE_FASTMATH)(fn), fn, "parallel")
 
 
 def set_threads(n: int) -> None:
@@ -38,3 +35,10 @@ def set_threads(n: int) -> None:
     if n == 0:
         n = round(most - os.getloadavg()[0]) if hasattr(os, "getloadavg") else most
     numba.set_num_threads(max(1, min(n, most)))
+
+
+def _cached(dispatcher: Any, fn: F, options: str) -> F:
+    """The dispatcher with a cache of its own; `fn` itself, which has none, where Numba compiles nothing."""
+    if dispatcher is not fn:
+        dispatcher._cache = KernelCache(fn, options)  # noqa: SLF001
+    return dispatcher  # type: ignore[no-any-return]

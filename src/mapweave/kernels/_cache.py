@@ -1,0 +1,104 @@
+"""Compiled kernels kept on disk: an entry is used only by the very sources and options that it was made from.
+
+Numba alone keys an entry by the file of the kernel. It does not see an edit of a function which that kernel calls in
+another file, it looks an entry up in files whose names an older source used before, and it raises on a torn one.
+"""
+
+import ast
+import hashlib
+import inspect
+import logging
+import os
+import pickle
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+
+import numba
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+log = logging.getLogger(__name__)
+
+BROKEN = (pickle.UnpicklingError, EOFError, ValueError, TypeError, AttributeError, ImportError, IndexError, KeyError)
+
+
+class KernelCache(FunctionCache):
+    """The entries of one kernel, in files whose names carry the digest of all that its code depends on.
+
+    A torn entry is told, put aside and built anew; where nothing can be written the kernel is compiled and not kept.
+    """
+
+    def __init__(self, kernel: Callable[..., object], options: str) -> None:
+        super().__init__(kernel)
+        self._stem: str = self._impl.filename_base
+        self._digest = digest(inspect.getfile(kernel), options)
+        self._cache_file = IndexDataCacheFile(self.cache_path, f"{self._stem}-{self._digest}", self._digest)
+
+    def load_overload(self, sig: object, target_context: object) -> object:
+        try:
+            return super().load_overload(sig, target_context)
+        except BROKEN as error:
+            log.warning("%s: compiled code in %s is torn (%r): built anew", self._stem, self.cache_path, error)
+            self._put_aside()
+            return None
+        except OSError:
+            return None
+
+    def save_overload(self, sig: object, data: object) -> None:
+        try:
+            super().save_overload(sig, data)
+        except BROKEN:
+            self._put_aside()
+        except OSError as error:
+            log.warning("%s: compiled, but not kept in %s: %s", self._stem, self.cache_path, error)
+        for old in self._files():
+            if self._digest not in old.name:
+                _remove(old)
+
+    def _put_aside(self) -> None:
+        for torn in self._files():
+            if self._digest in torn.name:
+                _remove(torn)
+
+    def _files(self) -> list[Path]:
+        folder = Path(self.cache_path)
+        return [f for end in ("nbi", "nbc") for f in folder.glob(f"{self._stem}-*.{end}")]
+
+
+@cache
+def digest(file: str, options: str) -> str:
+    """16 hexadecimal digits of the sources that the kernels of `file` are made from, and of what compiles them."""
+    compiler = (numba.__version__, numba.config.OPT, numba.config.BOUNDSCHECK, options)
+    total = hashlib.sha256(repr(compiler).encode())
+    for source in sorted(sources(Path(file).resolve())):
+        total.update(source.name.encode() + b"\0" + source.read_bytes() + b"\0")
+    return total.hexdigest()[:16]
+
+
+def sources(file: Path) -> set[Path]:
+    """`file` and every file that it imports by a relative import, and those that they import."""
+    found: set[Path] = set()
+    left = [file]
+    while left:
+        now = left.pop()
+        if now not in found:
+            found.add(now)
+            left += _imported(now)
+    return found
+
+
+@cache
+def _imported(file: Path) -> tuple[Path, ...]:
+    out = []
+    for node in ast.walk(ast.parse(file.read_bytes())):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            base = file.parents[node.level - 1].joinpath(*(node.module or "").split("."))
+            names = [base.with_suffix(".py"), base / "__init__.py", *(base / f"{a.name}.py" for a in node.names)]
+            out += [name for name in names if name.is_file()]
+    return tuple(out)
+
+
+def _remove(file: Path) -> None:
+    with suppress(OSError):
+        os.unlink(file)  # noqa: PTH108  (a file that another process removed first is no error)
