@@ -13,10 +13,10 @@ import numpy as np
 import mapweave
 from mapweave.api.locate import COMMANDED
 from mapweave.core import se2
-from mapweave.evaluation.swarm import similarity
+from mapweave.evaluation.swarm_shape import similarity
 from mapweave.io.angulation import as_sightings, read_angulation
 from mapweave.io.team_bearings import read_team_bearings, read_team_truth
-from mapweave.swarm.moving.odometry import motion
+from mapweave.swarm.moving.odometry import odometry_steps
 
 HEADING = 0.5 * np.pi  # true of all nine places
 
@@ -122,7 +122,7 @@ def _dead_reckoning(table, odometry, truth) -> float:
     for name in table.ids:
         t = np.arange(max(table.t[0], odometry[name].t[0]), min(table.t[-1], odometry[name].t[-1]), 0.5)
         ok, at = _true(truth, name, t)
-        p = motion(odometry[name], t, COMMANDED).pose[ok, :2]
+        p = odometry_steps(odometry[name], t, COMMANDED).pose[ok, :2]
         errors.append(np.sum((se2.act(se2.align(p, at), p) - at) ** 2, axis=1))
     return float(np.sqrt(np.mean(np.concatenate(errors))))
 

@@ -16,7 +16,7 @@ from mapweave.swarm.meeting import meet
 from mapweave.swarm.moving.drive import smooth_driving
 from mapweave.swarm.moving.factors import odometry_factor, sighting_factor, velocity_factor
 from mapweave.swarm.moving.filtering import filtered
-from mapweave.swarm.moving.odometry import motion
+from mapweave.swarm.moving.odometry import odometry_steps
 from mapweave.swarm.moving.result import TrackConfig
 from mapweave.swarm.moving.smooth import smooth
 
@@ -159,7 +159,7 @@ def test_two_odometry_frames_meet_from_bearings_alone():
 
 def test_odometry_between_instants_follows_arcs_and_scales():
     rows = Odometry(np.array([0.0, 1.0]), np.array([1.0, 2.0]), np.array([0.0, np.pi / 2]))
-    said = motion(rows, np.array([0.0, 0.5, 1.0, 2.0]), TrackConfig())
+    said = odometry_steps(rows, np.array([0.0, 0.5, 1.0, 2.0]), TrackConfig())
     assert said.delta[0] == pytest.approx([0.5, 0.0, 0.0])
     assert said.delta[2] == pytest.approx([4 / np.pi, 4 / np.pi, np.pi / 2])  # a quarter turn of radius 4 / pi
     assert said.slope[0, 0, 0] == pytest.approx(0.5)

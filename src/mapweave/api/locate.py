@@ -11,20 +11,22 @@ from ..core.bearings import BearingTable
 from ..core.errors import DataError, UsageError
 from ..core.gaussian import chi2_quantile
 from ..core.records import Odometry
+from ..evaluation.swarm import StandingScore, score_moving, score_standing, scored_robots, true_places
 from ..io.directory import check_target, result_directory
 from ..io.sightings import SwarmTruth, read_swarm_odometry, read_swarm_truth
-from ..io.team_bearings import read_team_bearings, read_team_truth
+from ..io.team_bearings import read_team_bearings
 from ..swarm.config import Method, SwarmConfig
 from ..swarm.locate import locate as estimate
 from ..swarm.moving.drive import smooth_driving
 from ..swarm.moving.filtering import filtered as follow_filtered
 from ..swarm.moving.result import SwarmTrack, TrackConfig
 from ..swarm.moving.smooth import smooth
-from .located import Located
+from ..swarm.network import Network
+from ..swarm.result import SwarmEstimate
+from .located import Located, standing_swarm
 from .located_common import Settings
 from .moving_result import Moved
-from .swarm_input import Place, SwarmInput, prepare
-from .swarm_score import places_of, score_estimate, score_track
+from .swarm_input import Place, SwarmInput, is_team_log, prepare, read_truth
 
 # Odometry of real robots says what was commanded: turns are off by a tenth, a few sightings are gross.
 COMMANDED = TrackConfig(slip_floor=0.003, slip=0.04, turn_floor=0.005, turn=0.05, scale_w=0.1, kernel=2.0)
@@ -67,13 +69,13 @@ def locate(
         check_target(Path(out), force=force)
     began = perf_counter()
     log: Mapping[str, Odometry] | None = None
-    if not isinstance(sightings, BearingTable) and _is_team_log(Path(sightings)):
+    if not isinstance(sightings, BearingTable) and is_team_log(Path(sightings)):
         sightings, log = read_team_bearings(Path(sightings))
         axis = False
     known = dict(anchors or {})
     given = prepare(sightings, anchors=known, dim=dim, sigma=sigma, distances=distances, axis=axis, until=until)
     read = perf_counter()
-    settings = Settings(method, seed, {"read": read - began}, _truth(truth))
+    settings = Settings(method, seed, {"read": read - began}, None if truth is None else read_truth(Path(truth)))
     if settings.truth is not None and not set(settings.truth.ids) & set(given.table.ids):
         raise DataError(f"{truth}: the truth names none of the robots")
     stamped = given.table.t is not None and len(np.unique(given.table.t)) > 1
@@ -101,7 +103,7 @@ def _stand(given: SwarmInput, settings: Settings, initial: Path | str | None, *,
     wanted = len(net) <= MANY if covariance is None else covariance
     start = None
     if initial is not None:
-        start = places_of(read_swarm_truth(Path(initial)), net.ids, net.dim)
+        start = true_places(read_swarm_truth(Path(initial)), net.ids, net.dim)
         missing = np.flatnonzero(~np.isfinite(start).all(axis=1))
         if len(missing):
             raise DataError(f"{initial}: no place for robot {net.ids[missing[0]]}")
@@ -110,9 +112,22 @@ def _stand(given: SwarmInput, settings: Settings, initial: Path | str | None, *,
     settings.timing["solve"] = solved - began
     score = None
     if settings.truth is not None:
-        score = score_estimate(net, found, settings.truth, bound=wanted)
+        score = _score(net, found, settings.truth, bound=wanted)
         settings.timing["score"] = perf_counter() - solved
     return Located(given, settings, net, found, score)
+
+
+def _score(net: Network, found: SwarmEstimate, truth: SwarmTruth, *, bound: bool) -> StandingScore:
+    """`found` against `truth`; `bound`: also the Cramer-Rao bound at the truth (as much work as the covariances)."""
+    standing = standing_swarm(net, found)
+    places = true_places(truth, net.ids, net.dim)
+    have, use = np.isfinite(places).all(axis=1), scored_robots(standing, places)
+    crlb = None
+    if bound and not found.gauge and have[found.localisable].all() and use.any() and np.any(net.sigma > 0):
+        at_truth = estimate(net, SwarmConfig(max_iterations=0), np.where(have[:, None], places, found.position))
+        if at_truth.cov is not None:
+            crlb = float(np.sqrt(np.trace(at_truth.cov[use], axis1=1, axis2=2).mean()))
+    return score_standing(standing, truth, crlb)
 
 
 def _stood_still(given: SwarmInput, settings: Settings, *, covariance: bool | None) -> Located | None:
@@ -142,21 +157,13 @@ def _drive(given: SwarmInput, settings: Settings, rows: Mapping[str, Odometry], 
 
 def _moved(given: SwarmInput, settings: Settings, track: SwarmTrack, seconds: float) -> Moved:
     settings.timing["solve"] = seconds
-    score = there = None
-    if settings.truth is not None:
-        score, there = score_track(track, given.table.ids, list(given.anchors), settings.truth)
-    return Moved(given, settings, track, score, there or {})
-
-
-def _truth(path: Path | str | None) -> SwarmTruth | None:
-    if path is None:
-        return None
-    where = Path(path)
-    return read_team_truth(where) if _is_team_log(where) else read_swarm_truth(where)
-
-
-def _is_team_log(path: Path) -> bool:
-    return path.is_dir() or path.suffix.lower() == ".zip"
+    if settings.truth is None:
+        return Moved(given, settings, track, None, {})
+    ids = given.table.ids
+    left_out = {ids[k] for k in range(len(ids)) if k in given.anchors or not track.localisable(k)}
+    named = {ids[k]: one for k, one in track.tracks.items()}
+    score, there = score_moving(named, left_out, track.gauge, settings.truth)
+    return Moved(given, settings, track, score, {ids.index(name): q for name, q in there.items()})
 
 
 def _tuned(motion: TrackConfig | None, settings: Settings) -> TrackConfig:

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from ..io.positions import write_positions, write_track
+from ..evaluation.swarm import StandingScore, StandingSwarm, SwarmScore
+from ..io.positions import track_files, write_network, write_positions, write_track
 from ..report.swarm import NetworkStory, write_network_report
 from ..swarm.network import Network
 from ..swarm.result import SwarmEstimate
-from .located_common import NO_SCORE, Settings, counts, file_name, head, told_dropped, told_sigma, write_rest
+from .located_common import NO_SCORE, Settings, counts, head, told_dropped, told_sigma, write_rest
 from .swarm_input import SwarmInput
-from .swarm_score import SwarmScore
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,11 @@ class Located:
     settings: Settings
     network: Network
     estimate: SwarmEstimate
-    score: SwarmScore | None
+    scored: StandingScore | None
+
+    @property
+    def score(self) -> SwarmScore | None:
+        return None if self.scored is None else self.scored.score
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -91,20 +95,23 @@ class Located:
         return [*told, *(f"warning: {text}" for text in self.warnings)]
 
     def write(self, out: Path) -> None:
-        """positions.csv, metrics.json, report.html, figures/ and, for stamped sightings, trajectories/."""
+        """positions.csv, network.npz, metrics.json, report.html, figures/ and, for stamped sightings, trajectories/."""
         e = self.estimate
         seen, wild = self.counts()
         write_positions(
             out / "positions.csv", e.ids, e.position, e.cov, e.localisable, seen, wild, e.heading, e.heading_var
         )
+        scored = standing_swarm(self.network, e)
+        write_network(out / "network.npz", scored.pairs, scored.information)
         t = self.given.table.t
         if t is not None:
+            files = track_files(e.ids)
             for k, name in enumerate(e.ids):
                 rows = (self.given.table.observer == k) | (self.given.table.target == k)
                 at = np.unique(t[rows])
                 place = np.tile(e.position[k], (len(at), 1))
                 cov = None if e.cov is None else np.tile(e.cov[k], (len(at), 1, 1))
-                write_track(out / "trajectories" / f"{file_name(name)}.csv", at, place, cov)
+                write_track(out / "trajectories" / files[name], at, place, cov)
         write_network_report(out, self.story(), self.lines(), self.metrics())
         write_rest(out, self.given, self.metrics())
 
@@ -113,10 +120,19 @@ class Located:
         return counts(len(self.estimate.ids), self.network.observer, self.network.target, self.estimate.outlier)
 
     def story(self) -> NetworkStory:
-        score = self.score
+        scored = self.scored
         return NetworkStory(
             self.network,
             self.estimate,
-            None if score is None else score.truth,
-            None if score is None else score.aligned,
+            None if scored is None else scored.truth,
+            None if scored is None else scored.aligned,
         )
+
+
+def standing_swarm(net: Network, found: SwarmEstimate) -> StandingSwarm:
+    """What is scored of `found`; the joint information stands where it says what the covariances say."""
+    pairs = np.column_stack([net.observer, net.target])
+    joint = found.information if found.cov is not None and not found.gauge and np.any(net.sigma > 0) else None
+    return StandingSwarm(
+        found.ids, found.position, found.cov, found.localisable, found.anchor, found.gauge, pairs, joint
+    )

@@ -81,8 +81,3 @@ def told_dropped(given: SwarmInput) -> list[str]:
         return []
     some = ", ".join(f"line {r.line} ({r.observer} sees {r.target}: {r.reason})" for r in given.dropped[:5])
     return [f"{len(given.dropped)} rows left out: {some}{', ..' if len(given.dropped) > 5 else ''}"]
-
-
-def file_name(name: str) -> str:
-    """A robot's name as a file name."""
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name)

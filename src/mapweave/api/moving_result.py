@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.gaussian import chi2_quantile
-from ..io.positions import write_positions, write_track
+from ..evaluation.swarm import SwarmScore
+from ..io.positions import track_files, write_positions, write_track
 from ..report.swarm import MovedStory, write_moved_report
 from ..swarm.moving.result import SwarmTrack
 from ..swarm.result import Status
-from .located_common import NO_SCORE, Settings, counts, file_name, head, told_dropped, told_sigma, write_rest
+from .located_common import NO_SCORE, Settings, counts, head, told_dropped, told_sigma, write_rest
 from .swarm_input import SwarmInput
-from .swarm_score import SwarmScore
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,15 +35,7 @@ class Moved:
     @property
     def not_localisable(self) -> tuple[str, ...]:
         """Robots without a track, and those whose positions are less sure than the swarm is wide."""
-        tracks = self.track.tracks
-        everywhere = np.concatenate([one.position for one in tracks.values()])
-        width = float(np.linalg.norm(np.quantile(everywhere, 0.9, axis=0) - np.quantile(everywhere, 0.1, axis=0)))
-        lost = []
-        for k, name in enumerate(self.given.table.ids):
-            one = tracks.get(k)
-            if one is None or (one.cov is not None and np.sqrt(np.trace(one.cov, axis1=1, axis2=2)).min() > width):
-                lost.append(name)
-        return tuple(lost)
+        return tuple(name for k, name in enumerate(self.given.table.ids) if not self.track.localisable(k))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -110,11 +102,9 @@ class Moved:
         table, tracks = self.given.table, self.track.tracks
         n, d = len(table.ids), table.dim
         last, cov, found = np.full((n, d), np.nan), np.full((n, d, d), np.nan), np.zeros(n, dtype=bool)
-        lost = set(self.not_localisable)
+        lost, files = set(self.not_localisable), track_files(table.ids)
         for k, one in tracks.items():
-            write_track(
-                out / "trajectories" / f"{file_name(table.ids[k])}.csv", one.t, one.position, one.cov, one.heading
-            )
+            write_track(out / "trajectories" / files[table.ids[k]], one.t, one.position, one.cov, one.heading)
             last[k], found[k] = one.position[-1], table.ids[k] not in lost
             if one.cov is not None:
                 cov[k] = one.cov[-1]

@@ -9,7 +9,8 @@ from jaxtyping import Float
 
 from ..core.bearings import BearingTable, parse_angle
 from ..core.errors import DataError, UsageError
-from ..io.sightings import Dropped, read_sightings
+from ..io.sightings import Dropped, SwarmTruth, read_sightings, read_swarm_truth
+from ..io.team_bearings import read_team_truth
 from ..swarm.contradiction import contradictions, shares_an_axis
 from ..swarm.network import DEFAULT_SIGMA, Distance, Network
 
@@ -109,6 +110,16 @@ def prepare(
             raise DataError(f"{name}: no sightings are left: all contradict each other")
     known, apart = _known(name, table, anchors, distances)
     return SwarmInput(name, table, known, apart, said, dropped, tuple(told))
+
+
+def read_truth(path: Path) -> SwarmTruth:
+    """The true places or poses of robots: a table `id,x,y[,z][,t]`, or the folder or zip of a landmark log."""
+    return read_team_truth(path) if is_team_log(path) else read_swarm_truth(path)
+
+
+def is_team_log(path: Path) -> bool:
+    """Whether `path` is what a landmark log comes in: a folder or a zip."""
+    return path.is_dir() or path.suffix.lower() == ".zip"
 
 
 def _filled(table: BearingTable, sigma: float | str | None) -> tuple[Float[np.ndarray, " m"], str]:

@@ -31,7 +31,7 @@ FLOAT = 8  # bytes
 
 
 @dataclass(frozen=True, slots=True)
-class Links:
+class MessageLinks:
     """Directed links a -> b, both ways for every pair with a sighting; `back[k]` is the opposite of link k."""
 
     a: Int[np.ndarray, " l"]
@@ -73,16 +73,18 @@ def distributed(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = Non
     return finish(net, start, settled, problem, cfg, "distributed", traffic=traffic, notes=notes, pattern=pattern)
 
 
-def links_of(net: Network) -> Links:
+def links_of(net: Network) -> MessageLinks:
     """Who talks to whom: both ends of every sighting, both ways."""
     n = len(net)
     there, back = net.observer * n + net.target, net.target * n + net.observer
     key = np.unique(np.concatenate([there, back]))
     a, b = key // n, key % n
-    return Links(a, b, np.searchsorted(key, b * n + a), np.searchsorted(key, there))
+    return MessageLinks(a, b, np.searchsorted(key, b * n + a), np.searchsorted(key, there))
 
 
-def relaxed(net: Network, links: Links, usual: float, max_rounds: int) -> tuple[Float[np.ndarray, "n d"], Traffic]:
+def relaxed(
+    net: Network, links: MessageLinks, usual: float, max_rounds: int
+) -> tuple[Float[np.ndarray, "n d"], Traffic]:
     """The linear start by Jacobi over-relaxation from the anchors' midpoint, and what was said."""
     n, dim = len(net), net.dim
     u = net.direction
@@ -113,7 +115,7 @@ def relaxed(net: Network, links: Links, usual: float, max_rounds: int) -> tuple[
 
 
 def believed(
-    net: Network, links: Links, start: Float[np.ndarray, "n d"], cfg: SwarmConfig
+    net: Network, links: MessageLinks, start: Float[np.ndarray, "n d"], cfg: SwarmConfig
 ) -> tuple[Float[np.ndarray, "n d"], Traffic]:
     """Gaussian belief propagation from `start`, linearised anew as the beliefs move."""
     n, dim = len(net), net.dim
@@ -160,14 +162,14 @@ def _firm(A: np.ndarray) -> np.ndarray:
     return np.asarray(A + (1e-13 * np.abs(A).max(axis=(1, 2)) + 1e-30)[:, None, None] * np.eye(A.shape[1]))
 
 
-def _by_link(links: Links, value: np.ndarray) -> np.ndarray:
+def _by_link(links: MessageLinks, value: np.ndarray) -> np.ndarray:
     """Sightings' values summed on their link and its opposite."""
     out = np.zeros((len(links.a), *value.shape[1:]))
     np.add.at(out, links.of_sighting, value)
     return np.asarray(out + out[links.back])
 
 
-def _linearised(net: Network, links: Links, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _linearised(net: Network, links: MessageLinks, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """W (l, d, d) and s (l, d): information and pull of all sightings on a link; size (l,): from pull to radians."""
     u, r = bearing.predict(at[net.observer], at[net.target])
     e = bearing.log_map(u, net.direction)

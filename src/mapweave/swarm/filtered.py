@@ -10,6 +10,7 @@ from .config import SwarmConfig
 from .factors import bearing_factor
 from .gauge import gauge_of
 from .graph import components
+from .joint import JointInformation
 from .kalman import FilterState, Form, filter_start, update
 from .linear import linear_pattern, linear_start
 from .network import Network
@@ -59,7 +60,7 @@ def report(net: Network, state: FilterState, form: Form) -> SwarmEstimate:
     if not exact and len(state.free):
         inverse = np.zeros_like(full)
         inverse[np.ix_(state.free, state.free)] = np.linalg.inv(state.P)
-        information = sp.csc_matrix(inverse)
+        information = JointInformation(sp.csc_matrix(inverse), held, dim)
     return SwarmEstimate(
         ids=net.ids,
         dim=dim,
@@ -78,5 +79,4 @@ def report(net: Network, state: FilterState, form: Form) -> SwarmEstimate:
         reliable=not doubts and bool((seen.localisable & ~net.is_anchor).any()),
         warnings=(*doubts, *layout_warnings(net, seen.localisable, seen.in_line)),
         information=information,
-        held=held,
     )

@@ -9,6 +9,7 @@ from ..solve import Status as SolveStatus
 from . import factors
 from .config import SwarmConfig
 from .gauge import basis, normalise
+from .joint import JointInformation
 from .network import Network
 from .posterior_covariance import spread_of
 from .result import Status, SwarmEstimate, Traffic
@@ -52,8 +53,6 @@ def finish(
     if gauge.name and information is not None:
         x = (position if heading is None else np.concatenate([position, heading[:, None]], axis=1)).ravel()
         information = _information_at(problem, x, information, pattern)
-    held = np.ones(n * w, dtype=bool)
-    held[solution.free] = False
     G, C = basis(net, gauge, position)
     found = None
     if information is not None and cfg.covariance:
@@ -98,8 +97,7 @@ def finish(
         weak_anchors=weak,
         mode_share=None if found is None else found.mode_share,
         traffic=traffic,
-        information=None if information is None else _embedded(information, solution.free, n * w),
-        held=held,
+        information=None if information is None else _embedded(information, solution.free, n, w),
         gauge_motions=G if gauge.name else None,
         gauge_conditions=C if gauge.name else None,
     )
@@ -116,7 +114,10 @@ def _information_at(problem: Problem, x: np.ndarray, known: Information, pattern
         return None if known.size else known
 
 
-def _embedded(A: Information, free: np.ndarray, size: int) -> sp.csc_matrix:
+def _embedded(A: Information, free: np.ndarray, n: int, width: int) -> JointInformation:
     """The information over the whole state; fixed entries have none."""
+    held = np.ones(n * width, dtype=bool)
+    held[free] = False
     coo = A.matrix.tocoo()
-    return sp.csc_matrix((coo.data, (free[coo.row], free[coo.col])), shape=(size, size))
+    whole = sp.csc_matrix((coo.data, (free[coo.row], free[coo.col])), shape=(n * width, n * width))
+    return JointInformation(whole, held, width)

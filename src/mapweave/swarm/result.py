@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-import scipy.sparse as sp
 from jaxtyping import Bool, Float
-from scipy.sparse.linalg import splu
 
 from ..core.arrays import frozen
+from .joint import JointInformation
 
 
 class Status(StrEnum):
@@ -63,8 +62,7 @@ class SwarmEstimate:
     weak_anchors: bool = False
     mode_share: float | None = None
     traffic: Traffic | None = None
-    information: sp.csc_matrix | None = None
-    held: Bool[np.ndarray, " s"] | None = None  # scalars of `information` that are fixed
+    information: JointInformation | None = None
     gauge_motions: Float[np.ndarray, "s g"] | None = None
     gauge_conditions: Float[np.ndarray, "s g"] | None = None
 
@@ -79,52 +77,24 @@ class SwarmEstimate:
     def not_localisable(self) -> tuple[str, ...]:
         return tuple(name for name, ok in zip(self.ids, self.localisable, strict=True) if not ok)
 
-    @property
-    def state_width(self) -> int:
-        """Scalars a robot in `information`: its coordinates, then its heading where it has one."""
-        return self.dim + (self.heading is not None)
-
     def joint(self, robots: Sequence[int] | np.ndarray) -> Float[np.ndarray, "k k"]:
         """Joint covariance [m^2] of the positions of `robots` (indices, all localisable), coordinates together.
 
         In the gauge named; anchors have zero rows. Raises ValueError when the estimate carries no information matrix.
         """
-        if self.information is None or self.held is None:
+        if self.information is None:
             raise ValueError("this estimate carries no information matrix")
-        width, chosen = self.state_width, np.asarray(robots, dtype=np.intp)
+        width, chosen = self.information.width, np.asarray(robots, dtype=np.intp)
         rows = (width * chosen[:, None] + np.arange(self.dim)).ravel()
-        E = np.zeros((self.information.shape[0], len(rows)))
+        E = np.zeros((self.information.matrix.shape[0], len(rows)))
         E[rows, np.arange(len(rows))] = 1.0
         if self.gauge_motions is not None and self.gauge_conditions is not None:
             G, C = self.gauge_motions, self.gauge_conditions
             E -= C @ np.linalg.solve(G.T @ C, G.T @ E)
-        E[self.held] = 0.0
-        out = np.zeros((len(rows), len(rows)))
-        free = ~self.held
-        lu = splu(
-            sp.csc_matrix(self.information[free][:, free]),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-        out = E[free].T @ lu.solve(E[free])
-        return np.asarray(0.5 * (out + out.T))
+        return self.information.covariance(E)
 
     def nees(self, truth: Float[np.ndarray, "n d"]) -> tuple[float, int]:
         """`e^T P^-1 e` over all localisable free robots jointly, and its degrees of freedom; no gauge may be free."""
-        if self.information is None or self.held is None or self.gauge:
+        if self.information is None or self.gauge:
             raise ValueError("no information matrix, or a gauge that truth does not share")
-        n, w = len(self.ids), self.state_width
-        wanted = np.zeros((n, w), dtype=bool)
-        wanted[self.localisable, : self.dim] = True
-        free = ~self.held
-        keep, rest = np.flatnonzero(wanted.ravel() & free), np.flatnonzero(~wanted.ravel() & free)
-        error = np.zeros((n, w))
-        error[:, : self.dim] = np.where(self.localisable[:, None], self.position - truth, 0.0)
-        e = error.ravel()[keep]
-        A = sp.csr_matrix(self.information)
-        value = float(e @ (A[keep][:, keep] @ e))
-        g = A[rest][:, keep] @ e
-        if np.any(g):
-            value -= float(g @ splu(sp.csc_matrix(A[rest][:, rest])).solve(g))
-        return value, len(keep)
+        return self.information.nees(self.position - truth, self.localisable)

@@ -12,7 +12,7 @@ from ...core.errors import DataError
 from ...core.records import Odometry
 from .grow import grow
 from .poses import PoseProblem
-from .result import RobotTrack, SwarmTrack, TrackConfig, without_outliers
+from .result import RobotTrajectory, SwarmTrack, TrackConfig, without_outliers
 from .smooth import solve_velocity
 
 Anchors = Mapping[int, Float[np.ndarray, "2"]]
@@ -56,7 +56,8 @@ def smooth_driving(
     for robot in sorted(placed):
         rows = problem.line.of(robot)
         pose = solution.x[problem.index[rows]]
-        tracks[robot] = RobotTrack(problem.line.t[rows], pose[:, :2], None if cov is None else cov[rows], pose[:, 2])
+        own = None if cov is None else cov[rows]
+        tracks[robot] = RobotTrajectory(problem.line.t[rows], pose[:, :2], own, pose[:, 2])
     scale = {k: (1.0 + solution.x[c], 1.0 + solution.x[d]) for k, (c, d) in problem.scales.items() if k in placed}
     gauge = (
         ""

@@ -12,7 +12,7 @@ from ...core.errors import DataError
 from ...core.gaussian import joseph, solve_psd, symmetrise
 from .. import bearing as model
 from .factors import velocity_noise
-from .result import RobotTrack, SwarmTrack, TrackConfig
+from .result import RobotTrajectory, SwarmTrack, TrackConfig
 from .smooth import solve_velocity
 
 START = 3  # instants that are smoothed to begin with
@@ -20,7 +20,7 @@ ROUNDS = 3  # of linearising one instant's sightings anew
 
 
 @dataclass(frozen=True, slots=True)
-class FilterState:
+class MotionState:
     """All robots at time `t` [s]. x: (n 2d,) position and velocity of each robot that moves; P: their covariance."""
 
     t: float
@@ -47,37 +47,37 @@ def filtered(
         raise DataError(f"a filter needs more than {START} instants, found {len(stamps)}")
     moving = np.setdiff1d(np.unique(np.concatenate([table.observer, table.target])), list(anchors))
     begin = _begin(table.rows(table.t <= stamps[START - 1]), moving, anchors, cfg)
-    out: list[FilterState] = []
+    out: list[MotionState] = []
     chi2, rows = 0.0, 0
     for state, value, count in _run(table, stamps[START:], begin, moving, anchors, cfg):
         out.append(state)
         chi2, rows = chi2 + value, rows + count
     d = table.dim
     t = np.array([s.t for s in out])
-    tracks = {int(k): RobotTrack(t[:1], np.asarray(p)[None]) for k, p in anchors.items()}
+    tracks = {int(k): RobotTrajectory(t[:1], np.asarray(p)[None]) for k, p in anchors.items()}
     for i, k in enumerate(moving.tolist()):
         at = 2 * d * i + np.arange(d)
-        tracks[k] = RobotTrack(t, np.stack([s.x[at] for s in out]), np.stack([s.P[np.ix_(at, at)] for s in out]))
+        tracks[k] = RobotTrajectory(t, np.stack([s.x[at] for s in out]), np.stack([s.P[np.ix_(at, at)] for s in out]))
     none = np.zeros(len(table.observer), dtype=bool)
     return SwarmTrack(tracks, "filtered", converged=True, iterations=len(out), chi2=chi2, dof=rows, outlier=none)
 
 
-def predict(state: FilterState, t: float, d: int, q: float) -> FilterState:
+def predict(state: MotionState, t: float, d: int, q: float) -> MotionState:
     """The state at `t`: positions go on at their velocities, which wander."""
     dt, robots = t - state.t, len(state.x) // (2 * d)
     eye = np.eye(d)
     F1 = np.kron(np.array([[1.0, dt], [0.0, 1.0]]), eye)
     Q1 = np.kron(velocity_noise(np.array([dt]), q)[0], eye)
     F, Q = np.kron(np.eye(robots), F1), np.kron(np.eye(robots), Q1)
-    return FilterState(t, F @ state.x, symmetrise(F @ state.P @ F.T + Q))
+    return MotionState(t, F @ state.x, symmetrise(F @ state.P @ F.T + Q))
 
 
 def update(
-    state: FilterState,
+    state: MotionState,
     table: BearingTable,
     moving: Int[np.ndarray, " n"],
     anchors: Mapping[int, Float[np.ndarray, " d"]],
-) -> tuple[FilterState, float, int]:
+) -> tuple[MotionState, float, int]:
     """The state given one instant's sightings, linearised anew `ROUNDS` times; also NIS and its dof."""
     d = table.dim
     place = np.full(len(table.ids), -1)
@@ -98,7 +98,7 @@ def update(
         if step == 0:
             nis = float(e @ solve_psd(S, e))
         x = state.x + K @ innovation
-    return FilterState(state.t, x, joseph(state.P, K, H, np.diag(R))), nis, len(R)
+    return MotionState(state.t, x, joseph(state.P, K, H, np.diag(R))), nis, len(R)
 
 
 def _linear(
@@ -123,7 +123,7 @@ def _linear(
 
 def _begin(
     table: BearingTable, moving: Int[np.ndarray, " n"], anchors: Mapping[int, Float[np.ndarray, " d"]], cfg: TrackConfig
-) -> FilterState:
+) -> MotionState:
     """Everybody at the last instant of `table`, with their joint covariance."""
     line, solution, index = solve_velocity(table, anchors, cfg)
     last = []
@@ -139,22 +139,22 @@ def _begin(
     for i, knot in enumerate(last):
         if line.t[knot] < now:  # seen last a little earlier: carried on alone
             mine = slice(2 * d * i, 2 * d * (i + 1))
-            part = predict(FilterState(float(line.t[knot]), x[mine], P[mine, mine]), now, d, cfg.acceleration)
+            part = predict(MotionState(float(line.t[knot]), x[mine], P[mine, mine]), now, d, cfg.acceleration)
             F = np.kron(np.array([[1.0, now - line.t[knot]], [0.0, 1.0]]), np.eye(d))
             P[mine] = F @ P[mine]
             P[:, mine] = P[:, mine] @ F.T
             x[mine], P[mine, mine] = part.x, part.P
-    return FilterState(now, x, symmetrise(P))
+    return MotionState(now, x, symmetrise(P))
 
 
 def _run(
     table: BearingTable,
     stamps: Float[np.ndarray, " k"],
-    state: FilterState,
+    state: MotionState,
     moving: Int[np.ndarray, " n"],
     anchors: Mapping[int, Float[np.ndarray, " d"]],
     cfg: TrackConfig,
-) -> Iterator[tuple[FilterState, float, int]]:
+) -> Iterator[tuple[MotionState, float, int]]:
     assert table.t is not None  # noqa: S101
     order = np.argsort(table.t, kind="stable")
     edges = np.searchsorted(table.t[order], np.append(stamps, np.inf))

@@ -13,7 +13,7 @@ STEP = 1e-4  # by which the scales of v and w are varied
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class OdometrySteps:
     """Between k + 1 instants. pose: (k + 1, 3) in the robot's own odometry frame; delta: (k, 3) in the frame of the
     pose before; slope: (k, 3, 2) of delta by relative errors of v and w; sigma: (k, 3) [m, m, rad].
     """
@@ -24,16 +24,16 @@ class Motion:
     sigma: Float[np.ndarray, "k 3"]
 
 
-def motion(rows: Odometry | None, t: Float[np.ndarray, " K"], cfg: TrackConfig) -> Motion:
+def odometry_steps(rows: Odometry | None, t: Float[np.ndarray, " K"], cfg: TrackConfig) -> OdometrySteps:
     """The motion between the instants `t` (ascending); a robot without odometry stands still."""
     if rows is None:
         k = len(t) - 1
-        return Motion(np.zeros((k + 1, 3)), np.zeros((k, 3)), np.zeros((k, 3, 2)), np.full((k, 3), 1e-6))
+        return OdometrySteps(np.zeros((k + 1, 3)), np.zeros((k, 3)), np.zeros((k, 3, 2)), np.full((k, 3), 1e-6))
     pose = _integrate(rows, t, 1.0, 1.0)
     delta = _steps(pose)
     by_v = (_steps(_integrate(rows, t, 1.0 + STEP, 1.0)) - delta) / STEP
     by_w = (_steps(_integrate(rows, t, 1.0, 1.0 + STEP)) - delta) / STEP
-    return Motion(pose, delta, np.stack([by_v, by_w], axis=-1), _noise(rows, t, cfg))
+    return OdometrySteps(pose, delta, np.stack([by_v, by_w], axis=-1), _noise(rows, t, cfg))
 
 
 def _pieces(rows: Odometry, t: Float[np.ndarray, " K"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ from ...core.bearings import BearingTable
 from ...core.records import Odometry
 from ...solve import Factor, Problem, Solution, SolveConfig, Term, minimise, wrapping
 from .factors import odometry_factor, prior_factor, sighting_factor
-from .odometry import motion
+from .odometry import odometry_steps
 from .result import TrackConfig
 from .timeline import Timeline, timeline
 
@@ -49,7 +49,7 @@ class PoseProblem:
         still = (present - set(odometry)) | set(anchors)
         line = timeline(table, still, cfg.merge)
         robots = np.unique(line.robot).tolist()
-        parts = [motion(None if k in still else odometry[k], line.t[line.of(k)], cfg) for k in robots]
+        parts = [odometry_steps(None if k in still else odometry[k], line.t[line.of(k)], cfg) for k in robots]
         K = len(line)
         scales = {k: (3 * K + 2 * i, 3 * K + 2 * i + 1) for i, k in enumerate(robots)}
         return cls(

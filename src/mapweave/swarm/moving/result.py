@@ -32,7 +32,7 @@ class TrackConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class RobotTrack:
+class RobotTrajectory:
     """One robot over time. t: (k,) [s]; position: (k, d) [m]; cov: (k, d, d) or None; heading: (k,) [rad] or None."""
 
     t: Float[np.ndarray, " k"]
@@ -63,7 +63,7 @@ class SwarmTrack:
     it was held, "" when anchors fix all; scale: by robot index, the factors found on its odometry's v and w.
     """
 
-    tracks: Mapping[int, RobotTrack]
+    tracks: Mapping[int, RobotTrajectory]
     method: str
     converged: bool
     iterations: int
@@ -73,3 +73,14 @@ class SwarmTrack:
     gauge: str = ""
     warnings: tuple[str, ...] = ()
     scale: Mapping[int, tuple[float, float]] | None = None
+
+    def localisable(self, robot: int) -> bool:
+        """Whether `robot` (index) has a track, at its surest position better known than the swarm is wide."""
+        one = self.tracks.get(robot)
+        if one is None:
+            return False
+        if one.cov is None:
+            return True
+        everywhere = np.concatenate([each.position for each in self.tracks.values()])
+        width = float(np.linalg.norm(np.quantile(everywhere, 0.9, axis=0) - np.quantile(everywhere, 0.1, axis=0)))
+        return bool(np.sqrt(np.trace(one.cov, axis1=1, axis2=2)).min() <= width)

@@ -9,7 +9,7 @@ from ...core.bearings import BearingTable
 from ...core.errors import DataError
 from ...solve import Problem, Solution, SolveConfig, minimise
 from .factors import prior_factor, ray_factor, sighting_factor, velocity_factor
-from .result import RobotTrack, SwarmTrack, TrackConfig, without_outliers
+from .result import RobotTrajectory, SwarmTrack, TrackConfig, without_outliers
 from .timeline import Timeline, timeline
 
 Anchors = Mapping[int, Float[np.ndarray, " d"]]
@@ -29,7 +29,7 @@ def smooth(
     tracks = {}
     for robot in np.unique(line.robot).tolist():
         rows = line.of(robot)
-        tracks[robot] = RobotTrack(line.t[rows], solution.x[index[rows, :d]], None if cov is None else cov[rows])
+        tracks[robot] = RobotTrajectory(line.t[rows], solution.x[index[rows, :d]], None if cov is None else cov[rows])
     seen = sighting_factor(_pair(line, index, d), table.direction, table.sigma)
     out, chi2, dof = without_outliers(seen.squares(solution.x), d - 1, solution, cfg)
     return SwarmTrack(tracks, "smoothed", solution.converged, solution.iterations, chi2, dof, out)
