@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Protocol, cast, runtime_checkable
 
 from ..core.errors import ReaderError, UsageError
+from ..core.threads import one_blas_thread
 
 
 @runtime_checkable
@@ -32,6 +33,7 @@ JUDGES: tuple[str, ...] = (
 )
 
 
+@one_blas_thread()
 def evaluate(directory: Path | str, truth: Path | str | Sequence[Path | str]) -> Evaluation:
     """The score of the result in `directory` against `truth` (one or more files of one kind).
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
 from ..core.progress import Progress, no_progress
+from ..core.threads import one_blas_thread
 from ..exploration.landmarks.config import ExploreConfig
 from ..exploration.landmarks.experiment import CALIBRATED, Mission, explore_many, explore_once, noise_factor, with_noise
 from ..exploration.landmarks.result import ExploreResult
@@ -29,6 +30,7 @@ POSITIVE = (
 ASSOCIATIONS = ("known", "nn", "jcbb")
 
 
+@one_blas_thread()
 def explore(
     scenario: str = "yuan",
     out: Path | str | None = None,

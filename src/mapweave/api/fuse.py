@@ -8,6 +8,7 @@ from ..core.config import load
 from ..core.errors import DataError, ReaderError, UsageError
 from ..core.names import in_order
 from ..core.progress import Progress, no_progress
+from ..core.threads import one_blas_thread
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse
 from ..io.directory import check_target, result_directory
@@ -16,6 +17,7 @@ from ..landmarks.local_map import LocalMap
 from .team import TeamResult, Watch, team_result
 
 
+@one_blas_thread()
 def fuse_results(
     directories: Path | str | Sequence[Path | str],
     out: Path | str | None = None,

@@ -13,6 +13,7 @@ from ..core.errors import ReaderError, UsageError
 from ..core.progress import Progress, no_progress
 from ..core.records import Track
 from ..core.run import robot_rng
+from ..core.threads import one_blas_thread
 from ..core.version import __version__
 from ..io.directory import check_target, result_directory, write_json
 from ..io.grid import NAME, read_grid
@@ -81,6 +82,7 @@ class LocalizeResult:
         return lines
 
 
+@one_blas_thread()
 def localize(
     log: Path | str,
     map: Path | str,  # noqa: A002  (the option's name)

@@ -11,6 +11,7 @@ from ..core.bearings import BearingTable
 from ..core.errors import DataError, UsageError
 from ..core.gaussian import chi2_quantile
 from ..core.records import Odometry
+from ..core.threads import one_blas_thread
 from ..evaluation.swarm import StandingScore, score_moving, score_standing, scored_robots, true_places
 from ..io.directory import check_target, result_directory
 from ..io.sightings import SwarmTruth, read_swarm_odometry, read_swarm_truth
@@ -33,6 +34,7 @@ COMMANDED = TrackConfig(slip_floor=0.003, slip=0.04, turn_floor=0.005, turn=0.05
 MANY = 20_000  # robots beyond which covariances are left out unless asked for
 
 
+@one_blas_thread()
 def locate(
     sightings: Path | str | BearingTable,
     out: Path | str | None = None,

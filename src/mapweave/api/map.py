@@ -8,6 +8,7 @@ from typing import Protocol, cast, runtime_checkable
 
 from ..core.errors import ReaderError, UsageError
 from ..core.progress import Progress, no_progress
+from ..core.threads import one_blas_thread
 from ..io.directory import check_target, result_directory
 from .map_options import LaserOptions, MapOptions, MapResult
 
@@ -30,6 +31,7 @@ MAPPERS: tuple[str, ...] = (
 )
 
 
+@one_blas_thread()
 def map_logs(
     logs: Path | str | Sequence[Path | str],
     out: Path | str | None = None,

@@ -4,12 +4,14 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ..core.recording import TeamRecording
+from ..core.threads import one_blas_thread
 from ..core.version import __version__
 from ..io.directory import result_directory, write_json
 from ..io.mrclam import write_mrclam
 from ..sim.landmarks import TeamWorld, simulate_team
 
 
+@one_blas_thread()
 def simulate_landmarks(
     out: Path | str | None = None,
     *,

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from ..core.errors import UsageError
+from ..core.threads import one_blas_thread
 from ..io.mcap import write_mcap
 from ..io.tum import write_tum
 from ..sim.corridor import CorridorConfig, simulate_corridor
@@ -13,6 +14,7 @@ from ..sim.tunnel import TunnelConfig, simulate_tunnel
 World = CorridorConfig | OfficeConfig | TunnelConfig
 
 
+@one_blas_thread()
 def simulate_laser(out: Path | str | None = None, world: World | None = None, *, seed: int = 0) -> LaserSimulation:
     """The drive (the same for the same seed) through `world`, the ring corridor unless another is given.
 

@@ -5,12 +5,14 @@ from pathlib import Path
 import numpy as np
 
 from ..core.errors import UsageError
+from ..core.threads import one_blas_thread
 from ..io.swarm import write_sightings
 from ..io.table import write_table
 from ..sim.swarm import Swarm, SwarmScene
 from ..sim.swarm import simulate_swarm as simulate
 
 
+@one_blas_thread()
 def simulate_swarm(out: Path | str | None = None, scene: SwarmScene | None = None, *, seed: int = 0) -> Swarm:
     """The swarm (the same for the same seed), written to `out` and beside it when a file is given.
 

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ...core.progress import Progress, no_progress
+from ...core.threads import one_blas_thread
 from ...core.version import __version__
 from ...io.directory import check_target, result_directory, write_json
 from ...swarm.locate import locate
@@ -196,6 +197,7 @@ class HamataniReproduction:
         }
 
 
+@one_blas_thread()
 def reproduce_hamatani(
     out: Path | str | None = None,
     *,

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...core.progress import Progress, no_progress
+from ...core.threads import one_blas_thread
 from ...core.version import __version__
 from ...io.directory import check_target, result_directory, write_json
 from . import page as report
@@ -86,6 +87,7 @@ class HaraReproduction:
         }
 
 
+@one_blas_thread()
 def reproduce_hara(
     out: Path | str | None = None,
     *,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...core.progress import Progress, no_progress
+from ...core.threads import one_blas_thread
 from ...core.version import __version__
 from ...fusion.relative_information import Weights
 from ...io.directory import check_target, result_directory, write_json
@@ -176,6 +177,7 @@ class KojimaReproduction:
         }
 
 
+@one_blas_thread()
 def reproduce_kojima(
     out: Path | str | None = None,
     *,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...core.progress import Progress, no_progress
+from ...core.threads import one_blas_thread
 from ...core.version import __version__
 from ...core.workers import worker_pool
 from ...exploration.landmarks.config import ExploreConfig
@@ -174,6 +175,7 @@ def _mission(
     return Mission(find_scenario("yuan"), robots, planner, until, cfg=cfg)
 
 
+@one_blas_thread()
 def reproduce_yuan(
     out: Path | str | None = None,
     *,
