@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mapweave.core.wall_index import WallIndex
 from mapweave.kernels.walls.raycast import cast
 
 
@@ -60,3 +61,26 @@ def test_nothing_is_hit_beyond_the_reach():
     r, what, _ = cast(sensor, np.array([0.0, np.pi]), segments, np.zeros((1, 0, 3)), 5.0)
     assert what.tolist() == [[0, -1]]
     assert r[0, 0] == 3.0
+
+
+@pytest.mark.kernel
+@pytest.mark.parametrize("wall", [[3.0, -1, 3, 400], [400.0, -400, -394, 400], [-300, -0.5, 300, 1.5]])
+def test_a_long_wall_is_hit_though_its_middle_and_its_ends_are_out_of_reach(wall):
+    segments = np.array([wall, [0.0, 90.0, 1.0, 90.0]], float)
+    sensor = np.array([[0.0, 0.0, 0.3]])
+    angles = np.linspace(-np.pi, np.pi, 37)
+    r, what, cosine = cast(sensor, angles, segments, np.zeros((1, 0, 3)), 6.0)
+    grid = WallIndex.of(segments).cast(sensor, angles, np.zeros((1, 0, 3)), 6.0)
+    hits = 0
+    for j, angle in enumerate(angles):
+        want = dense(sensor[0], angle, segments, np.zeros((0, 3)))
+        if want[0] < 6.0:
+            hits += 1
+            assert what[0, j] == want[1]
+            assert np.isclose(r[0, j], want[0])
+            assert np.isclose(cosine[0, j], want[2])
+        else:
+            assert np.isinf(r[0, j])
+    assert hits >= 5
+    assert np.array_equal(grid[1], what)
+    np.testing.assert_allclose(grid[0], r)

@@ -120,6 +120,23 @@ def test_a_bad_start_converges_with_damping_to_the_same_minimum():
     np.testing.assert_allclose(far.x, near.x, atol=1e-7)
 
 
+@pytest.mark.parametrize("start", [1.3930, 1.3945, -1.4])
+def test_a_step_that_goes_uphill_by_less_than_a_hundredth_is_not_taken(start):
+    # a full step on arctan(x) from a little beyond 1.39175 ends as far beyond on the other side
+    full = start - np.arctan(start) * (1 + start**2)
+    assert 1.0 < (np.arctan(full) / np.arctan(start)) ** 2 < 1.01
+    factor = Factor(
+        columns=np.array([[0]]),
+        residual=lambda x: np.arctan(x)[None, :],
+        jacobian=lambda x: (1 / (1 + x**2))[None, :, None],
+        rows=1,
+    )
+    solution = minimise(Problem(x0=np.array([start]), terms=[factor]))
+    assert solution.converged
+    assert abs(solution.x[0]) < 1e-6
+    assert all(b < a for a, b in zip(solution.costs, solution.costs[1:], strict=False))
+
+
 def test_the_order_of_the_terms_does_not_matter():
     rng = np.random.default_rng(7)
     problem = as_problem(*pose_landmark_world(rng), rng)
