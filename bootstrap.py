@@ -1,6 +1,7 @@
 """Sets everything up in `.venv` and runs one job: `python3 bootstrap.py demo` or `python3 bootstrap.py test`.
 
-Needs Python >= 3.11 and nothing else. Words after the job go to it: `python3 bootstrap.py test -k se2`.
+Needs Python >= 3.11 and nothing else. Words after the job go to it: `python3 bootstrap.py test -k se2`;
+`python3 bootstrap.py test --all` runs the slow tests too.
 """
 
 import os
@@ -30,8 +31,11 @@ def main() -> int:
         return done.returncode
     if job == "demo":
         return subprocess.run([str(python), "-m", "mapweave", "demo", *more], check=False).returncode
-    workers = ["-n", "auto"] if not any(word.startswith("-n") for word in more) else []
-    return subprocess.run([str(python), "-m", "pytest", *workers, *more], cwd=HERE, check=False).returncode
+    usual = {"-n": "-nauto", "--dist": "--dist=worksteal", "--durations": "--durations=15"}
+    words = [word for name, word in usual.items() if not any(given.startswith(name) for given in more)]
+    # one thread a process: the workers share the cores
+    environ = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "Agg"} | os.environ
+    return subprocess.run([str(python), "-m", "pytest", *words, *more], cwd=HERE, env=environ, check=False).returncode
 
 
 if __name__ == "__main__":
