@@ -34,7 +34,7 @@ def lint(tmp_path):
         file.parent.mkdir(exist_ok=True)
         (file.parent / "__init__.py").touch()
         file.write_text(line + "\n")
-        done = subprocess.run(  # noqa: S603
+        done = subprocess.run(
             [sys.executable, "-c", "from importlinter.cli import lint_imports_command as main; main()", "--no-cache"],
             cwd=tmp_path,
             env=os.environ | {"PYTHONPATH": str(tmp_path), "NO_COLOR": "1", "COLUMNS": "200"},
