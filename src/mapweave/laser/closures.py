@@ -51,7 +51,8 @@ class Closure:
 
     measured: (3,) pose of second in first; information: (3, 3) in second's frame; innovation: (3,) by which the match
     differs from the estimate, in second's frame; share: of the returns matched; nis: squared innovation in standard
-    deviations (None when no match was made); reason: plain words.
+    deviations (None when no match was made); reason: plain words; score, runner_up: of the best pose of a search and
+    of the best one elsewhere, 0 to 1 (None without a search).
     """
 
     robots: tuple[int, int]
@@ -64,6 +65,8 @@ class Closure:
     innovation: Float[np.ndarray, "3"]
     share: float
     nis: float | None
+    score: float | None = None
+    runner_up: float | None = None
 
 
 class Place(NamedTuple):
@@ -82,6 +85,8 @@ class Matched(NamedTuple):
     innovation: Float[np.ndarray, "3"]
     share: float
     nis: float | None
+    score: float | None = None
+    runner_up: float | None = None
 
 
 class Matcher:

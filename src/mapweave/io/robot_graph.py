@@ -1,0 +1,149 @@
+"""One robot's laser keyframe graph as a file: what merging and going on tomorrow need."""
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from ..core.errors import ReaderError
+from ..laser.closures import Closure
+from ..laser.intensity import IntensityCalibration
+from ..laser.robot_graph import RobotGraph
+from .npz import write_npz
+
+NAME = "robot_graph.npz"
+VERSION = 1
+ARRAYS = ("t", "pose", "cov", "path", "step", "step_information", "start", "lined", "sensor")
+THIN = ("points", "normals", "q")  # float32: a scanner's noise is a thousand times their rounding
+
+
+def write_robot_graph(path: Path, graph: RobotGraph) -> None:
+    """`path` holds the graph; the same graph gives the same bytes."""
+    calibration = graph.calibration
+    held: dict[str, np.ndarray] = {
+        "version": np.array(VERSION),
+        "text": np.array([graph.robot, graph.feature, graph.source, graph.log_hash]),
+        **{_key(name): getattr(graph, name) for name in ARRAYS},
+        **{name: np.asarray(a, np.float32) for name in THIN if (a := getattr(graph, name)) is not None},
+        **_closures(graph.closures),
+    }
+    if calibration is not None:
+        held |= {
+            "light_knots": calibration.knots,
+            "light_log_gain": calibration.log_gain,
+            "light_numbers": np.array(
+                [calibration.exponent, calibration.scale, calibration.residual, calibration.samples]
+            ),
+            "light_residual": calibration.residual_by_range,
+        }
+    write_npz(path, **held)
+
+
+def read_robot_graph(path: Path) -> RobotGraph:
+    """The graph in `path`; raises ReaderError when it is missing, damaged or of another version."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            held = {name: file[name] for name in file.files}
+        version = int(held["version"])
+        if version != VERSION:
+            raise ReaderError(path, f"expected a laser graph of version {VERSION}, found {version}")
+        return _made(held)
+    except OSError as error:
+        raise ReaderError(path, error.strerror or "it cannot be read") from None
+    except (KeyError, ValueError, IndexError, zipfile.BadZipFile, EOFError) as error:
+        raise ReaderError(path, f"it is no laser graph, or damaged: {error}") from None
+
+
+def _key(name: str) -> str:
+    """An array's name in the file, where `path` is how far was driven and no file."""
+    return "driven" if name == "path" else name
+
+
+def _made(held: dict[str, np.ndarray]) -> RobotGraph:
+    robot, feature, source, log_hash = (str(word) for word in held["text"])
+    n, m = len(held["t"]), len(held["points"])
+    shapes = {
+        "pose": (n, 3),
+        "cov": (n, 3, 3),
+        "path": (n,),
+        "step": (max(n - 1, 0), 3),
+        "step_information": (max(n - 1, 0), 3, 3),
+        "start": (n + 1,),
+        "points": (m, 2),
+        "normals": (m, 2),
+        "lined": (m,),
+        "sensor": (n, 2),
+    }
+    for name, shape in shapes.items():
+        found = held[_key(name)]
+        if found.shape != shape:
+            raise ValueError(f"{name} has shape {found.shape}, expected {shape}")
+        if not np.isfinite(found).all():
+            raise ValueError(f"{name} has numbers that are not finite")
+    start = held["start"]
+    if start[0] != 0 or start[-1] != m or (np.diff(start) < 0).any():
+        raise ValueError("start does not part the points")
+    light = None
+    if "light_knots" in held:
+        exponent, scale, residual, samples = held["light_numbers"].tolist()
+        light = IntensityCalibration(
+            held["light_knots"],
+            held["light_log_gain"],
+            exponent,
+            scale,
+            residual,
+            int(samples),
+            held["light_residual"],
+        )
+    return RobotGraph(
+        robot=robot,
+        closures=_read_closures(held, n),
+        points=held["points"],
+        normals=held["normals"],
+        q=held.get("q"),
+        feature=feature,
+        calibration=light,
+        source=source,
+        log_hash=log_hash,
+        **{name: held[_key(name)] for name in ARRAYS},
+    )
+
+
+def _closures(closures: tuple[Closure, ...]) -> dict[str, np.ndarray]:
+    m = len(closures)
+    numbers = [[np.nan if v is None else v for v in (c.share, c.nis, c.score, c.runner_up)] for c in closures]
+    return {
+        "closure_ends": np.array([(*c.robots, c.first, c.second, c.accepted) for c in closures], np.int64).reshape(
+            m, 5
+        ),
+        "closure_measured": np.array([c.measured for c in closures], float).reshape(m, 3),
+        "closure_information": np.array([c.information for c in closures], float).reshape(m, 3, 3),
+        "closure_innovation": np.array([c.innovation for c in closures], float).reshape(m, 3),
+        "closure_numbers": np.array(numbers, float).reshape(m, 4),
+        "closure_reason": np.array([c.reason for c in closures], dtype=np.str_).reshape(m),
+    }
+
+
+def _read_closures(held: dict[str, np.ndarray], n: int) -> tuple[Closure, ...]:
+    out = []
+    for k, (a, b, first, second, accepted) in enumerate(held["closure_ends"].tolist()):
+        if not (0 <= first < n and 0 <= second < n):
+            raise ValueError(f"closure {k} ties keyframes {first} and {second} of {n}")
+        share, nis, score, runner_up = (None if np.isnan(v) else v for v in held["closure_numbers"][k].tolist())
+        out.append(
+            Closure(
+                (a, b),
+                first,
+                second,
+                bool(accepted),
+                str(held["closure_reason"][k]),
+                held["closure_measured"][k],
+                held["closure_information"][k],
+                held["closure_innovation"][k],
+                share or 0.0,
+                nis,
+                score,
+                runner_up,
+            )
+        )
+    return tuple(out)

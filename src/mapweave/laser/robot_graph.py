@@ -1,0 +1,76 @@
+"""What graph mapping knows of one robot: keyframes with their returns, steps, closures; enough to go on or to merge."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..core.arrays import frozen
+from .closures import Closure
+from .intensity import IntensityCalibration
+from .pose_graph import PoseGraph
+
+
+@dataclass(frozen=True, slots=True)
+class RobotGraph:
+    """The n keyframes of one log in `local_k`, whose origin is the robot's first pose.
+
+    t: (n,) stamps [s]; pose: (n, 3) as estimated in the end; cov: (n, 3, 3) of each, marginal of the pose graph over
+    x, y, theta in `local_k`; path: (n,) [m] driven; step: (n - 1, 3) pose of keyframe i + 1 in keyframe i as scan
+    odometry measured it, step_information: (n - 1, 3, 3) in the later one's frame; closures: every one tried, its
+    `first` and `second` number these keyframes.
+
+    Returns of keyframe i are the rows start[i]:start[i + 1] (start: (n + 1,)) of points (m, 2) [m], normals (m, 2) and
+    q (m,), in the keyframe's robot frame; q is None where light was not used. lined: (m,) where three or more beams
+    made the normal. sensor: (n, 2) where the scanner stood on the robot [m].
+    """
+
+    robot: str
+    t: Float[np.ndarray, " n"]
+    pose: Float[np.ndarray, "n 3"]
+    cov: Float[np.ndarray, "n 3 3"]
+    path: Float[np.ndarray, " n"]
+    step: Float[np.ndarray, "s 3"]
+    step_information: Float[np.ndarray, "s 3 3"]
+    closures: tuple[Closure, ...]
+    start: Int[np.ndarray, " n1"]
+    points: Float[np.ndarray, "m 2"]
+    normals: Float[np.ndarray, "m 2"]
+    q: Float[np.ndarray, " m"] | None
+    lined: Bool[np.ndarray, " m"]
+    sensor: Float[np.ndarray, "n 2"]
+    feature: str = "none"
+    calibration: IntensityCalibration | None = None
+    source: str = ""
+    log_hash: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("t", "pose", "cov", "path", "step", "step_information", "points", "normals", "sensor"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        if self.q is not None:
+            object.__setattr__(self, "q", frozen(self.q))
+        object.__setattr__(self, "start", frozen(self.start, np.int64))
+        object.__setattr__(self, "lined", frozen(self.lined, np.bool_))
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def rows(self, i: int) -> slice:
+        """Where the returns of keyframe `i` stand."""
+        return slice(int(self.start[i]), int(self.start[i + 1]))
+
+    def steps(self) -> PoseGraph:
+        """The keyframes with the edges of scan odometry."""
+        n = len(self)
+        return PoseGraph(self.pose, np.arange(n - 1), np.arange(1, n), self.step, self.step_information)
+
+    def accepted(self) -> PoseGraph:
+        """The keyframes with the edges of the closures that were believed."""
+        kept = [c for c in self.closures if c.accepted]
+        return PoseGraph.of(
+            self.pose, [(c.first, c.second) for c in kept], [c.measured for c in kept], [c.information for c in kept]
+        )
+
+    def graph(self) -> PoseGraph:
+        """Steps and then the closures that were believed."""
+        return self.steps().joined(self.accepted())
