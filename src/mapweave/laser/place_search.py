@@ -1,0 +1,368 @@
+"""Where a scan fits in a known place, whatever was believed before: exhaustive search in a window, then refinement.
+
+[Hess16] section V-B: branch and bound on max-pooled likelihood fields; here with whole-number scores, so that the
+answer is that of trying every pose of the window, and with received intensity as a second channel.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from ..core import se2
+from ..core.arrays import frozen, owned
+from ..core.config import config
+from ..core.errors import DataError
+from ..core.gaussian import symmetrise
+from ..kernels.laser.place_refine import fit_normals, lay_onto_lines
+from ..kernels.laser.place_search import (
+    COARSE,
+    FULL,
+    MOST_POINTS,
+    branch_and_bound,
+    root_bounds,
+    stamp,
+    turned_cells,
+)
+
+Q_LEVELS = 200.0  # levels of brightness a unit of q
+LARGEST = 40_000_000  # cells of a field
+
+
+@config
+class PlaceConfig:
+    """How places are searched. A field's value at distance d [m] and difference dq is
+    `exp(-(d^2 + (q_weight dq)^2) / 2 sigma^2)`.
+    """
+
+    cell: float = 0.1  # [m] of the likelihood field, and step of the search
+    sigma: float = 0.1  # [m]
+    q_weight: float = 0.2  # [m] a unit of q counts as much as
+    turn: float = 0.02617993877991494  # [rad] step of the search, 1.5 degrees
+    levels: int = 3  # the coarsest squares are 2^levels cells wide
+    apart: float = 0.7  # [m] or
+    apart_turn: float = 0.25  # [rad] from the best: a second place
+    line_reach: float = 0.2  # [m] points this near make a wall's line
+    gate: float = 0.3  # [m] a point farther from every wall is no match
+    inlier: float = 0.1  # [m] and one this near is an inlier
+    widths: tuple[float, ...] = (0.2, 0.2, 0.1, 0.1, 0.05)  # [m] of the refinement's robust cost
+    noise: float = 0.02  # [m] of a matched point, at least
+    temper: float = 0.1  # of the points count as independent
+    floor: float = 0.02  # [m] and
+    floor_turn: float = 0.00523598775598299  # [rad], 0.3 degrees: sd no match is better than
+
+
+@dataclass(frozen=True, slots=True)
+class LikelihoodField:
+    """A place as walls to lay scans on, in the place's own frame.
+
+    points: (n, 2) wall points [m]; q: (n,) brightness or None; lines: (n, 3) unit normal and width; tables, dark,
+    bright, blocks: max-pooled likelihood, least and greatest brightness, as the kernels want them (dark, bright without
+    cells when there is no brightness); nearest: (rows, cols) wall point of each cell or -1; origin: (2,) [m] of the
+    lower corner.
+    """
+
+    points: Float[np.ndarray, "n 2"]
+    q: Float[np.ndarray, " n"] | None
+    lines: Float[np.ndarray, "n 3"]
+    tables: UInt8[np.ndarray, "levels r c"]
+    dark: UInt8[np.ndarray, "levels r2 c2"]
+    bright: UInt8[np.ndarray, "levels r2 c2"]
+    blocks: UInt8[np.ndarray, "size size y x"]
+    nearest: Int[np.ndarray, "rows cols"]
+    origin: Float[np.ndarray, "2"]
+    cfg: PlaceConfig
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """The poses searched: centre + multiples of the steps up to `reach` [m] in x and y and `turn` [rad] in heading.
+
+    A `turn` of pi or more is the full circle.
+    """
+
+    centre: Float[np.ndarray, "3"]
+    reach: tuple[float, float]
+    turn: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre", frozen(self.centre))
+
+
+@dataclass(frozen=True, slots=True)
+class Hit:
+    """A pose of the scan in the place and its score, the mean likelihood of its points, 0 to 1."""
+
+    pose: Float[np.ndarray, "3"]
+    score: float
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """best: where the scan fits best; second: the best that is another place; None where nothing scores `least`."""
+
+    best: Hit | None
+    second: Hit | None
+
+    @property
+    def ratio(self) -> float:
+        """Second's score over best's: 0 when there is no second place, 1 when there is no place at all."""
+        if self.best is None:
+            return 1.0
+        return 0.0 if self.second is None else self.second.score / self.best.score
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A scan laid onto the walls of a place.
+
+    pose: (3,) in the place's frame; covariance: (3, 3) of an error in the scan's frame, floor included; matches: points
+    within the gate of a wall; share: of the points that are inliers; rms: [m] of matched distances; held: (2,) [1/m^2]
+    information on the position (heading given up), weakest first; weak: (2,) unit direction in the place's frame in
+    which the position is held least.
+    """
+
+    pose: Float[np.ndarray, "3"]
+    covariance: Float[np.ndarray, "3 3"]
+    matches: int
+    share: float
+    rms: float
+    held: Float[np.ndarray, "2"]
+    weak: Float[np.ndarray, "2"]
+
+    @property
+    def information(self) -> Float[np.ndarray, "3 3"]:
+        return symmetrise(np.linalg.inv(self.covariance))
+
+
+def likelihood_field(
+    points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, " n"] | None = None, cfg: PlaceConfig | None = None
+) -> LikelihoodField:
+    """The field of wall `points` [m]. Raises DataError when they are none, not finite or too far apart."""
+    cfg = cfg or PlaceConfig()
+    points = frozen(points)
+    if not len(points):
+        raise DataError("a place needs wall points, found none")
+    if not np.isfinite(points).all() or (q is not None and not np.isfinite(q).all()):
+        raise DataError("a place needs finite wall points, found others")
+    reach = int(np.ceil(max(3.0 * cfg.sigma, cfg.gate) / cfg.cell))
+    origin = np.floor(points.min(axis=0) / cfg.cell - reach) * cfg.cell
+    size = np.ceil((points.max(axis=0) - origin) / cfg.cell).astype(int) + reach + 1
+    if float(size[0]) * float(size[1]) > LARGEST:
+        wide, high = size * cfg.cell
+        raise DataError(f"a place of {wide:.0f} x {high:.0f} m is too large to search")
+    field, nearest = stamp(points, origin, cfg.cell, int(size[1]), int(size[0]), cfg.sigma, reach)
+    tables = _pooled(field, cfg.levels)
+    dark = bright = np.zeros((cfg.levels + 1, 0, 0), np.uint8)
+    if q is not None:
+        level = brightness(q)[np.maximum(nearest, 0)]
+        there = field > 0
+        bright = _pooled(np.where(there, level, 0).astype(np.uint8), cfg.levels)
+        dark = 255 - _pooled(np.where(there, 255 - level, 0).astype(np.uint8), cfg.levels)
+    return LikelihoodField(
+        points=points,
+        q=None if q is None else frozen(q),
+        lines=owned(fit_normals(points, cfg.line_reach)),
+        tables=owned(tables),
+        blocks=owned(_blocks((tables[-1] >> 2) + ((tables[-1] & 3) > 0), 2**cfg.levels)),
+        dark=owned(np.ascontiguousarray(dark)),
+        bright=owned(np.ascontiguousarray(bright)),
+        nearest=owned(nearest),
+        origin=frozen(origin),
+        cfg=cfg,
+    )
+
+
+def brightness(q: Float[np.ndarray, " n"]) -> UInt8[np.ndarray, " n"]:
+    """The levels, 256 in all, that stand for q; they reach to q = 1.275."""
+    return np.clip(np.round(q * Q_LEVELS), 0, 255).astype(np.uint8)
+
+
+def search(
+    place: LikelihoodField,
+    points: Float[np.ndarray, "n 2"],
+    window: Window,
+    q: Float[np.ndarray, " n"] | None = None,
+    *,
+    least: float = 0.0,
+    least_ratio: float = 0.0,
+) -> Places:
+    """The best and the second-best place of `points` (n, 2) [m, the scan's frame] in `place`: of all in the window.
+
+    Brightness counts when both the place and the scan have it. Nothing that scores under `least` is looked for, nor a
+    second place under `least_ratio` of the best: the higher they are, the faster the search.
+    """
+    cfg, points = place.cfg, np.ascontiguousarray(points, dtype=float)
+    if not len(points):
+        return Places(None, None)
+    if len(points) > MOST_POINTS:
+        raise DataError(f"a place is searched with at most {MOST_POINTS} points, found {len(points)}")
+    turns = headings(window, cfg.turn)
+    asked = _asked(place, points, q, window, turns)
+    lowest = max(1, int(np.ceil(least * asked.most)))
+    found: list[Hit] = []
+    barred = np.zeros(0, np.int64)
+    for _ in range(2):
+        score, a, ox, oy = _best(place, asked, lowest, barred)
+        if a < 0:
+            break
+        x, y = window.centre[0] + ox * cfg.cell, window.centre[1] + oy * cfg.cell
+        found.append(Hit(frozen([x, y, se2.wrap_angle(turns[a])]), score / asked.most))
+        near = np.abs(se2.wrap_angle(turns - turns[a])) <= cfg.apart_turn
+        barred = np.concatenate([[a, ox, oy, int((cfg.apart / cfg.cell) ** 2 + 1e-9)], near]).astype(np.int64)
+        lowest = max(lowest, int(np.ceil(least_ratio * score)))
+    return Places(found[0] if found else None, found[1] if len(found) > 1 else None)
+
+
+class _Asked(NamedTuple):
+    """A scan and a window as the kernels want them; most: the score of a scan that fits everywhere."""
+
+    cells: np.ndarray
+    q: np.ndarray
+    light: np.ndarray
+    dark: np.ndarray
+    bright: np.ndarray
+    high: np.ndarray
+    tiles: np.ndarray
+    bounds: np.ndarray  # of every square, flat, by geometry
+    scale: int
+    most: int
+
+
+def _asked(
+    place: LikelihoodField, points: np.ndarray, q: np.ndarray | None, window: Window, turns: np.ndarray
+) -> _Asked:
+    cfg, size = place.cfg, 2**place.cfg.levels
+    featured = place.q is not None and q is not None
+    none = np.zeros((cfg.levels + 1, 0, 0), np.uint8)
+    light = np.exp(-0.5 * (cfg.q_weight * np.arange(256) / (Q_LEVELS * cfg.sigma)) ** 2)
+    cells = turned_cells(points, window.centre[:2], turns, place.origin, cfg.cell)
+    high = np.floor(np.asarray(window.reach) / cfg.cell + 1e-9).astype(np.int64)
+    tiles = (2 * high + size) // size
+    blocks = np.pad(place.blocks, ((0, 0), (0, 0), (0, 0), (0, int(tiles[0]))))
+    return _Asked(
+        cells=cells,
+        q=np.zeros(len(points), np.int64) if q is None else brightness(q).astype(np.int64),
+        light=np.floor(FULL * light + 0.5).astype(np.int64),
+        dark=place.dark if featured else none,
+        bright=place.bright if featured else none,
+        high=high,
+        tiles=tiles,
+        bounds=root_bounds(blocks.reshape(size, size, -1), blocks.shape[3], cells, -high, tiles).ravel(),
+        scale=COARSE * (FULL if featured else 1),
+        most=len(points) * 255 * (FULL if featured else 1),
+    )
+
+
+def _best(place: LikelihoodField, asked: _Asked, lowest: int, barred: np.ndarray) -> tuple[int, int, int, int]:
+    """(score, heading number, ox, oy) of the best pose not barred, heading -1 when none scores `lowest`.
+
+    The squares that promise most are looked into first: once a pose beats all that the others promise, it is the best.
+    """
+    promised = int(asked.bounds.max(initial=0)) * asked.scale
+    while True:
+        promised = max(lowest, int(0.9 * promised))
+        roots = np.flatnonzero(asked.bounds >= -(-promised // asked.scale))
+        bounds = asked.bounds[roots].astype(np.int64) * asked.scale
+        order = np.argsort(-bounds, kind="stable")
+        hit = branch_and_bound(
+            place.tables,
+            asked.dark,
+            asked.bright,
+            asked.light,
+            asked.cells,
+            asked.q,
+            -asked.high,
+            asked.high,
+            asked.tiles,
+            roots[order],
+            bounds[order],
+            lowest,
+            barred,
+        )
+        if promised == lowest or (hit[1] >= 0 and hit[0] >= promised):
+            return hit
+        lowest = max(lowest, hit[0])
+
+
+def headings(window: Window, step: float) -> Float[np.ndarray, " a"]:
+    """The headings of `window` [rad], ascending; of a full circle evenly spaced, no farther apart than `step`."""
+    if window.turn >= np.pi:
+        count = int(np.ceil(2.0 * np.pi / step - 1e-9))
+        return np.asarray(window.centre[2] + 2.0 * np.pi / count * np.arange(count))
+    half = int(np.floor(window.turn / step + 1e-9))
+    return np.asarray(window.centre[2] + step * np.arange(-half, half + 1))
+
+
+def everywhere(place: LikelihoodField) -> Window:
+    """The window of every pose that stands inside the box round the walls of `place`."""
+    lower, upper = place.points.min(axis=0), place.points.max(axis=0)
+    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+    return Window(np.array([middle[0], middle[1], 0.0]), (float(half[0]), float(half[1])), np.pi)
+
+
+def refine(place: LikelihoodField, points: Float[np.ndarray, "n 2"], start: Float[np.ndarray, "3"]) -> Fit:
+    """`points` [m, the scan's frame] laid onto the walls' lines from pose `start` on."""
+    cfg, points = place.cfg, np.ascontiguousarray(points, dtype=float)
+    pose, H, matches, mean2 = lay_onto_lines(
+        points,
+        np.ascontiguousarray(start, dtype=float),
+        place.points,
+        place.lines,
+        place.nearest,
+        place.origin,
+        cfg.cell,
+        cfg.gate,
+        np.asarray(cfg.widths, dtype=float),
+        1e-5,
+    )
+    pose[2] = se2.wrap_angle(pose[2])
+    told = cfg.temper * H / max(cfg.noise**2, mean2)
+    P = np.linalg.inv(told + np.diag([1.0 / 3.0**2, 1.0 / 3.0**2, 1.0]))  # where no wall holds: 3 m, 1 rad
+    P = symmetrise(P) + np.diag([cfg.floor**2, cfg.floor**2, cfg.floor_turn**2])
+    position = told[:2, :2] - np.outer(told[:2, 2], told[2, :2]) / max(told[2, 2], 1e-12)
+    values, vectors = np.linalg.eigh(symmetrise(position))
+    weak = se2.rotation(float(pose[2])) @ vectors[:, 0]
+    near = inliers(place, points, pose)
+    share = float(near.mean()) if len(points) else 0.0
+    return Fit(pose, P, int(matches), share, float(np.sqrt(mean2)), np.maximum(values, 0.0), weak)
+
+
+def inliers(place: LikelihoodField, points: Float[np.ndarray, "n 2"], pose: Float[np.ndarray, "3"]) -> np.ndarray:
+    """(n,) bool: which points, seen from `pose`, lie within the inlier distance of a wall's line."""
+    cfg = place.cfg
+    moved = se2.act(pose, points)
+    at = np.floor((moved - place.origin) / cfg.cell).astype(int)
+    rows, cols = place.nearest.shape
+    inside = (at[:, 0] >= 0) & (at[:, 0] < cols) & (at[:, 1] >= 0) & (at[:, 1] < rows)
+    k = np.full(len(points), -1)
+    k[inside] = place.nearest[at[inside, 1], at[inside, 0]]
+    d = moved - place.points[np.maximum(k, 0)]
+    n = place.lines[np.maximum(k, 0)]
+    across = np.square((d * n[:, :2]).sum(axis=1))
+    along = np.square(d).sum(axis=1) - across
+    near = (across + n[:, 2] * along <= cfg.inlier**2) & (np.square(d).sum(axis=1) <= cfg.gate**2)
+    return np.asarray((k >= 0) & near)
+
+
+def _pooled(field: np.ndarray, levels: int) -> np.ndarray:
+    """(levels + 1, rows + pad, cols + pad): the greatest of every square of 1, 2, 4 .. cells, from its low corner."""
+    pad = 2**levels - 1
+    out = np.zeros((levels + 1, field.shape[0] + pad, field.shape[1] + pad), field.dtype)
+    out[0, pad:, pad:] = field
+    for h in range(levels):
+        below, step = out[h], 2**h
+        wide = below.copy()
+        np.maximum(wide[:, :-step], below[:, step:], out=wide[:, :-step])
+        out[h + 1] = wide
+        np.maximum(wide[:-step], wide[step:], out=out[h + 1][:-step])
+    return out
+
+
+def _blocks(table: np.ndarray, size: int) -> np.ndarray:
+    """(size, size, Y, X): `table` filled up with zeros, its entries sorted by row and column modulo `size`."""
+    rows, cols = (-(-n // size) * size for n in table.shape)
+    whole = np.zeros((rows, cols), table.dtype)
+    whole[: table.shape[0], : table.shape[1]] = table
+    return np.ascontiguousarray(whole.reshape(rows // size, size, cols // size, size).transpose(1, 3, 0, 2))
