@@ -139,7 +139,7 @@ def test_the_first_robots_start_is_known_and_the_others_err_as_told(rooms):
     off = made.team.poses() - made.sim.true_poses
     assert np.array_equal(off[0], np.zeros(3))
     assert (np.abs(off[1:]) > 0).all()
-    assert np.abs(off[1:, :2]).max() < 5 * made.cfg.team.start_xy
+    assert np.abs(off[1:, :2]).max() < 5 * made.cfg.team.graph.start_xy
 
 
 def test_odometry_noise_can_be_scaled(rooms):

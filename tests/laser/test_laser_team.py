@@ -15,7 +15,8 @@ from mapweave.laser.team import LaserTeam
 
 from .buildings import drive, errors, estimate, lap, ring, rooms, wall_distance
 
-NO_LOOPS = replace(LaserTeamConfig(), closures=replace(LaserTeamConfig().closures, tries=0))
+GRAPH = LaserTeamConfig().graph
+NO_LOOPS = replace(LaserTeamConfig(), graph=replace(GRAPH, closures=replace(GRAPH.closures, tries=0)))
 
 
 def ring_drive(seed):

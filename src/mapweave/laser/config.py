@@ -6,10 +6,9 @@ from jaxtyping import Float
 from ..core.config import config
 from ..core.errors import ConfigError
 from .beam import FEATURES, BeamConfig
-from .closures import ClosureConfig
 from .icp import IcpConfig
 from .intensity_calibration import CalibrationConfig
-from .keyframes import KeyframeConfig
+from .keyframe_graph import KeyframeGraphConfig
 from .particle_grid import CellConfig
 from .scan_matching import FrontEndConfig
 
@@ -124,15 +123,9 @@ ALL_ROUND = FrontEndConfig(
 class LaserTeamConfig:
     """A team whose starts are known: those of all robots but the first err, `map` hangs on the first's."""
 
-    start_xy: float = 0.01  # [m] sd of a start and
-    start_turn: float = 0.0087  # [rad] of its heading, half a degree
     teammate: float = 0.45  # [m] around a teammate: returns from there are not walls
     near: float = 6.0  # [m] a wall seen from within is not drawn again by returns from beyond
     open_share: float = 0.9  # share of the scanner's range that is free where a beam does not come back
-    resolve_share: float = 0.02  # the graph is solved anew when it has grown by this share, and
-    resolve_least: int = 8  # so many keyframes at least, or
-    resolve_innovation: float = 2.0  # [sd] when a closure moved a pose by more than this
     beams: BeamConfig = BeamConfig()
     front_end: FrontEndConfig = ALL_ROUND
-    keyframes: KeyframeConfig = KeyframeConfig()
-    closures: ClosureConfig = ClosureConfig()
+    graph: KeyframeGraphConfig = KeyframeGraphConfig()

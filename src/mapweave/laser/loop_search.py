@@ -4,7 +4,7 @@ import numpy as np
 
 from ..core import se2
 from .closures import ClosureConfig, Matcher
-from .team_graph import TeamGraph
+from .keyframe_graph import KeyframeGraph
 
 
 class LoopSearch:
@@ -15,14 +15,14 @@ class LoopSearch:
         self._untried: list[list[int]] = [[] for _ in range(robots)]
         self._path = np.full(robots, -np.inf)
 
-    def offer(self, graph: TeamGraph, i: int) -> None:
+    def offer(self, graph: KeyframeGraph, i: int) -> None:
         """Keyframe `i` will be tried when its robot drove far enough since the last one that was."""
         node = graph.nodes[i]
         if node.path - self._path[node.robot] >= self.cfg.every:
             self._path[node.robot] = node.path
             self._untried[node.robot].append(i)
 
-    def step(self, graph: TeamGraph, j: int) -> None:
+    def step(self, graph: KeyframeGraph, j: int) -> None:
         """At most `tries` matches of robot j's keyframes, the oldest first."""
         left = self.cfg.tries
         while self._untried[j] and left > 0:
@@ -40,7 +40,7 @@ class LoopSearch:
                     moved = match.innovation @ np.linalg.solve(cov + 1e-12 * np.eye(3), match.innovation)
                     graph.due |= bool(moved > graph.cfg.resolve_innovation**2)
 
-    def candidates(self, graph: TeamGraph, i: int) -> list[int]:
+    def candidates(self, graph: KeyframeGraph, i: int) -> list[int]:
         """Solved keyframes near in the estimate, one a chain (another robot, or this one long ago), nearest first."""
         c, node, n = self.cfg, graph.nodes[i], graph.known
         d = np.hypot(*(graph.pose[:n, :2] - graph.pose[i, :2]).T)

@@ -13,11 +13,11 @@ from .beam import Beams, beams
 from .closures import Closure, Matcher
 from .config import LaserTeamConfig
 from .grid import GridMap
+from .keyframe_graph import KeyframeGraph
 from .keyframes import Keyframe, KeyframeOdometry, Sweep
 from .loop_search import LoopSearch
 from .occupancy_mapper import OccupancyMapper
 from .pose_graph import PoseGraph
-from .team_graph import TeamGraph
 
 
 class LaserTeam:
@@ -30,9 +30,9 @@ class LaserTeam:
         self.cfg = cfg or LaserTeamConfig()
         self.starts = np.array(starts, dtype=float).reshape(-1, 3)
         M = len(self.starts)
-        self.tracks = [KeyframeOdometry(j, self.cfg.keyframes, self.cfg.front_end) for j in range(M)]
-        self.team = TeamGraph(self.cfg, self.starts)
-        self.loops = LoopSearch(self.cfg.closures, Matcher(self.cfg.closures, self.cfg.front_end), M)
+        self.tracks = [KeyframeOdometry(j, self.cfg.graph.keyframes, self.cfg.front_end) for j in range(M)]
+        self.team = KeyframeGraph(self.cfg.graph, self.starts)
+        self.loops = LoopSearch(self.cfg.graph.closures, Matcher(self.cfg.graph.closures, self.cfg.front_end), M)
         self.sweeps: list[Sweep] = []
         self._node: list[int] = []  # the keyframe of each sweep
         self._waiting: list[list[Keyframe | Sweep]] = [[] for _ in range(M)]
@@ -100,11 +100,8 @@ class LaserTeam:
 
         Closures that contradict the rest are dropped on the way. After it `poses` may jump.
         """
-        team, c = self.team, self.cfg
-        fresh = len(team) - team.known
-        grown = fresh >= max(c.resolve_least, c.resolve_share * len(team))
-        unknown = any(of and of[0] >= team.known for of in team.of)
-        if not len(team) or not (force or team.due or grown or unknown):
+        team = self.team
+        if not len(team) or not (force or team.due or team.grown):
             return False
         self._solve()
         return True
@@ -135,7 +132,7 @@ class LaserTeam:
         if self.team.due or self.team.known < len(self.team) or self.team.solved is None:
             self._solve()
         assert self.team.solved is not None  # noqa: S101  (solving makes it)
-        n = self.cfg.keyframes.noise
+        n = self.cfg.graph.keyframes.noise
         jitter = np.diag(np.square([n.jitter_xy, n.jitter_xy, n.jitter_turn]))
         return np.asarray(self.team.solved.covariances() + jitter)
 

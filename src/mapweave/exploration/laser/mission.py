@@ -46,14 +46,15 @@ class LaserMissionConfig:
 def with_odometry_noise(cfg: LaserMissionConfig, factor: float) -> LaserMissionConfig:
     """`cfg` with all odometry errors times `factor`, in the world and in the estimator alike."""
     odometry = replace(cfg.robots.odometry, factor=cfg.robots.odometry.factor * factor)
-    noise = cfg.team.keyframes.noise
+    noise = cfg.team.graph.keyframes.noise
     noise = replace(
         noise,
         wheels_xy=noise.wheels_xy * factor,
         wheels_turn=noise.wheels_turn * factor,
         wheels_turn_per_m=noise.wheels_turn_per_m * factor,
     )
-    team = replace(cfg.team, keyframes=replace(cfg.team.keyframes, noise=noise))
+    keyframes = replace(cfg.team.graph.keyframes, noise=noise)
+    team = replace(cfg.team, graph=replace(cfg.team.graph, keyframes=keyframes))
     return replace(cfg, robots=replace(cfg.robots, odometry=odometry), team=team)
 
 
@@ -111,7 +112,7 @@ class LaserRun:
         M = len(starts)
         self.sim = LaserTeamSim(self.place.world, starts, self.cfg.robots, self.seed)
         believed = starts.copy()
-        sd = [self.cfg.team.start_xy, self.cfg.team.start_xy, self.cfg.team.start_turn]
+        sd = [self.cfg.team.graph.start_xy, self.cfg.team.graph.start_xy, self.cfg.team.graph.start_turn]
         believed[1:] += stream(self.seed, "starts").standard_normal((M, 3))[1:] * sd
         self.team = LaserTeam(self.cfg.team, believed)
         self.plan = self.cfg.planning()

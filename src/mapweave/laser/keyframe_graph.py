@@ -1,4 +1,4 @@
-"""The team's pose graph as it grows: keyframes come in, closures tie them, solving moves them."""
+"""The pose graph of one robot or a team as it grows: keyframes come in, closures tie them, solving moves them."""
 
 from bisect import bisect_left
 from dataclasses import replace
@@ -7,20 +7,33 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from .closures import Closure, Matched, Place
-from .config import LaserTeamConfig
+from ..core.config import config
+from .closures import Closure, ClosureConfig, Matched, Place
 from .graph_problem import Solved, edge_factor, problem
-from .keyframes import Keyframe
+from .keyframes import Keyframe, KeyframeConfig
 from .pose_graph import PoseGraph
 from .step_noise import carried
 
 EXACT = 1e-4  # [m, rad] sd of the start that `map` hangs on
 
 
-class TeamGraph:
+@config
+class KeyframeGraphConfig:
+    """How keyframes come about, are tied by closures, and when their graph is solved anew."""
+
+    start_xy: float = 0.01  # [m] sd of the starts of all robots but the first, which `map` hangs on, and
+    start_turn: float = 0.0087  # [rad] of their headings, half a degree
+    resolve_share: float = 0.02  # share of new keyframes from which on the graph is solved anew,
+    resolve_least: int = 8  # so many keyframes at least, or
+    resolve_innovation: float = 2.0  # [sd] when a closure moved a pose by more than this
+    keyframes: KeyframeConfig = KeyframeConfig()
+    closures: ClosureConfig = ClosureConfig()
+
+
+class KeyframeGraph:
     """nodes: the keyframes in the order they came; pose: (n, 3) of each in `map`; of: each robot's, by number."""
 
-    def __init__(self, cfg: LaserTeamConfig, starts: Float[np.ndarray, "M 3"]) -> None:
+    def __init__(self, cfg: KeyframeGraphConfig, starts: Float[np.ndarray, "M 3"]) -> None:
         self.cfg, self.starts = cfg, starts
         self.nodes: list[Keyframe] = []
         self.pose = np.zeros((0, 3))
@@ -54,6 +67,13 @@ class TeamGraph:
         self.pose = np.concatenate([self.pose, np.asarray(pose)[None]])
         self.robot, self.path = np.append(self.robot, new.robot), np.append(self.path, new.path)
         return of[-1]
+
+    @property
+    def grown(self) -> bool:
+        """Whether enough keyframes came since the last solution, or a robot's first one, for a new one."""
+        fresh = len(self) - self.known
+        enough = fresh >= max(self.cfg.resolve_least, self.cfg.resolve_share * len(self))
+        return enough or any(of and of[0] >= self.known for of in self.of)
 
     def anchor(self, i: int) -> int | None:
         """The last solved keyframe of the robot of keyframe `i`, up to `i`."""
