@@ -1,0 +1,307 @@
+"""Any pose graph solved: gauge, priors, edges that contradict the rest dropped and told, covariances.
+
+The residual of an edge is `z^-1 (x_i^-1 x_j)`, taken as x, y and theta: the measured pose's own frame, as g2o has it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Bool, Float, Int
+from scipy.sparse.csgraph import connected_components
+
+from ..core import se2
+from ..core.arrays import frozen
+from ..core.config import config
+from ..core.errors import DataError
+from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, Status, minimise, wrapping
+from ..solve.robust import Kernel
+from .graph_problem import between_jacobians, edge_factor
+from .pose_graph import PoseGraph
+
+DISSECT = 700  # poses from which on the multifrontal factor pays
+READMIT = 6  # solves at most, while edges dropped before fit again
+FADED = 1e-8  # what a dropped edge counts while weights are sought: the graph stays in one piece
+
+
+@config
+class RobustGraphConfig:
+    """How edges that contradict the rest are found.
+
+    none: no edge is dropped. cauchy: one robust solve, then what lies beyond the gate goes. gnc: graduated
+    non-convexity [Yang20] on truncated squares, which also finds its way out of many false edges.
+    """
+
+    method: Literal["none", "cauchy", "gnc"] = "gnc"
+    kernel: float = 2.0  # [sd] width of the Cauchy cost
+    gate: float = 16.27  # squared sd (3 degrees of freedom, 0.1 %) beyond which an edge contradicts
+    growth: float = 1.4  # of the control parameter, a round
+    most_rounds: int = 80
+    solve: SolveConfig = SolveConfig(max_iterations=100, step_tolerance=1e-7, cost_tolerance=1e-9)
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """Pose `vertex` is known to be at `pose` (3,) in `map` with `information` (3, 3), in that pose's frame."""
+
+    vertex: int
+    pose: Float[np.ndarray, "3"]
+    information: Float[np.ndarray, "3 3"]
+
+
+@dataclass(frozen=True, slots=True)
+class DroppedEdge:
+    """Edge number `edge` is not believed. nis: its squared residual, in sd, at the solution without it."""
+
+    edge: int
+    first: int
+    second: int
+    nis: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class SolvedGraph:
+    """A pose graph at its optimum.
+
+    graph: the same edges with the poses solved; used: (m,) which edges the solution rests on; nis: (m,) squared
+    residual of each, in sd; component: (n,) which poses hang together through edges that are used, 0 the one of the
+    first fixed pose; fixed: poses held; chi2, chi2_before: sum of squares of the used edges and the priors, at the
+    optimum and with the poses given; rounds: solves made to find which edges contradict.
+    """
+
+    graph: PoseGraph
+    used: Bool[np.ndarray, " m"]
+    nis: Float[np.ndarray, " m"]
+    prior_nis: Float[np.ndarray, " k"]
+    component: Int[np.ndarray, " n"]
+    fixed: tuple[int, ...]
+    dropped: tuple[DroppedEdge, ...]
+    chi2_before: float
+    chi2: float
+    dof: int
+    iterations: int
+    rounds: int
+    status: Status
+    solution: Solution = field(repr=False)
+
+    @property
+    def converged(self) -> bool:
+        return self.status is Status.CONVERGED
+
+    def covariances(self) -> Float[np.ndarray, "n 3 3"]:
+        """The covariance of every pose over x, y, theta in `map`; zero where it is held."""
+        return self.solution.blocks(np.arange(3 * len(self.graph)).reshape(-1, 3))
+
+    def relative_covariances(
+        self, first: Int[np.ndarray, " p"], second: Int[np.ndarray, " p"]
+    ) -> Float[np.ndarray, "p 3 3"]:
+        """Covariance of `between(pose first, pose second)` for every pair, in second's place seen from first."""
+        columns = np.concatenate([_columns(first), _columns(second)], axis=1)
+        joint = np.stack([self.solution.covariance(c) for c in columns]) if len(columns) else np.zeros((0, 6, 6))
+        A, B = between_jacobians(self.graph.pose[first], self.graph.pose[second])
+        J = np.concatenate([A, B], axis=2)
+        return np.asarray(J @ joint @ J.swapaxes(1, 2))
+
+
+def solve_graph(
+    graph: PoseGraph,
+    cfg: RobustGraphConfig | None = None,
+    *,
+    fixed: Sequence[int] = (),
+    priors: Sequence[Prior] = (),
+    doubtful: Bool[np.ndarray, " m"] | None = None,
+) -> SolvedGraph:
+    """The optimum of `graph`, from the poses it has.
+
+    fixed: poses held where they are; without these and without priors the first one is. doubtful: (m,) the edges that
+    may be dropped; without, all that do not tie a pose to the next. Of every part that hangs together one pose at
+    least is held. Raises DataError when an information matrix is not positive definite or a number is not finite.
+    """
+    cfg = cfg or RobustGraphConfig()
+    _check(graph, fixed, priors)
+    held = tuple(sorted({*fixed})) or (() if priors else (0,))
+    may = (np.abs(graph.second - graph.first) != 1) if doubtful is None else doubtful
+    used, rounds, iterations, x = np.ones(graph.edges, dtype=bool), 0, 0, graph.pose
+    if cfg.method != "none" and may.any():
+        used, x, rounds, iterations = _believed(graph, cfg, held, priors, may)
+    first = held
+    for _ in range(READMIT):
+        component, held = _components(graph, used, first, priors)
+        problem = _problem(replace(graph, pose=x), used.astype(float), held, priors, None)
+        found = minimise(problem, cfg.solve, _pattern(problem, len(graph)))
+        x, iterations = found.x.reshape(-1, 3), iterations + found.iterations
+        back = ~used & (_squares(replace(graph, pose=x)) <= cfg.gate)
+        if not back.any():
+            break
+        used = used | back  # an edge that fits once the others are gone is believed again
+    pose = x
+    solved = replace(graph, pose=pose)
+    nis, before = _squares(solved), _squares(graph)
+    prior_nis, prior_before = _prior_squares(priors, pose), _prior_squares(priors, graph.pose)
+    return SolvedGraph(
+        graph=solved,
+        used=frozen(used, bool),
+        nis=frozen(nis),
+        prior_nis=frozen(prior_nis),
+        component=frozen(component, np.int64),
+        fixed=held,
+        dropped=tuple(_dropped(graph, k, float(nis[k]), cfg.gate) for k in np.flatnonzero(~used).tolist()),
+        chi2_before=float(before[used].sum() + prior_before.sum()),
+        chi2=found.chi2,
+        dof=found.dof,
+        iterations=iterations,
+        rounds=rounds,
+        status=found.status,
+        solution=found,
+    )
+
+
+def _believed(
+    graph: PoseGraph,
+    cfg: RobustGraphConfig,
+    held: tuple[int, ...],
+    priors: Sequence[Prior],
+    may: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, int, int]:
+    """(which edges are believed (m,), poses (n, 3), solves, iterations)."""
+    _, held = _components(graph, np.ones(graph.edges, dtype=bool), held, priors)
+    weight = np.ones(graph.edges)
+    if cfg.method == "cauchy":
+        problem = _problem(graph, weight, held, priors, Cauchy(cfg.kernel), may)
+        found = minimise(problem, cfg.solve, _pattern(problem, len(graph)))
+        pose = found.x.reshape(-1, 3)
+        beyond = may & (_squares(replace(graph, pose=pose)) > cfg.gate)
+        return ~beyond, pose, 1, found.iterations
+    step = replace(cfg.solve, max_iterations=10, step_tolerance=1e-5, cost_tolerance=1e-5)
+    pattern = _pattern(_problem(graph, weight, held, priors, None), len(graph))
+    pose, iterations, control = graph.pose, 0, 0.0
+    for rounds in range(1, cfg.most_rounds + 1):
+        problem = _problem(replace(graph, pose=pose), weight, held, priors, None)
+        found = minimise(problem, step, pattern)
+        pose, iterations = found.x.reshape(-1, 3), iterations + found.iterations
+        s = _squares(replace(graph, pose=pose))
+        if rounds == 1:
+            worst = float(s[may].max())
+            if worst <= cfg.gate:
+                return np.ones(graph.edges, dtype=bool), pose, rounds, iterations
+            control = cfg.gate / (2.0 * worst - cfg.gate)  # [Yang20] remark 5
+        low, high = control / (control + 1.0) * cfg.gate, (control + 1.0) / control * cfg.gate
+        between = np.sqrt(cfg.gate * control * (control + 1.0) / np.maximum(s, 1e-300)) - control  # [Yang20] eq. 14
+        new = np.where(s <= low, 1.0, np.where(s >= high, FADED, np.clip(between, FADED, 1.0)))
+        weight = np.where(may, new, 1.0)
+        control *= cfg.growth
+        if ((weight > 1.0 - 1e-6) | (weight <= FADED)).all() and high < 1.05 * cfg.gate:
+            break
+    s = _squares(replace(graph, pose=pose))
+    return ~may | (s <= cfg.gate), pose, rounds, iterations
+
+
+def _problem(
+    graph: PoseGraph,
+    weight: np.ndarray,
+    held: Sequence[int],
+    priors: Sequence[Prior],
+    kernel: Kernel | None,
+    robust: np.ndarray | None = None,
+) -> Problem:
+    """Edges of weight 0 are left out; `kernel` is for the edges `robust`."""
+    there = weight > 0
+    parts: list[tuple[str, np.ndarray, Kernel | None]] = []
+    parts.append(("edges", there, None) if robust is None else ("steps", there & ~robust, None))
+    if robust is not None:
+        parts.append(("closures", there & robust, kernel))
+    terms: list[Factor] = []
+    for name, rows, shape in parts:
+        if rows.any():
+            information = graph.information[rows] * weight[rows, None, None]
+            part = PoseGraph(graph.pose, graph.first[rows], graph.second[rows], graph.measured[rows], information)
+            terms.append(edge_factor(part, name, shape))
+    if priors:
+        terms.append(_prior_factor(priors))
+    mask = np.zeros(3 * len(graph), dtype=bool)
+    mask[_columns(np.array(held, dtype=np.int64))] = True
+    return Problem(graph.pose.ravel(), terms, mask, wrapping(np.arange(2, 3 * len(graph), 3)))
+
+
+def _prior_factor(priors: Sequence[Prior]) -> Factor:
+    columns = _columns(np.array([p.vertex for p in priors]))
+    z = np.array([p.pose for p in priors])
+    W = np.linalg.cholesky(np.array([p.information for p in priors])).swapaxes(1, 2)
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        return np.asarray(se2.between(z, x[columns]))
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        return between_jacobians(z, x[columns])[1]
+
+    return Factor(columns, residual, jacobian, 3, W, None, "priors")
+
+
+def _prior_squares(priors: Sequence[Prior], pose: np.ndarray) -> np.ndarray:
+    return _prior_factor(priors).squares(pose.ravel()) if priors else np.zeros(0)
+
+
+def _pattern(problem: Problem, poses: int) -> Pattern:
+    pattern = Pattern.of(problem)
+    return pattern if poses < DISSECT else pattern.dissected(problem.free // 3)
+
+
+def _squares(graph: PoseGraph) -> np.ndarray:
+    r = se2.between(graph.measured, se2.between(graph.pose[graph.first], graph.pose[graph.second]))
+    return np.asarray(np.einsum("mi,mij,mj->m", r, graph.information, r))
+
+
+def _columns(poses: np.ndarray) -> np.ndarray:
+    return np.asarray(3 * np.asarray(poses)[:, None] + np.arange(3))
+
+
+def _components(
+    graph: PoseGraph, used: np.ndarray, held: tuple[int, ...], priors: Sequence[Prior]
+) -> tuple[np.ndarray, tuple[int, ...]]:
+    """Which poses hang together, numbered from that of the first held one, and the poses held, one a component."""
+    component = connected(graph, used)
+    order = [int(component[k]) for k in (*held, *(p.vertex for p in priors))]
+    seen = dict.fromkeys([*order, *component.tolist()])
+    number = np.empty(len(seen), dtype=np.int64)
+    number[list(seen)] = np.arange(len(seen))
+    component = number[component]
+    loose = sorted(set(component.tolist()) - {int(number[k]) for k in order})
+    return component, tuple(sorted({*held, *(int(np.argmax(component == k)) for k in loose)}))
+
+
+def connected(graph: PoseGraph, used: Bool[np.ndarray, " m"] | None = None) -> Int[np.ndarray, " n"]:
+    """A number for every pose, equal for those that hang together through the edges `used` (all when None)."""
+    rows = np.ones(graph.edges, dtype=bool) if used is None else used
+    n = len(graph)
+    links = sp.coo_array((np.ones(int(rows.sum())), (graph.first[rows], graph.second[rows])), shape=(n, n))
+    return np.asarray(connected_components(links, directed=False)[1], dtype=np.int64)
+
+
+def _dropped(graph: PoseGraph, k: int, nis: float, gate: float) -> DroppedEdge:
+    i, j = int(graph.first[k]), int(graph.second[k])
+    reason = f"it lies {np.sqrt(nis):.1f} standard deviations from what the rest says, the limit is {np.sqrt(gate):.1f}"
+    return DroppedEdge(k, i, j, nis, reason)
+
+
+def _check(graph: PoseGraph, fixed: Sequence[int], priors: Sequence[Prior]) -> None:
+    n = len(graph)
+    if not n:
+        raise DataError("a pose graph needs poses, found none")
+    for name, values in (("pose", graph.pose), ("measured", graph.measured), ("information", graph.information)):
+        if not np.isfinite(values).all():
+            raise DataError(f"pose graph: a number of `{name}` is not finite")
+    ends = np.concatenate([graph.first, graph.second, [*fixed], [p.vertex for p in priors]])
+    if len(ends) and (ends.min() < 0 or ends.max() >= n):
+        raise DataError(
+            f"pose graph: expected vertices 0 to {n - 1}, found {int(ends.max() if ends.max() >= n else ends.min())}"
+        )
+    if (graph.first == graph.second).any():
+        k = int(np.argmax(graph.first == graph.second))
+        raise DataError(f"pose graph: edge {k} ties pose {int(graph.first[k])} to itself")
+    for what, information in (("edge", graph.information), ("prior", np.array([p.information for p in priors]))):
+        if len(information) and (np.linalg.eigvalsh(information)[:, 0] <= 0).any():
+            k = int(np.argmax(np.linalg.eigvalsh(information)[:, 0] <= 0))
+            raise DataError(f"pose graph: the information of {what} {k} is not positive definite")

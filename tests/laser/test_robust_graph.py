@@ -1,0 +1,218 @@
+"""Any pose graph solved: against dense algebra and GTSAM, with false closures, in parts, with priors."""
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+
+from mapweave.core import se2
+from mapweave.core.errors import DataError
+from mapweave.io.g2o import read_g2o
+from mapweave.laser.pose_graph import PoseGraph
+from mapweave.laser.robust_graph import Prior, RobustGraphConfig, connected, solve_graph
+
+SD = np.array([0.05, 0.05, 0.02])
+PLAIN = RobustGraphConfig(method="none")
+
+
+def laps(rng, n=60, closures=40, every=20):
+    """Rounds of a circle, `every` poses each, with measured steps and closures; starts from the steps."""
+    turn = 2 * np.pi / every
+    truth = np.stack(
+        [5 * np.sin(turn * np.arange(n)), 5 - 5 * np.cos(turn * np.arange(n)), turn * np.arange(n)], axis=1
+    )
+    truth[:, 2] = se2.wrap_angle(truth[:, 2])
+    a = rng.integers(0, n - 2, closures)
+    b = a + 2 + rng.integers(0, n - 2 - a)
+    pairs = [*((k, k + 1) for k in range(n - 1)), *zip(a.tolist(), b.tolist(), strict=True)]
+    z = [se2.compose(se2.between(truth[i], truth[j]), rng.normal(0, SD)) for i, j in pairs]
+    start = [truth[0]]
+    for step in z[: n - 1]:
+        start.append(se2.compose(start[-1], step))
+    return truth, PoseGraph.of(np.array(start), pairs, z, [np.diag(SD**-2.0)] * len(pairs))
+
+
+def with_false(graph, count, rng):
+    n = len(graph)
+    a = rng.integers(0, n // 2, count)
+    b = a + rng.integers(2, n // 2, count)
+    z = np.column_stack([rng.uniform(-8, 8, (count, 2)), rng.uniform(-3, 3, count)])
+    pairs = list(zip(a.tolist(), b.tolist(), strict=True))
+    return graph.joined(PoseGraph.of(graph.pose, pairs, list(z), [np.diag(SD**-2.0)] * count))
+
+
+def squares(graph):
+    r = se2.between(graph.measured, se2.between(graph.pose[graph.first], graph.pose[graph.second]))
+    return np.einsum("mi,mij,mj->m", r, graph.information, r)
+
+
+def test_the_optimum_has_no_slope_and_its_covariances_are_those_of_the_whole_inverse():
+    _, graph = laps(np.random.default_rng(0), n=24, closures=12)
+    solved = solve_graph(graph, PLAIN, fixed=[3])
+    assert solved.converged
+    assert solved.chi2 == pytest.approx(squares(solved.graph).sum())
+    assert solved.chi2_before == pytest.approx(squares(graph).sum())
+    x, h = solved.graph.pose.ravel(), 1e-6
+    W = np.linalg.cholesky(graph.information).swapaxes(1, 2)
+
+    def residual(v):
+        p = v.reshape(-1, 3)
+        return (W @ se2.between(graph.measured, se2.between(p[graph.first], p[graph.second]))[..., None]).ravel()
+
+    J = np.stack([(residual(x + h * e) - residual(x - h * e)) / (2 * h) for e in np.eye(len(x))], axis=1)
+    free = np.setdiff1d(np.arange(len(x)), 3 * 3 + np.arange(3))
+    assert np.abs(J[:, free].T @ residual(x)).max() < 1e-2
+    P = np.zeros((len(x), len(x)))
+    P[np.ix_(free, free)] = np.linalg.inv(J[:, free].T @ J[:, free])
+    got = solved.covariances()
+    for k in range(len(graph)):
+        at = 3 * k + np.arange(3)
+        assert np.allclose(got[k], P[np.ix_(at, at)], rtol=1e-4, atol=1e-9)
+    a, b = np.array([2, 5]), np.array([9, 23])
+    relative = solved.relative_covariances(a, b)
+    for k in range(2):
+        at = np.concatenate([3 * a[k] + np.arange(3), 3 * b[k] + np.arange(3)])
+
+        def between(v):
+            return se2.between(v[:3], v[3:])
+
+        D = np.stack([(between(x[at] + h * e) - between(x[at] - h * e)) / (2 * h) for e in np.eye(6)], axis=1)
+        assert np.allclose(relative[k], D @ P[np.ix_(at, at)] @ D.T, rtol=1e-4, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["gnc", "cauchy"])
+@pytest.mark.parametrize("share", [0.1, 0.3])
+def test_false_closures_are_dropped_and_told(method, share):
+    for seed in range(4):
+        rng = np.random.default_rng([seed, 1])
+        _, graph = laps(rng)
+        clean = solve_graph(graph, RobustGraphConfig(method=method))
+        bad = with_false(graph, round(share * 40), rng)
+        solved = solve_graph(bad, RobustGraphConfig(method=method))
+        false = np.arange(bad.edges) >= graph.edges
+        assert not solved.used[false].any()
+        assert {d.edge for d in solved.dropped} == set(np.flatnonzero(~solved.used).tolist())
+        for d in solved.dropped:
+            assert d.nis > 16.27
+            assert (d.first, d.second) == (bad.first[d.edge], bad.second[d.edge])
+            assert f"{np.sqrt(d.nis):.1f} standard deviations" in d.reason
+        assert clean.used.sum() >= graph.edges - 1
+        cost = squares(replace(graph, pose=solved.graph.pose))[clean.used].sum()
+        assert cost <= 1.05 * clean.chi2
+        plain = solve_graph(bad, PLAIN)
+        assert squares(replace(graph, pose=plain.graph.pose)).sum() > 10 * clean.chi2
+
+
+def test_a_graph_without_contradictions_stays_whole():
+    _, graph = laps(np.random.default_rng(5))
+    solved = solve_graph(graph)
+    assert solved.used.all()
+    assert not solved.dropped
+    assert solved.chi2 == pytest.approx(solve_graph(graph, PLAIN).chi2, rel=1e-6)
+
+
+def test_what_hangs_on_false_closures_alone_becomes_a_part_of_its_own():
+    truth, graph = laps(np.random.default_rng(6), n=30, closures=0)
+    keep = graph.second != 15
+    cut = PoseGraph(graph.pose, graph.first[keep], graph.second[keep], graph.measured[keep], graph.information[keep])
+    assert connected(cut).max() == 1
+    tie = [se2.between(truth[3], truth[20]), se2.compose(se2.between(truth[4], truth[22]), np.array([3.0, 0.0, 1.0]))]
+    tie.append(se2.between(truth[5], truth[24]))
+    tied = cut.joined(PoseGraph.of(graph.pose, [(3, 20), (4, 22), (5, 24)], tie, [np.diag(SD**-2.0)] * 3))
+    solved = solve_graph(tied)
+    assert not solved.used[-2]
+    assert solved.component.max() == 0
+    apart = solve_graph(cut)
+    assert apart.fixed == (0, 15)
+    assert np.array_equal(apart.component, np.arange(30) >= 15)
+    assert apart.converged
+
+
+def test_priors_hold_the_graph_where_they_say():
+    truth, graph = laps(np.random.default_rng(7), n=20, closures=10)
+    there = se2.compose(np.array([10.0, -3.0, 1.0]), truth)
+    priors = [Prior(k, there[k], np.diag([1e6, 1e6, 1e6])) for k in (2, 12)]
+    solved = solve_graph(graph, PLAIN, priors=priors)
+    assert solved.fixed == ()
+    assert np.abs(se2.between(solved.graph.pose, there)).max() < 0.2
+    assert solved.prior_nis.shape == (2,)
+
+
+def test_graphs_nobody_can_solve_are_refused():
+    _, graph = laps(np.random.default_rng(8), n=10, closures=2)
+    information = graph.information.copy()
+    information[3, 2, 2] = 0.0
+    with pytest.raises(DataError, match="edge 3 is not positive definite"):
+        solve_graph(replace(graph, information=information))
+    with pytest.raises(DataError, match="not finite"):
+        solve_graph(replace(graph, measured=graph.measured * np.nan))
+    with pytest.raises(DataError, match="expected vertices 0 to 9, found 12"):
+        solve_graph(graph, fixed=[12])
+    with pytest.raises(DataError, match="found none"):
+        solve_graph(PoseGraph.of(np.zeros((0, 3)), [], [], []))
+    with pytest.raises(DataError, match="to itself"):
+        solve_graph(graph.joined(PoseGraph.of(graph.pose, [(4, 4)], [np.zeros(3)], [np.eye(3)])))
+
+
+@pytest.mark.parametrize("name", ["intel", "CSAIL", "manhattan"])
+def test_public_graphs_have_the_optimum_that_gtsam_finds_with_the_same_residual(data, name):
+    """GTSAM's own edges measure the residual by its logarithm; here they measure it as these do."""
+    graph = read_g2o(data / "g2o" / f"{name}.g2o.gz")
+    solved = solve_graph(graph, PLAIN)
+    assert solved.converged
+    theirs, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k, pose in enumerate(solved.graph.pose.tolist()):
+        values.insert(k, np.array(pose))
+    for i, j, z, information in zip(
+        graph.first.tolist(), graph.second.tolist(), graph.measured, graph.information, strict=True
+    ):
+        noise = gtsam.noiseModel.Gaussian.Information(information)
+        theirs.add(gtsam.CustomFactor(noise, [i, j], _edge(z)))
+    theirs.add(gtsam.PriorFactorVector(0, graph.pose[0], gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)))
+    params = gtsam.LevenbergMarquardtParams()
+    params.setRelativeErrorTol(1e-12)
+    params.setAbsoluteErrorTol(1e-12)
+    end = gtsam.LevenbergMarquardtOptimizer(theirs, values, params).optimize()
+    assert 2 * theirs.error(values) == pytest.approx(solved.chi2, rel=1e-9)
+    assert 2 * theirs.error(end) >= solved.chi2 * (1 - 1e-6)
+
+
+def _edge(z):
+    """The residual `z^-1 (a^-1 b)` and its derivatives, on plain vectors."""
+    cz, sz = np.cos(z[2]), np.sin(z[2])
+    Rz = np.array([[cz, sz], [-sz, cz]])
+
+    def error(factor, values, H):
+        a, b = map(values.atVector, factor.keys())
+        c, s = np.cos(a[2]), np.sin(a[2])
+        R = np.array([[c, s], [-s, c]])
+        d = b[:2] - a[:2]
+        local = R @ d
+        if H is not None:
+            A, B = np.zeros((3, 3)), np.zeros((3, 3))
+            B[:2, :2], B[2, 2] = Rz @ R, 1.0
+            A[:2, :2], A[2, 2] = -B[:2, :2], -1.0
+            A[:2, 2] = Rz @ np.array([local[1], -local[0]])
+            H[0], H[1] = np.asfortranarray(A), np.asfortranarray(B)
+        e = Rz @ (local - z[:2])
+        return np.array([e[0], e[1], np.arctan2(np.sin(b[2] - a[2] - z[2]), np.cos(b[2] - a[2] - z[2]))])
+
+    return error
+
+
+def test_real_graphs_survive_false_closures(data):
+    graph = read_g2o(data / "g2o" / "CSAIL.g2o.gz")
+    clean = solve_graph(graph, PLAIN)
+    rng = np.random.default_rng(7)
+    closures = int((np.abs(graph.second - graph.first) != 1).sum())
+    for share in (0.1, 0.3):
+        count = round(share * closures)
+        a = rng.integers(0, len(graph), count)
+        b = (a + rng.integers(2, len(graph) - 2, count)) % len(graph)
+        z = np.column_stack([rng.uniform(-5, 5, (count, 2)), rng.uniform(-3, 3, count)])
+        pairs = list(zip(a.tolist(), b.tolist(), strict=True))
+        false = PoseGraph.of(graph.pose, pairs, list(z), [np.median(graph.information, axis=0)] * count)
+        solved = solve_graph(graph.joined(false))
+        assert not solved.used[graph.edges :].any()
+        assert squares(replace(graph, pose=solved.graph.pose)).sum() <= 1.05 * clean.chi2
