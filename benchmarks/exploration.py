@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mapweave.api.explore_options import worker_pool
 from mapweave.core.se2 import wrap_angle
+from mapweave.core.workers import worker_pool
 from mapweave.exploration.landmarks import coverage, objective
 from mapweave.exploration.landmarks.config import ExploreConfig
-from mapweave.exploration.landmarks.experiment import CALIBRATED, Mission, explore_many, with_noise
+from mapweave.exploration.landmarks.experiment import CALIBRATED, LandmarkMission, explore_many, with_noise
 from mapweave.exploration.landmarks.scenario import find_scenario, make_field
 from mapweave.exploration.landmarks.team import Team
 from mapweave.fusion.handover import hand_over
@@ -54,9 +54,9 @@ def decisions() -> dict:
     A = 0.02 * rng.normal(size=(63, 63))
     marks = rng.uniform(-14, 14, (30, 2))
     team.submaps[0] = Submap("robot1", np.zeros(3), tuple(map(str, range(30))), marks, A @ A.T + 1e-4 * np.eye(63), "l")
-    one = timed(lambda: objective.choose(team.view(), team.poses(), cfg), 200)
+    one = timed(lambda: objective.choose(team.belief(), team.poses(), cfg), 200)
     eight = Team(make_field(find_scenario("yuan"), 8, 0), cfg, coverage.choose, rng)
-    view = eight.view()
+    view = eight.belief()
 
     def fresh() -> None:
         eight.memory.clear()
@@ -183,11 +183,11 @@ def compiled(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg:
     return time.process_time() - begun
 
 
-def mission(planner="paper", robots=2, scenario="yuan", until="landmarks", how="known", **more) -> Mission:
+def mission(planner="paper", robots=2, scenario="yuan", until="landmarks", how="known", **more) -> LandmarkMission:
     kills, drop = more.pop("kills", None), more.pop("drop", 0.0)
     cfg = with_noise(ExploreConfig(**more), CALIBRATED)
     cfg = replace(cfg, submap=replace(cfg.submap, association=how))
-    return Mission(find_scenario(scenario), robots, planner, until, kills, drop, cfg)
+    return LandmarkMission(find_scenario(scenario), robots, planner, until, kills, drop, cfg)
 
 
 def row_of(name: str, scores) -> dict:

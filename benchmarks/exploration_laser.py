@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mapweave.api.explore_options import worker_pool
+from mapweave.core.workers import worker_pool
 from mapweave.exploration.laser.experiment import LaserMission, explore_laser_many
 from mapweave.exploration.laser.scenario import LaserScenarioConfig
 from mapweave.exploration.laser.score import LaserScore

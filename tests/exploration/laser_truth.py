@@ -5,7 +5,9 @@ from scipy import ndimage
 
 from mapweave.core import se2
 from mapweave.core.wall_index import WallIndex
-from mapweave.exploration.laser.view import LaserExploreConfig, LaserView, find_laser_planner
+from mapweave.exploration.laser.belief import PLANNERS, LaserBelief
+from mapweave.exploration.laser.config import LaserExploreConfig
+from mapweave.exploration.planner_interface import find_planner
 from mapweave.kernels.laser.render import render
 from mapweave.laser.occupancy import FREE, OCCUPIED, Occupancy, from_counts
 from mapweave.sim.laser_team import LaserTeamSim
@@ -58,16 +60,25 @@ class Team:
             render(hits, self.passes, sums, self.corner, self.cfg.resolution, pose[:2], flat, np.ones(len(flat)))
         return points[scan.hit]
 
-    def view(self) -> LaserView:
+    def belief(self) -> LaserBelief:
         scans = tuple(self.look(j) if a else np.zeros((0, 2)) for j, a in enumerate(self.alive))
         names = tuple(f"robot{j + 1}" for j in range(len(scans)))
-        return LaserView(self.step, names, self.alive, self.grid(), scans, np.zeros(len(scans), int), self.memory)
+        stalled = np.zeros(len(scans), int)
+        return LaserBelief(
+            step=self.step,
+            robots=names,
+            alive=self.alive,
+            stalled=stalled,
+            memory=self.memory,
+            grid=self.grid(),
+            scans=scans,
+        )
 
     def play(self, planner, most: int) -> bool:
         """Steps until the planner says that all is done, or `most`; whether it did."""
-        choose = find_laser_planner(planner) if isinstance(planner, str) else planner
+        choose = find_planner(planner, PLANNERS) if isinstance(planner, str) else planner
         while self.step < most:
-            commands = choose(self.view(), self.sim.true_poses.copy(), self.cfg)
+            commands = choose(self.belief(), self.sim.true_poses.copy(), self.cfg)
             if self.memory.get("finished"):
                 return True
             commands[~self.alive] = 0.0

@@ -12,11 +12,18 @@ from mapweave.api.explore import explore
 from mapweave.core import se2
 from mapweave.core.errors import ConfigError, DataError, EstimateError, UsageError
 from mapweave.exploration.landmarks import team as team_module
-from mapweave.exploration.landmarks.config import ExploreConfig
-from mapweave.exploration.landmarks.experiment import CALIBRATED, Mission, explore_many, explore_once, with_noise
+from mapweave.exploration.landmarks.belief import PLANNERS
+from mapweave.exploration.landmarks.config import ExploreConfig, JointConfig, LapSearchConfig
+from mapweave.exploration.landmarks.experiment import (
+    CALIBRATED,
+    LandmarkMission,
+    explore_many,
+    explore_once,
+    with_noise,
+)
 from mapweave.exploration.landmarks.scenario import ScenarioConfig, find_scenario, make_field
 from mapweave.exploration.landmarks.team import Team
-from mapweave.exploration.landmarks.view import find_planner
+from mapweave.exploration.planner_interface import find_planner
 from mapweave.fusion.handover import hand_over
 from mapweave.landmarks.submap import Submap
 from mapweave.landmarks.submap_slam import SubmapConfig
@@ -25,7 +32,7 @@ from mapweave.landmarks.submap_slam import SubmapConfig
 def mission(planner="paper", association="known", until="landmarks", noise=CALIBRATED, **more):
     own = {k: more.pop(k) for k in ("robots", "kills", "drop") if k in more}
     cfg = with_noise(ExploreConfig(submap=SubmapConfig(association=association), **more), noise)
-    return Mission(find_scenario("yuan"), planner=planner, until=until, cfg=cfg, **own)
+    return LandmarkMission(find_scenario("yuan"), planner=planner, until=until, cfg=cfg, **own)
 
 
 def mean(runs, name):
@@ -142,7 +149,7 @@ def test_lost_messages_and_a_death_among_four_are_survived():
 
 
 def test_laps_planned_together_survive_a_death_and_budgets_longer_than_they_are():
-    few = {"joint_tries": 40}
+    few = {"joint": JointConfig(search=LapSearchConfig(tries=40))}
     dead, long = runs_of(
         [mission("joint", robots=4, kills={1: 30}, drop=0.2, **few), mission("joint", until=260, **few)], 3
     )
@@ -162,7 +169,7 @@ def test_the_same_seed_is_the_same_run_bit_for_bit():
 
 def test_one_robot_explores_a_field_to_its_end():
     small = ScenarioConfig(lower=(-20, -15), upper=(20, 15), landmarks=8)
-    score, record = explore_once(Mission(small, robots=1, planner="coverage", until="field"), 0)
+    score, record = explore_once(LandmarkMission(small, robots=1, planner="coverage", until="field"), 0)
     assert score.finished
     assert record.moments[-1].explored == 1.0
     assert score.missed == 0
@@ -190,9 +197,11 @@ def test_a_planner_that_returns_nonsense_is_named(returned, told):
 
 
 def test_a_users_own_planner_is_found_by_dotted_name():
-    assert find_planner("mapweave.exploration.landmarks.coverage:choose") is find_planner("coverage")
+    assert find_planner("mapweave.exploration.landmarks.coverage:choose", PLANNERS) is find_planner(
+        "coverage", PLANNERS
+    )
     with pytest.raises(UsageError, match="not an importable"):
-        find_planner("nowhere.at.all:choose")
+        find_planner("nowhere.at.all:choose", PLANNERS)
 
 
 def test_a_scenario_without_landmarks_or_with_a_robot_outside_is_refused(tmp_path):

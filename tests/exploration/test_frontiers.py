@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mapweave.exploration.laser.frontiers import frontiers, pockets, survey
-from mapweave.exploration.laser.view import LaserExploreConfig
+from mapweave.exploration.laser.config import LaserExploreConfig
+from mapweave.exploration.laser.frontiers import frontiers, mapped_ground, pockets
 from mapweave.laser.occupancy import FREE, OCCUPIED, UNKNOWN, Occupancy
 
 CFG = LaserExploreConfig()
@@ -23,7 +23,7 @@ def box(inside: str, rows: int = 9) -> Occupancy:
 
 
 def found(grid: Occupancy, *at: tuple[float, float], cfg: LaserExploreConfig = CFG):
-    return frontiers(survey(grid, np.array(at), NOBODY, cfg), cfg)
+    return frontiers(mapped_ground(grid, np.array(at), NOBODY, cfg), cfg)
 
 
 def test_known_ground_within_walls_has_no_frontier():
@@ -46,7 +46,7 @@ def test_no_frontier_is_seen_through_a_gap_that_no_robot_fits_through():
 
 def test_a_closed_room_seen_by_a_stray_beam_is_no_goal_and_is_told_as_a_pocket():
     grid = box("." * 8 + "##" + "." * 10 + " " * 6)
-    ground = survey(grid, np.array([[0.9, 1.0]]), NOBODY, CFG)
+    ground = mapped_ground(grid, np.array([[0.9, 1.0]]), NOBODY, CFG)
     assert frontiers(ground, CFG) == []
     middles = pockets(ground, CFG)
     assert len(middles) == 1
@@ -81,4 +81,4 @@ def test_a_dead_robot_in_a_door_shuts_it():
     grid = drawn("#" * 19, *[row] * 4, *[open_row] * 5, *[row] * 4, "#" * 19)
     assert found(grid, (0.9, 1.4))
     dead = np.array([[0.2 * 9.5, 0.2 * 7.5]])
-    assert frontiers(survey(grid, np.array([[0.9, 1.4]]), dead, CFG), CFG) == []
+    assert frontiers(mapped_ground(grid, np.array([[0.9, 1.4]]), dead, CFG), CFG) == []

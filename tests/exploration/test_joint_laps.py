@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from mapweave.exploration.landmarks import lap_search
-from mapweave.exploration.landmarks.config import ExploreConfig
+from mapweave.exploration.landmarks.config import ExploreConfig, LapSearchConfig
 from mapweave.exploration.landmarks.lap_search import LapTask, find_laps
 from mapweave.landmarks.submap_slam import SubmapConfig
 
@@ -18,7 +18,8 @@ TASK = LapTask(
     steps=70,
     density=1 / 275,
     error_weight=80.0,
-    tries=40,
+    search=LapSearchConfig(tries=40),
+    heading_cost=ExploreConfig().steering.heading_cost,
 )
 
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapweave.exploration.laser.path_follower import driven, steer
-from mapweave.exploration.laser.planner_state import Crew
-from mapweave.exploration.laser.view import LaserExploreConfig
+from mapweave.exploration.laser.config import LaserExploreConfig
+from mapweave.exploration.laser.path_follower import predicted_path, steer
+from mapweave.exploration.laser.planner_state import PlannerState
 
 from .laser_truth import Team, known_map, room, world_of
 
@@ -25,7 +25,7 @@ def test_no_command_ever_brings_the_disc_to_a_point_of_the_scan(seed, count, far
     command = steer(np.zeros(3), target, points, ALONE, CFG)
     for part in np.linspace(0.0, 1.0, 60):
         shorter = LaserExploreConfig(period=CFG.period * max(part, 1e-9))
-        end = driven(np.zeros(3), command, shorter)[-1]
+        end = predicted_path(np.zeros(3), command, shorter)[-1]
         assert np.hypot(*(points - end).T).min() >= CFG.radius
 
 
@@ -46,7 +46,7 @@ def test_without_a_target_a_robot_stands_still():
 def test_a_robot_never_drives_into_the_way_another_has_chosen():
     other = np.array([[0.7, 0.0], [0.6, 0.0], [0.5, 0.0]])
     command = steer(np.zeros(3), np.array([2.0, 0.0]), ALONE, other, CFG)
-    ends = driven(np.zeros(3), command, CFG)
+    ends = predicted_path(np.zeros(3), command, CFG)
     apart = np.linalg.norm(ends[:, None] - other[None], axis=-1).min()
     assert apart >= min(0.5, 2 * CFG.radius + CFG.apart) - 1e-6
 
@@ -56,7 +56,7 @@ def exchanged(world, starts, lower, upper, most: int, homes=None) -> Team:
     team = Team(world, starts, lower, upper)
     team.given = known_map(world, lower, upper)
     homes = np.roll(np.array(starts, float)[:, :2], 1, axis=0) if homes is None else np.array(homes)
-    team.memory["crew"] = Crew(home=homes)
+    team.memory["planner_state"] = PlannerState(home=homes)
     assert team.play("loop", most), "they never got there"
     assert np.hypot(*(team.sim.true_poses[:, :2] - homes).T).max() < 1.0
     assert team.sim.collisions.sum() == 0

@@ -7,10 +7,18 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import UsageError
-from mapweave.exploration.laser.frontiers import frontiers, survey
-from mapweave.exploration.laser.planner_state import Crew, ways_to
-from mapweave.exploration.laser.task_allocation import by_tours, halved, hold, nearest_first, offer
-from mapweave.exploration.laser.view import BUILT_IN, LaserExploreConfig, find_laser_planner
+from mapweave.exploration.laser.belief import PLANNERS
+from mapweave.exploration.laser.config import LaserExploreConfig
+from mapweave.exploration.laser.frontiers import frontiers, mapped_ground
+from mapweave.exploration.laser.planner_state import PlannerState, route_to
+from mapweave.exploration.laser.task_allocation import (
+    allocation_problem,
+    by_tours,
+    halved,
+    keep_commitments,
+    nearest_first,
+)
+from mapweave.exploration.planner_interface import find_planner
 from mapweave.kernels.exploration.wavefront import NO_LIMIT, UNREACHED, spread
 from mapweave.laser.occupancy import FREE, OCCUPIED, UNKNOWN, Occupancy
 from mapweave.sim.office_floor import office_floor
@@ -25,7 +33,7 @@ def office_team(area: float, seed: int, robots: int) -> Team:
     return Team(floor.world, floor.starts[:robots], floor.lower, floor.upper, seed=seed)
 
 
-@pytest.mark.parametrize("planner", list(BUILT_IN))
+@pytest.mark.parametrize("planner", list(PLANNERS))
 def test_every_planner_maps_a_whole_office_without_a_touch(planner):
     team = office_team(300, 1, 2)
     assert team.play(planner, 900)
@@ -86,53 +94,53 @@ def offers_in_a_hall(places: list[tuple[float, float]], *, width: float = 30.0):
     for x in range(10, cols - 8, 20):
         state[9:12, x : x + 3] = UNKNOWN
     grid, poses = Occupancy(0.2, np.zeros(2), state), np.array([(*p, 0.0) for p in places])
-    ground = survey(grid, poses[:, :2], np.zeros((0, 2)), CFG)
-    crew = Crew(still=np.zeros(len(places), int))
-    return offer(ground, frontiers(ground, CFG), crew, poses, np.arange(len(places)), CFG)
+    ground = mapped_ground(grid, poses[:, :2], np.zeros((0, 2)), CFG)
+    state = PlannerState(still=np.zeros(len(places), int))
+    return allocation_problem(ground, frontiers(ground, CFG), state, poses, np.arange(len(places)), CFG)
 
 
 def test_tours_send_robots_to_different_sides():
-    offers = offers_in_a_hall([(14.5, 2.0), (15.5, 2.0)])
-    chosen = by_tours(offers, CFG)
-    first, second = (offers.pieces[chosen[j]].place[0] for j in (0, 1))
+    problem = offers_in_a_hall([(14.5, 2.0), (15.5, 2.0)])
+    chosen = by_tours(problem, CFG)
+    first, second = (problem.pieces[chosen[j]].place[0] for j in (0, 1))
     assert (first - 15.0) * (second - 15.0) < 0
 
 
 def test_no_two_robots_get_the_same_frontier():
-    offers = offers_in_a_hall([(3.0, 1.0), (3.0, 3.0), (4.0, 2.0)])
-    for share in (by_tours, nearest_first):
-        chosen = share(offers, CFG)
+    problem = offers_in_a_hall([(3.0, 1.0), (3.0, 3.0), (4.0, 2.0)])
+    for allocate in (by_tours, nearest_first):
+        chosen = allocate(problem, CFG)
         assert len(chosen) == 3
         assert len(set(chosen.values())) == 3
 
 
 def test_a_robot_on_its_way_changes_its_mind_only_for_what_is_nearer_or_on_the_way():
-    offers = replace(offers_in_a_hall([(15.0, 2.0)]), held={0: 0})
-    far = int(np.argmax(offers.first[0]))
-    near = int(np.argmin(offers.first[0]))
-    held = int(np.argmin(np.abs(offers.first[0] - offers.first[0, far] + 1.0)))
-    assert hold(replace(offers, held={0: held}), {0: far}, CFG) == {0: held}
-    assert hold(replace(offers, held={0: held}), {0: near}, CFG) == {0: near}
+    problem = replace(offers_in_a_hall([(15.0, 2.0)]), held={0: 0})
+    far = int(np.argmax(problem.first[0]))
+    near = int(np.argmin(problem.first[0]))
+    held = int(np.argmin(np.abs(problem.first[0] - problem.first[0, far] + 1.0)))
+    assert keep_commitments(replace(problem, held={0: held}), {0: far}, CFG) == {0: held}
+    assert keep_commitments(replace(problem, held={0: held}), {0: near}, CFG) == {0: near}
 
 
 def test_a_robot_leaves_its_frontier_to_a_nearer_one():
-    offers = offers_in_a_hall([(3.0, 2.0), (15.0, 2.0)])
-    left = int(np.argmin(offers.first[0]))
-    right = int(np.argmax(offers.first[0]))
-    assert hold(replace(offers, held={1: left}), {0: left, 1: right}, CFG) == {0: left, 1: right}
+    problem = offers_in_a_hall([(3.0, 2.0), (15.0, 2.0)])
+    left = int(np.argmin(problem.first[0]))
+    right = int(np.argmax(problem.first[0]))
+    assert keep_commitments(replace(problem, held={1: left}), {0: left, 1: right}, CFG) == {0: left, 1: right}
 
 
 def test_a_planner_of_ones_own_is_found_by_its_dotted_name():
-    assert find_laser_planner("mapweave.exploration.laser.planners:coverage") is find_laser_planner("coverage")
+    assert find_planner("mapweave.exploration.laser.planners:coverage", PLANNERS) is find_planner("coverage", PLANNERS)
     with pytest.raises(UsageError, match="best"):
-        find_laser_planner("best")
+        find_planner("best", PLANNERS)
 
 
 def test_shares_go_by_lengths_that_are_nearly_those_of_the_ways():
-    offers = offers_in_a_hall([(3.0, 1.0)])
-    for n, piece in enumerate(offers.pieces):
-        exact = ways_to(offers.ground, piece.place, np.zeros((0, 2)), CFG).metres(offers.poses[:, :2])[0]
-        assert offers.first[0, n] == pytest.approx(exact, rel=0.1, abs=2.5)
+    problem = offers_in_a_hall([(3.0, 1.0)])
+    for n, piece in enumerate(problem.pieces):
+        exact = route_to(problem.ground, piece.place, np.zeros((0, 2)), CFG).metres_from(problem.poses[:, :2])[0]
+        assert problem.first[0, n] == pytest.approx(exact, rel=0.1, abs=2.5)
 
 
 def test_a_wall_stays_shut_over_cells_twice_as_large():

@@ -10,12 +10,19 @@ from PIL import Image
 
 from mapweave.api.explore import explore
 from mapweave.core.errors import ConfigError, DataError, ReaderError, UsageError
+from mapweave.exploration.landmarks.belief import PLANNERS
 from mapweave.exploration.landmarks.config import ExploreConfig
-from mapweave.exploration.landmarks.experiment import CALIBRATED, Mission, explore_many, explore_once, with_noise
+from mapweave.exploration.landmarks.experiment import (
+    CALIBRATED,
+    LandmarkMission,
+    explore_many,
+    explore_once,
+    with_noise,
+)
 from mapweave.exploration.landmarks.scenario import ScenarioConfig, bounds, find_scenario, find_walls, make_field
 from mapweave.exploration.landmarks.steering import given_up, next_target, offered
 from mapweave.exploration.landmarks.team import Team
-from mapweave.exploration.landmarks.view import find_planner
+from mapweave.exploration.planner_interface import find_planner
 from mapweave.io.mrclam import read_mrclam
 from mapweave.landmarks.submap_slam import SubmapConfig, move
 
@@ -40,8 +47,8 @@ def mean(runs, name):
 
 def test_every_planner_explores_a_hall_with_walls_honestly():
     jcbb = replace(KNOWN, submap=replace(KNOWN.submap, association="jcbb"))
-    four = Mission(HALL, 4, "coverage", "field", {1: 30}, 0.2, KNOWN)
-    missions = [Mission(HALL, 2, name, "field", cfg=KNOWN) for name in ("paper", "area", "coverage", "loop")]
+    four = LandmarkMission(HALL, 4, "coverage", "field", {1: 30}, 0.2, KNOWN)
+    missions = [LandmarkMission(HALL, 2, name, "field", cfg=KNOWN) for name in ("paper", "area", "coverage", "loop")]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as workers:
         every = [explore_many(m, 4, 0, workers) for m in missions]
         others = [explore_many(four, 2, 0, workers), explore_many(replace(missions[2], cfg=jcbb), 2, 0, workers)]
@@ -59,10 +66,10 @@ def test_until_landmarks_leaves_out_those_nobody_can_see(name):
     room = replace(
         ROOM, landmarks=((5.0, 3.0), (20.0, 3.0), (20.0, 9.0), (18.0, 6.5)), walls=shut(17.0, 5.0, 19.0, 8.0)
     )
-    score, record = explore_once(Mission(room, 1, name, "landmarks", cfg=KNOWN), 0)
+    score, record = explore_once(LandmarkMission(room, 1, name, "landmarks", cfg=KNOWN), 0)
     assert score.finished
     assert (score.hidden, score.missed) == (1, 0)
-    assert record.ground.hidden == (3,)
+    assert record.floor.hidden == (3,)
     assert "m3" not in record.map.ids or len(record.map.ids) == 3
 
 
@@ -72,8 +79,8 @@ def shut(x0, y0, x1, y1):
 
 def test_walls_hide_cells_and_landmarks():
     wall = replace(ROOM, landmarks=((9.0, 6.0), (15.0, 6.0)), walls=((12.0, 2.0, 12.0, 10.0),))
-    team = Team(make_field(wall, 1, 0), KNOWN, find_planner("coverage"), np.random.default_rng(0))
-    first = team.look_around()
+    team = Team(make_field(wall, 1, 0), KNOWN, find_planner("coverage", PLANNERS), np.random.default_rng(0))
+    first = team.observe_start()
     assert first.sightings[0].ids == ("0",)
     seen = team.explored.team()
     assert seen[6, 10]
@@ -117,7 +124,7 @@ def test_an_unreachable_pocket_is_left_out_and_reported(tmp_path):
 def test_what_cannot_stand_there_is_refused_by_name_and_place(change, told):
     base = replace(ROOM, walls=((12.0, 2.0, 12.0, 10.0),))
     with pytest.raises(DataError, match=told):
-        explore_once(Mission(replace(base, **change), None, "coverage", cfg=KNOWN), 0)
+        explore_once(LandmarkMission(replace(base, **change), None, "coverage", cfg=KNOWN), 0)
 
 
 def test_a_start_inside_a_solid_wall_is_refused_and_so_is_no_robot(tmp_path):
@@ -145,13 +152,13 @@ def draw(folder, blocks, yaml=True):
 def test_a_plan_from_a_ros_map_or_an_image_is_explored_to_its_end(tmp_path, yaml):
     found = find_scenario(str(draw(tmp_path, [(11.75, 0.0, 12.25, 7.5), (18.0, 4.0, 20.0, 7.0)], yaml)))
     np.testing.assert_allclose(np.concatenate(bounds(found)), [0, 0, 24, 12])
-    score, record = explore_once(Mission(found, 1, "coverage", cfg=KNOWN), 3)
+    score, record = explore_once(LandmarkMission(found, 1, "coverage", cfg=KNOWN), 3)
     assert score.finished
     assert score.missed == 0
-    assert record.ground.area == pytest.approx(24 * 12 - 0.5 * 7.5 - 6.0, abs=8.0)
-    assert record.ground.pockets == ()
+    assert record.floor.area == pytest.approx(24 * 12 - 0.5 * 7.5 - 6.0, abs=8.0)
+    assert record.floor.pockets == ()
     clear = find_walls(found).clearance(np.array([m.true_poses[0, :2] for m in record.moments]))
-    assert clear.min() >= KNOWN.robot_radius - 1e-6
+    assert clear.min() >= KNOWN.walls.robot_radius - 1e-6
 
 
 def test_a_scenario_whose_plan_cannot_be_read_is_refused_in_one_line(tmp_path):
@@ -177,23 +184,23 @@ def test_a_robot_driven_into_a_wall_stops_short_of_it_and_knows_how_far_it_came(
         return np.array([[2.0, 0.0]])
 
     team = Team(make_field(wall, 1, 0), KNOWN, straight_on, np.random.default_rng(0), until=14)
-    team.look_around()
+    team.observe_start()
     moments = list(team.play())
     true = np.array([m.true_poses[0] for m in moments])
     assert true[:, 0].max() == pytest.approx(11.7, abs=1e-3)
     assert team.bumper.collisions == 1
     assert moments[-1].commands[0, 0] < 0.1
     assert np.hypot(*(moments[-1].poses[0] - moments[-1].true_poses[0])[:2]) < 0.3
-    assert len(team.view().contacts) >= 1
+    assert len(team.belief().contacts) >= 1
     driven = 3.0 + sum(m.commands[0, 0] * 0.5 for m in moments)
     assert driven == pytest.approx(11.7, abs=0.2)
 
 
 def test_offered_controls_keep_clear_and_facing_a_wall_the_robot_turns_on_the_spot():
-    team = Team(make_field(HALL, 2, 0), KNOWN, find_planner("paper"), np.random.default_rng(0))
-    view, walls = team.view(), team.ground.walls
+    team = Team(make_field(HALL, 2, 0), KNOWN, find_planner("paper", PLANNERS), np.random.default_rng(0))
+    view, walls = team.belief(), team.floor.walls
     rng = np.random.default_rng(1)
-    room = KNOWN.robot_radius + KNOWN.wall_margin / 3
+    room = KNOWN.walls.robot_radius + KNOWN.walls.margin / 3
     spots = rng.uniform([1, 1], [59, 39], (300, 2))
     spots = spots[walls.clearance(spots) > room]
     for x, y in spots:
@@ -222,7 +229,7 @@ def test_the_learning_environment_has_walls_too(tmp_path):
     while env.agents:
         seen, _, _, _, _ = env.step({a: int(rng.integers(env.action_space(a).n)) for a in env.agents})
         assert all(np.isfinite(o).all() for o in seen.values())
-        assert env.team.ground.walls.clearance(env.team.truth.poses[:, :2]).min() >= KNOWN.robot_radius - 1e-6
+        assert env.team.floor.walls.clearance(env.team.truth.poses[:, :2]).min() >= KNOWN.walls.robot_radius - 1e-6
 
 
 def test_rooms_with_doors_too_narrow_for_a_robot_are_told_and_the_rest_is_explored():
@@ -231,32 +238,32 @@ def test_rooms_with_doors_too_narrow_for_a_robot_are_told_and_the_rest_is_explor
 
     rooms = replace(ROOM, upper=(36.0, 12.0), starts=((18.0, 6.0, 0.0),), walls=door(12.0, 0.5) + door(24.0, 2.2))
     for name in ("paper", "coverage", "loop"):
-        score, record = explore_once(Mission(rooms, 1, name, cfg=KNOWN), 2)
+        score, record = explore_once(LandmarkMission(rooms, 1, name, cfg=KNOWN), 2)
         assert score.finished
         assert score.steps < 250
-        assert len(record.ground.pockets) >= 2  # beside what is seen through the slit
-        assert 40 < sum(record.ground.pockets) < 144
+        assert len(record.floor.pockets) >= 2  # beside what is seen through the slit
+        assert 40 < sum(record.floor.pockets) < 144
         assert min(m.true_poses[0, 0] for m in record.moments) > 12.0
         assert max(m.true_poses[0, 0] for m in record.moments) > 24.0
 
 
 def test_a_target_that_is_not_seen_in_time_is_put_off_for_another():
-    team = Team(make_field(HALL, 1, 0), KNOWN, find_planner("paper"), np.random.default_rng(0))
-    team.look_around()
+    team = Team(make_field(HALL, 1, 0), KNOWN, find_planner("paper", PLANNERS), np.random.default_rng(0))
+    team.observe_start()
     pose = team.poses()[0]
-    first = next_target(team.view(), 0, pose)
-    assert not given_up(team.view(), 0, first, KNOWN)
-    team.step = KNOWN.put_off_after
-    assert given_up(team.view(), 0, first, KNOWN)
-    assert not np.array_equal(next_target(team.view(), 0, pose), first)
-    team.step += 5 * KNOWN.put_off_after
-    np.testing.assert_array_equal(next_target(team.view(), 0, pose), first)
+    first = next_target(team.belief(), 0, pose)
+    assert not given_up(team.belief(), 0, first, KNOWN)
+    team.step = KNOWN.walls.put_off_after
+    assert given_up(team.belief(), 0, first, KNOWN)
+    assert not np.array_equal(next_target(team.belief(), 0, pose), first)
+    team.step += 5 * KNOWN.walls.put_off_after
+    np.testing.assert_array_equal(next_target(team.belief(), 0, pose), first)
 
 
 def test_two_robots_shut_off_from_each_other_each_explore_their_part():
     halves = replace(ROOM, starts=((4.0, 6.0, 0.0), (20.0, 6.0, 3.0)), walls=((12.0, 0.0, 12.0, 12.0),))
     for name in ("paper", "coverage", "loop"):
-        score, record = explore_once(Mission(halves, None, name, cfg=KNOWN), 0)
+        score, record = explore_once(LandmarkMission(halves, None, name, cfg=KNOWN), 0)
         assert score.finished
-        assert record.ground.pockets == ()
+        assert record.floor.pockets == ()
         assert score.steps < 150

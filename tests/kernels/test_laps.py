@@ -26,14 +26,14 @@ COUNTS = np.array([3, 2])
 
 def drive(steps, ways=WAYS, counts=COUNTS):
     cfg = ExploreConfig()
-    return drive_laps(ways, counts, STARTS, cfg.controls, cfg.submap.period, LOWER, UPPER, 3.0, steps)
+    return drive_laps(ways, counts, STARTS, cfg.controls, cfg.submap.period, LOWER, UPPER, 3.0, steps, 3.0)
 
 
 @pytest.mark.kernel
 def test_planned_laps_are_driven_as_the_robots_steer():
     cfg = ExploreConfig()
     track = drive(30)
-    view = Team(Field(LOWER, UPPER, np.zeros((1, 2)), STARTS), cfg, None, np.random.default_rng(0)).view()
+    view = Team(Field(LOWER, UPPER, np.zeros((1, 2)), STARTS), cfg, None, np.random.default_rng(0)).belief()
     for j in range(2):
         pose, lap = STARTS[j], list(WAYS[j, : COUNTS[j]])
         for t in range(1, 31):
@@ -101,9 +101,9 @@ def test_landmark_errors_are_those_of_the_dense_information_matrix():
                 H[:, n + 2 * k : n + 2 * k + 2] = near[:, 3:]
                 dense += H.T @ W @ H
     P = np.linalg.inv(dense)
-    add_landmark_information(S, track, every, marks, 1.0, cfg.reach, cfg.half_angle, cfg.R)
+    add_landmark_information(S, track, every, marks, 1.0, cfg.reach, cfg.half_angle, cfg.R, 2.0)
     assert np.allclose(np.linalg.inv(S), P[:n, :n])
-    errors = landmark_errors(np.linalg.inv(S), track, every, marks, cfg.reach, cfg.half_angle, cfg.R)
+    errors = landmark_errors(np.linalg.inv(S), track, every, marks, cfg.reach, cfg.half_angle, cfg.R, 2.0)
     each = [P[b : b + 2, b : b + 2] for b in range(n, n + 6, 2)]
     assert np.allclose(errors[:3], [np.sqrt(np.trace(p)) for p in each])
     assert np.isnan(errors[3])

@@ -6,7 +6,7 @@ import numpy as np
 
 from mapweave.core import se2
 from mapweave.core.walls import Walls
-from mapweave.exploration.paths import Reach
+from mapweave.exploration.ground import Ground
 from mapweave.laser.config import LaserTeamConfig
 from mapweave.laser.team import LaserTeam
 from mapweave.sim.laser_team import LaserRobotsConfig, LaserTeamSim, OdometryNoise
@@ -51,15 +51,15 @@ def rooms(area, robots, seed, stops):
     """An office floor, and for each robot a way through `stops` places drawn by chance."""
     floor = office_floor(area, seed)
     walls = Walls.of(floor.world.segments)
-    reach = Reach(~walls.blocked(floor.lower, floor.upper, CELL, 0.3), floor.lower, CELL, 6)
-    inside = np.argwhere(np.isfinite(reach.distances(floor.starts[:1, :2])[0]))
+    ground = Ground.of(~walls.blocked(floor.lower, floor.upper, CELL, 0.3), floor.lower, CELL, 6)
+    inside = np.argwhere(ground.cost_to_go(ground.cells(floor.starts[:1, :2])).cost >= 0)
     rng = np.random.default_rng(seed)
     ways = []
     for j in range(robots):
         way, at = [], floor.starts[j, :2]
         for _ in range(stops):
             goal = floor.lower + CELL * (inside[rng.integers(len(inside))][::-1] + 0.5)
-            way += list(reach.path(reach.distances(at[None])[0], goal))
+            way += list(ground.cost_to_go(ground.cells(at[None])).path(goal)[::-1])
             at = goal
         ways.append([np.asarray(p) for p in way])
     return floor.world, floor.starts[:robots], ways

@@ -10,21 +10,33 @@ from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
 from ..core.progress import Progress, no_progress
 from ..core.threads import one_blas_thread
+from ..exploration.landmarks.belief import PLANNERS
 from ..exploration.landmarks.config import ExploreConfig
-from ..exploration.landmarks.experiment import CALIBRATED, Mission, explore_many, explore_once, noise_factor, with_noise
-from ..exploration.landmarks.result import ExploreResult
+from ..exploration.landmarks.experiment import (
+    CALIBRATED,
+    LandmarkMission,
+    explore_many,
+    explore_once,
+    noise_factor,
+    with_noise,
+)
+from ..exploration.landmarks.result import LandmarkExploreResult
 from ..exploration.landmarks.scenario import find_scenario, make_field
-from ..exploration.landmarks.view import find_planner
 from ..exploration.laser.result import LaserExploreResult
 from ..exploration.laser.scenario import find_laser_scenario
+from ..exploration.planner_interface import find_planner
 from ..io.directory import check_target, result_directory
 from .explore_laser import explore_laser
 from .explore_options import check_numbers, factor_of, kills_of, remaining_runs, steps_of
 
 NOISE = {"printed": 1.0, "calibrated": CALIBRATED}
 POSITIVE = (
-    *("cell", "speeds", "cover_radius", "loop_radius", "apart_distance", "fuse_by", "max_steps", "replan_every"),
-    *("robot_radius", "path_cell", "submap.period", "submap.reach", "submap.half_angle"),
+    *("cell", "speeds", "apart_distance", "fuse_by", "max_steps", "coverage.radius", "coverage.replan_every"),
+    *("loop.radius", "loop.rate", "loop.rate_alone", "joint.rate", "joint.rate_alone", "joint.density"),
+    *("joint.search.tries", "joint.search.first_plans", "joint.search.most_places", "joint.search.coarse_cell"),
+    *("joint.search.pose_stride", "joint.search.layouts", "joint.search.least_range"),
+    *("walls.robot_radius", "walls.path_cell", "walls.stride", "walls.station_spacing", "walls.leg"),
+    *("submap.period", "submap.reach", "submap.half_angle"),
     *("submap.range_sd", "submap.bearing_sd", "submap.gate"),
 )
 ASSOCIATIONS = ("known", "nn", "jcbb")
@@ -49,7 +61,7 @@ def explore(
     force: bool = False,
     executor: Executor | None = None,
     on_progress: Progress = no_progress,
-) -> ExploreResult | LaserExploreResult:
+) -> LandmarkExploreResult | LaserExploreResult:
     """`runs` explorations of `scenario` with seeds `seed`, `seed` + 1, ..., written to `out` when one is given.
 
     planner: paper, area, coverage, loop, joint, or a dotted name of `choose(maps, poses, cfg) -> commands`; noise:
@@ -93,22 +105,22 @@ def explore(
         cfg = with_noise(cfg, _noise(noise))
     found = find_scenario(scenario)
     world = make_field(found, robots, seed)
-    mission = Mission(found, robots, planner, _until(until), kills_of(kill or {}, len(world.starts)), drop, cfg)
-    find_planner(planner)
+    mission = LandmarkMission(found, robots, planner, _until(until), kills_of(kill or {}, len(world.starts)), drop, cfg)
+    find_planner(planner, PLANNERS)
     if out is not None:
         check_target(Path(out), force=force)
     on_progress("exploring", 0, runs)
     first_score, first = explore_once(mission, seed)
     more = remaining_runs(partial(explore_many, mission), runs, seed, jobs, executor, on_progress)
     scores = (first_score, *(replace(score, run=k) for k, score in enumerate(more, 1)))
-    result = ExploreResult(scenario, mission, seed, noise_factor(cfg), scores, first)
+    result = LandmarkExploreResult(scenario, mission, seed, noise_factor(cfg), scores, first)
     if out is not None:
         with result_directory(Path(out), force=force) as work:
             _write(work, result)
     return result
 
 
-def _write(folder: Path, result: ExploreResult) -> None:
+def _write(folder: Path, result: LandmarkExploreResult) -> None:
     """runs.csv, metrics.json, the first run's log and figures, report.html."""
     from ..io.exploration import write_runs  # noqa: PLC0415
     from ..report.exploration import write_exploration  # noqa: PLC0415  (figures cost a second)

@@ -9,11 +9,12 @@ from pathlib import Path
 from ..core.config import expect_positive, load
 from ..core.errors import UsageError
 from ..core.progress import Progress, no_progress
+from ..exploration.laser.belief import PLANNERS
+from ..exploration.laser.config import LaserMissionConfig, with_odometry_noise
 from ..exploration.laser.experiment import LaserMission, explore_laser_many, explore_laser_once
-from ..exploration.laser.mission import LaserMissionConfig, with_odometry_noise
 from ..exploration.laser.result import LaserExploreResult
 from ..exploration.laser.scenario import LaserScenarioConfig, make_place
-from ..exploration.laser.view import find_laser_planner
+from ..exploration.planner_interface import find_planner
 from ..io.directory import check_target, result_directory
 from .explore_options import check_numbers, factor_of, kills_of, remaining_runs, steps_of
 
@@ -59,15 +60,15 @@ def explore_laser(
     place = make_place(scenario, robots, seed)
     kills = kills_of(kill or {}, len(place.starts))
     mission = LaserMission(scenario, robots, planner, _until(until), kills, drop, cfg)
-    find_laser_planner(planner)
+    find_planner(planner, PLANNERS)
     if out is not None:
         check_target(Path(out), force=force)
 
-    def share(step: int, explored: float) -> None:
+    def mapped_so_far(step: int, explored: float) -> None:
         del step
         on_progress("the first run: area mapped", explored, 1.0)
 
-    first_score, first = explore_laser_once(mission, seed, on_progress=share)
+    first_score, first = explore_laser_once(mission, seed, on_progress=mapped_so_far)
     more = remaining_runs(partial(explore_laser_many, mission), runs, seed, jobs, executor, on_progress)
     scores = (first_score, *(replace(score, run=k) for k, score in enumerate(more, 1)))
     result = LaserExploreResult(name, mission, seed, factor, scores, first)

@@ -18,11 +18,12 @@ import numpy as np
 
 from ..core.errors import UsageError
 from ..fusion.handover import pose_in_map
+from .landmarks.belief import PLANNERS, Planner
 from .landmarks.config import ExploreConfig
 from .landmarks.scenario import find_scenario, make_field
 from .landmarks.steering import offered
 from .landmarks.team import Team
-from .landmarks.view import Planner, find_planner
+from .planner_interface import find_planner
 
 try:
     from gymnasium import spaces
@@ -71,7 +72,7 @@ class ExplorationEnv(ParallelEnv):  # type: ignore[misc]
         self._seed = self._seed + 1 if seed is None else seed
         world = make_field(self.scenario, self.robots, self._seed)
         self.team = Team(world, self.cfg, self._commanded, np.random.default_rng([self._seed, 1]), until=self.until)
-        self.team.look_around()
+        self.team.observe_start()
         self._play = self.team.play()
         self.agents = list(self.possible_agents)
         return self._observe(), {name: {} for name in self.agents}
@@ -106,24 +107,24 @@ class ExplorationEnv(ParallelEnv):  # type: ignore[misc]
         """What a planner would do now, as actions: the controls nearest to its commands."""
         if self.team is None:
             raise UsageError("reset the environment before asking a planner")
-        choose = find_planner(planner) if isinstance(planner, str) else planner
-        commands = choose(self.team.view(), self.team.poses(), self.cfg)
+        choose = find_planner(planner, PLANNERS) if isinstance(planner, str) else planner
+        commands = choose(self.team.belief(), self.team.poses(), self.cfg)
         controls = self.cfg.controls
         return {
             name: int(np.argmin(np.abs(controls - commands[self.possible_agents.index(name)]).sum(axis=1)))
             for name in self.agents
         }
 
-    def _commanded(self, view: Any, poses: np.ndarray, cfg: ExploreConfig) -> np.ndarray:
-        del view, poses, cfg
+    def _commanded(self, belief: Any, poses: np.ndarray, cfg: ExploreConfig) -> np.ndarray:
+        del belief, poses, cfg
         return self._chosen
 
     def _commands(self, team: Team, actions: dict[str, int]) -> np.ndarray:
         out = np.zeros((self.robots, 2))
-        view, poses, controls = team.view(), team.poses(), self.cfg.controls
+        belief, poses, controls = team.belief(), team.poses(), self.cfg.controls
         for name, action in actions.items():
             j = self.possible_agents.index(name)
-            allowed, _ = offered(view, poses[j], self.cfg)
+            allowed, _ = offered(belief, poses[j], self.cfg)
             out[j] = allowed[np.argmin(np.abs(allowed - controls[int(action)]).sum(axis=1))]
         return out
 

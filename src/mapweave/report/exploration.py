@@ -10,8 +10,8 @@ from matplotlib.patches import Polygon
 from PIL import Image
 from scipy.spatial import ConvexHull, QhullError
 
-from ..exploration.landmarks.experiment import RunRecord
-from ..exploration.landmarks.result import ExploreResult
+from ..exploration.landmarks.experiment import LandmarkRecord
+from ..exploration.landmarks.result import LandmarkExploreResult
 from ..kernels.exploration.objective import mark_half_disc
 from ..kernels.walls.sight import mark_in_sight
 from .html import Page
@@ -20,7 +20,7 @@ from .style import MUTED, SEQUENTIAL, TRUTH, as_map, colour, draw_ellipse, figur
 FRAMES = 48
 
 
-def write_exploration(folder: Path, result: ExploreResult) -> None:
+def write_exploration(folder: Path, result: LandmarkExploreResult) -> None:
     """report.html and figures/ in `folder`."""
     first = result.first
     draw_map(folder / "figures" / "map.png", first)
@@ -50,7 +50,7 @@ def write_exploration(folder: Path, result: ExploreResult) -> None:
     page.figure(folder / "figures" / "progress.png", "Explored share of the field; steps and errors of all runs")
     page.section("Every run")
     head = ["run", "seed", "finished", "steps", "map error [m]", "C/N [m²]", "NEES/dof", "duplicates", "missed"]
-    walled = first.ground is not None
+    walled = first.floor is not None
     if walled:
         head += ["met a wall", "landmarks nobody can see"]
     rows = [
@@ -86,7 +86,7 @@ def write_exploration(folder: Path, result: ExploreResult) -> None:
     page.write(folder / "report.html")
 
 
-def draw_map(path: Path, run: RunRecord) -> None:
+def draw_map(path: Path, run: LandmarkRecord) -> None:
     """Trajectories, landmarks with 95 % ellipses, truth, and the borders of submaps at hand-over."""
     width, height = run.world.upper - run.world.lower
     with figure(path, 8.0, 8.0 * float(height / width) + 0.6) as (_, ax):
@@ -106,7 +106,7 @@ def draw_map(path: Path, run: RunRecord) -> None:
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4)
 
 
-def draw_explored(path: Path, run: RunRecord, result: ExploreResult) -> None:
+def draw_explored(path: Path, run: LandmarkRecord, result: LandmarkExploreResult) -> None:
     """The step at which each cell was first seen, and the frontier at each quarter of the run."""
     cfg = result.mission.cfg
     width, height = run.world.upper - run.world.lower
@@ -114,10 +114,10 @@ def draw_explored(path: Path, run: RunRecord, result: ExploreResult) -> None:
     seen, first = np.zeros(shape, dtype=bool), np.full(shape, np.nan)
     for moment in (run.first_look, *run.moments):
         for pose in moment.poses:
-            if run.ground is None:
+            if run.floor is None:
                 mark_half_disc(seen, pose, cfg.submap.reach, cfg.submap.half_angle, run.world.lower, cfg.cell)
             else:
-                walls = run.ground.walls.segments
+                walls = run.floor.walls.segments
                 mark_in_sight(seen, pose, cfg.submap.reach, cfg.submap.half_angle, run.world.lower, cfg.cell, walls)
         first[seen & np.isnan(first)] = moment.step
     with figure(path, 8.0, 7.2 * float(height / width) + 0.4) as (fig, ax):
@@ -133,7 +133,7 @@ def draw_explored(path: Path, run: RunRecord, result: ExploreResult) -> None:
         ax.grid(visible=False)
 
 
-def draw_progress(path: Path, run: RunRecord, result: ExploreResult) -> None:
+def draw_progress(path: Path, run: LandmarkRecord, result: LandmarkExploreResult) -> None:
     """Explored share against steps for the first run; steps against map error for all."""
     with figure(path, 8.0, 3.2, ncols=2) as (_, axes):
         ax = axes[0]
@@ -153,7 +153,7 @@ def draw_progress(path: Path, run: RunRecord, result: ExploreResult) -> None:
         ax.set_title("All runs")
 
 
-def draw_animation(path: Path, run: RunRecord) -> None:
+def draw_animation(path: Path, run: LandmarkRecord) -> None:
     """The first run as a small animated GIF: paths so far, what each robot sees, landmarks."""
     moments = (run.first_look, *run.moments)
     every = max(1, len(moments) // FRAMES)
@@ -173,7 +173,7 @@ def draw_animation(path: Path, run: RunRecord) -> None:
                 lines[j].set_data(poses[: moment.step + 1, j, 0], poses[: moment.step + 1, j, 1])
                 heads[j].set_data([moment.true_poses[j, 0]], [moment.true_poses[j, 1]])
             title.set_text(f"step {moment.step}, {100 * moment.explored:.0f} % explored")
-            frames.append(snapshot(fig))
+            frames.append(rendered(fig))
     scratch.unlink()
     save_gif(path, frames)
 
@@ -188,7 +188,7 @@ def save_gif(path: Path, frames: list[Image.Image], kept: tuple[str, ...] = ()) 
     small[0].save(path, save_all=True, append_images=small[1:], duration=140, loop=0, optimize=True)
 
 
-def snapshot(fig: Any, dpi: int = 80) -> Image.Image:
+def rendered(fig: Any, dpi: int = 80) -> Image.Image:
     """The figure as it is now."""
     canvas: Any = FigureCanvasAgg(fig)
     fig.set_dpi(dpi)
@@ -196,16 +196,16 @@ def snapshot(fig: Any, dpi: int = 80) -> Image.Image:
     return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
-def _field(ax: Any, run: RunRecord) -> None:
+def _field(ax: Any, run: LandmarkRecord) -> None:
     (x0, y0), (x1, y1) = run.world.lower, run.world.upper
     ax.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=MUTED, lw=1)
-    if run.ground is not None:
-        rows, cols = run.ground.field.shape
-        shade = np.ma.masked_where(run.ground.field, np.ones((rows, cols)))
-        extent = (x0, x0 + cols * run.ground.cell, y0, y0 + rows * run.ground.cell)
+    if run.floor is not None:
+        rows, cols = run.floor.field.shape
+        shade = np.ma.masked_where(run.floor.field, np.ones((rows, cols)))
+        extent = (x0, x0 + cols * run.floor.cell, y0, y0 + rows * run.floor.cell)
         ax.imshow(shade, origin="lower", extent=extent, cmap="Greys", vmin=0, vmax=4, interpolation="nearest", zorder=1)
         ax.add_collection(
-            LineCollection(list(run.ground.walls.segments.reshape(-1, 2, 2)), colors=TRUTH, linewidths=1.2, zorder=2)
+            LineCollection(list(run.floor.walls.segments.reshape(-1, 2, 2)), colors=TRUTH, linewidths=1.2, zorder=2)
         )
     as_map(ax)
     ax.set_aspect("equal", adjustable="box")

@@ -10,15 +10,15 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from ..core.walls import Walls
-from ..exploration.laser.experiment import LaserRecord, Still
+from ..exploration.laser.experiment import LaserRecord, MapSnapshot
 from ..laser.occupancy import Occupancy
-from .exploration import save_gif, snapshot
+from .exploration import rendered, save_gif
 from .style import MARKERS, MUTED, PALETTE, SEQUENTIAL, TRUTH, as_map, colour, figure, marker
 
 SHADES = ListedColormap(["#DADDE1", "#FFFFFF", "#3C4043"])  # unknown, free, occupied
 WALL = "#D55E00"
 FRONTIER = "#E69F00"
-FEW_STILLS = 60
+FEW_SNAPSHOTS = 60
 GIF_DPI = 95
 
 
@@ -39,19 +39,19 @@ def draw_map(path: Path, run: LaserRecord) -> None:
 def draw_stages(path: Path, run: LaserRecord) -> None:
     """The map at each quarter of the run: frontiers where known ground ends, and the robots."""
     width, height = _size(run)
-    steps = np.array([still.step for still in run.stills])
+    steps = np.array([snapshot.step for snapshot in run.snapshots])
     with figure(path, width, height, nrows=2, ncols=2, sharex=True, sharey=True) as (fig, axes):
         for ax, share in zip(axes.flat, (0.25, 0.5, 0.75, 1.0), strict=True):
-            still = run.stills[int(np.argmin(np.abs(steps - share * steps[-1])))]
-            _occupancy(ax, still.grid)
-            cells = still.grid.centres(np.argwhere(frontier_cells(still.grid)))
+            snapshot = run.snapshots[int(np.argmin(np.abs(steps - share * steps[-1])))]
+            _occupancy(ax, snapshot.grid)
+            cells = snapshot.grid.centres(np.argwhere(frontier_cells(snapshot.grid)))
             ax.plot(*cells.T, "s", color=FRONTIER, ms=1.6, label="frontier", zorder=3)
             for j, name in enumerate(run.robots):
                 ax.plot(
-                    *still.poses[j, :2], _marker(j), color=colour(j), mec=TRUTH, mew=0.4, ms=5, label=name, zorder=4
+                    *snapshot.poses[j, :2], _marker(j), color=colour(j), mec=TRUTH, mew=0.4, ms=5, label=name, zorder=4
                 )
             _frame(ax, run)
-            ax.set_title(f"step {still.step}, {100 * still.explored:.0f} % mapped")
+            ax.set_title(f"step {snapshot.step}, {100 * snapshot.explored:.0f} % mapped")
             ax.label_outer()
         fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
 
@@ -148,26 +148,26 @@ def draw_progress(path: Path, run: LaserRecord) -> None:
 
 def draw_animation(path: Path, run: LaserRecord) -> None:
     """The first run as a small animated GIF: the map as it grew, the robots on it."""
-    stills = run.stills[:: max(1, len(run.stills) // FEW_STILLS)]
-    if stills[-1] is not run.stills[-1]:
-        stills = (*stills, run.stills[-1])
+    snapshots = run.snapshots[:: max(1, len(run.snapshots) // FEW_SNAPSHOTS)]
+    if snapshots[-1] is not run.snapshots[-1]:
+        snapshots = (*snapshots, run.snapshots[-1])
     width, height = _size(run)
     frames = []
     scratch = path.with_suffix(".png")
     with figure(scratch, 6.0, 6.0 * height / width) as (fig, ax):
-        image = _occupancy(ax, _onto(stills[0], run))
+        image = _occupancy(ax, _onto(snapshots[0], run))
         heads = [
             ax.plot([], [], _marker(j), color=colour(j), mec=TRUTH, mew=0.4, ms=5, ls="none")[0]
             for j in range(len(run.robots))
         ]
         _frame(ax, run)
         title = ax.set_title("", loc="left")
-        for still in stills:
-            image.set_data(_onto(still, run).state + 1)
+        for snapshot in snapshots:
+            image.set_data(_onto(snapshot, run).state + 1)
             for j, head in enumerate(heads):
-                head.set_data([still.poses[j, 0]], [still.poses[j, 1]])
-            title.set_text(f"step {still.step}, {100 * still.explored:.0f} % mapped")
-            frames.append(snapshot(fig, GIF_DPI))
+                head.set_data([snapshot.poses[j, 0]], [snapshot.poses[j, 1]])
+            title.set_text(f"step {snapshot.step}, {100 * snapshot.explored:.0f} % mapped")
+            frames.append(rendered(fig, GIF_DPI))
     scratch.unlink()
     save_gif(path, frames, tuple(dict.fromkeys(colour(j) for j in range(len(run.robots)))))
 
@@ -177,9 +177,9 @@ def frontier_cells(grid: Occupancy) -> np.ndarray:
     return np.asarray(grid.free & ndimage.binary_dilation(grid.unknown))
 
 
-def _onto(still: Still, run: LaserRecord) -> Occupancy:
-    """The still's cells on a raster over the whole world, the same for all stills."""
-    grid, h = still.grid, still.grid.resolution
+def _onto(snapshot: MapSnapshot, run: LaserRecord) -> Occupancy:
+    """The snapshot's cells on a raster over the whole world, the same for all snapshots."""
+    grid, h = snapshot.grid, snapshot.grid.resolution
     cols, rows = np.ceil((run.place.upper - run.place.lower) / h).astype(int) + 2
     low = run.place.lower - h
     centres = np.stack(np.meshgrid(low[0] + (np.arange(cols) + 0.5) * h, low[1] + (np.arange(rows) + 0.5) * h), axis=-1)

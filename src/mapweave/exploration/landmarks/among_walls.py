@@ -8,12 +8,9 @@ from scipy.spatial import cKDTree
 
 from ...core.se2 import wrap_angle
 from ...kernels.exploration.tours import balanced_tours
+from .belief import LandmarkBelief
 from .config import ExploreConfig
-from .ground import FAR, Ground
-from .view import TeamView
-
-SPACING = 2.0  # [m] between the places that are considered
-TURN_COST = 2.0  # [m / rad], what turning towards the first place costs
+from .floor_plan import FAR, FloorPlan
 
 
 @dataclass(slots=True)
@@ -28,43 +25,43 @@ class Stations:
     sees: Bool[np.ndarray, "n k"]
     _ways: dict[int, np.ndarray] = field(default_factory=dict)
 
-    def ways(self, ground: Ground, chosen: Int[np.ndarray, " m"]) -> Float[np.ndarray, "m m"]:
+    def ways(self, floor: FloorPlan, chosen: Int[np.ndarray, " m"]) -> Float[np.ndarray, "m m"]:
         """Length [m] of the shortest way between each two of the `chosen` stations."""
         new = [int(k) for k in chosen if int(k) not in self._ways]
         if new:
-            for k, d in zip(new, ground.reach.distances(self.places[new]), strict=True):
+            for k, d in zip(new, floor.ground.distances(self.places[new]), strict=True):
                 self._ways[k] = np.minimum(d[self.at[:, 0], self.at[:, 1]], FAR)
         return np.stack([self._ways[int(k)][chosen] for k in chosen])
 
 
-def stations(view: TeamView, ground: Ground, radius: float) -> Stations:
+def stations(belief: LandmarkBelief, floor: FloorPlan, radius: float, cfg: ExploreConfig) -> Stations:
     """The stations of this run for discs of `radius`, made once."""
-    made: dict[float, Stations] = view.memory.setdefault("stations", {})
-    if radius not in made:
-        step = max(1, round(SPACING / ground.reach.cell))
-        cells = np.argwhere(ground.reach.free)
+    known: dict[float, Stations] = belief.memory.setdefault("stations", {})
+    if radius not in known:
+        step = max(1, round(cfg.walls.station_spacing / floor.ground.cell))
+        cells = np.argwhere(floor.ground.free)
         middle = np.abs(cells % step - (step - 1) / 2).sum(axis=1)
         order = np.lexsort((middle, *(cells // step).T))
         _, first = np.unique(cells[order] // step, axis=0, return_index=True)
         at = cells[order][first]
-        places = ground.reach.centres(at)
-        centres = view.explored.centres(np.argwhere(ground.field))
-        sees = np.stack([ground.sees(p, centres, radius) for p in places], axis=1)
-        made[radius] = Stations(places, at, sees)
-    return made[radius]
+        places = floor.ground.centres(at)
+        centres = belief.explored.centres(np.argwhere(floor.field))
+        sees = np.stack([floor.sees(p, centres, radius) for p in places], axis=1)
+        known[radius] = Stations(places, at, sees)
+    return known[radius]
 
 
 def cover(
-    view: TeamView, ground: Ground, cells: Float[np.ndarray, "n 2"], radius: float
+    belief: LandmarkBelief, floor: FloorPlan, cells: Float[np.ndarray, "n 2"], radius: float, cfg: ExploreConfig
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 2"]]:
     """Few stations (k,) that see all `cells`, the one that sees most first, and where (k, 2) to go for each.
 
     That is the place from which the middle one of the cells it newly sees is seen best.
     """
-    have = stations(view, ground, radius)
-    row = np.full(ground.field.shape, -1)
-    row[ground.field] = np.arange(int(ground.field.sum()))
-    at = np.floor((cells - ground.lower) / ground.cell).astype(int)
+    have = stations(belief, floor, radius, cfg)
+    row = np.full(floor.field.shape, -1)
+    row[floor.field] = np.arange(int(floor.field.sum()))
+    at = np.floor((cells - floor.lower) / floor.cell).astype(int)
     sees = have.sees[row[at[:, 1], at[:, 0]]]
     open_ = sees.any(axis=1)
     gain = sees.sum(axis=0)
@@ -77,49 +74,49 @@ def cover(
         groups.append((best, group))
     far = np.flatnonzero(~sees.any(axis=1))  # seen from farther away alone: grouped by the place they are seen from
     if len(far):
-        _, station = cKDTree(have.places).query(ground.view_of(cells[far]))
+        _, station = cKDTree(have.places).query(floor.view_of(cells[far]))
         groups += [(int(k), far[station == k]) for k in np.unique(station)]
     chosen, goals = [], []
     for best, group in groups:
         middle = cells[group].mean(axis=0)
         nearest = group[int(np.argmin(np.hypot(*(cells[group] - middle).T)))]
         chosen.append(best)
-        goals.append(ground.view_of(cells[nearest][None])[0])
+        goals.append(floor.view_of(cells[nearest][None])[0])
     return np.array(chosen), np.array(goals)
 
 
 def plan(
-    view: TeamView, ground: Ground, cells: np.ndarray, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig
+    belief: LandmarkBelief, floor: FloorPlan, cells: np.ndarray, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig
 ) -> dict[int, np.ndarray]:
     """The next place (2,) for each live robot: the first of its tour, or the nearest from which new cells are seen."""
-    chosen, goals = cover(view, ground, cells, cfg.cover_radius)
-    first = _approach(ground, poses[live], goals)
-    between = stations(view, ground, cfg.cover_radius).ways(ground, chosen)
+    chosen, goals = cover(belief, floor, cells, cfg.coverage.radius, cfg)
+    first = _approach(floor, poses[live], goals, cfg.coverage.turn_cost)
+    between = stations(belief, floor, cfg.coverage.radius, cfg).ways(floor, chosen)
     tours, counts = balanced_tours(first, between, np.zeros_like(first))
     return {int(j): goals[tours[k, 0] if counts[k] else int(np.argmin(first[k]))] for k, j in enumerate(live)}
 
 
 def laps(
-    view: TeamView, ground: Ground, cells: np.ndarray, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig
+    belief: LandmarkBelief, floor: FloorPlan, cells: np.ndarray, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig
 ) -> dict[int, list[np.ndarray]]:
     """For each live robot the places of its closed tour in order, its home last."""
-    chosen, _ = cover(view, ground, cells, cfg.loop_radius)
-    have = stations(view, ground, cfg.loop_radius)
+    chosen, _ = cover(belief, floor, cells, cfg.loop.radius, cfg)
+    have = stations(belief, floor, cfg.loop.radius, cfg)
     places = have.places[chosen]
-    first = _approach(ground, poses[live], places)
-    last = _ways(ground, poses[live], places)
-    tours, counts = balanced_tours(first, have.ways(ground, chosen), last)
+    first = _approach(floor, poses[live], places, cfg.coverage.turn_cost)
+    last = _ways(floor, poses[live], places)
+    tours, counts = balanced_tours(first, have.ways(floor, chosen), last)
     return {int(j): [*(places[i] for i in tours[k, : counts[k]]), poses[j, :2].copy()] for k, j in enumerate(live)}
 
 
-def _ways(ground: Ground, poses: np.ndarray, places: np.ndarray) -> Float[np.ndarray, "r n"]:
+def _ways(floor: FloorPlan, poses: np.ndarray, places: np.ndarray) -> Float[np.ndarray, "r n"]:
     """Length [m] of the way from each pose to each place; FAR where none leads."""
-    at = ground.reach.cells(places)
-    return np.asarray(np.minimum(ground.from_places(poses[:, :2])[:, at[:, 0], at[:, 1]], FAR))
+    at = floor.ground.cells(places)
+    return np.asarray(np.minimum(floor.from_places(poses[:, :2])[:, at[:, 0], at[:, 1]], FAR))
 
 
-def _approach(ground: Ground, poses: np.ndarray, places: np.ndarray) -> Float[np.ndarray, "r n"]:
+def _approach(floor: FloorPlan, poses: np.ndarray, places: np.ndarray, turn_cost: float) -> Float[np.ndarray, "r n"]:
     """The same with what turning towards the place costs."""
     d = places[None, :, :] - poses[:, None, :2]
     angle = np.abs(wrap_angle(np.arctan2(d[..., 1], d[..., 0]) - poses[:, None, 2]))
-    return np.asarray(_ways(ground, poses, places) + TURN_COST * angle)
+    return np.asarray(_ways(floor, poses, places) + turn_cost * angle)

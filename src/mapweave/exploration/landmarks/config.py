@@ -1,4 +1,4 @@
-"""Everything that can be set about an exploration of a landmark world."""
+"""Everything that can be set about an exploration of a landmark world, a table for each planner and for walls."""
 
 import numpy as np
 from jaxtyping import Float
@@ -8,47 +8,114 @@ from ...landmarks.submap_slam import SubmapConfig
 
 
 @config
+class SteeringConfig:
+    """How a robot gets to a place it was given."""
+
+    heading_cost: float = 3.0  # [m/rad] that a wrong heading counts as: no circling round a goal, no crawling
+    landmark_reached: float = 4.0  # [m] from a landmark at which a lost robot has tried it: well within the reach
+
+
+@config
+class CoverageConfig:
+    """Planner `coverage`: discs over what is unexplored, shared out as balanced tours."""
+
+    radius: float = 10.0  # [m] of a disc: two thirds of the reach, so that passing its middle shows all of it
+    replan_every: int = 4  # [steps] between plans: two seconds, in which a robot sees what changes its tour
+    gain_weight: float = 0.12  # [m] that a newly seen cell is worth: a course over new ground may be a little longer
+    turn_cost: float = 2.0  # [m/rad] that turning towards the first disc counts as: half a turn takes about 4 s
+
+
+@config
+class LoopConfig:
+    """Planner `loop`: a closed tour for each robot, then `coverage`."""
+
+    radius: float = 13.0  # [m] of a disc: larger than for `coverage`, so that fewer are left and a lap closes in time
+    rate: float = 20.5  # [m^2] of field a robot and step: how long it goes on to close loops
+    rate_alone: float = 17.0  # [m^2] the same for one robot, whose lap is longer
+    arrived: float = 4.0  # [m] from a place of the tour at which it is reached: what lies there is in view by then
+
+
+@config
+class LapSearchConfig:
+    """How planner `joint` searches its laps and judges them."""
+
+    tries: int = 1500  # plans tried before the first step: nine seconds for the paper's field
+    first_plans: int = 4  # that are improved before one of them is chosen
+    most_places: int = 12  # a lap: more make the search slower and the laps no better
+    arrived: float = 5.0  # [m] from a place at which it is reached: cutting corners costs no coverage within the reach
+    tail_steps: int = 40  # [steps] of driving judged beyond the laps: what repair takes where something is left
+    missed_cost: float = 10.0  # [steps] for each landmark that the laps are expected to miss
+    coarse_cell: float = 2.0  # [m], cells in which coverage is judged: four times faster than the field's own
+    reach_margin: float = 0.7  # [m] of the reach not counted on: the true drive will differ a little
+    pose_stride: int = 12  # [steps] between the poses that carry the information
+    border: float = 12.0  # [m] from the border at which the first plans' ring lies, a little less than the reach
+    overlap: float = 1.2  # of its share of the ring that a robot may go round, on into the next one's
+    layouts: int = 8  # of landmarks on which the map's error is judged: more change the choice no more
+    least_range: float = 2.0  # [m], sightings from nearer are not counted on to tell more
+
+
+@config
+class JointConfig:
+    """Planner `joint`: laps of all robots planned together."""
+
+    rate: float = 23.5  # [m^2] of field a robot and step: how long the laps take
+    rate_alone: float = 20.0  # [m^2] the same for one robot
+    density: float = 1 / 275  # [1/m^2] landmarks expected: those of the paper's field
+    error_weight: float = 60.0  # [steps/m] that expected map error is worth
+    sure_margin: float = 1.0  # [m] within the reach at which a cell is surely seen, for poses are estimates
+    most_robot_steps: int = 800  # robots times steps beyond which planning would take minutes and `loop` takes over
+    search: LapSearchConfig = LapSearchConfig()
+
+
+@config
+class WallsConfig:
+    """Robots among walls of which they know the plan."""
+
+    robot_radius: float = 0.3  # [m]
+    margin: float = 0.4  # [m] beyond the radius that planned ways and offered controls keep from walls
+    comfort: float = 1.2  # [m] beyond the radius that robots keep where nothing draws them nearer
+    path_cell: float = 0.4  # [m], raster on which ways round walls are found: half of what the narrowest door needs
+    put_off_after: int = 60  # [steps] after which a target that was not seen is put off
+    contact_steps: int = 40  # [steps] for which the place where a robot met a wall unexpectedly is kept clear of
+    view_margin: float = 1.0  # [m] a cell must be nearer than the reach to count as one that can be seen
+    view_neighbours: int = 5  # places around a place that must see it too: no robot stands quite where it meant to
+    search_radius: float = 5.0  # [m] around an estimated pose in which it finds ground to stand on
+    stride: int = 3  # [cells] of its way that a robot looks ahead where room is scarce
+    least_pocket: float = 1.0  # [m^2] of unseen ground that is worth telling of
+    station_spacing: float = 2.0  # [m] between the places considered by `coverage` and `loop`
+    leg: float = 2.0  # [m] of the way ahead whose narrowness allows a robot to come nearer to walls
+    detour: float = 6.0  # [m] within which a robot plans its way round places where a wall was met lately
+
+
+@config
 class ExploreConfig:
     """Weights, thresholds and discretisation of one exploration."""
 
     submap: SubmapConfig = SubmapConfig()
-    speeds: tuple[float, ...] = (0.5, 1.0, 1.5, 2.0)  # [m/s]
-    turns: tuple[float, ...] = tuple(float(k) * np.pi / 8 for k in range(-4, 5))  # [rad/s]
-    w_accuracy: float = 1 / 3
-    w_area: float = 1 / 3
-    w_apart: float = 1 / 3
-    escape_uncertainty: float = 0.3  # C_t
-    negligible_gain: int | None = None  # cells; a control that would see no more gains no area; see `gain_threshold`
-    stall_steps: int = 10  # steps without gain after which the robot escapes whatever its uncertainty
-    lost: float = 6.0  # [m], standard deviation of a robot's place in the map beyond which it looks for known landmarks
+    speeds: tuple[float, ...] = (0.5, 1.0, 1.5, 2.0)  # [m/s] offered, as in the paper
+    turns: tuple[float, ...] = tuple(float(k) * np.pi / 8 for k in range(-4, 5))  # [rad/s] offered, as in the paper
+    w_accuracy: float = 1 / 3  # weight of the map's expected accuracy, w1: the paper gives all three the same
+    w_area: float = 1 / 3  # weight of new area, w2
+    w_apart: float = 1 / 3  # weight of the distance to the others' submaps, w3
+    escape_uncertainty: float = 0.3  # [m^2] a landmark below which a robot that gains no area escapes, C_t
+    negligible_gain: int | None = None  # [cells] up to which a control gains no area; None: see `gain_threshold`
+    stall_steps: int = 10  # [steps] without gain after which the robot escapes whatever its uncertainty
+    lost: float = 6.0  # [m], sd of a robot's place in the map beyond which it looks for known landmarks
     literal_escape: bool = False  # the printed rule alone: deadlocks under the stated noise
-    apart_distance: float = 20.0  # [m], d_t
-    cell: float = 1.0  # [m]
-    fuse_after: int = 10  # steps, n_s
-    fuse_uncertainty: float = 0.3  # C_f
-    fuse_by: int = 60  # steps after which a submap is handed over whatever its uncertainty
-    fusion_gate: float = 18.42
+    apart_distance: float = 20.0  # [m] beyond which being farther from others is worth no more, d_t
+    cell: float = 1.0  # [m], side of the explored raster's cells, as in the paper
+    fuse_after: int = 10  # [steps] before which no submap is handed over, n_s
+    fuse_uncertainty: float = 0.3  # [m^2] a landmark below which a submap is handed over, C_f
+    fuse_by: int = 60  # [steps] after which a submap is handed over whatever its uncertainty
+    fusion_gate: float = 18.42  # D^2 of two landmarks taken for one, 0.9999 of chi-square with 2 degrees of freedom
     fusion_sure: float = 0.9  # probability above which two landmarks of unknown identity become one
     fusion_density: float = 4e-4  # [1/m^2] landmarks expected, times the chance that one beside a new one went unseen
-    max_steps: int = 1500
-    cover_radius: float = 10.0  # [m], discs of the coverage planner
-    replan_every: int = 4  # steps
-    gain_weight: float = 0.12  # [m] a newly seen cell is worth to the coverage planner
-    loop_radius: float = 13.0  # [m], discs of the loop planner: fewer, so that a lap closes in time
-    loop_rate: float = 20.5  # [m^2] of field a robot and step: how long the loop planner goes on to close loops
-    loop_rate_alone: float = 17.0  # the same for one robot, whose lap is longer
-    joint_rate: float = 23.5  # [m^2] of field a robot and step: how long the joint planner's laps take
-    joint_rate_alone: float = 20.0  # the same for one robot
-    joint_density: float = 1 / 275  # landmarks a square metre that the joint planner expects
-    joint_error_weight: float = 60.0  # steps that a metre of expected map error is worth to it
-    joint_tries: int = 1500  # plans it tries before the first step
-
-    robot_radius: float = 0.3  # [m]
-    wall_margin: float = 0.4  # [m] beyond the radius that planned ways and offered controls keep from walls
-    wall_comfort: float = 1.2  # [m] beyond the radius that robots keep where nothing draws them nearer
-    path_cell: float = 0.4  # [m], raster on which ways round walls are found
-    put_off_after: int = 60  # steps after which a target among walls that was not seen is put off
-    contact_steps: int = 40  # for so long the place where a robot met a wall unexpectedly is kept clear of
+    max_steps: int = 1500  # [steps] after which a run ends unfinished
+    steering: SteeringConfig = SteeringConfig()
+    coverage: CoverageConfig = CoverageConfig()
+    loop: LoopConfig = LoopConfig()
+    joint: JointConfig = JointConfig()
+    walls: WallsConfig = WallsConfig()
 
     @property
     def gain_threshold(self) -> int:

@@ -7,58 +7,56 @@ from scipy.spatial import cKDTree
 from ...core.se2 import wrap_angle
 from ...kernels.exploration.tours import balanced_tours, greedy_cover
 from . import among_walls
+from .belief import LandmarkBelief
 from .config import ExploreConfig
 from .steering import ahead, given_up, nearest_unexplored, new_cells, next_target, offered, steer
-from .view import TeamView
-
-TURN_COST = 2.0  # [m / rad], what turning towards the first disc costs
 
 
-def choose(view: TeamView, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig) -> Float[np.ndarray, "r 2"]:
+def choose(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig) -> Float[np.ndarray, "r 2"]:
     """Every live robot heads for the first disc of its tour, on a course that shows it new ground on the way."""
-    memory = view.memory
-    live = np.flatnonzero(view.alive)
-    stale = view.step >= memory.get("plan_until", -1) or memory.get("plan_for") != tuple(live)
+    memory = belief.memory
+    live = np.flatnonzero(belief.alive)
+    stale = belief.step >= memory.get("plan_until", -1) or memory.get("plan_for") != tuple(live)
     if stale:
-        memory["goals"] = plan(view, poses, live, cfg)
-        memory["plan_until"] = view.step + cfg.replan_every
+        memory["goals"] = plan(belief, poses, live, cfg)
+        memory["plan_until"] = belief.step + cfg.coverage.replan_every
         memory["plan_for"] = tuple(live)
-    out = np.zeros((len(view.robots), 2))
+    out = np.zeros((len(belief.robots), 2))
     for j in live:
-        goal = held_target(view, int(j), poses[j], cfg)
+        goal = held_target(belief, int(j), poses[j], cfg)
         if goal is not None:
-            out[j] = steer(view, poses[j], goal, cfg)
+            out[j] = steer(belief, poses[j], goal, cfg)
         else:
-            out[j] = towards(view, int(j), poses[j], memory["goals"].get(int(j)), cfg)
+            out[j] = towards(belief, int(j), poses[j], memory["goals"].get(int(j)), cfg)
     return out
 
 
-def held_target(view: TeamView, j: int, pose: np.ndarray, cfg: ExploreConfig) -> np.ndarray | None:
+def held_target(belief: LandmarkBelief, j: int, pose: np.ndarray, cfg: ExploreConfig) -> np.ndarray | None:
     """After `stall_steps` without new ground: the nearest unexplored cell, held until it is seen; else None.
 
     It breaks the ties in which plans made anew send a robot to and fro.
     """
-    targets: dict[int, np.ndarray] = view.memory.setdefault("targets", {})
-    ex = view.explored
-    if j in targets and (ex.sees(j, targets[j]) or given_up(view, j, targets[j], cfg)):
+    targets: dict[int, np.ndarray] = belief.memory.setdefault("targets", {})
+    ex = belief.explored
+    if j in targets and (ex.sees(j, targets[j]) or given_up(belief, j, targets[j], cfg)):
         del targets[j]
-    if j not in targets and view.stalled[j] >= cfg.stall_steps:
-        goal = next_target(view, j, pose)
+    if j not in targets and belief.stalled[j] >= cfg.stall_steps:
+        goal = next_target(belief, j, pose)
         if goal is not None:
             targets[j] = goal
     return targets.get(j)
 
 
-def plan(view: TeamView, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig) -> dict[int, np.ndarray]:
+def plan(belief: LandmarkBelief, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig) -> dict[int, np.ndarray]:
     """The next place (2,) for each live robot: the first disc of its tour, or the nearest unexplored cell."""
-    ex = view.explored
+    ex = belief.explored
     cells = ex.centres(np.argwhere(~ex.team()))
     if len(cells) == 0:
         return {}
-    if view.ground is not None:
-        return among_walls.plan(view, view.ground, cells, poses, live, cfg)
-    chosen = discs(view, cells, cfg.cover_radius)
-    first = approach_cost(poses[live], chosen)
+    if belief.floor is not None:
+        return among_walls.plan(belief, belief.floor, cells, poses, live, cfg)
+    chosen = discs(belief, cells, cfg.coverage.radius)
+    first = approach_cost(poses[live], chosen, cfg.coverage.turn_cost)
     between = np.linalg.norm(chosen[:, None] - chosen[None], axis=-1)
     tours, counts = balanced_tours(first, between, np.zeros_like(first))
     goals: dict[int, np.ndarray] = {}
@@ -69,29 +67,35 @@ def plan(view: TeamView, poses: np.ndarray, live: np.ndarray, cfg: ExploreConfig
     return goals
 
 
-def approach_cost(poses: Float[np.ndarray, "r 3"], places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "r n"]:
-    """Distance [m] from each pose to each place, with what turning towards it costs."""
+def approach_cost(
+    poses: Float[np.ndarray, "r 3"], places: Float[np.ndarray, "n 2"], turn_cost: float
+) -> Float[np.ndarray, "r n"]:
+    """Distance [m] from each pose to each place, with what turning towards it costs at `turn_cost` [m/rad]."""
     d = places[None, :, :] - poses[:, None, :2]
     angle = np.abs(wrap_angle(np.arctan2(d[..., 1], d[..., 0]) - poses[:, None, 2]))
-    return np.asarray(np.hypot(d[..., 0], d[..., 1]) + TURN_COST * angle)
+    return np.asarray(np.hypot(d[..., 0], d[..., 1]) + turn_cost * angle)
 
 
-def towards(view: TeamView, j: int, pose: np.ndarray, goal: np.ndarray | None, cfg: ExploreConfig) -> np.ndarray:
+def towards(
+    belief: LandmarkBelief, j: int, pose: np.ndarray, goal: np.ndarray | None, cfg: ExploreConfig
+) -> np.ndarray:
     """The offered control (2,) that trades getting to `goal` against new cells seen; straight on without a goal."""
-    place = None if goal is None else ahead(view, pose, goal, cfg)
-    controls, after = offered(view, pose, cfg, place)
+    place = None if goal is None else ahead(belief, pose, goal, cfg)
+    controls, after = offered(belief, pose, cfg, place)
     if place is None:
         return np.asarray(controls[np.argmax(controls[:, 0] - np.abs(controls[:, 1]))])
     d = place - after[:, :2]
     error = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - after[:, 2]))
     distance = np.hypot(d[:, 0], d[:, 1])
-    gain = new_cells(view, j, after, cfg)
-    return np.asarray(controls[np.argmin(distance + 3.0 * error - cfg.gain_weight * gain)])
+    gain = new_cells(belief, j, after, cfg)
+    return np.asarray(
+        controls[np.argmin(distance + cfg.steering.heading_cost * error - cfg.coverage.gain_weight * gain)]
+    )
 
 
-def discs(view: TeamView, cells: Float[np.ndarray, "n 2"], radius: float) -> Float[np.ndarray, "k 2"]:
+def discs(belief: LandmarkBelief, cells: Float[np.ndarray, "n 2"], radius: float) -> Float[np.ndarray, "k 2"]:
     """Few places (k, 2) [m] within `radius` of which all `cells` lie: each the middle of the cells it covers."""
-    return discs_over(view.lower, view.upper, cells, radius)
+    return discs_over(belief.lower, belief.upper, cells, radius)
 
 
 def discs_over(

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 
@@ -11,21 +11,22 @@ from ...core.gaussian import mahalanobis2
 from ...landmarks.global_map import GlobalMap
 from ...landmarks.submap_slam import SubmapConfig
 from ...sim.field import Field
+from ..mission import Mission, RunScore, run_seeds
+from ..planner_interface import find_planner
+from .belief import PLANNERS
 from .config import ExploreConfig
-from .ground import Ground
+from .floor_plan import FloorPlan
 from .scenario import ScenarioConfig, make_field
-from .team import Moment, Team
-from .view import BUILT_IN, find_planner
+from .team import StepRecord, Team
 
 PRINTED_SD = (0.3, 0.3, 0.05)  # [m], [m], [rad] a step, as the paper prints them
 CALIBRATED = 0.05  # the factor on them with which the paper's table comes out
 
 
 @dataclass(frozen=True, slots=True)
-class Mission:
-    """One experiment's settings. kills: robot index -> step at whose start it dies; drop: share of messages lost."""
+class LandmarkMission(Mission[ScenarioConfig, ExploreConfig]):
+    """One experiment's settings in a landmark world."""
 
-    scenario: ScenarioConfig
     robots: int | None = None
     planner: str = "paper"
     until: str | int = "field"
@@ -35,37 +36,29 @@ class Mission:
 
 
 @dataclass(frozen=True, slots=True)
-class RunScore:
-    """How a run ended. Errors in metres in the global frame, no alignment; `None` where no landmark was mapped."""
+class LandmarkScore(RunScore):
+    """collisions: how often a robot's true motion met a wall; it was stopped short of it.
 
-    run: int
-    seed: int
-    finished: bool
-    steps: int
-    map_error: float | None
-    c_per_n: float | None
-    nees_per_dof: float | None
-    duplicates: int
-    misassociations: int
-    missed: int
-    ms_per_decision: float
-    collisions: int = 0  # how often a robot's true motion met a wall; it was stopped short of it
-    hidden: int = 0  # landmarks that walls hide from every place a robot can reach: neither sought nor missed
+    hidden: landmarks that walls hide from every place a robot can reach: neither sought nor missed.
+    """
+
+    collisions: int = 0
+    hidden: int = 0
 
 
 @dataclass(frozen=True, slots=True)
-class RunRecord:
+class LandmarkRecord:
     """What one run did, for figures and logs: its world, every moment, the final map and who is who in it."""
 
     world: Field
     robots: tuple[str, ...]
-    moments: tuple[Moment, ...]
-    first_look: Moment
+    moments: tuple[StepRecord, ...]
+    first_look: StepRecord
     map: GlobalMap
     source: Mapping[str, int]
     period: float
     submap_borders: tuple[tuple[int, int, np.ndarray], ...]  # (step, robot, corners (k, 2)) at each hand-over
-    ground: Ground | None = None
+    floor: FloorPlan | None = None
 
 
 def with_noise(cfg: ExploreConfig, factor: float) -> ExploreConfig:
@@ -80,7 +73,7 @@ def noise_factor(cfg: ExploreConfig) -> float | None:
     return round(float(ratio[0]), 12) if np.allclose(ratio, ratio[0], rtol=1e-9) else None
 
 
-def explore_once(mission: Mission, seed: int, run: int = 0) -> tuple[RunScore, RunRecord]:
+def explore_once(mission: LandmarkMission, seed: int, run: int = 0) -> tuple[LandmarkScore, LandmarkRecord]:
     """One run: the landmarks' layout and all noise follow from `seed`."""
     world = make_field(mission.scenario, mission.robots, seed)
     _compile(mission.planner, mission.cfg.submap.association, walled=world.walls is not None)
@@ -88,15 +81,15 @@ def explore_once(mission: Mission, seed: int, run: int = 0) -> tuple[RunScore, R
     team = Team(
         world,
         mission.cfg,
-        find_planner(mission.planner),
+        find_planner(mission.planner, PLANNERS),
         rng,
         kills=dict(mission.kills or {}),
         drop=mission.drop,
         until=mission.until,
     )
-    first = team.look_around()
+    first = team.observe_start()
     moments = tuple(team.play())
-    record = RunRecord(
+    record = LandmarkRecord(
         world,
         team.robots,
         moments,
@@ -105,7 +98,7 @@ def explore_once(mission: Mission, seed: int, run: int = 0) -> tuple[RunScore, R
         dict(team.truth.source),
         mission.cfg.submap.period,
         tuple(team.borders),
-        team.ground,
+        team.floor,
     )
     return score(team, run, seed, moments), record
 
@@ -113,33 +106,31 @@ def explore_once(mission: Mission, seed: int, run: int = 0) -> tuple[RunScore, R
 @cache
 def _compile(planner: str, association: str, *, walled: bool) -> None:
     """Has a built-in planner take a few steps, once a process, so that decisions are timed and not compilation."""
-    if planner not in BUILT_IN or planner == "joint":  # whose search before the first step is no compilation
+    if planner not in PLANNERS or planner == "joint":  # whose search before the first step is no compilation
         return
     walls = ((0.0, 4.0, 0.0, 12.0),) if walled else None
     scenario = ScenarioConfig(
         lower=(-12.0, -12.0), upper=(12.0, 12.0), landmarks=((3.0, 3.0), (-3.0, -3.0)), walls=walls
     )
     cfg = ExploreConfig(submap=SubmapConfig(association=association))
-    team = Team(make_field(scenario, 2, 0), cfg, find_planner(planner), np.random.default_rng(0), until=3)
-    team.look_around()
+    team = Team(make_field(scenario, 2, 0), cfg, find_planner(planner, PLANNERS), np.random.default_rng(0), until=3)
+    team.observe_start()
     for _ in team.play():
         pass
 
 
-def explore_many(mission: Mission, runs: int, seed: int, executor: Executor | None = None) -> list[RunScore]:
+def explore_many(
+    mission: LandmarkMission, runs: int, seed: int, executor: Executor | None = None
+) -> list[LandmarkScore]:
     """Scores of `runs` runs with seeds `seed`, `seed` + 1, ...; the same with any executor."""
-    one = partial(_score_only, mission)
-    jobs = [(seed + k, k) for k in range(runs)]
-    if executor is None:
-        return [one(job) for job in jobs]
-    return list(executor.map(one, jobs))
+    return run_seeds(_score_only, mission, runs, seed, executor)
 
 
-def _score_only(mission: Mission, job: tuple[int, int]) -> RunScore:
-    return explore_once(mission, *job)[0]
+def _score_only(mission: LandmarkMission, seed: int, run: int) -> LandmarkScore:
+    return explore_once(mission, seed, run)[0]
 
 
-def score(team: Team, run: int, seed: int, moments: tuple[Moment, ...]) -> RunScore:
+def score(team: Team, run: int, seed: int, moments: tuple[StepRecord, ...]) -> LandmarkScore:
     """A finished run against the truth: mean landmark distance, mean ellipse area, NEES a degree of freedom."""
     source = team.truth.source
     known = [i for i, name in enumerate(team.G.ids) if name in source]
@@ -149,7 +140,7 @@ def score(team: Team, run: int, seed: int, moments: tuple[Moment, ...]) -> RunSc
     seconds = sum(m.seconds for m in moments)
     error = marks.mean - team.world.landmarks[true] if known else np.zeros((0, 2))
     blocks = [marks.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for i in range(len(known))]
-    return RunScore(
+    return LandmarkScore(
         run=run,
         seed=seed,
         finished=team.finished,

@@ -11,90 +11,88 @@ from jaxtyping import Float
 
 from ...kernels.exploration.objective import mark_half_disc
 from . import coverage, loop
+from .belief import LandmarkBelief
 from .config import ExploreConfig
 from .explored import Explored
-from .lap_search import ARRIVED, LapTask, find_laps
+from .lap_search import LapTask, find_laps
 from .steering import steer
-from .view import TeamView
-
-SURE = 1.0  # [m] within the reach at which a cell is surely seen
-LARGEST = 800  # robots times steps; beyond, planning would take minutes, and `loop` takes over
 
 
-def choose(view: TeamView, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig) -> Float[np.ndarray, "r 2"]:
+def choose(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig) -> Float[np.ndarray, "r 2"]:
     """Each live robot follows its lap; when the laps' time is over, what is unseen is covered.
 
     Asks the run to go on until the laps' time is over: their ends close the loops. Where nothing is left to see, a
     robot follows the next one's lap.
     """
-    memory = view.memory
+    memory = belief.memory
     if "lap_steps" not in memory:
-        live = max(1, int(view.alive.sum()))
-        rate = cfg.joint_rate if live > 1 else cfg.joint_rate_alone
-        memory["lap_steps"] = round(float(np.prod(view.upper - view.lower)) / (rate * live))
-        memory["joint"] = view.ground is None and live * memory["lap_steps"] <= LARGEST
+        live = max(1, int(belief.alive.sum()))
+        rate = cfg.joint.rate if live > 1 else cfg.joint.rate_alone
+        memory["lap_steps"] = round(float(np.prod(belief.upper - belief.lower)) / (rate * live))
+        memory["joint"] = belief.floor is None and live * memory["lap_steps"] <= cfg.joint.most_robot_steps
         if memory["joint"]:
-            found, memory["laps_end"] = find_laps(_task(view, poses, memory["lap_steps"], cfg))
+            found, memory["laps_end"] = find_laps(_task(belief, poses, memory["lap_steps"], cfg))
             memory["found"] = found
             memory["laps"] = {j: list(lap) for j, lap in enumerate(found)}
     if not memory["joint"]:
-        return loop.choose(view, poses, cfg)
+        return loop.choose(belief, poses, cfg)
     memory["go_on_until"] = memory["lap_steps"]
-    _note(view, poses, cfg)
-    out = np.zeros((len(view.robots), 2))
-    seen_by = [bool(view.explored.known_to(j).all()) for j in range(len(view.robots))]
+    _note(belief, poses, cfg)
+    out = np.zeros((len(belief.robots), 2))
+    seen_by = [bool(belief.explored.known_to(j).all()) for j in range(len(belief.robots))]
     rest = None
-    for j in map(int, np.flatnonzero(view.alive)):
-        goal = _next(view, j, poses[j], seen=seen_by[j])
+    for j in map(int, np.flatnonzero(belief.alive)):
+        goal = _next(belief, j, poses[j], cfg, seen=seen_by[j])
         if goal is not None:
-            out[j] = steer(view, poses[j], goal, cfg)
+            out[j] = steer(belief, poses[j], goal, cfg)
             continue
-        rest = _repair(view, poses, cfg) if rest is None else rest
+        rest = _repair(belief, poses, cfg) if rest is None else rest
         out[j] = rest[j]
     return out
 
 
-def _note(view: TeamView, poses: np.ndarray, cfg: ExploreConfig) -> None:
+def _note(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> None:
     """Marks cells as surely seen: a little within the sensor's reach, for poses are estimates."""
-    sure = view.memory.setdefault("sure", np.zeros_like(view.explored.fused))
-    s, ex = cfg.submap, view.explored
-    for j in np.flatnonzero(view.alive):
-        mark_half_disc(sure, poses[j], s.reach - SURE, s.half_angle - SURE / s.reach, ex.lower, ex.cell)
+    sure = belief.memory.setdefault("sure", np.zeros_like(belief.explored.fused))
+    s, ex, margin = cfg.submap, belief.explored, cfg.joint.sure_margin
+    for j in np.flatnonzero(belief.alive):
+        mark_half_disc(sure, poses[j], s.reach - margin, s.half_angle - margin / s.reach, ex.lower, ex.cell)
 
 
-def _repair(view: TeamView, poses: np.ndarray, cfg: ExploreConfig) -> np.ndarray:
+def _repair(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> np.ndarray:
     """Coverage of what is unseen; when something was missed though all was seen, of what was not surely seen first."""
-    sure, ex = view.memory["sure"], view.explored
-    if ex.sweeps > view.memory.get("swept", 1):
+    sure, ex = belief.memory["sure"], belief.explored
+    if ex.sweeps > belief.memory.get("swept", 1):
         if not sure.all():
             shadow = Explored(ex.lower, ex.cell, sure, np.zeros_like(ex.pending), np.zeros_like(ex.backlog))
-            return coverage.choose(replace(view, explored=shadow), poses, cfg)
+            return coverage.choose(replace(belief, explored=shadow), poses, cfg)
         sure[:] = False
-        view.memory["swept"] = ex.sweeps
-    return coverage.choose(view, poses, cfg)
+        belief.memory["swept"] = ex.sweeps
+    return coverage.choose(belief, poses, cfg)
 
 
-def _task(view: TeamView, poses: np.ndarray, steps: int, cfg: ExploreConfig) -> LapTask:
+def _task(belief: LandmarkBelief, poses: np.ndarray, steps: int, cfg: ExploreConfig) -> LapTask:
     return LapTask(
-        tuple(view.lower),
-        tuple(view.upper),
+        tuple(belief.lower),
+        tuple(belief.upper),
         tuple(map(tuple, poses)),
         tuple(map(tuple, cfg.controls)),
         cfg.submap,
         steps,
-        cfg.joint_density,
-        cfg.joint_error_weight,
-        cfg.joint_tries,
+        cfg.joint.density,
+        cfg.joint.error_weight,
+        cfg.joint.search,
+        cfg.steering.heading_cost,
     )
 
 
-def _next(view: TeamView, j: int, pose: np.ndarray, *, seen: bool) -> np.ndarray | None:
+def _next(belief: LandmarkBelief, j: int, pose: np.ndarray, cfg: ExploreConfig, *, seen: bool) -> np.ndarray | None:
     """Where robot j goes: the next place of its lap while that is worth it, or of another's when all is seen."""
-    memory = view.memory
+    memory = belief.memory
     lap = memory["laps"][j]
-    while lap and np.hypot(*(lap[0] - pose[:2])) < ARRIVED:
+    while lap and np.hypot(*(lap[0] - pose[:2])) < cfg.joint.search.arrived:
         lap.pop(0)
-    late = view.step >= memory["laps_end"]
+    late = belief.step >= memory["laps_end"]
     if seen and not lap:
         turns = memory.setdefault("turns", {})
         turns[j] = turns.get(j, 0) + 1

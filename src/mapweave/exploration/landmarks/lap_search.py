@@ -19,18 +19,8 @@ from ...kernels.exploration.laps import (
     seen_shares,
 )
 from ...landmarks.submap_slam import SubmapConfig
+from .config import LapSearchConfig
 
-ARRIVED = 5.0  # [m]
-MOST_PLACES = 12  # a lap
-TAIL = 40  # steps that repair takes where something is left
-MISSED = 10.0  # steps more for each landmark that the laps are expected to miss
-COARSE = 2.0  # [m], cells in which coverage is judged
-MARGIN = 0.7  # [m] of the reach not counted on: the drive will differ a little
-EVERY = 12  # steps between the poses that carry the information
-BORDER = 12.0  # [m] from the border, the first plans' ring
-OVERLAP = 1.2  # shares of the ring that a robot may go round, on into the next one's
-BEGUN = 4  # first plans that are improved before one is chosen
-LAYOUTS = 8  # of landmarks, on which the map's error is judged
 Plan = tuple[Float[np.ndarray, "r k 2"], Int[np.ndarray, " r"]]
 
 
@@ -46,7 +36,8 @@ class LapTask:
     steps: int
     density: float
     error_weight: float  # steps a metre
-    tries: int
+    search: LapSearchConfig
+    heading_cost: float  # [m/rad], as `steering` has it
 
 
 @lru_cache(maxsize=8)
@@ -55,11 +46,11 @@ def find_laps(task: LapTask) -> tuple[tuple[np.ndarray, ...], int]:
 
     The same for the same task; the step is no sooner than the task's.
     """
-    rng = np.random.default_rng(0)
+    rng, search = np.random.default_rng(0), task.search
     judge = _Judge(task)
-    first = sorted(_first_plans(task), key=judge)[:BEGUN]
-    begun = [_improve(plan, judge, task.tries // 8, rng) for plan in first]
-    _, plan = _improve(min(begun, key=lambda b: b[0])[1], judge, task.tries, rng)
+    first = sorted(_first_plans(task), key=judge)[: search.first_plans]
+    begun = [_improve(plan, judge, search.tries // 8, rng) for plan in first]
+    _, plan = _improve(min(begun, key=lambda b: b[0])[1], judge, search.tries, rng)
     share = judge.shares(judge.drive(plan))
     end = max(task.steps, int(np.argmax(share >= share[-1])))
     return tuple(w[:n].copy() for w, n in zip(*plan, strict=True)), end
@@ -72,11 +63,11 @@ class _Judge:
         self.task = task
         self.lower, self.upper = np.array(task.lower), np.array(task.upper)
         self.starts, self.controls = np.array(task.starts), np.array(task.controls)
-        nx, ny = np.ceil((self.upper - self.lower) / COARSE - 1e-9).astype(int)
+        nx, ny = np.ceil((self.upper - self.lower) / task.search.coarse_cell - 1e-9).astype(int)
         self.nothing = np.zeros((ny, nx), dtype=bool)
         self.landmarks = max(1, round(task.density * float(np.prod(self.upper - self.lower))))
         rng = np.random.default_rng(1)
-        self.layouts = rng.uniform(self.lower, self.upper, size=(LAYOUTS, self.landmarks, 2))
+        self.layouts = rng.uniform(self.lower, self.upper, size=(task.search.layouts, self.landmarks, 2))
 
     def __call__(self, plan: Plan, enough: float = np.inf) -> float:
         """Its cost, or something above `enough` when that is sure to be exceeded."""
@@ -84,32 +75,38 @@ class _Judge:
         track = self.drive(plan)
         share = self.shares(track)
         missed = self.landmarks * (1.0 - share[-1])
-        cost = float(t.steps + (1.0 - share[t.steps :] ** self.landmarks).sum() + MISSED * missed)
+        cost = float(t.steps + (1.0 - share[t.steps :] ** self.landmarks).sum() + t.search.missed_cost * missed)
         if cost > enough:
             return cost
-        return cost + t.error_weight * self.error(track[:, : t.steps // EVERY * EVERY + 1])
+        return cost + t.error_weight * self.error(
+            track[:, : t.steps // t.search.pose_stride * t.search.pose_stride + 1]
+        )
 
     def drive(self, plan: Plan) -> np.ndarray:
         """Poses (M, n, 3) of a drive without noise, a little longer than the task."""
         t = self.task
-        period, steps = t.submap.period, t.steps + TAIL
-        return drive_laps(*plan, self.starts, self.controls, period, self.lower, self.upper, ARRIVED, steps)
+        period, steps = t.submap.period, t.steps + t.search.tail_steps
+        return drive_laps(
+            *plan, self.starts, self.controls, period, self.lower, self.upper, t.search.arrived, steps, t.heading_cost
+        )
 
     def shares(self, track: np.ndarray) -> np.ndarray:
         """What share of the field is seen by each step of `track`."""
-        s = self.task.submap
-        return seen_shares(track, self.nothing, s.reach - MARGIN, s.half_angle, self.lower, COARSE)
+        s, search = self.task.submap, self.task.search
+        return seen_shares(
+            track, self.nothing, s.reach - search.reach_margin, s.half_angle, self.lower, search.coarse_cell
+        )
 
     def error(self, track: np.ndarray) -> float:
         """Mean error [m] expected of the landmarks along `track` (M, n, 3), over layouts drawn once."""
-        s = self.task.submap
+        s, every, least = self.task.submap, self.task.search.pose_stride, self.task.search.least_range
         track = np.ascontiguousarray(track)
-        odometry = odometry_information(track, EVERY, s.Q)
+        odometry = odometry_information(track, every, s.Q)
         total = 0.0  # of landmarks seen: those missed are dear already
         for marks in self.layouts:
             S = odometry.copy()
-            add_landmark_information(S, track, EVERY, marks, 1.0, s.reach, s.half_angle, s.R)
-            errors = landmark_errors(np.linalg.inv(S), track, EVERY, marks, s.reach, s.half_angle, s.R)
+            add_landmark_information(S, track, every, marks, 1.0, s.reach, s.half_angle, s.R, least)
+            errors = landmark_errors(np.linalg.inv(S), track, every, marks, s.reach, s.half_angle, s.R, least)
             total += float(np.nanmean(errors))
         return total / len(self.layouts)
 
@@ -122,22 +119,22 @@ def _first_plans(task: LapTask) -> list[Plan]:
     lower, upper, starts = np.array(task.lower), np.array(task.upper), np.array(task.starts)
     around = starts[:, :2] - starts[:, :2].mean(axis=0)
     place = np.argsort(np.argsort(np.arctan2(around[:, 1], around[:, 0])))
-    plans = []
+    plans, search = [], task.search
     share = 2 * np.pi / len(starts)
-    for turn in (share, -share, OVERLAP * share, -OVERLAP * share):
+    for turn in (share, -share, search.overlap * share, -search.overlap * share):
         for first in np.arange(8) * np.pi / 4:
-            ways, counts = np.zeros((len(starts), MOST_PLACES, 2)), np.zeros(len(starts), dtype=np.int64)
+            ways, counts = np.zeros((len(starts), search.most_places, 2)), np.zeros(len(starts), dtype=np.int64)
             for j, k in enumerate(place):
-                lap = [*_on_the_ring(lower, upper, first + share * k, turn), starts[j, :2]]
+                lap = [*_on_the_ring(lower, upper, first + share * k, turn, search.border), starts[j, :2]]
                 ways[j, : len(lap)], counts[j] = lap, len(lap)
             plans.append((ways, counts))
     return plans
 
 
-def _on_the_ring(lower: np.ndarray, upper: np.ndarray, begin: float, turn: float) -> list[np.ndarray]:
-    """Places from direction `begin` of the middle through `turn` [rad], its corners among them, BORDER inside."""
+def _on_the_ring(lower: np.ndarray, upper: np.ndarray, begin: float, turn: float, border: float) -> list[np.ndarray]:
+    """Places from direction `begin` of the middle through `turn` [rad], its corners among them, `border` [m] inside."""
     middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
-    half = np.maximum(half - BORDER, 0.5 * half)
+    half = np.maximum(half - border, 0.5 * half)
     corner = np.arctan2(half[1], half[0]) * np.array([1.0, -1.0, 1.0, -1.0]) + np.array([0.0, 0.0, np.pi, np.pi])
     past = np.mod(np.sign(turn) * (corner - begin), 2 * np.pi)
     between = np.sort(past[past < abs(turn)])

@@ -8,40 +8,42 @@ from scipy.spatial import ConvexHull, QhullError
 
 from ...core import se2
 from ...kernels.exploration.objective import expected_uncertainty, map_uncertainty
+from .belief import LandmarkBelief
 from .config import ExploreConfig
 from .steering import given_up, new_cells, next_target, offered, steer, way_back
-from .view import TeamView
 
-HIDDEN = 1e6  # [m], where landmarks are put that nobody sees
+OUT_OF_REACH = 1e6  # [m], where landmarks are put that nobody sees
 
 
-def choose(view: TeamView, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig) -> Float[np.ndarray, "r 2"]:
+def choose(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig) -> Float[np.ndarray, "r 2"]:
     """The control of largest J for every live robot ([Yuan09] eq. 20 and 21), or its escape to a frontier."""
-    out = np.zeros((len(view.robots), 2))
-    hulls = [_submap_points(view, i, poses[i]) for i in range(len(view.robots))]
-    targets: dict[int, np.ndarray] = view.memory.setdefault("targets", {})
-    for j in np.flatnonzero(view.alive):
-        out[j] = _choose_one(view, int(j), poses[j], hulls, targets, cfg)
+    out = np.zeros((len(belief.robots), 2))
+    hulls = [_submap_points(belief, i, poses[i]) for i in range(len(belief.robots))]
+    targets: dict[int, np.ndarray] = belief.memory.setdefault("targets", {})
+    for j in np.flatnonzero(belief.alive):
+        out[j] = _choose_one(belief, int(j), poses[j], hulls, targets, cfg)
     return out
 
 
-def choose_area(view: TeamView, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig) -> Float[np.ndarray, "r 2"]:
+def choose_area(
+    belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig
+) -> Float[np.ndarray, "r 2"]:
     """The paper's planner without its accuracy term."""
-    return choose(view, poses, replace(cfg, w_accuracy=0.0))
+    return choose(belief, poses, replace(cfg, w_accuracy=0.0))
 
 
 def objective(
-    view: TeamView, j: int, pose: Float[np.ndarray, "3"], hulls: list[np.ndarray], cfg: ExploreConfig
+    belief: LandmarkBelief, j: int, pose: Float[np.ndarray, "3"], hulls: list[np.ndarray], cfg: ExploreConfig
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Offered controls (m, 2) of robot j, their J (m,) and the cells each would newly see (m,)."""
-    controls, after = offered(view, pose, cfg)
-    sub = view.submaps[j]
-    gain = new_cells(view, j, after, cfg)
-    J = cfg.w_area * gain * view.explored.cell**2 / (0.5 * np.pi * cfg.submap.reach**2)
+    controls, after = offered(belief, pose, cfg)
+    sub = belief.submaps[j]
+    gain = new_cells(belief, j, after, cfg)
+    J = cfg.w_area * gain * belief.explored.cell**2 / (0.5 * np.pi * cfg.submap.reach**2)
     if cfg.w_accuracy:
         C = expected_uncertainty(
             np.asarray(sub.pose),
-            _within_sight(view, j, pose, cfg),
+            _within_sight(belief, j, pose, cfg),
             np.asarray(sub.cov),
             controls,
             cfg.submap.period,
@@ -52,7 +54,7 @@ def objective(
         )
         least = C.min()
         J = J + cfg.w_accuracy * (least / np.maximum(C, 1e-300) if least > 0 else np.ones_like(C))
-    others = [i for i in np.flatnonzero(view.alive) if i != j]
+    others = [i for i in np.flatnonzero(belief.alive) if i != j]
     if others and cfg.w_apart:
         d = np.stack([distance_to_hull(hulls[i], after[:, :2]) for i in others])
         J = J + cfg.w_apart * np.minimum(d / cfg.apart_distance, 1.0).mean(axis=0)
@@ -60,47 +62,47 @@ def objective(
 
 
 def _choose_one(
-    view: TeamView,
+    belief: LandmarkBelief,
     j: int,
     pose: np.ndarray,
     hulls: list[np.ndarray],
     targets: dict[int, np.ndarray],
     cfg: ExploreConfig,
 ) -> np.ndarray:
-    ex = view.explored
-    known = None if cfg.literal_escape else way_back(view, j, pose, cfg)
+    ex = belief.explored
+    known = None if cfg.literal_escape else way_back(belief, j, pose, cfg)
     if known is not None:
-        return steer(view, pose, known, cfg)
+        return steer(belief, pose, known, cfg)
     if j in targets:
-        if ex.sees(j, targets[j]) or given_up(view, j, targets[j], cfg):
+        if ex.sees(j, targets[j]) or given_up(belief, j, targets[j], cfg):
             del targets[j]
         else:
-            return steer(view, pose, targets[j], cfg)
-    controls, J, gain = objective(view, j, pose, hulls, cfg)
+            return steer(belief, pose, targets[j], cfg)
+    controls, J, gain = objective(belief, j, pose, hulls, cfg)
     if gain.max() <= cfg.gain_threshold:
-        sub = view.submaps[j]
+        sub = belief.submaps[j]
         sure = map_uncertainty(np.asarray(sub.cov)) / (len(sub.ids) + 1) <= cfg.escape_uncertainty
-        stalled = not cfg.literal_escape and view.stalled[j] >= cfg.stall_steps
-        goal = next_target(view, j, pose) if sure or stalled else None
+        stalled = not cfg.literal_escape and belief.stalled[j] >= cfg.stall_steps
+        goal = next_target(belief, j, pose) if sure or stalled else None
         if goal is not None:
             targets[j] = goal
-            return steer(view, pose, goal, cfg)
+            return steer(belief, pose, goal, cfg)
     return np.asarray(controls[np.argmax(J)])
 
 
-def _within_sight(view: TeamView, j: int, pose: np.ndarray, cfg: ExploreConfig) -> np.ndarray:
+def _within_sight(belief: LandmarkBelief, j: int, pose: np.ndarray, cfg: ExploreConfig) -> np.ndarray:
     """Landmarks (n, 2) of robot j's submap; those that walls hide from where it is are put out of reach."""
-    marks = np.asarray(view.submaps[j].mean)
-    if view.ground is None:
+    marks = np.asarray(belief.submaps[j].mean)
+    if belief.floor is None:
         return marks
-    there = se2.act(view.global_map.frames[j], marks)
-    hidden = ~view.ground.sees(pose[:2], there, 1.5 * cfg.submap.reach)
-    return np.where(hidden[:, None], HIDDEN, marks)
+    there = se2.act(belief.global_map.frames[j], marks)
+    hidden = ~belief.floor.sees(pose[:2], there, 1.5 * cfg.submap.reach)
+    return np.where(hidden[:, None], OUT_OF_REACH, marks)
 
 
-def _submap_points(view: TeamView, i: int, pose: np.ndarray) -> np.ndarray:
+def _submap_points(belief: LandmarkBelief, i: int, pose: np.ndarray) -> np.ndarray:
     """Robot i's submap in the map, its landmarks and itself: hull corners counter-clockwise, or all points if flat."""
-    points = np.vstack([se2.act(view.global_map.frames[i], view.submaps[i].mean), pose[:2]])
+    points = np.vstack([se2.act(belief.global_map.frames[i], belief.submaps[i].mean), pose[:2]])
     if len(points) < 3:
         return points
     try:

@@ -9,40 +9,36 @@ from ...kernels.exploration.objective import unexplored_cells
 from ...kernels.walls.segments import distance_of_moves
 from ...kernels.walls.sight import unexplored_in_sight
 from ...landmarks.submap_slam import move
+from .belief import LandmarkBelief
 from .config import ExploreConfig
-from .ground import Ground
-from .view import TeamView
-
-LANDMARK_REACHED = 4.0  # [m]
-LEG = 2.0  # [m] of the way ahead whose narrowness allows a robot to come nearer to walls
-DETOUR = 6.0  # [m] within which a robot plans its way round the places where a wall was met lately
+from .floor_plan import FloorPlan
 
 
 def offered(
-    view: TeamView, pose: Float[np.ndarray, "3"], cfg: ExploreConfig, towards: np.ndarray | None = None
+    belief: LandmarkBelief, pose: Float[np.ndarray, "3"], cfg: ExploreConfig, towards: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Controls (m, 2) whose predicted pose stays in the field, and those poses (m, 3); among walls see below.
 
     Facing a border closer than the shortest step no control stays inside: then the slowest ones are offered, so that
     the robot can turn away. A robot that finds itself outside is offered the one control that leads back soonest.
     """
-    if view.ground is not None:
-        return clear_controls(view, view.ground, pose, cfg, towards)
+    if belief.floor is not None:
+        return clear_controls(belief, belief.floor, pose, cfg, towards)
     controls = cfg.controls
     poses = move(pose, controls, cfg.submap.period)
-    inside = np.all((poses[:, :2] >= view.lower) & (poses[:, :2] <= view.upper), axis=1)
+    inside = np.all((poses[:, :2] >= belief.lower) & (poses[:, :2] <= belief.upper), axis=1)
     if not inside.any():
-        back = np.clip(pose[:2], view.lower, view.upper)
+        back = np.clip(pose[:2], belief.lower, belief.upper)
         if np.array_equal(back, pose[:2]):
             inside = controls[:, 0] == min(cfg.speeds)
         else:
-            inside[np.argmin(_time_to(poses, 0.98 * back + 0.02 * 0.5 * (view.lower + view.upper)))] = True
+            inside[np.argmin(_time_to(poses, 0.98 * back + 0.02 * 0.5 * (belief.lower + belief.upper), cfg))] = True
     return controls[inside], poses[inside]
 
 
 def clear_controls(
-    view: TeamView,
-    ground: Ground,
+    belief: LandmarkBelief,
+    floor: FloorPlan,
     pose: np.ndarray,
     cfg: ExploreConfig,
     towards: np.ndarray | None = None,
@@ -54,24 +50,24 @@ def clear_controls(
     of it; where that is not kept either, the robot turns on the spot, to the side on which it can drive on that is
     nearest to its heading, or to the way `towards` a place.
     """
-    obstacles = np.vstack([ground.walls.segments, np.hstack([view.contacts, view.contacts])])
-    comfort = cfg.wall_comfort
+    obstacles = np.vstack([floor.walls.segments, np.hstack([belief.contacts, belief.contacts])])
+    comfort = cfg.walls.comfort
     if towards is not None:
         step = towards - pose[:2]
-        near = pose[:2] + step * min(1.0, LEG / max(float(np.hypot(*step)), 1e-9))
-        leg = distance_of_moves(pose[None, :2].copy(), near[None], obstacles)[0] - cfg.robot_radius
-        comfort = min(comfort, max(cfg.wall_margin, 0.8 * float(leg)))
+        near = pose[:2] + step * min(1.0, cfg.walls.leg / max(float(np.hypot(*step)), 1e-9))
+        leg = distance_of_moves(pose[None, :2].copy(), near[None], obstacles)[0] - cfg.walls.robot_radius
+        comfort = min(comfort, max(cfg.walls.margin, 0.8 * float(leg)))
     controls = cfg.controls
     poses = move(pose, controls, cfg.submap.period)
-    for margin in (comfort, cfg.wall_margin, cfg.wall_margin / 3):
-        clear = _clear(view, pose, poses, obstacles, cfg.robot_radius + margin)
+    for margin in (comfort, cfg.walls.margin, cfg.walls.margin / 3):
+        clear = _clear(belief, pose, poses, obstacles, cfg.walls.robot_radius + margin)
         if clear.any():
             return controls[clear], poses[clear]
     turns = np.array([(0.0, w) for w in cfg.turns if w != 0.0])
     rim = np.linspace(-np.pi, np.pi, 32, endpoint=False)
     around = np.column_stack([np.tile(pose[:2], (32, 1)), pose[2] + rim])
     slow = move(around, np.broadcast_to([min(cfg.speeds), 0.0], (32, 2)), cfg.submap.period)
-    ways = rim[_clear(view, pose, slow, obstacles, cfg.robot_radius + cfg.wall_margin / 3)]
+    ways = rim[_clear(belief, pose, slow, obstacles, cfg.walls.robot_radius + cfg.walls.margin / 3)]
     if len(ways):
         wish = 0.0 if towards is None else np.arctan2(*(towards - pose[:2])[::-1]) - pose[2]
         best = ways[np.argmin(np.abs(wrap_angle(ways - wish)) + 1e-6 * np.abs(ways))]
@@ -79,63 +75,65 @@ def clear_controls(
     return turns, move(pose, turns, cfg.submap.period)
 
 
-def _clear(view: TeamView, pose: np.ndarray, poses: np.ndarray, obstacles: np.ndarray, room: float) -> np.ndarray:
+def _clear(
+    belief: LandmarkBelief, pose: np.ndarray, poses: np.ndarray, obstacles: np.ndarray, room: float
+) -> np.ndarray:
     """Which straight moves from `pose` to `poses` (m, 3) keep `room` [m] from `obstacles`, or come no nearer."""
     here = np.broadcast_to(pose[:2], (len(poses), 2)).copy()
     along = distance_of_moves(here, poses[:, :2].copy(), obstacles)
     now = distance_of_moves(here[:1], here[:1], obstacles)[0]
-    out = np.maximum(np.maximum(view.lower - poses[:, :2], poses[:, :2] - view.upper), 0.0).sum(axis=1)
-    out_now = np.maximum(np.maximum(view.lower - pose[:2], pose[:2] - view.upper), 0.0).sum()
+    out = np.maximum(np.maximum(belief.lower - poses[:, :2], poses[:, :2] - belief.upper), 0.0).sum(axis=1)
+    out_now = np.maximum(np.maximum(belief.lower - pose[:2], pose[:2] - belief.upper), 0.0).sum()
     return np.asarray(((out == 0.0) | (out < out_now)) & (along >= min(room, now) - 1e-9))
 
 
-def new_cells(view: TeamView, j: int, poses: Float[np.ndarray, "m 3"], cfg: ExploreConfig) -> np.ndarray:
+def new_cells(belief: LandmarkBelief, j: int, poses: Float[np.ndarray, "m 3"], cfg: ExploreConfig) -> np.ndarray:
     """How many cells (m,) robot j, as far as it knows, would be the first to see from each of `poses`."""
-    ex, s = view.explored, cfg.submap
+    ex, s = belief.explored, cfg.submap
     known = ex.known_to(j)
-    if view.ground is None:
+    if belief.floor is None:
         return unexplored_cells(known, poses, s.reach, s.half_angle, ex.lower, ex.cell)
-    walls = view.ground.walls.segments
+    walls = belief.floor.walls.segments
     return unexplored_in_sight(known, poses, s.reach, s.half_angle, ex.lower, ex.cell, walls)
 
 
-def ahead(view: TeamView, pose: Float[np.ndarray, "3"], goal: np.ndarray, cfg: ExploreConfig) -> np.ndarray:
+def ahead(belief: LandmarkBelief, pose: Float[np.ndarray, "3"], goal: np.ndarray, cfg: ExploreConfig) -> np.ndarray:
     """Where (2,) to head for now on the way to `goal`: the goal itself in an open field, else round the walls."""
-    if view.ground is None:
+    if belief.floor is None:
         return goal
-    near = view.contacts[np.hypot(*(view.contacts - pose[:2]).T) < DETOUR]
-    return view.ground.waypoint(pose[:2], goal, near, cfg.robot_radius + cfg.wall_margin)
+    near = belief.contacts[np.hypot(*(belief.contacts - pose[:2]).T) < cfg.walls.detour]
+    return belief.floor.waypoint(pose[:2], goal, near, cfg.walls.robot_radius + cfg.walls.margin)
 
 
-def steer(view: TeamView, pose: Float[np.ndarray, "3"], goal: np.ndarray, cfg: ExploreConfig) -> np.ndarray:
+def steer(belief: LandmarkBelief, pose: Float[np.ndarray, "3"], goal: np.ndarray, cfg: ExploreConfig) -> np.ndarray:
     """The offered control (2,) that heads for `goal` soonest: turn towards it, fast when it lies ahead."""
-    place = ahead(view, pose, goal, cfg)
-    controls, poses = offered(view, pose, cfg, place)
-    return np.asarray(controls[np.argmin(_time_to(poses, place))])
+    place = ahead(belief, pose, goal, cfg)
+    controls, poses = offered(belief, pose, cfg, place)
+    return np.asarray(controls[np.argmin(_time_to(poses, place, cfg))])
 
 
-def _time_to(poses: Float[np.ndarray, "m 3"], goal: Float[np.ndarray, "2"]) -> np.ndarray:
-    """Distance [m] from each pose to `goal`, a radian of heading counted as three metres: no circling, no crawling."""
+def _time_to(poses: Float[np.ndarray, "m 3"], goal: Float[np.ndarray, "2"], cfg: ExploreConfig) -> np.ndarray:
+    """Distance [m] from each pose to `goal`, with what a wrong heading counts as: no circling, no crawling."""
     d = goal - poses[:, :2]
     error = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - poses[:, 2]))
-    return np.asarray(np.hypot(d[:, 0], d[:, 1]) + 3.0 * error)
+    return np.asarray(np.hypot(d[:, 0], d[:, 1]) + cfg.steering.heading_cost * error)
 
 
-def way_back(view: TeamView, j: int, pose: Float[np.ndarray, "3"], cfg: ExploreConfig) -> np.ndarray | None:
+def way_back(belief: LandmarkBelief, j: int, pose: Float[np.ndarray, "3"], cfg: ExploreConfig) -> np.ndarray | None:
     """Where (2,) robot j finds itself again: the nearest mapped landmark not tried yet; None while it is not lost.
 
     Lost: its place in the map has a standard deviation beyond `cfg.lost`. A landmark reached without help counts as
     tried, since a lost robot is not where it thinks.
     """
-    tried: dict[int, set[str]] = view.memory.setdefault("tried", {})
-    G = view.global_map
-    _, P = pose_in_map(G, view.submaps[j])
+    tried: dict[int, set[str]] = belief.memory.setdefault("tried", {})
+    G = belief.global_map
+    _, P = pose_in_map(G, belief.submaps[j])
     if not G.ids or np.linalg.eigvalsh(P[:2, :2])[-1] <= cfg.lost**2:
         tried.pop(j, None)
         return None
     seen = tried.setdefault(j, set())
     d = np.hypot(*(G.mean - pose[:2]).T)
-    seen.update(G.ids[i] for i in np.flatnonzero(d < LANDMARK_REACHED))
+    seen.update(G.ids[i] for i in np.flatnonzero(d < cfg.steering.landmark_reached))
     left = [i for i in range(len(G.ids)) if G.ids[i] not in seen]
     if not left:
         seen.clear()
@@ -143,30 +141,33 @@ def way_back(view: TeamView, j: int, pose: Float[np.ndarray, "3"], cfg: ExploreC
     return np.asarray(G.mean[left[int(np.argmin(d[left]))]])
 
 
-def next_target(view: TeamView, j: int, pose: Float[np.ndarray, "3"]) -> np.ndarray | None:
+def next_target(belief: LandmarkBelief, j: int, pose: Float[np.ndarray, "3"]) -> np.ndarray | None:
     """The unexplored cell (2,) robot j goes for next: the nearest, among walls one that was not put off lately."""
-    ex = view.explored
+    ex = belief.explored
     left = ex.centres(np.argwhere(~ex.known_to(j)))
-    if view.ground is None:
+    if belief.floor is None:
         return nearest_unexplored(left, pose)
-    off: dict[tuple[float, float], int] = view.memory.setdefault("put_off", {})
-    fresh = np.array([view.step >= off.get((float(x), float(y)), 0) for x, y in left], dtype=bool)
-    goal = nearest_unexplored(left[fresh] if fresh.any() else left, pose, view.ground)
-    view.memory.setdefault("target_since", {})[j] = view.step
+    off: dict[tuple[float, float], int] = belief.memory.setdefault("put_off", {})
+    fresh = np.array([belief.step >= off.get((float(x), float(y)), 0) for x, y in left], dtype=bool)
+    goal = nearest_unexplored(left[fresh] if fresh.any() else left, pose, belief.floor)
+    belief.memory.setdefault("target_since", {})[j] = belief.step
     return goal
 
 
-def given_up(view: TeamView, j: int, target: np.ndarray, cfg: ExploreConfig) -> bool:
+def given_up(belief: LandmarkBelief, j: int, target: np.ndarray, cfg: ExploreConfig) -> bool:
     """Whether robot j, among walls, has gone for `target` for so long that it puts it off for another."""
-    if view.ground is None or view.step - view.memory.get("target_since", {}).get(j, view.step) < cfg.put_off_after:
+    if (
+        belief.floor is None
+        or belief.step - belief.memory.get("target_since", {}).get(j, belief.step) < cfg.walls.put_off_after
+    ):
         return False
-    off = view.memory.setdefault("put_off", {})
-    off[float(target[0]), float(target[1])] = view.step + 4 * cfg.put_off_after
+    off = belief.memory.setdefault("put_off", {})
+    off[float(target[0]), float(target[1])] = belief.step + 4 * cfg.walls.put_off_after
     return True
 
 
 def nearest_unexplored(
-    unexplored_centres: np.ndarray, pose: Float[np.ndarray, "3"], ground: Ground | None = None
+    unexplored_centres: np.ndarray, pose: Float[np.ndarray, "3"], floor: FloorPlan | None = None
 ) -> np.ndarray | None:
     """The unexplored cell centre (2,) nearest to the robot: it borders explored ground. None when all is seen.
 
@@ -174,9 +175,9 @@ def nearest_unexplored(
     """
     if len(unexplored_centres) == 0:
         return None
-    if ground is not None:
-        at = ground.reach.cells(ground.view_of(unexplored_centres))
-        far = ground.from_places(pose[None, :2])[0][at[:, 0], at[:, 1]]
+    if floor is not None:
+        at = floor.ground.cells(floor.view_of(unexplored_centres))
+        far = floor.from_places(pose[None, :2])[0][at[:, 0], at[:, 1]]
         best = int(np.argmin(far + 1e-3 * np.hypot(*(unexplored_centres - pose[:2]).T)))
         return np.asarray(unexplored_centres[best]) if np.isfinite(far[best]) else None
     d = unexplored_centres - pose[:2]

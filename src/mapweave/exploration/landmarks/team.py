@@ -18,12 +18,12 @@ from ...landmarks.global_map import GlobalMap, known_starts
 from ...landmarks.submap import Submap
 from ...landmarks.submap_slam import Observations, empty, in_view, move, predict, sight, update
 from ...sim.field import Field
-from ..planner_interface import ask
+from ..planner_interface import query_planner
+from .belief import LandmarkBelief, Planner
 from .bumper import Bumper
 from .config import ExploreConfig
 from .explored import Explored
-from .ground import Ground, survey
-from .view import Planner, TeamView
+from .floor_plan import FloorPlan, survey_floor
 
 
 @dataclass(slots=True)
@@ -42,7 +42,7 @@ class Truth:
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class StepRecord:
     """One step of the run, for figures, logs and replay. commands (M, 2), true and estimated poses (M, 3)."""
 
     step: int
@@ -58,7 +58,7 @@ class Moment:
 
 @dataclass(slots=True)
 class Team:
-    """A team at work. `play` yields a `Moment` a step; afterwards the attributes hold the outcome."""
+    """A team at work. `play` yields a `StepRecord` a step; afterwards the attributes hold the outcome."""
 
     world: Field
     cfg: ExploreConfig
@@ -78,7 +78,7 @@ class Team:
     truth: Truth = field(init=False)
     wanted: set[int] = field(init=False)  # landmarks somebody can see
     memory: dict[str, Any] = field(default_factory=dict)
-    ground: Ground | None = None
+    floor: FloorPlan | None = None
     bumper: Bumper = field(init=False)
     borders: list[tuple[int, int, np.ndarray]] = field(default_factory=list)
     finished: bool = False
@@ -88,13 +88,13 @@ class Team:
         M = len(self.world.starts)
         self.robots = tuple(f"robot{k + 1}" for k in range(M))
         self.G = known_starts(self.robots, self.world.starts)
-        self.bumper = Bumper(self.world.walls, self.cfg.robot_radius)
+        self.bumper = Bumper(self.world.walls, self.cfg.walls.robot_radius)
         outside = None
         if self.world.walls is not None:
-            self.ground = survey(self.world, self.world.walls, self.cfg)
-            outside = ~self.ground.field
+            self.floor = survey_floor(self.world, self.world.walls, self.cfg)
+            outside = ~self.floor.field
         self.explored = Explored.over(self.world.lower, self.world.upper, M, self.cfg.cell, outside)
-        self.wanted = set(range(len(self.world.landmarks))) - set(self.ground.hidden if self.ground else ())
+        self.wanted = set(range(len(self.world.landmarks))) - set(self.floor.hidden if self.floor else ())
         if not self.wanted:
             raise DataError("walls hide every landmark from every place a robot can reach: there is nothing to map")
         self.submaps = [empty(name, f"local_{k + 1}") for k, name in enumerate(self.robots)]
@@ -105,43 +105,45 @@ class Team:
         """Estimated poses in the map."""
         return np.stack([self.G.pose_in_map(n, m.pose) for n, m in zip(self.robots, self.submaps, strict=True)])
 
-    def view(self) -> TeamView:
-        return TeamView(
-            self.step,
-            self.robots,
-            self.alive,
-            self.world.lower,
-            self.world.upper,
-            self.explored,
-            tuple(self.submaps),
-            self.G,
-            self.stalled,
-            self.memory,
-            self.ground,
-            self.bumper.places(),
+    def belief(self) -> LandmarkBelief:
+        return LandmarkBelief(
+            step=self.step,
+            robots=self.robots,
+            alive=self.alive,
+            stalled=self.stalled,
+            memory=self.memory,
+            lower=self.world.lower,
+            upper=self.world.upper,
+            explored=self.explored,
+            submaps=tuple(self.submaps),
+            global_map=self.G,
+            floor=self.floor,
+            contacts=self.bumper.places(),
         )
 
-    def look_around(self) -> Moment:
+    def observe_start(self) -> StepRecord:
         """What every robot sees from its start, before the first step."""
-        seen = tuple(self._look(j) for j in range(len(self.robots)))
+        seen = tuple(self._observe(j) for j in range(len(self.robots)))
         still = np.zeros((len(self.robots), 2))
         share = self.explored.share()
-        return Moment(0, still, self.truth.poses.copy(), self.poses(), seen, (), share, 0.0, 0)
+        return StepRecord(0, still, self.truth.poses.copy(), self.poses(), seen, (), share, 0.0, 0)
 
-    def play(self) -> Iterator[Moment]:
+    def play(self) -> Iterator[StepRecord]:
         """Steps until the goal, every robot's death or `max_steps`; then the submaps left are handed over."""
         while not self.reached() and self.step < self.cfg.max_steps and self.alive.any():
             self._deaths()
             if self.until == "landmarks" and not self.wanted <= self.truth.seen():
-                self._look_again()
+                self._sweep_again()
             before = perf_counter()
-            commands = self._ask()
+            commands = self._commands()
             seconds, decisions = perf_counter() - before, int(self.alive.sum())
-            self.bumper.forget(self.step - self.cfg.contact_steps)
-            seen = tuple(self._drive(j, commands[j]) if self.alive[j] else _NOTHING for j in range(len(self.robots)))
+            self.bumper.forget(self.step - self.cfg.walls.contact_steps)
+            seen = tuple(
+                self._drive(j, commands[j]) if self.alive[j] else _NO_SIGHTINGS for j in range(len(self.robots))
+            )
             self.step += 1
             handed = tuple(j for j in range(len(self.robots)) if self.alive[j] and self._due(j) and self._hand_over(j))
-            yield Moment(
+            yield StepRecord(
                 self.step,
                 commands,
                 self.truth.poses.copy(),
@@ -163,7 +165,7 @@ class Team:
         seen = bool(self.explored.team().all()) if self.until == "field" else self.wanted <= self.truth.seen()
         return seen and self.step >= int(self.memory.get("go_on_until", 0))
 
-    def _look_again(self) -> None:
+    def _sweep_again(self) -> None:
         """All cells count as seen and yet a landmark is missing (poses are estimates): sweep once more."""
         if self.explored.team().all():
             self.explored.again()
@@ -176,9 +178,9 @@ class Team:
                 self.truth.pending[j] = set()
                 self.truth.origin[j] = {}
 
-    def _ask(self) -> Float[np.ndarray, "r 2"]:
+    def _commands(self) -> Float[np.ndarray, "r 2"]:
         limits = max(self.cfg.speeds), max(abs(w) for w in self.cfg.turns)
-        return ask(self.planner, self.view(), self.poses(), self.cfg, limits)
+        return query_planner(self.planner, self.belief(), self.poses(), self.cfg, limits)
 
     def _drive(self, j: int, command: np.ndarray) -> Observations:
         """Robot j moves and looks; `command` becomes what was carried out, if a wall was in the way."""
@@ -192,14 +194,14 @@ class Team:
         if stopped:
             there = self.G.pose_in_map(self.robots[j], self.submaps[j].pose)
             self.bumper.remember(self.step, there, there[2] - command[1] * s.period)
-        return self._look(j)
+        return self._observe(j)
 
-    def _look(self, j: int) -> Observations:
+    def _observe(self, j: int) -> Observations:
         s = self.cfg.submap
         z = sight(self.truth.poses[j], self.world.landmarks)
         rows = np.flatnonzero(in_view(z, s))
-        if self.ground is not None:
-            rows = rows[self.ground.sees(self.truth.poses[j, :2], self.world.landmarks[rows], s.reach)]
+        if self.floor is not None:
+            rows = rows[self.floor.sees(self.truth.poses[j, :2], self.world.landmarks[rows], s.reach)]
         noise = self.rng.normal(size=(len(rows), 2)) * (s.range_sd, s.bearing_sd)
         noisy = z[rows] + noise
         noisy[:, 1] = wrap_angle(noisy[:, 1])
@@ -221,16 +223,16 @@ class Team:
         s, ex = self.cfg.submap, self.explored
         known = int(ex.known_to(j).sum())
         pose = self.G.pose_in_map(self.robots[j], self.submaps[j].pose)
-        if self.ground is None:
+        if self.floor is None:
             mark_half_disc(ex.backlog[j], pose, s.reach, s.half_angle, ex.lower, ex.cell)
         else:
-            walls = self.ground.walls.segments
+            walls = self.floor.walls.segments
             mark_in_sight(ex.backlog[j], pose, s.reach, s.half_angle, ex.lower, ex.cell, walls)
         self.stalled[j] = 0 if int(ex.known_to(j).sum()) > known else self.stalled[j] + 1
-        if self._through():
+        if self._message_arrives():
             ex.deliver(j)
 
-    def _through(self) -> bool:
+    def _message_arrives(self) -> bool:
         return self.drop <= 0 or self.rng.random() >= self.drop
 
     def _due(self, j: int) -> bool:
@@ -246,7 +248,7 @@ class Team:
 
     def _hand_over(self, j: int, *, surely: bool = False) -> bool:
         """The submap joins the map and starts anew; a lost message leaves it as it is, to be sent again next step."""
-        if not surely and not self._through():
+        if not surely and not self._message_arrives():
             return False
         known = self.cfg.submap.association == "known"
         self.borders.append((self.step, j, _corners(self.G, self.submaps[j])))
@@ -286,4 +288,4 @@ def _corners(G: GlobalMap, L: Submap) -> np.ndarray:
     return se2.act(G.frame_of(L.robot), points)
 
 
-_NOTHING = Observations(np.zeros((0, 2)), ())
+_NO_SIGHTINGS = Observations(np.zeros((0, 2)), ())

@@ -1,131 +1,141 @@
-"""One step of a laser team: look what became of the goals, plan anew when it is time, give way, drive."""
+"""One step of a laser team: look what became of the goals, plan anew when it is time, resolve conflicts, drive."""
+
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
-from .frontiers import frontiers, pockets, survey
-from .path_follower import AHEAD, driven, steer
-from .planner_state import SAME, Crew, Goal, Ways, crew_of, ways_to
-from .right_of_way import give_way, heading, order
-from .task_allocation import Share, hold, offer, parked
-from .view import LaserExploreConfig, LaserView
-
-ARRIVED = 0.35  # [m]
-NEARER = 0.2  # [m], what counts as progress
-SEEN = 0.8  # share of a goal's unknown cells after which it is done
-SPARE = 20.0  # [m], how much farther than needed ways to a goal are looked for
-LONG = 10  # times `patience` after which a goal is put off however often it came nearer
+from .belief import LaserBelief
+from .config import LaserExploreConfig
+from .frontiers import frontiers, mapped_ground, pockets
+from .path_follower import predicted_path, steer
+from .planner_state import Goal, PlannerState, planner_state_of, route_to
+from .right_of_way import current_route, priority_order, resolve_conflicts
+from .task_allocation import Allocator, allocation_problem, keep_commitments, parked
 
 
 def drive(
-    view: LaserView, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig, share: Share, *, go_home: bool = False
+    belief: LaserBelief,
+    poses: Float[np.ndarray, "r 3"],
+    cfg: LaserExploreConfig,
+    allocate: Allocator,
+    *,
+    go_home: bool = False,
 ) -> Float[np.ndarray, "r 2"]:
-    """Commands (M, 2) of a team whose frontiers are shared out by `share`.
+    """Commands (M, 2) of a team whose frontiers are shared out by `allocate`.
 
     Sets memory["finished"] when no frontier is left that a robot can get to (and, with `go_home`, all are back);
     memory["goals"]: {robot: place}; memory["given_up"], memory["pockets"]: (n, 2) places [m].
     """
-    crew = crew_of(view, poses)
-    live = np.flatnonzero(view.alive)
-    _tidy(crew, view, poses, live, cfg)
-    if _due(crew, view.step, live, cfg):
-        _plan(crew, view, poses, live, cfg, share, go_home=go_home)
-    give_way(crew, poses, live, view.step, cfg)
-    view.memory["goals"] = {j: goal.place for j, goal in crew.goals.items()}
-    out = np.zeros((len(view.robots), 2))
+    state = planner_state_of(belief, poses, cfg)
+    live = np.flatnonzero(belief.alive)
+    _tidy(state, belief, poses, live, cfg)
+    if _due(state, belief.step, live, cfg):
+        _plan(state, belief, poses, live, cfg, allocate, go_home=go_home)
+    resolve_conflicts(state, poses, live, belief.step, cfg)
+    belief.memory["goals"] = {j: goal.place for j, goal in state.goals.items()}
+    out = np.zeros((len(belief.robots), 2))
     will_be = {int(j): poses[j : j + 1, :2] for j in live}
-    for j in order(crew, live):
-        ways = heading(crew, j)
-        target = None if ways is None else ways.target(poses[j, :2], AHEAD)
+    for j in priority_order(state, live):
+        route = current_route(state, j)
+        target = None if route is None else route.target(poses[j, :2], cfg.follower.lookahead)
         if target is not None and np.hypot(*(target - poses[j, :2])) < 0.5 * cfg.resolution:
             target = None
         others = np.concatenate([np.zeros((0, 2)), *(p for k, p in will_be.items() if k != j)])
-        out[j] = steer(poses[j], target, view.scans[j], others, cfg)
-        will_be[j] = driven(poses[j], out[j], cfg)
+        out[j] = steer(poses[j], target, belief.scans[j], others, cfg)
+        will_be[j] = predicted_path(poses[j], out[j], cfg)
     return out
 
 
-def _tidy(crew: Crew, view: LaserView, poses: np.ndarray, live: np.ndarray, cfg: LaserExploreConfig) -> None:
+def _tidy(
+    state: PlannerState, belief: LaserBelief, poses: np.ndarray, live: np.ndarray, cfg: LaserExploreConfig
+) -> None:
     """Goals that are seen are done; those reached for nothing or out of reach for long are put off."""
-    crew.asides = {j: aside for j, aside in crew.asides.items() if j in live}
-    crew.goals = {j: goal for j, goal in crew.goals.items() if j in live}
-    for j, goal in list(crew.goals.items()):
-        left = float(goal.ways.metres(poses[j : j + 1, :2])[0])
-        if left < goal.least - NEARER:
-            goal.least, goal.since = left, view.step
-        elif j in crew.asides:
+    state.yielding = {j: place for j, place in state.yielding.items() if j in live}
+    state.goals = {j: goal for j, goal in state.goals.items() if j in live}
+    for j, goal in list(state.goals.items()):
+        left = float(goal.route.metres_from(poses[j : j + 1, :2])[0])
+        if left < goal.least - cfg.goals.progress:
+            goal.least, goal.since = left, belief.step
+        elif j in state.yielding:
             goal.since += 1
-        if left < ARRIVED and goal.at is None:
-            goal.at = view.step
-        if len(goal.unknown) and (view.grid.state[tuple(view.grid.cells(goal.unknown).T)] >= 0).mean() >= SEEN:
+        if left < cfg.goals.arrived and goal.at is None:
+            goal.at = belief.step
+        if (
+            len(goal.unknown)
+            and (belief.grid.state[tuple(belief.grid.cells(goal.unknown).T)] >= 0).mean() >= cfg.goals.seen_share
+        ):
             goal.done = True
-        elif _in_vain(goal, view.step, cfg):
-            crew.defer(goal.place, view.step, cfg)
-            del crew.goals[j]
+        elif _in_vain(goal, belief.step, cfg):
+            state.defer(goal.place, belief.step, cfg)
+            del state.goals[j]
 
 
 def _in_vain(goal: Goal, step: int, cfg: LaserExploreConfig) -> bool:
     """Whether nothing new comes of standing at the goal, or the robot does not get there."""
     if goal.at is not None:
         return len(goal.unknown) > 0 and step - goal.at >= cfg.look
-    return step - goal.since > cfg.patience or step - goal.born > LONG * cfg.patience
+    return step - goal.since > cfg.patience or step - goal.born > cfg.goals.patience_factor * cfg.patience
 
 
-def _due(crew: Crew, step: int, live: np.ndarray, cfg: LaserExploreConfig) -> bool:
-    age = step - crew.planned
-    idle = any(j not in crew.goals or crew.goals[j].done for j in live)
-    return crew.planned_for != tuple(live) or age >= cfg.replan_every or (idle and age >= cfg.replan_soonest)
+def _due(state: PlannerState, step: int, live: np.ndarray, cfg: LaserExploreConfig) -> bool:
+    age = step - state.planned
+    idle = any(j not in state.goals or state.goals[j].done for j in live)
+    return state.planned_for != tuple(live) or age >= cfg.replan_every or (idle and age >= cfg.replan_soonest)
 
 
 def _plan(
-    crew: Crew,
-    view: LaserView,
+    state: PlannerState,
+    belief: LaserBelief,
     poses: np.ndarray,
     live: np.ndarray,
     cfg: LaserExploreConfig,
-    share: Share,
+    allocate: Allocator,
     *,
     go_home: bool,
 ) -> None:
     """New goals for all live robots; who keeps its goal keeps its patience."""
-    dead = poses[~view.alive, :2]
-    ground = survey(view.grid, poses[live, :2], dead, cfg)
-    crew.ground, crew.planned, crew.planned_for = ground, view.step, tuple(live)
-    found = [f for f in frontiers(ground, cfg) if not crew.barred(f.place, view.step, cfg, waiting=False)]
-    pieces = [f for f in found if not crew.barred(f.place, view.step, cfg)] or found
-    view.memory["given_up"] = crew.given_up(cfg)
-    view.memory["pockets"] = pockets(ground, cfg)
-    old = crew.goals
+    dead = poses[~belief.alive, :2]
+    ground = mapped_ground(belief.grid, poses[live, :2], dead, cfg)
+    state.ground, state.planned, state.planned_for = ground, belief.step, tuple(live)
+    found = [f for f in frontiers(ground, cfg) if not state.barred(f.place, belief.step, cfg, waiting=False)]
+    pieces = [f for f in found if not state.barred(f.place, belief.step, cfg)] or found
+    belief.memory["given_up"] = state.given_up(cfg)
+    belief.memory["pockets"] = pockets(ground, cfg)
+    old = state.goals
     if pieces:
-        offers = offer(ground, pieces, crew, poses, live, cfg)
-        shared = hold(offers, share(offers, cfg), cfg)
-        stand = parked(crew, poses, live)
-        crew.goals = {}
+        problem = allocation_problem(ground, pieces, state, poses, live, cfg)
+        shared = keep_commitments(problem, allocate(problem, cfg), cfg)
+        stand = parked(state, poses, live)
+        state.goals = {}
         for j, n in shared.items():
-            far = SPARE + 2.0 * float(offers.first[offers.robots.index(j), n])
-            ways = ways_to(ground, pieces[n].place, stand, cfg, far)
-            crew.goals[j] = _goal(old.get(j), pieces[n].place, pieces[n].unknown, ways, view.step)
+            far = cfg.goals.spare_way + 2.0 * float(problem.first[problem.robots.index(j), n])
+            route = route_to(ground, pieces[n].place, stand, cfg, far)
+            state.goals[j] = _goal(
+                old.get(j), Goal(pieces[n].place, pieces[n].unknown, route, belief.step, belief.step), cfg
+            )
     else:
-        crew.goals = {}
+        state.goals = {}
     if not pieces and go_home:
-        _send_home(crew, old, poses, live, view.step, cfg)
-    view.memory["finished"] = not pieces and not crew.goals
+        _send_home(state, old, poses, live, belief.step, cfg)
+    belief.memory["finished"] = not pieces and not state.goals
 
 
-def _goal(old: Goal | None, place: np.ndarray, unknown: np.ndarray, ways: Ways, step: int) -> Goal:
-    if old is not None and not old.done and np.hypot(*(old.place - place)) < SAME:
-        return Goal(place, unknown, ways, old.since, old.born, old.least, old.at)
-    return Goal(place, unknown, ways, step, step)
+def _goal(old: Goal | None, new: Goal, cfg: LaserExploreConfig) -> Goal:
+    """The new goal, with the old one's patience where it is the same place."""
+    if old is not None and not old.done and np.hypot(*(old.place - new.place)) < cfg.goals.same:
+        return replace(new, since=old.since, born=old.born, least=old.least, at=old.at)
+    return new
 
 
 def _send_home(
-    crew: Crew, old: dict[int, Goal], poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig
+    state: PlannerState, old: dict[int, Goal], poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig
 ) -> None:
     """Everybody who is not back yet heads for its start, unless that was given up."""
-    if crew.home is None or crew.ground is None:
+    if state.home is None or state.ground is None:
         return
     for j in map(int, live):
-        away = np.hypot(*(poses[j, :2] - crew.home[j])) > 2 * ARRIVED
-        if away and not crew.barred(crew.home[j], step, cfg, waiting=False):
-            ways = ways_to(crew.ground, crew.home[j], np.zeros((0, 2)), cfg)
-            crew.goals[j] = _goal(old.get(j), crew.home[j], np.zeros((0, 2)), ways, step)
+        away = np.hypot(*(poses[j, :2] - state.home[j])) > 2 * cfg.goals.arrived
+        if away and not state.barred(state.home[j], step, cfg, waiting=False):
+            route = route_to(state.ground, state.home[j], np.zeros((0, 2)), cfg)
+            state.goals[j] = _goal(old.get(j), Goal(state.home[j], np.zeros((0, 2)), route, step, step), cfg)

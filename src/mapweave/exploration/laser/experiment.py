@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import cache
 from time import perf_counter
 from typing import Any
 
@@ -17,21 +17,23 @@ from ...laser.grid import GridMap
 from ...laser.occupancy import Occupancy, of_grid, without_gaps
 from ...laser.pose_graph import PoseGraph
 from ...sim.office_floor import LEAST
-from .frontiers import pockets, survey
-from .mission import LaserMissionConfig, LaserMoment, LaserRun
+from ..mission import Mission, run_seeds
+from ..planner_interface import find_planner
+from .belief import PLANNERS
+from .config import LaserMissionConfig
+from .frontiers import mapped_ground, pockets
+from .mission import LaserRun, LaserStepRecord
 from .scenario import LaserPlace, LaserScenarioConfig, make_place
 from .score import LaserScore, score
-from .view import BUILT_IN, find_laser_planner
 
-STILLS = 48  # moments kept as pictures, about
+SNAPSHOTS = 48  # moments kept as pictures, about
 SEEN_EVERY = 5  # steps between looks at what is known
 
 
 @dataclass(frozen=True, slots=True)
-class LaserMission:
-    """One experiment's settings. kills: robot index -> step at whose start it dies; drop: share of messages lost."""
+class LaserMission(Mission[LaserScenarioConfig, LaserMissionConfig]):
+    """One experiment's settings in a laser world."""
 
-    scenario: LaserScenarioConfig
     robots: int | None = None
     planner: str = "coverage"
     until: str | int = "field"
@@ -41,7 +43,7 @@ class LaserMission:
 
 
 @dataclass(frozen=True, slots=True)
-class Still:
+class MapSnapshot:
     """The map as it was at one step, for pictures."""
 
     step: int
@@ -63,8 +65,8 @@ class LaserRecord:
     place: LaserPlace
     building: Building
     robots: tuple[str, ...]
-    moments: tuple[LaserMoment, ...]
-    stills: tuple[Still, ...]
+    moments: tuple[LaserStepRecord, ...]
+    snapshots: tuple[MapSnapshot, ...]
     seen_at: np.ndarray
     grid: GridMap
     map: Occupancy
@@ -87,52 +89,52 @@ def explore_laser_once(
 ) -> tuple[LaserScore, LaserRecord]:
     """One run: the office and all noise follow from `seed`."""
     began = perf_counter()
-    made, building = start(mission, seed)
-    moments: list[LaserMoment] = []
-    stills: list[Still] = []
+    mission_run, building = start(mission, seed)
+    moments: list[LaserStepRecord] = []
+    snapshots: list[MapSnapshot] = []
     each = 1
     places = building.places()
     seen_at = np.full(len(places), np.nan)
-    for moment in made.play():
+    for moment in mission_run.play():
         moments.append(moment)
         if moment.step % SEEN_EVERY == 0:
-            _note_seen(seen_at, places, made.grid, moment.step)
+            _note_seen(seen_at, places, mission_run.grid, moment.step)
         if moment.step % each == 0:
-            stills.append(Still(moment.step, made.grid, moment.poses, moment.explored))
-            if len(stills) > 2 * STILLS:
-                stills, each = stills[::2], 2 * each
+            snapshots.append(MapSnapshot(moment.step, mission_run.grid, moment.poses, moment.explored))
+            if len(snapshots) > 2 * SNAPSHOTS:
+                snapshots, each = snapshots[::2], 2 * each
         if on_progress is not None:
             on_progress(moment.step, moment.explored)
-    _note_seen(seen_at, places, made.grid, made.step)
-    if moments and stills[-1].step != made.step:
-        stills.append(Still(made.step, made.grid, moments[-1].poses, moments[-1].explored))
-    grid = made.team.grid(mission.cfg.map_resolution)
+    _note_seen(seen_at, places, mission_run.grid, mission_run.step)
+    if moments and snapshots[-1].step != mission_run.step:
+        snapshots.append(MapSnapshot(mission_run.step, mission_run.grid, moments[-1].poses, moments[-1].explored))
+    grid = mission_run.team.grid(mission.cfg.map_resolution)
     merged = without_gaps(of_grid(grid))
-    told = score(made, moments, merged, run, perf_counter() - began)
-    M = len(made.robots)
+    run_score = score(mission_run, moments, merged, run, perf_counter() - began)
+    M = len(mission_run.robots)
     record = LaserRecord(
-        place=made.place,
+        place=mission_run.place,
         building=building,
-        robots=made.robots,
+        robots=mission_run.robots,
         moments=tuple(moments),
-        stills=tuple(stills),
+        snapshots=tuple(snapshots),
         seen_at=seen_at,
         grid=grid,
         map=merged,
-        tracks=tuple(made.team.trajectory(j) for j in range(M)),
+        tracks=tuple(mission_run.team.trajectory(j) for j in range(M)),
         truths=tuple(_truth(moments, j) for j in range(M)),
-        logs=tuple(_log(moments, j, f"explored {made.place.world.name}, seed {seed}") for j in range(M)),
-        graph=made.team.graph(),
-        owner=made.team.owner,
-        covariances=made.team.covariances(),
-        closures=made.team.closures,
-        pockets=_pockets(made),
-        given_up=np.array(made.memory.get("given_up", ()), dtype=float).reshape(-1, 2),
-        status=tuple(made.status),
-        collisions=tuple(made.sim.collisions.tolist()),
-        timing=dict(made.timing),
+        logs=tuple(_log(moments, j, f"explored {mission_run.place.world.name}, seed {seed}") for j in range(M)),
+        graph=mission_run.team.graph(),
+        owner=mission_run.team.owner,
+        covariances=mission_run.team.covariances(),
+        closures=mission_run.team.closures,
+        pockets=_pockets(mission_run),
+        given_up=np.array(mission_run.memory.get("given_up", ()), dtype=float).reshape(-1, 2),
+        status=tuple(mission_run.status),
+        collisions=tuple(mission_run.sim.collisions.tolist()),
+        timing=dict(mission_run.timing),
     )
-    return told, record
+    return run_score, record
 
 
 def start(mission: LaserMission, seed: int) -> tuple[LaserRun, Building]:
@@ -140,22 +142,24 @@ def start(mission: LaserMission, seed: int) -> tuple[LaserRun, Building]:
     place = make_place(mission.scenario, mission.robots, seed)
     robots = mission.cfg.robots
     building = survey_building(place.world, place.lower, place.upper, place.starts, robots.radius, robots.scanner.far)
-    planner = find_laser_planner(mission.planner)
+    planner = find_planner(mission.planner, PLANNERS)
     _compile(mission.planner)
     kills = dict(mission.kills or {})
-    made = LaserRun(place, building, mission.cfg, planner, seed, kills=kills, drop=mission.drop, until=mission.until)
-    return made, building
+    mission_run = LaserRun(
+        place, building, mission.cfg, planner, seed, kills=kills, drop=mission.drop, until=mission.until
+    )
+    return mission_run, building
 
 
 @cache
 def _compile(planner: str) -> None:
     """Has a built-in planner take a few steps, once a process, so that decisions are timed and not compilation."""
-    if planner not in BUILT_IN:
+    if planner not in PLANNERS:
         return
     place = make_place(LaserScenarioConfig(office=LEAST), 2, 0)
     cfg = LaserMissionConfig()
     building = survey_building(place.world, place.lower, place.upper, place.starts, cfg.robots.radius, 1.0)
-    for _ in LaserRun(place, building, cfg, find_laser_planner(planner), 0, until=3).play():
+    for _ in LaserRun(place, building, cfg, find_planner(planner, PLANNERS), 0, until=3).play():
         pass
 
 
@@ -163,18 +167,15 @@ def explore_laser_many(
     mission: LaserMission, runs: int, seed: int, executor: Executor | None = None
 ) -> list[LaserScore]:
     """Scores of `runs` runs with seeds `seed`, `seed` + 1, ...; the same with any executor."""
-    one = partial(_score_only, mission)
-    jobs = [(seed + k, k) for k in range(runs)]
-    return [one(job) for job in jobs] if executor is None else list(executor.map(one, jobs))
+    return run_seeds(_score_only, mission, runs, seed, executor)
 
 
-def _score_only(mission: LaserMission, job: tuple[int, int]) -> LaserScore:
-    seed, run = job
+def _score_only(mission: LaserMission, seed: int, run: int) -> LaserScore:
     began = perf_counter()
-    made, _ = start(mission, seed)
-    moments = [replace(m, scans=()) for m in made.play()]  # scans are many and the score needs none
-    merged = without_gaps(of_grid(made.team.grid(mission.cfg.map_resolution)))
-    return score(made, moments, merged, run, perf_counter() - began)
+    team, _ = start(mission, seed)
+    moments = [replace(m, scans=()) for m in team.play()]  # scans are many and the score needs none
+    merged = without_gaps(of_grid(team.team.grid(mission.cfg.map_resolution)))
+    return score(team, moments, merged, run, perf_counter() - began)
 
 
 def _note_seen(seen_at: np.ndarray, places: np.ndarray, grid: Occupancy, step: int) -> None:
@@ -183,13 +184,13 @@ def _note_seen(seen_at: np.ndarray, places: np.ndarray, grid: Occupancy, step: i
     seen_at[left[known]] = step
 
 
-def _truth(moments: list[LaserMoment], j: int) -> Track:
+def _truth(moments: list[LaserStepRecord], j: int) -> Track:
     mine = [m for m in moments if m.scans[j] is not None]
     poses = np.array([m.true_poses[j] for m in mine]).reshape(-1, 3)
     return Track(np.array([m.t for m in mine]), poses, frame="map")
 
 
-def _log(moments: list[LaserMoment], j: int, source: str) -> LaserLog:
+def _log(moments: list[LaserStepRecord], j: int, source: str) -> LaserLog:
     pairs = [(m.t, s) for m in moments if (s := m.scans[j]) is not None]
     t = np.array([t for t, _ in pairs])
     scans = tuple(s for _, s in pairs)
@@ -197,9 +198,9 @@ def _log(moments: list[LaserMoment], j: int, source: str) -> LaserLog:
     return LaserLog(str(j + 1), source, t, scans, Track(t, odometry, frame="odom"))
 
 
-def _pockets(made: LaserRun) -> np.ndarray:
-    """Ground the final map shows and no robot gets to."""
-    alive = np.flatnonzero(made.alive)
-    poses = made.team.poses()[:, :2]
-    ground = survey(made.grid, poses[alive], np.delete(poses, alive, axis=0), made.plan)
-    return pockets(ground, made.plan)
+def _pockets(mission_run: LaserRun) -> np.ndarray:
+    """MappedGround the final map shows and no robot gets to."""
+    alive = np.flatnonzero(mission_run.alive)
+    poses = mission_run.team.poses()[:, :2]
+    ground = mapped_ground(mission_run.grid, poses[alive], np.delete(poses, alive, axis=0), mission_run.plan)
+    return pockets(ground, mission_run.plan)

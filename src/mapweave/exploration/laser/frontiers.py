@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from ...laser.occupancy import Occupancy
-from .view import LaserExploreConfig
+from ..ground import Ground, nearest_cells
+from .config import LaserExploreConfig
 
 EIGHT = np.ones((3, 3), dtype=bool)
-DEAREST = 4  # what a cell by a wall costs beside one in the open
-PARKED = 12  # the same for a cell where a robot stands
+SNAP = 1.0  # [m] within which a place off the ground counts as its nearest cell
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,43 +25,41 @@ class Frontier:
     size: int
 
 
-@dataclass(frozen=True, slots=True)
-class Ground:
-    """The map as the robots' discs can use it.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MappedGround(Ground):
+    """The part of a map that the robots' discs get to.
 
-    fits: cells (rows, cols) whose centre keeps the disc off everything occupied, known or not; reach: those known to
-    be free that a robot gets to; weight: uint8 for `kernels.wavefront.spread`, 0 outside `reach`, 1 in the open, more
-    by walls.
+    grid: the map; fits: cells (rows, cols) whose centre keeps the disc off everything occupied, known or not.
     """
 
     grid: Occupancy
     fits: Bool[np.ndarray, "rows cols"]
-    reach: Bool[np.ndarray, "rows cols"]
-    weight: Int[np.ndarray, "rows cols"]
 
 
-def survey(
+def mapped_ground(
     grid: Occupancy,
     places: Float[np.ndarray, "r 2"],
     obstacles: Float[np.ndarray, "k 2"],
     cfg: LaserExploreConfig,
-) -> Ground:
+) -> MappedGround:
     """The ground that robots at `places` get to; `obstacles` are the places of dead robots."""
     blocked = grid.occupied
     if len(obstacles):
         blocked = blocked | disc_mask(grid, obstacles, cfg.radius)
-    keep = cfg.radius + cfg.margin
+    keep, dearest = cfg.radius + cfg.margin, cfg.allocation.wall_cost
     away = ndimage.distance_transform_edt(~blocked) * grid.resolution if blocked.any() else np.full(blocked.shape, 1e3)
     fits = away >= keep - 1e-9
     regions, _ = ndimage.label(fits & grid.free)
-    wanted = np.unique([regions[tuple(c)] for c in nearest_cells(grid, regions > 0, places) if c[0] >= 0])
+    wanted = np.unique(
+        [regions[tuple(c)] for c in nearest_cells(regions > 0, grid.origin, grid.resolution, places, SNAP) if c[0] >= 0]
+    )
     reach = np.isin(regions, wanted[wanted > 0]) if len(wanted) else np.zeros(fits.shape, dtype=bool)
     near_wall = np.clip((cfg.roomy - away) / max(cfg.roomy - keep, 1e-6), 0.0, 1.0)
-    weight = np.where(reach, 1 + np.round((DEAREST - 1) * near_wall), 0).astype(np.uint8)
-    return Ground(grid, fits, reach, weight)
+    weight = np.where(reach, 1 + np.round((dearest - 1) * near_wall), 0).astype(np.uint8)
+    return MappedGround(weight, grid.origin, grid.resolution, SNAP, grid=grid, fits=fits)
 
 
-def frontiers(ground: Ground, cfg: LaserExploreConfig) -> list[Frontier]:
+def frontiers(ground: MappedGround, cfg: LaserExploreConfig) -> list[Frontier]:
     """Reached cells next to unknown ones where the disc might fit, cut into pieces of at most `split` metres.
 
     Unknown patches smaller than `sliver` do not count. Pieces grow until there are at most `most_goals`.
@@ -73,7 +71,7 @@ def frontiers(ground: Ground, cfg: LaserExploreConfig) -> list[Frontier]:
         big = np.bincount(patches.ravel()) * grid.resolution**2 >= cfg.sliver - 1e-9
         big[0] = False
         unknown = big[patches]
-    edge = ground.reach & ndimage.binary_dilation(unknown, structure=EIGHT)
+    edge = ground.free & ndimage.binary_dilation(unknown, structure=EIGHT)
     cells = np.argwhere(edge)
     if len(cells) == 0:
         return []
@@ -100,31 +98,15 @@ def _piece(grid: Occupancy, unknown: np.ndarray, cells: np.ndarray) -> Frontier:
     return Frontier(place, grid.centres(beside), len(cells))
 
 
-def pockets(ground: Ground, cfg: LaserExploreConfig) -> Float[np.ndarray, "n 2"]:
+def pockets(ground: MappedGround, cfg: LaserExploreConfig) -> Float[np.ndarray, "n 2"]:
     """Middles (n, 2) [m] of patches known to be free, large enough to matter, that no robot gets to."""
-    labels, count = ndimage.label(ground.grid.free & ground.fits & ~ground.reach)
+    labels, count = ndimage.label(ground.grid.free & ground.fits & ~ground.free)
     if not count:
         return np.zeros((0, 2))
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:] * ground.grid.resolution**2
     middles = np.array(ndimage.center_of_mass(labels > 0, labels, np.arange(1, count + 1))).reshape(-1, 2)
     kept = middles[sizes >= max(1.0, cfg.sliver)]
     return np.asarray(ground.grid.origin + (kept[:, ::-1] + 0.5) * ground.grid.resolution)
-
-
-def nearest_cells(
-    grid: Occupancy, among: Bool[np.ndarray, "rows cols"], places: Float[np.ndarray, "n 2"], within: float = 1.0
-) -> Int[np.ndarray, "n 2"]:
-    """For each place its cell, or the nearest one of `among` within `within` [m]; (-1, -1) where there is none."""
-    out = np.full((len(places), 2), -1, dtype=np.int64)
-    span = int(np.ceil(within / grid.resolution))
-    for k, (cell, place) in enumerate(zip(grid.cells(places), places, strict=True)):
-        low = np.maximum(cell - span, 0)
-        near = np.argwhere(among[low[0] : cell[0] + span + 1, low[1] : cell[1] + span + 1]) + low
-        if len(near):
-            d = np.hypot(*(grid.centres(near) - place).T)
-            if d.min() <= within:
-                out[k] = near[np.argmin(d)]
-    return out
 
 
 def disc_mask(grid: Occupancy, places: Float[np.ndarray, "n 2"], radius: float) -> Bool[np.ndarray, "rows cols"]:

@@ -1,7 +1,7 @@
 """One exploration with lasers, step by step: choose, drive, scan, map; deaths and lost messages included."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any
 
@@ -9,57 +9,21 @@ import numpy as np
 from jaxtyping import Float
 
 from ...core import se2
-from ...core.config import config
 from ...core.records import Scan
 from ...evaluation.building import Building, known_at
-from ...laser.config import LaserTeamConfig
 from ...laser.occupancy import Occupancy, of_grid
 from ...laser.team import LaserTeam
 from ...sim.laser import stream
-from ...sim.laser_team import LaserRobotsConfig, LaserTeamSim
-from ..planner_interface import ask
-from .frontiers import frontiers, survey
+from ...sim.laser_team import LaserTeamSim
+from ..planner_interface import query_planner
+from .belief import LaserBelief, LaserPlanner
+from .config import LaserExploreConfig, LaserMissionConfig
+from .frontiers import frontiers, mapped_ground
 from .scenario import LaserPlace
-from .view import LaserExploreConfig, LaserPlanner, LaserView
-
-NEW_GROUND = 12  # samples on beams in unknown cells, from which on a scan showed something new
-LOOK_EVERY = 10  # steps between looks for frontiers, where the planner does not say when it has finished
-THIN = 4  # every so many beams are sampled for it
-
-
-@config
-class LaserMissionConfig:
-    """Robots, how the team maps, how it plans. The planner's limits are taken from the robots."""
-
-    robots: LaserRobotsConfig = field(default_factory=LaserRobotsConfig)
-    team: LaserTeamConfig = field(default_factory=LaserTeamConfig)
-    plan: LaserExploreConfig = field(default_factory=LaserExploreConfig)
-    map_resolution: float = 0.05  # [m], of the map that is written and scored
-    tolerance: float = 0.1  # [m] from a wall up to which a cell of the map shows it
-
-    def planning(self) -> LaserExploreConfig:
-        """The planner's configuration, with the limits and the reach of the robots."""
-        r = self.robots
-        return replace(self.plan, period=r.period, radius=r.radius, speed=r.speed, turn=r.turn, reach=r.scanner.far)
-
-
-def with_odometry_noise(cfg: LaserMissionConfig, factor: float) -> LaserMissionConfig:
-    """`cfg` with all odometry errors times `factor`, in the world and in the estimator alike."""
-    odometry = replace(cfg.robots.odometry, factor=cfg.robots.odometry.factor * factor)
-    noise = cfg.team.graph.keyframes.noise
-    noise = replace(
-        noise,
-        wheels_xy=noise.wheels_xy * factor,
-        wheels_turn=noise.wheels_turn * factor,
-        wheels_turn_per_m=noise.wheels_turn_per_m * factor,
-    )
-    keyframes = replace(cfg.team.graph.keyframes, noise=noise)
-    team = replace(cfg.team, graph=replace(cfg.team.graph, keyframes=keyframes))
-    return replace(cfg, robots=replace(cfg.robots, odometry=odometry), team=team)
 
 
 @dataclass(frozen=True, slots=True)
-class LaserMoment:
+class LaserStepRecord:
     """One step. commands (M, 2); true and estimated poses (M, 3) in the map's frame; scans: each robot's, None of the
     dead; explored: share of the reachable area known to be free; closures: loops closed so far; seconds: what the
     decision took.
@@ -79,8 +43,9 @@ class LaserMoment:
 
 @dataclass(slots=True)
 class LaserRun:
-    """A team at work. `play` yields a `LaserMoment` a step, the first before any drive; then the attributes hold the
-    outcome. The map's frame is the world's: the first robot's start is known, the others' with the team's start errors.
+    """A team at work. `play` yields a `LaserStepRecord` a step, the first before any drive; then the attributes hold
+    the outcome. The map's frame is the world's: the first robot's start is known, the others' with the team's start
+    errors.
     """
 
     place: LaserPlace
@@ -105,7 +70,7 @@ class LaserRun:
     timing: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("decide", "drive", "look", "map"), 0.0))
     _messages: Any = None
     _sample: Any = None
-    _views: list[np.ndarray] = field(default_factory=list)
+    _points: list[np.ndarray] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         starts = self.place.starts
@@ -122,9 +87,9 @@ class LaserRun:
         self._messages = stream(self.seed, "messages")
         places = self.building.places()
         self._sample = places[:: max(1, len(places) // 20_000)]
-        self._views = [np.zeros((0, 2)) for _ in range(M)]
+        self._points = [np.zeros((0, 2)) for _ in range(M)]
 
-    def play(self) -> Iterator[LaserMoment]:
+    def play(self) -> Iterator[LaserStepRecord]:
         """A look around, then steps until the planner has finished, `until` steps are done or every robot is dead."""
         still = np.zeros((len(self.robots), 2))
         yield self._moment(still, self._look(), 0.0, 0)
@@ -134,7 +99,7 @@ class LaserRun:
                 break
             self._deaths()
             before = perf_counter()
-            commands = self._ask()
+            commands = self._commands()
             seconds, decisions = perf_counter() - before, int(self.alive.sum())
             self.timing["decide"] += seconds
             if self._reached():
@@ -148,8 +113,16 @@ class LaserRun:
             self.team.deliver(j)
         self._timed("map", lambda: self.team.optimise(force=True))
 
-    def view(self) -> LaserView:
-        return LaserView(self.step, self.robots, self.alive, self.grid, tuple(self._views), self.stalled, self.memory)
+    def belief(self) -> LaserBelief:
+        return LaserBelief(
+            step=self.step,
+            robots=self.robots,
+            alive=self.alive,
+            stalled=self.stalled,
+            memory=self.memory,
+            grid=self.grid,
+            scans=tuple(self._points),
+        )
 
     def _reached(self) -> bool:
         """Whether the planner has finished; of one that never says so, whether no frontier is left to get to."""
@@ -157,20 +130,22 @@ class LaserRun:
             return False
         if "finished" in self.memory:
             return bool(self.memory["finished"])
-        if self.step % LOOK_EVERY:
+        if self.step % self.cfg.frontier_check_every:
             return False
         poses = self.team.poses()[:, :2]
-        return not frontiers(survey(self.grid, poses[self.alive], poses[~self.alive], self.plan), self.plan)
+        return not frontiers(mapped_ground(self.grid, poses[self.alive], poses[~self.alive], self.plan), self.plan)
 
-    def _ask(self) -> Float[np.ndarray, "r 2"]:
-        return ask(self.planner, self.view(), self.team.poses(), self.plan, (self.plan.speed, self.plan.turn))
+    def _commands(self) -> Float[np.ndarray, "r 2"]:
+        return query_planner(
+            self.planner, self.belief(), self.team.poses(), self.plan, (self.plan.speed, self.plan.turn)
+        )
 
     def _deaths(self) -> None:
         for j, when in self.kills.items():
             if self.step >= when and self.alive[j]:
                 self.alive[j] = False
                 self.team.remove_robot(j)
-                self._views[j] = np.zeros((0, 2))
+                self._points[j] = np.zeros((0, 2))
 
     def _look(self) -> tuple[Scan | None, ...]:
         """Every live robot scans, tells the team unless its message is lost, and the map is brought up to date."""
@@ -188,7 +163,7 @@ class LaserRun:
                 self.stalled[j] = 0 if self._shows_new(scan, pose) else self.stalled[j] + 1
             if self._messages.random() >= self.drop:
                 self.team.deliver(j)
-            self._views[j] = _points(scan)
+            self._points[j] = points_of(scan)
             scans.append(scan)
         middle = perf_counter()
         self.team.optimise()
@@ -200,20 +175,20 @@ class LaserRun:
     def _shows_new(self, scan: Scan, pose: Float[np.ndarray, "3"]) -> bool:
         """Whether the scan's beams pass cells that the map did not know before it."""
         grid = self.grid
-        angle = (scan.angles() + pose[2])[::THIN]
-        r = np.minimum(scan.ranges[::THIN], self.plan.reach)
+        angle = (scan.angles() + pose[2])[:: self.cfg.beam_stride]
+        r = np.minimum(scan.ranges[:: self.cfg.beam_stride], self.plan.reach)
         along = np.arange(0.5, self.plan.reach / grid.resolution) * grid.resolution
         kept = along[None] < r[:, None] - grid.resolution
         points = pose[:2] + along[None, :, None] * np.column_stack([np.cos(angle), np.sin(angle)])[:, None]
         known = known_at(points[kept], grid.state != -1, grid.origin, grid.resolution)
-        return int((~known).sum()) >= NEW_GROUND
+        return int((~known).sum()) >= self.cfg.new_ground
 
     def _moment(
         self, commands: np.ndarray, scans: tuple[Scan | None, ...], seconds: float, decisions: int
-    ) -> LaserMoment:
+    ) -> LaserStepRecord:
         g = self.grid
         share = known_at(self._sample, g.free, g.origin, g.resolution)
-        return LaserMoment(
+        return LaserStepRecord(
             self.step,
             self.sim.t,
             commands,
@@ -232,7 +207,7 @@ class LaserRun:
         self.timing[what] += perf_counter() - before
 
 
-def _points(scan: Scan) -> Float[np.ndarray, "k 2"]:
+def points_of(scan: Scan) -> Float[np.ndarray, "k 2"]:
     """The returns in the robot's frame."""
     angle, r = scan.angles()[scan.hit], scan.ranges[scan.hit]
     return np.asarray(se2.act(scan.T_robot_sensor, r[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])))

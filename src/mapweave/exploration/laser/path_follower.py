@@ -9,30 +9,23 @@ from ...core import se2
 from ...core.arrays import frozen
 from ...core.se2 import wrap_angle
 from ...kernels.exploration.arcs import arc_clearance, arc_points
-from .view import LaserExploreConfig
-
-AHEAD = 2.0  # [m] of way that is looked ahead
-BACK = 1 / 3  # of the top speed backwards, to leave a tight spot
-HEADING = 0.8  # [m] of distance that a radian of wrong heading is worth
-REVERSE = 0.25  # [m] of distance that driving backwards is worth
-SAMPLE = 0.02  # [m] between samples of an arc
-CLOSE = 0.3  # what a metre of clearance below `roomy` is worth [m]
+from .config import LaserExploreConfig
 
 
 @cache
-def offered(cfg: LaserExploreConfig) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 3"]]:
+def candidate_commands(cfg: LaserExploreConfig) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 3"]]:
     """All (v, w) a robot chooses from: standing still first, then turning on the spot, then faster; and where each
     ends in the robot's frame.
     """
     turns = cfg.turn * np.array([0.0, *(s * k / 10 for k in range(1, 11) for s in (1, -1))])
     speeds = cfg.speed * np.array([0.0, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0])
     ahead = np.array([(v, w) for v in speeds for w in turns])
-    back = np.array([(-BACK * cfg.speed, w) for w in turns[::4]])
+    back = np.array([(-cfg.follower.reverse_speed * cfg.speed, w) for w in turns[::4]])
     commands = frozen(np.concatenate([ahead, back]))
     return commands, frozen([arc_points(v, w, cfg.period, 1)[1] for v, w in commands])
 
 
-def allowed(
+def collision_free(
     commands: Float[np.ndarray, "m 2"], points: Float[np.ndarray, "k 2"], least: float, cfg: LaserExploreConfig
 ) -> tuple[Bool[np.ndarray, " m"], Float[np.ndarray, " m"]]:
     """Which arcs keep `least` [m] from every point (robot's frame), or come no nearer than the robot stands; and how
@@ -40,7 +33,7 @@ def allowed(
     """
     stride = cfg.speed * cfg.period
     near = points[np.hypot(*points.T) < least + stride + cfg.roomy]
-    clearance = arc_clearance(commands, cfg.period, np.ascontiguousarray(near), SAMPLE)
+    clearance = arc_clearance(commands, cfg.period, np.ascontiguousarray(near), cfg.follower.arc_sample)
     still = np.hypot(*near.T).min() if len(near) else np.inf
     return clearance >= min(least, still) - 1e-9, clearance
 
@@ -59,21 +52,23 @@ def steer(
     """
     if target is None:
         return np.zeros(2)
-    commands, ends = offered(cfg)
-    free, clearance = allowed(commands, scan, cfg.radius + cfg.guard, cfg)
+    commands, ends = candidate_commands(cfg)
+    free, clearance = collision_free(commands, scan, cfg.radius + cfg.guard, cfg)
     if len(others):
-        free &= allowed(commands, se2.act(se2.inverse(pose), others), 2 * cfg.radius + cfg.apart, cfg)[0]
+        free &= collision_free(commands, se2.act(se2.inverse(pose), others), 2 * cfg.radius + cfg.apart, cfg)[0]
     goal = se2.act(se2.inverse(pose), target)
     d = goal - ends[:, :2]
     distance = np.hypot(d[:, 0], d[:, 1])
     error = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - ends[:, 2])) * np.minimum(1.0, distance / 0.3)
     tight = np.clip(cfg.roomy - clearance, 0.0, cfg.roomy)
-    backwards = REVERSE * (commands[:, 0] < 0.0)
-    cost = np.where(free, distance + HEADING * error + CLOSE * tight + backwards, np.inf)
+    backwards = cfg.follower.reverse_cost * (commands[:, 0] < 0.0)
+    cost = np.where(
+        free, distance + cfg.follower.heading_cost * error + cfg.follower.closeness_cost * tight + backwards, np.inf
+    )
     return np.asarray(commands[np.argmin(cost)])
 
 
-def driven(
+def predicted_path(
     pose: Float[np.ndarray, "3"], command: Float[np.ndarray, "2"], cfg: LaserExploreConfig
 ) -> Float[np.ndarray, "n 2"]:
     """Places (n, 2) along the arc of one step, in the frame of `pose`'s map, start and end among them."""

@@ -3,54 +3,43 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from ...kernels.exploration.wavefront import NO_LIMIT, STRAIGHT, descend, spread
 from ...kernels.walls.segments import sight_on_raster
-from ...laser.occupancy import Occupancy
-from .frontiers import PARKED, Ground, disc_mask, nearest_cells
-from .view import LaserExploreConfig, LaserView
+from ..ground import CostToGo, Ground
+from .belief import LaserBelief
+from .config import LaserExploreConfig
+from .frontiers import MappedGround, disc_mask
 
-LEFT = 0.6  # [m] from where a robot was, then it has left that place
-SAME = 0.8  # [m], places nearer than this are one goal
+MOVED = 0.03  # [m] a step above which a robot does not stand still
 
 
-@dataclass(frozen=True, slots=True)
-class Ways:
-    """How far every cell of `grid` is from a place.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Route(CostToGo):
+    """The ways to one place from everywhere, going round robots that stand where there is room to.
 
-    cost: (rows, cols) as `kernels.wavefront.spread` makes it of `weight`, which is PARKED where another robot stands;
     clear: (rows, cols) where a robot's disc fits and nobody stands.
     """
 
-    grid: Occupancy
-    cost: np.ndarray
-    weight: np.ndarray
-    clear: np.ndarray
-
-    def metres(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-        """Length of the way from each place, walls' nearness counted as length; infinite where no way leads."""
-        cells = nearest_cells(self.grid, self.cost >= 0, places)
-        found = np.where(cells[:, 0] >= 0, self.cost[cells[:, 0], cells[:, 1]], -1)
-        return np.asarray(np.where(found >= 0, found * self.grid.resolution / STRAIGHT, np.inf))
+    clear: Bool[np.ndarray, "rows cols"]
 
     def target(self, place: Float[np.ndarray, "2"], ahead: float) -> Float[np.ndarray, "2"] | None:
         """The farthest place on the way, at most `ahead` metres on, to which a straight line stays clear."""
-        way = self.down(place, ahead)
+        way = self.along(place, ahead)
         if len(way) == 0:
             return None
-        start, *cells = (way - self.grid.origin) / self.grid.resolution
+        start, *cells = (way - self.ground.lower) / self.ground.cell
         for k in range(len(way) - 1, 2, -1):
             if sight_on_raster(self.clear, start, cells[k - 1]):
                 return np.asarray(way[k])
         return np.asarray(way[min(2, len(way) - 1)])
 
-    def down(self, place: Float[np.ndarray, "2"], metres: float) -> Float[np.ndarray, "n 2"]:
+    def along(self, place: Float[np.ndarray, "2"], metres: float) -> Float[np.ndarray, "n 2"]:
         """The first `metres` of the way from `place`, cell by cell; none where no way leads."""
-        cell = nearest_cells(self.grid, self.cost >= 0, place[None])[0]
+        cell = self.cells(place[None])[0]
         if cell[0] < 0:
             return np.zeros((0, 2))
-        return self.grid.centres(descend(self.cost, self.weight, cell, int(metres / self.grid.resolution) + 1))
+        return self.ground.centres(self.descend(cell, int(metres / self.ground.cell) + 1))
 
 
 @dataclass(slots=True)
@@ -61,7 +50,7 @@ class Goal:
 
     place: np.ndarray
     unknown: np.ndarray
-    ways: Ways
+    route: Route
     since: int
     born: int
     least: float = np.inf
@@ -70,14 +59,14 @@ class Goal:
 
 
 @dataclass(slots=True)
-class Crew:
-    """goals by robot; asides: where robots go to let another pass; put_off: place, until which step, how often."""
+class PlannerState:
+    """goals by robot; yielding: where robots go to let another pass; put_off: place, until which step, how often."""
 
     goals: dict[int, Goal] = field(default_factory=dict)
-    asides: "dict[int, Aside]" = field(default_factory=dict)
+    yielding: "dict[int, YieldPlace]" = field(default_factory=dict)
     put_off: list[tuple[np.ndarray, int, int]] = field(default_factory=list)
-    rank: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    ground: Ground | None = None
+    priority: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (M,), the lowest goes first
+    ground: MappedGround | None = None
     planned: int = -10_000
     planned_for: tuple[int, ...] = ()
     still: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # steps without moving
@@ -92,61 +81,61 @@ class Crew:
     def barred(self, place: np.ndarray, step: int, cfg: LaserExploreConfig, *, waiting: bool = True) -> bool:
         """Whether `place` was given up, or (`waiting`) was put off until later than `step`."""
         return any(
-            np.hypot(*(place - p)) < SAME and (times >= cfg.give_up or (waiting and step < until))
+            np.hypot(*(place - p)) < cfg.goals.same and (times >= cfg.give_up or (waiting and step < until))
             for p, until, times in self.put_off
         )
 
     def defer(self, place: np.ndarray, step: int, cfg: LaserExploreConfig) -> None:
         """`place` is not tried for a while, longer every time."""
         for k, (p, _, times) in enumerate(self.put_off):
-            if np.hypot(*(place - p)) < SAME:
+            if np.hypot(*(place - p)) < cfg.goals.same:
                 self.put_off[k] = (p, step + cfg.put_off * 2**times, times + 1)
                 return
         self.put_off.append((place.copy(), step + cfg.put_off, 1))
 
 
 @dataclass(slots=True)
-class Aside:
+class YieldPlace:
     """Where robot `whom` is let pass, or, by oneself, where one tries again from. until: when waiting ends anyway."""
 
     place: np.ndarray
-    ways: Ways
+    route: Route
     whom: int
     until: int
 
 
-def crew_of(view: LaserView, poses: np.ndarray) -> Crew:
-    """The crew in the planner's memory, made at the first call."""
-    crew: Crew = view.memory.setdefault("crew", Crew())
+def planner_state_of(belief: LaserBelief, poses: np.ndarray, cfg: LaserExploreConfig) -> PlannerState:
+    """The state in the planner's memory, made at the first call, brought up to date with `poses` (M, 3)."""
+    state: PlannerState = belief.memory.setdefault("planner_state", PlannerState())
     M = len(poses)
-    if crew.last is None:
-        crew.home = poses[:, :2].copy() if crew.home is None else crew.home
-        crew.rank = np.arange(M, dtype=float)
-        crew.still = np.zeros(M, dtype=np.int64)
-        crew.about = np.column_stack([poses[:, :2], np.full(M, view.step)])
+    if state.last is None:
+        state.home = poses[:, :2].copy() if state.home is None else state.home
+        state.priority = np.arange(M, dtype=float)
+        state.still = np.zeros(M, dtype=np.int64)
+        state.about = np.column_stack([poses[:, :2], np.full(M, belief.step)])
     else:
-        moved = np.hypot(*(poses[:, :2] - crew.last[:, :2]).T) > 0.03
-        crew.still = np.where(moved, 0, crew.still + 1)
-        left = np.hypot(*(poses[:, :2] - crew.about[:, :2]).T) > LEFT
-        crew.about[left] = np.column_stack([poses[left, :2], np.full(int(left.sum()), view.step)])
-    crew.last = poses.copy()
-    return crew
+        moved = np.hypot(*(poses[:, :2] - state.last[:, :2]).T) > MOVED
+        state.still = np.where(moved, 0, state.still + 1)
+        left = np.hypot(*(poses[:, :2] - state.about[:, :2]).T) > cfg.right_of_way.left_place
+        state.about[left] = np.column_stack([poses[left, :2], np.full(int(left.sum()), belief.step)])
+    state.last = poses.copy()
+    return state
 
 
-def priced(ground: Ground, parked: np.ndarray, cfg: LaserExploreConfig) -> np.ndarray:
-    """`ground.weight` with PARKED where robots stand at `parked` (k, 2): one goes round them if one can."""
+def with_parked(ground: MappedGround, parked: np.ndarray, cfg: LaserExploreConfig) -> Ground:
+    """`ground` that costs `parked_cost` where robots stand at `parked` (k, 2): one goes round them if one can."""
     if not len(parked):
-        return ground.weight
-    taken = disc_mask(ground.grid, parked, 2 * cfg.radius + cfg.apart) & (ground.weight > 0)
-    return np.where(taken, np.uint8(PARKED), ground.weight)
+        return ground
+    taken = disc_mask(ground.grid, parked, 2 * cfg.radius + cfg.apart) & ground.free
+    weight = np.where(taken, np.uint8(cfg.allocation.parked_cost), ground.weight)
+    return Ground(np.ascontiguousarray(weight), ground.lower, ground.cell, ground.snap)
 
 
-def ways_to(
-    ground: Ground, place: np.ndarray, parked: np.ndarray, cfg: LaserExploreConfig, far: float = np.inf
-) -> Ways:
+def route_to(
+    ground: MappedGround, place: np.ndarray, parked: np.ndarray, cfg: LaserExploreConfig, far: float = np.inf
+) -> Route:
     """Ways to `place` from everywhere on the ground that is at most `far` [m] away, round robots `parked` (k, 2)."""
-    weight = np.ascontiguousarray(priced(ground, parked, cfg))
-    source = nearest_cells(ground.grid, weight > 0, place[None])
-    limit = int(min(far / ground.grid.resolution * STRAIGHT, NO_LIMIT))
-    cost = spread(weight, source[source[:, 0] >= 0], limit)
-    return Ways(ground.grid, cost, weight, (weight > 0) & (weight < PARKED))
+    priced = with_parked(ground, parked, cfg)
+    source = priced.cells(place[None])
+    found = priced.cost_to_go(source[source[:, 0] >= 0], far)
+    return Route(priced, found.cost, clear=priced.free & (priced.weight < cfg.allocation.parked_cost))

@@ -3,31 +3,32 @@
 import numpy as np
 from jaxtyping import Float
 
+from .belief import LaserBelief
+from .config import LaserExploreConfig
 from .drive import drive
 from .task_allocation import by_objective, by_tours, nearest_first
-from .view import LaserExploreConfig, LaserView
 
 
-def coverage(view: LaserView, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
+def coverage(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
     """Balanced tours over all frontiers by the length of the way; every robot heads for the first of its tour."""
-    return drive(view, poses, cfg, by_tours)
+    return drive(belief, poses, cfg, by_tours)
 
 
-def nearest(view: LaserView, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
+def nearest(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
     """Every robot heads for the nearest frontier that no nearer robot has taken: what the others are measured by."""
-    return drive(view, poses, cfg, nearest_first)
+    return drive(belief, poses, cfg, nearest_first)
 
 
-def paper(view: LaserView, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
+def paper(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
     """Every robot heads for the frontier of largest J: walls to hold on to, new area, distance from the others."""
-    return drive(view, poses, cfg, by_objective(cfg.w_accuracy))
+    return drive(belief, poses, cfg, by_objective(cfg.w_accuracy))
 
 
-def area(view: LaserView, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
+def area(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
     """`paper` without its accuracy term."""
-    return drive(view, poses, cfg, by_objective(0.0))
+    return drive(belief, poses, cfg, by_objective(0.0))
 
 
-def loop(view: LaserView, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
+def loop(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
     """`coverage`, then every robot drives back to its start, so that loops close."""
-    return drive(view, poses, cfg, by_tours, go_home=True)
+    return drive(belief, poses, cfg, by_tours, go_home=True)

@@ -2,80 +2,44 @@
 
 import re
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, ClassVar
 
-import numpy as np
-
-from ...core.version import __version__
 from ...laser.closures import Closure
+from ..result import ExplorationResult
 from .experiment import LaserMission, LaserRecord
 from .score import LaserScore
 
-# summary key -> the score it is the mean of
-MEANS = {
-    "map_error_m": "map_error",
-    "c_per_n_m2": "c_per_n",
-    "nees_per_dof": "nees_per_dof",
-    "duplicates": "duplicates",
-    "misassociations": "misassociations",
-    "missed": "missed",
-    "ms_per_decision": "ms_per_decision",
-    "area_mapped": "area_mapped",
-    "trajectory_rmse_m": "trajectory_rmse",
-    "wall_precision": "wall_precision",
-    "wall_recall": "wall_recall",
-    "closures": "closures",
-    "refused": "refused",
-    "driven_m": "driven",
-}
-
 
 @dataclass(frozen=True, slots=True)
-class LaserExploreResult:
-    """Every run's score and the first run's record. noise: the factor on odometry errors."""
+class LaserExploreResult(ExplorationResult[LaserMission, LaserScore, LaserRecord]):
+    """noise: the factor on odometry errors."""
 
-    scenario: str
-    mission: LaserMission
-    seed: int
-    noise: float
-    runs: tuple[LaserScore, ...]
-    first: LaserRecord
+    MEANS: ClassVar[Mapping[str, str]] = {
+        **ExplorationResult.MEANS,
+        "area_mapped": "area_mapped",
+        "trajectory_rmse_m": "trajectory_rmse",
+        "wall_precision": "wall_precision",
+        "wall_recall": "wall_recall",
+        "closures": "closures",
+        "refused": "refused",
+        "driven_m": "driven",
+    }
 
     def summary(self) -> dict[str, Any]:
         """Counts, and means over the runs; a figure no run has is None."""
-        steps = [r.steps for r in self.runs]
-        told: dict[str, Any] = {
-            "finished": sum(r.finished for r in self.runs),
-            "runs": len(self.runs),
-            "steps_min": min(steps),
-            "steps_mean": float(np.mean(steps)),
-            "steps_max": max(steps),
+        return ExplorationResult.summary(self) | {
+            "area_mapped_min": min(r.area_mapped for r in self.runs),
+            "collisions": sum(r.collisions for r in self.runs),
         }
-        for key, name in MEANS.items():
-            values = [v for r in self.runs if (v := getattr(r, name)) is not None]
-            told[key] = float(np.mean(values)) if values else None
-        told["area_mapped_min"] = min(r.area_mapped for r in self.runs)
-        told["collisions"] = sum(r.collisions for r in self.runs)
-        return told
 
     def metrics(self) -> dict[str, Any]:
-        """What metrics.json holds; only `timing`, `seconds` and `ms_per_decision` differ between equal runs."""
-        m, first = self.mission, self.first
+        """What metrics.json holds; only `timing` and `ms_per_decision` differ between equal runs."""
+        first = self.first
         runs = [asdict(r) for r in self.runs]
         seconds = [r.pop("seconds") for r in runs]
-        return {
-            "version": __version__,
-            "seed": self.seed,
-            "scenario": self.scenario,
-            "sensor": "laser",
-            "robots": len(first.robots),
-            "planner": m.planner,
-            "noise_factor": self.noise,
-            "until": m.until,
-            "kill": {f"robot{j + 1}": step for j, step in (m.kills or {}).items()},
-            "drop": m.drop,
-            "summary": self.summary(),
+        return self._settings(first.robots, {"sensor": "laser"}, {}) | {
             "runs": runs,
             "first_run": {
                 "front_end": {
@@ -99,27 +63,26 @@ class LaserExploreResult:
     def lines(self) -> list[str]:
         """The outcome in a few lines for people."""
         s = self.summary()
-        steps = f"{s['steps_min']} / {s['steps_mean']:.1f} / {s['steps_max']} (min / mean / max)"
         mapped = f"{100 * s['area_mapped']:.2f} % (least {100 * s['area_mapped_min']:.2f} %)"
-        told = [
-            f"{s['finished']} of {s['runs']} runs finished; steps {steps}",
+        lines = [
+            self._line_of_steps(),
             f"{mapped} of the reachable area mapped, {s['collisions']} collisions",
         ]
         if s["map_error_m"] is not None and s["trajectory_rmse_m"] is not None:
-            told.append(
+            lines.append(
                 f"map error {s['map_error_m']:.3f} m, trajectory RMSE {s['trajectory_rmse_m']:.3f} m; "
                 f"{100 * s['wall_precision']:.1f} % of the map's walls are walls, "
                 f"{100 * (s['wall_recall'] or 0.0):.1f} % of the walls are in the map"
             )
-        told.append(
+        lines.append(
             f"a run: {s['closures']:.1f} loops closed, {s['refused']:.1f} refused, {s['misassociations']:.2f} false; "
             f"{s['driven_m']:.0f} m driven; {s['ms_per_decision']:.2f} ms a decision"
         )
-        told += [
+        lines += [
             f"left out: {area:.1f} m² around ({x:.1f}, {y:.1f}) m, where no robot gets to"
             for x, y, area in self.first.building.shut.tolist()
         ]
-        return told
+        return lines
 
 
 def refusals(closures: tuple[Closure, ...]) -> dict[str, int]:

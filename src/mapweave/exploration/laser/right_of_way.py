@@ -2,121 +2,125 @@
 
 import numpy as np
 
-from ...kernels.exploration.wavefront import NO_LIMIT, STRAIGHT, spread
-from .frontiers import disc_mask, nearest_cells
-from .planner_state import Aside, Crew, Ways, ways_to
-from .view import LaserExploreConfig
-
-MEET = 2.5  # [m], robots farther apart than this do not meet
-NEXT = 2.0  # [m] of way that may be in another's way
-WHOLE = 6.0  # [m] of way that a waiting robot keeps clear of
-WAIT = 40  # steps a robot waits aside at most
-BESIDE = 0.1  # [m] beyond what two robots need, where a robot waits
-STUCK = 30  # steps about one place after which a robot tries something else
-NEARBY = (1.0, 4.0)  # [m], how far away from there
-RETRY = 15  # steps it takes for that at most
+from ..ground import Ground
+from .config import LaserExploreConfig
+from .frontiers import disc_mask
+from .planner_state import PlannerState, Route, YieldPlace, route_to
 
 
-def order(crew: Crew, live: np.ndarray) -> list[int]:
+def priority_order(state: PlannerState, live: np.ndarray) -> list[int]:
     """Live robots by who goes first: by rank, those with nothing to do last."""
-    return sorted(map(int, live), key=lambda j: (j not in crew.goals and j not in crew.asides, crew.rank[j]))
+    return sorted(map(int, live), key=lambda j: (j not in state.goals and j not in state.yielding, state.priority[j]))
 
 
-def heading(crew: Crew, j: int) -> Ways | None:
-    """The ways robot j follows now: aside, else to its goal."""
-    if j in crew.asides:
-        return crew.asides[j].ways
-    return crew.goals[j].ways if j in crew.goals else None
+def current_route(state: PlannerState, j: int) -> Route | None:
+    """The route robot j follows now: to where it lets another pass, else to its goal."""
+    if j in state.yielding:
+        return state.yielding[j].route
+    return state.goals[j].route if j in state.goals else None
 
 
-def give_way(crew: Crew, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig) -> None:
+def resolve_conflicts(
+    state: PlannerState, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig
+) -> None:
     """Whoever stands in the way of a robot that goes first gets a place aside; who has waited long enough goes on."""
-    _end_waiting(crew, poses, live, step, cfg)
-    _get_unstuck(crew, poses, live, step, cfg)
-    ranked = order(crew, live)
+    _end_waiting(state, poses, live, step, cfg)
+    _get_unstuck(state, poses, live, step, cfg)
+    ranked, rules = priority_order(state, live), cfg.right_of_way
     near = 2 * cfg.radius + cfg.apart
     for a, i in enumerate(ranked):
         for k in ranked[a + 1 :]:
-            if k in crew.asides or np.hypot(*(poses[i, :2] - poses[k, :2])) > MEET:
+            if k in state.yielding or np.hypot(*(poses[i, :2] - poses[k, :2])) > rules.meeting:
                 continue
-            if not _in_way(crew, poses, i, k, near):
+            if not _in_way(state, poses, i, k, near, rules.next_way):
                 continue
-            leaving = k in crew.goals and crew.still[k] < 3 and not _in_way(crew, poses, k, i, near)
-            if not leaving and not _step_aside(crew, poses, k, i, step, cfg) and i not in crew.asides:
-                crew.rank[i], crew.rank[k] = crew.rank[k], crew.rank[i]
-                _step_aside(crew, poses, i, k, step, cfg)
+            leaving = k in state.goals and state.still[k] < 3 and not _in_way(state, poses, k, i, near, rules.next_way)
+            if not leaving and not _yield_to(state, poses, k, i, step, cfg) and i not in state.yielding:
+                state.priority[i], state.priority[k] = state.priority[k], state.priority[i]
+                _yield_to(state, poses, i, k, step, cfg)
 
 
-def _in_way(crew: Crew, poses: np.ndarray, i: int, k: int, near: float, ahead: float = NEXT) -> bool:
+def _in_way(state: PlannerState, poses: np.ndarray, i: int, k: int, near: float, ahead: float) -> bool:
     """Whether robot k stands on the next part of robot i's way."""
-    ways = heading(crew, i)
-    way = ways.down(poses[i, :2], ahead) if ways is not None else np.zeros((0, 2))
+    route = current_route(state, i)
+    way = route.along(poses[i, :2], ahead) if route is not None else np.zeros((0, 2))
     return len(way) > 0 and float(np.hypot(*(way - poses[k, :2]).T).min()) < near
 
 
-def _step_aside(crew: Crew, poses: np.ndarray, k: int, i: int, step: int, cfg: LaserExploreConfig) -> bool:
+def _yield_to(state: PlannerState, poses: np.ndarray, k: int, i: int, step: int, cfg: LaserExploreConfig) -> bool:
     """Robot k goes to the nearest place beside robot i's way; whether there is one."""
-    ground, ways = crew.ground, heading(crew, i)
-    if ground is None or ways is None:
+    ground, route = state.ground, current_route(state, i)
+    if ground is None or route is None:
         return False
-    way = np.vstack([poses[i : i + 1, :2], ways.down(poses[i, :2], WHOLE)])
+    way = np.vstack([poses[i : i + 1, :2], route.along(poses[i, :2], cfg.right_of_way.clear_way)])
     near = 2 * cfg.radius + cfg.apart
     others = np.array([p[:2] for j, p in enumerate(poses) if j not in (i, k)]).reshape(-1, 2)
     weight = ground.weight.copy()
     weight[disc_mask(ground.grid, poses[i : i + 1, :2], near)] = 0
     if len(others):
         weight[disc_mask(ground.grid, others, near)] = 0
-    cost = spread(weight, nearest_cells(ground.grid, weight > 0, poses[k : k + 1, :2]), NO_LIMIT)
-    cost[disc_mask(ground.grid, way, near + BESIDE)] = -1
+    left = Ground(weight, ground.lower, ground.cell, ground.snap)
+    cost = left.cost_to_go(left.cells(poses[k : k + 1, :2])).cost
+    cost[disc_mask(ground.grid, way, near + cfg.right_of_way.beside)] = -1
     cells = np.argwhere(cost >= 0)
     if len(cells) == 0:
         return False
     best = cells[np.argmin(cost[tuple(cells.T)])]
     place = ground.grid.centres(best[None])[0]
-    crew.asides[k] = Aside(place, ways_to(ground, place, poses[i : i + 1, :2], cfg), i, step + WAIT)
+    state.yielding[k] = YieldPlace(
+        place, route_to(ground, place, poses[i : i + 1, :2], cfg), i, step + cfg.right_of_way.wait_steps
+    )
     return True
 
 
-def _end_waiting(crew: Crew, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig) -> None:
-    near = 2 * cfg.radius + cfg.apart
-    for k, aside in list(crew.asides.items()):
-        i = aside.whom
+def _end_waiting(state: PlannerState, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig) -> None:
+    near, rules = 2 * cfg.radius + cfg.apart, cfg.right_of_way
+    for k, waiting in list(state.yielding.items()):
+        i = waiting.whom
         if i == k:
-            if step >= aside.until or np.hypot(*(aside.place - poses[k, :2])) < 0.3:
-                del crew.asides[k]
+            if step >= waiting.until or np.hypot(*(waiting.place - poses[k, :2])) < 0.3:
+                del state.yielding[k]
             continue
-        gone = i not in live or np.hypot(*(poses[i, :2] - poses[k, :2])) > 1.5 * MEET
-        passed = not _in_way(crew, poses, i, k, near, WHOLE) and not _goal_blocked(crew, poses, k, i, near)
-        if gone or passed or step >= aside.until:
-            del crew.asides[k]
-            if not gone and not passed and crew.rank[k] > crew.rank[i]:
-                crew.rank[i], crew.rank[k] = crew.rank[k], crew.rank[i]
+        gone = i not in live or np.hypot(*(poses[i, :2] - poses[k, :2])) > 1.5 * rules.meeting
+        passed = not _in_way(state, poses, i, k, near, rules.clear_way) and not _goal_blocked(
+            state, poses, k, i, near, cfg
+        )
+        if gone or passed or step >= waiting.until:
+            del state.yielding[k]
+            if not gone and not passed and state.priority[k] > state.priority[i]:
+                state.priority[i], state.priority[k] = state.priority[k], state.priority[i]
 
 
-def _goal_blocked(crew: Crew, poses: np.ndarray, k: int, i: int, near: float) -> bool:
+def _goal_blocked(state: PlannerState, poses: np.ndarray, k: int, i: int, near: float, cfg: LaserExploreConfig) -> bool:
     """Whether robot i stands on the next part of robot k's way to its goal."""
-    if k not in crew.goals:
+    if k not in state.goals:
         return False
-    way = crew.goals[k].ways.down(poses[k, :2], NEXT)
+    way = state.goals[k].route.along(poses[k, :2], cfg.right_of_way.next_way)
     return len(way) > 0 and float(np.hypot(*(way - poses[i, :2]).T).min()) < near
 
 
-def _get_unstuck(crew: Crew, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig) -> None:
+def _get_unstuck(state: PlannerState, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig) -> None:
     """Who has a goal and yet stays about one place for long goes some other way first; ranks are drawn anew.
 
     The lots are the same in the same run.
     """
-    ground = crew.ground
+    ground, rules = state.ground, cfg.right_of_way
     for j in map(int, live):
-        if ground is None or j not in crew.goals or j in crew.asides or step - crew.about[j, 2] < STUCK:
+        if (
+            ground is None
+            or j not in state.goals
+            or j in state.yielding
+            or step - state.about[j, 2] < rules.stuck_steps
+        ):
             continue
         rng = np.random.default_rng([step, j])
-        crew.about[j, 2] = step
-        crew.rank = rng.permutation(len(crew.rank)).astype(float)
-        here = spread(ground.weight, nearest_cells(ground.grid, ground.weight > 0, poses[j : j + 1, :2]), NO_LIMIT)
-        metres = here * ground.grid.resolution / STRAIGHT
-        around = (metres > NEARBY[0]) & (metres < NEARBY[1])
+        state.about[j, 2] = step
+        state.priority = rng.permutation(len(state.priority)).astype(float)
+        metres = ground.cost_to_go(ground.cells(poses[j : j + 1, :2])).metres
+        around = (metres > rules.retry_from) & (metres < rules.retry_to)
         cells = np.argwhere(around & (ground.weight == ground.weight[around].min(initial=255)))
         if len(cells):
             place = ground.grid.centres(rng.choice(cells)[None])[0]
-            crew.asides[j] = Aside(place, ways_to(ground, place, np.zeros((0, 2)), cfg), j, step + RETRY)
+            state.yielding[j] = YieldPlace(
+                place, route_to(ground, place, np.zeros((0, 2)), cfg), j, step + rules.retry_steps
+            )

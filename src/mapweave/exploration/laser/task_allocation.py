@@ -11,19 +11,16 @@ from ...core.se2 import wrap_angle
 from ...kernels.exploration.tour_moves import improve_tours
 from ...kernels.exploration.tours import balanced_tours
 from ...kernels.exploration.wavefront import NO_LIMIT, STRAIGHT, spread
-from .frontiers import Frontier, Ground, nearest_cells
-from .planner_state import SAME, Crew, priced
-from .view import LaserExploreConfig
+from .config import LaserExploreConfig
+from .frontiers import Frontier, MappedGround
+from .planner_state import PlannerState, with_parked
 
 FAR = 1e4  # [m], stands for a place that no way leads to
 RING = np.array([(y, x) for y in range(-2, 3) for x in range(-2, 3) if max(abs(y), abs(x)) == 2])
-STILL = 1.5  # [m], how far what is left of a piece may be from the goal that was made of it
-ON_THE_WAY = 1.0  # [m], a detour that small is none
-TURN = 0.6  # [m / rad], what turning towards a goal costs
 
 
 @dataclass(frozen=True, slots=True)
-class Offers:
+class AllocationProblem:
     """Pieces of frontier and how far they are. robots: (m,) who may go; first: (m, n) [m] from each robot, its turn
     towards the piece counted; between: (n, n) [m]; FAR where no way leads; held: robot -> piece it heads for already.
     """
@@ -33,21 +30,26 @@ class Offers:
     first: Float[np.ndarray, "m n"]
     between: Float[np.ndarray, "n n"]
     poses: Float[np.ndarray, "m 3"]
-    ground: Ground
+    ground: MappedGround
     held: dict[int, int]
 
 
-Share = Callable[[Offers, LaserExploreConfig], dict[int, int]]
+Allocator = Callable[[AllocationProblem, LaserExploreConfig], dict[int, int]]
 
 
-def offer(
-    ground: Ground, pieces: list[Frontier], crew: Crew, poses: np.ndarray, live: np.ndarray, cfg: LaserExploreConfig
-) -> Offers:
+def allocation_problem(
+    ground: MappedGround,
+    pieces: list[Frontier],
+    state: PlannerState,
+    poses: np.ndarray,
+    live: np.ndarray,
+    cfg: LaserExploreConfig,
+) -> AllocationProblem:
     """All ways between live robots and pieces, over cells twice as large: shares need no exact lengths."""
-    weight = halved(priced(ground, parked(crew, poses, live), cfg))
+    weight = halved(with_parked(ground, parked(state, poses, live), cfg).weight)
     metre = 2 * ground.grid.resolution / STRAIGHT
     places = np.vstack([poses[live, :2], *(f.place[None] for f in pieces)])
-    fine = nearest_cells(ground.grid, ground.weight > 0, places)
+    fine = ground.cells(places)
     cells = fine // 2
     m = len(live)
     costs = [spread(weight, cells[m + n : m + n + 1], NO_LIMIT) for n in range(len(pieces))]
@@ -56,13 +58,17 @@ def offer(
     first = metres[:m].copy()
     for r, j in enumerate(live):
         away = departures(costs, cells[r])
-        first[r] += np.where(np.isfinite(away), TURN * np.abs(wrap_angle(np.nan_to_num(away) - poses[j, 2])), 0.0)
-    return Offers(pieces, tuple(map(int, live)), first, metres[m:], poses[live], ground, _held(crew, pieces))
+        first[r] += np.where(
+            np.isfinite(away), cfg.allocation.turn_cost * np.abs(wrap_angle(np.nan_to_num(away) - poses[j, 2])), 0.0
+        )
+    return AllocationProblem(
+        pieces, tuple(map(int, live)), first, metres[m:], poses[live], ground, _held(state, pieces, cfg)
+    )
 
 
-def parked(crew: Crew, poses: np.ndarray, live: np.ndarray) -> Float[np.ndarray, "k 2"]:
+def parked(state: PlannerState, poses: np.ndarray, live: np.ndarray) -> Float[np.ndarray, "k 2"]:
     """Places of live robots that stand idle: they are gone round where that is possible."""
-    return np.asarray(poses[[j for j in live if j not in crew.goals and crew.still[j] > 5], :2])
+    return np.asarray(poses[[j for j in live if j not in state.goals and state.still[j] > 5], :2])
 
 
 def halved(weight: np.ndarray) -> np.ndarray:
@@ -89,33 +95,33 @@ def departures(costs: list[np.ndarray], cell: np.ndarray) -> Float[np.ndarray, "
     return np.where((here > 0) & (around[np.arange(len(costs)), best] < here), angle, np.nan)
 
 
-def _held(crew: Crew, pieces: list[Frontier]) -> dict[int, int]:
+def _held(state: PlannerState, pieces: list[Frontier], cfg: LaserExploreConfig) -> dict[int, int]:
     """Robot -> what is left of the piece it heads for: the one with unknown cells nearest to its goal."""
     out: dict[int, int] = {}
-    for j, goal in crew.goals.items():
+    for j, goal in state.goals.items():
         away = [np.hypot(*(f.unknown - goal.place).T).min() for f in pieces]
-        if not goal.done and away and min(away) < STILL:
+        if not goal.done and away and min(away) < cfg.allocation.same_piece:
             out[j] = int(np.argmin(away))
     return out
 
 
-def hold(offers: Offers, chosen: dict[int, int], cfg: LaserExploreConfig) -> dict[int, int]:
+def keep_commitments(problem: AllocationProblem, chosen: dict[int, int], cfg: LaserExploreConfig) -> dict[int, int]:
     """`chosen`, but who is on the way to a piece goes on, unless another robot does it, or the new one is nearer by
     `keep` or lies on the way. Since every change of mind brings a goal nearer there is no driving to and fro.
     """
     out = dict(chosen)
-    row = {j: r for r, j in enumerate(offers.robots)}
-    for j, h in offers.held.items():
+    row = {j: r for r, j in enumerate(problem.robots)}
+    for j, h in problem.held.items():
         n = out.get(j)
-        far = offers.first[row[j], h]
+        far = problem.first[row[j], h]
         if n == h or j not in row or far >= FAR / 2:
             continue
         who = next((i for i in out if i != j and out[i] == h), None)
-        if who is not None and offers.first[row[who], h] < far:
+        if who is not None and problem.first[row[who], h] < far:
             continue
         if n is not None:
-            to = offers.first[row[j], n]
-            if to < far - cfg.keep or to + offers.between[n, h] < far + ON_THE_WAY:
+            to = problem.first[row[j], n]
+            if to < far - cfg.keep or to + problem.between[n, h] < far + cfg.allocation.on_the_way:
                 continue
         out[j] = h
         if who is not None and n is not None:
@@ -125,60 +131,63 @@ def hold(offers: Offers, chosen: dict[int, int], cfg: LaserExploreConfig) -> dic
     return out
 
 
-def by_tours(offers: Offers, cfg: LaserExploreConfig) -> dict[int, int]:
+def by_tours(problem: AllocationProblem, cfg: LaserExploreConfig) -> dict[int, int]:
     """Robot -> piece: the first of its tour, the tours short in the longest and then in the sum."""
-    first, between = offers.first + cfg.service, offers.between + cfg.service
+    first, between = problem.first + cfg.service, problem.between + cfg.service
     tours, counts = balanced_tours(first, between, np.zeros_like(first))
     improve_tours(first, between, tours, counts)
-    chosen = {j: int(tours[r, 0]) for r, j in enumerate(offers.robots) if counts[r]}
-    return {j: n for j, n in chosen.items() if offers.first[offers.robots.index(j), n] < FAR / 2}
+    chosen = {j: int(tours[r, 0]) for r, j in enumerate(problem.robots) if counts[r]}
+    return {j: n for j, n in chosen.items() if problem.first[problem.robots.index(j), n] < FAR / 2}
 
 
-def nearest_first(offers: Offers, cfg: LaserExploreConfig) -> dict[int, int]:
+def nearest_first(problem: AllocationProblem, cfg: LaserExploreConfig) -> dict[int, int]:
     """Robot -> piece: the shortest way of all first; a piece goes to one robot."""
     del cfg
-    left = offers.first.copy()
+    left = problem.first.copy()
     out: dict[int, int] = {}
     while left.size and left.min() < FAR / 2:
         r, n = np.unravel_index(np.argmin(left), left.shape)
-        out[offers.robots[r]] = int(n)
+        out[problem.robots[r]] = int(n)
         left[r], left[:, n] = FAR, FAR
     return out
 
 
-def by_objective(w_accuracy: float) -> Share:
-    """Shares by `J = w1 walls + w2 area + w3 apart - way`, each in [0, 1], one robot after the other."""
+def by_objective(w_accuracy: float) -> Allocator:
+    """Allocates by `J = w1 walls + w2 area + w3 apart - way`, each in [0, 1], one robot after the other."""
 
-    def share(offers: Offers, cfg: LaserExploreConfig) -> dict[int, int]:
-        walls, area = sights(offers, cfg)
+    def allocate(problem: AllocationProblem, cfg: LaserExploreConfig) -> dict[int, int]:
+        walls, area = walls_and_area(problem, cfg)
         out: dict[int, int] = {}
         taken: list[np.ndarray] = []
-        for r, j in enumerate(offers.robots):
-            J = w_accuracy * walls + cfg.w_area * area - cfg.w_way * offers.first[r] / 20.0
-            others = [*taken, *offers.poses[r + 1 :, :2]]
+        for r, j in enumerate(problem.robots):
+            J = w_accuracy * walls + cfg.w_area * area - cfg.w_way * problem.first[r] / 20.0
+            others = [*taken, *problem.poses[r + 1 :, :2]]
             if others:
-                d = np.array([[np.hypot(*(f.place - o)) for o in others] for f in offers.pieces])
+                d = np.array([[np.hypot(*(f.place - o)) for o in others] for f in problem.pieces])
                 J = J + cfg.w_apart * np.minimum(d / (2 * cfg.reach), 1.0).mean(axis=1)
                 J = J - np.array(
-                    [1.0 if any(np.hypot(*(f.place - o)) < SAME for o in taken) else 0.0 for f in offers.pieces]
+                    [
+                        1.0 if any(np.hypot(*(f.place - o)) < cfg.goals.same for o in taken) else 0.0
+                        for f in problem.pieces
+                    ]
                 )
-            J = np.where(offers.first[r] < FAR / 2, J, -np.inf)
+            J = np.where(problem.first[r] < FAR / 2, J, -np.inf)
             if len(J) and np.isfinite(J.max()):
                 best = int(np.argmax(J))
                 out[j] = best
-                taken.append(offers.pieces[best].place)
+                taken.append(problem.pieces[best].place)
         return out
 
-    return share
+    return allocate
 
 
-def sights(offers: Offers, cfg: LaserExploreConfig) -> tuple[np.ndarray, np.ndarray]:
+def walls_and_area(problem: AllocationProblem, cfg: LaserExploreConfig) -> tuple[np.ndarray, np.ndarray]:
     """For each piece, in [0, 1]: known walls around it, which a scan there can be matched to, and unknown ground."""
-    grid = offers.ground.grid
+    grid = problem.ground.grid
     side = 2 * int(0.5 * cfg.reach / grid.resolution) + 1
-    cells = grid.cells(np.array([f.place for f in offers.pieces]).reshape(-1, 2))
+    cells = grid.cells(np.array([f.place for f in problem.pieces]).reshape(-1, 2))
     found = [
         ndimage.uniform_filter(mask.astype(np.float32), side, mode="constant")[tuple(cells.T)]
-        for mask in (grid.occupied, grid.unknown & offers.ground.fits)
+        for mask in (grid.occupied, grid.unknown & problem.ground.fits)
     ]
     return tuple(x / x.max() if x.size and x.max() > 0 else x for x in found)

@@ -6,8 +6,6 @@ from .._jit import kernel
 from ..small import solved
 from .objective import mark_half_disc
 
-NEAREST = 2.0  # [m], closer sightings are not counted on to tell more
-
 
 @kernel
 def drive_laps(
@@ -20,11 +18,12 @@ def drive_laps(
     upper: np.ndarray,
     arrived: float,
     steps: int,
+    heading_cost: float,
 ) -> np.ndarray:
     """Poses (M, steps + 1, 3) of robots that steer through their places in turn, without noise, and then stand still.
 
     ways: (M, k, 2) [m], counts: (M,) places used of each; starts: (M, 3); controls: (m, 2); a place counts as reached
-    within `arrived` [m]. The rule is that of `explore.steering.steer`.
+    within `arrived` [m]; heading_cost: [m/rad]. The rule is that of `landmarks.steering.steer`.
     """
     M = len(starts)
     track = np.empty((M, steps + 1, 3))
@@ -49,7 +48,7 @@ def drive_laps(
                         last, bearing = d, np.arctan2(gy - uy, gx - ux)
                     off = bearing - uth
                     off -= 2 * np.pi * np.floor((off + np.pi) / (2 * np.pi))
-                    cost = np.hypot(gx - ux, gy - uy) + 3.0 * abs(off)
+                    cost = np.hypot(gx - ux, gy - uy) + heading_cost * abs(off)
                     if cost < best:
                         best, nx, ny, nth = cost, ux, uy, uth
                 x, y, th = nx, ny, nth
@@ -114,6 +113,7 @@ def _sightings(
     reach: float,
     half_angle: float,
     R: np.ndarray,
+    least_range: float,
     B: np.ndarray,
     C: np.ndarray,
     nodes: np.ndarray,
@@ -132,7 +132,7 @@ def _sightings(
                 continue
             if i > 0 and np.array_equal(p, track[j, (i - 1) * every]):
                 continue
-            r = max(r, NEAREST)
+            r = max(r, least_range)
             ux, uy = dx / r, dy / r
             gx, gy = -uy / r, ux / r
             a00 += wr * ux * ux + wb * gx * gx
@@ -161,6 +161,7 @@ def add_landmark_information(
     reach: float,
     half_angle: float,
     R: np.ndarray,
+    least_range: float,
 ) -> None:
     """Adds to S what landmarks, `density` of them expected at each of `points` (n, 2), tell about the poses, in place.
 
@@ -169,7 +170,7 @@ def add_landmark_information(
     most = len(S) // 3 + track.shape[0]
     B, C, nodes = np.empty((most, 3, 2)), np.empty((most, 3, 3)), np.empty(most, dtype=np.int64)
     for m in range(len(points)):
-        k, a00, a01, a11 = _sightings(track, every, points[m], reach, half_angle, R, B, C, nodes)
+        k, a00, a01, a11 = _sightings(track, every, points[m], reach, half_angle, R, least_range, B, C, nodes)
         det = a00 * a11 - a01 * a01
         if k == 0 or det <= 0:
             continue
@@ -188,7 +189,14 @@ def add_landmark_information(
 
 @kernel
 def landmark_errors(
-    P: np.ndarray, track: np.ndarray, every: int, points: np.ndarray, reach: float, half_angle: float, R: np.ndarray
+    P: np.ndarray,
+    track: np.ndarray,
+    every: int,
+    points: np.ndarray,
+    reach: float,
+    half_angle: float,
+    R: np.ndarray,
+    least_range: float,
 ) -> np.ndarray:
     """Expected root mean square error (n,) [m] of a landmark at each of `points`, NaN where none would be seen.
 
@@ -198,7 +206,7 @@ def landmark_errors(
     B, C, nodes = np.empty((most, 3, 2)), np.empty((most, 3, 3)), np.empty(most, dtype=np.int64)
     out = np.full(len(points), np.nan)
     for m in range(len(points)):
-        k, a00, a01, a11 = _sightings(track, every, points[m], reach, half_angle, R, B, C, nodes)
+        k, a00, a01, a11 = _sightings(track, every, points[m], reach, half_angle, R, least_range, B, C, nodes)
         det = a00 * a11 - a01 * a01
         if det <= 0:
             continue

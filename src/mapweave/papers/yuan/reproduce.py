@@ -13,7 +13,7 @@ from ...core.threads import one_blas_thread
 from ...core.version import __version__
 from ...core.workers import worker_pool
 from ...exploration.landmarks.config import ExploreConfig
-from ...exploration.landmarks.experiment import CALIBRATED, Mission, RunScore, explore_many, with_noise
+from ...exploration.landmarks.experiment import CALIBRATED, LandmarkMission, LandmarkScore, explore_many, with_noise
 from ...exploration.landmarks.scenario import find_scenario
 from ...io.directory import check_target, plain, result_directory, write_json
 from . import page as report
@@ -47,8 +47,8 @@ class Case:
     group: str  # table1 | ablation | beyond
     name: str
     robots: int
-    mission: Mission
-    runs: tuple[RunScore, ...]
+    mission: LandmarkMission
+    runs: tuple[LandmarkScore, ...]
 
     def mean(self, what: str) -> float | None:
         values = [v for r in self.runs if (v := getattr(r, what)) is not None]
@@ -125,7 +125,7 @@ def differences() -> tuple[str, ...]:
     return tuple(" ".join(part.split()) for part in WHY.strip().split("\n\n"))
 
 
-def missions() -> list[tuple[str, str, int, Mission]]:
+def missions() -> list[tuple[str, str, int, LandmarkMission]]:
     """Group, name, robots and settings of every case."""
     out = [
         ("table1", f"{_robots(robots)}, {noise} noise", robots, _mission(factor, robots=robots))
@@ -169,10 +169,10 @@ def _mission(
     until: str | int = "landmarks",
     association: str = "known",
     **more: Any,
-) -> Mission:
+) -> LandmarkMission:
     cfg = with_noise(ExploreConfig(**{"max_steps": 1000, **more}), factor)
     cfg = replace(cfg, submap=replace(cfg.submap, association=association))
-    return Mission(find_scenario("yuan"), robots, planner, until, cfg=cfg)
+    return LandmarkMission(find_scenario("yuan"), robots, planner, until, cfg=cfg)
 
 
 @one_blas_thread()

@@ -11,38 +11,34 @@ from ...core.walls import Walls
 from ...kernels.walls.segments import sight_on_raster
 from ...kernels.walls.sight import nearest_views, points_in_sight
 from ...sim.field import Field
-from ..paths import Reach
-from .config import ExploreConfig
+from ..ground import CostToGo, Ground
+from .config import ExploreConfig, WallsConfig
 
-EASE = 1.0  # [m] a cell or landmark must be nearer than the sensor's reach to count as one that can be seen
-NEIGHBOURS = 5  # places around a place that must see it too: a robot never stands exactly where it meant to
 FAR = 1e4  # [m], said of places no way leads to, where a cost must be finite
-SEARCH = 5.0  # [m] around an estimated pose in which it finds ground to stand on
-STRIDE = 3  # cells of a way a robot looks ahead where room is scarce
-POCKET = 1.0  # [m^2] that is worth telling of
 KEPT = 64  # goals whose distances are remembered
 
 
 @dataclass(slots=True)
-class Ground:
+class FloorPlan:
     """The plan as the robots use it; remembers distances to the goals asked for last.
 
-    reach: the ground, a metre near a wall counting more; roomy: its cells with comfortable room around; field: (ny, nx)
-    cells of the explored raster that can be seen from ground a robot reaches; views: (ny, nx, 2) the
-    nearest cell of `reach` to see each from (-1 outside the field); pockets: area [m^2] of each part between walls that
-    no robot sees, though it would have room there; hidden: landmarks no robot can ever see.
+    ground: where robots can stand, a metre near a wall counting more; roomy: its cells with comfortable room around;
+    field: (ny, nx) cells of the explored raster that can be seen from ground a robot reaches; views: (ny, nx, 2) the
+    nearest cell of `ground` to see each from (-1 outside the field); pockets: area [m^2] of each part between walls
+    that no robot sees, though it would have room there; hidden: landmarks no robot can ever see.
     """
 
     walls: Walls
     lower: Float[np.ndarray, "2"]
     cell: float
-    reach: Reach
+    ground: Ground
     roomy: Bool[np.ndarray, "rows cols"]
     field: Bool[np.ndarray, "ny nx"]
     views: Int[np.ndarray, "ny nx 2"]
     pockets: tuple[float, ...]
     hidden: tuple[int, ...]
-    _to: dict[tuple[int, int], np.ndarray]
+    cfg: WallsConfig
+    _to: dict[tuple[int, int], CostToGo]
 
     @property
     def area(self) -> float:
@@ -52,8 +48,8 @@ class Ground:
     def stand(self, points: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n 2"]:
         """For each point the ground (row, col) to stand on: its own, the nearest in sight, or else the nearest."""
         points = np.ascontiguousarray(points, dtype=float)
-        r = self.reach
-        out = nearest_views(points, r.free, r.lower, r.cell, SEARCH, self.walls.segments, 0)
+        r = self.ground
+        out = nearest_views(points, r.free, r.lower, r.cell, self.cfg.search_radius, self.walls.segments, 0)
         lost = np.flatnonzero(out[:, 0] < 0)
         if len(lost):
             free = np.argwhere(r.free)
@@ -70,25 +66,25 @@ class Ground:
         none = cells[:, 0] < 0
         if none.any():
             cells[none] = self.stand(points[none])
-        return self.reach.centres(cells)
+        return self.ground.centres(cells)
 
     def goal_cell(self, goal: Float[np.ndarray, "2"]) -> tuple[int, int]:
         """The ground (row, col) to go to for `goal`: the goal itself if it is ground, else where it is seen from."""
-        cell = self.reach.cells(goal[None])[0]
+        cell = self.ground.cells(goal[None])[0]
         if cell[0] < 0:
-            cell = self.reach.cells(self.view_of(goal[None]))[0]
+            cell = self.ground.cells(self.view_of(goal[None]))[0]
         return int(cell[0]), int(cell[1])
 
     def from_places(self, places: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "k rows cols"]:
         """Length [m] of the shortest way from each place to every piece of ground; infinite where none leads."""
-        return self.reach.distances(self.reach.centres(self.stand(places)))
+        return self.ground.distances(self.ground.centres(self.stand(places)))
 
-    def to_cell(self, row: int, col: int) -> Float[np.ndarray, "rows cols"]:
-        """Length [m] of the shortest way from every piece of ground to the one given; remembered."""
+    def to_cell(self, row: int, col: int) -> CostToGo:
+        """The shortest ways from every piece of ground to the one given; remembered."""
         if (row, col) not in self._to:
             while len(self._to) >= KEPT:
                 del self._to[next(iter(self._to))]
-            self._to[row, col] = self.reach.distances(self.reach.centres(np.array([[row, col]])))[0]
+            self._to[row, col] = self.ground.cost_to_go(np.array([[row, col]]))
         return self._to[row, col]
 
     def waypoint(
@@ -96,89 +92,94 @@ class Ground:
     ) -> Float[np.ndarray, "2"]:
         """Where (2,) to head for now to get from `place` to `goal`: as far along the way as roomy ground is in sight.
 
-        Where that is not far, `STRIDE` cells along the way. The way keeps `room` [m] from the points `shut`, if any
+        Where that is not far, `stride` cells along the way. The way keeps `room` [m] from the points `shut`, if any
         such way leads there.
         """
         mine, its = self.stand(place[None])[0], self.goal_cell(goal)
-        distance = self._detour(its, shut, room) if len(shut) else None
-        if distance is None or not np.isfinite(distance[mine[0], mine[1]]):
-            distance = self.to_cell(*its)
-        if not np.isfinite(distance[mine[0], mine[1]]):
+        ways = self._detour(its, shut, room) if len(shut) else None
+        if ways is None or ways.cost[mine[0], mine[1]] < 0:
+            ways = self.to_cell(*its)
+        way = ways.descend(mine)
+        if not len(way):
             return goal
-        way = self.reach.chain(distance, int(mine[0]), int(mine[1]))
         last = len(way) - 1
-        k = min(STRIDE, last)
+        k = min(self.cfg.stride, last)
         while k < last and sight_on_raster(self.roomy, way[0, ::-1] + 0.5, way[k + 1, ::-1] + 0.5):
             k += 1
-        return goal if k == last else self.reach.centres(way[k][None])[0]
+        return goal if k == last else self.ground.centres(way[k][None])[0]
 
-    def _detour(self, to: tuple[int, int], shut: np.ndarray, room: float) -> np.ndarray:
+    def _detour(self, to: tuple[int, int], shut: np.ndarray, room: float) -> CostToGo:
         """Like `to_cell`, for ground without what is nearer than `room` to a point of `shut`; not remembered."""
-        r = self.reach
+        r = self.ground
         d = np.linalg.norm(r.centres(np.argwhere(r.free))[:, None] - shut[None], axis=-1)
         free = r.free.copy()
         free[r.free] = d.min(axis=1) >= room
-        return np.asarray(Reach(free, r.lower, r.cell, SEARCH, r.weight).distances(r.centres(np.array([to])))[0])
+        without = Ground(np.where(free, r.weight, np.uint8(0)), r.lower, r.cell, self.cfg.search_radius)
+        return without.cost_to_go(without.cells(r.centres(np.array([to]))))
 
     def sees(self, place: Float[np.ndarray, "2"], points: Float[np.ndarray, "n 2"], far: float) -> np.ndarray:
         """Which points lie within `far` [m] of `place` with no wall between."""
         return np.asarray(points_in_sight(np.ascontiguousarray(place), points, far, self.walls.segments))
 
 
-def survey(world: Field, walls: Walls, cfg: ExploreConfig) -> Ground:
-    """The ground of `world` for robots of the configured size.
+def survey_floor(world: Field, walls: Walls, cfg: ExploreConfig) -> FloorPlan:
+    """The plan of `world` for robots of the configured size.
 
     Raises DataError when a robot starts in a wall, nearer to one than its radius, or where it cannot leave.
     """
     _check_starts(world, walls, cfg)
-    room = cfg.robot_radius + cfg.wall_margin
-    lower, cell = np.asarray(world.lower), cfg.path_cell
+    room = cfg.walls.robot_radius + cfg.walls.margin
+    lower, cell = np.asarray(world.lower), cfg.walls.path_cell
     free = ~walls.blocked(lower, world.upper, cell, room)
-    reach = Reach(free, lower, cell)
     starts = np.ascontiguousarray(world.starts[:, :2])
-    at = nearest_views(starts, free, lower, cell, SEARCH, walls.segments, 0)
+    at = nearest_views(starts, free, lower, cell, cfg.walls.search_radius, walls.segments, 0)
     for j in np.flatnonzero(at[:, 0] < 0):
         x, y = starts[j]
         raise DataError(f"robot {j + 1} at ({x:g}, {y:g}) has nowhere to go: no ground with {room:g} m of room is near")
-    regions = reach.regions()
+    regions = Ground.of(free, lower, cell).regions()
     free = np.isin(regions, regions[at[:, 0], at[:, 1]])
     weight = np.ones(free.shape)
     for share in (0.75, 1.0):
-        weight += walls.blocked(lower, world.upper, cell, cfg.robot_radius + share * cfg.wall_comfort)
-    reach = Reach(free, lower, cell, weight=weight)
+        weight += walls.blocked(lower, world.upper, cell, cfg.walls.robot_radius + share * cfg.walls.comfort)
+    ground = Ground.of(free, lower, cell, weight=weight)
     nx, ny = (int(np.ceil((world.upper[k] - lower[k]) / cfg.cell - 1e-9)) for k in (0, 1))
     x, y = (lower[k] + (np.arange(n) + 0.5) * cfg.cell for k, n in ((0, nx), (1, ny)))
     centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    far = cfg.submap.reach - EASE
-    views = nearest_views(centres, reach.free, lower, cell, far, walls.segments, NEIGHBOURS)
+    far = cfg.submap.reach - cfg.walls.view_margin
+    views = nearest_views(centres, ground.free, lower, cell, far, walls.segments, cfg.walls.view_neighbours)
     views[walls.inside(centres)] = -1
-    marks = nearest_views(np.asarray(world.landmarks), reach.free, lower, cell, far, walls.segments, NEIGHBOURS)
+    marks = nearest_views(
+        np.asarray(world.landmarks), ground.free, lower, cell, far, walls.segments, cfg.walls.view_neighbours
+    )
     seen = (views[:, 0] >= 0).reshape(ny, nx)
-    return Ground(
+    return FloorPlan(
         walls,
         lower,
         cfg.cell,
-        reach,
+        ground,
         free & (weight == 1.0),
         seen,
         views.reshape(ny, nx, 2),
-        _pockets(world, walls, 0.25 * cell, seen, cfg.cell, room),
+        _pockets(world, walls, 0.25 * cell, seen, cfg, room),
         tuple(int(k) for k in np.flatnonzero(marks[:, 0] < 0)),
+        cfg.walls,
         {},
     )
 
 
 def _check_starts(world: Field, walls: Walls, cfg: ExploreConfig) -> None:
     clear = walls.clearance(world.starts[:, :2])
-    for j in np.flatnonzero(clear < cfg.robot_radius):
+    for j in np.flatnonzero(clear < cfg.walls.robot_radius):
         x, y = world.starts[j, :2]
         inside = walls.inside(world.starts[j : j + 1, :2])[0]
-        where = "inside a wall" if inside else f"{clear[j]:.2g} m from a wall; its radius is {cfg.robot_radius:g} m"
+        where = (
+            "inside a wall" if inside else f"{clear[j]:.2g} m from a wall; its radius is {cfg.walls.robot_radius:g} m"
+        )
         raise DataError(f"robot {j + 1} at ({x:g}, {y:g}) starts {where}: give it another of `starts`")
 
 
 def _pockets(
-    world: Field, walls: Walls, cell: float, seen: Bool[np.ndarray, "ny nx"], size: float, room: float
+    world: Field, walls: Walls, cell: float, seen: Bool[np.ndarray, "ny nx"], cfg: ExploreConfig, room: float
 ) -> tuple[float, ...]:
     """Areas [m^2], largest first, of what nobody sees between the walls, where a robot would have room to stand."""
     outside = walls.blocked(world.lower, world.upper, cell, 0.0)
@@ -188,7 +189,7 @@ def _pockets(
     rows, cols = np.indices(parts.shape)
     shape = seen.shape
     row, col = (
-        np.minimum(((k + 0.5) * cell / size).astype(int), n - 1) for k, n in ((rows, shape[0]), (cols, shape[1]))
+        np.minimum(((k + 0.5) * cell / cfg.cell).astype(int), n - 1) for k, n in ((rows, shape[0]), (cols, shape[1]))
     )
     unseen = np.where(seen[row, col], 0, parts)
     roomy = ~walls.blocked(world.lower, world.upper, cell, room)
@@ -197,5 +198,5 @@ def _pockets(
         pieces, count = label(unseen == part)
         area = np.bincount(pieces.ravel(), minlength=count + 1) * cell**2
         stands = set(np.unique(pieces[roomy]))
-        areas += [float(area[k]) for k in range(1, count + 1) if k in stands and area[k] >= POCKET]
+        areas += [float(area[k]) for k in range(1, count + 1) if k in stands and area[k] >= cfg.walls.least_pocket]
     return tuple(sorted(areas, reverse=True))
