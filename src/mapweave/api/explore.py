@@ -21,13 +21,13 @@ from ..exploration.landmarks.experiment import (
     with_noise,
 )
 from ..exploration.landmarks.result import LandmarkExploreResult
-from ..exploration.landmarks.scenario import find_scenario, make_field
+from ..exploration.landmarks.scenario import check_rasters, find_scenario, make_field
 from ..exploration.laser.result import LaserExploreResult
 from ..exploration.laser.scenario import find_laser_scenario
 from ..exploration.planner_interface import find_planner
 from ..io.directory import check_target, result_directory
 from .explore_laser import explore_laser
-from .explore_options import check_numbers, factor_of, kills_of, remaining_runs, steps_of
+from .explore_options import check_magnitudes, check_numbers, factor_of, kills_of, remaining_runs, steps_of
 
 NOISE = {"printed": 1.0, "calibrated": CALIBRATED}
 POSITIVE = (
@@ -95,6 +95,7 @@ def explore(
     check_numbers(runs=runs, seed=seed, jobs=jobs, drop=drop)
     cfg = load(ExploreConfig, None if config is None else Path(config))
     expect_positive(cfg, str(config), *POSITIVE)
+    check_magnitudes(cfg, str(config))
     if not cfg.turns:
         raise ConfigError(f"{config}: turns: expected at least one turn rate [rad/s]")
     if association is not None:
@@ -105,6 +106,7 @@ def explore(
         cfg = with_noise(cfg, _noise(noise))
     found = find_scenario(scenario)
     world = make_field(found, robots, seed)
+    check_rasters(found, len(world.starts), cfg)
     mission = LandmarkMission(found, robots, planner, _until(until), kills_of(kill or {}, len(world.starts)), drop, cfg)
     find_planner(planner, PLANNERS)
     if out is not None:

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from ..core.config import expect_positive, load
-from ..core.errors import UsageError
+from ..core.errors import ConfigError, UsageError
 from ..core.progress import Progress, no_progress
 from ..exploration.laser.belief import PLANNERS
 from ..exploration.laser.config import LaserMissionConfig, with_odometry_noise
@@ -15,14 +15,18 @@ from ..exploration.laser.experiment import LaserMission, explore_laser_many, exp
 from ..exploration.laser.result import LaserExploreResult
 from ..exploration.laser.scenario import LaserScenarioConfig, make_place
 from ..exploration.planner_interface import find_planner
+from ..exploration.world import check_cells
 from ..io.directory import check_target, result_directory
-from .explore_options import check_numbers, factor_of, kills_of, remaining_runs, steps_of
+from .explore_options import check_magnitudes, check_numbers, factor_of, kills_of, remaining_runs, steps_of
 
 POSITIVE = (
     *("robots.radius", "robots.speed", "robots.turn", "robots.period", "robots.scanner.beams", "robots.scanner.far"),
     *("plan.resolution", "plan.max_steps", "plan.replan_every", "plan.split", "plan.most_goals"),
     *("map_resolution", "tolerance"),
 )
+COARSEST = 1.0  # [m], cells that could still show a door
+FARTHEST_BEAM = 1000.0  # [m]
+MOST_BEAMS = 20_000
 
 
 def explore_laser(
@@ -56,8 +60,12 @@ def explore_laser(
     factor = _factor(noise)
     cfg = load(LaserMissionConfig, None if config is None else Path(config))
     expect_positive(cfg, str(config), *POSITIVE)
+    check_magnitudes(cfg, str(config))
+    _check_sizes(cfg, str(config))
     cfg = with_odometry_noise(cfg, factor)
     place = make_place(scenario, robots, seed)
+    for key, cell in (("plan.resolution", cfg.plan.resolution), ("map_resolution", cfg.map_resolution)):
+        check_cells(key, place.lower, place.upper, cell)
     kills = kills_of(kill or {}, len(place.starts))
     mission = LaserMission(scenario, robots, planner, _until(until), kills, drop, cfg)
     find_planner(planner, PLANNERS)
@@ -84,6 +92,19 @@ def _write(folder: Path, result: LaserExploreResult) -> None:
 
     write_laser_runs(folder, result.runs, result.metrics(), result.first)
     write_laser_exploration(folder, result)
+
+
+def _check_sizes(cfg: LaserMissionConfig, where: str) -> None:
+    """Raises ConfigError for cells coarser or scans longer than any robot could use."""
+    limits = (
+        ("plan.resolution", cfg.plan.resolution, COARSEST),
+        ("map_resolution", cfg.map_resolution, COARSEST),
+        ("robots.scanner.far", cfg.robots.scanner.far, FARTHEST_BEAM),
+        ("robots.scanner.beams", cfg.robots.scanner.beams, MOST_BEAMS),
+    )
+    told = [f"{key}: expected at most {most:g}, found {value:g}" for key, value, most in limits if value > most]
+    if told:
+        raise ConfigError(f"{where}: {'; '.join(told)}")
 
 
 def _factor(noise: str | float) -> float:

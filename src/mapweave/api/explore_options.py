@@ -1,16 +1,17 @@
 """Options every kind of exploration takes."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
+from dataclasses import fields, is_dataclass
 from typing import TypeVar
 
-import numpy as np
-
-from ..core.errors import UsageError
+from ..core.errors import ConfigError, UsageError
 from ..core.progress import Progress
 from ..core.workers import worker_pool
 
 Score = TypeVar("Score")
+LOUDEST = 1e4  # times the usual noise, far beyond what any filter bears
+LARGEST = 1e9  # no length, count or weight of an exploration is beyond
 
 
 def parse_kills(text: list[str] | None) -> dict[str, int]:
@@ -53,8 +54,8 @@ def factor_of(noise: str | float, names: str) -> float:
         factor = float(noise)
     except ValueError:
         raise UsageError(f"--noise: expected {names} or a factor, found {noise!r}") from None
-    if not (np.isfinite(factor) and factor > 0):
-        raise UsageError(f"--noise: expected a positive factor, found {noise!r}")
+    if not 0 < factor <= LOUDEST:
+        raise UsageError(f"--noise: expected a positive factor up to {LOUDEST:g}, found {noise!r}")
     return factor
 
 
@@ -67,6 +68,25 @@ def steps_of(until: str | int, names: str) -> int:
     if steps < 1:
         raise UsageError(f"--until: expected at least 1 step, found {steps}")
     return steps
+
+
+def check_magnitudes(cfg: object, where: str) -> None:
+    """Raises ConfigError that lists every number of `cfg`, tables included, that is beyond `LARGEST`."""
+    wild = [f"{key}: expected at most {LARGEST:g}, found {v:g}" for key, v in _numbers(cfg, "") if abs(v) > LARGEST]
+    if wild:
+        raise ConfigError(f"{where}: {'; '.join(wild)}")
+
+
+def _numbers(value: object, key: str) -> Iterator[tuple[str, float]]:
+    """Every number under `value` with its dotted name."""
+    if is_dataclass(value):
+        for f in fields(value):
+            yield from _numbers(getattr(value, f.name), f"{key}.{f.name}" if key else f.name)
+    elif isinstance(value, tuple):
+        for k, v in enumerate(value):
+            yield from _numbers(v, f"{key}.{k}")
+    elif isinstance(value, int | float):
+        yield key, value
 
 
 def kills_of(kill: Mapping[str, int], robots: int) -> dict[int, int]:

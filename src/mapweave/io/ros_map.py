@@ -56,10 +56,11 @@ class RosMap:
         return placed.min(axis=0), placed.max(axis=0)
 
 
-def read_ros_map(path: Path) -> RosMap:
+def read_ros_map(path: Path, *, most_pixels: int | None = None) -> RosMap:
     """The map that `path` (map.yaml) describes, its image read from beside it.
 
-    Raises ReaderError naming the file and what was expected when something is missing, damaged or out of range.
+    Raises ReaderError naming the file and what was expected when something is missing, damaged, out of range or larger
+    than `most_pixels`.
     """
     told = _read_yaml(path)
     missing = [key for key in KEYS if key not in told]
@@ -71,7 +72,7 @@ def read_ros_map(path: Path) -> RosMap:
     resolution = _number(path, told, "resolution")
     if resolution <= 0:
         raise ReaderError(path, f"resolution: expected metres a pixel above 0, found {resolution:g}")
-    pixels = _read_image(path.parent / str(told["image"]))
+    pixels = _read_image(path.parent / str(told["image"]), most_pixels)
     if mode == "raw":
         p = np.where(pixels > 100, np.nan, pixels / 100.0)
     else:
@@ -89,16 +90,24 @@ def read_ros_map(path: Path) -> RosMap:
     return RosMap(state, resolution, _origin(path, told["origin"]))
 
 
-def read_plan(path: Path, resolution: float, origin: Float[np.ndarray, "3"]) -> RosMap:
-    """A floor plan from a plain image: darker than half is wall, the rest is free. origin: lower left corner."""
-    state = np.where(_read_image(path) < 127.5, OCCUPIED, FREE).astype(np.int8)
+def read_plan(
+    path: Path, resolution: float, origin: Float[np.ndarray, "3"], *, most_pixels: int | None = None
+) -> RosMap:
+    """A floor plan from a plain image: darker than half is wall, the rest is free. origin: lower left corner.
+
+    Raises ReaderError for a damaged image and, before it is decoded, for one of more than `most_pixels`.
+    """
+    state = np.where(_read_image(path, most_pixels) < 127.5, OCCUPIED, FREE).astype(np.int8)
     return RosMap(state, resolution, frozen(origin))
 
 
-def _read_image(path: Path) -> Float[np.ndarray, "rows cols"]:
+def _read_image(path: Path, most_pixels: int | None) -> Float[np.ndarray, "rows cols"]:
     """Brightness 0..255 of every pixel, the lowest row of the picture first."""
     try:
         with Image.open(path) as image:
+            if most_pixels is not None and image.width * image.height > most_pixels:
+                size = f"{image.width} x {image.height}"
+                raise ReaderError(path, f"expected at most {most_pixels:,} pixels, found {size}")
             deep = 65535.0 if image.mode.startswith("I") else 255.0
             image.load()
             if image.mode.startswith(("I", "F")):

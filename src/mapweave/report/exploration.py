@@ -18,6 +18,7 @@ from .html import Page
 from .style import MUTED, SEQUENTIAL, TRUTH, as_map, colour, draw_ellipse, figure, marker
 
 FRAMES = 48
+TALLEST = 24.0  # inches, of a figure, however narrow the field
 
 
 def write_exploration(folder: Path, result: LandmarkExploreResult) -> None:
@@ -89,7 +90,7 @@ def write_exploration(folder: Path, result: LandmarkExploreResult) -> None:
 def draw_map(path: Path, run: LandmarkRecord) -> None:
     """Trajectories, landmarks with 95 % ellipses, truth, and the borders of submaps at hand-over."""
     width, height = run.world.upper - run.world.lower
-    with figure(path, 8.0, 8.0 * float(height / width) + 0.6) as (_, ax):
+    with figure(path, 8.0, min(8.0 * float(height / width), TALLEST) + 0.6) as (_, ax):
         _field(ax, run)
         for step, j, points in run.submap_borders:
             del step
@@ -120,7 +121,7 @@ def draw_explored(path: Path, run: LandmarkRecord, result: LandmarkExploreResult
                 walls = run.floor.walls.segments
                 mark_in_sight(seen, pose, cfg.submap.reach, cfg.submap.half_angle, run.world.lower, cfg.cell, walls)
         first[seen & np.isnan(first)] = moment.step
-    with figure(path, 8.0, 7.2 * float(height / width) + 0.4) as (fig, ax):
+    with figure(path, 8.0, min(7.2 * float(height / width), TALLEST) + 0.4) as (fig, ax):
         _field(ax, run)
         (x0, y0), (x1, y1) = run.world.lower, run.world.lower + cfg.cell * np.array(shape[::-1])
         image = ax.imshow(first, origin="lower", extent=(x0, x1, y0, y1), cmap=SEQUENTIAL, interpolation="nearest")
@@ -162,7 +163,7 @@ def draw_animation(path: Path, run: LandmarkRecord) -> None:
     width, height = run.world.upper - run.world.lower
     frames: list[Image.Image] = []
     scratch = path.with_suffix(".png")
-    with figure(scratch, 5.2, 5.2 * float(height / width) + 0.4) as (fig, ax):
+    with figure(scratch, 5.2, min(5.2 * float(height / width), TALLEST) + 0.4) as (fig, ax):
         _field(ax, run)
         ax.plot(*run.world.landmarks.T, "*", color=TRUTH, ms=4, zorder=5)
         lines = [ax.plot([], [], color=colour(j))[0] for j in range(len(run.robots))]

@@ -1,7 +1,6 @@
 """Where a team explores: the paper's field by name, or a world of the user's own from a TOML file."""
 
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -9,27 +8,39 @@ import numpy as np
 from ...core.config import config, load
 from ...core.errors import ConfigError, DataError, UsageError
 from ...core.walls import Walls
-from ...io.ros_map import RosMap, read_plan, read_ros_map
+from ...io.ros_map import RosMap
 from ...sim.field import START_RADIUS, YUAN_LANDMARKS, YUAN_LOWER, YUAN_UPPER, Field, circle_of_starts
+from ..world import (
+    MOST_CELLS,
+    MOST_KNOWN,
+    WorldConfig,
+    check_cells,
+    check_places,
+    check_robots,
+    check_world,
+    floor_plan,
+    given_starts,
+    plan_walls,
+    wall_segments,
+)
+from .config import ExploreConfig
 
 WALL_GAP = 0.3  # [m] that random landmarks keep from walls
+MOST_LANDMARKS = 3000  # their joint covariance takes 300 MB
 BUILT_IN = {"yuan": 1.0, "yuan-large": 4.0}  # name -> area relative to the paper's field
 
 
 @config
-class ScenarioConfig:
+class ScenarioConfig(WorldConfig):
     """A rectangle with point landmarks and, where it has any, walls. Lengths in metres, headings in radians.
 
-    lower, upper: by default the rectangle of the walls' map or image, without one the paper's field.
+    lower, upper: by default the rectangle of the walls' map or image, without one the paper's field; starts: by default
+    on a circle around the middle.
     """
 
-    lower: tuple[float, float] | None = None
-    upper: tuple[float, float] | None = None
-    landmarks: int | tuple[tuple[float, float], ...] = YUAN_LANDMARKS  # how many at random, or where
-    starts: tuple[tuple[float, float, float], ...] | None = None  # one a robot; else on a circle around the middle
-    walls: str | tuple[tuple[float, float, float, float], ...] | None = None  # a ROS map.yaml, an image, or x0 y0 x1 y1
-    resolution: float | None = None  # [m a pixel], of an image
-    origin: tuple[float, float] | tuple[float, float, float] = (0.0, 0.0)  # lower left corner of an image, its turn
+    lower: tuple[float, float] | None = None  # [m], corner of the field
+    upper: tuple[float, float] | None = None  # [m], the opposite corner
+    landmarks: int | tuple[tuple[float, float], ...] = YUAN_LANDMARKS  # how many at random, or where [m]
 
 
 def find_scenario(name: str) -> ScenarioConfig:
@@ -50,50 +61,29 @@ def find_scenario(name: str) -> ScenarioConfig:
     found = load(ScenarioConfig, path)
     if isinstance(found.walls, str):
         found = replace(found, walls=str(path.parent / found.walls))
-    check_segments(path, found.walls)
+    check_world(path, found)
+    _check_landmarks(path, found)
     lower, upper = bounds(found)
     if lower[0] >= upper[0] or lower[1] >= upper[1]:
         raise ConfigError(f"{path}: lower {tuple(lower.tolist())} must lie below upper {tuple(upper.tolist())}")
+    check_places(f"{path}: corner", np.stack([lower, upper]))
     return found
 
 
-def check_segments(path: Path, walls: str | tuple[tuple[float, float, float, float], ...] | None) -> None:
-    """Raises ConfigError when one of the segments that `walls` lists has no length."""
-    for k, (x0, y0, x1, y1) in enumerate(walls if isinstance(walls, tuple) else ()):
-        if (x0, y0) == (x1, y1):
-            raise ConfigError(
-                f"{path}: walls.{k}: expected x0, y0, x1, y1, found a wall without length at ({x0:g}, {y0:g})"
-            )
-
-
-def floor_plan(scenario: ScenarioConfig) -> RosMap | None:
-    """The map or image that `walls` names, read; None where it names none.
-
-    Raises ReaderError for a damaged file and ConfigError for an image of which nobody says how large it is.
-    """
-    if not isinstance(scenario.walls, str):
-        return None
-    return _read_plan(scenario.walls, scenario.resolution, scenario.origin)
-
-
-@lru_cache(maxsize=4)
-def _read_plan(name: str, resolution: float | None, origin: tuple[float, ...]) -> RosMap:
-    path = Path(name)
-    if path.suffix in (".yaml", ".yml"):
-        return read_ros_map(path)
-    if resolution is None or resolution <= 0:
-        raise ConfigError(f"{path}: an image as walls needs `resolution` [m a pixel] above 0 and `origin` beside it")
-    return read_plan(path, resolution, np.array([*origin, 0.0][:3]))
+def _check_landmarks(path: Path, scenario: ScenarioConfig) -> None:
+    """Raises ConfigError when there are too many landmarks, or some too far away."""
+    marks = scenario.landmarks
+    count = marks if isinstance(marks, int) else len(marks)
+    if count > MOST_LANDMARKS:
+        raise ConfigError(f"{path}: landmarks: expected at most {MOST_LANDMARKS:,}, found {count:,}")
+    if isinstance(marks, tuple):
+        check_places(f"{path}: landmarks", np.array(marks).reshape(-1, 2))
 
 
 def find_walls(scenario: ScenarioConfig) -> Walls | None:
     """The scenario's walls; None in an open field."""
     plan = floor_plan(scenario)
-    if plan is not None:
-        return plan.walls()
-    if scenario.walls is None or isinstance(scenario.walls, str):
-        return None
-    return Walls.of(np.array(scenario.walls, dtype=float).reshape(-1, 4))
+    return wall_segments(scenario) if plan is None else plan_walls(str(scenario.walls), plan)
 
 
 def bounds(scenario: ScenarioConfig) -> tuple[np.ndarray, np.ndarray]:
@@ -106,10 +96,21 @@ def bounds(scenario: ScenarioConfig) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
+def check_rasters(scenario: ScenarioConfig, robots: int, cfg: ExploreConfig) -> None:
+    """Raises ConfigError when a raster over the field would have too many cells, or none."""
+    lower, upper = bounds(scenario)
+    if (upper - lower).min() < cfg.cell:
+        w, h = upper - lower
+        raise ConfigError(f"cell: a field of {w:g} m x {h:g} m is smaller than a cell of {cfg.cell:g} m")
+    check_cells(f"cell, {robots} robots", lower, upper, cfg.cell, MOST_KNOWN / robots)
+    check_cells("joint.search.coarse_cell", lower, upper, cfg.joint.search.coarse_cell, MOST_KNOWN)
+    if scenario.walls is not None:
+        check_cells("walls.path_cell / 4", lower, upper, 0.25 * cfg.walls.path_cell, MOST_CELLS)
+
+
 def make_field(scenario: ScenarioConfig, robots: int | None, seed: int) -> Field:
     """The world of one run: a new layout of landmarks a seed, the same for any number of robots."""
-    if robots is not None and robots < 1:
-        raise UsageError(f"--robots: expected at least 1, found {robots}")
+    check_robots(robots)
     lower, upper = bounds(scenario)
     walls = find_walls(scenario)
     if isinstance(scenario.landmarks, int):
@@ -140,11 +141,9 @@ def _scatter(
 
 def _starts(scenario: ScenarioConfig, robots: int | None, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """As given; else a circle around the middle, of the paper's radius or, in a smaller field, half way to its edge."""
-    if scenario.starts is not None:
-        given = np.array(scenario.starts, dtype=float).reshape(-1, 3)
-        if robots is not None and robots > len(given):
-            raise UsageError(f"--robots: {robots} asked for, the scenario has {len(given)} starts")
-        return given[:robots]
+    given = given_starts(scenario, robots)
+    if given is not None:
+        return given
     radius = min(START_RADIUS, 0.25 * float((upper - lower).min()))
     around = circle_of_starts(2 if robots is None else robots, radius)
     around[:, :2] += 0.5 * (lower + upper)

@@ -11,30 +11,35 @@ from jaxtyping import Float
 from ...core.config import build, config
 from ...core.errors import ConfigError, DataError, UsageError
 from ...core.walls import Walls
-from ...io.ros_map import read_plan, read_ros_map
 from ...sim.laser_world import LaserWorld
 from ...sim.office_floor import GREATEST, LEAST, office_floor
-from ..landmarks.scenario import check_segments
+from ..world import (
+    WorldConfig,
+    check_cells,
+    check_enough,
+    check_robots,
+    check_world,
+    floor_plan,
+    given_starts,
+    plan_walls,
+    wall_segments,
+)
 
 OFFICE = 500.0  # [m^2], the scenario `office`
 TEAM = 2  # robots unless said
-Segment = tuple[float, float, float, float]
+FINEST = 0.1  # [m], cells in which a robot's disc is driven everywhere to see what it reaches
 
 
 @config
-class LaserScenarioConfig:
+class LaserScenarioConfig(WorldConfig):
     """An office by its area, or walls: a ROS map, an image with `resolution` and `origin`, or segments.
 
-    Lengths in metres, headings in radians; a file's name is relative to the TOML file.
+    Lengths in metres, headings in radians; a file's name is relative to the TOML file; an office has its own starts.
     """
 
     sensor: Literal["laser"] = "laser"
     office: float | None = None  # [m^2]
     floor: int | None = None  # the seed of one office for all runs; else each run has its own
-    walls: str | tuple[Segment, ...] | None = None
-    resolution: float | None = None  # [m] a pixel of an image
-    origin: tuple[float, float] | tuple[float, float, float] = (0.0, 0.0)  # lower left corner of an image, its turn
-    starts: tuple[tuple[float, float, float], ...] | None = None  # one a robot; an office has its own
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +70,11 @@ def find_laser_scenario(name: str) -> LaserScenarioConfig | None:
         raise ConfigError(f"{path}: expected office = AREA or walls, one of them")
     if found.floor is not None and found.floor < 0:
         raise ConfigError(f"{path}: floor: expected 0 or more, found {found.floor}")
+    if found.office is not None and not LEAST <= found.office <= GREATEST:
+        raise ConfigError(f"{path}: office: expected {LEAST:g} to {GREATEST:g} m^2, found {found.office:g}")
     if found.walls is not None and not found.starts:
         raise ConfigError(f"{path}: expected starts = [[x, y, theta], ...], one a robot")
-    check_segments(path, found.walls)
+    check_world(path, found)
     if isinstance(found.walls, str):
         return replace(found, walls=str(path.parent / found.walls))
     return found
@@ -75,8 +82,7 @@ def find_laser_scenario(name: str) -> LaserScenarioConfig | None:
 
 def make_place(scenario: LaserScenarioConfig, robots: int | None, seed: int) -> LaserPlace:
     """The world of one run; an office follows from `seed` unless the scenario says which floor it is."""
-    if robots is not None and robots < 1:
-        raise UsageError(f"--robots: expected at least 1, found {robots}")
+    check_robots(robots)
     if scenario.office is not None:
         floor = office_floor(scenario.office, seed if scenario.floor is None else scenario.floor)
         world, lower, upper, starts = floor.world, floor.lower, floor.upper, floor.starts
@@ -85,30 +91,27 @@ def make_place(scenario: LaserScenarioConfig, robots: int | None, seed: int) -> 
         walls, lower, upper = _walls(scenario)
         world = LaserWorld(walls.segments, walls.reflectance, walls.solid, "walls")
         starts, wanted = np.zeros((0, 3)), robots
-    if scenario.starts is not None:
-        starts, wanted = np.array(scenario.starts, dtype=float), robots
-    if wanted is not None and wanted > len(starts):
-        raise UsageError(f"--robots: {wanted} asked for, the scenario has {len(starts)} starts")
-    place = LaserPlace(world, lower, upper, starts[:wanted])
+    given = given_starts(scenario, robots)
+    if given is None:
+        check_enough(wanted, len(starts))
+        given = starts[:wanted]
+    place = LaserPlace(world, lower, upper, given)
     _check_starts(place)
     return place
 
 
 def _walls(scenario: LaserScenarioConfig) -> tuple[Walls, np.ndarray, np.ndarray]:
-    if isinstance(scenario.walls, str):
-        path = Path(scenario.walls)
-        if path.suffix in {".yaml", ".yml"}:
-            found = read_ros_map(path)
-        elif scenario.resolution is None or not scenario.resolution > 0:
-            raise ConfigError(f"walls = {path.name!r}: an image needs resolution = METRES A PIXEL beside it")
-        else:
-            found = read_plan(path, scenario.resolution, np.array([*scenario.origin, 0.0][:3]))
-        return found.walls(), *found.extent()
-    segments = np.array(scenario.walls, dtype=float).reshape(-1, 4)
-    if not len(segments) or not np.isfinite(segments).all():
-        raise ConfigError("walls: expected segments [x0, y0, x1, y1] of finite numbers")
-    ends = segments.reshape(-1, 2)
-    return Walls.of(segments), ends.min(axis=0), ends.max(axis=0)
+    plan = floor_plan(scenario)
+    if plan is not None:
+        walls, (lower, upper) = plan_walls(str(scenario.walls), plan), plan.extent()
+    else:
+        segments = wall_segments(scenario)
+        if segments is None or not len(segments.segments):
+            raise ConfigError("walls: expected segments [x0, y0, x1, y1] of finite numbers")
+        ends = segments.segments.reshape(-1, 2)
+        walls, lower, upper = segments, ends.min(axis=0), ends.max(axis=0)
+    check_cells("walls", lower, upper, FINEST)
+    return walls, lower, upper
 
 
 def _check_starts(place: LaserPlace) -> None:
