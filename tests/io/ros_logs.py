@@ -59,7 +59,7 @@ class Recording:
         )
         self.rows.append((t, topic, "scan", message))
 
-    def odom(self, t, x, topic="/odom", yaw=0.0):
+    def odom(self, t, x, topic="/odom", yaw=0.0, child="base_link"):
         of = self.of
         zero = of("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
         pose = of(
@@ -70,7 +70,7 @@ class Recording:
         message = of(
             KINDS["odom"],
             header=self.header(t, "odom"),
-            child_frame_id="base_link",
+            child_frame_id=child,
             pose=of("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
             twist=of(
                 "geometry_msgs/msg/TwistWithCovariance",
@@ -124,3 +124,10 @@ def usual(path, n=30, light=True):
         out.odom(10.0 + 0.1 * k, 0.1 * k)
         out.scan(10.05 + 0.1 * k, wall(k), np.arange(N) + k if light else None)
     return out
+
+
+def driving(out, name, k, *, t=10.0, speed=1.0, base="base_link", laser="laser", odom="odom", scan="scan"):
+    """Row k of a robot in namespace `name` that drives ahead: its odometry, then a scan of the wall."""
+    space = f"/{name}" if name else ""
+    out.odom(t + 0.1 * k, speed * 0.1 * k, topic=f"{space}/{odom}", child=base)
+    out.scan(t + 0.05 + 0.1 * k, wall(k), topic=f"{space}/{scan}", frame=laser)

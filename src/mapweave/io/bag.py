@@ -39,15 +39,25 @@ class Bag:
     def listing(self) -> str:
         return ", ".join(f"{t} ({self.kinds[t]}, {self.counts.get(t, 0)} messages)" for t in sorted(self.kinds))
 
-    def messages(self, topics: Collection[str]) -> Iterator[Stamped]:
-        """The messages of `topics`; the reading stops quietly at damage, and `lost` then says so."""
+    def messages(self, topics: Collection[str], once: Collection[str] = ()) -> Iterator[Stamped]:
+        """The messages of `topics`, of those in `once` the first alone.
+
+        The reading stops quietly at damage, and `lost` then says so.
+        """
+        done: set[str] = set()
         if self._salvaged is not None:
-            yield from _unpacked(self, self._salvaged, topics)
+            for topic, ns, message in _unpacked(self, self._salvaged, topics):
+                if topic not in done:
+                    yield topic, ns, message
+                done.update({topic} & set(once))
             return
         with AnyReader([self.path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             wanted = [c for c in reader.connections if c.topic in topics]
             for connection, ns, data in reader.messages(connections=wanted) if wanted else ():
-                yield connection.topic, ns, reader.deserialize(data, connection.msgtype)
+                if connection.topic not in done:
+                    yield connection.topic, ns, reader.deserialize(data, connection.msgtype)
+                if connection.topic in once:
+                    done.add(connection.topic)
 
 
 def open_bag(path: Path, kinds_read: Collection[str]) -> Bag:

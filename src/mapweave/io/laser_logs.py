@@ -15,8 +15,9 @@ BAGS = (".bag", ".db3", ".mcap")
 
 @config
 class LaserSource:
-    """Which topics of a bag are read, and where the sensor stands when the log does not say or says it wrongly."""
+    """Which robot and topics of a bag are read, and where the sensor stands when the log does not say or is wrong."""
 
+    name: str | None = None  # of the robot, as `robots_of` gives it
     scan_topic: str | None = None
     odom_topic: str | None = None
     sensor_pose: tuple[float, float, float] | None = None  # T_robot_sensor [m, m, rad]
@@ -42,6 +43,19 @@ def is_bag(path: Path) -> bool:
     return path.suffix in BAGS
 
 
+def robots_of(path: Path, source: LaserSource) -> tuple[str | None, ...]:
+    """The robots of the log at `path`, in natural order of their names; a log of one robot gives None for it.
+
+    Topics given by hand choose one robot, too.
+    """
+    if not is_bag(path) or source.scan_topic is not None or source.odom_topic is not None:
+        return (None,)
+    from .ros import robots_in  # noqa: PLC0415  (message types cost a second; only recordings need them)
+
+    names = robots_in(path)
+    return names if len(names) > 1 else (None,)
+
+
 def read_laser(path: Path, robot: str = "1", source: LaserSource | None = None) -> LaserLog:
     """The log at `path` as robot `robot`. Raises ReaderError when its format is not known or the file is damaged."""
     source = source or LaserSource()
@@ -53,6 +67,7 @@ def read_laser(path: Path, robot: str = "1", source: LaserSource | None = None) 
         return read_ros(
             path,
             robot,
+            name=source.name,
             scan_topic=source.scan_topic,
             odom_topic=source.odom_topic,
             sensor_pose=source.sensor_pose,

@@ -1,5 +1,6 @@
-"""Laser logs from ROS recordings: scans and odometry found by type, sensor poses from tf."""
+"""Laser logs from ROS recordings: one robot's scans and odometry found by type, sensor poses from tf."""
 
+import hashlib
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,45 +8,51 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import ReaderError
 from ..core.laser_log import LaserLog
 from .assemble import RawLog, RawScan
-from .bag import Bag, bag_hash, open_bag
+from .bag import bag_hash, open_bag
+from .bag_robots import ODOMETRY, SCAN, TF, BagRobot, bag_robots, choose_robot
 from .transforms import Transforms, frame, planar, rigid
 
-SCAN = "sensor_msgs/msg/LaserScan"
-ODOMETRY = "nav_msgs/msg/Odometry"
-TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+Stamped = tuple[float, str, Any]  # time [s], topic, LaserScan
+
+
+def robots_in(path: Path) -> tuple[str, ...]:
+    """The names of the robots in the recording at `path` that carry a scanner, in natural order."""
+    return tuple(robot.name for robot in bag_robots(open_bag(path, (SCAN, ODOMETRY, *TF))))
 
 
 def read_ros(
     path: Path,
     robot: str,
     *,
+    name: str | None = None,
     scan_topic: str | None = None,
     odom_topic: str | None = None,
     sensor_pose: Sequence[float] | None = None,
     mirrored: bool = False,
 ) -> LaserLog:
-    """The log in a ROS 1 or ROS 2 recording; the fullest topic of a type is taken unless one is named.
+    """The log of the robot called `name` (or that the topics speak of, or the only one) in a recording.
 
-    `odom_topic` may name a tf topic. Stamps are those of the message headers. Raises ReaderError, listing what is
-    there, for a topic that is not.
+    All its scanners that tf places are used, unless a topic is named; `odom_topic` may name a tf topic. Stamps are
+    those of the message headers. Raises ReaderError, listing what is there, for a topic that is not, and where several
+    robots could be meant.
     """
     bag = open_bag(path, (SCAN, ODOMETRY, *TF))
-    raw = RawLog(robot, str(path), bag_hash(path))
+    chosen = choose_robot(bag, name, scan_topic, odom_topic)
+    raw = RawLog(robot, str(path), _hash_of(bag_hash(path), chosen))
     if bag.lost:
         raw.warnings.append(f"{path.name}: {bag.lost}; they are used")
-    scans = _choose(bag, raw, scan_topic, (SCAN,), "scan")
-    wheels = _choose(bag, raw, odom_topic, (ODOMETRY, *TF) if odom_topic else (ODOMETRY,), "odometry")
-    if scans is None:
-        raise ReaderError(path, f"no LaserScan topic; there are {bag.listing() or 'no topics'}")
+    wheels = chosen.odometry[0] if chosen.odometry else None
+    if len(chosen.odometry) > 1:
+        raw.warnings.append(f"odometry is read from {wheels}; there is also {', '.join(chosen.odometry[1:])}")
+    by_tf = wheels is not None and bag.kinds[wheels] in TF
     tf = Transforms()
-    messages: list[tuple[float, Any]] = []
+    messages: list[Stamped] = []
     robot_frame: Counter[str] = Counter()
-    for topic, ns, message in bag.messages({scans, *bag.topics(*TF), *([wheels] if wheels else [])}):
-        if topic == scans:
-            messages.append((_stamp(message.header, ns), message))
+    for topic, ns, message in bag.messages({*chosen.scans, *chosen.tf, *([wheels] if wheels else [])}):
+        if topic in chosen.scans:
+            messages.append((_stamp(message.header, ns), topic, message))
         elif bag.kinds[topic] in TF:
             for transform in message.transforms:
                 tf.add(_stamp(transform.header, ns), transform)
@@ -54,32 +61,45 @@ def read_ros(
             raw.odometry.append((_stamp(message.header, ns), *pose))
             robot_frame[frame(message.child_frame_id)] += 1
             raw.odometry_from = "poses"
-    sensor = frame(messages[0][1].header.frame_id) if messages else ""
+    sensor = next((frame(m.header.frame_id) for _, topic, m in messages if topic == chosen.scans[0]), "")
     edge = tf.odometry_edge(sensor)
-    if not raw.odometry and edge is not None:
+    if not raw.odometry and edge is not None and (wheels is None or by_tf):
         raw.odometry = [(t, *planar(transform)) for t, transform in tf.seen[edge]]
         raw.odometry_from = "tf"
         robot_frame[edge[1]] += 1
     base = robot_frame.most_common(1)[0][0] if robot_frame else (edge[1] if edge else "")
-    _add_scans(raw, messages, tf, base, given=sensor_pose is not None)
+    used = _placed(messages, chosen.scans, tf, base, raw, given=sensor_pose is not None)
+    _add_scans(raw, [m for m in messages if m[1] in used], tf, base, given=sensor_pose is not None)
     return raw.finish(mirrored=mirrored, sensor_pose=sensor_pose)
 
 
-def _choose(bag: Bag, raw: RawLog, wanted: str | None, kinds: Sequence[str], what: str) -> str | None:
-    there = bag.topics(*kinds)
-    if wanted is not None:
-        for topic in there:
-            if topic.lstrip("/") == wanted.lstrip("/"):
-                return topic
-        raise ReaderError(bag.path, f"no {what} topic {wanted!r}; there are {bag.listing() or 'no topics'}")
-    if len(there) > 1:
-        raw.warnings.append(f"{what} is read from {there[0]}; there is also {', '.join(there[1:])}")
-    return there[0] if there else None
+def _hash_of(digest: str, robot: BagRobot) -> str:
+    """The recording's hash; that of a named robot's part of it differs from the other robots'."""
+    return hashlib.sha256(f"{digest} {robot.name}".encode()).hexdigest() if robot.name else digest
 
 
-def _add_scans(raw: RawLog, messages: list[tuple[float, Any]], tf: Transforms, base: str, *, given: bool) -> None:
+def _placed(
+    messages: Sequence[Stamped], scans: Sequence[str], tf: Transforms, base: str, raw: RawLog, *, given: bool
+) -> set[str]:
+    """The scan topics to use: all that tf places on the robot, one of each frame; else the first of all."""
+    frames: dict[str, str] = {}
+    for _, topic, message in messages:
+        frames.setdefault(topic, frame(message.header.frame_id))
+    placed = [topic for topic in scans if topic in frames and tf.sensor_pose(base, frames[topic]) is not None]
+    used: dict[str, str] = {}
+    for topic in placed[:1] if given else placed:
+        used.setdefault(frames[topic], topic)
+    kept = list(used.values()) or list(scans[:1])
+    if left := [topic for topic in scans if topic not in kept]:
+        raw.warnings.append(f"scan is read from {' and '.join(kept)}; there is also {', '.join(left)}")
+    elif len(kept) > 1:
+        raw.warnings.append(f"scans of {' and '.join(kept)} are used together")
+    return set(kept)
+
+
+def _add_scans(raw: RawLog, messages: Sequence[Stamped], tf: Transforms, base: str, *, given: bool) -> None:
     places: dict[str, tuple[np.ndarray, bool]] = {}
-    for t, message in messages:
+    for t, _, message in messages:
         name = frame(message.header.frame_id)
         if name not in places:
             found = tf.sensor_pose(base, name)
