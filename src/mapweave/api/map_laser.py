@@ -19,7 +19,7 @@ from ..core.records import Track
 from ..core.version import __version__
 from ..core.workers import worker_pool
 from ..io.directory import write_json
-from ..io.laser_logs import LaserSource, is_laser_log, read_laser
+from ..io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
 from ..io.laser_map import write_laser_map
 from ..io.tum import read_tum, write_tum
 from ..laser.config import LaserConfig
@@ -68,7 +68,7 @@ def applies(log: Path) -> bool:
 
 
 def map_logs(logs: Sequence[Path], options: MapOptions) -> LaserResult:
-    """The maps of `logs`; robot K is the K-th of them."""
+    """The maps of `logs`; robot K is the K-th of their robots, of which a recording may hold several."""
     cfg = _configured(options)
     source = LaserSource(
         scan_topic=options.laser.scan_topic,
@@ -76,13 +76,18 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> LaserResult:
         sensor_pose=options.laser.sensor_pose,
         mirrored=options.laser.mirrored,
     )
-    names = [str(k) for k in range(1, len(logs) + 1)]
+    robots = [(log, replace(source, name=name)) for log in logs for name in robots_of(log, source)]
+    names = [str(k) for k in range(1, len(robots) + 1)]
     wanted = names if options.robots is None else list(options.robots)
     if missing := [name for name in wanted if name not in names]:
-        raise UsageError(f"--robots: there is no robot {missing[0]} among {len(logs)} logs")
-    jobs = [(logs[names.index(name)], name, source, cfg, options.seed, options.share.get(name, 1.0)) for name in wanted]
+        raise UsageError(f"--robots: there is no robot {missing[0]} among {len(names)} robots of {len(logs)} logs")
+    held = dict(zip(names, robots, strict=True))
+    jobs = [(held[name][0], name, held[name][1], cfg, options.seed, options.share.get(name, 1.0)) for name in wanted]
     maps = tuple(_told(made, options) for made in _worked(jobs, options))
     metrics = _metrics(maps, options)
+    for name in wanted:
+        if (called := held[name][1].name) is not None:
+            metrics["robots"][name]["name"] = called
     if not options.truth:
         return LaserResult(maps, metrics)
     with tempfile.TemporaryDirectory() as folder:
