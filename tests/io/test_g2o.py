@@ -5,7 +5,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.errors import ReaderError
-from mapweave.io.g2o import read_g2o, write_g2o
+from mapweave.io.g2o import read_g2o, read_g2o_file, write_g2o
 from mapweave.laser.pose_graph import PoseGraph
 
 
@@ -24,7 +24,7 @@ def test_a_written_graph_comes_back(tmp_path):
     back = read_g2o(tmp_path / "a.g2o")
     for name in PoseGraph.__slots__:
         assert np.allclose(getattr(back, name), getattr(graph, name), rtol=1e-7)
-    assert (tmp_path / "a.g2o").read_text().splitlines()[6] == "FIX 0"
+    assert (tmp_path / "a.g2o").read_text().splitlines()[-1] == "FIX 0"
 
 
 def test_poses_without_a_vertex_are_reached_along_the_edges(tmp_path):
@@ -45,8 +45,69 @@ def test_a_bad_row_and_a_graph_in_two_parts_are_told(tmp_path):
     with pytest.raises(ReaderError, match="2 poses have no vertex"):
         read_g2o(path)
     path.write_text("hello\n")
-    with pytest.raises(ReaderError, match="found none"):
+    with pytest.raises(ReaderError, match="expected VERTEX_SE2 and EDGE_SE2 rows, found 1 hello"):
         read_g2o(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("EDGE_SE2 0 1 1 0 0 1 0 0 0 0 1", "g:2: expected a positive definite information of EDGE_SE2 0 1"),
+        ("EDGE_SE2 0 1 1 0 0 1 2 0 1 0 1", "g:2: expected a positive definite information of EDGE_SE2 0 1"),
+        ("EDGE_SE2 0 1 1 0 0 1e308 1e308 0 1e307 0 1", "g:2: expected a positive definite information"),
+        ("EDGE_SE2 0 1 nan 0 0 1 0 0 1 0 1", "g:2: EDGE_SE2 needs 11 finite numbers"),
+        ("EDGE_SE2 0 1.5 1 0 0 1 0 0 1 0 1", "g:2: EDGE_SE2 needs whole numbers for ids, found '0 1.5'"),
+        ("EDGE_SE2 0 0 1 0 0 1 0 0 1 0 1", "g:2: expected an edge between two poses, found one from 0 to itself"),
+        ("VERTEX_SE2 0 1 1 1", "g:2: vertex 0 is told twice"),
+        ("VERTEX_SE2 1 inf 1 1", "g:2: VERTEX_SE2 needs 4 finite numbers"),
+        ("VERTEX_SE2", "g:2: VERTEX_SE2 needs 4 finite numbers"),
+        ("FIX 7", "g:2: FIX 7: there is no such vertex"),
+        ("FIX one", "g:2: FIX needs whole numbers"),
+        ("EDGE_SE2 0 1 1e308 1e308 1 1 0 0 1 0 1\nEDGE_SE2 1 2 1e308 1e308 1 1 0 0 1 0 1", "1 poses have no vertex"),
+    ],
+)
+def test_what_no_graph_can_be_is_told_with_its_line(tmp_path, text, said):
+    (tmp_path / "g").write_text(f"VERTEX_SE2 0 0 0 0\n{text}\n")
+    with pytest.raises(ReaderError, match=said):
+        read_g2o(tmp_path / "g")
+
+
+def test_ids_fixed_poses_and_rows_of_other_kinds_are_told(tmp_path):
+    path = tmp_path / "d.g2o"
+    path.write_text(
+        "# made by hand\nVERTEX_SE2 7 1 2 0\nEDGE_SE2 7 9 1 0 0 1 0 0 1 0 1\nFIX 7\nVERTEX_XY 3 1 1\nVERTEX_XY 4 1 1\n"
+    )
+    held = read_g2o_file(path)
+    assert (held.ids, held.fixed, held.unread) == ((7, 9), (0,), {"VERTEX_XY": 2})
+    assert held.started.tolist() == [True, False]
+    assert held.warnings == ("rows of other kinds than VERTEX_SE2, EDGE_SE2 and FIX are passed over: 2 VERTEX_XY",)
+    write_g2o(path, held.graph, held.ids, held.fixed)
+    again = read_g2o_file(path)
+    assert (again.ids, again.fixed, again.unread, again.warnings) == ((7, 9), (0,), {}, ())
+
+
+def test_gtsam_reads_every_vertex_and_every_edge_of_a_written_graph(tmp_path):
+    gtsam = pytest.importorskip("gtsam")
+    rng = np.random.default_rng(1)
+    pose = np.column_stack([rng.normal(0, 5, (5, 2)), rng.uniform(-3, 3, 5)])
+    A = rng.normal(size=(5, 3, 3))
+    ends = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [4, 0]])
+    graph = PoseGraph(pose, *ends.T, se2.between(pose[ends[:, 0]], pose[ends[:, 1]]), A @ A.transpose(0, 2, 1))
+    write_g2o(tmp_path / "a.g2o", graph)
+    factors, values = gtsam.readG2o(str(tmp_path / "a.g2o"), False)
+    assert (factors.size(), values.size()) == (5, 5)
+    for k in range(5):
+        factor = factors.at(k)
+        assert list(factor.keys()) == ends[k].tolist()
+        step = factor.measured()
+        assert np.allclose([step.x(), step.y(), step.theta()], graph.measured[k], atol=1e-7)
+        assert np.allclose(factor.noiseModel().information(), graph.information[k], rtol=1e-6, atol=1e-7)
+        at = values.atPose2(k)
+        assert np.allclose([at.x(), at.y(), at.theta()], pose[k], atol=1e-7)
+    gtsam.writeG2o(factors, values, str(tmp_path / "b.g2o"))
+    back = read_g2o(tmp_path / "b.g2o")
+    assert np.allclose(back.pose, pose, atol=1e-5)
+    assert np.allclose(back.information, graph.information, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.data

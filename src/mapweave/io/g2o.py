@@ -1,8 +1,12 @@
 """Pose graphs as g2o text: `VERTEX_SE2 i x y theta`, `EDGE_SE2 i j dx dy dtheta I11 I12 I13 I22 I23 I33`."""
 
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from ..core import se2
 from ..core.errors import ReaderError
@@ -10,61 +14,161 @@ from ..laser.pose_graph import PoseGraph
 from .rows import open_text, write_rows
 from .text import TextLog
 
-SIZES = {"VERTEX_SE2": 5, "EDGE_SE2": 12}
+VERTEX, EDGE, FIX = "VERTEX_SE2", "EDGE_SE2", "FIX"
+NUMBERS = {VERTEX: (1, 3), EDGE: (2, 9)}  # ids, then numbers, in a row of each kind
+UPPER = np.triu_indices(3)
+LARGEST = 2**63  # an id is less
+
+
+@dataclass(frozen=True, slots=True)
+class G2oFile:
+    """What a g2o file holds.
+
+    ids: the file's name of each pose of `graph`, ascending; fixed: poses that FIX rows name, as indices into `graph`;
+    started: (n,), which poses the file itself gives, the others being reached along edges; unread: how many rows of
+    each kind were passed over.
+    """
+
+    graph: PoseGraph
+    ids: tuple[int, ...]
+    fixed: tuple[int, ...]
+    started: Bool[np.ndarray, " n"]
+    unread: dict[str, int]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """One sentence where rows of unknown kinds were passed over."""
+        told = ", ".join(f"{n} {kind}" for kind, n in self.unread.items())
+        return (f"rows of other kinds than {VERTEX}, {EDGE} and {FIX} are passed over: {told}",) if told else ()
+
+
+@dataclass(slots=True)
+class _Rows:
+    """Rows as the file gives them: poses by id, and edges with the line each stands on."""
+
+    poses: dict[int, list[float]]
+    ends: list[tuple[int, int]]
+    known: list[list[float]]
+    lines: list[int]
+    fixed: dict[int, int]  # id -> line
+    unread: Counter[str]
 
 
 def read_g2o(path: Path) -> PoseGraph:
+    """The graph in `path` alone; see `read_g2o_file`."""
+    return read_g2o_file(path).graph
+
+
+def read_g2o_file(path: Path) -> G2oFile:
     """The graph in `path`, plain or gzipped. Vertices are numbered anew in the order of their ids.
 
     A graph without vertices (or with some missing) gets poses by walking the edges from the first, those from one id
-    to the next before others. Raises ReaderError naming the line for a row that does not parse, and for a graph that
-    does not hang together.
+    to the next before others. Raises ReaderError naming the line for a row that does not parse, a vertex told twice,
+    an edge from a pose to itself or whose information is not positive definite; and for a graph that does not hang
+    together.
     """
+    rows = _rows(path)
+    if not rows.ends and not rows.poses:
+        told = ", ".join(f"{n} {kind}" for kind, n in rows.unread.items())
+        raise ReaderError(path, f"expected {VERTEX} and {EDGE} rows, found {told or 'none'}")
+    names = tuple(sorted({*rows.poses, *(i for pair in rows.ends for i in pair)}))
+    index = {name: k for k, name in enumerate(names)}
+    for name, line in rows.fixed.items():
+        if name not in index:
+            raise ReaderError(path, f"{FIX} {name}: there is no such vertex", line)
+    ends = np.array([(index[i], index[j]) for i, j in rows.ends], dtype=np.int64).reshape(-1, 2)
+    known = np.array(rows.known, dtype=float).reshape(-1, 9)
+    information = _information(known[:, 3:])
+    if (wrong := _not_positive(information)) is not None:
+        i, j = rows.ends[wrong]
+        raise ReaderError(path, f"expected a positive definite information of {EDGE} {i} {j}", rows.lines[wrong])
+    start = np.full((len(names), 3), np.nan)
+    for name, pose in rows.poses.items():
+        start[index[name]] = pose
+    whole = _walked(path, start, ends, known[:, :3], names)
+    graph = PoseGraph(whole, ends[:, 0], ends[:, 1], known[:, :3], information)
+    fixed = tuple(index[name] for name in rows.fixed)
+    return G2oFile(graph, names, fixed, ~np.isnan(start[:, 0]), dict(sorted(rows.unread.items())))
+
+
+def _rows(path: Path) -> _Rows:
     log = TextLog(path)
-    poses: dict[int, list[float]] = {}
-    edges: list[tuple[int, int, list[float]]] = []
-    for number, line in log.lines():
-        words = line.split()
-        if not words or words[0] not in SIZES:
+    out = _Rows({}, [], [], [], {}, Counter())
+    for line, text in log.lines():
+        words = text.split()
+        if not words or words[0].startswith("#"):
             continue
-        try:
-            values = [float(word) for word in words[1:]]
-            if len(words) != SIZES[words[0]] or not np.isfinite(values).all():
-                raise ValueError  # noqa: TRY301
-        except ValueError:
-            want = SIZES[words[0]] - 1
-            raise ReaderError(path, f"{words[0]} needs {want} finite numbers, found {line[:60]!r}", number) from None
-        if words[0] == "VERTEX_SE2":
-            poses[int(values[0])] = values[1:]
+        kind = words[0]
+        if kind == FIX:
+            out.fixed |= dict.fromkeys(_ids(path, kind, words[1:], line), line)
+            continue
+        if kind not in NUMBERS:
+            out.unread[kind[:40]] += 1
+            continue
+        n, m = NUMBERS[kind]
+        ids = _ids(path, kind, words[1 : 1 + n], line)
+        values = _finite(words[1 + n :])
+        if len(ids) != n or len(values) != m:
+            raise ReaderError(path, f"{kind} needs {n + m} finite numbers, found {text[:60]!r}", line)
+        if kind == VERTEX:
+            if ids[0] in out.poses:
+                raise ReaderError(path, f"vertex {ids[0]} is told twice", line)
+            out.poses[ids[0]] = values
+        elif ids[0] == ids[1]:
+            raise ReaderError(path, f"expected an edge between two poses, found one from {ids[0]} to itself", line)
         else:
-            edges.append((int(values[0]), int(values[1]), values[2:]))
+            out.ends.append((ids[0], ids[1]))
+            out.known.append(values)
+            out.lines.append(line)
     if log.truncated:
         raise ReaderError(path, log.truncated)
-    if not edges and not poses:
-        raise ReaderError(path, "expected VERTEX_SE2 and EDGE_SE2 rows, found none")
-    names = sorted({*poses, *(i for i, _, _ in edges), *(j for _, j, _ in edges)})
-    index = {name: k for k, name in enumerate(names)}
-    first = np.array([index[i] for i, _, _ in edges], dtype=np.int64)
-    second = np.array([index[j] for _, j, _ in edges], dtype=np.int64)
-    known = np.array([v for _, _, v in edges]).reshape(-1, 9)
-    start = np.full((len(names), 3), np.nan)
-    for name, pose in poses.items():
-        start[index[name]] = pose
-    whole = _walked(path, start, first, second, known[:, :3])
-    return PoseGraph(whole, first, second, known[:, :3], _information(known[:, 3:]))
-
-
-def _information(upper: np.ndarray) -> np.ndarray:
-    out = np.empty((len(upper), 3, 3))
-    rows, cols = np.triu_indices(3)
-    out[:, rows, cols] = upper
-    out[:, cols, rows] = upper
     return out
 
 
-def _walked(path: Path, pose: np.ndarray, first: np.ndarray, second: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """`pose` with its missing rows (NaN) reached along edges: from each to its next, then breadth first."""
-    pose = pose.copy()
+def _ids(path: Path, kind: str, words: Sequence[str], line: int) -> list[int]:
+    try:
+        ids = [int(word) for word in words]
+    except ValueError:
+        ids = [-1]
+    if min(ids, default=0) < 0 or max(ids, default=0) >= LARGEST:
+        raise ReaderError(path, f"{kind} needs whole numbers for ids, found {' '.join(words)[:60]!r}", line)
+    return ids
+
+
+def _finite(words: Sequence[str]) -> list[float]:
+    """The words as numbers; none where one of them is not finite."""
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        return []
+    return values if np.isfinite(values).all() else []
+
+
+def _not_positive(information: Float[np.ndarray, "m 3 3"]) -> int | None:
+    """The first matrix that is not positive definite."""
+    largest = np.abs(information).max(axis=(1, 2), initial=0.0)
+    scaled = information / np.where(largest > 0, largest, 1.0)[:, None, None]
+    wrong = np.flatnonzero(np.linalg.eigvalsh(scaled)[:, 0] <= 0.0) if len(scaled) else []
+    return int(wrong[0]) if len(wrong) else None
+
+
+def _information(upper: Float[np.ndarray, "m 6"]) -> Float[np.ndarray, "m 3 3"]:
+    out = np.empty((len(upper), 3, 3))
+    out[:, UPPER[0], UPPER[1]] = upper
+    out[:, UPPER[1], UPPER[0]] = upper
+    return out
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def _walked(
+    path: Path,
+    start: Float[np.ndarray, "n 3"],
+    ends: Int[np.ndarray, "m 2"],
+    measured: Float[np.ndarray, "m 3"],
+    names: Sequence[int],
+) -> Float[np.ndarray, "n 3"]:
+    """`start` with its missing rows (NaN) reached along edges: from each to its next, then breadth first."""
+    pose, (first, second) = start.copy(), ends.T
     if np.isnan(pose[:, 0]).all():
         pose[0] = 0.0
     for k in np.argsort(first, kind="stable").tolist():
@@ -84,19 +188,22 @@ def _walked(path: Path, pose: np.ndarray, first: np.ndarray, second: np.ndarray,
                 step = measured[k] if a == i else se2.inverse(measured[k])
                 pose[other] = se2.compose(pose[i], step)
                 queue.append(other)
-    if np.isnan(pose).any():
-        raise ReaderError(path, f"{int(np.isnan(pose[:, 0]).sum())} poses have no vertex and no edge leads to them")
+    lost = np.flatnonzero(~np.isfinite(pose).all(axis=1))
+    if len(lost):
+        told = ", ".join(str(names[k]) for k in lost[:3].tolist()) + (", ..." if len(lost) > 3 else "")
+        raise ReaderError(path, f"{len(lost)} poses have no vertex and no edge leads to them: {told}")
     return pose
 
 
-def write_g2o(path: Path, graph: PoseGraph) -> None:
-    """`path` holds the graph; its first vertex is fixed."""
-    vertices = np.column_stack([np.arange(len(graph)), graph.pose])
-    I = graph.information
-    upper = np.column_stack([I[:, 0, 0], I[:, 0, 1], I[:, 0, 2], I[:, 1, 1], I[:, 1, 2], I[:, 2, 2]])
+def write_g2o(path: Path, graph: PoseGraph, ids: Sequence[int] | None = None, fixed: Sequence[int] = (0,)) -> None:
+    """`path` holds vertices (called `ids`, else 0, 1, ...), then edges, then FIX rows for the poses `fixed`.
+
+    GTSAM stops reading at a FIX row, so that no edge may come after it.
+    """
+    name = np.arange(len(graph)) if ids is None else np.asarray(ids, dtype=np.int64)
+    vertices = np.column_stack([name, graph.pose])
+    edges = np.column_stack([name[graph.first], name[graph.second], graph.measured, graph.information[:, *UPPER]])
     with open_text(path) as file:
-        write_rows(file, "VERTEX_SE2 %d %.9g %.9g %.9g\n", vertices)
-        if len(graph):
-            file.write("FIX 0\n")
-        edges = np.column_stack([graph.first, graph.second, graph.measured, upper])
-        write_rows(file, "EDGE_SE2 %d %d" + " %.9g" * 9 + "\n", edges)
+        write_rows(file, f"{VERTEX} %d %.9g %.9g %.9g\n", vertices)
+        write_rows(file, f"{EDGE} %d %d" + " %.9g" * 9 + "\n", edges)
+        file.writelines(f"{FIX} {name[k]}\n" for k in fixed if k < len(graph))
