@@ -148,7 +148,7 @@ def _not_positive(information: Float[np.ndarray, "m 3 3"]) -> int | None:
     """The first matrix that is not positive definite."""
     largest = np.abs(information).max(axis=(1, 2), initial=0.0)
     scaled = information / np.where(largest > 0, largest, 1.0)[:, None, None]
-    wrong = np.flatnonzero(np.linalg.eigvalsh(scaled)[:, 0] <= 0.0) if len(scaled) else []
+    wrong = np.flatnonzero(np.linalg.eigvalsh(scaled)[:, 0] <= 0.0)
     return int(wrong[0]) if len(wrong) else None
 
 
