@@ -76,28 +76,21 @@ def test_a_variable_named_twice_in_one_factor_gets_the_sum_of_its_columns():
     assert minimise(Problem(x0=np.zeros(1), terms=[factor])).x == pytest.approx(3.0, abs=1e-9)
 
 
-def test_marginals_without_a_gauge_are_those_of_the_pseudo_inverse():
-    rng = np.random.default_rng(4)
-    i, j = np.triu_indices(9, 1)
-    keep = rng.random(len(i)) < 0.5
-    i, j = np.append(i[keep], np.arange(8)), np.append(j[keep], np.arange(1, 9))
-    differences = Factor(
-        columns=np.stack([i, j], axis=1),
-        residual=lambda x: (x[j] - x[i])[:, None],
-        jacobian=lambda _: np.tile([[[-1.0, 1.0]]], (len(i), 1, 1)),
-        rows=1,
-    )
-    fixed = np.arange(9) == 4
-    solution = minimise(Problem(x0=np.zeros(9), terms=[differences], fixed=fixed))
-    L = np.zeros((9, 9))
-    np.add.at(L, (i, i), 1)
-    np.add.at(L, (j, j), 1)
-    np.add.at(L, (i, j), -1)
-    np.add.at(L, (j, i), -1)
-    pinv = np.linalg.pinv(L)
-    index = np.array([[0, 4, 8], [4, 5, 6]])
-    expected = pinv[index[:, :, None], index[:, None, :]]
-    np.testing.assert_allclose(solution.blocks_without_gauge(index, np.ones((9, 1))), expected, atol=1e-12)
+def test_blocks_by_nested_dissection_are_those_of_the_inverse():
+    rng = np.random.default_rng(6)
+    solution = minimise(as_problem(*pose_landmark_world(rng, poses=90), rng))
+    index = np.arange(270).reshape(90, 3)
+    group = np.arange(len(solution.x)) + 90
+    group[index] = np.arange(90)[:, None]
+    along = np.full((len(group), 1), 45.0)  # landmarks in the middle: every cut along the drive leaves them
+    along[index, 0] = np.arange(90)[:, None]
+    plain = solution.blocks(index)
+    for where in (None, along):
+        apart = solution.dissected(group, where)
+        assert apart.information.factor.together(index[1:] - 3)
+        np.testing.assert_allclose(apart.blocks(index), plain, rtol=1e-8, atol=1e-13)
+    assert not plain[0].any()  # the gauge
+    assert np.linalg.eigvalsh(plain[1:]).min() > 0
 
 
 def test_the_analytic_jacobians_of_the_shared_problem_are_the_numeric_ones():

@@ -10,6 +10,7 @@ import numpy as np
 from ..core.bearings import BearingTable
 from ..core.errors import DataError, UsageError
 from ..core.gaussian import chi2_quantile
+from ..core.progress import Progress, no_progress
 from ..core.records import Odometry
 from ..core.threads import one_blas_thread
 from ..evaluation.swarm import StandingScore, score_moving, score_standing, scored_robots, true_places
@@ -54,6 +55,7 @@ def locate(
     filtered: bool = False,
     seed: int = 0,
     force: bool = False,
+    on_progress: Progress = no_progress,
 ) -> Located | Moved:
     """Positions of all robots, written to the folder `out` when one is given.
 
@@ -70,6 +72,7 @@ def locate(
     if out is not None:
         check_target(Path(out), force=force)
     began = perf_counter()
+    on_progress("reading", 0, 1)
     log: Mapping[str, Odometry] | None = None
     if not isinstance(sightings, BearingTable) and is_team_log(Path(sightings)):
         sightings, log = read_team_bearings(Path(sightings))
@@ -77,6 +80,8 @@ def locate(
     known = dict(anchors or {})
     given = prepare(sightings, anchors=known, dim=dim, sigma=sigma, distances=distances, axis=axis, until=until)
     read = perf_counter()
+    on_progress("reading", 1, 1)
+    on_progress("locating", 0, 1)
     settings = Settings(method, seed, {"read": read - began}, None if truth is None else read_truth(Path(truth)))
     if settings.truth is not None and not set(settings.truth.ids) & set(given.table.ids):
         raise DataError(f"{truth}: the truth names none of the robots")
@@ -85,17 +90,20 @@ def locate(
         raise UsageError("--odometry: the sightings bear no time stamps")
     result: Located | Moved
     if odometry is not None:
-        result = _drive(given, settings, read_swarm_odometry(Path(odometry)), motion or TrackConfig())
+        result = _drive(given, settings, read_swarm_odometry(Path(odometry)), motion or TrackConfig(), on_progress)
     elif log is not None:
-        result = _drive(given, settings, log, motion or COMMANDED)
+        result = _drive(given, settings, log, motion or COMMANDED, on_progress)
     elif stamped:
         still = None if motion is not None or filtered else _stood_still(given, settings, covariance=covariance)
         result = still or _move(given, settings, motion, filtered=filtered)
     else:
         result = _stand(given, settings, initial, covariance=covariance)
+    on_progress("locating", 1, 1)
     if out is not None:
+        on_progress("writing", 0, 1)
         with result_directory(Path(out), force=force) as work:
             result.write(work)
+        on_progress("writing", 1, 1)
     return result
 
 
@@ -148,12 +156,15 @@ def _move(given: SwarmInput, settings: Settings, motion: TrackConfig | None, *, 
     return _moved(given, settings, track, perf_counter() - began)
 
 
-def _drive(given: SwarmInput, settings: Settings, rows: Mapping[str, Odometry], motion: TrackConfig) -> Moved:
+def _drive(
+    given: SwarmInput, settings: Settings, rows: Mapping[str, Odometry], motion: TrackConfig, on_progress: Progress
+) -> Moved:
     began = perf_counter()
     by_index = {k: rows[name] for k, name in enumerate(given.table.ids) if name in rows}
     if not by_index:
         raise DataError("the odometry names no robot of the sightings")
-    track = smooth_driving(given.table, by_index, given.anchors, _tuned(motion, settings))
+    cfg = _tuned(motion, settings)
+    track = smooth_driving(given.table, by_index, given.anchors, cfg, on_progress=on_progress)
     return _moved(given, settings, track, perf_counter() - began)
 
 

@@ -74,29 +74,32 @@ def locate(
     from ..api.locate_options import parse_anchors, parse_distances
     from ..core.errors import UsageError
     from ..swarm.moving.result import TrackConfig
+    from .progress import progress
     from .say import say
 
     if dim not in {None, 2, 3}:
         raise UsageError(f"--dim {dim}: expected 2 or 3")
-    result = run(
-        sightings,
-        out,
-        anchors=parse_anchors(anchor),
-        dim=dim,
-        sigma=sigma,
-        distances=parse_distances(distance),
-        method=method,
-        axis=axis,
-        odometry=odometry,
-        initial=initial,
-        truth=truth,
-        covariance=covariance,
-        motion=None if acceleration is None else TrackConfig(acceleration=acceleration),
-        until=until,
-        filtered=filtered,
-        seed=seed,
-        force=force,
-    )
+    with progress() as on_progress:
+        result = run(
+            sightings,
+            out,
+            anchors=parse_anchors(anchor),
+            dim=dim,
+            sigma=sigma,
+            distances=parse_distances(distance),
+            method=method,
+            axis=axis,
+            odometry=odometry,
+            initial=initial,
+            truth=truth,
+            covariance=covariance,
+            motion=None if acceleration is None else TrackConfig(acceleration=acceleration),
+            until=until,
+            filtered=filtered,
+            seed=seed,
+            force=force,
+            on_progress=on_progress,
+        )
     for line in result.lines():
         say(line)
     say(f"report: {out / 'report.html'}")

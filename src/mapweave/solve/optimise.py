@@ -1,6 +1,6 @@
 """Gauss-Newton and Levenberg-Marquardt on the sparse information form."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -73,20 +73,17 @@ class Solution:
         P = self._known().blocks(np.where(free, at, np.maximum(at.max(axis=1, keepdims=True), 0)))
         return np.asarray(P * free[:, :, None] * free[:, None, :])
 
-    def blocks_without_gauge(
-        self, index: Int[np.ndarray, "b k"], gauge: Float[np.ndarray, "n g"]
-    ) -> Float[np.ndarray, "b k k"]:
-        """`blocks` in the gauge of least trace, whichever entries were fixed to hold the gauge in the solve.
+    def dissected(
+        self, group: Int[np.ndarray, " n"], coordinates: Float[np.ndarray, "n d"] | None = None
+    ) -> "Solution":
+        """The same solution, its information factorised by nested dissection: for the `blocks` of thousands of groups.
 
-        gauge: (n, g) spans the motions of x that no measurement sees. Baarda's S-transformation: the covariance is
-        projected off the gauge, so the blocks are those of the pseudo-inverse of the whole information matrix.
+        group, coordinates: of every entry of x, as `Information.dissected` takes them. As it is when it is singular.
         """
-        Q = np.linalg.pinv(gauge)
-        A = np.zeros((len(self.x), Q.shape[0]))
-        A[self.free] = self._known().solve(Q.T[self.free])
-        C, G, A = Q @ A, gauge[index], A[index]
-        P = self.blocks(index) - G @ A.swapaxes(1, 2) - A @ G.swapaxes(1, 2) + G @ C @ G.swapaxes(1, 2)
-        return np.asarray(0.5 * (P + P.swapaxes(1, 2)))
+        if self.information is None:
+            return self
+        where = None if coordinates is None else coordinates[self.free]
+        return replace(self, information=self.information.dissected(group[self.free], where))
 
     def _position(self, index: Int[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
         at = np.full(len(self.x), -1)
@@ -131,13 +128,13 @@ def minimise(problem: Problem, cfg: SolveConfig | None = None, pattern: Pattern 
             status = Status.DIVERGED
             break
         if cfg.damping == 0 or new < cost or (small and new <= cost * (1 + ROUNDING)):
-            settled = small or (damping <= 1 and abs(cost - new) <= cfg.cost_tolerance * cost)
+            converged = small or (damping <= 1 and abs(cost - new) <= cfg.cost_tolerance * cost)
             gain = (cost - new) / predicted if predicted > 0 else 1.0
             damping, raised = damping * max(1 / 3, 1 - (2 * min(gain, 1.0) - 1) ** 3), 2.0
             x, cost = tried, new
             costs.append(cost)
             H, g = pattern.assemble(*_normal(problem, x))
-            if settled:
+            if converged:
                 status = Status.CONVERGED
                 break
         elif small or damping > HARDEST:

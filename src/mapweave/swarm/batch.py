@@ -11,7 +11,7 @@ from . import factors
 from .config import SwarmConfig
 from .gauge import pins
 from .network import Network
-from .posterior import finish
+from .posterior import posterior
 from .result import SwarmEstimate
 from .start import Start, prepare
 
@@ -25,7 +25,7 @@ def batch(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) -> 
     start = prepare(net, initial)
     used = net.select(start.used)
     solution, problem, pattern = refine(used, start, cfg)
-    return finish(used, start, solution, problem, cfg, "batch", ~start.used, pattern=pattern)
+    return posterior(used, start, solution, problem, cfg, "batch", ~start.used, pattern=pattern)
 
 
 def refine(

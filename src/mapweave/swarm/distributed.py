@@ -17,12 +17,12 @@ from .batch import refine
 from .config import SwarmConfig
 from .graph import components, effective_sigma
 from .network import Network
-from .posterior import finish
+from .posterior import posterior
 from .result import SwarmEstimate, Traffic
 from .start import Start, prepare
 
 RELAXATION = 0.95
-SETTLED = 1e-4  # of the usual distance; a linear step below this is not worth telling
+QUIET = 1e-4  # of the usual distance; a linear step below this is not worth telling
 RELINEARISE = 5  # rounds between new linearisations
 FAINT = 1e-8  # a robot's own prior, of the information of one sighting
 FIRMER = 1e-5  # a change of information smaller than this share of a link's own is not worth telling
@@ -69,8 +69,8 @@ def distributed(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = Non
     start: Start = prepare(net, position)
     solution, problem, pattern = refine(net, start, replace(cfg, max_iterations=0))
     notes = () if more.rounds < cfg.max_rounds else (f"still talking after {more.rounds} rounds",)
-    settled = replace(solution, iterations=traffic.rounds, status=solution.status if notes else SolveStatus.CONVERGED)
-    return finish(net, start, settled, problem, cfg, "distributed", traffic=traffic, notes=notes, pattern=pattern)
+    converged = replace(solution, iterations=traffic.rounds, status=solution.status if notes else SolveStatus.CONVERGED)
+    return posterior(net, start, converged, problem, cfg, "distributed", traffic=traffic, notes=notes, pattern=pattern)
 
 
 def links_of(net: Network) -> MessageLinks:
@@ -110,7 +110,7 @@ def relaxed(
         np.add.at(pull, links.a, np.einsum("lab,lb->la", C, heard[links.b]))
         wanted = np.einsum("nab,nb->na", inverse, pull + 1e-6 * position)
         position[free] += RELAXATION * (wanted - position)[free]
-        speaks = np.linalg.norm(position - heard, axis=1) > SETTLED * usual
+        speaks = np.linalg.norm(position - heard, axis=1) > QUIET * usual
     return position, Traffic(rounds, messages, messages * dim * FLOAT)
 
 

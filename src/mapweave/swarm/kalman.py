@@ -16,7 +16,7 @@ from .factors import bearing_factor
 from .network import Network
 
 Form = Literal["ekf", "iekf", "fej"]
-SETTLED = 1e-9  # [m]; an iterated update ends when no coordinate moves further
+STEP_TOLERANCE = 1e-9  # [m]; an iterated update ends when no coordinate moves further
 HALVINGS = 30
 RANK = 1e-10  # singular values below this share of the largest are zero (exact sightings)
 
@@ -73,7 +73,7 @@ def update(state: FilterState, net: Network, form: Form = "ekf", max_iterations:
         if exact:
             x = _shortened(net, here, new, state.free, x, e)
             new = x.ravel()[state.free]
-        if np.abs(new - here).max(initial=0.0) < SETTLED:
+        if np.abs(new - here).max(initial=0.0) < STEP_TOLERANCE:
             break
     P = state.P if exact else symmetrise(state.P - K @ (H @ state.P))  # [Hamatani] eq. 8
     return replace(state, x=x, P=P, updates=state.updates + 1, iterations=state.iterations + done)

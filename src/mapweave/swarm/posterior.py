@@ -1,17 +1,18 @@
-"""From a minimum to an answer: covariances in the named gauge, degrees of freedom, and verdicts."""
+"""From a minimum to an estimate: covariances in the named gauge, degrees of freedom, and verdicts."""
+
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from ..solve import Information, Pattern, Problem, SingularError, Solution
 from ..solve import Status as SolveStatus
 from . import factors
 from .config import SwarmConfig
-from .gauge import basis, normalise
+from .gauge import Gauge, basis, normalise
 from .joint import JointInformation
 from .network import Network
-from .posterior_covariance import spread_of
 from .result import Status, SwarmEstimate, Traffic
 from .start import Start
 from .verdict import barely_determined, chi2_warnings, layout_warnings
@@ -23,8 +24,11 @@ STATUS = {
     SolveStatus.DIVERGED: Status.FAILED,
 }
 
+WEAK_SHARE, WEAK_DEVIATION = 0.8, 3.0  # of the variance in one mode; deviation in units of a sighting's own error
+POWER_STEPS = 12
 
-def finish(
+
+def posterior(
     net: Network,
     start: Start,
     solution: Solution,
@@ -54,9 +58,9 @@ def finish(
         x = (position if heading is None else np.concatenate([position, heading[:, None]], axis=1)).ravel()
         information = _information_at(problem, x, information, pattern)
     G, C = basis(net, gauge, position)
-    found = None
+    covariance = None
     if information is not None and cfg.covariance:
-        found = spread_of(net, gauge, information, solution.free, localisable, position, (G, C))
+        covariance = position_covariance(net, gauge, information, solution.free, localisable, position, (G, C))
     measured = problem.terms[: 1 + bool(net.distances)]
     chi2 = float(sum(term.squares(solution.x).sum() for term in measured))
     unknown = dim * (n - len(net.anchors)) + (0 if net.axis else len(np.unique(net.observer)))
@@ -66,21 +70,21 @@ def finish(
         doubts.append(f"the refinement ended with: {status}")
     if information is None:
         doubts.append("the information matrix is singular: there is no covariance")
-    weak = found is not None and found.weak
+    weak = covariance is not None and covariance.weak
     remarks = [*notes, *layout_warnings(net, localisable, start.seen.in_line)]
-    if found is not None:
-        remarks += barely_determined(net, position, found.cov, localisable)
-    if found is not None and weak:
+    if covariance is not None:
+        remarks += barely_determined(net, position, covariance.cov, localisable)
+    if covariance is not None and weak:
         remarks.append(
-            f"weak anchors: {100 * (found.mode_share or 0.0):.0f} % of all variance lies in one mode (most often the "
-            "scale); place known robots further apart"
+            f"weak anchors: {100 * (covariance.mode_share or 0.0):.0f} % of all variance lies in one mode (most often "
+            "the scale); place known robots further apart"
         )
     return SwarmEstimate(
         ids=net.ids,
         dim=dim,
         method=method,
         position=position,
-        cov=None if found is None else found.cov,
+        cov=None if covariance is None else covariance.cov,
         localisable=localisable,
         anchor=net.is_anchor,
         outlier=np.zeros(len(net.observer), dtype=bool) if outlier is None else outlier,
@@ -93,9 +97,9 @@ def finish(
         reliable=bool(anyone) and not doubts,
         warnings=(*doubts, *remarks),
         heading=heading,
-        heading_var=None if found is None else found.heading_var,
+        heading_var=None if covariance is None else covariance.heading_var,
         weak_anchors=weak,
-        mode_share=None if found is None else found.mode_share,
+        mode_share=None if covariance is None else covariance.mode_share,
         traffic=traffic,
         information=None if information is None else _embedded(information, solution.free, n, w),
         gauge_motions=G if gauge.name else None,
@@ -121,3 +125,87 @@ def _embedded(A: Information, free: np.ndarray, n: int, width: int) -> JointInfo
     coo = A.matrix.tocoo()
     whole = sp.csc_matrix((coo.data, (free[coo.row], free[coo.col])), shape=(n * width, n * width))
     return JointInformation(whole, held, width)
+
+
+@dataclass(frozen=True, slots=True)
+class PositionCovariance:
+    """cov: (n, d, d), zero for anchors, NaN where not localisable; mode_share: None when a gauge is free."""
+
+    cov: Float[np.ndarray, "n d d"]
+    heading_var: Float[np.ndarray, " n"] | None
+    mode_share: float | None
+    weak: bool
+
+
+def position_covariance(
+    net: Network,
+    gauge: Gauge,
+    A: Information,
+    free: np.ndarray,
+    localisable: Bool[np.ndarray, " n"],
+    position: Float[np.ndarray, "n d"],
+    gauge_basis: tuple[np.ndarray, np.ndarray],
+) -> PositionCovariance:
+    """Per-robot covariances from the information `A` over the entries `free`; exact sightings leave none."""
+    dim = net.dim
+    blocks = robot_blocks(A, free, len(net), factors.width(net), *gauge_basis)
+    exact = not np.any(net.sigma > 0)
+    cov = blocks[:, :dim, :dim] * (0.0 if exact else 1.0)
+    cov[~localisable] = np.nan
+    cov[list(net.anchors)] = 0.0
+    heading_var = None
+    if not net.axis:
+        heading_var = np.where(localisable, blocks[:, dim, dim] * (0.0 if exact else 1.0), np.nan)
+    share = None if exact or gauge.name else _largest_mode(net, A, free, cov, localisable)
+    one_mode = share is not None and share > WEAK_SHARE
+    weak = one_mode and _relative_deviation(net, cov, localisable, position) > WEAK_DEVIATION
+    return PositionCovariance(cov, heading_var, share, weak)
+
+
+def robot_blocks(
+    A: Information, free: np.ndarray, n: int, w: int, G: np.ndarray, C: np.ndarray
+) -> Float[np.ndarray, "n w w"]:
+    """Covariance blocks by robot with the conditions `C^T dx = 0` (Baarda's S-transformation), zero where fixed."""
+    if not len(free):
+        return np.zeros((n, w, w))
+    at = np.full(n * w, -1)
+    at[free] = np.arange(len(free))
+    index = at.reshape(n, w)
+    known = index >= 0
+    blocks = A.blocks(np.where(known, index, np.maximum(index.max(axis=1, keepdims=True), 0)))
+    blocks = blocks * known[:, :, None] * known[:, None, :]
+    if G.shape[1]:
+        B = np.zeros_like(C)
+        B[free] = A.solve(C[free])
+        M = C.T @ B
+        K = np.linalg.solve((C.T @ G).T, G.T).T.reshape(n, w, -1)
+        B = B.reshape(n, w, -1)
+        blocks = blocks - K @ B.swapaxes(1, 2) - B @ K.swapaxes(1, 2) + K @ M @ K.swapaxes(1, 2)
+    return np.asarray(0.5 * (blocks + blocks.swapaxes(1, 2)))
+
+
+def _largest_mode(
+    net: Network, A: Information, free: np.ndarray, cov: np.ndarray, localisable: np.ndarray
+) -> float | None:
+    """The share of all position variance in its largest mode, by power iteration."""
+    chosen = localisable & ~net.is_anchor
+    if not chosen.any():
+        return None
+    mask = np.zeros((len(net), factors.width(net)), dtype=bool)
+    mask[chosen, : net.dim] = True
+    mine = mask.ravel()[free]
+    x, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(len(free), 3)) * mine[:, None])
+    top = 0.0
+    for _ in range(POWER_STEPS):
+        y = A.solve(x) * mine[:, None]
+        top = float(np.linalg.eigvalsh(x.T @ y)[-1])
+        x, _ = np.linalg.qr(y)
+    return top / float(np.trace(cov[chosen], axis1=1, axis2=2).sum())
+
+
+def _relative_deviation(net: Network, cov: np.ndarray, localisable: np.ndarray, position: np.ndarray) -> float:
+    """Root mean square standard deviation of a robot, in units of one sighting's error at its usual distance."""
+    chosen = localisable & ~net.is_anchor
+    span = np.linalg.norm(position[net.target] - position[net.observer], axis=1)
+    own = float(np.median(span) * np.sqrt(np.mean(net.sigma**2)))
+    return float(np.sqrt(np.trace(cov[chosen], axis1=1, axis2=2).mean())) / own

@@ -20,7 +20,7 @@ from .graph import components, effective_sigma
 from .headings import mutual_pairs, world_directions
 from .linear import linear_pattern, linear_start
 from .network import Network
-from .posterior import finish
+from .posterior import posterior
 from .result import SwarmEstimate
 from .start import Start, prepare
 from .verdict import trust_warnings
@@ -62,7 +62,7 @@ def robust(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) ->
     if len(chosen.observer) != problem.terms[0].size // (net.dim - 1):
         start = prepare_at(chosen, x, start)
         solution, problem, pattern = refine(chosen, start, cfg, seldom=EVERYONE)
-    estimate = finish(chosen, start, solution, problem, cfg, "robust", ~inlier, pattern=pattern)
+    estimate = posterior(chosen, start, solution, problem, cfg, "robust", ~inlier, pattern=pattern)
     doubts = trust_warnings(net, ~inlier)
     return replace(estimate, reliable=estimate.reliable and not doubts, warnings=(*doubts, *estimate.warnings))
 

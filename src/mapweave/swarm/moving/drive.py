@@ -9,6 +9,7 @@ from jaxtyping import Float
 from ...core import se2
 from ...core.bearings import BearingTable
 from ...core.errors import DataError
+from ...core.progress import Progress, no_progress
 from ...core.records import Odometry
 from .grow import grow
 from .poses import PoseProblem
@@ -25,6 +26,7 @@ def smooth_driving(
     cfg: TrackConfig | None = None,
     *,
     covariance: bool = True,
+    on_progress: Progress = no_progress,
 ) -> SwarmTrack:
     """The most probable motion of robots in the plane given sightings and odometry, found without a guess.
 
@@ -40,9 +42,11 @@ def smooth_driving(
         x = _from_velocity(problem, table, anchors, cfg)
         placed = set(np.unique(problem.line.robot).tolist())
     else:
-        x, placed = grow(problem, cfg)
+        x, placed = grow(problem, cfg, on_progress)
         x = _onto_anchors(problem, x, anchors, placed)
+    on_progress("smoothing", 0, 2)
     solution = problem.solve(x, placed, cfg, hold_anchors=len(set(anchors) & placed) >= 2, iterations=100)
+    on_progress("smoothing", 1, 2)
     lost = sorted(set(np.unique(problem.line.robot).tolist()) - placed)
     if lost:
         told.append(f"{len(lost)} robots are never tied to the others: {', '.join(table.ids[k] for k in lost[:10])}")
@@ -50,7 +54,10 @@ def smooth_driving(
         f"robot {table.ids[k]} has no odometry: taken to stand still"
         for k in sorted(placed - set(odometry) - set(anchors))
     ]
-    cov = solution.blocks(problem.index[:, :2]) if covariance and solution.information is not None else None
+    cov = None
+    if covariance and solution.information is not None:
+        cov = solution.dissected(*problem.places_in_time()).blocks(problem.index[:, :2])
+    on_progress("smoothing", 2, 2)
     out, chi2, dof = without_outliers(problem.sighted(placed).squares(solution.x), 1, solution, cfg)
     tracks = {}
     for robot in sorted(placed):

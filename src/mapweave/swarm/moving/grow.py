@@ -6,6 +6,7 @@ import numpy as np
 
 from ...core import se2
 from ...core.errors import DataError
+from ...core.progress import Progress, no_progress
 from ..meeting import meet
 from .poses import PoseProblem
 from .result import TrackConfig
@@ -13,7 +14,7 @@ from .result import TrackConfig
 ENOUGH = 6  # sightings that place a robot
 
 
-def grow(problem: PoseProblem, cfg: TrackConfig) -> tuple[np.ndarray, set[int]]:
+def grow(problem: PoseProblem, cfg: TrackConfig, on_progress: Progress = no_progress) -> tuple[np.ndarray, set[int]]:
     """A start for all poses, and the robots that could be placed in the one frame.
 
     Begins in the window of time in which most robots are tied best, then goes forward and backward window by window;
@@ -33,7 +34,9 @@ def grow(problem: PoseProblem, cfg: TrackConfig) -> tuple[np.ndarray, set[int]]:
     sigma = float(np.median(problem.table.sigma))
     # The rms bearing error under which a meeting is believed: noise, and what the odometry turns astray meanwhile.
     good = float(np.sqrt((1.5 * sigma) ** 2 + cfg.turn_floor**2 * cfg.window)) + 0.01
-    for w in [*range(begin, count), *range(begin - 1, -1, -1), *range(begin, count)]:
+    windows = [*range(begin, count), *range(begin - 1, -1, -1), *range(begin, count)]
+    for done, w in enumerate(windows):
+        on_progress("growing tracks", done, len(windows))
         low, high = edges[w], edges[w + 1]
         _join(problem, x, placed, window == w, good)
         still = ~np.isin(problem.line.robot, list(problem.odometry))
@@ -41,6 +44,7 @@ def grow(problem: PoseProblem, cfg: TrackConfig) -> tuple[np.ndarray, set[int]]:
         reached = _reached(problem, w, begin, edges)
         x = problem.solve(x, placed, robust, hold_anchors=False, active=(inside & reached) | still).x
         _carry(problem, x, placed, w, begin, edges)
+    on_progress("growing tracks", len(windows), len(windows))
     if len(placed) < 2:
         raise DataError("no two robots sight each other enough to tell how they stand to each other")
     return x, placed

@@ -75,6 +75,17 @@ class PoseProblem:
             x[self.index[rows, :2]] = place
         return x
 
+    def places_in_time(self) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 1"]]:
+        """Of every entry of x the group it belongs to (a knot, or itself) and where in time that lies [s].
+
+        Cut along time, the problem falls apart into pieces that share one knot a robot and the odometry scales.
+        """
+        K, n = len(self.line), self.index.size + 2 * len(self.scales)
+        group, t = np.arange(n) + K, np.full((n, 1), float(np.median(self.line.t)))
+        group[self.index] = np.arange(K)[:, None]
+        t[self.index, 0] = self.line.t[:, None]
+        return group, t
+
     def root(self, placed: AbstractSet[int]) -> int:
         """The robot whose first pose is the frame: the first with odometry."""
         return min(set(placed) & set(self.odometry) or set(placed))

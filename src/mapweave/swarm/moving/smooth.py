@@ -25,7 +25,9 @@ def smooth(
     cfg = cfg or TrackConfig()
     line, solution, index = solve_velocity(table, anchors, cfg)
     d = table.dim
-    cov = solution.blocks(index[:, :d]) if covariance and solution.information is not None else None
+    cov = None
+    if covariance and solution.information is not None:
+        cov = solution.dissected(np.repeat(np.arange(len(line)), 2 * d)).blocks(index[:, :d])
     tracks = {}
     for robot in np.unique(line.robot).tolist():
         rows = line.of(robot)
