@@ -21,7 +21,7 @@ from ..core.workers import worker_pool
 from ..io.directory import write_json
 from ..io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
 from ..io.laser_map import write_laser_map
-from ..io.tum import read_tum, write_tum
+from ..io.tum import read_tum, write_track_covariance, write_tum
 from ..laser.config import LaserConfig
 from ..laser.laser_map import LaserMap
 from ..laser.mapping import map_laser
@@ -152,6 +152,7 @@ def _configured(options: MapOptions) -> LaserConfig:
             "feature": asked.feature,
             "likelihood": asked.likelihood,
             "resample": asked.resample,
+            "graph": {"loops": False if asked.no_loops else None},
         },
     )
     cfg.check()
@@ -224,6 +225,7 @@ def _write_data(folder: Path, maps: Sequence[LaserMap], metrics: Mapping[str, An
     for made in maps:
         name = robot_name(made.robot)
         write_tum(folder / "trajectories" / f"{name}.tum", made.track)
+        write_track_covariance(folder / "trajectories" / f"{name}.cov.csv", made.track)
         write_laser_map(folder / "local" / name, made)
 
 

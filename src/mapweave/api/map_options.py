@@ -17,7 +17,7 @@ class LaserOptions:
     """What laser logs may be asked for beside; None: as the configuration or the log says.
 
     resample: the share of the particles `N_eff` may fall to; sensor_pose: `T_robot_sensor` [m, m, rad]; mirrored: beam
-    angles run clockwise.
+    angles run clockwise; no_loops: the graph method looks for no old places.
     """
 
     particles: int | None = None
@@ -28,6 +28,7 @@ class LaserOptions:
     odom_topic: str | None = None
     sensor_pose: tuple[float, float, float] | None = None
     mirrored: bool = False
+    no_loops: bool = False
 
     def given(self) -> list[str]:
         """The options that were given, as the command line spells them."""

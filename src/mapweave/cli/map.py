@@ -33,6 +33,8 @@ class Laser:
         Where the scanner stands on the robot, as x,y,theta in metres and radians, if the log does not know.
     mirrored
         The beams of the log run clockwise.
+    loops
+        Close loops where --method graph finds old places again; --no-loops leaves them open.
     """
 
     particles: int | None = None
@@ -43,6 +45,7 @@ class Laser:
     odom_topic: str | None = None
     sensor_pose: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     mirrored: Annotated[bool, Parameter(negative="")] = False
+    loops: bool = True
 
 
 def map_logs(
@@ -73,7 +76,7 @@ def map_logs(
     robots
         Use these robots only, as 1,2.
     method
-        How each robot maps its own surroundings; laser logs: particle, gated or icp (particle).
+        How each robot maps its own surroundings; laser logs: particle, graph, gated or icp (particle).
     weights
         How much each robot's map counts: constant, paper, diagonal, full, full-scaled or naive (full-scaled).
     share
@@ -142,4 +145,5 @@ def _laser(given: Laser | None) -> "LaserOptions":
         odom_topic=asked.odom_topic,
         sensor_pose=place,
         mirrored=asked.mirrored,
+        no_loops=not asked.loops,
     )

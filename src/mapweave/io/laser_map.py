@@ -8,8 +8,11 @@ from ..core import se2
 from ..laser.grid import IntensityCalibration
 from ..laser.laser_map import LaserMap
 from ..laser.pose_graph import PoseGraph
+from ..laser.robot_graph import RobotGraph
 from .g2o import write_g2o
 from .grid import NAME, write_grid
+from .robot_graph import NAME as GRAPH
+from .robot_graph import write_robot_graph
 from .ros_map import write_ros_map
 from .scans import write_scans
 from .table import write_table
@@ -18,13 +21,25 @@ from .table import write_table
 STEP, STEP_A_METRE, TURN, TURN_A_RADIAN = 0.01, 0.02, 0.005, 0.02
 
 
+CLOSURES = (
+    *("robot_a", "stamp_a", "robot_b", "stamp_b", "x", "y", "theta"),
+    *("score", "second", "share", "nis", "accepted", "reason"),
+)
+
+
 def write_laser_map(folder: Path, made: LaserMap) -> None:
-    """`folder` holds map.pgm, map.yaml, grid.npz, scans.csv, pose_graph.g2o and, if calibrated, calibration.csv."""
+    """`folder` holds map.pgm, map.yaml, grid.npz, scans.csv, pose_graph.g2o and, if calibrated, calibration.csv.
+
+    A map of the graph method has robot_graph.npz and closures.csv beside; its pose graph is that of its keyframes.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     write_ros_map(folder, made.grid)
     write_grid(folder / NAME, made.grid, made.calibration, made.feature)
     write_scans(folder / "scans.csv", made.scans)
-    write_g2o(folder / "pose_graph.g2o", scan_graph(made))
+    write_g2o(folder / "pose_graph.g2o", scan_graph(made) if made.graph is None else made.graph.graph())
+    if made.graph is not None:
+        write_robot_graph(folder / GRAPH, made.graph)
+        write_closures(folder / "closures.csv", made.graph)
     if made.calibration is not None:
         write_calibration(folder / "calibration.csv", made.calibration)
 
@@ -43,6 +58,16 @@ def scan_graph(made: LaserMap) -> PoseGraph:
     else:
         information = given[1:]
     return PoseGraph(pose, np.arange(n), np.arange(1, n + 1), step, information)
+
+
+def write_closures(path: Path, graph: RobotGraph) -> None:
+    """`path` holds every closure tried, in order: x, y, theta is the pose of b in a, stamps are those of keyframes."""
+    rows = []
+    for c in graph.closures:
+        a, b = (f"{graph.t[k]:.6f}" for k in (c.first, c.second))
+        fit = [c.score, c.runner_up, c.share, c.nis]
+        rows.append([graph.robot, a, graph.robot, b, *c.measured.tolist(), *fit, int(c.accepted), c.reason])
+    write_table(path, CLOSURES, rows)
 
 
 def write_calibration(path: Path, calibration: IntensityCalibration) -> None:

@@ -8,11 +8,15 @@ from ..core.errors import ConfigError
 from .beam import FEATURES, BeamConfig
 from .icp import IcpConfig
 from .intensity_calibration import CalibrationConfig
+from .joint_pass import JointConfig
 from .keyframe_graph import KeyframeGraphConfig
+from .keyframes import KeyframeConfig
 from .particle_grid import CellConfig
 from .scan_matching import FrontEndConfig
+from .step_noise import StepNoise
+from .submap_loops import SubmapLoopConfig
 
-METHODS = ("particle", "gated", "icp")
+METHODS = ("particle", "graph", "gated", "icp")
 LIKELIHOODS = ("matched", "paper")
 
 
@@ -47,6 +51,23 @@ class FilterConfig:
     least_beams: int = 10  # scans with fewer returns change no weights
 
 
+DRIFTING = StepNoise(wheels_xy=0.1, wheels_turn_per_m=0.03, wheels_turn=0.1, drift_xy=0.005, drift_turn=0.001)
+"""Steps of any robot's log: wheels that may be poor, front ends that see half the circle."""
+
+
+@config
+class GraphConfig:
+    """The graph method: keyframes, loops, and the last pass over everything."""
+
+    loops: bool = True  # whether loops are looked for
+    last_pass: bool = True  # whether all keyframes are matched jointly in the end, and every scan laid on them
+    keyframe_graph: KeyframeGraphConfig = KeyframeGraphConfig(
+        resolve_share=0.05, keyframes=KeyframeConfig(distance=0.4, turn=0.4, noise=DRIFTING)
+    )
+    loop_search: SubmapLoopConfig = SubmapLoopConfig()
+    joint: JointConfig = JointConfig()
+
+
 @config
 class LaserConfig:
     method: str = "particle"
@@ -67,6 +88,7 @@ class LaserConfig:
     filter: FilterConfig = FilterConfig()
     icp: IcpConfig = IcpConfig()
     calibration: CalibrationConfig = CalibrationConfig()
+    graph: GraphConfig = GraphConfig()
 
     def eps(self, sd: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """How far [m, m, rad] a match may deviate from an odometry increment allowed `sd`."""

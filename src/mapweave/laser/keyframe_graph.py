@@ -140,6 +140,17 @@ class KeyframeGraph:
         self.due = False
         self.solved.prepare([of[-1] for of in self.of if of])
 
+    def covariances(self) -> Float[np.ndarray, "n 3 3"]:
+        """Covariance of every keyframe's pose in `map`, over x, y, theta; what is not solved yet is solved for it."""
+        if not len(self):
+            return np.zeros((0, 3, 3))
+        if self.due or self.known < len(self) or self.solved is None:
+            self.solve()
+        assert self.solved is not None  # noqa: S101  (solving makes it)
+        noise = self.cfg.keyframes.noise
+        jitter = np.diag(np.square([noise.jitter_xy, noise.jitter_xy, noise.jitter_turn]))
+        return np.asarray(self.solved.covariances() + jitter)
+
     def graph(self) -> PoseGraph:
         """Keyframes, steps and accepted closures."""
         steps, closed = self.edges()

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from ..core.arrays import frozen
 from ..core.records import Track
 from .grid import GridMap, IntensityCalibration
+from .robot_graph import RobotGraph
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +52,9 @@ class ScanRecords:
 class LaserMap:
     """One robot's laser map in `local_k` (its first pose), as an estimator leaves it.
 
-    method: "icp", "gated" or "particle"; feature: the one really used (`none` when the log's intensity says nothing);
-    odometry: "poses" or "none"; dead_reckoning: odometry alone at the same stamps, None without odometry.
+    method: "graph", "particle", "gated" or "icp"; feature: the one really used (`none` when the log's intensity says
+    nothing); odometry: "poses" or "none"; dead_reckoning: odometry alone at the same stamps, None without odometry;
+    graph: keyframes, steps and closures, None of the other methods.
     """
 
     robot: str
@@ -70,3 +72,4 @@ class LaserMap:
     dropped: Mapping[str, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     timing: Mapping[str, float] = field(default_factory=dict)
+    graph: RobotGraph | None = None

@@ -14,13 +14,14 @@ from ..core.progress import Progress, no_progress
 from ..core.records import Event, Track
 from ..core.run import run
 from ..kernels._jit import set_threads
-from . import icp_slam, particle_slam
+from . import graph_slam, icp_slam, particle_slam
 from .beam import beams
 from .config import LaserConfig
 from .intensity import IntensityCalibration
 from .intensity_calibration import calibrate, raw_scale
 from .laser_map import LaserMap, ScanRecords
 from .render import render
+from .robot_graph import RobotGraph
 from .trace import ScanInfo, blended
 
 
@@ -77,7 +78,8 @@ class _Begun:
 def estimator(cfg: LaserConfig, feature: Feature) -> _Begun:
     """The estimator of `cfg.method` with `init` and `step`, to be run by `run`."""
     icp = cfg.method == "icp" or (cfg.method == "gated" and cfg.matcher == "icp")
-    return _Begun(icp_slam if icp else particle_slam, feature, gated=cfg.method == "gated")
+    module = graph_slam if cfg.method == "graph" else icp_slam if icp else particle_slam
+    return _Begun(module, feature, gated=cfg.method == "gated")
 
 
 def scan_poses(state: Any) -> Float[np.ndarray, "m 3"]:
@@ -86,13 +88,21 @@ def scan_poses(state: Any) -> Float[np.ndarray, "m 3"]:
 
 
 def finish(
-    log: LaserLog, cfg: LaserConfig, feature: Feature, poses: Float[np.ndarray, "m 3"], infos: list[ScanInfo]
+    log: LaserLog,
+    cfg: LaserConfig,
+    feature: Feature,
+    poses: Float[np.ndarray, "m 3"],
+    infos: list[ScanInfo],
+    graph: RobotGraph | None = None,
 ) -> LaserMap:
-    """The result from the poses at every scan: poses at every stamp, the records, the grid."""
+    """The result from the poses at every scan: poses at every stamp, the records, the grid. graph: in their frame."""
     frame = f"local_{log.robot}"
     track, dead = _tracks(log, poses, frame)
     at = np.searchsorted(track.t, log.scan_t)
     shift = se2.inverse(_first(log, poses))
+    if graph is not None:
+        graph = replace(graph.moved(shift), source=log.source, log_hash=log.log_hash)
+        track = replace(track, cov=_between_keyframes(track.t, graph))
     corrected = se2.compose(shift, poses)
     seen = [beams(scan, feature.name, feature.calibration, cfg.beam) for scan in log.scans]
     sensors = np.array([scan.T_robot_sensor for scan in log.scans])
@@ -123,6 +133,7 @@ def finish(
         log_hash=log.log_hash,
         dropped=dict(log.dropped),
         warnings=(*log.warnings, *feature.warnings),
+        graph=graph,
     )
 
 
@@ -148,14 +159,31 @@ def map_laser(
             infos.append(done.info)
             on_progress(f"robot {log.robot}", len(infos), len(log.scans))
     ended = perf_counter()
-    result = finish(log, cfg, feature, scan_poses(state), infos)
+    if isinstance(state, graph_slam.GraphState):
+        estimate = graph_slam.finalise(state, cfg, on_progress)
+        poses, graph = estimate.poses, estimate.graph
+    else:
+        poses, graph = scan_poses(state), None
+    finalised = perf_counter()
+    result = finish(log, cfg, feature, poses, infos, graph)
     timing = {
         "calibrate": calibrated - began,
         "estimate": ended - calibrated,
-        "grid": perf_counter() - ended,
+        **({} if graph is None else {"last_pass": finalised - ended}),
+        "grid": perf_counter() - finalised,
         "ms_per_scan": 1e3 * (ended - calibrated) / len(log.scans),
     }
     return replace(result, timing=timing)
+
+
+def _between_keyframes(t: Float[np.ndarray, " n"], graph: RobotGraph) -> Float[np.ndarray, "n 3 3"]:
+    """Covariances at stamps `t`: those of the keyframes before and after, mixed by time."""
+    after = np.clip(np.searchsorted(graph.t, t, side="right"), 1, max(len(graph) - 1, 1))
+    after = np.minimum(after, len(graph) - 1)
+    before = np.maximum(after - 1, 0)
+    span = np.maximum(graph.t[after] - graph.t[before], 1e-9)
+    share = np.clip((t - graph.t[before]) / span, 0.0, 1.0)[:, None, None]
+    return np.asarray((1.0 - share) * graph.cov[before] + share * graph.cov[after])
 
 
 def _information(infos: list[ScanInfo]) -> np.ndarray | None:

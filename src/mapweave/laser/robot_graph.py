@@ -1,10 +1,11 @@
 """What graph mapping knows of one robot: keyframes with their returns, steps, closures; enough to go on or to merge."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..core import se2
 from ..core.arrays import frozen
 from .closures import Closure
 from .intensity import IntensityCalibration
@@ -58,6 +59,12 @@ class RobotGraph:
     def rows(self, i: int) -> slice:
         """Where the returns of keyframe `i` stand."""
         return slice(int(self.start[i]), int(self.start[i + 1]))
+
+    def moved(self, shift: Float[np.ndarray, "3"]) -> "RobotGraph":
+        """The same graph seen from a frame in which its own origin is `shift`."""
+        R = np.eye(3)
+        R[:2, :2] = se2.rotation(float(shift[2]))
+        return replace(self, pose=np.asarray(se2.compose(shift, self.pose)), cov=np.asarray(R @ self.cov @ R.T))
 
     def steps(self) -> PoseGraph:
         """The keyframes with the edges of scan odometry."""

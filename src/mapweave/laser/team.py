@@ -127,14 +127,9 @@ class LaserTeam:
 
     def covariances(self) -> Float[np.ndarray, "n 3 3"]:
         """Covariance of every delivered keyframe's pose in `map`, over x, y, theta. Solves what is not solved yet."""
-        if not len(self.team):
-            return np.zeros((0, 3, 3))
-        if self.team.due or self.team.known < len(self.team) or self.team.solved is None:
+        if len(self.team) and (self.team.due or self.team.known < len(self.team)):
             self._solve()
-        assert self.team.solved is not None  # noqa: S101  (solving makes it)
-        n = self.cfg.graph.keyframes.noise
-        jitter = np.diag(np.square([n.jitter_xy, n.jitter_xy, n.jitter_turn]))
-        return np.asarray(self.team.solved.covariances() + jitter)
+        return self.team.covariances()
 
     def trajectory(self, j: int) -> Track:
         """Robot j's poses in `map` at the stamps of its scans that reached the team."""

@@ -1,0 +1,149 @@
+"""Graph mapping: scan odometry, loops closed in submaps, one pose graph, and a last pass over everything.
+
+While scans come `step` drives the front end, makes keyframes, and looks for old places; `finalise` solves the graph
+once more, matches all keyframes jointly and lays every scan on them.
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core.progress import Progress, no_progress
+from ..core.records import Event, Scan
+from .beam import STEERING, Beams, beams
+from .config import LaserConfig
+from .intensity import IntensityCalibration
+from .joint_pass import joint_pass, lay_scans, scan_cloud
+from .keyframe_graph import KeyframeGraph
+from .keyframes import KeyframeOdometry
+from .robot_graph import RobotGraph
+from .submap_loops import SubmapLoops
+from .trace import ScanInfo, blended
+
+
+@dataclass(slots=True)
+class GraphState:
+    """One robot's graph as it grows; `step` changes it.
+
+    odometry: the front end; graph: the keyframes so far; scans: the returns of every scan; sensors: where the scanner
+    stood at each; keyframes: which scan each keyframe is.
+    """
+
+    robot: str
+    odometry: KeyframeOdometry
+    graph: KeyframeGraph
+    loops: SubmapLoops
+    feature: str
+    calibration: IntensityCalibration | None
+    scans: list[Beams] = field(default_factory=list)
+    sensors: list[np.ndarray] = field(default_factory=list)
+    keyframes: list[int] = field(default_factory=list)
+
+
+class GraphEstimate(NamedTuple):
+    """poses: (m, 3) at every scan and graph: the keyframes, both in the frame of the first scan."""
+
+    poses: Float[np.ndarray, "m 3"]
+    graph: RobotGraph
+
+
+def init(
+    robot: str,
+    cfg: LaserConfig,
+    rng: np.random.Generator,  # noqa: ARG001  (every estimator is begun the same way)
+    *,
+    feature: str = "none",
+    calibration: IntensityCalibration | None = None,
+    gated: bool = False,  # noqa: ARG001
+) -> GraphState:
+    """No keyframes yet; the first scan will be at the origin."""
+    g = cfg.graph
+    return GraphState(
+        robot,
+        KeyframeOdometry(0, g.keyframe_graph.keyframes, cfg.front_end, feature),
+        KeyframeGraph(g.keyframe_graph, np.zeros((1, 3))),
+        SubmapLoops(g.loop_search, light=feature in STEERING),
+        feature,
+        calibration,
+    )
+
+
+def step(
+    state: GraphState,
+    event: Event,
+    cfg: LaserConfig,
+    rng: np.random.Generator,  # noqa: ARG001
+) -> tuple[GraphState, ScanInfo | None]:
+    """Scans move the estimate and may close a loop; odometry packets give no info: a scan brings its own odometry."""
+    if not isinstance(event.record, Scan):
+        return state, None
+    scan = event.record
+    b = beams(scan, state.feature, state.calibration, cfg.beam)
+    info = state.odometry.advance(scan, b)
+    state.scans.append(b)
+    state.sensors.append(np.array(scan.T_robot_sensor[:2], float))
+    keyframe = state.odometry.keyframe(event.t, b)
+    if keyframe is not None:
+        state.keyframes.append(len(state.scans) - 1)
+        number = state.graph.add(keyframe)
+        if cfg.graph.loops:
+            state.loops.offer(number)
+            if state.graph.due or state.graph.grown:
+                state.graph.solve()
+            state.loops.step(state.graph)
+    return state, info
+
+
+def finalise(state: GraphState, cfg: LaserConfig, on_progress: Progress = no_progress) -> GraphEstimate:
+    """The whole estimate once all scans are in; `state` is as it was, but for its graph being solved."""
+    graph, joint = state.graph, cfg.graph.joint
+    graph.solve()
+    cov = graph.covariances()
+    local = np.array(state.odometry.odometry.poses)
+    sensors = np.array(state.sensors).reshape(-1, 2)
+    rows = np.array(state.keyframes, dtype=np.int64)
+    steps, _ = graph.edges()
+    pose = graph.pose
+    if cfg.graph.last_pass:
+        on_progress("last pass", 0, 2)
+        cloud = scan_cloud([state.scans[k] for k in rows], sensors[rows], joint.beams)
+        pose = joint_pass(steps, cloud, joint)
+        on_progress("last pass", 1, 2)
+    poses = blended(local, rows, pose)
+    if cfg.graph.last_pass:
+        own = np.full(len(local), -1, np.int64)
+        own[rows] = np.arange(len(rows))
+        poses = lay_scans(poses, scan_cloud(state.scans, sensors, joint.scan_beams), pose, cloud, own, joint)
+        on_progress("last pass", 2, 2)
+    return GraphEstimate(poses, _robot_graph(state, pose, cov, sensors[rows]))
+
+
+def _robot_graph(
+    state: GraphState,
+    pose: Float[np.ndarray, "n 3"],
+    cov: Float[np.ndarray, "n 3 3"],
+    sensors: Float[np.ndarray, "n 2"],
+) -> RobotGraph:
+    nodes = state.graph.nodes
+    steps, _ = state.graph.edges()
+    start = np.concatenate([[0], np.cumsum([len(node.beams.q) for node in nodes])])
+    return RobotGraph(
+        robot=state.robot,
+        t=np.array([node.t for node in nodes]),
+        pose=pose,
+        cov=cov,
+        path=state.graph.path,
+        step=steps.measured,
+        step_information=steps.information,
+        closures=tuple(state.graph.closures),
+        start=start,
+        points=np.concatenate([node.beams.s for node in nodes]),
+        normals=np.concatenate([node.beams.normal for node in nodes]),
+        q=None if state.feature == "none" else np.concatenate([node.beams.q for node in nodes]),
+        lined=np.concatenate([node.beams.support for node in nodes]) >= 3,
+        sensor=sensors,
+        feature=state.feature,
+        calibration=state.calibration,
+    )

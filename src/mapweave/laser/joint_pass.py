@@ -1,0 +1,217 @@
+"""The last pass over everything: keyframes that see the same walls are matched again, all together.
+
+What the loops of the graph leave is a matter of centimetres: there every pair of keyframes is near enough for point to
+line, in both directions, and one sparse system moves them all. Then every scan is laid on the keyframes around it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from ..core import se2
+from ..core.arrays import frozen
+from ..core.config import config
+from ..kernels.laser.joint_scans import beams_by_direction, match_pairs, refine_poses
+from ..solve import Factor, Information, Pattern, Problem, SingularError, wrapping
+from .beam import Beams
+from .graph_problem import between_jacobians, edge_factor
+from .pose_graph import PoseGraph
+
+HELD = 1e-4  # [m, rad] sd of the first keyframe, which the frame hangs on
+
+
+@config
+class JointConfig:
+    """The last pass: how keyframes are paired, matched and moved, and how each scan is laid on them."""
+
+    widths: tuple[float, ...] = (0.15, 0.15, 0.1, 0.1, 0.06, 0.06, 0.04, 0.04)  # [m] of the robust cost, a round each
+    beams: int = 90  # returns of a keyframe that are matched, spread over it
+    sectors: int = 360  # parts of the circle a scan's returns are sorted into
+    before: int = 4  # keyframes just before each that it is paired with, and
+    around: int = 8  # of others, the nearest, so many
+    reach: float = 8.0  # [m] from each other at most,
+    view: float = 2.0  # [rad] looking in directions no farther apart
+    gate: float = 3.0  # [widths] from its line up to which a return is matched
+    agree: float = 0.5  # least cosine between the normals of two returns
+    least_matches: int = 15  # returns of a pair within a width of their lines, and
+    least_share: float = 0.3  # share of all, or the pair counts nothing
+    sigma: float = 0.02  # [m] of a matched return
+    temper: float = 0.1  # share of the returns that count as independent
+    step_xy: float = 0.05  # [m] and
+    step_turn: float = 0.03  # [rad]: sd of the steps between neighbours, which hold where walls do not
+    scan_widths: tuple[float, ...] = (0.06, 0.04)  # [m] as `widths`, for laying each scan on the keyframes
+    scan_beams: int = 60  # returns of a scan that are matched
+    scan_around: int = 12  # keyframes each scan is matched against
+
+
+@dataclass(frozen=True, slots=True)
+class ScanCloud:
+    """The returns of n scans in a row, thinned: those of scan i are start[i]:start[i + 1], in its robot frame.
+
+    lined: (m,) where three or more beams made the normal; sensor: (n, 2) where the scanner stood on the robot [m].
+    """
+
+    start: Int[np.ndarray, " n1"]
+    points: Float[np.ndarray, "m 2"]
+    normals: Float[np.ndarray, "m 2"]
+    lined: Bool[np.ndarray, " m"]
+    sensor: Float[np.ndarray, "n 2"]
+
+    def __len__(self) -> int:
+        return len(self.start) - 1
+
+
+def scan_cloud(scans: Sequence[Beams], sensor: Float[np.ndarray, "n 2"], most: int) -> ScanCloud:
+    """At most `most` returns of each scan, spread evenly over it."""
+    kept = [
+        np.arange(len(b.q)) if len(b.q) <= most else np.linspace(0, len(b.q) - 1, most).round().astype(np.int64)
+        for b in scans
+    ]
+    start = np.concatenate([[0], np.cumsum([len(k) for k in kept])]).astype(np.int64)
+    none = np.zeros((0, 2))
+    return ScanCloud(
+        frozen(start, np.int64),
+        frozen(np.concatenate([none, *(b.s[k] for b, k in zip(scans, kept, strict=True))])),
+        frozen(np.concatenate([none, *(b.normal[k] for b, k in zip(scans, kept, strict=True))])),
+        frozen(
+            np.concatenate([np.zeros(0, bool), *(b.support[k] >= 3 for b, k in zip(scans, kept, strict=True))]), bool
+        ),
+        frozen(sensor),
+    )
+
+
+def joint_pass(steps: PoseGraph, cloud: ScanCloud, cfg: JointConfig) -> Float[np.ndarray, "n 3"]:
+    """The poses of `steps` moved so that keyframes that see the same walls agree on them; the first stays.
+
+    steps: the keyframes with the edges between neighbours; their information is not read, `cfg` holds them weakly.
+    cloud: the keyframes' returns. What cannot be matched is carried by the steps.
+    """
+    pose = np.array(steps.pose)
+    if len(pose) < 2:
+        return pose
+    table = beams_by_direction(cloud.start, cloud.points, cloud.lined, cloud.sensor, cfg.sectors)
+    lined = np.add.reduceat(np.append(cloud.lined, False).astype(np.int64), cloud.start[:-1]) * (
+        np.diff(cloud.start) > 0
+    )
+    weak = np.diag([cfg.step_xy**-2, cfg.step_xy**-2, cfg.step_turn**-2])
+    held = PoseGraph(pose, steps.first, steps.second, steps.measured, np.tile(weak, (steps.edges, 1, 1)))
+    columns = np.arange(3)[None]
+    unit, still = np.eye(3)[None], np.zeros((1, 3))
+    anchor = Factor(columns, lambda _: still, lambda _: unit, 3, np.full((1, 3), 1.0 / HELD), None, "anchor")
+    terms = [anchor, edge_factor(held, "steps")]
+    width, pairs, pattern = 0.0, np.zeros((0, 2), np.int64), None
+    for now in cfg.widths:
+        if now != width or pattern is None:
+            width, pairs = now, paired(pose, cfg)
+            a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
+            ends = np.concatenate([3 * a[:, None] + np.arange(3), 3 * b[:, None] + np.arange(3)], axis=1)
+            shape = [
+                *terms,
+                Factor(ends, lambda _: np.zeros((0, 1)), lambda _: np.zeros((0, 1, 6)), 1, None, None, "pairs"),
+            ]
+            pattern = Pattern.of(Problem(pose.ravel(), shape, None, wrapping(np.arange(2, pose.size, 3))))
+        H, g, _, near = match_pairs(
+            a,
+            b,
+            np.asarray(se2.between(pose[a], pose[b])),
+            cloud.start,
+            cloud.points,
+            cloud.normals,
+            cloud.lined,
+            table,
+            cloud.sensor,
+            cfg.gate * width,
+            cfg.agree,
+            width,
+        )
+        counts = (near >= cfg.least_matches) & (near >= cfg.least_share * lined[b])
+        scale = counts * cfg.temper / cfg.sigma**2
+        A, B = between_jacobians(pose[a], pose[b])
+        J = np.concatenate([A, B], axis=2)
+        blocks = (J.swapaxes(1, 2) @ H @ J) * scale[:, None, None]
+        gradients = (J.swapaxes(1, 2) @ g[..., None])[..., 0] * scale[:, None]
+        parts = [term.normal(pose.ravel()) for term in terms]
+        whole, gradient = pattern.assemble([*(p[0] for p in parts), blocks], [*(p[1] for p in parts), gradients])
+        try:
+            step = Information.of(whole, pattern.elimination).solve(-gradient).reshape(-1, 3)
+        except SingularError:
+            break
+        pose = pose + step
+        pose[:, 2] = se2.wrap_angle(pose[:, 2])
+    return pose
+
+
+def paired(pose: Float[np.ndarray, "n 3"], cfg: JointConfig) -> Int[np.ndarray, "p 2"]:
+    """Keyframes to be matched with each other, i < j, ascending: neighbours in the drive and in space."""
+    n = len(pose)
+    i = np.arange(n)
+    near = neighbours(pose, pose, cfg.around, cfg, own=i, apart=cfg.before)
+    row, col = np.nonzero(near >= 0)
+    space = np.column_stack([row, near[row, col]])
+    drive = [np.column_stack([i[k:] - k, i[k:]]) for k in range(1, cfg.before + 1)]
+    both = np.concatenate([np.sort(space, axis=1), *drive])
+    return np.unique(both, axis=0).astype(np.int64)
+
+
+def neighbours(
+    pose: Float[np.ndarray, "s 3"],
+    keyframes: Float[np.ndarray, "n 3"],
+    most: int,
+    cfg: JointConfig,
+    own: Int[np.ndarray, " s"] | None = None,
+    apart: int = 0,
+) -> Int[np.ndarray, "s most"]:
+    """The keyframes nearest to each pose that look the same way, -1 where there are fewer.
+
+    own: which keyframe each pose is (-1: none): itself and those up to `apart` numbers from it are left out.
+    """
+    k = min(len(keyframes), 3 * most + 2 * apart + 1)
+    tree = cKDTree(keyframes[:, :2])
+    d, at = (np.asarray(a) for a in tree.query(pose[:, :2], k=np.arange(1, k + 1)))
+    good = (d <= cfg.reach) & (np.abs(se2.wrap_angle(pose[:, None, 2] - keyframes[at, 2])) <= cfg.view)
+    if own is not None:
+        good &= (np.abs(at - own[:, None]) > apart) | (own[:, None] < 0)
+    rank = np.cumsum(good, axis=1)
+    row, col = np.nonzero(good & (rank <= most))
+    out = np.full((len(pose), most), -1, np.int64)
+    out[row, rank[row, col] - 1] = at[row, col]
+    return out
+
+
+def lay_scans(
+    pose: Float[np.ndarray, "s 3"],
+    scans: ScanCloud,
+    keyframes: Float[np.ndarray, "n 3"],
+    cloud: ScanCloud,
+    own: Int[np.ndarray, " s"],
+    cfg: JointConfig,
+) -> Float[np.ndarray, "s 3"]:
+    """Every scan's pose matched once more against the keyframes around it, which stay.
+
+    own: (s,) which keyframe each scan is, or -1: it is not matched against itself.
+    """
+    if not len(keyframes):
+        return pose
+    out = refine_poses(
+        np.ascontiguousarray(pose),
+        scans.start,
+        scans.points,
+        scans.normals,
+        scans.lined,
+        neighbours(pose, keyframes, cfg.scan_around, cfg, own),
+        np.ascontiguousarray(keyframes),
+        cloud.points,
+        cloud.normals,
+        beams_by_direction(cloud.start, cloud.points, cloud.lined, cloud.sensor, cfg.sectors),
+        cloud.sensor,
+        cfg.gate,
+        cfg.agree,
+        np.asarray(cfg.scan_widths, dtype=float),
+        cfg.temper / cfg.sigma**2,
+        np.array([cfg.step_xy, cfg.step_xy, cfg.step_turn]),
+    )
+    out[:, 2] = se2.wrap_angle(out[:, 2])
+    return np.asarray(out)
