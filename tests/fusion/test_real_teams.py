@@ -78,6 +78,31 @@ def test_whole_maps_find_out_which_landmarks_are_the_same(teams):
             assert len(names) == len(set(one.ids) & set(two.ids))
 
 
+def test_recordings_of_different_rooms_stay_apart_and_of_the_same_room_are_joined(teams):
+    """Sets 3 and 4 were recorded in one room; all sets use the same names."""
+    room = {1: 1, 3: 3, 4: 3, 6: 6}
+    for one, two in itertools.combinations(SETS, 2):
+        maps = [replace(m, robot=f"{k}/{m.robot}") for k in (one, two) for m in teams[k][1]]
+        fused = fuse(maps, recordings={m.robot: m.robot[0] for m in maps})
+        of = [{robot[0] for robot in c.robots} for c in fused.components]
+        if room[one] == room[two]:
+            assert of == [{str(one), str(two)}]
+            assert score_landmarks(fused.components[0].map, teams[one][2]).rmse <= LIMITS[one]
+            continue
+        assert [len(robots) for robots in of] == [1, 1]
+        assert [len(c.robots) for c in fused.components] == [5, 5]
+        assert score_landmarks(fused.components[0].map, teams[one][2]).rmse <= LIMITS[one]
+        assert all("contradicts" in d.reason for d in fused.decisions[5:])
+
+
+def test_a_robot_alone_in_another_room_joins_no_team(teams):
+    for one, two in ((3, 1), (3, 6), (6, 1), (1, 4)):
+        for stranger in teams[two][1]:
+            maps = [*teams[one][1], replace(stranger, robot="other/robot1")]
+            fused = fuse(maps, recordings={"other/robot1": "other"})
+            assert [c.robots for c in fused.components][1:] == [("other/robot1",)]
+
+
 def test_labels_exchanged_in_one_robot_are_found_in_real_maps(teams):
     found, rng = 0, np.random.default_rng(0)
     for _, maps, _ in teams.values():

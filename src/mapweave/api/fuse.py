@@ -43,15 +43,18 @@ def fuse_results(
         check_target(Path(out), force=force)
     watch = Watch()
     local: list[LocalMap] = []
+    recordings: dict[str, str] = {}
     for k, (path, label) in enumerate(zip(given, distinct_names(given), strict=True)):
         on_progress("reading", k, len(given))
-        local += _read_all(path, label)
+        read = _read_all(path, label)
+        recordings |= {m.robot: f"{m.robot.rpartition('/')[0]}:{m.source}" for m in read}
+        local += read
     watch.lap("read")
     result = team_result(
         f"One map fused from {', '.join(distinct_names(given))}",
         seed,
         local,
-        fuse(local, cfg),
+        fuse(local, cfg, recordings),
         tuple(Path(p) for p in truth),
         (),
         watch,

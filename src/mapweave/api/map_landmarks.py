@@ -52,7 +52,7 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> TeamResult:
     watch.lap("estimate")
     online: tuple[OnlineMap, ...] = ()
     if options.fuse_every is None:
-        fusion = fuse(local, cfg.fuse)
+        fusion = fuse(local, cfg.fuse, {m.robot: m.source for m in local})
     else:
         fusion, online = _online(read, local, cfg, options)
     fusion = tie_by_starts(fusion, {robot_name(key): pose for key, pose in options.start.items()})

@@ -3,6 +3,7 @@
 from typing import Literal
 
 from ..core.config import config
+from ..core.errors import ConfigError
 from .identities import IdentityConfig
 
 Weights = Literal["constant", "paper", "diagonal", "full", "full-scaled", "naive"]
@@ -11,28 +12,39 @@ Identities = Literal["known", "unknown"]
 
 @config
 class FuseConfig:
-    """weights: "full-scaled" takes each map's full covariance, a scale and a variance factor of its own; "full" its
-    covariance alone; "constant", "paper", "diagonal" the paper's relative information; "naive" the plain mean.
+    """How maps are weighed, when two are taken for the same place, and when a landmark or a map is doubted.
 
-    scale_sigma: a priori deviation of a map's scale from 1. floor: independent error of every landmark of every map
-    that no covariance knows of [m]. A landmark is doubted in one map when the other maps put it further away than
-    `gate` [m] and `gate_sigmas` standard deviations; a map is refused when half its shared landmarks lie further off
-    than `refuse` [m] and as many deviations. repeats: how often each relative measurement is fed (the paper's
-    habit; anything but 1 counts one measurement many times). delta: the paper's factor on the noise.
-    robot_sightings: sightings of robots by robots tie the frames too (on real logs, whose tracks err, this can make
-    a map worse).
+    weights: "full-scaled" takes each map's full covariance, a scale and a variance factor of its own; "full" its
+    covariance alone; "constant", "paper", "diagonal" the paper's relative information; "naive" the plain mean.
+    A landmark is doubted in one map when the other maps put it further away than `gate` and `gate_sigmas`; a map is
+    refused when half its shared landmarks lie further off than `refuse` and as many deviations, or when its landmarks
+    are no evidence for the same place (`same_place`).
     """
 
     weights: Weights = "full-scaled"
-    identities: Identities = "known"
-    scale_sigma: float = 0.02
-    floor: float = 0.01
+    identities: Identities = "known"  # whether equal names mean one landmark, or places alone tell
+    scale_sigma: float = 0.02  # standard deviation of a map's scale about 1, a priori
+    floor: float = 0.01  # [m] independent error of every landmark of every map that no covariance knows of
     variance_prior: float = 4.0  # degrees of freedom with which a map's variance factor is held at 1
-    gate: float = 0.35
-    gate_sigmas: float = 5.0
-    refuse: float = 0.5
-    repeats: int = 1
-    delta: float = 1.0
-    constant_variance: float = 1e-3
-    robot_sightings: bool = False
+    gate: float = 0.35  # [m] from where the others put a landmark, below which it is never doubted
+    gate_sigmas: float = 5.0  # standard deviations, likewise
+    refuse: float = 0.5  # [m] median distance of shared landmarks below which a map is not grossly wrong
+    odds: float = 1000.0  # how much likelier than chance the same place must be for maps of two recordings
+    odds_within: float = 0.1  # the same for maps of one recording, whose names have one meaning
+    distrust: float = 4.0  # factor on covariances while this is judged
+    mislabelled: float = 0.05  # probability that one robot gives a landmark a wrong name
+    mislabelled_chi2: float = 18.0  # chi-square (two degrees) from which a shared name counts as wrong
+    repeats: int = 1  # times each relative measurement is fed (the paper's habit); more than 1 is overconfident
+    delta: float = 1.0  # the paper's factor on the noise
+    constant_variance: float = 1e-3  # of every relative measurement with weights="constant" [m^2], [rad^2]
+    robot_sightings: bool = False  # sightings of robots tie the frames too; worse where tracks err, as on real logs
     matching: IdentityConfig = IdentityConfig()
+
+    def __post_init__(self) -> None:
+        for name in ("scale_sigma", "gate", "refuse", "odds", "odds_within", "distrust", "delta"):
+            if getattr(self, name) <= 0:
+                raise ConfigError(f"{name}: expected a number above 0, found {getattr(self, name)}")
+        if self.floor < 0:
+            raise ConfigError(f"floor: expected 0 or more, found {self.floor}")
+        if not 0 < self.mislabelled < 1:
+            raise ConfigError(f"mislabelled: expected a probability between 0 and 1, found {self.mislabelled}")

@@ -8,36 +8,36 @@ from jaxtyping import Int
 from ..core import se2
 from ..landmarks.landmark_map import LandmarkMap
 from .alignment import align_robust
-from .config import FuseConfig
 from .consensus import Consensus, Entries, overlaps
-from .overlap import ENOUGH, Cluster
+from .overlap import Cluster
+from .same_place import ENOUGH, PlaceTest, same_place
 
 SEEDS, PARTNERS = 12, 8  # how many maps are tried as the first, each against how many others
 
 
-def arrange(maps: Sequence[LandmarkMap], cfg: FuseConfig) -> tuple[list[Consensus], dict[int, str]]:
-    """The maps parted into clusters that hang together, the largest first, and why a map was refused by the rest.
+def arrange(test: PlaceTest) -> tuple[list[Consensus], dict[int, str]]:
+    """The test's maps parted into clusters that hang together, the largest first, and why that one refused a map.
 
-    A map joins the cluster it shares most with, two landmarks at least, when half of these agree grossly. Clusters
-    that come to share two landmarks are joined as well.
+    A map joins the cluster it shares most with, two landmarks at least, when half of these agree grossly and the
+    evidence for the same place suffices. Clusters that come to share two landmarks are joined as well.
     """
-    entries = Entries.of(maps)
-    waiting = set(range(len(maps)))
+    entries = Entries.of(test.maps)
+    waiting = set(range(len(test.maps)))
     clusters: list[Consensus] = []
-    refused: dict[int, str] = {}
     while waiting:
-        seed = _seed(entries, cfg, waiting)
-        cluster = Consensus(entries, cfg)
+        seed = _seed(entries, test, waiting)
+        cluster = Consensus(entries, test.cfg)
         cluster.place(seed, np.zeros(3))
         waiting.discard(seed)
-        refused |= _grow(cluster, waiting)
+        _grow(cluster, test, waiting)
         clusters.append(cluster)
-    clusters = _merge(clusters)
+    clusters = _merge(clusters, test)
     for cluster in clusters:
         cluster.settle()
     clusters.sort(key=lambda c: (-len(c.placed), min(c.placed)))
-    largest = clusters[0].placed if clusters else {}
-    return clusters, {k: why for k, why in refused.items() if k not in largest}
+    left = [k for cluster in clusters[1:] for k in sorted(cluster.placed)]
+    reasons = ((k, _contradiction(clusters[0], test, k)) for k in left)
+    return clusters, {k: reason for k, reason in reasons if reason is not None}
 
 
 def as_cluster(consensus: Consensus, maps: Sequence[LandmarkMap]) -> Cluster:
@@ -59,46 +59,84 @@ def as_cluster(consensus: Consensus, maps: Sequence[LandmarkMap]) -> Cluster:
     )
 
 
-def _seed(entries: Entries, cfg: FuseConfig, waiting: set[int]) -> int:
+def _seed(entries: Entries, test: PlaceTest, waiting: set[int]) -> int:
     """The map that agrees with most others: a bad map must not be the one that the rest is measured against."""
     shared = overlaps(entries, waiting)
     shared[shared < ENOUGH] = 0
     candidates = sorted(waiting, key=lambda k: (-int(shared[k].sum()), k))[:SEEDS]
     votes = {}
     for k in candidates:
-        alone = Consensus(entries, cfg)
+        alone = Consensus(entries, test.cfg)
         alone.place(k, np.zeros(3))
         partners = [int(j) for j in np.argsort(-shared[k], kind="stable")[:PARTNERS] if shared[k, j] > 0]
-        fits = ((j, alone.fit(j)) for j in partners)
+        fits = ((j, alone.fit(j)) for j in partners if test.joins(j, k))
         votes[k] = sum(int(fit.inliers.sum()) for j, fit in fits if fit is not None and alone.agrees(j, fit))
     return max(candidates, key=lambda k: votes[k])
 
 
-def _grow(cluster: Consensus, waiting: set[int]) -> dict[int, str]:
-    """`waiting` maps that agree join the cluster, most in common first; for the rest that share enough, the reason."""
+def _grow(cluster: Consensus, test: PlaceTest, waiting: set[int]) -> None:
+    """`waiting` maps that agree join the cluster, most in common first."""
     entries = cluster.entries
     has = _shared_counts(cluster, waiting)
     failed: dict[int, int] = {}
-    reasons: dict[int, str] = {}
     while True:
         open_ = [k for k in waiting if has[k] >= ENOUGH and failed.get(k) != has[k]]
         if not open_:
-            return reasons
+            return
         k = min(open_, key=lambda k: (-int(has[k]), k))
         fit = cluster.fit(k)
-        if fit is None or not cluster.agrees(k, fit):
+        if fit is None or not cluster.agrees(k, fit) or not _belongs(cluster, test, k):
             failed[k] = int(has[k])
-            left = 0.0 if fit is None else fit.median
-            reasons[k] = (
-                f"half of the {has[k]} landmarks it shares lie more than {left:.2f} m from where the others put them"
-            )
             continue
         fresh = entries.name[entries.of_map(k)]
         fresh = fresh[cluster.count[fresh] == 0]
         cluster.place(k, fit.T_target_source)
         waiting.discard(k)
-        reasons.pop(k, None)
         np.add.at(has, entries.owner[np.isin(entries.name, fresh)], 1)
+
+
+def _belongs(cluster: Consensus, test: PlaceTest, k: int) -> bool:
+    """Whether map k shows the same place as a map of the cluster, or as all of them together."""
+    if any(test.joins(j, k) for j in _partners(cluster, k)):
+        return True
+    names = cluster.entries.name[cluster.entries.of_map(k)]
+    shared = np.unique(names[cluster.count[names] > 0])
+    evidence = same_place(test.maps[k], _as_map(cluster, shared), test.cfg)
+    return evidence.log_odds >= test.needed([k, *_holders(cluster, shared)])
+
+
+def _partners(cluster: Consensus, k: int) -> list[int]:
+    """The placed maps that map k shares most with, two landmarks at least."""
+    entries = cluster.entries
+    shared = np.isin(entries.name, entries.name[entries.of_map(k)]) & np.isin(entries.owner, list(cluster.placed))
+    count = np.bincount(entries.owner[shared], minlength=len(entries.begin) - 1)
+    return [int(j) for j in np.argsort(-count, kind="stable")[:PARTNERS] if count[j] >= ENOUGH and j != k]
+
+
+def _holders(cluster: Consensus, names: Int[np.ndarray, " n"]) -> list[int]:
+    """The placed maps in which landmarks `names` count."""
+    entries = cluster.entries
+    return [int(j) for j in np.unique(entries.owner[np.isin(entries.name, names) & cluster.counts])]
+
+
+def _as_map(cluster: Consensus, names: Int[np.ndarray, " n"]) -> LandmarkMap:
+    """Where the cluster puts landmarks `names`, each as unsure as its maps are one by one."""
+    count = cluster.count[names]
+    variance = cluster.variance[names] / (2 * count)  # of one axis
+    ids = tuple(cluster.entries.ids[n] for n in names)
+    return LandmarkMap(ids, cluster.total[names] / count[:, None], np.diag(np.repeat(variance, 2)))
+
+
+def _contradiction(cluster: Consensus, test: PlaceTest, k: int) -> str | None:
+    """Why map k is no part of the cluster; None where they share fewer than two landmarks."""
+    partners = _partners(cluster, k)
+    if partners:
+        return test.evidence(partners[0], k).reason(test.robots[partners[0]])
+    names = cluster.entries.name[cluster.entries.of_map(k)]
+    shared = np.unique(names[cluster.count[names] > 0])
+    if len(shared) < ENOUGH:
+        return None
+    return same_place(test.maps[k], _as_map(cluster, shared), test.cfg).reason("the other robots")
 
 
 def _shared_counts(cluster: Consensus, waiting: set[int]) -> Int[np.ndarray, " k"]:
@@ -108,14 +146,14 @@ def _shared_counts(cluster: Consensus, waiting: set[int]) -> Int[np.ndarray, " k
     return np.array([c if k in waiting else 0 for k, c in enumerate(counts)])
 
 
-def _merge(clusters: list[Consensus]) -> list[Consensus]:
+def _merge(clusters: list[Consensus], test: PlaceTest) -> list[Consensus]:
     """Clusters that share two landmarks between them (no single pair of maps need) become one where they agree."""
     done = False
     while not done:
         done = True
         for a in range(len(clusters)):
             for b in range(a + 1, len(clusters)):
-                if _absorb(clusters[a], clusters[b]):
+                if _absorb(clusters[a], clusters[b], test):
                     del clusters[b]
                     done = False
                     break
@@ -124,9 +162,9 @@ def _merge(clusters: list[Consensus]) -> list[Consensus]:
     return clusters
 
 
-def _absorb(into: Consensus, other: Consensus) -> bool:
-    both = (into.count > 0) & (other.count > 0)
-    if both.sum() < ENOUGH:
+def _absorb(into: Consensus, other: Consensus, test: PlaceTest) -> bool:
+    both = np.flatnonzero((into.count > 0) & (other.count > 0))
+    if len(both) < ENOUGH:
         return False
     source = other.total[both] / other.count[both, None]
     target = into.total[both] / into.count[both, None]
@@ -134,6 +172,9 @@ def _absorb(into: Consensus, other: Consensus) -> bool:
     cfg = into.cfg
     fit = align_robust(source, target, np.maximum(cfg.gate, cfg.gate_sigmas * sigma))
     if float(np.median(fit.residual / np.maximum(cfg.refuse, cfg.gate_sigmas * sigma))) > 1.0:
+        return False
+    evidence = same_place(_as_map(other, both), _as_map(into, both), cfg)
+    if evidence.log_odds < test.needed([*_holders(into, both), *_holders(other, both)]):
         return False
     for k, T in other.placed.items():
         into.place(k, se2.compose(fit.T_target_source, T))

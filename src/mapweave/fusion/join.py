@@ -1,6 +1,6 @@
 """The front door of fusing: local maps in, one map for each component out, with a reason for every robot."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -15,18 +15,24 @@ from .initial_frames import arrange, as_cluster
 from .joined import Joined
 from .naive import average
 from .outlier_rejection import Doubt, find_doubts, find_exchanged, inflated, relabelled
-from .overlap import ENOUGH, Cluster
+from .overlap import Cluster
 from .relative import RelativeConfig, fuse_relative
 from .result import Component, Decision, Fusion
 from .robot_sightings import FrameSightings, frame_sightings, sighting_factor
+from .same_place import ENOUGH, PlaceTest
 
 
-def fuse(maps: Sequence[LocalMap], cfg: FuseConfig | None = None) -> Fusion:
+def fuse(
+    maps: Sequence[LocalMap], cfg: FuseConfig | None = None, recordings: Mapping[str, str] | None = None
+) -> Fusion:
     """One map from `maps`, whose robots must have distinct names; the largest component first.
 
     A log that comes twice (by its hash) counts once. Labels exchanged in one robot are mended, a landmark that one
     robot alone misplaces hardly counts, a map that is grossly wrong is refused; all of it is told. The order of
     `maps` does not matter: each component stands in the first pose of its lowest-numbered robot.
+
+    recordings: robot -> the recording it belongs to, all to one without it. Names of two recordings may mean different
+    landmarks: their maps are joined only where geometry proves the same place (`same_place`).
     """
     cfg = cfg or FuseConfig()
     ordered = sorted(maps, key=lambda m: in_order(m.robot))
@@ -44,8 +50,10 @@ def fuse(maps: Sequence[LocalMap], cfg: FuseConfig | None = None) -> Fusion:
         identified = identify(landmarks, names, cfg.matching)
         landmarks, nameless = list(identified.maps), dict(identified.reasons)
         labels = {names[k]: dict(new) for k, new in identified.labels.items() if new}
+        recordings = None  # names were found from geometry: they have one meaning now
     before = landmarks
-    landmarks, starts, doubts, refused = _prepare(landmarks, cfg)
+    origins = ["" if recordings is None else recordings.get(name, "") for name in names]
+    landmarks, starts, doubts, refused = _prepare(PlaceTest(landmarks, names, origins, cfg))
     refused = nameless | refused
     for k, (old, new) in enumerate(zip(before, landmarks, strict=True)):
         _relabel(labels, sound[k], dict(zip(old.ids, new.ids, strict=True)))
@@ -78,16 +86,15 @@ def _relabel(labels: dict[str, dict[str, str]], m: LocalMap, moved: dict[str, st
         labels[m.robot] = changed
 
 
-def _prepare(
-    landmarks: list[LandmarkMap], cfg: FuseConfig
-) -> tuple[list[LandmarkMap], list[Cluster], list[Doubt], dict[int, str]]:
+def _prepare(test: PlaceTest) -> tuple[list[LandmarkMap], list[Cluster], list[Doubt], dict[int, str]]:
     """Maps with exchanged labels put back, how they lie, what is still doubted, and which were refused."""
-    clusters, refused = arrange(landmarks, cfg)
+    clusters, refused = arrange(test)
+    landmarks = list(test.maps)
     doubts = [d for c in clusters for d in find_exchanged(c, find_doubts(c))]
     mended = [d for d in doubts if d.belongs_to]
     if mended:
         landmarks = [relabelled(m, [d for d in mended if d.owner == k]) for k, m in enumerate(landmarks)]
-        clusters, refused = arrange(landmarks, cfg)
+        clusters, refused = arrange(PlaceTest(landmarks, test.robots, test.recordings, test.cfg))
         doubts = mended + [d for c in clusters for d in find_doubts(c)]
     for cluster in clusters:
         cluster.settle()

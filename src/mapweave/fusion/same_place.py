@@ -1,0 +1,161 @@
+"""Whether two maps show the same place: how much better "equal names are one landmark" explains them than chance.
+
+Names alone prove nothing: two rooms may use the same ones. Compared are two statements about the n landmarks that two
+maps both name. Same place: up to one rigid transform and a scale near 1 they lie where the covariances say, but for a
+few wrong names. Different places: the second map's lie anywhere in it. The ratio of the probability densities of what
+was measured (the Bayes factor) grows with every landmark that agrees, and the more so the surer both maps are; two or
+three that agree by luck leave it small.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..core import se2
+from ..core.names import in_order
+from ..landmarks.landmark_map import LandmarkMap
+from .alignment import align_robust
+from .config import FuseConfig
+from .joint_fit import joint_fit
+
+ENOUGH = 2  # landmarks in common that fix a rigid transform
+MOST = 40  # landmarks in common that are weighed; more than enough
+LISTED = 8  # contradicting landmarks told by name
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """log_odds: natural logarithm of the Bayes factor for the same place; shared: names both maps have.
+
+    contradicting: those that lie further apart than `FuseConfig.gate` under the alignment most agree on, the furthest
+    first, and `distance`: how far [m].
+    """
+
+    log_odds: float
+    shared: tuple[str, ...]
+    contradicting: tuple[str, ...]
+    distance: tuple[float, ...]
+
+    def reason(self, other: str) -> str:
+        """Why this is not enough to join `other`, in plain words."""
+        n, wrong = len(self.shared), len(self.contradicting)
+        if not wrong:
+            named = ", ".join(self.shared[:LISTED])
+            return f"that the {n} landmarks it shares with {other} ({named}{_more(n)}) agree may be chance"
+        named = ", ".join(sorted(self.contradicting[:LISTED], key=in_order))
+        lie = "lies" if wrong == 1 else "lie"
+        far = f"{self.distance[-1]:.2f} to {self.distance[0]:.2f}" if wrong > 1 else f"{self.distance[0]:.2f}"
+        return (
+            f"contradicts {other}: {n - wrong} of {n} shared landmarks agree; {named}{_more(wrong)} {lie} {far} m "
+            "from where the others put them"
+        )
+
+
+def _more(n: int) -> str:
+    return f" and {n - LISTED} more" if n > LISTED else ""
+
+
+def same_place(source: LandmarkMap, target: LandmarkMap, cfg: FuseConfig) -> Evidence:
+    """The evidence that the landmarks which both maps name (two at least) are the same ones.
+
+    Both covariances are multiplied by `cfg.distrust` first: filters are too sure of themselves.
+    """
+    there = set(target.ids)
+    shared = tuple(name for name in source.ids if name in there)
+    weighed = shared
+    if len(shared) > MOST:
+        weighed = tuple(shared[i] for i in np.linspace(0, len(shared) - 1, MOST).round().astype(np.intp))
+    a, b = _distrusted(source.select(weighed), cfg), _distrusted(target.select(weighed), cfg)
+    rough = align_robust(a.mean, b.mean, np.full(len(weighed), cfg.gate))
+    apart = np.hypot(*(se2.act(rough.T_target_source, a.mean) - b.mean).T)
+    far = [int(i) for i in np.argsort(-apart, kind="stable") if apart[i] > cfg.gate]
+    area = max(min(_area(source), _area(target)), 1e-12)
+    return Evidence(
+        log_odds=_log_odds(a, b, rough.T_target_source, area, cfg),
+        shared=shared,
+        contradicting=tuple(weighed[i] for i in far),
+        distance=tuple(float(apart[i]) for i in far),
+    )
+
+
+@dataclass(slots=True)
+class PlaceTest:
+    """Which of `maps` may be joined; robots[k] drove map k, recordings[k] names the recording it is made from.
+
+    Maps of one recording share a table of names, so that little evidence does; names of two recordings may have
+    nothing to do with each other. Every pair is worked out once.
+    """
+
+    maps: Sequence[LandmarkMap]
+    robots: Sequence[str]
+    recordings: Sequence[str]
+    cfg: FuseConfig
+    _known: dict[tuple[int, int], Evidence] = field(init=False, default_factory=dict)
+
+    def evidence(self, i: int, k: int) -> Evidence:
+        """For maps i and k, which share two names at least, showing the same place; either order gives the same."""
+        pair = (min(i, k), max(i, k))
+        if pair not in self._known:
+            self._known[pair] = same_place(self.maps[pair[1]], self.maps[pair[0]], self.cfg)
+        return self._known[pair]
+
+    def joins(self, i: int, k: int) -> bool:
+        """Whether maps i and k show the same place."""
+        return self.evidence(i, k).log_odds >= self.needed([i, k])
+
+    def needed(self, members: Sequence[int]) -> float:
+        """The log-odds from which these maps are one place."""
+        one = len({self.recordings[k] for k in members}) == 1
+        return float(np.log(self.cfg.odds_within if one else self.cfg.odds))
+
+
+def _distrusted(m: LandmarkMap, cfg: FuseConfig) -> LandmarkMap:
+    return LandmarkMap(m.ids, m.mean, cfg.distrust * m.cov, m.frame)
+
+
+def _area(m: LandmarkMap) -> float:
+    """The area [m^2] of the disc over which landmarks would be spread as widely as those of `m` are."""
+    return 2 * np.pi * float(np.mean(np.sum((m.mean - m.mean.mean(axis=0)) ** 2, axis=1)))
+
+
+def _log_odds(a: LandmarkMap, b: LandmarkMap, T: Float[np.ndarray, "3"], area: float, cfg: FuseConfig) -> float:
+    """The log Bayes factor of landmark i of `a` being landmark i of `b`; -inf where under half of them can be.
+
+    The transform, uniform over the area and all headings, and the scale are integrated over (Laplace's method).
+    """
+    n = len(a)
+    links = np.stack([np.arange(n)] * 2, axis=1)
+    fit = joint_fit(a, b, links, T, cfg.floor, cfg.scale_sigma)
+    while len(links) > ENOUGH and fit.single.max() > cfg.mislabelled_chi2:
+        if 2 * (len(links) - 1) < n:
+            return -np.inf
+        links = np.delete(links, int(np.argmax(fit.single)), axis=0)
+        fit = joint_fit(a, b, links, fit.T, cfg.floor, cfg.scale_sigma)
+    V, N = _precision(a, b, links[:, 0], fit.T, cfg)
+    k = len(links)
+    fitted = -0.5 * (fit.chi2 + np.linalg.slogdet(2 * np.pi * V)[1])
+    prior = -np.log(2 * np.pi * area) - 0.5 * np.log(2 * np.pi * cfg.scale_sigma**2)
+    volume = -0.5 * float(np.linalg.slogdet(N / (2 * np.pi))[1])
+    names = k * np.log1p(-cfg.mislabelled) + (n - k) * np.log(cfg.mislabelled)
+    return float(fitted + prior + volume + names + k * np.log(area))
+
+
+def _precision(
+    a: LandmarkMap, b: LandmarkMap, rows: Int[np.ndarray, " k"], T: Float[np.ndarray, "3"], cfg: FuseConfig
+) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, "4 4"]]:
+    """The covariance of what lies between linked landmarks, and the information on transform and scale."""
+    k = len(rows)
+    at = (2 * rows[:, None] + np.arange(2)).ravel()
+    R = se2.rotation(float(T[2]))
+    C = np.kron(np.eye(k), R)
+    V = b.cov[np.ix_(at, at)] + C @ a.cov[np.ix_(at, at)] @ C.T + 2 * cfg.floor**2 * np.eye(2 * k)
+    turned = a.mean[rows] @ R.T
+    J = np.zeros((2 * k, 4))
+    J[0::2, 0] = J[1::2, 1] = 1.0
+    J[0::2, 2], J[1::2, 2] = -turned[:, 1], turned[:, 0]
+    J[:, 3] = turned.ravel()
+    N = J.T @ np.linalg.solve(V, J)
+    N[3, 3] += cfg.scale_sigma**-2
+    return V, N
