@@ -5,8 +5,11 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.fusion.alignment import align_robust
-from mapweave.fusion.identities import match_maps
+from mapweave.fusion.identities import IdentityConfig, match_maps
+from mapweave.fusion.joint_fit import joint_fit
 from mapweave.landmarks.landmark_map import LandmarkMap
+
+from .worlds import covariance
 
 
 def two_maps(rng, common, n=20, size=3.0, sigma=0.01):
@@ -106,3 +109,38 @@ def test_many_points_are_aligned_from_a_spread_of_their_pairs():
     target[::3] += 10.0
     fit = align_robust(points, target, np.full(300, 0.2))
     np.testing.assert_allclose(fit.T_target_source, T, atol=0.01)
+
+
+@pytest.mark.parametrize("scale", [0.96, 1.04])
+def test_a_map_whose_scale_is_off_is_matched_where_scales_are_free(scale):
+    """Two standard deviations of scale over 14 m: over ten times the gate of maps whose scale is right."""
+    rng = np.random.default_rng(11)
+    cells = np.stack(np.meshgrid(np.arange(4), np.arange(4)), axis=-1).reshape(-1, 2)
+    points = 4.0 * cells[rng.permutation(16)[:12]] + rng.uniform(-0.8, 0.8, (12, 2))
+    names = tuple("abcdefghijkl")
+    P = 0.005**2 * np.eye(24)
+    order = rng.permutation(12)
+    source = LandmarkMap(names, scale * points, P)
+    target = LandmarkMap(names, se2.act(np.array([2.0, -1.0, 2.2]), points[order]), P)
+    match = match_maps(source, target)
+    assert match.accepted
+    assert {(int(order[j]), int(j)) for j in range(12)} == {(int(i), int(j)) for i, j in match.links}
+    assert not match_maps(source, target, IdentityConfig(scale_sigma=1e-4)).accepted
+
+
+def test_a_joint_fit_does_not_depend_on_the_frame_of_the_source():
+    rng = np.random.default_rng(12)
+    points = rng.uniform(-4, 4, (7, 2))
+    names = tuple("abcdefg")
+    source = LandmarkMap(names, points, np.diag(np.tile([0.2, 0.01], 7)) ** 2)  # sure in one direction only
+    target = LandmarkMap(names, points + rng.normal(0, 0.1, points.shape), covariance(rng, points))
+    links = np.stack([np.arange(7)] * 2, axis=1)
+    turn = np.array([1.0, -3.0, np.pi / 2])
+    once = joint_fit(source, target, links, np.zeros(3), 0.01, 0.02)
+    again = joint_fit(source.moved(turn, "x"), target, links, se2.inverse(turn), 0.01, 0.02)
+    assert once.chi2 > 5
+    assert again.chi2 == pytest.approx(once.chi2, rel=1e-6)
+    assert again.scale == pytest.approx(once.scale, rel=1e-9)
+    np.testing.assert_allclose(again.single, once.single, rtol=1e-5)
+    there = se2.act(again.T, again.scale * se2.act(turn, points))
+    np.testing.assert_allclose(there, se2.act(once.T, once.scale * points), atol=1e-7)

@@ -152,3 +152,14 @@ def test_sampled_variance_factors_are_the_exact_ones(monkeypatch):
     sampled = join(maps, start, **how)
     np.testing.assert_allclose(sampled.variance_factors, exact.variance_factors, rtol=0.12)
     np.testing.assert_allclose(sampled.mean, exact.mean, atol=0.005)
+
+
+@pytest.mark.parametrize(("stated", "factor"), [(1e-6, 400.0), (1e6, 0.05)])
+def test_a_variance_factor_is_believed_within_its_bounds_only(stated, factor):
+    """A map that claims a thousandth, or a thousand times, of its error is a map out of bounds."""
+    rng = np.random.default_rng(8)
+    maps, start, _, _ = world(rng, robots=5, landmarks=15, seen=15)
+    maps[2] = LandmarkMap(maps[2].ids, maps[2].mean, stated * maps[2].cov, maps[2].frame)
+    joined = join(maps, start, scale_sigma=0.02, floor=1e-6, variance_prior=1e-6)
+    assert joined.variance_factors[2] == factor
+    assert np.all((joined.variance_factors > 0.05) & (joined.variance_factors < 400.0) | (np.arange(5) == 2))

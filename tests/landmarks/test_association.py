@@ -65,3 +65,21 @@ def test_a_second_observation_beside_a_sure_one_is_another_landmark():
     assert found == ((0, None), (False, False))
     kept = certain(found, z, zhat, 1e-9 * np.eye(2), R, 9.21, 25.0, (1,), np.full(2, 1e-5), 0.95)
     assert kept == ((0, None), (False, True))
+
+
+def test_matches_that_fit_one_by_one_but_not_together_are_not_both_believed():
+    zhat = np.array([[5.0, 0.0], [7.0, 0.8]])
+    shared = np.zeros((4, 4))
+    shared[1::2, 1::2] = 0.3**2  # the robot's heading error moves both bearings together
+    z = zhat + np.array([[0.0, 0.5], [0.0, -0.5]])  # but they went apart: D^2 = 2.7 each, over 300 together
+    found = jcbb(z, zhat, shared, R, 9.21, 25.0, (1,))
+    assert sum(a is not None for a in found.landmark) == 1
+
+
+def test_the_joint_gate_grows_with_the_number_of_matches():
+    zhat = np.array([[5.0, 0.0], [7.0, 0.8], [9.0, -0.8], [11.0, 0.3]])
+    z = zhat + np.array([0.2 * 2.0, 0.0])  # D^2 = 4 each, 16 together: above the gate of one, below that of four
+    assert jcbb(z, zhat, 1e-12 * np.eye(8), R, 9.21, 25.0, (1,)).landmark == (0, 1, 2, 3)
+    further = zhat + np.array([0.2 * 2.4, 0.0])  # 23 together: above that of four, 17 below that of three no more
+    found = jcbb(further, zhat, 1e-12 * np.eye(8), R, 9.21, 25.0, (1,))
+    assert 0 < sum(a is not None for a in found.landmark) < 4
