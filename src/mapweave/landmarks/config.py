@@ -48,6 +48,11 @@ class EkfSlamConfig:
     gate: float = 2.0  # normalised innovation from which a sighting counts less, never nothing
     far: float = 10.0  # normalised innovation from which it counts less by the square: a label misread
     agree: int = 3  # sightings of a new landmark that must agree on its place
+    # rows beyond are broken and left out
+    most_speed: float = 1e3  # [m/s]
+    most_turn: float = 1e3  # [rad/s]
+    most_range: float = 1e5  # [m]
+    most_bearing: float = 1e3  # [rad]
     # calibration: prior mean and standard deviation
     speed_scale: float = 1.0
     speed_scale_sd: float = 0.0

@@ -18,6 +18,8 @@ from .submap import Submap
 
 MOST_NUMBERS = 30_000_000  # sightings times state: beyond, smoothing would take gigabytes and poses stay filtered
 
+LARGEST = 1e100  # [m], [m^2]: beyond, products of two numbers of the estimate are no longer finite
+
 
 @dataclass(frozen=True, slots=True)
 class Played:
@@ -56,13 +58,17 @@ def play(log: LandmarkLog, cfg: EkfSlamConfig) -> Played:
     start = min((float(s[0]) for s in (commands[0], seen.t) if len(s)), default=0.0)
     cmd_t, cmd_v, cmd_w = (np.array(c) for c in commands)
     stamp, distance, bearing = (np.array(c) for c in (seen.t, seen.range, seen.bearing))
-    rows = ekf.replay(
-        x, P, Phi, Q, start, cmd_t, cmd_v, cmd_w, stamp, slots, distance, bearing,
-        noise(cfg), started, waiting, n_waiting, np.zeros(1, np.int64), nis, weight, t, pose, cov,
-    )  # fmt: skip
+    failed = EstimateError(f"{log.source}: {log.robot}: EKF-SLAM left finite numbers")
+    try:
+        rows = ekf.replay(
+            x, P, Phi, Q, start, cmd_t, cmd_v, cmd_w, stamp, slots, distance, bearing,
+            noise(cfg), started, waiting, n_waiting, np.zeros(1, np.int64), nis, weight, t, pose, cov,
+        )  # fmt: skip
+    except ZeroDivisionError:  # an innovation's determinant ran over
+        raise failed from None
     settle(P, len(x), Phi, Q)
-    if not (np.isfinite(x).all() and np.isfinite(P).all()):
-        raise EstimateError(f"{log.source}: {log.robot}: EKF-SLAM left finite numbers")
+    if not max(np.abs(x).max(), np.abs(P).max(initial=0.0)) < LARGEST:
+        raise failed
     made = ekf_slam.submap(log.robot, state.frame, x, P, ids, started)
     t, pose, square = t[:rows], pose[:rows], np.array(ekf_slam.square(cov[:rows]))
     if cfg.smooth and started.any() and len(seen) * len(x) <= MOST_NUMBERS:
@@ -74,4 +80,6 @@ def play(log: LandmarkLog, cfg: EkfSlamConfig) -> Played:
     scale = float(x[RANGE_SCALE])
     by = np.array([scale, scale, 1.0])
     track = Track(t, pose * by, square * np.outer(by, by), state.frame)
+    if not (np.isfinite(pose).all() and np.isfinite(square).all()):
+        raise failed
     return Played(seen, x, P, made, track, nis, weight)

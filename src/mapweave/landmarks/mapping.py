@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..core.landmark_log import LandmarkLog
+from ..core.records import Odometry
 from ..kernels.landmarks.ekf_state import HEAD, POSE
 from . import ekf_slam
 from .config import EkfSlamConfig
@@ -24,10 +25,12 @@ def local_map(log: LandmarkLog, cfg: EkfSlamConfig | None = None, seed: int = 0)
     """The map of `log` in `local_K`; raises EstimateError when the filter leaves finite numbers.
 
     A name that keeps contradicting itself has no fixed place: it is left out and told, an unlisted barcode as
-    misreads. Nothing is random here; `seed` is what every estimator takes.
+    misreads; so are rows with numbers that no robot drives or sees. Nothing is random here; `seed` is what every
+    estimator takes.
     """
     cfg = config_for(log, cfg or EkfSlamConfig())
     run = play if cfg.odometry else play_in_pieces
+    log = without_impossible(log, cfg)
     dropped, warnings, kept = dict(log.dropped), list(log.warnings), log
     done = run(kept, cfg)
     for _ in range(MOST_RESTLESS):
@@ -47,6 +50,30 @@ def local_map(log: LandmarkLog, cfg: EkfSlamConfig | None = None, seed: int = 0)
 def config_for(log: LandmarkLog, cfg: EkfSlamConfig) -> EkfSlamConfig:
     """`cfg` for this log: a robot without odometry wanders."""
     return replace(cfg, odometry=False) if log.odometry is None else cfg
+
+
+def without_impossible(log: LandmarkLog, cfg: EkfSlamConfig) -> LandmarkLog:
+    """The log without rows beyond what `cfg` lets a robot drive or see, which are counted and told."""
+    seen, odometry = log.sightings, log.odometry
+    sane = (np.abs(seen.range) <= cfg.most_range) & (np.abs(seen.bearing) <= cfg.most_bearing)
+    told = {"sighting: impossible": int((~sane).sum())}
+    if odometry is not None:
+        drives = (np.abs(odometry.v) <= cfg.most_speed) & (np.abs(odometry.w) <= cfg.most_turn)
+        told["odometry: impossible"] = int((~drives).sum())
+        odometry = Odometry(odometry.t[drives], odometry.v[drives], odometry.w[drives])
+    told = {reason: n for reason, n in told.items() if n}
+    if not told:
+        return log
+    warnings = [
+        f"{n} {reason.split(':')[0]} rows held numbers beyond any robot: left out" for reason, n in told.items()
+    ]
+    return replace(
+        log,
+        odometry=odometry,
+        sightings=seen.select(sane),
+        dropped={**log.dropped, **told},
+        warnings=(*log.warnings, *warnings),
+    )
 
 
 def _restless(done: Played) -> str | None:

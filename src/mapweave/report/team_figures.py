@@ -182,7 +182,7 @@ def _draw_track(ax: Axes, story: TeamStory, team: TeamMap, robot: str) -> None:
     k = story.colour_of(robot)
     color: Any = style.colour(k)
     ax.plot(pose[:, 0], pose[:, 1], color=color, lw=0.9, alpha=0.75, label=f"robot {robot_key(robot)}", zorder=1)
-    ax.plot(*pose[0, :2], "o", color=color, mfc="white", mew=1.8, ms=8, zorder=4)
+    ax.plot(*pose[:1, :2].T, "o", color=color, mfc="white", mew=1.8, ms=8, zorder=4)
 
 
 def _draw_landmarks(ax: Axes, landmarks: LandmarkMap, grow: float) -> None:
