@@ -1,13 +1,171 @@
-"""mapweave: one map, with honest uncertainty, from the logs of many robots."""
+"""mapweave: one map, with honest uncertainty, from the logs of many robots.
 
-import sys
+Verbs (`map`, `fuse`, `locate`, `localize`, `explore`, `evaluate`, `simulate_*`, `reproduce_*`, `demo`, `view`), the
+results they return, their options and configuration, and the errors they raise. A name is imported when it is first
+used, so that `import mapweave` is instant.
+"""
+
 from importlib import import_module
-from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from .core.version import __version__ as __version__
 
+if TYPE_CHECKING:
+    from .api.demo import demo as demo
+    from .api.evaluate import Evaluation as Evaluation
+    from .api.evaluate import evaluate as evaluate
+    from .api.evaluate_relations import RelationEvaluation as RelationEvaluation
+    from .api.evaluate_swarm import SwarmEvaluation as SwarmEvaluation
+    from .api.evaluate_team import TeamEvaluation as TeamEvaluation
+    from .api.explore import explore as explore
+    from .api.fuse import fuse as fuse
+    from .api.localize import LocalizeResult as LocalizeResult
+    from .api.localize import localize as localize
+    from .api.locate import locate as locate
+    from .api.located import Located as Located
+    from .api.map import map as map  # noqa: A004
+    from .api.map_landmarks import LandmarkMapConfig as LandmarkMapConfig
+    from .api.map_laser import LaserResult as LaserResult
+    from .api.map_options import LaserOptions as LaserOptions
+    from .api.moving_result import Moved as Moved
+    from .api.simulate_landmarks import simulate_landmarks as simulate_landmarks
+    from .api.simulate_laser import simulate_laser as simulate_laser
+    from .api.simulate_swarm import simulate_swarm as simulate_swarm
+    from .api.team import TeamResult as TeamResult
+    from .api.view import view as view
+    from .core.bearings import BearingTable as BearingTable
+    from .core.errors import ConfigError as ConfigError
+    from .core.errors import DataError as DataError
+    from .core.errors import EstimateError as EstimateError
+    from .core.errors import MapweaveError as MapweaveError
+    from .core.errors import ReaderError as ReaderError
+    from .core.errors import UsageError as UsageError
+    from .core.laser_log import LaserLog as LaserLog
+    from .core.progress import Progress as Progress
+    from .core.records import Track as Track
+    from .exploration.landmarks.config import ExploreConfig as ExploreConfig
+    from .exploration.landmarks.result import ExploreResult as ExploreResult
+    from .exploration.laser.mission import LaserMissionConfig as LaserMissionConfig
+    from .exploration.laser.result import LaserExploreResult as LaserExploreResult
+    from .fusion.config import FuseConfig as FuseConfig
+    from .landmarks.config import EkfSlamConfig as EkfSlamConfig
+    from .laser.config import LaserConfig as LaserConfig
+    from .papers.hamatani.reproduce import HamataniReproduction as HamataniReproduction
+    from .papers.hamatani.reproduce import reproduce_hamatani as reproduce_hamatani
+    from .papers.hara.reproduce import HaraReproduction as HaraReproduction
+    from .papers.hara.reproduce import reproduce_hara as reproduce_hara
+    from .papers.kojima.reproduce import KojimaReproduction as KojimaReproduction
+    from .papers.kojima.reproduce import reproduce_kojima as reproduce_kojima
+    from .papers.yuan.reproduce import YuanReproduction as YuanReproduction
+    from .papers.yuan.reproduce import reproduce_yuan as reproduce_yuan
+    from .sim.corridor import CorridorConfig as CorridorConfig
+    from .sim.office import OfficeConfig as OfficeConfig
+    from .sim.swarm import SwarmScene as SwarmScene
+    from .sim.tunnel import TunnelConfig as TunnelConfig
+    from .swarm.moving.result import TrackConfig as TrackConfig
+
+_HOMES: dict[str, str] = {
+    # public name: the module that defines it under the same name; keep in step with the block above, which type
+    # checkers read
+    # verbs
+    "demo": "api.demo",
+    "evaluate": "api.evaluate",
+    "explore": "api.explore",
+    "fuse": "api.fuse",
+    "localize": "api.localize",
+    "locate": "api.locate",
+    "map": "api.map",
+    "reproduce_hamatani": "papers.hamatani.reproduce",
+    "reproduce_hara": "papers.hara.reproduce",
+    "reproduce_kojima": "papers.kojima.reproduce",
+    "reproduce_yuan": "papers.yuan.reproduce",
+    "simulate_landmarks": "api.simulate_landmarks",
+    "simulate_laser": "api.simulate_laser",
+    "simulate_swarm": "api.simulate_swarm",
+    "view": "api.view",
+    # what verbs return
+    "Evaluation": "api.evaluate",
+    "ExploreResult": "exploration.landmarks.result",
+    "HamataniReproduction": "papers.hamatani.reproduce",
+    "HaraReproduction": "papers.hara.reproduce",
+    "KojimaReproduction": "papers.kojima.reproduce",
+    "LaserExploreResult": "exploration.laser.result",
+    "LaserResult": "api.map_laser",
+    "LocalizeResult": "api.localize",
+    "Located": "api.located",
+    "Moved": "api.moving_result",
+    "RelationEvaluation": "api.evaluate_relations",
+    "SwarmEvaluation": "api.evaluate_swarm",
+    "TeamEvaluation": "api.evaluate_team",
+    "TeamResult": "api.team",
+    "YuanReproduction": "papers.yuan.reproduce",
+    # options and worlds
+    "CorridorConfig": "sim.corridor",
+    "LaserOptions": "api.map_options",
+    "OfficeConfig": "sim.office",
+    "SwarmScene": "sim.swarm",
+    "TrackConfig": "swarm.moving.result",
+    "TunnelConfig": "sim.tunnel",
+    # configuration
+    "EkfSlamConfig": "landmarks.config",
+    "ExploreConfig": "exploration.landmarks.config",
+    "FuseConfig": "fusion.config",
+    "LandmarkMapConfig": "api.map_landmarks",
+    "LaserConfig": "laser.config",
+    "LaserMissionConfig": "exploration.laser.mission",
+    # data and progress
+    "BearingTable": "core.bearings",
+    "LaserLog": "core.laser_log",
+    "Progress": "core.progress",
+    "Track": "core.records",
+    # errors
+    "ConfigError": "core.errors",
+    "DataError": "core.errors",
+    "EstimateError": "core.errors",
+    "MapweaveError": "core.errors",
+    "ReaderError": "core.errors",
+    "UsageError": "core.errors",
+}
+
 __all__ = (
+    "BearingTable",
+    "ConfigError",
+    "CorridorConfig",
+    "DataError",
+    "EkfSlamConfig",
+    "EstimateError",
+    "Evaluation",
+    "ExploreConfig",
+    "ExploreResult",
+    "FuseConfig",
+    "HamataniReproduction",
+    "HaraReproduction",
+    "KojimaReproduction",
+    "LandmarkMapConfig",
+    "LaserConfig",
+    "LaserExploreResult",
+    "LaserLog",
+    "LaserMissionConfig",
+    "LaserOptions",
+    "LaserResult",
+    "LocalizeResult",
+    "Located",
+    "MapweaveError",
+    "Moved",
+    "OfficeConfig",
+    "Progress",
+    "ReaderError",
+    "RelationEvaluation",
+    "SwarmEvaluation",
+    "SwarmScene",
+    "TeamEvaluation",
+    "TeamResult",
+    "Track",
+    "TrackConfig",
+    "TunnelConfig",
+    "UsageError",
+    "YuanReproduction",
+    "__version__",
     "demo",
     "evaluate",
     "explore",
@@ -25,67 +183,16 @@ __all__ = (
     "view",
 )
 
-if TYPE_CHECKING:
-    from .api.demo import demo as demo
-    from .api.evaluate import evaluate as evaluate
-    from .api.explore import explore as explore
-    from .api.fuse import fuse_results as fuse
-    from .api.localize import localize as localize
-    from .api.locate import locate as locate
-    from .api.map import map_logs as map  # noqa: A004
-    from .api.simulate_landmarks import simulate_landmarks as simulate_landmarks
-    from .api.simulate_laser import simulate_laser as simulate_laser
-    from .api.simulate_swarm import simulate_swarm as simulate_swarm
-    from .api.view import view as view
-    from .papers.hamatani.reproduce import reproduce_hamatani as reproduce_hamatani
-    from .papers.hara.reproduce import reproduce_hara as reproduce_hara
-    from .papers.kojima.reproduce import reproduce_kojima as reproduce_kojima
-    from .papers.yuan.reproduce import reproduce_yuan as reproduce_yuan
 
-_VERBS: dict[str, str] = {
-    # public name: where it lives; keep in step with the block above, which type checkers read
-    "demo": "mapweave.api.demo:demo",
-    "evaluate": "mapweave.api.evaluate:evaluate",
-    "explore": "mapweave.api.explore:explore",
-    "fuse": "mapweave.api.fuse:fuse_results",
-    "localize": "mapweave.api.localize:localize",
-    "locate": "mapweave.api.locate:locate",
-    "map": "mapweave.api.map:map_logs",
-    "reproduce_hamatani": "mapweave.papers.hamatani.reproduce:reproduce_hamatani",
-    "reproduce_hara": "mapweave.papers.hara.reproduce:reproduce_hara",
-    "reproduce_kojima": "mapweave.papers.kojima.reproduce:reproduce_kojima",
-    "reproduce_yuan": "mapweave.papers.yuan.reproduce:reproduce_yuan",
-    "simulate_landmarks": "mapweave.api.simulate_landmarks:simulate_landmarks",
-    "simulate_laser": "mapweave.api.simulate_laser:simulate_laser",
-    "simulate_swarm": "mapweave.api.simulate_swarm:simulate_swarm",
-    "view": "mapweave.api.view:view",
-}
+if not TYPE_CHECKING:  # a checker shall know the names above and no others
 
+    def __getattr__(name: str) -> object:
+        home = _HOMES.get(name)
+        if home is None:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        value = getattr(import_module(f"{__name__}.{home}"), name)
+        globals()[name] = value
+        return value
 
-class _Verb:
-    """A public verb, imported when first used, so that `import mapweave` stays instant.
-
-    Some rooms carry a verb's name (`mapweave.fusion`); Python binds a room to this module when it is imported, and the
-    setter lets that pass: the attribute stays the verb, `from mapweave.fuse import ..` still finds the room.
-    """
-
-    def __init__(self, where: str) -> None:
-        self.module, _, self.attribute = where.partition(":")
-
-    def __get__(self, module: object, owner: type | None = None) -> Any:
-        return getattr(import_module(self.module), self.attribute)
-
-    def __set__(self, module: object, room: object) -> None:
-        pass
-
-
-class _Package(ModuleType):
-    """The package, with the verbs as attributes nothing else can take."""
-
-    def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *_VERBS]
-
-
-for _name, _where in _VERBS.items():
-    setattr(_Package, _name, _Verb(_where))
-sys.modules[__name__].__class__ = _Package
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *_HOMES})

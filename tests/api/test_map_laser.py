@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mapweave.api import map as verb
-from mapweave.api.map import map_logs
+from mapweave.api.map import map as map_logs
 from mapweave.api.map_options import LaserOptions
 from mapweave.cli import _run
 from mapweave.core.errors import UsageError

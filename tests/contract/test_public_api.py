@@ -1,23 +1,42 @@
 """What `import mapweave` offers."""
 
+import ast
 import subprocess
 import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
 
 import mapweave
 import mapweave.evaluation.team
 import mapweave.fusion.join
 
+VERBS = [name for name in mapweave._HOMES if name.islower()]
+ROOMS = {path.name for path in Path(mapweave.__file__).parent.iterdir() if path.is_dir()}
 
-def test_every_public_verb_can_be_had_and_is_a_function():
-    for name in mapweave._VERBS:
-        assert callable(getattr(mapweave, name)), name
+
+def test_every_public_name_can_be_had_and_is_listed():
+    assert set(mapweave.__all__) == {*mapweave._HOMES, "__version__"}
+    for name, home in mapweave._HOMES.items():
+        assert getattr(mapweave, name) is getattr(import_module(f"mapweave.{home}"), name)
         assert name in dir(mapweave)
+    assert all(callable(getattr(mapweave, name)) for name in VERBS)
 
 
-def test_a_room_with_a_verbs_name_does_not_take_its_place():
-    assert mapweave.fuse is not sys.modules["mapweave.fusion"]
-    assert mapweave.evaluate is not sys.modules["mapweave.evaluation"]
-    assert mapweave.fuse.__doc__.startswith("One map from the local maps")
+def test_a_name_that_is_not_there_is_an_attribute_error_and_no_verb_hides_a_room():
+    with pytest.raises(AttributeError, match="no attribute 'mapp'"):
+        mapweave.mapp  # noqa: B018
+    assert not ROOMS & set(mapweave._HOMES)
+    assert callable(mapweave.fuse)
+    assert callable(mapweave.fusion.join.fuse)
+
+
+def test_a_type_checker_reads_the_same_names_from_the_same_modules():
+    tree = ast.parse(Path(mapweave.__file__).read_text(encoding="utf-8"))
+    (block,) = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    seen = {alias.asname: (node.module, alias.name) for node in block.body for alias in node.names}
+    assert seen == {name: (home, name) for name, home in mapweave._HOMES.items()}
 
 
 def test_importing_and_asking_for_help_imports_nothing_heavy():

@@ -10,7 +10,7 @@ from ..core.names import in_order
 from ..core.progress import Progress, no_progress
 from ..core.threads import one_blas_thread
 from ..fusion.config import FuseConfig
-from ..fusion.join import fuse
+from ..fusion.join import fuse as join_maps
 from ..io.directory import check_target, result_directory
 from ..io.local_map import read_local_map
 from ..landmarks.local_map import LocalMap
@@ -18,7 +18,7 @@ from .team import TeamResult, Watch, team_result
 
 
 @one_blas_thread()
-def fuse_results(
+def fuse(
     directories: Path | str | Sequence[Path | str],
     out: Path | str | None = None,
     *,
@@ -54,7 +54,7 @@ def fuse_results(
         f"One map fused from {', '.join(distinct_names(given))}",
         seed,
         local,
-        fuse(local, cfg, recordings),
+        join_maps(local, cfg, recordings),
         tuple(Path(p) for p in truth),
         (),
         watch,

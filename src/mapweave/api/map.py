@@ -32,7 +32,7 @@ MAPPERS: tuple[str, ...] = (
 
 
 @one_blas_thread()
-def map_logs(
+def map(  # noqa: A001  (the verb)
     logs: Path | str | Sequence[Path | str],
     out: Path | str | None = None,
     *,

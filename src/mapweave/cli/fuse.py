@@ -37,12 +37,12 @@ def fuse(
     force
         Write into the folder even when something other than a result stands there.
     """
-    from ..api.fuse import fuse_results
+    from ..api.fuse import fuse as run
     from .progress import progress
     from .say import say
 
     with progress() as on_progress:
-        result = fuse_results(
+        result = run(
             directories,
             out,
             weights=weights,

@@ -98,7 +98,7 @@ def map_logs(
     force
         Write into the folder even when something other than a result stands there.
     """
-    from ..api.map import map_logs as run
+    from ..api.map import map as run
     from ..api.map_options import parse_robots, parse_shares, parse_starts
     from .progress import progress
     from .say import say
