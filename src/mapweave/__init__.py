@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     from .core.progress import Progress as Progress
     from .core.records import Track as Track
     from .exploration.landmarks.config import ExploreConfig as ExploreConfig
-    from .exploration.landmarks.result import ExploreResult as ExploreResult
-    from .exploration.laser.mission import LaserMissionConfig as LaserMissionConfig
+    from .exploration.landmarks.result import LandmarkExploreResult as LandmarkExploreResult
+    from .exploration.laser.config import LaserMissionConfig as LaserMissionConfig
     from .exploration.laser.result import LaserExploreResult as LaserExploreResult
     from .fusion.config import FuseConfig as FuseConfig
     from .landmarks.config import EkfSlamConfig as EkfSlamConfig
@@ -85,7 +85,7 @@ _HOMES: dict[str, str] = {
     "view": "api.view",
     # what verbs return
     "Evaluation": "api.evaluate",
-    "ExploreResult": "exploration.landmarks.result",
+    "LandmarkExploreResult": "exploration.landmarks.result",
     "HamataniReproduction": "papers.hamatani.reproduce",
     "HaraReproduction": "papers.hara.reproduce",
     "KojimaReproduction": "papers.kojima.reproduce",
@@ -112,7 +112,7 @@ _HOMES: dict[str, str] = {
     "FuseConfig": "fusion.config",
     "LandmarkMapConfig": "api.map_landmarks",
     "LaserConfig": "laser.config",
-    "LaserMissionConfig": "exploration.laser.mission",
+    "LaserMissionConfig": "exploration.laser.config",
     # data and progress
     "BearingTable": "core.bearings",
     "LaserLog": "core.laser_log",
