@@ -1,0 +1,173 @@
+"""How well a smoothed team is known: cluster-robust covariances, with a floor.
+
+A model that takes every sighting for independent says millimetres where errors are centimetres: a camera's errors last
+for seconds. So the scatter of the scores (each factor's pull) is measured by groups of one robot's factors over some
+seconds, and carried through the information matrix ("sandwich"; Liang and Zeger, 1986).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float, Int
+
+from ..core.gaussian import symmetrise
+from ..solve import Information, SingularError, Solution
+from ..solve.fronts import Elimination
+from .config import SmoothingConfig
+from .smoothing import PARAMETERS, TeamProblem
+
+MOST_CORRECTED = 4.0  # largest factor for what landmarks and calibration themselves took out of the residuals
+CHUNK = 96  # columns of the covariance held at once
+
+
+@dataclass(frozen=True, slots=True)
+class TeamCovariance:
+    """landmarks: (2n, 2n) joint; poses: a robot each, (k, 3, 3); calibration: a robot each, (5,) standard deviations.
+
+    inflation: a robot each, the factor on the model's covariance of its poses.
+    """
+
+    landmarks: Float[np.ndarray, "n n"]
+    poses: tuple[Float[np.ndarray, "_ 3 3"], ...]
+    calibration: tuple[Float[np.ndarray, "5"], ...]
+    inflation: tuple[float, ...]
+
+
+def team_covariance(team: TeamProblem, solution: Solution, cfg: SmoothingConfig) -> TeamCovariance:
+    """The covariances at `solution`, told in the frame that the landmarks as a body are.
+
+    The map's origin is one robot's first pose, whose own errors would stand in every covariance; so all of them are
+    taken off the motions of the landmarks as a whole (Baarda's S-transformation). Landmarks and calibration are
+    sandwiches. A pose has too few groups of its own for one: it has the model's covariance, times how much more its
+    robot's sightings within a few seconds pull together than if they were independent. Raises SingularError where the
+    problem leaves something free.
+    """
+    known = _Known.of(team, solution, cfg.cluster)
+    hubs = np.arange(team.landmark_start, len(solution.x))
+    m = 2 * len(team.landmarks)
+    moved = known.moved(hubs)
+    S = symmetrise(moved.T @ moved)
+    floor = np.diag([cfg.position_floor**2, cfg.position_floor**2, cfg.heading_floor**2])
+    factors = [_correlation(team, k, solution.x, cfg.memory) for k in range(len(team.parts))]
+    poses = [f * model + floor for f, model in zip(factors, known.pose_blocks(), strict=True)]
+    deviations = np.sqrt(np.maximum(np.diag(S)[m:], 0.0)).reshape(-1, len(PARAMETERS))
+    landmarks = S[:m, :m] + cfg.position_floor**2 * np.eye(m)
+    return TeamCovariance(landmarks, tuple(poses), tuple(deviations), tuple(factors))
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """The information at a solution, the scores of each group of factors, and the frame they are told in.
+
+    position: (n,) of every entry of x among the free ones, -1 where it is held; scores: (groups, free); motions:
+    (n, 3), how x changes when the whole is shifted and turned; taken: (3, hubs), how much of each motion a change of
+    landmarks and calibration is.
+    """
+
+    team: TeamProblem
+    information: Information
+    position: Int[np.ndarray, " n"]
+    free: Int[np.ndarray, " f"]
+    scores: sp.csr_matrix
+    motions: Float[np.ndarray, "n 3"]
+    taken: Float[np.ndarray, "3 h"]
+
+    @classmethod
+    def of(cls, team: TeamProblem, solution: Solution, length: float) -> "_Known":
+        if solution.information is None:
+            raise SingularError("the team's problem is singular: something in it is not observed")
+        n = len(solution.x)
+        position = np.full(n, -1)
+        position[solution.free] = np.arange(len(solution.free))
+        motions = _motions(team, solution.x)
+        taken = np.zeros((3, n - team.landmark_start))
+        if len(team.landmarks) > 1:
+            taken[:, : 2 * len(team.landmarks)] = np.linalg.pinv(motions[team.landmark_columns])
+        scores = _scores(team, solution.x, length)[:, solution.free]
+        return cls(team, solution.information, position, solution.free, scores, motions, taken)
+
+    def moved(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "groups k"]:
+        """How far each group's errors move the entries `index` of x: the rows' outer products add to a covariance."""
+        hubs = np.arange(self.team.landmark_start, len(self.position))
+        out = self._moved(index) - (self._moved(hubs) @ self.taken.T) @ self.motions[index].T
+        groups = float(len(out))
+        shared = float(np.count_nonzero(self.free >= self.team.landmark_start))
+        return np.asarray(out * np.sqrt(groups / max(groups - shared, groups / MOST_CORRECTED)))
+
+    def _moved(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "groups k"]:
+        at = self.position[index]
+        free = np.flatnonzero(at >= 0)
+        out = np.zeros((self.scores.shape[0], len(index)))
+        for a in range(0, len(free), CHUNK):
+            part = free[a : a + CHUNK]
+            out[:, part] = self.scores @ self.information.columns(at[part])
+        return out
+
+    def pose_blocks(self) -> list[Float[np.ndarray, "k 3 3"]]:
+        """The model's covariance of every pose, a robot each.
+
+        Trajectories are chains, which nested dissection along time eliminates cheaply; what touches all of them
+        (landmarks, calibration: h) is kept apart: `P_pp = (H_cc^-1)_pp + W_p P_hh W_p^T`, `W = H_cc^-1 H_ch`.
+        """
+        is_chain = self.free < self.team.landmark_start
+        chain, hub = np.flatnonzero(is_chain), np.flatnonzero(~is_chain)
+        H = self.information.matrix
+        group = self.free[chain] // 3
+        t = np.concatenate([part.instants.t for part in self.team.parts])
+        poses, first = np.unique(group, return_index=True)
+        inner_matrix = sp.csc_matrix(H[chain][:, chain])
+        inner_matrix.sort_indices()
+        inner = Information.of(inner_matrix, Elimination.of(inner_matrix, group, t[poses, None]))
+        index = first[:, None] + np.arange(3)
+        blocks = np.zeros((len(t), 3, 3))
+        blocks[poses] = inner.blocks(index)
+        W = np.zeros((len(t), 3, len(hub)))
+        W[poses] = inner.solve(H[chain][:, hub].toarray())[index]
+        W += self.motions[: 3 * len(t)].reshape(-1, 3, 3) @ self.taken[:, self.free[hub] - self.team.landmark_start]
+        blocks += W @ self.information.covariance(hub) @ W.transpose(0, 2, 1)
+        ends = np.cumsum([len(part.instants.t) for part in self.team.parts])
+        return np.split(blocks, ends[:-1])
+
+
+def _motions(team: TeamProblem, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+    """How x changes when the whole map is shifted along x, along y, and turned."""
+    out = np.zeros((len(x), 3))
+    poses, points = np.arange(0, team.landmark_start, 3), team.landmark_columns[::2]
+    for at in (poses, points):
+        out[at, 0] = out[at + 1, 1] = 1.0
+        out[at, 2], out[at + 1, 2] = -x[at + 1], x[at]
+    out[poses + 2, 2] = 1.0
+    return out
+
+
+def _scores(team: TeamProblem, x: Float[np.ndarray, " n"], length: float) -> sp.csr_matrix:
+    """The pull on every variable of each robot's factors within `length` [s], (groups, n); priors are no data."""
+    begin = min(float(part.instants.t[0]) for part in team.parts)
+    ends = max(float(part.instants.t[-1]) for part in team.parts)
+    many = int((ends - begin) // length) + 1
+    out = sp.csr_matrix((many * len(team.parts), len(x)))
+    for term, origin in zip(team.problem.terms, team.origins, strict=True):
+        if origin is not None:
+            g = term.normal(x)[1]
+            row = origin.robot * many + np.clip((origin.t - begin) // length, 0, many - 1).astype(int)
+            out = out + sp.csr_matrix((g.ravel(), (np.repeat(row, g.shape[1]), term.columns.ravel())), shape=out.shape)
+    return out[np.diff(out.indptr) > 0]
+
+
+def _correlation(team: TeamProblem, robot: int, x: Float[np.ndarray, " n"], length: float) -> float:
+    """How much more a robot's sightings of one landmark within `length` [s] pull together than if independent; >= 1."""
+    together = alone = 0.0
+    first = team.landmark_start
+    for term, origin in zip(team.problem.terms, team.origins, strict=True):
+        if origin is None or origin.robot != robot:
+            continue
+        seen = (term.columns >= first) & (term.columns < first + 2 * len(team.landmarks))
+        if seen.any():
+            column = int(np.flatnonzero(seen[0])[0])
+            g = term.normal(x)[1][:, column : column + 2]
+            key = np.stack([origin.t // length, term.columns[:, column]], axis=-1)
+            group = np.unique(key, axis=0, return_inverse=True)[1].ravel()
+            together += sum(float(np.square(np.bincount(group, weights=g[:, k])).sum()) for k in (0, 1))
+            alone += float(np.square(g).sum())
+    return max(1.0, together / alone) if alone > 0 else 1.0

@@ -1,0 +1,54 @@
+"""When a robot's pose is estimated: whenever it sees or is seen, and so often that nothing long lies between."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..core import se2
+from ..core.landmark_log import LandmarkLog
+from ..core.records import Track
+from .config import SmoothingConfig
+
+
+@dataclass(frozen=True, slots=True)
+class Instants:
+    """t: (n,) [s] ascending; start: (n, 3) poses to begin with, in the map's frame; track: where those come from."""
+
+    t: Float[np.ndarray, " n"]
+    start: Float[np.ndarray, "n 3"]
+    track: Track
+
+    def nearest(self, t: Float[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
+        """Which instant is nearest to each of `t`."""
+        right = np.clip(np.searchsorted(self.t, t), 1, max(len(self.t) - 1, 1))
+        left = right - 1
+        right = np.minimum(right, len(self.t) - 1)
+        return np.asarray(np.where(t - self.t[left] <= self.t[right] - t, left, right))
+
+    def from_nearest(self, t: Float[np.ndarray, " m"]) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 3"]]:
+        """The instant nearest to each of `t`, and the small way `T_instant_t` from there, as `track` has it."""
+        k = self.nearest(t)
+        return k, se2.between(self.start[k], se2.interpolate(t, self.track.t, self.track.pose))
+
+
+def instants_of(log: LandmarkLog, seen_at: Float[np.ndarray, " s"], track: Track, cfg: SmoothingConfig) -> Instants:
+    """The instants of `log`'s robot: first and last stamp, sightings it made, sightings of it inside its log."""
+    first, last = log.span
+    inside = seen_at[(seen_at >= first) & (seen_at <= last)]
+    t = np.unique(np.concatenate([[first, last], log.sightings.t, inside]))
+    t = _spaced(t, cfg.shortest_step)
+    gaps = np.diff(t)
+    parts = np.maximum(np.ceil(gaps / cfg.longest_step - 1e-9).astype(int), 1)
+    more = [np.linspace(a, b, n + 1)[1:-1] for a, b, n in zip(t[:-1], t[1:], parts, strict=True) if n > 1]
+    t = np.sort(np.concatenate([t, *more]))
+    return Instants(t, se2.interpolate(t, track.t, track.pose), track)
+
+
+def _spaced(t: Float[np.ndarray, " n"], least: float) -> Float[np.ndarray, " k"]:
+    """Of stamps nearer than `least` to the one kept before, none."""
+    kept = [t[0]]
+    for value in t[1:].tolist():
+        if value - kept[-1] >= least:
+            kept.append(value)
+    return np.array(kept)
