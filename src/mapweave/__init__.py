@@ -136,7 +136,7 @@ __all__ = (
     "EstimateError",
     "Evaluation",
     "ExploreConfig",
-    "ExploreResult",
+    "LandmarkExploreResult",
     "FuseConfig",
     "HamataniReproduction",
     "HaraReproduction",
