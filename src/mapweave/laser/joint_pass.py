@@ -5,7 +5,7 @@ line, in both directions, and one sparse system moves them all. Then every scan 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -27,7 +27,7 @@ HELD = 1e-4  # [m, rad] sd of the first keyframe, which the frame hangs on
 class JointConfig:
     """The last pass: how keyframes are paired, matched and moved, and how each scan is laid on them."""
 
-    widths: tuple[float, ...] = (0.15, 0.15, 0.1, 0.1, 0.06, 0.06, 0.04, 0.04)  # [m] of the robust cost, a round each
+    widths: tuple[float, ...] = (0.15, 0.1, 0.06, 0.04)  # [m] of the robust cost, a round each
     beams: int = 90  # returns of a keyframe that are matched, spread over it
     sectors: int = 360  # parts of the circle a scan's returns are sorted into
     before: int = 4  # keyframes just before each that it is paired with, and
@@ -40,8 +40,12 @@ class JointConfig:
     least_share: float = 0.3  # share of all, or the pair counts nothing
     sigma: float = 0.02  # [m] of a matched return
     temper: float = 0.1  # share of the returns that count as independent
+    blur: float = 0.1  # share of the information across lines that noise in their normals feigns along them
+    step_trust: float = (
+        1.0  # what the information of the steps between neighbours counts, which hold where walls do not,
+    )
     step_xy: float = 0.05  # [m] and
-    step_turn: float = 0.03  # [rad]: sd of the steps between neighbours, which hold where walls do not
+    step_turn: float = 0.03  # [rad]: and sd of a step at most
     scan_widths: tuple[float, ...] = (0.06, 0.04)  # [m] as `widths`, for laying each scan on the keyframes
     scan_beams: int = 60  # returns of a scan that are matched
     scan_around: int = 12  # keyframes each scan is matched against
@@ -86,8 +90,8 @@ def scan_cloud(scans: Sequence[Beams], sensor: Float[np.ndarray, "n 2"], most: i
 def joint_pass(steps: PoseGraph, cloud: ScanCloud, cfg: JointConfig) -> Float[np.ndarray, "n 3"]:
     """The poses of `steps` moved so that keyframes that see the same walls agree on them; the first stays.
 
-    steps: the keyframes with the edges between neighbours; their information is not read, `cfg` holds them weakly.
-    cloud: the keyframes' returns. What cannot be matched is carried by the steps.
+    steps: the keyframes with the edges between neighbours, which carry what cannot be matched; cloud: the keyframes'
+    returns.
     """
     pose = np.array(steps.pose)
     if len(pose) < 2:
@@ -97,7 +101,7 @@ def joint_pass(steps: PoseGraph, cloud: ScanCloud, cfg: JointConfig) -> Float[np
         np.diff(cloud.start) > 0
     )
     weak = np.diag([cfg.step_xy**-2, cfg.step_xy**-2, cfg.step_turn**-2])
-    held = PoseGraph(pose, steps.first, steps.second, steps.measured, np.tile(weak, (steps.edges, 1, 1)))
+    held = replace(steps, information=cfg.step_trust * steps.information + weak)
     columns = np.arange(3)[None]
     unit, still = np.eye(3)[None], np.zeros((1, 3))
     anchor = Factor(columns, lambda _: still, lambda _: unit, 3, np.full((1, 3), 1.0 / HELD), None, "anchor")
@@ -127,6 +131,7 @@ def joint_pass(steps: PoseGraph, cloud: ScanCloud, cfg: JointConfig) -> Float[np
             cfg.agree,
             width,
         )
+        H, g = without_scatter(H, g, cfg.blur)
         counts = (near >= cfg.least_matches) & (near >= cfg.least_share * lined[b])
         scale = counts * cfg.temper / cfg.sigma**2
         A, B = between_jacobians(pose[a], pose[b])
@@ -142,6 +147,21 @@ def joint_pass(steps: PoseGraph, cloud: ScanCloud, cfg: JointConfig) -> Float[np
         pose = pose + step
         pose[:, 2] = se2.wrap_angle(pose[:, 2])
     return pose
+
+
+def without_scatter(
+    H: Float[np.ndarray, "p 3 3"], g: Float[np.ndarray, "p 3"], blur: float
+) -> tuple[Float[np.ndarray, "p 3 3"], Float[np.ndarray, "p 3"]]:
+    """Information and gradient of matches less what noise in the normals of lines alone gives along them.
+
+    Lines whose normals scatter by chance seem to tell something along themselves: `blur` times what they tell across.
+    """
+    scatter = 0.5 * blur * (H[:, 0, 0] + H[:, 1, 1])
+    values, vectors = np.linalg.eigh(H[:, :2, :2])
+    kept = np.sqrt(np.maximum(values - scatter[:, None], 0.0) / np.maximum(values, 1e-12))
+    T = np.tile(np.eye(3), (len(H), 1, 1))
+    T[:, :2, :2] = (vectors * kept[:, None, :]) @ vectors.swapaxes(1, 2)
+    return T @ H @ T, (T @ g[..., None])[..., 0]
 
 
 def paired(pose: Float[np.ndarray, "n 3"], cfg: JointConfig) -> Int[np.ndarray, "p 2"]:
