@@ -1,0 +1,137 @@
+"""Closures of a keyframe graph: when a match is believed, in whose frame its covariance stands, where one looks."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapweave.core import se2
+from mapweave.core.records import Scan
+from mapweave.laser.beam import BeamConfig, beams
+from mapweave.laser.closures import ClosureConfig, Matcher, Place
+from mapweave.laser.config import ALL_ROUND
+from mapweave.laser.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
+from mapweave.laser.keyframes import Keyframe
+from mapweave.laser.loop_search import LoopSearch
+from mapweave.laser.step_noise import believed, carried
+from mapweave.laser.submap_loops import SubmapLoopConfig, SubmapLoops
+
+CFG = ClosureConfig()
+
+
+def room_scan(pose, n=240):
+    """What a scanner that sees all round has before it in a room of 8 x 5 m with a pillar."""
+    angle = -np.pi + 2 * np.pi / n * np.arange(n)
+    a = angle + pose[2] + 1e-9
+    walls = [(np.sign(np.cos(a)) * 4.0 - pose[0]) / np.cos(a), (np.sign(np.sin(a)) * 2.5 - pose[1]) / np.sin(a)]
+    r = np.min(np.where(np.array(walls) > 0, walls, np.inf), axis=0)
+    d = np.array([2.0, 1.0]) - pose[:2]
+    along = d[0] * np.cos(a) + d[1] * np.sin(a)
+    inside = 0.4**2 - (d @ d - along**2)
+    r = np.where((inside > 0) & (along > 0), np.minimum(r, along - np.sqrt(np.maximum(inside, 0))), r)
+    return Scan(r, np.ones(n, bool), None, -np.pi, 2 * np.pi / n, 30.0)
+
+
+def seen(pose):
+    return beams(room_scan(np.asarray(pose, float)), "none", None, BeamConfig())
+
+
+@pytest.fixture(scope="module")
+def place():
+    return Place([(seen([0.2 * k, 0.0, 0.0]), np.array([0.2 * k, 0.0, 0.0])) for k in range(-3, 4)])
+
+
+def narrow(xy=0.02, turn=0.01):
+    return np.diag([xy**2, xy**2, turn**2])
+
+
+def test_a_match_where_the_estimate_allows_it_is_believed_with_its_own_information(place):
+    true = np.array([0.3, 0.2, 0.1])
+    match = Matcher(CFG, ALL_ROUND).match(place, seen(true), np.add(true, [0.02, -0.02, 0.005]), narrow(0.05, 0.02))
+    assert match.accepted
+    assert np.abs(se2.between(true, match.measured)).max() < 0.02
+    sd = np.sqrt(np.diag(np.linalg.inv(match.information)))
+    assert (sd[:2] > CFG.floor_xy).all()
+    assert (sd[:2] < 0.05).all()
+
+
+def test_a_match_far_from_a_sure_estimate_is_refused(place):
+    true = np.array([0.3, 0.2, 0.1])
+    match = Matcher(CFG, ALL_ROUND).match(place, seen(true), np.add(true, [0.15, 0.15, 0.0]), narrow())
+    assert np.abs(se2.between(true, match.measured)).max() < 0.03  # the match itself is right
+    assert 3 * CFG.gate < match.nis < 50 * CFG.gate
+    assert not match.accepted
+    assert "standard deviations" in match.reason
+
+
+def test_a_place_that_looks_alike_in_two_directions_is_refused(place, monkeypatch):
+    matcher = Matcher(CFG, ALL_ROUND)
+    true = np.array([0.3, 0.2, 0.1])
+    for values, accepted in (([0.0, 0.5, 4e4], False), ([0.0, 2e4, 4e4], True)):
+        monkeypatch.setattr(matcher.front_end, "information", lambda b, pose, v=values: np.diag(v))
+        match = matcher.match(place, seen(true), true, narrow())
+        assert match.accepted is accepted
+        assert ("looks alike" in match.reason) is not accepted
+
+
+def test_what_scattered_normals_tell_along_a_wall_counts_for_nothing():
+    lines = np.diag([300.0, 5e4, 2e3])
+    kept = believed(lines, 1.0, 0.02)
+    assert kept[0, 0] == pytest.approx(0.0, abs=1e-9)
+    assert kept[1, 1] == pytest.approx(5e4 - 0.01 * (5e4 + 300.0))
+    assert kept[2, 2] == 2e3
+    assert np.allclose(believed(lines, 3.0, 0.0), 3.0 * lines)
+    R = np.eye(3)
+    R[:2, :2] = se2.rotation(0.7)
+    assert np.allclose(believed(R @ lines @ R.T, 1.0, 0.02), R @ kept @ R.T)
+
+
+def test_a_covariance_is_carried_over_a_step_as_small_errors_are():
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        step = np.array([*rng.normal(0, 2, 2), rng.uniform(-3, 3)])
+        A = rng.normal(size=(3, 3))
+        cov = A @ A.T
+        h = 1e-6
+        J = np.array([se2.between(step, se2.compose(h * e, step)) / h for e in np.eye(3)]).T
+        assert np.allclose(carried(cov, step), J @ cov @ J.T, rtol=1e-4, atol=1e-4)
+
+
+def driven(steps, cov, solve_after=None, spacing=1.0):
+    """A graph of one robot's keyframes, each `step` from the last."""
+    graph = KeyframeGraph(KeyframeGraphConfig(), np.zeros((1, 3)))
+    none = seen([0.0, 0.0, 0.0])
+    local = np.zeros(3)
+    for k, step in enumerate(np.array([[0.0, 0.0, 0.0], *steps])):
+        local = se2.compose(local, step)
+        graph.add(Keyframe(0, k, float(k), local, np.asarray(step), cov if k else np.zeros((3, 3)), spacing * k, none))
+        if k == solve_after:
+            graph.solve()
+    if solve_after is None:
+        graph.solve()
+    return graph
+
+
+@pytest.mark.parametrize("solve_after", [None, 0])
+def test_a_relative_covariance_stands_in_the_frame_of_the_later_keyframe(solve_after):
+    cov = np.diag([0.04, 1e-4, 1e-6])
+    graph = driven([[1.0, 0.5, 0.5 * np.pi]], cov, solve_after)
+    assert np.allclose(graph.relative(0, 1), cov, rtol=1e-6, atol=1e-9)
+    graph = driven([[1.0, 0.5, 0.5 * np.pi], [2.0, 0.0, -1.0]], cov, solve_after)
+    assert np.allclose(graph.relative(0, 2), carried(cov, np.array([2.0, 0.0, -1.0])) + cov, rtol=1e-5, atol=1e-9)
+
+
+def test_only_places_of_long_ago_are_searched_by_their_own_robot():
+    cov = narrow()
+    turn = 2 * np.pi / 12
+    graph = driven([[1.0, 0.0, turn]] * 60, cov)  # round and round a circle of 2 m radius
+    cfg = replace(CFG, reach=5.0, far=20.0)
+    search = LoopSearch(cfg, Matcher(cfg, ALL_ROUND), 1)
+    (found,) = search.candidates(graph, 60)
+    assert graph.path[found] < graph.path[60] - 20.0
+    assert search.candidates(graph, 19) == []
+    loops = SubmapLoops(replace(SubmapLoopConfig(), far=20.0))
+    near = loops.candidates(graph, 60)
+    assert near
+    assert (graph.path[near] < graph.path[60] - 20.0).all()
+    assert loops.candidates(graph, 19) == []
