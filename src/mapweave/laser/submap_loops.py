@@ -29,7 +29,7 @@ class SubmapLoopConfig:
     window_most: float = 6.0  # [m] at most
     window_turn: float = 0.35  # [rad] headings searched to either side
     least_score: float = 0.5  # least share of the likelihood a perfect fit would have
-    most_ratio: float = 0.92  # most of the best score that another place may have: more, and it is ambiguous
+    most_ratio: float = 0.85  # most of the best score that another place may have: more, and it is ambiguous
     least_share: float = 0.55  # share of the points that must lie on walls after refining
     most_moved: float = 0.3  # [m] between the pose searched and refined
     least_held: float = 25.0  # [1/m^2] information in the direction least held: less, and it is a bare corridor

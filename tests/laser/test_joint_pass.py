@@ -1,0 +1,133 @@
+"""The last pass: scans matched against scans, all together, and what bare walls may not tell."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapweave.core import se2
+from mapweave.kernels.laser.joint_scans import beams_by_direction, match_pairs
+from mapweave.laser.joint_pass import (
+    JointConfig,
+    joint_pass,
+    lay_scans,
+    neighbours,
+    paired,
+    scan_cloud,
+    without_scatter,
+)
+from mapweave.laser.pose_graph import PoseGraph
+
+from .test_closures import seen
+
+CFG = JointConfig()
+
+
+def around(n=16):
+    """Poses on a round through the room, looking along the way."""
+    a = 2 * np.pi / n * np.arange(n)
+    return np.column_stack([1.2 * np.cos(a), 0.9 * np.sin(a), se2.wrap_angle(a + 0.5 * np.pi)])
+
+
+def steps_of(truth, pose, sd=0.05):
+    """The chain of `pose`s with the steps it shows itself."""
+    n = len(pose) - 1
+    information = np.tile(np.diag([sd**-2, sd**-2, 0.03**-2]), (n, 1, 1))
+    return PoseGraph(pose, np.arange(n), np.arange(1, n + 1), se2.between(pose[:-1], pose[1:]), information)
+
+
+def cloud_at(truth, most=120):
+    return scan_cloud([seen(p) for p in truth], np.zeros((len(truth), 2)), most)
+
+
+@pytest.mark.kernel
+def test_a_pair_of_scans_is_matched_as_by_trying_every_return():
+    poses = np.array([[0.0, 0.0, 0.0], [0.5, -0.3, 0.6]])
+    cloud = cloud_at(poses)
+    table = beams_by_direction(cloud.start, cloud.points, cloud.lined, cloud.sensor, 720)
+    relative = np.add(se2.between(poses[0], poses[1]), [0.03, -0.02, 0.02])
+    gate, width = 0.3, 0.1
+    H, g, matched, near = match_pairs(
+        np.array([0]), np.array([1]), relative[None], cloud.start, cloud.points, cloud.normals, cloud.lined, table,
+        cloud.sensor, gate, 0.5, width,
+    )  # fmt: skip
+    a, b = slice(0, cloud.start[1]), slice(cloud.start[1], cloud.start[2])
+    lines, normals = cloud.points[a][cloud.lined[a]], cloud.normals[a][cloud.lined[a]]
+    R = se2.rotation(float(relative[2]))
+    H_all, g_all, count, close = np.zeros((3, 3)), np.zeros(3), 0, 0
+    for p, n in zip(cloud.points[b][cloud.lined[b]], cloud.normals[b][cloud.lined[b]], strict=True):
+        x, m = relative[:2] + R @ p, R @ n
+        d = np.where(normals @ m >= 0.5, np.hypot(*(lines - x).T), np.inf)
+        k = int(np.argmin(d))
+        if d[k] >= gate:
+            continue
+        e = float(normals[k] @ (x - lines[k]))
+        j = np.array([*normals[k], normals[k] @ np.array([-(R @ p)[1], (R @ p)[0]])])
+        w = (width**2 / (width**2 + e**2)) ** 2
+        H_all, g_all = H_all + w * np.outer(j, j), g_all + w * j * e
+        count, close = count + 1, close + (abs(e) < width)
+    assert count > 60
+    assert (matched[0], near[0]) == (count, close)
+    assert np.allclose(H[0], H_all, rtol=1e-9, atol=1e-9)
+    assert np.allclose(g[0], g_all, rtol=1e-9, atol=1e-9)
+
+
+def test_keyframes_that_stand_wrong_are_moved_to_where_their_walls_agree():
+    truth = around()
+    rng = np.random.default_rng(1)
+    wrong = truth + rng.normal(0, [0.04, 0.04, 0.02], truth.shape)
+    wrong[0] = truth[0]
+    back = joint_pass(steps_of(truth, wrong), cloud_at(truth), CFG)
+    before, after = se2.between(truth, wrong), se2.between(truth, back)
+    assert np.abs(after[0]).max() < 1e-3  # the first stays
+    assert np.hypot(*after[:, :2].T).mean() < 0.25 * np.hypot(*before[:, :2].T).mean()
+    assert np.hypot(*after[:, :2].T).max() < 0.025
+
+
+def test_scans_are_laid_on_the_keyframes_around_them_but_not_on_themselves():
+    truth = around()
+    cloud = cloud_at(truth)
+    rng = np.random.default_rng(2)
+    poses = np.array([[0.2, 0.1, 0.4], [-0.6, 0.3, 2.0], *truth[:2]])
+    scans = scan_cloud([seen(p) for p in poses], np.zeros((4, 2)), 90)
+    start = poses + rng.normal(0, [0.03, 0.03, 0.015], poses.shape)
+    own = np.array([-1, -1, 0, 1])
+    laid = lay_scans(start, scans, truth, cloud, own, replace(CFG, scan_widths=(0.1, 0.06, 0.04, 0.04)))
+    assert np.abs(se2.between(poses, laid)).max() < 0.02
+    near = neighbours(poses, truth, 5, CFG, own)
+    assert 0 not in near[2]
+    assert 1 not in near[3]
+
+
+def test_keyframes_are_paired_once_with_neighbours_in_the_drive_and_in_space():
+    pose = np.column_stack([np.arange(40) % 20, np.zeros(40), np.zeros(40)])  # the same way twice
+    cfg = replace(CFG, before=2, around=3)
+    pairs = paired(pose, cfg)
+    assert (pairs[:, 0] < pairs[:, 1]).all()
+    assert len(np.unique(pairs, axis=0)) == len(pairs)
+    held = {tuple(p) for p in pairs.tolist()}
+    assert {(0, 1), (0, 2), (5, 25)} <= held
+    assert (0, 3) not in held or cfg.reach >= 3  # by space only
+    turned = pose.copy()
+    turned[20:, 2] = np.pi  # looking back: nothing in common
+    assert (5, 25) not in {tuple(p) for p in paired(turned, cfg).tolist()}
+
+
+def test_information_along_a_bare_wall_that_only_noise_in_normals_gives_is_taken_away():
+    H = np.array([np.diag([40.0, 1000.0, 300.0]), np.diag([900.0, 1000.0, 300.0])])
+    g = np.array([[4.0, 10.0, 1.0], [4.0, 10.0, 1.0]])
+    kept, gradient = without_scatter(H, g, 0.1)
+    assert kept[0, 0, 0] == pytest.approx(0.0, abs=1e-9)
+    assert gradient[0, 0] == pytest.approx(0.0, abs=1e-9)
+    assert kept[1, 0, 0] == pytest.approx(900.0 - 0.05 * 1900.0)
+    assert kept[0, 2, 2] == 300.0
+    same, _ = without_scatter(H, g, 0.0)
+    assert np.allclose(same, H)
+
+
+def test_one_keyframe_or_scans_without_returns_are_no_error():
+    truth = around(4)
+    assert np.array_equal(joint_pass(steps_of(truth, truth[:1]), cloud_at(truth[:1]), CFG), truth[:1])
+    blind = [b._replace(s=b.s[:0], normal=b.normal[:0], q=b.q[:0], support=b.support[:0]) for b in map(seen, truth)]
+    cloud = scan_cloud(blind, np.zeros((4, 2)), 90)
+    assert np.abs(joint_pass(steps_of(truth, truth), cloud, CFG) - truth).max() < 1e-9
