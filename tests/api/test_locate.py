@@ -233,6 +233,17 @@ def test_zero_sightings_are_refused(tmp_path, capsys):
     assert "no sightings" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("method", ["batch", "robust"])
+@pytest.mark.parametrize("rows", [["a,b,0.1", "a,c,1.2", "c,b,2.0"], ["a,b,0.1", "a,c,1.2", "c,b,-1.0"]])
+def test_sightings_that_nothing_checks_are_never_called_reliable(tmp_path, capsys, rows, method):
+    code, metrics = run(tmp_path, table(tmp_path, rows), "--method", method)
+    assert code == 0
+    assert metrics["dof"] <= 0
+    assert metrics["reliable"] is False
+    assert any("no sightings are left over" in text for text in metrics["warnings"])
+    assert "NOT reliable" in capsys.readouterr().out
+
+
 def test_degrees_in_place_of_radians_are_warned_about_and_not_trusted(tmp_path):
     rows = [",".join([*row.split(",")[:2], str(np.degrees(float(row.split(",")[2])))]) for row in rows_of(FIVE)]
     code, metrics = run(tmp_path, table(tmp_path, rows), *TWO)

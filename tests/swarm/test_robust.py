@@ -5,9 +5,10 @@ import pytest
 
 from mapweave.swarm.config import SwarmConfig
 from mapweave.swarm.locate import locate
+from mapweave.swarm.relocation import relocated, unsupported
 from mapweave.swarm.robust import mutual_agreement
 
-from .swarms import score, simulated
+from .swarms import PAPER, complete, score, simulated
 
 ROBUST = SwarmConfig(method="robust")
 
@@ -75,3 +76,44 @@ def test_outliers_in_space_are_found():
     assert estimate.reliable
     assert 0.08 < estimate.outlier.mean() < 0.12
     assert rmse < 1.3 * bound
+
+
+@pytest.mark.parametrize("anchors", [(0, 99), "corners"])
+def test_single_sightings_with_few_outliers_are_located_right_or_said_to_be_unsure(anchors):
+    sure = 0
+    for seed in range(16):
+        net, truth = simulated(seed, robots=100, sigma=1.0, visibility="single", outliers=0.05, anchors=anchors)
+        clean, _ = simulated(seed, robots=100, sigma=1.0, visibility="single", anchors=anchors)
+        estimate, best = locate(net, ROBUST), locate(clean, initial=truth)
+        free = estimate.localisable & ~estimate.anchor
+        error = np.square(estimate.position - truth)[free].sum(axis=1)
+        if estimate.reliable:
+            sure += 1
+            assert np.sqrt(error.mean() / np.trace(best.cov[free], axis1=1, axis2=2).mean()) < 2.0
+            assert np.sqrt((error / np.trace(estimate.cov[free], axis1=1, axis2=2)).max()) < 5.0
+        else:
+            assert estimate.warnings
+    assert sure >= 12
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_robot_at_a_wrong_crossing_is_put_where_most_of_its_sightings_meet(dim):
+    net, truth = simulated(3, robots=64, dim=dim, sigma=0.5, visibility="single", outliers=0.05)
+    free = np.flatnonzero(~net.is_anchor)[:3]
+    off = truth.copy()
+    off[free] += 7.0
+    found = relocated(net, off, 3.5**2)
+    assert np.linalg.norm(found - truth, axis=1)[free].max() < 0.5
+    np.testing.assert_array_equal(relocated(net, truth, 3.5**2)[free], truth[free])
+
+
+def test_robots_whose_right_sightings_do_not_outnumber_the_wrong_are_named():
+    rng = np.random.default_rng(0)
+    net = complete(PAPER, 0.5, rng, anchors=(0, 1), single=True)  # everyone has four sightings
+    outlier = np.zeros(len(net.observer), dtype=bool)
+    assert not len(unsupported(net, outlier))
+    mine = np.flatnonzero((net.observer == 3) | (net.target == 3))
+    outlier[mine[:1]] = True
+    assert unsupported(net, outlier).tolist() == []
+    outlier[mine[:2]] = True
+    assert unsupported(net, outlier).tolist() == [3]

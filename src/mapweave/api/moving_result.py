@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..core.gaussian import chi2_quantile
 from ..evaluation.swarm import SwarmScore
 from ..io.positions import track_files, write_positions, write_track
 from ..report.swarm import MovedStory, write_moved_report
 from ..swarm.moving.result import SwarmTrack
 from ..swarm.result import Status
+from ..swarm.verdict import chi2_warnings
 from .located_common import NO_SCORE, Settings, counts, head, told_dropped, told_sigma, write_rest
 from .swarm_input import SwarmInput
 
@@ -30,7 +30,8 @@ class Moved:
 
     @property
     def reliable(self) -> bool:
-        return self.track.converged and self.track.chi2 <= chi2_quantile(0.999, max(float(self.track.dof), 1.0))
+        """Whether the smoothing converged and sightings are left over that agree with it."""
+        return self.track.converged and not chi2_warnings(self.track.chi2, self.track.dof)
 
     @property
     def not_localisable(self) -> tuple[str, ...]:
@@ -42,6 +43,8 @@ class Moved:
         told = [*self.given.told, *self.track.warnings]
         if not self.track.converged:
             told.append("the smoothing did not converge")
+        elif self.track.dof <= 0:
+            told += chi2_warnings(self.track.chi2, self.track.dof)
         elif not self.reliable:
             ratio = self.track.chi2 / max(self.track.dof, 1)
             told.append(

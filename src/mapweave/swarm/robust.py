@@ -1,8 +1,9 @@
 """Locating in spite of wrong sightings, with a verdict on the result's own reliability.
 
 Two robots that saw each other must have seen opposite directions; least unsquared deviations start the positions,
-graduated non-convexity (Geman-McClure) finds which sightings belong together, and those alone are then used as by the
-batch estimator, so that the covariance means what it says.
+graduated non-convexity (Geman-McClure) finds which sightings belong together, robots that fell in with wrong ones are
+put where most of theirs meet, and those sightings alone are then used as by the batch estimator, so that the covariance
+means what it says.
 """
 
 from dataclasses import replace
@@ -21,9 +22,10 @@ from .headings import mutual_pairs, world_directions
 from .linear import linear_pattern, linear_start
 from .network import Network
 from .posterior import posterior
+from .relocation import relocated, unsupported
 from .result import SwarmEstimate
 from .start import Start, prepare
-from .verdict import trust_warnings
+from .verdict import support_warnings, trust_warnings
 
 REWEIGHTS = 12  # of the least-unsquared-deviations start
 COOLING = 1.6  # the kernel's width is divided by this at each stage
@@ -46,6 +48,8 @@ def robust(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) ->
     kept = net.select(used)
     start = replace(start, position=unsquared_start(kept, start) if initial is None else start.position)
     x = graduated(kept, start, cfg)
+    if net.axis:
+        x = relocated(kept, x.reshape(len(net), net.dim), limit(net, cfg.inlier_gate)).ravel()
     inlier = agreeing(net, x, cfg.inlier_gate) & ~unheard(net, used)
     if not inlier.any():
         return _nothing_agrees(net, cfg, initial)
@@ -63,7 +67,7 @@ def robust(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) ->
         start = prepare_at(chosen, x, start)
         solution, problem, pattern = refine(chosen, start, cfg, seldom=EVERYONE)
     estimate = posterior(chosen, start, solution, problem, cfg, "robust", ~inlier, pattern=pattern)
-    doubts = trust_warnings(net, ~inlier)
+    doubts = [*trust_warnings(net, ~inlier), *support_warnings(net, unsupported(net, ~inlier))]
     return replace(estimate, reliable=estimate.reliable and not doubts, warnings=(*doubts, *estimate.warnings))
 
 
@@ -123,8 +127,12 @@ def graduated(net: Network, start: Start, cfg: SwarmConfig) -> Float[np.ndarray,
 
 def agreeing(net: Network, x: Float[np.ndarray, " s"], gate: float) -> Bool[np.ndarray, " m"]:
     """(m,) sightings that miss the state by less than what `gate` standard deviations mean in one dimension."""
-    limit = gate**2 if net.dim == 2 else chi2_quantile(_two_sided(gate), 2.0)
-    return np.asarray(bearing_factor(net).squares(x) <= limit)
+    return np.asarray(bearing_factor(net).squares(x) <= limit(net, gate))
+
+
+def limit(net: Network, gate: float) -> float:
+    """The squared whitened residual of a sighting that is as unlikely as `gate` standard deviations."""
+    return gate**2 if net.dim == 2 else chi2_quantile(_two_sided(gate), 2.0)
 
 
 def unheard(net: Network, used: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:

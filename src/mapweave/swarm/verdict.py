@@ -23,9 +23,20 @@ def trust_warnings(net: Network, outlier: np.ndarray) -> list[str]:
     return []
 
 
+def support_warnings(net: Network, robots: np.ndarray) -> list[str]:
+    """What stands against the places of `robots` (indices), whose own sightings contradict each other too much."""
+    if not len(robots):
+        return []
+    names = ", ".join(net.ids[k] for k in robots[:10].tolist()) + (", .." if len(robots) > 10 else "")
+    return [f"so many sightings of {len(robots)} robots were called wrong that their others prove nothing: {names}"]
+
+
 def chi2_warnings(chi2: float, dof: int) -> list[str]:
     """What stands against trusting residuals of `chi2` with `dof` degrees of freedom."""
-    if dof <= 0 or chi2 <= chi2_quantile(1 - DOUBT, float(dof)):
+    if dof <= 0:
+        told = f"chi-square {chi2:.4g} with {dof} degrees of freedom"
+        return [f"no sightings are left over to check the positions with ({told})"]
+    if chi2 <= chi2_quantile(1 - DOUBT, float(dof)):
         return []
     found = f"chi-square {chi2:.4g} with {dof} degrees of freedom"
     return [f"the residuals are larger than sigma says ({found}): outliers, a bias, or sigma too small"]
