@@ -76,6 +76,7 @@ def test_a_broken_tum_line_is_named(tmp_path, line):
 
 def test_numbers_in_names_are_put_in_order_as_numbers():
     assert sorted(["11", "6", "barcode:90", "barcode:7"], key=in_order) == ["6", "11", "barcode:7", "barcode:90"]
+    assert sorted({"1", "01", "a10", "a9", "001"}, key=in_order) == ["001", "01", "1", "a9", "a10"]
     assert sorted(["b/robot2", "a/robot11", "a/robot2"], key=in_order) == ["a/robot2", "a/robot11", "b/robot2"]
     assert robot_key("robot3") == "3"
     assert robot_name("3") == "robot3"

@@ -12,8 +12,11 @@ def robot_name(key: str) -> str:
     return f"robot{key}" if key.isdecimal() else key
 
 
-def in_order(name: str) -> tuple[tuple[int, int, str], ...]:
-    """A sort key under which numbers in names count as numbers: 2 before 11, robot2 before robot11."""
+def in_order(name: str) -> tuple[tuple[tuple[int, int, str], ...], str]:
+    """A sort key under which numbers in names count as numbers: 2 before 11, robot2 before robot11.
+
+    No two names have the same: 01 stands before 1.
+    """
     parts: list[tuple[int, int, str]] = []
     word = ""
     digits = False
@@ -25,4 +28,4 @@ def in_order(name: str) -> tuple[tuple[int, int, str], ...]:
         word += letter
     if word:
         parts.append((0, int(word), "") if digits else (1, 0, word))
-    return tuple(parts)
+    return tuple(parts), name

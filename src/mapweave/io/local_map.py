@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import ReaderError
+from ..core.names import in_order
 from ..core.records import Track
 from ..landmarks.local_map import LocalMap, RobotSightings
 from ..landmarks.submap import Submap
@@ -34,7 +35,7 @@ def read_local_maps(result: Path) -> tuple[LocalMap, ...]:
     folders = [p.parent for p in (result / "local").glob("*/local_map.json")]
     if not folders:
         raise ReaderError(result, "expected local/robotK/local_map.json, found none")
-    return tuple(read_local_map(p) for p in sorted(folders, key=lambda p: (len(p.name), p.name)))
+    return tuple(read_local_map(p) for p in sorted(folders, key=lambda p: in_order(p.name)))
 
 
 def _local_map(told: dict[str, Any], arrays: dict[str, np.ndarray]) -> LocalMap:

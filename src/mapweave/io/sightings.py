@@ -15,8 +15,8 @@ from jaxtyping import Bool, Float
 from ..core.arrays import frozen
 from ..core.bearings import BearingTable, unit, unit3
 from ..core.errors import DataError, ReaderError
+from ..core.names import in_order
 from ..core.records import Odometry
-from ..swarm.network import natural
 from .table import Table, read_table
 
 LAYOUTS = (("bearing",), ("azimuth", "elevation"), ("bx", "by", "bz"))
@@ -111,7 +111,7 @@ def read_swarm_truth(path: Path) -> SwarmTruth:
 
 def natural_order(names: set[str]) -> tuple[str, ...]:
     """`names` sorted, numbers as numbers: 2 before 10."""
-    return tuple(sorted(names, key=natural))
+    return tuple(sorted(names, key=in_order))
 
 
 def _layout(file: Table, dim: int | None) -> tuple[str, ...]:

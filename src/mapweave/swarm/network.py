@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from ..core.arrays import frozen
 from ..core.errors import DataError
+from ..core.names import in_order
 
 DEFAULT_SIGMA = float(np.radians(1.0))  # [rad]; standard deviation of a bearing where none is said
 
@@ -127,7 +128,7 @@ def network(
     axis: bool = True,
 ) -> Network:
     """A `Network` from names; ids in natural order (2 before 10). Raises DataError on an unknown anchor."""
-    ids = tuple(sorted(set(observer) | set(target), key=natural))
+    ids = tuple(sorted(set(observer) | set(target), key=in_order))
     index = {name: i for i, name in enumerate(ids)}
     known = anchors or {}
     for name in [*known, *(name for d in distances for name in d[:2])]:
@@ -145,8 +146,3 @@ def network(
         tuple(Distance(index[i], index[j], float(d)) for i, j, d in distances),
         axis,
     )
-
-
-def natural(name: str) -> tuple[int, int, str]:
-    """A sort key that puts numbers first and by value."""
-    return (0, int(name), "") if name.isdecimal() else (1, 0, name)
