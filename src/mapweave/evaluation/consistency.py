@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.gaussian import symmetrise
+from ..solve import gauss_newton
 
 
 def gauge_free_nees(
@@ -25,21 +26,18 @@ def gauge_free_nees(
         factor = sla.cholesky(symmetrise(np.asarray(cov)), lower=True)
     except sla.LinAlgError:
         return None
-    T = se2.align(truth, mean)
-    value = np.inf
-    for _ in range(50):
+
+    def normal(T: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         placed = se2.act(T, truth)
         e = sla.solve_triangular(factor, (mean - placed).ravel(), lower=True)
         J = np.zeros((2 * n, 3))
         J[0::2, 0] = J[1::2, 1] = 1.0
         J[0::2, 2], J[1::2, 2] = -(placed[:, 1] - T[1]), placed[:, 0] - T[0]
-        A = sla.solve_triangular(factor, J, lower=True)
-        step = np.linalg.lstsq(A, e, rcond=None)[0]
-        before, value = value, float(e @ e)
-        T = T + step
-        if abs(before - value) <= 1e-12 * max(1.0, value):
-            break
-    return value, 2 * n - 3
+        A = -sla.solve_triangular(factor, J, lower=True)
+        return A.T @ A, A.T @ e, float(e @ e)
+
+    fit = gauss_newton(normal, se2.align(truth, mean), max_iterations=50, cost_tolerance=1e-12)
+    return fit.cost, 2 * n - 3
 
 
 def shape_covariance(mean: Float[np.ndarray, "n 2"], cov: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "m m"]:
