@@ -49,18 +49,56 @@ def test_wrap_brings_every_angle_into_minus_pi_exclusive_to_pi():
     assert abs(se2.wrap_angle(7.0) - (7 - 2 * np.pi)) < 1e-15
 
 
-def test_compose_jacobians_agree_with_central_differences():
+def numeric(f, x):
+    """Derivative of a pose-valued f by central differences, headings wrapped."""
+    columns = []
+    for k in range(3):
+        d = np.zeros(3)
+        d[k] = 1e-6
+        diff = f(x + d) - f(x - d)
+        diff[..., 2] = se2.wrap_angle(diff[..., 2])
+        columns.append(diff / 2e-6)
+    return np.stack(columns, axis=-1)
+
+
+def test_jacobians_agree_with_central_differences():
     rng = np.random.default_rng(0)
-    for _ in range(20):
-        a, b = rng.uniform(-3, 3, 3), rng.uniform(-3, 3, 3)
-        A, B = se2.compose_jacobians(a, b)
-        for J, f in ((A, lambda d: se2.compose(a + d, b)), (B, lambda d: se2.compose(a, b + d))):
-            for k in range(3):
-                d = np.zeros(3)
-                d[k] = 1e-6
-                diff = f(d) - f(-d)
-                diff[2] = se2.wrap_angle(diff[2])
-                assert np.allclose(J[:, k], diff / 2e-6, atol=1e-8)
+    a, b = rng.uniform(-3, 3, (2, 20, 3))
+    for f, jacobians in ((se2.compose, se2.compose_jacobians), (se2.between, se2.between_jacobians)):
+        A, B = jacobians(a, b)
+        np.testing.assert_allclose(A, numeric(lambda x, f=f: f(x, b), a), atol=1e-8)
+        np.testing.assert_allclose(B, numeric(lambda x, f=f: f(a, x), b), atol=1e-8)
+    np.testing.assert_allclose(se2.inverse_jacobian(a), numeric(se2.inverse, a), atol=1e-8)
+
+
+def test_jacobians_of_one_pose_and_of_many_are_the_same():
+    rng = np.random.default_rng(1)
+    a, b = rng.uniform(-3, 3, 3), rng.uniform(-3, 3, (4, 5, 3))
+    for jacobians in (se2.compose_jacobians, se2.between_jacobians):
+        A, B = jacobians(a, b)
+        assert A.shape == B.shape == (4, 5, 3, 3)
+        one = jacobians(a, b[2, 3])
+        np.testing.assert_array_equal(A[2, 3], one[0])
+        np.testing.assert_array_equal(B[2, 3], one[1])
+    np.testing.assert_array_equal(se2.inverse_jacobian(b)[1, 2], se2.inverse_jacobian(b[1, 2]))
+    np.testing.assert_array_equal(se2.rotation(b[..., 2])[1, 2], se2.rotation(b[1, 2, 2]))
+
+
+def test_covariances_are_carried_as_sampled_errors_are():
+    rng = np.random.default_rng(2)
+    a, b = np.array([1.0, -2.0, 0.7]), np.array([[3.0, 1.0, -0.4], [-2.0, 0.5, 2.0]])
+    roots = 1e-3 * rng.normal(size=(3, 3, 3))
+    Pa, Pb = roots[0] @ roots[0].T, roots[1:] @ roots[1:].swapaxes(1, 2)
+    P = se2.composed_covariance(a, Pa, b, Pb)
+    for k in range(2):
+        drawn = se2.compose(
+            a + rng.normal(size=(200_000, 3)) @ roots[0].T, b[k] + rng.normal(size=(200_000, 3)) @ roots[1 + k].T
+        )
+        np.testing.assert_allclose(np.cov(drawn.T), P[k], atol=0.02 * np.abs(P[k]).max())
+    seen = se2.rotation(0.7) @ (1e-3 * rng.normal(size=(2, 3)))
+    full = np.vstack([seen, np.ones(3)])
+    before = np.vstack([se2.rotation(-0.7) @ seen, np.ones(3)])
+    np.testing.assert_allclose(se2.turned_covariance(0.7, before @ before.T), full @ full.T, atol=1e-12)
 
 
 def test_interpolation_takes_the_shorter_arc():

@@ -183,12 +183,8 @@ def carried(track: Track, T: np.ndarray, T_cov: np.ndarray, scale: float, factor
     pose = se2.compose(T, small)
     if track.cov is None:
         return Track(track.t, pose)
-    c, s = np.cos(T[2]), np.sin(T[2])
-    B = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    A = np.tile(np.eye(3), (len(pose), 1, 1))
-    A[:, 0, 2], A[:, 1, 2] = -(pose[:, 1] - T[1]), pose[:, 0] - T[0]
-    shrink = B @ np.diag([1 / scale, 1 / scale, 1.0])
-    cov = A @ T_cov @ A.transpose(0, 2, 1) + factor * (shrink @ track.cov @ shrink.T)
+    shrink = np.diag([1 / scale, 1 / scale, 1.0])
+    cov = se2.composed_covariance(T, T_cov, small, factor * (shrink @ track.cov @ shrink))
     return Track(track.t, pose, 0.5 * (cov + cov.transpose(0, 2, 1)))
 
 

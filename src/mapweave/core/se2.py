@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 Pose = Float[np.ndarray, "... 3"]
 Points = Float[np.ndarray, "... 2"]
+Jacobian = Float[np.ndarray, "... 3 3"]  # also covariances; over x, y, theta
 
 IDENTITY = np.zeros(3)
 IDENTITY.setflags(write=False)
@@ -59,9 +60,12 @@ def act(T_a_b: Pose, points_b: Points) -> Points:
     return np.stack([a[..., 0] + c * x - s * y, a[..., 1] + s * x + c * y], axis=-1)
 
 
-def rotation(theta: float) -> Float[np.ndarray, "2 2"]:
+def rotation(theta: Float[np.ndarray, "..."] | float) -> Float[np.ndarray, "... 2 2"]:
+    """The matrix that turns points by `theta` [rad], or one for each of many angles."""
     c, s = np.cos(theta), np.sin(theta)
-    return np.array([[c, -s], [s, c]])
+    out = np.empty((*np.shape(theta), 2, 2))
+    out[..., 0, 0], out[..., 0, 1], out[..., 1, 0], out[..., 1, 1] = c, -s, s, c
+    return out
 
 
 def exp(twist: Pose) -> Pose:
@@ -85,15 +89,53 @@ def log(T_a_b: Pose) -> Pose:
     return np.stack([half * a[..., 0] + 0.5 * w * a[..., 1], -0.5 * w * a[..., 0] + half * a[..., 1], w], axis=-1)
 
 
-def compose_jacobians(
-    T_a_b: Float[np.ndarray, "3"], T_b_c: Float[np.ndarray, "3"]
-) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3 3"]]:
-    """Derivatives of `compose` by `T_a_b` and by `T_b_c`."""
-    c, s = np.cos(T_a_b[2]), np.sin(T_a_b[2])
-    x, y = T_b_c[0], T_b_c[1]
-    A = np.array([[1.0, 0.0, -s * x - c * y], [0.0, 1.0, c * x - s * y], [0.0, 0.0, 1.0]])
-    B = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+def turn(theta: Float[np.ndarray, "..."] | float) -> Float[np.ndarray, "... 3 3"]:
+    """The matrix that turns a pose's x and y by `theta` [rad] and leaves its heading."""
+    out = np.zeros((*np.shape(theta), 3, 3))
+    out[..., :2, :2] = rotation(theta)
+    out[..., 2, 2] = 1.0
+    return out
+
+
+def compose_jacobians(T_a_b: Pose, T_b_c: Pose) -> tuple[Jacobian, Jacobian]:
+    """Derivatives of `compose` by `T_a_b` and by `T_b_c`; broadcasts over leading axes."""
+    a, b = np.broadcast_arrays(np.asarray(T_a_b, float), np.asarray(T_b_c, float))
+    B = turn(a[..., 2])
+    c, s, x, y = B[..., 0, 0], B[..., 1, 0], b[..., 0], b[..., 1]
+    A = np.zeros_like(B)
+    A[..., 0, 0] = A[..., 1, 1] = A[..., 2, 2] = 1.0
+    A[..., 0, 2], A[..., 1, 2] = -s * x - c * y, c * x - s * y
     return A, B
+
+
+def between_jacobians(T_a_b: Pose, T_a_c: Pose) -> tuple[Jacobian, Jacobian]:
+    """Derivatives of `between` by `T_a_b` and by `T_a_c`; broadcasts over leading axes."""
+    a, b = np.broadcast_arrays(np.asarray(T_a_b, float), np.asarray(T_a_c, float))
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    dx, dy = b[..., 0] - a[..., 0], b[..., 1] - a[..., 1]
+    A, B = np.zeros((2, *a.shape, 3))
+    B[..., 0, 0], B[..., 0, 1], B[..., 1, 0], B[..., 1, 1], B[..., 2, 2] = c, s, -s, c, 1.0
+    A[..., :2, :2], A[..., 2, 2] = -B[..., :2, :2], -1.0
+    A[..., 0, 2], A[..., 1, 2] = -s * dx + c * dy, -c * dx - s * dy
+    return A, B
+
+
+def inverse_jacobian(T_a_b: Pose) -> Jacobian:
+    """Derivative of `inverse`."""
+    a = np.asarray(T_a_b, float)
+    return between_jacobians(a, np.zeros(3))[0]
+
+
+def turned_covariance(theta: Float[np.ndarray, "..."] | float, P: Jacobian) -> Jacobian:
+    """The covariance P of a pose in axes that are turned by `theta` [rad]: of `T_a_c` where P is of `T_b_c`."""
+    R = turn(theta)
+    return np.asarray(R @ P @ R.swapaxes(-1, -2))
+
+
+def composed_covariance(T_a_b: Pose, P_a_b: Jacobian, T_b_c: Pose, P_b_c: Jacobian) -> Jacobian:
+    """The covariance of `compose` where the errors of both poses are independent."""
+    A, B = compose_jacobians(T_a_b, T_b_c)
+    return np.asarray(A @ P_a_b @ A.swapaxes(-1, -2) + B @ P_b_c @ B.swapaxes(-1, -2))
 
 
 def interpolate(t: Float[np.ndarray, " m"], stamps: Float[np.ndarray, " n"], poses: Pose) -> Pose:

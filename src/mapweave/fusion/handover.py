@@ -147,5 +147,5 @@ def pose_in_map(G: GlobalMap, L: Submap) -> tuple[Float[np.ndarray, "3"], Float[
     """`T_map_robot` and its covariance: frame and submap are independent."""
     k = 3 * G.robots.index(L.robot)
     frame = G.frames[G.robots.index(L.robot)]
-    A, B = se2.compose_jacobians(frame, L.pose)
-    return se2.compose(frame, L.pose), symmetrise(A @ G.cov[k : k + 3, k : k + 3] @ A.T + B @ L.cov[:3, :3] @ B.T)
+    cov = se2.composed_covariance(frame, G.cov[k : k + 3, k : k + 3], L.pose, L.cov[:3, :3])
+    return se2.compose(frame, L.pose), symmetrise(cov)

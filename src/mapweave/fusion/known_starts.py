@@ -61,8 +61,6 @@ def _beside(base: Component, other: Component, T: np.ndarray) -> Component:
     moved = other.map.select(new).moved(T, base.map.frame)
     ids = (*base.map.ids, *new)
     both = LandmarkMap(ids, np.vstack([base.map.mean, moved.mean]), sla.block_diag(base.map.cov, moved.cov))
-    R = np.eye(3)
-    R[:2, :2] = se2.rotation(float(T[2]))
     members = {**{n: other.members[n] for n in other.map.ids}, **base.members}
     for name in set(base.members) & set(other.members):
         members[name] = tuple(sorted({*base.members[name], *other.members[name]}, key=in_order))
@@ -71,7 +69,7 @@ def _beside(base: Component, other: Component, T: np.ndarray) -> Component:
         robots=tuple(sorted((*base.robots, *other.robots), key=in_order)),
         map=both.select(order),
         frames={**base.frames, **{r: se2.compose(T, pose) for r, pose in other.frames.items()}},
-        frame_cov={**base.frame_cov, **{r: R @ P @ R.T for r, P in other.frame_cov.items()}},
+        frame_cov={**base.frame_cov, **{r: se2.turned_covariance(T[2], P) for r, P in other.frame_cov.items()}},
         members={name: members[name] for name in order},
         scales={**base.scales, **other.scales},
     )

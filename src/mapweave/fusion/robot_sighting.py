@@ -37,11 +37,9 @@ def jacobian(T_map_a: Poses, T_a_seer: Poses, T_map_b: Poses, T_b_seen: Poses) -
     for sign, at, frame, robot in ((-1.0, 0, T_map_a, seer), (1.0, 6, T_map_b, seen)):
         arm = robot[..., :2] - frame[..., :2]
         turned = np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
-        c, s = np.cos(frame[..., 2]), np.sin(frame[..., 2])
-        R = np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
         H[..., at : at + 2] = sign * G
         H[..., at + 2] = sign * (G @ turned[..., None])[..., 0]
-        H[..., at + 3 : at + 5] = sign * (G @ R)
+        H[..., at + 3 : at + 5] = sign * (G @ se2.rotation(frame[..., 2]))
     H[..., 1, 2] -= 1.0
     H[..., 1, 5] -= 1.0
     return H

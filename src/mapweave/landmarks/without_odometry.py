@@ -80,17 +80,11 @@ def _track(played: list[Played], tied: Tied, where: dict[int, int], T_local_root
         own = played[part].track
         T = se2.compose(T_local_root, tied.frames[k])
         rows = tied.frame_rows(k)
-        turn = np.eye(3)
-        turn[:2, :2] = se2.rotation(float(T_local_root[2]))
-        frame_cov = turn @ tied.cov[rows, rows] @ turn.T
-        c, s = np.cos(T[2]), np.sin(T[2])
-        A = np.tile(np.eye(3), (len(own.t), 1, 1))
-        A[:, 0, 2] = -s * own.pose[:, 0] - c * own.pose[:, 1]
-        A[:, 1, 2] = c * own.pose[:, 0] - s * own.pose[:, 1]
-        B = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        frame_cov = se2.turned_covariance(T_local_root[2], tied.cov[rows, rows])
+        own_cov = np.zeros((3, 3)) if own.cov is None else own.cov
         ts.append(own.t)
         poses.append(se2.compose(T, own.pose))
-        covs.append(A @ frame_cov @ A.transpose(0, 2, 1) + (0 if own.cov is None else B @ own.cov @ B.T))
+        covs.append(se2.composed_covariance(T, frame_cov, own.pose, own_cov))
     order = np.argsort(np.concatenate(ts))
     t, pose, cov = (np.concatenate(a)[order] for a in (ts, poses, covs))
     lost = np.concatenate([played[k].track.t for k in range(len(played)) if k not in where] or [np.zeros(0)])

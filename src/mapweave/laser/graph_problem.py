@@ -26,26 +26,11 @@ def edge_factor(graph: PoseGraph, name: str, kernel: Kernel | None = None) -> Fa
 
     def jacobian(x: np.ndarray) -> np.ndarray:
         X = x.reshape(-1, 3)
-        A, B = between_jacobians(X[i], X[k])
-        R = np.zeros((len(z), 3, 3))
-        c, s = np.cos(z[:, 2]), np.sin(z[:, 2])
-        R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = c, s, -s, c, 1.0
+        A, B = se2.between_jacobians(X[i], X[k])
+        R = se2.turn(-z[:, 2])
         return np.concatenate([R @ A, R @ B], axis=2)
 
     return Factor(columns, residual, jacobian, 3, W, kernel, name)
-
-
-def between_jacobians(
-    a: Float[np.ndarray, "m 3"], b: Float[np.ndarray, "m 3"]
-) -> tuple[Float[np.ndarray, "m 3 3"], Float[np.ndarray, "m 3 3"]]:
-    """Derivatives of `se2.between(a, b)` by a and by b."""
-    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
-    dx, dy = b[:, 0] - a[:, 0], b[:, 1] - a[:, 1]
-    A, B = np.zeros((2, len(a), 3, 3))
-    B[:, 0, 0], B[:, 0, 1], B[:, 1, 0], B[:, 1, 1], B[:, 2, 2] = c, s, -s, c, 1.0
-    A[:, :2, :2], A[:, 2, 2] = -B[:, :2, :2], -1.0
-    A[:, 0, 2], A[:, 1, 2] = -s * dx + c * dy, -c * dx - s * dy
-    return A, B
 
 
 def problem(
@@ -106,8 +91,7 @@ class Solved:
         P, Q = self._columns[k], self._columns[a]
         rows = np.concatenate([3 * k + np.arange(3), 3 * a + np.arange(3)])
         joint = np.concatenate([P[rows], Q[rows]], axis=1)
-        A, B = between_jacobians(self.pose[k][None], self.pose[a][None])
-        J = np.concatenate([A[0], B[0]], axis=1)
+        J = np.concatenate(se2.between_jacobians(self.pose[k], self.pose[a]), axis=1)
         return np.asarray(J @ (0.5 * (joint + joint.T)) @ J.T)
 
     def covariances(self) -> Float[np.ndarray, "n 3 3"]:

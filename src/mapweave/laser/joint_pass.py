@@ -17,7 +17,7 @@ from ..core.config import config
 from ..kernels.laser.joint_scans import beams_by_direction, match_pairs, refine_poses
 from ..solve import Factor, Information, Pattern, Problem, SingularError, wrapping
 from .beam import Beams
-from .graph_problem import between_jacobians, edge_factor
+from .graph_problem import edge_factor
 from .pose_graph import PoseGraph
 
 HELD = 1e-4  # [m, rad] sd of the first keyframe, which the frame hangs on
@@ -134,7 +134,7 @@ def joint_pass(steps: PoseGraph, cloud: ScanCloud, cfg: JointConfig) -> Float[np
         H, g = without_scatter(H, g, cfg.blur)
         counts = (near >= cfg.least_matches) & (near >= cfg.least_share * lined[b])
         scale = counts * cfg.temper / cfg.sigma**2
-        A, B = between_jacobians(pose[a], pose[b])
+        A, B = se2.between_jacobians(pose[a], pose[b])
         J = np.concatenate([A, B], axis=2)
         blocks = (J.swapaxes(1, 2) @ H @ J) * scale[:, None, None]
         gradients = (J.swapaxes(1, 2) @ g[..., None])[..., 0] * scale[:, None]

@@ -87,10 +87,7 @@ class KeyframeGraph:
         if a is None or k >= self.known or self.solved is None:
             return None
         C = self.solved.relative(k, a)
-        turn = self.pose[a, 2] - self.pose[k, 2]
-        c, s = np.cos(turn), np.sin(turn)
-        R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        C = np.asarray(R @ C @ R.T)
+        C = se2.turned_covariance(-(self.pose[a, 2] - self.pose[k, 2]), C)
         return C if i == a else np.asarray(carried(C, se2.between(self.pose[a], self.pose[i])) + self._since[i])
 
     def place(self, k: int) -> Place:

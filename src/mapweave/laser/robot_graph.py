@@ -62,9 +62,8 @@ class RobotGraph:
 
     def moved(self, shift: Float[np.ndarray, "3"]) -> "RobotGraph":
         """The same graph seen from a frame in which its own origin is `shift`."""
-        R = np.eye(3)
-        R[:2, :2] = se2.rotation(float(shift[2]))
-        return replace(self, pose=np.asarray(se2.compose(shift, self.pose)), cov=np.asarray(R @ self.cov @ R.T))
+        cov = se2.turned_covariance(shift[2], self.cov)
+        return replace(self, pose=np.asarray(se2.compose(shift, self.pose)), cov=cov)
 
     def steps(self) -> PoseGraph:
         """The keyframes with the edges of scan odometry."""

@@ -18,7 +18,7 @@ from ..core.config import config
 from ..core.errors import DataError
 from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, Status, minimise, wrapping
 from ..solve.robust import Kernel
-from .graph_problem import between_jacobians, edge_factor
+from .graph_problem import edge_factor
 from .pose_graph import PoseGraph
 
 DISSECT = 700  # poses from which on the multifrontal factor pays
@@ -101,7 +101,7 @@ class SolvedGraph:
         """Covariance of `between(pose first, pose second)` for every pair, in second's place seen from first."""
         columns = np.concatenate([_columns(first), _columns(second)], axis=1)
         joint = np.stack([self.solution.covariance(c) for c in columns]) if len(columns) else np.zeros((0, 6, 6))
-        A, B = between_jacobians(self.graph.pose[first], self.graph.pose[second])
+        A, B = se2.between_jacobians(self.graph.pose[first], self.graph.pose[second])
         J = np.concatenate([A, B], axis=2)
         return np.asarray(J @ joint @ J.swapaxes(1, 2))
 
@@ -235,7 +235,7 @@ def _prior_factor(priors: Sequence[Prior]) -> Factor:
         return np.asarray(se2.between(z, x[columns]))
 
     def jacobian(x: np.ndarray) -> np.ndarray:
-        return between_jacobians(z, x[columns])[1]
+        return se2.between_jacobians(z, x[columns])[1]
 
     return Factor(columns, residual, jacobian, 3, W, None, "priors")
 

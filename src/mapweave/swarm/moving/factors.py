@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...core import se2
 from ...core.se2 import wrap_angle
 from ...solve import Cauchy, Factor
 from .. import bearing as model
@@ -56,16 +57,8 @@ def odometry_factor(
         return np.asarray(r)
 
     def jacobian(x: np.ndarray) -> np.ndarray:
-        a, b = x[columns[:, :3]], x[columns[:, 3:6]]
-        cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
-        dx, dy = (b - a)[:, 0], (b - a)[:, 1]
-        J = np.zeros((len(a), 3, 8))
-        J[:, 0, 0], J[:, 0, 1], J[:, 0, 2] = -cos, -sin, -sin * dx + cos * dy
-        J[:, 1, 0], J[:, 1, 1], J[:, 1, 2] = sin, -cos, -cos * dx - sin * dy
-        J[:, 0, 3], J[:, 0, 4], J[:, 1, 3], J[:, 1, 4] = cos, sin, -sin, cos
-        J[:, 2, 2], J[:, 2, 5] = -1.0, 1.0
-        J[:, :, 6:] = -slope
-        return J
+        A, B = se2.between_jacobians(x[columns[:, :3]], x[columns[:, 3:6]])
+        return np.concatenate([A, B, -slope], axis=2)
 
     return Factor(columns, residual, jacobian, 3, sqrt_info=1.0 / sigma, name="odometry")
 
