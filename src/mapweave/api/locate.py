@@ -18,7 +18,7 @@ from ..io.directory import check_target, result_directory
 from ..io.sightings import SwarmTruth, read_swarm_odometry, read_swarm_truth
 from ..io.team_bearings import read_team_bearings
 from ..swarm.config import Method, SwarmConfig
-from ..swarm.locate import locate as estimate
+from ..swarm.locate import locate as locate_network
 from ..swarm.moving.drive import smooth_driving
 from ..swarm.moving.filtering import filtered as follow_filtered
 from ..swarm.moving.result import SwarmTrack, TrackConfig
@@ -117,24 +117,26 @@ def _stand(given: SwarmInput, settings: Settings, initial: Path | str | None, *,
         missing = np.flatnonzero(~np.isfinite(start).all(axis=1))
         if len(missing):
             raise DataError(f"{initial}: no place for robot {net.ids[missing[0]]}")
-    found = estimate(net, SwarmConfig(method=_method(settings.method), covariance=wanted), start)
+    estimate = locate_network(net, SwarmConfig(method=_method(settings.method), covariance=wanted), start)
     solved = perf_counter()
     settings.timing["solve"] = solved - began
     score = None
     if settings.truth is not None:
-        score = _score(net, found, settings.truth, bound=wanted)
+        score = _score(net, estimate, settings.truth, bound=wanted)
         settings.timing["score"] = perf_counter() - solved
-    return Located(given, settings, net, found, score)
+    return Located(given, settings, net, estimate, score)
 
 
-def _score(net: Network, found: SwarmEstimate, truth: SwarmTruth, *, bound: bool) -> StandingScore:
-    """`found` against `truth`; `bound`: also the Cramer-Rao bound at the truth (as much work as the covariances)."""
-    standing = standing_swarm(net, found)
+def _score(net: Network, estimate: SwarmEstimate, truth: SwarmTruth, *, bound: bool) -> StandingScore:
+    """`estimate` against `truth`; `bound`: also the Cramer-Rao bound at the truth (as much work as the covariances)."""
+    standing = standing_swarm(net, estimate)
     places = true_places(truth, net.ids, net.dim)
     have, use = np.isfinite(places).all(axis=1), scored_robots(standing, places)
     crlb = None
-    if bound and not found.gauge and have[found.localisable].all() and use.any() and np.any(net.sigma > 0):
-        at_truth = estimate(net, SwarmConfig(max_iterations=0), np.where(have[:, None], places, found.position))
+    whole = have[estimate.localisable].all() and use.any()
+    if bound and not estimate.gauge and whole and np.any(net.sigma > 0):
+        start = np.where(have[:, None], places, estimate.position)
+        at_truth = locate_network(net, SwarmConfig(max_iterations=0), start)
         if at_truth.cov is not None:
             crlb = float(np.sqrt(np.trace(at_truth.cov[use], axis1=1, axis2=2).mean()))
     return score_standing(standing, truth, crlb)
@@ -142,9 +144,9 @@ def _score(net: Network, found: SwarmEstimate, truth: SwarmTruth, *, bound: bool
 
 def _stood_still(given: SwarmInput, settings: Settings, *, covariance: bool | None) -> Located | None:
     """The answer for robots that stand still, when the stamped sightings agree that they do."""
-    found = _stand(given, settings, None, covariance=covariance)
-    enough = found.estimate.dof > 0 and found.estimate.chi2 <= chi2_quantile(0.999, float(found.estimate.dof))
-    return found if enough else None
+    located = _stand(given, settings, None, covariance=covariance)
+    enough = located.estimate.dof > 0 and located.estimate.chi2 <= chi2_quantile(0.999, float(located.estimate.dof))
+    return located if enough else None
 
 
 def _move(given: SwarmInput, settings: Settings, motion: TrackConfig | None, *, filtered: bool) -> Moved:

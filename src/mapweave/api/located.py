@@ -12,7 +12,7 @@ from ..io.positions import track_files, write_network, write_positions, write_tr
 from ..report.swarm import NetworkStory, write_network_report
 from ..swarm.network import Network
 from ..swarm.result import SwarmEstimate
-from .located_common import NO_SCORE, Settings, counts, head, told_dropped, told_sigma, write_rest
+from .located_common import NO_SCORE, Settings, counts, dropped_lines, head, sigma_text, write_rest
 from .swarm_input import SwarmInput
 
 
@@ -32,7 +32,7 @@ class Located:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        return (*self.given.told, *self.estimate.warnings)
+        return (*self.given.warnings, *self.estimate.warnings)
 
     def metrics(self) -> dict[str, Any]:
         """`metrics.json`; keys as the contract names them."""
@@ -62,37 +62,37 @@ class Located:
     def lines(self) -> list[str]:
         """A summary for people."""
         e = self.estimate
-        told = [
+        lines = [
             (
-                f"{len(e.ids)} robots in {e.dim}D, {len(self.network.observer)} sightings, {told_sigma(self.given)}, "
+                f"{len(e.ids)} robots in {e.dim}D, {len(self.network.observer)} sightings, {sigma_text(self.given)}, "
                 f"{len(self.given.anchors)} anchors, method {e.method}: {e.status} after {e.iterations} iterations"
             )
         ]
-        told += told_dropped(self.given)
+        lines += dropped_lines(self.given)
         if e.gauge:
-            told.append(f"without enough anchors the answer is the shape alone: {e.gauge}")
+            lines.append(f"without enough anchors the answer is the shape alone: {e.gauge}")
         if e.cov is not None:
             free = e.localisable & ~e.anchor
             if free.any():
                 std = float(np.sqrt(np.trace(e.cov[free], axis1=1, axis2=2).mean()))
                 unit = "" if "scale free" in e.gauge else " m"
-                told.append(f"estimated standard deviation of a position: {std:.4g}{unit} (rms)")
+                lines.append(f"estimated standard deviation of a position: {std:.4g}{unit} (rms)")
         lost = e.not_localisable
         if lost:
-            told.append(
+            lines.append(
                 f"{len(lost)} robots cannot be located: {', '.join(lost[:20])}{', ..' if len(lost) > 20 else ''}"
             )
-        told.append(
+        lines.append(
             f"chi-square {e.chi2:.4g} with {e.dof} degrees of freedom, {int(e.outlier.sum())} outliers: "
             f"{'reliable' if e.reliable else 'NOT reliable'}"
         )
         if e.traffic:
-            told.append(
+            lines.append(
                 f"{e.traffic.rounds} rounds, {e.traffic.messages} messages, {e.traffic.bytes} bytes between robots"
             )
         if self.score is not None:
-            told += self.score.lines()
-        return [*told, *(f"warning: {text}" for text in self.warnings)]
+            lines += self.score.lines()
+        return [*lines, *(f"warning: {text}" for text in self.warnings)]
 
     def write(self, out: Path) -> None:
         """positions.csv, network.npz, metrics.json, report.html, figures/ and, for stamped sightings, trajectories/."""
@@ -129,10 +129,18 @@ class Located:
         )
 
 
-def standing_swarm(net: Network, found: SwarmEstimate) -> StandingSwarm:
-    """What is scored of `found`; the joint information stands where it says what the covariances say."""
+def standing_swarm(net: Network, estimate: SwarmEstimate) -> StandingSwarm:
+    """What is scored of `estimate`; the joint information stands where it says what the covariances say."""
     pairs = np.column_stack([net.observer, net.target])
-    joint = found.information if found.cov is not None and not found.gauge and np.any(net.sigma > 0) else None
+    honest = estimate.cov is not None and not estimate.gauge and np.any(net.sigma > 0)
+    joint = estimate.information if honest else None
     return StandingSwarm(
-        found.ids, found.position, found.cov, found.localisable, found.anchor, found.gauge, pairs, joint
+        estimate.ids,
+        estimate.position,
+        estimate.cov,
+        estimate.localisable,
+        estimate.anchor,
+        estimate.gauge,
+        pairs,
+        joint,
     )

@@ -69,13 +69,13 @@ def counts(
     return np.bincount(both, minlength=n), np.bincount(both[wild], minlength=n)
 
 
-def told_sigma(given: SwarmInput) -> str:
+def sigma_text(given: SwarmInput) -> str:
     """The standard deviation of a bearing, and where it is from."""
-    told = {"default": "assumed; give --sigma", "option": "as given", "file": "from the file"}
-    return f"sigma {np.degrees(given.sigma):.3g} deg ({told.get(given.sigma_source, given.sigma_source)})"
+    sources = {"default": "assumed; give --sigma", "option": "as given", "file": "from the file"}
+    return f"sigma {np.degrees(given.sigma):.3g} deg ({sources.get(given.sigma_source, given.sigma_source)})"
 
 
-def told_dropped(given: SwarmInput) -> list[str]:
+def dropped_lines(given: SwarmInput) -> list[str]:
     """One line about rows left out, or none."""
     if not given.dropped:
         return []

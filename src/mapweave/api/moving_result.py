@@ -14,7 +14,7 @@ from ..report.swarm import MovedStory, write_moved_report
 from ..swarm.moving.result import SwarmTrack
 from ..swarm.result import Status
 from ..swarm.verdict import chi2_warnings
-from .located_common import NO_SCORE, Settings, counts, head, told_dropped, told_sigma, write_rest
+from .located_common import NO_SCORE, Settings, counts, dropped_lines, head, sigma_text, write_rest
 from .swarm_input import SwarmInput
 
 
@@ -40,17 +40,17 @@ class Moved:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        told = [*self.given.told, *self.track.warnings]
+        warnings = [*self.given.warnings, *self.track.warnings]
         if not self.track.converged:
-            told.append("the smoothing did not converge")
+            warnings.append("the smoothing did not converge")
         elif self.track.dof <= 0:
-            told += chi2_warnings(self.track.chi2, self.track.dof)
+            warnings += chi2_warnings(self.track.chi2, self.track.dof)
         elif not self.reliable:
             ratio = self.track.chi2 / max(self.track.dof, 1)
-            told.append(
+            warnings.append(
                 f"residuals are {ratio:.3g} times what sigma and the motion model say: covariances are too small"
             )
-        return tuple(told)
+        return tuple(warnings)
 
     def metrics(self) -> dict[str, Any]:
         """`metrics.json`; keys as the contract names them."""
@@ -80,39 +80,40 @@ class Moved:
         """A summary for people."""
         t = self.track
         knots = sum(len(one.t) for one in t.tracks.values())
-        told = [
+        lines = [
             (
                 f"{len(self.given.table.ids)} moving robots in {self.given.table.dim}D, "
-                f"{len(self.given.table.observer)} sightings, {told_sigma(self.given)}, "
+                f"{len(self.given.table.observer)} sightings, {sigma_text(self.given)}, "
                 f"{len(self.given.anchors)} anchors: {knots} positions, {t.method}, {t.iterations} iterations"
             )
         ]
-        told += told_dropped(self.given)
+        lines += dropped_lines(self.given)
         if t.gauge:
-            told.append(t.gauge)
+            lines.append(t.gauge)
         if self.not_localisable:
-            told.append(f"{len(self.not_localisable)} robots cannot be located: {', '.join(self.not_localisable[:20])}")
-        told.append(
+            lost = self.not_localisable
+            lines.append(f"{len(lost)} robots cannot be located: {', '.join(lost[:20])}")
+        lines.append(
             f"chi-square {t.chi2:.4g} with {t.dof} degrees of freedom, {int(t.outlier.sum())} outliers: "
             f"{'reliable' if self.reliable else 'NOT reliable'}"
         )
         if self.score is not None:
-            told += self.score.lines()
-        return [*told, *(f"warning: {text}" for text in self.warnings)]
+            lines += self.score.lines()
+        return [*lines, *(f"warning: {text}" for text in self.warnings)]
 
     def write(self, out: Path) -> None:
         """trajectories/ID.csv, positions.csv (each robot's last), metrics.json, report.html and figures/."""
         table, tracks = self.given.table, self.track.tracks
         n, d = len(table.ids), table.dim
-        last, cov, found = np.full((n, d), np.nan), np.full((n, d, d), np.nan), np.zeros(n, dtype=bool)
+        last, cov, located = np.full((n, d), np.nan), np.full((n, d, d), np.nan), np.zeros(n, dtype=bool)
         lost, files = set(self.not_localisable), track_files(table.ids)
         for k, one in tracks.items():
             write_track(out / "trajectories" / files[table.ids[k]], one.t, one.position, one.cov, one.heading)
-            last[k], found[k] = one.position[-1], table.ids[k] not in lost
+            last[k], located[k] = one.position[-1], table.ids[k] not in lost
             if one.cov is not None:
                 cov[k] = one.cov[-1]
         seen, wild = counts(n, table.observer, table.target, self.track.outlier)
-        write_positions(out / "positions.csv", table.ids, last, cov, found, seen, wild)
+        write_positions(out / "positions.csv", table.ids, last, cov, located, seen, wild)
         story = MovedStory(table.ids, self.track, self.given.anchors, self.truth if self.score is not None else {})
         write_moved_report(out, story, self.lines(), self.metrics())
         write_rest(out, self.given, self.metrics())

@@ -19,7 +19,7 @@ Place = Sequence[float] | Float[np.ndarray, " d"]
 
 @dataclass(frozen=True, slots=True)
 class SwarmInput:
-    """Sightings made ready. table: every sigma filled in; anchors, distances: by index; told: warnings so far."""
+    """Sightings made ready. table: every sigma filled in; anchors, distances: by index; warnings: said so far."""
 
     source: str
     table: BearingTable
@@ -27,7 +27,7 @@ class SwarmInput:
     distances: tuple[Distance, ...]
     sigma_source: str
     dropped: tuple[Dropped, ...] = ()
-    told: tuple[str, ...] = field(default=())
+    warnings: tuple[str, ...] = field(default=())
 
     @property
     def sigma(self) -> float:
@@ -66,7 +66,7 @@ def prepare(
     Raises ReaderError for a file that does not parse, DataError for an unknown robot or when nothing is left,
     UsageError for options that make no sense together.
     """
-    told: list[str] = []
+    warnings: list[str] = []
     dropped: tuple[Dropped, ...] = ()
     lines: Sequence[int] | None = None
     if isinstance(source, BearingTable):
@@ -76,20 +76,20 @@ def prepare(
     else:
         log = read_sightings(Path(source), dim=dim)
         table, name, dropped, lines = log.table, log.source, log.dropped, log.lines
-        told += log.warnings
+        warnings += log.warnings
     if until is not None:
         if table.t is None:
             raise UsageError("--until: the sightings bear no time stamps")
         early = table.t < table.t.min() + until
         lines = None if lines is None else [lines[k] for k in np.flatnonzero(early).tolist()]
         table = table.rows(early)
-    filled, said = _filled(table, sigma)
+    filled, sigma_source = _filled(table, sigma)
     table = BearingTable(table.ids, table.observer, table.target, table.direction, filled, table.t, axis is not False)
-    if axis is None and not told and not shares_an_axis(table, filled):
+    if axis is None and not warnings and not shares_an_axis(table, filled):
         if table.dim == 3:
             raise DataError(f"{name}: mutual sightings do not point at each other; in space robots need common axes")
         table = BearingTable(table.ids, table.observer, table.target, table.direction, filled, table.t, axis=False)
-        told.append(
+        warnings.append(
             "mutual sightings do not point at each other: no common axis, so every robot's heading is estimated"
         )
     bad = contradictions(table, filled)
@@ -104,12 +104,12 @@ def prepare(
             )
             for k in rows
         )
-        told.append(f"{len(rows)} rows contradict another row of the same robots and were left out")
+        warnings.append(f"{len(rows)} rows contradict another row of the same robots and were left out")
         table = table.rows(~bad)
         if not len(table.observer):
             raise DataError(f"{name}: no sightings are left: all contradict each other")
     known, apart = _known(name, table, anchors, distances)
-    return SwarmInput(name, table, known, apart, said, dropped, tuple(told))
+    return SwarmInput(name, table, known, apart, sigma_source, dropped, tuple(warnings))
 
 
 def read_truth(path: Path) -> SwarmTruth:

@@ -93,36 +93,36 @@ class StandingScore:
     truth: Float[np.ndarray, "n d"]
 
 
-def score_standing(found: StandingSwarm, truth: SwarmTruth, crlb_rmse: float | None = None) -> StandingScore:
-    """`found` against the (first) true place of every robot."""
-    places = true_places(truth, found.ids, found.position.shape[1])
+def score_standing(swarm: StandingSwarm, truth: SwarmTruth, crlb_rmse: float | None = None) -> StandingScore:
+    """`swarm` against the (first) true place of every robot."""
+    places = true_places(truth, swarm.ids, swarm.position.shape[1])
     have = np.isfinite(places).all(axis=1)
-    use, fit = scored_robots(found, places), have & found.localisable
-    aligned, alignment = found.position, "none"
-    if found.gauge and fit.sum() >= 2:
-        aligned, alignment = _fitted(found.position, places, fit, found.gauge)
+    use, fit = scored_robots(swarm, places), have & swarm.localisable
+    aligned, alignment = swarm.position, "none"
+    if swarm.gauge and fit.sum() >= 2:
+        aligned, alignment = _fitted(swarm.position, places, fit, swarm.gauge)
     nees = None
-    if not found.gauge and use.any():
-        if found.information is not None:
-            value, dof = found.information.nees(found.position - places, use)
+    if not swarm.gauge and use.any():
+        if swarm.information is not None:
+            value, dof = swarm.information.nees(swarm.position - places, use)
             nees = value / dof if dof else None
-        elif found.cov is not None and np.isfinite(found.cov[use]).all():
-            nees = marginal_nees(found.position[use] - places[use], found.cov[use])
+        elif swarm.cov is not None and np.isfinite(swarm.cov[use]).all():
+            nees = marginal_nees(swarm.position[use] - places[use], swarm.cov[use])
     score = SwarmScore(
         rmse=rms(aligned[use] - places[use]),
         nees_per_dof=nees,
         alignment=alignment,
         scored=int(use.sum()),
         without_truth=int((~have).sum()),
-        errors=_shape_errors(found.pairs, aligned, places, fit) if use.any() else None,
+        errors=_shape_errors(swarm.pairs, aligned, places, fit) if use.any() else None,
         crlb_rmse=crlb_rmse,
     )
     return StandingScore(score, np.asarray(aligned), places)
 
 
-def scored_robots(found: StandingSwarm, places: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " n"]:
+def scored_robots(swarm: StandingSwarm, places: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " n"]:
     """(n,) which robots count: localisable, no anchors, and with a truth."""
-    return np.asarray(np.isfinite(places).all(axis=1) & found.localisable & ~found.anchor)
+    return np.asarray(np.isfinite(places).all(axis=1) & swarm.localisable & ~swarm.anchor)
 
 
 def score_moving(

@@ -15,10 +15,10 @@ from ..swarm.result import SwarmEstimate
 from .html import Page
 from .swarm_figures import (
     MUTED_NOTE,
+    deviation_figure,
     network_figure,
     residual_figure,
     shape_figure,
-    spread_figure,
     track_errors_figure,
     tracks_figure,
 )
@@ -48,45 +48,45 @@ class MovedStory:
 
 def write_network_report(out: Path, story: NetworkStory, lines: Sequence[str], metrics: Mapping[str, Any]) -> None:
     """report.html and figures/ in `out`."""
-    net, found = story.network, story.estimate
+    net, estimate = story.network, story.estimate
     figures = out / "figures"
     page = Page("Where every robot is", lines[0])
     page.cards(_cards(metrics))
     for text in metrics["warnings"]:
         page.text(text, warn=True)
-    if found.gauge:
-        page.text(f"There are too few anchors to fix everything. The shape is found; {found.gauge}.", warn=True)
+    if estimate.gauge:
+        page.text(f"There are too few anchors to fix everything. The shape is found; {estimate.gauge}.", warn=True)
     page.section("The network")
-    scale = network_figure(figures / "network.png", net, found, story.truth)
+    scale = network_figure(figures / "network.png", net, estimate, story.truth)
     larger = f", drawn {scale:g} times larger than they are" if scale != 1.0 else ""
     page.figure(figures / "network.png", f"Robots as located; 95 % regions{larger}. {MUTED_NOTE}")
-    if found.gauge and story.truth is not None and story.aligned is not None:
-        shape_figure(figures / "shape.png", net, found, story.aligned, story.truth)
+    if estimate.gauge and story.truth is not None and story.aligned is not None:
+        shape_figure(figures / "shape.png", net, estimate, story.aligned, story.truth)
         page.figure(figures / "shape.png", "The shape as answered, and fitted to the truth.")
-    lost = found.not_localisable
+    lost = estimate.not_localisable
     if lost:
         page.section("Robots that cannot be located")
         page.text(
-            f"{len(lost)} of {len(found.ids)}: the sightings leave at least one direction of each free, whatever the "
-            f"noise. {', '.join(lost[:200])}{', ..' if len(lost) > 200 else ''}"
+            f"{len(lost)} of {len(estimate.ids)}: the sightings leave at least one direction of each free, whatever "
+            f"the noise. {', '.join(lost[:200])}{', ..' if len(lost) > 200 else ''}"
         )
-    free = found.localisable & ~found.anchor
-    if found.cov is not None and free.any() and np.any(net.sigma > 0):
+    free = estimate.localisable & ~estimate.anchor
+    if estimate.cov is not None and free.any() and np.any(net.sigma > 0):
         page.section("How sure")
-        spread_figure(figures / "spread.png", found, story.aligned, story.truth)
+        deviation_figure(figures / "spread.png", estimate, story.aligned, story.truth)
         page.figure(
             figures / "spread.png", "Standard deviations, and (with truth) whether errors are as large as they say."
         )
-    residuals = whitened(net, found)
+    residuals = whitened(net, estimate)
     if np.any(net.sigma > 0) and len(residuals):
         page.section("Sightings")
-        left = float(np.clip(found.dof / max(len(residuals), 1), 0.05, 1.0))
-        residual_figure(figures / "residuals.png", residuals, found.outlier, left)
+        left = float(np.clip(estimate.dof / max(len(residuals), 1), 0.05, 1.0))
+        residual_figure(figures / "residuals.png", residuals, estimate.outlier, left)
         page.figure(figures / "residuals.png", "Residuals of all sightings used, over their standard deviations.")
     page.section("Robots")
-    page.table(["id", *"xyz"[: net.dim], "std", "locatable"], _robots(found))
-    if len(found.ids) > ROWS:
-        page.text(f"The {ROWS} least sure of {len(found.ids)}; all stand in positions.csv.")
+    page.table(["id", *"xyz"[: net.dim], "std", "locatable"], _robots(estimate))
+    if len(estimate.ids) > ROWS:
+        page.text(f"The {ROWS} least sure of {len(estimate.ids)}; all stand in positions.csv.")
     page.section("All that was said")
     for text in lines:
         page.text(text)
@@ -115,15 +115,15 @@ def write_moved_report(out: Path, story: MovedStory, lines: Sequence[str], metri
     page.write(out / "report.html")
 
 
-def whitened(net: Network, found: SwarmEstimate) -> Float[np.ndarray, " r"]:
+def whitened(net: Network, estimate: SwarmEstimate) -> Float[np.ndarray, " r"]:
     """Residuals over sigma of the sightings used, between robots that could be located."""
-    use = ~found.outlier & found.localisable[net.observer] & found.localisable[net.target]
-    p, q = found.position[net.observer[use]], found.position[net.target[use]]
+    use = ~estimate.outlier & estimate.localisable[net.observer] & estimate.localisable[net.target]
+    p, q = estimate.position[net.observer[use]], estimate.position[net.target[use]]
     if net.dim == 3:
         return np.asarray((model.sphere_residual(net.bearing[use], p, q) / net.sigma[use, None]).ravel())
     z = net.bearing[use]
-    if found.heading is not None:
-        z = z + found.heading[net.observer[use]]
+    if estimate.heading is not None:
+        z = z + estimate.heading[net.observer[use]]
     return np.asarray(model.angle_residual(np.asarray(z), p, q) / net.sigma[use])
 
 
@@ -143,17 +143,17 @@ def _cards(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
     return cards
 
 
-def _robots(found: SwarmEstimate) -> list[list[object]]:
-    std = None if found.cov is None else np.sqrt(np.trace(found.cov, axis1=1, axis2=2))
+def _robots(estimate: SwarmEstimate) -> list[list[object]]:
+    std = None if estimate.cov is None else np.sqrt(np.trace(estimate.cov, axis1=1, axis2=2))
     order = (
-        np.arange(len(found.ids)) if std is None or len(std) <= ROWS else np.argsort(-np.nan_to_num(std, nan=np.inf))
+        np.arange(len(estimate.ids)) if std is None or len(std) <= ROWS else np.argsort(-np.nan_to_num(std, nan=np.inf))
     )
     return [
         [
-            found.ids[k],
-            *(float(v) for v in found.position[k]),
+            estimate.ids[k],
+            *(float(v) for v in estimate.position[k]),
             None if std is None or not np.isfinite(std[k]) else float(std[k]),
-            "anchor" if found.anchor[k] else "yes" if found.localisable[k] else "no",
+            "anchor" if estimate.anchor[k] else "yes" if estimate.localisable[k] else "no",
         ]
         for k in order[:ROWS].tolist()
     ]

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 
 from ..core.gaussian import chi2_quantile
+from ..evaluation.swarm import squared_errors
 from ..swarm.moving.result import SwarmTrack
 from ..swarm.network import Network
 from ..swarm.result import SwarmEstimate
@@ -22,19 +23,19 @@ PLANES = {2: ((0, 1),), 3: ((0, 1), (0, 2))}
 
 
 def network_figure(
-    path: Path, net: Network, found: SwarmEstimate, truth: Float[np.ndarray, "n d"] | None = None
+    path: Path, net: Network, estimate: SwarmEstimate, truth: Float[np.ndarray, "n d"] | None = None
 ) -> float:
     """The network as located, with 95 % ellipses drawn as many times larger as is returned."""
     planes = PLANES[net.dim]
-    unit = "1" if "scale free" in found.gauge else "m"
-    scale = _magnification(net, found)
-    low, high = _limits(found.position[:, planes[0]], found.localisable)
+    unit = "1" if "scale free" in estimate.gauge else "m"
+    scale = _magnification(net, estimate)
+    low, high = _limits(estimate.position[:, planes[0]], estimate.localisable)
     tall = float(np.clip((high - low)[1] / (high - low)[0], 0.35, 1.3))
     width = 7.2 if len(planes) == 1 else 5.5
-    bar = len(net) > SOME and found.cov is not None
+    bar = len(net) > SOME and estimate.cov is not None
     with figure(path, width * len(planes) + 1.3 * bar, width * tall + 0.8, ncols=len(planes)) as (fig, axes):
         for k, (ax, plane) in enumerate(zip(np.atleast_1d(axes), planes, strict=True)):
-            _plane(ax, net, found, truth, plane, scale)
+            _plane(ax, net, estimate, truth, plane, scale)
             as_map(ax, unit=unit)
             ax.set_aspect("equal", adjustable="box")
             if plane[1] == 2:
@@ -51,35 +52,42 @@ def network_figure(
 
 
 def shape_figure(
-    path: Path, net: Network, found: SwarmEstimate, aligned: Float[np.ndarray, "n d"], truth: Float[np.ndarray, "n d"]
+    path: Path,
+    net: Network,
+    estimate: SwarmEstimate,
+    aligned: Float[np.ndarray, "n d"],
+    truth: Float[np.ndarray, "n d"],
 ) -> None:
     """The paper's Fig. 4: the shape is right; beside it the same, brought onto the truth."""
     with figure(path, 10.0, 4.8, ncols=2) as (_, axes):
         for ax, p, title, unit in (
-            (axes[0], found.position, "as answered: place and scale are free", "1"),
+            (axes[0], estimate.position, "as answered: place and scale are free", "1"),
             (axes[1], aligned, "the same shape, fitted to the truth", "m"),
         ):
             if p is aligned:
                 ax.plot(truth[:, 0], truth[:, 1], "o", mfc="none", mec=TRUTH, ms=_size(len(net)) + 3, label="truth")
-            ok = found.localisable
+            ok = estimate.localisable
             ax.plot(p[ok, 0], p[ok, 1], "*", color=BLUE, ms=_size(len(net)), ls="none", label="located")
             as_map(ax, title, unit)
             ax.legend(loc="best")
 
 
-def spread_figure(
-    path: Path, found: SwarmEstimate, aligned: Float[np.ndarray, "n d"] | None, truth: Float[np.ndarray, "n d"] | None
+def deviation_figure(
+    path: Path,
+    estimate: SwarmEstimate,
+    aligned: Float[np.ndarray, "n d"] | None,
+    truth: Float[np.ndarray, "n d"] | None,
 ) -> None:
     """How sure each robot is; with truth, whether it is as sure as it should be."""
-    assert found.cov is not None  # noqa: S101
-    free = found.localisable & ~found.anchor
-    std = np.sqrt(np.trace(found.cov[free], axis1=1, axis2=2))
-    honest = truth is not None and aligned is not None and not found.gauge
+    assert estimate.cov is not None  # noqa: S101
+    free = estimate.localisable & ~estimate.anchor
+    std = np.sqrt(np.trace(estimate.cov[free], axis1=1, axis2=2))
+    honest = truth is not None and aligned is not None and not estimate.gauge
     with figure(path, 9.5 if honest else 5.5, 3.6, ncols=2 if honest else 1) as (_, axes):
         ax = np.atleast_1d(axes)[0]
-        unit = "1" if "scale free" in found.gauge else "m"
+        unit = "1" if "scale free" in estimate.gauge else "m"
         if len(std) <= FEW // 2:
-            names = [name for name, here in zip(found.ids, free, strict=True) if here]
+            names = [name for name, here in zip(estimate.ids, free, strict=True) if here]
             ax.barh(names, std, color=BLUE)
             ax.invert_yaxis()
         else:
@@ -90,16 +98,14 @@ def spread_figure(
         if honest and truth is not None and aligned is not None:
             e = (aligned - truth)[free]
             have = np.isfinite(e).all(axis=1)
-            d = np.sort(
-                np.einsum("ka,ka->k", e[have], np.linalg.solve(found.cov[free][have], e[have][..., None])[..., 0])
-            )
+            d = np.sort(squared_errors(e[have], estimate.cov[free][have]))
             share = (np.arange(len(d)) + 0.5) / max(len(d), 1)
-            said = np.array([chi2_quantile(float(s), float(found.dim)) for s in share])
+            said = np.array([chi2_quantile(float(s), float(estimate.dim)) for s in share])
             axes[1].plot(said, d, ".", color=BLUE, ms=4)
             top = float(said.max(initial=1.0))
             axes[1].plot([0, top], [0, top], color=TRUTH, lw=1)
             axes[1].set_title("squared errors over their covariances")
-            axes[1].set_xlabel(f"chi-square quantile, {found.dim} degrees of freedom")
+            axes[1].set_xlabel(f"chi-square quantile, {estimate.dim} degrees of freedom")
             axes[1].set_ylabel("found")
 
 
@@ -168,39 +174,39 @@ def track_errors_figure(
 def _plane(
     ax: Axes,
     net: Network,
-    found: SwarmEstimate,
+    estimate: SwarmEstimate,
     truth: Float[np.ndarray, "n d"] | None,
     plane: tuple[int, int],
     scale: float,
 ) -> None:
-    n, p = len(net), found.position[:, plane]
-    lost, known = ~found.localisable, found.anchor
+    n, p = len(net), estimate.position[:, plane]
+    lost, known = ~estimate.localisable, estimate.anchor
     free = ~lost & ~known
-    spread = None if found.cov is None else np.sqrt(np.trace(found.cov, axis1=1, axis2=2))
+    std = None if estimate.cov is None else np.sqrt(np.trace(estimate.cov, axis1=1, axis2=2))
     if n > SOME:
-        c = BLUE if spread is None else spread[free]
+        c = BLUE if std is None else std[free]
         ax.scatter(
             p[free, 0],
             p[free, 1],
             s=float(np.clip(6e4 / n, 1.0, 12.0)),
             c=c,
-            cmap=None if spread is None else SEQUENTIAL,
+            cmap=None if std is None else SEQUENTIAL,
             linewidths=0,
             label="located",
             rasterized=True,
         )
     else:
         lines = np.stack([p[net.observer], p[net.target]], axis=1)
-        wild = found.outlier
+        wild = estimate.outlier
         ax.add_collection(LineCollection(list(lines[~wild]), colors="#C9CED6", linewidths=0.5, zorder=1))
         if wild.any():
             ax.add_collection(
                 LineCollection(list(lines[wild]), colors=RED, linewidths=0.6, linestyles=":", zorder=1, label="outlier")
             )
         ax.plot(p[free, 0], p[free, 1], "o", color=BLUE, ms=_size(n), zorder=3, label="located")
-        if found.cov is not None and free.any():
-            _ellipses(ax, p[free], found.cov[free][:, plane][:, :, plane], scale)
-    if truth is not None and not found.gauge and n <= FEW:
+        if estimate.cov is not None and free.any():
+            _ellipses(ax, p[free], estimate.cov[free][:, plane][:, :, plane], scale)
+    if truth is not None and not estimate.gauge and n <= FEW:
         q = truth[:, plane]
         ax.plot(q[:, 0], q[:, 1], "o", mfc="none", mec=TRUTH, mew=0.9, ms=_size(n) + 4, zorder=2, label="truth")
     if known.any():
@@ -231,7 +237,7 @@ def _ellipses(ax: Axes, p: np.ndarray, cov: np.ndarray, scale: float) -> None:
     values, vectors = np.linalg.eigh(0.5 * (cov + cov.swapaxes(1, 2)))
     half = scale * np.sqrt(chi2_quantile(0.95, 2.0) * np.maximum(values, 0.0))
     angle = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
-    made = EllipseCollection(
+    ellipses = EllipseCollection(
         2 * half[:, 1],
         2 * half[:, 0],
         angle,
@@ -243,20 +249,20 @@ def _ellipses(ax: Axes, p: np.ndarray, cov: np.ndarray, scale: float) -> None:
         linewidths=0.8,
         zorder=2,
     )
-    ax.add_collection(made)
+    ax.add_collection(ellipses)
     ax.plot([], [], "-", color=BLUE, lw=0.8, label="95 % region" + (f", {scale:g} times larger" if scale != 1 else ""))
 
 
-def _magnification(net: Network, found: SwarmEstimate) -> float:
+def _magnification(net: Network, estimate: SwarmEstimate) -> float:
     """A round factor that makes the usual ellipse a fifth of the usual distance between robots, at least 1."""
-    free = found.localisable & ~found.anchor
-    if found.cov is None or not free.any():
+    free = estimate.localisable & ~estimate.anchor
+    if estimate.cov is None or not free.any():
         return 1.0
-    std = float(np.median(np.sqrt(np.trace(found.cov[free], axis1=1, axis2=2))))
-    both = found.localisable[net.observer] & found.localisable[net.target]
+    std = float(np.median(np.sqrt(np.trace(estimate.cov[free], axis1=1, axis2=2))))
+    both = estimate.localisable[net.observer] & estimate.localisable[net.target]
     if std <= 0.0 or not both.any():
         return 1.0
-    gap = np.linalg.norm(found.position[net.target[both]] - found.position[net.observer[both]], axis=1)
+    gap = np.linalg.norm(estimate.position[net.target[both]] - estimate.position[net.observer[both]], axis=1)
     wanted = 0.1 * float(np.median(gap)) / std
     if wanted <= 1.0:
         return 1.0

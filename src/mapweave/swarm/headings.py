@@ -19,8 +19,8 @@ def mutual_pairs(net: Network) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, "
     key, back = net.observer * n + net.target, net.target * n + net.observer
     distinct, first = np.unique(key, return_index=True)
     where = np.searchsorted(distinct, back[first])
-    found = (where < len(distinct)) & (distinct[np.minimum(where, len(distinct) - 1)] == back[first])
-    a, b = first[found], first[where[found]]
+    mutual = (where < len(distinct)) & (distinct[np.minimum(where, len(distinct) - 1)] == back[first])
+    a, b = first[mutual], first[where[mutual]]
     once = net.observer[a] < net.observer[b]
     return a[once], b[once]
 

@@ -23,13 +23,13 @@ def meet(
     least squares, so only the turn is searched.
     """
     tried = np.linspace(-np.pi, np.pi, TURNS, endpoint=False)
-    found = [_offset(pose_i, pose_j, bearing, by_i, turn, limit) for turn in tried]
+    tried_offsets = [_offset(pose_i, pose_j, bearing, by_i, turn, limit) for turn in tried]
     for width in (np.pi / TURNS, np.pi / TURNS / 4, np.pi / TURNS / 16):
-        best = min(found, key=lambda f: f[1])
-        found += [
+        best = min(tried_offsets, key=lambda f: f[1])
+        tried_offsets += [
             _offset(pose_i, pose_j, bearing, by_i, float(best[0][2]) + d * width, limit) for d in (-1.0, -0.5, 0.5, 1.0)
         ]
-    return min(found, key=lambda f: f[1])
+    return min(tried_offsets, key=lambda f: f[1])
 
 
 def _offset(

@@ -102,18 +102,18 @@ class Network:
             ),
             (bool(np.any(self.sigma == 0) and np.any(self.sigma > 0)), "standard deviations are zero for some only"),
         )
-        told = [message for bad, message in checks if bad]
-        told += [
+        problems = [message for bad, message in checks if bad]
+        problems += [
             f"anchor {self.ids[k] if 0 <= k < n else k}: expected {self.dim} finite coordinates, found {p}"
             for k, p in self.anchors.items()
             if not 0 <= k < n or p.shape != (self.dim,) or not np.isfinite(p).all()
         ]
-        told += [
+        problems += [
             f"distance {d.i},{d.j} = {d.metres}: expected two robots and a positive number"
             for d in self.distances
             if not (0 <= d.i < n and 0 <= d.j < n) or d.i == d.j or not d.metres > 0
         ]
-        return told[0] if told else ""
+        return problems[0] if problems else ""
 
 
 def network(

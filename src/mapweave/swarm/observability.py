@@ -56,9 +56,9 @@ def observe(
     picks = tried[np.unique(np.linspace(0, 0.5 * (len(tried) - 1), CANDIDATES).astype(int))]
     best: Observability | None = None
     for row in picks:
-        found = _judge(net, parts, position, (int(net.observer[row]), int(net.target[row])), seed)
-        if best is None or found.localisable.sum() > best.localisable.sum():
-            best = found
+        judged = _judge(net, parts, position, (int(net.observer[row]), int(net.target[row])), seed)
+        if best is None or judged.localisable.sum() > best.localisable.sum():
+            best = judged
         if best.localisable[parts.label == parts.reference].all():
             break
     assert best is not None  # noqa: S101  (a piece without anchors that is sighted has a sighting)

@@ -73,8 +73,8 @@ def robust(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) ->
 
 def _nothing_agrees(net: Network, cfg: SwarmConfig, initial: np.ndarray | None) -> SwarmEstimate:
     estimate = batch(net, cfg, initial)
-    told = "no sightings agree with each other: the estimate uses all of them"
-    return replace(estimate, method="robust", reliable=False, warnings=(told, *estimate.warnings))
+    warning = "no sightings agree with each other: the estimate uses all of them"
+    return replace(estimate, method="robust", reliable=False, warnings=(warning, *estimate.warnings))
 
 
 def mutual_agreement(net: Network, gate: float) -> Bool[np.ndarray, " m"]:

@@ -14,12 +14,12 @@ TOO_MANY = 0.25  # share found wrong, beyond which nothing can
 def trust_warnings(net: Network, outlier: np.ndarray) -> list[str]:
     """What stands against trusting which sightings were called wrong."""
     share = float(outlier.mean())
-    told = f"{100 * share:.0f} % of the sightings were called wrong"
+    share_text = f"{100 * share:.0f} % of the sightings were called wrong"
     if share > TOO_MANY:
-        return [f"{told}: too many to say which ones"]
+        return [f"{share_text}: too many to say which ones"]
     single = 2 * len(mutual_pairs(net)[0]) < 0.5 * len(net.observer)
     if share > MANY and single:
-        return [f"{told}; where robots are not sighted from both ends the rest cannot be told from them"]
+        return [f"{share_text}; where robots are not sighted from both ends the rest cannot be told from them"]
     return []
 
 
@@ -34,12 +34,12 @@ def support_warnings(net: Network, robots: np.ndarray) -> list[str]:
 def chi2_warnings(chi2: float, dof: int) -> list[str]:
     """What stands against trusting residuals of `chi2` with `dof` degrees of freedom."""
     if dof <= 0:
-        told = f"chi-square {chi2:.4g} with {dof} degrees of freedom"
-        return [f"no sightings are left over to check the positions with ({told})"]
+        counted = f"chi-square {chi2:.4g} with {dof} degrees of freedom"
+        return [f"no sightings are left over to check the positions with ({counted})"]
     if chi2 <= chi2_quantile(1 - DOUBT, float(dof)):
         return []
-    found = f"chi-square {chi2:.4g} with {dof} degrees of freedom"
-    return [f"the residuals are larger than sigma says ({found}): outliers, a bias, or sigma too small"]
+    counted = f"chi-square {chi2:.4g} with {dof} degrees of freedom"
+    return [f"the residuals are larger than sigma says ({counted}): outliers, a bias, or sigma too small"]
 
 
 def barely_determined(net: Network, position: np.ndarray, cov: np.ndarray, localisable: np.ndarray) -> list[str]:
@@ -54,12 +54,13 @@ def barely_determined(net: Network, position: np.ndarray, cov: np.ndarray, local
 
 def layout_warnings(net: Network, localisable: np.ndarray, in_line: int) -> list[str]:
     """What in the layout itself stands against locating it."""
-    told = []
+    warnings = []
     if len(net.anchors) > 1 and len({tuple(p) for p in net.anchors.values()}) == 1:
-        told.append("all anchors stand at one place: they fix no scale")
+        warnings.append("all anchors stand at one place: they fix no scale")
     if in_line:
-        told.append(f"{in_line} robots stand on one line, all sightings parallel but for noise: nothing tells how far")
+        line = f"{in_line} robots stand on one line, all sightings parallel but for noise"
+        warnings.append(f"{line}: nothing tells how far")
     lost = int(np.count_nonzero(~localisable))
     if lost:
-        told.append(f"{lost} of {len(net)} robots cannot be located from these sightings")
-    return told
+        warnings.append(f"{lost} of {len(net)} robots cannot be located from these sightings")
+    return warnings

@@ -37,7 +37,7 @@ def smooth_driving(
     if table.dim != 2:
         raise DataError("odometry moves robots in the plane; the sightings are of three dimensions")
     problem = PoseProblem.of(table, odometry, anchors, cfg)
-    told: list[str] = []
+    warnings: list[str] = []
     if table.axis:
         x = _from_velocity(problem, table, anchors, cfg)
         placed = set(np.unique(problem.line.robot).tolist())
@@ -49,8 +49,9 @@ def smooth_driving(
     on_progress("smoothing", 1, 2)
     lost = sorted(set(np.unique(problem.line.robot).tolist()) - placed)
     if lost:
-        told.append(f"{len(lost)} robots are never tied to the others: {', '.join(table.ids[k] for k in lost[:10])}")
-    told += [
+        names = ", ".join(table.ids[k] for k in lost[:10])
+        warnings.append(f"{len(lost)} robots are never tied to the others: {names}")
+    warnings += [
         f"robot {table.ids[k]} has no odometry: taken to stand still"
         for k in sorted(placed - set(odometry) - set(anchors))
     ]
@@ -80,20 +81,20 @@ def smooth_driving(
         dof,
         out,
         gauge,
-        tuple(told),
+        tuple(warnings),
         {k: (float(a), float(b)) for k, (a, b) in scale.items()},
     )
 
 
 def _from_velocity(problem: PoseProblem, table: BearingTable, anchors: Anchors, cfg: TrackConfig) -> np.ndarray:
     """Positions as of robots without odometry; each robot's heading then turns its odometry upon them."""
-    line, found, index = solve_velocity(table, anchors, replace(cfg, acceleration=max(cfg.acceleration, 0.1)))
+    line, solution, index = solve_velocity(table, anchors, replace(cfg, acceleration=max(cfg.acceleration, 0.1)))
     x = problem.x0.copy()
     x[problem.index[:, 2]] = problem.own[:, 2]
     for robot in np.unique(problem.line.robot).tolist():
         rows, there = problem.line.of(robot), line.of(robot)
         t = problem.line.t[rows]
-        place = np.column_stack([np.interp(t, line.t[there], found.x[index[there, c]]) for c in range(2)])
+        place = np.column_stack([np.interp(t, line.t[there], solution.x[index[there, c]]) for c in range(2)])
         x[problem.index[rows, :2]] = place
         own = problem.own[rows]
         step, said = np.diff(place, axis=0), np.diff(own[:, :2], axis=0)

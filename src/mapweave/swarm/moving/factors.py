@@ -51,8 +51,8 @@ def odometry_factor(
         a, b, c = x[columns[:, :3]], x[columns[:, 3:6]], x[columns[:, 6:]]
         cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
         dx, dy = (b - a)[:, 0], (b - a)[:, 1]
-        found = np.column_stack([cos * dx + sin * dy, -sin * dx + cos * dy, b[:, 2] - a[:, 2]])
-        r = found - delta - (slope @ c[..., None])[..., 0]
+        step = np.column_stack([cos * dx + sin * dy, -sin * dx + cos * dy, b[:, 2] - a[:, 2]])
+        r = step - delta - (slope @ c[..., None])[..., 0]
         r[:, 2] = wrap_angle(r[:, 2])
         return np.asarray(r)
 
