@@ -8,7 +8,7 @@ import pytest
 
 from mapweave.core.errors import DataError, ReaderError
 from mapweave.core.landmark_log import LandmarkLog, SightingTable
-from mapweave.core.records import Odometry, Sightings
+from mapweave.core.records import Odometry
 from mapweave.io.landmark_logs import is_landmark_log, read_landmark_logs
 
 from .mrclam_folder import drive, glances, rows, write
@@ -247,15 +247,21 @@ def test_csv_robots_see_each_other_and_never_themselves(tmp_path):
 
 def test_events_hold_every_row_once_in_order(tmp_path):
     (log, _) = read_landmark_logs(write(tmp_path / "set"))
-    events = list(log.events())
-    assert [e.t for e in events] == sorted(e.t for e in events)
-    odometry = [e.record for e in events if isinstance(e.record, Odometry)]
-    frames = [e.record for e in events if isinstance(e.record, Sightings)]
-    assert np.array_equal(np.concatenate([o.t for o in odometry]), log.odometry.t)
-    assert [f.ids for f in frames] == [("6", "7")] * 4
-    assert all(
-        o.t[-1] <= e.t for e, o in zip(events, [e.record for e in events], strict=True) if isinstance(o, Odometry)
-    )
+    (whole,) = log.events()
+    assert whole.t == log.span[1]
+    middle = float(np.mean(log.span))
+    for cuts in ((middle,), (log.span[0], middle, middle, log.span[1] + 1.0)):
+        events = list(log.events(cuts))
+        assert [e.t for e in events] == sorted(e.t for e in events)
+        assert len(events) == len(set(cuts[: len(cuts) - (len(cuts) > 1)])) + 1
+        odometry = [e.record.odometry for e in events if e.record.odometry is not None]
+        for name in ("t", "v", "w"):
+            together = np.concatenate([getattr(o, name) for o in odometry])
+            assert np.array_equal(together, getattr(log.odometry, name))
+        for name in ("t", "what", "range", "bearing"):
+            together = np.concatenate([getattr(e.record, name) for e in events])
+            assert np.array_equal(together, getattr(log.sightings, name))
+        assert all(np.all(e.record.t <= e.t) for e in events)
 
 
 def test_a_share_is_the_first_part_of_the_time_and_keeps_the_hash():

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapweave.core.landmark_log import LandmarkLog, SightingTable
-from mapweave.core.records import Odometry
+from mapweave.core.records import Event, Odometry, Sightings
 
 
 @dataclass(frozen=True)
@@ -72,3 +72,15 @@ def drive(seed: int, seconds: float = 60.0, biases: Biases = Biases(), landmarks
 def errors(submap, truth: Truth) -> np.ndarray:
     """(n, 2) landmark errors in the frame of the first pose."""
     return submap.mean - np.array([truth.points[truth.ids.index(name)] for name in submap.ids])
+
+
+def one_by_one(log: LandmarkLog) -> list[Event]:
+    """The log as a live robot tells it: every odometry row, then every camera frame, in an event of its own."""
+    o, s = log.odometry, log.sightings
+    rows = range(len(o.t)) if o is not None else ()
+    events = [Event(o.t[k], log.robot, Odometry(o.t[k : k + 1], o.v[k : k + 1], o.w[k : k + 1])) for k in rows]
+    for t in np.unique(s.t):
+        at = s.t == t
+        ids = tuple(s.ids[k] for k in s.what[at])
+        events.append(Event(t, log.robot, Sightings(ids, s.range[at], s.bearing[at])))
+    return sorted(events, key=lambda e: e.t)  # stable: a row at a frame's own stamp stays before it

@@ -13,7 +13,7 @@ from mapweave.landmarks import ekf_slam
 from mapweave.landmarks.config import EkfSlamConfig
 from mapweave.landmarks.mapping import local_map
 
-from .robot_worlds import Biases, drive, errors
+from .robot_worlds import Biases, drive, errors, one_by_one
 
 WHITE = EkfSlamConfig(
     range_inflation=1.0, bearing_inflation=1.0, track_range_inflation=1.0, track_bearing_inflation=1.0,
@@ -38,39 +38,57 @@ def frozen_arrays(state):
     return state
 
 
-def test_a_step_changes_nothing_it_was_given():
+@pytest.mark.parametrize("cut", ["rows and frames", "packets"])
+def test_a_step_changes_nothing_it_was_given(cut):
     log, _ = drive(1, 5.0)
     cfg = EkfSlamConfig()
     state = ekf_slam.init("robot1", cfg, np.random.default_rng(0))
-    for event in log.events():
+    for event in one_by_one(log) if cut == "rows and frames" else log.events((1001.0, 1003.0)):
         frozen_arrays(state)  # writing to any of them would raise
         state, _ = ekf_slam.step(state, event, cfg, np.random.default_rng(0))
     assert len(state.submap.ids) == 2
 
 
-def test_how_odometry_is_packed_does_not_matter():
+def test_how_a_log_is_packed_does_not_matter():
+    """Whole, cut anywhere (between rows, at a frame's own stamp, before the first row), and one by one."""
     log, _ = drive(2, 20.0)
-    single = []
-    for event in log.events():
-        if isinstance(event.record, Odometry):
-            o = event.record
-            single += [
-                Event(t, event.robot, Odometry(*(c[k : k + 1] for c in (o.t, o.v, o.w)))) for k, t in enumerate(o.t)
-            ]
-        else:
-            single.append(event)
-    assert same(last(EkfSlamConfig(), log.events()), last(EkfSlamConfig(), single))
+    whole = last(EkfSlamConfig(), log.events())
+    frames = np.unique(log.sightings.t).tolist()
+    for cuts in ((0.0, 1003.14159, 1007.0, 5000.0), frames, log.odometry.t[::7].tolist()):
+        assert same(last(EkfSlamConfig(), log.events(cuts)), whole)
+    assert same(last(EkfSlamConfig(), one_by_one(log)), whole)
 
 
-def test_a_whole_log_in_one_call_is_its_events_one_by_one():
+def test_a_log_without_odometry_may_be_cut_anywhere_too():
+    log, _ = drive(2, 20.0)
+    wandering, cfg = replace(log, odometry=None), EkfSlamConfig(odometry=False)
+    whole = last(cfg, wandering.events())
+    assert same(last(cfg, wandering.events((1004.0, 1004.25, 1011.1))), whole)
+    assert same(last(cfg, one_by_one(wandering)), whole)
+
+
+def test_a_local_map_is_what_stepping_the_log_gives():
     log, _ = drive(3, 30.0, Biases(turn_scale=0.9, lag=0.2))
-    steps = list(run(ekf_slam, EkfSlamConfig(), log.events(), seed=0))
+    steps = list(run(ekf_slam, EkfSlamConfig(), one_by_one(log), seed=0))
     whole, state = local_map(log), steps[-1].state
     assert np.array_equal(whole.submap.cov, state.submap.cov)
     assert np.array_equal(whole.submap.mean, state.submap.mean)
     assert np.array_equal(whole.submap.pose, state.submap.pose)
     t = np.concatenate([s.info.track.t for s in steps])
     assert np.array_equal(np.unique(t), whole.track.t)
+
+
+def test_packets_tell_the_same_track_and_innovations_as_the_whole_log():
+    log, _ = drive(4, 20.0)
+    (whole,) = run(ekf_slam, EkfSlamConfig(), log.events(), seed=0)
+    parts = list(run(ekf_slam, EkfSlamConfig(), log.events((1004.0, 1012.34)), seed=0))
+    assert len(parts) == 3
+    for name in ("nis", "weight"):
+        together = np.concatenate([getattr(s.info, name) for s in parts])
+        np.testing.assert_array_equal(together, getattr(whole.info, name))
+    for name in ("t", "pose", "cov"):
+        together = np.concatenate([getattr(s.info.track, name) for s in parts])
+        np.testing.assert_array_equal(together, getattr(whole.info.track, name))
 
 
 def test_every_odometry_and_sighting_stamp_has_a_pose_and_an_honest_covariance():

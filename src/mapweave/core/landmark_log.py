@@ -1,15 +1,16 @@
 """One robot's log of velocities and sightings, mended where that is safe and counted where it was."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from .arrays import frozen
 from .errors import DataError
-from .records import Event, Odometry, Sightings
+from .records import Event, Odometry, Stretch
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +42,6 @@ class SightingTable:
         """How often each id was sighted, ids never sighted left out."""
         n = np.bincount(self.what, minlength=len(self.ids))
         return {name: int(k) for name, k in zip(self.ids, n, strict=True) if k}
-
-    def frames(self) -> Iterator[tuple[float, slice]]:
-        """Rows that share one stamp, in order."""
-        starts = np.flatnonzero(np.diff(self.t, prepend=np.nan) != 0)
-        for a, b in zip(starts, [*starts[1:], len(self.t)], strict=True):
-            yield float(self.t[a]), slice(int(a), int(b))
 
 
 NOTHING_SEEN = SightingTable(np.zeros(0), np.zeros(0, np.int64), np.zeros(0), np.zeros(0), ())
@@ -88,21 +83,21 @@ class LandmarkLog:
     def __len__(self) -> int:
         return len(self.sightings) + (0 if self.odometry is None else len(self.odometry.t))
 
-    def events(self) -> Iterator[Event]:
-        """Odometry packed between camera frames, and the frames; an odometry row at a frame's own stamp goes first."""
-        odometry = self.odometry
-        at = 0
-        for t, rows in self.sightings.frames():
-            if odometry is not None:
-                end = int(np.searchsorted(odometry.t, t, side="right"))
-                if end > at:
-                    yield self._packet(odometry, at, end)
-                    at = end
-            s = self.sightings
-            ids = tuple(s.ids[k] for k in s.what[rows])
-            yield Event(t, self.robot, Sightings(ids, s.range[rows], s.bearing[rows]))
-        if odometry is not None and at < len(odometry.t):
-            yield self._packet(odometry, at, len(odometry.t))
+    def events(self, cuts: Sequence[float] = ()) -> Iterator[Event]:
+        """All rows as one packet, or as one up to and including each of `cuts` [s], ascending, and one of the rest.
+
+        Packets without a row are left out.
+        """
+        s, o = self.sightings, self.odometry
+        seen = [0, *np.searchsorted(s.t, cuts, side="right").tolist(), len(s)]
+        driven = [0] * len(seen) if o is None else [0, *np.searchsorted(o.t, cuts, side="right").tolist(), len(o.t)]
+        for (a, b), (c, d) in zip(pairwise(seen), pairwise(driven), strict=True):
+            rows = slice(a, b)
+            odometry = Odometry(o.t[c:d], o.v[c:d], o.w[c:d]) if o is not None and d > c else None
+            if b > a or odometry is not None:
+                end = max([*s.t[b - 1 : b], *(() if odometry is None else odometry.t[-1:])])
+                record = Stretch(odometry, s.t[rows], s.what[rows], s.range[rows], s.bearing[rows], s.ids)
+                yield Event(float(end), self.robot, record)
 
     def share(self, fraction: float) -> "LandmarkLog":
         """The first `fraction` of the log's time span; the whole log when it is 1."""
@@ -120,12 +115,6 @@ class LandmarkLog:
             n = int(np.searchsorted(odometry.t, t, side="right"))
             odometry = Odometry(odometry.t[:n], odometry.v[:n], odometry.w[:n]) if n else None
         return replace(self, odometry=odometry, sightings=self.sightings.select(self.sightings.t <= t))
-
-    def _packet(self, odometry: Odometry, a: int, b: int) -> Event:
-        rows = slice(a, b)
-        return Event(
-            float(odometry.t[b - 1]), self.robot, Odometry(odometry.t[rows], odometry.v[rows], odometry.w[rows])
-        )
 
 
 def _hash(odometry: Odometry | None, sightings: SightingTable) -> str:

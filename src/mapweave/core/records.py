@@ -1,11 +1,9 @@
 """What robots say, as immutable records. A log, a simulator and a live session yield the same `Event`s."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from .arrays import frozen
 from .se2 import IDENTITY
@@ -42,6 +40,21 @@ class Sightings:
 
 
 @dataclass(frozen=True, slots=True)
+class Stretch:
+    """A stretch of a landmark log in one packet: what its velocity rows and camera frames one by one would say.
+
+    t: (n,) [s] of n >= 0 sightings, ascending; what: (n,) index into `ids`; range: (n,) [m]; bearing: (n,) [rad].
+    """
+
+    odometry: Odometry | None
+    t: Float[np.ndarray, " n"]
+    what: Int[np.ndarray, " n"]
+    range: Float[np.ndarray, " n"]
+    bearing: Float[np.ndarray, " n"]
+    ids: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Scan:
     """One laser revolution.
 
@@ -66,7 +79,7 @@ class Scan:
         return self.angle_min + self.angle_increment * np.arange(len(self.ranges))
 
 
-Record = Odometry | OdometryPoses | Sightings | Scan
+Record = Odometry | OdometryPoses | Sightings | Stretch | Scan
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,21 +89,6 @@ class Event:
     t: float
     robot: str
     record: Record
-
-
-@runtime_checkable
-class Log(Protocol):
-    """One robot's log after reading: what was read, what was dropped and why, and the events in order."""
-
-    @property
-    def robot(self) -> str: ...
-    @property
-    def source(self) -> str: ...
-    @property
-    def dropped(self) -> dict[str, int]: ...
-    @property
-    def warnings(self) -> tuple[str, ...]: ...
-    def events(self) -> Iterator[Event]: ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""A whole log through EKF-SLAM's kernels in one call: what stepping its events gives, to the bit."""
+"""A whole log through EKF-SLAM, and past poses corrected by the finished map."""
 
 from dataclasses import dataclass
 
@@ -8,12 +8,11 @@ from jaxtyping import Float
 from ..core.errors import EstimateError
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Track
-from ..kernels.landmarks import ekf, ekf_smooth
-from ..kernels.landmarks.ekf_apply_drive import settle
-from ..kernels.landmarks.ekf_start import CANDIDATES
-from ..kernels.landmarks.ekf_state import POSE, RANGE_SCALE
+from ..core.run import run
+from ..kernels.landmarks import ekf_smooth
+from ..kernels.landmarks.ekf_state import RANGE_SCALE
 from . import ekf_slam
-from .config import EkfSlamConfig, noise, track_noise
+from .config import EkfSlamConfig, track_noise
 from .submap import Submap
 
 MOST_NUMBERS = 30_000_000  # sightings times state: beyond, smoothing would take gigabytes and poses stay filtered
@@ -38,48 +37,45 @@ class Played:
     warnings: tuple[str, ...] = ()
 
 
-def play(log: LandmarkLog, cfg: EkfSlamConfig) -> Played:
-    """EKF-SLAM over `log`; raises EstimateError when it leaves finite numbers."""
-    seen = log.sightings
-    used, first = np.unique(seen.what, return_index=True)
-    order = used[np.argsort(first)]  # slots in the order of first sighting, as stepping gives them
-    order = np.array([k for k in order if ekf_slam.is_landmark(seen.ids[k])], dtype=np.int64)
-    slot = np.full(len(seen.ids), -1, np.int64)
-    slot[order] = np.arange(len(order))
-    slots, ids, n = slot[seen.what], tuple(seen.ids[k] for k in order), len(order)
-    state = ekf_slam.with_slots(ekf_slam.initial(log.robot, cfg), ids)
-    x, P, Phi, Q = state.x.copy(), state.P.copy(), state.Phi.copy(), state.Q.copy()
-    started, waiting, n_waiting = np.zeros(n, bool), np.zeros((n, CANDIDATES, 2)), np.zeros(n, np.int64)
-    odometry = log.odometry
-    commands = [np.zeros(0)] * 3 if odometry is None else [odometry.t, odometry.v, odometry.w]
-    nis, weight = np.empty(len(seen)), np.empty(len(seen))
-    most = len(commands[0]) + len(seen)
-    t, pose, cov = np.empty(most), np.empty((most, POSE)), np.empty((most, 6))
-    start = min((float(s[0]) for s in (commands[0], seen.t) if len(s)), default=0.0)
-    cmd_t, cmd_v, cmd_w = (np.array(c) for c in commands)
-    stamp, distance, bearing = (np.array(c) for c in (seen.t, seen.range, seen.bearing))
+def play(log: LandmarkLog, cfg: EkfSlamConfig, seed: int = 0) -> Played:
+    """EKF-SLAM over `log`, past poses corrected by the finished map; raises EstimateError when it overflows."""
     failed = EstimateError(f"{log.source}: {log.robot}: EKF-SLAM left finite numbers")
     try:
-        rows = ekf.replay(
-            x, P, Phi, Q, start, cmd_t, cmd_v, cmd_w, stamp, slots, distance, bearing,
-            noise(cfg), started, waiting, n_waiting, np.zeros(1, np.int64), nis, weight, t, pose, cov,
-        )  # fmt: skip
+        steps = list(run(ekf_slam, cfg, log.events(), seed))
     except ZeroDivisionError:  # an innovation's determinant ran over
         raise failed from None
-    settle(P, len(x), Phi, Q)
+    state = steps[-1].state if steps else ekf_slam.initial(log.robot, cfg)
+    info = steps[-1].info if steps else ekf_slam.EkfSlamInfo(ekf_slam.Status.USED)
+    x, P = state.x, state.settled()
     if not max(np.abs(x).max(), np.abs(P).max(initial=0.0)) < LARGEST:
         raise failed
-    made = ekf_slam.submap(log.robot, state.frame, x, P, ids, started)
-    t, pose, square = t[:rows], pose[:rows], np.array(ekf_slam.square(cov[:rows]))
-    if cfg.smooth and started.any() and len(seen) * len(x) <= MOST_NUMBERS:
-        used_slots = np.where((slots >= 0) & started[slots], slots, -1)
-        ekf_smooth.smooth(
-            x, P, start, cmd_t, cmd_v, cmd_w, stamp, np.unique(stamp), used_slots, distance, bearing, track_noise(cfg),
-            t, pose, square,
-        )  # fmt: skip
+    t, pose, square = np.array(info.track.t), np.array(info.track.pose), np.array(info.track.cov)
+    if cfg.smooth and state.started.any() and len(log.sightings) * len(x) <= MOST_NUMBERS:
+        _smooth(log, cfg, state, P, t, pose, square)
+    if not (np.isfinite(pose).all() and np.isfinite(square).all()):
+        raise failed
     scale = float(x[RANGE_SCALE])
     by = np.array([scale, scale, 1.0])
     track = Track(t, pose * by, square * np.outer(by, by), state.frame)
-    if not (np.isfinite(pose).all() and np.isfinite(square).all()):
-        raise failed
-    return Played(seen, x, P, made, track, nis, weight)
+    return Played(log.sightings, x, P, state.submap, track, info.nis, info.weight)
+
+
+def _smooth(
+    log: LandmarkLog,
+    cfg: EkfSlamConfig,
+    state: ekf_slam.EkfSlamState,
+    P: Float[np.ndarray, "m m"],
+    t: Float[np.ndarray, " n"],
+    pose: Float[np.ndarray, "n 3"],
+    cov: Float[np.ndarray, "n 3 3"],
+) -> None:
+    """Poses and their covariances corrected, in place, by the finished map (`P`: its covariance, settled)."""
+    seen, o = log.sightings, log.odometry
+    slots = np.array([state.slot.get(name, -1) for name in seen.ids], dtype=np.int64)[seen.what]
+    used = np.where((slots >= 0) & state.started[slots], slots, -1)
+    cmd_t, cmd_v, cmd_w = np.zeros((3, 0)) if o is None else np.stack([o.t, o.v, o.w])
+    stamp, distance, bearing = (np.array(c) for c in (seen.t, seen.range, seen.bearing))
+    ekf_smooth.smooth(
+        state.x, P, log.span[0], cmd_t, cmd_v, cmd_w, stamp, np.unique(stamp), used, distance, bearing,
+        track_noise(cfg), t, pose, cov,
+    )  # fmt: skip

@@ -1,18 +1,18 @@
 """EKF-SLAM of one robot with known landmark identities: pose, landmarks and its sensors' biases in one state.
 
-The frame is `local_K`, the robot's first pose, with zero covariance. `init` and `step` run under `core.run.run`;
-`local_map` plays a whole log through the same kernels in one call and gives the same numbers.
+The frame is `local_K`, the robot's first pose, with zero covariance. `init` and `step` run under `core.run.run`: a log
+comes as one packet, a live robot as many, and both give the same numbers.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core.arrays import frozen
-from ..core.records import Event, Odometry, Sightings, Track
+from ..core.records import Event, Odometry, Sightings, Stretch, Track
 from ..kernels.landmarks import ekf
 from ..kernels.landmarks.ekf_apply_drive import clear, settle
 from ..kernels.landmarks.ekf_start import CANDIDATES
@@ -59,19 +59,27 @@ class EkfSlamState:
     @property
     def submap(self) -> Submap:
         """Pose and started landmarks in `frame`, the calibration marginalised away, distances in the range sensor's."""
+        return submap(self.robot, self.frame, self.x, self.settled(), self.ids, self.started)
+
+    def settled(self) -> Float[np.ndarray, "m m"]:
+        """The covariance of `x` now, what was driven since the last sighting included."""
         P = self.P.copy()
         settle(P, len(self.x), self.Phi.copy(), self.Q.copy())
-        return submap(self.robot, self.frame, self.x, P, self.ids, self.started)
+        return P
+
+
+NOWHERE = Track(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+NONE = frozen(np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True)
 class EkfSlamInfo:
-    """What an event did. track: poses at its stamps; nis, weight: of each landmark sighted, NaN while it waits."""
+    """What an event did. track: poses at its stamps; nis, weight: of each sighting, NaN where it was no update."""
 
     status: Status
-    track: Track | None = None
-    nis: Float[np.ndarray, " n"] | None = None
-    weight: Float[np.ndarray, " n"] | None = None
+    track: Track = NOWHERE
+    nis: Float[np.ndarray, " n"] = field(default_factory=lambda: NONE)
+    weight: Float[np.ndarray, " n"] = field(default_factory=lambda: NONE)
 
 
 def init(robot: str, cfg: EkfSlamConfig, rng: np.random.Generator) -> EkfSlamState:  # noqa: ARG001
@@ -96,16 +104,16 @@ def step(
     cfg: EkfSlamConfig,
     rng: np.random.Generator,  # noqa: ARG001
 ) -> tuple[EkfSlamState, EkfSlamInfo]:
-    """`state` with `event` worked in: drive to each odometry row, or to the frame and update with each sighting."""
+    """`state` with `event` worked in: driven to every row and updated with every sighting, however rows are packed."""
     record = event.record
-    if not isinstance(record, Odometry | Sightings):
+    if isinstance(record, Sightings):
+        n = len(record.ids)
+        record = Stretch(None, np.full(n, event.t), np.arange(n), record.range, record.bearing, record.ids)
+    if not isinstance(record, Odometry | Stretch):
         return state, EkfSlamInfo(Status.IGNORED)
-    first = float(record.t[0]) if isinstance(record, Odometry) else event.t
-    if state.t is not None and first < state.t:
+    if state.t is not None and (record.t[0] if isinstance(record, Odometry) else first_stamp(record)) < state.t:
         return state, EkfSlamInfo(Status.LATE)
-    if isinstance(record, Odometry):
-        return _drive(state, record, cfg)
-    return _look(state, event.t, record, cfg)
+    return _drive(state, record, cfg) if isinstance(record, Odometry) else _work_in(state, record, cfg)
 
 
 def _drive(state: EkfSlamState, record: Odometry, cfg: EkfSlamConfig) -> tuple[EkfSlamState, EkfSlamInfo]:
@@ -121,27 +129,40 @@ def _drive(state: EkfSlamState, record: Odometry, cfg: EkfSlamConfig) -> tuple[E
     return new, EkfSlamInfo(Status.USED, Track(record.t, pose, square(cov), state.frame))
 
 
-def _look(state: EkfSlamState, t: float, record: Sightings, cfg: EkfSlamConfig) -> tuple[EkfSlamState, EkfSlamInfo]:
-    mine = [k for k, name in enumerate(record.ids) if is_landmark(name)]
-    new = with_slots(state, tuple(record.ids[k] for k in mine))
-    slots = np.array([new.slot[record.ids[k]] for k in mine], dtype=np.int64)
-    n = len(mine)
-    nis, weight, pose, cov = np.empty(n), np.empty(n), np.empty((1, POSE)), np.empty((1, 6))
+def _work_in(state: EkfSlamState, record: Stretch, cfg: EkfSlamConfig) -> tuple[EkfSlamState, EkfSlamInfo]:
+    used, first = np.unique(record.what, return_index=True)
+    fresh = [record.ids[k] for k in used[np.argsort(first)]]  # slots in the order of first sighting
+    new = with_slots(state, tuple(name for name in fresh if is_landmark(name)))
+    slots = np.array([new.slot.get(name, -1) for name in record.ids], dtype=np.int64)[record.what]
+    o = record.odometry
+    rows = np.zeros((3, 0)) if o is None else np.stack([o.t, o.v, o.w])
+    commands = np.concatenate([new.commands, rows], axis=1)
+    n, most = len(record.t), rows.shape[1] + len(record.t)
+    nis, weight = np.empty(n), np.empty(n)
+    t, pose, cov = np.empty(most), np.empty((most, POSE)), np.empty((most, 6))
     started, waiting, n_waiting = new.started.copy(), new.waiting.copy(), new.n_waiting.copy()
     astray = new.astray.copy()
     x, P, Phi, Q = new.x.copy(), new.P.copy(), new.Phi.copy(), new.Q.copy()
-    at = ekf.look(
-        x, P, Phi, Q, t if state.t is None else state.t, t,
-        new.commands[0], new.commands[1], new.commands[2], new.at,
-        slots, np.array(record.range)[mine], np.array(record.bearing)[mine], noise(cfg),
-        started, waiting, n_waiting, astray, nis, weight, pose[0], cov[0],
+    stamp, distance, bearing = (np.array(c) for c in (record.t, record.range, record.bearing))
+    start = first_stamp(record) if state.t is None else state.t
+    tracked, at = ekf.replay(
+        x, P, Phi, Q, start, commands[0], commands[1], commands[2], new.at, new.commands.shape[1],
+        stamp, slots, distance, bearing, noise(cfg),
+        started, waiting, n_waiting, astray, nis, weight, t, pose, cov,
     )  # fmt: skip
     gone = max(at, 0)
+    track = Track(t[:tracked], pose[:tracked], square(cov[:tracked]), new.frame)
     new = replace(
-        new, t=t, x=x, P=P, Phi=Phi, Q=Q, commands=new.commands[:, gone:].copy(), at=at - gone,
+        new, t=float(t[tracked - 1]), x=x, P=P, Phi=Phi, Q=Q, commands=commands[:, gone:].copy(), at=at - gone,
         started=started, waiting=waiting, n_waiting=n_waiting, astray=astray,
     )  # fmt: skip
-    return new, EkfSlamInfo(Status.USED, Track(np.array([t]), pose, square(cov), new.frame), nis, weight)
+    return new, EkfSlamInfo(Status.USED, track, nis, weight)
+
+
+def first_stamp(record: Stretch) -> float:
+    """The stamp [s] of the first row of a stretch that has one."""
+    stamps = [record.t[:1]] if record.odometry is None else [record.t[:1], record.odometry.t[:1]]
+    return float(np.concatenate(stamps).min())
 
 
 def with_slots(state: EkfSlamState, names: tuple[str, ...]) -> EkfSlamState:

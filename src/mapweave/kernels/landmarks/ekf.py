@@ -113,6 +113,8 @@ def replay(
     cmd_t: Array,
     cmd_v: Array,
     cmd_w: Array,
+    at: int,
+    old: int,
     stamp: Array,
     slots: Array,
     ranges: Array,
@@ -127,14 +129,15 @@ def replay(
     track_t: Array,
     pose: Array,
     cov: Array,
-) -> int:
-    """A whole log through the filter: what stepping its events one by one gives, to the bit, in one call.
+) -> tuple[int, int]:
+    """A stretch of a log through the filter: what its rows and frames one by one give, to the bit, in one call.
 
-    stamp, slots, ranges, bearings: (n,) sightings in order; nis, weight: (n,) filled; track_t, pose, cov: filled at
-    every odometry and sighting stamp. Returns the rows of the track.
+    t: where the filter stands [s]; at: the command in force, -1 before the first; old: commands known before this
+    stretch. stamp, slots, ranges, bearings: (n,) sightings in order; nis, weight: (n,) filled; track_t, pose, cov:
+    filled at every new odometry and sighting stamp. Returns the rows of the track and the command in force.
     """
-    at = plain(-1)
-    rows = i = j = 0
+    rows = j = 0
+    i = old
     while i < len(cmd_t) or j < len(stamp):
         now = np.inf
         if i < len(cmd_t):
@@ -170,4 +173,4 @@ def replay(
             )
         track_t[rows] = now
         rows += 1
-    return rows
+    return rows, at
