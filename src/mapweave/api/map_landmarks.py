@@ -1,7 +1,6 @@
 """`map` of landmark logs: EKF-SLAM for every robot in its own frame, then all local maps fused."""
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import field
 from pathlib import Path
 
@@ -13,7 +12,6 @@ from ..core.workers import worker_pool
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse
 from ..fusion.known_starts import tie_by_starts
-from ..fusion.result import Fusion
 from ..io.landmark_logs import is_landmark_log, read_landmark_logs
 from ..landmarks.config import EkfSlamConfig
 from ..landmarks.local_map import LocalMap
@@ -54,7 +52,9 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> TeamResult:
     if options.fuse_every is None:
         fusion = fuse(local, cfg.fuse, {m.robot: m.source for m in local})
     else:
-        fusion, online = _online(read, local, cfg, options)
+        fusion, online = fuse_online(
+            read, local, cfg.ekf, cfg.fuse, options.fuse_every, options.seed, options.on_progress
+        )
     fusion = tie_by_starts(fusion, {robot_name(key): pose for key, pose in options.start.items()})
     title = f"One map from {', '.join(p.name for p in logs)}"
     return team_result(title, options.seed, local, fusion, options.truth, online, watch)
@@ -90,34 +90,13 @@ def _shared(logs: list[LandmarkLog], options: MapOptions) -> list[LandmarkLog]:
 
 def _local_maps(logs: Sequence[LandmarkLog], cfg: EkfSlamConfig, options: MapOptions) -> list[LocalMap]:
     """A local map a robot, in the order of `logs`, whoever works on them."""
-    with worker_pool(options.jobs, len(logs), options.executor) as pool:
-        return _spread(logs, cfg, options, pool, "local maps")
-
-
-def _online(
-    logs: Sequence[LandmarkLog], local: Sequence[LocalMap], cfg: LandmarkMapConfig, options: MapOptions
-) -> tuple[Fusion, tuple[OnlineMap, ...]]:
-    """The fusion, and the global map every `--fuse-every` seconds on the way to it."""
-    every = options.fuse_every or 0.0
-    with worker_pool(options.jobs, len(logs), options.executor) as pool:
-
-        def make(cut: Sequence[LandmarkLog]) -> list[LocalMap]:
-            return _spread(cut, cfg.ekf, options, pool, "")
-
-        return fuse_online(logs, local, make, cfg.fuse, every, options.on_progress)
-
-
-def _spread(
-    logs: Sequence[LandmarkLog], cfg: EkfSlamConfig, options: MapOptions, pool: Executor | None, stage: str
-) -> list[LocalMap]:
     n = len(logs)
     out: list[LocalMap] = []
-    if n:
+    with worker_pool(options.jobs, n, options.executor) as pool:
         spread = map if pool is None else pool.map
-        for k, made in enumerate(spread(local_map, logs, [cfg] * n, [options.seed] * n)):
-            out.append(made)
-            if stage:
-                options.on_progress(stage, k + 1, n)
+        for k, m in enumerate(spread(local_map, logs, [cfg] * n, [options.seed] * n)):
+            out.append(m)
+            options.on_progress("local maps", k + 1, n)
     return out
 
 

@@ -1,6 +1,6 @@
 """Fusing while the logs play: every so often each robot hands over the map it has by then."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,10 +12,10 @@ from ..evaluation.growth import GrowthPoint, growth_point
 from ..fusion.config import FuseConfig
 from ..fusion.online import OnlineFuser
 from ..fusion.result import Fusion
+from ..landmarks.config import EkfSlamConfig
 from ..landmarks.landmark_map import LandmarkMap
 from ..landmarks.local_map import LocalMap
-
-LocalMaps = Callable[[Sequence[LandmarkLog]], list[LocalMap]]
+from ..landmarks.mapping import growing_maps
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,25 +30,25 @@ class OnlineMap:
 def fuse_online(
     logs: Sequence[LandmarkLog],
     whole: Sequence[LocalMap],
-    make: LocalMaps,
+    ekf: EkfSlamConfig,
     cfg: FuseConfig,
     every: float,
+    seed: int,
     on_progress: Progress,
 ) -> tuple[Fusion, tuple[OnlineMap, ...]]:
     """The fusion of all `whole` maps, and the global map every `every` seconds until then.
 
-    A robot's map at a time is what its estimator (`make`) makes of its log until that time, so that the last is the
-    map the whole log gives; the price is that early rows are played once for every update.
+    A robot's map at a time is its filter's by then; the last is the one that the whole log gives.
     """
     spans = [log.span for log in logs if len(log)]
     first, last = min(a for a, _ in spans), max(b for _, b in spans)
-    times = np.arange(first + every, last, every)
-    fuser = OnlineFuser(cfg)
+    times = np.arange(first + every, last, every).tolist()
+    fuser = OnlineFuser(cfg, {log.robot: log.source for log in logs})
+    growing = [growing_maps(log, ekf, times, seed) for log in logs]
     grown = []
     for k, t in enumerate(times):
         on_progress("fusing online", k, len(times))
-        heard = [cut for cut in (log.until(float(t)) for log in logs) if len(cut.sightings)]
-        fresher = [m for m in make(heard) if len(m.submap.ids)]
+        fresher = [m for m in map(next, growing) if m is not None]
         if fresher:
             fuser = fuser.update(*fresher)
         if fuser.largest is not None:

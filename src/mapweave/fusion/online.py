@@ -2,8 +2,8 @@
 
 The information of a team's map is the sum of what its local maps say; exchanging one is `Lambda += new - old`. Every
 map's latest version is kept whole and the sum is taken anew at the latest estimate, so nothing counts twice, nothing
-stays linearised at an old guess, and after the last update the map is the one that fusing at the end gives.
-(`relative_online` keeps the running sum itself, where maps are too many to sum again.)
+stays linearised at an old guess, an update costs what the maps hold and not how many came before, and after the last
+one the map is the one that fusing at the end gives.
 """
 
 from collections.abc import Mapping
@@ -24,13 +24,15 @@ class OnlineFuser:
     """The latest map of every robot heard of and what they fuse to."""
 
     cfg: FuseConfig = field(default_factory=FuseConfig)
+    recordings: Mapping[str, str] | None = None  # as `fuse` takes them
     latest: Mapping[str, LocalMap] = field(default_factory=dict)
     fusion: Fusion = NOTHING
 
     def update(self, *fresher: LocalMap) -> "OnlineFuser":
         """The fuser after these maps, each in place of its robot's older one."""
         latest = {**self.latest, **{m.robot: m for m in fresher}}
-        return OnlineFuser(self.cfg, latest, fuse(list(latest.values()), self.cfg))
+        fusion = fuse(list(latest.values()), self.cfg, self.recordings)
+        return OnlineFuser(self.cfg, self.recordings, latest, fusion)
 
     @property
     def largest(self) -> Component | None:

@@ -1,12 +1,15 @@
 """One robot's log becomes its local map: all of it through EKF-SLAM, and what there is to say about the result."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
-from ..core.landmark_log import LandmarkLog
-from ..core.records import Odometry
-from ..kernels.landmarks.ekf_state import HEAD, POSE
+from ..core.landmark_log import LandmarkLog, SightingTable
+from ..core.records import Odometry, Track
+from ..core.run import run
+from ..kernels.landmarks.ekf_state import HEAD, POSE, RANGE_SCALE
 from . import ekf_slam
 from .config import EkfSlamConfig
 from .ekf_replay import Played, play
@@ -29,12 +32,12 @@ def local_map(log: LandmarkLog, cfg: EkfSlamConfig | None = None, seed: int = 0)
     estimator takes.
     """
     cfg = config_for(log, cfg or EkfSlamConfig())
-    run = play if cfg.odometry else play_in_pieces
+    estimate = play if cfg.odometry else play_in_pieces
     log = without_impossible(log, cfg)
     dropped, warnings, kept = dict(log.dropped), list(log.warnings), log
-    done = run(kept, cfg)
+    done = estimate(kept, cfg)
     for _ in range(MOST_RESTLESS):
-        name = _restless(done)
+        name = _restless(done.seen, done.weight)
         if name is None:
             break
         gone = kept.sightings.counts()[name]
@@ -43,8 +46,70 @@ def local_map(log: LandmarkLog, cfg: EkfSlamConfig | None = None, seed: int = 0)
         warnings.append(f"{name} was seen {gone} times but at no fixed place: left out")
         stays = np.array([other != name for other in kept.sightings.ids], bool)
         kept = replace(kept, sightings=kept.sightings.select(stays[kept.sightings.what]))
-        done = run(kept, cfg)
+        done = estimate(kept, cfg)
     return _result(log, cfg, done, dropped, [*warnings, *done.warnings])
+
+
+def growing_maps(
+    log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float], seed: int = 0
+) -> Iterator[LocalMap | None]:
+    """The map of the rows until each of `times` [s], ascending, one after the other; None while there is no landmark.
+
+    The filter goes on from map to map, so that all of them cost what the last does; past poses are not corrected, and
+    a landmark without a fixed place is left out of the map, not of the filter. A robot without odometry, whose pieces
+    of map are tied anew by every row, is mapped from its first row each time.
+    """
+    cfg = config_for(log, cfg)
+    log = without_impossible(log, cfg)
+    if not cfg.odometry:
+        for t in times:
+            cut = log.until(t)
+            m = local_map(cut, cfg, seed) if len(cut.sightings) else None
+            yield m if m is not None and len(m.submap.ids) else None
+        return
+    steps = run(ekf_slam, cfg, log.events(times), seed)
+    following = next(steps, None)
+    state, weights, tracks = None, [np.zeros(0)], [ekf_slam.NOWHERE]
+    for t in times:
+        while following is not None and following.t <= t:
+            state = following.state
+            weights.append(following.info.weight)
+            tracks.append(following.info.track)
+            following = next(steps, None)
+        m = None if state is None else _map_so_far(log.until(t), state, np.concatenate(weights), tracks)
+        yield m if m is not None and len(m.submap.ids) else None
+
+
+def _map_so_far(
+    log: LandmarkLog, state: ekf_slam.EkfSlamState, weight: Float[np.ndarray, " n"], tracks: Sequence[Track]
+) -> LocalMap:
+    """What a filter that has worked in all of `log` hands over."""
+    submap, moving = state.submap, _restless(log.sightings, weight)
+    if moving in submap.ids:
+        keep = np.array([name != moving for name in submap.ids])
+        rows = np.concatenate([[True] * POSE, np.repeat(keep, 2)])
+        ids = tuple(name for name in submap.ids if name != moving)
+        submap = replace(submap, ids=ids, mean=submap.mean[keep], cov=submap.cov[np.ix_(rows, rows)])
+    scale = np.array([state.x[RANGE_SCALE], state.x[RANGE_SCALE], 1.0])
+    pose = np.concatenate([track.pose for track in tracks]) * scale
+    cov = np.concatenate([track.cov for track in tracks if track.cov is not None]) * np.outer(scale, scale)
+    counts = log.sightings.counts()
+    return LocalMap(
+        robot=log.robot,
+        submap=submap,
+        track=Track(np.concatenate([track.t for track in tracks]), pose, cov, state.frame),
+        sightings={name: counts[name] for name in submap.ids},
+        robot_sightings=_robot_sightings(log),
+        source=log.source,
+        log_hash=log.log_hash,
+    )
+
+
+def _robot_sightings(log: LandmarkLog) -> RobotSightings:
+    table = log.sightings
+    robots = np.array([not ekf_slam.is_landmark(name) for name in table.ids], bool)
+    r = table.select(robots[table.what]) if len(table) else table
+    return RobotSightings(r.t, tuple(r.ids[k] for k in r.what), r.range, r.bearing)
 
 
 def config_for(log: LandmarkLog, cfg: EkfSlamConfig) -> EkfSlamConfig:
@@ -76,11 +141,11 @@ def without_impossible(log: LandmarkLog, cfg: EkfSlamConfig) -> LandmarkLog:
     )
 
 
-def _restless(done: Played) -> str | None:
+def _restless(seen: SightingTable, weights: Float[np.ndarray, " n"]) -> str | None:
     """The landmark with the largest share of its sightings down-weighted, if that is most of them."""
     worst, name = CONTRADICTED, None
-    for k, other in enumerate(done.seen.ids):
-        weight = done.weight[done.seen.what == k]
+    for k, other in enumerate(seen.ids):
+        weight = weights[seen.what == k]
         weight = weight[np.isfinite(weight)]
         share = float((weight < 1.0).mean()) if len(weight) >= ENOUGH else 0.0
         if share > worst:
@@ -91,7 +156,6 @@ def _restless(done: Played) -> str | None:
 def _result(
     log: LandmarkLog, cfg: EkfSlamConfig, done: Played, dropped: dict[str, int], warnings: list[str]
 ) -> LocalMap:
-    table = log.sightings
     all_counts = done.seen.counts()
     counts = {name: all_counts[name] for name in done.submap.ids}
     unused = sum(n for name, n in all_counts.items() if ekf_slam.is_landmark(name) and name not in counts)
@@ -104,14 +168,12 @@ def _result(
         warnings.append(f"{down} of {int(judged.sum())} sightings had to be down-weighted: its map may be wrong")
     if nis_median is not None and nis_median > HIGH_NIS:
         warnings.append(f"sightings disagree with the filter: median NIS {nis_median:.1f}, expected about 1.4")
-    robots = np.array([not ekf_slam.is_landmark(name) for name in table.ids], bool)
-    r = table.select(robots[table.what]) if len(table) else table
     return LocalMap(
         robot=log.robot,
         submap=done.submap,
         track=done.track,
         sightings=counts,
-        robot_sightings=RobotSightings(r.t, tuple(r.ids[k] for k in r.what), r.range, r.bearing),
+        robot_sightings=_robot_sightings(log),
         odometry="velocity" if cfg.odometry else "none",
         source=log.source,
         log_hash=log.log_hash,
