@@ -3,7 +3,7 @@
     python benchmarks/ekf_slam.py [--landmarks 50,200,500,1000] [--steps 200] [--no-gtsam] [--json FILE]
 
 The robot drives loops among landmarks, five odometry rows and one camera frame of the nearest six a step. All
-landmarks are in the map before the clock starts. A step of ours is `estimate.ekf_slam.step` of both events, what it
+landmarks are in the map before the clock starts. A step of ours is `landmarks.ekf_slam.step` of both events, what it
 copies included; one of ISAM2's is the update with the new factors and the estimate of the new pose.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from mapweave.core import se2
 from mapweave.core.records import Event, Odometry, Sightings
-from mapweave.landmarks import ekf_slam, motion, range_bearing
+from mapweave.landmarks import ekf_slam
 from mapweave.landmarks.config import EkfSlamConfig
 
 ROWS, H, V, W = 5, 0.05, 0.5, 0.15  # odometry rows a step, [s], [m/s], [rad/s]
@@ -30,6 +30,13 @@ CFG = EkfSlamConfig(
 )  # fmt: skip
 
 
+def driven(pose):
+    """The pose after one odometry row: an arc of radius V / W."""
+    end = pose[2] + W * H
+    x, y = pose[:2] + V / W * np.array([np.sin(end) - np.sin(pose[2]), np.cos(pose[2]) - np.cos(end)])
+    return np.array([x, y, se2.wrap_angle(end)])
+
+
 def world(landmarks, steps, seed=0):
     """Points, odometry noise included in the drive, and (step) -> ids, ranges, bearings; step 0 sees everything."""
     rng = np.random.default_rng(seed)
@@ -39,9 +46,10 @@ def world(landmarks, steps, seed=0):
     for step in range(steps + 1):
         if step:
             for _ in range(ROWS):
-                pose = motion.unicycle(pose, V, W, H)
+                pose = driven(pose)
                 pose = se2.compose(pose, rng.normal(size=3) * [0.003, 0.0015, 0.005])
-        z = range_bearing.observe(pose, points)
+        ahead = se2.act(se2.inverse(pose), points)
+        z = np.stack([np.hypot(*ahead.T), np.arctan2(ahead[:, 1], ahead[:, 0])], axis=1)
         near = np.arange(landmarks) if step == 0 else np.argsort(z[:, 0])[:6]
         noisy = z[near] + rng.normal(size=(len(near), 2)) * [SIGMA_R, SIGMA_B]
         poses.append(pose)
@@ -78,7 +86,7 @@ def isam(points, frames):
     drive = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.007, 0.0035, 0.012]))
     step_pose = np.zeros(3)
     for _ in range(ROWS):
-        step_pose = motion.unicycle(step_pose, V, W, H)
+        step_pose = driven(step_pose)
     isam2 = gtsam.ISAM2()
     estimate, times = gtsam.Pose2(0.0, 0.0, 0.0), []
     for step, (near, z) in enumerate(frames):
@@ -94,7 +102,7 @@ def isam(points, frames):
         for k, (r, b) in zip(near, z, strict=True):
             graph.add(gtsam.BearingRangeFactor2D(step, gtsam.symbol("l", int(k)), gtsam.Rot2(b), r, see))
             if step == 0:
-                values.insert(gtsam.symbol("l", int(k)), range_bearing.locate(np.zeros(3), np.array([r, b])))
+                values.insert(gtsam.symbol("l", int(k)), r * np.array([np.cos(b), np.sin(b)]))
         isam2.update(graph, values)
         estimate = isam2.calculateEstimatePose2(step)
         times.append(time.perf_counter() - start)

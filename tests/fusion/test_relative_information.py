@@ -1,4 +1,4 @@
-"""The information form of relative fusion: closed form, pairs, repetition, replacement, sightings of robots."""
+"""The information form of relative fusion: closed form, pairs, repetition, sightings of robots."""
 
 from collections import Counter
 
@@ -9,7 +9,6 @@ from mapweave.core import se2
 from mapweave.core.errors import EstimateError
 from mapweave.fusion import relative_information, robot_sighting
 from mapweave.fusion.relative import RelativeConfig, as_measurement, fuse_relative
-from mapweave.fusion.relative_online import begin, replace_map
 from mapweave.fusion.robot_sightings import FrameSightings
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.papers.kojima import rls
@@ -186,34 +185,6 @@ def test_the_dense_recursion_reaches_the_information_form_when_linearised_there(
     for m in told:
         estimate = rls.update(lay, estimate, m)
     assert np.allclose(estimate.P, fused.covariance(), rtol=0.05, atol=1e-6)
-
-
-def test_a_fresher_map_replaces_its_older_contribution_and_nothing_counts_twice():
-    maps, _, _ = team(10, 4, sigma=1e-3)
-    state = begin(maps, fuse_relative(maps))
-    assert np.abs(state.covariance() - fuse_relative(maps).covariance()).max() < 1e-12
-    rng = np.random.default_rng(1)
-    old = maps[2]
-    extra = np.array([[0.3, 0.4]])
-    P = covariance(rng, len(old) + 1, 5e-4)
-    fresher = LandmarkMap((*old.ids, "new"), np.concatenate([old.mean + 1e-4, extra]), P)
-    after = replace_map(state, 2, fresher)
-    fresh = [*maps[:2], fresher, maps[3]]
-    batch = fuse_relative(fresh)
-    at = [after.ids.index(n) for n in batch.ids]
-    sigma = np.sqrt(np.diag(batch.landmarks().cov)).reshape(-1, 2)
-    assert (np.abs(after.points[at] - batch.points) < 0.05 * sigma).all()
-    settled = begin(fresh, batch)
-    assert np.allclose(settled.Lambda.toarray().diagonal().sum(), after.Lambda.toarray().diagonal().sum(), rtol=1e-3)
-    n = after.layout.size
-    before = np.zeros((n, n))
-    before[: state.layout.size, : state.layout.size] = state.Lambda.toarray()
-    change = np.zeros((n, n))
-    for part, sign in ((after.contributions[2], 1), (state.contributions[2], -1)):
-        change[np.ix_(part.columns, part.columns)] += sign * part.W
-    assert np.allclose(after.Lambda.toarray(), before + change, rtol=1e-12, atol=1e-3)
-    again = replace_map(after, 2, fresher)
-    assert np.allclose(np.diag(again.covariance()), np.diag(after.covariance()), rtol=1e-3)
 
 
 def test_sightings_of_robots_by_robots_tie_the_frames_more_tightly():

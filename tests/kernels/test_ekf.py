@@ -6,7 +6,8 @@ import pytest
 from mapweave.core.gaussian import joseph
 from mapweave.core.se2 import wrap_angle
 from mapweave.kernels.landmarks import ekf, ekf_apply_drive, ekf_drive, ekf_sight, ekf_start, ekf_state
-from mapweave.landmarks import motion, range_bearing
+
+from . import robot_models as models
 
 pytestmark = pytest.mark.kernel
 
@@ -52,7 +53,7 @@ def test_driving_is_the_unicycle_with_each_command_delayed_by_the_lag():
     for k in range(len(t)):
         end = min(10.8, (t[k + 1] if k + 1 < len(t) else np.inf) + x[ekf_state.LAG])
         if end > now:
-            pose = motion.unicycle(pose, x[ekf_state.V_SCALE] * v[k], x[ekf_state.TURN_SCALE] * w[k], end - now)
+            pose = models.unicycle(pose, x[ekf_state.V_SCALE] * v[k], x[ekf_state.TURN_SCALE] * w[k], end - now)
             now = end
     assert np.allclose(got[:2], pose[:2], atol=1e-12)
     assert abs(wrap_angle(got[2] - pose[2])) < 1e-12
@@ -111,7 +112,7 @@ def test_settling_equals_the_dense_prediction():
 
 
 def predicted(x, slot):
-    r, b = range_bearing.observe(x[:3], x[8 + 2 * slot : 10 + 2 * slot])
+    r, b = models.observe(x[:3], x[8 + 2 * slot : 10 + 2 * slot])
     return np.array([x[ekf_state.RANGE_SCALE] * r, b + x[ekf_state.BEARING_BIAS]])
 
 
@@ -131,7 +132,7 @@ def test_one_sighting_equals_the_dense_update(gate):
     z = predicted(x, 1) + np.array([0.1, -0.02])
     H = numeric(lambda y: predicted(y, 1), x)
     r = np.hypot(*(x[10:12] - x[:2]))
-    R = range_bearing.noise(r, 0.05, 0.045, 0.014)
+    R = models.noise(r, 0.05, 0.045, 0.014)
     e = z - predicted(x, 1)
     d2 = e @ np.linalg.solve(H @ P @ H.T + R, e)
     weight = min(1.0, gate / np.sqrt(d2))
@@ -180,12 +181,10 @@ def test_a_landmark_starts_where_it_was_seen_with_its_cross_covariances():
     z = np.array([2.5, 0.7])
 
     def place(y):
-        return range_bearing.locate(
-            y[:3], np.array([y[8] / y[ekf_state.RANGE_SCALE], y[9] - y[ekf_state.BEARING_BIAS]])
-        )
+        return models.locate(y[:3], np.array([y[8] / y[ekf_state.RANGE_SCALE], y[9] - y[ekf_state.BEARING_BIAS]]))
 
     G = numeric(place, np.concatenate([x[:8], z]))
-    R = range_bearing.noise(2.5 / x[ekf_state.RANGE_SCALE], 0.05, 0.045, 0.014)
+    R = models.noise(2.5 / x[ekf_state.RANGE_SCALE], 0.05, 0.045, 0.014)
     old = P[:-2, :-2].copy()
     cross = np.zeros((2, len(old)))
     cross[:, :] = G[:, :8] @ old[:8]

@@ -6,8 +6,8 @@ import pytest
 from mapweave.core.se2 import wrap_angle
 from mapweave.kernels.landmarks import ekf_drive
 from mapweave.kernels.landmarks.ekf_smooth import smooth
-from mapweave.landmarks import range_bearing
 
+from . import robot_models as models
 from .test_ekf import PLAIN, cleared
 
 pytestmark = pytest.mark.kernel
@@ -30,7 +30,7 @@ def problem():
     now, at, z = 0.0, -1, np.zeros((18, 2))
     for k in range(18):
         now, at = ekf_drive.drive(truth, Phi, Q, now, stamps[k], *commands, at, NOISE)
-        z[k] = range_bearing.observe(truth[:3], truth[8 + 2 * slots[k] : 10 + 2 * slots[k]])
+        z[k] = models.observe(truth[:3], truth[8 + 2 * slots[k] : 10 + 2 * slots[k]])
         z[k] = x[7] * z[k, 0] + 0.002 * rng.normal(), z[k, 1] + x[6] + 0.001 * rng.normal()
     return x, commands, stamps, slots, z, np.unique(np.concatenate([t, stamps]))
 
@@ -67,8 +67,8 @@ def dense():
             b += J.T @ W @ np.array([*e[:2], wrap_angle(e[2])])
             for i in np.flatnonzero(stamps == nodes[k]):
                 point = x[8 + 2 * slots[i] : 10 + 2 * slots[i]]
-                r, angle = range_bearing.observe(poses[k], point)
-                by_pose, _ = range_bearing.observe_jacobians(poses[k], point)
+                r, angle = models.observe(poses[k], point)
+                by_pose = models.observe_by_pose(poses[k], point)
                 H = np.zeros((2, 3 * n))
                 H[:, 3 * k : 3 * k + 3] = np.diag([x[7], 1.0]) @ by_pose
                 W = np.diag([1 / 0.002**2, 1 / 0.001**2])
