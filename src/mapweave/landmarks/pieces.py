@@ -11,13 +11,15 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
+from ..solve import gauss_newton, wrapping
 from .landmark_map import LandmarkMap
 
 FLOOR = 0.005  # [m] a piece is never surer of a landmark than this
 BASELINE = 0.5  # [m] between the landmarks that tie a piece when there are only two
 ROUGH = 1.0  # [m] root mean square misfit of a rigid fit that is not even tried
 CONSISTENT = 9.0  # chi-square a degree of freedom up to which a piece fits the others
-STEPS = 12
+STEPS = 50  # at most
+STILL = 1e-9  # [m], [rad] in a step, from which nothing moves any more
 SUSPECTS = 4  # largest pieces any of which may be the wrong one
 
 
@@ -103,36 +105,38 @@ def _adjust(
     """Gauss-Newton over frames and landmarks; the tied map, the piece that fits worst and its chi-square per dof."""
     ids = tuple(sorted(places))
     where = {name: k for k, name in enumerate(ids)}
-    L = np.array([np.mean(places[name], axis=0) for name in ids])
     order = list(frames)  # the root is first
     first = 3 * len(order)
     size = first + 2 * len(ids)
+    points = [first + 2 * np.array([where[name] for name in pieces[k].ids]) for k in order]
     weights = [np.linalg.inv(pieces[k].cov + FLOOR**2 * np.eye(2 * len(pieces[k]))) for k in order]
-    S = np.zeros((size, size))
     misfits = np.zeros(len(order))
-    for _ in range(STEPS):
-        Lambda, b = np.zeros((size, size)), np.zeros(size)
-        for a, k in enumerate(order):
-            index = np.array([where[name] for name in pieces[k].ids])
-            columns, J, e = _linearise(pieces[k], frames[k], L[index], 3 * a, first + 2 * index)
-            W = weights[a]
-            Lambda[np.ix_(columns, columns)] += J.T @ W @ J
-            b[columns] += J.T @ W @ e
+
+    def normal(x: Float[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray, float]:
+        H, g, cost = np.zeros((size, size)), np.zeros(size), 0.0
+        for a, (k, at, W) in enumerate(zip(order, points, weights, strict=True)):
+            L = x[at[:, None] + np.arange(2)]
+            columns, J, e = _linearise(pieces[k], x[3 * a : 3 * a + 3], L, 3 * a, at)
+            H[np.ix_(columns, columns)] += J.T @ W @ J
+            g[columns] += J.T @ W @ e
             misfits[a] = float(e @ W @ e) / max(len(e) - 3, 1)
-        S[3:, 3:] = np.linalg.inv(Lambda[3:, 3:])
-        step = S @ b
-        for a, k in enumerate(order):
-            frames[k] = frames[k] + step[3 * a : 3 * a + 3]
-        L = L + step[first:].reshape(-1, 2)
+            cost += float(e @ W @ e)
+        return H, g, cost
+
+    x0 = np.concatenate([*(frames[k] for k in order), *(np.mean(places[name], axis=0) for name in ids)])
+    held = np.arange(size) < 3
+    angles = wrapping(np.arange(2, first, 3))
+    solution = gauss_newton(normal, x0, max_iterations=STEPS, step_tolerance=STILL, held=held, retract=angles)
+    found = {k: solution.x[3 * a : 3 * a + 3] for a, k in enumerate(order)}
     worst = int(np.argmax(misfits[1:])) + 1 if len(order) > 1 else 0
-    tied = Tied(root, {k: np.array([*T[:2], se2.wrap_angle(T[2])]) for k, T in frames.items()}, ids, L, S)
+    tied = Tied(root, found, ids, solution.x[first:].reshape(-1, 2), solution.covariance())
     return tied, order[worst], float(misfits[worst])
 
 
 def _linearise(
     piece: LandmarkMap, T: np.ndarray, L: np.ndarray, frame: int, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Columns of the unknowns, derivative and residual of the piece's landmarks, predicted as `T^-1 L`."""
+    """Columns of the unknowns, and the residual of the piece's landmarks, `T^-1 L` less where it has them."""
     n = len(L)
     R = se2.rotation(float(T[2]))
     q = (L - T[:2]) @ R
@@ -142,4 +146,4 @@ def _linearise(
     for k in range(n):
         J[2 * k : 2 * k + 2, 3 + 2 * k : 5 + 2 * k] = R.T
     columns = np.concatenate([frame + np.arange(3), (points[:, None] + np.arange(2)).ravel()])
-    return columns, J, (piece.mean - q).ravel()
+    return columns, J, (q - piece.mean).ravel()
