@@ -7,6 +7,8 @@ from mapweave.exploration.landmarks.config import ExploreConfig
 from mapweave.exploration.landmarks.steering import steer
 from mapweave.exploration.landmarks.team import Team
 from mapweave.kernels.exploration.laps import (
+    LandmarkSensor,
+    LapRules,
     add_landmark_information,
     drive_laps,
     landmark_errors,
@@ -15,6 +17,7 @@ from mapweave.kernels.exploration.laps import (
 )
 from mapweave.kernels.exploration.objective import mark_half_disc
 from mapweave.kernels.landmarks.submap import sight_jacobian
+from mapweave.kernels.raster import Raster, Sector
 from mapweave.landmarks.submap_slam import SubmapConfig, move
 from mapweave.sim.field import Field
 
@@ -26,7 +29,7 @@ COUNTS = np.array([3, 2])
 
 def drive(steps, ways=WAYS, counts=COUNTS):
     cfg = ExploreConfig()
-    return drive_laps(ways, counts, STARTS, cfg.controls, cfg.submap.period, LOWER, UPPER, 3.0, steps, 3.0)
+    return drive_laps(ways, counts, STARTS, LapRules(cfg.controls, cfg.submap.period, LOWER, UPPER, 3.0, 3.0), steps)
 
 
 @pytest.mark.kernel
@@ -49,10 +52,10 @@ def test_planned_laps_are_driven_as_the_robots_steer():
 def test_robots_stand_still_when_their_places_are_passed_and_nothing_seen_is_forgotten():
     track = drive(150)
     assert np.array_equal(track[0, -1], track[0, -2])
-    share = seen_shares(track, np.zeros((30, 40), dtype=bool), 6.0, np.pi / 2, LOWER, 1.0)
+    share = seen_shares(track, np.zeros((30, 40), dtype=bool), Sector(6.0, np.pi / 2), Raster(LOWER, 1.0))
     first = np.zeros((30, 40), dtype=bool)
     for pose in STARTS:
-        mark_half_disc(first, pose, 6.0, np.pi / 2, LOWER, 1.0)
+        mark_half_disc(first, pose, Sector(6.0, np.pi / 2), Raster(LOWER, 1.0))
     assert share[0] == first.mean()
     assert np.all(np.diff(share) >= 0)
     assert share[-1] > 2 * share[0]
@@ -101,9 +104,10 @@ def test_landmark_errors_are_those_of_the_dense_information_matrix():
                 H[:, n + 2 * k : n + 2 * k + 2] = near[:, 3:]
                 dense += H.T @ W @ H
     P = np.linalg.inv(dense)
-    add_landmark_information(S, track, every, marks, 1.0, cfg.reach, cfg.half_angle, cfg.R, 2.0)
+    sensor = LandmarkSensor(Sector(cfg.reach, cfg.half_angle), cfg.R, 2.0)
+    add_landmark_information(S, track, every, marks, 1.0, sensor)
     assert np.allclose(np.linalg.inv(S), P[:n, :n])
-    errors = landmark_errors(np.linalg.inv(S), track, every, marks, cfg.reach, cfg.half_angle, cfg.R, 2.0)
+    errors = landmark_errors(np.linalg.inv(S), track, every, marks, sensor)
     each = [P[b : b + 2, b : b + 2] for b in range(n, n + 6, 2)]
     assert np.allclose(errors[:3], [np.sqrt(np.trace(p)) for p in each])
     assert np.isnan(errors[3])

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mapweave.kernels.raster import Raster, Sector
 from mapweave.kernels.walls.segments import distance_of_moves, free_share
 from mapweave.kernels.walls.sight import mark_in_sight, nearest_views, points_in_sight, unexplored_in_sight
 
@@ -34,7 +35,7 @@ def test_cells_come_into_view_when_near_ahead_and_not_hidden():
     origin, cell = np.array([-1.0, 0.5]), 0.9
     for pose in np.column_stack([RNG.uniform(2, 18, (6, 2)), RNG.uniform(-3, 3, 6)]):
         seen = np.zeros((21, 23), dtype=bool)
-        mark_in_sight(seen, pose, 8.0, np.pi / 2, origin, cell, SEGMENTS)
+        mark_in_sight(seen, pose, Sector(8.0, np.pi / 2), Raster(origin, cell), SEGMENTS)
         np.testing.assert_array_equal(seen, dense_view(pose, seen.shape, 8.0, np.pi / 2, origin, cell))
         assert seen.sum() > 10
 
@@ -44,10 +45,10 @@ def test_new_cells_among_walls_are_those_a_look_from_there_would_mark():
     explored = RNG.random((20, 20)) < 0.4
     place = np.array([7.0, 9.0])
     poses = np.array([[*place, 0.0], [*place, 1.0], [12.0, 5.0, 1.0], [*place, 1.0]])
-    counted = unexplored_in_sight(explored, poses, 7.0, np.pi / 2, np.zeros(2), 1.0, SEGMENTS)
+    counted = unexplored_in_sight(explored, poses, Sector(7.0, np.pi / 2), Raster(np.zeros(2), 1.0), SEGMENTS)
     for pose, n in zip(poses, counted, strict=True):
         after = explored.copy()
-        mark_in_sight(after, pose, 7.0, np.pi / 2, np.zeros(2), 1.0, SEGMENTS)
+        mark_in_sight(after, pose, Sector(7.0, np.pi / 2), Raster(np.zeros(2), 1.0), SEGMENTS)
         assert after.sum() - explored.sum() == n > 0
 
 
@@ -66,7 +67,7 @@ def test_the_nearest_view_of_a_point_is_the_nearest_place_that_sees_it_with_enou
     lower, cell = np.array([0.0, 1.0]), 1.3
     centres = lower + cell * (np.stack(np.meshgrid(np.arange(15), np.arange(14)), axis=-1) + 0.5)
     points = RNG.uniform(0, 20, (25, 2))
-    found = nearest_views(points, stand, lower, cell, 6.0, SEGMENTS, neighbours)
+    found = nearest_views(points, stand, Raster(lower, cell), 6.0, SEGMENTS, neighbours)
     for point, at in zip(points, found, strict=True):
         sees = np.array([[stand[i] and not hidden(centres[i], point) for i in np.ndindex(14, 15)]]).reshape(14, 15)
         padded = np.pad(sees, 1).astype(int)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..kernels.walls.wall_grid import cast_in_grid, drive_discs, fill_buckets, touches_wall
+from ..kernels.walls.wall_grid import WallBuckets, cast_in_grid, drive_discs, fill_buckets, touches_wall
 from .arrays import frozen
 
 BUCKET = 1.0  # [m]
@@ -34,11 +34,11 @@ class WallIndex:
         self, sensor: Float[np.ndarray, "m 3"], angles: Float[np.ndarray, " n"], discs: np.ndarray, far: float
     ) -> tuple[Float[np.ndarray, "m n"], Int[np.ndarray, "m n"], Float[np.ndarray, "m n"]]:
         """Range [m], what was hit and the cosine of incidence of every beam, as `kernels.raycast.cast` gives them."""
-        return cast_in_grid(np.ascontiguousarray(sensor), angles, self.segments, discs, far, *self._buckets)
+        return cast_in_grid(np.ascontiguousarray(sensor), angles, discs, far, self._buckets)
 
     def touches(self, points: Float[np.ndarray, "n 2"], radius: float) -> Bool[np.ndarray, " n"]:
         """Whether a disc around each point touches a wall."""
-        return np.array([touches_wall(x, y, radius, self.segments, *self._buckets) for x, y in points], dtype=bool)
+        return touches_wall(np.ascontiguousarray(points, dtype=float), radius, self._buckets)
 
     def drive(
         self, poses: Float[np.ndarray, "m 3"], commands: Float[np.ndarray, "m 2"], period: float, radius: float
@@ -50,13 +50,12 @@ class WallIndex:
             period,
             PARTS,
             radius,
-            self.segments,
-            *self._buckets,
+            self._buckets,
         )
 
     @property
-    def _buckets(self) -> tuple[np.ndarray, float, int, np.ndarray, np.ndarray]:
-        return self.corner, BUCKET, self.cols, self.first, self.items
+    def _buckets(self) -> WallBuckets:
+        return WallBuckets(self.segments, self.corner, BUCKET, self.cols, self.first, self.items)
 
 
 PARTS = 20  # of a period in which touching is looked for

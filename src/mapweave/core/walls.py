@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..kernels.raster import Raster
 from ..kernels.walls.segments import (
     distance_of_moves,
     distance_to_walls,
@@ -69,10 +70,10 @@ class Walls:
     ) -> Bool[np.ndarray, "rows cols"]:
         """Cells of the rectangle (row 0 lowest y) whose centre is nearer than `radius` to a wall, or inside one."""
         cols, rows = (int(np.ceil((upper[k] - lower[k]) / cell - 1e-9)) for k in (0, 1))
-        out = np.zeros((rows, cols), dtype=bool)
-        mark_near(out, self.segments, radius, frozen(lower), cell)
+        out, raster = np.zeros((rows, cols), dtype=bool), Raster(frozen(lower), cell)
+        mark_near(out, self.segments, radius, raster)
         if self.solid:
-            out |= enclosed_cells(self.segments, frozen(lower), cell, rows, cols)
+            out |= enclosed_cells(self.segments, raster, rows, cols)
         return out
 
 

@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull, QhullError
 from ..exploration.landmarks.experiment import LandmarkRecord
 from ..exploration.landmarks.result import LandmarkExploreResult
 from ..kernels.exploration.objective import mark_half_disc
+from ..kernels.raster import Raster, Sector
 from ..kernels.walls.sight import mark_in_sight
 from .html import Page
 from .style import MUTED, SEQUENTIAL, TRUTH, as_map, colour, draw_ellipse, figure, marker
@@ -113,13 +114,14 @@ def draw_explored(path: Path, run: LandmarkRecord, result: LandmarkExploreResult
     width, height = run.world.upper - run.world.lower
     shape = (int(np.ceil(height / cfg.cell)), int(np.ceil(width / cfg.cell)))
     seen, first = np.zeros(shape, dtype=bool), np.full(shape, np.nan)
+    sector, raster = Sector(cfg.submap.reach, cfg.submap.half_angle), Raster(run.world.lower, cfg.cell)
     for moment in (run.first_look, *run.moments):
         for pose in moment.poses:
             if run.floor is None:
-                mark_half_disc(seen, pose, cfg.submap.reach, cfg.submap.half_angle, run.world.lower, cfg.cell)
+                mark_half_disc(seen, pose, sector, raster)
             else:
                 walls = run.floor.walls.segments
-                mark_in_sight(seen, pose, cfg.submap.reach, cfg.submap.half_angle, run.world.lower, cfg.cell, walls)
+                mark_in_sight(seen, pose, sector, raster, walls)
         first[seen & np.isnan(first)] = moment.step
     with figure(path, 8.0, min(7.2 * float(height / width), TALLEST) + 0.4) as (fig, ax):
         _field(ax, run)

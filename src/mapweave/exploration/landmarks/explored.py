@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ...kernels.raster import Raster
+
 
 @dataclass(slots=True)
 class Explored:
@@ -33,6 +35,11 @@ class Explored:
         none = np.zeros(shape, dtype=bool)
         fused = np.zeros((ny, nx), dtype=bool) if outside is None else outside.copy()
         return cls(np.asarray(lower, float), cell, fused, none, none.copy(), outside=outside)
+
+    @property
+    def raster(self) -> Raster:
+        """Where the cells lie."""
+        return Raster(self.lower, self.cell)
 
     def team(self) -> Bool[np.ndarray, "ny nx"]:
         """What the whole team knows to be seen."""

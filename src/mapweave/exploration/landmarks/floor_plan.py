@@ -8,6 +8,7 @@ from scipy.ndimage import distance_transform_edt, label
 
 from ...core.errors import DataError
 from ...core.walls import Walls
+from ...kernels.raster import Raster
 from ...kernels.walls.segments import sight_on_raster
 from ...kernels.walls.sight import nearest_views, points_in_sight
 from ...sim.field import Field
@@ -49,7 +50,7 @@ class FloorPlan:
         """For each point the ground (row, col) to stand on: its own, the nearest in sight, or else the nearest."""
         points = np.ascontiguousarray(points, dtype=float)
         r = self.ground
-        out = nearest_views(points, r.free, r.lower, r.cell, self.cfg.search_radius, self.walls.segments, 0)
+        out = nearest_views(points, r.free, Raster(r.lower, r.cell), self.cfg.search_radius, self.walls.segments, 0)
         lost = np.flatnonzero(out[:, 0] < 0)
         if len(lost):
             free = np.argwhere(r.free)
@@ -130,9 +131,10 @@ def survey_floor(world: Field, walls: Walls, cfg: ExploreConfig) -> FloorPlan:
     _check_starts(world, walls, cfg)
     room = cfg.walls.robot_radius + cfg.walls.margin
     lower, cell = np.asarray(world.lower), cfg.walls.path_cell
+    raster = Raster(lower, cell)
     free = ~walls.blocked(lower, world.upper, cell, room)
     starts = np.ascontiguousarray(world.starts[:, :2])
-    at = nearest_views(starts, free, lower, cell, cfg.walls.search_radius, walls.segments, 0)
+    at = nearest_views(starts, free, raster, cfg.walls.search_radius, walls.segments, 0)
     for j in np.flatnonzero(at[:, 0] < 0):
         x, y = starts[j]
         raise DataError(f"robot {j + 1} at ({x:g}, {y:g}) has nowhere to go: no ground with {room:g} m of room is near")
@@ -146,10 +148,10 @@ def survey_floor(world: Field, walls: Walls, cfg: ExploreConfig) -> FloorPlan:
     x, y = (lower[k] + (np.arange(n) + 0.5) * cfg.cell for k, n in ((0, nx), (1, ny)))
     centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     far = cfg.submap.reach - cfg.walls.view_margin
-    views = nearest_views(centres, ground.free, lower, cell, far, walls.segments, cfg.walls.view_neighbours)
+    views = nearest_views(centres, ground.free, raster, far, walls.segments, cfg.walls.view_neighbours)
     views[walls.inside(centres)] = -1
     marks = nearest_views(
-        np.asarray(world.landmarks), ground.free, lower, cell, far, walls.segments, cfg.walls.view_neighbours
+        np.asarray(world.landmarks), ground.free, raster, far, walls.segments, cfg.walls.view_neighbours
     )
     seen = (views[:, 0] >= 0).reshape(ny, nx)
     return FloorPlan(

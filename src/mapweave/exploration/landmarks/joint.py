@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...kernels.exploration.objective import mark_half_disc
+from ...kernels.raster import Sector
 from . import coverage, loop
 from .belief import LandmarkBelief
 from .config import ExploreConfig
@@ -55,8 +56,9 @@ def _note(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> None
     """Marks cells as surely seen: a little within the sensor's reach, for poses are estimates."""
     sure = belief.memory.setdefault("sure", np.zeros_like(belief.explored.fused))
     s, ex, margin = cfg.submap, belief.explored, cfg.joint.sure_margin
+    sector = Sector(s.reach - margin, s.half_angle - margin / s.reach)
     for j in np.flatnonzero(belief.alive):
-        mark_half_disc(sure, poses[j], s.reach - margin, s.half_angle - margin / s.reach, ex.lower, ex.cell)
+        mark_half_disc(sure, poses[j], sector, ex.raster)
 
 
 def _repair(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> np.ndarray:

@@ -12,12 +12,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...kernels.exploration.laps import (
+    LandmarkSensor,
+    LapRules,
     add_landmark_information,
     drive_laps,
     landmark_errors,
     odometry_information,
     seen_shares,
 )
+from ...kernels.raster import Raster, Sector
 from ...landmarks.submap_slam import SubmapConfig
 from .config import LapSearchConfig
 
@@ -85,28 +88,26 @@ class _Judge:
     def drive(self, plan: Plan) -> np.ndarray:
         """Poses (M, n, 3) of a drive without noise, a little longer than the task."""
         t = self.task
-        period, steps = t.submap.period, t.steps + t.search.tail_steps
-        return drive_laps(
-            *plan, self.starts, self.controls, period, self.lower, self.upper, t.search.arrived, steps, t.heading_cost
-        )
+        rules = LapRules(self.controls, t.submap.period, self.lower, self.upper, t.search.arrived, t.heading_cost)
+        return drive_laps(*plan, self.starts, rules, t.steps + t.search.tail_steps)
 
     def shares(self, track: np.ndarray) -> np.ndarray:
         """What share of the field is seen by each step of `track`."""
         s, search = self.task.submap, self.task.search
-        return seen_shares(
-            track, self.nothing, s.reach - search.reach_margin, s.half_angle, self.lower, search.coarse_cell
-        )
+        sector = Sector(s.reach - search.reach_margin, s.half_angle)
+        return seen_shares(track, self.nothing, sector, Raster(self.lower, search.coarse_cell))
 
     def error(self, track: np.ndarray) -> float:
         """Mean error [m] expected of the landmarks along `track` (M, n, 3), over layouts drawn once."""
-        s, every, least = self.task.submap, self.task.search.pose_stride, self.task.search.least_range
+        s, every = self.task.submap, self.task.search.pose_stride
+        sensor = LandmarkSensor(Sector(s.reach, s.half_angle), s.R, self.task.search.least_range)
         track = np.ascontiguousarray(track)
         odometry = odometry_information(track, every, s.Q)
         total = 0.0  # of landmarks seen: those missed are dear already
         for marks in self.layouts:
             S = odometry.copy()
-            add_landmark_information(S, track, every, marks, 1.0, s.reach, s.half_angle, s.R, least)
-            errors = landmark_errors(np.linalg.inv(S), track, every, marks, s.reach, s.half_angle, s.R, least)
+            add_landmark_information(S, track, every, marks, 1.0, sensor)
+            errors = landmark_errors(np.linalg.inv(S), track, every, marks, sensor)
             total += float(np.nanmean(errors))
         return total / len(self.layouts)
 

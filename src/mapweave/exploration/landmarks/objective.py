@@ -7,7 +7,8 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
 from ...core import se2
-from ...kernels.exploration.objective import expected_uncertainty, map_uncertainty
+from ...kernels.exploration.objective import MotionAndSight, expected_uncertainty, map_uncertainty
+from ...kernels.raster import Sector
 from .belief import LandmarkBelief
 from .config import ExploreConfig
 from .steering import given_up, new_cells, next_target, offered, steer, way_back
@@ -37,7 +38,7 @@ def objective(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Offered controls (m, 2) of robot j, their J (m,) and the cells each would newly see (m,)."""
     controls, after = offered(belief, pose, cfg)
-    sub = belief.submaps[j]
+    sub, s = belief.submaps[j], cfg.submap
     gain = new_cells(belief, j, after, cfg)
     J = cfg.w_area * gain * belief.explored.cell**2 / (0.5 * np.pi * cfg.submap.reach**2)
     if cfg.w_accuracy:
@@ -46,11 +47,7 @@ def objective(
             _within_sight(belief, j, pose, cfg),
             np.asarray(sub.cov),
             controls,
-            cfg.submap.period,
-            cfg.submap.Q,
-            cfg.submap.R,
-            cfg.submap.reach,
-            cfg.submap.half_angle,
+            MotionAndSight(s.period, s.Q, s.R, Sector(s.reach, s.half_angle)),
         )
         least = C.min()
         J = J + cfg.w_accuracy * (least / np.maximum(C, 1e-300) if least > 0 else np.ones_like(C))

@@ -6,6 +6,7 @@ from jaxtyping import Float
 from ...core.se2 import wrap_angle
 from ...fusion.handover import pose_in_map
 from ...kernels.exploration.objective import unexplored_cells
+from ...kernels.raster import Sector
 from ...kernels.walls.segments import distance_of_moves
 from ...kernels.walls.sight import unexplored_in_sight
 from ...landmarks.submap_slam import move
@@ -89,12 +90,12 @@ def _clear(
 
 def new_cells(belief: LandmarkBelief, j: int, poses: Float[np.ndarray, "m 3"], cfg: ExploreConfig) -> np.ndarray:
     """How many cells (m,) robot j, as far as it knows, would be the first to see from each of `poses`."""
-    ex, s = belief.explored, cfg.submap
+    ex, sector = belief.explored, Sector(cfg.submap.reach, cfg.submap.half_angle)
     known = ex.known_to(j)
     if belief.floor is None:
-        return unexplored_cells(known, poses, s.reach, s.half_angle, ex.lower, ex.cell)
+        return unexplored_cells(known, poses, sector, ex.raster)
     walls = belief.floor.walls.segments
-    return unexplored_in_sight(known, poses, s.reach, s.half_angle, ex.lower, ex.cell, walls)
+    return unexplored_in_sight(known, poses, sector, ex.raster, walls)
 
 
 def ahead(belief: LandmarkBelief, pose: Float[np.ndarray, "3"], goal: np.ndarray, cfg: ExploreConfig) -> np.ndarray:

@@ -13,6 +13,7 @@ from ...core.errors import DataError
 from ...core.se2 import wrap_angle
 from ...fusion.handover import Handover, hand_over, pose_in_map
 from ...kernels.exploration.objective import map_uncertainty, mark_half_disc
+from ...kernels.raster import Sector
 from ...kernels.walls.sight import mark_in_sight
 from ...landmarks.global_map import GlobalMap, known_starts
 from ...landmarks.submap import Submap
@@ -221,13 +222,14 @@ class Team:
 
     def _mark(self, j: int) -> None:
         s, ex = self.cfg.submap, self.explored
+        sector = Sector(s.reach, s.half_angle)
         known = int(ex.known_to(j).sum())
         pose = self.G.pose_in_map(self.robots[j], self.submaps[j].pose)
         if self.floor is None:
-            mark_half_disc(ex.backlog[j], pose, s.reach, s.half_angle, ex.lower, ex.cell)
+            mark_half_disc(ex.backlog[j], pose, sector, ex.raster)
         else:
             walls = self.floor.walls.segments
-            mark_in_sight(ex.backlog[j], pose, s.reach, s.half_angle, ex.lower, ex.cell, walls)
+            mark_in_sight(ex.backlog[j], pose, sector, ex.raster, walls)
         self.stalled[j] = 0 if int(ex.known_to(j).sum()) > known else self.stalled[j] + 1
         if self._message_arrives():
             ex.deliver(j)

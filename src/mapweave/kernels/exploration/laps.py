@@ -1,10 +1,35 @@
 """What a plan of laps would bring: where the robots would be, what they would have seen, how sure the map would be."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from .._jit import kernel
+from ..raster import Raster, Sector
 from ..small import solved
 from .objective import mark_half_disc
+
+
+class LapRules(NamedTuple):
+    """How robots steer through their places. controls: (m, 2) offered; period: [s]; lower, upper: (2,) [m], the field.
+
+    arrived: [m] from a place at which it is reached; heading_cost: [m/rad] that a wrong heading counts as.
+    """
+
+    controls: np.ndarray
+    period: float
+    lower: np.ndarray
+    upper: np.ndarray
+    arrived: float
+    heading_cost: float
+
+
+class LandmarkSensor(NamedTuple):
+    """R: (2, 2) noise of range [m] and bearing [rad]; nearer sightings than `least_range` [m] tell no more."""
+
+    sector: Sector
+    R: np.ndarray
+    least_range: float
 
 
 @kernel
@@ -12,19 +37,16 @@ def drive_laps(
     ways: np.ndarray,
     counts: np.ndarray,
     starts: np.ndarray,
-    controls: np.ndarray,
-    period: float,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    arrived: float,
+    rules: LapRules,
     steps: int,
-    heading_cost: float,
 ) -> np.ndarray:
     """Poses (M, steps + 1, 3) of robots that steer through their places in turn, without noise, and then stand still.
 
-    ways: (M, k, 2) [m], counts: (M,) places used of each; starts: (M, 3); controls: (m, 2); a place counts as reached
-    within `arrived` [m]; heading_cost: [m/rad]. The rule is that of `landmarks.steering.steer`.
+    ways: (M, k, 2) [m], counts: (M,) places used of each; starts: (M, 3). The rules are those of
+    `landmarks.steering.steer`.
     """
+    controls, period, arrived, heading_cost = rules.controls, rules.period, rules.arrived, rules.heading_cost
+    lower, upper = rules.lower, rules.upper
     M = len(starts)
     track = np.empty((M, steps + 1, 3))
     for j in range(M):
@@ -57,16 +79,14 @@ def drive_laps(
 
 
 @kernel
-def seen_shares(
-    track: np.ndarray, explored: np.ndarray, reach: float, half_angle: float, origin: np.ndarray, cell: float
-) -> np.ndarray:
+def seen_shares(track: np.ndarray, explored: np.ndarray, sector: Sector, raster: Raster) -> np.ndarray:
     """Share (steps + 1,) of the cells seen by each step of `track` (M, steps + 1, 3), `explored` (ny, nx) before it."""
     seen = explored.copy()
     out = np.empty(track.shape[1])
     for t in range(track.shape[1]):
         for j in range(track.shape[0]):
             if t == 0 or not np.array_equal(track[j, t], track[j, t - 1]):
-                mark_half_disc(seen, track[j, t], reach, half_angle, origin, cell)
+                mark_half_disc(seen, track[j, t], sector, raster)
         out[t] = seen.mean()
     return out
 
@@ -110,10 +130,7 @@ def _sightings(
     track: np.ndarray,
     every: int,
     point: np.ndarray,
-    reach: float,
-    half_angle: float,
-    R: np.ndarray,
-    least_range: float,
+    sensor: LandmarkSensor,
     B: np.ndarray,
     C: np.ndarray,
     nodes: np.ndarray,
@@ -121,8 +138,9 @@ def _sightings(
     """Fills nodes (which poses see `point`), B (k, 3, 2) and C (k, 3, 3); k and the point's own information."""
     M, n = track.shape[0], (track.shape[1] - 1) // every
     k, a00, a01, a11 = 0, 0.0, 0.0, 0.0
-    cos_half = np.cos(half_angle)
-    wr, wb = every / R[0, 0], every / R[1, 1]
+    reach, least_range = sensor.sector.reach, sensor.least_range
+    cos_half = np.cos(sensor.sector.half_angle)
+    wr, wb = every / sensor.R[0, 0], every / sensor.R[1, 1]
     for j in range(M):
         for i in range(n + 1):
             p = track[j, i * every]
@@ -158,10 +176,7 @@ def add_landmark_information(
     every: int,
     points: np.ndarray,
     density: float,
-    reach: float,
-    half_angle: float,
-    R: np.ndarray,
-    least_range: float,
+    sensor: LandmarkSensor,
 ) -> None:
     """Adds to S what landmarks, `density` of them expected at each of `points` (n, 2), tell about the poses, in place.
 
@@ -170,7 +185,7 @@ def add_landmark_information(
     most = len(S) // 3 + track.shape[0]
     B, C, nodes = np.empty((most, 3, 2)), np.empty((most, 3, 3)), np.empty(most, dtype=np.int64)
     for m in range(len(points)):
-        k, a00, a01, a11 = _sightings(track, every, points[m], reach, half_angle, R, least_range, B, C, nodes)
+        k, a00, a01, a11 = _sightings(track, every, points[m], sensor, B, C, nodes)
         det = a00 * a11 - a01 * a01
         if k == 0 or det <= 0:
             continue
@@ -193,10 +208,7 @@ def landmark_errors(
     track: np.ndarray,
     every: int,
     points: np.ndarray,
-    reach: float,
-    half_angle: float,
-    R: np.ndarray,
-    least_range: float,
+    sensor: LandmarkSensor,
 ) -> np.ndarray:
     """Expected root mean square error (n,) [m] of a landmark at each of `points`, NaN where none would be seen.
 
@@ -206,7 +218,7 @@ def landmark_errors(
     B, C, nodes = np.empty((most, 3, 2)), np.empty((most, 3, 3)), np.empty(most, dtype=np.int64)
     out = np.full(len(points), np.nan)
     for m in range(len(points)):
-        k, a00, a01, a11 = _sightings(track, every, points[m], reach, half_angle, R, least_range, B, C, nodes)
+        k, a00, a01, a11 = _sightings(track, every, points[m], sensor, B, C, nodes)
         det = a00 * a11 - a01 * a01
         if det <= 0:
             continue

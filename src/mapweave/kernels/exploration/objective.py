@@ -1,19 +1,28 @@
 """Exploration's inner loops: what a control would do to the map's uncertainty, and how much new ground it would see."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from .._jit import kernel
+from ..raster import Raster, Sector
+
+
+class MotionAndSight(NamedTuple):
+    """One step of a robot and what it sees. period: [s]; Q: (3, 3) noise of a step; R: (2, 2) of a sighting."""
+
+    period: float
+    Q: np.ndarray
+    R: np.ndarray
+    sector: Sector
 
 
 @kernel
-def mark_half_disc(
-    explored: np.ndarray, pose: np.ndarray, reach: float, half_angle: float, origin: np.ndarray, cell: float
-) -> None:
-    """Cells whose centre is within `reach` and `half_angle` of `pose` become True in `explored` (ny, nx), in place.
-
-    origin: (2,) [m], the grid's lower left corner; cell: [m].
-    """
+def mark_half_disc(explored: np.ndarray, pose: np.ndarray, sector: Sector, raster: Raster) -> None:
+    """Cells whose centre the `sector` of `pose` holds become True in `explored` (ny, nx), in place."""
     ny, nx = explored.shape
+    reach, half_angle = sector.reach, sector.half_angle
+    origin, cell = raster.corner, raster.cell
     c, s = np.cos(pose[2]), np.sin(pose[2])
     cos_half = np.cos(half_angle)
     x0 = max(0, int(np.floor((pose[0] - reach - origin[0]) / cell)))
@@ -30,11 +39,11 @@ def mark_half_disc(
 
 
 @kernel
-def unexplored_cells(
-    explored: np.ndarray, poses: np.ndarray, reach: float, half_angle: float, origin: np.ndarray, cell: float
-) -> np.ndarray:
+def unexplored_cells(explored: np.ndarray, poses: np.ndarray, sector: Sector, raster: Raster) -> np.ndarray:
     """How many unexplored cells (m,) the sensor would cover from each of `poses` (m, 3): N_g of [Yuan09] eq. 19."""
     ny, nx = explored.shape
+    reach, half_angle = sector.reach, sector.half_angle
+    origin, cell = raster.corner, raster.cell
     out = np.zeros(poses.shape[0], dtype=np.int64)
     cos_half = np.cos(half_angle)
     for k in range(poses.shape[0]):
@@ -116,17 +125,15 @@ def expected_uncertainty(
     landmarks: np.ndarray,
     cov: np.ndarray,
     controls: np.ndarray,
-    period: float,
-    Q: np.ndarray,
-    R: np.ndarray,
-    reach: float,
-    half_angle: float,
+    model: MotionAndSight,
 ) -> np.ndarray:
     """What C (m,) would be after each of `controls` (m, 2) = v, w and an update with what should then be in view.
 
     Covariance form of [Yuan09] eq. 18: it stays defined when the pose block is singular, as in a fresh submap.
-    pose: (3,); landmarks: (n, 2); cov: (3 + 2n, 3 + 2n); period [s]; Q (3, 3), R (2, 2).
+    pose: (3,); landmarks: (n, 2); cov: (3 + 2n, 3 + 2n).
     """
+    period, Q, R = model.period, model.Q, model.R
+    reach, half_angle = model.sector.reach, model.sector.half_angle
     out = np.empty(controls.shape[0])
     P = np.empty_like(cov)
     after = np.empty(3)

@@ -1,10 +1,25 @@
 """Better open tours for a team: ends exchanged between two tours, short stretches moved."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from .._jit import kernel
 
 STRETCH = 3  # nodes moved together, at most
+
+
+class OpenTours(NamedTuple):
+    """Tours being made better, in place. first: (M, n) cost from each robot to each node; between: (n, n).
+
+    tours: (M, n) nodes, of which each robot passes the first counts (M,); lengths: (M,).
+    """
+
+    first: np.ndarray
+    between: np.ndarray
+    tours: np.ndarray
+    counts: np.ndarray
+    lengths: np.ndarray
 
 
 @kernel
@@ -25,10 +40,9 @@ def tours_cost(lengths: np.ndarray) -> float:
 
 
 @kernel
-def _exchange_ends(
-    first: np.ndarray, between: np.ndarray, tours: np.ndarray, counts: np.ndarray, lengths: np.ndarray, r: int, s: int
-) -> bool:
+def _exchange_ends(plan: OpenTours, r: int, s: int) -> bool:
     """Tours r and s cut in two and joined crosswise where that costs less; whether it did."""
+    first, between, tours, counts, lengths = plan
     n = tours.shape[1]
     one, two = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     before = tours_cost(lengths)
@@ -60,10 +74,9 @@ def _with(tour: np.ndarray, count: int, p: int, part: np.ndarray, out: np.ndarra
 
 
 @kernel
-def _move_stretch(
-    first: np.ndarray, between: np.ndarray, tours: np.ndarray, counts: np.ndarray, lengths: np.ndarray, r: int, a: int
-) -> bool:
+def _move_stretch(plan: OpenTours, r: int, a: int) -> bool:
     """Up to STRETCH nodes from place a of tour r put elsewhere, either way round, where that costs less."""
+    first, between, tours, counts, lengths = plan
     n = tours.shape[1]
     rest, made = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     before = tours_cost(lengths)
@@ -100,14 +113,15 @@ def improve_tours(first: np.ndarray, between: np.ndarray, tours: np.ndarray, cou
     lengths = np.zeros(M)
     for r in range(M):
         lengths[r] = open_length(first, between, r, tours[r], counts[r])
+    plan = OpenTours(first, between, tours, counts, lengths)
     for _ in range(200):
         helped = False
         for r in range(M):
             for s in range(r):
-                helped |= _exchange_ends(first, between, tours, counts, lengths, r, s)
+                helped |= _exchange_ends(plan, r, s)
             a = 0
             while a < counts[r]:
-                if _move_stretch(first, between, tours, counts, lengths, r, a):
+                if _move_stretch(plan, r, a):
                     helped = True
                 else:
                     a += 1

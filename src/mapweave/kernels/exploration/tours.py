@@ -1,10 +1,20 @@
 """Set cover by discs and balanced open tours: where a team should go to see everything soon."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from .._jit import kernel
 
 BALANCE = 0.3  # what the sum of all tours weighs beside the longest
+
+
+class TourCosts(NamedTuple):
+    """first: (M, n) cost from each robot to each node; between: (n, n); last: (M, n) from each to where it ends."""
+
+    first: np.ndarray
+    between: np.ndarray
+    last: np.ndarray
 
 
 @kernel
@@ -47,7 +57,8 @@ def greedy_cover(cells: np.ndarray, xs: np.ndarray, ys: np.ndarray, radius: floa
 
 
 @kernel
-def _length(first: np.ndarray, between: np.ndarray, last: np.ndarray, tour: np.ndarray, n: int, robot: int) -> float:
+def _length(costs: TourCosts, tour: np.ndarray, n: int, robot: int) -> float:
+    first, between, last = costs
     if n == 0:
         return 0.0
     total: float = first[robot, tour[0]] + last[robot, tour[n - 1]]
@@ -57,10 +68,9 @@ def _length(first: np.ndarray, between: np.ndarray, last: np.ndarray, tour: np.n
 
 
 @kernel
-def _insertion_cost(
-    first: np.ndarray, between: np.ndarray, last: np.ndarray, tour: np.ndarray, n: int, robot: int, v: int, p: int
-) -> float:
+def _insertion_cost(costs: TourCosts, tour: np.ndarray, n: int, robot: int, v: int, p: int) -> float:
     """What putting node v at place p of a tour of n nodes adds to its length."""
+    first, between, last = costs
     cost: float = 0.0
     if n == 0:
         cost = first[robot, v] + last[robot, v]
@@ -81,16 +91,14 @@ def _insert(tour: np.ndarray, n: int, v: int, p: int) -> None:
 
 
 @kernel
-def _reverse_while_shorter(
-    first: np.ndarray, between: np.ndarray, last: np.ndarray, tour: np.ndarray, n: int, robot: int
-) -> bool:
+def _reverse_while_shorter(costs: TourCosts, tour: np.ndarray, n: int, robot: int) -> bool:
     """2-opt on one tour, in place; whether it helped."""
     helped = False
-    length = _length(first, between, last, tour, n, robot)
+    length = _length(costs, tour, n, robot)
     for a in range(n - 1):
         for b in range(a + 1, n):
             tour[a : b + 1] = tour[a : b + 1][::-1].copy()
-            shorter = _length(first, between, last, tour, n, robot)
+            shorter = _length(costs, tour, n, robot)
             if shorter < length - 1e-9:
                 length = shorter
                 helped = True
@@ -100,21 +108,19 @@ def _reverse_while_shorter(
 
 
 @kernel
-def _relocate(
-    first: np.ndarray, between: np.ndarray, last: np.ndarray, tours: np.ndarray, counts: np.ndarray, r: int, a: int
-) -> bool:
+def _relocate(costs: TourCosts, tours: np.ndarray, counts: np.ndarray, r: int, a: int) -> bool:
     """Node a of robot r's tour moved to where it costs least, another tour or place; whether it moved."""
     v, n = tours[r, a], counts[r]
-    before = _length(first, between, last, tours[r], n, r)
+    before = _length(costs, tours[r], n, r)
     rest = np.empty(n, dtype=np.int64)
     rest[:a], rest[a : n - 1] = tours[r, :a], tours[r, a + 1 : n]
-    without = _length(first, between, last, rest, n - 1, r)
-    for s in range(first.shape[0]):
-        there = without if s == r else _length(first, between, last, tours[s], counts[s], s)
+    without = _length(costs, rest, n - 1, r)
+    for s in range(len(counts)):
+        there = without if s == r else _length(costs, tours[s], counts[s], s)
         size = n - 1 if s == r else counts[s]
         for p in range(size + 1):
             tour = rest if s == r else tours[s]
-            length = there + _insertion_cost(first, between, last, tour, size, s, v, p)
+            length = there + _insertion_cost(costs, tour, size, s, v, p)
             if s == r:
                 better = length < before - 1e-9
             else:
@@ -131,9 +137,7 @@ def _relocate(
 
 @kernel
 def _cheapest(
-    first: np.ndarray,
-    between: np.ndarray,
-    last: np.ndarray,
+    costs: TourCosts,
     tours: np.ndarray,
     counts: np.ndarray,
     lengths: np.ndarray,
@@ -145,7 +149,7 @@ def _cheapest(
     for v in range(len(done)):
         for r in range(len(counts)):
             for p in range(counts[r] + 1):
-                extra = _insertion_cost(first, between, last, tours[r], counts[r], r, v, p)
+                extra = _insertion_cost(costs, tours[r], counts[r], r, v, p)
                 cost = max(longest, lengths[r] + extra) + BALANCE * extra
                 if not done[v] and cost < best:
                     best, node, robot, place = cost, v, r, p
@@ -161,23 +165,24 @@ def balanced_tours(first: np.ndarray, between: np.ndarray, last: np.ndarray) -> 
     and relocations while they help.
     """
     M, n = first.shape
+    costs = TourCosts(first, between, last)
     tours = np.zeros((M, n + 1), dtype=np.int64)
     counts = np.zeros(M, dtype=np.int64)
     lengths = np.zeros(M)
     done = np.zeros(n, dtype=np.bool_)
     for _ in range(n):
-        node, robot, place = _cheapest(first, between, last, tours, counts, lengths, done)
-        lengths[robot] += _insertion_cost(first, between, last, tours[robot], counts[robot], robot, node, place)
+        node, robot, place = _cheapest(costs, tours, counts, lengths, done)
+        lengths[robot] += _insertion_cost(costs, tours[robot], counts[robot], robot, node, place)
         _insert(tours[robot], counts[robot], node, place)
         counts[robot] += 1
         done[node] = True
     for _ in range(50):
         helped = False
         for r in range(M):
-            helped |= _reverse_while_shorter(first, between, last, tours[r], counts[r], r)
+            helped |= _reverse_while_shorter(costs, tours[r], counts[r], r)
             a = 0
             while a < counts[r]:
-                if _relocate(first, between, last, tours, counts, r, a):
+                if _relocate(costs, tours, counts, r, a):
                     helped = True
                 else:
                     a += 1

@@ -1,5 +1,7 @@
 """Ways through a grid: what it costs from a place to everywhere, and the cheapest way back."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from .._jit import kernel
@@ -9,8 +11,17 @@ NO_LIMIT = 2**31 - 1
 STRAIGHT, DIAGONAL = 140, 198  # what a move between cells of weight 1 costs; 198 / 140 is sqrt 2 but for 5e-5
 
 
+class BucketQueue(NamedTuple):
+    """Cells waiting, a list a cost. head: the first cell of each list; after, before: each cell's neighbours in it."""
+
+    head: np.ndarray
+    after: np.ndarray
+    before: np.ndarray
+
+
 @kernel
-def _unlink(head: np.ndarray, after: np.ndarray, before: np.ndarray, bucket: int, cell: int) -> None:
+def _unlink(queue: BucketQueue, bucket: int, cell: int) -> None:
+    head, after, before = queue
     if before[cell] >= 0:
         after[before[cell]] = after[cell]
     else:
@@ -20,7 +31,8 @@ def _unlink(head: np.ndarray, after: np.ndarray, before: np.ndarray, bucket: int
 
 
 @kernel
-def _link(head: np.ndarray, after: np.ndarray, before: np.ndarray, bucket: int, cell: int) -> None:
+def _link(queue: BucketQueue, bucket: int, cell: int) -> None:
+    head, after, before = queue
     after[cell], before[cell] = head[bucket], -1
     if head[bucket] >= 0:
         before[head[bucket]] = cell
@@ -58,11 +70,12 @@ def spread(weight: np.ndarray, sources: np.ndarray, limit: int) -> np.ndarray:
     done = np.zeros(size, dtype=np.bool_)
     head = np.full(buckets, -1, dtype=np.int32)
     after, before = np.full(size, -1, dtype=np.int32), np.full(size, -1, dtype=np.int32)
+    queue = BucketQueue(head, after, before)
     for k in range(sources.shape[0]):
         c = sources[k, 0] * cols + sources[k, 1]
         if sources[k, 0] >= 0 and w[c] > 0 and cost[c] < 0:
             cost[c] = 0
-            _link(head, after, before, 0, c)
+            _link(queue, 0, c)
     now, empty = 0, 0
     while empty < buckets and now <= limit:
         bucket = now % buckets
@@ -72,7 +85,7 @@ def spread(weight: np.ndarray, sources: np.ndarray, limit: int) -> np.ndarray:
             empty += 1
             continue
         empty = 0
-        _unlink(head, after, before, bucket, c)
+        _unlink(queue, bucket, c)
         done[c] = True
         y, x = c // cols, c % cols
         for dy in range(-1, 2):
@@ -81,9 +94,9 @@ def spread(weight: np.ndarray, sources: np.ndarray, limit: int) -> np.ndarray:
                 n = (y + dy) * cols + x + dx
                 if price > 0 and not done[n] and (cost[n] < 0 or now + price < cost[n]):
                     if cost[n] >= 0:
-                        _unlink(head, after, before, cost[n] % buckets, n)
+                        _unlink(queue, cost[n] % buckets, n)
                     cost[n] = now + price
-                    _link(head, after, before, (now + price) % buckets, n)
+                    _link(queue, (now + price) % buckets, n)
     return cost.reshape(rows, cols)
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from .._jit import kernel
+from ..raster import Raster
 
 
 @kernel
@@ -30,8 +31,9 @@ def distance_to_walls(points: np.ndarray, segments: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def mark_near(near: np.ndarray, segments: np.ndarray, radius: float, origin: np.ndarray, cell: float) -> None:
+def mark_near(near: np.ndarray, segments: np.ndarray, radius: float, raster: Raster) -> None:
     """Cells of `near` (ny, nx) whose centre is nearer than `radius` to a segment become True, in place."""
+    origin, cell = raster.corner, raster.cell
     ny, nx = near.shape
     for k in range(segments.shape[0]):
         left, right = min(segments[k, 0], segments[k, 2]), max(segments[k, 0], segments[k, 2])
@@ -107,8 +109,9 @@ def enclosed(points: np.ndarray, segments: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def enclosed_cells(segments: np.ndarray, lower: np.ndarray, cell: float, rows: int, cols: int) -> np.ndarray:
+def enclosed_cells(segments: np.ndarray, raster: Raster, rows: int, cols: int) -> np.ndarray:
     """`enclosed` of the centres of a raster's cells (rows, cols), in one sweep over the segments."""
+    lower, cell = raster.corner, raster.cell
     turns = np.zeros((rows, cols + 1), dtype=np.bool_)  # by how many columns' centres a crossing lies right of
     for k in range(segments.shape[0]):
         y0, y1 = segments[k, 1], segments[k, 3]

@@ -3,6 +3,7 @@
 import numpy as np
 
 from .._jit import kernel
+from ..raster import Raster, Sector
 from .segments import _to_segment, touches
 
 
@@ -38,20 +39,11 @@ def points_in_sight(place: np.ndarray, points: np.ndarray, reach: float, segment
 
 
 @kernel
-def mark_in_sight(
-    explored: np.ndarray,
-    pose: np.ndarray,
-    reach: float,
-    half_angle: float,
-    origin: np.ndarray,
-    cell: float,
-    segments: np.ndarray,
-) -> None:
-    """Cells whose centre is within `reach` and `half_angle` of `pose`, and not hidden, become True, in place.
-
-    explored: (ny, nx); origin: (2,) [m], the grid's lower left corner; cell: [m].
-    """
+def mark_in_sight(explored: np.ndarray, pose: np.ndarray, sector: Sector, raster: Raster, segments: np.ndarray) -> None:
+    """Cells whose centre the `sector` of `pose` holds and no wall hides become True in `explored`, in place."""
     ny, nx = explored.shape
+    reach, half_angle = sector.reach, sector.half_angle
+    origin, cell = raster.corner, raster.cell
     near = _near(pose[0], pose[1], segments, reach)
     c, s, cos_half = np.cos(pose[2]), np.sin(pose[2]), np.cos(half_angle)
     x0 = max(0, int(np.floor((pose[0] - reach - origin[0]) / cell)))
@@ -72,19 +64,15 @@ def mark_in_sight(
 
 @kernel
 def unexplored_in_sight(
-    explored: np.ndarray,
-    poses: np.ndarray,
-    reach: float,
-    half_angle: float,
-    origin: np.ndarray,
-    cell: float,
-    segments: np.ndarray,
+    explored: np.ndarray, poses: np.ndarray, sector: Sector, raster: Raster, segments: np.ndarray
 ) -> np.ndarray:
     """How many unexplored cells (m,) come into view from each of `poses` (m, 3) among walls.
 
     What can be seen from a place is found once for all headings that follow each other there.
     """
     ny, nx = explored.shape
+    reach, half_angle = sector.reach, sector.half_angle
+    origin, cell = raster.corner, raster.cell
     out = np.zeros(poses.shape[0], dtype=np.int64)
     cos_half = np.cos(half_angle)
     seen = np.empty((ny * nx, 3))
@@ -136,19 +124,14 @@ def _seen_by_neighbours(
 
 @kernel
 def nearest_views(
-    points: np.ndarray,
-    stand: np.ndarray,
-    lower: np.ndarray,
-    cell: float,
-    reach: float,
-    segments: np.ndarray,
-    neighbours: int,
+    points: np.ndarray, stand: np.ndarray, raster: Raster, reach: float, segments: np.ndarray, neighbours: int
 ) -> np.ndarray:
     """For each point (n, 2) the nearest cell (row, col) of `stand` (ny, nx) within `reach` that has it in sight.
 
     At least `neighbours` of the cells around that one must have it in sight too, so that a robot need not stand
-    exactly there. (-1, -1) where there is none. lower: (2,) [m], corner of `stand`; cell: [m].
+    exactly there. (-1, -1) where there is none. raster: of `stand`.
     """
+    lower, cell = raster.corner, raster.cell
     out = np.full((points.shape[0], 2), -1, dtype=np.int64)
     rings = int(np.ceil(reach / cell)) + 1
     for i in range(points.shape[0]):

@@ -1,9 +1,26 @@
 """Many walls, asked about here: segments in square buckets, so that a beam or a robot meets the few that are near."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from .._jit import kernel
 from .raycast import NONE, meet, meet_disc
+
+
+class WallBuckets(NamedTuple):
+    """Which of `segments` (s, 4) touch which square of side `cell` [m], from `corner` (2,) [m], `cols` in a row.
+
+    Those of square `b = row * cols + col` are `items[first[b]:first[b + 1]]`.
+    """
+
+    segments: np.ndarray
+    corner: np.ndarray
+    cell: float
+    cols: int
+    first: np.ndarray
+    items: np.ndarray
+
 
 SLACK = 1e-9  # [m] by which a bucket reaches beyond its square, so that a wall on a border is in both
 
@@ -50,21 +67,17 @@ def fill_buckets(
 def cast_in_grid(
     sensor: np.ndarray,
     angles: np.ndarray,
-    segments: np.ndarray,
     discs: np.ndarray,
     far: float,
-    corner: np.ndarray,
-    cell: float,
-    cols: int,
-    first: np.ndarray,
-    items: np.ndarray,
+    walls: WallBuckets,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """As `raycast.cast`, in time that does not grow with the number of walls.
 
-    sensor: (m, 3) poses; angles: (n,) [rad]; discs: (m, d, 3) as x y radius, one set a scan; the rest as
-    `fill_buckets` takes and gives it. Returns range (m, n) [m] (infinite beyond `far`), what was hit (m, n) (segment
-    k, or s + disc, or -1), and the cosine of incidence (m, n).
+    sensor: (m, 3) poses; angles: (n,) [rad]; discs: (m, d, 3) as x y radius, one set a scan. Returns range
+    (m, n) [m] (infinite beyond `far`), what was hit (m, n) (segment k, or s + disc, or -1), and the cosine of incidence
+    (m, n).
     """
+    segments, corner, cell, cols, first, items = walls
     m, n, s, d = sensor.shape[0], angles.shape[0], segments.shape[0], discs.shape[1]
     rng = np.full((m, n), np.inf)
     what = np.full((m, n), NONE, dtype=np.int64)
@@ -126,7 +139,17 @@ def _first_wall(
 
 
 @kernel
-def touches_wall(
+def touches_wall(points: np.ndarray, radius: float, walls: WallBuckets) -> np.ndarray:
+    """Whether a disc (n,) around each of `points` (n, 2) touches a segment."""
+    segments, corner, cell, cols, first, items = walls
+    out = np.zeros(points.shape[0], dtype=np.bool_)
+    for k in range(points.shape[0]):
+        out[k] = _touches(points[k, 0], points[k, 1], radius, segments, corner, cell, cols, first, items)
+    return out
+
+
+@kernel
+def _touches(
     x: float,
     y: float,
     radius: float,
@@ -137,7 +160,7 @@ def touches_wall(
     first: np.ndarray,
     items: np.ndarray,
 ) -> bool:
-    """Whether a disc around x, y touches a segment."""
+    """Whether a disc around x, y touches a segment. Unpacked: a record here would cost more than the loop itself."""
     rows = (first.shape[0] - 1) // cols
     c0, c1 = _index(x - radius - corner[0], cell, cols), _index(x + radius - corner[0], cell, cols)
     r0, r1 = _index(y - radius - corner[1], cell, rows), _index(y + radius - corner[1], cell, rows)
@@ -165,18 +188,14 @@ def drive_discs(
     period: float,
     parts: int,
     radius: float,
-    segments: np.ndarray,
-    corner: np.ndarray,
-    cell: float,
-    cols: int,
-    first: np.ndarray,
-    items: np.ndarray,
+    walls: WallBuckets,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Poses (m, 3) after all robots drove their arcs `commands` (m, 2) as v, w side by side, and who was stopped (m,).
 
     The period is cut into `parts`; a robot whose next part would touch a wall or another robot turns on the spot for
     the rest of the period.
     """
+    segments, corner, cell, cols, first, items = walls
     m = poses.shape[0]
     now = poses.copy()
     stopped = np.zeros(m, dtype=np.bool_)
@@ -191,7 +210,7 @@ def drive_discs(
             now[j, 2] += w * dt
             if stopped[j] or v == 0.0:
                 continue
-            blocked = touches_wall(x, y, radius, segments, corner, cell, cols, first, items)
+            blocked = _touches(x, y, radius, segments, corner, cell, cols, first, items)
             for k in range(m):
                 if k != j and np.hypot(now[k, 0] - x, now[k, 1] - y) < 2.0 * radius:
                     blocked = True
