@@ -13,6 +13,7 @@ from mapweave.core.errors import DataError, UsageError
 from mapweave.core.records import Track
 
 
+@pytest.mark.slow
 def test_fused_maps_of_simulated_teams_are_as_good_as_they_say_and_better_than_their_mean(tmp_path):
     scores = []
     for seed in range(8):

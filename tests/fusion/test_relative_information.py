@@ -207,6 +207,7 @@ def test_sightings_of_robots_by_robots_tie_the_frames_more_tightly():
     assert rmse(with_them, truth) < rmse(without, truth)
 
 
+@pytest.mark.slow
 def test_a_narrow_pair_ruins_diagonal_weights_and_leaves_full_weights_alone():
     rng = np.random.default_rng(4)
     robots = 50

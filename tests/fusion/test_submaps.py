@@ -76,6 +76,7 @@ def test_joining_equals_dense_weighted_least_squares():
     assert joined.dof == 36 - 6 - 16
 
 
+@pytest.mark.slow
 def test_the_error_a_full_join_states_is_the_error_it_makes():
     total, dof = 0.0, 0
     for place in range(8):  # eight teams, each mapped 250 times

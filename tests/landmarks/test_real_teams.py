@@ -88,6 +88,7 @@ def test_without_odometry_what_cannot_be_tied_is_left_out_rather_than_guessed(da
         assert score_landmarks(m.submap.landmarks, survey(data, 6)).rmse < 0.15
 
 
+@pytest.mark.slow
 def test_on_unequal_maps_full_covariance_beats_the_plain_mean_and_the_diagonal(data):
     rmse = {"naive": [], "diagonal": [], "full-scaled": []}
     for number in SETS:

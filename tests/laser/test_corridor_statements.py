@@ -26,6 +26,7 @@ def errors(sim, **more):
     return score(made.track, sim.truth), score(made.dead_reckoning, sim.truth)
 
 
+@pytest.mark.slow
 def test_intensity_closes_a_loop_that_geometry_and_odometry_do_not():
     sim = simulate_corridor(LOOP, seed=31)
     seen, odometry = errors(sim)

@@ -71,6 +71,7 @@ def test_an_office_driven_by_two_comes_out_within_a_cell(office, office_team):
     assert {c.robots for c in office_team.closures if c.accepted} >= {(0, 1), (1, 0)}
 
 
+@pytest.mark.slow
 def test_keyframes_err_as_far_as_the_team_says_they_may(office, office_team, ring_run, watched):
     found = [errors(office_team, office)[1], errors(watched[0], ring_run)[1]]
     for seed in (21,):

@@ -33,6 +33,7 @@ def test_the_intel_log_keeps_its_known_relations(data, method, all_of_them, exac
     assert sure.trans_mean <= exact
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["urg04lx/exp1.dat.gz", "carmen/loop5.log.gz"])
 def test_a_place_seen_again_lies_where_it_was_seen_first(data, name):
     """Scans of the later half that overlap the map of the first quarter are refined against it: they hardly move."""

@@ -19,7 +19,9 @@ def free_cells(floor, radius=ROBOT):
     return centres, ndimage.label(free)[0]
 
 
-@pytest.mark.parametrize(("area", "seed"), [(500, 0), (500, 1), (1000, 2), (2000, 3), (5000, 4)])
+@pytest.mark.parametrize(
+    ("area", "seed"), [(500, 0), (500, 1), (1000, 2), (2000, 3), pytest.param(5000, 4, marks=pytest.mark.slow)]
+)
 def test_every_room_is_reached_from_every_start_but_the_pockets_told(area, seed):
     floor = office_floor(area, seed)
     assert np.prod(floor.upper - floor.lower) == pytest.approx(area, rel=1e-3)

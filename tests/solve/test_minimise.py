@@ -180,6 +180,17 @@ def test_a_robust_kernel_is_square_near_zero_and_its_weight_is_its_slope(kernel)
     assert (np.diff(kernel.cost(s)) > 0).all()
 
 
+@pytest.mark.parametrize("kernel", [Huber(), Cauchy()])
+def test_a_robust_kernel_as_it_comes_keeps_95_percent_of_the_efficiency_where_noise_is_normal(kernel):
+    # asymptotic efficiency of the location estimate with psi(r) = r weight(r^2): E[psi']^2 / E[psi^2]
+    r = np.linspace(-12.0, 12.0, 48001)
+    density = np.exp(-0.5 * r**2) / np.sqrt(2 * np.pi)
+    psi = r * kernel.weight(r**2)
+    slope = np.gradient(psi, r)
+    efficiency = np.trapezoid(slope * density, r) ** 2 / np.trapezoid(psi**2 * density, r)
+    assert efficiency == pytest.approx(0.95, abs=5e-4)
+
+
 @pytest.mark.parametrize("kernel", [Huber(1.0), Cauchy(2.0), GemanMcClure(3.0)])
 def test_a_robust_kernel_shrugs_off_gross_outliers(kernel):
     rng = np.random.default_rng(9)

@@ -70,6 +70,7 @@ def drifted(form, sigma_p, variance, linear=False, updates=200):
     return float(np.mean(errors))
 
 
+@pytest.mark.slow
 def test_the_first_estimate_jacobian_removes_the_scale_drift_of_the_paper():
     assert drifted("ekf", 0.0, 0.01) > 1.0
     assert drifted("fej", 0.0, 0.01) < 0.005
@@ -96,6 +97,7 @@ def test_from_a_bad_guess_one_update_misses_the_bound_and_the_batch_estimator_do
     assert np.sqrt(sizes["batch"] / sizes["bound"]) < 1.15
 
 
+@pytest.mark.slow
 def test_five_robots_with_two_known_are_placed_to_a_millimetre_and_a_half():
     rng = np.random.default_rng(5)
     errors = []
