@@ -11,7 +11,7 @@ from mapweave.api.explore_options import parse_kills
 from mapweave.core.errors import ConfigError, DataError, EstimateError, UsageError
 from mapweave.exploration.landmarks.scenario import find_scenario, make_field
 from mapweave.exploration.laser.scenario import find_laser_scenario, make_place
-from mapweave.exploration.planner_interface import query_planner
+from mapweave.exploration.planner_interface import TeamBelief, query_planner
 
 FIELD = "lower = [-5, -5]\nupper = [5, 5]\nlandmarks = [[-3.0, 3.0], [3.0, 3.0]]\n"
 HALL = """
@@ -49,8 +49,13 @@ def test_a_planner_that_fails_is_told_with_step_and_line(tmp_path, world):
         explore(written(tmp_path, world), planner="json:loads", until=3)
 
 
-class View:
-    step, robots, alive = 4, ("robot1", "robot2"), np.array([True, False])
+BELIEF = TeamBelief(
+    step=4,
+    robots=("robot1", "robot2"),
+    alive=np.array([True, False]),
+    stalled=np.zeros(2, dtype=np.int64),
+    memory={},
+)
 
 
 @pytest.mark.parametrize(
@@ -66,11 +71,11 @@ class View:
 )
 def test_an_answer_that_is_no_commands_is_told(answer, told):
     with pytest.raises(EstimateError, match=f"step 4: .*{told}"):
-        query_planner(lambda *_: answer, View, np.zeros((2, 3)), None, (1.0, 1.0))
+        query_planner(lambda *_: answer, BELIEF, np.zeros((2, 3)), None, (1.0, 1.0))
 
 
 def test_a_dead_robots_command_is_nobodys_concern():
-    told = query_planner(lambda *_: [[1.0, 0.0], [np.nan, 9.0]], View, np.zeros((2, 3)), None, (1.0, 1.0))
+    told = query_planner(lambda *_: [[1.0, 0.0], [np.nan, 9.0]], BELIEF, np.zeros((2, 3)), None, (1.0, 1.0))
     np.testing.assert_array_equal(told[0], [1.0, 0.0])
 
 

@@ -142,6 +142,7 @@ def test_one_of_four_dead_at_a_third_leaves_every_map_honest():
     assert max(r.nees_per_dof for r in runs) <= 3
 
 
+@pytest.mark.slow
 def test_lost_messages_and_a_death_among_four_are_survived():
     (runs,) = runs_of([mission("loop", robots=4, kills={1: 40}, drop=0.2)], 6)
     assert all(r.finished for r in runs)
