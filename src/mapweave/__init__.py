@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from .api.evaluate_relations import RelationEvaluation as RelationEvaluation
     from .api.evaluate_swarm import SwarmEvaluation as SwarmEvaluation
     from .api.evaluate_team import TeamEvaluation as TeamEvaluation
+    from .api.exploration_result import LandmarkExploration as LandmarkExploration
+    from .api.exploration_result import LaserExploration as LaserExploration
     from .api.explore import explore as explore
     from .api.fuse import fuse as fuse
     from .api.localize import LocalizeResult as LocalizeResult
@@ -28,8 +30,12 @@ if TYPE_CHECKING:
     from .api.map_laser import LaserResult as LaserResult
     from .api.map_options import LaserOptions as LaserOptions
     from .api.moving_result import Moved as Moved
+    from .api.result import Result as Result
+    from .api.simulate_landmarks import SimulatedTeam as SimulatedTeam
     from .api.simulate_landmarks import simulate_landmarks as simulate_landmarks
+    from .api.simulate_laser import SimulatedDrive as SimulatedDrive
     from .api.simulate_laser import simulate_laser as simulate_laser
+    from .api.simulate_swarm import SimulatedSwarm as SimulatedSwarm
     from .api.simulate_swarm import simulate_swarm as simulate_swarm
     from .api.team import TeamResult as TeamResult
     from .api.view import view as view
@@ -44,9 +50,7 @@ if TYPE_CHECKING:
     from .core.progress import Progress as Progress
     from .core.records import Track as Track
     from .exploration.landmarks.config import ExploreConfig as ExploreConfig
-    from .exploration.landmarks.result import LandmarkExploreResult as LandmarkExploreResult
     from .exploration.laser.config import LaserMissionConfig as LaserMissionConfig
-    from .exploration.laser.result import LaserExploreResult as LaserExploreResult
     from .fusion.config import FuseConfig as FuseConfig
     from .landmarks.config import EkfSlamConfig as EkfSlamConfig
     from .laser.config import LaserConfig as LaserConfig
@@ -85,16 +89,20 @@ _HOMES: dict[str, str] = {
     "view": "api.view",
     # what verbs return
     "Evaluation": "api.evaluate",
-    "LandmarkExploreResult": "exploration.landmarks.result",
+    "LandmarkExploration": "api.exploration_result",
     "HamataniReproduction": "papers.hamatani.reproduce",
     "HaraReproduction": "papers.hara.reproduce",
     "KojimaReproduction": "papers.kojima.reproduce",
-    "LaserExploreResult": "exploration.laser.result",
+    "LaserExploration": "api.exploration_result",
     "LaserResult": "api.map_laser",
     "LocalizeResult": "api.localize",
     "Located": "api.located",
     "Moved": "api.moving_result",
     "RelationEvaluation": "api.evaluate_relations",
+    "Result": "api.result",
+    "SimulatedDrive": "api.simulate_laser",
+    "SimulatedSwarm": "api.simulate_swarm",
+    "SimulatedTeam": "api.simulate_landmarks",
     "SwarmEvaluation": "api.evaluate_swarm",
     "TeamEvaluation": "api.evaluate_team",
     "TeamResult": "api.team",
@@ -136,14 +144,14 @@ __all__ = (
     "EstimateError",
     "Evaluation",
     "ExploreConfig",
-    "LandmarkExploreResult",
     "FuseConfig",
     "HamataniReproduction",
     "HaraReproduction",
     "KojimaReproduction",
+    "LandmarkExploration",
     "LandmarkMapConfig",
     "LaserConfig",
-    "LaserExploreResult",
+    "LaserExploration",
     "LaserLog",
     "LaserMissionConfig",
     "LaserOptions",
@@ -156,6 +164,10 @@ __all__ = (
     "Progress",
     "ReaderError",
     "RelationEvaluation",
+    "Result",
+    "SimulatedDrive",
+    "SimulatedSwarm",
+    "SimulatedTeam",
     "SwarmEvaluation",
     "SwarmScene",
     "TeamEvaluation",

@@ -147,8 +147,8 @@ def test_in_a_small_field_the_robots_start_inside_it(tmp_path):
 def test_landmarks_seen_from_the_start_need_no_step_and_the_report_is_written(tmp_path):
     world = written(tmp_path, FIELD + "starts = [[0, -4, 1.57]]\n")
     result = explore(world, tmp_path / "out", until="landmarks", association="known")
-    assert result.summary()["finished"] == 1
-    assert result.summary()["steps_max"] == 0
+    assert result.averages()["finished"] == 1
+    assert result.averages()["steps_max"] == 0
     assert (tmp_path / "out" / "figures" / "first_run.gif").stat().st_size > 0
 
 

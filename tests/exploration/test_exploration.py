@@ -230,7 +230,7 @@ def test_explore_writes_what_the_contract_lists_and_its_log_can_be_read(tmp_path
     )
     assert len(rows) == 3
     assert {"finished", "runs", "steps_min", "steps_mean", "steps_max", "map_error_m", "c_per_n_m2"} <= set(
-        result.metrics()["summary"]
+        result.metrics["summary"]
     )
     assert (out / "report.html").stat().st_size > 10_000
     assert {f.name for f in (out / "figures").iterdir()} == {
@@ -245,5 +245,5 @@ def test_explore_writes_what_the_contract_lists_and_its_log_can_be_read(tmp_path
 @pytest.mark.parametrize(("sd", "told"), [("[0.1, 0.1, 0.01]", None), ("[0.15, 0.15, 0.025]", 0.5)])
 def test_the_motion_noise_told_is_the_one_used(tmp_path, sd, told):
     (tmp_path / "own.toml").write_text(f"[submap]\nmotion_sd = {sd}\n")
-    assert mapweave.explore(until=1, config=tmp_path / "own.toml").metrics()["noise_factor"] == told
-    assert mapweave.explore(until=1, config=tmp_path / "own.toml", noise=0.7).metrics()["noise_factor"] == 0.7
+    assert mapweave.explore(until=1, config=tmp_path / "own.toml").metrics["noise_factor"] == told
+    assert mapweave.explore(until=1, config=tmp_path / "own.toml", noise=0.7).metrics["noise_factor"] == 0.7

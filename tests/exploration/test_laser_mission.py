@@ -121,7 +121,7 @@ def test_a_run_writes_its_scores_and_map_and_a_log_that_map_can_read(rooms, tmp_
 
 def test_the_same_seed_is_the_same_run_and_processes_change_nothing(rooms):
     def figures(result):
-        told = result.metrics()
+        told = result.metrics
         del told["timing"], told["summary"]["ms_per_decision"]
         for run in told["runs"]:
             del run["ms_per_decision"]

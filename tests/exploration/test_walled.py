@@ -97,11 +97,11 @@ def test_an_unreachable_pocket_is_left_out_and_reported(tmp_path):
     )
     out = tmp_path / "out"
     result = explore(str(scenario), out, runs=2, planner="coverage", association="known")
-    told = result.metrics()["left_out"]
+    told = result.metrics["left_out"]
     assert told["pockets"] == 1
     assert told["area_m2"] == pytest.approx(6.0, abs=1.0)
     assert told["landmarks"] == [{"landmark": 4, "x": 18.0, "y": 6.5}]
-    assert result.summary()["finished"] == 2
+    assert result.averages()["finished"] == 2
     assert result.first.moments[-1].explored == 1.0
     lines = "\n".join(result.lines())
     assert "a pocket no robot can see into, 6 m²" in lines

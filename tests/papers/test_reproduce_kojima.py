@@ -100,7 +100,7 @@ def test_the_command_prints_both_tables_and_writes_the_report(tmp_path, capsys):
         "unequal.png",
         "world.png",
     ]
-    again = reproduce_kojima(quick=True, seed=3).metrics()
+    again = reproduce_kojima(quick=True, seed=3).metrics
     assert again["table2"][0]["robot_rmse"] == metrics["table2"][0]["robot_rmse"]
     assert again["unequal"] == metrics["unequal"]
 

@@ -257,6 +257,6 @@ def test_stamped_robots_that_stand_still_get_one_position(tmp_path):
     path.write_text("\n".join(rows) + "\n")
     p = swarm.position[0]
     found = mapweave.locate(path, tmp_path / "out", anchors={"1": p[0], "9": p[8]})
-    assert found.metrics()["moving"] is False
+    assert found.metrics["moving"] is False
     assert (tmp_path / "out" / "trajectories" / "5.csv").is_file()
     assert found.estimate.position[4] == pytest.approx(p[4], abs=0.3)

@@ -34,6 +34,6 @@ def demo(
     local = tuple(replace(m, source="recording") for m in made.local)  # where the log is in the result
     result = replace(made, title="Four robots, one map", local=local)
     with result_directory(target, force=force) as work:
-        result.write(work)
+        result.write_into(work)
         write_mrclam(work / "recording", team)
     return result

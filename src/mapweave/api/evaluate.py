@@ -7,11 +7,12 @@ from typing import Any, Protocol, cast, runtime_checkable
 
 from ..core.errors import ReaderError, UsageError
 from ..core.threads import one_blas_thread
+from .result import Result
 
 
 @runtime_checkable
-class Evaluation(Protocol):
-    """A score: typed for programs, `as_json` with the documented keys, `lines` for people."""
+class Evaluation(Result, Protocol):
+    """A score: a result; `as_json` has the documented keys, `lines` are for people."""
 
     def as_json(self) -> dict[str, Any]: ...
     def lines(self) -> list[str]: ...

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -16,15 +16,27 @@ from ..evaluation.relations import RelationScore, exact_pairs, nearest, score_re
 from ..io.relations import is_relations, read_relations
 from ..io.table import read_table
 from ..io.tum import read_tum
+from .evaluation_result import EvaluationBase
+
+if TYPE_CHECKING:
+    from ..report.style import Target
 
 
-@dataclass(frozen=True, slots=True)
-class RelationEvaluation:
+@dataclass(frozen=True, slots=True, repr=False)
+class RelationEvaluation(EvaluationBase):
     """The score on all relations, and on those whose both ends are at scans with stamps that are right."""
 
     robot: str
     relations: RelationScore
     relations_exact: RelationScore
+
+    def draw(self, target: "Target") -> None:
+        from ..report.score import draw_bars  # noqa: PLC0415  (figures cost half a second)
+
+        told = {"all": self.relations, "of exact stamps": self.relations_exact}
+        shift = {name: s.trans_mean for name, s in told.items() if s.trans_mean is not None}
+        turn = {name: s.rot_mean_deg for name, s in told.items() if s.rot_mean_deg is not None}
+        draw_bars(target, {"translation error, mean [m]": shift, "rotation error, mean [deg]": turn})
 
     def as_json(self) -> dict[str, Any]:
         return {

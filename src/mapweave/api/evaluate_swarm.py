@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,15 +12,28 @@ from ..core.errors import DataError, ReaderError
 from ..evaluation.swarm import StandingSwarm, SwarmScore, score_moving, score_standing
 from ..io.positions import Positions, read_network, read_positions, read_track, track_files
 from ..io.sightings import SwarmTruth
+from .evaluation_result import EvaluationBase
 from .swarm_input import read_truth
 
+if TYPE_CHECKING:
+    from ..report.style import Target
 
-@dataclass(frozen=True, slots=True)
-class SwarmEvaluation:
+
+@dataclass(frozen=True, slots=True, repr=False)
+class SwarmEvaluation(EvaluationBase):
     """The score that `locate --truth` gives of the same result, but for the bound, which needs the sightings."""
 
     score: SwarmScore
     not_localisable: int
+
+    def draw(self, target: "Target") -> None:
+        from ..report.score import draw_bars  # noqa: PLC0415  (figures cost half a second)
+
+        errors = self.score.errors
+        lengths = {"RMSE": self.score.rmse, "of distances": errors.distance if errors else None}
+        angles = {"of angles": errors.angle_deg if errors else None}
+        groups = {"error [m]": lengths, "error [deg]": angles}
+        draw_bars(target, {unit: {k: v for k, v in e.items() if v is not None} for unit, e in groups.items()})
 
     def as_json(self) -> dict[str, Any]:
         return {**self.score.as_json(), "robots": self.score.scored, "not_localisable": self.not_localisable}

@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,11 @@ from ..evaluation.team import RobotTruth, TeamScore, as_json, score_team
 from ..io.landmark_truth import read_robot_truth, read_survey
 from ..io.team_map import read_single_maps, read_team_maps
 from ..io.tum import read_tum
+from .evaluation_result import EvaluationBase
+
+if TYPE_CHECKING:
+    from ..report.style import Target
+
 
 DENSE = 0.5  # [s] median spacing under which truth is thinned
 IN_NAME = re.compile(r"robot[_-]?([0-9]+)", re.IGNORECASE)
@@ -29,11 +34,16 @@ class TeamTruth:
     robots: dict[str, RobotTruth]
 
 
-@dataclass(frozen=True, slots=True)
-class TeamEvaluation:
+@dataclass(frozen=True, slots=True, repr=False)
+class TeamEvaluation(EvaluationBase):
     """A team's score, printable."""
 
     score: TeamScore
+
+    def draw(self, target: "Target") -> None:
+        from ..report.score import draw_team_score  # noqa: PLC0415  (figures cost half a second)
+
+        draw_team_score(target, self.score)
 
     def as_json(self) -> dict[str, Any]:
         return as_json(self.score)

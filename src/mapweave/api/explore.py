@@ -20,12 +20,11 @@ from ..exploration.landmarks.experiment import (
     noise_factor,
     with_noise,
 )
-from ..exploration.landmarks.result import LandmarkExploreResult
 from ..exploration.landmarks.scenario import check_rasters, find_scenario, make_field
-from ..exploration.laser.result import LaserExploreResult
 from ..exploration.laser.scenario import find_laser_scenario
 from ..exploration.planner_interface import find_planner
-from ..io.directory import check_target, result_directory
+from ..io.directory import check_target
+from .exploration_result import LandmarkExploration, LaserExploration
 from .explore_laser import explore_laser
 from .explore_options import check_magnitudes, check_numbers, factor_of, kills_of, remaining_runs, steps_of
 
@@ -61,7 +60,7 @@ def explore(
     force: bool = False,
     executor: Executor | None = None,
     on_progress: Progress = no_progress,
-) -> LandmarkExploreResult | LaserExploreResult:
+) -> LandmarkExploration | LaserExploration:
     """`runs` explorations of `scenario` with seeds `seed`, `seed` + 1, ..., written to `out` when one is given.
 
     planner: paper, area, coverage, loop, joint, or a dotted name of `choose(maps, poses, cfg) -> commands`; noise:
@@ -115,20 +114,10 @@ def explore(
     first_score, first = explore_once(mission, seed)
     more = remaining_runs(partial(explore_many, mission), runs, seed, jobs, executor, on_progress)
     scores = (first_score, *(replace(score, run=k) for k, score in enumerate(more, 1)))
-    result = LandmarkExploreResult(scenario, mission, seed, noise_factor(cfg), scores, first)
+    result = LandmarkExploration(scenario, mission, seed, noise_factor(cfg), scores, first)
     if out is not None:
-        with result_directory(Path(out), force=force) as work:
-            _write(work, result)
+        result.write(out, force=force)
     return result
-
-
-def _write(folder: Path, result: LandmarkExploreResult) -> None:
-    """runs.csv, metrics.json, the first run's log and figures, report.html."""
-    from ..io.exploration import write_runs  # noqa: PLC0415
-    from ..report.exploration import write_exploration  # noqa: PLC0415  (figures cost a second)
-
-    write_runs(folder, result.runs, result.metrics(), result.first)
-    write_exploration(folder, result)
 
 
 def _noise(noise: str | float) -> float:

@@ -12,11 +12,11 @@ from ..core.progress import Progress, no_progress
 from ..exploration.laser.belief import PLANNERS
 from ..exploration.laser.config import LaserMissionConfig, with_odometry_noise
 from ..exploration.laser.experiment import LaserMission, explore_laser_many, explore_laser_once
-from ..exploration.laser.result import LaserExploreResult
 from ..exploration.laser.scenario import LaserScenarioConfig, make_place
 from ..exploration.planner_interface import find_planner
 from ..exploration.world import check_cells
-from ..io.directory import check_target, result_directory
+from ..io.directory import check_target
+from .exploration_result import LaserExploration
 from .explore_options import check_magnitudes, check_numbers, factor_of, kills_of, remaining_runs, steps_of
 
 POSITIVE = (
@@ -48,7 +48,7 @@ def explore_laser(
     force: bool = False,
     executor: Executor | None = None,
     on_progress: Progress = no_progress,
-) -> LaserExploreResult:
+) -> LaserExploration:
     """`runs` explorations of the laser world `scenario`, called `name`; the options are those of `explore`.
 
     noise: a factor on the errors of odometry, calibrated being 1. Raises UsageError, ConfigError, ReaderError,
@@ -79,19 +79,10 @@ def explore_laser(
     first_score, first = explore_laser_once(mission, seed, on_progress=mapped_so_far)
     more = remaining_runs(partial(explore_laser_many, mission), runs, seed, jobs, executor, on_progress)
     scores = (first_score, *(replace(score, run=k) for k, score in enumerate(more, 1)))
-    result = LaserExploreResult(name, mission, seed, factor, scores, first)
+    result = LaserExploration(name, mission, seed, factor, scores, first)
     if out is not None:
-        with result_directory(Path(out), force=force) as work:
-            _write(work, result)
+        result.write(out, force=force)
     return result
-
-
-def _write(folder: Path, result: LaserExploreResult) -> None:
-    from ..io.laser_exploration import write_laser_runs  # noqa: PLC0415
-    from ..report.laser_exploration import write_laser_exploration  # noqa: PLC0415  (figures cost a second)
-
-    write_laser_runs(folder, result.runs, result.metrics(), result.first)
-    write_laser_exploration(folder, result)
 
 
 def _check_sizes(cfg: LaserMissionConfig, where: str) -> None:

@@ -11,7 +11,7 @@ from ..core.progress import Progress, no_progress
 from ..core.threads import one_blas_thread
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse as join_maps
-from ..io.directory import check_target, result_directory
+from ..io.directory import check_target
 from ..io.local_map import read_local_map
 from ..landmarks.local_map import LocalMap
 from .team import TeamResult, Watch, team_result
@@ -60,8 +60,7 @@ def fuse(
         watch,
     )
     if out is not None:
-        with result_directory(Path(out), force=force) as work:
-            result.write(work)
+        result.write(out, force=force)
     return result
 
 

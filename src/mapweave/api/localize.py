@@ -15,7 +15,7 @@ from ..core.records import Track
 from ..core.run import robot_rng
 from ..core.threads import one_blas_thread
 from ..core.version import __version__
-from ..io.directory import check_target, result_directory, write_json
+from ..io.directory import check_target, write_json
 from ..io.grid import NAME, read_grid
 from ..io.laser_logs import LaserSource, read_laser
 from ..io.scans import write_scans
@@ -23,7 +23,9 @@ from ..io.tum import read_tum, write_tum
 from ..laser.config import LaserConfig
 from ..laser.grid import GridMap
 from ..laser.localise import Localisation, localise
-from ..report.localize import write_localisation_report
+from ..report.localize import draw_where, write_localisation_report
+from ..report.result import ResultBase, Rows
+from ..report.style import Target
 from .map_options import LaserOptions
 
 NEAR, NEAR_ANGLE = 0.5, np.radians(10.0)  # a start that errs by less than this, once found, was right
@@ -46,8 +48,8 @@ class StartScore:
         return {name: getattr(self, name) for name in self.__slots__}
 
 
-@dataclass(frozen=True, slots=True)
-class LocalizeResult:
+@dataclass(frozen=True, slots=True, repr=False)
+class LocalizeResult(ResultBase):
     """What `localize` gives; `score` where truth was given."""
 
     found: Localisation
@@ -55,7 +57,15 @@ class LocalizeResult:
     metrics: dict[str, Any]
     score: StartScore | None = None
 
-    def write(self, folder: Path) -> None:
+    def draw(self, target: Target) -> None:
+        """The map and the robot in it."""
+        draw_where(target, self.found, self.grid)
+
+    def headline(self) -> Rows:
+        told = {**self.metrics["localisation"], **({} if self.score is None else self.score.as_json())}
+        return ("what", "value"), list(told.items())
+
+    def write_into(self, folder: Path) -> None:
         write_json(folder / "metrics.json", self.metrics)
         write_tum(folder / "trajectories" / "robot1.tum", self.found.track)
         write_scans(folder / "scans.csv", self.found.scans)
@@ -124,8 +134,7 @@ def localize(
     score = None if truth is None else score_start(found, read_tum(Path(truth)))
     result = LocalizeResult(found, grid, _metrics(found, Path(map), seed, score), score)
     if out is not None:
-        with result_directory(Path(out), force=force) as work:
-            result.write(work)
+        result.write(out, force=force)
     return result
 
 

@@ -14,7 +14,7 @@ from ..core.progress import Progress, no_progress
 from ..core.records import Odometry
 from ..core.threads import one_blas_thread
 from ..evaluation.swarm import StandingScore, score_moving, score_standing, scored_robots, true_places
-from ..io.directory import check_target, result_directory
+from ..io.directory import check_target
 from ..io.sightings import SwarmTruth, read_swarm_odometry, read_swarm_truth
 from ..io.team_bearings import read_team_bearings
 from ..swarm.config import Method, SwarmConfig
@@ -101,8 +101,7 @@ def locate(
     on_progress("locating", 1, 1)
     if out is not None:
         on_progress("writing", 0, 1)
-        with result_directory(Path(out), force=force) as work:
-            result.write(work)
+        result.write(out, force=force)
         on_progress("writing", 1, 1)
     return result
 

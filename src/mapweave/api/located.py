@@ -9,15 +9,18 @@ from jaxtyping import Int
 
 from ..evaluation.swarm import StandingScore, StandingSwarm, SwarmScore
 from ..io.positions import track_files, write_network, write_positions, write_track
+from ..report.result import ResultBase
+from ..report.style import Target
 from ..report.swarm import NetworkStory, write_network_report
+from ..report.swarm_figures import network_figure
 from ..swarm.network import Network
 from ..swarm.result import SwarmEstimate
 from .located_common import NO_SCORE, Settings, counts, dropped_lines, head, sigma_text, write_rest
 from .swarm_input import SwarmInput
 
 
-@dataclass(frozen=True, slots=True)
-class Located:
+@dataclass(frozen=True, slots=True, repr=False)
+class Located(ResultBase):
     """Robots that stand still: one position each."""
 
     given: SwarmInput
@@ -34,6 +37,7 @@ class Located:
     def warnings(self) -> tuple[str, ...]:
         return (*self.given.warnings, *self.estimate.warnings)
 
+    @property
     def metrics(self) -> dict[str, Any]:
         """`metrics.json`; keys as the contract names them."""
         e = self.estimate
@@ -94,7 +98,11 @@ class Located:
             lines += self.score.lines()
         return [*lines, *(f"warning: {text}" for text in self.warnings)]
 
-    def write(self, out: Path) -> None:
+    def draw(self, target: Target) -> None:
+        """The robots in the plane."""
+        network_figure(target, self.network, self.estimate, self.story().truth)
+
+    def write_into(self, out: Path) -> None:
         """positions.csv, network.npz, metrics.json, report.html, figures/ and, for stamped sightings, trajectories/."""
         e = self.estimate
         seen, wild = self.counts()
@@ -112,8 +120,8 @@ class Located:
                 place = np.tile(e.position[k], (len(at), 1))
                 cov = None if e.cov is None else np.tile(e.cov[k], (len(at), 1, 1))
                 write_track(out / "trajectories" / files[name], at, place, cov)
-        write_network_report(out, self.story(), self.lines(), self.metrics())
-        write_rest(out, self.given, self.metrics())
+        write_network_report(out, self.story(), self.lines(), self.metrics)
+        write_rest(out, self.given, self.metrics)
 
     def counts(self) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
         """Sightings each robot has a part in, and how many of them are outliers."""

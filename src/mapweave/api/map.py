@@ -9,7 +9,7 @@ from typing import Protocol, cast, runtime_checkable
 from ..core.errors import ReaderError, UsageError
 from ..core.progress import Progress, no_progress
 from ..core.threads import one_blas_thread
-from ..io.directory import check_target, result_directory
+from ..io.directory import check_target
 from .map_options import LaserOptions, MapOptions, MapResult
 
 
@@ -84,8 +84,7 @@ def map(  # noqa: A001  (the verb)
         raise UsageError(f"{', '.join(given)}: only for laser logs, found {paths[0]}")
     result = mapper.map_logs(paths, options)
     if out is not None:
-        with result_directory(Path(out), force=force) as work:
-            result.write(work)
+        result.write(out, force=force)
     return result
 
 

@@ -26,14 +26,17 @@ from ..laser.config import LaserConfig
 from ..laser.laser_map import LaserMap
 from ..laser.mapping import map_laser
 from ..report.laser import write_laser_report
+from ..report.laser_figures import aligned, draw_map
+from ..report.result import ResultBase, Rows
+from ..report.style import Target
 from .evaluate import Evaluation, evaluate
 from .map_options import MapOptions
 
 Job = tuple[Path, str, LaserSource, LaserConfig, int, float]
 
 
-@dataclass(frozen=True, slots=True)
-class LaserResult:
+@dataclass(frozen=True, slots=True, repr=False)
+class LaserResult(ResultBase):
     """One map a log. `metrics` are those of `metrics.json`; `evaluation` is there when truth was given."""
 
     maps: tuple[LaserMap, ...]
@@ -41,7 +44,21 @@ class LaserResult:
     evaluation: Evaluation | None = None
     truth: Mapping[str, Track] = field(default_factory=dict)
 
-    def write(self, folder: Path) -> None:
+    def draw(self, target: Target) -> None:
+        """The first robot's map with its trajectory."""
+        first = self.maps[0]
+        truth = self.truth.get(first.robot)
+        draw_map(target, first, None if truth is None else aligned(truth, first.track))
+
+    def headline(self) -> Rows:
+        head = ("robot", "scans", "method", "feature", "map [m]")
+        rows = []
+        for made in self.maps:
+            x0, x1, y0, y1 = made.grid.extent
+            rows.append((made.robot, len(made.scans), made.method, made.feature, f"{x1 - x0:.0f} x {y1 - y0:.0f}"))
+        return head, rows
+
+    def write_into(self, folder: Path) -> None:
         """All files of the contract; with one robot its own stand at the top level too."""
         _write_data(folder, self.maps, self.metrics)
         told = [] if self.evaluation is None else self.evaluation.lines()

@@ -10,6 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 from ..core.errors import UsageError
 from ..core.names import robot_key
 from ..core.progress import Progress, no_progress
+from .result import Result
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +71,7 @@ class MapOptions:
 
 
 @runtime_checkable
-class MapResult(Protocol):
+class MapResult(Result, Protocol):
     """What every kind of log's `map` gives: typed in its own way, and able to put itself into a folder.
 
     maps: `TeamMap`s of landmark logs, the largest first; `LaserMap`s of laser logs, one a robot.
@@ -78,9 +79,6 @@ class MapResult(Protocol):
 
     @property
     def maps(self) -> tuple[Any, ...]: ...
-    @property
-    def metrics(self) -> dict[str, Any]: ...
-    def write(self, folder: Path) -> None: ...
     def lines(self) -> list[str]: ...
 
 

@@ -10,7 +10,10 @@ from jaxtyping import Float
 
 from ..evaluation.swarm import SwarmScore
 from ..io.positions import track_files, write_positions, write_track
+from ..report.result import ResultBase
+from ..report.style import Target
 from ..report.swarm import MovedStory, write_moved_report
+from ..report.swarm_figures import tracks_figure
 from ..swarm.moving.result import SwarmTrack
 from ..swarm.result import Status
 from ..swarm.verdict import chi2_warnings
@@ -18,8 +21,8 @@ from .located_common import NO_SCORE, Settings, counts, dropped_lines, head, sig
 from .swarm_input import SwarmInput
 
 
-@dataclass(frozen=True, slots=True)
-class Moved:
+@dataclass(frozen=True, slots=True, repr=False)
+class Moved(ResultBase):
     """Robots that move: a track each. truth: by robot index, the true positions at the track's stamps."""
 
     given: SwarmInput
@@ -52,6 +55,7 @@ class Moved:
             )
         return tuple(warnings)
 
+    @property
     def metrics(self) -> dict[str, Any]:
         """`metrics.json`; keys as the contract names them."""
         t = self.track
@@ -101,7 +105,11 @@ class Moved:
             lines += self.score.lines()
         return [*lines, *(f"warning: {text}" for text in self.warnings)]
 
-    def write(self, out: Path) -> None:
+    def draw(self, target: Target) -> None:
+        """The robots in the plane."""
+        tracks_figure(target, self.given.table.ids, self.track, self.given.anchors, dict(self.truth))
+
+    def write_into(self, out: Path) -> None:
         """trajectories/ID.csv, positions.csv (each robot's last), metrics.json, report.html and figures/."""
         table, tracks = self.given.table, self.track.tracks
         n, d = len(table.ids), table.dim
@@ -115,5 +123,5 @@ class Moved:
         seen, wild = counts(n, table.observer, table.target, self.track.outlier)
         write_positions(out / "positions.csv", table.ids, last, cov, located, seen, wild)
         story = MovedStory(table.ids, self.track, self.given.anchors, self.truth if self.score is not None else {})
-        write_moved_report(out, story, self.lines(), self.metrics())
-        write_rest(out, self.given, self.metrics())
+        write_moved_report(out, story, self.lines(), self.metrics)
+        write_rest(out, self.given, self.metrics)

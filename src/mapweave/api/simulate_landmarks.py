@@ -1,14 +1,55 @@
 """Simulated recordings of a team of robots among landmarks, as MRCLAM files."""
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from ..core.recording import TeamRecording
 from ..core.threads import one_blas_thread
 from ..core.version import __version__
-from ..io.directory import result_directory, write_json
+from ..io.directory import check_target, write_json
 from ..io.mrclam import write_mrclam
+from ..report.result import ResultBase, Rows
 from ..sim.landmarks import TeamWorld, simulate_team
+
+if TYPE_CHECKING:
+    from ..report.style import Target
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class SimulatedTeam(ResultBase, TeamRecording):
+    """The recording, and the world and the seed it came from."""
+
+    world: TeamWorld
+    seed: int
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """What stands in `simulation.json`."""
+        return {"version": __version__, "seed": self.seed, "world": asdict(self.world)}
+
+    def lines(self) -> list[str]:
+        seen = sum(len(r.stamps) for r in self.robots)
+        return [f"{len(self.robots)} robots, {len(self.landmarks)} landmarks, {seen} sightings, seed {self.seed}"]
+
+    def headline(self) -> Rows:
+        head = ("robot", "odometry rows", "sightings", "driven [m]")
+        rows = [(r.number, len(r.odometry), len(r.stamps), _driven(r.truth[:, 1:3])) for r in self.robots]
+        return head, rows
+
+    def draw(self, target: "Target") -> None:
+        """The landmarks and the true ways."""
+        from ..report.simulation import draw_world  # noqa: PLC0415  (figures cost half a second)
+
+        ways = {f"robot {r.number}": r.truth[:, 1:3] for r in self.robots}
+        draw_world(target, "the simulated team", ways, np.array(list(self.landmarks.values())).reshape(-1, 2))
+
+    def write_into(self, folder: Path) -> None:
+        """The MRCLAM layout and `simulation.json`."""
+        write_mrclam(folder, self)
+        write_json(folder / "simulation.json", self.metrics)
 
 
 @one_blas_thread()
@@ -24,7 +65,7 @@ def simulate_landmarks(
     misreads: float = 0.001,
     seed: int = 0,
     force: bool = False,
-) -> TeamRecording:
+) -> SimulatedTeam:
     """The recording (the same for the same seed), written to the folder `out` when one is given.
 
     noise, bias: relative to a real team's; outliers, misreads: probabilities. Raises UsageError for a world that
@@ -40,10 +81,14 @@ def simulate_landmarks(
         misreads=misreads,
     )
     world.check()
-    if out is None:
-        return simulate_team(world, seed)
-    with result_directory(Path(out), force=force) as work:
-        team = simulate_team(world, seed)
-        write_mrclam(work, team)
-        write_json(work / "simulation.json", {"version": __version__, "seed": seed, "world": asdict(world)})
+    if out is not None:
+        check_target(Path(out), force=force)
+    made = simulate_team(world, seed)
+    team = SimulatedTeam(made.barcodes, made.landmarks, made.robots, world, seed)
+    if out is not None:
+        team.write(out, force=force)
     return team
+
+
+def _driven(way: np.ndarray) -> float:
+    return float(np.hypot(*np.diff(way, axis=0).T).sum())

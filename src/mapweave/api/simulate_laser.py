@@ -1,21 +1,70 @@
 """Simulated drives with a laser scanner that tells intensity, as MCAP files with their truth beside."""
 
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from ..core.errors import UsageError
 from ..core.threads import one_blas_thread
+from ..core.version import __version__
 from ..io.mcap import write_mcap
 from ..io.tum import write_tum
+from ..report.result import ResultBase
 from ..sim.corridor import CorridorConfig, simulate_corridor
 from ..sim.laser import LaserSimulation
 from ..sim.office import OfficeConfig, simulate_office
 from ..sim.tunnel import TunnelConfig, simulate_tunnel
 
+if TYPE_CHECKING:
+    from ..report.style import Target
+
 World = CorridorConfig | OfficeConfig | TunnelConfig
 
 
+@dataclass(frozen=True, slots=True, repr=False)
+class SimulatedDrive(ResultBase, LaserSimulation):
+    """The drive, and the settings and the seed it came from. It is written to a file, not to a folder."""
+
+    config: World
+    seed: int
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        way = (len(self.log.scans) - 1) * self.config.drive.scan_every
+        return {
+            "version": __version__,
+            "seed": self.seed,
+            "kind": type(self.config).__name__.removesuffix("Config").lower(),
+            "scans": len(self.log.scans),
+            "stamps": len(self.log.stamps()),
+            "driven_m": way,
+            "world": asdict(self.config),
+        }
+
+    def lines(self) -> list[str]:
+        m = self.metrics
+        return [f"{m['scans']} scans over {m['driven_m']:.0f} m, {m['stamps']} stamps, seed {self.seed}"]
+
+    def draw(self, target: "Target") -> None:
+        """The walls and the true way."""
+        from ..report.simulation import draw_world  # noqa: PLC0415  (figures cost half a second)
+
+        walls = self.world.segments.reshape(-1, 4)
+        draw_world(target, "the simulated drive", {"true way": self.truth.pose[:, :2]}, walls=walls)
+
+    def write(self, folder: Path | str, *, force: bool = False) -> None:
+        """The MCAP file `folder`, and the true poses in FILE.truth.tum beside it; files there are replaced."""
+        del force
+        path = _mcap(folder)
+        write_mcap(path, self.log, self.truth, range_min=self.config.drive.scanner.near)
+        write_tum(path.with_suffix(".truth.tum"), self.truth)
+
+    def write_into(self, folder: Path) -> None:
+        self.write(folder / "drive.mcap")
+
+
 @one_blas_thread()
-def simulate_laser(out: Path | str | None = None, world: World | None = None, *, seed: int = 0) -> LaserSimulation:
+def simulate_laser(out: Path | str | None = None, world: World | None = None, *, seed: int = 0) -> SimulatedDrive:
     """The drive (the same for the same seed) through `world`, the ring corridor unless another is given.
 
     Written to the MCAP file `out` when one is given, with the true poses in FILE.truth.tum beside it. Raises
@@ -23,19 +72,25 @@ def simulate_laser(out: Path | str | None = None, world: World | None = None, *,
     """
     world = world or CorridorConfig()
     _check(world)
-    path = None if out is None else Path(out)
-    if path is not None and (path.suffix != ".mcap" or path.is_dir()):
-        raise UsageError(f"--out {path}: expected a file name such as corridor.mcap")
+    if out is not None:
+        _mcap(out)
     if isinstance(world, CorridorConfig):
         made = simulate_corridor(world, seed)
     elif isinstance(world, OfficeConfig):
         made = simulate_office(world, seed)
     else:
         made = simulate_tunnel(world, seed)
-    if path is not None:
-        write_mcap(path, made.log, made.truth, range_min=world.drive.scanner.near)
-        write_tum(path.with_suffix(".truth.tum"), made.truth)
-    return made
+    result = SimulatedDrive(made.log, made.truth, made.reflectance, made.world, made.heading_bias, world, seed)
+    if out is not None:
+        result.write(out)
+    return result
+
+
+def _mcap(out: Path | str) -> Path:
+    path = Path(out)
+    if path.suffix != ".mcap" or path.is_dir():
+        raise UsageError(f"--out {path}: expected a file name such as corridor.mcap")
+    return path
 
 
 def _check(world: World) -> None:

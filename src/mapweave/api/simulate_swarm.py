@@ -1,34 +1,83 @@
 """Simulated sightings of a swarm that sees itself, with their truth, as files that `locate` reads."""
 
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..core.errors import UsageError
 from ..core.threads import one_blas_thread
+from ..core.version import __version__
 from ..io.swarm import write_sightings
 from ..io.table import write_table
+from ..report.result import ResultBase
 from ..sim.swarm import Swarm, SwarmScene
 from ..sim.swarm import simulate_swarm as simulate
 
+if TYPE_CHECKING:
+    from ..report.style import Target
+
+
+@dataclass(frozen=True, slots=True, repr=False, kw_only=True)
+class SimulatedSwarm(ResultBase, Swarm):
+    """The swarm, and the scene and the seed it came from. It is written to files, not to a folder."""
+
+    scene: SwarmScene
+    seed: int
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        sightings = len(self.table.observer)
+        return {"version": __version__, "seed": self.seed, "sightings": sightings, **asdict(self.scene)}
+
+    def lines(self) -> list[str]:
+        s = self.scene
+        sigma = f"{np.degrees(s.sigma):.4g} deg"
+        return [f"{s.robots} robots in {s.dim}D, {len(self.table.observer)} sightings, sigma {sigma}, seed {self.seed}"]
+
+    def draw(self, target: "Target") -> None:
+        """Where the robots are at first, and who sees whom."""
+        from ..report.simulation import draw_world  # noqa: PLC0415  (figures cost half a second)
+
+        pairs = zip(self.table.observer.tolist(), self.table.target.tolist(), strict=True)
+        draw_world(target, "the simulated swarm", {}, self.position[0, :, :2], pairs=list(pairs))
+
+    def write(self, folder: Path | str, *, force: bool = False) -> None:
+        """The table `folder`, .csv or .parquet, and beside it the truth and the odometry; files there are replaced."""
+        del force
+        path = _table(folder)
+        write_sightings(path, self.table)
+        _write_truth(path.with_suffix(".truth.csv"), self)
+        if self.odometry is not None:
+            _write_odometry(path.with_suffix(".odometry.csv"), self)
+
+    def write_into(self, folder: Path) -> None:
+        self.write(folder / "swarm.csv")
+
 
 @one_blas_thread()
-def simulate_swarm(out: Path | str | None = None, scene: SwarmScene | None = None, *, seed: int = 0) -> Swarm:
+def simulate_swarm(out: Path | str | None = None, scene: SwarmScene | None = None, *, seed: int = 0) -> SimulatedSwarm:
     """The swarm (the same for the same seed), written to `out` and beside it when a file is given.
 
     Beside FILE.csv stand FILE.truth.csv (`id,x,y[,z]`, and `t`, `heading` where they mean something) and, when the
     robots drive, FILE.odometry.csv (`t,robot,v,w`). Raises UsageError for a scene that cannot be.
     """
-    made = simulate(scene or SwarmScene(), np.random.default_rng(seed))
     if out is not None:
-        path = Path(out)
-        if path.is_dir() or not path.suffix:
-            raise UsageError(f"--out {path}: expected a file name such as swarm.csv or swarm.parquet")
-        write_sightings(path, made.table)
-        _write_truth(path.with_suffix(".truth.csv"), made)
-        if made.odometry is not None:
-            _write_odometry(path.with_suffix(".odometry.csv"), made)
-    return made
+        _table(out)
+    scene = scene or SwarmScene()
+    made = simulate(scene, np.random.default_rng(seed))
+    result = SimulatedSwarm(**{f.name: getattr(made, f.name) for f in fields(made)}, scene=scene, seed=seed)
+    if out is not None:
+        result.write(out)
+    return result
+
+
+def _table(out: Path | str) -> Path:
+    path = Path(out)
+    if path.is_dir() or not path.suffix:
+        raise UsageError(f"--out {path}: expected a file name such as swarm.csv or swarm.parquet")
+    return path
 
 
 def _write_truth(path: Path, made: Swarm) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,16 +19,20 @@ from ..evaluation.team import TeamScore, as_json, score_team
 from ..fusion.result import Component, Fusion
 from ..landmarks.landmark_map import LandmarkMap
 from ..landmarks.local_map import LocalMap
+from ..report.result import ResultBase, Rows
 from ..report.team_story import TeamStory
 from ..team.team_map import TeamMap
 from .evaluate_team import TeamTruth, read_team_truth, team_lines
 from .online import OnlineMap, growth
 
+if TYPE_CHECKING:
+    from ..report.style import Target
+
 NOTHING = LandmarkMap((), np.zeros((0, 2)), np.zeros((0, 0)))
 
 
-@dataclass(frozen=True, slots=True)
-class TeamResult:
+@dataclass(frozen=True, slots=True, repr=False)
+class TeamResult(ResultBase):
     """One map of a team and how it came about.
 
     maps: components, the largest first; local: what each robot handed over; growth: the global map over time, where
@@ -100,7 +104,26 @@ class TeamResult:
             warnings=self.warnings,
         )
 
-    def write(self, folder: Path) -> None:
+    def headline(self) -> Rows:
+        scores = {} if self.score is None else self.score.robots
+        head = ("robot", "sightings", "landmarks", "component", "ATE [m]")
+        rows = [
+            (robot_key(m.robot), sum(m.sightings.values()), len(m.submap.ids), self._component(m.robot), ate)
+            for m in self.local
+            for ate in [scores[m.robot].ate if m.robot in scores else None]
+        ]
+        return head, rows
+
+    def _component(self, robot: str) -> int | None:
+        return next((k for k, team in enumerate(self.maps, 1) if robot in team.robots), None)
+
+    def draw(self, target: "Target") -> None:
+        """The fused map with its robots' trajectories."""
+        from ..report.team_figures import fused_map  # noqa: PLC0415  (figures cost half a second)
+
+        fused_map(target, self.story, self.maps[0])
+
+    def write_into(self, folder: Path) -> None:
         """Everything into `folder`, `metrics.json` last."""
         from .team_files import write_team  # noqa: PLC0415  (figures cost half a second; only files need them)
 

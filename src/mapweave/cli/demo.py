@@ -27,6 +27,5 @@ def demo(
     say("Four simulated robots drive for five minutes among 24 landmarks, none knowing where the others began.")
     with progress() as on_progress:
         result = run(out, seed=seed, force=force, on_progress=on_progress)
-    for line in result.lines():
-        say(line)
+    say(result.summary())
     say(f"Look at {out / 'report.html'}")

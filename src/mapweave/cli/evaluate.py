@@ -36,5 +36,4 @@ def evaluate(
 
         say(dumps(plain(told.as_json()), indent=1, ensure_ascii=False))
         return
-    for line in told.lines():
-        say(line)
+    say(told.summary())

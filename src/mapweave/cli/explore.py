@@ -84,6 +84,5 @@ def explore(
             force=force,
             on_progress=on_progress,
         )
-    for line in result.lines():
-        say(line)
+    say(result.summary())
     say(f"report: {out / 'report.html'}")

@@ -53,6 +53,5 @@ def fuse(
             force=force,
             on_progress=on_progress,
         )
-    for line in result.lines():
-        say(line)
+    say(result.summary())
     say(f"report: {out / 'report.html'}")

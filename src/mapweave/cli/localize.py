@@ -91,6 +91,5 @@ def localize(
             force=force,
             on_progress=on_progress,
         )
-    for line in result.lines():
-        say(line)
+    say(result.summary())
     say(f"report: {out / 'report.html'}")

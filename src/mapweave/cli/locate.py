@@ -100,6 +100,5 @@ def locate(
             force=force,
             on_progress=on_progress,
         )
-    for line in result.lines():
-        say(line)
+    say(result.summary())
     say(f"report: {out / 'report.html'}")

@@ -122,8 +122,7 @@ def map_logs(
             force=force,
             on_progress=on_progress,
         )
-    for line in result.lines():
-        say(line)
+    say(result.summary())
     say(f"report: {out / 'report.html'}")
 
 

@@ -59,5 +59,4 @@ def landmarks(
         seed=seed,
         force=force,
     )
-    seen = sum(len(r.stamps) for r in made.robots)
-    say(f"{out}: {len(made.robots)} robots, {len(made.landmarks)} landmarks, {seen} sightings, seed {seed}")
+    say(f"{out}: {made.summary()}")

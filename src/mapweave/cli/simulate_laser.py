@@ -190,7 +190,5 @@ def _write(out: Path, world: "World", seed: int) -> None:
     from .say import say
 
     made = simulate_laser(out, world, seed=seed)
-    log = made.log
-    way = (len(log.scans) - 1) * world.drive.scan_every
-    say(f"{out}: {len(log.scans)} scans over {way:.0f} m, {len(log.stamps())} stamps, seed {seed}")
+    say(f"{out}: {made.summary()}")
     say(f"truth: {out.with_suffix('.truth.tum')}")

@@ -38,7 +38,7 @@ class ExplorationResult(Generic[AnyMission, Score, Record]):
         "ms_per_decision": "ms_per_decision",
     }  # summary key -> the score it is the mean of
 
-    def summary(self) -> dict[str, Any]:
+    def averages(self) -> dict[str, Any]:
         """Counts, and means over the runs; a figure no run has is None."""
         steps = [r.steps for r in self.runs]
         return {
@@ -70,10 +70,10 @@ class ExplorationResult(Generic[AnyMission, Score, Record]):
             "until": m.until,
             "kill": {f"robot{j + 1}": step for j, step in (m.kills or {}).items()},
             "drop": m.drop,
-            "summary": self.summary(),
+            "summary": self.averages(),
         }
 
     def _line_of_steps(self) -> str:
-        s = self.summary()
+        s = self.averages()
         steps = f"{s['steps_min']} / {s['steps_mean']:.1f} / {s['steps_max']} (min / mean / max)"
         return f"{s['finished']} of {s['runs']} runs finished; steps {steps}"

@@ -70,7 +70,7 @@ def recording(first: Any) -> TeamRecording:
                 j + 1,
                 np.array(rows),
                 np.array(stamps),
-                np.array(barcodes),
+                np.array(barcodes, dtype=np.int64),
                 np.array(seen).reshape(-1, 2),
                 np.array(truth),
             )

@@ -16,7 +16,7 @@ from ..kernels.exploration.objective import mark_half_disc
 from ..kernels.raster import Raster, Sector
 from ..kernels.walls.sight import mark_in_sight
 from .html import Page
-from .style import MUTED, SEQUENTIAL, TRUTH, as_map, colour, draw_ellipse, figure, marker
+from .style import MUTED, SEQUENTIAL, TRUTH, Target, as_map, colour, draw_ellipse, figure, marker
 
 FRAMES = 48
 TALLEST = 24.0  # inches, of a figure, however narrow the field
@@ -29,7 +29,7 @@ def write_exploration(folder: Path, result: LandmarkExploreResult) -> None:
     draw_progress(folder / "figures" / "progress.png", first, result)
     draw_explored(folder / "figures" / "explored.png", first, result)
     draw_animation(folder / "figures" / "first_run.gif", first)
-    s, m = result.summary(), result.mission
+    s, m = result.averages(), result.mission
     noise = "as configured" if result.noise is None else f"{result.noise:g} of the printed"
     page = Page(
         f"Exploration of {result.scenario}",
@@ -88,7 +88,7 @@ def write_exploration(folder: Path, result: LandmarkExploreResult) -> None:
     page.write(folder / "report.html")
 
 
-def draw_map(path: Path, run: LandmarkRecord) -> None:
+def draw_map(path: Target, run: LandmarkRecord) -> None:
     """Trajectories, landmarks with 95 % ellipses, truth, and the borders of submaps at hand-over."""
     width, height = run.world.upper - run.world.lower
     with figure(path, 8.0, min(8.0 * float(height / width), TALLEST) + 0.6) as (_, ax):

@@ -17,7 +17,7 @@ from .laser_exploration_figures import (
 
 def write_laser_exploration(folder: Path, result: LaserExploreResult) -> None:
     """report.html and figures/ in `folder`."""
-    first, s, m = result.first, result.summary(), result.mission
+    first, s, m = result.first, result.averages(), result.mission
     figures = folder / "figures"
     page = Page(
         f"Exploration of {result.scenario}",

@@ -13,7 +13,7 @@ from ..core.walls import Walls
 from ..exploration.laser.experiment import LaserRecord, MapSnapshot
 from ..laser.occupancy import Occupancy
 from .exploration import rendered, save_gif
-from .style import MARKERS, MUTED, PALETTE, SEQUENTIAL, TRUTH, as_map, colour, figure, marker
+from .style import MARKERS, MUTED, PALETTE, SEQUENTIAL, TRUTH, Target, as_map, colour, figure, marker
 
 SHADES = ListedColormap(["#DADDE1", "#FFFFFF", "#3C4043"])  # unknown, free, occupied
 WALL = "#D55E00"
@@ -22,7 +22,7 @@ FEW_SNAPSHOTS = 60
 GIF_DPI = 95
 
 
-def draw_map(path: Path, run: LaserRecord) -> None:
+def draw_map(path: Target, run: LaserRecord) -> None:
     """The merged map, the true walls on it, the robots' trajectories as estimated and their starts."""
     with figure(path, *_size(run, legend=True)) as (fig, ax):
         _occupancy(ax, run.map)

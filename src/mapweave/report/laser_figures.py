@@ -11,7 +11,7 @@ from ..core import se2
 from ..core.records import Track
 from ..laser.grid import GridMap, IntensityCalibration
 from ..laser.laser_map import LaserMap
-from .style import MUTED, SEQUENTIAL, TRUTH, as_map, colour, figure
+from .style import MUTED, SEQUENTIAL, TRUTH, Target, as_map, colour, figure
 
 DECISIONS = {"matched": 0, "odometry": 5, "skipped": 4, "empty": 3}  # decision -> colour
 MOST_Q = 1.0  # of the colour scale
@@ -20,7 +20,7 @@ PASSED_BY = 0.3  # occupancy up to which a cell's returns were of things that mo
 UNSEEN = 0.86  # the grey of cells no beam reached
 
 
-def draw_map(path: Path, made: LaserMap, truth: Track | None) -> None:
+def draw_map(path: Target, made: LaserMap, truth: Track | None) -> None:
     """Walls black, free space white, unknown grey; the trajectory on top, the truth where there is one."""
     with figure(path, *map_size(made.grid)) as (fig, ax):
         draw_occupancy(ax, made.grid)

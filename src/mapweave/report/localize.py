@@ -9,7 +9,7 @@ from ..laser.grid import GridMap
 from ..laser.localise import Localisation
 from .html import Page
 from .laser_figures import READABLE, draw_occupancy, map_size, map_window
-from .style import as_map, colour, figure
+from .style import Target, as_map, colour, figure
 
 
 def write_localisation_report(folder: Path, found: Localisation, grid: GridMap, lines: Sequence[str]) -> None:
@@ -28,14 +28,14 @@ def write_localisation_report(folder: Path, found: Localisation, grid: GridMap, 
     for line in lines:
         page.text(line, warn=not found.trusted)
     where, scans = folder / "figures" / "where.png", folder / "figures" / "scans.png"
-    _draw_where(where, found, grid)
+    draw_where(where, found, grid)
     page.figure(where, "The finished map and the robot in it; thin before the start was found.")
     _draw_scans(scans, found)
     page.figure(scans, "How much of every scan the map explains, and how many hypotheses still count.")
     page.write(folder / "report.html")
 
 
-def _draw_where(path: Path, found: Localisation, grid: GridMap) -> None:
+def draw_where(path: Target, found: Localisation, grid: GridMap) -> None:
     with figure(path, *map_size(grid)) as (fig, ax):
         draw_occupancy(ax, grid)
         pose, t = found.track.pose, found.track.t

@@ -1,7 +1,8 @@
 """How every figure looks: one palette for any colour vision, units on both axes, small files."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -48,16 +49,38 @@ def marker(k: int) -> str:
     return MARKERS[k % len(MARKERS)]
 
 
+@dataclass(slots=True)
+class Sheet:
+    """Holds the figure that is drawn on it, where a path would take its file."""
+
+    figure: Figure | None = None
+
+
+Target = Path | Sheet
+
+
 @contextmanager
-def figure(path: Path, width: float = 7.0, height: float = 5.0, **layout: Any) -> Iterator[tuple[Figure, Any]]:
-    """A figure of `width` x `height` inches and its axes (`layout`: as `Figure.subplots`); saved at the end."""
+def figure(path: Target, width: float = 7.0, height: float = 5.0, **layout: Any) -> Iterator[tuple[Figure, Any]]:
+    """A figure of `width` x `height` inches and its axes (`layout`: as `Figure.subplots`); saved or left on a sheet."""
     with mpl.rc_context(_RC):
         fig = Figure(figsize=(width, height), layout="constrained")
         FigureCanvasAgg(fig)
         axes = fig.subplots(**layout)
         yield fig, axes
+        if isinstance(path, Sheet):
+            path.figure = fig
+            return
         path.parent.mkdir(parents=True, exist_ok=True)
         fig.savefig(path, dpi=110, metadata={"Software": None}, pil_kwargs={"optimize": True})
+
+
+def drawn(draw: Callable[[Sheet], object]) -> Figure:
+    """The figure that `draw` draws, saved nowhere."""
+    sheet = Sheet()
+    draw(sheet)
+    if sheet.figure is None:
+        raise RuntimeError("nothing was drawn")
+    return sheet.figure
 
 
 def as_map(ax: Axes, title: str = "", unit: str = "m") -> None:

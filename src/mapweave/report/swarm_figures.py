@@ -13,7 +13,7 @@ from ..evaluation.swarm import squared_errors
 from ..swarm.moving.result import SwarmTrack
 from ..swarm.network import Network
 from ..swarm.result import SwarmEstimate
-from .style import PALETTE, SEQUENTIAL, TRUTH, as_map, figure
+from .style import PALETTE, SEQUENTIAL, TRUTH, Target, as_map, figure
 
 FEW = 60  # robots up to which each is named
 SOME = 1500  # up to which each has its ellipse and each sighting its line
@@ -23,7 +23,7 @@ PLANES = {2: ((0, 1),), 3: ((0, 1), (0, 2))}
 
 
 def network_figure(
-    path: Path, net: Network, estimate: SwarmEstimate, truth: Float[np.ndarray, "n d"] | None = None
+    path: Target, net: Network, estimate: SwarmEstimate, truth: Float[np.ndarray, "n d"] | None = None
 ) -> float:
     """The network as located, with 95 % ellipses drawn as many times larger as is returned."""
     planes = PLANES[net.dim]
@@ -130,7 +130,7 @@ def residual_figure(
 
 
 def tracks_figure(
-    path: Path, ids: tuple[str, ...], track: SwarmTrack, anchors: Any, truth: dict[int, Float[np.ndarray, "k d"]]
+    path: Target, ids: tuple[str, ...], track: SwarmTrack, anchors: Any, truth: dict[int, Float[np.ndarray, "k d"]]
 ) -> None:
     """Every robot's way; with truth, thin beneath."""
     with figure(path, 7.2, 6.4) as (_, ax):

@@ -54,7 +54,7 @@ def exaggeration(landmarks: LandmarkMap) -> int:
     return fitting[-1] if fitting else 1
 
 
-def fused_map(path: Path, story: TeamStory, team: TeamMap) -> str:
+def fused_map(path: style.Target, story: TeamStory, team: TeamMap) -> str:
     """One component with its trajectories. The caption is returned."""
     landmarks = shape(team.landmarks)
     grow = exaggeration(landmarks)

@@ -11,9 +11,9 @@ from .experiment import LandmarkMission, LandmarkRecord, LandmarkScore
 class LandmarkExploreResult(ExplorationResult[LandmarkMission, LandmarkScore, LandmarkRecord]):
     """noise: motion noise over the printed one, None if no multiple."""
 
-    def summary(self) -> dict[str, Any]:
+    def averages(self) -> dict[str, Any]:
         """Counts, and means over the runs; a figure no run has is None."""
-        return ExplorationResult.summary(self) | {"collisions": self._mean("collisions")}
+        return ExplorationResult.averages(self) | {"collisions": self._mean("collisions")}
 
     def left_out(self) -> dict[str, Any] | None:
         """What walls hide from everybody, None in an open field: pockets, and the first run's landmarks."""
@@ -30,6 +30,7 @@ class LandmarkExploreResult(ExplorationResult[LandmarkMission, LandmarkScore, La
             ],
         }
 
+    @property
     def metrics(self) -> dict[str, Any]:
         """What metrics.json holds; only `timing` and `ms_per_decision` differ between equal runs."""
         return self._settings(self.first.robots, {}, {"association": self.mission.cfg.submap.association}) | {
@@ -39,7 +40,7 @@ class LandmarkExploreResult(ExplorationResult[LandmarkMission, LandmarkScore, La
 
     def lines(self) -> list[str]:
         """The outcome in a few lines for people."""
-        s = self.summary()
+        s = self.averages()
         lines = [self._line_of_steps()]
         if s["map_error_m"] is not None:
             lines.append(

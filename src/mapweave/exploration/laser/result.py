@@ -27,13 +27,14 @@ class LaserExploreResult(ExplorationResult[LaserMission, LaserScore, LaserRecord
         "driven_m": "driven",
     }
 
-    def summary(self) -> dict[str, Any]:
+    def averages(self) -> dict[str, Any]:
         """Counts, and means over the runs; a figure no run has is None."""
-        return ExplorationResult.summary(self) | {
+        return ExplorationResult.averages(self) | {
             "area_mapped_min": min(r.area_mapped for r in self.runs),
             "collisions": sum(r.collisions for r in self.runs),
         }
 
+    @property
     def metrics(self) -> dict[str, Any]:
         """What metrics.json holds; only `timing` and `ms_per_decision` differ between equal runs."""
         first = self.first
@@ -62,7 +63,7 @@ class LaserExploreResult(ExplorationResult[LaserMission, LaserScore, LaserRecord
 
     def lines(self) -> list[str]:
         """The outcome in a few lines for people."""
-        s = self.summary()
+        s = self.averages()
         mapped = f"{100 * s['area_mapped']:.2f} % (least {100 * s['area_mapped_min']:.2f} %)"
         lines = [
             self._line_of_steps(),

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 
 from ...report.html import Page
-from ...report.style import MUTED, TRUTH, as_map, colour, figure
+from ...report.style import MUTED, TRUTH, Target, as_map, colour, figure
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +45,7 @@ def write(where: Path, pictures: Pictures, tables: Sequence[Table], settings: st
         (("nothing known", pictures.first), ("1 and 2 known", pictures.first_known)),
         "first guess",
     )
-    panels = (("nothing known", pictures.free), ("1 and 2 known", pictures.known))
-    _layouts(figures / "final.png", pictures.truth, panels, "estimate", pictures.once)
+    draw_final(figures / "final.png", pictures)
     _drift(figures / "drift.png", pictures)
     page = Page(
         "Hamatani, Nakamura, Naruse, reproduced",
@@ -72,8 +71,14 @@ def write(where: Path, pictures: Pictures, tables: Sequence[Table], settings: st
     page.write(where / "report.html")
 
 
+def draw_final(target: Target, pictures: Pictures) -> None:
+    """The estimates after all updates beside the truth."""
+    panels = (("nothing known", pictures.free), ("1 and 2 known", pictures.known))
+    _layouts(target, pictures.truth, panels, "estimate", pictures.once)
+
+
 def _layouts(
-    path: Path, truth: np.ndarray, panels: Sequence[tuple[str, np.ndarray]], name: str, once: np.ndarray | None = None
+    path: Target, truth: np.ndarray, panels: Sequence[tuple[str, np.ndarray]], name: str, once: np.ndarray | None = None
 ) -> None:
     with figure(path, 8.4, 3.9, ncols=len(panels)) as (_, axes):
         for ax, (title, x) in zip(axes, panels, strict=True):

@@ -10,7 +10,9 @@ import numpy as np
 from ...core.progress import Progress, no_progress
 from ...core.threads import one_blas_thread
 from ...core.version import __version__
-from ...io.directory import check_target, result_directory, write_json
+from ...io.directory import check_target, write_json
+from ...report.result import ResultBase, Rows
+from ...report.style import Target
 from ...swarm.locate import locate
 from . import page as report
 from .experiments import LAYOUT, UPDATES, VARIANCES, Case, Cell, measure, run_filter, side_error, sightings
@@ -79,8 +81,8 @@ place to linearise at, and the linear start mends that; the scale then stays tha
 """
 
 
-@dataclass(frozen=True, slots=True)
-class HamataniReproduction:
+@dataclass(frozen=True, slots=True, repr=False)
+class HamataniReproduction(ResultBase):
     """Everything measured: cells with nothing known and with two robots known, and the drift of scale."""
 
     seed: int
@@ -156,6 +158,30 @@ class HamataniReproduction:
         )
         return tuple(" ".join(part.split()) for part in text.strip().split("\n\n"))
 
+    def headline(self) -> Rows:
+        return self.table(1)
+
+    def lines(self) -> list[str]:
+        judged = [self.verdict(t, g, b) for t in PRINTED for g in VARIANCES for b in VARIANCES]
+        told = [
+            (
+                f"Hamatani, Nakamura, Naruse: {self.trials} trials a cell, {judged.count('reproduced')} cells "
+                f"reproduced, {judged.count('not reproduced')} not, {judged.count('× in the paper')} not printed"
+            )
+        ]
+        return [*told, *self.differences()]
+
+    def draw(self, target: Target) -> None:
+        """Figure 4: the estimates after all updates."""
+        report.draw_final(target, self.example)
+
+    def write_into(self, folder: Path) -> None:
+        tables = [report.Table(TITLES[k], *self.table(k)) for k in PRINTED]
+        tables.append(report.Table("The drift of scale, nothing known", *self.drift_table()))
+        report.write(folder, self.example, tables, self.settings(), self.differences())
+        write_json(folder / "metrics.json", self.metrics)
+
+    @property
     def metrics(self) -> dict[str, Any]:
         """What `metrics.json` holds."""
         tables = {
@@ -225,11 +251,7 @@ def reproduce_hamatani(
         seed, quick, trials, tuple(cells[: len(cases)]), tuple(cells[len(cases) :]), pictures, timing
     )
     if out is not None:
-        with result_directory(Path(out), force=force) as work:
-            tables = [report.Table(TITLES[k], *result.table(k)) for k in PRINTED]
-            tables.append(report.Table("The drift of scale, nothing known", *result.drift_table()))
-            report.write(work, pictures, tables, result.settings(), result.differences())
-            write_json(work / "metrics.json", result.metrics())
+        result.write(out, force=force)
     return result
 
 

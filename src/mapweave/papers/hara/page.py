@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ...laser.grid import GridMap
 from ...report.html import Page
-from ...report.style import MUTED, SEQUENTIAL, TRUTH, as_map, colour, figure
+from ...report.style import MUTED, SEQUENTIAL, TRUTH, Target, as_map, colour, figure
 
 
 @runtime_checkable
@@ -47,7 +47,7 @@ def write(
     page.write(where / "report.html")
 
 
-def draw_maps(path: Path, pictures: Sequence[Shown]) -> None:
+def draw_maps(path: Target, pictures: Sequence[Shown]) -> None:
     """One panel a method, all at one scale."""
     across = 2
     down = -(-len(pictures) // across)

@@ -11,7 +11,9 @@ from jaxtyping import Float
 from ...core.progress import Progress, no_progress
 from ...core.threads import one_blas_thread
 from ...core.version import __version__
-from ...io.directory import check_target, result_directory, write_json
+from ...io.directory import check_target, write_json
+from ...report.result import ResultBase, Rows
+from ...report.style import Target
 from . import page as report
 from .experiments import Method, Picture, compare, methods
 
@@ -34,8 +36,8 @@ Errors are root mean square positions after one rigid alignment to the truth.
 )
 
 
-@dataclass(frozen=True, slots=True)
-class HaraReproduction:
+@dataclass(frozen=True, slots=True, repr=False)
+class HaraReproduction(ResultBase):
     """errors: (methods, seeds) ATE [m]; pictures: the maps of one seed."""
 
     seed: int
@@ -65,6 +67,23 @@ class HaraReproduction:
             )
         return head, rows
 
+    def headline(self) -> Rows:
+        return self.table()
+
+    def lines(self) -> list[str]:
+        means = ", ".join(f"{m.name} {e.mean():.2f} m" for m, e in zip(self.methods, self.errors, strict=True))
+        told = [f"Hara, Kawata, Ohya, Yuta: mean trajectory error over {self.errors.shape[1]} drives of 200 m: {means}"]
+        return [*told, *NOTES]
+
+    def draw(self, target: Target) -> None:
+        """The maps of Figs. 4 to 7 side by side."""
+        report.draw_maps(target, self.pictures)
+
+    def write_into(self, folder: Path) -> None:
+        report.write(folder, self.pictures, *self.table(), NOTES)
+        write_json(folder / "metrics.json", self.metrics)
+
+    @property
     def metrics(self) -> dict[str, Any]:
         rows = [
             {
@@ -108,7 +127,5 @@ def reproduce_hara(
     errors, pictures = compare(chosen, range(seed, seed + seeds), seed, on_progress)
     result = HaraReproduction(seed, quick, particles, chosen, errors, pictures, {"all": perf_counter() - begun})
     if out is not None:
-        with result_directory(Path(out), force=force) as work:
-            report.write(work, pictures, *result.table(), NOTES)
-            write_json(work / "metrics.json", result.metrics())
+        result.write(out, force=force)
     return result

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from ...core import se2
 from ...report.html import Page
-from ...report.style import MUTED, TRUTH, as_map, colour, figure, marker
+from ...report.style import MUTED, TRUTH, Target, as_map, colour, figure, marker
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class Pictures:
 def write(where: Path, pictures: Pictures, tables: Sequence[Table], differences: Sequence[str]) -> None:
     """`report.html` and `figures/*.png` in `where`."""
     figures = where / "figures"
-    _trace(figures / "trace.png", pictures)
+    draw_trace(figures / "trace.png", pictures)
     _errors(figures / "errors.png", pictures)
     _bars(figures / "unequal.png", pictures)
     _world(figures / "world.png", pictures)
@@ -87,7 +87,7 @@ def write(where: Path, pictures: Pictures, tables: Sequence[Table], differences:
     page.write(where / "report.html")
 
 
-def _trace(path: Path, p: Pictures) -> None:
+def draw_trace(path: Target, p: Pictures) -> None:
     readings = list(dict.fromkeys(c.reading for c in p.curves))
     titles = {"prior": "map 1 is the prior", "measurement": "map 1 is a measurement"}
     with figure(path, 8.0, 3.8, ncols=len(readings)) as (_, axes):

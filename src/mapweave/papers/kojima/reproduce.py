@@ -11,7 +11,9 @@ from ...core.progress import Progress, no_progress
 from ...core.threads import one_blas_thread
 from ...core.version import __version__
 from ...fusion.relative_information import Weights
-from ...io.directory import check_target, result_directory, write_json
+from ...io.directory import check_target, write_json
+from ...report.result import ResultBase, Rows
+from ...report.style import Target
 from . import page as report
 from .experiments import Rule, Run, Unequal, honesty, merge_online, unequal
 from .world import KojimaConfig, Worlds, draw_worlds
@@ -57,8 +59,8 @@ Weights do pay when maps share more than two landmarks and differ in quality: se
 SHOWN = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 700)  # updates of the trace curve that are printed
 
 
-@dataclass(frozen=True, slots=True)
-class KojimaReproduction:
+@dataclass(frozen=True, slots=True, repr=False)
+class KojimaReproduction(ResultBase):
     """Everything measured. seeds: worlds behind Table 2; unequal_seeds: behind the table of unequal maps."""
 
     seed: int
@@ -141,6 +143,22 @@ class KojimaReproduction:
         )
         return tuple(" ".join(part.split()) for part in text.strip().split("\n\n"))
 
+    def headline(self) -> Rows:
+        return self.table2()
+
+    def lines(self) -> list[str]:
+        told = [f"Kojima, Okawa, Namerikawa: two robots, 700 merges, {self.seeds} simulated worlds"]
+        return [*told, *self.differences()]
+
+    def draw(self, target: Target) -> None:
+        """Fig. 7: the trace of the global covariance."""
+        report.draw_trace(target, _pictures(self))
+
+    def write_into(self, folder: Path) -> None:
+        report.write(folder, _pictures(self), _tables(self), self.differences())
+        write_json(folder / "metrics.json", self.metrics)
+
+    @property
     def metrics(self) -> dict[str, Any]:
         """What `metrics.json` holds; lengths in metres."""
         runs = [
@@ -204,9 +222,7 @@ def reproduce_kojima(
     timing = {"table2": merged - begun, "weights": perf_counter() - merged}
     result = KojimaReproduction(seed, quick, seeds, unequal_seeds, cfg, worlds, runs, nees, table, timing)
     if out is not None:
-        with result_directory(Path(out), force=force) as work:
-            report.write(work, _pictures(result), _tables(result), result.differences())
-            write_json(work / "metrics.json", result.metrics())
+        result.write(out, force=force)
     return result
 
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ...report.html import Page
-from ...report.style import TRUTH, colour, figure, marker
+from ...report.style import TRUTH, Target, colour, figure, marker
 
 Spread = Mapping[str, tuple[Sequence[int], Sequence[float]]]
 
@@ -47,7 +47,7 @@ def write(
     page.write(where / "report.html")
 
 
-def draw_spread(path: Path, spread: Spread, printed: tuple[float, ...]) -> None:
+def draw_spread(path: Target, spread: Spread, printed: tuple[float, ...]) -> None:
     """Steps against map error, one mark a run."""
     with figure(path, 6.4, 3.8) as (_, ax):
         for k, (name, (steps, error)) in enumerate(spread.items()):

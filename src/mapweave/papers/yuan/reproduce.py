@@ -15,7 +15,9 @@ from ...core.workers import worker_pool
 from ...exploration.landmarks.config import ExploreConfig
 from ...exploration.landmarks.experiment import CALIBRATED, LandmarkMission, LandmarkScore, explore_many, with_noise
 from ...exploration.landmarks.scenario import find_scenario
-from ...io.directory import check_target, plain, result_directory, write_json
+from ...io.directory import check_target, plain, write_json
+from ...report.result import ResultBase, Rows
+from ...report.style import Target
 from . import page as report
 
 # The paper's Table 1: steps min, max, mean, map error [m], uncertainty [m^2].
@@ -62,8 +64,8 @@ class Case:
         return self.name, done, f"{min(steps)} / {max(steps)} / {np.mean(steps):.0f}", *shown
 
 
-@dataclass(frozen=True, slots=True)
-class YuanReproduction:
+@dataclass(frozen=True, slots=True, repr=False)
+class YuanReproduction(ResultBase):
     """Everything measured."""
 
     seed: int
@@ -85,6 +87,30 @@ class YuanReproduction:
             rows.append(case.row())
         return rows
 
+    def headline(self) -> Rows:
+        return self.HEAD, self.table("table1")
+
+    def lines(self) -> list[str]:
+        runs = [r for c in self.cases for r in c.runs]
+        told = [
+            (
+                f"Yuan, Huang, Tao, Xi: {len(self.cases)} cases of {len(self.cases[0].runs)} runs, "
+                f"{sum(r.finished for r in runs)} of {len(runs)} finished"
+            )
+        ]
+        return [*told, *differences()]
+
+    def draw(self, target: Target) -> None:
+        """Steps against map error of every run."""
+        report.draw_spread(target, _spread(self), PRINTED[2])
+
+    def write_into(self, folder: Path) -> None:
+        tables = tuple((title, self.HEAD, self.table(group)) for group, title in TITLES.items())
+        steps = {c.name: float(c.mean("steps") or 0.0) for c in self.cases if c.group == "ablation"}
+        report.write(folder, tables, differences(), _spread(self), PRINTED[2], steps, len(self.cases[0].runs))
+        write_json(folder / "metrics.json", plain(self.metrics))
+
+    @property
     def metrics(self) -> dict[str, Any]:
         """What `metrics.json` holds; lengths in metres."""
         cases = [
@@ -204,8 +230,7 @@ def reproduce_yuan(
     on_progress("done", len(wanted), len(wanted))
     result = YuanReproduction(seed, quick, tuple(cases), {"all": perf_counter() - begun})
     if out is not None:
-        with result_directory(Path(out), force=force) as work:
-            _write(work, result)
+        result.write(out, force=force)
     return result
 
 
@@ -216,9 +241,9 @@ TITLES = {
 }
 
 
-def _write(work: Path, result: YuanReproduction) -> None:
-    tables = tuple((title, result.HEAD, result.table(group)) for group, title in TITLES.items())
-    spread = {
+def _spread(result: YuanReproduction) -> report.Spread:
+    """By planner: steps and map error of every run."""
+    return {
         "paper's planner" if c.group == "table1" else c.name: (
             [r.steps for r in c.runs],
             [r.map_error for r in c.runs if r.map_error is not None],
@@ -226,9 +251,6 @@ def _write(work: Path, result: YuanReproduction) -> None:
         for c in result.cases
         if c.name in ("two robots, calibrated noise", "coverage", "loop", "loop, 296 steps", "joint")
     }
-    steps = {c.name: float(c.mean("steps") or 0.0) for c in result.cases if c.group == "ablation"}
-    report.write(work, tables, differences(), spread, PRINTED[2], steps, len(result.cases[0].runs))
-    write_json(work / "metrics.json", plain(result.metrics()))
 
 
 def _robots(n: int) -> str:

@@ -1,0 +1,93 @@
+"""What every verb gives has one face: lines for people, a page's head for notebooks, files, the main picture."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from html import escape
+from numbers import Real
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+from ..io.directory import result_directory
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from .style import Target
+
+Rows = tuple[Sequence[str], Sequence[Sequence[object]]]
+MOST_LINES, MOST_ROWS, MOST_LETTERS = 8, 12, 240  # of a page's head: a few KB, however large the result
+
+
+class HasMetrics(Protocol):
+    @property
+    def metrics(self) -> Mapping[str, Any]: ...
+
+
+class ResultBase(ABC):
+    """Base of results. A subclass has `metrics` too: what stands in `metrics.json`."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def lines(self) -> list[str]:
+        """What came out, line by line, for people."""
+
+    @abstractmethod
+    def write_into(self, folder: Path) -> None:
+        """All files into `folder`, which is there and empty."""
+
+    @abstractmethod
+    def draw(self, target: "Target") -> object:
+        """The main picture on `target`."""
+
+    def headline(self) -> Rows:
+        """Head and rows of the table that tells the most; here the plain figures among the metrics."""
+        told = cast("HasMetrics", self).metrics
+        plain = [(name, value) for name, value in told.items() if isinstance(value, str | Real)]
+        return ("what", "value"), plain
+
+    def summary(self) -> str:
+        """What came out, in a few lines for people."""
+        return "\n".join(self.lines())
+
+    def write(self, folder: Path | str, *, force: bool = False) -> None:
+        """The folder that the command writes: an earlier result there is replaced whole.
+
+        Raises UsageError when something other than a result stands there, unless `force`.
+        """
+        with result_directory(Path(folder), force=force) as work:
+            self.write_into(work)
+
+    def plot(self) -> "Figure":
+        """The main picture as a Matplotlib figure."""
+        from .style import drawn  # noqa: PLC0415  (figures cost half a second; only pictures need them)
+
+        return drawn(self.draw)
+
+    def _repr_html_(self) -> str:
+        """The head of a page for notebooks: what `summary` says and the table that tells the most, a few KB."""
+        lines = self.lines()
+        told = "<br>".join(escape(_cut(line)) for line in lines[:MOST_LINES])
+        if len(lines) > MOST_LINES:
+            told += f"<br>and {len(lines) - MOST_LINES} lines more in <code>summary()</code>"
+        head, rows = self.headline()
+        top = "".join(f"<th>{escape(_cut(name))}</th>" for name in head)
+        cells = ["".join(f"<td>{escape(_cell(v))}</td>" for v in row) for row in rows[:MOST_ROWS]]
+        body = "".join(f"<tr>{row}</tr>" for row in cells)
+        more = f"<p>and {len(rows) - MOST_ROWS} rows more</p>" if len(rows) > MOST_ROWS else ""
+        return (
+            f"<div><b>{escape(type(self).__name__)}</b><p>{told}</p>"
+            f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>{more}</div>"
+        )
+
+    def __repr__(self) -> str:
+        first = next(iter(self.lines()), "")
+        return f"<{type(self).__name__}: {_cut(first)}>"
+
+
+def _cell(value: object) -> str:
+    return "–" if value is None else f"{value:.4g}" if isinstance(value, float) else _cut(str(value))
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 2]} …"

@@ -1,0 +1,156 @@
+"""Every verb's result has one face: metrics, summary, files, a page's head, the main picture."""
+
+import json
+
+import pytest
+from matplotlib.figure import Figure
+
+import mapweave
+
+HEAD = 8_000  # bytes of a page's head, however large the result
+
+
+@pytest.fixture(scope="session")
+def home(tmp_path_factory):
+    """A small log of every kind, and what `map` and `locate` make of it."""
+    home = tmp_path_factory.mktemp("results")
+    mapweave.simulate_landmarks(home / "team", robots=2, landmarks=8, minutes=0.5, seed=1)
+    mapweave.map(home / "team", home / "team-map")
+    corridor = mapweave.CorridorConfig(distance=12.0)
+    mapweave.simulate_laser(home / "drive.mcap", corridor, seed=1)
+    mapweave.map(home / "drive.mcap", home / "drive-map", method="gated")
+    mapweave.simulate_swarm(home / "swarm.csv", mapweave.SwarmScene(robots=9), seed=1)
+    mapweave.locate(home / "swarm.csv", home / "swarm-places", anchors={"1": (0.0, 0.0), "9": (20.0, 20.0)})
+    return home
+
+
+def moving(home):
+    made = mapweave.simulate_swarm(scene=mapweave.SwarmScene(robots=9, steps=4), seed=2)
+    known = {made.table.ids[c]: made.position[0, c] for c in made.corners}
+    return mapweave.locate(made.table, anchors=known)
+
+
+LASER_WORLD = 'sensor = "laser"\noffice = 150.0\n'
+
+
+def laser_exploration(home):
+    (home / "world.toml").write_text(LASER_WORLD, encoding="utf-8")
+    return mapweave.explore(str(home / "world.toml"), until=3)
+
+
+RESULTS = {
+    # what gives it: (the type, how it is had from `home`, its file of metrics)
+    "map": (mapweave.TeamResult, lambda home: mapweave.map(home / "team", truth=home / "team"), "metrics.json"),
+    "map, laser": (
+        mapweave.LaserResult,
+        lambda home: mapweave.map(home / "drive.mcap", method="gated", truth=home / "drive.truth.tum"),
+        "metrics.json",
+    ),
+    "fuse": (mapweave.TeamResult, lambda home: mapweave.fuse(home / "team-map"), "metrics.json"),
+    "locate": (mapweave.Located, lambda home: mapweave.locate(home / "swarm.csv"), "metrics.json"),
+    "locate, moving": (mapweave.Moved, moving, "metrics.json"),
+    "localize": (
+        mapweave.LocalizeResult,
+        lambda home: mapweave.localize(home / "drive.mcap", home / "drive-map", start=(0.0, 0.0, 0.0)),
+        "metrics.json",
+    ),
+    "explore": (mapweave.LandmarkExploration, lambda home: mapweave.explore(until=3), "metrics.json"),
+    "explore, laser": (mapweave.LaserExploration, laser_exploration, "metrics.json"),
+    "evaluate": (
+        mapweave.TeamEvaluation,
+        lambda home: mapweave.evaluate(home / "team-map", home / "team"),
+        "metrics.json",
+    ),
+    "evaluate, swarm": (
+        mapweave.SwarmEvaluation,
+        lambda home: mapweave.evaluate(home / "swarm-places", home / "swarm.truth.csv"),
+        "metrics.json",
+    ),
+    "simulate landmarks": (
+        mapweave.SimulatedTeam,
+        lambda home: mapweave.simulate_landmarks(robots=2, landmarks=8, minutes=0.5),
+        "simulation.json",
+    ),
+    "simulate corridor": (
+        mapweave.SimulatedDrive,
+        lambda home: mapweave.simulate_laser(world=mapweave.CorridorConfig(distance=3.0)),
+        None,
+    ),
+    "simulate swarm": (
+        mapweave.SimulatedSwarm,
+        lambda home: mapweave.simulate_swarm(scene=mapweave.SwarmScene(robots=9)),
+        None,
+    ),
+    "reproduce hamatani": (
+        mapweave.HamataniReproduction,
+        lambda home: mapweave.reproduce_hamatani(quick=True),
+        "metrics.json",
+    ),
+}
+
+
+@pytest.fixture(scope="session", params=sorted(RESULTS))
+def result(request, home):
+    """One result, and the name of its file of metrics."""
+    kind, make, file = RESULTS[request.param]
+    made = make(home)
+    assert isinstance(made, kind)
+    return made, file
+
+
+def test_a_result_keeps_the_protocol(result):
+    made, _ = result
+    assert isinstance(made, mapweave.Result)
+    assert isinstance(made.metrics, dict)
+    assert made.metrics["version"] == mapweave.__version__
+    assert made.summary().strip()
+    assert type(made).__name__ in repr(made)
+    assert len(repr(made)) < 300
+
+
+def test_a_results_page_head_is_small_and_says_what_the_summary_says(result):
+    made, _ = result
+    head = made._repr_html_()
+    assert len(head.encode()) < HEAD
+    assert head.startswith("<div>")
+    assert head.count("<tr>") >= 2
+    first = made.summary().splitlines()[0][:40]
+    assert first.split("<")[0].split("&")[0].split("'")[0] in head
+
+
+def test_a_results_picture_is_a_figure_with_something_on_it(result):
+    made, _ = result
+    figure = made.plot()
+    assert isinstance(figure, Figure)
+    assert any(ax.has_data() for ax in figure.axes)
+
+
+def test_a_result_writes_its_folder_whole_and_its_metrics_are_those_of_the_file(result, tmp_path):
+    made, file = result
+    if file is None:
+        out = tmp_path / ("drive.mcap" if isinstance(made, mapweave.SimulatedDrive) else "swarm.csv")
+        made.write(out)
+        assert out.stat().st_size > 0
+        assert list(tmp_path.glob("*.truth.*"))
+        return
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("years of work\n", encoding="utf-8")
+    with pytest.raises(mapweave.UsageError):
+        made.write(tmp_path / "mine")
+    made.write(tmp_path / "out")
+    told = json.loads((tmp_path / "out" / file).read_text(encoding="utf-8"))
+    assert set(told) == set(made.metrics)
+    assert file == "simulation.json" or (tmp_path / "out" / "report.html").stat().st_size > 1000
+
+
+def test_every_result_type_that_is_offered_is_tried_here_or_is_a_reproduction():
+    kinds = {getattr(mapweave, name) for name in mapweave.__all__ if name != "__version__"}
+    results = {kind for kind in kinds if isinstance(kind, type) and hasattr(kind, "_repr_html_")}
+    tried = {kind for kind, _, _ in RESULTS.values()}
+    left = {kind.__name__ for kind in results - tried - {mapweave.Result, mapweave.Evaluation}}
+    papers = {"HaraReproduction", "KojimaReproduction", "YuanReproduction"}
+    assert left == {*papers, "RelationEvaluation"}
+    for name in left:
+        kind = getattr(mapweave, name)
+        assert not kind.__abstractmethods__
+        assert {"metrics", "summary", "write", "plot"} <= set(dir(kind))
