@@ -14,8 +14,10 @@ from ..core.progress import Progress, no_progress
 from ..core.records import Odometry
 from ..core.threads import one_blas_thread
 from ..evaluation.swarm import StandingScore, score_moving, score_standing, scored_robots, true_places
+from ..io.columns import Columns, table_of
 from ..io.directory import check_target
 from ..io.sightings import SwarmTruth, read_swarm_odometry, read_swarm_truth
+from ..io.table import Table
 from ..io.team_bearings import read_team_bearings
 from ..swarm.config import Method, SwarmConfig
 from ..swarm.locate import locate as locate_network
@@ -37,7 +39,7 @@ MANY = 20_000  # robots beyond which covariances are left out unless asked for
 
 @one_blas_thread()
 def locate(
-    sightings: Path | str | BearingTable,
+    sightings: Path | str | BearingTable | Columns,
     out: Path | str | None = None,
     *,
     anchors: Mapping[str, Place] | None = None,
@@ -46,7 +48,7 @@ def locate(
     distances: Sequence[tuple[str, str, float]] = (),
     method: str = "batch",
     axis: bool | None = None,
-    odometry: Path | str | None = None,
+    odometry: Path | str | Columns | None = None,
     initial: Path | str | None = None,
     truth: Path | str | None = None,
     covariance: bool | None = None,
@@ -73,12 +75,10 @@ def locate(
         check_target(Path(out), force=force)
     began = perf_counter()
     on_progress("reading", 0, 1)
-    log: Mapping[str, Odometry] | None = None
-    if not isinstance(sightings, BearingTable) and is_team_log(Path(sightings)):
-        sightings, log = read_team_bearings(Path(sightings))
-        axis = False
+    source, log = _source(sightings)
+    axis = axis if log is None else False
     known = dict(anchors or {})
-    given = prepare(sightings, anchors=known, dim=dim, sigma=sigma, distances=distances, axis=axis, until=until)
+    given = prepare(source, anchors=known, dim=dim, sigma=sigma, distances=distances, axis=axis, until=until)
     read = perf_counter()
     on_progress("reading", 1, 1)
     on_progress("locating", 0, 1)
@@ -90,7 +90,7 @@ def locate(
         raise UsageError("--odometry: the sightings bear no time stamps")
     result: Located | Moved
     if odometry is not None:
-        result = _drive(given, settings, read_swarm_odometry(Path(odometry)), motion or TrackConfig(), on_progress)
+        result = _drive(given, settings, read_swarm_odometry(_rows(odometry)), motion or TrackConfig(), on_progress)
     elif log is not None:
         result = _drive(given, settings, log, motion or COMMANDED, on_progress)
     elif stamped:
@@ -178,6 +178,22 @@ def _moved(given: SwarmInput, settings: Settings, track: SwarmTrack, seconds: fl
     named = {ids[k]: one for k, one in track.tracks.items()}
     score, there = score_moving(named, left_out, track.gauge, settings.truth)
     return Moved(given, settings, track, score, {ids.index(name): q for name, q in there.items()})
+
+
+def _source(
+    sightings: Path | str | BearingTable | Columns,
+) -> tuple[Path | BearingTable | Table, Mapping[str, Odometry] | None]:
+    """The sightings, and the odometry where they come from a team's log, whose robots have axes of their own."""
+    if isinstance(sightings, BearingTable):
+        return sightings, None
+    if not isinstance(sightings, Path | str):
+        return table_of(sightings, "sightings"), None
+    path = Path(sightings)
+    return read_team_bearings(path) if is_team_log(path) else (path, None)
+
+
+def _rows(odometry: Path | str | Columns) -> Path | Table:
+    return Path(odometry) if isinstance(odometry, Path | str) else table_of(odometry, "odometry")
 
 
 def _tuned(motion: TrackConfig | None, settings: Settings) -> TrackConfig:

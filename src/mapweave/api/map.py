@@ -4,11 +4,13 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from importlib import import_module
 from pathlib import Path
-from typing import Protocol, cast, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 
 from ..core.errors import ReaderError, UsageError
+from ..core.laser_log import LaserLog
 from ..core.progress import Progress, no_progress
 from ..core.threads import one_blas_thread
+from ..io.columns import Columns
 from ..io.directory import check_target
 from .map_options import LaserOptions, MapOptions, MapResult
 
@@ -33,9 +35,12 @@ MAPPERS: tuple[str, ...] = (
 
 @one_blas_thread()
 def map(  # noqa: A001  (the verb)
-    logs: Path | str | Sequence[Path | str],
+    logs: Path | str | LaserLog | Sequence[Path | str | LaserLog] | None = None,
     out: Path | str | None = None,
     *,
+    scans: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
+    odometry: Columns | Sequence[Columns] | None = None,
+    sightings: Columns | None = None,
     robots: Sequence[str] | None = None,
     method: str | None = None,
     weights: str | None = None,
@@ -59,7 +64,6 @@ def map(  # noqa: A001  (the verb)
     Any `concurrent.futures` executor may be given; the result does not depend on it.
     Raises ReaderError, DataError, EstimateError or UsageError; nothing is written then.
     """
-    paths = [Path(logs)] if isinstance(logs, Path | str) else [Path(p) for p in logs]
     options = MapOptions(
         robots=None if robots is None else tuple(robots),
         method=method,
@@ -79,13 +83,66 @@ def map(  # noqa: A001  (the verb)
     options.check()
     if out is not None:
         check_target(Path(out), force=force)
-    mapper = _mapper(paths)
-    if (given := options.laser.given()) and mapper.__name__ != LASER:
-        raise UsageError(f"{', '.join(given)}: only for laser logs, found {paths[0]}")
-    result = mapper.map_logs(paths, options)
+    if logs is None:
+        result = _in_memory(scans, odometry, sightings, options)
+    elif scans is None and odometry is None and sightings is None:
+        result = _of_logs([logs] if isinstance(logs, Path | str | LaserLog) else list(logs), options)
+    else:
+        raise UsageError("expected either logs or tables in memory (scans, odometry, sightings), found both")
     if out is not None:
         result.write(out, force=force)
     return result
+
+
+def _of_logs(logs: Sequence[Path | str | LaserLog], options: MapOptions) -> MapResult:
+    """The map of files, or of laser logs that are in memory already."""
+    ready = [log for log in logs if isinstance(log, LaserLog)]
+    if ready:
+        if len(ready) < len(logs):
+            raise UsageError("expected files or logs in memory, found both")
+        return _laser(ready, options)
+    paths = [Path(log) for log in logs if not isinstance(log, LaserLog)]
+    mapper = _mapper(paths)
+    if (given := options.laser.given()) and mapper.__name__ != LASER:
+        raise UsageError(f"{', '.join(given)}: only for laser logs, found {paths[0]}")
+    return mapper.map_logs(paths, options)
+
+
+def _in_memory(
+    scans: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None,
+    odometry: Columns | Sequence[Columns] | None,
+    sightings: Columns | None,
+    options: MapOptions,
+) -> MapResult:
+    """The map of tables: sightings of landmarks, or the scans of one robot or of several."""
+    if (scans is None) == (sightings is None):
+        found = "both" if scans is not None else "neither"
+        raise UsageError(f"expected logs, or scans of a laser, or sightings of landmarks, found {found}")
+    if sightings is not None:
+        from .map_landmarks import map_tables  # noqa: PLC0415  (each kind of log imports what it needs)
+
+        if isinstance(odometry, list | tuple):
+            raise UsageError("odometry: expected one table of all robots (t,robot,v,w), found several")
+        if given := options.laser.given():
+            raise UsageError(f"{', '.join(given)}: only for laser logs, found sightings")
+        return map_tables(cast("Columns | None", odometry), sightings, options)
+    from ..io.laser_arrays import laser_log_of  # noqa: PLC0415
+    from .map_laser import source_of  # noqa: PLC0415
+
+    each = [scans] if isinstance(scans, Mapping) else list(scans or ())
+    drives = list(odometry) if isinstance(odometry, list | tuple) else [odometry] * min(1, len(each))
+    if len(drives) != len(each):
+        raise UsageError(f"expected as many tables of odometry as of scans, found {len(drives)} and {len(each)}")
+    source = source_of(options)
+    names = [str(k) for k in range(1, len(each) + 1)]
+    given_logs = zip(each, cast("list[Columns | None]", drives), names, strict=True)
+    return _laser([laser_log_of(one, drive, name, source) for one, drive, name in given_logs], options)
+
+
+def _laser(logs: Sequence[LaserLog], options: MapOptions) -> MapResult:
+    from .map_laser import map_logs  # noqa: PLC0415
+
+    return map_logs(logs, options)
 
 
 def _mapper(logs: Sequence[Path]) -> Mapper:

@@ -12,6 +12,8 @@ from ..core.workers import worker_pool
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse
 from ..fusion.known_starts import tie_by_starts
+from ..io.columns import Columns
+from ..io.csv_landmarks import landmark_logs_of
 from ..io.landmark_logs import is_landmark_log, read_landmark_logs
 from ..landmarks.config import EkfSlamConfig
 from ..landmarks.local_map import LocalMap
@@ -38,13 +40,33 @@ def applies(log: Path) -> bool:
 
 def map_logs(logs: Sequence[Path], options: MapOptions) -> TeamResult:
     """One map of all robots in `logs`."""
-    if options.method not in (None, *METHODS):
-        raise UsageError(f"--method: landmark logs know {', '.join(METHODS)}, found {options.method!r}")
-    cfg = load(LandmarkMapConfig, options.config, {"fuse": {"weights": options.weights}})
+    cfg = _configured(options)
     watch = Watch()
     options.on_progress("reading", 0, 1)
-    read = _shared(_read(logs, options), options)
+    read = _read(logs, options)
     options.on_progress("reading", 1, 1)
+    return _map_read(read, cfg, options, f"One map from {', '.join(p.name for p in logs)}", watch)
+
+
+def map_tables(odometry: Columns | None, sightings: Columns, options: MapOptions) -> TeamResult:
+    """One map of all robots in two tables with the columns of `odometry.csv` and `sightings.csv`."""
+    cfg = _configured(options)
+    watch = Watch()
+    wanted = None if options.robots is None else [_number(key) for key in options.robots]
+    read = list(landmark_logs_of(odometry, sightings, wanted))
+    return _map_read(read, cfg, options, "One map from tables in memory", watch)
+
+
+def _configured(options: MapOptions) -> LandmarkMapConfig:
+    if options.method not in (None, *METHODS):
+        raise UsageError(f"--method: landmark logs know {', '.join(METHODS)}, found {options.method!r}")
+    return load(LandmarkMapConfig, options.config, {"fuse": {"weights": options.weights}})
+
+
+def _map_read(
+    logs: Sequence[LandmarkLog], cfg: LandmarkMapConfig, options: MapOptions, title: str, watch: Watch
+) -> TeamResult:
+    read = _shared(list(logs), options)
     watch.lap("read")
     local = _local_maps(read, cfg.ekf, options)
     watch.lap("estimate")
@@ -56,7 +78,6 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> TeamResult:
             read, local, cfg.ekf, cfg.fuse, options.fuse_every, options.seed, options.on_progress
         )
     fusion = tie_by_starts(fusion, {robot_name(key): pose for key, pose in options.start.items()})
-    title = f"One map from {', '.join(p.name for p in logs)}"
     return team_result(title, options.seed, local, fusion, options.truth, online, watch)
 
 

@@ -32,7 +32,7 @@ from ..report.style import Target
 from .evaluate import Evaluation, evaluate
 from .map_options import MapOptions
 
-Job = tuple[Path, str, LaserSource, LaserConfig, int, float]
+Job = tuple[Path | LaserLog, str, LaserSource, LaserConfig, int, float]
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -84,16 +84,14 @@ def applies(log: Path) -> bool:
     return is_laser_log(log)
 
 
-def map_logs(logs: Sequence[Path], options: MapOptions) -> LaserResult:
-    """The maps of `logs`; robot K is the K-th of their robots, of which a recording may hold several."""
+def map_logs(logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResult:
+    """The maps of `logs`, files or logs that are read already; robot K is the K-th of their robots.
+
+    A recording may hold several robots.
+    """
     cfg = _configured(options)
-    source = LaserSource(
-        scan_topic=options.laser.scan_topic,
-        odom_topic=options.laser.odom_topic,
-        sensor_pose=options.laser.sensor_pose,
-        mirrored=options.laser.mirrored,
-    )
-    robots = [(log, replace(source, name=name)) for log in logs for name in robots_of(log, source)]
+    source = source_of(options)
+    robots = [(log, replace(source, name=name)) for log in logs for name in _names(log, source)]
     names = [str(k) for k in range(1, len(robots) + 1)]
     wanted = names if options.robots is None else list(options.robots)
     if missing := [name for name in wanted if name not in names]:
@@ -115,8 +113,23 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> LaserResult:
     return LaserResult(maps, metrics | {"evaluation": score.as_json()}, score, truth)
 
 
+def _names(log: Path | LaserLog, source: LaserSource) -> tuple[str | None, ...]:
+    return (None,) if isinstance(log, LaserLog) else tuple(robots_of(log, source))
+
+
+def source_of(options: MapOptions) -> LaserSource:
+    """Which topics are read and where the scanner stands, as asked."""
+    asked = options.laser
+    return LaserSource(
+        scan_topic=asked.scan_topic,
+        odom_topic=asked.odom_topic,
+        sensor_pose=asked.sensor_pose,
+        mirrored=asked.mirrored,
+    )
+
+
 def map_one(
-    path: Path,
+    path: Path | LaserLog,
     robot: str,
     source: LaserSource,
     cfg: LaserConfig,
@@ -127,7 +140,8 @@ def map_one(
     """The map of one log, or of the first `share` of its time."""
     name = robot_name(robot)
     on_progress(f"{name}: reading", 0, None)
-    log = first_part(read_laser(path, robot, source), share)
+    whole = replace(path, robot=robot) if isinstance(path, LaserLog) else read_laser(path, robot, source)
+    log = first_part(whole, share)
     on_progress(f"{name}: reading", 1, 1)
     return map_laser(log, cfg, seed, _compiling_first(f"{name}: compiling (first run only)", on_progress))
 

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from ..core.bearings import BearingTable, parse_angle
 from ..core.errors import DataError, UsageError
 from ..io.sightings import Dropped, SwarmTruth, read_sightings, read_swarm_truth
+from ..io.table import Table
 from ..io.team_bearings import read_team_truth
 from ..swarm.contradiction import contradictions, shares_an_axis
 from ..swarm.network import DEFAULT_SIGMA, Distance, Network
@@ -52,7 +53,7 @@ class SwarmInput:
 
 
 def prepare(
-    source: Path | str | BearingTable,
+    source: Path | str | BearingTable | Table,
     *,
     anchors: Mapping[str, Place],
     dim: int | None,
@@ -74,7 +75,7 @@ def prepare(
         if dim is not None and table.dim != dim:
             raise UsageError(f"--dim {dim}: the sightings are of {table.dim} dimensions")
     else:
-        log = read_sightings(Path(source), dim=dim)
+        log = read_sightings(source if isinstance(source, Table) else Path(source), dim=dim)
         table, name, dropped, lines = log.table, log.source, log.dropped, log.lines
         warnings += log.warnings
     if until is not None:

@@ -11,11 +11,16 @@ import numpy as np
 
 from ..core.errors import DataError, ReaderError
 from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
+from ..core.names import robot_key
 from . import mending
+from .columns import Columns, table_of
 from .files import Files, open_files
 from .rows import lines
+from .table import Table
 
 ODOMETRY, SIGHTINGS = "odometry.csv", "sightings.csv"
+DRIVEN, SEEN = ("t", "robot", "v", "w"), ("t", "robot", "id", "range", "bearing")
+Rows = tuple[np.ndarray, np.ndarray, list[str]]  # the numeric columns but the robot, the robots' numbers, the ids
 
 
 def is_csv(files: Files) -> bool:
@@ -27,8 +32,38 @@ def read_csv_landmarks(path: Path, robots: Sequence[int] | None = None) -> tuple
     with open_files(path) as files:
         if SIGHTINGS not in files.names:
             raise ReaderError(path, f"expected {SIGHTINGS}, found none")
-        drive = _columns(files, ODOMETRY, ("t", "robot", "v", "w")) if ODOMETRY in files.names else None
-        seen = _columns(files, SIGHTINGS, ("t", "robot", "id", "range", "bearing"))
+        drive = _columns(files, ODOMETRY, DRIVEN) if ODOMETRY in files.names else None
+        seen = _columns(files, SIGHTINGS, SEEN)
+    return _logs(drive, seen, robots, str(path), (f"{path}/{ODOMETRY}", f"{path}/{SIGHTINGS}"))
+
+
+def landmark_logs_of(
+    odometry: Columns | None, sightings: Columns, robots: Sequence[int] | None = None
+) -> tuple[LandmarkLog, ...]:
+    """The logs in tables with the same columns as the files, mended in the same way."""
+    drive = None if odometry is None else _numbered(table_of(odometry, "odometry"), DRIVEN)
+    seen = _numbered(table_of(sightings, "sightings"), SEEN)
+    return _logs(drive, seen, robots, "tables in memory", ("odometry", "sightings"))
+
+
+def _numbered(table: Table, columns: tuple[str, ...]) -> Rows:
+    missing = [name for name in columns if name not in table.columns]
+    if missing:
+        raise ReaderError(table.path, f"expected the columns {','.join(columns)}, found {','.join(table.columns)}")
+    robot = []
+    for row, word in enumerate(table.names("robot"), 1):
+        key = robot_key(word)
+        if not key.isdecimal():
+            raise ReaderError(table.path, f"expected a whole number for robot, found {word!r}", row)
+        robot.append(int(key))
+    numeric = [table.numbers(name) for name in columns if name not in {"robot", "id"}]
+    ids = list(table.names("id")) if "id" in columns else []
+    return np.column_stack(numeric), np.array(robot, dtype=np.int64), ids
+
+
+def _logs(
+    drive: Rows | None, seen: Rows, robots: Sequence[int] | None, path: str, labels: tuple[str, str]
+) -> tuple[LandmarkLog, ...]:
     robot_of_drive = np.zeros(0, np.int64) if drive is None else drive[1]
     found = sorted({*robot_of_drive.tolist(), *seen[1].tolist()})
     missing = [k for k in robots or () if k not in found]
@@ -40,22 +75,20 @@ def read_csv_landmarks(path: Path, robots: Sequence[int] | None = None) -> tuple
         mend = mending.Mending()
         odometry = None
         if drive is not None:
-            odometry = mending.odometry(drive[0][robot_of_drive == k], f"{path}/{ODOMETRY}", mend)
+            odometry = mending.odometry(drive[0][robot_of_drive == k], labels[0], mend)
         if odometry is None:
             mend.warnings.append("no odometry: mapped with a random walk between sightings")
-        table = _sightings(seen, k, names, f"{path}/{SIGHTINGS}", mend)
+        table = _sightings(seen, k, names, labels[1], mend)
         if not len(table):
             mend.warnings.append("it saw nothing")
-        logs.append(LandmarkLog(f"robot{k}", odometry, table, mend.dropped, tuple(mend.warnings), str(path)))
+        logs.append(LandmarkLog(f"robot{k}", odometry, table, mend.dropped, tuple(mend.warnings), path))
     if not any(len(log.sightings) for log in logs):
         raise DataError(f"{path}: no robot saw anything")
     mending.check_one_recording({log.robot: log.span for log in logs if len(log)}, path)
     return tuple(logs)
 
 
-def _sightings(
-    seen: tuple[np.ndarray, np.ndarray, list[str]], k: int, robots: set[str], label: str, mend: mending.Mending
-) -> SightingTable:
+def _sightings(seen: Rows, k: int, robots: set[str], label: str, mend: mending.Mending) -> SightingTable:
     numeric, robot, ids = seen
     rows = np.flatnonzero(robot == k)
     own = f"robot{k}"
@@ -71,7 +104,7 @@ def _sightings(
     return SightingTable(table[:, 0], table[:, 1].astype(np.int64), table[:, 2], table[:, 3], tuple(mine))
 
 
-def _columns(files: Files, name: str, columns: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray, list[str]]:
+def _columns(files: Files, name: str, columns: tuple[str, ...]) -> Rows:
     """The numeric columns but the robot, the robots' numbers, the ids (empty when the file has none)."""
     label = files.label(name)
     rows = csv.reader(lines(files.read(name), label), skipinitialspace=True)

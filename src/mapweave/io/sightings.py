@@ -56,12 +56,12 @@ class SwarmTruth:
     heading: Float[np.ndarray, " n"] | None = None
 
 
-def read_sightings(path: Path, *, dim: int | None = None, axis: bool = True) -> SwarmLog:
-    """The sightings in `path`; rows with NaN or observer = target are left out and listed.
+def read_sightings(path: Path | Table, *, dim: int | None = None, axis: bool = True) -> SwarmLog:
+    """The sightings in a file or table; rows with NaN or observer = target are left out and listed.
 
     Raises ReaderError for a row that does not parse, and DataError when no sighting is left.
     """
-    file = read_table(path)
+    file = path if isinstance(path, Table) else read_table(path)
     layout = _layout(file, dim)
     observer, target = file.names(_column(file, "observer", "robot")), file.names(_column(file, "target", "id"))
     values = np.column_stack([file.numbers(name) for name in layout]) if len(file) else np.zeros((0, len(layout)))
@@ -74,7 +74,7 @@ def read_sightings(path: Path, *, dim: int | None = None, axis: bool = True) -> 
     keep = np.flatnonzero(~bad)
     if not len(keep):
         told = f" ({len(dropped)} rows dropped: {dropped[0].reason})" if dropped else ""
-        raise DataError(f"{path}: no sightings{told}")
+        raise DataError(f"{file.path}: no sightings{told}")
     ids = natural_order(set(observer) | set(target))
     place = {name: k for k, name in enumerate(ids)}
     index = [np.fromiter((place[w] for w in names), np.int64, len(file))[keep] for names in (observer, target)]
@@ -88,7 +88,7 @@ def read_sightings(path: Path, *, dim: int | None = None, axis: bool = True) -> 
     )
     table = BearingTable(ids, index[0], index[1], direction, sigma[keep], None if t is None else t[keep], axis)
     lines = [file.lines[k] for k in keep.tolist()]
-    return SwarmLog(str(path), table, lines, dropped, tuple(_warnings(path, layout, values)))
+    return SwarmLog(str(file.path), table, lines, dropped, tuple(_warnings(file.path, layout, values)))
 
 
 def read_swarm_truth(path: Path) -> SwarmTruth:
@@ -172,7 +172,7 @@ def _bad_rows(
     return bad, reasons
 
 
-def _warnings(path: Path, layout: tuple[str, ...], values: Float[np.ndarray, "m c"]) -> list[str]:
+def _warnings(path: Path | str, layout: tuple[str, ...], values: Float[np.ndarray, "m c"]) -> list[str]:
     if len(layout) == 3:
         return []
     beyond = np.abs(values[:, 0]) > 2.0 * np.pi + 1e-6
@@ -185,17 +185,17 @@ def _warnings(path: Path, layout: tuple[str, ...], values: Float[np.ndarray, "m 
     return [f"{path}: {what}: are they degrees? Bearings are read as radians"]
 
 
-def read_swarm_odometry(path: Path) -> dict[str, Odometry]:
+def read_swarm_odometry(path: Path | Table) -> dict[str, Odometry]:
     """Velocities by robot from `t,robot,v,w` [s, m/s, rad/s]; of equal stamps the last row counts.
 
     Raises ReaderError for a row that does not parse or says nothing.
     """
-    file = read_table(path)
+    file = path if isinstance(path, Table) else read_table(path)
     _need(file, ("t", "robot", "v", "w"))
     rows = np.column_stack([file.numbers(name) for name in ("t", "v", "w")]) if len(file) else np.zeros((0, 3))
     if not np.isfinite(rows).all():
         k = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
-        raise ReaderError(path, "expected finite t, v and w", file.lines[k])
+        raise ReaderError(file.path, "expected finite t, v and w", file.lines[k])
     names = np.array(file.names("robot"))
     out = {}
     for name in natural_order(set(names.tolist())):

@@ -13,13 +13,14 @@ from ..core.errors import EstimateError, ReaderError
 from .directory import result_file
 
 Number = Callable[[float], str]
+NAMED = ("observer", "target", "robot", "id")  # columns of names, whatever they look like
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
     """Columns by lower-case name; `lines[k]` is the line of the file (or row of the Parquet table) of row k."""
 
-    path: Path
+    path: Path | str
     columns: dict[str, Sequence[str]]
     lines: Sequence[int]
 
@@ -94,7 +95,7 @@ def _read_parquet(path: Path) -> Table:
     columns: dict[str, Sequence[str]] = {}
     for name, column in zip(table.column_names, table.columns, strict=True):
         values = column.to_numpy(zero_copy_only=False)
-        numeric = values.dtype.kind in "fiu" and name.lower() not in ("observer", "target", "robot", "id")
+        numeric = values.dtype.kind in "fiu" and name.lower() not in NAMED
         columns[name.lower()] = values if numeric else ["" if v is None else str(v) for v in values.tolist()]
     return Table(path, columns, range(1, table.num_rows + 1))
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
 
 from ..io.directory import result_directory
 
@@ -18,6 +18,7 @@ Rows = tuple[Sequence[str], Sequence[Sequence[object]]]
 MOST_LINES, MOST_ROWS, MOST_LETTERS = 8, 12, 240  # of a page's head: a few KB, however large the result
 
 
+@runtime_checkable
 class HasMetrics(Protocol):
     @property
     def metrics(self) -> Mapping[str, Any]: ...
