@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from .core.version import __version__ as __version__
 
 if TYPE_CHECKING:
+    from .api.configuration import configuration as configuration
     from .api.demo import demo as demo
     from .api.evaluate import Evaluation as Evaluation
     from .api.evaluate import evaluate as evaluate
@@ -23,10 +24,12 @@ if TYPE_CHECKING:
     from .api.fuse import fuse as fuse
     from .api.localize import LocalizeResult as LocalizeResult
     from .api.localize import localize as localize
+    from .api.locate import LocateConfig as LocateConfig
     from .api.locate import locate as locate
     from .api.located import Located as Located
     from .api.map import map as map  # noqa: A004
     from .api.map_landmarks import LandmarkMapConfig as LandmarkMapConfig
+    from .api.map_laser import LaserMapConfig as LaserMapConfig
     from .api.map_laser import LaserResult as LaserResult
     from .api.map_options import LaserOptions as LaserOptions
     from .api.moving_result import Moved as Moved
@@ -72,6 +75,7 @@ _HOMES: dict[str, str] = {
     # public name: the module that defines it under the same name; keep in step with the block above, which type
     # checkers read
     # verbs
+    "configuration": "api.configuration",
     "demo": "api.demo",
     "evaluate": "api.evaluate",
     "explore": "api.explore",
@@ -120,6 +124,8 @@ _HOMES: dict[str, str] = {
     "FuseConfig": "fusion.config",
     "LandmarkMapConfig": "api.map_landmarks",
     "LaserConfig": "laser.config",
+    "LaserMapConfig": "api.map_laser",
+    "LocateConfig": "api.locate",
     "LaserMissionConfig": "exploration.laser.config",
     # data and progress
     "BearingTable": "core.bearings",
@@ -153,10 +159,12 @@ __all__ = (
     "LaserConfig",
     "LaserExploration",
     "LaserLog",
+    "LaserMapConfig",
     "LaserMissionConfig",
     "LaserOptions",
     "LaserResult",
     "LocalizeResult",
+    "LocateConfig",
     "Located",
     "MapweaveError",
     "Moved",
@@ -178,6 +186,7 @@ __all__ = (
     "UsageError",
     "YuanReproduction",
     "__version__",
+    "configuration",
     "demo",
     "evaluate",
     "explore",

@@ -20,12 +20,12 @@ from ..io.grid import NAME, read_grid
 from ..io.laser_logs import LaserSource, read_laser
 from ..io.scans import write_scans
 from ..io.tum import read_tum, write_tum
-from ..laser.config import LaserConfig
 from ..laser.grid import GridMap
 from ..laser.localise import Localisation, localise
 from ..report.localize import draw_where, write_localisation_report
 from ..report.result import ResultBase, Rows
 from ..report.style import Target
+from .map_laser import LaserMapConfig
 from .map_options import LaserOptions
 
 NEAR, NEAR_ANGLE = 0.5, np.radians(10.0)  # a start that errs by less than this, once found, was right
@@ -123,7 +123,9 @@ def localize(
         sensor_pose=asked.sensor_pose,
         mirrored=asked.mirrored,
     )
-    cfg = load(LaserConfig, None if config is None else Path(config), {"particles": asked.particles})
+    cfg = load(
+        LaserMapConfig, None if config is None else Path(config), {"laser": {"particles": asked.particles}}
+    ).laser
     cfg.check()
     recording = read_laser(Path(log), "1", source)
     place = None if start is None else np.array(start, dtype=float)

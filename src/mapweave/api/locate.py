@@ -1,6 +1,7 @@
 """Where every robot of a swarm is, from who sees whom in which direction."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import get_args
@@ -8,6 +9,8 @@ from typing import get_args
 import numpy as np
 
 from ..core.bearings import BearingTable
+from ..core.config import config as configuration
+from ..core.config import load
 from ..core.errors import DataError, UsageError
 from ..core.gaussian import chi2_quantile
 from ..core.progress import Progress, no_progress
@@ -37,6 +40,14 @@ COMMANDED = TrackConfig(slip_floor=0.003, slip=0.04, turn_floor=0.005, turn=0.05
 MANY = 20_000  # robots beyond which covariances are left out unless asked for
 
 
+@configuration
+class LocateConfig:
+    """The tables `[swarm]` and `[motion]` of a configuration file."""
+
+    swarm: SwarmConfig = SwarmConfig()
+    motion: TrackConfig = TrackConfig()
+
+
 @one_blas_thread()
 def locate(
     sightings: Path | str | BearingTable | Columns,
@@ -46,13 +57,14 @@ def locate(
     dim: int | None = None,
     sigma: float | str | None = None,
     distances: Sequence[tuple[str, str, float]] = (),
-    method: str = "batch",
+    method: str | None = None,
     axis: bool | None = None,
     odometry: Path | str | Columns | None = None,
     initial: Path | str | None = None,
     truth: Path | str | None = None,
     covariance: bool | None = None,
     motion: TrackConfig | None = None,
+    config: Path | str | None = None,
     until: float | None = None,
     filtered: bool = False,
     seed: int = 0,
@@ -69,6 +81,10 @@ def locate(
     scoring alone. Stamped sightings of robots that move give `Moved`, anything else `Located`. Raises ReaderError,
     DataError or UsageError; nothing is written then.
     """
+    cfg = load(LocateConfig, None if config is None else Path(config))
+    method = cfg.swarm.method if method is None else method
+    if motion is None and cfg.motion != TrackConfig():
+        motion = cfg.motion
     if method not in get_args(Method):
         raise UsageError(f"--method {method}: expected one of {', '.join(get_args(Method))}")
     if out is not None:
@@ -82,7 +98,8 @@ def locate(
     read = perf_counter()
     on_progress("reading", 1, 1)
     on_progress("locating", 0, 1)
-    settings = Settings(method, seed, {"read": read - began}, None if truth is None else read_truth(Path(truth)))
+    true = None if truth is None else read_truth(Path(truth))
+    settings = Settings(method, seed, {"read": read - began}, true, cfg.swarm)
     if settings.truth is not None and not set(settings.truth.ids) & set(given.table.ids):
         raise DataError(f"{truth}: the truth names none of the robots")
     stamped = given.table.t is not None and len(np.unique(given.table.t)) > 1
@@ -116,7 +133,7 @@ def _stand(given: SwarmInput, settings: Settings, initial: Path | str | None, *,
         missing = np.flatnonzero(~np.isfinite(start).all(axis=1))
         if len(missing):
             raise DataError(f"{initial}: no place for robot {net.ids[missing[0]]}")
-    estimate = locate_network(net, SwarmConfig(method=_method(settings.method), covariance=wanted), start)
+    estimate = locate_network(net, replace(settings.swarm, method=_method(settings.method), covariance=wanted), start)
     solved = perf_counter()
     settings.timing["solve"] = solved - began
     score = None
@@ -199,8 +216,6 @@ def _rows(odometry: Path | str | Columns) -> Path | Table:
 def _tuned(motion: TrackConfig | None, settings: Settings) -> TrackConfig:
     cfg = motion or TrackConfig()
     if settings.method in ("batch", "robust"):
-        from dataclasses import replace  # noqa: PLC0415
-
         return replace(cfg, kernel=cfg.kernel or 2.0) if settings.method == "robust" else cfg
     raise UsageError(f"--method {settings.method}: robots that move are located with batch or robust")
 

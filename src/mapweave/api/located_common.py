@@ -11,6 +11,7 @@ from ..core.version import __version__
 from ..io.directory import write_json
 from ..io.sightings import SwarmTruth
 from ..io.table import write_table
+from ..swarm.config import SwarmConfig
 from .swarm_input import SwarmInput
 
 LISTED = 1000  # dropped rows named in metrics.json
@@ -25,6 +26,7 @@ class Settings:
     seed: int
     timing: dict[str, float] = field(default_factory=dict)
     truth: SwarmTruth | None = None
+    swarm: SwarmConfig = field(default_factory=SwarmConfig)
 
 
 def head(given: SwarmInput, settings: Settings) -> dict[str, Any]:

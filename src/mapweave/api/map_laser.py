@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.config import load
+from ..core.config import config, load
 from ..core.errors import UsageError
 from ..core.laser_log import LaserLog
 from ..core.names import robot_name
@@ -33,6 +33,13 @@ from .evaluate import Evaluation, evaluate
 from .map_options import MapOptions
 
 Job = tuple[Path | LaserLog, str, LaserSource, LaserConfig, int, float]
+
+
+@config
+class LaserMapConfig:
+    """The table `[laser]` of a configuration file, for `map` and `localize`."""
+
+    laser: LaserConfig = LaserConfig()
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -174,18 +181,15 @@ def first_part(log: LaserLog, share: float) -> LaserLog:
 
 def _configured(options: MapOptions) -> LaserConfig:
     asked = options.laser
-    cfg = load(
-        LaserConfig,
-        options.config,
-        {
-            "method": options.method,
-            "particles": asked.particles,
-            "feature": asked.feature,
-            "likelihood": asked.likelihood,
-            "resample": asked.resample,
-            "graph": {"loops": False if asked.no_loops else None},
-        },
-    )
+    given = {
+        "method": options.method,
+        "particles": asked.particles,
+        "feature": asked.feature,
+        "likelihood": asked.likelihood,
+        "resample": asked.resample,
+        "graph": {"loops": False if asked.no_loops else None},
+    }
+    cfg = load(LaserMapConfig, options.config, {"laser": given}).laser
     cfg.check()
     return cfg
 

@@ -20,6 +20,7 @@ COMMANDS: dict[str, str] = {
     "reproduce": "mapweave.cli.reproduce:app",
     "view": "mapweave.cli.view:view",
     "explore": "mapweave.cli.explore:explore",
+    "config": "mapweave.cli.config:config",
 }
 
 

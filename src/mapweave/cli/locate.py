@@ -15,7 +15,7 @@ def locate(
     dim: int | None = None,
     sigma: str | None = None,
     distance: Annotated[list[str] | None, Parameter(negative="")] = None,
-    method: str = "batch",
+    method: str | None = None,
     axis: bool | None = None,
     odometry: Path | None = None,
     initial: Path | None = None,
@@ -23,6 +23,7 @@ def locate(
     covariance: bool | None = None,
     acceleration: float | None = None,
     until: float | None = None,
+    config: Path | None = None,
     filtered: Annotated[bool, Parameter(negative="")] = False,
     seed: int = 0,
     force: Annotated[bool, Parameter(negative="")] = False,
@@ -47,7 +48,7 @@ def locate(
     distance
         A known distance as i,j=10 in metres, in place of a second anchor.
     method
-        batch, robust, distributed, ekf, iekf or fej.
+        batch, robust, distributed, ekf, iekf or fej (batch).
     axis
         Whether bearings are against a common axis; without it every robot's heading is found too. Found out from
         mutual sightings when neither is given.
@@ -63,6 +64,8 @@ def locate(
         How briskly robots without odometry move: density of white acceleration noise, in square metres a second cubed.
     until
         Use the first so many seconds of stamped sightings only.
+    config
+        A TOML file with settings; options on the command line win.
     filtered
         Of moving robots: what was known at each instant from the sightings until then, in place of what all say of it.
     seed
@@ -95,6 +98,7 @@ def locate(
             covariance=covariance,
             motion=None if acceleration is None else TrackConfig(acceleration=acceleration),
             until=until,
+            config=config,
             filtered=filtered,
             seed=seed,
             force=force,

@@ -21,7 +21,7 @@ class FuseConfig:
     are no evidence for the same place (`same_place`).
     """
 
-    weights: Weights = "full-scaled"
+    weights: Weights = "full-scaled"  # constant, paper, diagonal, full, full-scaled or naive
     identities: Identities = "known"  # whether equal names mean one landmark, or places alone tell
     scale_sigma: float = 0.02  # standard deviation of a map's scale about 1, a priori
     floor: float = 0.01  # [m] independent error of every landmark of every map that no covariance knows of

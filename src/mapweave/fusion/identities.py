@@ -31,14 +31,14 @@ class IdentityConfig:
     from the other's.
     """
 
-    links: int = 6
-    margin: int = 2
-    lead: float = 0.75
-    chi2_per_dof: float = 3.0
-    gate: float = 3.0
-    noise: float = 0.01
-    scale_sigma: float = 0.02
-    hypotheses: int = 20_000
+    links: int = 6  # landmarks that must agree before a match is believed
+    margin: int = 2  # links more than the next best alignment has
+    lead: float = 0.75  # a difference in links less misfit that does instead of the margin
+    chi2_per_dof: float = 3.0  # chi-square per degree of freedom up to which a match is believed
+    gate: float = 3.0  # standard deviations within which two landmarks may be one
+    noise: float = 0.01  # [m] what covariances do not know of
+    scale_sigma: float = 0.02  # deviation of one map's scale from the other's
+    hypotheses: int = 20_000  # alignments tried, at most
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,48 +22,48 @@ class EkfSlamConfig:
     smooth: bool = True  # whether past poses are corrected by what came later, once the map is finished
     # how far commands can be trusted
     noise_along: float = 0.05  # [m / sqrt(m)] of distance commanded
-    noise_across: float = 0.02  # [m / sqrt(m)]
+    noise_across: float = 0.02  # [m / sqrt(m)] sideways, over distance commanded
     noise_drift: float = 0.05  # [rad / sqrt(m)] heading over distance commanded
     noise_turn: float = 0.1  # [rad / sqrt(rad)] heading over angle commanded
     rest_xy: float = 1e-4  # [m / sqrt(s)] always
     rest_theta: float = 1e-4  # [rad / sqrt(s)] always
     lost_xy: float = 0.06  # [m / sqrt(s)] while no command is known
-    lost_theta: float = 0.3  # [rad / sqrt(s)]
+    lost_theta: float = 0.3  # [rad / sqrt(s)] of heading, while no command is known
     hold: float = 2.0  # [s] a command holds without a new one
     # a robot without odometry: its speed and turn rate wander about zero
-    speed: float = 0.08  # [m/s] standard deviation
+    speed: float = 0.08  # [m/s] standard deviation of its speed
     speed_time: float = 30.0  # [s] it keeps its speed
-    spin: float = 0.35  # [rad/s] standard deviation
-    spin_time: float = 2.0  # [s]
+    spin: float = 0.35  # [rad/s] standard deviation of its turn rate
+    spin_time: float = 2.0  # [s] it keeps its turn rate
     piece_gap: float = 5.0  # [s] without a sighting after which a new piece of map is begun
     piece_heading: float = 0.9  # [rad] standard deviation of the heading from which one is begun too
     # the camera
-    range_floor: float = 0.05  # [m]
+    range_floor: float = 0.05  # [m] standard deviation of a range at no distance
     range_share: float = 0.045  # of the predicted distance
-    bearing: float = 0.014  # [rad]
+    bearing: float = 0.014  # [rad] standard deviation of a bearing
     range_inflation: float = 30.0  # of the variance: errors of one landmark's range last for seconds
-    bearing_inflation: float = 10.0
+    bearing_inflation: float = 10.0  # of the variance of bearings, for the same reason
     track_range_inflation: float = 5.0  # the same where past poses are corrected by the finished map
-    track_bearing_inflation: float = 3.0
+    track_bearing_inflation: float = 3.0  # and of bearings, where past poses are corrected
     gate: float = 2.0  # normalised innovation from which a sighting counts less, never nothing
     far: float = 10.0  # normalised innovation from which it counts less by the square: a label misread
     agree: int = 3  # sightings of a new landmark that must agree on its place
     # rows beyond are broken and left out
-    most_speed: float = 1e3  # [m/s]
-    most_turn: float = 1e3  # [rad/s]
-    most_range: float = 1e5  # [m]
-    most_bearing: float = 1e3  # [rad]
+    most_speed: float = 1e3  # [m/s] beyond which a command is no command
+    most_turn: float = 1e3  # [rad/s] the same of turn rates
+    most_range: float = 1e5  # [m] beyond which a sighting is none
+    most_bearing: float = 1e3  # [rad] the same of bearings
     # calibration: prior mean and standard deviation
-    speed_scale: float = 1.0
-    speed_scale_sd: float = 0.0
-    turn_scale: float = 0.95
-    turn_scale_sd: float = 0.2
+    speed_scale: float = 1.0  # true speed over commanded speed, prior mean
+    speed_scale_sd: float = 0.0  # its standard deviation; 0: not estimated
+    turn_scale: float = 0.95  # true turn rate over commanded, prior mean
+    turn_scale_sd: float = 0.2  # its standard deviation; 0: not estimated
     lag: float = 0.15  # [s] from command to motion
-    lag_sd: float = 0.1
-    bearing_bias: float = 0.0  # [rad]
-    bearing_bias_sd: float = 0.02
-    range_scale: float = 1.0
-    range_scale_sd: float = 0.03
+    lag_sd: float = 0.1  # [s] its standard deviation; 0: not estimated
+    bearing_bias: float = 0.0  # [rad] of every bearing, prior mean
+    bearing_bias_sd: float = 0.02  # [rad] its standard deviation; 0: not estimated
+    range_scale: float = 1.0  # measured range over true range, prior mean
+    range_scale_sd: float = 0.03  # its standard deviation; 0: not estimated
 
     def __post_init__(self) -> None:
         if self.odometry and self.speed_scale_sd > 0 and self.range_scale_sd > 0:

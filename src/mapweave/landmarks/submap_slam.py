@@ -18,12 +18,12 @@ from .submap import Submap
 class SubmapConfig:
     """Noise and gates of the submap filter."""
 
-    period: float = 0.5  # [s], T
-    range_sd: float = 0.2  # [m]
-    bearing_sd: float = 0.04  # [rad]
+    period: float = 0.5  # [s] between two controls, T
+    range_sd: float = 0.2  # [m] standard deviation of a range
+    bearing_sd: float = 0.04  # [rad] standard deviation of a bearing
     motion_sd: tuple[float, float, float] = (0.015, 0.015, 0.0025)  # a step: [m], [m], [rad]
-    reach: float = 15.0  # [m]
-    half_angle: float = np.pi / 2  # [rad]
+    reach: float = 15.0  # [m] of the camera
+    half_angle: float = np.pi / 2  # [rad] its view to either side
     association: str = "jcbb"  # known | nn | jcbb
     gate: float = 13.82  # D^2 of a match, 0.999 of chi-square with 2 degrees of freedom
     new_gate: float = 25.0  # D^2 from every landmark beyond which an observation starts a new one

@@ -21,10 +21,10 @@ class BeamConfig:
     greatest_range: float = 25.0  # [m], farther returns are left out, whatever the sensor allows
     least_intensity: float = 0.0  # returns at or under this are too weak; asked only where intensities mean something
     line_angle: float = 0.1  # [rad] beams to each side this near may share a line (8 of a URG-04LX, 6 of a SICK)
-    near: float = 0.08  # [m] and
+    near: float = 0.08  # [m] at no range, and
     near_share: float = 0.15  # [m/m]: neighbours differ in range by less than near + near_share r
-    least_cosine: float = 0.15
-    greatest_q: float = 1.2
+    least_cosine: float = 0.15  # of incidence that is reckoned with: what grazes a wall more counts as this
+    greatest_q: float = 1.2  # normalised intensities are cut off here
 
 
 class Beams(NamedTuple):

@@ -32,9 +32,9 @@ class ClosureConfig:
     search: float = 0.25  # [m] uncertainty of the relative place beyond which a grid of starts is searched
     search_sd: float = 2.5  # [sd] how far the grid reaches,
     search_xy: float = 3.0  # [m] at most and
-    search_turn: float = 0.3  # [rad]
+    search_turn: float = 0.3  # [rad] to either side
     search_step: float = 0.3  # [m] between its starts and
-    search_turn_step: float = 0.04  # [rad]
+    search_turn_step: float = 0.04  # [rad] between its headings
     search_reach: float = 0.15  # [m] a return this near its line counts in the search
     search_beams: int = 90  # returns of the scan that take part in the search, about
     trust: float = 1.0  # [-] what a match's information counts

@@ -28,23 +28,23 @@ class FilterConfig:
     "odometry": they move as odometry says and are not refined, which is the paper's filter.
     """
 
-    proposal: str = "front end"
-    update_distance: float = 0.4  # [m] or
+    proposal: str = "front end"  # "front end": particles move as matching says and are refined; "odometry": the paper's
+    update_distance: float = 0.4  # [m] moved, or
     update_turn: float = 0.4  # [rad] moved before weights and maps change
     sd_xy: float = 0.02  # [m] + sd_xy_per_m d: spread of the particles' moves
-    sd_xy_per_m: float = 0.05
+    sd_xy_per_m: float = 0.05  # and so much more a metre driven
     sd_turn: float = 0.005  # [rad] + sd_turn_per_m d
-    sd_turn_per_m: float = 0.0
-    refine_iterations: int = 3
+    sd_turn_per_m: float = 0.0  # [rad] and so much more a metre driven
+    refine_iterations: int = 3  # Gauss-Newton steps of refining; 0: none
     refine_neff: float = 60.0  # independent returns in a scan, for refining
     refine_sigma: float = 0.02  # [m] of each
     refine_kappa: float = 0.1  # [m] width of the robust kernel
     refine_tangent: float = 0.1  # weight of the error along the line, with a feature and
-    refine_bare_tangent: float = 0.03  # without
-    refine_sd_xy: float = 0.05  # [m] and
-    refine_sd_turn: float = 0.01  # [rad] a particle may be moved by refining
+    refine_bare_tangent: float = 0.03  # and without a feature
+    refine_sd_xy: float = 0.05  # [m] a particle may be moved by refining and
+    refine_sd_turn: float = 0.01  # [rad] turned
     neff: float = 30.0  # independent returns in a scan, for weighing, with a feature and
-    bare_neff: float = 10.0  # without
+    bare_neff: float = 10.0  # and without a feature
     sigma: float = 0.05  # [m] of each
     shared: float = 0.5  # a beam counts when matched in this share of the particles
     paper_sigma2: float = 7e-4  # [m^2] sigma_z of the paper's likelihood
@@ -70,13 +70,13 @@ class GraphConfig:
 
 @config
 class LaserConfig:
-    method: str = "particle"
-    particles: int = 100
-    feature: str = "normalised"
-    likelihood: str = "matched"
+    method: str = "particle"  # how a log is mapped: particle, gated or icp
+    particles: int = 100  # hypotheses of the particle filter
+    feature: str = "normalised"  # light sent back: normalised, raw or none
+    likelihood: str = "matched"  # what weighs particles: matched, or as in the paper
     resample: float = 0.5  # when n_eff falls to this share of the particles; 1: always, as the paper does
     gate: float = 3.0  # a match may deviate from odometry by this many standard deviations in x, y and theta,
-    gate_sd_xy: float = 0.07  # [m] and
+    gate_sd_xy: float = 0.07  # [m] standard deviation in place and
     gate_sd_turn: float = 0.07  # [rad] being added to those of the front end: odometry and scan may be stamped apart
     matcher: str = "map"  # of the gated method: "map" (Gauss-Newton on lines) or "icp" (the paper's)
     threads: int = 0  # 0: as many as there are free cores; the result is the same

@@ -18,9 +18,9 @@ class IcpConfig:
     gate: float = 0.4  # [m] farthest D^(1/2) of a pair in the first iteration,
     gate_decay: float = 0.8  # shrinking by this
     least_gate: float = 0.1  # [m] down to this
-    iterations: int = 50
+    iterations: int = 50  # of pairing and solving, at most
     tolerance: float = 1e-4  # [m, rad] a smaller step ends the search
-    least_pairs: int = 20
+    least_pairs: int = 20  # of returns, or the match fails
 
 
 class IcpMatch(NamedTuple):

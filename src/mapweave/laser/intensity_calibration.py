@@ -19,15 +19,15 @@ from .intensity import IntensityCalibration
 @config
 class CalibrationConfig:
     window: int = 12  # scans laid together
-    cell: float = 0.1  # [m]
+    cell: float = 0.1  # [m] in which surfaces are taken for one
     knot: float = 0.4  # [m] between the knots of g
     smooth: float = 10.0  # weight of second differences of g
     cauchy: float = 0.1  # [log units] width of the robust weight
-    iterations: int = 12
-    least_cosine: float = 0.15
-    most_windows: int = 150
+    iterations: int = 12  # of the robust fit, at most
+    least_cosine: float = 0.15  # of incidence that is reckoned with: what grazes a wall more counts as this
+    most_windows: int = 150  # of scans that are used
     top: float = 0.9  # the q given to the 95th percentile
-    least_samples: int = 500
+    least_samples: int = 500  # returns, or there is no calibration
     most_residual: float = 0.35  # [log units] beyond this the intensity does not follow the model
 
 

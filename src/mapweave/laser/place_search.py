@@ -37,11 +37,11 @@ class PlaceConfig:
     """
 
     cell: float = 0.1  # [m] of the likelihood field, and step of the search
-    sigma: float = 0.1  # [m]
+    sigma: float = 0.1  # [m] width of the field
     q_weight: float = 0.2  # [m] a unit of q counts as much as
     turn: float = 0.02617993877991494  # [rad] step of the search, 1.5 degrees
     levels: int = 3  # the coarsest squares are 2^levels cells wide
-    apart: float = 0.7  # [m] or
+    apart: float = 0.7  # [m] from the best, or
     apart_turn: float = 0.25  # [rad] from the best: a second place
     line_reach: float = 0.2  # [m] points this near make a wall's line
     gate: float = 0.3  # [m] a point farther from every wall is no match

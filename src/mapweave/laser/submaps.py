@@ -35,8 +35,8 @@ class SubmapConfig:
     around: int = 12  # keyframes before and after the one in the middle
     voxel: float = 0.05  # [m] a submap's points are means of squares this wide
     query_before: int = 8  # keyframes before the last one that a query holds
-    query_voxel: float = 0.15  # [m]
-    query_points: int = 400
+    query_voxel: float = 0.15  # [m] a side: one point of the scan is tried in each
+    query_points: int = 400  # of the scan that are tried, at most
 
 
 @dataclass(frozen=True, slots=True)

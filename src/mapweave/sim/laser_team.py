@@ -23,12 +23,12 @@ ROBOT_REFLECTANCE = 0.35
 class OdometryNoise:
     """Errors of wheel odometry, each times `factor`."""
 
-    factor: float = 1.0
+    factor: float = 1.0  # on all errors below
     scale: float = 0.01  # sd of the scale error, an Ornstein-Uhlenbeck process
     scale_length: float = 15.0  # [m] over which it is correlated
-    translation: float = 0.01  # [m per sqrt(m)]
-    rotation: float = np.radians(0.4)  # [rad per sqrt(m)]
-    turning: float = np.radians(1.0)  # [rad per sqrt(rad)]
+    translation: float = 0.01  # [m per sqrt(m)] of the place, along the way
+    rotation: float = np.radians(0.4)  # [rad per sqrt(m)] of the heading, driving
+    turning: float = np.radians(1.0)  # [rad per sqrt(rad)] of the heading, turning
     bias: float = np.radians(0.1)  # [rad/m], sd of each robot's own heading bias
 
 

@@ -10,13 +10,13 @@ from ..core.config import config
 class Reflectance:
     """Light that returns: `gain (rho c^exponent + specular c^shine) / (1 + (r / falloff)^2)`, c = cos(incidence)."""
 
-    gain: float = 40000.0
-    falloff: float = 1.5  # [m]
-    exponent: float = 1.0
-    specular: float = 0.0
-    shine: float = 30.0
-    relative_noise: float = 0.03
-    noise: float = 50.0
+    gain: float = 40000.0  # intensity of white paint hit squarely from nearby
+    falloff: float = 1.5  # [m] at which the light has halved
+    exponent: float = 1.0  # of the cosine of incidence
+    specular: float = 0.0  # share of light from surfaces hit squarely
+    shine: float = 30.0  # exponent of the cosine for that share
+    relative_noise: float = 0.03  # standard deviation, as a share of the intensity
+    noise: float = 50.0  # standard deviation of the intensity, at least
 
 
 SECOND_LAW = Reflectance(falloff=2.6, exponent=0.6, specular=0.25)
@@ -26,12 +26,12 @@ SECOND_LAW = Reflectance(falloff=2.6, exponent=0.6, specular=0.25)
 class Scanner:
     """URG-04LX as in its data sheet, every second step."""
 
-    beams: int = 342
-    opening: float = np.radians(240.0)
-    near: float = 0.02  # [m]
-    far: float = 5.6  # [m]
+    beams: int = 342  # of one revolution
+    opening: float = np.radians(240.0)  # [rad] from the first beam to the last
+    near: float = 0.02  # [m] nearest range measured
+    far: float = 5.6  # [m] farthest range measured
     noise: float = 0.005  # [m], at least
-    relative_noise: float = 0.01
+    relative_noise: float = 0.01  # standard deviation, as a share of the range
     step: float = 0.001  # [m] ranges are rounded to
 
     def angles(self) -> Float[np.ndarray, " n"]:

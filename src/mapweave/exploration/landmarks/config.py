@@ -71,7 +71,7 @@ class JointConfig:
 class WallsConfig:
     """Robots among walls of which they know the plan."""
 
-    robot_radius: float = 0.3  # [m]
+    robot_radius: float = 0.3  # [m] of the disc that a robot is
     margin: float = 0.4  # [m] beyond the radius that planned ways and offered controls keep from walls
     comfort: float = 1.2  # [m] beyond the radius that robots keep where nothing draws them nearer
     path_cell: float = 0.4  # [m], raster on which ways round walls are found: half of what the narrowest door needs

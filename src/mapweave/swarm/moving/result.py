@@ -20,11 +20,11 @@ class TrackConfig:
     acceleration: float = 0.02  # [m^2/s^3] white-noise acceleration density of each axis, without odometry
     speed: float = 3.0  # [m/s] prior of each axis of the first velocity, without odometry
     merge: float = 0.002  # [s]; stamps closer than this are one instant
-    slip_floor: float = 0.01  # [m/sqrt(s)]
-    slip: float = 0.1  # of v [sqrt(s)]
+    slip_floor: float = 0.01  # [m/sqrt(s)] noise of the way, at rest too
+    slip: float = 0.1  # [sqrt(s)] and so much of the speed more
     side: float = 0.3  # sideways slip, of the slip along
-    turn_floor: float = 0.01  # [rad/sqrt(s)]
-    turn: float = 0.1  # of w [sqrt(s)]
+    turn_floor: float = 0.01  # [rad/sqrt(s)] noise of the heading, at rest too
+    turn: float = 0.1  # [sqrt(s)] and so much of the turn rate more
     scale_v: float = 0.0  # prior of the scale of each robot's v about 1; 0: trusted as it is
     scale_w: float = 0.0  # the same of its w
     kernel: float = 0.0  # Cauchy kernel on sightings [standard deviations]; 0: none
