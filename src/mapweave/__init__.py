@@ -13,6 +13,7 @@ from .core.version import __version__ as __version__
 if TYPE_CHECKING:
     from .api.configuration import configuration as configuration
     from .api.demo import demo as demo
+    from .api.doctor import doctor as doctor
     from .api.evaluate import Evaluation as Evaluation
     from .api.evaluate import evaluate as evaluate
     from .api.evaluate_relations import RelationEvaluation as RelationEvaluation
@@ -77,6 +78,7 @@ _HOMES: dict[str, str] = {
     # verbs
     "configuration": "api.configuration",
     "demo": "api.demo",
+    "doctor": "api.doctor",
     "evaluate": "api.evaluate",
     "explore": "api.explore",
     "fuse": "api.fuse",
@@ -188,6 +190,7 @@ __all__ = (
     "__version__",
     "configuration",
     "demo",
+    "doctor",
     "evaluate",
     "explore",
     "fuse",

@@ -21,6 +21,7 @@ COMMANDS: dict[str, str] = {
     "view": "mapweave.cli.view:view",
     "explore": "mapweave.cli.explore:explore",
     "config": "mapweave.cli.config:config",
+    "doctor": "mapweave.cli.doctor:doctor",
 }
 
 

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
@@ -42,3 +43,17 @@ def _cached(dispatcher: Any, fn: F, options: str) -> F:
     if dispatcher is not fn:
         dispatcher._cache = KernelCache(fn, options)  # noqa: SLF001
     return dispatcher  # type: ignore[no-any-return]
+
+
+def threads() -> int:
+    """How many threads parallel kernels use at most."""
+    return int(numba.config.NUMBA_NUM_THREADS)
+
+
+def cache_root(fn: Callable[..., Any]) -> Path | None:
+    """The folder under which compiled kernels are kept, that of `fn` among them; None where nothing is compiled."""
+    cache = getattr(fn, "_cache", None)
+    if cache is None:
+        return None
+    folder = Path(cache.cache_path)
+    return Path(__file__).parent if folder.name == "__pycache__" else folder.parent

@@ -1,0 +1,182 @@
+"""`doctor`: what mapweave runs on, and whether a compiled kernel does what it should."""
+
+import os
+import platform
+import re
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from ..core.version import __version__
+from ..kernels._jit import cache_root, threads
+from ..kernels.walls.raycast import cast
+
+NEED = re.compile(r"^(?P<name>[\w.-]+)(?:\[[^]]*\])?(?P<range>[^;]*)(?:;.*extra\s*==\s*['\"](?P<extra>[\w-]+)['\"])?")
+FOR_USERS = ("viewer", "parquet", "gym", "cluster", "live")
+WALL = 2.0  # [m] ahead of the scanner of the trial
+
+
+@dataclass(frozen=True, slots=True)
+class Package:
+    """A package that is needed (extra: "") or that an extra brings. version: None where it is not installed."""
+
+    name: str
+    extra: str
+    least: str
+    version: str | None
+
+    @property
+    def good(self) -> bool:
+        """Whether it is there and new enough."""
+        return self.version is not None and _numbers(self.version) >= _numbers(self.least)
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """What was found. cache: where compiled kernels are kept; first, second: seconds of two calls of one kernel."""
+
+    python: str
+    system: str
+    packages: tuple[Package, ...]
+    cores: int
+    threads: int
+    cache: Path | None
+    kernels: int
+    cache_bytes: int
+    writable: bool
+    first: float
+    second: float
+    kernel_error: str
+
+    @property
+    def healthy(self) -> bool:
+        """Whether everything that is needed is there and the kernel gave the right answer."""
+        return not self.kernel_error and all(p.good for p in self.packages if not p.extra)
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        return {
+            "version": __version__,
+            "python": self.python,
+            "system": self.system,
+            "packages": {p.name: p.version for p in self.packages if not p.extra},
+            "extras": {extra: all(p.good for p in got) for extra, got in self._extras().items()},
+            "cores": self.cores,
+            "threads": self.threads,
+            "cache": None if self.cache is None else str(self.cache),
+            "cached_kernels": self.kernels,
+            "cache_bytes": self.cache_bytes,
+            "cache_writable": self.writable,
+            "first_call_s": self.first,
+            "second_call_s": self.second,
+            "kernel_error": self.kernel_error,
+            "healthy": self.healthy,
+        }
+
+    def summary(self) -> str:
+        """All of it, a line each."""
+        needed = ", ".join(f"{p.name} {_told(p)}" for p in self.packages if not p.extra)
+        extras = ", ".join(
+            f"{extra} {'installed' if all(p.good for p in got) else 'not installed'}"
+            for extra, got in self._extras().items()
+        )
+        kept = "nowhere (nothing is compiled)"
+        if self.cache is not None:
+            state = "writable" if self.writable else "NOT writable: every run compiles anew (set NUMBA_CACHE_DIR)"
+            kept = f"{self.cache}, {self.kernels} kernels, {self.cache_bytes / 1e6:.1f} MB, {state}"
+        tried = self.kernel_error or f"first call {self.first:.3f} s, second {1e3 * self.second:.3f} ms"
+        return "\n".join(
+            (
+                f"mapweave {__version__}, Python {self.python}, {self.system}",
+                f"packages: {needed}",
+                f"extras: {extras}",
+                f"cores: {self.cores}, threads of parallel kernels: {self.threads}",
+                f"compiled kernels: {kept}",
+                f"a kernel tried: {tried}",
+                "all is well" if self.healthy else "something is wrong: see above",
+            )
+        )
+
+    def _extras(self) -> dict[str, list[Package]]:
+        named = {p.extra for p in self.packages}
+        return {e: [p for p in self.packages if p.extra == e] for e in FOR_USERS if e in named}
+
+
+def doctor() -> Diagnosis:
+    """Versions, extras, cores, threads, the cache of compiled kernels, and the time of one kernel's two first calls.
+
+    Examples
+    --------
+    >>> doctor().healthy
+    True
+    """
+    first, second, error = _try_kernel()
+    cache = cache_root(cast)
+    files = [] if cache is None else [f for f in cache.rglob("*.nbc") if f.is_file()]
+    return Diagnosis(
+        python=platform.python_version(),
+        system=f"{platform.system()} {platform.machine()}",
+        packages=tuple(_packages()),
+        cores=os.cpu_count() or 1,
+        threads=threads(),
+        cache=cache,
+        kernels=len(files),
+        cache_bytes=sum(f.stat().st_size for f in files),
+        writable=cache is not None and os.access(cache, os.W_OK),
+        first=first,
+        second=second,
+        kernel_error=error,
+    )
+
+
+def _try_kernel() -> tuple[float, float, str]:
+    """Seconds of the first and the second call of a beam against a wall, and what is wrong with the answer."""
+    sensor, beam, nobody = np.zeros((1, 3)), np.zeros(1), np.zeros((1, 0, 3))
+    wall = np.array([[WALL, -1.0, WALL, 1.0]])
+    spent = []
+    for _ in range(2):
+        began = perf_counter()
+        try:
+            ranges, _, _ = cast(sensor, beam, wall, nobody, 10.0)
+        except Exception as error:  # noqa: BLE001  (whatever the compiler says is the diagnosis)
+            return 0.0, 0.0, f"FAILED: {error}"
+        spent.append(perf_counter() - began)
+    off = abs(float(ranges[0, 0]) - WALL)
+    return spent[0], spent[1], "" if off < 1e-12 else f"FAILED: a wall at {WALL} m is seen {off:g} m off"
+
+
+def _packages() -> list[Package]:
+    try:
+        wanted = requires("mapweave") or []
+    except PackageNotFoundError:
+        wanted = []
+    found = []
+    for text in wanted:
+        need = NEED.match(text)
+        extra = (need["extra"] or "") if need else ""
+        if need is None or (extra and extra not in FOR_USERS):
+            continue
+        least = re.search(r">=\s*([\d.]+)", need["range"])
+        found.append(Package(need["name"], extra, least[1] if least else "0", _installed(need["name"])))
+    return found
+
+
+def _installed(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _told(package: Package) -> str:
+    if package.version is None:
+        return "MISSING"
+    return package.version if package.good else f"{package.version} (TOO OLD, needs {package.least})"
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    return tuple(int(word) for word in re.findall(r"\d+", text.split("+", maxsplit=1)[0])[:3])

@@ -1,0 +1,27 @@
+"""`mapweave doctor`."""
+
+from typing import Annotated
+
+from cyclopts import Parameter
+
+
+def doctor(*, json: Annotated[bool, Parameter(negative="")] = False) -> None:
+    """Say what mapweave runs on: versions, extras, cores, compiled kernels; exit 1 when something is wrong.
+
+    Parameters
+    ----------
+    json
+        Print JSON.
+    """
+    from ..api.doctor import doctor as examine
+    from .say import say
+
+    found = examine()
+    if json:
+        from json import dumps
+
+        say(dumps(found.metrics, indent=1))
+    else:
+        say(found.summary())
+    if not found.healthy:
+        raise SystemExit(1)
