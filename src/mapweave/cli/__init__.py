@@ -1,6 +1,9 @@
 """The command line: arguments in, one verb called, results written, one clear line on a mistake."""
 
+import os
 import sys
+from contextlib import suppress
+from io import TextIOWrapper
 from typing import TYPE_CHECKING
 
 from ..core.version import __version__
@@ -43,7 +46,41 @@ def make_app() -> "App":
 
 def main(tokens: list[str] | None = None) -> None:
     """Exit 0 done, 1 the data or the estimate is bad, 2 bad usage, 130 interrupted."""
-    sys.exit(_run(sys.argv[1:] if tokens is None else tokens))
+    _say_whatever_the_terminal_can_show()
+    code = 130
+    try:
+        code = _run(sys.argv[1:] if tokens is None else tokens)
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        code = _stop_writing()
+    except KeyboardInterrupt:
+        _tell("interrupted")
+    except OSError as error:
+        _stop_writing()
+        _tell(f"stdout: {error.strerror}")
+        code = 1
+    sys.exit(code)
+
+
+def _say_whatever_the_terminal_can_show() -> None:
+    """A letter that the terminal's encoding lacks becomes `?`, never an error."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper) and (stream.encoding or "").lower().replace("-", "") != "utf8":
+            stream.reconfigure(errors="replace")
+
+
+def _stop_writing() -> int:
+    """Nobody reads on: what is left in the buffer goes nowhere, so that Python's own exit is silent too."""
+    with suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+    return 0
+
+
+def _tell(message: str) -> None:
+    """One line on stderr, whatever the message holds."""
+    print(f"mapweave: {' '.join(message.split())}", file=sys.stderr)  # noqa: T201
 
 
 def _run(tokens: list[str]) -> int:
@@ -54,17 +91,31 @@ def _run(tokens: list[str]) -> int:
     try:
         app = make_app()
         app(tokens, exit_on_error=False, print_error=False)
-    except CycloptsError as error:
-        print(f"mapweave: {error}", file=sys.stderr)  # noqa: T201
-        return 2
-    except MapweaveError as error:
-        print(f"mapweave: {error}", file=sys.stderr)  # noqa: T201
-        return error.exit_code
+    except (CycloptsError, MapweaveError, MemoryError, KeyboardInterrupt) as error:
+        return _failed(error)
     except BrokenPipeError:
-        return 0
-    except KeyboardInterrupt:
-        print("mapweave: interrupted", file=sys.stderr)  # noqa: T201
-        return 130
+        return _stop_writing()
+    except OSError as error:
+        if error.filename is None:
+            raise
+        return _failed(error)
     except SystemExit as done:
+        if isinstance(done.__context__, BrokenPipeError):  # the help's reader stopped
+            return _stop_writing()
         return done.code if isinstance(done.code, int) else 0
     return 0
+
+
+def _failed(error: BaseException) -> int:
+    """The exit status, the reason told in one line."""
+    if isinstance(error, KeyboardInterrupt):
+        _tell("interrupted")
+        return 130
+    if isinstance(error, MemoryError):
+        _tell("not enough memory for this")
+        return 1
+    if isinstance(error, OSError):
+        _tell(f"{error.filename}: {error.strerror}")
+        return 1
+    _tell(str(error))
+    return int(getattr(error, "exit_code", 2))  # what cannot be parsed is bad usage
