@@ -5,7 +5,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, cast, runtime_checkable
 
-from ..core.errors import ReaderError, UsageError
+from ..core.errors import DataError, ReaderError, UsageError
 from ..core.threads import one_blas_thread
 from .result import Result
 
@@ -14,6 +14,8 @@ from .result import Result
 class Evaluation(Result, Protocol):
     """A score: a result; `as_json` has the documented keys, `lines` are for people."""
 
+    @property
+    def unscored(self) -> str: ...
     def as_json(self) -> dict[str, Any]: ...
     def lines(self) -> list[str]: ...
 
@@ -34,23 +36,59 @@ JUDGES: tuple[str, ...] = (
 )
 
 
+RULE = (
+    "truth is an MRCLAM data set, a survey id,x,y (.csv), trajectories t x y z qx qy qz qw (.tum, of robot K where the "
+    "name holds robotK, else in the order given), relations between poses (.relations), or id,x,y of a swarm's robots"
+)
+
+
 @one_blas_thread()
 def evaluate(directory: Path | str, truth: Path | str | Sequence[Path | str]) -> Evaluation:
-    """The score of the result in `directory` against `truth` (one or more files of one kind).
+    """Score the result in `directory` against what is true, by the rules that every table here is made with.
 
-    Raises ReaderError where either is missing or damaged, UsageError where nobody knows that kind of truth.
+    Parameters
+    ----------
+    directory
+        What `map`, `fuse`, `locate` or `localize` wrote.
+    truth
+        One or more files of one kind: an MRCLAM data set, a survey `id,x,y` (.csv), TUM trajectories (of robot K where
+        the name holds `robotK`, else in the order given), relations, or the true positions of a swarm. Lengths in
+        metres, angles in radians.
+
+    Raises
+    ------
+    ReaderError
+        Where either is missing or damaged.
+    DataError
+        Where nothing of the result could be scored, with the reason.
+    UsageError
+        Where nobody knows that kind of truth.
+
+    Examples
+    --------
+    >>> team = simulate_landmarks("team", robots=2, landmarks=8, minutes=0.5, seed=1)
+    >>> result = map("team", "out")
+    >>> evaluate("out", "team").metrics["landmark_n"]
+    8
     """
-    folder = Path(directory)
     paths = [Path(truth)] if isinstance(truth, Path | str) else [Path(p) for p in truth]
+    found = judged(Path(directory), paths)
+    if found.unscored:
+        raise DataError(f"{', '.join(map(str, paths))}: nothing to score: {found.unscored}; {RULE}")
+    return found
+
+
+def judged(folder: Path, truth: Sequence[Path]) -> Evaluation:
+    """The score as its judge gives it, also where nothing could be scored."""
     if not (folder / "metrics.json").is_file():
         raise ReaderError(folder, "expected a mapweave result with metrics.json, found none")
-    if not paths:
+    if not truth:
         raise UsageError("--truth: expected a path, found none")
-    for path in paths:
+    for path in truth:
         if not path.exists():
             raise ReaderError(path, "no such file or folder")
     for where in JUDGES:
         judge = cast("Judge", import_module(where))
-        if judge.applies(folder, paths[0]):
-            return judge.evaluate(folder, paths)
-    raise UsageError(f"{paths[0]}: no kind of truth that is known for {folder}")
+        if judge.applies(folder, truth[0]):
+            return judge.evaluate(folder, truth)
+    raise UsageError(f"{truth[0]}: no kind of truth that is known for {folder}; {RULE}")

@@ -30,6 +30,12 @@ class RelationEvaluation(EvaluationBase):
     relations: RelationScore
     relations_exact: RelationScore
 
+    @property
+    def unscored(self) -> str:
+        if self.relations.used:
+            return ""
+        return f"none of {self.relations.n} relations has a pose of the result within 6 ms at both ends"
+
     def draw(self, target: "Target") -> None:
         from ..report.score import draw_bars  # noqa: PLC0415  (figures cost half a second)
 

@@ -26,6 +26,14 @@ class SwarmEvaluation(EvaluationBase):
     score: SwarmScore
     not_localisable: int
 
+    @property
+    def unscored(self) -> str:
+        if self.score.rmse is not None:
+            return ""
+        return (
+            f"no robot of the truth was located freely ({self.not_localisable} cannot be located, anchors don't count)"
+        )
+
     def draw(self, target: "Target") -> None:
         from ..report.score import draw_bars  # noqa: PLC0415  (figures cost half a second)
 

@@ -40,6 +40,10 @@ class TeamEvaluation(EvaluationBase):
 
     score: TeamScore
 
+    @property
+    def unscored(self) -> str:
+        return unscored(self.score)
+
     def draw(self, target: "Target") -> None:
         from ..report.score import draw_team_score  # noqa: PLC0415  (figures cost half a second)
 
@@ -85,6 +89,17 @@ def read_team_truth(paths: Sequence[Path], robots: Sequence[str]) -> TeamTruth:
     if not len(survey) and not tracks:
         raise DataError(f"{paths[0]}: no surveyed landmark and no true trajectory in it")
     return TeamTruth(survey, _named_as(tracks, robots))
+
+
+def unscored(score: TeamScore) -> str:
+    """Why neither landmarks nor trajectories could be scored; empty where something was."""
+    if score.landmarks.rmse is not None or any(r.ate is not None for r in score.robots.values()):
+        return ""
+    named = [name for name, r in score.robots.items() if r.truth]
+    if named:
+        return f"the true poses of {', '.join(named)} are of other times than the result's"
+    robots = ", ".join(score.robots) or "none"
+    return f"no landmark of the result is surveyed, and no true trajectory is of its robots ({robots})"
 
 
 def team_lines(score: TeamScore) -> list[str]:

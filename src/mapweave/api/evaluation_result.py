@@ -19,6 +19,11 @@ class EvaluationBase(ResultBase):
     def as_json(self) -> dict[str, Any]: ...
 
     @property
+    @abstractmethod
+    def unscored(self) -> str:
+        """Why nothing could be scored; empty where something was."""
+
+    @property
     def metrics(self) -> dict[str, Any]:
         return {"version": __version__, **self.as_json()}
 

@@ -35,7 +35,8 @@ NEAR, NEAR_ANGLE = 0.5, np.radians(10.0)  # a start that errs by less than this,
 class StartScore:
     """Errors against a truth in the map's frame, over its stamps after the start was found.
 
-    right: whether the median error there is under half a metre and ten degrees.
+    right: whether the median error there is under half a metre and ten degrees. Where it is not: the one motion
+    `offset` [m, m, rad] of the truth that explains most of the error, and the median error after it [m].
     """
 
     n: int
@@ -43,9 +44,14 @@ class StartScore:
     position_median: float | None
     heading_median_deg: float | None
     right: bool | None
+    offset: tuple[float, float, float] | None = None
+    aligned_median: float | None = None
 
     def as_json(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in self.__slots__}
+        shown = {name: getattr(self, name) for name in self.__slots__}
+        if self.offset is None:
+            del shown["offset"], shown["aligned_median"]
+        return shown
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -89,7 +95,23 @@ class LocalizeResult(ResultBase):
                 f"robot1: the start was {judged}: position error {self.score.position_rmse:.3f} m (median "
                 f"{self.score.position_median:.3f} m, {self.score.heading_median_deg:.2f} deg), {self.score.n} poses"
             )
-        return lines
+        return [*lines, *self.doubts()]
+
+    def doubts(self) -> list[str]:
+        """What makes the score itself doubtful: a truth of another time, or in another frame."""
+        score = self.score
+        if score is None:
+            return []
+        if not score.n:
+            return ["warning: no pose of the truth lies between the start's being found and the log's end: no score"]
+        if score.offset is None or score.aligned_median is None or score.aligned_median > NEAR:
+            return []
+        x, y, theta = score.offset
+        return [
+            (f"warning: moved by ({x:.2f} m, {y:.2f} m, {np.degrees(theta):.1f} deg) the truth agrees to "
+            f"{score.aligned_median:.3f} m: it is in another frame than the map, or the robot was found at a place "
+            "that looks the same")
+        ]
 
 
 @one_blas_thread()
@@ -146,12 +168,20 @@ def score_start(found: Localisation, truth: Track) -> StartScore:
     inside = (truth.t >= since) & (truth.t <= found.track.t[-1])
     if not inside.any():
         return StartScore(0, None, None, None, None)
+    kept = np.hypot(*np.ptp(truth.pose[inside, :2], axis=0))
     at = se2.interpolate(truth.t[inside], found.track.t, found.track.pose)
     off = at - truth.pose[inside]
     far, turned = np.hypot(off[:, 0], off[:, 1]), np.abs(se2.wrap_angle(off[:, 2]))
     near, straight = float(np.median(far)), float(np.median(turned))
     right = bool(found.found_t is not None and near < NEAR and straight < NEAR_ANGLE)
-    return StartScore(int(inside.sum()), float(np.sqrt((far**2).mean())), near, float(np.degrees(straight)), right)
+    rmse, heading = float(np.sqrt((far**2).mean())), float(np.degrees(straight))
+    if right or kept < NEAR:  # a robot that stands still tells nothing of its frame
+        return StartScore(int(inside.sum()), rmse, near, heading, right)
+    T = se2.align(truth.pose[inside, :2], at[:, :2])
+    left = np.median(np.linalg.norm(se2.act(T, truth.pose[inside, :2]) - at[:, :2], axis=1))
+    return StartScore(
+        int(inside.sum()), rmse, near, heading, right, (float(T[0]), float(T[1]), float(T[2])), float(left)
+    )
 
 
 def _grid_path(folder: Path) -> Path:

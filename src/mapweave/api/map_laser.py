@@ -29,7 +29,7 @@ from ..report.laser import write_laser_report
 from ..report.laser_figures import aligned, draw_map
 from ..report.result import ResultBase, Rows
 from ..report.style import Target
-from .evaluate import Evaluation, evaluate
+from .evaluate import Evaluation, judged
 from .map_options import MapOptions
 
 Job = tuple[Path | LaserLog, str, LaserSource, LaserConfig, int, float]
@@ -84,6 +84,7 @@ class LaserResult(ResultBase):
                 f"map {x1 - x0:.0f} x {y1 - y0:.0f} m, {refused} matches refused"
             )
             lines += [f"{robot_name(made.robot)}: {warning}" for warning in made.warnings]
+        lines += [f"warning: {text}" for text in self.metrics.get("warnings", ())]
         return lines + ([] if self.evaluation is None else self.evaluation.lines())
 
 
@@ -114,9 +115,11 @@ def map_logs(logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResul
         return LaserResult(maps, metrics)
     with tempfile.TemporaryDirectory() as folder:
         _write_data(Path(folder), maps, metrics)
-        score = evaluate(folder, options.truth)
+        score = judged(Path(folder), options.truth)
     known = {made.robot: _true_track(options.truth, k) for k, made in enumerate(maps)}
     truth = {robot: track for robot, track in known.items() if track is not None}
+    if score.unscored:
+        metrics["warnings"] = [*metrics.get("warnings", ()), f"the truth: nothing to score: {score.unscored}"]
     return LaserResult(maps, metrics | {"evaluation": score.as_json()}, score, truth)
 
 
@@ -217,7 +220,13 @@ def _with_threads(job: Job, threads: int) -> Job:
 
 def _told(made: LaserMap, options: MapOptions) -> LaserMap:
     """With a word about options that mean nothing to logs that are mapped each on its own."""
-    idle = [name for name, given in (("--start", options.start), ("--fuse-every", options.fuse_every)) if given]
+    asked = (
+        ("--start", options.start),
+        ("--fuse-every", options.fuse_every),
+        ("--weights", options.weights),
+        ("--no-refine", not options.refine),
+    )
+    idle = [name for name, given in asked if given]
     more = tuple(f"{name} has no effect: each laser log is mapped on its own" for name in idle)
     return replace(made, warnings=(*made.warnings, *more))
 

@@ -22,7 +22,7 @@ from ..landmarks.local_map import LocalMap
 from ..report.result import ResultBase, Rows
 from ..report.team_story import TeamStory
 from ..team.team_map import TeamMap
-from .evaluate_team import TeamTruth, read_team_truth, team_lines
+from .evaluate_team import TeamTruth, read_team_truth, team_lines, unscored
 from .online import OnlineMap, growth
 
 if TYPE_CHECKING:
@@ -175,6 +175,7 @@ def team_result(
         score = score_team(maps, {m.robot: m.submap.landmarks for m in local}, known.survey, known.robots)
         watch.lap("evaluate")
     own = [f"robot {robot_key(m.robot)}: {w}" for m in local for w in m.warnings]
+    reason = [f"the truth: nothing to score: {why}"] if score is not None and (why := unscored(score)) else []
     return TeamResult(
         title=title,
         seed=seed,
@@ -184,7 +185,7 @@ def team_result(
         growth=growth(online, survey),
         score=score,
         truth=known,
-        warnings=(*fusion.warnings, *own),
+        warnings=(*fusion.warnings, *own, *reason),
         timing=watch.seconds,
     )
 

@@ -11,20 +11,20 @@ from ..core.version import __version__
 if TYPE_CHECKING:
     from cyclopts import App
 
-COMMANDS: dict[str, str] = {
-    # verb: where its command lives; imported only when that command is asked for
-    "demo": "mapweave.cli.demo:demo",
-    "simulate": "mapweave.cli.simulate:app",
-    "map": "mapweave.cli.map:map_logs",
-    "fuse": "mapweave.cli.fuse:fuse",
-    "locate": "mapweave.cli.locate:locate",
-    "evaluate": "mapweave.cli.evaluate:evaluate",
-    "localize": "mapweave.cli.localize:localize",
-    "reproduce": "mapweave.cli.reproduce:app",
-    "view": "mapweave.cli.view:view",
-    "explore": "mapweave.cli.explore:explore",
-    "config": "mapweave.cli.config:config",
-    "doctor": "mapweave.cli.doctor:doctor",
+COMMANDS: dict[str, tuple[str, str]] = {
+    # verb: where its command lives, imported only when that command is asked for; what it does, in a line
+    "demo": ("mapweave.cli.demo:demo", "Simulate, map and score a small team: a first look."),
+    "simulate": ("mapweave.cli.simulate:app", "Make recordings whose truth is known."),
+    "map": ("mapweave.cli.map:map_logs", "Make one map of the logs of a team."),
+    "fuse": ("mapweave.cli.fuse:fuse", "Make one map of several results."),
+    "locate": ("mapweave.cli.locate:locate", "Find every robot of a swarm from bearings."),
+    "evaluate": ("mapweave.cli.evaluate:evaluate", "Score a result against the truth."),
+    "localize": ("mapweave.cli.localize:localize", "Follow a robot in a finished laser map."),
+    "reproduce": ("mapweave.cli.reproduce:app", "Repeat a paper's experiment."),
+    "view": ("mapweave.cli.view:view", "Open a result's report and map."),
+    "explore": ("mapweave.cli.explore:explore", "Let a team decide where to drive."),
+    "config": ("mapweave.cli.config:config", "Print every setting with default and meaning."),
+    "doctor": ("mapweave.cli.doctor:doctor", "Say what mapweave runs on."),
 }
 
 
@@ -39,8 +39,8 @@ def make_app() -> "App":
         version_flags=["--version"],
         help_format="plaintext",  # Markdown costs a tenth of a second to import
     )
-    for name, where in COMMANDS.items():
-        app.command(where, name=name)
+    for name, (where, told) in COMMANDS.items():
+        app.command(where, name=name, help=told)
     return app
 
 
