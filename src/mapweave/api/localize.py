@@ -108,9 +108,11 @@ class LocalizeResult(ResultBase):
             return []
         x, y, theta = score.offset
         return [
-            (f"warning: moved by ({x:.2f} m, {y:.2f} m, {np.degrees(theta):.1f} deg) the truth agrees to "
-            f"{score.aligned_median:.3f} m: it is in another frame than the map, or the robot was found at a place "
-            "that looks the same")
+            (
+                f"warning: moved by ({x:.2f} m, {y:.2f} m, {np.degrees(theta):.1f} deg) the truth agrees to "
+                f"{score.aligned_median:.3f} m: it is in another frame than the map, or the robot was found at a place "
+                "that looks the same"
+            )
         ]
 
 

@@ -1,0 +1,25 @@
+"""Two recordings of one place become one map; and a recording of another place is refused."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import mapweave
+
+with TemporaryDirectory() as folder:
+    home = Path(folder)
+    # Robots 1 and 2 are mapped in two runs, as if their logs came on two days.
+    mapweave.simulate_landmarks(home / "team", robots=2, landmarks=12, minutes=1.5, seed=8)
+    for robot in ("1", "2"):
+        mapweave.map(home / "team", home / f"day{robot}", robots=[robot])
+
+    # A second place has landmarks of the same names at other places.
+    mapweave.simulate_landmarks(home / "other", robots=2, landmarks=12, minutes=1.5, seed=9)
+    mapweave.map(home / "other", home / "elsewhere", robots=["1"])
+
+    together = mapweave.fuse([home / "day1", home / "day2"])
+    print(together.summary())
+
+    # Names alone are no proof: each decision tells its reason.
+    mixed = mapweave.fuse([home / "day1", home / "elsewhere"])
+    for decision in mixed.fusion.decisions:
+        print(f"{decision.robot}: {decision.decision}, {decision.reason}")

@@ -1,0 +1,75 @@
+"""Every example runs in a directory of its own, and becomes a notebook whose code runs too."""
+
+import ast
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).resolve().parent.parent / "examples"
+spec = importlib.util.spec_from_file_location("make_notebooks", HERE / "make_notebooks.py")
+make_notebooks = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(make_notebooks)
+SCRIPTS = make_notebooks.scripts()
+SAYS = {
+    "exploration": "mean map error",
+    "fuse_results": "2 of 2 robots in one map",
+    "landmark_team": "landmark RMSE 0.",
+    "laser_arrays": "cells are occupied",
+    "own_planner": "% of the field seen",
+    "swarm": "RMSE 0.",
+}
+
+
+def run(path, folder):
+    env = {**os.environ, "MPLBACKEND": "Agg"}
+    return subprocess.run(  # noqa: S603
+        [sys.executable, str(path)], cwd=folder, capture_output=True, text=True, timeout=300, check=False, env=env
+    )
+
+
+def test_every_example_is_short_and_known_here():
+    assert {path.stem for path in SCRIPTS} == set(SAYS)
+    assert all(len(path.read_text(encoding="utf-8").splitlines()) < 60 for path in SCRIPTS)
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
+def test_an_example_runs_silently_on_stderr_and_leaves_nothing_behind(path, tmp_path):
+    done = run(path, tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert SAYS[path.stem] in done.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_maps_of_two_places_are_not_made_one(tmp_path):
+    said = run(HERE / "fuse_results.py", tmp_path).stdout
+    assert "elsewhere/robot1: refused" in said
+
+
+def test_notebooks_hold_all_code_of_their_scripts_and_nothing_else(tmp_path, capsys):
+    make_notebooks.main(tmp_path)
+    assert capsys.readouterr().out.count("\n") == len(SCRIPTS)
+    for path in SCRIPTS:
+        made = json.loads((tmp_path / f"{path.stem}.ipynb").read_text(encoding="utf-8"))
+        assert (made["nbformat"], made["nbformat_minor"]) == (4, 5)
+        assert len({cell["id"] for cell in made["cells"]}) == len(made["cells"])
+        assert made["cells"][0]["source"].startswith("# ")
+        code = [cell["source"] for cell in made["cells"] if cell["cell_type"] == "code"]
+        whole = ast.parse(path.read_text(encoding="utf-8"))
+        assert ast.dump(ast.parse("\n\n".join(code))) == ast.dump(ast.Module(whole.body[1:], []))
+
+
+def test_a_notebooks_code_runs_cell_by_cell(tmp_path):
+    make_notebooks.main(tmp_path / "notebooks")
+    made = json.loads((tmp_path / "notebooks" / "swarm.ipynb").read_text(encoding="utf-8"))
+    script = tmp_path / "cells.py"
+    script.write_text(
+        "\n\n".join(cell["source"] for cell in made["cells"] if cell["cell_type"] == "code"), encoding="utf-8"
+    )
+    done = run(script, tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert SAYS["swarm"] in done.stdout
