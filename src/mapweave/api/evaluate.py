@@ -69,7 +69,7 @@ def evaluate(directory: Path | str, truth: Path | str | Sequence[Path | str]) ->
     >>> team = simulate_landmarks("team", robots=2, landmarks=8, minutes=0.5, seed=1)
     >>> result = map("team", "out")
     >>> evaluate("out", "team").metrics["landmark_n"]
-    8
+    7
     """
     paths = [Path(truth)] if isinstance(truth, Path | str) else [Path(p) for p in truth]
     found = judged(Path(directory), paths)

@@ -61,13 +61,63 @@ def explore(
     executor: Executor | None = None,
     on_progress: Progress = no_progress,
 ) -> LandmarkExploration | LaserExploration:
-    """`runs` explorations of `scenario` with seeds `seed`, `seed` + 1, ..., written to `out` when one is given.
+    """Let a team of robots decide where to drive until it knows the field, and score its map.
 
-    planner: paper, area, coverage, loop, joint, or a dotted name of `choose(maps, poses, cfg) -> commands`; noise:
-    printed, calibrated or a factor on the printed standard deviations; until: landmarks, field or a number of steps;
-    kill: robot name -> step at whose start it dies; drop: the share of messages between robots that is lost.
-    Without a planner: paper, and coverage in laser worlds, where noise is a factor on odometry's errors.
-    Raises UsageError, ConfigError, ReaderError, DataError or EstimateError; nothing is written then.
+    Written to `out` if given. Run k has seed `seed` + k; the same seed gives the same runs, whatever `jobs`.
+
+    Parameters
+    ----------
+    scenario
+        yuan, yuan-large, office (lasers), office-AREA, or a TOML file (yuan).
+    out
+        The folder to write; an earlier result there is replaced whole.
+    robots
+        How many (2, or as many as the scenario has starts).
+    runs
+        How many (1).
+    seed
+        Of the first run (0).
+    planner
+        paper, area, coverage, loop, joint, or one's own `choose(belief, poses, cfg) -> (M, 2)` [m/s, rad/s] by dotted
+        name `module:function` (paper; with lasers coverage).
+    association
+        known, nn or jcbb (jcbb); not with lasers.
+    noise
+        printed, calibrated, or a factor on the printed standard deviations; with lasers calibrated or a factor on the
+        errors of odometry (calibrated).
+    until
+        landmarks (all were seen), field (no frontier is left) or a number of steps (field).
+    kill
+        Robot name -> step at whose start it dies (none).
+    drop
+        The share of messages between robots that is lost, from 0 to below 1 (0).
+    config
+        A TOML file of settings, as `configuration("explore")` prints them; options here win.
+    jobs
+        How many runs are worked on at once, in processes of our own (1).
+    force
+        Write into `out` even when something other than a result stands there (False).
+    executor
+        Any `concurrent.futures.Executor` in place of `jobs`.
+    on_progress
+        Called as `on_progress(stage, done, total)`.
+
+    Raises
+    ------
+    ReaderError
+        For a scenario file that is damaged.
+    DataError
+        For a world that cannot be.
+    EstimateError
+        For a planner that fails or commands what no robot can do.
+    UsageError
+        For options that cannot be; ConfigError for a configuration that is refused. Nothing is written then.
+
+    Examples
+    --------
+    >>> result = explore("yuan", until=2, seed=1)
+    >>> len(result.runs), result.runs[0].steps
+    (1, 2)
     """
     laser = find_laser_scenario(scenario)
     if laser is not None:

@@ -30,10 +30,47 @@ def fuse(
     force: bool = False,
     on_progress: Progress = no_progress,
 ) -> TeamResult:
-    """One map from the local maps in `directories` (results of `map` or `fuse`), written to `out` when one is given.
+    """Fuse the local maps of several results into one map; written to `out` if given.
 
-    Robots are called `DIR/robotK`. identities: "known" (equal ids are one landmark) or "unknown" (found out from the
-    places alone). Raises ReaderError, DataError or UsageError; nothing is written then.
+    Robots are called `DIR/robotK`. Every decision (merged or refused) has its reason in the result; the same log given
+    twice counts once, and is told.
+
+    Parameters
+    ----------
+    directories
+        Results of `map` or `fuse`.
+    out
+        The folder to write; an earlier result there is replaced whole.
+    weights
+        How much each map counts: constant, paper, diagonal, full, full-scaled or naive (full-scaled).
+    identities
+        `known`: equal ids are one landmark, where the places agree; `unknown`: found out from the places (known).
+    truth
+        What `evaluate` takes; used for scoring alone.
+    config
+        A TOML file of settings, as `configuration("fuse")` prints them; options here win.
+    seed
+        Kept in the metrics (0).
+    force
+        Write into `out` even when something other than a result stands there (False).
+    on_progress
+        Called as `on_progress(stage, done, total)`.
+
+    Raises
+    ------
+    ReaderError
+        For a result that is missing or damaged.
+    DataError
+        For one without local maps.
+    UsageError
+        For options that cannot be; ConfigError for a configuration that is refused. Nothing is written then.
+
+    Examples
+    --------
+    >>> team = simulate_landmarks("team", robots=2, landmarks=12, minutes=1.5, seed=8)
+    >>> one, two = map("team", "one", robots=["1"]), map("team", "two", robots=["2"])
+    >>> fuse(["one", "two"]).maps[0].robots
+    ('one/robot1', 'two/robot2')
     """
     given = [Path(directories)] if isinstance(directories, Path | str) else [Path(d) for d in directories]
     if not given:

@@ -130,10 +130,48 @@ def localize(
     force: bool = False,
     on_progress: Progress = no_progress,
 ) -> LocalizeResult:
-    """Where the robot of `log` was in the map that `map` holds, written to `out` when one is given.
+    """Find and follow the robot of `log` in a finished laser map; written to `out` if given.
 
-    start: its first pose in the map [m, m, rad]; without, it is searched everywhere. truth: a TUM file in the map's
-    frame, for scoring alone. Raises ReaderError, DataError or UsageError; nothing is written then.
+    The result says whether the start was found, since when, and whether it is to be trusted.
+
+    Parameters
+    ----------
+    log
+        A laser log, as for `map`.
+    map
+        What `map` wrote for one robot.
+    out
+        The folder to write; an earlier result there is replaced whole.
+    start
+        The robot's first pose in the map [m, m, rad] (searched everywhere).
+    truth
+        A TUM trajectory in the map's frame, used for scoring alone; one in another frame is told.
+    config
+        A TOML file of settings, as `configuration("localize")` prints them; options here win.
+    laser
+        Options of laser logs.
+    seed
+        Of everything drawn at random (0).
+    force
+        Write into `out` even when something other than a result stands there (False).
+    on_progress
+        Called as `on_progress(stage, done, total)`.
+
+    Raises
+    ------
+    ReaderError
+        For a log, a map or a truth that is missing or damaged.
+    DataError
+        For a log without scans.
+    UsageError
+        For options that cannot be; ConfigError for a configuration that is refused. Nothing is written then.
+
+    Examples
+    --------
+    >>> drive = simulate_laser("drive.mcap", CorridorConfig(distance=8.0), seed=1)
+    >>> made = map("drive.mcap", "out", method="gated")
+    >>> localize("drive.mcap", "out", start=(0.0, 0.0, 0.0)).metrics["localisation"]["trusted"]
+    True
     """
     if out is not None:
         check_target(Path(out), force=force)

@@ -71,15 +71,71 @@ def locate(
     force: bool = False,
     on_progress: Progress = no_progress,
 ) -> Located | Moved:
-    """Positions of all robots, written to the folder `out` when one is given.
+    """Find where every robot of a swarm is, from who sees whom in which direction; written to `out` if given.
 
-    sightings: a table, its file, or the folder or zip of a landmark log whose robots saw each other (its ranges are not
-    used); anchors: known positions [m] by id; sigma: [rad], or a text such as "0.5deg", the file's own where None;
-    distances: (i, j, metres); until: only so many first seconds of stamped sightings; filtered: of
-    moving robots what was known at each instant, not what all sightings say of it; axis: False when every robot has
-    a heading of its own, None to find out; initial: a table `id,x,y[,z]` for the filters to start from; truth: for
-    scoring alone. Stamped sightings of robots that move give `Moved`, anything else `Located`. Raises ReaderError,
-    DataError or UsageError; nothing is written then.
+    Robots that the sightings leave free are named, not guessed; without two anchors the shape alone is found, and what
+    is free is told. Stamped sightings of robots that move give `Moved` (a track each), anything else `Located`.
+
+    Parameters
+    ----------
+    sightings
+        A table in memory or its file (CSV, Parquet): observer, target and bearing [rad]; in space azimuth, elevation
+        [rad] or bx, by, bz; optional sigma [rad] and t [s]. Or the folder or zip of a landmark log whose robots saw
+        each other.
+    out
+        The folder to write; an earlier result there is replaced whole.
+    anchors
+        Id -> known position [m].
+    dim
+        2 or 3 (as the columns say).
+    sigma
+        Standard deviation of a bearing [rad], or text with its unit as "0.5deg"; wins over the table's own (1 degree
+        where neither says it).
+    distances
+        Known distances as (id, id, metres).
+    method
+        batch, robust, distributed, ekf, iekf or fej (batch).
+    axis
+        Whether bearings are against a common axis (found out from mutual sightings).
+    odometry
+        Velocities of moving robots, a table or its file: t [s], robot, v [m/s], w [rad/s].
+    initial
+        A table `id,x,y[,z]` [m] for the filters to start from.
+    truth
+        A table `id,x,y[,z]`, with t where robots move; used for scoring alone.
+    covariance
+        Whether covariances are computed (up to 20,000 robots).
+    motion
+        How robots move, where they do.
+    config
+        A TOML file of settings, as `configuration("locate")` prints them; options here win.
+    until
+        Use the first so many seconds [s] of stamped sightings only (all).
+    filtered
+        Of moving robots what was known at each instant, not what all sightings say of it (False).
+    seed
+        Of everything drawn at random (0).
+    force
+        Write into `out` even when something other than a result stands there (False).
+    on_progress
+        Called as `on_progress(stage, done, total)`.
+
+    Raises
+    ------
+    ReaderError
+        For a table that does not parse, with its line or row.
+    DataError
+        For one that holds no sighting, an anchor that never appears, a truth of other robots.
+    UsageError
+        For options that cannot be; ConfigError for a configuration that is refused. Nothing is written then.
+
+    Examples
+    --------
+    >>> bearing = [0.0, 3.14159, 0.7854, 2.3562]
+    >>> table = {"observer": ["a", "b", "a", "b"], "target": ["b", "a", "c", "c"], "bearing": bearing}
+    >>> found = locate(table, anchors={"a": (0.0, 0.0), "b": (2.0, 0.0)}, sigma="1deg")
+    >>> [round(v, 2) for v in found.estimate.position[2].tolist()]
+    [1.0, 1.0]
     """
     cfg = load(LocateConfig, None if config is None else Path(config))
     method = cfg.swarm.method if method is None else method

@@ -57,12 +57,77 @@ def map(  # noqa: A001  (the verb)
     executor: Executor | None = None,
     on_progress: Progress = no_progress,
 ) -> MapResult:
-    """The map of `logs`, written to the folder `out` when one is given.
+    """Make one map of the logs of a team, each robot mapped on its own and all of them joined.
 
-    Robots are called `"1"`, `"2"`; `start` gives first poses [m, m, rad] in the map; `truth` is used for scoring alone;
-    `laser` is for laser logs.
-    Any `concurrent.futures` executor may be given; the result does not depend on it.
-    Raises ReaderError, DataError, EstimateError or UsageError; nothing is written then.
+    Written to `out` if given. The result holds one map a component (robots that could be tied together), every robot's
+    trajectory in it, the covariances, and why each robot was or was not merged. The same seed gives the same result,
+    whatever `jobs` and `executor`.
+
+    Parameters
+    ----------
+    logs
+        MRCLAM data sets (folder or zip), folders of `odometry.csv` and `sightings.csv`, laser logs (.bag, .db3, .mcap,
+        CARMEN and others), or `LaserLog`s in memory. Leave it out where tables are given.
+    out
+        The folder to write; an earlier result there is replaced whole.
+    scans
+        Laser scans in memory: `t` (m,) [s], `ranges` (m, n) [m], `angles` (n,) [rad] evenly spaced, and optionally
+        `intensities` (m, n) and `range_max` [m]; several robots as a list.
+    odometry
+        Beside `scans`: columns t [s], x [m], y [m], theta [rad], or a list of such. Beside `sightings`: t [s], robot,
+        v [m/s], w [rad/s].
+    sightings
+        Landmarks in memory: columns t [s], robot, id, range [m], bearing [rad] counter-clockwise from ahead.
+    robots
+        Use these robots only, by key: `["1", "3"]` (all).
+    method
+        How each robot maps: `ekf` for landmarks; for laser logs as `mapweave map --help` lists them.
+    weights
+        How much each robot's map counts: constant, paper, diagonal, full, full-scaled or naive (full-scaled).
+    share
+        Robot key -> first share of its time span that is used, in (0, 1] (1).
+    start
+        Robot key -> its first pose in the map [m, m, rad], where that is known.
+    truth
+        What `evaluate` takes; used for scoring alone, after the estimate.
+    config
+        A TOML file of settings, as `configuration("map")` prints them; options here win.
+    seed
+        Of everything drawn at random (0).
+    jobs
+        How many robots are worked on at once, in processes of our own (1).
+    fuse_every
+        Also fuse every so many seconds [s] while the logs play, and keep how the map grew (not at all).
+    refine
+        Smooth the whole team at the end, where the method offers it (True).
+    laser
+        Options for laser logs alone.
+    force
+        Write into `out` even when something other than a result stands there (False).
+    executor
+        Any `concurrent.futures.Executor` in place of `jobs`.
+    on_progress
+        Called as `on_progress(stage, done, total)`.
+
+    Raises
+    ------
+    ReaderError
+        For a log that is missing or damaged, with file and line (or table and row).
+    DataError
+        For logs that cannot give a map.
+    EstimateError
+        For an estimate that failed.
+    UsageError
+        For options that cannot be; ConfigError for a configuration that is refused. Nothing is written then.
+
+    Examples
+    --------
+    >>> team = simulate_landmarks("team", robots=2, landmarks=8, minutes=0.5, seed=1)
+    >>> result = map("team", "out", truth="team")
+    >>> result.maps[0].robots
+    ('robot1', 'robot2')
+    >>> result.maps[0].landmarks.mean.shape
+    (7, 2)
     """
     options = MapOptions(
         robots=None if robots is None else tuple(robots),
