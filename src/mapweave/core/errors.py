@@ -18,7 +18,7 @@ class ReaderError(MapweaveError):
 
     def __init__(self, file: object, message: str, line: int | None = None) -> None:
         where = f"{file}:{line}" if line is not None else f"{file}"
-        super().__init__(f"{where}: {message}")
+        super().__init__(" ".join(f"{where}: {message}".splitlines()))
         self.file, self.line = str(file), line
 
 

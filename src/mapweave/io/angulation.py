@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from ..core.bearings import BearingTable, unit
 from ..core.errors import ReaderError
+from .rows import lines, numbers
 
 NAME = re.compile(r"\(X([0-9.]+),Y([0-9.]+)\)\.csv$")
 
@@ -23,14 +24,26 @@ def read_angulation(
     if not files:
         raise ReaderError(folder, "expected files named (Xx.x,Yy.y).csv, found none")
     try:
-        beacons = np.loadtxt(folder / "landmark.csv", delimiter=",", ndmin=2)
-        bearings = np.radians(np.stack([np.loadtxt(p, delimiter=",", ndmin=2) for p in files]))
+        beacons = _table(folder / "landmark.csv")
+        bearings = np.radians(np.stack([_table(p) for p in files]))
     except (OSError, ValueError) as error:
         raise ReaderError(folder, f"expected tables of equal shape: {error}") from None
+    if beacons.shape[1] < 2:
+        raise ReaderError(folder / "landmark.csv", "expected x and y of every beacon")
     if bearings.shape[2] != len(beacons):
         raise ReaderError(folder, f"expected {len(beacons)} bearings a row, found {bearings.shape[2]}")
     places = [[float(v) for v in found.groups()] for p in files if (found := NAME.search(p.name))]
     return bearings, np.array(places), beacons[:, :2]
+
+
+def _table(path: Path) -> Float[np.ndarray, "n k"]:
+    """The finite numbers in `path`, commas between them; raises ReaderError naming a line that has none."""
+    text = lines(path.read_bytes(), str(path))
+    width = len(next((line for line in text if line.strip()), "").split(","))
+    rows = numbers("\n".join(text).encode(), str(path), tuple(f"column {k + 1}" for k in range(width)), separator=",")
+    if not len(rows) or not np.isfinite(rows).all():
+        raise ReaderError(path, "expected rows of finite numbers")
+    return rows
 
 
 def as_sightings(bearings: Float[np.ndarray, "p r b"], sigma: float, heading: float | None) -> BearingTable:

@@ -1,34 +1,56 @@
 """ROS 1 and ROS 2 recordings as one thing: topics, and their messages in time order."""
 
 import hashlib
-import struct
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
+from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-import apsw
-from rosbags.highlevel import AnyReader, AnyReaderError
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ..core.errors import ReaderError
-from .salvage import Salvage, salvage
+from .salvage import DAMAGE, Salvage, check_chunks, salvage
 
 Stamped = tuple[str, int, Any]  # topic, recording time [ns], message
+STAMP = ("header.stamp.sec", "header.stamp.nanosec", "header.frame_id")
+NEEDED = {
+    "sensor_msgs/msg/LaserScan": attrgetter(
+        *STAMP, "angle_min", "angle_max", "angle_increment", "range_min", "range_max", "ranges", "intensities"
+    ),
+    "nav_msgs/msg/Odometry": attrgetter(
+        *STAMP,
+        "child_frame_id",
+        *(f"pose.pose.position.{name}" for name in "xyz"),
+        *(f"pose.pose.orientation.{name}" for name in "xyzw"),
+    ),
+    "tf2_msgs/msg/TFMessage": attrgetter("transforms"),
+    "tf/msg/tfMessage": attrgetter("transforms"),
+    "transform": attrgetter(
+        *STAMP,
+        "child_frame_id",
+        *(f"transform.translation.{name}" for name in "xyz"),
+        *(f"transform.rotation.{name}" for name in "xyzw"),
+    ),
+}
 SUFFIXES = (".bag", ".mcap", ".db3")
-# What a damaged file makes a parser say; each of them only ever means "this cannot be read".
-DAMAGE = (OSError, ValueError, KeyError, IndexError, TypeError, AssertionError, struct.error, apsw.Error, EOFError)
 
 
 @dataclass(slots=True)
 class Bag:
-    """kinds: the type of every topic; counts: its messages; lost: what could not be read, empty when all could."""
+    """kinds: the type of every topic; counts: its messages; lost: what could not be read, empty when all could;
+
+    skipped: messages read over so far because they do not hold what their type says.
+    """
 
     path: Path
     kinds: dict[str, str]
     counts: dict[str, int]
     lost: str
+    skipped: int = 0
     _salvaged: Salvage | None = None
 
     def topics(self, *kinds: str) -> list[str]:
@@ -44,20 +66,30 @@ class Bag:
 
         The reading stops quietly at damage, and `lost` then says so.
         """
+        self.skipped = 0
         done: set[str] = set()
+        for topic, ns, message in self._raw(topics):
+            if topic in done:
+                continue
+            try:
+                unpacked = message()
+                _check(unpacked, self.kinds[topic])
+            except DAMAGE:
+                self.skipped += 1
+                continue
+            yield topic, ns, unpacked
+            if topic in once:
+                done.add(topic)
+
+    def _raw(self, topics: Collection[str]) -> Iterator[tuple[str, int, Callable[[], Any]]]:
+        """Topic, time and how to unpack each message."""
         if self._salvaged is not None:
-            for topic, ns, message in _unpacked(self, self._salvaged, topics):
-                if topic not in done:
-                    yield topic, ns, message
-                done.update({topic} & set(once))
+            yield from _unpacked(self, self._salvaged, topics)
             return
         with AnyReader([self.path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             wanted = [c for c in reader.connections if c.topic in topics]
             for connection, ns, data in reader.messages(connections=wanted) if wanted else ():
-                if connection.topic not in done:
-                    yield connection.topic, ns, reader.deserialize(data, connection.msgtype)
-                if connection.topic in once:
-                    done.add(connection.topic)
+                yield connection.topic, ns, partial(reader.deserialize, data, connection.msgtype)
 
 
 def open_bag(path: Path, kinds_read: Collection[str]) -> Bag:
@@ -66,6 +98,8 @@ def open_bag(path: Path, kinds_read: Collection[str]) -> Bag:
     Those are read through once, since a damaged middle shows only then. Raises ReaderError when nothing can be read.
     """
     path = _single(path)
+    for part in [path] if path.is_file() else sorted(p for p in path.iterdir() if p.suffix in SUFFIXES):
+        check_chunks(part)
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             kinds = {c.topic: c.msgtype for c in reader.connections}
@@ -75,14 +109,22 @@ def open_bag(path: Path, kinds_read: Collection[str]) -> Bag:
             wanted = [c for c in reader.connections if c.msgtype in kinds_read]
             for _ in reader.messages(connections=wanted) if wanted else ():
                 pass
-    except (AnyReaderError, TypesysError, *DAMAGE) as error:
+    except DAMAGE as error:
         found = salvage(path) if path.is_file() else Salvage()
         if not found.messages:
             raise ReaderError(path, f"not a readable ROS recording: {_short(error)}") from None
         lost = f"cut short or damaged ({_short(error)}): {len(found.messages)} messages could be read"
         counts = Counter(topic for topic, _, _ in found.messages)
-        return Bag(path, found.kinds, dict(counts), lost, found)
+        return Bag(path, found.kinds, dict(counts), lost, _salvaged=found)
     return Bag(path, kinds, dict(counts), "")
+
+
+def _check(message: Any, kind: str) -> None:
+    """Raises AttributeError for a message whose recorded type lacks what its name promises."""
+    if kind in NEEDED:
+        NEEDED[kind](message)
+    for transform in getattr(message, "transforms", ()):
+        NEEDED["transform"](transform)
 
 
 def bag_hash(path: Path) -> str:
@@ -103,17 +145,20 @@ def _single(path: Path) -> Path:
     return path
 
 
-def _unpacked(bag: Bag, found: Salvage, topics: Collection[str]) -> Iterator[Stamped]:
+def _unpacked(bag: Bag, found: Salvage, topics: Collection[str]) -> Iterator[tuple[str, int, Callable[[], Any]]]:
     ros1 = bag.path.suffix == ".bag"
     store = get_typestore(Stores.EMPTY if ros1 else Stores.ROS2_HUMBLE)
     for kind, text in found.definitions.items():
-        known = get_types_from_msg(text, kind)
-        store.register({name: fields for name, fields in known.items() if name not in store.fielddefs})
+        try:
+            known = get_types_from_msg(text, kind)
+            store.register({name: fields for name, fields in known.items() if name not in store.fielddefs})
+        except DAMAGE:  # messages of this type cannot be unpacked, and are counted as such
+            continue
     for topic, ns, data in found.messages:
         if topic in topics:
             kind = bag.kinds[topic]
-            yield topic, ns, store.deserialize_ros1(data, kind) if ros1 else store.deserialize_cdr(data, kind)
+            yield topic, ns, partial(store.deserialize_ros1 if ros1 else store.deserialize_cdr, data, kind)
 
 
 def _short(error: BaseException) -> str:
-    return str(error).split("\n", 1)[0].rstrip(".")[:120] or type(error).__name__
+    return " ".join(str(error).split())[:120].rstrip(".") or type(error).__name__

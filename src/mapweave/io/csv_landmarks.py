@@ -3,7 +3,6 @@
 The header line is needed and may order the columns freely. Robots are whole numbers; an id `robotK` names a robot.
 """
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,10 +15,11 @@ from . import mending
 from .columns import Columns, table_of
 from .files import Files, open_files
 from .rows import lines
-from .table import Table
+from .table import Table, csv_rows, is_name
 
 ODOMETRY, SIGHTINGS = "odometry.csv", "sightings.csv"
 DRIVEN, SEEN = ("t", "robot", "v", "w"), ("t", "robot", "id", "range", "bearing")
+LARGEST = 10**9  # the number of a robot is less
 Rows = tuple[np.ndarray, np.ndarray, list[str]]  # the numeric columns but the robot, the robots' numbers, the ids
 
 
@@ -53,7 +53,7 @@ def _numbered(table: Table, columns: tuple[str, ...]) -> Rows:
     robot = []
     for row, word in enumerate(table.names("robot"), 1):
         key = robot_key(word)
-        if not key.isdecimal():
+        if not key.isdecimal() or int(key) >= LARGEST:
             raise ReaderError(table.path, f"expected a whole number for robot, found {word!r}", row)
         robot.append(int(key))
     numeric = [table.numbers(name) for name in columns if name not in {"robot", "id"}]
@@ -107,35 +107,45 @@ def _sightings(seen: Rows, k: int, robots: set[str], label: str, mend: mending.M
 def _columns(files: Files, name: str, columns: tuple[str, ...]) -> Rows:
     """The numeric columns but the robot, the robots' numbers, the ids (empty when the file has none)."""
     label = files.label(name)
-    rows = csv.reader(lines(files.read(name), label), skipinitialspace=True)
+    rows = csv_rows(lines(files.read(name), label), label)
     header = [h.strip().lower() for h in next(rows, [])]
     if sorted(header) != sorted(columns):
-        raise ReaderError(label, f"expected the columns {','.join(columns)}, found {','.join(header) or 'none'}", 1)
+        raise ReaderError(
+            label, f"expected the columns {','.join(columns)}, found {','.join(header)[:200] or 'none'}", 1
+        )
     where = [header.index(c) for c in columns]
     numeric: list[list[float]] = []
     robot: list[int] = []
     ids: list[str] = []
-    for row in rows:
+    for line, row in enumerate(rows, 2):
         if not row or row[0].startswith("#"):
             continue
         if len(row) != len(columns):
-            raise ReaderError(label, f"expected {len(columns)} columns, found {len(row)}", rows.line_num)
+            raise ReaderError(label, f"expected {len(columns)} columns, found {len(row)}", line)
         values = []
         for column, i in zip(columns, where, strict=True):
             word = row[i].strip()
             if column == "id":
-                if not word:
-                    raise ReaderError(label, "expected an id, found none", rows.line_num)
+                if not is_name(word):
+                    raise ReaderError(label, f"expected an id, found {word[:40]!r}", line)
                 ids.append(word)
                 continue
             try:
                 if column == "robot":
-                    robot.append(int(word))
+                    robot.append(_whole(word))
                 else:
                     values.append(float(word))
             except ValueError:
                 kind = "whole number" if column == "robot" else "number"
-                raise ReaderError(label, f"expected a {kind} for {column}, found {word!r}", rows.line_num) from None
+                raise ReaderError(label, f"expected a {kind} for {column}, found {word[:40]!r}", line) from None
         numeric.append(values)
     width = len(columns) - 1 - ("id" in columns)
     return np.array(numeric, dtype=np.float64).reshape(-1, width), np.array(robot, dtype=np.int64), ids
+
+
+def _whole(word: str) -> int:
+    """The number of a robot; raises ValueError for what cannot be one."""
+    number = int(word)
+    if not 0 <= number < LARGEST:
+        raise ValueError(word)
+    return number

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import UsageError
+from ..core.errors import ReaderError, UsageError
 
 MARKERS = ("metrics.json", "simulation.json")  # what tells an earlier result from anything else
 
@@ -70,6 +70,28 @@ def write_json(path: Path, value: Any) -> None:
     path.write_text(json.dumps(plain(value), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
+def read_json(path: Path) -> dict[str, Any]:
+    """The JSON object in `path`; raises ReaderError when it cannot be read or is none."""
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"), parse_float=_finite, parse_constant=_finite)
+    except OSError as error:
+        raise ReaderError(path, f"cannot be read: {error.strerror or error}") from None
+    except ValueError as error:
+        raise ReaderError(path, f"expected JSON: {error}") from None
+    except RecursionError:
+        raise ReaderError(path, "expected JSON, found brackets nested too deep") from None
+    if not isinstance(value, dict):
+        raise ReaderError(path, f"expected a JSON object, found {type(value).__name__}")
+    return value
+
+
+def _finite(word: str) -> float:
+    value = float(word)
+    if not math.isfinite(value):
+        raise ValueError(f"{word} is not finite")
+    return value
+
+
 def plain(value: Any) -> Any:
     """`value` in JSON's own types."""
     if isinstance(value, dict):
@@ -91,6 +113,6 @@ def _is_result(out: Path) -> bool:
 
 def _has_version(path: Path) -> bool:
     try:
-        return "version" in json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, TypeError):
+        return "version" in read_json(path)
+    except ReaderError:
         return False

@@ -1,5 +1,7 @@
 """A folder or a zip file as one thing: names in, bytes out, and one clear error when it is not whole."""
 
+import lzma
+import struct
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -8,7 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..core.errors import ReaderError
+from .text import LARGEST_RATIO, LARGEST_SMALL
 
+# What a damaged zip file makes the library say.
+DAMAGE = (
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, ValueError, KeyError),
+    *(NotImplementedError, RuntimeError, OverflowError, struct.error),
+)
 HIDDEN = ("__MACOSX", ".")
 
 
@@ -23,13 +31,17 @@ class Files:
     def read(self, name: str) -> bytes:
         """The bytes of `name`; raises ReaderError when they cannot be had whole."""
         try:
-            if self.archive is not None:
-                return self.archive.read(name)
-            return (self.where / name).read_bytes()
-        except (zipfile.BadZipFile, zlib.error, EOFError) as error:
-            raise ReaderError(self.label(name), f"the zip file is damaged here: {error}") from None
+            if self.archive is None:
+                return (self.where / name).read_bytes()
+            entry = self.archive.getinfo(name)
+            if entry.file_size > max(LARGEST_SMALL, LARGEST_RATIO * entry.compress_size):
+                told = f"{entry.compress_size} bytes unpack to {entry.file_size}: no log is packed so well"
+                raise ReaderError(self.label(name), told)
+            return self.archive.read(name)
         except OSError as error:
             raise ReaderError(self.label(name), f"cannot be read: {error.strerror or error}") from None
+        except DAMAGE as error:
+            raise ReaderError(self.label(name), f"the zip file is damaged here: {error}") from None
 
     def label(self, name: str) -> str:
         return f"{self.where}/{name}"
@@ -54,12 +66,12 @@ def open_files(path: Path) -> Iterator[Files]:
         raise ReaderError(path, "no such file or folder")
     try:
         archive = zipfile.ZipFile(path)
-    except zipfile.BadZipFile:
+    except OSError as error:
+        raise ReaderError(path, f"cannot be read: {error.strerror or error}") from None
+    except DAMAGE:
         raise ReaderError(
             path, "expected a folder or a zip file, found neither (or the zip file is cut short)"
         ) from None
-    except OSError as error:
-        raise ReaderError(path, f"cannot be read: {error.strerror or error}") from None
     with archive:
         yield Files(path, _visible([n for n in sorted(archive.namelist()) if not n.endswith("/")]), archive)
 

@@ -1,15 +1,31 @@
 """Grid maps as data: everything a cell holds, for `localize` and for other programs."""
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
 from ..core.errors import ReaderError
 from ..laser.grid import GridMap, IntensityCalibration
-from .npz import write_npz
+from .npz import Spec, read_npz, write_npz
 
 NAME = "grid.npz"
+LARGEST_VALUE = 1e30  # cells are kept as 32-bit numbers
+CELLS: dict[str, Spec] = {
+    "resolution": ("number", ()),
+    "origin": ("number", (2,)),
+    "hits": ("whole", ("rows", "cols")),
+    "passes": ("whole", ("rows", "cols")),
+    "mean": ("number", ("rows", "cols", 2)),
+    "feature": ("number", ("rows", "cols")),
+    "weight": ("number", ("rows", "cols")),
+    "kind": ("text", ()),
+}
+CALIBRATION: dict[str, Spec] = {
+    "knots": ("number", ("knots",)),
+    "log_gain": ("number", ("knots",)),
+    "gain_figures": ("number", (4,)),
+    "residual_by_range": ("maybe", ("bins",)),
+}
 
 
 def read_grid(path: Path) -> tuple[GridMap, IntensityCalibration | None, str]:
@@ -17,26 +33,23 @@ def read_grid(path: Path) -> tuple[GridMap, IntensityCalibration | None, str]:
 
     Raises ReaderError for a file that is missing, damaged or something else.
     """
-    try:
-        with np.load(path) as held:
-            grid = GridMap(
-                float(held["resolution"]),
-                held["origin"],
-                held["hits"],
-                held["passes"],
-                held["mean"],
-                held["feature"],
-                held["weight"],
-            )
-            calibration = None
-            if "knots" in held:
-                exponent, scale, residual, samples = held["gain_figures"].tolist()
-                calibration = IntensityCalibration(
-                    held["knots"], held["log_gain"], exponent, scale, residual, int(samples), held["residual_by_range"]
-                )
-            return grid, calibration, str(held["kind"])
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise ReaderError(path, f"expected a grid map that `map` wrote: {error}") from None
+    held = read_npz(path, CELLS, CALIBRATION, "a grid map that `map` wrote")
+    resolution = float(held["resolution"])
+    if resolution <= 0:
+        raise ReaderError(path, f"expected a resolution of more than 0 m, found {resolution:g}")
+    if max(np.abs(held[name]).max(initial=0.0) for name in ("mean", "feature", "weight")) > LARGEST_VALUE:
+        raise ReaderError(path, f"expected cells with numbers under {LARGEST_VALUE:g}")
+    if min(held[name].min(initial=0) for name in ("hits", "passes")) < 0:
+        raise ReaderError(path, "expected counts of 0 or more")
+    arrays = (held[name] for name in ("origin", "hits", "passes", "mean", "feature", "weight"))
+    grid = GridMap(resolution, *arrays)
+    calibration = None
+    if all(name in held for name in CALIBRATION):
+        exponent, scale, residual, samples = held["gain_figures"].tolist()
+        calibration = IntensityCalibration(
+            held["knots"], held["log_gain"], exponent, scale, residual, int(samples), held["residual_by_range"]
+        )
+    return grid, calibration, str(held["kind"])
 
 
 def write_grid(path: Path, grid: GridMap, calibration: IntensityCalibration | None, feature: str) -> None:
@@ -63,4 +76,4 @@ def write_grid(path: Path, grid: GridMap, calibration: IntensityCalibration | No
             "gain_figures": np.array([c.exponent, c.scale, c.residual, float(c.samples)]),
             "residual_by_range": c.residual_by_range,
         }
-    write_npz(path, **arrays)
+    write_npz(path, gaps=("residual_by_range",), **arrays)

@@ -1,6 +1,5 @@
 """Truth for scoring alone: surveyed landmarks and the robots' true poses. No estimator imports this file."""
 
-import csv
 import re
 from pathlib import Path
 
@@ -11,10 +10,12 @@ from ..core.records import Track
 from ..core.se2 import wrap_angle
 from ..core.survey import Survey
 from .files import Files, open_files
-from .rows import lines, numbers
+from .rows import line_of, lines, numbers
+from .table import csv_rows, is_name
 
 SURVEY = "Landmark_Groundtruth.dat"
 TRUTH_FILE = re.compile(r"^Robot([0-9]+)_(Groundtruth|GroundtruthInstants|GroundtruthKeyframes)\.dat$")
+LARGEST = 10**9  # the number of a subject is less
 KINDS = ("Groundtruth", "GroundtruthInstants", "GroundtruthKeyframes")  # the first there is is used
 LABELS = {"Groundtruth": "groundtruth", "GroundtruthInstants": "instants", "GroundtruthKeyframes": "keyframes"}
 EXTRA = {"Groundtruth": 0, "GroundtruthInstants": 2, "GroundtruthKeyframes": 0}  # columns after t, x, y, theta
@@ -30,7 +31,12 @@ def read_survey(path: Path) -> Survey:
             raise ReaderError(path, f"expected {SURVEY}, found none")
         files.folder_of(names)
         label = files.label(names[0])
-        table = numbers(files.read(names[0]), label, ("subject", "x", "y", "x std", "y std"))
+        data = files.read(names[0])
+        table = numbers(data, label, ("subject", "x", "y", "x std", "y std"))
+        wrong = np.flatnonzero(~(np.isfinite(table[:, :3]).all(axis=1) & (np.abs(table[:, 0]) < LARGEST)))
+        if len(wrong):
+            line = line_of(data, label, int(wrong[0]))
+            raise ReaderError(label, "expected the number of a subject and finite coordinates", line)
     return Survey(tuple(str(int(s)) for s in table[:, 0]), table[:, 1:3])
 
 
@@ -65,17 +71,19 @@ def _poses(files: Files, name: str, extra: int) -> Track:
 
 
 def _survey_csv(path: Path) -> Survey:
-    rows = csv.reader(lines(path.read_bytes(), str(path)), skipinitialspace=True)
+    rows = csv_rows(lines(path.read_bytes(), str(path)), path)
     header = [h.strip().lower() for h in next(rows, [])]
     if header[:3] != ["id", "x", "y"]:
-        raise ReaderError(path, f"expected the columns id,x,y, found {','.join(header) or 'none'}", 1)
+        raise ReaderError(path, f"expected the columns id,x,y, found {','.join(header)[:200] or 'none'}", 1)
     ids, xy = [], []
-    for row in rows:
+    for line, row in enumerate(rows, 2):
         if not row or row[0].startswith("#"):
             continue
         try:
             ids.append(row[0].strip())
             xy.append([float(row[1]), float(row[2])])
         except (ValueError, IndexError):
-            raise ReaderError(path, f"expected id,x,y with numbers, found {','.join(row)!r}", rows.line_num) from None
+            xy.append([np.nan])
+        if not is_name(ids[-1]) or not np.isfinite(xy[-1]).all():
+            raise ReaderError(path, f"expected id,x,y with numbers, found {','.join(row)[:60]!r}", line)
     return Survey(tuple(ids), np.array(xy, dtype=np.float64).reshape(-1, 2))

@@ -1,6 +1,5 @@
 """Landmarks as a table for people and as arrays with the joint covariance for programs."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -9,38 +8,29 @@ from ..core.errors import ReaderError
 from ..core.names import in_order, robot_key, robot_name
 from ..landmarks.landmark_map import LandmarkMap
 from ..team.team_map import TeamMap
-from .npz import write_npz
-from .table import write_table
+from .npz import read_npz, write_npz
+from .table import read_table, write_table
 
 HEAD = "id,x,y,var_x,cov_xy,var_y,robots,sightings"
 
 
 def read_landmarks(path: Path, frame: str = "map") -> LandmarkMap:
     """The map in a `landmarks.npz`; raises ReaderError when it is damaged."""
+    held = read_npz(path, {"ids": ("text", ("n",)), "mean": ("number", ("n", 2)), "cov": ("number", ("2n", "2n"))})
     try:
-        with np.load(path, allow_pickle=False) as held:
-            ids = tuple(str(name) for name in held["ids"])
-            return LandmarkMap(ids, held["mean"].reshape(-1, 2), held["cov"], frame)
-    except FileNotFoundError:
-        raise ReaderError(path, "no such file") from None
-    except Exception as error:  # noqa: BLE001  (numpy and zipfile raise a dozen kinds for a damaged file)
+        return LandmarkMap(tuple(str(name) for name in held["ids"]), held["mean"], held["cov"], frame)
+    except ValueError as error:
         raise ReaderError(path, f"expected ids, mean and cov of landmarks: {error}") from None
 
 
 def read_members(path: Path) -> tuple[dict[str, tuple[str, ...]], dict[str, int]]:
     """Of every landmark in a `landmarks.csv`, the robots that know it and how often it was sighted."""
-    if not path.exists():
-        return {}, {}
-    members: dict[str, tuple[str, ...]] = {}
-    sightings: dict[str, int] = {}
-    with path.open(encoding="utf-8", newline="") as file:
-        for number, row in enumerate(csv.DictReader(file), 2):
-            try:
-                members[row["id"]] = tuple(robot_name(k) for k in row["robots"].split(";") if k)
-                sightings[row["id"]] = int(row["sightings"])
-            except (KeyError, ValueError, AttributeError) as error:
-                raise ReaderError(path, f"expected id, robots and sightings: {error}", number) from None
-    return members, sightings
+    table = read_table(path)
+    if missing := [name for name in ("id", "robots", "sightings") if name not in table.columns]:
+        raise ReaderError(path, f"expected a column {missing[0]}, found {','.join(table.columns)}", 1)
+    ids, sightings = table.names("id"), table.whole("sightings")
+    robots = [tuple(robot_name(key) for key in text.split(";") if key) for text in table.columns["robots"]]
+    return dict(zip(ids, robots, strict=True)), dict(zip(ids, sightings, strict=True))
 
 
 def write_landmarks(folder: Path, team: TeamMap) -> None:

@@ -1,8 +1,6 @@
 """A robot's local map as files: `local_map.json` for people, `local_map.npz` for numbers; the same bytes each time."""
 
-import json
-import zipfile
-import zlib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +11,59 @@ from ..core.names import in_order
 from ..core.records import Track
 from ..landmarks.local_map import LocalMap, RobotSightings
 from ..landmarks.submap import Submap
-from .directory import plain
-from .npz import write_npz
+from .directory import read_json, write_json
+from .npz import Spec, read_npz, write_npz
 
 FORMAT = 1
+LARGEST_NUMBER = 1e300
+ARRAYS: dict[str, Spec] = {
+    "pose": ("number", (3,)),
+    "mean": ("number", ("landmarks", 2)),
+    "cov": ("number", ("state", "state")),
+    "track_t": ("number", ("poses",)),
+    "track_pose": ("number", ("poses", 3)),
+    "seen_t": ("number", ("seen",)),
+    "seen_target": ("whole", ("seen",)),
+    "seen_range": ("number", ("seen",)),
+    "seen_bearing": ("number", ("seen",)),
+}
 
 
 def read_local_map(folder: Path) -> LocalMap:
     """The local map saved in `folder`; raises ReaderError when a file is missing, damaged or of another format."""
-    told, arrays = _json(folder / "local_map.json"), _arrays(folder / "local_map.npz")
-    if told.get("format") != FORMAT:
-        raise ReaderError(folder / "local_map.json", f"expected format {FORMAT}, found {told.get('format')}")
-    try:
-        return _local_map(told, arrays)
-    except (KeyError, TypeError, IndexError, ValueError) as error:
-        raise ReaderError(folder, f"expected a whole local map, found one that lacks or mixes up {error}") from None
+    held = _Told(folder / "local_map.json", read_json(folder / "local_map.json"))
+    if held.values.get("format") != FORMAT:
+        raise ReaderError(held.path, f"expected format {FORMAT}, found {held.values.get('format')!r:.40}")
+    arrays = read_npz(folder / "local_map.npz", ARRAYS, {"track_cov": ("number", ("poses", 6))})
+    sightings, seen = held.counts("landmarks"), held.counts("robot_sightings")
+    ids, names, target = tuple(sightings), sorted(seen), arrays["seen_target"]
+    if arrays["mean"].shape[0] != len(ids) or arrays["cov"].shape[0] != 3 + 2 * len(ids):
+        raise ReaderError(held.path, f"expected {len(arrays['mean'])} landmarks as in local_map.npz, found {len(ids)}")
+    if len(target) and not 0 <= target.min() <= target.max() < len(names):
+        raise ReaderError(held.path, f"expected as many robots as local_map.npz holds, found {len(names)}")
+    if not (np.diff(arrays["track_t"]) > 0).all():
+        raise ReaderError(folder / "local_map.npz", "track_t: expected stamps that ascend strictly")
+    cov = arrays.get("track_cov")
+    if cov is not None:
+        cov = cov[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    robot, frame = held.text("robot"), held.text("frame")
+    return LocalMap(
+        robot=robot,
+        submap=Submap(robot, arrays["pose"], ids, arrays["mean"], arrays["cov"], frame),
+        track=Track(arrays["track_t"], arrays["track_pose"], cov, frame),
+        sightings=sightings,
+        robot_sightings=RobotSightings(
+            arrays["seen_t"], tuple(names[i] for i in target.tolist()), arrays["seen_range"], arrays["seen_bearing"]
+        ),
+        odometry=held.text("odometry"),
+        source=held.text("source"),
+        log_hash=held.text("log_hash"),
+        nis_median=held.number("nis_median"),
+        down_weighted=held.count("down_weighted"),
+        dropped=held.counts("dropped"),
+        calibration=held.calibration(),
+        warnings=held.sentences("warnings"),
+    )
 
 
 def read_local_maps(result: Path) -> tuple[LocalMap, ...]:
@@ -38,50 +74,61 @@ def read_local_maps(result: Path) -> tuple[LocalMap, ...]:
     return tuple(read_local_map(p) for p in sorted(folders, key=lambda p: in_order(p.name)))
 
 
-def _local_map(told: dict[str, Any], arrays: dict[str, np.ndarray]) -> LocalMap:
-    names = sorted(told["robot_sightings"])
-    target = tuple(names[k] for k in arrays["seen_target"])
-    cov = arrays.get("track_cov")
-    if cov is not None:
-        cov = cov[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-    ids = tuple(told["landmarks"])
-    return LocalMap(
-        robot=told["robot"],
-        submap=Submap(told["robot"], arrays["pose"], ids, arrays["mean"], arrays["cov"], told["frame"]),
-        track=Track(arrays["track_t"], arrays["track_pose"], cov, told["frame"]),
-        sightings={name: int(n) for name, n in told["landmarks"].items()},
-        robot_sightings=RobotSightings(arrays["seen_t"], target, arrays["seen_range"], arrays["seen_bearing"]),
-        odometry=told["odometry"],
-        source=told["source"],
-        log_hash=told["log_hash"],
-        nis_median=told["nis_median"],
-        down_weighted=int(told["down_weighted"]),
-        dropped={k: int(n) for k, n in told["dropped"].items()},
-        calibration={k: (c["value"], c["sd"]) for k, c in told["calibration"].items()},
-        warnings=tuple(told["warnings"]),
-    )
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """The JSON beside the arrays; every value is checked when it is asked for, and an error names it."""
+
+    path: Path
+    values: dict[str, Any]
+
+    def text(self, name: str) -> str:
+        value = self.values.get(name)
+        if not isinstance(value, str) or not value.isprintable():
+            raise self._wrong(name, "text", value)
+        return value
+
+    def number(self, name: str) -> float | None:
+        value = self.values.get(name)
+        if value is not None and not _is_number(value):
+            raise self._wrong(name, "a number or null", value)
+        return None if value is None else float(value)
+
+    def count(self, name: str) -> int:
+        value: Any = self.values.get(name)
+        if not _is_count(value):
+            raise self._wrong(name, "a whole number", value)
+        return int(value)
+
+    def counts(self, name: str) -> dict[str, int]:
+        value = self.values.get(name)
+        if not isinstance(value, dict) or not all(key.isprintable() and _is_count(n) for key, n in value.items()):
+            raise self._wrong(name, "names with whole numbers", value)
+        return dict(value)
+
+    def sentences(self, name: str) -> tuple[str, ...]:
+        value = self.values.get(name)
+        if not isinstance(value, list) or not all(isinstance(word, str) for word in value):
+            raise self._wrong(name, "a list of sentences", value)
+        return tuple(value)
+
+    def calibration(self) -> dict[str, tuple[float, float]]:
+        value = self.values.get("calibration")
+        pairs = value.items() if isinstance(value, dict) else ()
+        good = isinstance(value, dict) and all(isinstance(c, dict) for c in value.values())
+        if not good or not all(_is_number(c.get(key)) for _, c in pairs for key in ("value", "sd")):
+            raise self._wrong("calibration", "value and sd by name", value)
+        return {name: (float(c["value"]), float(c["sd"])) for name, c in pairs}
+
+    def _wrong(self, name: str, expected: str, found: object) -> ReaderError:
+        return ReaderError(self.path, f"{name}: expected {expected}, found {found!r:.60}")
 
 
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        value = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ReaderError(path, f"cannot be read: {error.strerror or error}") from None
-    except ValueError as error:
-        raise ReaderError(path, f"expected JSON: {error}") from None
-    if not isinstance(value, dict):
-        raise ReaderError(path, f"expected a JSON object, found {type(value).__name__}")
-    return value
+def _is_count(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**53
 
 
-def _arrays(path: Path) -> dict[str, np.ndarray]:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except OSError as error:
-        raise ReaderError(path, f"cannot be read: {error.strerror or error}") from None
-    except (ValueError, zipfile.BadZipFile, zlib.error, EOFError) as error:
-        raise ReaderError(path, f"expected saved arrays: {error}") from None
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST_NUMBER
 
 
 def write_local_map(folder: Path, local: LocalMap) -> None:
@@ -104,11 +151,9 @@ def write_local_map(folder: Path, local: LocalMap) -> None:
         "robot_sightings": {name: seen.target.count(name) for name in sorted(set(seen.target))},
         "poses": len(track.t),
     }
-    (folder / "local_map.json").write_text(
-        json.dumps(plain(told), indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
-    )
+    write_json(folder / "local_map.json", told)
     names = sorted(set(seen.target))
-    arrays = {
+    arrays: dict[str, Any] = {
         "pose": submap.pose,
         "mean": submap.mean,
         "cov": submap.cov,

@@ -61,6 +61,8 @@ def read_ros(
             raw.odometry.append((_stamp(message.header, ns), *pose))
             robot_frame[frame(message.child_frame_id)] += 1
             raw.odometry_from = "poses"
+    if bag.skipped:
+        raw.dropped["message that cannot be unpacked"] += bag.skipped
     sensor = next((frame(m.header.frame_id) for _, topic, m in messages if topic == chosen.scans[0]), "")
     edge = tf.odometry_edge(sensor)
     if not raw.odometry and edge is not None and (wheels is None or by_tf):

@@ -2,7 +2,7 @@
 
 import csv
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from .directory import result_file
 
 Number = Callable[[float], str]
 NAMED = ("observer", "target", "robot", "id")  # columns of names, whatever they look like
+LONGEST_NAME = 200  # letters of an id: names become names of files
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,14 +44,51 @@ class Table:
         try:
             return float(word)
         except ValueError:
-            raise ReaderError(self.path, f"expected a number for {name}, found {word!r}", self.lines[row]) from None
+            told = f"expected a number for {name}, found {word[:40]!r}"
+            raise ReaderError(self.path, told, self.lines[row]) from None
 
     def names(self, name: str) -> Sequence[str]:
         """A column as identifiers without surrounding blanks; raises ReaderError where one is empty."""
         column = [word.strip() for word in self.columns[name]]
         if "" in column:
             raise ReaderError(self.path, f"expected an id for {name}, found nothing", self.lines[column.index("")])
+        for k, word in enumerate(column):
+            if not is_name(word):
+                raise ReaderError(self.path, f"expected a name for {name}, found {word[:40]!r}", self.lines[k])
         return column
+
+    def whole(self, name: str) -> list[int]:
+        """A column as whole numbers; raises ReaderError naming the first line that holds none."""
+        values = self.numbers(name)
+        wrong = np.flatnonzero(~((np.abs(values) < 2.0**53) & (values == np.round(values))))
+        if len(wrong):
+            word = self.columns[name][int(wrong[0])]
+            raise ReaderError(
+                self.path, f"expected a whole number for {name}, found {word!r:.40}", self.lines[int(wrong[0])]
+            )
+        return [int(v) for v in values]
+
+
+def is_name(word: str) -> bool:
+    """Whether `word` can be an id: neither empty nor endless, nothing in it that cannot be printed."""
+    return 0 < len(word) <= LONGEST_NAME and word.isprintable()
+
+
+def csv_rows(lines: Sequence[str], label: object, numbers: Sequence[int] | None = None) -> Iterator[list[str]]:
+    """The fields of every line; raises ReaderError naming the line for a field that is too long or goes over lines.
+
+    `numbers`: of the lines in the file, from 1 where none are given.
+    """
+    rows = csv.reader(lines, skipinitialspace=True)
+    for k in range(len(lines)):
+        line = numbers[k] if numbers is not None else k + 1
+        try:
+            row = next(rows)
+        except csv.Error as error:
+            raise ReaderError(label, f"expected fields with commas between: {error}", line) from None
+        if rows.line_num != k + 1:
+            raise ReaderError(label, "expected a row a line, found a field in quotes that is not closed", line)
+        yield row
 
 
 def read_table(path: Path) -> Table:
@@ -71,15 +109,15 @@ def read_table(path: Path) -> Table:
         lines = [lines[k - 1] for k in kept]
     if not lines:
         raise ReaderError(path, "expected a header line, found an empty file", 1)
-    rows = list(csv.reader(lines))
+    rows = list(csv_rows(lines, path, kept))
     head = [name.strip().lower() for name in rows[0]]
-    width = len(head)
-    if len(set(head)) != width:
-        raise ReaderError(path, f"a column is named twice: {','.join(head)}", kept[0])
+    told = ",".join(head)[:200]
+    if len(set(head)) != len(head):
+        raise ReaderError(path, f"a column is named twice: {told}", kept[0])
     for k, row in enumerate(rows):
-        if len(row) != width:
-            raise ReaderError(path, f"expected {width} fields ({','.join(head)}), found {len(row)}", kept[k])
-    body = zip(*rows[1:], strict=True) if len(rows) > 1 else ((),) * width
+        if len(row) != len(head):
+            raise ReaderError(path, f"expected {len(head)} fields ({told}), found {len(row)}", kept[k])
+    body = zip(*rows[1:], strict=True) if len(rows) > 1 else ((),) * len(head)
     return Table(path, dict(zip(head, body, strict=True)), kept[1:])
 
 

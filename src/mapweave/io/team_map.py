@@ -1,6 +1,5 @@
 """A team's result on disk: its trajectories written, and the whole read back for scoring and for viewing."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ from ..core.errors import ReaderError
 from ..core.names import in_order, robot_name
 from ..landmarks.landmark_map import LandmarkMap
 from ..team.team_map import TeamMap
+from .directory import read_json
 from .landmarks import read_landmarks, read_members
 from .tum import read_tum, write_track_covariance, write_tum
 
@@ -17,13 +17,10 @@ from .tum import read_tum, write_track_covariance, write_tum
 def read_metrics(folder: Path) -> dict[str, Any]:
     """`metrics.json` of a result; raises ReaderError when `folder` holds none."""
     path = folder / "metrics.json"
-    try:
-        metrics = json.loads(path.read_text(encoding="utf-8"))
-    except OSError:
-        raise ReaderError(folder, "expected a mapweave result with metrics.json, found none") from None
-    except ValueError as error:
-        raise ReaderError(path, f"expected JSON: {error}") from None
-    if not isinstance(metrics, dict) or "version" not in metrics:
+    if not path.is_file():
+        raise ReaderError(folder, "expected a mapweave result with metrics.json, found none")
+    metrics = read_json(path)
+    if "version" not in metrics:
         raise ReaderError(path, "expected the metrics of a mapweave result, found something else")
     return metrics
 
@@ -44,7 +41,8 @@ def read_single_maps(folder: Path) -> dict[str, LandmarkMap]:
 def _component(folder: Path) -> TeamMap:
     tracks = folder / "trajectories"
     found = sorted(tracks.rglob("*.tum"), key=lambda p: in_order(p.as_posix()))
-    members, sightings = read_members(folder / "landmarks.csv")
+    told = folder / "landmarks.csv"
+    members, sightings = read_members(told) if told.exists() else ({}, {})
     held = folder / "landmarks.npz"
     empty = LandmarkMap((), np.zeros((0, 2)), np.zeros((0, 0)))
     by_robot = {p.relative_to(tracks).with_suffix("").as_posix(): read_tum(p) for p in found}

@@ -9,6 +9,7 @@ from pathlib import Path
 from ..core.errors import ReaderError
 
 _GZIP = b"\x1f\x8b"
+LARGEST_SMALL, LARGEST_RATIO = 1 << 26, 200  # [bytes] unpacked; bytes unpacked for one packed
 
 
 class TextLog:
@@ -29,10 +30,13 @@ class TextLog:
         self.complete = self.text.endswith("\n")
 
     def _unpacked(self, raw: bytes) -> bytes:
-        engine, out = zlib.decompressobj(wbits=31), bytearray()
+        engine, out, size = zlib.decompressobj(wbits=31), bytearray(), len(raw)
+        most = max(LARGEST_SMALL, LARGEST_RATIO * size)
         try:
             while raw:
-                out += engine.decompress(raw)
+                out += engine.decompress(raw, most - len(out) + 1)
+                if len(out) > most:
+                    raise ReaderError(self.path, f"{size} bytes unpack to over {most}: no log is packed so well")
                 if not engine.eof:
                     self.truncated = f"the gzip stream ends too soon, after {len(out)} bytes of text"
                     break
@@ -42,7 +46,7 @@ class TextLog:
                 engine = zlib.decompressobj(wbits=31)
         except zlib.error:
             # One damaged byte spoils the rest of a block: read on in small steps to keep what stands before it.
-            out = bytearray(_as_far_as_possible(self.path))
+            out = bytearray(_as_far_as_possible(self.path, most))
             self.truncated = f"the gzip stream is damaged after {len(out)} bytes of text"
         return bytes(out)
 
@@ -56,11 +60,11 @@ class TextLog:
         return [w for w in words if w and not w[0].startswith("#")][:n]
 
 
-def _as_far_as_possible(path: Path) -> bytes:
+def _as_far_as_possible(path: Path, most: int) -> bytes:
     out = bytearray()
     try:
         with gzip.open(path) as stream:
-            while piece := stream.read(256):
+            while len(out) < most and (piece := stream.read(256)):
                 out += piece
     except (OSError, EOFError, zlib.error):
         pass

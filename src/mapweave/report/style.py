@@ -38,6 +38,7 @@ _RC: Any = {
     "legend.fontsize": 8,
     "lines.linewidth": 1.2,
     "figure.facecolor": "white",
+    "text.parse_math": False,  # names of robots and landmarks are shown as they are, dollar signs too
 }
 
 

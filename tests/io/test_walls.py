@@ -1,0 +1,261 @@
+"""What no reader may break on: each input once ended in a traceback, a hang or gigabytes, and gives one clear line."""
+
+import gzip
+import io
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mapweave.core.errors import DataError, MapweaveError, ReaderError
+from mapweave.io.angulation import read_angulation
+from mapweave.io.csv_landmarks import read_csv_landmarks
+from mapweave.io.directory import read_json
+from mapweave.io.grid import read_grid
+from mapweave.io.landmark_logs import read_landmark_logs
+from mapweave.io.landmark_truth import read_survey
+from mapweave.io.landmarks import read_members
+from mapweave.io.laser_logs import read_laser
+from mapweave.io.local_map import read_local_map, write_local_map
+from mapweave.io.ros_map import read_ros_map
+from mapweave.io.sightings import read_sightings
+from mapweave.io.team_map import read_metrics
+
+from . import mrclam_folder
+from .ros_logs import usual
+from .test_local_map import some_map
+
+ROOT = Path(__file__).parents[2]
+
+
+def repacked(path, change):
+    """The zip `path` with its entries (name -> bytes) changed."""
+    with zipfile.ZipFile(path) as archive:
+        entries = {name: archive.read(name) for name in archive.namelist()}
+    change(entries)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in entries.items():
+            archive.writestr(name, data)
+
+
+def entry(values, shape=None, descr=None):
+    """An .npy entry of `values` that says it has another shape or type."""
+    out, values = io.BytesIO(), np.asarray(values)
+    fields = {"descr": descr or values.dtype.str, "fortran_order": False, "shape": shape or values.shape}
+    np.lib.format.write_array_header_1_0(out, fields)
+    return out.getvalue() + values.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "held", "said"),
+    [
+        (
+            "mean",
+            entry(np.zeros((2, 2)), shape=(10**12, 2)),
+            "mean: expected at most 1000 MB in a file, found 16000000 MB",
+        ),
+        ("mean", entry(np.zeros((2, 2)), shape=(10**6, 2)), "mean: 16000000 bytes promised, found 32"),
+        ("mean", entry(np.zeros((2, 2)), shape=(-1, 2)), "mean: expected the shape landmarksx2, found -1x2"),
+        ("mean", entry(np.zeros(4)), "mean: expected the shape landmarksx2, found 4"),
+        ("mean", entry(np.full((2, 2), np.nan)), "mean: expected finite numbers"),
+        ("mean", entry(np.zeros((2, 2), dtype=complex)), "mean: expected landmarksx2 number, found complex128"),
+        ("mean", entry(np.zeros((2, 2)), descr="|O"), "mean: expected landmarksx2 number, found object"),
+        ("mean", b"\x93NUMPY\x01\x00\x46\x00{'descr': '<f8', 'shape': (", "expected saved arrays: "),
+        ("seen_target", entry(np.array([0, 9, 1])), "expected as many robots as local_map.npz holds, found 2"),
+        ("track_t", entry(np.array([0.0, 2, 1, 3, 4])), "track_t: expected stamps that ascend strictly"),
+    ],
+)
+def test_arrays_that_promise_what_they_do_not_hold_are_refused(tmp_path, name, held, said):
+    write_local_map(tmp_path, some_map())
+    repacked(tmp_path / "local_map.npz", lambda entries: entries.update({f"{name}.npy": held}))
+    with pytest.raises(ReaderError, match=said.replace(".", r"\.")):
+        read_local_map(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("landmarks", "none", "landmarks: expected names with whole numbers, found 'none'"),
+        ("landmarks", {"9": -1, "barcode:72": 1}, "landmarks: expected names with whole numbers"),
+        ("robot", 7, "robot: expected text, found 7"),
+        ("robot", "a\nb", "robot: expected text"),
+        ("dropped", 3, "dropped: expected names with whole numbers, found 3"),
+        ("calibration", {"lag": [1, 2]}, "calibration: expected value and sd by name"),
+        ("calibration", 1, "calibration: expected value and sd by name, found 1"),
+        ("warnings", "careful", "warnings: expected a list of sentences, found 'careful'"),
+        ("nis_median", "low", "nis_median: expected a number or null, found 'low'"),
+        ("down_weighted", 1.5, "down_weighted: expected a whole number, found 1.5"),
+    ],
+)
+def test_a_local_map_of_another_shape_is_told_by_its_key(tmp_path, key, value, said):
+    write_local_map(tmp_path, some_map())
+    told = json.loads((tmp_path / "local_map.json").read_text())
+    (tmp_path / "local_map.json").write_text(json.dumps(told | {key: value}))
+    with pytest.raises(ReaderError, match=said):
+        read_local_map(tmp_path)
+
+
+def test_a_stream_damaged_inside_a_saved_grid_is_told(tmp_path):
+    path = tmp_path / "grid.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("resolution.npy", entry(np.arange(1000.0)))
+    data = bytearray(path.read_bytes())
+    data[60:90] = bytes(30)
+    path.write_bytes(bytes(data))
+    with pytest.raises(ReaderError, match=r"grid\.npz: expected a grid map"):
+        read_grid(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[" * 100_000, "brackets nested too deep"),
+        ('{"version": NaN}', "NaN is not finite"),
+        ('{"version": 1e999}', "1e999 is not finite"),
+        ("[1]", "expected a JSON object, found list"),
+        ('{"robots": 1}', "expected the metrics of a mapweave result"),
+        ('{"a": "\udcff"}', "expected JSON: 'utf-8' codec"),
+    ],
+)
+def test_metrics_that_are_none_are_told(tmp_path, text, said):
+    (tmp_path / "metrics.json").write_text(text, errors="surrogateescape")
+    with pytest.raises(ReaderError, match=said):
+        read_metrics(tmp_path)
+    if "robots" not in text:
+        with pytest.raises(ReaderError, match=said):
+            read_json(tmp_path / "metrics.json")
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        (b"3,1,2,1,0,1,1,\n", r"3: expected 8 fields"),
+        (b"\x97,1,2,1,0,1,1,4\n", "expected a CSV table in UTF-8"),
+        (b"3,1,2,1,0,1,1,4.5\n", r"2: expected a whole number for sightings, found '4.5'"),
+        (b"3,1,2,1,0,1,1,inf\n", r"2: expected a whole number for sightings, found 'inf'"),
+        (b"3,1,2,1,0,1,1," + b"9" * 400 + b"\n", r"2: expected a whole number for sightings, found '9999"),
+        (b"w" * 140_000 + b",1,2,1,0,1,1,4\n", r"2: expected fields with commas between: field larger than"),
+    ],
+)
+def test_a_landmark_table_with_bad_rows_is_told_with_its_line(tmp_path, rows, said):
+    path = tmp_path / "landmarks.csv"
+    path.write_bytes(b"id,x,y,var_x,cov_xy,var_y,robots,sightings\n" + (b"\n" if said[0] == "3" else b"") + rows)
+    if said[0] == "3":
+        path.write_bytes(path.read_bytes().replace(b",1,1,\n", b",1,1\n"))
+    with pytest.raises(ReaderError, match=said):
+        read_members(path)
+
+
+LONG = "w" * 140_000
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        (f"0.0,1,{LONG},1,0", r"sightings\.csv:3: expected fields with commas between: field larger than"),
+        (f"0.0,1,{LONG[:300]},1,0", r"sightings\.csv:3: expected an id, found 'wwww"),
+        ('0.0,1,"a,1,0', r"sightings\.csv:3: expected 5 columns|field in quotes that is not closed"),
+        ("0.0,1,a\x1b[31m,1,0", r"sightings\.csv:3: expected an id"),
+        (f"0.0,{'9' * 30},a,1,0", r"sightings\.csv:3: expected a whole number for robot, found '9999"),
+        ("0.0,-3,a,1,0", r"sightings\.csv:3: expected a whole number for robot, found '-3'"),
+        ("0.0,inf,a,1,0", r"sightings\.csv:3: expected a whole number for robot, found 'inf'"),
+        ("0.0,1,a,1", r"sightings\.csv:3: expected 5 columns, found 4"),
+    ],
+)
+def test_rows_of_a_csv_log_that_cannot_be_are_told_with_their_line(tmp_path, row, said):
+    (tmp_path / "sightings.csv").write_text(f"t,robot,id,range,bearing\n0.0,1,a,1.0,0.0\n{row}\n")
+    with pytest.raises(ReaderError, match=said):
+        read_csv_landmarks(tmp_path)
+
+
+@pytest.mark.parametrize("subject", ["inf", "nan", "1e30"])
+def test_a_survey_of_numbers_that_are_no_subjects_is_refused(tmp_path, subject):
+    (tmp_path / "Landmark_Groundtruth.dat").write_text(f"6 1 2 0.1 0.1\n{subject} 1 2 0.1 0.1\n")
+    with pytest.raises(ReaderError, match=r"Groundtruth\.dat:2: expected the number of a subject"):
+        read_survey(tmp_path)
+    (tmp_path / "s.csv").write_text("id,x,y\n1,inf,0\n")
+    with pytest.raises(ReaderError, match=r"s\.csv:2: expected id,x,y with numbers"):
+        read_survey(tmp_path / "s.csv")
+
+
+@pytest.mark.parametrize("name", ["a\x00b", "\x1b[2J", "x" * 300, "a\u2028b"])
+def test_an_id_that_could_not_be_shown_or_name_a_file_is_refused(tmp_path, name):
+    path = tmp_path / "s.csv"
+    path.write_text(f"observer,target,bearing\na,b,0.1\n{name},b,0.1\n")
+    with pytest.raises(ReaderError, match=r"s\.csv:\d: expected"):
+        read_sightings(path)
+
+
+def test_a_robot_that_saw_nothing_has_events_of_its_odometry_alone(tmp_path):
+    robots = {1: (mrclam_folder.drive(), mrclam_folder.glances()), 2: (mrclam_folder.drive(), None)}
+    log = read_landmark_logs(mrclam_folder.write(tmp_path, robots))[1]
+    assert [type(event.record).__name__ for event in log.events()] == ["Odometry"]
+
+
+def test_a_small_file_that_unpacks_to_gigabytes_is_refused(tmp_path):
+    bomb = gzip.compress(b"0 " * 60_000_000, 1)
+    (tmp_path / "log.clf.gz").write_bytes(bomb)
+    with pytest.raises(ReaderError, match="no log is packed so well"):
+        read_laser(tmp_path / "log.clf.gz")
+    folder = mrclam_folder.write(tmp_path / "set")
+    with zipfile.ZipFile(tmp_path / "set.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in folder.iterdir():
+            archive.write(path, path.name)
+        archive.writestr("Robot3_Odometry.dat", b"0 " * 60_000_000)
+    with pytest.raises(ReaderError, match="no log is packed so well"):
+        read_landmark_logs(tmp_path / "set.zip")
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".db3", ".mcap"])
+def test_torn_recordings_give_what_is_left_or_one_line(tmp_path, suffix):
+    whole = usual(tmp_path / f"a{suffix}", n=12).write().read_bytes()
+    rng = np.random.default_rng(0)
+    read = 0
+    for k in range(30):
+        data = bytearray(whole)
+        at = int(rng.integers(len(data)))
+        value = (b"\xff\xff\xff\x7f", b"\xff" * 8, bytes(8), b"\x00\x00\x00\x40")[k % 4]
+        data[at : at + len(value)] = value
+        (tmp_path / f"b{suffix}").write_bytes(bytes(data[: at + 200] if k % 3 == 0 else data))
+        try:
+            log = read_laser(tmp_path / f"b{suffix}")
+        except (ReaderError, DataError):
+            continue
+        assert np.isfinite(log.scan_t).all()
+        read += 1
+    assert read > 5
+
+
+@pytest.mark.parametrize("key", ["origin", "resolution", "image", "free_thresh"])
+def test_brackets_nested_deep_in_a_map_file_are_told_at_once(tmp_path, key):
+    held = {"image": "m.pgm", "resolution": 0.1, "origin": [0, 0, 0]} | {key: "[" * 10_000 + "]" * 10_000}
+    (tmp_path / "m.pgm").write_bytes(b"P5\n2 2\n255\n" + bytes(4))
+    (tmp_path / "map.yaml").write_text("".join(f"{name}: {value}\n" for name, value in held.items()))
+    with pytest.raises(ReaderError, match=r"expected"):
+        read_ros_map(tmp_path / "map.yaml")
+
+
+def test_a_table_of_bearings_without_numbers_is_told(tmp_path):
+    (tmp_path / "landmark.csv").write_text("0,0\n")
+    (tmp_path / "(X1.0,Y2.0).csv").write_text("nan\n")
+    with pytest.raises(ReaderError, match="expected rows of finite numbers"):
+        read_angulation(tmp_path)
+
+
+def test_an_error_is_one_line_whatever_the_file_is_called():
+    assert "\n" not in str(ReaderError("a\nb", "expected\nmuch"))
+    assert isinstance(ReaderError("a", "b"), MapweaveError)
+
+
+def test_a_short_seeded_fuzz_of_every_format_finds_nothing(tmp_path):
+    words = [sys.executable, str(ROOT / "benchmarks" / "fuzz.py"), "--inputs", "8", "--keep", str(tmp_path)]
+    path = os.pathsep.join([str(ROOT / "src"), str(ROOT)])
+    env = os.environ | {"PYTHONPATH": path}
+    done = subprocess.run(words, env=env, capture_output=True, text=True, check=False)  # noqa: S603  (our own)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert " over 23 formats, 0 findings" in done.stdout
