@@ -118,7 +118,7 @@ def _fields(line: str, rng: np.random.Generator) -> str:
 def _json(data: bytes, rng: np.random.Generator) -> bytes:
     try:
         whole = json.loads(data)
-    except ValueError:
+    except (ValueError, RecursionError):
         return _bytes(data, rng)
     if rng.random() < 0.02:
         return b"[" * 10_000

@@ -15,6 +15,7 @@ from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track
 from .mirror import looks_mirrored
 
+LARGEST, LATEST = 1e9, 1e15  # [m or rad], [s]: what is more was never measured
 FEW = 0.05  # share of scans without intensities that are dropped rather than all intensities
 
 
@@ -52,6 +53,10 @@ class RawLog:
 
         Raises DataError when there is no scan at all.
         """
+        good = [raw for raw in self.scans if _is_sound(raw)]
+        if len(good) < len(self.scans):
+            self.dropped["scan with a stamp, pose or angle that is not finite"] += len(self.scans) - len(good)
+            self.scans = good
         if not self.scans:
             raise DataError(f"{self.source}: no laser scan in it")
         if not self.odometry:
@@ -82,7 +87,7 @@ class RawLog:
 
     def _odometry(self) -> Track | None:
         rows = np.array(self.odometry, dtype=float).reshape(-1, 4)
-        good = np.isfinite(rows).all(axis=1)
+        good = (np.abs(rows) < np.array([LATEST, *[LARGEST] * 3])).all(axis=1)
         if not good.all():
             self.dropped["odometry row that is not finite"] += int((~good).sum())
             rows = rows[good]
@@ -97,9 +102,7 @@ class RawLog:
         return Track(rows[last, 0], rows[last, 1:], frame="odom")
 
     def _in_order(self) -> list[RawScan]:
-        scans = [raw for raw in self.scans if np.isfinite(raw.t)]
-        if len(scans) < len(self.scans):
-            self.dropped["scan without a finite stamp"] += len(self.scans) - len(scans)
+        scans = list(self.scans)
         back = sum(b.t < a.t for a, b in pairwise(scans))
         if back:
             self.warnings.append(f"scans step back in time {back} times: sorted by stamp")
@@ -188,10 +191,17 @@ def _doubles(raw: RawScan, before: list[RawScan]) -> bool:
     return False
 
 
+def _is_sound(raw: RawScan) -> bool:
+    """Whether stamp, poses and angles of a scan are numbers that a robot can have."""
+    poses = [raw.T_robot_sensor] if raw.odometry is None else [raw.T_robot_sensor, raw.odometry]
+    numbers = np.concatenate([[raw.angle_min, raw.angle_increment], *poses])
+    return bool(abs(raw.t) < LATEST and (np.abs(numbers) < LARGEST).all() and not np.isnan(raw.range_max))
+
+
 def _hit(raw: RawScan) -> np.ndarray:
     with np.errstate(invalid="ignore"):
         r = raw.ranges
-        return np.asarray(np.isfinite(r) & (r > 0) & (r >= raw.range_min) & (r < raw.range_max))
+        return np.asarray((r > 0) & (r < LARGEST) & (r >= raw.range_min) & (r < raw.range_max))
 
 
 def _received(raw: RawScan) -> np.ndarray:
@@ -207,7 +217,7 @@ def _scan(raw: RawScan, mirrored: bool, sensor_pose: Sequence[float] | None) -> 
     if raw.intensities is not None:
         light = np.where(hit & np.isfinite(raw.intensities), np.maximum(raw.intensities, 0.0), 0.0)
     return Scan(
-        frozen(np.where(hit, raw.ranges, raw.range_max)),
+        frozen(np.where(hit, raw.ranges, min(raw.range_max, LARGEST))),
         frozen(hit, dtype=bool),
         None if light is None else frozen(light),
         sign * raw.angle_min,

@@ -100,7 +100,7 @@ def _flaser(words: list[str]) -> RawScan:
         increment,
         0.0,
         NO_RETURN,
-        se2.between(numbers[3:6], numbers[0:3]),
+        _sensor_pose(numbers),
         tail[7] if len(tail) > 7 else "",
         numbers[3:6],
     )
@@ -128,10 +128,16 @@ def _robotlaser(words: list[str]) -> RawScan:
         float(step),
         0.0,
         float(far) if far > 0 else NO_RETURN,
-        se2.between(numbers[3:6], numbers[0:3]),
+        _sensor_pose(numbers),
         tail[12] if len(tail) > 12 else "",
         numbers[3:6],
     )
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def _sensor_pose(numbers: np.ndarray) -> np.ndarray:
+    """`T_robot_sensor` of laser and robot pose, NaN where they are not finite."""
+    return np.asarray(se2.between(numbers[3:6], numbers[0:3]))
 
 
 def _place_sensors(raw: RawLog, kinds: list[str]) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..core.errors import ReaderError
 from ..laser.grid import GridMap, IntensityCalibration
-from .npz import Spec, read_npz, write_npz
+from .npz import Spec, read_npz, write_arrays
 
 NAME = "grid.npz"
 LARGEST_VALUE = 1e30  # cells are kept as 32-bit numbers
@@ -76,4 +76,4 @@ def write_grid(path: Path, grid: GridMap, calibration: IntensityCalibration | No
             "gain_figures": np.array([c.exponent, c.scale, c.residual, float(c.samples)]),
             "residual_by_range": c.residual_by_range,
         }
-    write_npz(path, gaps=("residual_by_range",), **arrays)
+    write_arrays(path, arrays, gaps=("residual_by_range",))

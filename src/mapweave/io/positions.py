@@ -4,7 +4,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from ..core.errors import ReaderError
 from ..swarm.joint import JointInformation
 from ..swarm.moving.result import RobotTrajectory
-from .npz import write_npz
+from .npz import read_arrays, write_npz
 from .table import Table, read_table, write_table
 
 ORDER = {2: ((0, 0), (0, 1), (1, 1)), 3: ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))}
@@ -126,8 +125,7 @@ def write_network(path: Path, pairs: Int[np.ndarray, "m 2"], information: JointI
 def read_network(path: Path, n: int) -> tuple[Int[np.ndarray, "m 2"], JointInformation | None]:
     """What `write_network` wrote of n robots; raises ReaderError where it is damaged or of other robots."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            held = dict(archive.items())
+        held = read_arrays(path, "the network that locate writes")
         pairs = np.asarray(held["pairs"], dtype=np.int64).reshape(-1, 2)
         if len(pairs) and not 0 <= pairs.min() <= pairs.max() < n:
             raise ReaderError(path, f"expected pairs of {n} robots, found number {pairs.max()}")
@@ -139,7 +137,7 @@ def read_network(path: Path, n: int) -> tuple[Int[np.ndarray, "m 2"], JointInfor
         if len(known) != n * width:
             raise ReaderError(path, f"expected {n} robots of {width} scalars, found {len(known)} in all")
         return pairs, JointInformation(sp.csc_matrix(lower + sp.tril(lower, -1).T), known, width)
-    except (OSError, EOFError, BadZipFile, KeyError, ValueError, TypeError) as error:
+    except (KeyError, ValueError, TypeError, OverflowError, IndexError) as error:
         raise ReaderError(path, f"expected the network that locate writes: {error}") from None
 
 

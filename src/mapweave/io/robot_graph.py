@@ -1,6 +1,5 @@
 """One robot's laser keyframe graph as a file: what merging and going on tomorrow need."""
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,7 @@ from ..core.errors import ReaderError
 from ..laser.closures import Closure
 from ..laser.intensity import IntensityCalibration
 from ..laser.robot_graph import RobotGraph
-from .npz import write_npz
+from .npz import read_arrays, write_arrays
 
 NAME = "robot_graph.npz"
 VERSION = 1
@@ -36,21 +35,18 @@ def write_robot_graph(path: Path, graph: RobotGraph) -> None:
             ),
             "light_residual": calibration.residual_by_range,
         }
-    write_npz(path, **held)
+    write_arrays(path, held, gaps=("light_residual", "closure_numbers"))
 
 
 def read_robot_graph(path: Path) -> RobotGraph:
     """The graph in `path`; raises ReaderError when it is missing, damaged or of another version."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            held = {name: file[name] for name in file.files}
+        held = read_arrays(path, "a laser graph")
         version = int(held["version"])
         if version != VERSION:
             raise ReaderError(path, f"expected a laser graph of version {VERSION}, found {version}")
         return _made(held)
-    except OSError as error:
-        raise ReaderError(path, error.strerror or "it cannot be read") from None
-    except (KeyError, ValueError, IndexError, zipfile.BadZipFile, EOFError) as error:
+    except (KeyError, ValueError, IndexError, TypeError, OverflowError) as error:
         raise ReaderError(path, f"it is no laser graph, or damaged: {error}") from None
 
 

@@ -116,11 +116,11 @@ def _add_scans(raw: RawLog, messages: Sequence[Stamped], tf: Transforms, base: s
         pose, upside_down = places[name]
         n, sign = len(message.ranges), -1.0 if upside_down else 1.0
         step = message.angle_increment or (message.angle_max - message.angle_min) / max(1, n - 1)
-        light = np.asarray(message.intensities, dtype=float)
+        light = _floats(message.intensities)
         raw.scans.append(
             RawScan(
                 t,
-                np.asarray(message.ranges, dtype=float),
+                _floats(message.ranges),
                 light if len(light) else None,
                 sign * float(message.angle_min),
                 sign * float(step),
@@ -129,6 +129,12 @@ def _add_scans(raw: RawLog, messages: Sequence[Stamped], tf: Transforms, base: s
                 pose,
             )
         )
+
+
+@np.errstate(invalid="ignore")
+def _floats(values: np.ndarray) -> np.ndarray:
+    """As 64-bit numbers, whatever kind of NaN is among them."""
+    return np.asarray(values, dtype=float)
 
 
 def _stamp(header: Any, recorded: int) -> float:

@@ -19,6 +19,7 @@ from .rows import open_text
 UNKNOWN, FREE, OCCUPIED = -1, 0, 1
 KEYS = ("image", "resolution", "origin")
 OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.196  # probabilities: thresholds written, and assumed where a map names none
+LARGEST = 1e9  # [m or m a pixel]: what a map says is less
 BLACK, GREY, WHITE = 0, 205, 254
 
 
@@ -157,15 +158,15 @@ def _value(text: str) -> Any:
 
 def _number(path: Path, told: dict[str, Any], key: str, default: float | None = None) -> float:
     value = told.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise ReaderError(path, f"{key}: expected a number, found {value!r}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
+        raise ReaderError(path, f"{key}: expected a number, found {value!r:.60}")
     return float(value)
 
 
 def _origin(path: Path, value: Any) -> Float[np.ndarray, "3"]:
     good = isinstance(value, list) and len(value) in (2, 3) and all(isinstance(v, int | float) for v in value)
-    if not good or not np.isfinite(value).all():
-        raise ReaderError(path, f"origin: expected [x, y, theta], found {value!r}")
+    if not good or not all(abs(v) < LARGEST for v in value):
+        raise ReaderError(path, f"origin: expected [x, y, theta], found {value!r:.60}")
     return frozen([*map(float, value), 0.0][:3])
 
 

@@ -10,7 +10,7 @@ from typing import IO
 import numpy as np
 from jaxtyping import Float
 
-from ..core.errors import ReaderError
+from ..core.errors import EstimateError, ReaderError
 
 BATCH = 2000
 
@@ -71,7 +71,16 @@ def _row(line: str, label: str, number: int, columns: tuple[str, ...], separator
 
 
 def write_rows(file: IO[str], fmt: str, rows: Float[np.ndarray, "n k"]) -> None:
-    """Every row through the %-format `fmt` (which ends its line)."""
+    """Every row through the %-format `fmt` (which ends its line).
+
+    Raises EstimateError, naming the file and the row, for a number that is not finite.
+    """
+    if not np.isfinite(rows).all():
+        k = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
+        found = " ".join(f"{v:g}" for v in rows[k].tolist())
+        raise EstimateError(
+            f"{told_path(Path(file.name))}: row {k + 1} would hold a number that is not finite: {found}"
+        )
     file.writelines(row_texts(fmt, rows))
 
 
@@ -81,6 +90,12 @@ def row_texts(fmt: str, rows: Float[np.ndarray, "n k"]) -> Iterator[str]:
     for first in range(0, len(rows), BATCH):
         part = rows[first : first + BATCH]
         yield (whole if len(part) == BATCH else fmt * len(part)) % tuple(part.ravel().tolist())
+
+
+def told_path(path: Path) -> str:
+    """The end of `path` as a message names it: the file, and the folder that says whose it is."""
+    parent = path.parent.name
+    return path.name if not parent or parent.startswith(".") else f"{parent}/{path.name}"
 
 
 def open_text(path: Path) -> IO[str]:

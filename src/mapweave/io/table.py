@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from ..core.errors import EstimateError, ReaderError
 from .directory import result_file
+from .rows import told_path
 
 Number = Callable[[float], str]
 NAMED = ("observer", "target", "robot", "id")  # columns of names, whatever they look like
@@ -160,7 +161,7 @@ def write_table(
             try:
                 fields = [cell(value, as_text) for value, as_text in zip(row, each, strict=True)]
             except OverflowError as error:
-                raise EstimateError(f"{path.parent.name}/{path.name}: {error}, where {','.join(head)} stand") from None
+                raise EstimateError(f"{told_path(path)}: {error}, where {','.join(head)} stand") from None
             out.write(",".join(fields) + "\n")
 
 

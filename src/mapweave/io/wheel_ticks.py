@@ -15,6 +15,7 @@ FIRST_RANGE = 24  # token at which ranges start; the last token is no range
 RADIUS, HALF_AXLE, TICKS_A_TURN = 0.077, 0.165, 2000.0  # [m], [m]
 AHEAD = np.array([0.145, 0.0, 0.0])
 NEAR, FAR = 0.02, 5.6  # [m]; the scanner's smaller values are error codes
+LARGEST = 1e18  # microseconds and ticks are less
 OPENING = np.radians(240.0)
 
 
@@ -39,6 +40,8 @@ def read_wheel_ticks(
                 raise ValueError(f"expected {len(rows[0][1])} tokens, found {len(words)}")  # noqa: TRY301
             values = np.array(words[FIRST_RANGE:-1], dtype=float) / 1000.0
             head = np.array(words[:4], dtype=float)
+            if not np.abs(head).max() < LARGEST:
+                raise ValueError(f"expected stamps and ticks under {LARGEST:g}")  # noqa: TRY301
         except ValueError as error:
             if number == rows[-1][0] and (log.truncated or not log.complete):
                 raw.dropped["last line cut short"] += 1
