@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
+import scipy.sparse as sp
 from PIL import Image
 
 from mapweave.core import se2
@@ -20,7 +21,9 @@ from mapweave.io.landmark_truth import read_robot_truth, read_survey
 from mapweave.io.landmarks import write_landmarks
 from mapweave.io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
 from mapweave.io.local_map import read_local_map, write_local_map
+from mapweave.io.positions import read_network, read_positions, read_track, write_network, write_positions, write_track
 from mapweave.io.relations import read_relations
+from mapweave.io.robot_graph import read_robot_graph, write_robot_graph
 from mapweave.io.ros_map import read_plan, read_ros_map
 from mapweave.io.sightings import read_sightings, read_swarm_odometry, read_swarm_truth
 from mapweave.io.team_bearings import read_team_bearings
@@ -31,6 +34,7 @@ from mapweave.landmarks.local_map import LocalMap, RobotSightings
 from mapweave.landmarks.submap import Submap
 from mapweave.laser.grid import GridMap, IntensityCalibration
 from mapweave.laser.pose_graph import PoseGraph
+from mapweave.swarm.joint import JointInformation
 from mapweave.team.team_map import TeamMap
 
 Files = dict[str, bytes]
@@ -260,6 +264,34 @@ def a_graph(work: Path) -> list[Files]:
     return [files_in(work), {"a.g2o.gz": gzip.compress((work / "a.g2o").read_bytes(), 1)}]
 
 
+def a_laser_graph(work: Path) -> list[Files]:
+    from tests.io.test_robot_graph import graph
+
+    out = []
+    for k, light in enumerate((True, False)):
+        write_robot_graph(work / str(k) / "graph.npz", graph(light=light))
+        out.append(files_in(work / str(k)))
+    return out
+
+
+def a_swarm(work: Path) -> list[Files]:
+    n, rng = 4, np.random.default_rng(0)
+    work.mkdir(parents=True)
+    count = np.arange(n)
+    spread = np.tile(0.01 * np.eye(2), (n, 1, 1))
+    write_positions(work / "positions.csv", tuple("abcd"), rng.normal(size=(n, 2)), spread, count > 0, count, count)
+    write_track(work / "a.csv", np.arange(float(n)), rng.normal(size=(n, 2)), spread)
+    matrix = JointInformation(sp.eye(2 * n, format="csc"), np.ones(2 * n, dtype=bool), 2)
+    write_network(work / "network.npz", np.array([[0, 1], [1, 2]]), matrix)
+    return [files_in(work)]
+
+
+def read_swarm(folder: Path) -> object:
+    read_positions(folder / "positions.csv")  # of robots that were not located it says nothing
+    pairs, information = read_network(folder / "network.npz", 4)
+    return read_track(folder / "a.csv"), pairs, None if information is None else information.matrix.data
+
+
 # ---- floor plans
 
 
@@ -314,6 +346,8 @@ FORMATS: dict[str, tuple[Reader, Callable[[Path], list[Files]]]] = {
     "local-map": (read_local_map, a_local_map),
     "grid": (of_file(read_grid), a_grid),
     "team": (read_result, a_team),
+    "laser-graph": (of_file(read_robot_graph), a_laser_graph),
+    "swarm": (read_swarm, a_swarm),
     "tum": (of_file(read_tum), a_tum),
     "relations": (of_file(read_relations), always({"r.relations": RELATIONS})),
     "g2o": (of_file(read_g2o), a_graph),

@@ -119,6 +119,11 @@ def test_file_names_of_tracks_are_distinct_whatever_the_robots_are_called():
     assert files["c"] == "c.csv"
     assert files["ä.1"] == "ä.1.csv"
     assert len({name.casefold() for name in files.values()}) == len(ids)
+    assert track_files(["CON", "nul.1", "console"]) == {
+        "CON": "CON_.csv",
+        "nul.1": "nul.1_.csv",
+        "console": "console.csv",
+    }
     assert not any("/" in name or " " in name for name in track_files(["../x", "y z"]).values())
 
 

@@ -23,7 +23,7 @@ from mapweave.io.landmarks import read_members
 from mapweave.io.laser_logs import read_laser
 from mapweave.io.local_map import read_local_map, write_local_map
 from mapweave.io.ros_map import read_ros_map
-from mapweave.io.sightings import read_sightings
+from mapweave.io.sightings import read_sightings, read_swarm_truth
 from mapweave.io.team_map import read_metrics
 
 from . import mrclam_folder
@@ -247,6 +247,38 @@ def test_a_table_of_bearings_without_numbers_is_told(tmp_path):
         read_angulation(tmp_path)
 
 
+def test_truth_of_a_swarm_without_finite_stamps_is_refused(tmp_path):
+    (tmp_path / "t.csv").write_text("id,x,y,t\na,1,2,0\na,1,2,inf\n")
+    with pytest.raises(ReaderError, match=r"t\.csv:3: expected a finite t for a"):
+        read_swarm_truth(tmp_path / "t.csv")
+
+
+@pytest.mark.parametrize(
+    ("rows", "dropped"),
+    [
+        ("Odometry 0 0 0\nLaser 3 1 2 3\nOdometry 1e308 inf 0\nLaser 3 1 2 3\n", 1),
+        ("Odometry 0 0 0\nLaser 3 1 2 3\nOdometry 0 0 nan\nLaser 3 1 2 3\nLaser 3 1 2 3\n", 2),
+        ("ODOM 0 0 0 0 0 0 1.0 h 1\nFLASER 3 1 2 3 inf 0 0 0 0 0 1.0 h 1\nFLASER 3 1 2 3 0 0 0 0 0 0 2.0 h 2\n", 1),
+        ("ODOM 0 0 0 0 0 0 1.0 h 1\nFLASER 3 1 2 3 0 0 0 0 0 0 nan h 1\nFLASER 3 1 2 3 0 0 0 0 0 0 2.0 h 2\n", 1),
+    ],
+)
+def test_scans_whose_pose_or_stamp_no_robot_can_have_are_dropped_and_counted(tmp_path, rows, dropped):
+    (tmp_path / "a.log").write_text(rows)
+    log = read_laser(tmp_path / "a.log")
+    assert log.dropped["scan with a stamp, pose or angle that is not finite"] == dropped
+    assert all(np.isfinite(scan.ranges).all() and np.isfinite(scan.odometry).all() for scan in log.scans)
+
+
+@pytest.mark.parametrize("said", ["inf", "nan", "1e308", "-1"])
+def test_a_row_that_announces_no_count_of_ranges_is_told(tmp_path, said):
+    (tmp_path / "a.log").write_text(f"Odometry 0 0 0\nLaser 3 1 2 3\nLaser {said} 1 2 3\nOdometry 0 0 0\n")
+    with pytest.raises(ReaderError, match=rf"a\.log:3: Laser says {said} ranges, found 3"):
+        read_laser(tmp_path / "a.log")
+    (tmp_path / "a.log").write_text(f"ODOM 0 0 0 0 0 0 1 h 1\nFLASER {said} 1 2 3 0 0 0 0 0 0 1.0 h 1\n")
+    with pytest.raises(ReaderError, match=r"a\.log:2: FLASER"):
+        read_laser(tmp_path / "a.log")
+
+
 def test_an_error_is_one_line_whatever_the_file_is_called():
     assert "\n" not in str(ReaderError("a\nb", "expected\nmuch"))
     assert isinstance(ReaderError("a", "b"), MapweaveError)
@@ -258,4 +290,4 @@ def test_a_short_seeded_fuzz_of_every_format_finds_nothing(tmp_path):
     env = os.environ | {"PYTHONPATH": path}
     done = subprocess.run(words, env=env, capture_output=True, text=True, check=False)  # noqa: S603  (our own)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert " over 23 formats, 0 findings" in done.stdout
+    assert " over 25 formats, 0 findings" in done.stdout

@@ -1,6 +1,5 @@
 """The score of what `locate` wrote, against the truth `id,x,y[,z]` (with `t` for robots that moved)."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.errors import DataError, ReaderError
+from ..core.errors import DataError
 from ..evaluation.swarm import StandingSwarm, SwarmScore, score_moving, score_standing
+from ..io.directory import read_json
 from ..io.positions import Positions, read_network, read_positions, read_track, track_files
 from ..io.sightings import SwarmTruth
 from .evaluation_result import EvaluationBase
@@ -85,10 +85,4 @@ def _moving(directory: Path, found: Positions, anchors: frozenset[str], gauge: s
 
 
 def _metrics(path: Path) -> dict[str, Any]:
-    try:
-        metrics = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ReaderError(path, f"expected JSON: {error}") from None
-    if not isinstance(metrics, dict):
-        raise ReaderError(path, "expected the metrics that locate writes")
-    return metrics
+    return read_json(path)

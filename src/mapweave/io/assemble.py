@@ -16,6 +16,7 @@ from ..core.records import Scan, Track
 from .mirror import looks_mirrored
 
 LARGEST, LATEST = 1e9, 1e15  # [m or rad], [s]: what is more was never measured
+UNSOUND = "scan with a stamp, pose or angle that is not finite"
 FEW = 0.05  # share of scans without intensities that are dropped rather than all intensities
 
 
@@ -53,9 +54,9 @@ class RawLog:
 
         Raises DataError when there is no scan at all.
         """
-        good = [raw for raw in self.scans if _is_sound(raw)]
+        good = [raw for raw in self.scans if is_sound(raw)]
         if len(good) < len(self.scans):
-            self.dropped["scan with a stamp, pose or angle that is not finite"] += len(self.scans) - len(good)
+            self.dropped[UNSOUND] += len(self.scans) - len(good)
             self.scans = good
         if not self.scans:
             raise DataError(f"{self.source}: no laser scan in it")
@@ -191,7 +192,7 @@ def _doubles(raw: RawScan, before: list[RawScan]) -> bool:
     return False
 
 
-def _is_sound(raw: RawScan) -> bool:
+def is_sound(raw: RawScan) -> bool:
     """Whether stamp, poses and angles of a scan are numbers that a robot can have."""
     poses = [raw.T_robot_sensor] if raw.odometry is None else [raw.T_robot_sensor, raw.odometry]
     numbers = np.concatenate([[raw.angle_min, raw.angle_increment], *poses])

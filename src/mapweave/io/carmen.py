@@ -9,10 +9,11 @@ import numpy as np
 from ..core import se2
 from ..core.errors import ReaderError
 from ..core.laser_log import LaserLog
-from .assemble import RawLog, RawScan, median_pose
+from .assemble import UNSOUND, RawLog, RawScan, is_sound, median_pose
 from .text import TextLog
 
 KEYWORDS = ("FLASER", "RLASER", "ROBOTLASER1", "ROBOTLASER2", "ODOM")
+LARGEST_COUNT = 1e9  # of beams: a row says less
 NO_RETURN = 81.0  # [m]: what SICK scanners say when nothing comes back is 81.83 or 81.91
 WRONG_OFFSET = 0.05  # [m or rad]: a sensor whose place on the robot varies more has been corrected by another program
 
@@ -40,7 +41,11 @@ def read_carmen(
             if words[0] == "ODOM":
                 raw.odometry.append(_odometry(words))
             else:
-                raw.scans.append(_robotlaser(words) if words[0].startswith("ROBOT") else _flaser(words))
+                scan = _robotlaser(words) if words[0].startswith("ROBOT") else _flaser(words)
+                if not is_sound(scan):
+                    raw.dropped[UNSOUND] += 1
+                    continue
+                raw.scans.append(scan)
                 kinds.append(words[0])
         except (ValueError, IndexError) as error:
             if number == len(rows) and (log.truncated or not log.complete):
@@ -79,7 +84,7 @@ def _odometry(words: list[str]) -> tuple[float, float, float, float]:
 
 def _announced(words: list[str], at: int, what: str) -> int:
     count = _numbers(words[at : at + 1])
-    if len(count) != 1 or count[0] < 0 or count[0] != int(count[0]):
+    if len(count) != 1 or not 0 <= count[0] < LARGEST_COUNT or count[0] != np.round(count[0]):
         raise ValueError(f"{words[0]} must say how many {what} follow, found {' '.join(words[at : at + 1])!r}")
     return int(count[0])
 

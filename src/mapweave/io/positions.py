@@ -17,6 +17,8 @@ from .table import Table, read_table, write_table
 
 ORDER = {2: ((0, 0), (0, 1), (1, 1)), 3: ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))}
 NAMES = {2: ("var_x", "cov_xy", "var_y"), 3: ("var_x", "cov_xy", "var_y", "cov_xz", "cov_yz", "var_z")}
+# No file of some systems may be called like these, whatever follows a dot.
+DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{k}" for port in ("com", "lpt") for k in range(1, 10))}
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +83,10 @@ def read_track(path: Path) -> RobotTrajectory:
     """What `write_track` wrote; covariances are None where one is missing. Raises ReaderError."""
     table = read_table(path)
     position, cov = _moments(table, "t")
-    return RobotTrajectory(table.numbers("t"), position, cov if np.isfinite(cov).all() else None)
+    t = table.numbers("t")
+    if not (np.isfinite(t).all() and np.isfinite(position).all() and (np.diff(t) > 0).all()):
+        raise ReaderError(path, "expected stamps that ascend strictly and finite positions")
+    return RobotTrajectory(t, position, cov if np.isfinite(cov).all() else None)
 
 
 def track_files(ids: Sequence[str]) -> dict[str, str]:
@@ -90,6 +95,7 @@ def track_files(ids: Sequence[str]) -> dict[str, str]:
     Of ids that would share a name (also on systems that do not tell a from A) all but the first get `-2`, `-3`, ...
     """
     plain = {name: "".join(c if c.isalnum() or c in "-_." else "_" for c in name) for name in ids}
+    plain = {name: f"{word}_" if word.split(".")[0].casefold() in DEVICES else word for name, word in plain.items()}
     taken: set[str] = set()
     seen: Counter[str] = Counter()
     out = {}
@@ -158,4 +164,7 @@ def _moments(table: Table, first: str = "id") -> tuple[Float[np.ndarray, "n d"],
     cov = np.full((len(table), dim, dim), np.nan)
     for name, (a, b) in zip(NAMES[dim], ORDER[dim], strict=True):
         cov[:, a, b] = cov[:, b, a] = table.numbers(name)
+    wild = np.flatnonzero(np.isinf(place).any(axis=1) | np.isinf(cov).any(axis=(1, 2)))
+    if len(wild):
+        raise ReaderError(table.path, "expected finite positions and covariances", table.lines[int(wild[0])])
     return place, cov

@@ -76,6 +76,9 @@ def _made(held: dict[str, np.ndarray]) -> RobotGraph:
             raise ValueError(f"{name} has shape {found.shape}, expected {shape}")
         if not np.isfinite(found).all():
             raise ValueError(f"{name} has numbers that are not finite")
+    told = [held[name] for name in held if name.startswith(("closure_", "light_")) and held[name].dtype.kind == "f"]
+    if any(np.isinf(numbers).any() for numbers in told):
+        raise ValueError("a closure or the light has numbers that are not finite")
     start = held["start"]
     if start[0] != 0 or start[-1] != m or (np.diff(start) < 0).any():
         raise ValueError("start does not part the points")

@@ -102,6 +102,9 @@ def read_swarm_truth(path: Path) -> SwarmTruth:
         row = int(np.flatnonzero(~np.isfinite(position).all(axis=1))[0])
         raise ReaderError(path, f"expected finite {','.join(names)} for {ids[row]}", file.lines[row])
     t = file.numbers("t") if "t" in file.columns else None
+    if t is not None and not np.isfinite(t).all():
+        row = int(np.flatnonzero(~np.isfinite(t))[0])
+        raise ReaderError(path, f"expected a finite t for {ids[row]}", file.lines[row])
     if t is None and len(set(ids)) < len(ids):
         twice = Counter(ids).most_common(1)[0][0]
         raise ReaderError(path, f"robot {twice} stands twice and there is no column t")

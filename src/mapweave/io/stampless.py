@@ -37,7 +37,7 @@ def read_stampless(
             values = np.array(words[1:], dtype=float)
             if words[0] == "Odometry" and len(values) == 3:
                 pose = values
-            elif words[0] == "Laser" and len(values) > 2 and len(values) == 1 + int(values[0]):
+            elif words[0] == "Laser" and len(values) > 2 and values[0] == len(values) - 1:
                 raw.scans.append(_scan(len(raw.scans) * STEP, values[1:], pose))
             else:
                 raise ValueError(_expected(words))  # noqa: TRY301
