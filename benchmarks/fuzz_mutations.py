@@ -201,7 +201,8 @@ def _array(data: bytes, rng: np.random.Generator) -> bytes:
     elif how == 3:
         values = np.repeat(values[None], 2, axis=0)
     elif how == 4:
-        values = values.astype(rng.choice(["U5", "c16", "?", "i1", "S3", "M8[s]", "f2", "u8"]), casting="unsafe")
+        kind = rng.choice(["U5", "c16", "?", "i1", "S3", "M8[s]", "f2", "u8"])
+        values = np.zeros(values.shape, kind) if values.dtype.kind == "U" else _cast(values, kind)
     elif how == 5:
         return _bytes(data, rng)
     elif values.size and values.dtype.kind in "fiu":
@@ -214,6 +215,11 @@ def _array(data: bytes, rng: np.random.Generator) -> bytes:
         values = values.T
     np.lib.format.write_array(out, np.asarray(values), allow_pickle=False)
     return out.getvalue()
+
+
+@np.errstate(all="ignore")
+def _cast(values: np.ndarray, kind: str) -> np.ndarray:
+    return np.asarray(values.astype(kind, casting="unsafe"))
 
 
 def smaller(files: Files) -> Iterator[Files]:

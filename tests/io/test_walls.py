@@ -4,11 +4,13 @@ import gzip
 import io
 import json
 import os
+import struct
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
 
+import lz4.frame
 import numpy as np
 import pytest
 
@@ -23,6 +25,7 @@ from mapweave.io.landmarks import read_members
 from mapweave.io.laser_logs import read_laser
 from mapweave.io.local_map import read_local_map, write_local_map
 from mapweave.io.ros_map import read_ros_map
+from mapweave.io.salvage import LARGEST_CHUNK, zstd
 from mapweave.io.sightings import read_sightings, read_swarm_truth
 from mapweave.io.team_map import read_metrics
 
@@ -209,6 +212,21 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused(tmp_path):
         archive.writestr("Robot3_Odometry.dat", b"0 " * 60_000_000)
     with pytest.raises(ReaderError, match="no log is packed so well"):
         read_landmark_logs(tmp_path / "set.zip")
+
+
+def test_a_recording_with_a_chunk_that_unpacks_to_gigabytes_is_refused(tmp_path):
+    zeros = bytes(LARGEST_CHUNK + 1)
+    packed = zstd.compress(zeros)
+    chunk = struct.pack("<QQQI", 0, 0, len(zeros), 0) + struct.pack("<I", 4) + b"zstd" + struct.pack("<Q", len(packed))
+    record = b"\x06" + struct.pack("<Q", len(chunk) + len(packed)) + chunk + packed
+    (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n" + record)
+    packed = lz4.frame.compress(zeros)
+    head = b"".join(struct.pack("<I", len(f)) + f for f in (b"op=\x05", b"compression=lz4", b"size=\x00\x00\x00\x10"))
+    chunk = struct.pack("<I", len(head)) + head + struct.pack("<I", len(packed)) + packed
+    (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0\n" + chunk)
+    for name in ("a.mcap", "a.bag"):
+        with pytest.raises(ReaderError, match=f"{name}: a part of [0-9]+ bytes unpacks to over"):
+            read_laser(tmp_path / name)
 
 
 @pytest.mark.parametrize("suffix", [".bag", ".db3", ".mcap"])

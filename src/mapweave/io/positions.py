@@ -138,6 +138,8 @@ def read_network(path: Path, n: int) -> tuple[Int[np.ndarray, "m 2"], JointInfor
         if "value" not in held:
             return pairs, None
         width = int(held["width"])
+        if not np.isfinite(held["value"]).all():
+            raise ReaderError(path, "expected finite information")
         lower = sp.coo_matrix((held["value"], (held["row"], held["column"])), shape=(n * width, n * width))
         known = np.asarray(held["held"], dtype=bool)
         if len(known) != n * width:
