@@ -13,6 +13,7 @@ from .npz import read_arrays, write_arrays
 NAME = "robot_graph.npz"
 VERSION = 1
 ARRAYS = ("t", "pose", "cov", "path", "step", "step_information", "start", "lined", "sensor")
+GAPS = ("light_residual", "closure_numbers")  # NaN where there is nothing to tell
 THIN = ("points", "normals", "q")  # float32: a scanner's noise is a thousand times their rounding
 
 
@@ -35,7 +36,7 @@ def write_robot_graph(path: Path, graph: RobotGraph) -> None:
             ),
             "light_residual": calibration.residual_by_range,
         }
-    write_arrays(path, held, gaps=("light_residual", "closure_numbers"))
+    write_arrays(path, held, gaps=GAPS)
 
 
 def read_robot_graph(path: Path) -> RobotGraph:
@@ -76,9 +77,11 @@ def _made(held: dict[str, np.ndarray]) -> RobotGraph:
             raise ValueError(f"{name} has shape {found.shape}, expected {shape}")
         if not np.isfinite(found).all():
             raise ValueError(f"{name} has numbers that are not finite")
-    told = [held[name] for name in held if name.startswith(("closure_", "light_")) and held[name].dtype.kind == "f"]
-    if any(np.isinf(numbers).any() for numbers in told):
-        raise ValueError("a closure or the light has numbers that are not finite")
+    for name, values in held.items():
+        told = values if values.dtype.kind == "f" else np.zeros(0)
+        wild = np.isinf(told) if name in GAPS else ~np.isfinite(told)
+        if wild.any():
+            raise ValueError(f"{name} has numbers that are not finite")
     start = held["start"]
     if start[0] != 0 or start[-1] != m or (np.diff(start) < 0).any():
         raise ValueError("start does not part the points")
