@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..exploration.landmarks.result import LandmarkExploreResult
+from ..exploration.landmarks.result import ExploreResult
 from ..exploration.laser.result import LaserExploreResult
 from ..report.result import ResultBase, Rows
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class LandmarkExploration(ResultBase, LandmarkExploreResult):
+class LandmarkExploration(ResultBase, ExploreResult):
     """An exploration among landmarks."""
 
     def lines(self) -> list[str]:
-        return LandmarkExploreResult.lines(self)
+        return ExploreResult.lines(self)
 
     def headline(self) -> Rows:
         head = ("seed", "finished", "steps", "map error [m]", "C/N [m²]", "NEES/dof")

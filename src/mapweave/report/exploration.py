@@ -11,7 +11,7 @@ from PIL import Image
 from scipy.spatial import ConvexHull, QhullError
 
 from ..exploration.landmarks.experiment import LandmarkRecord
-from ..exploration.landmarks.result import LandmarkExploreResult
+from ..exploration.landmarks.result import ExploreResult
 from ..kernels.exploration.objective import mark_half_disc
 from ..kernels.raster import Raster, Sector
 from ..kernels.walls.sight import mark_in_sight
@@ -22,7 +22,7 @@ FRAMES = 48
 TALLEST = 24.0  # inches, of a figure, however narrow the field
 
 
-def write_exploration(folder: Path, result: LandmarkExploreResult) -> None:
+def write_exploration(folder: Path, result: ExploreResult) -> None:
     """report.html and figures/ in `folder`."""
     first = result.first
     draw_map(folder / "figures" / "map.png", first)
@@ -108,7 +108,7 @@ def draw_map(path: Target, run: LandmarkRecord) -> None:
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4)
 
 
-def draw_explored(path: Path, run: LandmarkRecord, result: LandmarkExploreResult) -> None:
+def draw_explored(path: Path, run: LandmarkRecord, result: ExploreResult) -> None:
     """The step at which each cell was first seen, and the frontier at each quarter of the run."""
     cfg = result.mission.cfg
     width, height = run.world.upper - run.world.lower
@@ -136,7 +136,7 @@ def draw_explored(path: Path, run: LandmarkRecord, result: LandmarkExploreResult
         ax.grid(visible=False)
 
 
-def draw_progress(path: Path, run: LandmarkRecord, result: LandmarkExploreResult) -> None:
+def draw_progress(path: Path, run: LandmarkRecord, result: ExploreResult) -> None:
     """Explored share against steps for the first run; steps against map error for all."""
     with figure(path, 8.0, 3.2, ncols=2) as (_, axes):
         ax = axes[0]

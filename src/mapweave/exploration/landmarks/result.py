@@ -8,7 +8,7 @@ from .experiment import LandmarkMission, LandmarkRecord, LandmarkScore
 
 
 @dataclass(frozen=True, slots=True)
-class LandmarkExploreResult(ExplorationResult[LandmarkMission, LandmarkScore, LandmarkRecord]):
+class ExploreResult(ExplorationResult[LandmarkMission, LandmarkScore, LandmarkRecord]):
     """noise: motion noise over the printed one, None if no multiple."""
 
     def averages(self) -> dict[str, Any]:
