@@ -52,6 +52,7 @@ def map(  # noqa: A001  (the verb)
     jobs: int = 1,
     fuse_every: float | None = None,
     refine: bool = True,
+    calibration: Path | str | None = None,
     laser: LaserOptions | None = None,
     force: bool = False,
     executor: Executor | None = None,
@@ -99,7 +100,10 @@ def map(  # noqa: A001  (the verb)
     fuse_every
         Also fuse every so many seconds [s] while the logs play, and keep how the map grew (not at all).
     refine
-        Smooth the whole team at the end, where the method offers it (True).
+        Smooth the whole team at the end: all trajectories, landmarks and calibrations in one problem (True). Landmark
+        logs alone.
+    calibration
+        What is known of the robots beforehand, as `calibration.json` holds it; no sd, or 0, holds a value (nothing).
     laser
         Options for laser logs alone.
     force
@@ -141,6 +145,7 @@ def map(  # noqa: A001  (the verb)
         jobs=jobs,
         fuse_every=fuse_every,
         refine=refine,
+        calibration=None if calibration is None else Path(calibration),
         laser=laser or LaserOptions(),
         executor=executor,
         on_progress=on_progress,

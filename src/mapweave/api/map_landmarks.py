@@ -12,25 +12,31 @@ from ..core.workers import worker_pool
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse
 from ..fusion.known_starts import tie_by_starts
+from ..fusion.result import Fusion
+from ..io.calibration import read_calibration
 from ..io.columns import Columns
 from ..io.csv_landmarks import landmark_logs_of
 from ..io.landmark_logs import is_landmark_log, read_landmark_logs
 from ..landmarks.config import EkfSlamConfig
 from ..landmarks.local_map import LocalMap
 from ..landmarks.mapping import local_map
+from ..team.config import SmoothingConfig
+from ..team.smooth import Smoothed, smooth
+from ..team.team_map import TeamMap
 from .map_options import MapOptions
 from .online import OnlineMap, fuse_online
-from .team import TeamResult, Watch, team_result
+from .team import TeamResult, Watch, team_maps, team_result
 
 METHODS = ("ekf",)
 
 
 @config
 class LandmarkMapConfig:
-    """The tables `[ekf]` and `[fuse]` of a configuration file."""
+    """The tables `[ekf]`, `[fuse]` and `[smoothing]` of a configuration file."""
 
     ekf: EkfSlamConfig = field(default_factory=EkfSlamConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)
+    smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
 
 
 def applies(log: Path) -> bool:
@@ -78,7 +84,33 @@ def _map_read(
             read, local, cfg.ekf, cfg.fuse, options.fuse_every, options.seed, options.on_progress
         )
     fusion = tie_by_starts(fusion, {robot_name(key): pose for key, pose in options.start.items()})
-    return team_result(title, options.seed, local, fusion, options.truth, online, watch)
+    maps = team_maps(local, fusion)
+    watch.lap("fuse")
+    smoothed = _smoothed(maps, read, fusion, cfg.smoothing, options) if options.refine else ()
+    watch.lap("smooth")
+    return team_result(title, options.seed, local, fusion, options.truth, online, watch, maps, smoothed)
+
+
+def _smoothed(
+    maps: Sequence[TeamMap],
+    logs: Sequence[LandmarkLog],
+    fusion: Fusion,
+    cfg: SmoothingConfig,
+    options: MapOptions,
+) -> tuple[Smoothed, ...]:
+    """Every component, smoothed as a whole."""
+    known = {} if options.calibration is None else read_calibration(options.calibration)
+    names = {log.robot for log in logs}
+    for robot in known:
+        if robot not in names:
+            there = ", ".join(sorted(map(robot_key, names), key=in_order))
+            raise UsageError(f"--calibration {options.calibration}: no robot {robot_key(robot)}; there are {there}")
+    out = []
+    for k, team in enumerate(maps):
+        options.on_progress("smoothing", k, len(maps))
+        out.append(smooth(team, logs, fusion.labels, cfg, known))
+    options.on_progress("smoothing", len(maps), len(maps))
+    return tuple(out)
 
 
 def _read(logs: Sequence[Path], options: MapOptions) -> list[LandmarkLog]:

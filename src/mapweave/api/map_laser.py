@@ -225,6 +225,7 @@ def _told(made: LaserMap, options: MapOptions) -> LaserMap:
         ("--fuse-every", options.fuse_every),
         ("--weights", options.weights),
         ("--no-refine", not options.refine),
+        ("--calibration", options.calibration),
     )
     idle = [name for name, given in asked if given]
     more = tuple(f"{name} has no effect: each laser log is mapped on its own" for name in idle)

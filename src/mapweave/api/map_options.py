@@ -55,6 +55,7 @@ class MapOptions:
     jobs: int = 1
     fuse_every: float | None = None
     refine: bool = True
+    calibration: Path | None = None
     laser: LaserOptions = field(default_factory=LaserOptions)
     executor: Executor | None = None
     on_progress: Progress = no_progress

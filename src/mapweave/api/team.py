@@ -13,6 +13,7 @@ from ..core.names import in_order, robot_key
 from ..core.records import Track
 from ..core.survey import NO_SURVEY
 from ..core.version import __version__
+from ..evaluation.consistency import mean_or_none
 from ..evaluation.growth import GrowthPoint
 from ..evaluation.landmarks import find_exchanges
 from ..evaluation.team import TeamScore, as_json, score_team
@@ -21,6 +22,7 @@ from ..landmarks.landmark_map import LandmarkMap
 from ..landmarks.local_map import LocalMap
 from ..report.result import ResultBase, Rows
 from ..report.team_story import TeamStory
+from ..team.smooth import Smoothed
 from ..team.team_map import TeamMap
 from .evaluate_team import TeamTruth, read_team_truth, team_lines, unscored
 from .online import OnlineMap, growth
@@ -36,7 +38,9 @@ class TeamResult(ResultBase):
     """One map of a team and how it came about.
 
     maps: components, the largest first; local: what each robot handed over; growth: the global map over time, where
-    it was fused while the logs played; score: against truth, where truth was given.
+    it was fused while the logs played; score: against truth, where truth was given; smoothed: what smoothing the whole
+    team found, a component each (none where it was not asked for, or where there are no logs); filter_score: of the
+    map it began from.
     """
 
     title: str
@@ -47,6 +51,8 @@ class TeamResult(ResultBase):
     growth: tuple[GrowthPoint, ...] = ()
     score: TeamScore | None = None
     truth: TeamTruth | None = None
+    smoothed: tuple[Smoothed, ...] = ()
+    filter_score: TeamScore | None = None
     warnings: tuple[str, ...] = ()
     timing: dict[str, float] = field(default_factory=dict)
 
@@ -84,6 +90,9 @@ class TeamResult(ResultBase):
                 }
                 for p in self.growth
             ]
+        if self.smoothed:
+            told["refined"] = {**_errors(self.score), "components": [_smoothing(s) for s in self.smoothed]}
+            told["filters"] = _errors(self.filter_score)
         if self.score is not None:
             told["evaluation"] = as_json(self.score)
         told["timing"] = {stage: round(s, 4) for stage, s in self.timing.items()}
@@ -101,6 +110,8 @@ class TeamResult(ResultBase):
             score=self.score,
             survey=NO_SURVEY if self.truth is None else self.truth.survey,
             truths={} if self.truth is None else self.truth.robots,
+            smoothed=self.smoothed,
+            filter_score=self.filter_score,
             warnings=self.warnings,
         )
 
@@ -141,6 +152,27 @@ class TeamResult(ResultBase):
         return out + ([] if self.score is None else team_lines(self.score))
 
 
+def _errors(score: TeamScore | None) -> dict[str, float | None]:
+    """Landmark RMSE and mean ATE, also with labels that look exchanged put back."""
+    if score is None:
+        return {"landmark_rmse": None, "ate": None}
+    told = {"landmark_rmse": score.landmarks.rmse, "ate": mean_or_none([r.ate for r in score.robots.values()])}
+    if score.landmarks_exchanged is not None:
+        told["landmark_rmse_exchanged"] = score.landmarks_exchanged.rmse
+    return told
+
+
+def _smoothing(s: Smoothed) -> dict[str, Any]:
+    return {
+        "status": s.status,
+        "iterations": s.iterations,
+        "poses": s.poses,
+        "factors": dict(s.used),
+        "inflation": {robot_key(r): f for r, f in s.inflation.items()},
+        "refused": s.refused or None,
+    }
+
+
 class Watch:
     """Seconds spent in each stage, in the order they began."""
 
@@ -163,16 +195,25 @@ def team_result(
     truth: Sequence[Path],
     online: Sequence[OnlineMap],
     watch: Watch,
+    maps: Sequence[TeamMap] | None = None,
+    smoothed: Sequence[Smoothed] = (),
 ) -> TeamResult:
-    """The result of fusing `local`; truth is read here, when nothing is left to estimate."""
-    maps = team_maps(local, fusion)
-    watch.lap("fuse")
-    known = score = None
+    """The result of fusing `local`; truth is read here, when nothing is left to estimate.
+
+    maps: its components (found here when None); smoothed: what became of them.
+    """
+    if maps is None:
+        maps = team_maps(local, fusion)
+        watch.lap("fuse")
+    filters, maps = maps, tuple(s.map for s in smoothed) or tuple(maps)
+    known = score = filter_score = None
     survey = NO_SURVEY
     if truth:
         known = read_team_truth(truth, [m.robot for m in local])
         survey = find_exchanges(maps[0].landmarks, known.survey)[1]
         score = score_team(maps, {m.robot: m.submap.landmarks for m in local}, known.survey, known.robots)
+        if smoothed:
+            filter_score = score_team(filters, {}, known.survey, known.robots)
         watch.lap("evaluate")
     own = [f"robot {robot_key(m.robot)}: {w}" for m in local for w in m.warnings]
     reason = [f"the truth: nothing to score: {why}"] if score is not None and (why := unscored(score)) else []
@@ -185,7 +226,9 @@ def team_result(
         growth=growth(online, survey),
         score=score,
         truth=known,
-        warnings=(*fusion.warnings, *own, *reason),
+        smoothed=tuple(smoothed),
+        filter_score=filter_score,
+        warnings=(*fusion.warnings, *own, *reason, *(w for s in smoothed for w in s.warnings)),
         timing=watch.seconds,
     )
 

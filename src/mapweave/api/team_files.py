@@ -5,6 +5,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from ..io.calibration import write_calibration
 from ..io.directory import write_json
 from ..io.landmarks import write_landmark_arrays, write_landmarks
 from ..io.local_map import write_local_map
@@ -23,6 +24,9 @@ def write_team(folder: Path, story: TeamStory, metrics: Mapping[str, Any]) -> No
         home = folder / "local" / local.robot
         write_local_map(home, local)
         write_landmark_arrays(home, local.submap.landmarks)
+    if story.smoothed:
+        found = {robot: known for s in story.smoothed for robot, known in s.calibration.items()}
+        write_calibration(folder / "calibration.json", found, story.smoothed[0].prior)
     wrote = perf_counter()
     write_team_report(folder, story)
     timing = {**metrics["timing"], "write": wrote - began, "report": perf_counter() - wrote}

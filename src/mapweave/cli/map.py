@@ -62,6 +62,7 @@ def map_logs(
     jobs: int = 1,
     fuse_every: float | None = None,
     refine: bool = True,
+    calibration: Path | None = None,
     laser: Laser | None = None,
     force: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -94,7 +95,9 @@ def map_logs(
     fuse_every
         Also fuse every so many seconds while the logs play, and report how the map grew.
     refine
-        Smooth the whole team at the end where the method offers it; --no-refine leaves the fused maps as they are.
+        Smooth the whole team at the end (landmark logs); --no-refine leaves the fused filters' map as it is.
+    calibration
+        What is known of the robots beforehand, as calibration.json holds it; a value without sd is held.
     force
         Write into the folder even when something other than a result stands there.
     """
@@ -118,6 +121,7 @@ def map_logs(
             jobs=jobs,
             fuse_every=fuse_every,
             refine=refine,
+            calibration=calibration,
             laser=_laser(laser),
             force=force,
             on_progress=on_progress,

@@ -1,9 +1,13 @@
 """The report of a team's map: what came out, how sure it is, why every robot was or was not merged, and the truth."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from ..core.names import robot_key
+from ..evaluation.consistency import mean_or_none
 from ..landmarks.local_map import LocalMap
+from ..team.problem import PARAMETERS
+from ..team.smooth import is_observed
 from . import team_figures, truth_figures
 from .html import Page
 from .team_story import TeamStory
@@ -25,6 +29,8 @@ def write_team_report(folder: Path, story: TeamStory) -> None:
         _add(page, name, team_figures.fused_map(name, story, other))
     if story.score is not None:
         _truth(page, figures, story)
+    if story.smoothed:
+        _smoothing(page, story)
     _fusion(page, figures, story)
     _robots(page, figures, story)
     if len(story.growth) > 1:
@@ -86,6 +92,42 @@ def _truth(page: Page, figures: Path, story: TeamStory) -> None:
     )
     name = figures / "track_errors.png"
     _add(page, name, truth_figures.track_errors(name, story, score))
+
+
+def _smoothing(page: Page, story: TeamStory) -> None:
+    """What the whole team's one problem was, and what it found of every robot."""
+    page.section("The whole team at once")
+    for k, s in enumerate(story.smoothed, 1):
+        where = "" if len(story.smoothed) == 1 else f"Component {k}: "
+        if s.refused:
+            page.text(f"{where}the map is the fused filters': {s.refused}.", warn=bool(s.used))
+            continue
+        factors = ", ".join(f"{n:,} of kind {kind}" for kind, n in sorted(s.used.items()))
+        page.text(
+            f"{where}{s.poses:,} poses, all landmarks and every robot's calibration in one least-squares problem, "
+            f"started at the fused filters; sightings: {factors}. {s.iterations} iterations, {s.status}."
+        )
+    if story.filter_score is not None and story.score is not None:
+        scores = (("fused filters", story.filter_score), ("smoothed", story.score))
+        rows: list[list[object]] = []
+        for name, score in scores:
+            ate = mean_or_none([r.ate for r in score.robots.values()])
+            rows.append([name, score.landmarks.rmse, ate, score.landmarks.nees_per_dof])
+        page.table(["map", "landmark RMSE [m]", "mean ATE [m]", "NEES / dof"], rows)
+    found = {robot: known for s in story.smoothed for robot, known in s.calibration.items()}
+    if found:
+        head = ["robot", "speed scale", "turn scale", "lag [s]", "bearing bias [rad]", "range scale"]
+        page.table(
+            head, [[robot_key(robot), *(_told(known, p, story) for p in PARAMETERS)] for robot, known in found.items()]
+        )
+        page.text("With one standard deviation; an asterisk: the data told little more than was assumed beforehand.")
+
+
+def _told(known: Mapping[str, tuple[float, float]], name: str, story: TeamStory) -> str:
+    if name not in known:
+        return ""
+    value, sd = known[name]
+    return f"{value:.3f} ± {sd:.3f}{'' if is_observed(name, sd, story.smoothed[0].prior) else ' *'}"
 
 
 def _fusion(page: Page, figures: Path, story: TeamStory) -> None:

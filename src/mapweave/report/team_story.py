@@ -12,6 +12,7 @@ from ..evaluation.growth import GrowthPoint
 from ..evaluation.team import RobotTruth, TeamScore
 from ..fusion.result import Fusion
 from ..landmarks.local_map import LocalMap
+from ..team.smooth import Smoothed
 from ..team.team_map import TeamMap
 
 
@@ -27,6 +28,8 @@ class TeamStory:
     score: TeamScore | None = None
     survey: Survey = NO_SURVEY
     truths: Mapping[str, RobotTruth] = field(default_factory=dict)
+    smoothed: Sequence[Smoothed] = ()
+    filter_score: TeamScore | None = None
     warnings: Sequence[str] = ()
 
     @property

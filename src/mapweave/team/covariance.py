@@ -15,7 +15,7 @@ from ..core.gaussian import symmetrise
 from ..solve import Information, SingularError, Solution
 from ..solve.fronts import Elimination
 from .config import SmoothingConfig
-from .smoothing import PARAMETERS, TeamProblem
+from .problem import PARAMETERS, TeamProblem
 
 MOST_CORRECTED = 4.0  # largest factor for what landmarks and calibration themselves took out of the residuals
 CHUNK = 96  # columns of the covariance held at once

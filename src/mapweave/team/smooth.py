@@ -14,17 +14,19 @@ from ..solve import SingularError, Solution, Status
 from .commanded_motion import LAG, TURN
 from .config import SmoothingConfig
 from .covariance import TeamCovariance, team_covariance
-from .smoothing import PARAMETERS, RobotPart, TeamProblem, team_problem
+from .problem import PARAMETERS, RobotPart, TeamProblem, team_problem
 from .team_map import TeamMap
 
+OBSERVED = 0.7  # share of the prior's standard deviation
 Calibration = Mapping[str, tuple[float, float]]  # parameter -> (value, standard deviation)
 
 
 @dataclass(frozen=True, slots=True)
-class Refined:
+class Smoothed:
     """One component after smoothing. calibration: a robot each; inflation: of its poses' model covariance.
 
-    used: factors of each kind; poses: how many were estimated; refused: why the map is still the filters', or "".
+    prior: what was known of each parameter before; used: factors of each kind; poses: how many were estimated;
+    refused: why the map is still the filters', or "".
     """
 
     map: TeamMap
@@ -34,16 +36,22 @@ class Refined:
     poses: int
     iterations: int
     status: str
+    prior: Calibration
     refused: str = ""
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence where the map had to stay the filters' though there was something to smooth."""
+        return (f"not smoothed: {self.refused}",) if self.refused and self.used else ()
 
-def refine(
+
+def smooth(
     team: TeamMap,
     logs: Sequence[LandmarkLog],
     labels: Mapping[str, Mapping[str, str]],
     cfg: SmoothingConfig,
     calibration: Mapping[str, Calibration] | None = None,
-) -> Refined:
+) -> Smoothed:
     """`team` with all of `logs` (those of its robots) worked into one least-squares problem, started at the filters'.
 
     labels[robot]: own landmark name -> name in the map. calibration: what is known beforehand of some robots, in place
@@ -51,24 +59,27 @@ def refine(
     problem has no minimum near the start, the map stays as it was and `refused` says why.
     """
     own = {log.robot: log for log in logs}
-    chosen = [own[robot] for robot in team.robots if robot in own and len(own[robot])]
+    chosen = [own[robot] for robot in team.robots if robot in own]
+    chosen = [log for log in chosen if len(log.sightings) and len(team.tracks[log.robot].t)]
+    if not chosen:
+        return _kept(team, cfg, "nobody saw anything")
     problem = team_problem(chosen, team.landmarks, team.tracks, labels, calibration or {}, cfg)
     if not problem.used:
-        return _kept(team, problem, "nobody saw a landmark of the map or another robot")
+        return _kept(team, cfg, "nobody saw a landmark of the map or another robot", problem)
     solution = problem.solve(cfg)
     if solution.status in {Status.SINGULAR, Status.DIVERGED} or not np.isfinite(solution.x).all():
-        return _kept(team, problem, f"the problem of the whole team is {solution.status}", solution)
+        return _kept(team, cfg, f"the problem of the whole team is {solution.status}", problem, solution)
     try:
         cov = team_covariance(problem, solution, cfg)
     except SingularError as error:
-        return _kept(team, problem, str(error), solution)
+        return _kept(team, cfg, str(error), problem, solution)
     tracks = dict(team.tracks)
     for part, P in zip(problem.parts, cov.poses, strict=True):
         tracks[part.robot] = _dense(part, solution.x, P)
     m = 2 * len(problem.landmarks)
     mean = solution.x[problem.landmark_start : problem.landmark_start + m].reshape(-1, 2)
     landmarks = LandmarkMap(problem.landmarks, mean, cov.landmarks, team.landmarks.frame)
-    return Refined(
+    return Smoothed(
         map=replace(team, landmarks=landmarks, tracks=tracks),
         calibration=_calibration(problem, solution, cov),
         inflation={part.robot: f for part, f in zip(problem.parts, cov.inflation, strict=True)},
@@ -76,13 +87,38 @@ def refine(
         poses=sum(len(part.instants.t) for part in problem.parts),
         iterations=solution.iterations,
         status=str(solution.status),
+        prior=_prior(cfg),
     )
 
 
-def _kept(team: TeamMap, problem: TeamProblem, why: str, solution: Solution | None = None) -> Refined:
-    poses = sum(len(part.instants.t) for part in problem.parts)
-    status = "not tried" if solution is None else str(solution.status)
-    return Refined(team, {}, {}, problem.used, poses, 0 if solution is None else solution.iterations, status, why)
+def is_observed(parameter: str, sd: float, prior: Calibration) -> bool:
+    """Whether the data told clearly more of a parameter than was known beforehand."""
+    return sd < OBSERVED * prior[parameter][1]
+
+
+def _prior(cfg: SmoothingConfig) -> Calibration:
+    known = cfg.calibration
+    return {name: (getattr(known, name), getattr(known, f"{name}_sd")) for name in PARAMETERS}
+
+
+def _kept(
+    team: TeamMap,
+    cfg: SmoothingConfig,
+    why: str,
+    problem: TeamProblem | None = None,
+    solution: Solution | None = None,
+) -> Smoothed:
+    return Smoothed(
+        map=team,
+        calibration={},
+        inflation={},
+        used={} if problem is None else problem.used,
+        poses=0 if problem is None else sum(len(part.instants.t) for part in problem.parts),
+        iterations=0 if solution is None else solution.iterations,
+        status="not tried" if solution is None else str(solution.status),
+        prior=_prior(cfg),
+        refused=why,
+    )
 
 
 def _calibration(problem: TeamProblem, solution: Solution, cov: TeamCovariance) -> dict[str, Calibration]:
