@@ -59,6 +59,7 @@ DRIFTING = StepNoise(wheels_xy=0.1, wheels_turn_per_m=0.03, wheels_turn=0.1, dri
 class GraphConfig:
     """The graph method: keyframes, loops, and the last pass over everything."""
 
+    hypotheses: int = 100  # particles that find the way where light tells places apart; 0: scan odometry alone
     loops: bool = True  # whether loops are looked for
     last_pass: bool = True  # whether all keyframes are matched jointly in the end, and every scan laid on them
     keyframe_graph: KeyframeGraphConfig = KeyframeGraphConfig(

@@ -1,23 +1,27 @@
 """Graph mapping: scan odometry, loops closed in submaps, one pose graph, and a last pass over everything.
 
 While scans come `step` drives the front end, makes keyframes, and looks for old places; `finalise` solves the graph
-once more, matches all keyframes jointly and lays every scan on them.
+once more, matches all keyframes jointly and lays every scan on them. Where light tells places apart the front end is
+the particle filter: its hypotheses find the way along walls that say nothing, and its best lineage makes the keyframes.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from ..core import se2
 from ..core.progress import Progress, no_progress
 from ..core.records import Event, Scan
+from . import particle_slam
 from .beam import STEERING, Beams, beams
 from .config import LaserConfig
 from .intensity import IntensityCalibration
 from .joint_pass import joint_pass, lay_scans, scan_cloud
 from .keyframe_graph import KeyframeGraph
-from .keyframes import KeyframeOdometry
+from .keyframes import Keyframe, KeyframeMaker, KeyframeOdometry
+from .particle_slam import ParticleState
 from .robot_graph import RobotGraph
 from .submap_loops import SubmapLoops
 from .trace import ScanInfo, blended
@@ -27,18 +31,22 @@ from .trace import ScanInfo, blended
 class GraphState:
     """One robot's graph as it grows; `step` changes it.
 
-    odometry: the front end; graph: the keyframes so far; scans: the returns of every scan; sensors: where the scanner
-    stood at each; keyframes: which scan each keyframe is.
+    odometry: scan odometry, or particles: the filter that finds the way where light tells places apart; graph: the
+    keyframes so far (of particles: none before the best lineage is known). Of every scan: stamps t, scans their
+    returns, sensors where the scanner stood, lines what walls tell of its pose; keyframes: which scan each is.
     """
 
     robot: str
     odometry: KeyframeOdometry
+    particles: ParticleState | None
     graph: KeyframeGraph
     loops: SubmapLoops
     feature: str
     calibration: IntensityCalibration | None
+    t: list[float] = field(default_factory=list)
     scans: list[Beams] = field(default_factory=list)
     sensors: list[np.ndarray] = field(default_factory=list)
+    lines: list[np.ndarray] = field(default_factory=list)
     keyframes: list[int] = field(default_factory=list)
 
 
@@ -52,17 +60,22 @@ class GraphEstimate(NamedTuple):
 def init(
     robot: str,
     cfg: LaserConfig,
-    rng: np.random.Generator,  # noqa: ARG001  (every estimator is begun the same way)
+    rng: np.random.Generator,
     *,
     feature: str = "none",
     calibration: IntensityCalibration | None = None,
-    gated: bool = False,  # noqa: ARG001
+    gated: bool = False,  # noqa: ARG001  (every estimator is begun the same way)
 ) -> GraphState:
     """No keyframes yet; the first scan will be at the origin."""
     g = cfg.graph
+    particles = None
+    if g.hypotheses > 0 and feature in STEERING:
+        particles = particle_slam.init(robot, _filtering(cfg), rng, feature=feature, calibration=calibration)
+        particles.odometry.tell_lines = True
     return GraphState(
         robot,
         KeyframeOdometry(0, g.keyframe_graph.keyframes, cfg.front_end, feature),
+        particles,
         KeyframeGraph(g.keyframe_graph, np.zeros((1, 3))),
         SubmapLoops(g.loop_search, light=feature in STEERING),
         feature,
@@ -71,37 +84,69 @@ def init(
 
 
 def step(
-    state: GraphState,
-    event: Event,
-    cfg: LaserConfig,
-    rng: np.random.Generator,  # noqa: ARG001
+    state: GraphState, event: Event, cfg: LaserConfig, rng: np.random.Generator
 ) -> tuple[GraphState, ScanInfo | None]:
     """Scans move the estimate and may close a loop; odometry packets give no info: a scan brings its own odometry."""
     if not isinstance(event.record, Scan):
         return state, None
     scan = event.record
     b = beams(scan, state.feature, state.calibration, cfg.beam)
-    info = state.odometry.advance(scan, b)
+    state.t.append(event.t)
     state.scans.append(b)
     state.sensors.append(np.array(scan.T_robot_sensor[:2], float))
-    keyframe = state.odometry.keyframe(event.t, b)
-    if keyframe is not None:
-        state.keyframes.append(len(state.scans) - 1)
-        number = state.graph.add(keyframe)
-        if cfg.graph.loops:
-            state.loops.offer(number)
-            if state.graph.due or state.graph.grown:
-                state.graph.solve()
-            state.loops.step(state.graph)
+    if state.particles is not None:
+        state.particles, info = particle_slam.step(state.particles, event, _filtering(cfg), rng)
+        state.lines.append(state.particles.odometry.lines)
+        return state, info
+    info = state.odometry.advance(scan, b)
+    _grow(state, cfg, len(state.scans) - 1, state.odometry.keyframe(event.t, b))
     return state, info
 
 
+def _filtering(cfg: LaserConfig) -> LaserConfig:
+    return replace(cfg, particles=cfg.graph.hypotheses)
+
+
+def _grow(state: GraphState, cfg: LaserConfig, row: int, keyframe: Keyframe | None) -> None:
+    """The graph has the keyframe, made at scan `row`, if there is one, and the loops found from it."""
+    if keyframe is None:
+        return
+    state.keyframes.append(row)
+    number = state.graph.add(keyframe)
+    if cfg.graph.loops:
+        state.loops.offer(number)
+        if state.graph.due or state.graph.grown:
+            state.graph.solve()
+        state.loops.step(state.graph)
+
+
+def _along_lineage(state: GraphState, cfg: LaserConfig, on_progress: Progress) -> Float[np.ndarray, "m 3"]:
+    """Poses at every scan of the best particle's lineage; the graph is grown along them."""
+    assert state.particles is not None  # noqa: S101  (asked for where there are)
+    poses = particle_slam.trajectory(state.particles)
+    state.graph = KeyframeGraph(cfg.graph.keyframe_graph, np.zeros((1, 3)))
+    state.loops = SubmapLoops(cfg.graph.loop_search, light=True)
+    state.keyframes = []
+    maker = KeyframeMaker(0, cfg.graph.keyframe_graph.keyframes)
+    before = poses[0]
+    for row, pose in enumerate(poses):
+        maker.advance(pose, se2.between(before, pose), state.lines[row])
+        before = pose
+        _grow(state, cfg, row, maker.keyframe(state.t[row], state.scans[row]))
+        on_progress("loops", row + 1, len(poses))
+    return poses
+
+
 def finalise(state: GraphState, cfg: LaserConfig, on_progress: Progress = no_progress) -> GraphEstimate:
-    """The whole estimate once all scans are in; `state` is as it was, but for its graph being solved."""
-    graph, joint = state.graph, cfg.graph.joint
+    """The whole estimate once all scans are in. The graph of `state` is whole and solved after it."""
+    joint = cfg.graph.joint
+    if state.particles is None:
+        local = np.array(state.odometry.odometry.poses)
+    else:
+        local = _along_lineage(state, cfg, on_progress)
+    graph = state.graph
     graph.solve()
     cov = graph.covariances()
-    local = np.array(state.odometry.odometry.poses)
     sensors = np.array(state.sensors).reshape(-1, 2)
     rows = np.array(state.keyframes, dtype=np.int64)
     steps, _ = graph.edges()

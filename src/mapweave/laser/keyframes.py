@@ -53,42 +53,27 @@ class KeyframeConfig:
     noise: StepNoise = StepNoise()
 
 
-class KeyframeOdometry:
-    """One robot's scan odometry that hands out keyframes. `advance` and `keyframe` change it.
+class KeyframeMaker:
+    """Keyframes along one robot's way, each with the covariance of the step to it. `advance` and `keyframe` change it.
 
-    robot: its number in the team; odometry: its trajectory; path: [m] driven; status: what came of the last
-    scan; last: the latest keyframe.
+    robot: its number in the team; local: (3,) the latest pose in the robot's own frame; step: (3,) the latest motion;
+    path: [m] driven; last: the latest keyframe.
     """
 
-    def __init__(self, robot: int, cfg: KeyframeConfig, front_end: FrontEndConfig, feature: str = "none") -> None:
+    def __init__(self, robot: int, cfg: KeyframeConfig) -> None:
         self.robot, self.cfg = robot, cfg
-        self.odometry = ScanOdometry(front_end, feature=feature, tell_lines=True)
-        self.path = 0.0
-        self.status = "none"
+        self.local, self.step, self.path = np.zeros(3), np.zeros(3), 0.0
         self.last: Keyframe | None = None
+        self._lines = np.zeros((3, 3))  # information of the walls on the latest pose
         self._wheels = np.zeros((3, 3))  # covariance of odometry since the last keyframe, in the latest robot frame
 
-    @property
-    def local(self) -> Float[np.ndarray, "3"]:
-        """The latest pose in the robot's own frame."""
-        return self.odometry.pose
-
-    @property
-    def step(self) -> Float[np.ndarray, "3"]:
-        """How the robot moved between the last two scans."""
-        return self.odometry.step
-
-    def predict(self, odometry: Float[np.ndarray, "3"] | None) -> Float[np.ndarray, "3"]:
-        """Where odometry puts the robot now, in its own frame; without odometry it goes on as before."""
-        return np.asarray(se2.compose(self.local, self.odometry.increment(odometry).u))
-
-    def advance(self, scan: Scan, b: Beams) -> ScanInfo:
-        """`local` is the pose of this scan; one that shows nothing is carried by odometry."""
-        info = self.odometry.advance(scan, b)
-        self.status = info.decision
-        self._wheels = carried(self._wheels, self.step) + wheel_noise(self.step, self.cfg.noise)
-        self.path += float(np.hypot(self.step[0], self.step[1]))
-        return info
+    def advance(
+        self, pose: Float[np.ndarray, "3"], step: Float[np.ndarray, "3"], lines: Float[np.ndarray, "3 3"]
+    ) -> None:
+        """The robot is at `pose` now, after `step`; lines: information of the walls on it, robot-frame x, y, theta."""
+        self.local, self.step, self._lines = pose, step, lines
+        self._wheels = carried(self._wheels, step) + wheel_noise(step, self.cfg.noise)
+        self.path += float(np.hypot(step[0], step[1]))
 
     def keyframe(self, t: float, b: Beams) -> Keyframe | None:
         """A keyframe at the latest pose when it is far enough from the last one."""
@@ -98,9 +83,50 @@ class KeyframeOdometry:
             step = se2.between(self.last.local, self.local)
             if np.hypot(step[0], step[1]) < self.cfg.distance and abs(step[2]) < self.cfg.turn:
                 return None
-            way = self.path - self.last.path
-            cov = step_covariance(self.odometry.lines, self._wheels, way, self.cfg.noise)
+            cov = step_covariance(self._lines, self._wheels, self.path - self.last.path, self.cfg.noise)
             new = Keyframe(self.robot, self.last.number + 1, t, self.local, step, cov, self.path, b)
         self.last = new
         self._wheels = np.zeros((3, 3))
         return new
+
+
+class KeyframeOdometry:
+    """One robot's scan odometry that hands out keyframes. `advance` and `keyframe` change it.
+
+    odometry: its trajectory; maker: its keyframes; status: what came of the last scan.
+    """
+
+    def __init__(self, robot: int, cfg: KeyframeConfig, front_end: FrontEndConfig, feature: str = "none") -> None:
+        self.maker = KeyframeMaker(robot, cfg)
+        self.odometry = ScanOdometry(front_end, feature=feature, tell_lines=True)
+        self.status = "none"
+
+    @property
+    def local(self) -> Float[np.ndarray, "3"]:
+        """The latest pose in the robot's own frame."""
+        return self.maker.local
+
+    @property
+    def step(self) -> Float[np.ndarray, "3"]:
+        """How the robot moved between the last two scans."""
+        return self.maker.step
+
+    @property
+    def last(self) -> Keyframe | None:
+        """The latest keyframe."""
+        return self.maker.last
+
+    def predict(self, odometry: Float[np.ndarray, "3"] | None) -> Float[np.ndarray, "3"]:
+        """Where odometry puts the robot now, in its own frame; without odometry it goes on as before."""
+        return np.asarray(se2.compose(self.local, self.odometry.increment(odometry).u))
+
+    def advance(self, scan: Scan, b: Beams) -> ScanInfo:
+        """`local` is the pose of this scan; one that shows nothing is carried by odometry."""
+        info = self.odometry.advance(scan, b)
+        self.status = info.decision
+        self.maker.advance(self.odometry.pose, self.odometry.step, self.odometry.lines)
+        return info
+
+    def keyframe(self, t: float, b: Beams) -> Keyframe | None:
+        """A keyframe at the latest pose when it is far enough from the last one."""
+        return self.maker.keyframe(t, b)
