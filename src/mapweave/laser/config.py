@@ -57,7 +57,9 @@ DRIFTING = StepNoise(wheels_xy=0.1, wheels_turn_per_m=0.03, wheels_turn=0.1, dri
 
 @config
 class GraphConfig:
-    """The graph method: keyframes, loops, and the last pass over everything."""
+    """The graph method: keyframes, loops, and the last pass over everything. lineage: the noise of steps along the best
+    particle's way, which light holds where walls do not.
+    """
 
     hypotheses: int = 100  # particles that find the way where light tells places apart; 0: scan odometry alone
     loops: bool = True  # whether loops are looked for
@@ -65,6 +67,7 @@ class GraphConfig:
     keyframe_graph: KeyframeGraphConfig = KeyframeGraphConfig(
         resolve_share=0.05, keyframes=KeyframeConfig(distance=0.4, turn=0.4, noise=DRIFTING)
     )
+    lineage: StepNoise = StepNoise(drift_xy=0.005, drift_turn=0.001)
     loop_search: SubmapLoopConfig = SubmapLoopConfig()
     joint: JointConfig = JointConfig()
 

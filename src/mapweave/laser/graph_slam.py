@@ -127,7 +127,7 @@ def _along_lineage(state: GraphState, cfg: LaserConfig, on_progress: Progress) -
     state.graph = KeyframeGraph(cfg.graph.keyframe_graph, np.zeros((1, 3)))
     state.loops = SubmapLoops(cfg.graph.loop_search, light=True)
     state.keyframes = []
-    maker = KeyframeMaker(0, cfg.graph.keyframe_graph.keyframes)
+    maker = KeyframeMaker(0, replace(cfg.graph.keyframe_graph.keyframes, noise=cfg.graph.lineage))
     before = poses[0]
     for row, pose in enumerate(poses):
         maker.advance(pose, se2.between(before, pose), state.lines[row])
