@@ -67,7 +67,7 @@ class GraphConfig:
     keyframe_graph: KeyframeGraphConfig = KeyframeGraphConfig(
         resolve_share=0.05, keyframes=KeyframeConfig(distance=0.4, turn=0.4, noise=DRIFTING)
     )
-    lineage: StepNoise = StepNoise(drift_xy=0.005, drift_turn=0.001)
+    lineage: StepNoise = StepNoise(wheels_xy=0.015, drift_xy=0.005, drift_turn=0.001)
     loop_search: SubmapLoopConfig = SubmapLoopConfig()
     joint: JointConfig = JointConfig()
 
