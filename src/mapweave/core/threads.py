@@ -12,7 +12,7 @@ from threading import Lock
 from typing import Any, ParamSpec, TypeVar
 
 import scipy.linalg  # noqa: F401  (brings SciPy's own BLAS in; a limit holds for libraries loaded before it)
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -24,12 +24,13 @@ class _Limit:
     def __init__(self) -> None:
         self.lock = Lock()
         self.depth = 0
-        self.limits: threadpool_limits | None = None
+        self.libraries = ThreadpoolController()  # NumPy's and SciPy's, once: to look for them takes milliseconds
+        self.limits: Any = None
 
     def enter(self) -> None:
         with self.lock:
             if self.depth == 0:
-                self.limits = threadpool_limits(limits=1, user_api="blas")
+                self.limits = self.libraries.limit(limits=1, user_api="blas")
             self.depth += 1
 
     def leave(self) -> None:
