@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from mapweave.core import se2
+from mapweave.fusion.cluster import Cluster
 from mapweave.fusion.full_covariance import build, grouped
-from mapweave.fusion.overlap import Cluster
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.solve import Pattern, SolveConfig, minimise
 

@@ -6,7 +6,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.fusion.duplicates import merge_duplicates
 from mapweave.fusion.handover import hand_over
-from mapweave.fusion.joint_state import Joint
+from mapweave.fusion.map_and_submap import MapAndSubmap
 from mapweave.kernels.landmarks import submap as kernels
 from mapweave.landmarks.global_map import GlobalMap, known_starts
 from mapweave.landmarks.submap import Submap
@@ -62,14 +62,14 @@ def test_the_hand_over_residual_has_the_jacobian_of_its_differences():
     )
     L = Submap("robot2", rng.normal(size=3), ("p", "q"), rng.normal(size=(2, 2)), random_psd(rng, 7), "local_2")
     pairs = [(0, 1), (1, 0)]
-    _, H, used = Joint(G, L).residuals(pairs)
+    _, H, used = MapAndSubmap(G, L).residuals(pairs)
 
     def residual(x):
-        Y = Joint(G, L)
+        Y = MapAndSubmap(G, L)
         Y.x[:] = x
         return Y.residuals(pairs)[0]
 
-    dense = numeric(residual, Joint(G, L).x)
+    dense = numeric(residual, MapAndSubmap(G, L).x)
     assert np.allclose(H, dense[:, used], atol=1e-6)
     assert not np.delete(dense, used, axis=1).any()
 
@@ -195,7 +195,7 @@ def test_a_fusion_keeps_the_covariance_symmetric_and_touches_no_other_submap():
     assert np.linalg.eigvalsh(G.cov).min() > -1e-9
 
 
-def test_a_hand_over_equals_conditioning_and_mapping_the_whole_joint_state():
+def test_a_hand_over_equals_conditioning_and_mapping_the_whole_map_and_submap():
     """Dense: every product over all of Y, relinearised to the end; two of the submap's four landmarks are known."""
     rng = np.random.default_rng(11)
     marks = rng.uniform(2, 8, (6, 2))

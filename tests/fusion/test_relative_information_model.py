@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.fusion import relative_information, robot_sighting
+from mapweave.fusion import relative_information, robot_sightings
 
 
 def numeric(f, x, wrap_rows, step=2e-6):
@@ -72,8 +72,8 @@ def test_sighting_jacobians_agree_with_central_differences_below_1e_8():
     for _ in range(20):
         x = rng.uniform(-2, 2, 12)
         x[6:8] += 6.0
-        N = numeric(lambda v: robot_sighting.predict(*v.reshape(4, 3)), x, np.array([False, True]), 1e-4)
-        assert np.abs(robot_sighting.jacobian(*x.reshape(4, 3)) - N).max() < 1e-8
+        N = numeric(lambda v: robot_sightings.predict(*v.reshape(4, 3)), x, np.array([False, True]), 1e-4)
+        assert np.abs(robot_sightings.by_poses(*x.reshape(4, 3)) - N).max() < 1e-8
 
 
 def test_many_maps_at_once_give_what_each_gives_alone(worlds):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapweave.fusion.relative_measurement import Layout, measurement
+from mapweave.fusion.relative_measurement import RelativeLayout, measurement
 from mapweave.papers.kojima import limits, rls
 
 INFORMATION = np.array([1e-5] * 3 + [1e3] * 16)  # the paper's initial covariance, inverted
@@ -12,7 +12,7 @@ INFORMATION = np.array([1e-5] * 3 + [1e3] * 16)  # the paper's initial covarianc
 def stationary(seed, n=5, total=8, delta=1.0):
     """A second robot's map of n of `total` landmarks, the state it is seen at and the layout."""
     rng = np.random.default_rng(seed)
-    layout = Layout(2, total)
+    layout = RelativeLayout(2, total)
     points = rng.uniform(-1, 1, (n, 2)) + np.array([3.0, 0.0])
     A = rng.normal(size=(2 * n, 2 * n)) * 0.01
     told = measurement(1, np.arange(n), points, A @ A.T + 1e-4 * np.eye(2 * n), "paper", delta=delta)

@@ -9,7 +9,7 @@ from ..core.arrays import owned
 from ..core.gaussian import symmetrise
 from ..landmarks.global_map import GlobalMap
 from ..landmarks.pairing import pairing_probabilities
-from .joint_state import CANDIDATES, FLOOR, lessened
+from .map_and_submap import CANDIDATES, FLOOR, lessened
 
 SURE = 0.9  # probability above which two landmarks count as one
 DENSITY = 4e-4  # [1/m^2] landmarks expected, times the chance that one beside a new one went unseen

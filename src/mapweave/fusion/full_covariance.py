@@ -14,9 +14,8 @@ from jaxtyping import Float, Int
 from ..core.gaussian import solve_psd, symmetrise
 from ..landmarks.landmark_map import LandmarkMap
 from ..solve import Factor, Pattern, Problem, Solution, SolveConfig, Term, minimise, wrapping
-from .joined import Joined
+from .cluster import Cluster, JoinedMap
 from .map_term import MapTerm
-from .overlap import Cluster
 from .variance_factors import variance_factors
 
 SOLVE = SolveConfig(max_iterations=100, damping=1e-6, step_tolerance=1e-8, cost_tolerance=1e-11)
@@ -27,7 +26,7 @@ LARGE = 3000  # variables from which nested dissection pays
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class JoinLayout:
     """Where everything stands in x: k frames, then k scales, then n landmarks."""
 
     maps: int
@@ -35,7 +34,7 @@ class Layout:
     index: dict[str, int] = field(repr=False)
 
     @classmethod
-    def of(cls, maps: int, ids: tuple[str, ...]) -> "Layout":
+    def of(cls, maps: int, ids: tuple[str, ...]) -> "JoinLayout":
         return cls(maps, ids, {name: i for i, name in enumerate(ids)})
 
     @property
@@ -59,12 +58,12 @@ def build(
     noise: Sequence[np.ndarray],
     scale_sigma: float | None,
     extra: Sequence[Term] = (),
-) -> tuple[Problem, Layout]:
+) -> tuple[Problem, JoinLayout]:
     """The least-squares problem of joining `maps` (those of `start.members`, in order) with covariances `noise`.
 
     scale_sigma: the deviation of the scales from 1 a priori; None holds them at 1. The first map's frame is fixed.
     """
-    layout = Layout.of(len(maps), start.ids)
+    layout = JoinLayout.of(len(maps), start.ids)
     x0 = np.concatenate([start.frames.ravel(), np.ones(len(maps)), start.points.ravel()])
     fixed = np.zeros(layout.size, dtype=bool)
     fixed[:3] = True
@@ -88,7 +87,7 @@ def build(
     return Problem(x0=x0, terms=terms, fixed=fixed, retract=wrapping(3 * np.arange(len(maps)) + 2)), layout
 
 
-def grouped(pattern: Pattern, problem: Problem, layout: Layout) -> Pattern:
+def grouped(pattern: Pattern, problem: Problem, layout: JoinLayout) -> Pattern:
     """The pattern, to be factorised by nested dissection where the problem is large; landmarks stay whole."""
     if pattern.size < LARGE:
         return pattern
@@ -105,7 +104,7 @@ def join(
     floor: float = 0.0,
     variance_prior: float | None = None,
     extra: Sequence[Term] = (),
-) -> Joined:
+) -> JoinedMap:
     """`maps` (those of `start.members`, in order) as one map with its full covariance.
 
     floor [m]: an independent error of every landmark of every map. variance_prior: None takes each covariance as it
@@ -132,14 +131,14 @@ def _noise(maps: Sequence[LandmarkMap], factors: Float[np.ndarray, " k"], floor:
     return [v * m.cov + floor**2 * np.eye(2 * len(m)) for m, v in zip(maps, factors, strict=True)]
 
 
-def _from(start: Cluster, x: np.ndarray, layout: Layout) -> Cluster:
+def _from(start: Cluster, x: np.ndarray, layout: JoinLayout) -> Cluster:
     frames, points = x[: 3 * layout.maps].reshape(-1, 3), x[layout.landmarks :].reshape(-1, 2)
     return Cluster(start.members, frames, start.ids, points, start.shared)
 
 
-def _read(solution: Solution, layout: Layout, factors: Float[np.ndarray, " k"]) -> Joined:
+def _read(solution: Solution, layout: JoinLayout, factors: Float[np.ndarray, " k"]) -> JoinedMap:
     k = layout.maps
-    return Joined(
+    return JoinedMap(
         ids=layout.ids,
         mean=solution.x[layout.landmarks :].reshape(-1, 2),
         cov=solution.covariance(np.arange(layout.landmarks, layout.size)),

@@ -16,7 +16,7 @@ from ..core.gaussian import symmetrise
 from ..landmarks.global_map import GlobalMap
 from ..landmarks.submap import Submap
 from .duplicates import DENSITY, GATE, SURE, merge_duplicates, told
-from .joint_state import Joint
+from .map_and_submap import MapAndSubmap
 
 KEPT_APART = 10.0  # [m] landmarks farther from each other are never mistaken for one
 
@@ -52,7 +52,7 @@ def hand_over(
     old, with no telling which, is left out. Landmarks of one submap were told apart by it and are never merged.
     Unknown landmarks are named `prefix` and a number. Other robots' submaps are not touched: they are independent.
     """
-    Y = Joint(G, L)
+    Y = MapAndSubmap(G, L)
     pairs: dict[int, int] = {}
     torn: frozenset[int] = frozenset()
     if known:
@@ -102,7 +102,7 @@ def _names(
     return tuple(names)
 
 
-def _forward(G: GlobalMap, Y: Joint, names: tuple[str | None, ...], new: list[int]) -> GlobalMap:
+def _forward(G: GlobalMap, Y: MapAndSubmap, names: tuple[str | None, ...], new: list[int]) -> GlobalMap:
     """`XL_j <- XL_j (+) r_j`, unmatched landmarks `XL_j,old (+) l_i`: one Jacobian over all of Y.
 
     It is the identity but for the frame and the landmarks `new`: only their rows and columns change.

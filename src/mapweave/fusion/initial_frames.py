@@ -8,8 +8,8 @@ from jaxtyping import Int
 from ..core import se2
 from ..landmarks.landmark_map import LandmarkMap
 from .alignment import align_robust
+from .cluster import Cluster
 from .consensus import Consensus, Entries, overlaps
-from .overlap import Cluster
 from .same_place import ENOUGH, PlaceTest, same_place
 
 SEEDS, PARTNERS = 12, 8  # how many maps are tried as the first, each against how many others

@@ -8,14 +8,13 @@ from ..core.gaussian import is_positive_definite
 from ..core.names import in_order
 from ..landmarks.landmark_map import LandmarkMap
 from ..landmarks.local_map import LocalMap
+from .cluster import Cluster, JoinedMap
 from .common_names import identify
 from .config import FuseConfig
 from .full_covariance import join
 from .initial_frames import arrange, as_cluster
-from .joined import Joined
 from .naive import average
 from .outlier_rejection import Doubt, find_doubts, find_exchanged, inflated, relabelled
-from .overlap import Cluster
 from .relative import RelativeConfig, fuse_relative
 from .result import Component, Decision, Fusion
 from .robot_sightings import FrameSightings, frame_sightings, sighting_factor
@@ -101,7 +100,9 @@ def _prepare(test: PlaceTest) -> tuple[list[LandmarkMap], list[Cluster], list[Do
     return landmarks, [as_cluster(c, landmarks) for c in clusters], doubts, refused
 
 
-def _join(maps: Sequence[LandmarkMap], start: Cluster, cfg: FuseConfig, seen: Sequence[FrameSightings] = ()) -> Joined:
+def _join(
+    maps: Sequence[LandmarkMap], start: Cluster, cfg: FuseConfig, seen: Sequence[FrameSightings] = ()
+) -> JoinedMap:
     m = 3 * len(maps)  # the frames come first, then the scales
     extra = [sighting_factor(s, 3 * s.a + np.arange(3), 3 * s.b + np.arange(3), (m + s.a, m + s.b)) for s in seen]
     match cfg.weights:
@@ -125,10 +126,10 @@ def _join(maps: Sequence[LandmarkMap], start: Cluster, cfg: FuseConfig, seen: Se
 
 def _relative(
     maps: Sequence[LandmarkMap], start: Cluster, cfg: RelativeConfig, seen: Sequence[FrameSightings]
-) -> Joined:
+) -> JoinedMap:
     found = fuse_relative(maps, cfg, start=start, sightings=seen)
     one, landmarks, solution = np.ones(len(maps)), found.landmarks(), found.solution
-    return Joined(
+    return JoinedMap(
         ids=found.ids,
         mean=landmarks.mean,
         cov=landmarks.cov,
@@ -141,12 +142,14 @@ def _relative(
     )
 
 
-def _alone(landmarks: LandmarkMap) -> Joined:
+def _alone(landmarks: LandmarkMap) -> JoinedMap:
     one = np.ones(1)
-    return Joined(landmarks.ids, landmarks.mean, landmarks.cov, np.zeros((1, 3)), np.zeros((1, 3, 3)), one, one, 0.0, 0)
+    return JoinedMap(
+        landmarks.ids, landmarks.mean, landmarks.cov, np.zeros((1, 3)), np.zeros((1, 3, 3)), one, one, 0.0, 0
+    )
 
 
-def _component(robots: tuple[str, ...], maps: Sequence[LandmarkMap], joined: Joined) -> Component:
+def _component(robots: tuple[str, ...], maps: Sequence[LandmarkMap], joined: JoinedMap) -> Component:
     members = {name: tuple(r for r, m in zip(robots, maps, strict=True) if name in m.ids) for name in joined.ids}
     ids = sorted(joined.ids, key=in_order)
     return Component(
@@ -160,7 +163,7 @@ def _component(robots: tuple[str, ...], maps: Sequence[LandmarkMap], joined: Joi
 
 
 def _decide(
-    robots: tuple[str, ...], i: int, joined: Joined, start: Cluster, refused: str | None, *, first: bool
+    robots: tuple[str, ...], i: int, joined: JoinedMap, start: Cluster, refused: str | None, *, first: bool
 ) -> Decision:
     shared, robot = int(start.shared[i]), robots[i]
     scale, factor = float(joined.scales[i]), float(joined.variance_factors[i])

@@ -6,13 +6,12 @@ import numpy as np
 
 from ..core import se2
 from ..landmarks.landmark_map import LandmarkMap
-from .joined import Joined
-from .overlap import Cluster
+from .cluster import Cluster, JoinedMap
 
 SWEEPS, STILL = 100, 1e-10
 
 
-def average(maps: Sequence[LandmarkMap], start: Cluster) -> Joined:
+def average(maps: Sequence[LandmarkMap], start: Cluster) -> JoinedMap:
     """The equal-weight Procrustes mean of `maps` (those of `start.members`, in order).
 
     Each map is aligned, unweighted, to the mean, and the mean taken again, until nothing moves. The covariance is
@@ -44,7 +43,7 @@ def average(maps: Sequence[LandmarkMap], start: Cluster) -> Joined:
         frame_cov[k] = _alignment_cov(T, m, C * np.repeat(count[at], 2)[:, None]) if k else 0.0
     dof = sum(2 * len(at) for at in rows) - 2 * len(mean) - 3 * (len(maps) - 1)
     one = np.ones(len(maps))
-    return Joined(start.ids, mean, cov, frames, frame_cov, one, one, chi2, dof)
+    return JoinedMap(start.ids, mean, cov, frames, frame_cov, one, one, chi2, dof)
 
 
 def _alignment_cov(T: np.ndarray, m: LandmarkMap, C: np.ndarray) -> np.ndarray:

@@ -17,9 +17,9 @@ from ..core.se2 import wrap_angle
 from ..landmarks.landmark_map import LandmarkMap
 from ..solve import Factor, Pattern, Problem, Solution, SolveConfig, minimise, wrapping
 from . import relative_information
-from .overlap import Cluster, clusters
+from .cluster import Cluster, clusters
 from .relative_information import Weights
-from .relative_measurement import Layout, Measurement, measurement
+from .relative_measurement import Measurement, RelativeLayout, measurement
 from .robot_sightings import FrameSightings, sighting_factor
 
 ROUGH = SolveConfig(max_iterations=400)
@@ -51,7 +51,7 @@ class RelativeFusion:
     solver ended, and the information behind the covariances.
     """
 
-    layout: Layout
+    layout: RelativeLayout
     ids: tuple[str, ...]
     x: Float[np.ndarray, " size"]
     pairs: tuple[tuple[str, str], ...]
@@ -99,7 +99,7 @@ def fuse_relative(
     """
     cfg = cfg or RelativeConfig()
     start = start or _start(maps)
-    layout = Layout(len(maps), len(start.ids))
+    layout = RelativeLayout(len(maps), len(start.ids))
     place = {name: i for i, name in enumerate(start.ids)}
     pairs = tuple(pairs) if pairs is not None else baselines(maps)
     measurements = [as_measurement(k, m, pair, place, cfg) for k, (m, pair) in enumerate(zip(maps, pairs, strict=True))]
@@ -139,7 +139,7 @@ def as_measurement(
     return measurement(frame, index, ordered.mean, ordered.cov, cfg.weights, delta=cfg.delta, variance=cfg.variance)
 
 
-def map_factor(layout: Layout, m: Measurement, repeats: int = 1) -> Factor:
+def map_factor(layout: RelativeLayout, m: Measurement, repeats: int = 1) -> Factor:
     """One map as a term of the least-squares problem, its noise whitened, counted `repeats` times."""
     try:
         L = np.linalg.cholesky(m.R)
@@ -156,11 +156,11 @@ def map_factor(layout: Layout, m: Measurement, repeats: int = 1) -> Factor:
     return Factor(m.columns(layout)[None], residual, jacobian, len(m.y), whiten[None], name="map")
 
 
-def _where(layout: Layout, k: int) -> Int[np.ndarray, " c"]:
+def _where(layout: RelativeLayout, k: int) -> Int[np.ndarray, " c"]:
     return layout.columns(k, np.zeros(0, dtype=np.intp))
 
 
-def _prior_factor(layout: Layout, x0: Float[np.ndarray, " size"], cfg: RelativeConfig) -> Factor:
+def _prior_factor(layout: RelativeLayout, x0: Float[np.ndarray, " size"], cfg: RelativeConfig) -> Factor:
     sigma = np.sqrt(prior_variances(layout, cfg))
     n = layout.size
 
@@ -175,7 +175,7 @@ def _prior_factor(layout: Layout, x0: Float[np.ndarray, " size"], cfg: RelativeC
     return Factor(np.arange(n)[:, None], residual, jacobian, 1, (1 / sigma)[:, None], name="prior")
 
 
-def prior_variances(layout: Layout, cfg: RelativeConfig) -> Float[np.ndarray, " size"]:
+def prior_variances(layout: RelativeLayout, cfg: RelativeConfig) -> Float[np.ndarray, " size"]:
     """The diagonal of the paper's initial covariance: frames loose, landmarks near their start."""
     P = np.full(layout.size, cfg.prior_landmark_variance)
     P[: layout.first_landmark] = cfg.prior_frame_variance

@@ -12,7 +12,7 @@ Vector = Float[np.ndarray, "*b size"]
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class RelativeLayout:
     """The global state `x`: the poses of all frames but the first (the gauge), then all landmarks.
 
     frames: how many local frames, the gauge counted; landmarks: how many points. Poses are `[x, y, theta]`.
@@ -66,10 +66,12 @@ class Measurement:
     y: Float[np.ndarray, "*b m"]
     R: Float[np.ndarray, "*b m m"]
 
-    def columns(self, layout: Layout) -> Int[np.ndarray, " k"]:
+    def columns(self, layout: RelativeLayout) -> Int[np.ndarray, " k"]:
         return layout.columns(self.frame, self.landmarks)
 
-    def linearise(self, layout: Layout, x: Vector) -> tuple[Float[np.ndarray, "*b m"], Float[np.ndarray, "*b m k"]]:
+    def linearise(
+        self, layout: RelativeLayout, x: Vector
+    ) -> tuple[Float[np.ndarray, "*b m"], Float[np.ndarray, "*b m k"]]:
         """`e = y - h(x)` and the Jacobian of h by the state's `columns`.
 
         The paper predicts `H x` (its eq. 8); h is not linear, so h(x) itself is taken.
@@ -79,7 +81,7 @@ class Measurement:
         H = relative_information.jacobian(frame, points)
         return relative_information.residual(self.y, h), (H if self.frame else H[..., 3:])
 
-    def dense_jacobian(self, layout: Layout, x: Vector) -> Float[np.ndarray, "*b m size"]:
+    def dense_jacobian(self, layout: RelativeLayout, x: Vector) -> Float[np.ndarray, "*b m size"]:
         """The Jacobian over the whole state. # [Kojima12] eq. 15"""
         H = np.zeros((*self.y.shape, layout.size))
         H[..., self.columns(layout)] = self.linearise(layout, x)[1]

@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Float
 
 from ...core.se2 import wrap_angle
-from ...fusion.relative_measurement import Layout, Measurement
+from ...fusion.relative_measurement import Measurement, RelativeLayout
 from .rls import Estimate
 
 
 def solve_all(
-    layout: Layout,
+    layout: RelativeLayout,
     x0: Float[np.ndarray, "*b size"],
     measurements: Sequence[Measurement],
     *,

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from ...core import se2
 from ...core.progress import Progress, no_progress
 from ...fusion.relative_information import Weights, baseline_pair
-from ...fusion.relative_measurement import Layout, Measurement, measurement
+from ...fusion.relative_measurement import Measurement, RelativeLayout, measurement
 from . import limits, rls
 from .dense import solve_all
 from .unequal_maps import UnequalConfig, UnequalMaps, draw_unequal
@@ -19,7 +19,7 @@ from .world import SEEN, KojimaConfig, LocalMaps, Worlds, run_filters
 Reading = Literal["prior", "measurement"]
 Rule = Literal["certain", "widest", "narrowest"]
 
-LAYOUT = Layout(2, 8)
+LAYOUT = RelativeLayout(2, 8)
 READINGS: tuple[Reading, ...] = ("prior", "measurement")
 SHORT: tuple[Weights, ...] = ("constant", "paper")
 
@@ -164,7 +164,7 @@ def unequal(
     """The same `seeds` worlds fused once for every (rule, weights), each map counted once and without a prior."""
     cfg = cfg or UnequalConfig()
     worlds = draw_unequal(cfg, seeds, rng)
-    layout = Layout(2, cfg.total)
+    layout = RelativeLayout(2, cfg.total)
     out = []
     for at, (rule, weights) in enumerate(cases):
         on_progress("unequal maps", at, len(cases))
@@ -176,7 +176,7 @@ def unequal(
 
 
 def _fuse_unequal(
-    cfg: UnequalConfig, layout: Layout, worlds: UnequalMaps, s: int, rule: Rule, weights: Weights
+    cfg: UnequalConfig, layout: RelativeLayout, worlds: UnequalMaps, s: int, rule: Rule, weights: Weights
 ) -> Float[np.ndarray, " size"]:
     told = []
     for k in (0, 1):

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...core.se2 import wrap_angle
-from ...fusion.relative_measurement import Layout, Measurement
+from ...fusion.relative_measurement import Measurement, RelativeLayout
 
 
 class Estimate(NamedTuple):
@@ -20,13 +20,13 @@ class Estimate(NamedTuple):
     P: Float[np.ndarray, "*b size size"]
 
 
-def update(layout: Layout, prior: Estimate, m: Measurement) -> Estimate:
+def update(layout: RelativeLayout, prior: Estimate, m: Measurement) -> Estimate:
     """`prior` after one measurement, linearised at its mean; the covariance in Joseph form."""
     e, H = m.linearise(layout, prior.x)
     return _correct(layout, prior, e, H, m.R, m.columns(layout))
 
 
-def repeat(layout: Layout, prior: Estimate, measurements: Sequence[Measurement], repeats: int = 1) -> Estimate:
+def repeat(layout: RelativeLayout, prior: Estimate, measurements: Sequence[Measurement], repeats: int = 1) -> Estimate:
     """`prior` after `repeats` rounds over the measurements, relinearised every time.
 
     More than one round counts the same information again: the paper's way, overconfident by that factor.
@@ -37,7 +37,7 @@ def repeat(layout: Layout, prior: Estimate, measurements: Sequence[Measurement],
     return prior
 
 
-def repeat_stationary(layout: Layout, prior: Estimate, m: Measurement, repeats: int) -> Estimate:
+def repeat_stationary(layout: RelativeLayout, prior: Estimate, m: Measurement, repeats: int) -> Estimate:
     """`prior` after the same measurement `repeats` times with H held at the prior's mean, as the theorems assume."""
     e0, H = m.linearise(layout, prior.x)
     columns = m.columns(layout)
@@ -50,7 +50,7 @@ def repeat_stationary(layout: Layout, prior: Estimate, m: Measurement, repeats: 
 
 
 def _correct(
-    layout: Layout,
+    layout: RelativeLayout,
     prior: Estimate,
     e: Float[np.ndarray, "*b m"],
     H: Float[np.ndarray, "*b m k"],

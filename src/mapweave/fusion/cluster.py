@@ -1,4 +1,4 @@
-"""Which local maps hang together, and a first guess of how: the start every way of fusing begins from."""
+"""Local maps that hang together: the first guess that every way of joining begins from, and what each ends with."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,6 +26,26 @@ class Cluster:
     ids: tuple[str, ...]
     points: Float[np.ndarray, "n 2"]
     shared: Int[np.ndarray, " k"]
+
+
+@dataclass(frozen=True, slots=True)
+class JoinedMap:
+    """One cluster of k maps as one map of n landmarks, in the frame of its first member (the gauge).
+
+    ids, mean: (n, 2) [m], cov: (2n, 2n); frames: (k, 3) `T_ref_local`, frame_cov: (k, 3, 3) over x, y, theta, zero
+    for the first; scales: (k,) how many times too large each map was (1 where scale is not estimated);
+    variance_factors: (k,); chi2 and dof of the residuals.
+    """
+
+    ids: tuple[str, ...]
+    mean: Float[np.ndarray, "n 2"]
+    cov: Float[np.ndarray, "m m"]
+    frames: Float[np.ndarray, "k 3"]
+    frame_cov: Float[np.ndarray, "k 3 3"]
+    scales: Float[np.ndarray, " k"]
+    variance_factors: Float[np.ndarray, " k"]
+    chi2: float
+    dof: int
 
 
 def clusters(maps: Sequence[LandmarkMap]) -> tuple[Cluster, ...]:

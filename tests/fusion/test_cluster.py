@@ -3,7 +3,7 @@
 import numpy as np
 
 from mapweave.core import se2
-from mapweave.fusion.overlap import clusters
+from mapweave.fusion.cluster import clusters
 from mapweave.landmarks.landmark_map import LandmarkMap
 
 

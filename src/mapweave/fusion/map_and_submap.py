@@ -19,7 +19,7 @@ FLOOR = 1e-12  # what keeps a constraint on things already certain solvable: [m^
 Pairs = list[tuple[int, int]]  # (landmark of the submap, landmark of the map)
 
 
-class Joint:
+class MapAndSubmap:
     """`Y = [G; L]`, mean `x`, covariance `blkdiag(P_G, P_L) - U^T U`: each constraint adds rows to `U` (k, size).
 
     Constraints touch few variables, so only their rows of the covariance are ever worked out; the map's own, large,
