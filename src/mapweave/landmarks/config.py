@@ -37,6 +37,12 @@ class EkfSlamConfig:
     spin_time: float = 2.0  # [s] it keeps its turn rate
     piece_gap: float = 5.0  # [s] without a sighting after which a new piece of map is begun
     piece_heading: float = 0.9  # [rad] standard deviation of the heading from which one is begun too
+    piece_sightings: int = 5  # of a landmark in a piece, before it helps to tie it
+    piece_floor: float = 0.005  # [m] a piece is never surer of a landmark than this
+    piece_baseline: float = 0.5  # [m] between the landmarks that tie a piece when there are only two
+    piece_misfit: float = 1.0  # [m] root mean square of a rigid fit from which a piece is not even tried
+    piece_chi2: float = 9.0  # a degree of freedom, up to which a piece fits the others
+    astray: float = 0.1  # [m/s] how fast a robot gets away from where it was while nothing is known of it
     # the camera
     range_floor: float = 0.05  # [m] standard deviation of a range at no distance
     range_share: float = 0.045  # of the predicted distance
@@ -48,6 +54,12 @@ class EkfSlamConfig:
     gate: float = 2.0  # normalised innovation from which a sighting counts less, never nothing
     far: float = 10.0  # normalised innovation from which it counts less by the square: a label misread
     agree: int = 3  # sightings of a new landmark that must agree on its place
+    # what is left out of a finished map, and what is warned of
+    restless_sightings: int = 20  # from which a landmark that keeps contradicting itself is left out
+    restless_share: float = 0.5  # of its sightings down-weighted, from which it does
+    restless_most: int = 5  # landmarks left out so, one after the other: one that moves makes others look restless
+    warn_down_weighted: float = 0.3  # share of all sightings
+    warn_nis: float = 3.0  # median normalised innovation squared; 1.4 is expected
     # rows beyond are broken and left out
     most_speed: float = 1e3  # [m/s] beyond which a command is no command
     most_turn: float = 1e3  # [rad/s] the same of turn rates

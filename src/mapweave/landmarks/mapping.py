@@ -17,11 +17,6 @@ from .local_map import LocalMap, RobotSightings
 from .without_odometry import play_in_pieces
 
 CALIBRATION = ("speed_scale", "turn_scale", "lag", "bearing_bias", "range_scale")
-ENOUGH = 20  # sightings from which a landmark that keeps contradicting itself is told
-CONTRADICTED = 0.5  # share of its sightings that were down-weighted
-MOST_RESTLESS = 5  # landmarks left out so, one after the other: one that moves makes others look restless
-MUCH_DOWN_WEIGHTED = 0.3
-HIGH_NIS = 3.0
 
 
 def local_map(log: LandmarkLog, cfg: EkfSlamConfig | None = None, seed: int = 0) -> LocalMap:  # noqa: ARG001
@@ -36,8 +31,8 @@ def local_map(log: LandmarkLog, cfg: EkfSlamConfig | None = None, seed: int = 0)
     log = without_impossible(log, cfg)
     dropped, warnings, kept = dict(log.dropped), list(log.warnings), log
     done = estimate(kept, cfg)
-    for _ in range(MOST_RESTLESS):
-        name = _restless(done.seen, done.weight)
+    for _ in range(cfg.restless_most):
+        name = _restless(done.seen, done.weight, cfg)
         if name is None:
             break
         gone = kept.sightings.counts()[name]
@@ -76,15 +71,19 @@ def growing_maps(
             weights.append(following.info.weight)
             tracks.append(following.info.track)
             following = next(steps, None)
-        m = None if state is None else _map_so_far(log.until(t), state, np.concatenate(weights), tracks)
+        m = None if state is None else _map_so_far(log.until(t), state, np.concatenate(weights), tracks, cfg)
         yield m if m is not None and len(m.submap.ids) else None
 
 
 def _map_so_far(
-    log: LandmarkLog, state: ekf_slam.EkfSlamState, weight: Float[np.ndarray, " n"], tracks: Sequence[Track]
+    log: LandmarkLog,
+    state: ekf_slam.EkfSlamState,
+    weight: Float[np.ndarray, " n"],
+    tracks: Sequence[Track],
+    cfg: EkfSlamConfig,
 ) -> LocalMap:
     """What a filter that has worked in all of `log` hands over."""
-    submap, moving = state.submap, _restless(log.sightings, weight)
+    submap, moving = state.submap, _restless(log.sightings, weight, cfg)
     if moving in submap.ids:
         keep = np.array([name != moving for name in submap.ids])
         rows = np.concatenate([[True] * POSE, np.repeat(keep, 2)])
@@ -141,13 +140,13 @@ def without_impossible(log: LandmarkLog, cfg: EkfSlamConfig) -> LandmarkLog:
     )
 
 
-def _restless(seen: SightingTable, weights: Float[np.ndarray, " n"]) -> str | None:
+def _restless(seen: SightingTable, weights: Float[np.ndarray, " n"], cfg: EkfSlamConfig) -> str | None:
     """The landmark with the largest share of its sightings down-weighted, if that is most of them."""
-    worst, name = CONTRADICTED, None
+    worst, name = cfg.restless_share, None
     for k, other in enumerate(seen.ids):
         weight = weights[seen.what == k]
         weight = weight[np.isfinite(weight)]
-        share = float((weight < 1.0).mean()) if len(weight) >= ENOUGH else 0.0
+        share = float((weight < 1.0).mean()) if len(weight) >= cfg.restless_sightings else 0.0
         if share > worst:
             worst, name = share, other
     return name
@@ -164,9 +163,9 @@ def _result(
     judged = np.isfinite(done.nis)
     nis_median = float(np.median(done.nis[judged])) if judged.any() else None
     down = int((done.weight[judged] < 1.0).sum())
-    if judged.any() and down > MUCH_DOWN_WEIGHTED * judged.sum():
+    if judged.any() and down > cfg.warn_down_weighted * judged.sum():
         warnings.append(f"{down} of {int(judged.sum())} sightings had to be down-weighted: its map may be wrong")
-    if nis_median is not None and nis_median > HIGH_NIS:
+    if nis_median is not None and nis_median > cfg.warn_nis:
         warnings.append(f"sightings disagree with the filter: median NIS {nis_median:.1f}, expected about 1.4")
     return LocalMap(
         robot=log.robot,

@@ -12,12 +12,9 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..solve import gauss_newton, wrapping
+from .config import EkfSlamConfig
 from .landmark_map import LandmarkMap
 
-FLOOR = 0.005  # [m] a piece is never surer of a landmark than this
-BASELINE = 0.5  # [m] between the landmarks that tie a piece when there are only two
-ROUGH = 1.0  # [m] root mean square misfit of a rigid fit that is not even tried
-CONSISTENT = 9.0  # chi-square a degree of freedom up to which a piece fits the others
 STEPS = 50  # at most
 STILL = 1e-9  # [m], [rad] in a step, from which nothing moves any more
 SUSPECTS = 4  # largest pieces any of which may be the wrong one
@@ -47,32 +44,32 @@ class Tied:
         return self.cov[first:, first:]
 
 
-def tie(pieces: Sequence[LandmarkMap]) -> Tied:
+def tie(pieces: Sequence[LandmarkMap], cfg: EkfSlamConfig) -> Tied:
     """The largest map the pieces give; a piece that fits the others badly, or shares too little, is left out.
 
     A large piece that is wrong itself would push out all that are right: when pieces had to go, it is tried to do
     without one of the largest instead, and what ties most landmarks, then most pieces, is taken.
     """
-    best = _tie(pieces, set())
+    best = _tie(pieces, set(), cfg)
     if any(len(set(piece.ids) & set(best.ids)) > 2 for k, piece in enumerate(pieces) if k not in best.frames):
         large = sorted(range(len(pieces)), key=lambda k: (-len(pieces[k]), k))[:SUSPECTS]
-        best = max([best, *(_tie(pieces, {k}) for k in large)], key=lambda tied: (len(tied.ids), len(tied.frames)))
+        best = max([best, *(_tie(pieces, {k}, cfg) for k in large)], key=lambda tied: (len(tied.ids), len(tied.frames)))
     return best
 
 
-def _tie(pieces: Sequence[LandmarkMap], without: set[int]) -> Tied:
+def _tie(pieces: Sequence[LandmarkMap], without: set[int], cfg: EkfSlamConfig) -> Tied:
     """The map of all pieces but those in `without` and those that fit the others badly."""
     left_out = set(without)
     while True:
-        frames, root, places = _start(pieces, left_out)
-        tied, worst, misfit = _adjust(pieces, frames, root, places)
-        if misfit <= CONSISTENT or len(frames) == 1:
+        frames, root, places = _start(pieces, left_out, cfg)
+        tied, worst, misfit = _adjust(pieces, frames, root, places, cfg)
+        if misfit <= cfg.piece_chi2 or len(frames) == 1:
             return tied
         left_out.add(worst)
 
 
 def _start(
-    pieces: Sequence[LandmarkMap], left_out: set[int]
+    pieces: Sequence[LandmarkMap], left_out: set[int], cfg: EkfSlamConfig
 ) -> tuple[dict[int, np.ndarray], int, dict[str, list[np.ndarray]]]:
     """Rigid fits, the piece with most landmarks first, then whichever shares most with those tied already."""
     free = [k for k in range(len(pieces)) if k not in left_out]
@@ -88,10 +85,10 @@ def _start(
         waiting.remove(k)
         here = pieces[k].select(shared[k]).mean
         there = np.array([np.mean(places[name], axis=0) for name in shared[k]])
-        if len(here) == 2 and np.hypot(*(there[1] - there[0])) < BASELINE:
+        if len(here) == 2 and np.hypot(*(there[1] - there[0])) < cfg.piece_baseline:
             continue
         T = se2.align(here, there)
-        if np.sqrt(((se2.act(T, here) - there) ** 2).sum(axis=1).mean()) > ROUGH:
+        if np.sqrt(((se2.act(T, here) - there) ** 2).sum(axis=1).mean()) > cfg.piece_misfit:
             continue
         frames[k] = T
         for name, p in zip(pieces[k].ids, se2.act(T, pieces[k].mean), strict=True):
@@ -100,7 +97,11 @@ def _start(
 
 
 def _adjust(
-    pieces: Sequence[LandmarkMap], frames: dict[int, np.ndarray], root: int, places: dict[str, list[np.ndarray]]
+    pieces: Sequence[LandmarkMap],
+    frames: dict[int, np.ndarray],
+    root: int,
+    places: dict[str, list[np.ndarray]],
+    cfg: EkfSlamConfig,
 ) -> tuple[Tied, int, float]:
     """Gauss-Newton over frames and landmarks; the tied map, the piece that fits worst and its chi-square per dof."""
     ids = tuple(sorted(places))
@@ -109,7 +110,7 @@ def _adjust(
     first = 3 * len(order)
     size = first + 2 * len(ids)
     points = [first + 2 * np.array([where[name] for name in pieces[k].ids]) for k in order]
-    weights = [np.linalg.inv(pieces[k].cov + FLOOR**2 * np.eye(2 * len(pieces[k]))) for k in order]
+    weights = [np.linalg.inv(pieces[k].cov + cfg.piece_floor**2 * np.eye(2 * len(pieces[k]))) for k in order]
     misfits = np.zeros(len(order))
 
     def normal(x: Float[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray, float]:

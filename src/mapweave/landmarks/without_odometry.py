@@ -14,9 +14,6 @@ from .landmark_map import LandmarkMap
 from .pieces import Tied, tie
 from .submap import Submap
 
-SEEN_ENOUGH = 5  # sightings in a piece before a landmark helps to tie it
-ASTRAY = 0.1  # [m/s] how fast a robot gets away from where it was while nothing is known of it
-
 
 def play_in_pieces(log: LandmarkLog, cfg: EkfSlamConfig) -> Played:
     """The largest map that pieces without a gap longer than `cfg.piece_gap` give; poses at every sighting stamp.
@@ -24,17 +21,17 @@ def play_in_pieces(log: LandmarkLog, cfg: EkfSlamConfig) -> Played:
     Its frame is the first pose of the first piece tied, its covariance that relative to the largest piece.
     """
     played = _play_parts(log, cfg)
-    maps = [_piece(done) for done in played]
+    maps = [_piece(done, cfg.piece_sightings) for done in played]
     able = [k for k, m in enumerate(maps) if len(m) >= 2]
     if len(played) <= 1 or not able:
         return played[0] if played else play(log, cfg)
-    tied = tie([maps[k] for k in able])
+    tied = tie([maps[k] for k in able], cfg)
     where = {able[k]: k for k in tied.frames}  # part -> piece, for the parts tied
     first = min(where)
     T_local_root = se2.inverse(tied.frames[where[first]])
     frame = played[0].submap.frame
     landmarks = LandmarkMap(tied.ids, tied.mean, tied.landmark_cov).moved(T_local_root, frame)
-    track = _track(played, tied, where, T_local_root)
+    track = _track(played, tied, where, T_local_root, cfg.astray)
     told: tuple[str, ...] = ()
     if len(where) < len(played):
         told = (f"{len(played) - len(where)} of {len(played)} stretches of its log share too little: left out",)
@@ -68,12 +65,12 @@ def _parts(seen: SightingTable, gap: float) -> list[np.ndarray]:
     return [part for part in np.split(np.arange(len(seen)), np.unique(cuts)) if len(part)]
 
 
-def _piece(done: Played) -> LandmarkMap:
+def _piece(done: Played, enough: int) -> LandmarkMap:
     landmarks, counts = done.submap.landmarks, done.seen.counts()
-    return landmarks.select([name for name in landmarks.ids if counts[name] >= SEEN_ENOUGH])
+    return landmarks.select([name for name in landmarks.ids if counts[name] >= enough])
 
 
-def _track(played: list[Played], tied: Tied, where: dict[int, int], T_local_root: np.ndarray) -> Track:
+def _track(played: list[Played], tied: Tied, where: dict[int, int], T_local_root: np.ndarray, astray: float) -> Track:
     """Poses of tied pieces in `local_K`; in the others, straight on from tied pose to tied pose and little trusted."""
     ts, poses, covs = [], [], []
     for part, k in where.items():
@@ -92,7 +89,7 @@ def _track(played: list[Played], tied: Tied, where: dict[int, int], T_local_root
         return Track(t, pose, cov, played[0].track.frame)
     nearest = np.abs(lost[:, None] - t[np.clip(np.searchsorted(t, lost)[:, None] + [-1, 0], 0, len(t) - 1)]).min(axis=1)
     guess = np.zeros((len(lost), 3, 3))
-    guess[:, 0, 0] = guess[:, 1, 1] = cov[:, :2, :2].max() + (ASTRAY * nearest) ** 2
+    guess[:, 0, 0] = guess[:, 1, 1] = cov[:, :2, :2].max() + (astray * nearest) ** 2
     guess[:, 2, 2] = np.pi**2 / 3.0  # any heading
     all_t = np.concatenate([t, lost])
     order = np.argsort(all_t)
