@@ -8,7 +8,6 @@ from mapweave.core.records import Scan
 from mapweave.laser.beam import BeamConfig, beams
 from mapweave.laser.scan_matching import FrontEnd, FrontEndConfig
 
-pytestmark = pytest.mark.kernel
 SD = np.array([0.1, 0.1, 0.1])
 
 
