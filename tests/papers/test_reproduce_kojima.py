@@ -68,6 +68,7 @@ def unequal_rows():
     return {(u.rule, u.weights): u for u in rows}
 
 
+@pytest.mark.slow
 def test_weights_pay_when_maps_are_unequal_and_share_more_than_two_landmarks(unequal_rows):
     plain = unequal_rows["certain", "constant"].landmark_rmse
     assert unequal_rows["certain", "diagonal"].landmark_rmse <= 0.97 * plain
@@ -81,6 +82,7 @@ def test_full_weights_vary_by_less_than_3_percent_whichever_pair_is_the_baseline
     assert np.ptp(landmark) < 0.03 * landmark.min()
 
 
+@pytest.mark.slow
 def test_the_command_prints_both_tables_and_writes_the_report(tmp_path, capsys):
     out = tmp_path / "kojima"
     assert _run(["reproduce", "kojima", "--quick", "--seed", "3", "--out", str(out)]) == 0

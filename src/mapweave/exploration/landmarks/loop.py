@@ -21,7 +21,7 @@ def choose(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: Explore
     if "laps" not in memory:
         memory["home"] = poses[:, :2].copy()
         memory["laps"] = plan_laps(belief, poses, cfg)
-    memory["go_on_until"] = 0 if _closed(belief, memory) else loop_steps(belief, cfg)
+    memory["go_on_until"] = 0 if _closed(belief, memory["laps"]) else loop_steps(belief, cfg)
     out = np.zeros((len(belief.robots), 2))
     idle = []
     for j in map(int, np.flatnonzero(belief.alive)):
@@ -78,5 +78,5 @@ def _passed(belief: LandmarkBelief, j: int, pose: np.ndarray, lap: list[np.ndarr
     return len(cells) == 0 or bool(np.hypot(*(cells - lap[0]).T).min() > cfg.loop.radius)
 
 
-def _closed(belief: LandmarkBelief, memory: dict[str, list]) -> bool:
-    return all(not memory["laps"][int(j)] for j in np.flatnonzero(belief.alive))
+def _closed(belief: LandmarkBelief, laps: dict[int, list[np.ndarray]]) -> bool:
+    return all(not laps[int(j)] for j in np.flatnonzero(belief.alive))
