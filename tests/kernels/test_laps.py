@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mapweave.exploration.landmarks import coverage
 from mapweave.exploration.landmarks.config import ExploreConfig
 from mapweave.exploration.landmarks.steering import steer
 from mapweave.exploration.landmarks.team import Team
@@ -36,7 +37,7 @@ def drive(steps, ways=WAYS, counts=COUNTS):
 def test_planned_laps_are_driven_as_the_robots_steer():
     cfg = ExploreConfig()
     track = drive(30)
-    view = Team(Field(LOWER, UPPER, np.zeros((1, 2)), STARTS), cfg, None, np.random.default_rng(0)).belief()
+    view = Team(Field(LOWER, UPPER, np.zeros((1, 2)), STARTS), cfg, coverage.choose, np.random.default_rng(0)).belief()
     for j in range(2):
         pose, lap = STARTS[j], list(WAYS[j, : COUNTS[j]])
         for t in range(1, 31):

@@ -23,12 +23,12 @@ class WallIndex:
 
     @classmethod
     def of(cls, segments: Float[np.ndarray, "s 4"]) -> "WallIndex":
-        made = frozen(np.asarray(segments, float).reshape(-1, 4))
-        ends = made.reshape(-1, 2) if len(made) else np.zeros((1, 2))
+        walls = frozen(np.asarray(segments, float).reshape(-1, 4))
+        ends = walls.reshape(-1, 2) if len(walls) else np.zeros((1, 2))
         corner = frozen(np.floor(ends.min(axis=0)) - BUCKET)
         cols, rows = (np.floor((ends.max(axis=0) - corner) / BUCKET).astype(int) + 2).tolist()
-        first, items = fill_buckets(made, corner, BUCKET, rows, cols)
-        return cls(made, corner, cols, frozen(first, np.int64), frozen(items, np.int64))
+        first, items = fill_buckets(walls, corner, BUCKET, rows, cols)
+        return cls(walls, corner, cols, frozen(first, np.int64), frozen(items, np.int64))
 
     def cast(
         self, sensor: Float[np.ndarray, "m 3"], angles: Float[np.ndarray, " n"], discs: np.ndarray, far: float

@@ -9,6 +9,8 @@ from scipy import ndimage
 from ..kernels.exploration.wavefront import NO_LIMIT, STRAIGHT, UNREACHED, descend, spread
 from ..kernels.walls.segments import sight_on_raster
 
+FAR = 1e4  # [m], stands for a place that no way leads to where a cost must be finite
+
 
 @dataclass(frozen=True, slots=True)
 class Ground:

@@ -8,9 +8,10 @@ from scipy.spatial import cKDTree
 
 from ...core.se2 import wrap_angle
 from ...kernels.exploration.tours import balanced_tours
+from ..ground import FAR
 from .belief import LandmarkBelief
 from .config import ExploreConfig
-from .floor_plan import FAR, FloorPlan
+from .floor_plan import FloorPlan
 
 
 @dataclass(slots=True)

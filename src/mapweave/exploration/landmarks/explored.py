@@ -49,7 +49,7 @@ class Explored:
         """What robot j knows to be seen: the team's cells and its own that were not delivered yet."""
         return np.asarray(self.team() | self.backlog[j])
 
-    def share(self) -> float:
+    def seen_share(self) -> float:
         """What share of the field the team has seen."""
         if self.outside is None:
             return float(self.team().mean())

@@ -15,7 +15,6 @@ from ...sim.field import Field
 from ..ground import CostToGo, Ground
 from .config import ExploreConfig, WallsConfig
 
-FAR = 1e4  # [m], said of places no way leads to, where a cost must be finite
 KEPT = 64  # goals whose distances are remembered
 
 

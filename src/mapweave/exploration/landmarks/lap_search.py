@@ -147,7 +147,7 @@ def _on_the_ring(lower: np.ndarray, upper: np.ndarray, begin: float, turn: float
 def _improve(plan: Plan, judge: _Judge, tries: int, rng: np.random.Generator) -> tuple[float, Plan]:
     """The best plan met on a walk of small changes that cools down, and its cost."""
     now = best = judge(plan)
-    found = plan
+    best_plan = plan
     for k in range(tries):
         left = 1.0 - k / tries
         other = _changed(plan, judge.lower, judge.upper, 1.0 + 8.0 * left, rng)
@@ -156,8 +156,8 @@ def _improve(plan: Plan, judge: _Judge, tries: int, rng: np.random.Generator) ->
         if cost < bound:
             plan, now = other, cost
             if now < best:
-                best, found = now, plan
-    return best, found
+                best, best_plan = now, plan
+    return best, best_plan
 
 
 def _changed(plan: Plan, lower: np.ndarray, upper: np.ndarray, size: float, rng: np.random.Generator) -> Plan:

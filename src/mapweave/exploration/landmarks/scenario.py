@@ -58,16 +58,16 @@ def find_scenario(name: str) -> ScenarioConfig:
             raise UsageError(f"scenario {name!r}: a laser world, where there are no landmarks")
         known = ", ".join((*BUILT_IN, "office", "office-AREA"))
         raise UsageError(f"scenario {name!r}: not one of {known} and not a TOML file")
-    found = load(ScenarioConfig, path)
-    if isinstance(found.walls, str):
-        found = replace(found, walls=str(path.parent / found.walls))
-    check_world(path, found)
-    _check_landmarks(path, found)
-    lower, upper = bounds(found)
+    scenario = load(ScenarioConfig, path)
+    if isinstance(scenario.walls, str):
+        scenario = replace(scenario, walls=str(path.parent / scenario.walls))
+    check_world(path, scenario)
+    _check_landmarks(path, scenario)
+    lower, upper = bounds(scenario)
     if lower[0] >= upper[0] or lower[1] >= upper[1]:
         raise ConfigError(f"{path}: lower {tuple(lower.tolist())} must lie below upper {tuple(upper.tolist())}")
     check_places(f"{path}: corner", np.stack([lower, upper]))
-    return found
+    return scenario
 
 
 def _check_landmarks(path: Path, scenario: ScenarioConfig) -> None:
@@ -129,13 +129,13 @@ def _scatter(
     """`n` random places (n, 2), none nearer than `WALL_GAP` to a wall, all on free ground of the `plan`."""
     if walls is None:
         return rng.uniform(lower, upper, size=(n, 2))
-    found = np.zeros((0, 2))
+    places = np.zeros((0, 2))
     for _ in range(1000):
         more = rng.uniform(lower, upper, size=(n, 2))
         good = walls.clearance(more) >= WALL_GAP
-        found = np.vstack([found, more[good if plan is None else good & plan.free(more)]])
-        if len(found) >= n:
-            return found[:n]
+        places = np.vstack([places, more[good if plan is None else good & plan.free(more)]])
+        if len(places) >= n:
+            return places[:n]
     raise DataError(f"the walls leave no room for {n} landmarks")
 
 

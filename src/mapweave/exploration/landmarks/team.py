@@ -126,7 +126,7 @@ class Team:
         """What every robot sees from its start, before the first step."""
         seen = tuple(self._observe(j) for j in range(len(self.robots)))
         still = np.zeros((len(self.robots), 2))
-        share = self.explored.share()
+        share = self.explored.seen_share()
         return StepRecord(0, still, self.truth.poses.copy(), self.poses(), seen, (), share, 0.0, 0)
 
     def play(self) -> Iterator[StepRecord]:
@@ -151,7 +151,7 @@ class Team:
                 self.poses(),
                 seen,
                 handed,
-                self.explored.share(),
+                self.explored.seen_share(),
                 seconds,
                 decisions,
             )

@@ -98,8 +98,8 @@ def _plan(
     dead = poses[~belief.alive, :2]
     ground = mapped_ground(belief.grid, poses[live, :2], dead, cfg)
     state.ground, state.planned, state.planned_for = ground, belief.step, tuple(live)
-    found = [f for f in frontiers(ground, cfg) if not state.barred(f.place, belief.step, cfg, waiting=False)]
-    pieces = [f for f in found if not state.barred(f.place, belief.step, cfg)] or found
+    open_pieces = [f for f in frontiers(ground, cfg) if not state.barred(f.place, belief.step, cfg, waiting=False)]
+    pieces = [f for f in open_pieces if not state.barred(f.place, belief.step, cfg)] or open_pieces
     belief.memory["given_up"] = state.given_up(cfg)
     belief.memory["pockets"] = pockets(ground, cfg)
     old = state.goals

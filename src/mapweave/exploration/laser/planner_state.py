@@ -137,5 +137,5 @@ def route_to(
     """Ways to `place` from everywhere on the ground that is at most `far` [m] away, round robots `parked` (k, 2)."""
     priced = with_parked(ground, parked, cfg)
     source = priced.cells(place[None])
-    found = priced.cost_to_go(source[source[:, 0] >= 0], far)
-    return Route(priced, found.cost, clear=priced.free & (priced.weight < cfg.allocation.parked_cost))
+    ways = priced.cost_to_go(source[source[:, 0] >= 0], far)
+    return Route(priced, ways.cost, clear=priced.free & (priced.weight < cfg.allocation.parked_cost))

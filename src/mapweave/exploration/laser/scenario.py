@@ -65,19 +65,19 @@ def find_laser_scenario(name: str) -> LaserScenarioConfig | None:
         return None  # said by who reads landmark scenarios
     if "sensor" not in values and "office" not in values:
         return None
-    found = build(LaserScenarioConfig, values, str(path))
-    if (found.office is None) == (found.walls is None):
+    scenario = build(LaserScenarioConfig, values, str(path))
+    if (scenario.office is None) == (scenario.walls is None):
         raise ConfigError(f"{path}: expected office = AREA or walls, one of them")
-    if found.floor is not None and found.floor < 0:
-        raise ConfigError(f"{path}: floor: expected 0 or more, found {found.floor}")
-    if found.office is not None and not LEAST <= found.office <= GREATEST:
-        raise ConfigError(f"{path}: office: expected {LEAST:g} to {GREATEST:g} m^2, found {found.office:g}")
-    if found.walls is not None and not found.starts:
+    if scenario.floor is not None and scenario.floor < 0:
+        raise ConfigError(f"{path}: floor: expected 0 or more, found {scenario.floor}")
+    if scenario.office is not None and not LEAST <= scenario.office <= GREATEST:
+        raise ConfigError(f"{path}: office: expected {LEAST:g} to {GREATEST:g} m^2, found {scenario.office:g}")
+    if scenario.walls is not None and not scenario.starts:
         raise ConfigError(f"{path}: expected starts = [[x, y, theta], ...], one a robot")
-    check_world(path, found)
-    if isinstance(found.walls, str):
-        return replace(found, walls=str(path.parent / found.walls))
-    return found
+    check_world(path, scenario)
+    if isinstance(scenario.walls, str):
+        return replace(scenario, walls=str(path.parent / scenario.walls))
+    return scenario
 
 
 def make_place(scenario: LaserScenarioConfig, robots: int | None, seed: int) -> LaserPlace:

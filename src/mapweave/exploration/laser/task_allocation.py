@@ -11,11 +11,11 @@ from ...core.se2 import wrap_angle
 from ...kernels.exploration.tour_moves import improve_tours
 from ...kernels.exploration.tours import balanced_tours
 from ...kernels.exploration.wavefront import NO_LIMIT, STRAIGHT, spread
+from ..ground import FAR
 from .config import LaserExploreConfig
 from .frontiers import Frontier, MappedGround
 from .planner_state import PlannerState, with_parked
 
-FAR = 1e4  # [m], stands for a place that no way leads to
 RING = np.array([(y, x) for y in range(-2, 3) for x in range(-2, 3) if max(abs(y), abs(x)) == 2])
 
 
@@ -53,8 +53,8 @@ def allocation_problem(
     cells = fine // 2
     m = len(live)
     costs = [spread(weight, cells[m + n : m + n + 1], NO_LIMIT) for n in range(len(pieces))]
-    found = np.array([c[tuple(cells.T)] for c in costs], dtype=float)
-    metres = np.where((found >= 0) & (fine[:, 0] >= 0), found * metre, FAR).T
+    cost = np.array([c[tuple(cells.T)] for c in costs], dtype=float)
+    metres = np.where((cost >= 0) & (fine[:, 0] >= 0), cost * metre, FAR).T
     first = metres[:m].copy()
     for r, j in enumerate(live):
         away = departures(costs, cells[r])
@@ -186,8 +186,8 @@ def walls_and_area(problem: AllocationProblem, cfg: LaserExploreConfig) -> tuple
     grid = problem.ground.grid
     side = 2 * int(0.5 * cfg.reach / grid.resolution) + 1
     cells = grid.cells(np.array([f.place for f in problem.pieces]).reshape(-1, 2))
-    found = [
+    terms = [
         ndimage.uniform_filter(mask.astype(np.float32), side, mode="constant")[tuple(cells.T)]
         for mask in (grid.occupied, grid.unknown & problem.ground.fits)
     ]
-    return tuple(x / x.max() if x.size and x.max() > 0 else x for x in found)
+    return tuple(x / x.max() if x.size and x.max() > 0 else x for x in terms)

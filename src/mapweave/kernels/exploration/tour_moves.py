@@ -10,7 +10,7 @@ STRETCH = 3  # nodes moved together, at most
 
 
 class OpenTours(NamedTuple):
-    """Tours being made better, in place. first: (M, n) cost from each robot to each node; between: (n, n).
+    """Tours being tried better, in place. first: (M, n) cost from each robot to each node; between: (n, n).
 
     tours: (M, n) nodes, of which each robot passes the first counts (M,); lengths: (M,).
     """
@@ -78,7 +78,7 @@ def _move_stretch(plan: OpenTours, r: int, a: int) -> bool:
     """Up to STRETCH nodes from place a of tour r put elsewhere, either way round, where that costs less."""
     first, between, tours, counts, lengths = plan
     n = tours.shape[1]
-    rest, made = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    rest, tried = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     before = tours_cost(lengths)
     for size in range(1, min(STRETCH, counts[r] - a) + 1):
         part = tours[r, a : a + size].copy()
@@ -89,14 +89,14 @@ def _move_stretch(plan: OpenTours, r: int, a: int) -> bool:
             old_r, old_s = lengths[r], lengths[s]
             for p in range(count + 1):
                 for turned in range(2):
-                    _with(base, count, p, part[::-1].copy() if turned else part, made)
+                    _with(base, count, p, part[::-1].copy() if turned else part, tried)
                     lengths[r] = open_length(first, between, r, rest, counts[r] - size)
-                    lengths[s] = open_length(first, between, s, made, count + size)
+                    lengths[s] = open_length(first, between, s, tried, count + size)
                     if tours_cost(lengths) < before - 1e-9:
                         if s != r:
                             tours[r, : counts[r] - size] = rest[: counts[r] - size]
                             counts[r] -= size
-                        tours[s, : count + size] = made[: count + size]
+                        tours[s, : count + size] = tried[: count + size]
                         counts[s] = count + size
                         return True
             lengths[r], lengths[s] = old_r, old_s

@@ -1,0 +1,78 @@
+"""Planner thresholds are configuration: every one is explained, can be set from a file, and reaches its planner."""
+
+import inspect
+import re
+from dataclasses import fields, is_dataclass, replace
+
+import numpy as np
+import pytest
+
+from mapweave.core.config import build
+from mapweave.exploration import world
+from mapweave.exploration.landmarks import config as landmarks
+from mapweave.exploration.landmarks import coverage
+from mapweave.exploration.landmarks import scenario as landmark_scenario
+from mapweave.exploration.landmarks.config import ExploreConfig
+from mapweave.exploration.landmarks.coverage import approach_cost
+from mapweave.exploration.landmarks.scenario import ScenarioConfig, make_field
+from mapweave.exploration.landmarks.steering import steer
+from mapweave.exploration.landmarks.team import Team
+from mapweave.exploration.laser import config as laser
+from mapweave.exploration.laser.config import LaserExploreConfig, LaserMissionConfig
+from mapweave.exploration.laser.path_follower import candidate_commands
+from mapweave.exploration.laser.path_follower import steer as follow
+
+
+@pytest.mark.parametrize("module", [landmarks, laser, world, landmark_scenario])
+def test_every_setting_says_what_it_means(module):
+    """Each field but tables has a comment of more than a unit."""
+    own = [c for c in vars(module).values() if is_dataclass(c) and c.__module__ == module.__name__]
+    lines = [line for c in own for line in inspect.getsource(c).splitlines() if re.match(r"    \w+: .* = ", line)]
+    assert lines
+    tables = re.compile(r"= (field\(default_factory=)?\w+Config(\(\)|\))$")
+    assert [
+        line for line in lines if not tables.search(line) and not re.search(r"  # (\[.*?\])?.*[a-z]{3}", line)
+    ] == []
+
+
+def values(cfg):
+    """The configuration as a file would hold it."""
+    out = {}
+    for f in fields(cfg):
+        value = getattr(cfg, f.name)
+        if value is not None:
+            out[f.name] = values(value) if is_dataclass(value) else value
+    return out
+
+
+@pytest.mark.parametrize("kind", [ExploreConfig, LaserMissionConfig])
+def test_a_file_that_holds_every_default_changes_nothing(kind):
+    assert build(kind, values(kind())) == kind()
+
+
+def test_what_a_wrong_heading_costs_decides_whether_a_robot_turns_first():
+    cfg = ExploreConfig()
+    team = Team(make_field(ScenarioConfig(landmarks=3), 1, 0), cfg, coverage.choose, np.random.default_rng(0))
+    pose, goal = np.zeros(3), np.array([0.0, 10.0])
+    eager = replace(cfg, steering=replace(cfg.steering, heading_cost=0.01))
+    assert steer(team.belief(), pose, goal, cfg)[1] == max(cfg.turns)
+    strict = replace(cfg, steering=replace(cfg.steering, heading_cost=50.0))
+    assert steer(team.belief(), pose, goal, strict)[0] <= steer(team.belief(), pose, goal, eager)[0]
+    assert steer(team.belief(), pose, np.array([10.0, 0.1]), eager)[0] == max(cfg.speeds)
+
+
+def test_turning_towards_a_place_costs_what_is_set():
+    behind = np.array([[-5.0, 0.0]])
+    for cost in (0.0, 2.0):
+        np.testing.assert_allclose(approach_cost(np.zeros((1, 3)), behind, cost), 5.0 + cost * np.pi)
+
+
+def test_robots_drive_backwards_as_fast_as_is_set_and_only_where_it_is_worth_it():
+    cfg = LaserExploreConfig()
+    slow = replace(cfg, follower=replace(cfg.follower, reverse_speed=0.1))
+    assert candidate_commands(cfg)[0][:, 0].min() == pytest.approx(-cfg.speed / 3)
+    assert candidate_commands(slow)[0][:, 0].min() == pytest.approx(-0.1 * cfg.speed)
+    behind, nobody = np.array([-0.15, 0.0]), np.zeros((0, 2))
+    dear = replace(cfg, follower=replace(cfg.follower, reverse_cost=2.0))
+    assert follow(np.zeros(3), behind, nobody, nobody, cfg)[0] < 0.0
+    assert follow(np.zeros(3), behind, nobody, nobody, dear)[0] >= 0.0
