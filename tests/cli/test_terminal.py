@@ -79,9 +79,13 @@ def test_a_terminal_without_letters_shows_what_it_can(env, tmp_path):
 
 
 def test_interrupted_it_ends_with_130_one_line_and_nothing_half_written(tmp_path):
-    words = ("explore", "yuan", "--runs", "200", "--until", "landmarks", "--out", str(tmp_path / "out"))
-    going = subprocess.Popen([*COMMAND, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)  # noqa: S603
-    time.sleep(6.0)
+    words = ["explore", "yuan", "--runs", "200", "--until", "landmarks", "--out", str(tmp_path / "out")]
+    code = f"from mapweave.cli import main; print('ready', flush=True); main({words!r})"
+    going = subprocess.Popen(  # noqa: S603
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert going.stdout.readline() == "ready\n"
+    time.sleep(3.0)
     assert going.poll() is None
     going.send_signal(signal.SIGINT)
     out, err = going.communicate(timeout=60)

@@ -60,6 +60,18 @@ def test_options_without_effect_on_laser_logs_are_told_on_the_terminal_and_in_th
     assert any("the truth: nothing to score" in text for text in told["warnings"])
 
 
+def test_options_without_effect_on_a_swarm_are_told(tmp_path, capsys):
+    still, moving = tmp_path / "still.csv", tmp_path / "moving.csv"
+    mapweave.simulate_swarm(still, mapweave.SwarmScene(robots=9), seed=1)
+    assert _run(["locate", str(still), "--out", str(tmp_path / "a"), "--filtered"]) == 0
+    assert "warning: --filtered has no effect: the robots stand still" in capsys.readouterr().out
+    made = mapweave.simulate_swarm(moving, mapweave.SwarmScene(robots=9, steps=4), seed=2)
+    known = {made.table.ids[c]: made.position[0, c] for c in made.corners}
+    found = mapweave.locate(moving, anchors=known, initial=tmp_path / "still.truth.csv")
+    assert "--initial has no effect: the robots move" in found.metrics["warnings"]
+    assert not any("no effect" in text for text in mapweave.locate(moving, anchors=known).metrics["warnings"])
+
+
 def test_a_truth_in_another_frame_than_the_map_is_told_with_the_motion_between(home, tmp_path):
     if not (home / "laser").exists():
         mapweave.map(home / "drive.mcap", home / "laser", method="gated")

@@ -171,12 +171,24 @@ def locate(
         result = still or _move(given, settings, motion, filtered=filtered)
     else:
         result = _stand(given, settings, initial, covariance=covariance)
+    result = _with_idle_options(
+        result, {"--initial": initial is not None, "--filtered": filtered, "--acceleration": motion is not None}
+    )
     on_progress("locating", 1, 1)
     if out is not None:
         on_progress("writing", 0, 1)
         result.write(out, force=force)
         on_progress("writing", 1, 1)
     return result
+
+
+def _with_idle_options(result: Located | Moved, asked: Mapping[str, bool]) -> Located | Moved:
+    """`result` with a word about options that mean nothing to robots that stand still, or to those that move."""
+    moving = isinstance(result, Moved)
+    idle = ("--initial",) if moving else ("--filtered", "--acceleration")
+    why = "the robots move" if moving else "the robots stand still"
+    told = tuple(f"{name} has no effect: {why}" for name in idle if asked[name])
+    return replace(result, given=replace(result.given, warnings=(*result.given.warnings, *told)))
 
 
 def _stand(given: SwarmInput, settings: Settings, initial: Path | str | None, *, covariance: bool | None) -> Located:
