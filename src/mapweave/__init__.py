@@ -1,8 +1,8 @@
 """mapweave: one map, with honest uncertainty, from the logs of many robots.
 
-Verbs (`map`, `fuse`, `locate`, `localize`, `explore`, `evaluate`, `simulate_*`, `reproduce_*`, `demo`, `view`), the
-results they return, their options and configuration, and the errors they raise. A name is imported when it is first
-used, so that `import mapweave` is instant.
+Verbs (`map`, `fuse`, `locate`, `localize`, `explore`, `evaluate`, `solve_pose_graph`, `simulate_*`, `reproduce_*`,
+`demo`, `view`), the results they return, their options and configuration, and the errors they raise. A name is imported
+when it is first used, so that `import mapweave` is instant.
 """
 
 from importlib import import_module
@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from .api.simulate_laser import simulate_laser as simulate_laser
     from .api.simulate_swarm import SimulatedSwarm as SimulatedSwarm
     from .api.simulate_swarm import simulate_swarm as simulate_swarm
+    from .api.solve import SolveResult as SolveResult
+    from .api.solve import solve_pose_graph as solve_pose_graph
     from .api.team import TeamResult as TeamResult
     from .api.view import view as view
     from .core.bearings import BearingTable as BearingTable
@@ -92,6 +94,7 @@ _HOMES: dict[str, str] = {
     "simulate_landmarks": "api.simulate_landmarks",
     "simulate_laser": "api.simulate_laser",
     "simulate_swarm": "api.simulate_swarm",
+    "solve_pose_graph": "api.solve",
     "view": "api.view",
     # what verbs return
     "Evaluation": "api.evaluate",
@@ -109,6 +112,7 @@ _HOMES: dict[str, str] = {
     "SimulatedDrive": "api.simulate_laser",
     "SimulatedSwarm": "api.simulate_swarm",
     "SimulatedTeam": "api.simulate_landmarks",
+    "SolveResult": "api.solve",
     "SwarmEvaluation": "api.evaluate_swarm",
     "TeamEvaluation": "api.evaluate_team",
     "TeamResult": "api.team",
@@ -178,6 +182,7 @@ __all__ = (
     "SimulatedDrive",
     "SimulatedSwarm",
     "SimulatedTeam",
+    "SolveResult",
     "SwarmEvaluation",
     "SwarmScene",
     "TeamEvaluation",
@@ -204,6 +209,7 @@ __all__ = (
     "simulate_landmarks",
     "simulate_laser",
     "simulate_swarm",
+    "solve_pose_graph",
     "view",
 )
 

@@ -62,6 +62,12 @@ def test_a_bad_row_and_a_graph_in_two_parts_are_told(tmp_path):
         ("VERTEX_SE2 1 inf 1 1", "g:2: VERTEX_SE2 needs 4 finite numbers"),
         ("VERTEX_SE2", "g:2: VERTEX_SE2 needs 4 finite numbers"),
         ("FIX 7", "g:2: FIX 7: there is no such vertex"),
+        ("EDGE_PRIOR_SE2 3 0 0 0 9 0 0 9 0 9", "g:2: EDGE_PRIOR_SE2 3: there is no such vertex"),
+        ("EDGE_PRIOR_SE2 0 0 0 0 9 0 0 -9 0 9", "g:2: expected a positive definite information of EDGE_PRIOR_SE2 0"),
+        (
+            "EDGE_PRIOR_SE2 0 0 0 0 9 0 0 9 0 9\nEDGE_PRIOR_SE2 0 5 0 0 9 0 0 9 0 9",
+            "g:3: EDGE_PRIOR_SE2 0 contradicts that of line 2: they lie 5 m",
+        ),
         ("FIX one", "g:2: FIX needs whole numbers"),
         ("EDGE_SE2 0 1 1e308 1e308 1 1 0 0 1 0 1\nEDGE_SE2 1 2 1e308 1e308 1 1 0 0 1 0 1", "1 poses have no vertex"),
     ],
@@ -80,10 +86,25 @@ def test_ids_fixed_poses_and_rows_of_other_kinds_are_told(tmp_path):
     held = read_g2o_file(path)
     assert (held.ids, held.fixed, held.unread) == ((7, 9), (0,), {"VERTEX_XY": 2})
     assert held.started.tolist() == [True, False]
-    assert held.warnings == ("rows of other kinds than VERTEX_SE2, EDGE_SE2 and FIX are passed over: 2 VERTEX_XY",)
+    kinds = "VERTEX_SE2, EDGE_SE2, EDGE_PRIOR_SE2 and FIX"
+    assert held.warnings == (f"rows of other kinds than {kinds} are passed over: 2 VERTEX_XY",)
     write_g2o(path, held.graph, held.ids, held.fixed)
     again = read_g2o_file(path)
     assert (again.ids, again.fixed, again.unread, again.warnings) == ((7, 9), (0,), {}, ())
+
+
+def test_a_graph_to_solve_may_have_parts_and_priors_but_lack_no_vertex(tmp_path):
+    path = tmp_path / "e.g2o"
+    path.write_text(
+        "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 5 6 1 0 0 1 0 0 1 0 1\nEDGE_PRIOR_SE2 5 1 2 3 4 0 0 4 0 4\n"
+    )
+    held = read_g2o_file(path, parts=True)
+    assert np.allclose(held.graph.pose[:, 0], [0, 1, 0, 1])
+    assert [(p.vertex, p.pose.tolist(), p.information[0, 0]) for p in held.priors] == [(2, [1, 2, 3], 4.0)]
+    path.write_text("VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
+    assert len(read_g2o_file(path).graph) == 2
+    with pytest.raises(ReaderError, match=":2: EDGE_SE2 0 1: there is no vertex 1"):
+        read_g2o_file(path, parts=True)
 
 
 def test_gtsam_reads_every_vertex_and_every_edge_of_a_written_graph(tmp_path):

@@ -23,6 +23,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "reproduce": ("mapweave.cli.reproduce:app", "Repeat a paper's experiment."),
     "view": ("mapweave.cli.view:view", "Open a result's report and map."),
     "explore": ("mapweave.cli.explore:explore", "Let a team decide where to drive."),
+    "solve": ("mapweave.cli.solve:solve", "Solve and draw a pose graph of any origin."),
     "config": ("mapweave.cli.config:config", "Print every setting with default and meaning."),
     "doctor": ("mapweave.cli.doctor:doctor", "Say what mapweave runs on."),
 }

@@ -10,12 +10,15 @@ from jaxtyping import Bool, Float, Int
 
 from ..core import se2
 from ..core.errors import ReaderError
+from ..core.gaussian import chi2_quantile, mahalanobis2
 from ..laser.pose_graph import PoseGraph
+from ..laser.robust_graph import Prior
 from .rows import open_text, write_rows
 from .text import TextLog
 
-VERTEX, EDGE, FIX = "VERTEX_SE2", "EDGE_SE2", "FIX"
-NUMBERS = {VERTEX: (1, 3), EDGE: (2, 9)}  # ids, then numbers, in a row of each kind
+VERTEX, EDGE, PRIOR, FIX = "VERTEX_SE2", "EDGE_SE2", "EDGE_PRIOR_SE2", "FIX"
+NUMBERS = {VERTEX: (1, 3), EDGE: (2, 9), PRIOR: (1, 9)}  # ids, then numbers, in a row of each kind
+AGREE = chi2_quantile(1.0 - 1e-6, 3.0)  # squared sd by which two priors of one vertex may differ
 UPPER = np.triu_indices(3)
 LARGEST = 2**63  # an id is less
 
@@ -25,21 +28,23 @@ class G2oFile:
     """What a g2o file holds.
 
     ids: the file's name of each pose of `graph`, ascending; fixed: poses that FIX rows name, as indices into `graph`;
-    started: (n,), which poses the file itself gives, the others being reached along edges; unread: how many rows of
-    each kind were passed over.
+    started: (n,), which poses the file itself gives, the others being reached along edges; priors: poses that are
+    known; unread: how many rows of each kind were passed over.
     """
 
     graph: PoseGraph
     ids: tuple[int, ...]
     fixed: tuple[int, ...]
     started: Bool[np.ndarray, " n"]
+    priors: tuple[Prior, ...]
     unread: dict[str, int]
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """One sentence where rows of unknown kinds were passed over."""
         told = ", ".join(f"{n} {kind}" for kind, n in self.unread.items())
-        return (f"rows of other kinds than {VERTEX}, {EDGE} and {FIX} are passed over: {told}",) if told else ()
+        kinds = f"{VERTEX}, {EDGE}, {PRIOR} and {FIX}"
+        return (f"rows of other kinds than {kinds} are passed over: {told}",) if told else ()
 
 
 @dataclass(slots=True)
@@ -51,6 +56,7 @@ class _Rows:
     known: list[list[float]]
     lines: list[int]
     fixed: dict[int, int]  # id -> line
+    priors: list[tuple[int, list[float], int]]  # id, numbers, line
     unread: Counter[str]
 
 
@@ -59,13 +65,14 @@ def read_g2o(path: Path) -> PoseGraph:
     return read_g2o_file(path).graph
 
 
-def read_g2o_file(path: Path) -> G2oFile:
+def read_g2o_file(path: Path, *, parts: bool = False) -> G2oFile:
     """The graph in `path`, plain or gzipped. Vertices are numbered anew in the order of their ids.
 
     A graph without vertices (or with some missing) gets poses by walking the edges from the first, those from one id
     to the next before others. Raises ReaderError naming the line for a row that does not parse, a vertex told twice,
-    an edge from a pose to itself or whose information is not positive definite; and for a graph that does not hang
-    together.
+    an edge from a pose to itself or whose information is not positive definite, priors that contradict each other;
+    and for a graph that does not hang together. With `parts` it need not, each part begins at zero, and an edge to a
+    vertex that a file with vertices lacks is an error.
     """
     rows = _rows(path)
     if not rows.ends and not rows.poses:
@@ -82,18 +89,42 @@ def read_g2o_file(path: Path) -> G2oFile:
     if (wrong := _not_positive(information)) is not None:
         i, j = rows.ends[wrong]
         raise ReaderError(path, f"expected a positive definite information of {EDGE} {i} {j}", rows.lines[wrong])
+    if parts and rows.poses:
+        for pair, line in zip(rows.ends, rows.lines, strict=True):
+            if missing := [name for name in pair if name not in rows.poses]:
+                raise ReaderError(path, f"{EDGE} {pair[0]} {pair[1]}: there is no vertex {missing[0]}", line)
     start = np.full((len(names), 3), np.nan)
     for name, pose in rows.poses.items():
         start[index[name]] = pose
-    whole = _walked(path, start, ends, known[:, :3], names)
+    whole = _walked(path, start, ends, known[:, :3], names, parts=parts)
     graph = PoseGraph(whole, ends[:, 0], ends[:, 1], known[:, :3], information)
     fixed = tuple(index[name] for name in rows.fixed)
-    return G2oFile(graph, names, fixed, ~np.isnan(start[:, 0]), dict(sorted(rows.unread.items())))
+    started = ~np.isnan(start[:, 0])
+    return G2oFile(graph, names, fixed, started, _priors(path, rows, index), dict(sorted(rows.unread.items())))
+
+
+def _priors(path: Path, rows: _Rows, index: dict[int, int]) -> tuple[Prior, ...]:
+    out: dict[int, tuple[Prior, int]] = {}
+    told: list[Prior] = []
+    for name, values, line in rows.priors:
+        if name not in index:
+            raise ReaderError(path, f"{PRIOR} {name}: there is no such vertex", line)
+        information = _information(np.array([values[3:]]))
+        if _not_positive(information) is not None:
+            raise ReaderError(path, f"expected a positive definite information of {PRIOR} {name}", line)
+        prior = Prior(index[name], np.array(values[:3]), information[0])
+        other, at = out.setdefault(name, (prior, line))
+        d = se2.between(other.pose, prior.pose)
+        if mahalanobis2(d, np.linalg.inv(other.information) + np.linalg.inv(prior.information)) > AGREE:
+            apart = f"{np.hypot(*d[:2]):.3g} m and {np.degrees(abs(d[2])):.3g} degrees apart"
+            raise ReaderError(path, f"{PRIOR} {name} contradicts that of line {at}: they lie {apart}", line)
+        told.append(prior)
+    return tuple(told)
 
 
 def _rows(path: Path) -> _Rows:
     log = TextLog(path)
-    out = _Rows({}, [], [], [], {}, Counter())
+    out = _Rows({}, [], [], [], {}, [], Counter())
     for line, text in log.lines():
         words = text.split()
         if not words or words[0].startswith("#"):
@@ -110,19 +141,25 @@ def _rows(path: Path) -> _Rows:
         values = _finite(words[1 + n :])
         if len(ids) != n or len(values) != m:
             raise ReaderError(path, f"{kind} needs {n + m} finite numbers, found {text[:60]!r}", line)
-        if kind == VERTEX:
-            if ids[0] in out.poses:
-                raise ReaderError(path, f"vertex {ids[0]} is told twice", line)
-            out.poses[ids[0]] = values
-        elif ids[0] == ids[1]:
-            raise ReaderError(path, f"expected an edge between two poses, found one from {ids[0]} to itself", line)
-        else:
-            out.ends.append((ids[0], ids[1]))
-            out.known.append(values)
-            out.lines.append(line)
+        _take(path, out, kind, ids, values, line)
     if log.truncated:
         raise ReaderError(path, log.truncated)
     return out
+
+
+def _take(path: Path, out: _Rows, kind: str, ids: list[int], values: list[float], line: int) -> None:
+    if kind == VERTEX:
+        if ids[0] in out.poses:
+            raise ReaderError(path, f"vertex {ids[0]} is told twice", line)
+        out.poses[ids[0]] = values
+    elif kind == PRIOR:
+        out.priors.append((ids[0], values, line))
+    elif ids[0] == ids[1]:
+        raise ReaderError(path, f"expected an edge between two poses, found one from {ids[0]} to itself", line)
+    else:
+        out.ends.append((ids[0], ids[1]))
+        out.known.append(values)
+        out.lines.append(line)
 
 
 def _ids(path: Path, kind: str, words: Sequence[str], line: int) -> list[int]:
@@ -166,8 +203,13 @@ def _walked(
     ends: Int[np.ndarray, "m 2"],
     measured: Float[np.ndarray, "m 3"],
     names: Sequence[int],
+    *,
+    parts: bool,
 ) -> Float[np.ndarray, "n 3"]:
-    """`start` with its missing rows (NaN) reached along edges: from each to its next, then breadth first."""
+    """`start` with its missing rows (NaN) reached along edges: from each to its next, then breadth first.
+
+    A pose that cannot be reached is an error, or, with `parts`, begins at zero and is where the rest is reached from.
+    """
     pose, (first, second) = start.copy(), ends.T
     if np.isnan(pose[:, 0]).all():
         pose[0] = 0.0
@@ -180,19 +222,36 @@ def _walked(
         at.setdefault(i, []).append(k)
         at.setdefault(j, []).append(k)
     queue = np.flatnonzero(~np.isnan(pose[:, 0])).tolist()
-    for i in queue:
-        for k in at.get(i, ()):
-            a, b = int(first[k]), int(second[k])
-            other = b if a == i else a
-            if np.isnan(pose[other, 0]):
-                step = measured[k] if a == i else se2.inverse(measured[k])
-                pose[other] = se2.compose(pose[i], step)
-                queue.append(other)
+    while True:
+        _reach(pose, queue, at, first, second, measured)
+        left = np.flatnonzero(np.isnan(pose[:, 0]))
+        if not parts or not len(left):
+            break
+        pose[left[0]] = 0.0
+        queue = [int(left[0])]
     lost = np.flatnonzero(~np.isfinite(pose).all(axis=1))
     if len(lost):
         told = ", ".join(str(names[k]) for k in lost[:3].tolist()) + (", ..." if len(lost) > 3 else "")
         raise ReaderError(path, f"{len(lost)} poses have no vertex and no edge leads to them: {told}")
     return pose
+
+
+def _reach(
+    pose: np.ndarray,
+    queue: list[int],
+    at: dict[int, list[int]],
+    first: np.ndarray,
+    second: np.ndarray,
+    measured: np.ndarray,
+) -> None:
+    """Missing rows of `pose` follow along the edges `at` each pose from those in `queue`, breadth first."""
+    for i in queue:
+        for k in at.get(i, ()):
+            a, b = int(first[k]), int(second[k])
+            other = b if a == i else a
+            if np.isnan(pose[other, 0]):
+                pose[other] = se2.compose(pose[i], measured[k] if a == i else se2.inverse(measured[k]))
+                queue.append(other)
 
 
 def write_g2o(path: Path, graph: PoseGraph, ids: Sequence[int] | None = None, fixed: Sequence[int] = (0,)) -> None:

@@ -93,7 +93,8 @@ class SolvedGraph:
 
     def covariances(self) -> Float[np.ndarray, "n 3 3"]:
         """The covariance of every pose over x, y, theta in `map`; zero where it is held."""
-        return self.solution.blocks(np.arange(3 * len(self.graph)).reshape(-1, 3))
+        n = len(self.graph)
+        return self.solution.blocks(np.arange(3 * n).reshape(-1, 3)) if len(self.solution.free) else np.zeros((n, 3, 3))
 
     def relative_covariances(
         self, first: Int[np.ndarray, " p"], second: Int[np.ndarray, " p"]

@@ -1,0 +1,150 @@
+"""Anybody's planar pose graph, solved."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core.errors import EstimateError
+from ..core.gaussian import chi2_quantile
+from ..core.records import Track
+from ..core.version import __version__
+from ..io.directory import check_target, result_directory, write_json
+from ..io.g2o import G2oFile, read_g2o_file, write_g2o
+from ..io.rows import open_text
+from ..io.tum import write_track_covariance, write_tum
+from ..laser.robust_graph import RobustGraphConfig, SolvedGraph, solve_graph
+from ..report.solve import write_solve_report
+
+TOLD = 5  # dropped edges named one by one on the terminal
+
+
+@dataclass(frozen=True, slots=True)
+class SolveResult:
+    """What `solve` gives: the file's graph with the poses solved, and which edges were not believed.
+
+    covariance: (n, 3, 3) of every pose, zero where it is held; None when the solve did not converge.
+    """
+
+    source: Path
+    file: G2oFile
+    solved: SolvedGraph
+    covariance: Float[np.ndarray, "n 3 3"] | None
+    robust: bool
+    warnings: tuple[str, ...]
+    timing: dict[str, float] = field(compare=False)
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        s, ids = self.solved, self.file.ids
+        parts = int(s.component.max()) + 1
+        return {
+            "version": __version__,
+            "source": self.source.name,
+            "poses": len(s.graph),
+            "edges": s.graph.edges,
+            "robust": self.robust,
+            "residual": "z^-1 (x_i^-1 x_j) as x, y, theta",
+            "status": str(s.status),
+            "chi2_before": s.chi2_before,
+            "chi2": s.chi2,
+            "dof": s.dof,
+            "iterations": s.iterations,
+            "rounds": s.rounds,
+            "fixed": [ids[k] for k in s.fixed],
+            "priors": len(self.file.priors),
+            "closures_dropped": len(s.dropped),
+            "dropped": [
+                {"edge": d.edge, "from": ids[d.first], "to": ids[d.second], "nis": d.nis, "reason": d.reason}
+                for d in s.dropped
+            ],
+            "components": [[ids[k] for k in np.flatnonzero(s.component == c).tolist()] for c in range(parts)],
+            "component_sizes": np.bincount(s.component).tolist(),
+            "warnings": list(self.warnings),
+            "timing": self.timing,
+        }
+
+    def lines(self) -> list[str]:
+        s = self.solved
+        sizes = f"{len(s.graph)} poses, {s.graph.edges} edges"
+        chi2 = f"chi-square {s.chi2_before:.6g} before, {s.chi2:.6g} after ({s.dof} degrees of freedom)"
+        lines = [f"{sizes}: {chi2}, {s.iterations} iterations"]
+        if self.robust:
+            lines.append(f"{len(s.dropped)} of {s.graph.edges} edges contradict the others and were dropped")
+        ids = self.file.ids
+        lines += [f"dropped edge {d.edge} ({ids[d.first]} to {ids[d.second]}): {d.reason}" for d in s.dropped[:TOLD]]
+        return [*lines, *self.warnings]
+
+    def write(self, folder: Path) -> None:
+        graph, ids = self.solved.graph, self.file.ids
+        write_json(folder / "metrics.json", self.metrics)
+        write_g2o(folder / "pose_graph.g2o", graph, ids, self.solved.fixed)
+        track = Track(np.array(ids, dtype=float), graph.pose, self.covariance)
+        write_tum(folder / "trajectories" / "robot1.tum", track)
+        if self.covariance is not None:
+            write_track_covariance(folder / "trajectories" / "robot1.cov.csv", track)
+        with open_text(folder / "closures.csv") as file:
+            file.write("edge,from,to,nis,used,reason\n")
+            why = {d.edge: d.reason for d in self.solved.dropped}
+            for k, (i, j) in enumerate(zip(graph.first.tolist(), graph.second.tolist(), strict=True)):
+                if abs(i - j) != 1 or k in why:
+                    nis, used = float(self.solved.nis[k]), int(k not in why)
+                    file.write(f'{k},{ids[i]},{ids[j]},{nis:.6g},{used},"{why.get(k, "")}"\n')
+        write_solve_report(folder, self.source.name, self.file.graph.pose, self.solved, ids, self.lines())
+
+
+def solve_pose_graph(
+    file: Path | str, out: Path | str | None = None, *, robust: bool = False, force: bool = False
+) -> SolveResult:
+    """The optimum of the pose graph in a g2o `file`, written to `out` when one is given.
+
+    robust: edges that contradict the others are dropped, those from a vertex to the next excepted. Stamps of the
+    trajectory are the vertices' numbers. Raises ReaderError, DataError, UsageError or EstimateError; nothing is
+    written then.
+    """
+    if out is not None:
+        check_target(Path(out), force=force)
+    started = perf_counter()
+    held = read_g2o_file(Path(file), parts=True)
+    read = perf_counter()
+    cfg = RobustGraphConfig(method="gnc" if robust else "none")
+    solved = solve_graph(held.graph, cfg, fixed=held.fixed, priors=held.priors)
+    if not np.isfinite(solved.graph.pose).all() or not np.isfinite(solved.chi2):
+        raise EstimateError(f"{file}: the solve ended with numbers that are not finite ({solved.status})")
+    done = perf_counter()
+    covariance = solved.covariances() if solved.solution.information is not None else None
+    timing = {"read": read - started, "solve": done - read, "covariance": perf_counter() - done}
+    result = SolveResult(Path(file), held, solved, covariance, robust, _warnings(held, solved), timing)
+    if out is not None:
+        with result_directory(Path(out), force=force) as work:
+            result.write(work)
+    return result
+
+
+def _warnings(held: G2oFile, solved: SolvedGraph) -> tuple[str, ...]:
+    told = list(held.warnings)
+    if not held.started.any():
+        told.append("the file has no vertices: the solve starts from poses found by walking along its edges")
+    sizes = np.bincount(solved.component)
+    if len(sizes) > 1:
+        parts = ", ".join(
+            f"{size} poses from vertex {held.ids[int(np.argmax(solved.component == c))]} on"
+            for c, size in enumerate(sizes.tolist()[:6])
+        )
+        more = "" if len(sizes) <= 6 else f" and {len(sizes) - 6} more"
+        told.append(
+            f"the graph falls into {len(sizes)} parts that no edge ties, each solved in its own frame: {parts}{more}"
+        )
+    limit = chi2_quantile(1.0 - 1e-6, 3.0)
+    for prior, nis in zip(held.priors, solved.prior_nis.tolist(), strict=True):
+        if nis > limit:
+            told.append(
+                f"the prior of vertex {held.ids[prior.vertex]} contradicts the rest of the graph: it lies "
+                f"{np.sqrt(nis):.1f} standard deviations from the solution"
+            )
+    if not solved.converged:
+        told.append(f"the solve did not converge ({solved.status}): its poses are not to be trusted")
+    return tuple(told)

@@ -1,0 +1,89 @@
+"""The report of a solved pose graph: how well its edges agree, which were dropped, what it looks like."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.collections import LineCollection
+
+from ..laser.robust_graph import SolvedGraph
+from .html import Page
+from .style import MUTED, as_map, colour, figure
+
+MOST_ROWS = 200  # of dropped edges the page lists
+
+
+def write_solve_report(
+    folder: Path, name: str, before: np.ndarray, solved: SolvedGraph, ids: Sequence[int], lines: Sequence[str]
+) -> None:
+    """`report.html` and `figures/` in `folder`; before: (n, 3) the poses the solve began with."""
+    page = Page("Pose graph", f"{name}: the poses that agree best with its edges.")
+    page.cards(
+        [
+            ("poses", str(len(solved.graph))),
+            ("edges", str(solved.graph.edges)),
+            ("chi-square before", f"{solved.chi2_before:.6g}"),
+            ("chi-square after", f"{solved.chi2:.6g}"),
+            ("degrees of freedom", str(solved.dof)),
+            ("iterations", str(solved.iterations)),
+            ("edges dropped", str(len(solved.dropped))),
+            ("parts", str(int(solved.component.max()) + 1)),
+        ]
+    )
+    for line in lines:
+        page.text(line, warn=not solved.converged)
+    where, squares = folder / "figures" / "graph.png", folder / "figures" / "edges.png"
+    _draw_graph(where, before, solved)
+    page.figure(where, "The solved poses and the edges between poses that do not follow each other.")
+    if solved.graph.edges:
+        _draw_squares(squares, solved)
+        page.figure(squares, "Squared residual of every edge in standard deviations, and what chance alone would give.")
+    if solved.dropped:
+        page.section("Edges dropped")
+        page.table(
+            ["edge", "from", "to", "squared sd", "why"],
+            [[d.edge, ids[d.first], ids[d.second], f"{d.nis:.4g}", d.reason] for d in solved.dropped[:MOST_ROWS]],
+        )
+        if len(solved.dropped) > MOST_ROWS:
+            page.text(f"and {len(solved.dropped) - MOST_ROWS} more, listed in closures.csv")
+    page.write(folder / "report.html")
+
+
+def _draw_graph(path: Path, before: np.ndarray, solved: SolvedGraph) -> None:
+    graph = solved.graph
+    with figure(path, 8.0, 7.0) as (fig, ax):
+        ax.plot(before[:, 0], before[:, 1], color=MUTED, linewidth=0.5, label="where the solve began")
+        step = np.abs(graph.second - graph.first) == 1
+        for name, rows, tint, width in (
+            ("steps", step & solved.used, colour(0), 0.9),
+            ("closures", ~step & solved.used, colour(2), 0.5),
+            ("dropped", ~solved.used, colour(5), 0.5),
+        ):
+            if rows.any():
+                ends = np.stack([graph.pose[graph.first[rows], :2], graph.pose[graph.second[rows], :2]], axis=1)
+                ax.add_collection(LineCollection(list(ends), colors=tint, linewidths=width, label=name))
+        ax.plot(graph.pose[:, 0], graph.pose[:, 1], ".", color=colour(0), markersize=1.5)
+        held = graph.pose[list(solved.fixed)]
+        if len(held):
+            ax.plot(held[:, 0], held[:, 1], "s", color=colour(1), markersize=5, label="held")
+        spread = graph.pose[:, :2]
+        middle, half = 0.5 * (spread.max(axis=0) + spread.min(axis=0)), 0.55 * np.ptp(spread, axis=0).max() + 0.5
+        ax.set_xlim(middle[0] - half, middle[0] + half)
+        ax.set_ylim(middle[1] - half, middle[1] + half)
+        as_map(ax, "Pose graph")
+        ax.set_aspect("equal", adjustable="box")
+        fig.legend(loc="outside lower center", ncols=5)
+
+
+def _draw_squares(path: Path, solved: SolvedGraph) -> None:
+    nis = np.maximum(solved.nis, 1e-6)
+    edges = np.geomspace(1e-3, max(1e3, 1.1 * float(nis.max())), 60)
+    with figure(path, 7.0, 3.4) as (_, ax):
+        ax.hist(np.clip(nis[solved.used], edges[0], None), edges, color=colour(0), label="used")
+        if (~solved.used).any():
+            ax.hist(np.clip(nis[~solved.used], edges[0], None), edges, color=colour(5), label="dropped")
+        ax.axvline(3.0, color=colour(1), linestyle="--", label="what chance gives on average")
+        ax.set_xscale("log")
+        ax.set_xlabel("squared residual [sd^2]")
+        ax.set_ylabel("edges")
+        ax.legend()
