@@ -1,0 +1,124 @@
+"""Pairs of robots with unknown starts in simulated buildings: maps merged rightly, wrongly, or refused, and why.
+
+    python benchmarks/merge_trials.py [--trials N] [--seed S] [--kinds office,corridor,..]
+
+Kinds: `office` floors with 0 to 80 % of the way shared, any rotation; `corridor`, straight and flush; `symmetric`
+floors that look the same turned by 180 degrees; `repetitive` rows of equal rooms; `strangers`: two different floors.
+"""
+
+import argparse
+from time import process_time
+
+import numpy as np
+
+from mapweave.core import se2
+from mapweave.core.walls import Walls
+from mapweave.laser.merge import Merge, merge_maps
+from mapweave.sim.laser_pairs import MapPair, PairConfig, drive_pair
+from mapweave.sim.office_floor import office_floor
+
+KINDS = ("office", "office", "office", "corridor", "symmetric", "repetitive", "strangers")
+NEAR, NEAR_TURN = 0.5, 0.09  # [m, rad] a merge that errs by less is right
+
+
+def office(rng: np.random.Generator, share: float) -> MapPair:
+    floor = office_floor(float(rng.uniform(500, 1100)), int(rng.integers(1_000_000)))
+    return drive_pair(Walls.of(floor.world.segments), floor.lower + 4.0, floor.upper - 4.0, share, rng)
+
+
+def box(x0: float, y0: float, x1: float, y1: float) -> list[list[float]]:
+    return [[x0, y0, x1, y0], [x1, y0, x1, y1], [x1, y1, x0, y1], [x0, y1, x0, y0]]
+
+
+def corridor(rng: np.random.Generator, share: float) -> MapPair:
+    """Straight, flush, 80 m long: no robot sees its ends."""
+    walls = Walls.of(np.array(box(-25.0, 0.0, 105.0, 2.5)))
+    cfg = PairConfig(keyframes=140)
+    return drive_pair(walls, np.array([0.0, 0.0]), np.array([80.0, 2.5]), share, rng, cfg)
+
+
+def symmetric(rng: np.random.Generator, share: float) -> MapPair:
+    """Rooms of chance widths, doors and furniture along half a corridor, and all of it turned by 180 degrees."""
+    parts = [[-20.0, 5.6, 0.0, 5.6], [-20.0, -5.6, 0.0, -5.6], [-20.0, -5.6, -20.0, 5.6]]
+    for side in (1.0, -1.0):
+        x = -20.0
+        while x < -2.5:
+            wide = min(float(rng.uniform(3.0, 6.0)), -x)
+            door = x + float(rng.uniform(0.6, wide - 1.6))
+            parts += [[x, 1.1 * side, door, 1.1 * side], [door + 1.0, 1.1 * side, x + wide, 1.1 * side]]
+            parts += [[x + wide, 1.1 * side, x + wide, 5.6 * side]]
+            at, y = x + float(rng.uniform(0.0, wide - 0.8)), side * float(rng.uniform(3.6, 4.8))
+            parts += box(at, y, at + 0.8, y + side * 0.6)
+            x += wide
+        parts += [[x, 1.1 * side, 0.0, 1.1 * side]]
+    half = np.array(parts)
+    walls = Walls.of(np.concatenate([half, -half]))
+    return drive_pair(walls, np.array([-20.0, -5.6]), np.array([20.0, 5.6]), share, rng)
+
+
+def repetitive(rng: np.random.Generator, share: float) -> MapPair:
+    """Ten equal rooms on one side of a corridor, no furniture, ends out of sight."""
+    parts = [[-30.0, 0.0, 70.0, 0.0], [-30.0, 0.0, -30.0, 2.0], [70.0, 0.0, 70.0, 2.0]]
+    for k in range(-8, 18):
+        x = 4.0 * k
+        parts += [[x, 2.0, x + 1.5, 2.0], [x + 2.5, 2.0, x + 4.0, 2.0], [x, 2.0, x, 6.0], [x, 6.0, x + 4.0, 6.0]]
+    cfg = PairConfig(keyframes=160)
+    return drive_pair(Walls.of(np.array(parts)), np.array([0.0, 0.0]), np.array([40.0, 6.0]), share, rng, cfg)
+
+
+def strangers(rng: np.random.Generator, share: float) -> MapPair:
+    one, other = office(rng, share), office(rng, share)
+    return MapPair(one.a, other.b, np.full(3, np.inf), 0.0)
+
+
+MAKERS = {"office": office, "corridor": corridor, "symmetric": symmetric, "repetitive": repetitive}
+MAKERS["strangers"] = strangers
+
+
+def judged(pair: MapPair, merge: Merge) -> str:
+    if merge.transform is None:
+        return "refused"
+    if not np.isfinite(pair.transform).all():
+        return "wrong"
+    e = se2.between(pair.transform, merge.transform)
+    return "right" if np.hypot(*e[:2]) < NEAR and abs(e[2]) < NEAR_TURN else "wrong"
+
+
+def trial(seed: int, kinds: tuple[str, ...] = KINDS) -> tuple[str, float, MapPair, Merge, str]:
+    """Kind, share of the way, the pair, the decision and whether it was right."""
+    rng = np.random.default_rng([seed, 17])
+    kind = kinds[seed % len(kinds)]
+    share = float(rng.uniform(0.0, 0.8))
+    pair = MAKERS[kind](rng, share)
+    merge = merge_maps(pair.a, pair.b)
+    return kind, share, pair, merge, judged(pair, merge)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--trials", type=int, default=70)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--kinds", default=",".join(KINDS))
+    asked = parser.parse_args()
+    kinds = tuple(asked.kinds.split(","))
+    counts: dict[str, dict[str, int]] = {}
+    for seed in range(asked.seed, asked.seed + asked.trials):
+        started = process_time()
+        kind, share, pair, merge, verdict = trial(seed, kinds)
+        name = (
+            kind if kind != "office" else f"office, {'over' if pair.overlap >= 0.25 else 'under'} 25 % of walls shared"
+        )
+        counts.setdefault(name, {"right": 0, "wrong": 0, "refused": 0})[verdict] += 1
+        took = process_time() - started
+        print(
+            f"{seed:4d} {kind:10s} way {share:.2f} walls {pair.overlap:.2f} {verdict:7s} agreeing {merge.agreeing:2d} "
+            f"alike {merge.alike or 0:.3f} {took:5.1f} s CPU  {merge.reason}",
+            flush=True,
+        )
+    print(f"\n{'kind':42s} right wrong refused")
+    for name, row in sorted(counts.items()):
+        print(f"{name:42s} {row['right']:5d} {row['wrong']:5d} {row['refused']:7d}")
+
+
+if __name__ == "__main__":
+    main()

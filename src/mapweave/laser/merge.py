@@ -1,0 +1,322 @@
+"""Two robots' laser maps made one, whose starts nobody knows, or refused with the reason.
+
+Submaps of one robot are searched for in the whole map of the other, at every heading; places that agree make a
+transform. The maps become one when under it what one robot saw through is not where the other saw walls, enough
+submaps confirm it, no other transform comes near, and it is held in every direction.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core import se2
+from ..core.arrays import frozen
+from ..core.gaussian import symmetrise
+from .consistency import adjoint, cycle_squares, largest_clique
+from .map_overlap import KeyframeMap, seen_alike, wall_overlap
+from .merge_search import (
+    Candidate,
+    Hypothesis,
+    MergeConfig,
+    Start,
+    candidate,
+    candidates,
+    confirmed,
+    hypotheses,
+    same_place,
+    whole_place,
+)
+from .place_search import LikelihoodField
+
+CYCLE_GATE = 4.0 * 11.34  # squared sd of a cycle: twice the 99 % of 3 degrees of freedom in sd, maps bend unevenly
+
+
+@dataclass(frozen=True, slots=True)
+class MapClosure:
+    """Keyframe `second` of map b as seen from keyframe `first` of map a.
+
+    measured: (3,); information: (3, 3) in second's frame; score, ratio: of the search; share: of inliers; nis: squared
+    sd from the transform decided on; accepted: whether it holds the maps together.
+    """
+
+    first: int
+    second: int
+    measured: Float[np.ndarray, "3"]
+    information: Float[np.ndarray, "3 3"]
+    score: float
+    ratio: float
+    share: float
+    nis: float
+    accepted: bool
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Merge:
+    """What was decided on maps a and b, and why.
+
+    transform: T_a_b, covariance: of an error in b's frame, both None when refused; overlap: share of the walls of one
+    that lie on the other's, of the two the larger, under the best transform; score: median of the submaps that agree
+    on it; second: that of the next best transform, over it; agreeing: submaps that confirm it; chi2: of their
+    closures; alike: of what both robots saw, the share on which they agree; rival: the next best transform.
+    """
+
+    a: str
+    b: str
+    merged: bool
+    reason: str
+    transform: Float[np.ndarray, "3"] | None = None
+    covariance: Float[np.ndarray, "3 3"] | None = None
+    overlap: float | None = None
+    score: float | None = None
+    second: float | None = None
+    agreeing: int = 0
+    chi2: float | None = None
+    alike: float | None = None
+    rival: Float[np.ndarray, "3"] | None = None
+    closures: tuple[MapClosure, ...] = ()
+
+    def row(self) -> dict[str, Any]:
+        """The pair as `metrics.json` tells it under `fusion`."""
+        return {
+            "a": self.a,
+            "b": self.b,
+            "overlap": self.overlap,
+            "score": self.score,
+            "second": self.second,
+            "agreeing": self.agreeing,
+            "chi2": self.chi2,
+            "alike": self.alike,
+            "transform": None if self.transform is None else self.transform.tolist(),
+            "decision": "merged" if self.merged else "refused",
+            "reason": self.reason,
+        }
+
+
+class _Pair(NamedTuple):
+    a: KeyframeMap
+    b: KeyframeMap
+    place: LikelihoodField
+    cfg: MergeConfig
+
+
+def merge_maps(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig | None = None, start: Start | None = None) -> Merge:
+    """Whether the two maps are one building's, and how they lie.
+
+    start: where b is said to lie in a: searched first, and believed only as far as the scans agree.
+    """
+    cfg = cfg or MergeConfig()
+    if len(b.pose) > len(a.pose):
+        swapped = None if start is None else Start(se2.inverse(start.transform), start.sd)
+        return _swapped(merge_maps(b, a, cfg, swapped))
+    pair = _Pair(a, b, whole_place(a, cfg, featured=b.q is not None), cfg)
+    if start is None:
+        return _decided(pair, None)
+    near = _decided(pair, start)
+    if near.merged:
+        return near
+    free = _decided(pair, None)
+    if free.transform is None:
+        return replace(free, reason=f"near the start that was given: {near.reason}; everywhere: {free.reason}")
+    away = se2.between(start.transform, free.transform)
+    how_far = f"{np.hypot(*away[:2]):.2f} m and {np.degrees(abs(away[2])):.1f} degrees"
+    return replace(free, reason=f"{free.reason}; the scans overrule the start that was given, by {how_far}")
+
+
+def _decided(pair: _Pair, start: Start | None) -> Merge:
+    a, b, place, cfg = pair
+    found, tried = hypotheses(b, place, cfg, start)
+    refused = Merge(a.robot, b.robot, False, "")
+    if not found:
+        return replace(refused, reason=f"too little overlap: none of {tried} submaps is found in the other map")
+    ways = candidates(a, b, found, cfg)
+    best = ways[0]
+    checked = _closures(pair, best)
+    held = [h for h, c in checked if c.accepted]
+    if len(held) >= 2:
+        best = candidate(a, b, held, cfg)
+    others = [c for c in ways if not same_place(b, c.transform, best.transform, cfg)]
+    rival = max(others, key=lambda c: (c.evidence(cfg.alike), len(c.members)), default=None)
+    score = _score(held or best.members)
+    told = replace(
+        refused,
+        overlap=wall_overlap(place.points, b, best.transform),
+        score=score,
+        second=None if rival is None else _score(rival.members) / score,
+        agreeing=len(held),
+        chi2=best.chi2 if held else None,
+        alike=best.seen.share,
+        rival=None if rival is None else frozen(rival.transform),
+        closures=tuple(c for _, c in checked),
+    )
+    why = _why_refused(pair, told, best, rival, tried, cfg.votes if start is None else cfg.known_votes)
+    if why:
+        return replace(told, reason=why, overlap=None if "too little overlap" in why else told.overlap)
+    reason = (
+        f"merged on {len(held)} closures that agree within {_spread(held, b, best.transform):.2f} m: "
+        f"{100 * best.seen.share:.0f} % of what both robots saw is alike"
+    )
+    return replace(
+        told, merged=True, reason=reason, transform=frozen(best.transform), covariance=frozen(best.covariance)
+    )
+
+
+def _why_refused(pair: _Pair, told: Merge, best: Candidate, rival: Candidate | None, tried: int, needed: int) -> str:
+    """The reason in words, empty when there is none. The most telling cause comes first."""
+    cfg = pair.cfg
+    good = best.seen.share >= cfg.alike and best.seen.alike >= cfg.least_seen
+    evidence = best.evidence(cfg.alike)
+    if good and (along := _slides(pair, best)) is not None:
+        return f"a corridor: {along} is not held, the maps may slide along it"
+    if good and rival is not None and cfg.lead * rival.evidence(cfg.alike) > evidence:
+        which = f"two places of {pair.b.robot} in the map of {pair.a.robot}"
+        first, second = (f"{words(c.transform)}, {100 * c.seen.share:.0f} %" for c in (best, rival))
+        return f"{which} fit equally well: {first} of what both saw is alike, and {second}"
+    if not good and best.seen.alike + best.seen.through >= cfg.least_seen:
+        return (
+            f"too little overlap: no place fits {tried} submaps; in the best, {pair.b.robot} at "
+            f"{words(best.transform)} in the map of {pair.a.robot}, each robot saw "
+            f"through walls of the other ({100 * best.seen.share:.0f} % alike, {100 * cfg.alike:.0f} % are needed)"
+        )
+    if not good or told.agreeing < needed:
+        return (
+            f"too little overlap: {told.agreeing} submaps agree on a place, {needed} are needed "
+            f"(best score {told.score:.2f})"
+        )
+    return ""
+
+
+def _closures(pair: _Pair, best: Candidate) -> list[tuple[Hypothesis, MapClosure]]:
+    """Every submap near the other map under the best transform, and whether it confirms it."""
+    a, b, place, cfg = pair
+    found = confirmed(a, b, place, best.transform, cfg)
+    rows = [_closure(a, b, h, best, cfg) for h in found]
+    fit = [k for k, c in enumerate(rows) if c.accepted]
+    held = {fit[k] for k in _consistent(pair, [found[k] for k in fit], [rows[k] for k in fit])}
+    for k in fit:
+        if k not in held:
+            rows[k] = replace(rows[k], accepted=False, reason="it contradicts the other closures")
+    return list(zip(found, rows, strict=True))
+
+
+def _closure(a: KeyframeMap, b: KeyframeMap, h: Hypothesis, best: Candidate, cfg: MergeConfig) -> MapClosure:
+    """A hypothesis as a measurement from the nearest keyframe of a."""
+    pose = h.fit.pose
+    near = int(np.argmin(np.hypot(*(a.pose[:, :2] - pose[:2]).T)))
+    e = se2.between(se2.compose(best.transform, b.pose[h.anchor]), pose)
+    A = adjoint(se2.inverse(b.pose[h.anchor]))
+    S = A @ best.covariance @ A.T + h.fit.covariance + np.diag([0.05**2, 0.05**2, 0.01**2])
+    reason = "it confirms the transform"
+    if h.score <= cfg.score:
+        reason = f"it scores {h.score:.2f}, more than {cfg.score:.2f} is needed"
+    elif h.fit.share <= cfg.share:
+        reason = f"{100 * h.fit.share:.0f} % of its points lie on walls, more than {100 * cfg.share:.0f} % is needed"
+    elif np.hypot(*e[:2]) > cfg.agree or abs(e[2]) > cfg.agree_turn:
+        reason = f"it lies {np.hypot(*e[:2]):.2f} m and {np.degrees(abs(e[2])):.1f} degrees from the transform"
+    return MapClosure(
+        first=near,
+        second=h.anchor,
+        measured=frozen(se2.between(a.pose[near], pose)),
+        information=h.fit.information,
+        score=h.score,
+        ratio=h.ratio,
+        share=h.fit.share,
+        nis=float(e @ np.linalg.solve(S, e)),
+        accepted=reason.startswith("it confirms"),
+        reason=reason,
+    )
+
+
+def _consistent(pair: _Pair, found: Sequence[Hypothesis], rows: Sequence[MapClosure]) -> list[int]:
+    """The largest set of closures whose cycles are all within the covariances of matches and ways."""
+    if not rows:
+        return []
+    a, b, _, cfg = pair
+    first, second = [c.first for c in rows], [c.second for c in rows]
+    P = np.array([h.fit.covariance for h in found])
+    squares = cycle_squares(
+        a.pose[first],
+        b.pose[second],
+        np.array([c.measured for c in rows]),
+        P,
+        _ways(a, first, cfg),
+        _ways(b, second, cfg),
+    )
+    return list(largest_clique((squares <= CYCLE_GATE) & ~np.eye(len(rows), dtype=bool)).members)
+
+
+def _ways(m: KeyframeMap, at: Sequence[int], cfg: MergeConfig) -> np.ndarray:
+    """(n, n, 3, 3) covariance of the way between two keyframes by its length: what a map may be bent by."""
+    path = m.path[list(at)]
+    length = np.abs(path[:, None] - path[None, :])
+    out = np.zeros((*length.shape, 3, 3))
+    out[..., 0, 0] = out[..., 1, 1] = np.square(0.02 + cfg.drift * length)
+    out[..., 2, 2] = np.square(0.002 + cfg.drift_turn * np.sqrt(length))
+    return out
+
+
+def _slides(pair: _Pair, best: Candidate) -> str | None:
+    """Words for a direction along which the maps may be pushed without contradiction; None when they hold."""
+    cfg = pair.cfg
+    total = np.zeros((2, 2))
+    for h in best.members:
+        across = np.array([-h.fit.weak[1], h.fit.weak[0]])
+        total += h.fit.held[0] * np.outer(h.fit.weak, h.fit.weak) + h.fit.held[1] * np.outer(across, across)
+    values, vectors = np.linalg.eigh(total)
+    along = (
+        f"the direction of {np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])) % 180.0:.0f} degrees in the map of "
+        f"{pair.a.robot}"
+    )
+    if values[0] < cfg.held * values[1]:
+        return along
+    for step in cfg.slide:
+        for sign in (-1.0, 1.0):
+            pushed = best.transform + sign * step * np.array([*vectors[:, 0], 0.0])
+            seen = seen_alike(pair.a, pair.b, pushed)
+            if cfg.push_lead * best._replace(seen=seen).evidence(cfg.alike) > best.evidence(cfg.alike):
+                return along
+    return None
+
+
+def _score(members: Sequence[Hypothesis]) -> float:
+    return float(np.median([h.score for h in members]))
+
+
+def _spread(held: Sequence[Hypothesis], b: KeyframeMap, T: np.ndarray) -> float:
+    e = np.array([se2.between(se2.compose(T, b.pose[h.anchor]), h.fit.pose) for h in held])
+    return float(np.sqrt(np.mean(np.square(e[:, :2]).sum(axis=1))))
+
+
+def words(T: Float[np.ndarray, "3"]) -> str:
+    """A transform for people to read."""
+    return f"({T[0]:.1f} m, {T[1]:.1f} m, {np.degrees(T[2]):.0f} degrees)"
+
+
+def _swapped(m: Merge) -> Merge:
+    """The same decision with a and b exchanged."""
+    T = P = None
+    if m.transform is not None and m.covariance is not None:
+        T = frozen(se2.inverse(m.transform))
+        A = adjoint(m.transform)
+        P = frozen(symmetrise(A @ m.covariance @ A.T))
+    closures = tuple(
+        replace(
+            c,
+            first=c.second,
+            second=c.first,
+            measured=frozen(se2.inverse(c.measured)),
+            information=_turned(c.measured, c.information),
+        )
+        for c in m.closures
+    )
+    rival = None if m.rival is None else frozen(se2.inverse(m.rival))
+    return replace(m, a=m.b, b=m.a, transform=T, covariance=P, rival=rival, closures=closures)
+
+
+def _turned(measured: np.ndarray, information: np.ndarray) -> np.ndarray:
+    """The information of the inverse pose, in the other end's frame."""
+    A = adjoint(se2.inverse(measured))
+    return symmetrise(A.T @ information @ A)

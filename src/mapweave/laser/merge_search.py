@@ -1,0 +1,223 @@
+"""How two maps may lie: submaps of one searched for in the whole of the other, and transforms on which they agree."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..core import se2
+from ..core.config import config
+from ..core.gaussian import symmetrise
+from .consistency import adjoint, largest_clique
+from .map_overlap import KeyframeMap, SeenAlike, seen_alike
+from .place_search import Fit, Hit, LikelihoodField, PlaceConfig, Window, everywhere, likelihood_field, refine, search
+from .pose_graph import PoseGraph
+from .robust_graph import RobustGraphConfig, solve_graph
+from .submaps import Query, SubmapConfig, gathered, query_around
+
+
+@config
+class MergeConfig:
+    every: int = 12  # keyframes between submaps searched for everywhere
+    small: int = 4  # keyframes around the middle of the small ones searched for beside them
+    dense: int = 4  # keyframes between submaps that confirm a transform
+    most_dense: int = 60  # of those
+    least: float = 0.3  # score of a hypothesis
+    least_ratio: float = 0.7  # of its submap's best: a second place that is a hypothesis too
+    score: float = 0.6  # more: a submap that confirms,
+    share: float = 0.5  # more of its points are inliers
+    agree: float = 0.6  # [m] and
+    agree_turn: float = 0.1  # [rad] that hypotheses which agree may differ at each other's place
+    candidates: int = 16  # transforms looked into
+    votes: int = 4  # submaps that confirm, at least
+    known_votes: int = 3  # at least, inside the window of a start that was given
+    lead: float = 8.0  # times the evidence of any other place that is not contradicted
+    push_lead: float = 2.5  # times that of the same place pushed along its worst direction
+    alike: float = 0.9  # share of what both saw on which they agree
+    least_seen: int = 150  # points both saw
+    held: float = 0.02  # information along the worst direction over that along the best
+    slide: tuple[float, ...] = (0.8, 1.6, 3.0)  # [m] the map is pushed along its worst direction as a test
+    drift: float = 0.01  # [m per m] sd of a map's own ways,
+    drift_turn: float = 0.002  # [rad per sqrt m]
+    place: PlaceConfig = PlaceConfig()
+    submap: SubmapConfig = SubmapConfig()
+
+
+class Start(NamedTuple):
+    """Where map b is said to lie in map a, and with what standard deviations [m, m, rad]."""
+
+    transform: Float[np.ndarray, "3"]
+    sd: Float[np.ndarray, "3"]
+
+
+class Hypothesis(NamedTuple):
+    """The submap around keyframe `anchor` of map b lies at `fit.pose` in map a; so the maps lie as `transform` says.
+
+    score: of the search; ratio: of the second place over the best.
+    """
+
+    anchor: int
+    transform: Float[np.ndarray, "3"]
+    score: float
+    ratio: float
+    fit: Fit
+
+
+class Candidate(NamedTuple):
+    """A transform T_a_b some hypotheses agree on, its covariance in b's frame, and what the views of both say of it."""
+
+    transform: Float[np.ndarray, "3"]
+    covariance: Float[np.ndarray, "3 3"]
+    chi2: float
+    members: tuple[Hypothesis, ...]
+    seen: SeenAlike
+
+    def evidence(self, alike: float) -> float:
+        """Points seen alike less those seen through, weighed so that it is 0 where the share alike is `alike`."""
+        return self.seen.alike - alike / (1.0 - alike) * self.seen.through
+
+
+def whole_place(a: KeyframeMap, cfg: MergeConfig, *, featured: bool) -> LikelihoodField:
+    """All walls of a map as one place; with brightness when it has some and it is `featured`."""
+    cloud, q = gathered(a.pose, a.points, range(len(a.pose)), np.zeros(3), cfg.submap.voxel, a.q if featured else None)
+    return likelihood_field(cloud, q, cfg.place)
+
+
+def hypotheses(
+    b: KeyframeMap, place: LikelihoodField, cfg: MergeConfig, start: Start | None
+) -> tuple[list[Hypothesis], int]:
+    """Where submaps of b, large and small, may lie in the place, the best and the second of each; and how many were
+    searched for.
+    """
+    found: list[Hypothesis] = []
+    tried = 0
+    for around, every in ((cfg.submap.around, cfg.every), (cfg.small, max(1, cfg.every // 2))):
+        size = _sized(cfg.submap, around)
+        for anchor in range(min(every // 2, len(b.pose) - 1), len(b.pose), every):
+            query = query_around(b.pose, b.points, anchor, b.q, size)
+            if len(query.points) < 30:
+                continue
+            tried += 1
+            window = everywhere(place) if start is None else _start_window(start, b.pose[anchor])
+            places = search(place, query.points, window, query.q, least=cfg.least, least_ratio=cfg.least_ratio)
+            hits = [hit for hit in (places.best, places.second) if hit is not None]
+            found += [_hypothesis(b, place, query, hit, places.ratio) for hit in hits]
+    return found, tried
+
+
+def candidates(a: KeyframeMap, b: KeyframeMap, found: Sequence[Hypothesis], cfg: MergeConfig) -> list[Candidate]:
+    """The transforms that most hypotheses agree on, each from hypotheses of its own; most evidence first."""
+    agreeing = agreement(b, found, cfg)
+    left = list(range(len(found)))
+    out: list[Candidate] = []
+    while left and len(out) < cfg.candidates:
+        members = largest_clique(agreeing[np.ix_(left, left)]).members
+        if len(members) < 2:  # of single ones the best scores
+            left.sort(key=lambda k: -found[k].score)
+            members = (0,)
+        group = [found[left[k]] for k in members]
+        out.append(candidate(a, b, group, cfg))
+        at = [out[-1].transform]
+        gone = {left[k] for k in members} | {k for k in left if same_place(b, found[k].transform, at[0], cfg)}
+        left = [k for k in left if k not in gone]
+    return sorted(out, key=lambda c: -c.evidence(cfg.alike))
+
+
+def candidate(a: KeyframeMap, b: KeyframeMap, group: Sequence[Hypothesis], cfg: MergeConfig) -> Candidate:
+    """The transform on which a group of hypotheses meets."""
+    T, P, chi2 = meeting(b, group, cfg)
+    return Candidate(T, P, chi2, tuple(group), seen_alike(a, b, T))
+
+
+def confirmed(
+    a: KeyframeMap, b: KeyframeMap, place: LikelihoodField, transform: Float[np.ndarray, "3"], cfg: MergeConfig
+) -> list[Hypothesis]:
+    """Every submap of b that would overlap a under `transform`, searched for near where it should lie."""
+    there = se2.compose(transform, b.pose)
+    d = np.hypot(*(there[:, None, :2] - a.pose[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
+    near = [k for k in range(0, len(b.pose), cfg.dense) if d[k] < 6.0]
+    if len(near) > cfg.most_dense:
+        near = [near[k] for k in np.linspace(0, len(near) - 1, cfg.most_dense).round().astype(int).tolist()]
+    size, out = _sized(cfg.submap, 2 * cfg.small), []
+    for anchor in near:
+        query = query_around(b.pose, b.points, anchor, b.q, size)
+        if len(query.points) < 30:
+            continue
+        window = Window(there[anchor], (2.0 * cfg.agree, 2.0 * cfg.agree), 2.0 * cfg.agree_turn)
+        places = search(place, query.points, window, query.q, least=cfg.least)
+        if places.best is not None:
+            out.append(_hypothesis(b, place, query, places.best, places.ratio))
+    return out
+
+
+def agreement(b: KeyframeMap, found: Sequence[Hypothesis], cfg: MergeConfig) -> Bool[np.ndarray, "n n"]:
+    """Which hypotheses put each other's submap into the same place; those of one submap never do."""
+    if not found:
+        return np.zeros((0, 0), dtype=bool)
+    T = np.array([h.transform for h in found])
+    anchor = np.array([h.anchor for h in found], dtype=np.int64)
+    at = b.pose[anchor]
+    here = se2.compose(T[:, None], at[None, :])  # [k, l]: submap l as hypothesis k has it
+    own = se2.compose(T, at)
+    d = se2.between(own[None, :], here)
+    far = np.abs(b.path[anchor][:, None] - b.path[anchor][None, :])
+    near = (np.hypot(d[..., 0], d[..., 1]) <= cfg.agree + cfg.drift * far) & (
+        np.abs(d[..., 2]) <= cfg.agree_turn + cfg.drift_turn * np.sqrt(far)
+    )
+    return np.asarray(near & near.T & (anchor[:, None] != anchor[None, :]))
+
+
+def same_place(b: KeyframeMap, one: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"], cfg: MergeConfig) -> bool:
+    """Whether two transforms put the middle of b's walls into the same place, twice the agreement apart at most."""
+    middle = se2.compose(np.array([*b.pose[:, :2].mean(axis=0), 0.0]), np.zeros(3))
+    d = se2.between(se2.compose(one, middle), se2.compose(other, middle))
+    return bool(np.hypot(*d[:2]) <= 2.0 * cfg.agree and abs(d[2]) <= 2.0 * cfg.agree_turn)
+
+
+def meeting(
+    b: KeyframeMap, group: Sequence[Hypothesis], cfg: MergeConfig
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"], float]:
+    """T_a_b on which a group of hypotheses meets, its covariance in b's frame, and their chi-square.
+
+    Each counts by its match and by how far its map may be bent between it and the middle of the group.
+    """
+    middle = float(np.median([b.path[h.anchor] for h in group]))
+    z, information = [], []
+    for h in group:
+        far = abs(float(b.path[h.anchor]) - middle)
+        bent = np.array([0.03 + cfg.drift * far, 0.03 + cfg.drift * far, 0.005 + cfg.drift_turn * np.sqrt(far)])
+        A = adjoint(b.pose[h.anchor])
+        z.append(h.transform)
+        information.append(symmetrise(np.linalg.inv(A @ (h.fit.covariance + np.diag(bent**2)) @ A.T)))
+    first = max(group, key=lambda h: h.score).transform
+    graph = PoseGraph.of(np.stack([np.zeros(3), first]), [(0, 1)] * len(z), z, information)
+    solved = solve_graph(graph, RobustGraphConfig(method="cauchy"), doubtful=np.ones(len(z), dtype=bool))
+    T = solved.graph.pose[1]
+    R = np.eye(3)
+    R[:2, :2] = se2.rotation(float(T[2]))
+    covariance = solved.covariances()[1] if solved.component.max() == 0 else np.diag([1.0, 1.0, 0.1])
+    return T, symmetrise(R.T @ covariance @ R), solved.chi2
+
+
+def _hypothesis(b: KeyframeMap, place: LikelihoodField, query: Query, hit: Hit, ratio: float) -> Hypothesis:
+    fit = refine(place, query.points, hit.pose)
+    home = se2.inverse(b.pose[query.anchor])
+    return Hypothesis(query.anchor, se2.compose(fit.pose, home), hit.score, ratio, fit)
+
+
+def _sized(cfg: SubmapConfig, around: int) -> SubmapConfig:
+    return SubmapConfig(
+        around=around,
+        voxel=cfg.voxel,
+        query_before=cfg.query_before,
+        query_voxel=cfg.query_voxel,
+        query_points=cfg.query_points,
+    )
+
+
+def _start_window(start: Start, pose: np.ndarray) -> Window:
+    """Three standard deviations round where the start puts a keyframe, a metre and 0.2 rad at least."""
+    sd = np.maximum(3.0 * np.asarray(start.sd), [1.0, 1.0, 0.2])
+    reach = float(np.hypot(sd[0], sd[1]) + min(float(sd[2]), 1.0) * np.hypot(*pose[:2]))
+    return Window(se2.compose(start.transform, pose), (reach, reach), float(sd[2]))

@@ -1,0 +1,151 @@
+"""Two robots' maps made one or refused: small worlds whose answer is known."""
+
+import numpy as np
+import pytest
+
+from mapweave.core import se2
+from mapweave.core.errors import DataError
+from mapweave.core.walls import Walls
+from mapweave.laser.map_overlap import KeyframeMap, seen_alike, wall_overlap
+from mapweave.laser.merge import merge_maps
+from mapweave.laser.merge_search import Start
+from mapweave.sim.laser_pairs import PairConfig, drive_pair
+from mapweave.sim.office_floor import office_floor
+
+SMALL = PairConfig(keyframes=130, beams=120)
+
+
+def office_pair(seed, share, cfg=SMALL):
+    floor = office_floor(600.0, seed)
+    walls = Walls.of(floor.world.segments)
+    return drive_pair(walls, floor.lower + 4.0, floor.upper - 4.0, share, np.random.default_rng([seed, 3]), cfg)
+
+
+def box(x0, y0, x1, y1):
+    return [[x0, y0, x1, y0], [x1, y0, x1, y1], [x1, y1, x0, y1], [x0, y1, x0, y0]]
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return office_pair(3, 0.8)
+
+
+@pytest.fixture(scope="module")
+def merge(pair):
+    return merge_maps(pair.a, pair.b)
+
+
+def test_maps_with_unknown_starts_are_merged_where_they_belong(pair, merge):
+    assert merge.merged, merge.reason
+    error = se2.between(merge.transform, pair.transform)
+    assert np.hypot(*error[:2]) < 0.2
+    assert abs(error[2]) < 0.03
+    assert error @ np.linalg.solve(merge.covariance, error) < 60.0
+    assert "merged on" in merge.reason
+    assert merge.overlap > 0.4
+    assert merge.agreeing == sum(c.accepted for c in merge.closures)
+    for c in merge.closures:
+        if c.accepted:
+            seen = se2.compose(pair.a.pose[c.first], c.measured)
+            there = se2.compose(merge.transform, pair.b.pose[c.second])
+            assert np.hypot(*(seen - there)[:2]) < 0.6
+        else:
+            assert c.reason
+            assert not c.reason.startswith("it confirms")
+
+
+def test_the_row_for_the_metrics_has_every_key(merge):
+    row = merge.row()
+    for key in ("a", "b", "overlap", "score", "second", "agreeing", "chi2", "decision", "reason"):
+        assert row[key] is not None, key
+    assert (row["a"], row["b"], row["decision"]) == ("robot1", "robot2", "merged")
+
+
+def test_the_other_order_gives_the_inverse(pair, merge):
+    back = merge_maps(pair.b, pair.a)
+    assert back.merged
+    assert (back.a, back.b) == ("robot2", "robot1")
+    both = se2.compose(merge.transform, back.transform)
+    assert np.abs(both).max() < (0.15 if len(pair.a.pose) == len(pair.b.pose) else 1e-9)
+    c = next(c for c in back.closures if c.accepted)
+    seen = se2.compose(pair.b.pose[c.first], c.measured)
+    assert np.hypot(*(seen - se2.compose(back.transform, pair.a.pose[c.second]))[:2]) < 0.6
+
+
+def test_a_start_that_is_wrong_is_overruled_by_the_scans(pair, merge):
+    false = Start(se2.compose(merge.transform, np.array([9.0, 4.0, 1.2])), np.array([0.5, 0.5, 0.1]))
+    told = merge_maps(pair.a, pair.b, start=false)
+    if told.merged:
+        assert np.abs(se2.between(told.transform, merge.transform))[:2].max() < 0.2
+        assert "the scans overrule the start that was given" in told.reason
+    else:
+        assert "near the start that was given" in told.reason
+    near = Start(se2.compose(pair.transform, np.array([0.4, -0.3, 0.05])), np.array([0.5, 0.5, 0.1]))
+    told = merge_maps(pair.a, pair.b, start=near)
+    assert told.merged
+    assert "overrule" not in told.reason
+    assert np.abs(se2.between(told.transform, pair.transform))[:2].max() < 0.2
+
+
+def test_different_buildings_are_refused_with_the_reason(pair):
+    other = office_pair(21, 0.5)
+    told = merge_maps(pair.a, other.b)
+    assert not told.merged
+    assert told.transform is None
+    assert "overlap" in told.reason or "fit equally well" in told.reason
+
+
+def test_in_a_flush_corridor_the_direction_that_is_not_held_is_named():
+    walls = Walls.of(np.array(box(-25.0, 0.0, 85.0, 2.5)))
+    rng = np.random.default_rng(8)
+    made = drive_pair(walls, np.zeros(2), np.array([60.0, 2.5]), 0.5, rng, PairConfig(keyframes=100, beams=120))
+    told = merge_maps(made.a, made.b)
+    assert not told.merged
+    assert "a corridor" in told.reason
+    assert "is not held" in told.reason
+    angle = float(told.reason.split("direction of ")[1].split(" ")[0])
+    frame = made.a if "the map of robot1" in told.reason else made.b
+    way = np.linalg.svd(frame.pose[:, :2] - frame.pose[:, :2].mean(axis=0))[2][0]
+    apart = abs(angle - np.degrees(np.arctan2(way[1], way[0])) % 180.0)
+    assert min(apart, 180.0 - apart) < 5.0
+
+
+def test_a_building_that_looks_the_same_turned_round_is_refused_with_both_places():
+    rng = np.random.default_rng(4)
+    parts = [[-12.0, 4.0, 0.0, 4.0], [-12.0, -4.0, 0.0, -4.0], [-12.0, -4.0, -12.0, 4.0]]
+    parts += [
+        [-8.0, 1.0, -8.0, 4.0],
+        [-5.0, -4.0, -5.0, 0.5],
+        *box(-10.5, -2.5, -9.5, -1.5),
+        *box(-3.0, 2.4, -1.8, 3.2),
+    ]
+    half = np.array(parts)
+    walls = Walls.of(np.concatenate([half, -half]))
+    made = drive_pair(walls, np.array([-12.0, -4.0]), np.array([12.0, 4.0]), 1.0, rng, SMALL)
+    told = merge_maps(made.a, made.b)
+    assert not told.merged
+    assert "fit equally well" in told.reason
+    assert told.rival is not None
+
+
+def test_what_one_saw_through_speaks_against_a_transform(pair):
+    true = seen_alike(pair.a, pair.b, pair.transform)
+    assert true.share > 0.95
+    assert true.alike > 150
+    shifted = seen_alike(pair.a, pair.b, se2.compose(np.array([1.5, 1.0, 0.3]), pair.transform))
+    assert shifted.share < 0.85
+    far = seen_alike(pair.a, pair.b, np.array([500.0, 0.0, 0.0]))
+    assert (far.alike, far.through, far.share) == (0, 0, 0.0)
+    walls = np.concatenate([se2.act(p, c) for p, c in zip(pair.a.pose, pair.a.points, strict=True)])
+    assert wall_overlap(walls, pair.b, pair.transform) > 0.5
+    assert wall_overlap(walls, pair.b, np.array([500.0, 0.0, 0.0])) == 0.0
+
+
+def test_maps_that_hold_nothing_are_told():
+    with pytest.raises(DataError, match="0 keyframes"):
+        KeyframeMap("robot1", np.zeros((0, 3)), [])
+    empty = KeyframeMap("robot1", np.zeros((2, 3)), [np.zeros((0, 2))] * 2)
+    with pytest.raises(DataError, match="found none"):
+        merge_maps(empty, empty)
+    lonely = KeyframeMap("robot2", np.zeros((1, 3)), [np.random.default_rng(0).normal(0, 3, (200, 2))])
+    assert not merge_maps(lonely, lonely).merged
