@@ -33,8 +33,10 @@ def main() -> int:
         return subprocess.run([str(python), "-m", "mapweave", "demo", *more], check=False).returncode
     usual = {"-n": "-nauto", "--dist": "--dist=worksteal", "--durations": "--durations=15"}
     words = [word for name, word in usual.items() if not any(given.startswith(name) for given in more)]
-    # one thread a process: the workers share the cores
-    environ = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "Agg"} | os.environ
+    # one thread a process: the workers share the cores; shapes are checked at run time where everything is
+    environ = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
+    environ["MAPWEAVE_TYPECHECK"] = "1" if "--all" in more else "0"
+    environ |= os.environ
     return subprocess.run([str(python), "-m", "pytest", *words, *more], cwd=HERE, env=environ, check=False).returncode
 
 
