@@ -26,18 +26,18 @@ def identify(maps: Sequence[LandmarkMap], robots: Sequence[str], cfg: IdentityCo
     """
     classes: dict[tuple[int, str], set[tuple[int, str]]] = {(k, i): {(k, i)} for k, m in enumerate(maps) for i in m.ids}
     matched: set[int] = set()
-    doubts: dict[int, str] = {}
-    found = []
+    refusals: dict[int, str] = {}
+    matches = []
     for a in range(len(maps)):
         for b in range(a + 1, len(maps)):
             match = match_maps(maps[a], maps[b], cfg)
             if match.accepted:
-                found.append((-len(match.links), match.chi2 / max(match.dof, 1), a, b, match.links))
+                matches.append((-len(match.links), match.chi2 / max(match.dof, 1), a, b, match.links))
                 matched |= {a, b}
             else:
-                doubts.setdefault(a, f"with {robots[b]}: {match.reason}")
-                doubts.setdefault(b, f"with {robots[a]}: {match.reason}")
-    for _, _, a, b, links in sorted(found, key=lambda f: f[:4]):
+                refusals.setdefault(a, f"with {robots[b]}: {match.reason}")
+                refusals.setdefault(b, f"with {robots[a]}: {match.reason}")
+    for _, _, a, b, links in sorted(matches, key=lambda f: f[:4]):
         for i, j in links:
             one, two = classes[a, maps[a].ids[i]], classes[b, maps[b].ids[j]]
             if one is not two and not {k for k, _ in one} & {k for k, _ in two}:
@@ -46,7 +46,7 @@ def identify(maps: Sequence[LandmarkMap], robots: Sequence[str], cfg: IdentityCo
     names = _names(maps, robots, classes)
     renamed = [LandmarkMap(tuple(names[k, i] for i in m.ids), m.mean, m.cov, m.frame) for k, m in enumerate(maps)]
     labels = {k: {i: names[k, i] for i in m.ids if names[k, i] != i} for k, m in enumerate(maps)}
-    lonely = {k: why for k, why in doubts.items() if k not in matched}
+    lonely = {k: why for k, why in refusals.items() if k not in matched}
     return Identified(tuple(renamed), labels, lonely)
 
 

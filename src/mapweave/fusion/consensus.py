@@ -136,7 +136,7 @@ class Consensus:
         held = np.bincount(names, weight, minlength=n)
         return np.where(held[:, None] > 0, total / np.where(held > 0, held, 1.0)[:, None], np.nan)
 
-    def settle(self, sweeps: int = 2) -> None:
+    def converge(self, sweeps: int = 2) -> None:
         """Every map laid over the mean of the others again, now that all are there."""
         for _ in range(sweeps):
             for k in sorted(self.placed):

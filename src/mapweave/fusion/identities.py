@@ -72,11 +72,11 @@ def match_maps(source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig | N
     rivals = [(l, f) for l, f in found[1:] if _distinct(f.T, fit.T, source, target, cfg) and _fits(l, f, cfg)]
     rival = max((len(l) for l, _ in rivals), default=0)
     lead = _worth(links, fit, cfg) - max((_worth(l, f, cfg) for l, f in rivals), default=0.0)
-    reason = _doubt(links, fit, rival, lead, cfg)
+    reason = _refusal(links, fit, rival, lead, cfg)
     return Match(links, fit.T, fit.chi2, 2 * len(links) - 3, rival, accepted=not reason, reason=reason)
 
 
-def _doubt(links: np.ndarray, fit: JointFit, rival: int, lead: float, cfg: IdentityConfig) -> str:
+def _refusal(links: np.ndarray, fit: JointFit, rival: int, lead: float, cfg: IdentityConfig) -> str:
     k = len(links)
     if k < cfg.links:
         return f"{k} landmarks fit together, {cfg.links} are needed"

@@ -33,7 +33,7 @@ def arrange(test: PlaceTest) -> tuple[list[Consensus], dict[int, str]]:
         clusters.append(cluster)
     clusters = _merge(clusters, test)
     for cluster in clusters:
-        cluster.settle()
+        cluster.converge()
     clusters.sort(key=lambda c: (-len(c.placed), min(c.placed)))
     left = [k for cluster in clusters[1:] for k in sorted(cluster.placed)]
     reasons = ((k, _contradiction(clusters[0], test, k)) for k in left)

@@ -14,7 +14,7 @@ from .config import FuseConfig
 from .full_covariance import join
 from .initial_frames import arrange, as_cluster
 from .naive import average
-from .outlier_rejection import Doubt, find_doubts, find_exchanged, inflated, relabelled
+from .outlier_rejection import Outlier, find_exchanged, find_outliers, inflated, relabelled
 from .relative import RelativeConfig, fuse_relative
 from .result import Component, Decision, Fusion
 from .robot_sightings import FrameSightings, frame_sightings, sighting_factor
@@ -52,16 +52,16 @@ def fuse(
         recordings = None  # names were found from geometry: they have one meaning now
     before = landmarks
     origins = ["" if recordings is None else recordings.get(name, "") for name in names]
-    landmarks, starts, doubts, refused = _prepare(PlaceTest(landmarks, names, origins, cfg))
+    landmarks, starts, outliers, refused = _prepare(PlaceTest(landmarks, names, origins, cfg))
     refused = nameless | refused
     for k, (old, new) in enumerate(zip(before, landmarks, strict=True)):
         _relabel(labels, sound[k], dict(zip(old.ids, new.ids, strict=True)))
-    warnings += _tell(names, doubts)
+    warnings += _outlier_warnings(names, outliers)
     if cfg.repeats != 1:
         warnings.append(f"every map was counted {cfg.repeats} times: overconfident by that factor")
     components = []
     for start in starts:
-        own = [inflated(landmarks[k], [d for d in doubts if d.owner == k]) for k in start.members]
+        own = [inflated(landmarks[k], [d for d in outliers if d.owner == k]) for k in start.members]
         seen = frame_sightings([sound[k] for k in start.members], start.frames) if cfg.robot_sightings else []
         joined = _join(own, start, cfg, seen) if len(own) > 1 else _alone(own[0])
         robots = tuple(names[k] for k in start.members)
@@ -71,8 +71,8 @@ def fuse(
             for i, k in enumerate(start.members)
         ]
     order = {m.robot: i for i, m in enumerate(ordered)}
-    told = tuple(sorted(decisions, key=lambda d: order[d.robot]))
-    return Fusion(tuple(components), told, tuple(warnings), labels)
+    in_given_order = tuple(sorted(decisions, key=lambda d: order[d.robot]))
+    return Fusion(tuple(components), in_given_order, tuple(warnings), labels)
 
 
 def _relabel(labels: dict[str, dict[str, str]], m: LocalMap, moved: dict[str, str]) -> None:
@@ -85,19 +85,19 @@ def _relabel(labels: dict[str, dict[str, str]], m: LocalMap, moved: dict[str, st
         labels[m.robot] = changed
 
 
-def _prepare(test: PlaceTest) -> tuple[list[LandmarkMap], list[Cluster], list[Doubt], dict[int, str]]:
+def _prepare(test: PlaceTest) -> tuple[list[LandmarkMap], list[Cluster], list[Outlier], dict[int, str]]:
     """Maps with exchanged labels put back, how they lie, what is still doubted, and which were refused."""
     clusters, refused = arrange(test)
     landmarks = list(test.maps)
-    doubts = [d for c in clusters for d in find_exchanged(c, find_doubts(c))]
-    mended = [d for d in doubts if d.belongs_to]
+    outliers = [d for c in clusters for d in find_exchanged(c, find_outliers(c))]
+    mended = [d for d in outliers if d.belongs_to]
     if mended:
         landmarks = [relabelled(m, [d for d in mended if d.owner == k]) for k, m in enumerate(landmarks)]
         clusters, refused = arrange(PlaceTest(landmarks, test.robots, test.recordings, test.cfg))
-        doubts = mended + [d for c in clusters for d in find_doubts(c)]
+        outliers = mended + [d for c in clusters for d in find_outliers(c)]
     for cluster in clusters:
-        cluster.settle()
-    return landmarks, [as_cluster(c, landmarks) for c in clusters], doubts, refused
+        cluster.converge()
+    return landmarks, [as_cluster(c, landmarks) for c in clusters], outliers, refused
 
 
 def _join(
@@ -199,21 +199,23 @@ def _unsound(m: LocalMap) -> str | None:
     return None
 
 
-def _tell(names: Sequence[str], doubts: Sequence[Doubt]) -> list[str]:
-    told: list[str] = []
-    for k in sorted({d.owner for d in doubts}):
-        mine = [d for d in doubts if d.owner == k]
+def _outlier_warnings(names: Sequence[str], outliers: Sequence[Outlier]) -> list[str]:
+    warnings: list[str] = []
+    for k in sorted({d.owner for d in outliers}):
+        mine = [d for d in outliers if d.owner == k]
         moved = [d for d in mine if d.belongs_to]
         if moved:
             labels = " and ".join(sorted((d.id for d in moved), key=in_order))
             which = " (or the other robot's: only two see them)" if any(d.alone for d in moved) else ""
             worst = max(d.residual for d in moved)
-            told.append(f"{names[k]}: labels {labels} look exchanged{which}, {worst:.2f} m off as they are: put back")
+            warnings.append(
+                f"{names[k]}: labels {labels} look exchanged{which}, {worst:.2f} m off as they are: put back"
+            )
         for d in mine:
             if not d.belongs_to:
                 alone = " (only two see it: either may be wrong)" if d.alone else ""
-                told.append(
+                warnings.append(
                     f"{names[k]}: landmark {d.id} lies {d.residual:.2f} m from where the others put it{alone}: "
                     "hardly counted"
                 )
-    return told
+    return warnings

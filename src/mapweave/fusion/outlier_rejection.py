@@ -12,7 +12,7 @@ from .consensus import Consensus
 
 
 @dataclass(frozen=True, slots=True)
-class Doubt:
+class Outlier:
     """Map `owner` puts landmark `id` `residual` [m] from where the others do.
 
     belongs_to: the label it should carry where labels look exchanged (then mended), else None (then its variance is
@@ -26,12 +26,12 @@ class Doubt:
     alone: bool = False
 
 
-def find_doubts(cluster: Consensus) -> list[Doubt]:
+def find_outliers(cluster: Consensus) -> list[Outlier]:
     """The landmarks of the cluster that do not fit, worst first, each judged against the maps that still count.
 
     On return they count no more in `cluster`, whose maps are laid over each other again without them.
     """
-    doubts: list[Doubt] = []
+    outliers: list[Outlier] = []
     while True:
         judged = {k: _leave_one_out(cluster, k) for k in sorted(cluster.placed)}
         k = max(judged, key=lambda k: judged[k][0].max(initial=0.0))
@@ -46,15 +46,15 @@ def find_doubts(cluster: Consensus) -> list[Doubt]:
         for entry in here if alone else [e]:
             cluster.drop(np.array([entry]))
             owner = int(cluster.entries.owner[entry])
-            doubts.append(Doubt(owner, cluster.entries.ids[name], residual, None, alone))
-    return doubts
+            outliers.append(Outlier(owner, cluster.entries.ids[name], residual, None, alone))
+    return outliers
 
 
-def find_exchanged(cluster: Consensus, doubts: Sequence[Doubt]) -> list[Doubt]:
-    """`doubts` with `belongs_to` filled in where a map's doubted places fit its doubted labels in another order."""
-    out = list(doubts)
+def find_exchanged(cluster: Consensus, outliers: Sequence[Outlier]) -> list[Outlier]:
+    """`outliers` with `belongs_to` filled in where a map's doubted places fit its doubted labels in another order."""
+    out = list(outliers)
     settled: set[str] = set()
-    for k in sorted({d.owner for d in doubts}, reverse=True):
+    for k in sorted({d.owner for d in outliers}, reverse=True):
         mine = [i for i, d in enumerate(out) if d.owner == k and d.id not in settled]
         if len(mine) < 2:
             continue
@@ -70,27 +70,27 @@ def find_exchanged(cluster: Consensus, doubts: Sequence[Doubt]) -> list[Doubt]:
             residual = out[mine[a]].residual
             if a != b and distance[a, b] < min(cluster.cfg.gate, 0.5 * residual):
                 d = out[mine[a]]
-                out[mine[a]] = Doubt(k, d.id, d.residual, cluster.entries.ids[names[b]], d.alone)
+                out[mine[a]] = Outlier(k, d.id, d.residual, cluster.entries.ids[names[b]], d.alone)
         sent = {out[i].id for i in mine if out[i].belongs_to}
         got = {out[i].belongs_to for i in mine if out[i].belongs_to}
         if sent != got:  # a chain that does not close would leave one label twice
             for i in mine:
-                out[i] = Doubt(k, out[i].id, out[i].residual, None, out[i].alone)
+                out[i] = Outlier(k, out[i].id, out[i].residual, None, out[i].alone)
         else:
             settled |= sent
     mended = {d.id for d in out if d.belongs_to}
     return [d for d in out if d.belongs_to or not (d.alone and d.id in mended)]
 
 
-def relabelled(landmarks: LandmarkMap, doubts: Sequence[Doubt]) -> LandmarkMap:
+def relabelled(landmarks: LandmarkMap, outliers: Sequence[Outlier]) -> LandmarkMap:
     """The map with exchanged labels put back."""
-    new = {d.id: d.belongs_to for d in doubts if d.belongs_to}
+    new = {d.id: d.belongs_to for d in outliers if d.belongs_to}
     return LandmarkMap(tuple(new.get(i, i) for i in landmarks.ids), landmarks.mean, landmarks.cov, landmarks.frame)
 
 
-def inflated(landmarks: LandmarkMap, doubts: Sequence[Doubt]) -> LandmarkMap:
+def inflated(landmarks: LandmarkMap, outliers: Sequence[Outlier]) -> LandmarkMap:
     """The map with the variance of doubted landmarks raised, so that they hardly count."""
-    wide = {d.id: d.residual**2 for d in doubts if not d.belongs_to}
+    wide = {d.id: d.residual**2 for d in outliers if not d.belongs_to}
     if not wide:
         return landmarks
     extra = np.repeat([wide.get(i, 0.0) for i in landmarks.ids], 2)
