@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mapweave.api.fuse import fuse_results
+from mapweave.api.fuse import fuse as fuse_results
 from mapweave.api.map_landmarks import map_logs
 from mapweave.api.map_options import MapOptions
 from mapweave.api.simulate_landmarks import simulate_landmarks
@@ -89,7 +89,7 @@ def test_results_of_two_rooms_stay_two_maps_and_the_reason_names_landmarks(tmp_p
     for k in (1, 2):
         simulate_landmarks(tmp_path / f"log{k}", robots=2, landmarks=8, minutes=5.0, seed=k)
         with result_directory(tmp_path / f"m{k}") as work:
-            map_logs([tmp_path / f"log{k}"], MapOptions()).write(work)
+            map_logs([tmp_path / f"log{k}"], MapOptions()).write_into(work)
     result = fuse_results([tmp_path / "m1", tmp_path / "m2"])
     assert [m.robots for m in result.maps] == [("m1/robot1", "m1/robot2"), ("m2/robot1", "m2/robot2")]
     assert result.lines()[0].startswith("2 of 4 robots in one map")

@@ -127,7 +127,7 @@ def written(folder, logs):
         warnings.simplefilter("error", RuntimeWarning)
         result = map_logs([folder / "log"], MapOptions())
         with result_directory(folder / "out") as work:
-            result.write(work)
+            result.write_into(work)
     return result
 
 

@@ -19,7 +19,7 @@ from ..io.csv_landmarks import landmark_logs_of
 from ..io.landmark_logs import is_landmark_log, read_landmark_logs
 from ..landmarks.config import EkfSlamConfig
 from ..landmarks.local_map import LocalMap
-from ..landmarks.mapping import local_map
+from ..landmarks.mapping import local_map, without_impossible
 from ..team.config import SmoothingConfig
 from ..team.smooth import Smoothed, smooth
 from ..team.team_map import TeamMap
@@ -72,7 +72,7 @@ def _configured(options: MapOptions) -> LandmarkMapConfig:
 def _map_read(
     logs: Sequence[LandmarkLog], cfg: LandmarkMapConfig, options: MapOptions, title: str, watch: Watch
 ) -> TeamResult:
-    read = _shared(list(logs), options)
+    read = [without_impossible(log, cfg.ekf) for log in _shared(list(logs), options)]
     watch.lap("read")
     local = _local_maps(read, cfg.ekf, options)
     watch.lap("estimate")
