@@ -89,7 +89,11 @@ RESULTS = {
 }
 
 
-@pytest.fixture(scope="session", params=sorted(RESULTS))
+SLOW = {"reproduce hamatani", "explore, laser"}
+PARAMS = [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in sorted(RESULTS)]
+
+
+@pytest.fixture(scope="session", params=PARAMS)
 def result(request, home):
     """One result, and the name of its file of metrics."""
     kind, make, file = RESULTS[request.param]
