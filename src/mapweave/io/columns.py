@@ -26,14 +26,14 @@ def table_of(given: Columns, label: str) -> Table:
     Numbers stay arrays, anything else becomes text. Raises DataError for what has no columns, for columns of unequal
     length and for one of several dimensions.
     """
-    columns: dict[str, Sequence[str]] = {}
+    columns: dict[str, Sequence[str] | np.ndarray] = {}
     for name in _names(given, label):
         values = np.asarray(given[name])
         if values.ndim != 1:
             raise DataError(f"{label}: expected one value a row for {name}, found the shape {values.shape}")
         key = str(name).strip().lower()
         numeric = values.dtype.kind in "fiub" and key not in NAMED
-        columns[key] = values if numeric else [_as_text(v) for v in values.tolist()]  # type: ignore[assignment]
+        columns[key] = values if numeric else [_as_text(v) for v in values.tolist()]
     sizes = {name: len(column) for name, column in columns.items()}
     if len(set(sizes.values())) > 1:
         told = ", ".join(f"{name} {n}" for name, n in sizes.items())

@@ -23,7 +23,7 @@ class Table:
     """Columns by lower-case name; `lines[k]` is the line of the file (or row of the Parquet table) of row k."""
 
     path: Path | str
-    columns: dict[str, Sequence[str]]
+    columns: dict[str, Sequence[str] | np.ndarray]
     lines: Sequence[int]
 
     def __len__(self) -> int:
@@ -131,7 +131,7 @@ def _read_parquet(path: Path) -> Table:
         table = parquet.read_table(path)
     except (OSError, ValueError) as error:
         raise ReaderError(path, f"expected a Parquet table: {error}") from None
-    columns: dict[str, Sequence[str]] = {}
+    columns: dict[str, Sequence[str] | np.ndarray] = {}
     for name, column in zip(table.column_names, table.columns, strict=True):
         values = column.to_numpy(zero_copy_only=False)
         numeric = values.dtype.kind in "fiu" and name.lower() not in NAMED
