@@ -25,13 +25,13 @@ class MotionNoise:
 
 @config
 class CameraNoise:
-    """How far sightings can be trusted."""
+    """How far sightings can be trusted: twice what they scatter by, since their errors last for seconds."""
 
-    range_floor: float = 0.05  # [m]
-    range_share: float = 0.045  # of the distance
-    bearing: float = 0.014  # [rad]
-    robot_range_floor: float = 0.11  # [m] of another robot, whose marks are not at its centre
-    robot_bearing: float = 0.02  # [rad]
+    range_floor: float = 0.1  # [m]
+    range_share: float = 0.09  # of the distance
+    bearing: float = 0.028  # [rad]
+    robot_range_floor: float = 0.22  # [m] of another robot, whose marks are not at its centre
+    robot_bearing: float = 0.04  # [rad]
     outlier: float = 1.0  # standard deviations from which a sighting counts less: errors of ranges are skewed
 
 

@@ -18,6 +18,7 @@ from .config import SmoothingConfig
 from .problem import PARAMETERS, TeamProblem
 
 MOST_CORRECTED = 4.0  # largest factor for what landmarks and calibration themselves took out of the residuals
+TINY = 1e-12  # keeps the factor of a prior of rank one
 CHUNK = 96  # columns of the covariance held at once
 
 
@@ -60,9 +61,9 @@ def team_covariance(team: TeamProblem, solution: Solution, cfg: SmoothingConfig)
 class _Known:
     """The information at a solution, the scores of each group of factors, and the frame they are told in.
 
-    position: (n,) of every entry of x among the free ones, -1 where it is held; scores: (groups, free); motions:
-    (n, 3), how x changes when the whole is shifted and turned; taken: (3, hubs), how much of each motion a change of
-    landmarks and calibration is.
+    position: (n,) of every entry of x among the free ones, -1 where it is held; scores: (groups, free), the last
+    `priors` of them those of priors; motions: (n, 3), how x changes when the whole is shifted and turned; taken: (3,
+    hubs), how much of each motion a change of landmarks and calibration is.
     """
 
     team: TeamProblem
@@ -70,6 +71,7 @@ class _Known:
     position: Int[np.ndarray, " n"]
     free: Int[np.ndarray, " f"]
     scores: sp.csr_matrix
+    priors: int
     motions: Float[np.ndarray, "n 3"]
     taken: Float[np.ndarray, "3 h"]
 
@@ -84,16 +86,21 @@ class _Known:
         taken = np.zeros((3, n - team.landmark_start))
         if len(team.landmarks) > 1:
             taken[:, : 2 * len(team.landmarks)] = np.linalg.pinv(motions[team.landmark_columns])
-        scores = _scores(team, solution.x, length)[:, solution.free]
-        return cls(team, solution.information, position, solution.free, scores, motions, taken)
+        known = _priors(team, solution.x)
+        scores = sp.csr_matrix(sp.vstack([_scores(team, solution.x, length), known]))[:, solution.free]
+        return cls(team, solution.information, position, solution.free, scores, known.shape[0], motions, taken)
 
     def moved(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "groups k"]:
-        """How far each group's errors move the entries `index` of x: the rows' outer products add to a covariance."""
+        """How far the errors of each group and of each prior move the entries `index` of x.
+
+        The rows' outer products add up to a covariance.
+        """
         hubs = np.arange(self.team.landmark_start, len(self.position))
         out = self._moved(index) - (self._moved(hubs) @ self.taken.T) @ self.motions[index].T
-        groups = float(len(out))
+        groups = float(len(out) - self.priors)
         shared = float(np.count_nonzero(self.free >= self.team.landmark_start))
-        return np.asarray(out * np.sqrt(groups / max(groups - shared, groups / MOST_CORRECTED)))
+        out[: len(out) - self.priors] *= np.sqrt(groups / max(groups - shared, groups / MOST_CORRECTED))
+        return np.asarray(out)
 
     def _moved(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "groups k"]:
         at = self.position[index]
@@ -142,7 +149,7 @@ def _motions(team: TeamProblem, x: Float[np.ndarray, " n"]) -> Float[np.ndarray,
 
 
 def _scores(team: TeamProblem, x: Float[np.ndarray, " n"], length: float) -> sp.csr_matrix:
-    """The pull on every variable of each robot's factors within `length` [s], (groups, n); priors are no data."""
+    """The pull on every variable of each robot's factors within `length` [s], (groups, n)."""
     begin = min(float(part.instants.t[0]) for part in team.parts)
     ends = max(float(part.instants.t[-1]) for part in team.parts)
     many = int((ends - begin) // length) + 1
@@ -153,6 +160,17 @@ def _scores(team: TeamProblem, x: Float[np.ndarray, " n"], length: float) -> sp.
             row = origin.robot * many + np.clip((origin.t - begin) // length, 0, many - 1).astype(int)
             out = out + sp.csr_matrix((g.ravel(), (np.repeat(row, g.shape[1]), term.columns.ravel())), shape=out.shape)
     return out[np.diff(out.indptr) > 0]
+
+
+def _priors(team: TeamProblem, x: Float[np.ndarray, " n"]) -> sp.csr_matrix:
+    """What one standard deviation of error of each prior would pull, (priors, n)."""
+    rows = [sp.csr_matrix((0, len(x)))]
+    for term, origin in zip(team.problem.terms, team.origins, strict=True):
+        if origin is None:
+            pull = np.linalg.cholesky(term.normal(x)[0] + TINY * np.eye(term.columns.shape[1]))[:, :, 0]
+            row = np.repeat(np.arange(len(pull)), pull.shape[1])
+            rows.append(sp.csr_matrix((pull.ravel(), (row, term.columns.ravel())), shape=(len(pull), len(x))))
+    return sp.csr_matrix(sp.vstack(rows))
 
 
 def _correlation(team: TeamProblem, robot: int, x: Float[np.ndarray, " n"], length: float) -> float:
