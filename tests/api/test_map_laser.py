@@ -16,6 +16,7 @@ from mapweave.core.errors import UsageError
 from mapweave.io.g2o import read_g2o
 from mapweave.io.grid import read_grid
 from mapweave.io.laser_logs import read_laser
+from mapweave.io.robot_graph import read_robot_graph
 from mapweave.io.table import read_table
 from mapweave.io.tum import read_tum
 
@@ -87,6 +88,21 @@ def test_the_same_seed_gives_the_same_files_and_only_timing_differs(mapped, log,
     assert {**a, "timing": 0} == {**b, "timing": 0}
 
 
+def test_the_graph_method_leaves_its_graph_its_closures_and_covariances(log, tmp_path):
+    out = tmp_path / "graph"
+    assert _run(["map", str(log), "--out", str(out), "--method", "graph", "--no-loops", "--particles", "5"]) == 0
+    robot = json.loads((out / "metrics.json").read_text())["robots"]["1"]
+    assert (robot["method"], robot["particles"]) == ("graph", 5)
+    stamps = [line.split()[0] for line in (out / "trajectories" / "robot1.tum").read_text().splitlines()]
+    rows = [line.split(",") for line in (out / "trajectories" / "robot1.cov.csv").read_text().splitlines()]
+    assert rows[0] == ["t", "xx", "xy", "yy", "xt", "yt", "tt"]
+    assert [row[0] for row in rows[1:]] == stamps
+    assert len((out / "closures.csv").read_text().splitlines()) == 1
+    graph = read_robot_graph(out / "local" / "robot1" / "robot_graph.npz")
+    assert len(read_g2o(out / "pose_graph.g2o")) == len(graph) > 2
+    assert graph.log_hash == robot["log_hash"]
+
+
 def test_several_logs_are_mapped_each_on_its_own_whatever_the_number_of_processes(tmp_path):
     logs = [str(rolling(tmp_path / "a.mcap")), str(rolling(tmp_path / "b.bag", 12))]
     outs = [tmp_path / "one", tmp_path / "two"]
@@ -150,7 +166,7 @@ SPOILED = {
 
 
 @pytest.mark.parametrize("case", sorted(SPOILED))
-@pytest.mark.parametrize("method", ["icp", "gated", "particle"])
+@pytest.mark.parametrize("method", ["icp", "gated", "particle", "graph"])
 def test_a_spoiled_log_is_mapped_all_the_same_and_says_what_was_wrong(tmp_path, case, method):
     how, told = SPOILED[case]
     path = rolling(tmp_path / "a.mcap", **how)

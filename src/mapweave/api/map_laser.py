@@ -190,7 +190,7 @@ def _configured(options: MapOptions) -> LaserConfig:
         "feature": asked.feature,
         "likelihood": asked.likelihood,
         "resample": asked.resample,
-        "graph": {"loops": False if asked.no_loops else None},
+        "graph": {"loops": False if asked.no_loops else None, "hypotheses": asked.particles},
     }
     cfg = load(LaserMapConfig, options.config, {"laser": given}).laser
     cfg.check()

@@ -18,7 +18,7 @@ class Laser:
     Parameters
     ----------
     particles
-        How many hypotheses --method particle carries (100).
+        How many hypotheses --method particle carries (100), and graph where light tells places apart.
     feature
         What a return is known by beside its place: normalised, raw or none (normalised where there is intensity).
     likelihood

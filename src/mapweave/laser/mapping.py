@@ -15,7 +15,7 @@ from ..core.records import Event, Track
 from ..core.run import run
 from ..kernels._jit import set_threads
 from . import graph_slam, icp_slam, particle_slam
-from .beam import beams
+from .beam import STEERING, beams
 from .config import LaserConfig
 from .intensity import IntensityCalibration
 from .intensity_calibration import calibrate, raw_scale
@@ -82,6 +82,13 @@ def estimator(cfg: LaserConfig, feature: Feature) -> _Begun:
     return _Begun(module, feature, gated=cfg.method == "gated")
 
 
+def hypotheses(cfg: LaserConfig, feature: Feature) -> int:
+    """How many ways the method of `cfg` carries at once in a log with this feature."""
+    if cfg.method == "graph":
+        return max(1, cfg.graph.hypotheses) if feature.name in STEERING else 1
+    return cfg.particles if cfg.method == "particle" else 1
+
+
 def scan_poses(state: Any) -> Float[np.ndarray, "m 3"]:
     """The estimate's poses at every scan so far."""
     return np.array(state.poses) if isinstance(state, icp_slam.IcpState) else particle_slam.trajectory(state)
@@ -128,7 +135,7 @@ def finish(
         odometry=log.odometry_from,
         dead_reckoning=dead,
         calibration=feature.calibration,
-        particles=cfg.particles if cfg.method == "particle" else 1,
+        particles=hypotheses(cfg, feature),
         source=log.source,
         log_hash=log.log_hash,
         dropped=dict(log.dropped),
@@ -147,7 +154,7 @@ def map_laser(
     cfg.check()
     if not len(log.scans):
         raise DataError(f"{log.source}: no scans")
-    set_threads(cfg.threads if cfg.method == "particle" else 1)
+    set_threads(cfg.threads if cfg.method in {"particle", "graph"} else 1)
     began = perf_counter()
     feature = choose_feature(log, cfg)
     calibrated = perf_counter()
