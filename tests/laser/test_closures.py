@@ -130,8 +130,8 @@ def test_only_places_of_long_ago_are_searched_by_their_own_robot():
     (found,) = search.candidates(graph, 60)
     assert graph.path[found] < graph.path[60] - 20.0
     assert search.candidates(graph, 19) == []
-    loops = SubmapLoops(replace(SubmapLoopConfig(), far=30.0))
+    loops = SubmapLoops(replace(SubmapLoopConfig(), far=50.0))
     near = loops.candidates(graph, 60)
     assert near
-    assert (graph.path[near] < graph.path[60] - 30.0).all()
+    assert (graph.path[near] < graph.path[60] - 50.0).all()
     assert loops.candidates(graph, 19) == []
