@@ -3,7 +3,9 @@
     python benchmarks/merge_trials.py [--trials N] [--seed S] [--kinds office,corridor,..]
 
 Kinds: `office` floors with 0 to 80 % of the way shared, any rotation; `corridor`, straight and flush; `symmetric`
-floors that look the same turned by 180 degrees; `repetitive` rows of equal rooms; `strangers`: two different floors.
+floors that look the same turned by 180 degrees, half of the way shared at least; `repetitive` rows of equal rooms;
+`strangers`: two different floors. On request `twins`: symmetric floors of which each robot may have seen another half:
+what they saw is what two robots in one half would see, so no method can know, and wrong merges are to be expected.
 """
 
 import argparse
@@ -38,6 +40,10 @@ def corridor(rng: np.random.Generator, share: float) -> MapPair:
 
 
 def symmetric(rng: np.random.Generator, share: float) -> MapPair:
+    return twins(rng, 0.5 + 0.5 * share)
+
+
+def twins(rng: np.random.Generator, share: float) -> MapPair:
     """Rooms of chance widths, doors and furniture along half a corridor, and all of it turned by 180 degrees."""
     parts = [[-20.0, 5.6, 0.0, 5.6], [-20.0, -5.6, 0.0, -5.6], [-20.0, -5.6, -20.0, 5.6]]
     for side in (1.0, -1.0):
@@ -72,7 +78,7 @@ def strangers(rng: np.random.Generator, share: float) -> MapPair:
 
 
 MAKERS = {"office": office, "corridor": corridor, "symmetric": symmetric, "repetitive": repetitive}
-MAKERS["strangers"] = strangers
+MAKERS |= {"strangers": strangers, "twins": twins}
 
 
 def judged(pair: MapPair, merge: Merge) -> str:

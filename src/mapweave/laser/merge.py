@@ -139,7 +139,7 @@ def _decided(pair: _Pair, start: Start | None) -> Merge:
     if len(held) >= 2:
         best = candidate(a, b, held, cfg)
     others = [c for c in ways if not same_place(b, c.transform, best.transform, cfg)]
-    rival = max(others, key=lambda c: (_speaks(c, cfg), c.evidence(cfg.alike)), default=None)
+    rival = max(others, key=lambda c: c.evidence(cfg.alike), default=None)
     score = _score(held or best.members)
     told = replace(
         refused,
@@ -171,7 +171,7 @@ def _why_refused(pair: _Pair, told: Merge, best: Candidate, rival: Candidate | N
     evidence = best.evidence(cfg.alike)
     if good and (along := _slides(pair, best)) is not None:
         return f"a corridor: {along} is not held, the maps may slide along it"
-    if good and rival is not None and (_speaks(rival, cfg) or cfg.lead * rival.evidence(cfg.alike) > evidence):
+    if good and rival is not None and cfg.lead * rival.evidence(cfg.alike) > evidence:
         which = f"two places of {pair.b.robot} in the map of {pair.a.robot}"
         first, second = (f"{words(c.transform)}, {100 * c.seen.share:.0f} %" for c in (best, rival))
         return f"{which} fit equally well: {first} of what both saw is alike, and {second}"
@@ -187,12 +187,6 @@ def _why_refused(pair: _Pair, told: Merge, best: Candidate, rival: Candidate | N
             f"(best score {told.score:.2f})"
         )
     return ""
-
-
-def _speaks(rival: Candidate, cfg: MergeConfig) -> bool:
-    """Whether submaps are so sure of another place that it cannot be ruled out by what was seen through alone."""
-    sure = sum(h.score > cfg.sure_score for h in rival.members)
-    return sure >= cfg.votes and rival.seen.share >= cfg.sure_alike
 
 
 def _closures(pair: _Pair, best: Candidate) -> list[tuple[Hypothesis, MapClosure]]:

@@ -32,8 +32,6 @@ class MergeConfig:
     candidates: int = 16  # transforms looked into
     votes: int = 4  # submaps that confirm, at least
     known_votes: int = 3  # at least, inside the window of a start that was given
-    sure_score: float = 0.75  # more: a submap so sure that as many as `votes` of them speak for another place,
-    sure_alike: float = 0.7  # where what both saw is alike to this share
     lead: float = 5.0  # times the evidence of any other place that is not contradicted
     push_lead: float = 2.5  # times that of the same place pushed along its worst direction
     alike: float = 0.9  # share of what both saw on which they agree

@@ -1,0 +1,120 @@
+"""The maps of many robots woven into one: pairs merged or refused, components, one pose graph over all robots."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..core import se2
+from .map_overlap import KeyframeMap
+from .merge import Merge, merge_maps
+from .merge_search import MergeConfig, Start
+from .pose_graph import PoseGraph
+from .robot_graph import RobotGraph
+from .robust_graph import RobustGraphConfig, SolvedGraph, connected, solve_graph
+
+
+@dataclass(frozen=True, slots=True)
+class Woven:
+    """What became of M robots' maps.
+
+    merges: every pair tried, in order; component: (M,) which robots hang together, 0 that of the first robot; pose: of
+    each robot's keyframes (n, 3) in the frame of its component, which is the first pose of its lowest robot; joint:
+    the pose graph over all robots, keyframes in the robots' order, and what was dropped from it.
+    """
+
+    merges: tuple[Merge, ...]
+    component: Int[np.ndarray, " M"]
+    pose: tuple[Float[np.ndarray, "_ 3"], ...]
+    joint: SolvedGraph
+
+
+def keyframe_map(graph: RobotGraph) -> KeyframeMap:
+    """The keyframes of one robot as merging wants them."""
+    rows = [graph.rows(i) for i in range(len(graph))]
+    q = None if graph.q is None else [graph.q[r] for r in rows]
+    return KeyframeMap(graph.robot, graph.pose, [graph.points[r] for r in rows], q)
+
+
+def weave(
+    robots: Sequence[RobotGraph],
+    cfg: MergeConfig | None = None,
+    starts: Mapping[int, Start] | None = None,
+    *,
+    merge: bool = True,
+) -> Woven:
+    """One map of all robots that can be tied together, each in its place; the others on their own.
+
+    starts: by place in `robots`, where a robot's frame is said to lie in that of the first. merge: False leaves every
+    robot alone. Robots are tried against those before them; one that is tied in already is not tried again with a
+    robot of its own component, and a tie that the joint graph drops is no tie.
+    """
+    maps = [keyframe_map(r) for r in robots]
+    offset = np.concatenate([[0], np.cumsum([len(r) for r in robots])])
+    start = np.concatenate([r.pose for r in robots])
+    graph = PoseGraph.of(start, [], [], [])
+    for r, at in zip(robots, offset.tolist(), strict=False):
+        own = r.graph()
+        ends = list(zip((own.first + at).tolist(), (own.second + at).tolist(), strict=True))
+        graph = graph.joined(PoseGraph.of(start, ends, list(own.measured), list(own.information)))
+    within = graph.edges
+    merges: list[Merge] = []
+    frame, group = [np.zeros(3) for _ in robots], list(range(len(robots)))
+    for j in range(1, len(robots)) if merge else ():
+        for i in range(j):
+            if group[i] == group[j]:
+                continue
+            given = _between_robots(starts or {}, i, j)
+            found = merge_maps(maps[i], maps[j], cfg, given)
+            merges.append(found)
+            if found.transform is None:
+                continue
+            graph = graph.joined(_ties(found, start, int(offset[i]), int(offset[j])))
+            moved = se2.compose(se2.compose(frame[i], found.transform), se2.inverse(frame[j]))
+            old, new = max(group[i], group[j]), min(group[i], group[j])
+            if group[i] != new:  # robot i's component is the one that moves
+                moved = se2.inverse(moved)
+            for k, g in enumerate(group):
+                if g == old:
+                    frame[k], group[k] = se2.compose(moved, frame[k]), new
+    return _joined(graph, within, robots, frame, offset, tuple(merges))
+
+
+def _joined(
+    graph: PoseGraph,
+    within: int,
+    robots: Sequence[RobotGraph],
+    frame: Sequence[np.ndarray],
+    offset: np.ndarray,
+    merges: tuple[Merge, ...],
+) -> Woven:
+    placed = np.concatenate([se2.compose(f, r.pose) for f, r in zip(frame, robots, strict=True)])
+    graph = PoseGraph(placed, graph.first, graph.second, graph.measured, graph.information)
+    doubtful = np.arange(graph.edges) >= within
+    joint = solve_graph(graph, RobustGraphConfig(method="cauchy"), doubtful=doubtful)
+    part = connected(joint.graph, joint.used)[offset[:-1]]
+    component = np.array([list(dict.fromkeys(part.tolist())).index(p) for p in part.tolist()], dtype=np.int64)
+    pose = []
+    for k in range(len(robots)):
+        lowest = int(np.argmax(component == component[k]))
+        home = joint.graph.pose[offset[lowest]]
+        origin = se2.compose(home, se2.inverse(robots[lowest].pose[0]))
+        pose.append(np.asarray(se2.between(origin, joint.graph.pose[offset[k] : offset[k + 1]])))
+    return Woven(merges, component, tuple(pose), joint)
+
+
+def _between_robots(starts: Mapping[int, Start], i: int, j: int) -> Start | None:
+    """Where robot j's frame is said to lie in robot i's; None when either is not told (the first one's is zero)."""
+    zero = Start(np.zeros(3), np.zeros(3))
+    a, b = (starts.get(k, zero if k == 0 else None) for k in (i, j))
+    if a is None or b is None or not starts:
+        return None
+    return Start(se2.between(a.transform, b.transform), np.hypot(a.sd, b.sd))
+
+
+def _ties(found: Merge, start: np.ndarray, at_a: int, at_b: int) -> PoseGraph:
+    """The closures a merge was decided on, over the poses of all robots."""
+    held = [c for c in found.closures if c.accepted]
+    pairs = [(at_a + c.first, at_b + c.second) for c in held]
+    return PoseGraph.of(start, pairs, [c.measured for c in held], [c.information for c in held])
