@@ -155,7 +155,8 @@ def test_graphs_nobody_can_solve_are_refused():
         solve_graph(graph.joined(PoseGraph.of(graph.pose, [(4, 4)], [np.zeros(3)], [np.eye(3)])))
 
 
-@pytest.mark.parametrize("name", ["intel", "CSAIL", "manhattan"])
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["intel", "CSAIL", pytest.param("manhattan", marks=pytest.mark.slow)])
 def test_public_graphs_have_the_optimum_that_gtsam_finds_with_the_same_residual(data, name):
     """GTSAM's own edges measure the residual by its logarithm; here they measure it as these do."""
     graph = read_g2o(data / "g2o" / f"{name}.g2o.gz")
@@ -201,6 +202,7 @@ def _edge(z):
     return error
 
 
+@pytest.mark.data
 def test_real_graphs_survive_false_closures(data):
     graph = read_g2o(data / "g2o" / "CSAIL.g2o.gz")
     clean = solve_graph(graph, PLAIN)
