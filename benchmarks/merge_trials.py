@@ -111,9 +111,7 @@ def main() -> None:
     for seed in range(asked.seed, asked.seed + asked.trials):
         started = process_time()
         kind, share, pair, merge, verdict = trial(seed, kinds)
-        name = (
-            kind if kind != "office" else f"office, {'over' if pair.overlap >= 0.25 else 'under'} 25 % of walls shared"
-        )
+        name = kind if kind != "office" else f"office, {'over' if share >= 0.25 else 'under'} 25 % of the way shared"
         counts.setdefault(name, {"right": 0, "wrong": 0, "refused": 0})[verdict] += 1
         took = process_time() - started
         print(
