@@ -167,7 +167,8 @@ def _priors(team: TeamProblem, x: Float[np.ndarray, " n"]) -> sp.csr_matrix:
     rows = [sp.csr_matrix((0, len(x)))]
     for term, origin in zip(team.problem.terms, team.origins, strict=True):
         if origin is None:
-            pull = np.linalg.cholesky(term.normal(x)[0] + TINY * np.eye(term.columns.shape[1]))[:, :, 0]
+            information = term.normal(x)[0] + TINY * np.eye(term.columns.shape[1])
+            pull = np.asarray(np.linalg.cholesky(information)[:, :, 0], dtype=np.float64)
             row = np.repeat(np.arange(len(pull)), pull.shape[1])
             rows.append(sp.csr_matrix((pull.ravel(), (row, term.columns.ravel())), shape=(len(pull), len(x))))
     return sp.csr_matrix(sp.vstack(rows))
