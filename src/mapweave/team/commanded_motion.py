@@ -105,7 +105,8 @@ def random_walk(t: Float[np.ndarray, " n"], cfg: MotionNoise) -> Float[np.ndarra
     """Covariances (n - 1, 3, 3) of the motion of a robot whose commands nobody knows: it may stand or drive."""
     dt = np.diff(t)
     Q = np.zeros((len(dt), 3, 3))
-    Q[:, 0, 0] = Q[:, 1, 1] = np.square(cfg.unknown_speed * dt) + cfg.rest_xy**2 * dt
+    Q[:, 0, 0] = np.square(cfg.unknown_speed * dt) + cfg.rest_xy**2 * dt
+    Q[:, 1, 1] = np.square(cfg.unknown_slip * dt) + cfg.rest_xy**2 * dt
     Q[:, 2, 2] = np.square(cfg.unknown_spin * dt) + cfg.rest_theta**2 * dt
     return Q
 

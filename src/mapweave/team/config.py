@@ -19,6 +19,7 @@ class MotionNoise:
     lost_theta: float = 0.3  # [rad / sqrt(s)]
     hold: float = 2.0  # [s] a command holds without a new one
     unknown_speed: float = 0.12  # [m/s] of a robot without odometry
+    unknown_slip: float = 0.02  # [m/s] sideways, of the same
     unknown_spin: float = 0.35  # [rad/s]
     outlier: float = 2.5  # standard deviations from which a step counts less: robots are blocked now and then
 

@@ -204,15 +204,18 @@ def _steps(part: RobotPart, cfg: SmoothingConfig, lag: float) -> Factor:
 
 
 def _wandering(part: RobotPart, columns: Int[np.ndarray, "m 6"], cfg: SmoothingConfig) -> Factor:
-    """A robot whose commands nobody knows wanders, in its camera's own metres: a smaller map is no likelier one."""
+    """A robot whose commands nobody knows wanders, ahead more than aside.
+
+    In its camera's own metres: else a smaller map would be a likelier one.
+    """
     scale = part.parameters + RANGE
     whiten = np.linalg.inv(np.linalg.cholesky(random_walk(part.instants.t, cfg.motion)))
 
     def residual(x: np.ndarray) -> np.ndarray:
-        return np.asarray(_moved(x[columns])[0] * [x[scale], x[scale], 1.0])
+        return np.asarray(_halfway(*_moved(x[columns]))[0] * [x[scale], x[scale], 1.0])
 
     def jacobian(x: np.ndarray) -> np.ndarray:
-        z, J = _moved(x[columns])
+        z, J = _halfway(*_moved(x[columns]))
         J[:, :2] *= x[scale]
         by = np.zeros((len(columns), 3, 1))
         by[:, :2, 0] = z[:, :2]
@@ -233,6 +236,20 @@ def _moved(x: Float[np.ndarray, "m 6"]) -> tuple[Float[np.ndarray, "m 3"], Float
     J[:, 1, 0], J[:, 1, 1], J[:, 1, 2], J[:, 1, 3], J[:, 1, 4] = s, -c, -u, -s, c
     J[:, 2, 2], J[:, 2, 5] = -1.0, 1.0
     return z, J
+
+
+def _halfway(
+    z: Float[np.ndarray, "m 3"], J: Float[np.ndarray, "m 3 6"]
+) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 6"]]:
+    """A step seen from the heading in its middle, where an arc goes straight ahead; and its derivatives."""
+    c, s = np.cos(0.5 * z[:, 2]), np.sin(0.5 * z[:, 2])
+    R = np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=1)
+    out, D = z.copy(), J.copy()
+    out[:, :2] = (R @ z[:, :2, None])[..., 0]
+    D[:, :2] = R @ J[:, :2]
+    D[:, 0] += 0.5 * out[:, 1, None] * J[:, 2]
+    D[:, 1] -= 0.5 * out[:, 0, None] * J[:, 2]
+    return out, D
 
 
 def _sightings(
