@@ -17,13 +17,15 @@ from ..io.g2o import G2oFile, read_g2o_file, write_g2o
 from ..io.rows import open_text
 from ..io.tum import write_track_covariance, write_tum
 from ..laser.robust_graph import RobustGraphConfig, SolvedGraph, solve_graph
-from ..report.solve import write_solve_report
+from ..report.result import ResultBase
+from ..report.solve import draw_graph, write_solve_report
+from ..report.style import Target
 
 TOLD = 5  # dropped edges named one by one on the terminal
 
 
 @dataclass(frozen=True, slots=True)
-class SolveResult:
+class SolveResult(ResultBase):
     """What `solve` gives: the file's graph with the poses solved, and which edges were not believed.
 
     covariance: (n, 3, 3) of every pose, zero where it is held; None when the solve did not converge.
@@ -78,7 +80,11 @@ class SolveResult:
         lines += [f"dropped edge {d.edge} ({ids[d.first]} to {ids[d.second]}): {d.reason}" for d in s.dropped[:TOLD]]
         return [*lines, *self.warnings]
 
-    def write(self, folder: Path) -> None:
+    def draw(self, target: Target) -> None:
+        """The solved poses and the edges between them."""
+        draw_graph(target, self.file.graph.pose, self.solved)
+
+    def write_into(self, folder: Path) -> None:
         graph, ids = self.solved.graph, self.file.ids
         write_json(folder / "metrics.json", self.metrics)
         write_g2o(folder / "pose_graph.g2o", graph, ids, self.solved.fixed)
@@ -120,7 +126,7 @@ def solve_pose_graph(
     result = SolveResult(Path(file), held, solved, covariance, robust, _warnings(held, solved), timing)
     if out is not None:
         with result_directory(Path(out), force=force) as work:
-            result.write(work)
+            result.write_into(work)
     return result
 
 

@@ -31,6 +31,5 @@ def solve(
     from .say import say
 
     result = solve_pose_graph(file, out, robust=robust, force=force)
-    for line in result.lines():
-        say(line)
+    say(result.summary())
     say(f"report: {out / 'report.html'}")

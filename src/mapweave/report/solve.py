@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection
 
 from ..laser.robust_graph import SolvedGraph
 from .html import Page
-from .style import MUTED, as_map, colour, figure
+from .style import MUTED, Target, as_map, colour, figure
 
 MOST_ROWS = 200  # of dropped edges the page lists
 
@@ -33,7 +33,7 @@ def write_solve_report(
     for line in lines:
         page.text(line, warn=not solved.converged)
     where, squares = folder / "figures" / "graph.png", folder / "figures" / "edges.png"
-    _draw_graph(where, before, solved)
+    draw_graph(where, before, solved)
     page.figure(where, "The solved poses and the edges between poses that do not follow each other.")
     if solved.graph.edges:
         _draw_squares(squares, solved)
@@ -49,7 +49,8 @@ def write_solve_report(
     page.write(folder / "report.html")
 
 
-def _draw_graph(path: Path, before: np.ndarray, solved: SolvedGraph) -> None:
+def draw_graph(path: Target, before: np.ndarray, solved: SolvedGraph) -> None:
+    """The solved poses, the edges used and dropped, and where the solve began."""
     graph = solved.graph
     with figure(path, 8.0, 7.0) as (fig, ax):
         ax.plot(before[:, 0], before[:, 1], color=MUTED, linewidth=0.5, label="where the solve began")
