@@ -10,7 +10,8 @@ from mapweave.core.landmark_log import NOTHING_SEEN
 from mapweave.evaluation.team import score_team
 from mapweave.solve import Factor
 from mapweave.team.config import CalibrationPrior, SmoothingConfig
-from mapweave.team.problem import PARAMETERS, team_problem
+from mapweave.team.problem import team_problem
+from mapweave.team.robot_part import PARAMETERS
 from mapweave.team.smooth import smooth
 
 from .teams import world

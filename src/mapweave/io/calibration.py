@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.errors import ReaderError
 from ..core.names import robot_key, robot_name
-from ..team.problem import PARAMETERS
+from ..team.robot_part import PARAMETERS
 from ..team.smooth import Calibration, is_observed
 from .directory import read_json, write_json
 

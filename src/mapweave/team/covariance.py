@@ -15,7 +15,8 @@ from ..core.gaussian import symmetrise
 from ..solve import Information, SingularError, Solution
 from ..solve.fronts import Elimination
 from .config import SmoothingConfig
-from .problem import PARAMETERS, TeamProblem
+from .problem import TeamProblem
+from .robot_part import PARAMETERS
 
 MOST_CORRECTED = 4.0  # largest factor for what landmarks and calibration themselves took out of the residuals
 TINY = 1e-12  # keeps the factor of a prior of rank one

@@ -14,7 +14,8 @@ from ..solve import SingularError, Solution, Status
 from .commanded_motion import LAG, TURN
 from .config import SmoothingConfig
 from .covariance import TeamCovariance, team_covariance
-from .problem import PARAMETERS, RobotPart, TeamProblem, team_problem
+from .problem import TeamProblem, team_problem
+from .robot_part import PARAMETERS, RobotPart
 from .team_map import TeamMap
 
 OBSERVED = 0.7  # share of the prior's standard deviation

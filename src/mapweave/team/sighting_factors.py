@@ -1,0 +1,135 @@
+"""What robots saw of landmarks and of each other, as factors between poses, points and a camera's calibration."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..core import se2
+from ..solve import Cauchy, Factor
+from .config import CameraNoise, SmoothingConfig
+from .robot_part import BIAS, RANGE, RobotPart
+
+NEAREST = 1e-6  # [m] a sighting of a point at the robot's own place has no direction
+
+
+def sighting_factors(
+    part: RobotPart,
+    team: Mapping[str, RobotPart],
+    labels: Mapping[str, str],
+    landmarks: Mapping[str, int],
+    x0: Float[np.ndarray, " n"],
+    cfg: SmoothingConfig,
+) -> list[tuple[Factor, Float[np.ndarray, " m"]]]:
+    """What this robot saw of landmarks and of other robots, with the stamps."""
+    table, camera = part.log.sightings, cfg.camera
+    point = np.full(len(table), -1)
+    out = []
+    for k, own in enumerate(table.ids):
+        rows = np.flatnonzero(table.what == k)
+        other = team.get(own)
+        if other is None or own == part.robot:
+            point[rows] = landmarks.get(labels.get(own, own), -1)
+        elif cfg.robot_sightings:
+            t = table.t[rows]
+            rows = rows[(t >= other.instants.t[0]) & (t <= other.instants.t[-1])]
+            if len(rows):
+                seen = Seen.robot(other, table.t[rows])
+                out.append(
+                    (
+                        _sighting_factor(part, rows, seen, x0, camera.robot_range_floor, camera.robot_bearing, camera),
+                        table.t[rows],
+                    )
+                )
+    rows = np.flatnonzero(point >= 0)
+    if len(rows):
+        seen = Seen(point[rows, None] + np.arange(2), np.zeros((len(rows), 2)))
+        out.append((_sighting_factor(part, rows, seen, x0, camera.range_floor, camera.bearing, camera), table.t[rows]))
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """m points that were sighted: landmarks, or robots a little way from an instant of theirs.
+
+    columns: (m, 2) a landmark's place, or (m, 3) a robot's pose; ahead: (m, 2) the point in that pose's frame.
+    """
+
+    columns: Int[np.ndarray, "m d"]
+    ahead: Float[np.ndarray, "m 2"]
+
+    @classmethod
+    def robot(cls, part: RobotPart, t: Float[np.ndarray, " m"]) -> "Seen":
+        """The robot of `part` at `t` [s]."""
+        k, step = part.instants.from_nearest(t)
+        return cls(part.pose_columns(k), step[:, :2])
+
+    def at(self, x: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 2 d"]]:
+        """The points, and their derivatives by `columns`."""
+        point = x[self.columns[:, :2]]
+        J = np.zeros((*point.shape, self.columns.shape[1]))
+        J[:, 0, 0] = J[:, 1, 1] = 1.0
+        if self.columns.shape[1] == 3:
+            turned = _turned(x[self.columns[:, 2]], self.ahead)
+            point = point + turned
+            J[:, 0, 2], J[:, 1, 2] = -turned[:, 1], turned[:, 0]
+        return point, J
+
+
+def _turned(theta: Float[np.ndarray, " m"], d: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 2"]:
+    c, s = np.cos(theta), np.sin(theta)
+    return np.stack([c * d[:, 0] - s * d[:, 1], s * d[:, 0] + c * d[:, 1]], axis=-1)
+
+
+def _sighting_factor(
+    part: RobotPart,
+    rows: Int[np.ndarray, " m"],
+    seen: Seen,
+    x0: Float[np.ndarray, " n"],
+    floor: float,
+    bearing: float,
+    camera: CameraNoise,
+) -> Factor:
+    """Range and bearing of points, from where the robot was at the stamp: a little way from its nearest instant.
+
+    The range's noise grows with the distance expected at the start, not with the range read: else short readings
+    would weigh more, and the map would shrink.
+    """
+    table = part.log.sightings
+    z = np.stack([table.range[rows], table.bearing[rows]], axis=-1)
+    k, step = part.instants.from_nearest(table.t[rows])
+    pose = part.pose_columns(k)
+    parameters = np.tile(part.parameters + np.array([BIAS, RANGE]), (len(z), 1))
+    columns = np.concatenate([pose, seen.columns, parameters], axis=1)
+    end = 3 + seen.columns.shape[1]
+
+    def eye(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        turned = _turned(x[pose[:, 2]], step[:, :2])
+        return x[pose[:, :2]] + turned, turned
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        d = seen.at(x)[0] - eye(x)[0]
+        p = x[parameters]
+        ahead = np.arctan2(d[:, 1], d[:, 0]) - x[pose[:, 2]] - step[:, 2] + p[:, 0]
+        return np.stack([p[:, 1] * np.hypot(d[:, 0], d[:, 1]) - z[:, 0], se2.wrap_angle(ahead - z[:, 1])], axis=-1)
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        point, by_point = seen.at(x)
+        place, turned = eye(x)
+        d, scale = point - place, x[parameters[:, 1]]
+        r = np.maximum(np.hypot(d[:, 0], d[:, 1]), NEAREST)
+        along = d / r[:, None]
+        H = np.stack([scale[:, None] * along, np.stack([-along[:, 1], along[:, 0]], axis=-1) / r[:, None]], axis=1)
+        J = np.zeros((len(z), 2, columns.shape[1]))
+        J[:, :, :2] = -H
+        J[:, :, 2] = -(H[:, :, 1] * turned[:, None, 0] - H[:, :, 0] * turned[:, None, 1])
+        J[:, 1, 2] -= 1.0
+        J[:, :, 3:end] = H @ by_point
+        J[:, 1, end] = 1.0
+        J[:, 0, end + 1] = r
+        return J
+
+    expected = np.linalg.norm(seen.at(x0)[0] - eye(x0)[0], axis=1)
+    sd = np.stack([np.hypot(floor, camera.range_share * expected), np.full(len(z), bearing)], axis=-1)
+    return Factor(columns, residual, jacobian, 2, 1.0 / sd, Cauchy(camera.outlier), "landmark" if end == 5 else "robot")
