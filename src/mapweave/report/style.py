@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
+from matplotlib.ticker import FuncFormatter
 
 from ..core.gaussian import ellipse
 
@@ -68,11 +69,29 @@ def figure(path: Target, width: float = 7.0, height: float = 5.0, **layout: Any)
         FigureCanvasAgg(fig)
         axes = fig.subplots(**layout)
         yield fig, axes
+        _plain_log_ticks(fig)
         if isinstance(path, Sheet):
             path.figure = fig
             return
         path.parent.mkdir(parents=True, exist_ok=True)
         fig.savefig(path, dpi=110, metadata={"Software": None}, pil_kwargs={"optimize": True})
+
+
+def _plain_log_ticks(fig: Figure) -> None:
+    """Logarithmic axes say 0.02 and 500; between powers of ten only where the axis spans less than two of them."""
+    for ax in fig.axes:
+        for axis, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
+            if axis.get_scale() != "log":
+                continue
+            short = high < 100 * low
+            axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+            axis.set_minor_formatter(FuncFormatter(lambda v, _, short=short: _between_powers(v) if short else ""))
+
+
+def _between_powers(value: float) -> str:
+    """2 and 5 times a power of ten as they are written; nothing for others."""
+    digit = round(value / 10 ** np.floor(np.log10(value)))
+    return f"{value:g}" if digit in {2, 5} else ""
 
 
 def drawn(draw: Callable[[Sheet], object]) -> Figure:
