@@ -190,7 +190,7 @@ def test_a_topic_that_is_not_there_and_a_method_nobody_knows_are_told(log, tmp_p
     assert _run(["map", str(log), "--out", str(tmp_path / "o"), "--scan-topic", "/front"]) == 1
     assert "no scan topic '/front'; there are" in capsys.readouterr().err
     assert _run(["map", str(log), "--out", str(tmp_path / "o"), "--method", "magic"]) == 2
-    assert "expected one of particle, gated, icp, found 'magic'" in capsys.readouterr().err
+    assert "expected one of particle, graph, gated, icp, found 'magic'" in capsys.readouterr().err
     assert not (tmp_path / "o").exists()
 
 

@@ -237,7 +237,7 @@ def test_options_a_laser_world_cannot_take_are_refused(rooms, tmp_path, options,
         ('sensor = "laser"\nwalls = "none.yaml"\nstarts = [[0, 0, 0]]\n', ReaderError, "none.yaml"),
         ('sensor = "laser"\nwalls = "plan.png"\nstarts = [[0, 0, 0]]\n', ConfigError, "resolution"),
         ('sensor = "laser"\nwalls = []\nstarts = [[0, 0, 0]]\n', ConfigError, "expected segments"),
-        ("office = 20\n", DataError, "an office of 20"),
+        ("office = 20\n", ConfigError, "expected 150 to 20000 m.2, found 20"),
     ],
 )
 def test_a_laser_world_that_cannot_be_is_refused(tmp_path, text, error, told):

@@ -12,6 +12,7 @@ the goal is reached.
 A dead robot's agent terminates; all terminate when the goal is reached and are truncated after `max_steps`.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -78,7 +79,7 @@ class ExplorationEnv(ParallelEnv):  # type: ignore[misc]
         return self._observe(), {name: {} for name in self.agents}
 
     def step(
-        self, actions: dict[str, int]
+        self, actions: Mapping[str, int | np.integer]
     ) -> tuple[dict[str, np.ndarray], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict]]:
         """All robots drive, see, map and hand over; PettingZoo's five dictionaries."""
         team = self.team
@@ -119,7 +120,7 @@ class ExplorationEnv(ParallelEnv):  # type: ignore[misc]
         del belief, poses, cfg
         return self._chosen
 
-    def _commands(self, team: Team, actions: dict[str, int]) -> np.ndarray:
+    def _commands(self, team: Team, actions: Mapping[str, int | np.integer]) -> np.ndarray:
         out = np.zeros((self.robots, 2))
         belief, poses, controls = team.belief(), team.poses(), self.cfg.controls
         for name, action in actions.items():

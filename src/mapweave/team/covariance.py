@@ -19,6 +19,7 @@ from .problem import TeamProblem
 from .robot_part import PARAMETERS
 
 MOST_CORRECTED = 4.0  # largest factor for what landmarks and calibration themselves took out of the residuals
+FEW = 3.0  # groups of factors for each landmark coordinate and calibration parameter that a sandwich wants
 TINY = 1e-12  # keeps the factor of a prior of rank one
 CHUNK = 96  # columns of the covariance held at once
 
@@ -36,20 +37,27 @@ class TeamCovariance:
     inflation: tuple[float, ...]
 
 
-def team_covariance(team: TeamProblem, solution: Solution, cfg: SmoothingConfig) -> TeamCovariance:
+def team_covariance(
+    team: TeamProblem, solution: Solution, cfg: SmoothingConfig, before: Float[np.ndarray, "n n"]
+) -> TeamCovariance:
     """The covariances at `solution`, told in the frame that the landmarks as a body are.
 
     The map's origin is one robot's first pose, whose own errors would stand in every covariance; so all of them are
     taken off the motions of the landmarks as a whole (Baarda's S-transformation). Landmarks and calibration are
-    sandwiches. A pose has too few groups of its own for one: it has the model's covariance, times how much more its
-    robot's sightings within a few seconds pull together than if they were independent. Raises SingularError where the
-    problem leaves something free.
+    sandwiches. With fewer than `FEW` groups for each of these variables a sandwich is too sure of itself: landmarks
+    keep the shape of `before`, (2n, 2n), their covariance when the smoothing began, and are no surer in all. A pose has
+    too few groups of its own for a sandwich: it has the model's covariance, times how much more its robot's sightings
+    within a few seconds pull together than if they were independent. Raises SingularError where the problem leaves
+    something free.
     """
     known = _Known.of(team, solution, cfg.cluster)
     hubs = np.arange(team.landmark_start, len(solution.x))
     m = 2 * len(team.landmarks)
     moved = known.moved(hubs)
     S = symmetrise(moved.T @ moved)
+    if known.scores.shape[0] - known.priors < FEW * np.count_nonzero(solution.free >= team.landmark_start):
+        shape = known.shape(before)
+        S[:m, :m] = shape * max(1.0, float(np.trace(S[:m, :m]) / max(np.trace(shape), TINY)))
     floor = np.diag([cfg.position_floor**2, cfg.position_floor**2, cfg.heading_floor**2])
     factors = [_correlation(team, k, solution.x, cfg.memory) for k in range(len(team.parts))]
     poses = [f * model + floor for f, model in zip(factors, known.pose_blocks(), strict=True)]
@@ -90,6 +98,12 @@ class _Known:
         known = _priors(team, solution.x)
         scores = sp.csr_matrix(sp.vstack([_scores(team, solution.x, length), known]))[:, solution.free]
         return cls(team, solution.information, position, solution.free, scores, known.shape[0], motions, taken)
+
+    def shape(self, cov: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+        """The landmarks' covariance `cov`, their motions as a whole taken off."""
+        m = len(cov)
+        A = np.eye(m) - self.motions[self.team.landmark_columns] @ self.taken[:, :m]
+        return symmetrise(A @ cov @ A.T)
 
     def moved(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "groups k"]:
         """How far the errors of each group and of each prior move the entries `index` of x.

@@ -71,7 +71,7 @@ def smooth(
     if solution.status in {Status.SINGULAR, Status.DIVERGED} or not np.isfinite(solution.x).all():
         return _kept(team, cfg, f"the problem of the whole team is {solution.status}", problem, solution)
     try:
-        cov = team_covariance(problem, solution, cfg)
+        cov = team_covariance(problem, solution, cfg, team.landmarks.cov)
     except SingularError as error:
         return _kept(team, cfg, str(error), problem, solution)
     tracks = dict(team.tracks)

@@ -89,10 +89,12 @@ def find_walls(scenario: ScenarioConfig) -> Walls | None:
 def bounds(scenario: ScenarioConfig) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper corner (2,) [m] of the field: as given, else those of the plan, else the paper's."""
     plan = floor_plan(scenario)
-    lower, upper = (np.array(YUAN_LOWER), np.array(YUAN_UPPER)) if plan is None else plan.extent()
+    lower, upper = (
+        (np.array(YUAN_LOWER, dtype=float), np.array(YUAN_UPPER, dtype=float)) if plan is None else plan.extent()
+    )
     return (
-        lower if scenario.lower is None else np.array(scenario.lower),
-        upper if scenario.upper is None else np.array(scenario.upper),
+        lower if scenario.lower is None else np.array(scenario.lower, dtype=float),
+        upper if scenario.upper is None else np.array(scenario.upper, dtype=float),
     )
 
 
