@@ -74,7 +74,7 @@ class GraphConfig:
 
 @config
 class LaserConfig:
-    method: str = "particle"  # how a log is mapped: particle, gated or icp
+    method: str = "particle"  # how a log is mapped: particle, graph, gated or icp
     particles: int = 100  # hypotheses of the particle filter
     feature: str = "normalised"  # light sent back: normalised, raw or none
     likelihood: str = "matched"  # what weighs particles: matched, or as in the paper
