@@ -38,6 +38,12 @@ def laser_exploration(home):
     return mapweave.explore(str(home / "world.toml"), until=3)
 
 
+def triangle(home):
+    edge = "EDGE_SE2 {} {} 1 0 2.0944 100 0 0 100 0 400\n"
+    (home / "triangle.g2o").write_text("".join(edge.format(i, (i + 1) % 3) for i in range(3)), encoding="utf-8")
+    return home / "triangle.g2o"
+
+
 RESULTS = {
     # what gives it: (the type, how it is had from `home`, its file of metrics)
     "map": (mapweave.TeamResult, lambda home: mapweave.map(home / "team", truth=home / "team"), "metrics.json"),
@@ -81,6 +87,7 @@ RESULTS = {
         lambda home: mapweave.simulate_swarm(scene=mapweave.SwarmScene(robots=9)),
         None,
     ),
+    "solve": (mapweave.SolveResult, lambda home: mapweave.solve_pose_graph(triangle(home)), "metrics.json"),
     "reproduce hamatani": (
         mapweave.HamataniReproduction,
         lambda home: mapweave.reproduce_hamatani(quick=True),

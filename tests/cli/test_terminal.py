@@ -1,5 +1,6 @@
 """The command line on odd terminals: one line each, never a traceback."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -8,6 +9,8 @@ import time
 from pathlib import Path
 
 import pytest
+
+from mapweave.cli import main
 
 COMMAND = (sys.executable, "-m", "mapweave")
 SHELL = f"{sys.executable} -m mapweave"
@@ -91,6 +94,21 @@ def test_interrupted_it_ends_with_130_one_line_and_nothing_half_written(tmp_path
     out, err = going.communicate(timeout=60)
     assert (going.returncode, out, err) == (130, "", "mapweave: interrupted\n")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interruption_that_a_callback_swallowed_is_one_all_the_same(monkeypatch, capsys):
+    def swallow(tokens, interruption):
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        raise RuntimeError("no compiled object yet")
+
+    monkeypatch.setattr("mapweave.cli._run", swallow)
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(SystemExit) as done:
+        main([])
+    assert done.value.code == 130
+    assert capsys.readouterr().err == "mapweave: interrupted\n"
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_a_target_that_cannot_be_written_is_one_line(tmp_path):

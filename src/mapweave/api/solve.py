@@ -24,7 +24,7 @@ from ..report.style import Target
 TOLD = 5  # dropped edges named one by one on the terminal
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class SolveResult(ResultBase):
     """What `solve` gives: the file's graph with the poses solved, and which edges were not believed.
 

@@ -7,6 +7,7 @@ from io import TextIOWrapper
 from typing import TYPE_CHECKING
 
 from ..core.version import __version__
+from .interruption import Interruption
 
 if TYPE_CHECKING:
     from cyclopts import App
@@ -49,18 +50,23 @@ def main(tokens: list[str] | None = None) -> None:
     """Exit 0 done, 1 the data or the estimate is bad, 2 bad usage, 130 interrupted."""
     _say_whatever_the_terminal_can_show()
     code = 130
-    try:
-        code = _run(sys.argv[1:] if tokens is None else tokens)
-        if sys.stdout is not None:
-            sys.stdout.flush()
-    except BrokenPipeError:
-        code = _stop_writing()
-    except KeyboardInterrupt:
-        _tell("interrupted")
-    except OSError as error:
-        _stop_writing()
-        _tell(f"stdout: {error.strerror}")
-        code = 1
+    with Interruption() as interruption:
+        try:
+            code = _run(sys.argv[1:] if tokens is None else tokens, interruption)
+            if sys.stdout is not None:
+                sys.stdout.flush()
+        except BrokenPipeError:
+            code = _stop_writing()
+        except KeyboardInterrupt:
+            _tell("interrupted")
+        except OSError as error:
+            _stop_writing()
+            _tell(f"stdout: {error.strerror}")
+            code = 1
+        except Exception:
+            if not interruption.asked:
+                raise
+            _tell("interrupted")  # what was raised came of it
     sys.exit(code)
 
 
@@ -84,7 +90,7 @@ def _tell(message: str) -> None:
     print(f"mapweave: {' '.join(message.split())}", file=sys.stderr)  # noqa: T201
 
 
-def _run(tokens: list[str]) -> int:
+def _run(tokens: list[str], interruption: Interruption | None = None) -> int:
     from cyclopts import CycloptsError
 
     from ..core.errors import MapweaveError
@@ -93,7 +99,7 @@ def _run(tokens: list[str]) -> int:
         app = make_app()
         app(tokens, exit_on_error=False, print_error=False)
     except (CycloptsError, MapweaveError, MemoryError, KeyboardInterrupt) as error:
-        return _failed(error)
+        return _failed(KeyboardInterrupt() if interruption is not None and interruption.asked else error)
     except BrokenPipeError:
         return _stop_writing()
     except OSError as error:
