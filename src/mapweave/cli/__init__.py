@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "solve": ("mapweave.cli.solve:solve", "Solve and draw a pose graph of any origin."),
     "config": ("mapweave.cli.config:config", "Print every setting with default and meaning."),
     "doctor": ("mapweave.cli.doctor:doctor", "Say what mapweave runs on."),
+    "completion": ("mapweave.cli.completion:completion", "Print completion for bash, zsh or fish."),
 }
 
 
