@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mapweave.core.survey import Survey
+from mapweave.core.truth import Survey
 from mapweave.evaluation.landmarks import rmse_after_alignment, score_landmarks
 from mapweave.fusion.config import FuseConfig
 from mapweave.fusion.identities import match_maps

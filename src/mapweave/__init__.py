@@ -53,8 +53,8 @@ if TYPE_CHECKING:
     from .core.errors import ReaderError as ReaderError
     from .core.errors import UsageError as UsageError
     from .core.laser_log import LaserLog as LaserLog
-    from .core.progress import Progress as Progress
     from .core.records import Track as Track
+    from .core.workers import Progress as Progress
     from .exploration.landmarks.config import ExploreConfig as ExploreConfig
     from .exploration.laser.config import LaserMissionConfig as LaserMissionConfig
     from .fusion.config import FuseConfig as FuseConfig
@@ -136,7 +136,7 @@ _HOMES: dict[str, str] = {
     # data and progress
     "BearingTable": "core.bearings",
     "LaserLog": "core.laser_log",
-    "Progress": "core.progress",
+    "Progress": "core.workers",
     "Track": "core.records",
     # errors
     "ConfigError": "core.errors",

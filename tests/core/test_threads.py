@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from mapweave.core.threads import one_blas_thread
+from mapweave.core.workers import one_blas_thread
 
 from .blas_threads import threads
 

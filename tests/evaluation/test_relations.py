@@ -9,7 +9,7 @@ from mapweave.api.evaluate import evaluate
 from mapweave.core import se2
 from mapweave.core.errors import ReaderError
 from mapweave.core.records import Track
-from mapweave.core.relations import Relations
+from mapweave.core.truth import Relations
 from mapweave.evaluation.relations import exact_pairs, score_relations
 from mapweave.io.relations import read_relations
 from mapweave.io.tum import write_tum

@@ -7,7 +7,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.records import Track
-from mapweave.core.survey import Survey
+from mapweave.core.truth import Survey
 from mapweave.evaluation.landmarks import find_exchanges, naive_mean, score_landmarks
 from mapweave.evaluation.team import RobotTruth, as_json, score_team
 from mapweave.evaluation.trajectory import ate, paired, rpe

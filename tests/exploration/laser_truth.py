@@ -4,7 +4,7 @@ import numpy as np
 from scipy import ndimage
 
 from mapweave.core import se2
-from mapweave.core.wall_index import WallIndex
+from mapweave.core.walls import WallIndex
 from mapweave.exploration.laser.belief import PLANNERS, LaserBelief
 from mapweave.exploration.laser.config import LaserExploreConfig
 from mapweave.exploration.planner_interface import find_planner

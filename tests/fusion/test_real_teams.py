@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mapweave.core.survey import Survey
+from mapweave.core.truth import Survey
 from mapweave.evaluation.landmarks import rmse_after_alignment, score_landmarks
 from mapweave.fusion.config import FuseConfig
 from mapweave.fusion.identities import match_maps

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapweave.core.wall_index import WallIndex
+from mapweave.core.walls import WallIndex
 from mapweave.kernels.walls.raycast import cast
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.records import Odometry
-from mapweave.core.survey import Survey
+from mapweave.core.truth import Survey
 from mapweave.evaluation.landmarks import score_landmarks
 from mapweave.fusion.config import FuseConfig
 from mapweave.fusion.join import fuse

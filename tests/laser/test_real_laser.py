@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapweave.core.relations import Relations
+from mapweave.core.truth import Relations
 from mapweave.evaluation.relations import exact_pairs, score_relations
 from mapweave.io.laser_logs import read_laser
 from mapweave.io.relations import read_relations

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.core.quaternion import from_yaw, representable, to_yaw
+from mapweave.core.se2 import heading_of_quaternion, quaternion_of_heading, representable_heading
 from mapweave.sim.corridor import CorridorConfig, corridor_world, simulate_corridor
 from mapweave.sim.drift import DriftConfig, drifted
 from mapweave.sim.laser import DriveConfig
@@ -118,6 +118,6 @@ def test_a_route_through_points_rounds_its_corners_and_ends_at_the_last():
 
 def test_a_representable_heading_comes_back_from_its_quaternion_to_the_bit():
     for theta in np.random.default_rng(1).uniform(-np.pi, np.pi, 3000):
-        r = representable(float(theta))
-        assert to_yaw(*from_yaw(r)) == r
+        r = representable_heading(float(theta))
+        assert heading_of_quaternion(*quaternion_of_heading(r)) == r
         assert abs(r - theta) < 1e-12

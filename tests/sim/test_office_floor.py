@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 
 from mapweave.core.errors import DataError
-from mapweave.core.wall_index import WallIndex
+from mapweave.core.walls import WallIndex
 from mapweave.sim.office_floor import office_floor
 
 CELL, ROBOT = 0.1, 0.2

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ..core.progress import Progress, no_progress
+from ..core.workers import Progress, no_progress
 from ..io.directory import check_target, result_directory
 from ..io.mrclam import write_mrclam
 from ..sim.landmarks import TeamWorld, simulate_team

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Protocol, cast, runtime_checkable
 
 from ..core.errors import DataError, ReaderError, UsageError
-from ..core.threads import one_blas_thread
+from ..core.workers import one_blas_thread
 from .result import Result
 
 

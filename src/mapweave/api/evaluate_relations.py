@@ -11,7 +11,7 @@ from jaxtyping import Float
 from ..core.errors import ReaderError, UsageError
 from ..core.names import in_order
 from ..core.records import Track
-from ..core.relations import Relations
+from ..core.truth import Relations
 from ..evaluation.relations import RelationScore, exact_pairs, nearest, score_relations
 from ..io.relations import is_relations, read_relations
 from ..io.table import read_table

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.errors import DataError, ReaderError
 from ..core.names import in_order, robot_key, robot_name
-from ..core.survey import NO_SURVEY, Survey
+from ..core.truth import NO_SURVEY, Survey
 from ..evaluation.team import RobotTruth, TeamScore, as_json, score_team
 from ..io.landmark_truth import read_robot_truth, read_survey
 from ..io.team_map import read_single_maps, read_team_maps

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
-from ..core.progress import Progress, no_progress
-from ..core.threads import one_blas_thread
+from ..core.workers import Progress, no_progress, one_blas_thread
 from ..exploration.landmarks.belief import PLANNERS
 from ..exploration.landmarks.config import ExploreConfig
 from ..exploration.landmarks.experiment import (

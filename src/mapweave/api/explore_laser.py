@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
-from ..core.progress import Progress, no_progress
+from ..core.workers import Progress, no_progress
 from ..exploration.laser.belief import PLANNERS
 from ..exploration.laser.config import LaserMissionConfig, with_odometry_noise
 from ..exploration.laser.experiment import LaserMission, explore_laser_many, explore_laser_once

@@ -6,8 +6,7 @@ from dataclasses import fields, is_dataclass
 from typing import TypeVar
 
 from ..core.errors import ConfigError, UsageError
-from ..core.progress import Progress
-from ..core.workers import worker_pool
+from ..core.workers import Progress, worker_pool
 
 Score = TypeVar("Score")
 LOUDEST = 1e4  # times the usual noise, far beyond what any filter bears

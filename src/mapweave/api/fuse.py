@@ -7,8 +7,7 @@ from pathlib import Path
 from ..core.config import load
 from ..core.errors import DataError, ReaderError, UsageError
 from ..core.names import in_order
-from ..core.progress import Progress, no_progress
-from ..core.threads import one_blas_thread
+from ..core.workers import Progress, no_progress, one_blas_thread
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse as join_maps
 from ..io.directory import check_target

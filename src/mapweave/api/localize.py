@@ -10,11 +10,10 @@ import numpy as np
 from ..core import se2
 from ..core.config import load
 from ..core.errors import ReaderError, UsageError
-from ..core.progress import Progress, no_progress
 from ..core.records import Track
 from ..core.run import robot_rng
-from ..core.threads import one_blas_thread
 from ..core.version import __version__
+from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.directory import check_target, write_json
 from ..io.grid import NAME, read_grid
 from ..io.laser_logs import LaserSource, read_laser

@@ -13,9 +13,8 @@ from ..core.config import config as configuration
 from ..core.config import load
 from ..core.errors import DataError, UsageError
 from ..core.gaussian import chi2_quantile
-from ..core.progress import Progress, no_progress
 from ..core.records import Odometry
-from ..core.threads import one_blas_thread
+from ..core.workers import Progress, no_progress, one_blas_thread
 from ..evaluation.swarm import StandingScore, score_moving, score_standing, scored_robots, true_places
 from ..io.columns import Columns, table_of
 from ..io.directory import check_target

@@ -8,8 +8,7 @@ from typing import Any, Protocol, cast, runtime_checkable
 
 from ..core.errors import ReaderError, UsageError
 from ..core.laser_log import LaserLog
-from ..core.progress import Progress, no_progress
-from ..core.threads import one_blas_thread
+from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.columns import Columns
 from ..io.directory import check_target
 from .map_options import LaserOptions, MapOptions, MapResult

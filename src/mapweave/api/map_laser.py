@@ -14,10 +14,9 @@ from ..core.config import config, load
 from ..core.errors import UsageError
 from ..core.laser_log import LaserLog
 from ..core.names import robot_name
-from ..core.progress import Progress, no_progress
 from ..core.records import Track
 from ..core.version import __version__
-from ..core.workers import worker_pool
+from ..core.workers import Progress, no_progress, worker_pool
 from ..io.directory import write_json
 from ..io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
 from ..io.laser_map import write_laser_map

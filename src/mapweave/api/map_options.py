@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from ..core.errors import UsageError
 from ..core.names import robot_key
-from ..core.progress import Progress, no_progress
+from ..core.workers import Progress, no_progress
 from .result import Result
 
 

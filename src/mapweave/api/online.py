@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.landmark_log import LandmarkLog
-from ..core.progress import Progress
-from ..core.survey import Survey
+from ..core.truth import Survey
+from ..core.workers import Progress
 from ..evaluation.growth import GrowthPoint, growth_point
 from ..fusion.config import FuseConfig
 from ..fusion.online import OnlineFuser

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.recording import TeamRecording
-from ..core.threads import one_blas_thread
+from ..core.landmark_log import TeamRecording
 from ..core.version import __version__
+from ..core.workers import one_blas_thread
 from ..io.directory import check_target, write_json
 from ..io.mrclam import write_mrclam
 from ..report.result import ResultBase, Rows

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import UsageError
-from ..core.threads import one_blas_thread
 from ..core.version import __version__
+from ..core.workers import one_blas_thread
 from ..io.mcap import write_mcap
 from ..io.tum import write_tum
 from ..report.result import ResultBase

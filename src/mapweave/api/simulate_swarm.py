@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.errors import UsageError
-from ..core.threads import one_blas_thread
 from ..core.version import __version__
+from ..core.workers import one_blas_thread
 from ..io.swarm import write_sightings
 from ..io.table import write_table
 from ..report.result import ResultBase

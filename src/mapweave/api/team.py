@@ -11,7 +11,7 @@ import numpy as np
 from ..core import se2
 from ..core.names import in_order, robot_key
 from ..core.records import Track
-from ..core.survey import NO_SURVEY
+from ..core.truth import NO_SURVEY
 from ..core.version import __version__
 from ..evaluation.consistency import mean_or_none
 from ..evaluation.growth import GrowthPoint

@@ -1,13 +1,16 @@
 """Progress on long work: on stderr, and silent when that is no terminal."""
 
-from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-from ..core.progress import Progress as OnProgress
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from ..core.workers import Progress as OnProgress
 
 
 @contextmanager
-def progress() -> Iterator[OnProgress]:
+def progress() -> "Iterator[OnProgress]":
     """A progress callback drawn as one bar a stage."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn

@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from .arrays import frozen
-from .records import Event, OdometryPoses, Scan, Track
+from .records import Event, OdometryPoses, Scan, Track, frozen
 
 
 @dataclass(frozen=True, slots=True)

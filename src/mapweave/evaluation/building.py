@@ -7,10 +7,9 @@ from jaxtyping import Bool, Float
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from ..core.arrays import frozen
 from ..core.errors import DataError
-from ..core.wall_index import WallIndex
-from ..core.walls import Walls
+from ..core.records import frozen
+from ..core.walls import WallIndex, Walls
 
 CELL = 0.1  # [m], the raster on which a disc is driven everywhere
 VANTAGE = 0.8  # [m] between the places from which walls are looked at

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.survey import Survey
+from ..core.truth import Survey
 from ..landmarks.landmark_map import LandmarkMap
 from .landmarks import score_landmarks
 

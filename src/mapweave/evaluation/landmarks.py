@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.survey import Survey
+from ..core.truth import Survey
 from ..landmarks.landmark_map import LandmarkMap
 from .consistency import gauge_free_nees
 

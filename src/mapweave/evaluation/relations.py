@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..core import se2
 from ..core.records import Track
-from ..core.relations import Relations
+from ..core.truth import Relations
 
 NEAR = 0.006  # [s] within which a pose stands for a relation's end
 EXACT = 0.001  # [s] within which an end must be at a scan whose stamp can be trusted

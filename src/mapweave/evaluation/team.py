@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ..core.names import in_order, robot_key
 from ..core.records import Track
-from ..core.survey import Survey
+from ..core.truth import Survey
 from ..landmarks.landmark_map import LandmarkMap
 from ..team.team_map import TeamMap
 from .consistency import mean_or_none

@@ -5,8 +5,8 @@ from scipy.linalg import solve_triangular
 from scipy.spatial import cKDTree
 
 from ..core import se2
-from ..core.arrays import owned
 from ..core.gaussian import symmetrise
+from ..core.records import owned
 from ..landmarks.global_map import GlobalMap
 from ..landmarks.pairing import pairing_probabilities
 from .map_and_submap import CANDIDATES, FLOOR, lessened

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.arrays import owned
 from ..core.gaussian import symmetrise
+from ..core.records import owned
 from ..landmarks.global_map import GlobalMap
 from ..landmarks.submap import Submap
 from .duplicates import DENSITY, GATE, SURE, merge_duplicates, told

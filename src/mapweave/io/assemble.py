@@ -9,10 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.arrays import frozen
 from ..core.errors import DataError
 from ..core.laser_log import LaserLog
-from ..core.records import Scan, Track
+from ..core.records import Scan, Track, frozen
 from .mirror import looks_mirrored
 
 LARGEST, LATEST = 1e9, 1e15  # [m or rad], [s]: what is more was never measured

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.recording import RobotRecording, TeamRecording
+from ..core.landmark_log import RobotRecording, TeamRecording
 from .directory import plain, write_json
 from .mrclam import write_mrclam
 from .table import write_table

@@ -8,7 +8,7 @@ import numpy as np
 from ..core.errors import ReaderError
 from ..core.records import Track
 from ..core.se2 import wrap_angle
-from ..core.survey import Survey
+from ..core.truth import Survey
 from .files import Files, open_files
 from .rows import line_of, lines, numbers
 from .table import csv_rows, is_name

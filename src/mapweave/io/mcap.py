@@ -23,8 +23,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from ..core.laser_log import LaserLog
-from ..core.quaternion import from_yaw
 from ..core.records import Scan, Track
+from ..core.se2 import quaternion_of_heading
 from .directory import result_file
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -54,7 +54,7 @@ TYPES = {
 def write_mcap(path: Path, log: LaserLog, truth: Track | None = None, *, range_min: float = 0.0) -> None:
     """`path` holds the log; reading it back gives the same events, to the bit where they fit the messages.
 
-    They do when ranges, intensities and angles are 32-bit numbers, headings are rounded (`quaternion.representable`)
+    They do when ranges, intensities and angles are 32-bit numbers, headings are rounded (`se2.representable_heading`)
     and stamps are whole nanoseconds, as simulated ones are. All scans must come from one sensor.
     """
     with tempfile.TemporaryDirectory() as folder:
@@ -138,7 +138,7 @@ def _transform(ns: int, parent: str, child: str, pose: Float[np.ndarray, "3"]) -
 
 
 def _rotation(theta: float) -> Any:
-    x, y, z, w = from_yaw(theta)
+    x, y, z, w = quaternion_of_heading(theta)
     return _type("Quaternion")(x=x, y=y, z=z, w=w)
 
 

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core.errors import DataError, ReaderError
-from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
-from ..core.recording import TeamRecording
+from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable, TeamRecording
 from . import mending
 from .files import Files, open_files
 from .rows import line_of, numbers, open_text, row_texts

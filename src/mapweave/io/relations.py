@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core.errors import ReaderError
-from ..core.relations import Relations
+from ..core.truth import Relations
 from .text import TextLog
 
 

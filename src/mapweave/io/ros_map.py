@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int8, UInt8
 from PIL import Image, UnidentifiedImageError
 
-from ..core.arrays import frozen
 from ..core.errors import ReaderError
+from ..core.records import frozen
 from ..core.walls import Walls, walls_of_raster
 from ..laser.grid import GridMap
 from ..laser.occupancy import Occupancy

@@ -12,11 +12,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..core.arrays import frozen
 from ..core.bearings import BearingTable, unit, unit3
 from ..core.errors import DataError, ReaderError
 from ..core.names import in_order
-from ..core.records import Odometry
+from ..core.records import Odometry, frozen
 from .table import Table, read_table
 
 LAYOUTS = (("bearing",), ("azimuth", "elevation"), ("bx", "by", "bz"))

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.quaternion import is_upside_down, to_yaw
+from ..core.se2 import heading_of_quaternion, is_upside_down
 
 Edge = tuple[str, str]  # parent, child
 Rigid = tuple[np.ndarray, np.ndarray]  # translation (3,), quaternion x y z w (4,)
@@ -60,7 +60,7 @@ class Transforms:
         for step in path[1:]:
             shift, turn = shift + _rotated(turn, step[0]), _times(turn, step[1])
         q = turn.tolist()
-        return np.array([shift[0], shift[1], to_yaw(*q)]), is_upside_down(*q)
+        return np.array([shift[0], shift[1], heading_of_quaternion(*q)]), is_upside_down(*q)
 
     def _first(self, parent: str, child: str) -> Rigid:
         return self.seen[parent, child][0][1]
@@ -79,7 +79,7 @@ def rigid(translation: Any, rotation: Any) -> Rigid:
 
 def planar(transform: Rigid) -> tuple[float, float, float]:
     shift, turn = transform
-    return float(shift[0]), float(shift[1]), to_yaw(*turn.tolist())
+    return float(shift[0]), float(shift[1]), heading_of_quaternion(*turn.tolist())
 
 
 def _steps(line: list[str], end: str) -> list[Edge]:

@@ -11,8 +11,7 @@ from enum import Enum
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..core.arrays import frozen
-from ..core.records import Event, Odometry, Sightings, Stretch, Track
+from ..core.records import Event, Odometry, Sightings, Stretch, Track, frozen
 from ..kernels.landmarks import ekf
 from ..kernels.landmarks.ekf_apply_drive import clear, settle
 from ..kernels.landmarks.ekf_start import CANDIDATES

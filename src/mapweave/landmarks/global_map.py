@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.arrays import frozen
+from ..core.records import frozen
 from .landmark_map import LandmarkMap
 
 

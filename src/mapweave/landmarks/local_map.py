@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from ..core.arrays import frozen
-from ..core.records import Track
+from ..core.records import Track, frozen
 from .submap import Submap
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ..core.arrays import frozen
+from ..core.records import frozen
 from .landmark_map import LandmarkMap
 
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..core.arrays import owned
 from ..core.config import config
+from ..core.records import owned
 from ..core.se2 import wrap_angle
 from ..kernels.landmarks import submap as kernels
 from .association import Assignment, certain, jcbb, nearest_neighbour

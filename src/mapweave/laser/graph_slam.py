@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.progress import Progress, no_progress
 from ..core.records import Event, Scan
+from ..core.workers import Progress, no_progress
 from . import particle_slam
 from .beam import STEERING, Beams, beams
 from .config import LaserConfig

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.arrays import frozen
+from ..core.records import frozen
 from .intensity import IntensityCalibration
 
 __all__ = ["GridMap", "IntensityCalibration"]

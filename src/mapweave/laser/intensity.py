@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from ..core.arrays import frozen
+from ..core.records import frozen
 
 
 @dataclass(frozen=True, slots=True)

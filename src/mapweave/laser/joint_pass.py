@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from ..core import se2
-from ..core.arrays import frozen
 from ..core.config import config
+from ..core.records import frozen
 from ..kernels.laser.joint_scans import beams_by_direction, match_pairs, refine_poses
 from ..solve import Factor, Information, Pattern, Problem, SingularError, wrapping
 from .beam import Beams

@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..core.arrays import frozen
-from ..core.records import Track
+from ..core.records import Track, frozen
 from .grid import GridMap, IntensityCalibration
 from .robot_graph import RobotGraph
 

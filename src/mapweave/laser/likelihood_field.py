@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.ndimage import distance_transform_edt
 
-from ..core.arrays import frozen
+from ..core.records import frozen
 from ..kernels.laser.likelihood_field import score_field
 from .grid import GridMap
 

@@ -10,8 +10,8 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.errors import DataError
 from ..core.laser_log import LaserLog
-from ..core.progress import Progress
 from ..core.records import Track
+from ..core.workers import Progress
 from .beam import Beams, beams
 from .config import LaserConfig
 from .grid import GridMap, IntensityCalibration

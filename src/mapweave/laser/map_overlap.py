@@ -8,8 +8,8 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from ..core import se2
-from ..core.arrays import frozen
 from ..core.errors import DataError
+from ..core.records import frozen
 from .submaps import gathered
 
 MOST_BINS, LEAST_BINS = 360, 60  # directions of a keyframe's view, wider than its beams are apart

@@ -10,9 +10,9 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.errors import DataError
 from ..core.laser_log import LaserLog
-from ..core.progress import Progress, no_progress
 from ..core.records import Event, Track
 from ..core.run import run
+from ..core.workers import Progress, no_progress
 from ..kernels._jit import set_threads
 from . import graph_slam, icp_slam, particle_slam
 from .beam import STEERING, beams

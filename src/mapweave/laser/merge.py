@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.arrays import frozen
 from ..core.gaussian import symmetrise
+from ..core.records import frozen
 from .consistency import adjoint, cycle_squares, largest_clique
 from .map_overlap import KeyframeMap, seen_alike, wall_overlap
 from .merge_search import (

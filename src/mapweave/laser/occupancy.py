@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-from ..core.arrays import frozen
+from ..core.records import frozen
 from .grid import GridMap
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 1

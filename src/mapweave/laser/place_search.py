@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from ..core import se2
-from ..core.arrays import frozen, owned
 from ..core.config import config
 from ..core.errors import DataError
 from ..core.gaussian import symmetrise
+from ..core.records import frozen, owned
 from ..kernels.laser.place_refine import fit_normals, lay_onto_lines
 from ..kernels.laser.place_search import (
     COARSE,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.arrays import frozen
+from ..core.records import frozen
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core import se2
-from ..core.arrays import frozen
+from ..core.records import frozen
 from .closures import Closure
 from .intensity import IntensityCalibration
 from .pose_graph import PoseGraph

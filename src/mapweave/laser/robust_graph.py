@@ -13,9 +13,9 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import connected_components
 
 from ..core import se2
-from ..core.arrays import frozen
 from ..core.config import config
 from ..core.errors import DataError
+from ..core.records import frozen
 from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, Status, minimise, wrapping
 from ..solve.robust import Kernel
 from .graph_problem import edge_factor

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.arrays import frozen
 from ..core.config import config
+from ..core.records import frozen
 from .place_search import (
     Fit,
     LikelihoodField,

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..core.names import in_order
 from ..core.records import Track
-from ..core.survey import NO_SURVEY, Survey
+from ..core.truth import NO_SURVEY, Survey
 from ..evaluation.growth import GrowthPoint
 from ..evaluation.team import RobotTruth, TeamScore
 from ..fusion.result import Fusion

@@ -6,7 +6,7 @@ from scipy.optimize import brentq
 
 from ..core import se2
 from ..core.config import config
-from ..core.quaternion import representable
+from ..core.se2 import representable_heading
 
 MOST_BIAS = np.radians(0.8)  # [rad/m]
 
@@ -49,7 +49,7 @@ def drifted(
         bias = _bias_for(u, ds, truth, float(rng.uniform(*cfg.end_error)))
         u[:, 2] += bias * ds
     poses = _integrated(u)
-    poses[:, 2] = [representable(float(theta)) for theta in poses[:, 2]]
+    poses[:, 2] = [representable_heading(float(theta)) for theta in poses[:, 2]]
     return poses, bias
 
 

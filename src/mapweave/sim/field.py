@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ..core.arrays import frozen
 from ..core.errors import DataError
+from ..core.records import frozen
 from ..core.walls import Walls
 
 START_RADIUS = 5.0  # [m], of the circle on which teams start unless said

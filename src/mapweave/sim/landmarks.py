@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from ..core import se2
 from ..core.config import config
 from ..core.errors import UsageError
-from ..core.recording import RobotRecording, TeamRecording
+from ..core.landmark_log import RobotRecording, TeamRecording
 from .driving import COMMAND_STEP, Drive, drive_team, scattered
 
 START = 1.7e9  # Unix seconds of the first row

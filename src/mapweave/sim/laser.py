@@ -6,11 +6,10 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.arrays import frozen
 from ..core.config import config
 from ..core.laser_log import LaserLog
-from ..core.quaternion import representable
-from ..core.records import Scan, Track
+from ..core.records import Scan, Track, frozen
+from ..core.se2 import representable_heading
 from ..kernels.walls.raycast import cast
 from .drift import DriftConfig, drifted
 from .laser_world import LaserWorld
@@ -61,7 +60,7 @@ def drive(world: LaserWorld, route: Route, cfg: DriveConfig, seed: int) -> Laser
     truth = route.poses(s)
     odometry, bias = drifted(truth, cfg.drift, stream(seed, "odometry"))
     x, y, theta = cfg.sensor_pose
-    T_robot_sensor = frozen([x, y, representable(theta)])
+    T_robot_sensor = frozen([x, y, representable_heading(theta)])
     at = np.arange(0, len(s), each)
     sensor = se2.compose(truth[at], T_robot_sensor)
     discs, clothes = walking(cfg.people, route, t[at], truth[at], stream(seed, "people"))

@@ -6,12 +6,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core import se2
-from ..core.arrays import frozen
 from ..core.config import config
 from ..core.errors import DataError, EstimateError
-from ..core.quaternion import representable
-from ..core.records import Scan
-from ..core.wall_index import WallIndex
+from ..core.records import Scan, frozen
+from ..core.se2 import representable_heading
+from ..core.walls import WallIndex
 from .laser import START_NS, stream
 from .laser_world import LaserWorld
 from .scanner import Reflectance, Scanner, measure
@@ -96,7 +95,7 @@ class LaserTeamSim:
         moved = se2.log(se2.between(self.true_poses, after))
         for j, wheels in enumerate(self._wheels):
             made = se2.compose(self.odometry[j], se2.exp(wheels.turned(moved[j])))
-            self.odometry[j] = (*made[:2], representable(float(made[2])))
+            self.odometry[j] = (*made[:2], representable_heading(float(made[2])))
         self.true_poses = after
         self.steps += 1
 

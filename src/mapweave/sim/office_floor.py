@@ -6,9 +6,9 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from ..core.arrays import frozen
 from ..core.config import config
 from ..core.errors import DataError
+from ..core.records import frozen
 from ..core.walls import PAINT
 from .laser import stream
 from .laser_world import LaserWorld, WallStyle, WorldBuilder

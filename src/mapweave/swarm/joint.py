@@ -6,8 +6,8 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float
 
-from ..core.arrays import frozen
 from ..core.gaussian import symmetrise
+from ..core.records import frozen
 from ..solve import Information
 
 

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.arrays import frozen
 from ..core.errors import DataError
 from ..core.names import in_order
+from ..core.records import frozen
 
 DEFAULT_SIGMA = float(np.radians(1.0))  # [rad]; standard deviation of a bearing where none is said
 

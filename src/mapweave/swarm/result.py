@@ -7,7 +7,7 @@ from enum import StrEnum
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..core.arrays import frozen
+from ..core.records import frozen
 from .joint import JointInformation
 
 

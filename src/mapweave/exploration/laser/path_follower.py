@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...core import se2
-from ...core.arrays import frozen
+from ...core.records import frozen
 from ...core.se2 import wrap_angle
 from ...kernels.exploration.arcs import arc_clearance, arc_points
 from .config import LaserExploreConfig

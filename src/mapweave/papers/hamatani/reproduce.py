@@ -7,9 +7,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ...core.progress import Progress, no_progress
-from ...core.threads import one_blas_thread
 from ...core.version import __version__
+from ...core.workers import Progress, no_progress, one_blas_thread
 from ...io.directory import check_target, write_json
 from ...report.result import ResultBase, Rows
 from ...report.style import Target

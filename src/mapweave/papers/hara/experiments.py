@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ...core import se2
-from ...core.progress import Progress
 from ...core.records import Track
+from ...core.workers import Progress
 from ...evaluation.trajectory import align_tracks, ate
 from ...laser.beam import beams
 from ...laser.config import LaserConfig

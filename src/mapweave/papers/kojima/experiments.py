@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...core import se2
-from ...core.progress import Progress, no_progress
+from ...core.workers import Progress, no_progress
 from ...fusion.relative_information import Weights, baseline_pair
 from ...fusion.relative_measurement import Measurement, RelativeLayout, measurement
 from . import limits, rls

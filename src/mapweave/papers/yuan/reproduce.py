@@ -8,10 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ...core.progress import Progress, no_progress
-from ...core.threads import one_blas_thread
 from ...core.version import __version__
-from ...core.workers import worker_pool
+from ...core.workers import Progress, no_progress, one_blas_thread, worker_pool
 from ...exploration.landmarks.config import ExploreConfig
 from ...exploration.landmarks.experiment import CALIBRATED, LandmarkMission, LandmarkScore, explore_many, with_noise
 from ...exploration.landmarks.scenario import find_scenario

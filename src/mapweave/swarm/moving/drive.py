@@ -9,8 +9,8 @@ from jaxtyping import Float
 from ...core import se2
 from ...core.bearings import BearingTable
 from ...core.errors import DataError
-from ...core.progress import Progress, no_progress
 from ...core.records import Odometry
+from ...core.workers import Progress, no_progress
 from .grow import grow
 from .poses import PoseProblem
 from .result import RobotTrajectory, SwarmTrack, TrackConfig, without_outliers

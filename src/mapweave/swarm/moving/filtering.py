@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from ...core.arrays import frozen
 from ...core.bearings import BearingTable
 from ...core.errors import DataError
 from ...core.gaussian import joseph, solve_psd, symmetrise
+from ...core.records import frozen
 from .. import bearing as model
 from .factors import velocity_noise
 from .result import RobotTrajectory, SwarmTrack, TrackConfig

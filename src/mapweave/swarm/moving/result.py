@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...core.arrays import frozen
 from ...core.config import config
+from ...core.records import frozen
 from ...solve import Solution
 
 OUTLIER = 4.0  # standard deviations
