@@ -22,8 +22,7 @@ from mapweave.fusion.handover import hand_over
 from mapweave.kernels.landmarks import ekf, ekf_apply_drive, ekf_start, ekf_state
 from mapweave.kernels.landmarks.submap import sight_jacobian
 from mapweave.landmarks.config import EkfSlamConfig, noise
-from mapweave.landmarks.global_map import GlobalMap
-from mapweave.landmarks.submap import Submap
+from mapweave.landmarks.landmark_map import GlobalMap, Submap
 from mapweave.landmarks.submap_slam import Observations, SubmapConfig, empty, move, predict, sight, update
 
 STEPS, SIGHTINGS = 30, 3

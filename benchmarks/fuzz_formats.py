@@ -29,9 +29,7 @@ from mapweave.io.sightings import read_sightings, read_swarm_odometry, read_swar
 from mapweave.io.team_bearings import read_team_bearings
 from mapweave.io.team_map import read_metrics, read_single_maps, read_team_maps, write_tracks
 from mapweave.io.tum import read_tum, write_tum
-from mapweave.landmarks.landmark_map import LandmarkMap
-from mapweave.landmarks.local_map import LocalMap, RobotSightings
-from mapweave.landmarks.submap import Submap
+from mapweave.landmarks.landmark_map import LandmarkMap, LocalMap, RobotSightings, Submap
 from mapweave.laser.grid import GridMap, IntensityCalibration
 from mapweave.laser.pose_graph import PoseGraph
 from mapweave.swarm.joint import JointInformation

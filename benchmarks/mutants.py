@@ -59,15 +59,15 @@ AREAS = (
     ),
     Area(
         "association",
-        ("landmarks/association.py", "landmarks/pairing.py"),
+        ("landmarks/association.py", "landmarks/association.py"),
         ("tests/landmarks/test_association.py", "tests/landmarks/test_pairing.py", "tests/landmarks", "tests/fusion"),
     ),
     Area(
         "fusion",
         (
-            "fusion/joint_fit.py",
+            "fusion/alignment.py",
             "fusion/identities.py",
-            "fusion/variance_factors.py",
+            "fusion/full_covariance.py",
             "fusion/relative*.py",
             "fusion/full_covariance.py",
             "fusion/handover.py",

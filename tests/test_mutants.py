@@ -84,7 +84,7 @@ def test_every_area_names_sources_and_tests_that_exist():
 
 
 def test_the_same_pattern_names_the_same_mistakes_and_no_other_file():
-    drawn = mutants.all_mutants("solve/robust.py")
-    assert drawn == mutants.all_mutants("solve/robust.py")
-    assert {m.path for m, _ in drawn} == {"solve/robust.py"}
+    drawn = mutants.all_mutants("solve/problem.py")
+    assert drawn == mutants.all_mutants("solve/problem.py")
+    assert {m.path for m, _ in drawn} == {"solve/problem.py"}
     assert len(drawn) > 10

@@ -25,7 +25,7 @@ from mapweave.exploration.landmarks.scenario import ScenarioConfig, find_scenari
 from mapweave.exploration.landmarks.team import Team
 from mapweave.exploration.planner_interface import find_planner
 from mapweave.fusion.handover import hand_over
-from mapweave.landmarks.submap import Submap
+from mapweave.landmarks.landmark_map import Submap
 from mapweave.landmarks.submap_slam import SubmapConfig
 
 

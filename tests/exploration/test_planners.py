@@ -16,7 +16,7 @@ from mapweave.kernels.exploration.objective import (
 )
 from mapweave.kernels.exploration.tours import balanced_tours, greedy_cover
 from mapweave.kernels.raster import Raster, Sector
-from mapweave.landmarks.submap import Submap
+from mapweave.landmarks.landmark_map import Submap
 from mapweave.landmarks.submap_slam import Observations, SubmapConfig, move, predict, sight, update
 
 

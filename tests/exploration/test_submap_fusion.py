@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.fusion.duplicates import merge_duplicates
 from mapweave.fusion.handover import hand_over
-from mapweave.fusion.map_and_submap import MapAndSubmap
+from mapweave.fusion.map_and_submap import MapAndSubmap, merge_duplicates
 from mapweave.kernels.landmarks import submap as kernels
-from mapweave.landmarks.global_map import GlobalMap, known_starts
-from mapweave.landmarks.submap import Submap
+from mapweave.landmarks.landmark_map import GlobalMap, Submap, known_starts
 from mapweave.landmarks.submap_slam import Observations, SubmapConfig, empty, in_view, move, predict, sight, update
 
 

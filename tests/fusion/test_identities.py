@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.fusion.alignment import align_robust
+from mapweave.fusion.alignment import align_robust, joint_fit
 from mapweave.fusion.identities import IdentityConfig, match_maps
-from mapweave.fusion.joint_fit import joint_fit
 from mapweave.landmarks.landmark_map import LandmarkMap
 
 from .worlds import covariance

@@ -4,8 +4,7 @@ import numpy as np
 
 from mapweave.core import se2
 from mapweave.core.gaussian import is_positive_definite
-from mapweave.fusion.known_starts import tie_by_starts
-from mapweave.fusion.result import Component, Decision, Fusion
+from mapweave.fusion.result import Component, Decision, Fusion, tie_by_starts
 from mapweave.landmarks.landmark_map import LandmarkMap
 
 

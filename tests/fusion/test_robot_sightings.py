@@ -10,8 +10,7 @@ from mapweave.fusion.config import FuseConfig
 from mapweave.fusion.join import fuse
 from mapweave.fusion.relative import fuse_relative
 from mapweave.fusion.robot_sightings import FrameSightings, frame_sightings, sighting_factor
-from mapweave.landmarks.local_map import LocalMap, RobotSightings
-from mapweave.landmarks.submap import Submap
+from mapweave.landmarks.landmark_map import LocalMap, RobotSightings, Submap
 
 SENSOR = {"range_sigma": 0.1, "bearing_sigma": 0.02}
 FRAMES = np.array([[0.0, 0.0, 0.0], [3.0, 1.0, 0.8]])

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.fusion import variance_factors
 from mapweave.fusion.cluster import Cluster
-from mapweave.fusion.full_covariance import build, join
-from mapweave.fusion.map_term import MapTerm
+from mapweave.fusion.full_covariance import MapTerm, build, join
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.solve import Pattern, SolveConfig, minimise
 

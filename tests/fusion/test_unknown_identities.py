@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mapweave.fusion.common_names import identify
 from mapweave.fusion.config import FuseConfig
+from mapweave.fusion.identities import identify
 from mapweave.fusion.join import fuse
 
 from .worlds import rmse, team, with_landmarks

@@ -6,8 +6,7 @@ import numpy as np
 
 from mapweave.core import se2
 from mapweave.core.records import Track
-from mapweave.landmarks.local_map import LocalMap
-from mapweave.landmarks.submap import Submap
+from mapweave.landmarks.landmark_map import LocalMap, Submap
 
 
 def local_map(robot, ids, mean, cov, **more):

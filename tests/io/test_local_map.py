@@ -6,8 +6,7 @@ import pytest
 from mapweave.core.errors import ReaderError
 from mapweave.core.records import Track
 from mapweave.io.local_map import read_local_map, read_local_maps, write_local_map
-from mapweave.landmarks.local_map import LocalMap, RobotSightings
-from mapweave.landmarks.submap import Submap
+from mapweave.landmarks.landmark_map import LocalMap, RobotSightings, Submap
 
 
 def some_map(robot="robot2", *, cov=True) -> LocalMap:

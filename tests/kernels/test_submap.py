@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.se2 import wrap_angle
-from mapweave.kernels import symmetric
+from mapweave.kernels import dense
 from mapweave.kernels.landmarks import submap
 
 pytestmark = pytest.mark.kernel
@@ -89,7 +89,7 @@ def test_angles_wrap_as_everywhere_else(angle):
 def test_a_mirrored_matrix_has_its_lower_triangle_twice(n):
     P = np.random.default_rng(n).normal(size=(n, n))
     lower = np.tril(P)
-    symmetric.mirror(P)
+    dense.mirror(P)
     assert np.array_equal(P, lower + np.tril(lower, -1).T)
 
 

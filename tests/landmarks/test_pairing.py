@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from mapweave.landmarks.pairing import pairing_probabilities
+from mapweave.landmarks.association import pairing_probabilities
 
 
 def enumerated(pairs, e, S, density):

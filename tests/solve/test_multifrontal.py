@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from mapweave.kernels.solve.fronts import extend_add
-from mapweave.solve.cholesky import Cholesky, NotPositiveError
-from mapweave.solve.dissection import dissect
-from mapweave.solve.fronts import Elimination
+from mapweave.kernels.dense import extend_add
 from mapweave.solve.information import Information, SingularError
+from mapweave.solve.multifrontal import Cholesky, Elimination, NotPositiveError, dissect
 
 
 def laplacian(n, edges, block, rng):

@@ -12,7 +12,7 @@ from ..fusion.config import FuseConfig
 from ..fusion.join import fuse as join_maps
 from ..io.directory import check_target
 from ..io.local_map import read_local_map
-from ..landmarks.local_map import LocalMap
+from ..landmarks.landmark_map import LocalMap
 from .team import TeamResult, Watch, team_result
 
 

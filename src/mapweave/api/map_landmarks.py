@@ -11,14 +11,13 @@ from ..core.names import in_order, robot_key, robot_name
 from ..core.workers import worker_pool
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse
-from ..fusion.known_starts import tie_by_starts
-from ..fusion.result import Fusion
+from ..fusion.result import Fusion, tie_by_starts
 from ..io.calibration import read_calibration
 from ..io.columns import Columns
 from ..io.csv_landmarks import landmark_logs_of
 from ..io.landmark_logs import is_landmark_log, read_landmark_logs
 from ..landmarks.config import EkfSlamConfig
-from ..landmarks.local_map import LocalMap
+from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import local_map, without_impossible
 from ..team.config import SmoothingConfig
 from ..team.smooth import Smoothed, smooth

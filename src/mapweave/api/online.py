@@ -13,8 +13,7 @@ from ..fusion.config import FuseConfig
 from ..fusion.online import OnlineFuser
 from ..fusion.result import Fusion
 from ..landmarks.config import EkfSlamConfig
-from ..landmarks.landmark_map import LandmarkMap
-from ..landmarks.local_map import LocalMap
+from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from ..landmarks.mapping import growing_maps
 
 

@@ -18,8 +18,7 @@ from ..evaluation.growth import GrowthPoint
 from ..evaluation.landmarks import find_exchanges
 from ..evaluation.team import TeamScore, as_json, score_team
 from ..fusion.result import Component, Fusion
-from ..landmarks.landmark_map import LandmarkMap
-from ..landmarks.local_map import LocalMap
+from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from ..report.result import ResultBase, Rows
 from ..report.team_story import TeamStory
 from ..team.smooth import Smoothed

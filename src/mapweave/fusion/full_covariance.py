@@ -5,7 +5,7 @@ scale s_k is a parameter with a prior at 1, never part of the covariance (there 
 covariance times a variance factor found from the join's own residuals, plus a floor.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,8 +15,136 @@ from ..core.gaussian import solve_psd, symmetrise
 from ..landmarks.landmark_map import LandmarkMap
 from ..solve import Factor, Pattern, Problem, Solution, SolveConfig, Term, minimise, wrapping
 from .cluster import Cluster, JoinedMap
-from .map_term import MapTerm
-from .variance_factors import variance_factors
+
+
+@dataclass(frozen=True, slots=True)
+class MapTerm:
+    """One local map as a measurement of its frame (x, y, theta), its scale and its n landmarks, in that order.
+
+    z: (2n,) [m]; information: (2n, 2n), the inverse of V_k. Its normal equations cost n^2, not n^3: the information
+    is turned, not multiplied.
+    """
+
+    where: Int[np.ndarray, " d"]
+    z: Float[np.ndarray, " m"]
+    information: Float[np.ndarray, "m m"]
+
+    @property
+    def columns(self) -> Int[np.ndarray, "1 d"]:
+        return self.where[None]
+
+    @property
+    def size(self) -> int:
+        return len(self.z)
+
+    def residual(self, x: np.ndarray) -> Float[np.ndarray, " m"]:
+        frame, scale, points = x[self.where[:3]], x[self.where[3]], x[self.where[4:]].reshape(-1, 2)
+        c, s = np.cos(frame[2]), np.sin(frame[2])
+        d = points - frame[:2]
+        r = -self.z
+        r[0::2] += scale * (c * d[:, 0] + s * d[:, 1])
+        r[1::2] += scale * (c * d[:, 1] - s * d[:, 0])
+        return r
+
+    def squares(self, x: np.ndarray) -> Float[np.ndarray, "1"]:
+        r = self.residual(x)
+        return np.array([r @ self.information @ r])
+
+    def costs(self, x: np.ndarray) -> Float[np.ndarray, "1"]:
+        return self.squares(x)
+
+    def design(self, x: np.ndarray) -> Float[np.ndarray, "m 4"]:
+        """Derivatives of the residual by frame and scale."""
+        frame, scale, points = x[self.where[:3]], x[self.where[3]], x[self.where[4:]].reshape(-1, 2)
+        c, s = np.cos(frame[2]), np.sin(frame[2])
+        d = points - frame[:2]
+        u, v = c * d[:, 0] + s * d[:, 1], -s * d[:, 0] + c * d[:, 1]
+        D = np.empty((len(d), 2, 4))
+        D[:, 0, 0], D[:, 0, 1], D[:, 1, 0], D[:, 1, 1] = -scale * c, -scale * s, scale * s, -scale * c
+        D[:, 0, 2], D[:, 1, 2] = scale * v, -scale * u
+        D[:, 0, 3], D[:, 1, 3] = u, v
+        return D.reshape(-1, 4)
+
+    def jacobian(self, x: np.ndarray) -> Float[np.ndarray, "m d"]:
+        """Derivatives of the residual by everything it touches, in the order of `where`."""
+        c, s, k = np.cos(x[self.where[2]]), np.sin(x[self.where[2]]), x[self.where[3]]
+        turn = np.kron(np.eye(self.size // 2), k * np.array([[c, s], [-s, c]]))
+        return np.concatenate([self.design(x), turn], axis=1)
+
+    def normal(self, x: np.ndarray) -> tuple[Float[np.ndarray, "1 d d"], Float[np.ndarray, "1 d"]]:
+        A, D, r = self.information, self.design(x), self.residual(x)
+        c, s, k = np.cos(x[self.where[2]]), np.sin(x[self.where[2]]), x[self.where[3]]
+        AD, Ar = A @ D, A @ r
+        H = np.empty((len(self.where), len(self.where)))
+        H[:4, :4] = D.T @ AD
+        H[4:, :4] = k * _turn_rows(AD, c, s)
+        H[:4, 4:] = H[4:, :4].T
+        H[4:, 4:] = k * k * _turn_rows(_turn_rows(A, c, s).T, c, s).T
+        g = np.concatenate([D.T @ Ar, k * _turn_rows(Ar[:, None], c, s)[:, 0]])
+        return H[None], g[None]
+
+
+def _turn_rows(A: Float[np.ndarray, "m k"], c: float, s: float) -> Float[np.ndarray, "m k"]:
+    """Every pair of rows turned by the rotation [[c, -s], [s, c]]."""
+    out = np.empty_like(A)
+    out[0::2] = c * A[0::2] - s * A[1::2]
+    out[1::2] = s * A[0::2] + c * A[1::2]
+    return out
+
+
+FACTORS = (0.05, 400.0)  # between which a variance factor is believed
+EXACT = 1000  # variables up to which the expectation is computed and not sampled
+DRAWS = 32
+
+
+def variance_factors(
+    maps: Sequence[LandmarkMap],
+    problem: Problem,
+    solution: Solution,
+    factors: Float[np.ndarray, " k"],
+    prior: float,
+) -> Float[np.ndarray, " k"]:
+    """The next estimate of each map's factor; the problem's first terms are the maps with the present `factors`.
+
+    One step of Helmert's variance components: the map's part of chi-square over what that part is expected to be,
+    held at 1 with `prior` degrees of freedom.
+    """
+    terms = [t for t in problem.terms if isinstance(t, MapTerm)]
+    own = [v * m.cov for v, m in zip(factors, maps, strict=True)]  # the part of the noise that the factor scales
+    expected = _exactly(terms, own, solution) if len(solution.x) <= EXACT else _sampled(terms, own, solution)
+    out = factors.copy()
+    for k, (term, part, e) in enumerate(zip(terms, own, expected, strict=True)):
+        Ar = term.information @ term.residual(solution.x)
+        out[k] = (factors[k] * float(Ar @ part @ Ar) + prior) / (max(e, 0.0) + prior)
+    return np.asarray(np.clip(out, *FACTORS))
+
+
+def _exactly(terms: Sequence[MapTerm], own: Sequence[np.ndarray], solution: Solution) -> Iterator[float]:
+    """`tr(A V_own) - tr(A J P J^T A V_own)` for each map, P the covariance of the solution."""
+    P = solution.covariance()
+    for term, part in zip(terms, own, strict=True):
+        A, J = term.information, term.jacobian(solution.x)
+        AJ = A @ J
+        yield float(np.sum(A * part) - np.sum((AJ @ P[np.ix_(term.where, term.where)] @ AJ.T) * part))
+
+
+def _sampled(terms: Sequence[MapTerm], own: Sequence[np.ndarray], solution: Solution) -> Iterator[float]:
+    """The same from residuals of noise drawn as it is said to be: a few solutions instead of the whole covariance."""
+    rng = np.random.default_rng(0)
+    pull = np.zeros((len(solution.x), DRAWS))
+    drawn = []
+    for term in terms:
+        J, L = term.jacobian(solution.x), np.linalg.cholesky(term.information)
+        white = rng.normal(size=(term.size, DRAWS))
+        pull[term.where] += J.T @ (L @ white)  # J^T A w, where w = L^-T white has covariance A^-1
+        drawn.append((J, np.linalg.solve(L.T, white)))
+    moved = np.zeros_like(pull)
+    if solution.information is not None:
+        moved[solution.free] = solution.information.solve(pull[solution.free])
+    for term, part, (J, w) in zip(terms, own, drawn, strict=True):
+        Ar = term.information @ (w - J @ moved[term.where])
+        yield float(np.einsum("id,ij,jd->", Ar, part, Ar, optimize=True)) / DRAWS
+
 
 SOLVE = SolveConfig(max_iterations=100, damping=1e-6, step_tolerance=1e-8, cost_tolerance=1e-11)
 NEARER = SolveConfig(max_iterations=2, damping=0.0)  # between two estimates of the variance factors

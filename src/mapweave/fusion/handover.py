@@ -13,10 +13,8 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.gaussian import symmetrise
 from ..core.records import owned
-from ..landmarks.global_map import GlobalMap
-from ..landmarks.submap import Submap
-from .duplicates import DENSITY, GATE, SURE, merge_duplicates, told
-from .map_and_submap import MapAndSubmap
+from ..landmarks.landmark_map import GlobalMap, Submap
+from .map_and_submap import DENSITY, GATE, SURE, MapAndSubmap, merge_duplicates, told
 
 KEPT_APART = 10.0  # [m] landmarks farther from each other are never mistaken for one
 

@@ -6,14 +6,12 @@ import numpy as np
 
 from ..core.gaussian import is_positive_definite
 from ..core.names import in_order
-from ..landmarks.landmark_map import LandmarkMap
-from ..landmarks.local_map import LocalMap
-from .cluster import Cluster, JoinedMap
-from .common_names import identify
+from ..landmarks.landmark_map import LandmarkMap, LocalMap
+from .cluster import Cluster, JoinedMap, average
 from .config import FuseConfig
 from .full_covariance import join
+from .identities import identify
 from .initial_frames import arrange, as_cluster
-from .naive import average
 from .outlier_rejection import Outlier, find_exchanged, find_outliers, inflated, relabelled
 from .relative import RelativeConfig, fuse_relative
 from .result import Component, Decision, Fusion

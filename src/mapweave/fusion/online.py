@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..landmarks.local_map import LocalMap
+from ..landmarks.landmark_map import LocalMap
 from .config import FuseConfig
 from .join import fuse
 from .result import Component, Fusion

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..core import se2
 from ..core.records import Track
-from ..landmarks.local_map import LocalMap
+from ..landmarks.landmark_map import LocalMap
 from ..solve import Factor, Huber
 
 Poses = Float[np.ndarray, "*b 3"]

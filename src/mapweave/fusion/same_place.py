@@ -16,9 +16,8 @@ from jaxtyping import Float, Int
 from ..core import se2
 from ..core.names import in_order
 from ..landmarks.landmark_map import LandmarkMap
-from .alignment import align_robust
+from .alignment import align_robust, joint_fit
 from .config import FuseConfig
-from .joint_fit import joint_fit
 
 ENOUGH = 2  # landmarks in common that fix a rigid transform
 MOST = 40  # landmarks in common that are weighed; more than enough

@@ -9,8 +9,7 @@ import numpy as np
 from ..core.errors import ReaderError
 from ..core.names import in_order
 from ..core.records import Track
-from ..landmarks.local_map import LocalMap, RobotSightings
-from ..landmarks.submap import Submap
+from ..landmarks.landmark_map import LocalMap, RobotSightings, Submap
 from .directory import read_json, write_json
 from .npz import Spec, read_npz, write_npz
 

@@ -13,7 +13,7 @@ from ..kernels.landmarks import ekf_smooth
 from ..kernels.landmarks.ekf_state import RANGE_SCALE
 from . import ekf_slam
 from .config import EkfSlamConfig, track_noise
-from .submap import Submap
+from .landmark_map import Submap
 
 MOST_NUMBERS = 30_000_000  # sightings times state: beyond, smoothing would take gigabytes and poses stay filtered
 

@@ -17,7 +17,7 @@ from ..kernels.landmarks.ekf_apply_drive import clear, settle
 from ..kernels.landmarks.ekf_start import CANDIDATES
 from ..kernels.landmarks.ekf_state import HEAD, POSE, RANGE_SCALE
 from .config import EkfSlamConfig, calibration_prior, noise
-from .submap import Submap
+from .landmark_map import Submap
 
 
 class Status(Enum):

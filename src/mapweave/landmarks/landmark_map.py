@@ -1,13 +1,16 @@
-"""A landmark map: named points with their joint covariance. What robots hand over and `fuse` takes."""
+"""Maps of landmarks: named points with their joint covariance, alone or with what belongs to them.
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+`Submap`: with the robot in it. `LocalMap`: all that one robot hands over. `GlobalMap`: with every robot's frame in it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.records import frozen
+from ..core.records import Track, frozen
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,3 +43,111 @@ class LandmarkMap:
         """The same map expressed in `frame` through an exactly known transform."""
         C = np.kron(np.eye(len(self)), se2.rotation(float(T_new_old[2])))
         return LandmarkMap(self.ids, se2.act(T_new_old, self.mean), C @ self.cov @ C.T, frame)
+
+
+@dataclass(frozen=True, slots=True)
+class Submap:
+    """Robot pose and n landmarks in `frame` (`local_k`: the first pose). cov: (3 + 2n, 3 + 2n), pose first."""
+
+    robot: str
+    pose: Float[np.ndarray, "3"]
+    ids: tuple[str, ...]
+    mean: Float[np.ndarray, "n 2"]
+    cov: Float[np.ndarray, "m m"]
+    frame: str
+
+    def __post_init__(self) -> None:
+        for name in ("pose", "mean", "cov"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        size = 3 + 2 * len(self.ids)
+        if self.cov.shape != (size, size) or self.mean.shape != (len(self.ids), 2):
+            msg = f"{len(self.ids)} ids do not belong to mean {self.mean.shape} and covariance {self.cov.shape}"
+            raise ValueError(msg)
+
+    @property
+    def landmarks(self) -> LandmarkMap:
+        """The landmarks alone, the pose marginalised away."""
+        return LandmarkMap(self.ids, self.mean, self.cov[3:, 3:], self.frame)
+
+
+@dataclass(frozen=True, slots=True)
+class RobotSightings:
+    """Sightings of other robots: t: (n,) [s]; target: robot names; range: (n,) [m]; bearing: (n,) [rad]."""
+
+    t: Float[np.ndarray, " n"]
+    target: tuple[str, ...]
+    range: Float[np.ndarray, " n"]
+    bearing: Float[np.ndarray, " n"]
+
+    def __post_init__(self) -> None:
+        for name in ("t", "range", "bearing"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+
+NO_ROBOT_SIGHTINGS = RobotSightings(np.zeros(0), (), np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True, slots=True)
+class LocalMap:
+    """One robot's own map in `local_k` (its first pose), as an estimator leaves it and `fuse` takes it.
+
+    `sightings` counts those each landmark was made of; `calibration` holds the sensor parameters estimated, by
+    name, as (value, standard deviation); `log_hash` tells two runs over the same log from two logs.
+    """
+
+    robot: str
+    submap: Submap
+    track: Track
+    sightings: Mapping[str, int]
+    robot_sightings: RobotSightings = NO_ROBOT_SIGHTINGS
+    odometry: str = "velocity"
+    source: str = ""
+    log_hash: str = ""
+    nis_median: float | None = None
+    down_weighted: int = 0
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    calibration: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class GlobalMap:
+    """`G = [XL_1 .. XL_M, m_1 .. m_n]`: frames (M, 3) = `T_map_local`, landmarks (n, 2), cov (3M + 2n, 3M + 2n).
+
+    apart: pairs of ids, each sorted, that a robot has told apart and that are therefore never one landmark.
+    """
+
+    robots: tuple[str, ...]
+    frames: Float[np.ndarray, "r 3"]
+    ids: tuple[str, ...]
+    mean: Float[np.ndarray, "n 2"]
+    cov: Float[np.ndarray, "m m"]
+    apart: frozenset[tuple[str, str]] = frozenset()
+
+    def __post_init__(self) -> None:
+        for name in ("frames", "mean", "cov"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        size = 3 * len(self.robots) + 2 * len(self.ids)
+        if self.cov.shape != (size, size):
+            msg = (
+                f"{len(self.robots)} frames and {len(self.ids)} landmarks do not belong to covariance {self.cov.shape}"
+            )
+            raise ValueError(msg)
+
+    @property
+    def landmarks(self) -> LandmarkMap:
+        """The landmarks alone, frames marginalised away."""
+        k = 3 * len(self.robots)
+        return LandmarkMap(self.ids, self.mean, self.cov[k:, k:], "map")
+
+    def frame_of(self, robot: str) -> Float[np.ndarray, "3"]:
+        return np.asarray(self.frames[self.robots.index(robot)])
+
+    def pose_in_map(self, robot: str, pose_local: Float[np.ndarray, "... 3"]) -> np.ndarray:
+        """`T_map_robot` from a pose in the robot's current submap."""
+        return se2.compose(self.frame_of(robot), pose_local)
+
+
+def known_starts(robots: tuple[str, ...], starts: Float[np.ndarray, "r 3"]) -> GlobalMap:
+    """No landmark yet; every submap frame at the robot's exactly known start."""
+    return GlobalMap(robots, starts, (), np.zeros((0, 2)), np.zeros((3 * len(robots), 3 * len(robots))))

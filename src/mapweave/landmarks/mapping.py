@@ -13,7 +13,7 @@ from ..kernels.landmarks.ekf_state import HEAD, POSE, RANGE_SCALE
 from . import ekf_slam
 from .config import EkfSlamConfig
 from .ekf_replay import Played, play
-from .local_map import LocalMap, RobotSightings
+from .landmark_map import LocalMap, RobotSightings
 from .without_odometry import play_in_pieces
 
 CALIBRATION = ("speed_scale", "turn_scale", "lag", "bearing_bias", "range_scale")

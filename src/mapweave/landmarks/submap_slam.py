@@ -11,7 +11,7 @@ from ..core.records import owned
 from ..core.se2 import wrap_angle
 from ..kernels.landmarks import submap as kernels
 from .association import Assignment, certain, jcbb, nearest_neighbour
-from .submap import Submap
+from .landmark_map import Submap
 
 
 @config

@@ -10,9 +10,8 @@ from ..core.records import Track
 from .config import EkfSlamConfig
 from .ekf_replay import Played, play
 from .ekf_slam import is_landmark
-from .landmark_map import LandmarkMap
+from .landmark_map import LandmarkMap, Submap
 from .pieces import Tied, tie
-from .submap import Submap
 
 
 def play_in_pieces(log: LandmarkLog, cfg: EkfSlamConfig) -> Played:

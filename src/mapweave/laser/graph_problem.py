@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from ..core import se2
 from ..core.se2 import wrap_angle
 from ..solve import Factor, Huber, Information, Pattern, Problem, Solution, SolveConfig, minimise, wrapping
-from ..solve.robust import Kernel
+from ..solve.problem import Kernel
 from .pose_graph import PoseGraph
 
 SOLVE = SolveConfig(max_iterations=12, step_tolerance=1e-6, cost_tolerance=1e-7)

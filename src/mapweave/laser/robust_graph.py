@@ -17,7 +17,7 @@ from ..core.config import config
 from ..core.errors import DataError
 from ..core.records import frozen
 from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, Status, minimise, wrapping
-from ..solve.robust import Kernel
+from ..solve.problem import Kernel
 from .graph_problem import edge_factor
 from .pose_graph import PoseGraph
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ..core.names import robot_key
 from ..evaluation.consistency import mean_or_none
-from ..landmarks.local_map import LocalMap
+from ..landmarks.landmark_map import LocalMap
 from ..team.robot_part import PARAMETERS
 from ..team.smooth import is_observed
 from . import team_figures, truth_figures

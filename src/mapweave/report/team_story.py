@@ -11,7 +11,7 @@ from ..core.truth import NO_SURVEY, Survey
 from ..evaluation.growth import GrowthPoint
 from ..evaluation.team import RobotTruth, TeamScore
 from ..fusion.result import Fusion
-from ..landmarks.local_map import LocalMap
+from ..landmarks.landmark_map import LocalMap
 from ..team.smooth import Smoothed
 from ..team.team_map import TeamMap
 

@@ -6,11 +6,9 @@ takes `gauss_newton`.
 """
 
 from .dense import DenseSolution, gauss_newton
-from .information import Information, SingularError
+from .information import Information, Pattern, SingularError
 from .optimise import Solution, SolveConfig, Status, minimise
-from .pattern import Pattern
-from .problem import Factor, Problem, Term, wrapping
-from .robust import Cauchy, GemanMcClure, Huber, Kernel
+from .problem import Cauchy, Factor, GemanMcClure, Huber, Kernel, Problem, Term, wrapping
 
 __all__ = [
     "Cauchy",

@@ -8,8 +8,7 @@ import scipy.sparse as sp
 from jaxtyping import Float, Int
 
 from ..core.config import config
-from .information import Information, SingularError
-from .pattern import Pattern
+from .information import Information, Pattern, SingularError
 from .problem import Problem
 
 HARDEST = 1e12  # damping beyond which no step is found any more

@@ -13,8 +13,7 @@ from jaxtyping import Bool, Float
 from ..core.errors import EstimateError
 from ..core.gaussian import chi2_quantile
 from ..solve import Factor, Pattern, Problem
-from ..solve.cholesky import Cholesky, NotPositiveError
-from ..solve.fronts import Elimination
+from ..solve.multifrontal import Cholesky, Elimination, NotPositiveError
 from . import bearing
 from .factors import columns, width
 from .graph import Components

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from ..core.gaussian import symmetrise
 from ..solve import Information, SingularError, Solution
-from ..solve.fronts import Elimination
+from ..solve.multifrontal import Elimination
 from .config import SmoothingConfig
 from .problem import TeamProblem
 from .robot_part import PARAMETERS

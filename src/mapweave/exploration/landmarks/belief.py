@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from ...landmarks.global_map import GlobalMap
-from ...landmarks.submap import Submap
+from ...landmarks.landmark_map import GlobalMap, Submap
 from ..planner_interface import TeamBelief
 from .config import ExploreConfig
 from .explored import Explored

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from ...core.gaussian import mahalanobis2
-from ...landmarks.global_map import GlobalMap
+from ...landmarks.landmark_map import GlobalMap
 from ...landmarks.submap_slam import SubmapConfig
 from ...sim.field import Field
 from ..mission import Mission, RunScore, run_seeds

@@ -15,8 +15,7 @@ from ...fusion.handover import Handover, hand_over, pose_in_map
 from ...kernels.exploration.objective import map_uncertainty, mark_half_disc
 from ...kernels.raster import Sector
 from ...kernels.walls.sight import mark_in_sight
-from ...landmarks.global_map import GlobalMap, known_starts
-from ...landmarks.submap import Submap
+from ...landmarks.landmark_map import GlobalMap, Submap, known_starts
 from ...landmarks.submap_slam import Observations, empty, in_view, move, predict, sight, update
 from ...sim.field import Field
 from ..planner_interface import query_planner

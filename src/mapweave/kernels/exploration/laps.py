@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .._jit import kernel
+from ..dense import solved
 from ..raster import Raster, Sector
-from ..small import solved
 from .objective import mark_half_disc
 
 

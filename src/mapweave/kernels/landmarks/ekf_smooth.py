@@ -11,7 +11,7 @@ from typing import TypeAlias
 import numpy as np
 
 from .._jit import kernel
-from ..small import add_product, product, put, solved, transposed
+from ..dense import add_product, product, put, solved, transposed
 from .ekf_apply_drive import COAST_STEP, clear
 from .ekf_drive import arc, drive
 from .ekf_sight import trust

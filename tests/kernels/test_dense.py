@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapweave.kernels.small import add_product, product, put, solved, transposed
+from mapweave.kernels.dense import add_product, product, put, solved, transposed
 
 pytestmark = pytest.mark.kernel
 
