@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from mapweave.laser import particle_slam
-from mapweave.laser.beam import beams
+from mapweave.laser.beam import IntensityCalibration, beams
 from mapweave.laser.config import LaserConfig
-from mapweave.laser.intensity import IntensityCalibration
 from mapweave.laser.mapping import choose_feature, finish, map_laser
 from mapweave.papers.hara.experiments import score
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor

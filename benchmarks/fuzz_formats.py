@@ -15,11 +15,10 @@ from mapweave.core.names import robot_name
 from mapweave.core.records import Track
 from mapweave.io.angulation import read_angulation
 from mapweave.io.g2o import read_g2o, write_g2o
-from mapweave.io.grid import read_grid, write_grid
 from mapweave.io.landmark_logs import is_landmark_log, read_landmark_logs
 from mapweave.io.landmark_truth import read_robot_truth, read_survey
-from mapweave.io.landmarks import write_landmarks
 from mapweave.io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
+from mapweave.io.laser_map import read_grid, write_grid
 from mapweave.io.local_map import read_local_map, write_local_map
 from mapweave.io.positions import read_network, read_positions, read_track, write_network, write_positions, write_track
 from mapweave.io.relations import read_relations
@@ -27,12 +26,12 @@ from mapweave.io.robot_graph import read_robot_graph, write_robot_graph
 from mapweave.io.ros_map import read_plan, read_ros_map
 from mapweave.io.sightings import read_sightings, read_swarm_odometry, read_swarm_truth
 from mapweave.io.team_bearings import read_team_bearings
-from mapweave.io.team_map import read_metrics, read_single_maps, read_team_maps, write_tracks
+from mapweave.io.team_map import read_metrics, read_single_maps, read_team_maps, write_landmarks, write_tracks
 from mapweave.io.tum import read_tum, write_tum
 from mapweave.landmarks.landmark_map import LandmarkMap, LocalMap, RobotSightings, Submap
-from mapweave.laser.grid import GridMap, IntensityCalibration
+from mapweave.laser.laser_map import GridMap, IntensityCalibration
 from mapweave.laser.pose_graph import PoseGraph
-from mapweave.swarm.joint import JointInformation
+from mapweave.swarm.result import JointInformation
 from mapweave.team.team_map import TeamMap
 
 Files = dict[str, bytes]
@@ -192,7 +191,7 @@ def sightings() -> list[Files]:
 
 def parquet(work: Path) -> list[Files]:
     from mapweave.core.bearings import BearingTable, unit
-    from mapweave.io.swarm import write_sightings
+    from mapweave.io.sightings import write_sightings
 
     work.mkdir(parents=True, exist_ok=True)
     one_two = np.array([0, 1, 2]), np.array([1, 2, 0])

@@ -76,7 +76,7 @@ AREAS = (
     ),
     Area(
         "swarm",
-        ("swarm/bearing.py", "swarm/factors.py", "swarm/linear.py", "swarm/contradiction.py"),
+        ("swarm/bearing.py", "swarm/factors.py", "swarm/linear.py", "swarm/network.py"),
         ("tests/swarm/test_bearing_model.py", "tests/swarm/test_contradiction.py", "tests/swarm"),
     ),
     Area(

@@ -14,8 +14,8 @@ from mapweave.api.map_options import LaserOptions
 from mapweave.cli import _run
 from mapweave.core.errors import UsageError
 from mapweave.io.g2o import read_g2o
-from mapweave.io.grid import read_grid
 from mapweave.io.laser_logs import read_laser
+from mapweave.io.laser_map import read_grid
 from mapweave.io.robot_graph import read_robot_graph
 from mapweave.io.table import read_table
 from mapweave.io.tum import read_tum

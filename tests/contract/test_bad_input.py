@@ -179,7 +179,7 @@ def test_interrupted_it_says_so_and_leaves_the_earlier_result(recording, tmp_pat
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mapweave.api.team_files.write_team_report", stop)
+    monkeypatch.setattr("mapweave.api.team.write_team_report", stop)
     code, _, err = run("map", recording, "--out", tmp_path / "out")
     assert (code, err) == (130, "mapweave: interrupted\n")
     assert (tmp_path / "out" / "metrics.json").read_bytes() == held

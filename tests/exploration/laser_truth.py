@@ -5,8 +5,8 @@ from scipy import ndimage
 
 from mapweave.core import se2
 from mapweave.core.walls import WallIndex
-from mapweave.exploration.laser.belief import PLANNERS, LaserBelief
 from mapweave.exploration.laser.config import LaserExploreConfig
+from mapweave.exploration.laser.planner_state import PLANNERS, LaserBelief
 from mapweave.exploration.planner_interface import find_planner
 from mapweave.kernels.laser.render import render
 from mapweave.laser.occupancy import FREE, OCCUPIED, Occupancy, from_counts

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import UsageError
-from mapweave.exploration.laser.belief import PLANNERS
 from mapweave.exploration.laser.config import LaserExploreConfig
 from mapweave.exploration.laser.frontiers import frontiers, mapped_ground
-from mapweave.exploration.laser.planner_state import PlannerState, route_to
+from mapweave.exploration.laser.planner_state import PLANNERS, PlannerState, route_to
 from mapweave.exploration.laser.task_allocation import (
     allocation_problem,
     by_tours,

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from mapweave.exploration.landmarks.explored import Explored
+from mapweave.exploration.landmarks.belief import Explored
 from mapweave.exploration.landmarks.objective import distance_to_hull
 from mapweave.kernels.exploration.objective import (
     MotionAndSight,
@@ -15,7 +15,7 @@ from mapweave.kernels.exploration.objective import (
     unexplored_cells,
 )
 from mapweave.kernels.exploration.tours import balanced_tours, greedy_cover
-from mapweave.kernels.raster import Raster, Sector
+from mapweave.kernels.walls.segments import Raster, Sector
 from mapweave.landmarks.landmark_map import Submap
 from mapweave.landmarks.submap_slam import Observations, SubmapConfig, move, predict, sight, update
 

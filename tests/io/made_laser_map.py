@@ -4,8 +4,7 @@ import numpy as np
 
 from mapweave.core import se2
 from mapweave.core.records import Track
-from mapweave.laser.grid import GridMap, IntensityCalibration
-from mapweave.laser.laser_map import LaserMap, ScanRecords
+from mapweave.laser.laser_map import GridMap, IntensityCalibration, LaserMap, ScanRecords
 
 
 def made_laser_map(n=40, light=True):

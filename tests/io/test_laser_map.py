@@ -7,8 +7,7 @@ from ruamel.yaml import YAML
 from mapweave.core import se2
 from mapweave.core.errors import ReaderError
 from mapweave.io.g2o import read_g2o
-from mapweave.io.grid import read_grid
-from mapweave.io.laser_map import write_laser_map
+from mapweave.io.laser_map import read_grid, write_laser_map
 from mapweave.io.table import read_table
 
 from .made_laser_map import made_laser_map

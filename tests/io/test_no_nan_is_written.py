@@ -10,9 +10,9 @@ from mapweave.core.errors import EstimateError
 from mapweave.core.records import Track
 from mapweave.io.directory import result_directory, write_json
 from mapweave.io.g2o import write_g2o
-from mapweave.io.landmarks import write_landmark_arrays
 from mapweave.io.laser_map import write_laser_map
 from mapweave.io.table import read_table, write_table
+from mapweave.io.team_map import write_landmark_arrays
 from mapweave.io.tum import write_track_covariance, write_tum
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.laser.pose_graph import PoseGraph

@@ -5,8 +5,8 @@ import pytest
 
 from mapweave.core.errors import ReaderError
 from mapweave.io.robot_graph import read_robot_graph, write_robot_graph
+from mapweave.laser.beam import IntensityCalibration
 from mapweave.laser.closures import Closure
-from mapweave.laser.intensity import IntensityCalibration
 from mapweave.laser.robot_graph import RobotGraph
 
 

@@ -6,7 +6,7 @@ from PIL import Image
 
 from mapweave.core.errors import ReaderError
 from mapweave.io.ros_map import read_plan, read_ros_map, write_ros_map
-from mapweave.laser.grid import GridMap
+from mapweave.laser.laser_map import GridMap
 
 RNG = np.random.default_rng(1)
 YAML = (

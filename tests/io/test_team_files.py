@@ -6,9 +6,8 @@ import pytest
 from mapweave.core.errors import DataError, ReaderError
 from mapweave.core.names import in_order, robot_key, robot_name
 from mapweave.core.records import Track
-from mapweave.io.landmarks import write_landmarks
 from mapweave.io.npz import write_npz
-from mapweave.io.team_map import read_team_maps, write_tracks
+from mapweave.io.team_map import read_team_maps, write_landmarks, write_tracks
 from mapweave.io.tum import read_tum, write_track_covariance, write_tum
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.team.team_map import TeamMap

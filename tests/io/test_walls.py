@@ -16,18 +16,16 @@ import pytest
 
 from mapweave.core.errors import DataError, MapweaveError, ReaderError
 from mapweave.io.angulation import read_angulation
-from mapweave.io.csv_landmarks import read_csv_landmarks
 from mapweave.io.directory import read_json
-from mapweave.io.grid import read_grid
-from mapweave.io.landmark_logs import read_landmark_logs
+from mapweave.io.landmark_logs import read_csv_landmarks, read_landmark_logs
 from mapweave.io.landmark_truth import read_survey
-from mapweave.io.landmarks import read_members
 from mapweave.io.laser_logs import read_laser
+from mapweave.io.laser_map import read_grid
 from mapweave.io.local_map import read_local_map, write_local_map
 from mapweave.io.ros_map import read_ros_map
 from mapweave.io.salvage import LARGEST_CHUNK, zstd
 from mapweave.io.sightings import read_sightings, read_swarm_truth
-from mapweave.io.team_map import read_metrics
+from mapweave.io.team_map import read_members, read_metrics
 
 from . import mrclam_folder
 from .ros_logs import usual

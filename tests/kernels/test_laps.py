@@ -18,7 +18,7 @@ from mapweave.kernels.exploration.laps import (
 )
 from mapweave.kernels.exploration.objective import mark_half_disc
 from mapweave.kernels.landmarks.submap import sight_jacobian
-from mapweave.kernels.raster import Raster, Sector
+from mapweave.kernels.walls.segments import Raster, Sector
 from mapweave.landmarks.submap_slam import SubmapConfig, move
 from mapweave.sim.field import Field
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from mapweave.kernels.raster import Raster, Sector
-from mapweave.kernels.walls.segments import distance_of_moves, free_share
+from mapweave.kernels.walls.segments import Raster, Sector, distance_of_moves, free_share
 from mapweave.kernels.walls.sight import mark_in_sight, nearest_views, points_in_sight, unexplored_in_sight
 
 RNG = np.random.default_rng(2)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.records import Scan
-from mapweave.laser.beam import BeamConfig, beams, insertion_weight
-from mapweave.laser.intensity import IntensityCalibration
+from mapweave.laser.beam import BeamConfig, IntensityCalibration, beams, insertion_weight
 
 pytestmark = pytest.mark.kernel
 

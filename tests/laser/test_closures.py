@@ -12,9 +12,9 @@ from mapweave.laser.closures import ClosureConfig, Matcher, Place
 from mapweave.laser.config import ALL_ROUND
 from mapweave.laser.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
 from mapweave.laser.keyframes import Keyframe
-from mapweave.laser.loop_search import LoopSearch
 from mapweave.laser.step_noise import believed, carried
 from mapweave.laser.submap_loops import SubmapLoopConfig, SubmapLoops
+from mapweave.laser.team import LoopSearch
 
 CFG = ClosureConfig()
 

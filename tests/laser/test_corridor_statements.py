@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.laser.beam import beams
+from mapweave.laser.beam import IntensityCalibration, beams
 from mapweave.laser.config import LaserConfig
-from mapweave.laser.intensity import IntensityCalibration
 from mapweave.laser.mapping import choose_feature, map_laser
 from mapweave.laser.particle_grid import ParticleGrid
 from mapweave.laser.particle_slam import as_points, log_likelihood

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mapweave.laser.grid import GridMap, IntensityCalibration
+from mapweave.laser.laser_map import GridMap, IntensityCalibration
 
 
 def small_grid():

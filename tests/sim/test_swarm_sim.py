@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import UsageError
-from mapweave.io.sightings import read_sightings
-from mapweave.io.swarm import write_sightings
+from mapweave.io.sightings import read_sightings, write_sightings
 from mapweave.sim.swarm import SwarmScene, simulate_swarm
 
 

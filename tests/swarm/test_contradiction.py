@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.bearings import BearingTable, unit, unit3
-from mapweave.swarm.contradiction import contradictions, shares_an_axis
+from mapweave.swarm.network import contradictions, shares_an_axis
 
 SIGMA = 0.01  # [rad]
 APART = 6.0 * np.sqrt(2.0) * SIGMA  # six standard deviations of the difference of two sightings

@@ -12,7 +12,7 @@ from mapweave.core import se2
 from mapweave.core.errors import DataError
 from mapweave.core.records import Odometry
 from mapweave.sim.swarm import SwarmScene, simulate_swarm
-from mapweave.swarm.meeting import meet
+from mapweave.swarm.headings import meet
 from mapweave.swarm.moving.drive import smooth_driving
 from mapweave.swarm.moving.factors import odometry_factor, sighting_factor, velocity_factor
 from mapweave.swarm.moving.filtering import filtered

@@ -16,7 +16,7 @@ from ..evaluation.relations import RelationScore, exact_pairs, nearest, score_re
 from ..io.relations import is_relations, read_relations
 from ..io.table import read_table
 from ..io.tum import read_tum
-from .evaluation_result import EvaluationBase
+from .result import EvaluationBase
 
 if TYPE_CHECKING:
     from ..report.style import Target

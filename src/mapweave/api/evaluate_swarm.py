@@ -12,7 +12,7 @@ from ..evaluation.swarm import StandingSwarm, SwarmScore, score_moving, score_st
 from ..io.directory import read_json
 from ..io.positions import Positions, read_network, read_positions, read_track, track_files
 from ..io.sightings import SwarmTruth
-from .evaluation_result import EvaluationBase
+from .result import EvaluationBase
 from .swarm_input import read_truth
 
 if TYPE_CHECKING:

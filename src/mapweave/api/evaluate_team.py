@@ -15,7 +15,7 @@ from ..evaluation.team import RobotTruth, TeamScore, as_json, score_team
 from ..io.landmark_truth import read_robot_truth, read_survey
 from ..io.team_map import read_single_maps, read_team_maps
 from ..io.tum import read_tum
-from .evaluation_result import EvaluationBase
+from .result import EvaluationBase
 
 if TYPE_CHECKING:
     from ..report.style import Target

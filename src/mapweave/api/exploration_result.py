@@ -54,7 +54,7 @@ class LaserExploration(ResultBase, LaserExploreResult):
 
     def write_into(self, folder: Path) -> None:
         """runs.csv, metrics.json, the first run's logs, map and figures, report.html."""
-        from ..io.laser_exploration import write_laser_runs  # noqa: PLC0415
+        from ..io.exploration import write_laser_runs  # noqa: PLC0415
         from ..report.laser_exploration import write_laser_exploration  # noqa: PLC0415  (figures cost a second)
 
         write_laser_runs(folder, self.runs, self.metrics, self.first)

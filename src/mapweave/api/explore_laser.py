@@ -9,9 +9,9 @@ from pathlib import Path
 from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
 from ..core.workers import Progress, no_progress
-from ..exploration.laser.belief import PLANNERS
 from ..exploration.laser.config import LaserMissionConfig, with_odometry_noise
 from ..exploration.laser.experiment import LaserMission, explore_laser_many, explore_laser_once
+from ..exploration.laser.planner_state import PLANNERS
 from ..exploration.laser.scenario import LaserScenarioConfig, make_place
 from ..exploration.planner_interface import find_planner
 from ..exploration.world import check_cells

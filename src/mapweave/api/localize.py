@@ -15,11 +15,10 @@ from ..core.run import robot_rng
 from ..core.version import __version__
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.directory import check_target, write_json
-from ..io.grid import NAME, read_grid
 from ..io.laser_logs import LaserSource, read_laser
-from ..io.scans import write_scans
+from ..io.laser_map import NAME, read_grid, write_scans
 from ..io.tum import read_tum, write_tum
-from ..laser.grid import GridMap
+from ..laser.laser_map import GridMap
 from ..laser.localise import Localisation, localise
 from ..report.localize import draw_where, write_localisation_report
 from ..report.result import ResultBase, Rows

@@ -16,10 +16,9 @@ from ..core.gaussian import chi2_quantile
 from ..core.records import Odometry
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..evaluation.swarm import StandingScore, score_moving, score_standing, scored_robots, true_places
-from ..io.columns import Columns, table_of
 from ..io.directory import check_target
 from ..io.sightings import SwarmTruth, read_swarm_odometry, read_swarm_truth
-from ..io.table import Table
+from ..io.table import Columns, Table, table_of
 from ..io.team_bearings import read_team_bearings
 from ..swarm.config import Method, SwarmConfig
 from ..swarm.locate import locate as locate_network
@@ -29,8 +28,7 @@ from ..swarm.moving.result import SwarmTrack, TrackConfig
 from ..swarm.moving.smooth import smooth
 from ..swarm.network import Network
 from ..swarm.result import SwarmEstimate
-from .located import Located, standing_swarm
-from .located_common import Settings
+from .located import Located, Settings, standing_swarm
 from .moving_result import Moved
 from .swarm_input import Place, SwarmInput, is_team_log, prepare, read_truth
 

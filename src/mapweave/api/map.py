@@ -9,8 +9,8 @@ from typing import Any, Protocol, cast, runtime_checkable
 from ..core.errors import ReaderError, UsageError
 from ..core.laser_log import LaserLog
 from ..core.workers import Progress, no_progress, one_blas_thread
-from ..io.columns import Columns
 from ..io.directory import check_target
+from ..io.table import Columns
 from .map_options import LaserOptions, MapOptions, MapResult
 
 

@@ -12,10 +12,9 @@ from ..core.workers import worker_pool
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse
 from ..fusion.result import Fusion, tie_by_starts
-from ..io.calibration import read_calibration
-from ..io.columns import Columns
-from ..io.csv_landmarks import landmark_logs_of
-from ..io.landmark_logs import is_landmark_log, read_landmark_logs
+from ..io.landmark_logs import is_landmark_log, landmark_logs_of, read_landmark_logs
+from ..io.table import Columns
+from ..io.team_map import read_calibration
 from ..landmarks.config import EkfSlamConfig
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import local_map, without_impossible

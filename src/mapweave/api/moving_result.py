@@ -17,7 +17,7 @@ from ..report.swarm_figures import tracks_figure
 from ..swarm.moving.result import SwarmTrack
 from ..swarm.result import Status
 from ..swarm.verdict import chi2_warnings
-from .located_common import NO_SCORE, Settings, counts, dropped_lines, head, sigma_text, write_rest
+from .located import NO_SCORE, Settings, counts, dropped_lines, head, sigma_text, write_rest
 from .swarm_input import SwarmInput
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from ..core.landmark_log import LandmarkLog
 from ..core.truth import Survey
 from ..core.workers import Progress
-from ..evaluation.growth import GrowthPoint, growth_point
+from ..evaluation.landmarks import GrowthPoint, growth_point
 from ..fusion.config import FuseConfig
 from ..fusion.online import OnlineFuser
 from ..fusion.result import Fusion

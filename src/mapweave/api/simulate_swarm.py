@@ -9,7 +9,7 @@ import numpy as np
 from ..core.errors import UsageError
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
-from ..io.swarm import write_sightings
+from ..io.sightings import write_sightings
 from ..io.table import write_table
 from ..report.result import ResultBase
 from ..sim.swarm import Swarm, SwarmScene

@@ -14,7 +14,7 @@ from ..core.records import Track
 from ..core.version import __version__
 from ..io.directory import check_target, result_directory, write_json
 from ..io.g2o import G2oFile, read_g2o_file, write_g2o
-from ..io.rows import open_text
+from ..io.table import open_text
 from ..io.tum import write_track_covariance, write_tum
 from ..laser.robust_graph import RobustGraphConfig, SolvedGraph, solve_graph
 from ..report.result import ResultBase

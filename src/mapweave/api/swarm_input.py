@@ -12,8 +12,7 @@ from ..core.errors import DataError, UsageError
 from ..io.sightings import Dropped, SwarmTruth, read_sightings, read_swarm_truth
 from ..io.table import Table
 from ..io.team_bearings import read_team_truth
-from ..swarm.contradiction import contradictions, shares_an_axis
-from ..swarm.network import DEFAULT_SIGMA, Distance, Network
+from ..swarm.network import DEFAULT_SIGMA, Distance, Network, contradictions, shares_an_axis
 
 Place = Sequence[float] | Float[np.ndarray, " d"]
 

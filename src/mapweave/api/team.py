@@ -14,13 +14,12 @@ from ..core.records import Track
 from ..core.truth import NO_SURVEY
 from ..core.version import __version__
 from ..evaluation.consistency import mean_or_none
-from ..evaluation.growth import GrowthPoint
-from ..evaluation.landmarks import find_exchanges
+from ..evaluation.landmarks import GrowthPoint, find_exchanges
 from ..evaluation.team import TeamScore, as_json, score_team
 from ..fusion.result import Component, Fusion
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from ..report.result import ResultBase, Rows
-from ..report.team_story import TeamStory
+from ..report.team_figures import TeamStory
 from ..team.smooth import Smoothed
 from ..team.team_map import TeamMap
 from .evaluate_team import TeamTruth, read_team_truth, team_lines, unscored
@@ -28,6 +27,10 @@ from .online import OnlineMap, growth
 
 if TYPE_CHECKING:
     from ..report.style import Target
+from ..io.directory import write_json
+from ..io.local_map import write_local_map
+from ..io.team_map import write_calibration, write_landmark_arrays, write_landmarks, write_tracks
+from ..report.team import write_team_report
 
 NOTHING = LandmarkMap((), np.zeros((0, 2)), np.zeros((0, 0)))
 
@@ -135,7 +138,7 @@ class TeamResult(ResultBase):
 
     def write_into(self, folder: Path) -> None:
         """Everything into `folder`, `metrics.json` last."""
-        from .team_files import write_team  # noqa: PLC0415  (figures cost half a second; only files need them)
+        # DROP
 
         write_team(folder, self.story, self.metrics)
 
@@ -281,3 +284,27 @@ def _robot(m: LocalMap, fusion: Fusion) -> dict[str, Any]:
         "calibration": {name: {"value": v, "sd": sd} for name, (v, sd) in m.calibration.items()},
         "warnings": [*m.warnings, *fusion.about(m.robot)],
     }
+
+
+def write_team(folder: Path, story: TeamStory, metrics: Mapping[str, Any]) -> None:
+    """Landmarks and trajectories of every component, local maps, report and, last, `metrics.json`."""
+    began = perf_counter()
+    for k, team in enumerate(story.maps, 1):
+        _write_component(folder if k == 1 else folder / "components" / str(k), team)
+    for local in story.local:
+        home = folder / "local" / local.robot
+        write_local_map(home, local)
+        write_landmark_arrays(home, local.submap.landmarks)
+    if story.smoothed:
+        found = {robot: known for s in story.smoothed for robot, known in s.calibration.items()}
+        write_calibration(folder / "calibration.json", found, story.smoothed[0].prior)
+    wrote = perf_counter()
+    write_team_report(folder, story)
+    timing = {**metrics["timing"], "write": wrote - began, "report": perf_counter() - wrote}
+    timing["total"] = sum(timing.values())
+    write_json(folder / "metrics.json", {**metrics, "timing": {k: round(v, 4) for k, v in timing.items()}})
+
+
+def _write_component(folder: Path, team: TeamMap) -> None:
+    write_landmarks(folder, team)
+    write_tracks(folder, team)

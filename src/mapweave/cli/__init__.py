@@ -7,7 +7,7 @@ from io import TextIOWrapper
 from typing import TYPE_CHECKING
 
 from ..core.version import __version__
-from .interruption import Interruption
+from .terminal import Interruption
 
 if TYPE_CHECKING:
     from cyclopts import App

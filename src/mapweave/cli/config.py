@@ -21,6 +21,6 @@ def config(
         The settings for laser logs (map) or laser worlds (explore).
     """
     from ..api.configuration import configuration
-    from .say import say
+    from .terminal import say
 
     say(configuration(job, laser=laser).rstrip("\n"))

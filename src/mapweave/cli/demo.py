@@ -21,8 +21,7 @@ def demo(
         Write into the folder even when something other than a result stands there.
     """
     from ..api.demo import demo as run
-    from .progress import progress
-    from .say import say
+    from .terminal import progress, say
 
     say("Four simulated robots drive for five minutes among 24 landmarks, none knowing where the others began.")
     with progress() as on_progress:

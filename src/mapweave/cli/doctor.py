@@ -14,7 +14,7 @@ def doctor(*, json: Annotated[bool, Parameter(negative="")] = False) -> None:
         Print JSON.
     """
     from ..api.doctor import doctor as examine
-    from .say import say
+    from .terminal import say
 
     found = examine()
     if json:

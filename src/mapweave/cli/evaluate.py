@@ -26,7 +26,7 @@ def evaluate(
         Print JSON with the keys documented for `metrics.json`.
     """
     from ..api.evaluate import evaluate as score
-    from .say import say
+    from .terminal import say
 
     told = score(directory, truth)
     if json:

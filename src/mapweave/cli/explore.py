@@ -62,8 +62,7 @@ def explore(
 
     from ..api.explore import explore as run
     from ..api.explore_options import parse_kills
-    from .progress import progress
-    from .say import say
+    from .terminal import progress, say
 
     sys.path.append(str(Path.cwd()))  # where one's own planner may stand
     with progress() as on_progress:

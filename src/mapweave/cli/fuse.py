@@ -38,8 +38,7 @@ def fuse(
         Write into the folder even when something other than a result stands there.
     """
     from ..api.fuse import fuse as run
-    from .progress import progress
-    from .say import say
+    from .terminal import progress, say
 
     with progress() as on_progress:
         result = run(

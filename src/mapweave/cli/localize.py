@@ -61,9 +61,7 @@ def localize(
     """
     from ..api.localize import localize as run
     from ..api.map_options import LaserOptions
-    from .numbers import numbers
-    from .progress import progress
-    from .say import say
+    from .terminal import numbers, progress, say
 
     place = None
     if sensor_pose is not None:

@@ -77,8 +77,7 @@ def locate(
     from ..api.locate_options import parse_anchors, parse_distances
     from ..core.errors import UsageError
     from ..swarm.moving.result import TrackConfig
-    from .progress import progress
-    from .say import say
+    from .terminal import progress, say
 
     if dim not in {None, 2, 3}:
         raise UsageError(f"--dim {dim}: expected 2 or 3")

@@ -103,8 +103,7 @@ def map_logs(
     """
     from ..api.map import map as run
     from ..api.map_options import parse_robots, parse_shares, parse_starts
-    from .progress import progress
-    from .say import say
+    from .terminal import progress, say
 
     with progress() as on_progress:
         result = run(
@@ -132,7 +131,7 @@ def map_logs(
 
 def _laser(given: Laser | None) -> "LaserOptions":
     from ..api.map_options import LaserOptions
-    from .numbers import numbers
+    from .terminal import numbers
 
     asked = given or Laser()
     place = None

@@ -27,8 +27,7 @@ def hamatani(
         Write into the folder even when something other than a result stands there.
     """
     from ..papers.hamatani.reproduce import PRINTED, TITLES, reproduce_hamatani
-    from .progress import progress
-    from .say import say, say_table
+    from .terminal import progress, say, say_table
 
     with progress() as on_progress:
         result = reproduce_hamatani(out, quick=quick, seed=seed, force=force, on_progress=on_progress)

@@ -27,8 +27,7 @@ def hara(
         Write into the folder even when something other than a result stands there.
     """
     from ..papers.hara.reproduce import NOTES, reproduce_hara
-    from .progress import progress
-    from .say import say, say_table
+    from .terminal import progress, say, say_table
 
     with progress() as on_progress:
         result = reproduce_hara(out, quick=quick, seed=seed, force=force, on_progress=on_progress)

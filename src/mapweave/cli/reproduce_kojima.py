@@ -27,8 +27,7 @@ def kojima(
         Write into the folder even when something other than a result stands there.
     """
     from ..papers.kojima.reproduce import reproduce_kojima
-    from .progress import progress
-    from .say import say, say_table
+    from .terminal import progress, say, say_table
 
     with progress() as on_progress:
         result = reproduce_kojima(out, quick=quick, seed=seed, force=force, on_progress=on_progress)

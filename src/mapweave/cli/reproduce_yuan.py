@@ -30,8 +30,7 @@ def yuan(
         Write into the folder even when something other than a result stands there.
     """
     from ..papers.yuan.reproduce import TITLES, differences, reproduce_yuan
-    from .progress import progress
-    from .say import say, say_table
+    from .terminal import progress, say, say_table
 
     with progress() as on_progress:
         result = reproduce_yuan(out, quick=quick, seed=seed, jobs=jobs, force=force, on_progress=on_progress)

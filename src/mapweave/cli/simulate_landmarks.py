@@ -45,7 +45,7 @@ def landmarks(
         Write into the folder even when something else stands there.
     """
     from ..api.simulate_landmarks import simulate_landmarks
-    from .say import say
+    from .terminal import say
 
     made = simulate_landmarks(
         out,

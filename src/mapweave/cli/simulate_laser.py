@@ -166,7 +166,7 @@ def _drive(given: Drive | None, end_error: tuple[float, float]) -> "DriveConfig"
     from ..sim.drift import DriftConfig
     from ..sim.laser import DriveConfig
     from ..sim.scanner import SECOND_LAW, Reflectance, Scanner
-    from .numbers import numbers
+    from .terminal import numbers
 
     drive = given or Drive()
     law = SECOND_LAW if drive.law == "second" else Reflectance()
@@ -187,7 +187,7 @@ def _drive(given: Drive | None, end_error: tuple[float, float]) -> "DriveConfig"
 
 def _write(out: Path, world: "World", seed: int) -> None:
     from ..api.simulate_laser import simulate_laser
-    from .say import say
+    from .terminal import say
 
     made = simulate_laser(out, world, seed=seed)
     say(f"{out}: {made.summary()}")

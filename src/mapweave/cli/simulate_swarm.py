@@ -71,7 +71,7 @@ def swarm(
     from ..core.bearings import parse_angle
     from ..core.errors import UsageError
     from ..sim.swarm import SwarmScene
-    from .say import say
+    from .terminal import say
 
     if mutual and single:
         raise UsageError("--mutual and --single exclude each other")

@@ -28,7 +28,7 @@ def solve(
         Write into the folder even when something other than a result stands there.
     """
     from ..api.solve import solve_pose_graph
-    from .say import say
+    from .terminal import say
 
     result = solve_pose_graph(file, out, robust=robust, force=force)
     say(result.summary())

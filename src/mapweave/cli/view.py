@@ -14,7 +14,7 @@ def view(directory: Path, /) -> None:
         What a command wrote.
     """
     from ..api.view import view as open_view
-    from .say import say
+    from .terminal import say
 
     for line in open_view(directory):
         say(line)

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..kernels.raster import Raster
 from ..kernels.walls.segments import (
+    Raster,
     distance_of_moves,
     distance_to_walls,
     enclosed,

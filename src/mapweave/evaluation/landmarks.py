@@ -1,4 +1,4 @@
-"""Landmarks against a survey: one rigid alignment, errors, consistency, and labels that look exchanged."""
+"""Landmarks against a survey: one rigid alignment, errors, consistency, labels that look exchanged, growth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -154,3 +154,35 @@ def _centred(points: Float[np.ndarray, "n 2"]) -> np.ndarray:
 
 def _rms(errors: Float[np.ndarray, "n 2"]) -> float:
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+
+
+@dataclass(frozen=True, slots=True)
+class GrowthPoint:
+    """The largest component after `t` [s] since the first row; robots: how many are tied in.
+
+    trace [m^2] and log_det of the joint covariance; rmse [m] and nees_per_dof against a survey, None without one.
+    """
+
+    t: float
+    robots: int
+    landmarks: int
+    trace: float | None
+    log_det: float | None
+    rmse: float | None = None
+    nees_per_dof: float | None = None
+
+
+def growth_point(t: float, robots: int, landmarks: LandmarkMap, survey: Survey) -> GrowthPoint:
+    """What there is to say about the global map at `t`."""
+    n = len(landmarks)
+    score = score_landmarks(landmarks, survey)
+    sign, log_det = np.linalg.slogdet(landmarks.cov) if n else (0.0, 0.0)
+    return GrowthPoint(
+        t=t,
+        robots=robots,
+        landmarks=n,
+        trace=float(np.trace(landmarks.cov)) if n else None,
+        log_det=float(log_det) if sign > 0 else None,
+        rmse=score.rmse,
+        nees_per_dof=score.nees_per_dof,
+    )

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..io.sightings import SwarmTruth
-from ..swarm.joint import JointInformation
 from ..swarm.moving.result import RobotTrajectory
+from ..swarm.result import JointInformation
 from .swarm_shape import PaperErrors, paper_errors, similarity
 
 

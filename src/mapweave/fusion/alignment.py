@@ -1,4 +1,4 @@
-"""How two point sets or maps lie on each other: rigid alignment that survives wrong points, joint fit of their links."""
+"""How two maps lie on each other: rigid alignment that survives wrong points, and the joint fit of linked landmarks."""
 
 from dataclasses import dataclass
 

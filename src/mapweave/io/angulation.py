@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ..core.bearings import BearingTable, unit
 from ..core.errors import ReaderError
-from .rows import lines, numbers
+from .table import lines, numbers
 
 NAME = re.compile(r"\(X([0-9.]+),Y([0-9.]+)\)\.csv$")
 

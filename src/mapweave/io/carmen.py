@@ -10,7 +10,7 @@ from ..core import se2
 from ..core.errors import ReaderError
 from ..core.laser_log import LaserLog
 from .assemble import UNSOUND, RawLog, RawScan, is_sound, median_pose
-from .text import TextLog
+from .files import TextLog
 
 KEYWORDS = ("FLASER", "RLASER", "ROBOTLASER1", "ROBOTLASER2", "ODOM")
 LARGEST_COUNT = 1e9  # of beams: a row says less

@@ -1,7 +1,10 @@
-"""What an exploration leaves: a row a run, metrics, and the first run's log in the layout `map` reads."""
+"""What an exploration leaves: a row a run, metrics, and the first run as logs that `map` replays.
+
+With lasers also the merged map, trajectories, the pose graph and the closures that were tried.
+"""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +12,13 @@ import numpy as np
 
 from ..core.landmark_log import RobotRecording, TeamRecording
 from .directory import plain, write_json
+from .g2o import write_g2o
+from .laser_map import NAME, write_grid
+from .mcap import write_mcap
 from .mrclam import write_mrclam
-from .table import write_table
+from .ros_map import write_ros_states
+from .table import cell, open_text, quoted, write_table
+from .tum import write_tum
 
 COLUMNS = (
     "run",
@@ -77,3 +85,38 @@ def recording(first: Any) -> TeamRecording:
         )
     marks = {M + 1 + k: (float(x), float(y)) for k, (x, y) in enumerate(first.world.landmarks)}
     return TeamRecording(codes, marks, tuple(robots))
+
+
+CLOCKS = ("seconds",)  # told by metrics.json under `timing` alone: they differ between equal runs
+CLOSURES = "first,second,robot_first,robot_second,accepted,share,nis,dx,dy,dtheta,reason"
+
+
+def write_laser_runs(folder: Path, runs: tuple[Any, ...], metrics: Mapping[str, Any], first: Any) -> None:
+    """runs.csv (the contract's columns, then the laser worlds' own) and metrics.json.
+
+    Of the first run: map.pgm, map.yaml, grid.npz (in which `localize` finds a robot), trajectories/, pose_graph.g2o,
+    closures.csv and log/, which `map` replays.
+    """
+    own = [f.name for f in fields(runs[0]) if f.name not in CLOCKS]
+    names = [*(name for name in COLUMNS if name in own), *(name for name in own if name not in COLUMNS)]
+    write_scores(folder / "runs.csv", names, runs)
+    write_json(folder / "metrics.json", plain(dict(metrics)))
+    write_ros_states(folder, first.map)
+    write_grid(folder / NAME, first.grid, None, "none")
+    write_g2o(folder / "pose_graph.g2o", first.graph)
+    write_closures(folder / "closures.csv", first)
+    for name, track, log, truth in zip(first.robots, first.tracks, first.logs, first.truths, strict=True):
+        write_tum(folder / "trajectories" / f"{name}.tum", track)
+        (folder / "log").mkdir(exist_ok=True)
+        write_mcap(folder / "log" / f"{name}.mcap", log, truth)
+        write_tum(folder / "log" / f"{name}.truth.tum", truth)
+
+
+def write_closures(path: Path, first: Any) -> None:
+    """Every loop closure that was tried, in order: first and second number the vertices of pose_graph.g2o."""
+    with open_text(path) as file:
+        file.write(CLOSURES + "\n")
+        for c in first.closures:
+            a, b = (first.robots[k] for k in c.robots)
+            values = [c.first, c.second, a, b, c.accepted, c.share, c.nis, *map(float, c.measured)]
+            file.write(",".join([*map(cell, values), quoted(c.reason)]) + "\n")

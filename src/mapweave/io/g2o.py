@@ -13,8 +13,8 @@ from ..core.errors import ReaderError
 from ..core.gaussian import chi2_quantile, mahalanobis2
 from ..laser.pose_graph import PoseGraph
 from ..laser.robust_graph import Prior
-from .rows import open_text, write_rows
-from .text import TextLog
+from .files import TextLog
+from .table import open_text, write_rows
 
 VERTEX, EDGE, PRIOR, FIX = "VERTEX_SE2", "EDGE_SE2", "EDGE_PRIOR_SE2", "FIX"
 NUMBERS = {VERTEX: (1, 3), EDGE: (2, 9), PRIOR: (1, 9)}  # ids, then numbers, in a row of each kind

@@ -10,8 +10,7 @@ from ..core.records import Track
 from ..core.se2 import wrap_angle
 from ..core.truth import Survey
 from .files import Files, open_files
-from .rows import line_of, lines, numbers
-from .table import csv_rows, is_name
+from .table import csv_rows, is_name, line_of, lines, numbers
 
 SURVEY = "Landmark_Groundtruth.dat"
 TRUTH_FILE = re.compile(r"^Robot([0-9]+)_(Groundtruth|GroundtruthInstants|GroundtruthKeyframes)\.dat$")

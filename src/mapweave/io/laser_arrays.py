@@ -9,8 +9,8 @@ import numpy as np
 from ..core.errors import DataError
 from ..core.laser_log import LaserLog
 from .assemble import RawLog, RawScan
-from .columns import Columns, array_of
 from .laser_logs import LaserSource
+from .table import Columns, array_of
 
 UNEVEN = 1e-6  # [rad] by which steps between beams may differ
 REACH = 1.001  # of the largest return: the reach of a scanner that does not say

@@ -6,8 +6,8 @@ from ..core.config import config
 from ..core.errors import ReaderError
 from ..core.laser_log import LaserLog
 from .carmen import is_carmen, read_carmen
+from .files import TextLog
 from .stampless import is_stampless, read_stampless
-from .text import TextLog
 from .wheel_ticks import is_wheel_ticks, read_wheel_ticks
 
 BAGS = (".bag", ".db3", ".mcap")

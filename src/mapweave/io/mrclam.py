@@ -14,7 +14,7 @@ from ..core.errors import DataError, ReaderError
 from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable, TeamRecording
 from . import mending
 from .files import Files, open_files
-from .rows import line_of, numbers, open_text, row_texts
+from .table import line_of, numbers, open_text, row_texts
 
 ROBOT_FILE = re.compile(r"^Robot([0-9]+)_(Odometry|Measurement)\.dat$")
 BARCODES = "Barcodes.dat"

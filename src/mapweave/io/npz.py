@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import EstimateError, ReaderError
-from .rows import told_path
+from .table import told_path
 
 LARGEST = 1_000_000_000  # [bytes] of all arrays of a file together
 KINDS = {"any": "fiubU", "number": "fiu", "maybe": "fiu", "whole": "iu", "text": "U"}

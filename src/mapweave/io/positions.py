@@ -10,8 +10,8 @@ import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
 
 from ..core.errors import ReaderError
-from ..swarm.joint import JointInformation
 from ..swarm.moving.result import RobotTrajectory
+from ..swarm.result import JointInformation
 from .npz import read_arrays, write_npz
 from .table import Table, read_table, write_table
 

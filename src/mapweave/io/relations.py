@@ -6,7 +6,7 @@ import numpy as np
 
 from ..core.errors import ReaderError
 from ..core.truth import Relations
-from .text import TextLog
+from .files import TextLog
 
 
 def is_relations(path: Path) -> bool:

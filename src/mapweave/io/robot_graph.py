@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from ..core.errors import ReaderError
+from ..laser.beam import IntensityCalibration
 from ..laser.closures import Closure
-from ..laser.intensity import IntensityCalibration
 from ..laser.robot_graph import RobotGraph
 from .npz import read_arrays, write_arrays
 

@@ -12,9 +12,9 @@ from PIL import Image, UnidentifiedImageError
 from ..core.errors import ReaderError
 from ..core.records import frozen
 from ..core.walls import Walls, walls_of_raster
-from ..laser.grid import GridMap
+from ..laser.laser_map import GridMap
 from ..laser.occupancy import Occupancy
-from .rows import open_text
+from .table import open_text
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 1
 KEYS = ("image", "resolution", "origin")

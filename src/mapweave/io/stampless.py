@@ -9,7 +9,7 @@ from ..core.errors import ReaderError
 from ..core.laser_log import LaserLog
 from .assemble import RawLog, RawScan
 from .carmen import no_return_limit
-from .text import TextLog
+from .files import TextLog
 
 STEP = 1.0  # [s] between scans, for want of stamps
 AHEAD = np.array([0.40, 0.0, 0.0])  # the laser on the robot these logs were made with

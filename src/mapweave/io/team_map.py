@@ -1,17 +1,120 @@
-"""A team's result on disk: its trajectories written, and the whole read back for scoring and for viewing."""
+"""A team's result on disk, written and read back: landmarks, trajectories, calibration.
 
+Landmarks are a table for people and arrays with the joint covariance for programs; `calibration.json` is what is known
+of every robot's wheels and camera, as found or as given.
+"""
+
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
 from ..core.errors import ReaderError
-from ..core.names import in_order, robot_name
+from ..core.names import in_order, robot_key, robot_name
 from ..landmarks.landmark_map import LandmarkMap
+from ..team.robot_part import PARAMETERS
+from ..team.smooth import Calibration, is_observed
 from ..team.team_map import TeamMap
-from .directory import read_json
-from .landmarks import read_landmarks, read_members
+from .directory import read_json, write_json
+from .npz import read_npz, write_npz
+from .table import read_table, write_table
 from .tum import read_tum, write_track_covariance, write_tum
+
+HEAD = "id,x,y,var_x,cov_xy,var_y,robots,sightings"
+
+
+def read_landmarks(path: Path, frame: str = "map") -> LandmarkMap:
+    """The map in a `landmarks.npz`; raises ReaderError when it is damaged."""
+    held = read_npz(path, {"ids": ("text", ("n",)), "mean": ("number", ("n", 2)), "cov": ("number", ("2n", "2n"))})
+    try:
+        return LandmarkMap(tuple(str(name) for name in held["ids"]), held["mean"], held["cov"], frame)
+    except ValueError as error:
+        raise ReaderError(path, f"expected ids, mean and cov of landmarks: {error}") from None
+
+
+def read_members(path: Path) -> tuple[dict[str, tuple[str, ...]], dict[str, int]]:
+    """Of every landmark in a `landmarks.csv`, the robots that know it and how often it was sighted."""
+    table = read_table(path)
+    if missing := [name for name in ("id", "robots", "sightings") if name not in table.columns]:
+        raise ReaderError(path, f"expected a column {missing[0]}, found {','.join(table.columns)}", 1)
+    ids, sightings = table.names("id"), table.whole("sightings")
+    robots = [tuple(robot_name(key) for key in text.split(";") if key) for text in table.columns["robots"]]
+    return dict(zip(ids, robots, strict=True)), dict(zip(ids, sightings, strict=True))
+
+
+def write_landmarks(folder: Path, team: TeamMap) -> None:
+    """`landmarks.csv` and `landmarks.npz` in `folder`, ordered by id."""
+    ids = sorted(team.landmarks.ids, key=in_order)
+    held = team.landmarks.select(ids)
+    rows = []
+    for i, name in enumerate(ids):
+        P = held.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
+        robots = ";".join(sorted(map(robot_key, team.members.get(name, ())), key=in_order))
+        rows.append(
+            [name, *held.mean[i].tolist(), *P[np.triu_indices(2)].tolist(), robots, team.sightings.get(name, 0)]
+        )
+    number = ["{:.9f}".format] * 3 + ["{:.9e}".format] * 5
+    write_table(folder / "landmarks.csv", HEAD.split(","), rows, number)
+    write_landmark_arrays(folder, held)
+
+
+def write_landmark_arrays(folder: Path, landmarks: LandmarkMap) -> None:
+    """`landmarks.npz`: `ids (n,) str, mean (n, 2), cov (2n, 2n)`, in the order given."""
+    ids = np.array(landmarks.ids, dtype=np.str_)
+    write_npz(folder / "landmarks.npz", ids=ids, mean=landmarks.mean, cov=landmarks.cov)
+
+
+SCALES = ("speed_scale", "turn_scale", "range_scale")
+
+
+def write_calibration(path: Path, robots: Mapping[str, Calibration], prior: Calibration) -> None:
+    """`{robot: {parameter: {value, sd, observed}}}`; observed: whether the data told more than was known before."""
+    write_json(
+        path,
+        {
+            robot_key(robot): {
+                name: {"value": value, "sd": sd, "observed": is_observed(name, sd, prior)}
+                for name, (value, sd) in found.items()
+            }
+            for robot, found in robots.items()
+        },
+    )
+
+
+def read_calibration(path: Path) -> dict[str, dict[str, tuple[float, float]]]:
+    """Robot name -> parameter -> (value, sd), as `map` writes it or by hand; no sd, or 0, holds a value.
+
+    Raises ReaderError naming the robot and the parameter for anything else than `{robot: {parameter: {value, sd}}}`
+    with finite numbers, scales above 0 and standard deviations of 0 or more.
+    """
+    out: dict[str, dict[str, tuple[float, float]]] = {}
+    for key, given in read_json(path).items():
+        if not isinstance(given, dict):
+            raise ReaderError(path, f"robot {key}: expected parameters, found {str(given)[:40]!r}")
+        known: dict[str, tuple[float, float]] = {}
+        for name, entry in given.items():
+            if name not in PARAMETERS:
+                raise ReaderError(path, f"robot {key}: expected {', '.join(PARAMETERS)}, found {name[:40]!r}")
+            known[name] = _entry(path, f"robot {key}, {name}", name, entry)
+        out[robot_name(key)] = known
+    return out
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def _entry(path: Path, where: str, name: str, entry: object) -> tuple[float, float]:
+    given = entry if isinstance(entry, dict) else {"value": entry}
+    value, sd = given.get("value"), given.get("sd", 0.0)
+    if not _is_number(value) or not _is_number(sd):
+        raise ReaderError(path, f"{where}: expected a value and its sd as finite numbers")
+    if name in SCALES and not value > 0:
+        raise ReaderError(path, f"{where}: expected a scale above 0, found {value}")
+    if sd < 0:
+        raise ReaderError(path, f"{where}: expected an sd of 0 or more, found {sd}")
+    return float(value), float(sd)
 
 
 def read_metrics(folder: Path) -> dict[str, Any]:

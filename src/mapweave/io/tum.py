@@ -7,7 +7,7 @@ import numpy as np
 from ..core import se2
 from ..core.errors import DataError, ReaderError
 from ..core.records import Track
-from .rows import open_text, write_rows
+from .table import open_text, write_rows
 
 COVARIANCE_HEAD = "t,xx,xy,yy,xt,yt,tt"
 

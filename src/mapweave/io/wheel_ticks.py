@@ -9,7 +9,7 @@ from ..core import se2
 from ..core.errors import ReaderError
 from ..core.laser_log import LaserLog
 from .assemble import RawLog, RawScan, odometry_row
-from .text import TextLog
+from .files import TextLog
 
 FIRST_RANGE = 24  # token at which ranges start; the last token is no range
 RADIUS, HALF_AXLE, TICKS_A_TURN = 0.077, 0.165, 2000.0  # [m], [m]

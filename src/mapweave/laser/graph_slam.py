@@ -15,16 +15,15 @@ from ..core import se2
 from ..core.records import Event, Scan
 from ..core.workers import Progress, no_progress
 from . import particle_slam
-from .beam import STEERING, Beams, beams
+from .beam import STEERING, Beams, IntensityCalibration, beams
 from .config import LaserConfig
-from .intensity import IntensityCalibration
 from .joint_pass import joint_pass, lay_scans, scan_cloud
 from .keyframe_graph import KeyframeGraph
 from .keyframes import Keyframe, KeyframeMaker, KeyframeOdometry
 from .particle_slam import ParticleState
 from .robot_graph import RobotGraph
+from .scan_odometry import ScanInfo, blended
 from .submap_loops import SubmapLoops
-from .trace import ScanInfo, blended
 
 
 @dataclass(slots=True)

@@ -7,15 +7,13 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.records import Event, Scan
-from .beam import Beams, beams
+from .beam import Beams, IntensityCalibration, beams
 from .config import LaserConfig
 from .icp import match
-from .intensity import IntensityCalibration
 from .particle_grid import ParticleGrid
 from .particle_slam import as_points
 from .scan_matching import allowed_sd
-from .scan_odometry import NO_INNOVATION, alone_sd, inside
-from .trace import ScanInfo
+from .scan_odometry import NO_INNOVATION, ScanInfo, alone_sd, inside
 
 ONE = np.zeros(1, np.int64)
 

@@ -12,8 +12,7 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.config import config
-from .beam import Beams
-from .intensity import IntensityCalibration
+from .beam import Beams, IntensityCalibration
 
 
 @config

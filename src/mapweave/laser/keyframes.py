@@ -10,9 +10,8 @@ from ..core.config import config
 from ..core.records import Scan
 from .beam import Beams
 from .scan_matching import FrontEndConfig
-from .scan_odometry import ScanOdometry
+from .scan_odometry import ScanInfo, ScanOdometry
 from .step_noise import StepNoise, carried, step_covariance, wheel_noise
-from .trace import ScanInfo
 
 
 class Keyframe(NamedTuple):

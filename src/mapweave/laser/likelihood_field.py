@@ -8,7 +8,7 @@ from scipy.ndimage import distance_transform_edt
 
 from ..core.records import frozen
 from ..kernels.laser.likelihood_field import score_field
-from .grid import GridMap
+from .laser_map import GridMap
 
 MARGIN = 10  # cells round the map in which a beam still finds its nearest
 LEAST_OCCUPANCY = 0.3  # what was mostly seen through was somebody passing by

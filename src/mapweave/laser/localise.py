@@ -14,12 +14,10 @@ from ..core.records import Track
 from ..core.workers import Progress
 from .beam import Beams, beams
 from .config import LaserConfig
-from .grid import GridMap, IntensityCalibration
-from .laser_map import ScanRecords
+from .laser_map import GridMap, IntensityCalibration, ScanRecords
 from .likelihood_field import nearest_field
 from .localise_filter import LocaliseConfig, PlaceFilter
-from .scan_odometry import ScanOdometry
-from .trace import ScanInfo, blended
+from .scan_odometry import ScanInfo, ScanOdometry, blended
 
 
 @dataclass(frozen=True, slots=True)

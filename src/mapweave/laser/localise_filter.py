@@ -10,7 +10,7 @@ from ..core.config import config
 from ..core.errors import DataError
 from ..kernels.laser.resample import systematic
 from .beam import Beams
-from .grid import GridMap
+from .laser_map import GridMap
 from .likelihood_field import NearestField
 
 

@@ -15,14 +15,13 @@ from ..core.run import run
 from ..core.workers import Progress, no_progress
 from ..kernels._jit import set_threads
 from . import graph_slam, icp_slam, particle_slam
-from .beam import STEERING, beams
+from .beam import STEERING, IntensityCalibration, beams
 from .config import LaserConfig
-from .intensity import IntensityCalibration
 from .intensity_calibration import calibrate, raw_scale
 from .laser_map import LaserMap, ScanRecords
 from .render import render
 from .robot_graph import RobotGraph
-from .trace import ScanInfo, blended
+from .scan_odometry import ScanInfo, blended
 
 
 @dataclass(frozen=True, slots=True)

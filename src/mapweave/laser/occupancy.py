@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from ..core.records import frozen
-from .grid import GridMap
+from .laser_map import GridMap
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 1
 

@@ -5,8 +5,8 @@ from jaxtyping import Bool, Float
 
 from ..core import se2
 from ..kernels.laser.sweep import UNIT, lay_sweep
-from .grid import GridMap
 from .keyframes import Sweep
+from .laser_map import GridMap
 
 MARGIN = 80  # cells the arrays grow by beyond what is needed
 EDGE = 2  # cells round the map that is handed over

@@ -13,12 +13,10 @@ from ..core import se2
 from ..core.records import Event, Scan
 from ..kernels.laser.refine import refine
 from ..kernels.laser.resample import systematic
-from .beam import STEERING, Beams, beams
+from .beam import STEERING, Beams, IntensityCalibration, beams
 from .config import FilterConfig, LaserConfig
-from .intensity import IntensityCalibration
 from .particle_grid import ParticleGrid
-from .scan_odometry import ScanOdometry
-from .trace import ScanInfo, blended
+from .scan_odometry import ScanInfo, ScanOdometry, blended
 
 
 @dataclass(slots=True)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from ..core import se2
 from ..kernels.laser.render import render as lay
 from .beam import Beams
-from .grid import GridMap
+from .laser_map import GridMap
 
 EDGE = 2  # cells left free round the map
 

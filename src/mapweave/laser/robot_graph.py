@@ -7,8 +7,8 @@ from jaxtyping import Bool, Float, Int
 
 from ..core import se2
 from ..core.records import frozen
+from .beam import IntensityCalibration
 from .closures import Closure
-from .intensity import IntensityCalibration
 from .pose_graph import PoseGraph
 
 

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull, QhullError
 from ..exploration.landmarks.experiment import LandmarkRecord
 from ..exploration.landmarks.result import ExploreResult
 from ..kernels.exploration.objective import mark_half_disc
-from ..kernels.raster import Raster, Sector
+from ..kernels.walls.segments import Raster, Sector
 from ..kernels.walls.sight import mark_in_sight
 from .html import Page
 from .style import MUTED, SEQUENTIAL, TRUTH, Target, as_map, colour, draw_ellipse, figure, marker

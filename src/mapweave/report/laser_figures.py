@@ -9,8 +9,7 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.records import Track
-from ..laser.grid import GridMap, IntensityCalibration
-from ..laser.laser_map import LaserMap
+from ..laser.laser_map import GridMap, IntensityCalibration, LaserMap
 from .style import MUTED, SEQUENTIAL, TRUTH, Target, as_map, colour, figure
 
 DECISIONS = {"matched": 0, "odometry": 5, "skipped": 4, "empty": 3}  # decision -> colour

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..laser.grid import GridMap
+from ..laser.laser_map import GridMap
 from ..laser.localise import Localisation
 from .html import Page
 from .laser_figures import READABLE, draw_occupancy, map_size, map_window

@@ -1,14 +1,20 @@
-"""A score as a page: what was measured against the truth, and the errors as a picture."""
+"""A score as a page and figures: what was measured against the truth, and how the map grew towards it."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from ..core import se2
+from ..core.gaussian import chi2_quantile
 from ..core.names import robot_key
+from ..evaluation.landmarks import GrowthPoint
 from ..evaluation.team import TeamScore
+from ..evaluation.trajectory import paired
+from . import style
 from .html import Page
 from .style import Target, colour, figure
+from .team_figures import FACTORS, INK, MANY, TeamStory, legend_beside, shape, thinned
 
 MOST = 40  # errors drawn one by one
 
@@ -44,3 +50,106 @@ def draw_bars(target: Target, groups: Mapping[str, Mapping[str, float]]) -> None
             ax.barh(list(bars)[::-1], list(bars.values())[::-1], color=colour(k), height=0.7)
             ax.set_xlabel(name)
             ax.grid(visible=False, axis="y")
+
+
+def landmark_errors(path: Path, story: TeamStory, score: TeamScore) -> str:
+    """Errors as arrows beside ellipses drawn as many times larger. The caption is returned."""
+    landmarks = story.maps[0].landmarks.select(score.landmarks.ids)
+    T = score.landmarks.alignment
+    if T is None:
+        return ""
+    aligned = shape(landmarks.moved(T, "survey"))
+    true = aligned.mean - score.landmarks.errors
+    size = float(np.ptp(true, axis=0).max())
+    typical = float(np.median(np.hypot(*score.landmarks.errors.T)))
+    grow = ([f for f in FACTORS if f * typical < 0.04 * size] or [1])[-1]
+    with style.figure(path, 8.4, 6.0) as (_, ax):
+        for robot in story.maps[0].robots:
+            if robot in story.truths and robot in story.maps[0].tracks:
+                pose = thinned(story.truths[robot].track)
+                line = "-" if story.truths[robot].kind == "Groundtruth" else "."
+                ax.plot(
+                    pose[:, 0], pose[:, 1], line, color=style.colour(story.colour_of(robot)), lw=0.6, ms=1, alpha=0.35
+                )
+        ax.plot(*true.T, "x", color=style.TRUTH, ms=5, mew=1.2, label="surveyed")
+        for i, (p, e) in enumerate(zip(true, score.landmarks.errors, strict=True)):
+            P = aligned.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
+            style.draw_ellipse(ax, p, P, style.colour(0), grow, zorder=2)
+            ax.annotate("", p + grow * e, p, arrowprops={"arrowstyle": "-|>", "color": style.colour(5), "lw": 1.4})
+            if len(true) <= MANY:
+                ax.annotate(aligned.ids[i], p, xytext=(5, 4), textcoords="offset points", fontsize=8, color=INK)
+        ax.plot([], [], color=style.colour(5), label=f"error, {grow} times")
+        ax.plot([], [], color=style.colour(0), label=f"95 % ellipse, {grow} times")
+        style.as_map(ax, "The fused map beside the survey")
+        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return (
+        f"Errors (arrows) and 95 % ellipses, both drawn {grow} times larger, at the surveyed places: in an honest map "
+        "about one arrow in twenty leaves its ellipse. Faint: where the robots truly drove."
+    )
+
+
+def track_errors(path: Path, story: TeamStory, score: TeamScore) -> str:
+    """Position error of every robot over time. The caption is returned."""
+    team = story.maps[0]
+    known = [r for r in team.robots if r in story.truths and r in team.tracks]
+    if score.alignment is None or not known:
+        return ""
+    start = min(team.tracks[r].t[0] for r in known)
+    with style.figure(path, 8.4, 3.2) as (_, ax):
+        for robot in known:
+            truth = story.truths[robot]
+            ours, true, t = paired(team.tracks[robot], truth.track, dense=truth.dense)
+            if len(t):
+                error = np.hypot(*(se2.act(score.alignment, ours[:, :2]) - true[:, :2]).T)
+                line = "-" if truth.dense else style.marker(story.colour_of(robot))
+                k, ate = story.colour_of(robot), score.robots[robot].ate
+                label = f"robot {robot_key(robot)}: ATE {ate:.3f} m"
+                ax.plot((t - start) / 60, error, line, color=style.colour(k), lw=0.9, ms=2.5, label=label)
+        ax.set_ylim(bottom=0)
+        ax.set_xlabel("time since the first row [min]")
+        ax.set_ylabel("position error [m]")
+        ax.set_title("Where each robot thought it was, against the truth")
+        legend_beside(ax, 10)
+    return "Distance between estimated and true position, under the alignment fitted to the landmarks."
+
+
+def growth(path: Path, points: Sequence[GrowthPoint]) -> str:
+    """The global map over time: trace, log-determinant, error, consistency, robots tied in. The caption is returned."""
+    t = np.array([p.t for p in points]) / 60
+    scored = any(p.rmse is not None for p in points)
+    panels = [
+        ("trace of covariance [m²]", [p.trace for p in points], True),
+        ("log det of covariance", [p.log_det for p in points], False),
+    ]
+    if scored:
+        panels += [
+            ("landmark RMSE [m]", [p.rmse for p in points], True),
+            ("NEES per degree of freedom", [p.nees_per_dof for p in points], True),
+        ]
+    panels += [("landmarks in the map", [p.landmarks for p in points], False)]
+    panels += [("robots tied in", [p.robots for p in points], False)]
+    rows = len(panels) // 2
+    with style.figure(path, 8.4, 2.0 * rows + 0.3, nrows=rows, ncols=2, sharex=True) as (_, axes):
+        for ax, (label, values, log) in zip(np.ravel(axes), panels, strict=True):
+            y = np.array([np.nan if v is None else v for v in values], dtype=float)
+            if log and np.isfinite(y).any() and (y[np.isfinite(y)] > 0).all():
+                ax.set_yscale("log")
+            whole = label.startswith(("landmarks", "robots"))
+            ax.plot(t, y, color=style.colour(0), drawstyle="steps-post" if whole else "default", marker=".", ms=4)
+            ax.set_ylabel(label)
+            if whole:
+                ax.set_ylim(bottom=0)
+                ax.yaxis.get_major_locator().set_params(integer=True)
+            if label.startswith("NEES"):
+                _band(ax, t, points)
+        for ax in np.ravel(axes)[-2:]:
+            ax.set_xlabel("time since the first row [min]")
+    honest = " Shaded: where 95 % of honest maps would lie." if scored else ""
+    return f"The global map while the logs played: every robot's fresher map replaces its older one.{honest}"
+
+
+def _band(ax: object, t: np.ndarray, points: Sequence[GrowthPoint]) -> None:
+    dof = np.array([max(1, 2 * p.landmarks - 3) for p in points], dtype=float)
+    low = np.array([chi2_quantile(0.025, d) / d for d in dof])
+    high = np.array([chi2_quantile(0.975, d) / d for d in dof])
+    ax.fill_between(t, low, high, color=style.MUTED, alpha=0.25, lw=0)  # type: ignore[attr-defined]

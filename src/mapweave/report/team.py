@@ -8,9 +8,10 @@ from ..evaluation.consistency import mean_or_none
 from ..landmarks.landmark_map import LocalMap
 from ..team.robot_part import PARAMETERS
 from ..team.smooth import is_observed
-from . import team_figures, truth_figures
+from . import team_figures
 from .html import Page
-from .team_story import TeamStory
+from .score import growth, landmark_errors, track_errors
+from .team_figures import TeamStory
 
 
 def write_team_report(folder: Path, story: TeamStory) -> None:
@@ -35,7 +36,7 @@ def write_team_report(folder: Path, story: TeamStory) -> None:
     _robots(page, figures, story)
     if len(story.growth) > 1:
         page.section("How the map grew")
-        _add(page, figures / "growth.png", truth_figures.growth(figures / "growth.png", story.growth))
+        _add(page, figures / "growth.png", growth(figures / "growth.png", story.growth))
     page.write(folder / "report.html")
 
 
@@ -76,7 +77,7 @@ def _truth(page: Page, figures: Path, story: TeamStory) -> None:
         page.text(str(exchange), warn=True)
     if score.landmarks.alignment is not None:
         name = figures / "landmark_errors.png"
-        _add(page, name, truth_figures.landmark_errors(name, story, score))
+        _add(page, name, landmark_errors(name, story, score))
         head = ["map", "landmark RMSE [m]", "NEES / dof", "against fused"]
         rows: list[list[object]] = [["fused", score.landmarks.rmse, score.landmarks.nees_per_dof, None]]
         for label, value in (("naive average", score.naive_rmse), ("mean single robot", score.mean_single_rmse)):
@@ -91,7 +92,7 @@ def _truth(page: Page, figures: Path, story: TeamStory) -> None:
         [[robot_key(n), r.ate, r.n, r.truth, r.single_map_rmse, r.rpe_trans] for n, r in score.robots.items()],
     )
     name = figures / "track_errors.png"
-    _add(page, name, truth_figures.track_errors(name, story, score))
+    _add(page, name, track_errors(name, story, score))
 
 
 def _smoothing(page: Page, story: TeamStory) -> None:

@@ -1,5 +1,10 @@
-"""Figures of a team's map: the whole, each robot's part, how sure it is, what robots found out of themselves."""
+"""Figures of a team's map: the whole, each robot's part, how sure it is, what robots found out of themselves.
 
+All are drawn from a `TeamStory`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +14,47 @@ from matplotlib.axes import Axes
 from ..core import se2
 from ..core.gaussian import ellipse
 from ..core.names import in_order, robot_key
+from ..core.records import Track
+from ..core.truth import NO_SURVEY, Survey
 from ..evaluation.consistency import shape_covariance
-from ..landmarks.landmark_map import LandmarkMap
+from ..evaluation.landmarks import GrowthPoint
+from ..evaluation.team import RobotTruth, TeamScore
+from ..fusion.result import Fusion
+from ..landmarks.landmark_map import LandmarkMap, LocalMap
+from ..team.smooth import Smoothed
 from ..team.team_map import TeamMap
 from . import style
-from .team_story import TeamStory, thinned
+
+
+@dataclass(frozen=True, slots=True)
+class TeamStory:
+    """The fused components (largest first), what each robot handed over, why each was merged or not, and the scores."""
+
+    title: str
+    maps: Sequence[TeamMap]
+    local: Sequence[LocalMap]
+    fusion: Fusion
+    growth: Sequence[GrowthPoint] = ()
+    score: TeamScore | None = None
+    survey: Survey = NO_SURVEY
+    truths: Mapping[str, RobotTruth] = field(default_factory=dict)
+    smoothed: Sequence[Smoothed] = ()
+    filter_score: TeamScore | None = None
+    warnings: Sequence[str] = ()
+
+    @property
+    def robots(self) -> tuple[str, ...]:
+        """All robots in order; the place in it gives a robot its colour."""
+        return tuple(sorted((m.robot for m in self.local), key=in_order))
+
+    def colour_of(self, robot: str) -> int:
+        return self.robots.index(robot)
+
+
+def thinned(track: Track, most: int = 3000) -> np.ndarray:
+    """At most about `most` poses of a track, enough to draw it."""
+    return np.asarray(track.pose[:: max(1, len(track.t) // most)])
+
 
 FACTORS = (1, 2, 5, 10, 20, 50, 100)
 INK = "#2B2F33"

@@ -15,8 +15,7 @@ from ..solve import Status as SolveStatus
 from . import bearing
 from .batch import refine
 from .config import SwarmConfig
-from .graph import components, effective_sigma
-from .network import Network
+from .network import Network, components, effective_sigma
 from .posterior import posterior
 from .result import SwarmEstimate, Traffic
 from .start import Start, prepare

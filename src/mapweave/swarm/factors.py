@@ -9,8 +9,7 @@ from jaxtyping import Float, Int
 from ..core.se2 import wrap_angle
 from ..solve import Factor, Kernel
 from . import bearing
-from .graph import EXACT_DISTANCE, effective_sigma
-from .network import Network
+from .network import EXACT_DISTANCE, Network, effective_sigma
 
 
 def width(net: Network) -> int:

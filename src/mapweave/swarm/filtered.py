@@ -9,13 +9,11 @@ from ..core.errors import DataError
 from .config import SwarmConfig
 from .factors import bearing_factor
 from .gauge import gauge_of
-from .graph import components
-from .joint import JointInformation
 from .kalman import FilterState, Form, filter_start, update
 from .linear import linear_pattern, linear_start
-from .network import Network
+from .network import Network, components
 from .observability import observe
-from .result import Status, SwarmEstimate
+from .result import JointInformation, Status, SwarmEstimate
 from .verdict import chi2_warnings, layout_warnings
 
 TOO_MANY = 6000  # sightings beyond which a dense update would need gigabytes

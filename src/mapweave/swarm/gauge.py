@@ -7,8 +7,7 @@ from jaxtyping import Bool, Float
 
 from ..core.se2 import rotation, wrap_angle
 from .factors import width
-from .graph import Components
-from .network import Network
+from .network import Components, Network
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..solve import Factor, Information, Pattern, Problem
-from .graph import Components, components
-from .network import Network
+from .network import Components, Network, components
 
 TRACE = 1e-7  # least weight of the usual distance against a sighting's own
 

@@ -1,12 +1,15 @@
-"""A swarm that sees itself: who saw whom in which direction, and what is known beforehand."""
+"""A swarm that sees itself: who saw whom in which direction, who hangs together with whom, what contradicts others."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+import scipy.sparse as sp
+from jaxtyping import Bool, Float, Int
+from scipy.sparse.csgraph import connected_components
 
+from ..core.bearings import BearingTable
 from ..core.errors import DataError
 from ..core.names import in_order
 from ..core.records import frozen
@@ -146,3 +149,103 @@ def network(
         tuple(Distance(index[i], index[j], float(d)) for i, j, d in distances),
         axis,
     )
+
+
+EXACT_DISTANCE = 1e-4  # an exact distance is held to this many bearing standard deviations of itself
+
+
+@dataclass(frozen=True, slots=True)
+class Components:
+    """label: (n,) by connected piece; known: (c,) anchors at distinct places in each; reference: the piece reported."""
+
+    label: Int[np.ndarray, " n"]
+    known: Int[np.ndarray, " c"]
+    measured: np.ndarray  # (c,) bool: a distance is known in it
+    reference: int
+
+    @property
+    def anchored(self) -> bool:
+        """Whether anchors give place and scale somewhere, so that there is no gauge to choose."""
+        return bool((self.known >= 2).any() or ((self.known == 1) & self.measured).any())
+
+    def fixed(self, c: int) -> bool:
+        """Whether piece `c` has place and scale from anchors and distances."""
+        return bool(self.known[c] >= 2 or (self.known[c] == 1 and self.measured[c]))
+
+
+def components(net: Network) -> Components:
+    """The pieces of the network; the reference has sightings, most anchors (2 count as many), and is largest."""
+    n = len(net)
+    i = np.concatenate([net.observer, np.array([d.i for d in net.distances], dtype=np.intp)])
+    j = np.concatenate([net.target, np.array([d.j for d in net.distances], dtype=np.intp)])
+    count, label = connected_components(sp.csr_array((np.ones(len(i)), (i, j)), shape=(n, n)), directed=False)
+    known, measured = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool)
+    for c in range(count) if net.anchors else ():
+        places = {tuple(p) for k, p in net.anchors.items() if label[k] == c}
+        known[c] = len(places)
+    for d in net.distances:
+        measured[label[d.i]] = True
+    size = np.bincount(label, minlength=count)
+    worth = np.minimum(known + (measured & (known > 0)), 2)
+    seen = np.bincount(label[net.observer], minlength=count) > 0
+    reference = int(np.lexsort((size, worth, seen))[-1]) if count else 0
+    return Components(label, known, measured, reference)
+
+
+def effective_sigma(net: Network) -> Float[np.ndarray, " m"]:
+    """Standard deviations to weigh by: exact sightings (all zero) weigh alike, as with R = I."""
+    return net.sigma if np.any(net.sigma > 0) else np.ones(len(net.sigma))
+
+
+GATE = 6.0 * np.sqrt(2.0)  # standard deviations between two sightings of the same pair
+FEW = 5  # mutual pairs below which nothing is said about axes
+
+
+def contradictions(table: BearingTable, sigma: Float[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
+    """Which rows contradict another of the same observer, target and stamp.
+
+    Of two that contradict, both; of three or more, those far from the median direction of all. sigma: (m,) [rad].
+    """
+    n = len(table.ids)
+    key = table.observer * n + table.target
+    stamp = np.zeros(len(key)) if table.t is None else table.t
+    order = np.lexsort((stamp, key))
+    same = (key[order][1:] == key[order][:-1]) & (stamp[order][1:] == stamp[order][:-1])
+    bad = np.zeros(len(key), dtype=bool)
+    if not same.any():
+        return bad
+    edges = np.flatnonzero(np.concatenate([[True], ~same, [True]]))
+    for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        if high - low < 2:
+            continue
+        rows = order[low:high]
+        u = table.direction[rows]
+        if high - low == 2:
+            off = np.full(2, _angle(u[:1], u[1:])[0])
+        else:
+            middle = np.median(u, axis=0)
+            off = _angle(u, middle[None, :])
+        bad[rows] = off > GATE * sigma[rows]
+        if high - low == 2:
+            bad[rows] = bad[rows].any()
+    return bad
+
+
+def shares_an_axis(table: BearingTable, sigma: Float[np.ndarray, " m"]) -> bool:
+    """False when mutual sightings plainly do not point at each other: every robot has axes of its own."""
+    n = len(table.ids)
+    forth, back = table.observer * n + table.target, table.target * n + table.observer
+    _, a, b = np.intersect1d(forth, back, return_indices=True)
+    mutual = table.observer[a] < table.target[a]
+    a, b = a[mutual], b[mutual]
+    if len(a) < FEW:
+        return True
+    off = _angle(table.direction[a], -table.direction[b])
+    return bool(np.median(off) <= max(0.5, 20.0 * float(np.median(sigma))))
+
+
+def _angle(a: Float[np.ndarray, "k d"], b: Float[np.ndarray, "l d"]) -> Float[np.ndarray, " k"]:
+    """Angles [rad] between rows; b need not be of unit length."""
+    dot = np.sum(a * b, axis=1)
+    across = np.sqrt(np.maximum(np.sum(a * a, axis=1) * np.sum(b * b, axis=1) - dot * dot, 0.0))
+    return np.asarray(np.arctan2(across, dot))

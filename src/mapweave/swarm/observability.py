@@ -16,8 +16,7 @@ from ..solve import Factor, Pattern, Problem
 from ..solve.multifrontal import Cholesky, Elimination, NotPositiveError
 from . import bearing
 from .factors import columns, width
-from .graph import Components
-from .network import Network
+from .network import Components, Network
 
 SHIFT = 1e-13  # added to the normal matrix, whose own entries are about 1
 PIVOT = 3e-8  # a pivot below this is zero

@@ -11,9 +11,8 @@ from ..solve import Status as SolveStatus
 from . import factors
 from .config import SwarmConfig
 from .gauge import Gauge, basis, normalise
-from .joint import JointInformation
 from .network import Network
-from .result import Status, SwarmEstimate, Traffic
+from .result import JointInformation, Status, SwarmEstimate, Traffic
 from .start import Start
 from .verdict import barely_determined, chi2_warnings, layout_warnings
 

@@ -17,10 +17,9 @@ from ..solve import GemanMcClure
 from .batch import batch, refine
 from .config import SwarmConfig
 from .factors import bearing_factor
-from .graph import components, effective_sigma
 from .headings import mutual_pairs, world_directions
 from .linear import linear_pattern, linear_start
-from .network import Network
+from .network import Network, components, effective_sigma
 from .posterior import posterior
 from .relocation import relocated, unsupported
 from .result import SwarmEstimate

@@ -8,8 +8,7 @@ from scipy.ndimage import distance_transform_edt, label
 
 from ...core.errors import DataError
 from ...core.walls import Walls
-from ...kernels.raster import Raster
-from ...kernels.walls.segments import sight_on_raster
+from ...kernels.walls.segments import Raster, sight_on_raster
 from ...kernels.walls.sight import nearest_views, points_in_sight
 from ...sim.field import Field
 from ..ground import CostToGo, Ground

@@ -10,11 +10,10 @@ import numpy as np
 from jaxtyping import Float
 
 from ...kernels.exploration.objective import mark_half_disc
-from ...kernels.raster import Sector
+from ...kernels.walls.segments import Sector
 from . import coverage, loop
-from .belief import LandmarkBelief
+from .belief import Explored, LandmarkBelief
 from .config import ExploreConfig
-from .explored import Explored
 from .lap_search import LapTask, find_laps
 from .steering import steer
 

@@ -20,7 +20,7 @@ from ...kernels.exploration.laps import (
     odometry_information,
     seen_shares,
 )
-from ...kernels.raster import Raster, Sector
+from ...kernels.walls.segments import Raster, Sector
 from ...landmarks.submap_slam import SubmapConfig
 from .config import LapSearchConfig
 

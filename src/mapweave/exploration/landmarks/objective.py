@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from ...core import se2
 from ...kernels.exploration.objective import MotionAndSight, expected_uncertainty, map_uncertainty
-from ...kernels.raster import Sector
+from ...kernels.walls.segments import Sector
 from .belief import LandmarkBelief
 from .config import ExploreConfig
 from .steering import given_up, new_cells, next_target, offered, steer, way_back

@@ -6,8 +6,7 @@ from jaxtyping import Float
 from ...core.se2 import wrap_angle
 from ...fusion.handover import pose_in_map
 from ...kernels.exploration.objective import unexplored_cells
-from ...kernels.raster import Sector
-from ...kernels.walls.segments import distance_of_moves
+from ...kernels.walls.segments import Sector, distance_of_moves
 from ...kernels.walls.sight import unexplored_in_sight
 from ...landmarks.submap_slam import move
 from .belief import LandmarkBelief

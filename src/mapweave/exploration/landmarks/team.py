@@ -1,4 +1,7 @@
-"""One exploration, step by step: choose, drive, see, map, hand over; deaths and lost messages included."""
+"""One exploration, step by step: choose, drive, see, map, hand over; deaths and lost messages included.
+
+Where a robot's true motion meets a wall, it stops short of it, and the team remembers the place.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -11,19 +14,61 @@ from jaxtyping import Float
 from ...core import se2
 from ...core.errors import DataError
 from ...core.se2 import wrap_angle
+from ...core.walls import Walls
 from ...fusion.handover import Handover, hand_over, pose_in_map
 from ...kernels.exploration.objective import map_uncertainty, mark_half_disc
-from ...kernels.raster import Sector
+from ...kernels.walls.segments import Sector
 from ...kernels.walls.sight import mark_in_sight
 from ...landmarks.landmark_map import GlobalMap, Submap, known_starts
 from ...landmarks.submap_slam import Observations, empty, in_view, move, predict, sight, update
 from ...sim.field import Field
 from ..planner_interface import query_planner
-from .belief import LandmarkBelief, Planner
-from .bumper import Bumper
+from .belief import Explored, LandmarkBelief, Planner
 from .config import ExploreConfig
-from .explored import Explored
 from .floor_plan import FloorPlan, survey_floor
+
+
+@dataclass(slots=True)
+class Bumper:
+    """collisions: how often a wall stopped a robot, one that lasts counting once; contacts: step and place (2,)."""
+
+    walls: Walls | None
+    radius: float  # [m]
+    collisions: int = 0
+    contacts: list[tuple[int, np.ndarray]] = field(default_factory=list)
+    touching: set[int] = field(default_factory=set)  # robots stopped in the last step
+
+    def stop(self, j: int, here: Float[np.ndarray, "2"], pose: Float[np.ndarray, "3"], command: np.ndarray) -> bool:
+        """Whether a wall stopped robot j between the true place `here` and `pose`.
+
+        Then `pose` is where it stands, and `command` what it carried out, both in place.
+        """
+        if self.walls is None:
+            return False
+        share = self.walls.free_share(here, pose[:2], self.radius)
+        if share == 1.0:
+            self.touching.discard(j)
+            return False
+        pose[:2] = here + share * (pose[:2] - here)
+        if command[0] == 0.0:  # it turned on the spot and slipped
+            return False
+        command[0] *= share
+        self.collisions += j not in self.touching
+        self.touching.add(j)
+        return True
+
+    def remember(self, step: int, pose: Float[np.ndarray, "3"], heading: float) -> None:
+        """A robot at the estimated `pose` in the map, driving along `heading`, met a wall: a radius ahead of it."""
+        ahead = self.radius * np.array([np.cos(heading), np.sin(heading)])
+        self.contacts.append((step, pose[:2] + ahead))
+
+    def forget(self, before: int) -> None:
+        """Contacts of step `before` and earlier are gone."""
+        self.contacts = [c for c in self.contacts if c[0] > before]
+
+    def places(self) -> Float[np.ndarray, "k 2"]:
+        """Where walls were met."""
+        return np.array([p for _, p in self.contacts]).reshape(-1, 2)
 
 
 @dataclass(slots=True)

@@ -13,16 +13,16 @@ from ...core.laser_log import LaserLog
 from ...core.records import Track
 from ...evaluation.building import Building, known_at, survey_building
 from ...laser.closures import Closure
-from ...laser.grid import GridMap
+from ...laser.laser_map import GridMap
 from ...laser.occupancy import Occupancy, of_grid, without_gaps
 from ...laser.pose_graph import PoseGraph
 from ...sim.office_floor import LEAST
 from ..mission import Mission, run_seeds
 from ..planner_interface import find_planner
-from .belief import PLANNERS
 from .config import LaserMissionConfig
 from .frontiers import mapped_ground, pockets
 from .mission import LaserRun, LaserStepRecord
+from .planner_state import PLANNERS
 from .scenario import LaserPlace, LaserScenarioConfig, make_place
 from .score import LaserScore, score
 

@@ -16,9 +16,9 @@ from ...laser.team import LaserTeam
 from ...sim.laser import stream
 from ...sim.laser_team import LaserTeamSim
 from ..planner_interface import query_planner
-from .belief import LaserBelief, LaserPlanner
 from .config import LaserExploreConfig, LaserMissionConfig
 from .frontiers import frontiers, mapped_ground
+from .planner_state import LaserBelief, LaserPlanner
 from .scenario import LaserPlace
 
 

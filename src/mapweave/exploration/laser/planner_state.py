@@ -1,15 +1,39 @@
-"""What a team of laser robots keeps in mind between two steps: goals, what was put off, who gave way."""
+"""What a planner knows of a laser world, the planners by name, and what the team keeps in mind between two steps."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ...kernels.walls.segments import sight_on_raster
+from ...laser.occupancy import Occupancy
 from ..ground import CostToGo, Ground
-from .belief import LaserBelief
+from ..planner_interface import TeamBelief
 from .config import LaserExploreConfig
 from .frontiers import MappedGround, disc_mask
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LaserBelief(TeamBelief):
+    """grid: the merged map; scans: for each robot the points (k, 2) [m] of its present scan in its own frame, other
+    robots among them. A planner that sets memory["finished"] ends the run.
+    """
+
+    grid: Occupancy
+    scans: tuple[np.ndarray, ...]
+
+
+LaserPlanner = Callable[[LaserBelief, Float[np.ndarray, "r 3"], LaserExploreConfig], Float[np.ndarray, "r 2"]]
+
+PLANNERS = {
+    "coverage": "mapweave.exploration.laser.planners:coverage",
+    "paper": "mapweave.exploration.laser.planners:paper",
+    "area": "mapweave.exploration.laser.planners:area",
+    "loop": "mapweave.exploration.laser.planners:loop",
+    "nearest": "mapweave.exploration.laser.planners:nearest",
+}
+
 
 MOVED = 0.03  # [m] a step above which a robot does not stand still
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from .._jit import kernel
 from ..dense import solved
-from ..raster import Raster, Sector
+from ..walls.segments import Raster, Sector
 from .objective import mark_half_disc
 
 

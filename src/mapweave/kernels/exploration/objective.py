@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._jit import kernel
-from ..raster import Raster, Sector
+from ..walls.segments import Raster, Sector
 
 
 class MotionAndSight(NamedTuple):

@@ -1,9 +1,24 @@
 """Geometry of walls: how far, whether a straight move touches one, what lies inside closed ones, sight on a raster."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from .._jit import kernel
-from ..raster import Raster
+
+
+class Raster(NamedTuple):
+    """Square cells of side `cell` [m]; corner: (2,) [m], the lower left one of cell (0, 0); row 0 lowest y."""
+
+    corner: np.ndarray
+    cell: float
+
+
+class Sector(NamedTuple):
+    """What a sensor has in view: up to `reach` [m] away and `half_angle` [rad] to either side of straight ahead."""
+
+    reach: float
+    half_angle: float
 
 
 @kernel

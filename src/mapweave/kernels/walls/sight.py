@@ -3,8 +3,7 @@
 import numpy as np
 
 from .._jit import kernel
-from ..raster import Raster, Sector
-from .segments import _to_segment, touches
+from .segments import Raster, Sector, _to_segment, touches
 
 
 @kernel

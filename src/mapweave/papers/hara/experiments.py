@@ -12,8 +12,7 @@ from ...core.workers import Progress
 from ...evaluation.trajectory import align_tracks, ate
 from ...laser.beam import beams
 from ...laser.config import LaserConfig
-from ...laser.grid import GridMap
-from ...laser.laser_map import LaserMap
+from ...laser.laser_map import GridMap, LaserMap
 from ...laser.mapping import map_laser
 from ...laser.render import render
 from ...laser.scan_matching import FrontEndConfig

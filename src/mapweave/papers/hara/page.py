@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from ...laser.grid import GridMap
+from ...laser.laser_map import GridMap
 from ...report.html import Page
 from ...report.style import MUTED, SEQUENTIAL, TRUTH, Target, as_map, colour, figure
 

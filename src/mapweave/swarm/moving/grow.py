@@ -7,7 +7,7 @@ import numpy as np
 from ...core import se2
 from ...core.errors import DataError
 from ...core.workers import Progress, no_progress
-from ..meeting import meet
+from ..headings import meet
 from .poses import PoseProblem
 from .result import TrackConfig
 

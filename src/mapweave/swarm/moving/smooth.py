@@ -9,8 +9,8 @@ from ...core.bearings import BearingTable
 from ...core.errors import DataError
 from ...solve import Problem, Solution, SolveConfig, minimise
 from .factors import prior_factor, ray_factor, sighting_factor, velocity_factor
+from .poses import Timeline, timeline
 from .result import RobotTrajectory, SwarmTrack, TrackConfig, without_outliers
-from .timeline import Timeline, timeline
 
 Anchors = Mapping[int, Float[np.ndarray, " d"]]
 
