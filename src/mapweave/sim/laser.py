@@ -1,4 +1,4 @@
-"""A robot with a laser scanner driven through a world: its log, the truth, what the walls really are, people on foot."""
+"""A robot with a laser scanner driven through a world with people: its log, the truth, and what the walls really are."""
 
 from dataclasses import dataclass
 
