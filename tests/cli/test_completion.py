@@ -37,6 +37,6 @@ def test_bash_completes_commands_and_options(script, words, found):
 
 def test_an_unknown_shell_is_one_line():
     words = [sys.executable, "-m", "mapweave", "completion", "csh"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    done = subprocess.run(words, capture_output=True, text=True, check=False)  # noqa: S603
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1

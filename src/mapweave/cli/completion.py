@@ -15,6 +15,6 @@ def completion(shell: Literal["bash", "zsh", "fish"], /) -> None:
         bash, zsh or fish.
     """
     from . import make_app
-    from .say import say
+    from .terminal import say
 
     say(make_app().generate_completion(shell=shell))

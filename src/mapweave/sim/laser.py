@@ -1,4 +1,4 @@
-"""A robot with a laser scanner driven through a world with people: its log, the truth, and what the walls really are."""
+"""A robot with a laser scanner driven through a world with people: its log, the truth, what the walls are."""
 
 from dataclasses import dataclass
 
