@@ -131,3 +131,12 @@ def test_one_keyframe_or_scans_without_returns_are_no_error():
     blind = [b._replace(s=b.s[:0], normal=b.normal[:0], q=b.q[:0], support=b.support[:0]) for b in map(seen, truth)]
     cloud = scan_cloud(blind, np.zeros((4, 2)), 90)
     assert np.abs(joint_pass(steps_of(truth, truth), cloud, CFG) - truth).max() < 1e-9
+
+
+def test_the_ends_of_two_robots_logs_are_no_neighbours_in_the_drive():
+    pose = np.column_stack([20.0 * np.arange(8), np.zeros(8), np.zeros(8)])
+    cfg = JointConfig(before=2)
+    one = {tuple(p) for p in paired(pose, cfg).tolist()}
+    two = {tuple(p) for p in paired(pose, cfg, np.array([0, 0, 0, 0, 1, 1, 1, 1])).tolist()}
+    assert one - two == {(3, 4), (2, 4), (3, 5)}
+    assert two < one

@@ -1,10 +1,13 @@
 """Real logs: known relations of the Intel Research Lab, and two rooms driven round."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from mapweave.core.records import Track
 from mapweave.core.truth import Relations
-from mapweave.evaluation.relations import exact_pairs, score_relations
+from mapweave.evaluation.relations import exact_pairs, nearest, score_relations
 from mapweave.io.laser_logs import read_laser
 from mapweave.io.relations import read_relations
 from mapweave.kernels.laser.refine import refine
@@ -13,6 +16,8 @@ from mapweave.laser.config import LaserConfig
 from mapweave.laser.mapping import map_laser
 from mapweave.laser.particle_grid import ParticleGrid
 from mapweave.laser.particle_slam import as_points
+from mapweave.laser.trace import blended
+from mapweave.laser.weave import weave
 
 pytestmark = pytest.mark.data
 
@@ -73,3 +78,38 @@ def test_a_place_seen_again_lies_where_it_was_seen_first(data, name):
         gap.append(np.hypot(*(found[0, :2] - poses[k, :2])))
     assert len(gap) > 20
     assert np.median(gap) < 0.10
+
+
+@pytest.mark.slow
+def test_the_intel_log_cut_into_three_robots_is_woven_again(data):
+    """Starts hidden, nothing shared in time: poses of different robots keep the relations as one robot's do."""
+    log = read_laser(data / "carmen" / "intel.clf.gz")
+    known = read_relations(data / "carmen" / "intel.relations.gz")
+    cfg = LaserConfig(method="graph", threads=1)
+    cuts = np.quantile(log.scan_t, [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0])
+    cuts[-1] += 1.0
+    parts = [map_laser(part_of(log, *cuts[k : k + 2], str(k + 1)), cfg, 0) for k in range(3)]
+    woven = weave([part.graph for part in parts])
+    assert woven.component.tolist() == [0, 0, 0]
+    assert not woven.joint.dropped
+    t, pose = [], []
+    for part, keyframes in zip(parts, woven.pose, strict=True):
+        t.append(part.track.t)
+        pose.append(blended(part.track.pose, np.searchsorted(part.track.t, part.graph.t), keyframes))
+    owner = np.repeat(np.arange(3), [len(x) for x in t])
+    stamps = np.concatenate(t)
+    across = owner[nearest(stamps, known.t1)[0]] != owner[nearest(stamps, known.t2)[0]]
+    asked = Relations(known.t1[across], known.t2[across], known.pose[across])
+    told = score_relations(Track(stamps, np.concatenate(pose)), asked)
+    single = score_relations(map_laser(log, cfg, 0).track, asked)
+    assert told.used == single.used > 500
+    assert told.trans_mean <= 1.2 * single.trans_mean
+
+
+def part_of(log, first, end, robot):
+    """The log's stamps from `first` up to `end` as a log of its own."""
+    rows = np.flatnonzero((log.scan_t >= first) & (log.scan_t < end))
+    wheels = (log.odometry.t >= first) & (log.odometry.t < end)
+    odometry = replace(log.odometry, t=log.odometry.t[wheels], pose=log.odometry.pose[wheels])
+    scans = tuple(log.scans[k] for k in rows)
+    return replace(log, robot=robot, scan_t=log.scan_t[rows], scans=scans, odometry=odometry)

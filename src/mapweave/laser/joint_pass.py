@@ -19,6 +19,7 @@ from ..solve import Factor, Information, Pattern, Problem, SingularError, wrappi
 from .beam import Beams
 from .graph_problem import edge_factor
 from .pose_graph import PoseGraph
+from .robot_graph import RobotGraph
 
 HELD = 1e-4  # [m, rad] sd of the first keyframe, which the frame hangs on
 
@@ -87,11 +88,38 @@ def scan_cloud(scans: Sequence[Beams], sensor: Float[np.ndarray, "n 2"], most: i
     )
 
 
-def joint_pass(steps: PoseGraph, cloud: ScanCloud, cfg: JointConfig) -> Float[np.ndarray, "n 3"]:
+def keyframe_cloud(robots: Sequence[RobotGraph], most: int) -> ScanCloud:
+    """At most `most` returns of each keyframe of all robots, in their order, spread evenly over it."""
+    rows, counts, offset = [], [], 0
+    for r in robots:
+        for i in range(len(r)):
+            at, n = r.rows(i), r.rows(i).stop - r.rows(i).start
+            kept = np.arange(n) if n <= most else np.linspace(0, n - 1, most).round().astype(np.int64)
+            rows.append(offset + at.start + kept)
+            counts.append(len(kept))
+        offset += len(r.points)
+    every = np.concatenate([np.zeros(0, np.int64), *rows]).astype(np.int64)
+    return ScanCloud(
+        frozen(np.concatenate([[0], np.cumsum(counts)]), np.int64),
+        frozen(np.concatenate([r.points for r in robots])[every]),
+        frozen(np.concatenate([r.normals for r in robots])[every]),
+        frozen(np.concatenate([r.lined for r in robots])[every], np.bool_),
+        frozen(np.concatenate([r.sensor for r in robots])),
+    )
+
+
+def joint_pass(
+    steps: PoseGraph,
+    cloud: ScanCloud,
+    cfg: JointConfig,
+    ties: PoseGraph | None = None,
+    robot: Int[np.ndarray, " n"] | None = None,
+) -> Float[np.ndarray, "n 3"]:
     """The poses of `steps` moved so that keyframes that see the same walls agree on them; the first stays.
 
     steps: the keyframes with the edges between neighbours, which carry what cannot be matched; cloud: the keyframes'
-    returns.
+    returns. ties: edges between robots over the same poses, at the information they have; robot: (n,) whose each
+    keyframe is, those of one in a row and in order: the last of one and the first of the next are no neighbours.
     """
     pose = np.array(steps.pose)
     if len(pose) < 2:
@@ -106,10 +134,12 @@ def joint_pass(steps: PoseGraph, cloud: ScanCloud, cfg: JointConfig) -> Float[np
     unit, still = np.eye(3)[None], np.zeros((1, 3))
     anchor = Factor(columns, lambda _: still, lambda _: unit, 3, np.full((1, 3), 1.0 / HELD), None, "anchor")
     terms = [anchor, edge_factor(held, "steps")]
+    if ties is not None and ties.edges:
+        terms.append(edge_factor(ties, "ties"))
     width, pairs, pattern = 0.0, np.zeros((0, 2), np.int64), None
     for now in cfg.widths:
         if now != width or pattern is None:
-            width, pairs = now, paired(pose, cfg)
+            width, pairs = now, paired(pose, cfg, robot)
             a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
             ends = np.concatenate([3 * a[:, None] + np.arange(3), 3 * b[:, None] + np.arange(3)], axis=1)
             shape = [
@@ -164,15 +194,20 @@ def without_scatter(
     return T @ H @ T, (T @ g[..., None])[..., 0]
 
 
-def paired(pose: Float[np.ndarray, "n 3"], cfg: JointConfig) -> Int[np.ndarray, "p 2"]:
-    """Keyframes to be matched with each other, i < j, ascending: neighbours in the drive and in space."""
+def paired(
+    pose: Float[np.ndarray, "n 3"], cfg: JointConfig, robot: Int[np.ndarray, " n"] | None = None
+) -> Int[np.ndarray, "p 2"]:
+    """Keyframes to be matched with each other, i < j, ascending: neighbours in the drive of one robot and in space."""
     n = len(pose)
     i = np.arange(n)
     near = neighbours(pose, pose, cfg.around, cfg, own=i, apart=cfg.before)
     row, col = np.nonzero(near >= 0)
     space = np.column_stack([row, near[row, col]])
     drive = [np.column_stack([i[k:] - k, i[k:]]) for k in range(1, cfg.before + 1)]
-    both = np.concatenate([np.sort(space, axis=1), *drive])
+    along = np.concatenate(drive) if drive else np.zeros((0, 2), np.int64)
+    if robot is not None:
+        along = along[robot[along[:, 0]] == robot[along[:, 1]]]
+    both = np.concatenate([np.sort(space, axis=1), along])
     return np.unique(both, axis=0).astype(np.int64)
 
 

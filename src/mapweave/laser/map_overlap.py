@@ -25,7 +25,7 @@ class KeyframeMap:
     """One robot's keyframes in the frame of its own map.
 
     pose: (n, 3); points: of each keyframe (k, 2) [m] in its own frame; q: their brightness, or None; path: (n,) [m]
-    driven up to each keyframe.
+    driven up to each keyframe; walls: (w, 2) [m] all points in the map's frame, thinned.
     """
 
     robot: str
@@ -33,6 +33,7 @@ class KeyframeMap:
     points: Sequence[Float[np.ndarray, "_ 2"]]
     q: Sequence[Float[np.ndarray, " _"]] | None = None
     path: Float[np.ndarray, " n"] = field(init=False)
+    walls: Float[np.ndarray, "w 2"] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pose", frozen(self.pose))
@@ -40,6 +41,8 @@ class KeyframeMap:
             raise DataError(f"map of {self.robot}: {len(self.pose)} keyframes and points of {len(self.points)}")
         steps = np.hypot(*np.diff(self.pose[:, :2], axis=0).T) if len(self.pose) > 1 else np.zeros(0)
         object.__setattr__(self, "path", frozen(np.concatenate([[0.0], np.cumsum(steps)])))
+        cloud, _ = gathered(self.pose, self.points, range(len(self.pose)), np.zeros(3), COARSE)
+        object.__setattr__(self, "walls", frozen(cloud))
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +70,7 @@ def seen_alike(a: KeyframeMap, b: KeyframeMap, transform: Float[np.ndarray, "3"]
 
 def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray) -> SeenAlike:
     """Walls of b in the views of a. A view is the nearest return in each direction; what is behind it is unknown."""
-    walls = se2.act(transform, gathered(b.pose, b.points, range(len(b.pose)), np.zeros(3), COARSE)[0])
+    walls = se2.act(transform, b.walls)
     tree = cKDTree(walls)
     near = [k for k in range(len(a.pose)) if len(tree.query_ball_point(a.pose[k, :2], REACH)) > 10]
     if len(near) > FRAMES:

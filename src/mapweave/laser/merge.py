@@ -27,6 +27,7 @@ from .merge_search import (
     confirmed,
     hypotheses,
     same_place,
+    stages,
     whole_place,
 )
 from .place_search import LikelihoodField
@@ -127,8 +128,23 @@ def merge_maps(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig | None = None, s
 
 
 def _decided(pair: _Pair, start: Start | None) -> Merge:
+    """The decision on the submaps of a stage, and of more where it is no merge beyond doubt."""
+    found: list[Hypothesis] = []
+    tried, told = 0, Merge(pair.a.robot, pair.b.robot, False, "")
+    asked = stages(pair.b, pair.cfg)
+    for k, stage in enumerate(asked):
+        more, count = hypotheses(pair.b, pair.place, stage, pair.cfg, start)
+        found, tried = found + more, tried + count
+        if k + 1 < len(asked) and len(found) < pair.cfg.sure:
+            continue
+        told = _weighed(pair, found, tried, start)
+        if told.merged and told.agreeing >= pair.cfg.sure:
+            break
+    return told
+
+
+def _weighed(pair: _Pair, found: Sequence[Hypothesis], tried: int, start: Start | None) -> Merge:
     a, b, place, cfg = pair
-    found, tried = hypotheses(b, place, cfg, start)
     refused = Merge(a.robot, b.robot, False, "")
     if not found:
         return replace(refused, reason=f"too little overlap: none of {tried} submaps is found in the other map")

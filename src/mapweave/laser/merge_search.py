@@ -32,6 +32,7 @@ class MergeConfig:
     candidates: int = 16  # transforms looked into
     votes: int = 4  # submaps that confirm, at least
     known_votes: int = 3  # at least, inside the window of a start that was given
+    sure: int = 20  # submaps that confirm, and no more are searched for everywhere
     lead: float = 5.0  # times the evidence of any other place that is not contradicted
     push_lead: float = 2.5  # times that of the same place pushed along its worst direction
     alike: float = 0.9  # share of what both saw on which they agree
@@ -84,25 +85,39 @@ def whole_place(a: KeyframeMap, cfg: MergeConfig, *, featured: bool) -> Likeliho
     return likelihood_field(cloud, q, cfg.place)
 
 
+def stages(b: KeyframeMap, cfg: MergeConfig) -> list[list[tuple[int, int]]]:
+    """The submaps of b to be searched for, as (keyframe in the middle, keyframes around it), in stages.
+
+    A quarter of them, spread over the whole way, then as many more, then the rest: where much agrees, few will do.
+    """
+    asked: list[list[tuple[int, int]]] = [[], [], []]
+    for around, every in ((cfg.submap.around, cfg.every), (cfg.small, max(1, cfg.every // 2))):
+        for k, anchor in enumerate(range(min(every // 2, len(b.pose) - 1), len(b.pose), every)):
+            asked[(0, 2, 1, 2)[k % 4]].append((anchor, around))
+    return [stage for stage in asked if stage]
+
+
 def hypotheses(
-    b: KeyframeMap, place: LikelihoodField, cfg: MergeConfig, start: Start | None
+    b: KeyframeMap,
+    place: LikelihoodField,
+    asked: Sequence[tuple[int, int]],
+    cfg: MergeConfig,
+    start: Start | None,
 ) -> tuple[list[Hypothesis], int]:
-    """Where submaps of b, large and small, may lie in the place, the best and the second of each; and how many were
-    searched for.
+    """Where the submaps `asked` of b may lie in the place, the best and the second of each; and how many of them hold
+    enough to be searched for.
     """
     found: list[Hypothesis] = []
     tried = 0
-    for around, every in ((cfg.submap.around, cfg.every), (cfg.small, max(1, cfg.every // 2))):
-        size = _sized(cfg.submap, around)
-        for anchor in range(min(every // 2, len(b.pose) - 1), len(b.pose), every):
-            query = query_around(b.pose, b.points, anchor, b.q, size)
-            if len(query.points) < 30:
-                continue
-            tried += 1
-            window = everywhere(place) if start is None else _start_window(start, b.pose[anchor])
-            places = search(place, query.points, window, query.q, least=cfg.least, least_ratio=cfg.least_ratio)
-            hits = [hit for hit in (places.best, places.second) if hit is not None]
-            found += [_hypothesis(b, place, query, hit, places.ratio) for hit in hits]
+    for anchor, around in asked:
+        query = query_around(b.pose, b.points, anchor, b.q, _sized(cfg.submap, around))
+        if len(query.points) < 30:
+            continue
+        tried += 1
+        window = everywhere(place) if start is None else _start_window(start, b.pose[anchor])
+        places = search(place, query.points, window, query.q, least=cfg.least, least_ratio=cfg.least_ratio)
+        hits = [hit for hit in (places.best, places.second) if hit is not None]
+        found += [_hypothesis(b, place, query, hit, places.ratio) for hit in hits]
     return found, tried
 
 

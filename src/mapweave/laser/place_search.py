@@ -40,7 +40,7 @@ class PlaceConfig:
     sigma: float = 0.1  # [m] width of the field
     q_weight: float = 0.2  # [m] a unit of q counts as much as
     turn: float = 0.02617993877991494  # [rad] step of the search, 1.5 degrees
-    levels: int = 3  # the coarsest squares are 2^levels cells wide
+    levels: int = 2  # the coarsest squares are 2^levels cells wide
     apart: float = 0.7  # [m] from the best, or
     apart_turn: float = 0.25  # [rad] from the best: a second place
     line_reach: float = 0.2  # [m] points this near make a wall's line
@@ -203,10 +203,12 @@ def search(
     lowest = max(1, int(np.ceil(least * asked.most)))
     found: list[Hit] = []
     barred = np.zeros(0, np.int64)
+    most = int(asked.bounds.max(initial=0)) * asked.scale
     for _ in range(2):
-        score, a, ox, oy = _best(place, asked, lowest, barred)
+        score, a, ox, oy = _best(place, asked, lowest, most, barred)
         if a < 0:
             break
+        most = score
         x, y = window.centre[0] + ox * cfg.cell, window.centre[1] + oy * cfg.cell
         found.append(Hit(frozen([x, y, se2.wrap_angle(turns[a])]), score / asked.most))
         near = np.abs(se2.wrap_angle(turns - turns[a])) <= cfg.apart_turn
@@ -255,12 +257,15 @@ def _asked(
     )
 
 
-def _best(place: LikelihoodField, asked: _Asked, lowest: int, barred: np.ndarray) -> tuple[int, int, int, int]:
+def _best(
+    place: LikelihoodField, asked: _Asked, lowest: int, most: int, barred: np.ndarray
+) -> tuple[int, int, int, int]:
     """(score, heading number, ox, oy) of the best pose not barred, heading -1 when none scores `lowest`.
 
     The squares that promise most are looked into first: once a pose beats all that the others promise, it is the best.
+    most: no pose scores more.
     """
-    promised = int(asked.bounds.max(initial=0)) * asked.scale
+    promised = most
     while True:
         promised = max(lowest, int(0.9 * promised))
         roots = np.flatnonzero(asked.bounds >= -(-promised // asked.scale))

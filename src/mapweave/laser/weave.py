@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core import se2
+from .joint_pass import JointConfig, joint_pass, keyframe_cloud
 from .map_overlap import KeyframeMap
 from .merge import Merge, merge_maps
 from .merge_search import MergeConfig, Start
@@ -20,8 +21,9 @@ class Woven:
     """What became of M robots' maps.
 
     merges: every pair tried, in order; component: (M,) which robots hang together, 0 that of the first robot; pose: of
-    each robot's keyframes (n, 3) in the frame of its component, which is the first pose of its lowest robot; joint:
-    the pose graph over all robots, keyframes in the robots' order, and what was dropped from it.
+    each robot's keyframes (n, 3) in the frame of its component, which is that of its lowest robot, after the last
+    pass over all of them together; of a robot alone: its own. joint: the pose graph over all robots, keyframes in the
+    robots' order, and what was dropped from it.
     """
 
     merges: tuple[Merge, ...]
@@ -43,21 +45,20 @@ def weave(
     starts: Mapping[int, Start] | None = None,
     *,
     merge: bool = True,
+    last: JointConfig | None = None,
 ) -> Woven:
     """One map of all robots that can be tied together, each in its place; the others on their own.
 
     starts: by place in `robots`, where a robot's frame is said to lie in that of the first. merge: False leaves every
     robot alone. Robots are tried against those before them; one that is tied in already is not tried again with a
     robot of its own component, and a tie that the joint graph drops is no tie.
+
+    last: how all keyframes of a component are matched in the end.
     """
     maps = [keyframe_map(r) for r in robots]
     offset = np.concatenate([[0], np.cumsum([len(r) for r in robots])])
     start = np.concatenate([r.pose for r in robots])
-    graph = PoseGraph.of(start, [], [], [])
-    for r, at in zip(robots, offset.tolist(), strict=False):
-        own = r.graph()
-        ends = list(zip((own.first + at).tolist(), (own.second + at).tolist(), strict=True))
-        graph = graph.joined(PoseGraph.of(start, ends, list(own.measured), list(own.information)))
+    graph = _side_by_side([r.graph() for r in robots], start)
     within = graph.edges
     merges: list[Merge] = []
     frame, group = [np.zeros(3) for _ in robots], list(range(len(robots)))
@@ -78,30 +79,67 @@ def weave(
             for k, g in enumerate(group):
                 if g == old:
                     frame[k], group[k] = se2.compose(moved, frame[k]), new
-    return _joined(graph, within, robots, frame, offset, tuple(merges))
-
-
-def _joined(
-    graph: PoseGraph,
-    within: int,
-    robots: Sequence[RobotGraph],
-    frame: Sequence[np.ndarray],
-    offset: np.ndarray,
-    merges: tuple[Merge, ...],
-) -> Woven:
     placed = np.concatenate([se2.compose(f, r.pose) for f, r in zip(frame, robots, strict=True)])
     graph = PoseGraph(placed, graph.first, graph.second, graph.measured, graph.information)
     doubtful = np.arange(graph.edges) >= within
     joint = solve_graph(graph, RobustGraphConfig(method="cauchy"), doubtful=doubtful)
+    return _told(robots, joint, within, tuple(merges), last or JointConfig())
+
+
+def _side_by_side(graphs: Sequence[PoseGraph], pose: Float[np.ndarray, "n 3"]) -> PoseGraph:
+    """The edges of graphs whose poses stand in `pose` one after the other."""
+    out, at = PoseGraph.of(pose, [], [], []), 0
+    for g in graphs:
+        out = out.joined(PoseGraph(pose, g.first + at, g.second + at, g.measured, g.information))
+        at += len(g)
+    return out
+
+
+def _told(
+    robots: Sequence[RobotGraph], joint: SolvedGraph, within: int, merges: tuple[Merge, ...], last: JointConfig
+) -> Woven:
+    """Components and poses once the joint graph is solved; its edges from number `within` on tie robots."""
+    offset = np.concatenate([[0], np.cumsum([len(r) for r in robots])])
     part = connected(joint.graph, joint.used)[offset[:-1]]
     component = np.array([list(dict.fromkeys(part.tolist())).index(p) for p in part.tolist()], dtype=np.int64)
-    pose = []
-    for k in range(len(robots)):
-        lowest = int(np.argmax(component == component[k]))
-        home = joint.graph.pose[offset[lowest]]
-        origin = se2.compose(home, se2.inverse(robots[lowest].pose[0]))
-        pose.append(np.asarray(se2.between(origin, joint.graph.pose[offset[k] : offset[k + 1]])))
+    pose = [np.asarray(r.pose) for r in robots]
+    for c in range(int(component.max()) + 1):
+        members = np.flatnonzero(component == c).tolist()
+        if len(members) > 1:
+            ties = _held_ties(joint, within, [range(offset[k], offset[k + 1]) for k in members])
+            moved = _last_pass([robots[k] for k in members], ties, last)
+            for k, new in zip(members, moved, strict=True):
+                pose[k] = new
     return Woven(merges, component, tuple(pose), joint)
+
+
+def _held_ties(joint: SolvedGraph, within: int, members: Sequence[range]) -> PoseGraph:
+    """The ties between robots that the joint graph holds, over the keyframes of `members` alone, in their order.
+
+    Together they count as one measurement: the last pass matches what they were made of again.
+    """
+    graph = joint.graph
+    number = np.full(len(graph), -1, dtype=np.int64)
+    number[np.concatenate([np.asarray(m) for m in members])] = np.arange(sum(len(m) for m in members))
+    rows = np.flatnonzero(joint.used & (np.arange(graph.edges) >= within) & (number[graph.first] >= 0))
+    pose = graph.pose[np.concatenate([np.asarray(m) for m in members])]
+    return PoseGraph(
+        pose,
+        number[graph.first[rows]],
+        number[graph.second[rows]],
+        graph.measured[rows],
+        graph.information[rows] / max(len(rows), 1),
+    )
+
+
+def _last_pass(robots: Sequence[RobotGraph], ties: PoseGraph, cfg: JointConfig) -> list[np.ndarray]:
+    """The keyframes of robots that hang together after a pass over all of them, in the frame of the first."""
+    size = [len(r) for r in robots]
+    steps = _side_by_side([r.steps() for r in robots], ties.pose)
+    owner = np.repeat(np.arange(len(robots)), size)
+    moved = joint_pass(steps, keyframe_cloud(robots, cfg.beams), cfg, ties, owner)
+    origin = se2.compose(moved[0], se2.inverse(robots[0].pose[0]))
+    return [np.asarray(p) for p in np.split(se2.between(origin, moved), np.cumsum(size)[:-1])]
 
 
 def _between_robots(starts: Mapping[int, Start], i: int, j: int) -> Start | None:
