@@ -20,6 +20,7 @@ SAYS = {
     "fuse_results": "2 of 2 robots in one map",
     "landmark_team": "landmark RMSE 0.",
     "laser_arrays": "cells are occupied",
+    "laser_live": "cells are occupied",
     "own_planner": "% of the field seen",
     "swarm": "RMSE 0.",
 }

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from .api.exploration_result import LaserExploration as LaserExploration
     from .api.explore import explore as explore
     from .api.fuse import fuse as fuse
+    from .api.laser_slam import LaserSlam as LaserSlam
     from .api.localize import LocalizeResult as LocalizeResult
     from .api.localize import localize as localize
     from .api.locate import LocateConfig as LocateConfig
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
     from .fusion.config import FuseConfig as FuseConfig
     from .landmarks.config import EkfSlamConfig as EkfSlamConfig
     from .laser.config import LaserConfig as LaserConfig
+    from .laser.scan_odometry import PoseEstimate as PoseEstimate
     from .papers.hamatani.reproduce import HamataniReproduction as HamataniReproduction
     from .papers.hamatani.reproduce import reproduce_hamatani as reproduce_hamatani
     from .papers.hara.reproduce import HaraReproduction as HaraReproduction
@@ -96,6 +98,9 @@ _HOMES: dict[str, str] = {
     "simulate_swarm": "api.simulate_swarm",
     "solve_pose_graph": "api.solve",
     "view": "api.view",
+    # estimators fed by hand
+    "LaserSlam": "api.laser_slam",
+    "PoseEstimate": "laser.scan_odometry",
     # what verbs return
     "Evaluation": "api.evaluate",
     "LandmarkExploration": "api.exploration_result",
@@ -169,12 +174,14 @@ __all__ = (
     "LaserMissionConfig",
     "LaserOptions",
     "LaserResult",
+    "LaserSlam",
     "LocalizeResult",
     "LocateConfig",
     "Located",
     "MapweaveError",
     "Moved",
     "OfficeConfig",
+    "PoseEstimate",
     "Progress",
     "ReaderError",
     "RelationEvaluation",

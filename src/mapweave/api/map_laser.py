@@ -122,6 +122,11 @@ def map_logs(logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResul
     return LaserResult(maps, metrics | {"evaluation": score.as_json()}, score, truth)
 
 
+def result_of(maps: Sequence[LaserMap], *, seed: int = 0) -> LaserResult:
+    """The result of maps that were made already, each of them on its own."""
+    return LaserResult(tuple(maps), _metrics(maps, MapOptions(seed=seed)))
+
+
 def _names(log: Path | LaserLog, source: LaserSource) -> tuple[str | None, ...]:
     return (None,) if isinstance(log, LaserLog) else tuple(robots_of(log, source))
 

@@ -33,13 +33,29 @@ def robot_rng(seed: int, robot: str) -> np.random.Generator:
     return np.random.default_rng([seed, zlib.crc32(robot.encode())])
 
 
+class Runner:
+    """Events one by one through an estimator, as they come. `push` changes it.
+
+    states: robot -> its latest state, made at its first event.
+    """
+
+    def __init__(self, estimator: Estimator, cfg: Any, seed: int) -> None:
+        self.estimator, self.cfg, self.seed = estimator, cfg, seed
+        self.states: dict[str, Any] = {}
+        self._rngs: dict[str, np.random.Generator] = {}
+
+    def push(self, event: Event) -> Step:
+        """What the event did to its robot's estimate."""
+        robot = event.robot
+        if robot not in self.states:
+            self._rngs[robot] = robot_rng(self.seed, robot)
+            self.states[robot] = self.estimator.init(robot, self.cfg, self._rngs[robot])
+        self.states[robot], info = self.estimator.step(self.states[robot], event, self.cfg, self._rngs[robot])
+        return Step(event.t, robot, self.states[robot], info)
+
+
 def run(estimator: Estimator, cfg: Any, events: Iterable[Event], seed: int) -> Iterator[Step]:
     """The trace of `events` (merged or of one robot): one estimator state a robot, made at its first event."""
-    states: dict[str, Any] = {}
-    rngs: dict[str, np.random.Generator] = {}
+    runner = Runner(estimator, cfg, seed)
     for event in events:
-        if event.robot not in states:
-            rngs[event.robot] = robot_rng(seed, event.robot)
-            states[event.robot] = estimator.init(event.robot, cfg, rngs[event.robot])
-        states[event.robot], info = estimator.step(states[event.robot], event, cfg, rngs[event.robot])
-        yield Step(event.t, event.robot, states[event.robot], info)
+        yield runner.push(event)

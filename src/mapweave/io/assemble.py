@@ -114,7 +114,9 @@ class RawLog:
         scans = self._in_order()
         scans = self._with_intensities(scans)
         self._tell_beams(scans)
-        made = self._with_odometry([_scan(raw, mirrored, sensor_pose) for raw in scans], scans, odometry)
+        made = self._with_odometry(
+            [scan_of(raw, mirrored=mirrored, sensor_pose=sensor_pose) for raw in scans], scans, odometry
+        )
         if made[0].odometry is None:
             self.odometry_from = "none"
             self.warnings.append("no odometry: poses come from scan matching alone")
@@ -259,7 +261,8 @@ def _received(raw: RawScan) -> np.ndarray:
     return np.asarray(values[np.isfinite(values)])
 
 
-def _scan(raw: RawScan, mirrored: bool, sensor_pose: Sequence[float] | None) -> Scan:  # noqa: FBT001
+def scan_of(raw: RawScan, *, mirrored: bool = False, sensor_pose: Sequence[float] | None = None) -> Scan:
+    """The record of `raw` without its odometry; options as of `RawLog.finish`."""
     hit = _hit(raw)
     sign = -1.0 if mirrored else 1.0
     light = None

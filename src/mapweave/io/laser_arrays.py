@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from ..core.errors import DataError
 from ..core.laser_log import LaserLog
@@ -33,14 +34,12 @@ def laser_log_of(
         raise DataError(f"scans: expected ranges of {len(t)} scans by {len(angles)} beams, found {ranges.shape}")
     if light is not None and light.shape != ranges.shape:
         raise DataError(f"scans: expected intensities of the shape {ranges.shape}, found {light.shape}")
-    steps = np.diff(angles)
-    if not np.isfinite(angles).all() or np.ptp(steps) > UNEVEN or steps[0] == 0.0:
-        raise DataError("scans: expected angles [rad] evenly spaced, found steps that differ")
+    first, step = beam_spacing(angles, "scans")
     reach = _reach(scans, ranges)
     raw = RawLog(robot, "scans in memory", _hash(t, ranges, angles, light), odometry_from="poses")
     for k, stamp in enumerate(t.tolist()):
         seen = None if light is None else light[k]
-        raw.scans.append(RawScan(stamp, ranges[k], seen, float(angles[0]), float(steps.mean()), 0.0, reach))
+        raw.scans.append(RawScan(stamp, ranges[k], seen, first, step, 0.0, reach))
     if odometry is not None:
         columns = [array_of(odometry, name, "odometry", 1) for name in ("t", "x", "y", "theta")]
         if len({len(column) for column in columns}) > 1:
@@ -48,6 +47,14 @@ def laser_log_of(
         rows = np.column_stack(columns)
         raw.odometry = [(a, b, c, d) for a, b, c, d in rows.tolist()]
     return raw.finish(mirrored=source.mirrored, sensor_pose=source.sensor_pose)
+
+
+def beam_spacing(angles: Float[np.ndarray, " n"], where: str) -> tuple[float, float]:
+    """The first of at least two beam angles and the step between them [rad]; raises DataError for uneven ones."""
+    steps = np.diff(angles)
+    if not np.isfinite(angles).all() or np.ptp(steps) > UNEVEN or steps[0] == 0.0:
+        raise DataError(f"{where}: expected angles [rad] evenly spaced, found steps that differ")
+    return float(angles[0]), float(steps.mean())
 
 
 def _reach(scans: Mapping[str, Any], ranges: np.ndarray) -> float:

@@ -85,6 +85,18 @@ class Solved:
             C = self.solution.information.columns((3 * np.array(missing)[:, None] + np.arange(3)).ravel())
             self._columns |= {a: C[:, 3 * k : 3 * k + 3] for k, a in enumerate(missing)}
 
+    def copy(self) -> "Solved":
+        """The same solution; columns worked out for the copy are not this one's."""
+        return Solved(self.pose, self.solution, self.problem, dict(self._columns))
+
+    def marginal(self, a: int) -> Float[np.ndarray, "3 3"]:
+        """Covariance of pose `a` over x, y, theta in `map`; infinite where the problem could not be solved."""
+        self.prepare([a])
+        if a not in self._columns:
+            return np.full((3, 3), np.inf)
+        C = self._columns[a][3 * a : 3 * a + 3]
+        return np.asarray(0.5 * (C + C.T))
+
     def relative(self, k: int, a: int) -> Float[np.ndarray, "3 3"]:
         """Covariance of `between(pose k, pose a)`."""
         self.prepare([k, a])

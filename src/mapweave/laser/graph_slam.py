@@ -22,7 +22,8 @@ from .keyframe_graph import KeyframeGraph
 from .keyframes import Keyframe, KeyframeMaker, KeyframeOdometry
 from .particle_slam import ParticleState
 from .robot_graph import RobotGraph
-from .scan_odometry import ScanInfo, blended
+from .scan_odometry import PoseEstimate, ScanInfo, blended
+from .step_noise import carried
 from .submap_loops import SubmapLoops
 
 
@@ -102,6 +103,31 @@ def step(
     return state, info
 
 
+def current(state: GraphState) -> PoseEstimate:
+    """Where the robot is after the latest scan, in the frame of the first; nothing changes."""
+    if state.particles is not None:
+        return particle_slam.current(state.particles)
+    maker, graph = state.odometry.maker, state.graph
+    if maker.last is None:
+        return PoseEstimate(np.zeros(3), np.zeros((3, 3)))
+    last = graph.of[0][-1]
+    step = se2.between(maker.last.local, maker.local)
+    pose = se2.compose(graph.pose[last], step)
+    cov = graph.marginal(last)
+    if (step != 0.0).any():
+        seen = carried(se2.turned_covariance(-graph.pose[last, 2], cov), step) + maker.covariance()
+        cov = np.asarray(se2.turned_covariance(pose[2], seen))
+    return PoseEstimate(np.asarray(pose), cov + graph.jitter)
+
+
+def so_far(state: GraphState, cfg: LaserConfig) -> RobotGraph:
+    """The keyframes so far, solved, without the last pass; `state` is as before."""
+    _, grown = _whole(state, cfg, no_progress)
+    cov = grown.graph.covariances()
+    sensors = np.array(state.sensors).reshape(-1, 2)
+    return _robot_graph(grown, grown.graph.pose, cov, sensors[grown.keyframes])
+
+
 def _filtering(cfg: LaserConfig) -> LaserConfig:
     return replace(cfg, particles=cfg.graph.hypotheses)
 
@@ -119,35 +145,45 @@ def _grow(state: GraphState, cfg: LaserConfig, row: int, keyframe: Keyframe | No
         state.loops.step(state.graph)
 
 
-def _along_lineage(state: GraphState, cfg: LaserConfig, on_progress: Progress) -> Float[np.ndarray, "m 3"]:
-    """Poses at every scan of the best particle's lineage; the graph is grown along them."""
-    assert state.particles is not None  # noqa: S101  (asked for where there are)
-    poses = particle_slam.trajectory(state.particles)
-    state.graph = KeyframeGraph(cfg.graph.keyframe_graph, np.zeros((1, 3)))
-    state.loops = SubmapLoops(cfg.graph.loop_search, light=True)
-    state.keyframes = []
+def _whole(state: GraphState, cfg: LaserConfig, on_progress: Progress) -> tuple[Float[np.ndarray, "m 3"], GraphState]:
+    """Poses at every scan as the front end has them, and a state whose graph is solved and free to be changed."""
+    if state.particles is None:
+        local, grown = np.array(state.odometry.odometry.poses), replace(state, graph=state.graph.copy())
+    else:
+        local, grown = _along_lineage(state, state.particles, cfg, on_progress)
+    grown.graph.solve()
+    return local, grown
+
+
+def _along_lineage(
+    state: GraphState, particles: ParticleState, cfg: LaserConfig, on_progress: Progress
+) -> tuple[Float[np.ndarray, "m 3"], GraphState]:
+    """Poses at every scan of the best particle's lineage, and the graph grown along them."""
+    poses = particle_slam.trajectory(particles)
+    grown = replace(
+        state,
+        graph=KeyframeGraph(cfg.graph.keyframe_graph, np.zeros((1, 3))),
+        loops=SubmapLoops(cfg.graph.loop_search, light=True),
+        keyframes=[],
+    )
     maker = KeyframeMaker(0, replace(cfg.graph.keyframe_graph.keyframes, noise=cfg.graph.lineage))
     before = poses[0]
     for row, pose in enumerate(poses):
         maker.advance(pose, se2.between(before, pose), state.lines[row])
         before = pose
-        _grow(state, cfg, row, maker.keyframe(state.t[row], state.scans[row]))
+        _grow(grown, cfg, row, maker.keyframe(state.t[row], state.scans[row]))
         on_progress("loops", row + 1, len(poses))
-    return poses
+    return poses, grown
 
 
 def finalise(state: GraphState, cfg: LaserConfig, on_progress: Progress = no_progress) -> GraphEstimate:
-    """The whole estimate once all scans are in. The graph of `state` is whole and solved after it."""
+    """The whole estimate of all scans so far. `state` is as before: further scans may come."""
     joint = cfg.graph.joint
-    if state.particles is None:
-        local = np.array(state.odometry.odometry.poses)
-    else:
-        local = _along_lineage(state, cfg, on_progress)
-    graph = state.graph
-    graph.solve()
+    local, grown = _whole(state, cfg, on_progress)
+    graph = grown.graph
     cov = graph.covariances()
     sensors = np.array(state.sensors).reshape(-1, 2)
-    rows = np.array(state.keyframes, dtype=np.int64)
+    rows = np.array(grown.keyframes, dtype=np.int64)
     steps, _ = graph.edges()
     pose = graph.pose
     if cfg.graph.last_pass:
@@ -161,7 +197,7 @@ def finalise(state: GraphState, cfg: LaserConfig, on_progress: Progress = no_pro
         own[rows] = np.arange(len(rows))
         poses = lay_scans(poses, scan_cloud(state.scans, sensors, joint.scan_beams), pose, cloud, own, joint)
         on_progress("last pass", 2, 2)
-    return GraphEstimate(poses, _robot_graph(state, pose, cov, sensors[rows]))
+    return GraphEstimate(poses, _robot_graph(grown, pose, cov, sensors[rows]))
 
 
 def _robot_graph(

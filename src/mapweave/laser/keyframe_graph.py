@@ -68,6 +68,15 @@ class KeyframeGraph:
         self.robot, self.path = np.append(self.robot, new.robot), np.append(self.path, new.path)
         return of[-1]
 
+    def copy(self) -> "KeyframeGraph":
+        """The same graph, which may grow and be solved without this one's knowing."""
+        other = KeyframeGraph(self.cfg, self.starts)
+        other.nodes, other.closures, other._since = list(self.nodes), list(self.closures), list(self._since)
+        other.of = [list(of) for of in self.of]
+        other.pose, other.robot, other.path = np.array(self.pose), self.robot, self.path
+        other.due, other.solved = self.due, None if self.solved is None else self.solved.copy()
+        return other
+
     @property
     def grown(self) -> bool:
         """Whether enough keyframes came since the last solution, or a robot's first one, for a new one."""
@@ -89,6 +98,17 @@ class KeyframeGraph:
         C = self.solved.relative(k, a)
         C = se2.turned_covariance(-(self.pose[a, 2] - self.pose[k, 2]), C)
         return C if i == a else np.asarray(carried(C, se2.between(self.pose[a], self.pose[i])) + self._since[i])
+
+    def marginal(self, i: int) -> Float[np.ndarray, "3 3"]:
+        """Covariance of keyframe `i` over x, y, theta in `map`: that of its anchor, carried along the steps since."""
+        a = self.anchor(i)
+        if a is None or self.solved is None:
+            return np.asarray(se2.turned_covariance(self.pose[i, 2], self._since[i])) + EXACT**2 * np.eye(3)
+        C = self.solved.marginal(a)
+        if i == a:
+            return C
+        C = carried(se2.turned_covariance(-self.pose[a, 2], C), se2.between(self.pose[a], self.pose[i]))
+        return np.asarray(se2.turned_covariance(self.pose[i, 2], C + self._since[i]))
 
     def place(self, k: int) -> Place:
         """Keyframe `k` and those its robot made before and after it, in its frame."""
@@ -144,9 +164,13 @@ class KeyframeGraph:
         if self.due or self.known < len(self) or self.solved is None:
             self.solve()
         assert self.solved is not None  # noqa: S101  (solving makes it)
+        return np.asarray(self.solved.covariances() + self.jitter)
+
+    @property
+    def jitter(self) -> Float[np.ndarray, "3 3"]:
+        """Covariance of a single scan's match, which no step tells."""
         noise = self.cfg.keyframes.noise
-        jitter = np.diag(np.square([noise.jitter_xy, noise.jitter_xy, noise.jitter_turn]))
-        return np.asarray(self.solved.covariances() + jitter)
+        return np.diag(np.square([noise.jitter_xy, noise.jitter_xy, noise.jitter_turn]))
 
     def graph(self) -> PoseGraph:
         """Keyframes, steps and accepted closures."""

@@ -74,6 +74,11 @@ class KeyframeMaker:
         self._wheels = carried(self._wheels, step) + wheel_noise(step, self.cfg.noise)
         self.path += float(np.hypot(step[0], step[1]))
 
+    def covariance(self) -> Float[np.ndarray, "3 3"]:
+        """Of the latest pose seen from the last keyframe, over x, y, theta of the latest robot frame."""
+        path = 0.0 if self.last is None else self.last.path
+        return step_covariance(self._lines, self._wheels, self.path - path, self.cfg.noise)
+
     def keyframe(self, t: float, b: Beams) -> Keyframe | None:
         """A keyframe at the latest pose when it is far enough from the last one."""
         if self.last is None:
@@ -82,8 +87,7 @@ class KeyframeMaker:
             step = se2.between(self.last.local, self.local)
             if np.hypot(step[0], step[1]) < self.cfg.distance and abs(step[2]) < self.cfg.turn:
                 return None
-            cov = step_covariance(self._lines, self._wheels, self.path - self.last.path, self.cfg.noise)
-            new = Keyframe(self.robot, self.last.number + 1, t, self.local, step, cov, self.path, b)
+            new = Keyframe(self.robot, self.last.number + 1, t, self.local, step, self.covariance(), self.path, b)
         self.last = new
         self._wheels = np.zeros((3, 3))
         return new

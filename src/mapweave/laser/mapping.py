@@ -1,8 +1,8 @@
 """A laser log becomes a map: features chosen, estimator run, poses filled in at every stamp, grid laid."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -10,27 +10,16 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.errors import DataError
 from ..core.laser_log import LaserLog
-from ..core.records import Event, Track
-from ..core.run import run
+from ..core.records import Track
 from ..core.workers import Progress, no_progress
-from ..kernels._jit import set_threads
-from . import graph_slam, icp_slam, particle_slam
-from .beam import STEERING, IntensityCalibration, beams
+from .beam import STEERING, beams
 from .config import LaserConfig
 from .intensity_calibration import calibrate, raw_scale
 from .laser_map import LaserMap, ScanRecords
 from .render import render
 from .robot_graph import RobotGraph
 from .scan_odometry import ScanInfo, blended
-
-
-@dataclass(frozen=True, slots=True)
-class Feature:
-    """What q is made of in this log, and why not what was asked for."""
-
-    name: str
-    calibration: IntensityCalibration | None
-    warnings: tuple[str, ...] = ()
+from .session import Feature, LaserSession
 
 
 def choose_feature(log: LaserLog, cfg: LaserConfig) -> Feature:
@@ -59,38 +48,11 @@ def _calibrated(calibration: IntensityCalibration | None, cfg: LaserConfig) -> F
     return Feature("normalised", calibration)
 
 
-class _Begun:
-    """An estimator module whose `init` already knows the feature: what `mapweave.core.run` takes."""
-
-    def __init__(self, module: Any, feature: Feature, *, gated: bool) -> None:
-        self.module, self.feature, self.gated = module, feature, gated
-
-    def init(self, robot: str, cfg: Any, rng: np.random.Generator) -> Any:
-        f = self.feature
-        return self.module.init(robot, cfg, rng, feature=f.name, calibration=f.calibration, gated=self.gated)
-
-    def step(self, state: Any, event: Event, cfg: Any, rng: np.random.Generator) -> tuple[Any, Any]:
-        after: tuple[Any, Any] = self.module.step(state, event, cfg, rng)
-        return after
-
-
-def estimator(cfg: LaserConfig, feature: Feature) -> _Begun:
-    """The estimator of `cfg.method` with `init` and `step`, to be run by `run`."""
-    icp = cfg.method == "icp" or (cfg.method == "gated" and cfg.matcher == "icp")
-    module = graph_slam if cfg.method == "graph" else icp_slam if icp else particle_slam
-    return _Begun(module, feature, gated=cfg.method == "gated")
-
-
 def hypotheses(cfg: LaserConfig, feature: Feature) -> int:
     """How many ways the method of `cfg` carries at once in a log with this feature."""
     if cfg.method == "graph":
         return max(1, cfg.graph.hypotheses) if feature.name in STEERING else 1
     return cfg.particles if cfg.method == "particle" else 1
-
-
-def scan_poses(state: Any) -> Float[np.ndarray, "m 3"]:
-    """The estimate's poses at every scan so far."""
-    return np.array(state.poses) if isinstance(state, icp_slam.IcpState) else particle_slam.trajectory(state)
 
 
 def finish(
@@ -153,31 +115,37 @@ def map_laser(
     cfg.check()
     if not len(log.scans):
         raise DataError(f"{log.source}: no scans")
-    set_threads(cfg.threads if cfg.method in {"particle", "graph"} else 1)
     began = perf_counter()
     feature = choose_feature(log, cfg)
     calibrated = perf_counter()
-    infos: list[ScanInfo] = []
-    state = None
-    for done in run(estimator(cfg, feature), cfg, log.events(), seed):
-        state = done.state
-        if done.info is not None:
-            infos.append(done.info)
-            on_progress(f"robot {log.robot}", len(infos), len(log.scans))
-    ended = perf_counter()
-    if isinstance(state, graph_slam.GraphState):
-        estimate = graph_slam.finalise(state, cfg, on_progress)
-        poses, graph = estimate.poses, estimate.graph
-    else:
-        poses, graph = scan_poses(state), None
+    session = LaserSession(log.robot, cfg, seed, feature)
+    for event in log.events():
+        if session.push(event) is not None:
+            on_progress(f"robot {log.robot}", len(session.infos), len(log.scans))
+    spent = {"calibrate": calibrated - began, "estimate": perf_counter() - calibrated}
+    return map_session(session, log, feature, spent, on_progress)
+
+
+def map_session(
+    session: LaserSession,
+    log: LaserLog,
+    feature: Feature,
+    spent: Mapping[str, float],
+    on_progress: Progress = no_progress,
+) -> LaserMap:
+    """The map of a session that was fed `log` whole. feature: the session's, and what there is to say about it.
+
+    spent: seconds of its stages so far. Further scans may come to the session.
+    """
+    began = perf_counter()
+    poses, graph = session.finalise(on_progress)
     finalised = perf_counter()
-    result = finish(log, cfg, feature, poses, infos, graph)
+    result = finish(log, session.cfg, feature, poses, session.infos, graph)
     timing = {
-        "calibrate": calibrated - began,
-        "estimate": ended - calibrated,
-        **({} if graph is None else {"last_pass": finalised - ended}),
+        **spent,
+        **({} if graph is None else {"last_pass": finalised - began}),
         "grid": perf_counter() - finalised,
-        "ms_per_scan": 1e3 * (ended - calibrated) / len(log.scans),
+        "ms_per_scan": 1e3 * spent["estimate"] / len(log.scans),
     }
     return replace(result, timing=timing)
 

@@ -16,7 +16,7 @@ from ..kernels.laser.resample import systematic
 from .beam import STEERING, Beams, IntensityCalibration, beams
 from .config import FilterConfig, LaserConfig
 from .particle_grid import ParticleGrid
-from .scan_odometry import ScanInfo, ScanOdometry, blended
+from .scan_odometry import PoseEstimate, ScanInfo, ScanOdometry, blended
 
 
 @dataclass(slots=True)
@@ -101,6 +101,19 @@ def trajectory(state: ParticleState) -> Float[np.ndarray, "m 3"]:
         i = int(ancestors[i])
     at = np.array([row for row, _, _ in state.history])
     return blended(np.array(state.odometry.poses), at, np.array(poses[::-1]))
+
+
+def current(state: ParticleState) -> PoseEstimate:
+    """The latest pose of the particle with the greatest accumulated likelihood, and how the others lie round it."""
+    if not state.history:
+        return PoseEstimate(np.zeros(3), np.zeros((3, 3)))
+    moved = se2.between(state.odometry.poses[state.history[-1][0]], state.odometry.pose)
+    poses = se2.compose(state.poses, moved)
+    best = poses[int(np.argmax(state.total))]
+    off = poses - best
+    off[:, 2] = se2.wrap_angle(off[:, 2])
+    w, _ = effective(state.log_weight)
+    return PoseEstimate(np.array(best), np.asarray((off * (w / w.sum())[:, None]).T @ off))
 
 
 def as_points(b: Beams) -> Float[np.ndarray, "n 3"]:

@@ -1,20 +1,41 @@
 """A grid map from scans at known poses."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
 from ..kernels.laser.render import render as lay
-from .beam import Beams
+from .beam import Beams, insertion_weight
 from .laser_map import GridMap
+from .robot_graph import RobotGraph
 
 EDGE = 2  # cells left free round the map
 
 
+class Returns(NamedTuple):
+    """One scan as a map takes it in, in the robot frame. s: (n, 2) [m]; q: (n,); w: (n,) insertion weight."""
+
+    s: Float[np.ndarray, "n 2"]
+    q: Float[np.ndarray, " n"]
+    w: Float[np.ndarray, " n"]
+
+
+def render_keyframes(graph: RobotGraph, resolution: float, frame: str) -> GridMap:
+    """The map of the keyframes of `graph` alone, in the frame of its poses."""
+    sensors = np.column_stack([graph.sensor, np.zeros(len(graph))])
+    scans = []
+    for i in range(len(graph)):
+        s = graph.points[graph.rows(i)]
+        q = np.zeros(len(s)) if graph.q is None else graph.q[graph.rows(i)]
+        scans.append(Returns(s, q, insertion_weight(np.hypot(*(s - graph.sensor[i]).T))))
+    return render(scans, graph.pose, sensors, resolution, frame)
+
+
 def render(
-    scans: Sequence[Beams],
+    scans: Sequence[Beams | Returns],
     poses: Float[np.ndarray, "m 3"],
     sensors: Float[np.ndarray, "m 3"],
     resolution: float,

@@ -29,6 +29,13 @@ class ScanInfo:
     information: Float[np.ndarray, "3 3"] | None = None
 
 
+class PoseEstimate(NamedTuple):
+    """pose: (3,) [m, m, rad] in the frame of the first scan; cov: (3, 3) of it over x, y, theta there."""
+
+    pose: Float[np.ndarray, "3"]
+    cov: Float[np.ndarray, "3 3"]
+
+
 def blended(
     carrier: Float[np.ndarray, "n 3"], at: Int[np.ndarray, " k"], corrected: Float[np.ndarray, "k 3"]
 ) -> Float[np.ndarray, "n 3"]:

@@ -1,0 +1,115 @@
+"""Scans of a robot that drives now, one by one as arrays: checked, made events, and kept as the log of the drive."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core.errors import DataError
+from ..core.laser_log import LaserLog
+from ..core.records import Event, Scan, frozen
+from .assemble import RawLog, RawScan, is_sound, scan_of
+from .laser_arrays import beam_spacing
+
+Numbers = np.ndarray | Sequence[object]  # what becomes an array of numbers, or is refused
+NOWHERE = (0.0, 0.0, 0.0)
+
+
+class LaserStream:
+    """The scans of one robot so far. `add` changes it.
+
+    A scan is refused with DataError, and the stream is as before, when it is older than the one before it, when its
+    arrays do not fit each other, when a pose or angle is not finite, and when it brings odometry or intensities though
+    those before did not, or lacks what they had.
+    """
+
+    def __init__(self, robot: str = "1", source: str = "scans as they came") -> None:
+        self.robot, self.source = robot, source
+        self._raw: list[RawScan] = []
+        self._digest = hashlib.sha256()
+
+    def __len__(self) -> int:
+        return len(self._raw)
+
+    def add(
+        self,
+        t: float,
+        ranges: Numbers,
+        angles: Numbers,
+        *,
+        odometry: Numbers | None = None,
+        intensities: Numbers | None = None,
+        range_max: float = np.inf,
+        sensor_pose: Numbers = NOWHERE,
+    ) -> Event:
+        """The scan as an event for an estimator.
+
+        t [s]; ranges (n,) [m], of which those that are NaN, infinite, 0 or reach `range_max` are no returns; angles
+        (n,) [rad] evenly spaced, counter-clockwise from the sensor's x; odometry (3,) `T_odom_robot` at `t`;
+        intensities (n,); sensor_pose `T_robot_sensor` [m, m, rad].
+        """
+        where = f"scan at {t!r} s"
+        r, direction = _array(ranges, "ranges", where), _array(angles, "angles", where)
+        light = None if intensities is None else _array(intensities, "intensities", where)
+        pose = None if odometry is None else _array(odometry, "odometry", where)
+        mount = _array(sensor_pose, "sensor_pose", where)
+        if len(direction) < 2 or r.shape != direction.shape:
+            raise DataError(
+                f"{where}: expected as many ranges as angles, 2 or more, found {len(r)} and {len(direction)}"
+            )
+        if light is not None and light.shape != r.shape:
+            raise DataError(f"{where}: expected {len(r)} intensities, found {len(light)}")
+        for name, given in (("odometry", pose), ("sensor_pose", mount)):
+            if given is not None and given.shape != (3,):
+                raise DataError(f"{where}: expected {name} as x, y, theta, found {len(given)} numbers")
+        if not range_max > 0:
+            raise DataError(f"{where}: expected a range_max above 0 [m], found {range_max:g}")
+        first, step = beam_spacing(direction, where)
+        raw = RawScan(float(t), r, light, first, step, 0.0, range_max, mount, odometry=pose)
+        if not is_sound(raw):
+            raise DataError(f"{where}: expected a stamp and poses that are finite, found others")
+        self._check_order(raw, where)
+        self._raw.append(raw)
+        for part in (np.array([t, first, step]), r, light, pose):
+            self._digest.update(b"-" if part is None else part.tobytes())
+        return Event(raw.t, self.robot, _with_odometry(raw))
+
+    def log(self) -> LaserLog:
+        """Everything so far as a log; raises DataError when nothing came."""
+        raw = RawLog(self.robot, self.source, self._digest.hexdigest(), list(self._raw), odometry_from="poses")
+        return raw.finish()
+
+    def _check_order(self, raw: RawScan, where: str) -> None:
+        if not self._raw:
+            return
+        last = self._raw[-1]
+        same = last.t == raw.t and any(
+            np.array_equal(other.T_robot_sensor, raw.T_robot_sensor) for other in self._raw[-8:] if other.t == raw.t
+        )
+        if raw.t < last.t or same:
+            raise DataError(f"{where}: expected a stamp after the last scan's, {last.t!r} s")
+        for name, now, before in (
+            ("odometry", raw.odometry, last.odometry),
+            ("intensities", raw.intensities, last.intensities),
+        ):
+            if (now is None) != (before is None):
+                said = "none, though the scans before had" if now is None else "some, though the scans before had none"
+                raise DataError(f"{where}: {name}: found {said}")
+
+
+def _array(values: Numbers, name: str, where: str) -> Float[np.ndarray, " n"]:
+    """A copy of one's own, of one dimension."""
+    try:
+        out = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        raise DataError(f"{where}: {name}: expected numbers, found something else") from None
+    if out.ndim != 1:
+        raise DataError(f"{where}: {name}: expected an array of one dimension, found {out.ndim}")
+    return out
+
+
+def _with_odometry(raw: RawScan) -> Scan:
+    scan = scan_of(raw)
+    return scan if raw.odometry is None else replace(scan, odometry=frozen(raw.odometry))

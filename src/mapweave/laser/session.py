@@ -1,0 +1,110 @@
+"""One robot's laser estimator fed event by event: what a finished log and a robot that drives now have in common."""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core.records import Event
+from ..core.run import Runner
+from ..core.workers import Progress, no_progress
+from ..kernels._jit import set_threads
+from . import graph_slam, icp_slam, particle_slam
+from .beam import IntensityCalibration
+from .config import LaserConfig
+from .graph_slam import GraphState
+from .icp_slam import IcpState
+from .particle_slam import ParticleState
+from .robot_graph import RobotGraph
+from .scan_odometry import PoseEstimate, ScanInfo
+
+
+@dataclass(frozen=True, slots=True)
+class Feature:
+    """What q is made of in this log, and why not what was asked for."""
+
+    name: str
+    calibration: IntensityCalibration | None
+    warnings: tuple[str, ...] = ()
+
+
+GEOMETRY = Feature("none", None)
+
+
+class _Begun:
+    """An estimator module whose `init` already knows the feature: what `mapweave.core.run` takes."""
+
+    def __init__(self, module: Any, feature: Feature, *, gated: bool) -> None:
+        self.module, self.feature, self.gated = module, feature, gated
+
+    def init(self, robot: str, cfg: Any, rng: np.random.Generator) -> Any:
+        f = self.feature
+        return self.module.init(robot, cfg, rng, feature=f.name, calibration=f.calibration, gated=self.gated)
+
+    def step(self, state: Any, event: Event, cfg: Any, rng: np.random.Generator) -> tuple[Any, Any]:
+        after: tuple[Any, Any] = self.module.step(state, event, cfg, rng)
+        return after
+
+
+def estimator(cfg: LaserConfig, feature: Feature) -> _Begun:
+    """The estimator of `cfg.method` with `init` and `step`, to be run by `mapweave.core.run`."""
+    icp = cfg.method == "icp" or (cfg.method == "gated" and cfg.matcher == "icp")
+    module = graph_slam if cfg.method == "graph" else icp_slam if icp else particle_slam
+    return _Begun(module, feature, gated=cfg.method == "gated")
+
+
+class Finalised(NamedTuple):
+    """poses: (m, 3) at every scan; graph: keyframes and closures in the same frame, None of the other methods."""
+
+    poses: Float[np.ndarray, "m 3"]
+    graph: RobotGraph | None
+
+
+class LaserSession:
+    """The estimate of one robot while its scans come. `push` changes it; everything else leaves it as it is.
+
+    Poses are in the frame of the first scan. infos: what became of every scan. One session belongs to one thread.
+    """
+
+    def __init__(self, robot: str, cfg: LaserConfig, seed: int = 0, feature: Feature = GEOMETRY) -> None:
+        set_threads(cfg.threads if cfg.method in {"particle", "graph"} else 1)
+        self.robot, self.cfg, self.feature = robot, cfg, feature
+        self.infos: list[ScanInfo] = []
+        self._runner = Runner(estimator(cfg, feature), cfg, seed)
+
+    def push(self, event: Event) -> ScanInfo | None:
+        """What a scan did to the estimate; None of odometry packets."""
+        info: ScanInfo | None = self._runner.push(event).info
+        if info is not None:
+            self.infos.append(info)
+        return info
+
+    @property
+    def now(self) -> PoseEstimate:
+        """The latest pose and its covariance; of `icp`, which tells none, a covariance of NaN."""
+        state = self._state()
+        if isinstance(state, GraphState):
+            return graph_slam.current(state)
+        if isinstance(state, ParticleState):
+            return particle_slam.current(state)
+        if isinstance(state, IcpState) and state.poses:
+            return PoseEstimate(np.array(state.poses[-1]), np.full((3, 3), np.nan))
+        return PoseEstimate(np.zeros(3), np.zeros((3, 3)))
+
+    def graph(self) -> RobotGraph | None:
+        """The keyframes so far, solved, with their returns; None before the first, and of other methods than graph."""
+        state = self._state()
+        return graph_slam.so_far(state, self.cfg) if isinstance(state, GraphState) and state.t else None
+
+    def finalise(self, on_progress: Progress = no_progress) -> Finalised:
+        """The best that all scans so far tell; there is one at least."""
+        state = self._state()
+        if isinstance(state, GraphState):
+            return Finalised(*graph_slam.finalise(state, self.cfg, on_progress))
+        if isinstance(state, IcpState):
+            return Finalised(np.array(state.poses), None)
+        return Finalised(particle_slam.trajectory(state), None)
+
+    def _state(self) -> Any:
+        return self._runner.states.get(self.robot)
