@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from .api.exploration_result import LaserExploration as LaserExploration
     from .api.explore import explore as explore
     from .api.fuse import fuse as fuse
+    from .api.landmark_slam import LandmarkSlam as LandmarkSlam
     from .api.laser_slam import LaserSlam as LaserSlam
     from .api.localize import LocalizeResult as LocalizeResult
     from .api.localize import localize as localize
@@ -99,6 +100,7 @@ _HOMES: dict[str, str] = {
     "solve_pose_graph": "api.solve",
     "view": "api.view",
     # estimators fed by hand
+    "LandmarkSlam": "api.landmark_slam",
     "LaserSlam": "api.laser_slam",
     "PoseEstimate": "laser.scan_odometry",
     # what verbs return
@@ -167,6 +169,7 @@ __all__ = (
     "KojimaReproduction",
     "LandmarkExploration",
     "LandmarkMapConfig",
+    "LandmarkSlam",
     "LaserConfig",
     "LaserExploration",
     "LaserLog",

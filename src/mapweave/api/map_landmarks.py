@@ -52,9 +52,11 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> TeamResult:
     return _map_read(read, cfg, options, f"One map from {', '.join(p.name for p in logs)}", watch)
 
 
-def map_tables(odometry: Columns | None, sightings: Columns, options: MapOptions) -> TeamResult:
+def map_tables(
+    odometry: Columns | None, sightings: Columns, options: MapOptions, cfg: LandmarkMapConfig | None = None
+) -> TeamResult:
     """One map of all robots in two tables with the columns of `odometry.csv` and `sightings.csv`."""
-    cfg = _configured(options)
+    cfg = cfg or _configured(options)
     watch = Watch()
     wanted = None if options.robots is None else [_number(key) for key in options.robots]
     read = list(landmark_logs_of(odometry, sightings, wanted))

@@ -1,0 +1,72 @@
+"""Rows that come one by one: the same map as of their tables, the filter's poses on the way, bad rows refused."""
+
+import numpy as np
+import pytest
+
+import mapweave
+from mapweave.core.errors import DataError, UsageError
+from mapweave.io.landmark_logs import read_landmark_logs
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("team")
+    mapweave.simulate_landmarks(folder / "team", robots=1, landmarks=8, minutes=0.5, seed=1)
+    return read_landmark_logs(folder / "team")[0]
+
+
+def rows(log):
+    """Velocities and sightings in order of time, velocities first."""
+    o, s = log.odometry, log.sightings
+    driven = [(t, 0, "add_odometry", (t, v, w)) for t, v, w in zip(o.t, o.v, o.w, strict=True)]
+    seen = [
+        (t, 1, "add_sighting", (t, s.ids[k], r, b)) for t, k, r, b in zip(s.t, s.what, s.range, s.bearing, strict=True)
+    ]
+    return [(name, args) for _, _, name, args in sorted(driven + seen, key=lambda row: row[:2])]
+
+
+def test_rows_one_by_one_give_the_map_of_their_tables_and_the_poses_of_the_filter(log, tmp_path):
+    slam = mapweave.LandmarkSlam()
+    every = rows(log)
+    for k, (name, args) in enumerate(every):
+        pose, cov = getattr(slam, name)(*args)
+        if k == len(every) // 2:
+            slam.result()
+            half = len(slam.landmarks().ids)
+    o, s = log.odometry, log.sightings
+    driven = {"t": o.t, "robot": np.ones(len(o.t), int), "v": o.v, "w": o.w}
+    named = [s.ids[k] for k in s.what]
+    seen = {"t": s.t, "robot": np.ones(len(s), int), "id": named, "range": s.range, "bearing": s.bearing}
+    made = mapweave.map(odometry=driven, sightings=seen)
+    ours = slam.save(tmp_path / "slam")
+    assert np.array_equal(ours.maps[0].landmarks.mean, made.maps[0].landmarks.mean)
+    made.write(tmp_path / "map")
+    for name in ("landmarks.csv", "trajectories/robot1.tum"):
+        assert (tmp_path / "slam" / name).read_bytes() == (tmp_path / "map" / name).read_bytes()
+    assert 0 < half <= len(slam.landmarks().ids) == len(made.maps[0].landmarks.ids)
+    end = made.maps[0].tracks["robot1"]
+    assert np.hypot(*(pose - end.pose[-1])[:2]) < 0.3
+    assert np.linalg.eigvalsh(cov).min() > 0
+
+
+def test_a_row_that_cannot_be_is_refused_and_leaves_the_map_as_it_was(log):
+    slam = mapweave.LandmarkSlam(robot="2")
+    assert np.array_equal(slam.pose.pose, np.zeros(3))
+    assert slam.landmarks().ids == ()
+    with pytest.raises(DataError, match="no sighting came yet"):
+        slam.result()
+    slam.add_odometry(1.0, 0.5, 0.0)
+    before = slam.add_odometry(2.0, 0.5, 0.0).pose
+    assert before == pytest.approx([0.5, 0.0, 0.0], abs=0.1)
+    for name, args, said in (
+        ("add_odometry", (1.5, 0.5, 0.0), "from the latest one on"),
+        ("add_odometry", (3.0, np.nan, 0.0), "finite"),
+        ("add_sighting", (1.5, "post", 1.0, 0.0), "from the latest one on"),
+        ("add_sighting", (3.0, "post", np.inf, 0.0), "finite"),
+        ("add_sighting", (3.0, " ", 1.0, 0.0), "expected a name"),
+    ):
+        with pytest.raises(DataError, match=said):
+            getattr(slam, name)(*args)
+    assert np.array_equal(slam.pose.pose, before)
+    with pytest.raises(UsageError, match="whole number"):
+        mapweave.LandmarkSlam(robot="left")
