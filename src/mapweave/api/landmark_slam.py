@@ -9,11 +9,11 @@ from ..core.errors import DataError, EstimateError, UsageError
 from ..core.names import robot_key, robot_name
 from ..core.records import Event, Odometry, Sightings
 from ..core.run import Runner
-from ..core.threads import one_blas_thread
+from ..core.workers import one_blas_thread
 from ..landmarks import ekf_slam
 from ..landmarks.ekf_slam import EkfSlamState
 from ..landmarks.landmark_map import LandmarkMap
-from ..laser.trace import PoseEstimate
+from ..laser.scan_odometry import PoseEstimate
 from .map_landmarks import LandmarkMapConfig, map_tables
 from .map_options import MapOptions
 from .team import TeamResult

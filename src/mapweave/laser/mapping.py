@@ -12,7 +12,7 @@ from ..core.errors import DataError
 from ..core.laser_log import LaserLog
 from ..core.records import Track
 from ..core.workers import Progress, no_progress
-from .beam import STEERING, beams
+from .beam import STEERING, IntensityCalibration, beams
 from .config import LaserConfig
 from .intensity_calibration import calibrate, raw_scale
 from .laser_map import LaserMap, ScanRecords
