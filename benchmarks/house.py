@@ -14,6 +14,8 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
@@ -39,6 +41,8 @@ PLACE = {  # column and row on the sheet; a room imports from rows below its own
     "swarm": (10, 6),
 }
 ESTIMATORS = ("landmarks", "laser", "swarm", "fusion", "team", "exploration")
+EVENT_RECORDS = ("records", "landmark_log", "laser_log", "bearings")  # of core
+GROWN = 1.2  # times as many calls for twice as many events: the file is entered for every event
 GROUND = ("solve", "core", "kernels")  # every room stands on these
 INK = "#5F6B76"
 BEGIN, END = "<!-- walks: begin -->", "<!-- walks: end -->"
@@ -123,48 +127,98 @@ def draw(path: Path) -> None:
         ax.axis("off")
 
 
-def entered(job: Callable[[], object]) -> list[str]:
+@dataclass
+class Entry:
+    """How often functions of one file ran in a job, and whether one was given or gave what carries an event."""
+
+    calls: int = 0
+    carries: bool = False
+
+
+def carries_an_event(value: object, depth: int = 2) -> bool:
+    """Whether `value` is a record, a log, a state, a map or a problem made of them, or a collection that holds one.
+
+    By where its type is defined: configurations, options, paths, names and numbers carry no event.
+    """
+    if isinstance(value, (tuple, list)) and type(value).__module__ == "builtins":
+        return depth > 0 and bool(value) and carries_an_event(value[0], depth - 1)
+    if isinstance(value, dict):
+        return depth > 0 and any(carries_an_event(v, depth - 1) for v in list(value.values())[:1])
+    kind = type(value)
+    if not kind.__module__.startswith(f"{mapweave.__name__}.") or kind.__name__.endswith(("Config", "Options")):
+        return False
+    room, _, name = kind.__module__.removeprefix(f"{mapweave.__name__}.").partition(".")
+    return room in (*ESTIMATORS, "solve") or (room == "core" and name in EVENT_RECORDS)
+
+
+def entered(job: Callable[[], object]) -> dict[str, Entry]:
     """Files of mapweave below the command line in which a function ran while `job` did, in order of first entry."""
     root = str(SOURCE)
-    seen: dict[str, None] = {}
+    seen: dict[str, Entry] = {}
 
-    def note(frame: FrameType, event: str, _: object) -> None:
+    def note(frame: FrameType, event: str, result: object) -> None:
         code = frame.f_code
         function = bool(code.co_flags & inspect.CO_OPTIMIZED)  # no module or class body, which an import runs
-        if event == "call" and function and code.co_filename.startswith(root):
-            seen.setdefault(code.co_filename, None)
+        if event not in {"call", "return"} or not function or not code.co_filename.startswith(root):
+            return
+        entry = seen.setdefault(code.co_filename, Entry())
+        entry.calls += event == "call"
+        if not entry.carries:
+            given = [frame.f_locals.get(name) for name in code.co_varnames[: code.co_argcount]]
+            entry.carries = any(map(carries_an_event, given if event == "call" else [result]))
 
     sys.setprofile(note)
     try:
         job()
     finally:
         sys.setprofile(None)
-    return [str(Path(name).relative_to(root)) for name in seen]
+    return {str(Path(name).relative_to(root)): entry for name, entry in seen.items()}
 
 
-def jobs(work: Path) -> dict[str, Callable[[], object]]:
-    """One small job for each kind of event; every one is run once before, so that imports and caches stay out."""
-    mapweave.simulate_landmarks(work / "team", robots=2, landmarks=8, minutes=0.5, seed=1)
+def jobs(work: Path) -> dict[str, tuple[Callable[[], object], Callable[[], object]]]:
+    """For each kind of event a small job, and the same with twice as many events."""
+    for times in (1, 2):
+        mapweave.simulate_landmarks(work / f"team{times}", robots=2, landmarks=8, minutes=0.5 * times, seed=1)
+        mapweave.simulate_swarm(work / f"swarm{times}.csv", SwarmScene(robots=12 * times), seed=1)
     mapweave.simulate_laser(work / "office.mcap", OfficeConfig(), seed=2)
-    mapweave.simulate_swarm(work / "swarm.csv", SwarmScene(robots=12), seed=1)
-    return {
-        "a sighting": lambda: mapweave.map(work / "team", out=work / "a"),
-        "a scan": lambda: mapweave.map(work / "office.mcap", out=work / "b", share={"1": 0.1}),
-        "a bearing": lambda: mapweave.locate(work / "swarm.csv", out=work / "c"),
-        "an exploration step": lambda: mapweave.explore("yuan", out=work / "d", runs=1, until=5),
-    }
+
+    def sightings(times: int) -> object:
+        return mapweave.map(work / f"team{times}", out=work / f"a{times}")
+
+    def scans(times: int) -> object:
+        return mapweave.map(work / "office.mcap", out=work / f"b{times}", share={"1": 0.1 * times})
+
+    def bearings(times: int) -> object:
+        return mapweave.locate(work / f"swarm{times}.csv", out=work / f"c{times}")
+
+    def steps(times: int) -> object:
+        return mapweave.explore("yuan", out=work / f"d{times}", runs=1, until=5 * times)
+
+    kinds = {"a sighting": sightings, "a scan": scans, "a bearing": bearings, "an exploration step": steps}
+    return {name: (partial(job, 1), partial(job, 2)) for name, job in kinds.items()}
+
+
+def walk(name: str, once: Callable[[], object], twice: Callable[[], object]) -> str:
+    """The files entered, in two lists: those that handle the event and those that set the stage, as Markdown.
+
+    A file handles the event when a function of it is given or gives what carries one, or runs more often for more
+    events. Compiled kernels are not seen: each is called from a file of the room that its folder is named after.
+    """
+    once()  # imports and caches stay out of what is noted below
+    few, many = entered(once), entered(twice)
+    handle = [f for f, e in few.items() if e.carries or (f in many and many[f].calls > GROWN * e.calls)]
+    stage = [f for f in few if f not in handle]
+    way, rest = (" → ".join(f"`{f}`" for f in files) for files in (handle, stage))
+    return (
+        f"**What {name} enters**, {len(few)} files. {len(handle)} handle the event: {way}.\n\n"
+        f"{len(stage)} set the stage: {rest}."
+    )
 
 
 def walks() -> str:
-    """A list of files for each kind of event, as Markdown."""
+    """A paragraph of files for each kind of event, as Markdown."""
     with tempfile.TemporaryDirectory() as folder:
-        out = []
-        for name, job in jobs(Path(folder)).items():
-            job()
-            files = entered(job)
-            way = " → ".join(f"`{f}`" for f in files)
-            out.append(f"**What {name} enters**, {len(files)} files: {way}.")
-    return "\n\n".join(out)
+        return "\n\n".join(walk(name, *pair) for name, pair in jobs(Path(folder)).items())
 
 
 def main() -> None:

@@ -59,7 +59,7 @@ AREAS = (
     ),
     Area(
         "association",
-        ("landmarks/association.py", "landmarks/association.py"),
+        ("landmarks/association.py",),
         ("tests/landmarks/test_association.py", "tests/landmarks/test_pairing.py", "tests/landmarks", "tests/fusion"),
     ),
     Area(
@@ -69,7 +69,6 @@ AREAS = (
             "fusion/identities.py",
             "fusion/full_covariance.py",
             "fusion/relative*.py",
-            "fusion/full_covariance.py",
             "fusion/handover.py",
         ),
         ("tests/fusion", "tests/papers/test_relative_theorems.py"),

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mapweave.laser.beam import BeamConfig, beams
+from mapweave.laser.beam import BeamConfig, CalibrationConfig, beams, calibrate
 from mapweave.laser.config import LaserConfig
-from mapweave.laser.intensity_calibration import CalibrationConfig, calibrate
 from mapweave.laser.mapping import choose_feature
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 from mapweave.sim.laser import DriveConfig

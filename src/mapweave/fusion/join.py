@@ -9,10 +9,10 @@ from ..core.names import in_order
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from .cluster import Cluster, JoinedMap, average
 from .config import FuseConfig
+from .consensus import Outlier, find_exchanged, find_outliers, inflated, relabelled
 from .full_covariance import join
 from .identities import identify
 from .initial_frames import arrange, as_cluster
-from .outlier_rejection import Outlier, find_exchanged, find_outliers, inflated, relabelled
 from .relative import RelativeConfig, fuse_relative
 from .result import Component, Decision, Fusion
 from .robot_sightings import FrameSightings, frame_sightings, sighting_factor

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ..core import landmark_log
 from ..core.errors import DataError, ReaderError
 from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from ..core.names import robot_key
-from . import mending
 from .files import Files, open_files
 from .mrclam import is_mrclam, read_mrclam
 from .table import Columns, Table, csv_rows, is_name, lines, table_of
@@ -72,10 +72,10 @@ def _logs(
     names = {f"robot{k}" for k in found}
     logs = []
     for k in found if robots is None else robots:
-        mend = mending.Mending()
+        mend = landmark_log.Mending()
         odometry = None
         if drive is not None:
-            odometry = mending.odometry(drive[0][robot_of_drive == k], labels[0], mend)
+            odometry = landmark_log.mended_odometry(drive[0][robot_of_drive == k], labels[0], mend)
         if odometry is None:
             mend.warnings.append("no odometry: mapped with a random walk between sightings")
         table = _sightings(seen, k, names, labels[1], mend)
@@ -84,11 +84,11 @@ def _logs(
         logs.append(LandmarkLog(f"robot{k}", odometry, table, mend.dropped, tuple(mend.warnings), path))
     if not any(len(log.sightings) for log in logs):
         raise DataError(f"{path}: no robot saw anything")
-    mending.check_one_recording({log.robot: log.span for log in logs if len(log)}, path)
+    landmark_log.check_one_recording({log.robot: log.span for log in logs if len(log)}, path)
     return tuple(logs)
 
 
-def _sightings(seen: Rows, k: int, robots: set[str], label: str, mend: mending.Mending) -> SightingTable:
+def _sightings(seen: Rows, k: int, robots: set[str], label: str, mend: landmark_log.Mending) -> SightingTable:
     numeric, robot, ids = seen
     rows = np.flatnonzero(robot == k)
     own = f"robot{k}"
@@ -98,7 +98,7 @@ def _sightings(seen: Rows, k: int, robots: set[str], label: str, mend: mending.M
     table = np.column_stack([numeric[rows, 0], what, numeric[rows, 1:]])
     stranger = np.array([ids[i] == own or (ids[i].startswith("robot") and ids[i] not in robots) for i in rows], bool)
     mend.drop("sighting of itself or of no robot", int(stranger.sum()))
-    table = mending.sightings(table[~stranger] if len(rows) else table, label, mend)
+    table = landmark_log.mended_sightings(table[~stranger] if len(rows) else table, label, mend)
     if not len(table):
         return NOTHING_SEEN
     return SightingTable(table[:, 0], table[:, 1].astype(np.int64), table[:, 2], table[:, 3], tuple(mine))

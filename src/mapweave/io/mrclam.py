@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ..core import landmark_log
 from ..core.errors import DataError, ReaderError
 from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable, TeamRecording
-from . import mending
 from .files import Files, open_files
 from .table import line_of, numbers, open_text, row_texts
 
@@ -32,7 +32,7 @@ def read_mrclam(path: Path, robots: Sequence[int] | None = None) -> tuple[Landma
         if missing:
             raise DataError(f"{path}: no robot {missing[0]}; there are {', '.join(map(str, sorted(found)))}")
         logs = tuple(_robot(files, k, found, table) for k in wanted)
-    mending.check_one_recording({f"{log.robot}": log.span for log in logs if len(log)}, path)
+    landmark_log.check_one_recording({f"{log.robot}": log.span for log in logs if len(log)}, path)
     if not any(len(log.sightings) for log in logs):
         raise DataError(f"{path}: no robot saw anything")
     return logs
@@ -82,13 +82,13 @@ def _barcodes(files: Files, folder: str) -> dict[int, int]:
 
 
 def _robot(files: Files, k: int, found: dict[int, dict[str, str]], codes: dict[int, int]) -> LandmarkLog:
-    mend = mending.Mending()
+    mend = landmark_log.Mending()
     kinds = found[k]
     odometry = None
     if "Odometry" in kinds:
         name = kinds["Odometry"]
         label = files.label(name)
-        odometry = mending.odometry(numbers(files.read(name), label, ("t", "v", "w")), label, mend)
+        odometry = landmark_log.mended_odometry(numbers(files.read(name), label, ("t", "v", "w")), label, mend)
     if odometry is None:
         mend.warnings.append("no odometry: mapped with a random walk between sightings")
     seen = NOTHING_SEEN
@@ -100,17 +100,17 @@ def _robot(files: Files, k: int, found: dict[int, dict[str, str]], codes: dict[i
         if len(wrong):
             line = line_of(data, label, int(wrong[0]))
             raise ReaderError(label, f"expected a whole number for barcode, found {table[wrong[0], 1]:g}", line)
-        seen = _named(mending.sightings(table, label, mend), codes, set(found), k, mend)
+        seen = _named(landmark_log.mended_sightings(table, label, mend), codes, set(found), k, mend)
     if not len(seen):
         mend.warnings.append("it saw nothing")
     spans = {"its sightings": seen.t} if odometry is None else {"its odometry": odometry.t, "its sightings": seen.t}
     ends = {w: (float(t[0]), float(t[-1])) for w, t in spans.items() if len(t)}
-    mending.check_one_recording(ends, files.label(f"Robot{k}_*"))
+    landmark_log.check_one_recording(ends, files.label(f"Robot{k}_*"))
     return LandmarkLog(f"robot{k}", odometry, seen, mend.dropped, tuple(mend.warnings), str(files.where))
 
 
 def _named(
-    table: np.ndarray, codes: dict[int, int], robots: set[int], own: int, mend: mending.Mending
+    table: np.ndarray, codes: dict[int, int], robots: set[int], own: int, mend: landmark_log.Mending
 ) -> SightingTable:
     """Barcodes become names; unlisted ones seldom seen, and the robot's own, are dropped as misreads."""
     values, what, count = np.unique(table[:, 1].astype(np.int64), return_inverse=True, return_counts=True)

@@ -5,9 +5,8 @@ from jaxtyping import Float
 
 from ..core.config import config
 from ..core.errors import ConfigError
-from .beam import FEATURES, BeamConfig
+from .beam import FEATURES, BeamConfig, CalibrationConfig
 from .icp import IcpConfig
-from .intensity_calibration import CalibrationConfig
 from .joint_pass import JointConfig
 from .keyframe_graph import KeyframeGraphConfig
 from .keyframes import KeyframeConfig

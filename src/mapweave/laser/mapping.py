@@ -12,9 +12,8 @@ from ..core.errors import DataError
 from ..core.laser_log import LaserLog
 from ..core.records import Track
 from ..core.workers import Progress, no_progress
-from .beam import STEERING, IntensityCalibration, beams
+from .beam import STEERING, IntensityCalibration, beams, calibrate, raw_scale
 from .config import LaserConfig
-from .intensity_calibration import calibrate, raw_scale
 from .laser_map import LaserMap, ScanRecords
 from .render import render
 from .robot_graph import RobotGraph
