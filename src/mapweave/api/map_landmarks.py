@@ -63,6 +63,11 @@ def map_tables(
     return _map_read(read, cfg, options, "One map from tables in memory", watch)
 
 
+def map_landmark_logs(logs: Sequence[LandmarkLog], options: MapOptions, title: str) -> TeamResult:
+    """One map of logs in memory, as those who read them from files get it."""
+    return _map_read(logs, _configured(options), options, title, Watch())
+
+
 def _configured(options: MapOptions) -> LandmarkMapConfig:
     if options.method not in (None, *METHODS):
         raise UsageError(f"--method: landmark logs know {', '.join(METHODS)}, found {options.method!r}")

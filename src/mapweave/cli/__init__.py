@@ -21,6 +21,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "locate": ("mapweave.cli.locate:locate", "Find every robot of a swarm from bearings."),
     "evaluate": ("mapweave.cli.evaluate:evaluate", "Score a result against the truth."),
     "localize": ("mapweave.cli.localize:localize", "Follow a robot in a finished laser map."),
+    "live": ("mapweave.cli.live:app", "Map a team that drives now, over a network."),
     "reproduce": ("mapweave.cli.reproduce:app", "Repeat a paper's experiment."),
     "view": ("mapweave.cli.view:view", "Open a result's report and map."),
     "explore": ("mapweave.cli.explore:explore", "Let a team decide where to drive."),

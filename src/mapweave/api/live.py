@@ -1,0 +1,230 @@
+"""A team that drives now: a robot's process and a map process, until they are done or told to stop."""
+
+import math
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+
+from ..core.config import load
+from ..core.errors import DataError, UsageError
+from ..core.threads import one_blas_thread
+from ..io.directory import check_target
+from ..live.inbox import Inbox
+from ..live.landmark_robot import LandmarkRobot
+from ..live.landmark_stream import messages_of
+from ..live.map_process import MapProcess
+from ..live.messages import Header, check_name
+from ..live.robot import Pace, RobotProcess
+from ..live.sources import open_source
+from ..live.store import Store
+from ..live.topics import Topics
+from ..live.transport import Network, session
+from .map_landmarks import LandmarkMapConfig, map_landmark_logs
+from .map_options import MapOptions
+from .team import TeamResult
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class LiveRobot:
+    """What became of a robot's run: its messages, all on disk; how many map processes have all of them."""
+
+    name: str
+    messages: int
+    heard_by: int
+
+
+@one_blas_thread()
+def live_robot(
+    name: str,
+    source: Path | str,
+    *,
+    robot: str | None = None,
+    rate: float = 1.0,
+    period: float = 1.0,
+    history: Path | str | None = None,
+    fresh: bool = False,
+    linger: float = 30.0,
+    config: Path | str | None = None,
+    network: Network | None = None,
+    stop: Event | None = None,
+    say: Say = print,
+    wall: Callable[[], float] = time.time,
+) -> LiveRobot:
+    """Drive the robot `name` through a log, estimating as `map` does, and tell the team.
+
+    It needs nobody: what it tells is in `history` first, and whoever comes later asks for it there. Started again, it
+    goes on after the last message of its history.
+
+    Parameters
+    ----------
+    name
+        What the team calls it.
+    source
+        An MRCLAM data set or a folder with odometry.csv and sightings.csv.
+    robot
+        Which robot of the log it is, by key (the one whose number `name` ends with, or the only one).
+    rate
+        Seconds of the log in one second of the clock (1); inf is as fast as it goes.
+    period
+        Seconds of the log in one message (1).
+    history
+        The file that keeps what it told (`mapweave-live/TEAM-NAME.sqlite`).
+    fresh
+        Forget an earlier history.
+    linger
+        How long it stays at most after the log's end for those who lack something [s] (30).
+    config
+        A TOML file of settings, as for `map`.
+    network
+        How to reach the others (those on this network find each other).
+    stop
+        Ends the run as soon as it is set.
+    say
+        Called with a line where something happens.
+    wall
+        The robot's clock [s].
+    """
+    check_name(name)
+    if not rate > 0:
+        raise UsageError(f"--rate: expected a number above 0, found {rate}")
+    if not (0 < period < math.inf):
+        raise UsageError(f"--period: expected seconds above 0, found {period}")
+    if not linger >= 0:
+        raise UsageError(f"--linger: expected seconds, found {linger}")
+    network = network or Network()
+    check_name(network.team, "--team")
+    cfg = load(LandmarkMapConfig, None if config is None else Path(config))
+    read = open_source(str(source), name, robot)
+    path = Path("mapweave-live", f"{network.team}-{name}.sqlite") if history is None else Path(history)
+    with Store(path, f"robot {name} of team {network.team}") as store:
+        if fresh:
+            store.clear()
+        run = _begun(store, "landmarks", period)
+        messages = messages_of(read.log, name, run, period)
+        header = next(messages_of(read.log, name, run, period))[1]
+        assert isinstance(header, Header)  # noqa: S101  (the first of every log)
+        driving = LandmarkRobot(header, cfg.ekf)
+        with session(network) as opened:
+            process = RobotProcess(name, opened, Topics(network.team), store, say, wall)
+            process.join()
+            say(f"{name}: {read.log.robot} of {source}, team {network.team}, history in {path}")
+            told = process.run(messages, driving, Pace(rate, linger), stop or Event())
+            return LiveRobot(name, told, process.heard_by)
+
+
+def _begun(store: Store, sensor: str, period: float) -> str:
+    """The run this history is of; raises UsageError when it was begun in another way."""
+    run = store.about("run")
+    if run is None:
+        run = uuid.uuid4().hex
+        store.set_about("sensor", sensor)
+        store.set_about("period", repr(period))
+        store.set_about("run", run)
+    if store.about("sensor") != sensor:
+        raise UsageError(f"{store.path}: the history of a robot with {store.about('sensor')}, this has {sensor}")
+    if store.about("period") != repr(period):
+        raise UsageError(f"--period: this history was begun with {store.about('period')} s, found {period}")
+    return run
+
+
+@one_blas_thread()
+def live_map(
+    out: Path | str,
+    *,
+    robots: Sequence[str] | None = None,
+    name: str = "map",
+    store: Path | str | None = None,
+    fresh: bool = False,
+    every: float = 2.0,
+    config: Path | str | None = None,
+    seed: int = 0,
+    force: bool = False,
+    network: Network | None = None,
+    stop: Event | None = None,
+    say: Say = print,
+    wall: Callable[[], float] = time.time,
+) -> TeamResult:
+    """Hear a team until `stop` is set, or until all of `robots` have told their logs to the end; one map, in `out`.
+
+    The map is the one that `map` makes of the same logs, to the byte: what arrives is put in order of robot and number
+    before it is used, each message once, and what is missing is asked for. A process that was killed goes on from
+    `store`.
+
+    Parameters
+    ----------
+    out
+        The folder of the result; an earlier one there is replaced whole.
+    robots
+        The names that are heard, all others are refused (all, until `stop`).
+    name
+        What this map process is called, where a team has several (map).
+    store
+        The file that keeps what was heard (`OUT.sqlite` beside the folder).
+    fresh
+        Forget what an earlier run has heard.
+    every
+        Seconds between two fusions of the shared map while robots drive (2).
+    config
+        A TOML file of settings, as for `map`.
+    seed
+        As for `map` (0).
+    force
+        Write into `out` even when something other than a result stands there.
+    network
+        How to reach the others (those on this network find each other).
+    stop
+        Ends the hearing as soon as it is set.
+    say
+        Called with a line where something happens.
+    wall
+        This process's clock [s].
+    """
+    out = Path(out)
+    network = network or Network()
+    check_name(network.team, "--team")
+    check_name(name)
+    for robot in robots or ():
+        check_name(robot, "--robots")
+    if not (0 < every < math.inf):
+        raise UsageError(f"--every: expected seconds above 0, found {every}")
+    check_target(out, force=force)
+    options = MapOptions(config=None if config is None else Path(config), seed=seed)
+    cfg = load(LandmarkMapConfig, options.config)
+    path = out.with_name(f"{out.name}.sqlite") if store is None else Path(store)
+    with Store(path, f"a map of team {network.team}") as kept:
+        if fresh:
+            kept.clear()
+        inbox = Inbox(kept, robots)
+        with session(network) as opened:
+            process = MapProcess(name, opened, Topics(network.team), kept, inbox, say, wall)
+            process.shared.cfg = cfg.fuse
+            process.join()
+            say(f"{name}: team {network.team}, heard so far kept in {path}")
+            process.run(stop or Event(), every, lambda inbox: _all_told(inbox, robots))
+            process.tell_state()
+        for line in process.summary():
+            say(line)
+        result = _final(inbox, options)
+    result.write(out, force=force)
+    return result
+
+
+def _all_told(inbox: Inbox, robots: Sequence[str] | None) -> bool:
+    ledgers = inbox.ledgers
+    return robots is not None and all(name in ledgers and ledgers[name].complete for name in robots)
+
+
+def _final(inbox: Inbox, options: MapOptions) -> TeamResult:
+    """The map of all that was heard up to each robot's first gap."""
+    logs = [record.log for record in inbox.records.values()]
+    logs = [log for log in logs if len(log)]
+    if not any(len(log.sightings) for log in logs):
+        raise DataError("no robot told what it saw: no map")
+    logs.sort(key=lambda log: log.number)
+    sources = dict.fromkeys(Path(log.source).name for log in logs)
+    return map_landmark_logs(logs, options, f"One map from {', '.join(sources)}")

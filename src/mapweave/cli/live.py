@@ -1,0 +1,202 @@
+"""`mapweave live`: a team that drives now."""
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from threading import Event, current_thread, main_thread
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import App, Parameter
+
+from ..core.errors import UsageError
+from .say import say
+
+if TYPE_CHECKING:
+    from ..live.transport import Network
+
+app = App(name="live", help="A team that drives now, over a real network.", help_format="plaintext")
+NEEDS = ("zenoh", "msgspec")
+
+
+@app.command
+def robot(
+    *,
+    name: str,
+    source: str,
+    robot: str | None = None,
+    rate: float = 1.0,
+    period: float = 1.0,
+    history: Path | None = None,
+    fresh: Annotated[bool, Parameter(negative="")] = False,
+    linger: float = 30.0,
+    config: Path | None = None,
+    team: str = "team",
+    connect: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
+    listen: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
+    tls: Path | None = None,
+) -> None:
+    """Drive one robot: estimate as `mapweave map` does, keep a history, tell the team. Ctrl-C ends it.
+
+    Parameters
+    ----------
+    name
+        What the team calls it.
+    source
+        An MRCLAM data set (folder or zip) or a folder with odometry.csv and sightings.csv.
+    robot
+        Which robot of the log it is, where the name does not end with its number.
+    rate
+        Seconds of the log in one second of the clock; inf is as fast as it goes.
+    period
+        Seconds of the log in one message.
+    history
+        The file that keeps what it told (mapweave-live/TEAM-NAME.sqlite); started again, it goes on there.
+    fresh
+        Forget an earlier history.
+    linger
+        How many seconds it stays at most after the log's end for map processes that lack something.
+    config
+        A TOML file with settings, as for map.
+    team
+        The team's name: teams of different names do not hear each other.
+    connect
+        Where others listen, as tcp/host:port; without it those on one network find each other.
+    listen
+        Where to listen, as tcp/host:port; messages are passed on between those that connect.
+    tls
+        The folder of this process's certificate, as mapweave live keys makes them.
+    """
+    _expect_extra()
+    from ..api.live import live_robot
+
+    network = _network(team, connect, listen, tls)
+    with _until_interrupted() as stop:
+        done = live_robot(
+            name,
+            source,
+            robot=robot,
+            rate=rate,
+            period=period,
+            history=history,
+            fresh=fresh,
+            linger=linger,
+            config=config,
+            network=network,
+            stop=stop,
+            say=say,
+        )
+    say(f"{done.name}: {done.messages} messages, {done.heard_by} map processes have all of them")
+
+
+@app.command(name="map")
+def map_team(
+    *,
+    out: Path,
+    robots: str | None = None,
+    name: str = "map",
+    store: Path | None = None,
+    fresh: Annotated[bool, Parameter(negative="")] = False,
+    every: float = 2.0,
+    config: Path | None = None,
+    seed: int = 0,
+    force: Annotated[bool, Parameter(negative="")] = False,
+    team: str = "team",
+    connect: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
+    listen: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
+    tls: Path | None = None,
+) -> None:
+    """Make the shared map of a team that drives; any number of such processes may run, anywhere.
+
+    Ends when all of --robots have told their logs to the end, or with Ctrl-C; both leave a whole result, the one that
+    `mapweave map` makes of the same logs.
+
+    Parameters
+    ----------
+    out
+        The folder the map, the trajectories, metrics.json and report.html are written to.
+    robots
+        The names that are heard, as r1,r2; all others are refused.
+    name
+        What this map process is called, where a team has several.
+    store
+        The file that keeps what was heard (OUT.sqlite); started again, the process goes on from it.
+    fresh
+        Forget what an earlier run has heard.
+    every
+        Seconds between two fusions of the shared map while robots drive.
+    config
+        A TOML file with settings, as for map.
+    seed
+        As for map.
+    force
+        Write into the folder even when something other than a result stands there.
+    team
+        The team's name: teams of different names do not hear each other.
+    connect
+        Where others listen, as tcp/host:port; without it those on one network find each other.
+    listen
+        Where to listen, as tcp/host:port; messages are passed on between those that connect.
+    tls
+        The folder of this process's certificate, as mapweave live keys makes them.
+    """
+    _expect_extra()
+    from ..api.live import live_map
+
+    names = None if robots is None else [word.strip() for word in robots.split(",") if word.strip()]
+    if names is not None and not names:
+        raise UsageError(f"--robots: expected names as r1,r2, found {robots!r}")
+    network = _network(team, connect, listen, tls)
+    with _until_interrupted() as stop:
+        result = live_map(
+            out,
+            robots=names,
+            name=name,
+            store=store,
+            fresh=fresh,
+            every=every,
+            config=config,
+            seed=seed,
+            force=force,
+            network=network,
+            stop=stop,
+            say=say,
+        )
+    say(result.summary())
+    say(f"report: {out / 'report.html'}")
+
+
+def _network(team: str, connect: list[str] | None, listen: list[str] | None, tls: Path | None) -> "Network":
+    from ..live.transport import Network, endpoints
+
+    return Network(endpoints(connect, "--connect"), endpoints(listen, "--listen"), tls, team)
+
+
+def _expect_extra() -> None:
+    missing = [name for name in NEEDS if find_spec(name) is None]
+    if missing:
+        raise UsageError(f"mapweave live needs {' and '.join(missing)}: pip install 'mapweave[live]'")
+
+
+@contextmanager
+def _until_interrupted() -> Iterator[Event]:
+    """An event that the first Ctrl-C (or SIGTERM) sets; a second one interrupts as everywhere."""
+    stop = Event()
+    if current_thread() is not main_thread():
+        yield stop
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def ask(number: int, frame: object) -> None:  # noqa: ARG001
+        stop.set()
+        for n, handler in before.items():
+            signal.signal(n, handler)
+
+    for number in before:
+        signal.signal(number, ask)
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

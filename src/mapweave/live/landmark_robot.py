@@ -1,0 +1,98 @@
+"""A landmark robot that is driving: the estimator of `map`, one message at a time."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..core.errors import EstimateError
+from ..core.records import Event
+from ..core.run import Step, run
+from ..landmarks import ekf_slam
+from ..landmarks.config import EkfSlamConfig
+from ..landmarks.mapping import config_for, growing_maps, without_impossible
+from ..landmarks.submap import Submap
+from .columns import pack, pack_triangle
+from .landmark_stream import LandmarkRecord
+from .messages import Header, Numbered, Snapshot
+
+WANDERING_EVERY = 32  # messages: a robot without odometry is mapped anew from its first row
+
+
+class LandmarkRobot:
+    """The estimate of one robot after the messages so far; with its log's end it is the one that a whole log gives."""
+
+    def __init__(self, header: Header, cfg: EkfSlamConfig, seed: int = 0) -> None:
+        self.record = LandmarkRecord.begin(header)
+        self.t: float | None = None
+        self.last = 0
+        self._cfg = cfg if header.odometry else config_for(self.record.log, cfg)
+        self._seed = seed
+        self._submap: Submap | None = None
+        self._counts: dict[str, int] = {}
+        self._pending: Event | None = None
+        self._steps = run(ekf_slam, self._cfg, self._events(), seed)
+
+    def add(self, message: Numbered) -> None:
+        """The estimate with the rows of `message`; raises EstimateError when it leaves finite numbers."""
+        self.last = message.seq
+        if isinstance(message, Header):  # it was begun with it
+            return
+        part = self.record.add(message)
+        if part is None or part.end is None:
+            return
+        self.t = part.end if self.t is None else max(self.t, part.end)
+        log = without_impossible(self.record.log_of(part), self._cfg)
+        for name, n in log.sightings.counts().items():
+            self._counts[name] = self._counts.get(name, 0) + n
+        if not self._cfg.odometry:
+            if message.seq % WANDERING_EVERY == 0:
+                self._map_anew()
+            return
+        for event in log.events():
+            self._pending = event
+            self._take(next(self._steps))
+
+    def _events(self) -> Iterator[Event]:
+        """Whatever is pending, once."""
+        while self._pending is not None:
+            event, self._pending = self._pending, None
+            yield event
+
+    def _take(self, step: Step) -> None:
+        if not np.isfinite(step.state.x).all():
+            raise EstimateError(f"{self.record.header.log_robot}: EKF-SLAM left finite numbers")
+        self._state = step.state
+        self._submap = None
+
+    def _map_anew(self) -> None:
+        log = self.record.log
+        mapped = next(growing_maps(log, self._cfg, [log.span[1]], self._seed))
+        self._submap = None if mapped is None else mapped.submap
+
+    @property
+    def submap(self) -> Submap:
+        """Pose and landmarks in `local_k`."""
+        if self._submap is None:
+            state = getattr(self, "_state", None) or ekf_slam.initial(self.record.header.log_robot, self._cfg)
+            self._submap = state.submap
+        return self._submap
+
+    def status(self) -> tuple[tuple[float, ...], tuple[float, ...], int]:
+        """`T_local_robot`, the upper triangle of its covariance, how many landmarks there are."""
+        m = self.submap
+        return tuple(m.pose.tolist()), tuple(m.cov[:3, :3][np.triu_indices(3)].tolist()), len(m.ids)
+
+    def snapshot(self) -> Snapshot:
+        """What a map process fuses while the robot drives on."""
+        m, h = self.submap, self.record.header
+        return Snapshot(
+            robot=h.robot,
+            run=h.run,
+            last=self.last,
+            t=self.t or 0.0,
+            pose=tuple(m.pose.tolist()),
+            ids=list(m.ids),
+            mean=pack(*m.mean.T),
+            cov=pack_triangle(m.cov),
+            counts=[self._counts.get(name, 0) for name in m.ids],
+        )

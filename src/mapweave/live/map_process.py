@@ -1,0 +1,262 @@
+"""A map process: it hears every robot, keeps what it heard, asks for what is missing and tells the shared map."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from queue import Empty, Full, Queue
+from threading import Event
+
+import zenoh
+
+from ..core.errors import DataError, UsageError
+from .clocks import ClockOffset
+from .inbox import Inbox
+from .messages import LARGEST, MapState, RefusedError, RobotState, count, decode, encode
+from .shared_map import SharedMap, listed, triangle
+from .store import Store
+from .topics import Topics
+from .transport import SETTLE, ask, ask_parameters, put, there_is
+
+WAITING = 20_000  # messages not worked in yet: beyond, they are let go and asked for later
+TICK = 0.05  # [s]
+STATE_EVERY = 1.0  # [s]
+CLOCK_EVERY = 5.0  # [s]
+MOST_ANSWERS = 500
+NAME_PATIENCE = 4.0  # [s]
+FUSING_SHARE = 3.0  # the time from fusing to fusing is at least so many times what fusing takes
+TELL_CLOCK = 1.0  # [s] that a clock is off before it is told
+
+Say = Callable[[str], None]
+
+
+@dataclass(slots=True)
+class _Heard:
+    """What callbacks leave for the process's own thread."""
+
+    messages: Queue[tuple[str, bytes]] = field(default_factory=lambda: Queue(WAITING))
+    let_go: int = 0
+    other: Queue[Callable[[], object]] = field(default_factory=Queue)
+
+    def message(self, speaker: str, payload: bytes) -> None:
+        try:
+            self.messages.put_nowait((speaker, payload))
+        except Full:
+            self.let_go += 1
+
+
+class MapProcess:
+    """One of any number of map processes of a team. wall: its wall clock [s]."""
+
+    def __init__(
+        self,
+        name: str,
+        session: zenoh.Session,
+        topics: Topics,
+        store: Store,
+        inbox: Inbox,
+        say: Say,
+        wall: Callable[[], float] = time.time,
+    ) -> None:
+        self.name, self.inbox, self.shared = name, inbox, SharedMap()
+        self.clocks: dict[str, ClockOffset] = {}
+        self._session, self._topics, self._store, self._say, self._wall = session, topics, store, say, wall
+        self._heard = _Heard()
+        self._declared: list[object] = []
+        self._disk_told = False
+        self._clocks_told: set[str] = set()
+
+    def join(self) -> None:
+        """From now on robots are heard; raises UsageError when a map process of this name is there."""
+        t, s, callback = self._topics, self._session, zenoh.handlers.Callback
+        time.sleep(SETTLE)
+        if there_is(s, t.map_alive(self.name), NAME_PATIENCE):
+            raise UsageError(f"--name {self.name}: a map process of that name is in team {t.team} already")
+        hear = callback(self._hear)
+        remote = zenoh.Locality.REMOTE
+        self._declared = [
+            *(s.declare_subscriber(key, hear) for key in (t.log(), t.status(), t.snapshot())),
+            s.declare_subscriber(t.map_state(), callback(self._hear_map), allowed_origin=remote),
+            s.declare_queryable(t.history(), callback(self._answer), allowed_origin=remote),
+            s.liveliness().declare_subscriber(t.alive(), callback(self._robot_there), history=True),
+            s.liveliness().declare_token(t.map_alive(self.name)),
+        ]
+
+    def run(self, stop: Event, every: float, until: Callable[[Inbox], bool]) -> None:
+        """Until `stop`, or until `until` holds; the shared map is fused anew every `every` [s] where there is news."""
+        state = clock = fuse = float("-inf")
+        while not stop.is_set():
+            now = time.monotonic()
+            self._work_in(now)
+            self._ask(now)
+            if now >= fuse and self._fuse():
+                took = time.monotonic() - now
+                fuse = now + max(every, FUSING_SHARE * took)
+            if now >= clock + CLOCK_EVERY:
+                clock = now
+                self._ask_clocks()
+            if now >= state + STATE_EVERY:
+                state = now
+                self.tell_state()
+                if not self._heard.messages.qsize() and until(self.inbox):
+                    return
+            if not self._heard.messages.qsize():
+                stop.wait(TICK)
+
+    def _work_in(self, now: float) -> None:
+        for _ in range(1000):
+            try:
+                self._heard.other.get_nowait()()
+            except Empty:
+                break
+        for _ in range(5000):
+            try:
+                speaker, payload = self._heard.messages.get_nowait()
+            except Empty:
+                break
+            self.inbox.offer(speaker, payload, now)
+        try:
+            self.inbox.save()
+            self._disk_told = False
+        except DataError as error:
+            if not self._disk_told:
+                self._say(f"{error}: what comes is kept in memory until it can be written")
+            self._disk_told = True
+        while self.inbox.news:
+            self._say(self.inbox.news.popleft())
+
+    def _ask(self, now: float) -> None:
+        for robot, first, last in list(self.inbox.gaps(now)):
+            ask(
+                self._session,
+                self._topics.history(robot),
+                f"first={first};last={last}",
+                lambda payload, robot=robot: self._heard.message(robot, payload),  # type: ignore[misc]
+                lambda robot=robot: self._heard.other.put(lambda: self.inbox.answered(robot)),  # type: ignore[misc]
+            )
+
+    def _fuse(self) -> bool:
+        if not self.shared.update(self.inbox.ledgers.values()):
+            return False
+        for robot, placed in self.shared.placed.items():
+            correction = placed.correction(self.name, robot)
+            put(self._session, self._topics.correction(robot, self.name), encode(correction))
+        return True
+
+    def _ask_clocks(self) -> None:
+        for robot, ledger in self.inbox.ledgers.items():
+            if not ledger.there:
+                continue
+            asked = self._wall()
+
+            def take(payload: bytes, robot: str = robot, asked: float = asked) -> None:
+                answered = self._wall()
+                self._heard.other.put(lambda: self._clock(robot, asked, payload, answered))
+
+            ask(self._session, self._topics.clock(robot), "", take, lambda: None, timeout=CLOCK_EVERY)
+
+    def _clock(self, robot: str, asked: float, payload: bytes, answered: float) -> None:
+        try:
+            offset = self.clocks.setdefault(robot, ClockOffset())
+            offset.add(asked, float(payload), answered)
+        except ValueError:
+            self.inbox.refused["malformed"] += 1
+            return
+        off, error = offset.best
+        if abs(off) - error > TELL_CLOCK and robot not in self._clocks_told:
+            self._clocks_told.add(robot)
+            ahead = "ahead" if off > 0 else "behind"
+            self._say(f"{robot}: its clock is {abs(off):.1f} s {ahead} (within {error:.2f} s)")
+
+    def state(self) -> MapState:
+        """The shared map as it stands."""
+        now = time.monotonic()
+        robots = []
+        for name, ledger in sorted(self.inbox.ledgers.items()):
+            placed = self.shared.placed.get(name)
+            header = None if ledger.record is None else ledger.record.header
+            offset = self.clocks[name].best if name in self.clocks and self.clocks[name].known else (None, None)
+            robots.append(
+                RobotState(
+                    robot=name,
+                    run=ledger.run,
+                    log_robot="" if header is None else header.log_robot,
+                    sensor="" if header is None else header.sensor,
+                    there=ledger.there,
+                    finished=ledger.complete,
+                    have=ledger.next,
+                    last=ledger.last,
+                    rate=ledger.rate(now),
+                    pose=() if placed is None else listed(placed.pose),
+                    cov=() if placed is None else triangle(placed.cov),
+                    component=0 if placed is None else placed.component,
+                    landmarks=0 if ledger.status is None else ledger.status.landmarks,
+                    offset=offset[0],
+                    offset_error=offset[1],
+                    refused=dict(ledger.refused),
+                    doubled=ledger.doubled,
+                )
+            )
+        refused = dict(self.inbox.refused)
+        if self._heard.let_go:
+            refused["let go, asked for later"] = self._heard.let_go
+        return MapState(
+            map=self.name,
+            clock=self._wall(),
+            fused=self.shared.fused,
+            robots=robots,
+            landmarks=self.shared.landmarks,
+            decisions=self.shared.decisions,
+            refused=refused,
+        )
+
+    def tell_state(self) -> None:
+        """Everybody hears how the map stands, who is there and what it has."""
+        payload = encode(self.state())
+        if len(payload) <= LARGEST:
+            put(self._session, self._topics.map_state(self.name), payload)
+
+    def summary(self) -> list[str]:
+        """A line a robot: what was heard and what was refused."""
+        out = []
+        for name, ledger in sorted(self.inbox.ledgers.items()):
+            told = f"{name}: {ledger.next} messages"
+            if ledger.missing > 0 or ledger.held:
+                told += f", {max(ledger.missing, 0)} missing: used up to the first gap"
+            if ledger.fault:
+                told += f"; from there on refused: {ledger.fault}"
+            out.append(told + (f"; refused: {count(ledger.refused)}" if ledger.refused else ""))
+        return out + ([f"refused from others: {count(self.inbox.refused)}"] if self.inbox.refused else [])
+
+    def _hear(self, sample: zenoh.Sample) -> None:
+        self._heard.message(self._topics.robot_of(str(sample.key_expr)), sample.payload.to_bytes())
+
+    def _hear_map(self, sample: zenoh.Sample) -> None:
+        """Another map process may know robots that have left."""
+        try:
+            state = decode(sample.payload.to_bytes())
+        except RefusedError:
+            return
+        if isinstance(state, MapState):
+            self._heard.other.put(lambda: self.inbox.hearsay(state.robots, time.monotonic()))
+
+    def _robot_there(self, sample: zenoh.Sample) -> None:
+        robot, there = self._topics.robot_of(str(sample.key_expr)), sample.kind == zenoh.SampleKind.PUT
+        self._heard.other.put(lambda: self._there(robot, there=there))
+
+    def _there(self, robot: str, *, there: bool) -> None:
+        ledger = self.inbox.ledgers.get(robot)
+        if ledger is not None and ledger.there != there:
+            self._say(f"{robot}: {'is there' if there else 'is gone'}")
+        self.inbox.presence(robot, there=there)
+
+    def _answer(self, query: zenoh.Query) -> None:
+        """The past of any robot that is kept here, for those who come late."""
+        with query:
+            wanted = ask_parameters(query)
+            robot = self._topics.robot_of(str(query.key_expr))
+            if wanted is None or robot == "*":
+                query.reply_err(b"expected first=A;last=B")
+                return
+            first, last = wanted
+            for _, payload in self._store.get(robot, first, min(last, first + MOST_ANSWERS - 1)):
+                query.reply(query.key_expr, payload, congestion_control=zenoh.CongestionControl.BLOCK)

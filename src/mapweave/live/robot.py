@@ -1,0 +1,256 @@
+"""A robot's process: it keeps its history, drives its estimator and tells the team, whether or not anybody listens."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from threading import Event
+from typing import Protocol
+
+import zenoh
+
+from ..core.errors import DataError, UsageError
+from .messages import LARGEST, Correction, MapState, Numbered, RefusedError, Snapshot, Status, decode, encode
+from .store import Store
+from .topics import Topics
+from .transport import SETTLE, ask_parameters, put, there_is
+
+STATUS_EVERY = 1.0  # [s]
+SNAPSHOT_EVERY = 2.0  # [s]
+NAME_PATIENCE = 4.0  # [s] that the token of a robot that was killed may last
+DISK_AGAIN = 1.0  # [s] until a full disk is tried again
+MOST_ANSWERS = 500  # messages that one question is answered with
+GRACE = 1.0  # [s] after the last message, for a map process to be heard of
+
+Say = Callable[[str], None]
+Timed = Iterator[tuple[float, Numbered]]
+
+
+class Driving(Protocol):
+    """An estimator that takes messages one by one."""
+
+    t: float | None
+
+    def add(self, message: Numbered) -> None: ...
+    def status(self) -> tuple[tuple[float, ...], tuple[float, ...], int]: ...
+    def snapshot(self) -> Snapshot: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """rate: seconds of the log in one of the clock; inf: as fast as it goes. linger: see `RobotProcess.run`."""
+
+    rate: float = 1.0
+    linger: float = 30.0
+
+
+@dataclass(slots=True)
+class Listeners:
+    """Map processes that are there, and how many messages each has of this robot."""
+
+    there: set[str] = field(default_factory=set)
+    have: dict[str, int] = field(default_factory=dict)
+    ever: bool = False
+    correction: Correction | None = None
+
+    def all_have(self, n: int) -> bool:
+        """Whether everybody there has the first `n` messages; of those who went, when nobody is there."""
+        names = tuple(self.there) or tuple(self.have)
+        return bool(names) and all(self.have.get(name, 0) >= n for name in names)
+
+
+class RobotProcess:
+    """One robot of a team. wall: the robot's own wall clock [s]."""
+
+    def __init__(
+        self,
+        name: str,
+        session: zenoh.Session,
+        topics: Topics,
+        store: Store,
+        say: Say,
+        wall: Callable[[], float] = time.time,
+    ) -> None:
+        self.name, self.last = name, -1
+        self.listeners = Listeners()
+        self._session, self._topics, self._store, self._say, self._wall = session, topics, store, say, wall
+        self._unsaved: list[tuple[str, int, bytes]] = []
+        self._full_until = 0.0
+        self._declared: list[object] = []
+
+    def join(self) -> None:
+        """Others hear of this robot from now on; raises UsageError when one of its name is there."""
+        time.sleep(SETTLE)
+        if there_is(self._session, self._topics.alive(self.name), NAME_PATIENCE):
+            raise UsageError(f"--name {self.name}: a robot of that name is in team {self._topics.team} already")
+        t, s = self._topics, self._session
+        callback = zenoh.handlers.Callback
+        self._declared = [
+            s.declare_queryable(t.history(self.name), callback(self._answer)),
+            s.declare_queryable(t.clock(self.name), callback(self._tell_time)),
+            s.declare_subscriber(t.map_state(), callback(self._hear_map)),
+            s.declare_subscriber(t.correction(self.name), callback(self._hear_correction)),
+            s.liveliness().declare_subscriber(t.map_alive(), callback(self._map_there), history=True),
+            s.liveliness().declare_token(t.alive(self.name)),
+        ]
+
+    @property
+    def heard_by(self) -> int:
+        """How many map processes have every message."""
+        return sum(n > self.last for n in tuple(self.listeners.have.values()))
+
+    def run(self, messages: Timed, driving: Driving, pace: Pace, stop: Event) -> int:
+        """All of `messages`, each at its time; how many there are now.
+
+        Those in the store already are taken from there and not told again. After the last one the process stays until
+        every map process there has all of them, but at most `pace.linger` [s]; with nobody there (nor ever) it goes.
+        """
+        rest = self._again(messages, driving)
+        begin_t, begin = None, time.monotonic()
+        told_status = told_snapshot = float("-inf")
+        finished = False
+        due: tuple[float, Numbered] | None = next(rest, None)
+        while not stop.is_set() and (due is not None or self._unsaved):
+            batch: list[Numbered] = []
+            now = time.monotonic()
+            while due is not None and len(batch) < MOST_ANSWERS:
+                begin_t = due[0] if begin_t is None else begin_t
+                if begin + (due[0] - begin_t) / pace.rate > now:
+                    break
+                batch.append(due[1])
+                due = next(rest, None)
+            self._tell(batch)
+            for message in batch:
+                driving.add(message)
+            now = time.monotonic()
+            if now >= told_status + STATUS_EVERY:
+                told_status = now
+                self._tell_status(driving, finished=finished)
+            if now >= told_snapshot + SNAPSHOT_EVERY and driving.t is not None:
+                told_snapshot = now
+                self._tell_snapshot(driving)
+            if due is not None and begin_t is not None:
+                wait = min(begin + (due[0] - begin_t) / pace.rate, told_status + STATUS_EVERY) - time.monotonic()
+                stop.wait(max(wait, 0.0))
+            elif self._unsaved:
+                stop.wait(DISK_AGAIN)
+        finished = due is None and not self._unsaved
+        self._tell_snapshot(driving)
+        self._linger(driving, pace, stop, finished=finished)
+        return self.last + 1
+
+    def _again(self, messages: Timed, driving: Driving) -> Timed:
+        """What the store holds, worked in anew; what is left of `messages`."""
+        kept = self._store.get(self.name, 0, 1 << 60)
+        for seq, payload in kept:
+            _, message = next(messages, (0.0, None))
+            if message is None or encode(message) != payload:
+                raise UsageError(f"{self._store.path}: holds the history of another log; --fresh begins a new one")
+            self.last = seq
+            driving.add(message)
+        if kept:
+            self._say(f"{self.name}: goes on after {len(kept)} messages of its history")
+        return messages
+
+    def _tell(self, batch: Sequence[Numbered]) -> None:
+        """On disk first, then to the team: what was told is never lost."""
+        self._unsaved += [(self.name, message.seq, encode(message)) for message in batch]
+        now = time.monotonic()
+        if not self._unsaved or now < self._full_until:
+            return
+        try:
+            self._store.put(self._unsaved)
+        except DataError as error:
+            if self._full_until == 0.0:
+                self._say(f"{self.name}: {error}: driving on, telling nothing until it can be kept")
+            self._full_until = now + DISK_AGAIN
+            return
+        self._full_until = 0.0
+        told, self._unsaved = self._unsaved, []
+        self.last = told[-1][1]
+        for _, _, payload in told:
+            put(self._session, self._topics.log(self.name), payload)
+
+    def _tell_status(self, driving: Driving, *, finished: bool) -> None:
+        pose, cov, landmarks = driving.status()
+        header = self._header
+        status = Status(
+            robot=self.name,
+            run=header[0],
+            sensor=header[1],
+            last=max(self.last, 0),
+            clock=self._wall(),
+            t=driving.t or 0.0,
+            pose=pose,
+            cov=cov,
+            landmarks=landmarks,
+            finished=finished,
+        )
+        put(self._session, self._topics.status(self.name), encode(status))
+
+    @property
+    def _header(self) -> tuple[str, str]:
+        """Run and sensor of this robot."""
+        return self._store.about("run") or "", self._store.about("sensor") or ""
+
+    def _tell_snapshot(self, driving: Driving) -> None:
+        if driving.t is None:
+            return
+        payload = encode(driving.snapshot())
+        if len(payload) <= LARGEST:
+            put(self._session, self._topics.snapshot(self.name), payload)
+
+    def _linger(self, driving: Driving, pace: Pace, stop: Event, *, finished: bool) -> None:
+        """Answers until nobody needs it any more; a status every second."""
+        begin = time.monotonic()
+        told = float("-inf")
+        while not stop.is_set():
+            now = time.monotonic()
+            nobody = not (self.listeners.there or self.listeners.ever)
+            if now > begin + pace.linger or (nobody and now > begin + GRACE):
+                return
+            if self.listeners.all_have(self.last + 1):
+                return
+            if now >= told + STATUS_EVERY:
+                told = now
+                self._tell_status(driving, finished=finished)
+            stop.wait(0.1)
+
+    def _answer(self, query: zenoh.Query) -> None:
+        """The numbered messages that are asked for, as they were told."""
+        with query:
+            wanted = ask_parameters(query)
+            if wanted is None:
+                query.reply_err(b"expected first=A;last=B")
+                return
+            first, last = wanted
+            for _, payload in self._store.get(self.name, first, min(last, first + MOST_ANSWERS - 1)):
+                query.reply(self._topics.history(self.name), payload, congestion_control=zenoh.CongestionControl.BLOCK)
+
+    def _tell_time(self, query: zenoh.Query) -> None:
+        with query:
+            query.reply(self._topics.clock(self.name), repr(self._wall()))
+
+    def _hear_map(self, sample: zenoh.Sample) -> None:
+        try:
+            state = decode(sample.payload.to_bytes())
+        except RefusedError:
+            return
+        if isinstance(state, MapState) and state.map == self._topics.map_of(str(sample.key_expr)):
+            mine = [robot.have for robot in state.robots if robot.robot == self.name]
+            self.listeners.have[state.map] = mine[0] if mine else 0
+
+    def _hear_correction(self, sample: zenoh.Sample) -> None:
+        try:
+            message = decode(sample.payload.to_bytes())
+        except RefusedError:
+            return
+        if isinstance(message, Correction) and message.robot == self.name:
+            self.listeners.correction = message
+
+    def _map_there(self, sample: zenoh.Sample) -> None:
+        name = self._topics.map_of(str(sample.key_expr))
+        if sample.kind == zenoh.SampleKind.PUT:
+            self.listeners.ever = True
+            self.listeners.there.add(name)
+        else:
+            self.listeners.there.discard(name)

@@ -1,0 +1,143 @@
+"""The one place that speaks Zenoh: a session that needs nobody else, and lets go of what nobody takes."""
+
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import zenoh
+
+from ..core.errors import UsageError
+
+LEASE = 3000  # [ms] without a sign of life until a peer counts as gone
+SETTLE = 0.3  # [s] for declarations to reach those who are there
+
+
+@dataclass(frozen=True, slots=True)
+class Network:
+    """How a process reaches the others.
+
+    connect, listen: endpoints as `tcp/host:port`; with none of both, processes of one network find each other. A
+    process that listens passes messages on between those that connect to it. tls: the folder of its certificate.
+    """
+
+    connect: tuple[str, ...] = ()
+    listen: tuple[str, ...] = ()
+    tls: Path | None = None
+    team: str = "team"
+    extra: dict[str, object] = field(default_factory=dict)
+
+
+@contextmanager
+def session(network: Network) -> Iterator[zenoh.Session]:
+    """An open session; raises UsageError when a port is taken, an endpoint is none, or a certificate does not serve."""
+    zenoh.init_log_from_env_or("error")
+    opened = _opened(network)
+    try:
+        yield opened
+    finally:
+        opened.close()  # type: ignore[no-untyped-call]
+
+
+def _opened(network: Network) -> zenoh.Session:
+    config = zenoh.Config()
+    for key, value in settings(network).items():
+        try:
+            config.insert_json5(key, json.dumps(value))
+        except zenoh.ZError as error:
+            raise UsageError(f"{_option(key, value)}: {_first(error)}") from None
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        raise UsageError(f"the network cannot be used: {_first(error)}") from None
+
+
+def settings(network: Network) -> dict[str, object]:
+    """Zenoh's configuration, by its own keys."""
+    alone = not (network.connect or network.listen)
+    out: dict[str, object] = {
+        "mode": "router" if network.listen else "peer",
+        "connect/endpoints": list(network.connect),
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
+        "listen/endpoints": list(network.listen) or ([] if network.connect else ["tcp/[::]:0"]),
+        "listen/timeout_ms": 0,
+        "listen/exit_on_failure": True,
+        "scouting/multicast/enabled": alone,
+        "transport/link/tx/lease": LEASE,
+        "transport/link/tx/keep_alive": 4,
+        "transport/link/rx/max_message_size": 1 << 24,
+    }
+    if network.tls is not None:
+        from .credentials import tls_settings  # noqa: PLC0415  (only where asked for)
+
+        out |= tls_settings(network.tls)
+    return out | network.extra
+
+
+def put(where: zenoh.Session, key: str, payload: bytes) -> None:
+    """Say it to whoever listens; who is too slow misses it and asks for it later. Never waits."""
+    where.put(key, payload, congestion_control=zenoh.CongestionControl.DROP)
+
+
+def ask(
+    where: zenoh.Session,
+    key: str,
+    parameters: str,
+    on_answer: Callable[[bytes], None],
+    on_end: Callable[[], None],
+    timeout: float = 5.0,
+) -> None:
+    """Everybody who answers under `key`; `on_answer` and `on_end` are called from another thread."""
+
+    def take(reply: zenoh.Reply) -> None:
+        if reply.ok is not None:
+            on_answer(reply.ok.payload.to_bytes())
+
+    where.get(
+        f"{key}?{parameters}" if parameters else key,
+        zenoh.handlers.Callback(take, on_end),
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+        timeout=timeout,
+    )
+
+
+def ask_parameters(query: zenoh.Query) -> tuple[int, int] | None:
+    """First and last number of `?first=A;last=B`; None when they are none."""
+    words = [query.parameters.get(name) or "" for name in ("first", "last")]
+    if not all(word.isdecimal() and len(word) < 16 for word in words):
+        return None
+    return int(words[0]), int(words[1])
+
+
+def there_is(where: zenoh.Session, token: str, patience: float) -> bool:
+    """Whether somebody holds the liveliness token still after `patience` [s]; False as soon as nobody does."""
+    end = time.monotonic() + patience
+    while True:
+        if not any(reply.ok for reply in where.liveliness().get(token, timeout=1.0)):
+            return False
+        if time.monotonic() > end:
+            return True
+        time.sleep(0.2)
+
+
+def endpoints(words: Sequence[str] | None, option: str) -> tuple[str, ...]:
+    """Endpoints as the command line spells them; raises UsageError for what is none."""
+    for word in words or ():
+        protocol, slash, rest = word.partition("/")
+        host, colon, port = rest.rpartition(":")
+        if protocol not in {"tcp", "tls", "quic", "udp"} or not (slash and colon and host and port.isdecimal()):
+            raise UsageError(f"{option}: expected protocol/host:port as tcp/192.168.1.5:7447, found {word!r}")
+    return tuple(words or ())
+
+
+def _option(key: str, value: object) -> str:
+    return f"--{key.split('/', maxsplit=1)[0]} {value}"
+
+
+def _first(error: Exception) -> str:
+    """The sentence of Zenoh's error without its source lines."""
+    return str(error).split(" at /")[0].replace("[", "").strip()

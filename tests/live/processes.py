@@ -1,0 +1,101 @@
+"""Real processes of a team on this machine, and what they leave behind."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+COMMAND = (sys.executable, "-m", "mapweave", "live")
+
+
+def free_endpoint() -> str:
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{s.getsockname()[1]}"
+
+
+class Fleet:
+    """Processes of one team in `folder`; a map process listens and the others connect to it."""
+
+    def __init__(self, folder: Path, source: Path, prefix: dict[str, list[str]] | None = None) -> None:
+        self.folder, self.source, self.at = folder, source, free_endpoint()
+        self.prefix = prefix or {}
+        self.running: dict[str, subprocess.Popen] = {}
+        self.more: list[str] = []
+
+    def start(self, name: str, *words: str) -> subprocess.Popen:
+        log = (self.folder / f"{name}.log").open("a")
+        env = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        command = [*self.prefix.get(name, []), *COMMAND, *words, *self.more]
+        self.running[name] = subprocess.Popen(command, cwd=self.folder, stdout=log, stderr=subprocess.STDOUT, env=env)  # noqa: S603
+        return self.running[name]
+
+    def map(self, *words: str, robots="r1,r2", name="map"):
+        return self.start(
+            name, "map", "--out", f"out-{name}", "--name", name, "--robots", robots, "--listen", self.at, *words
+        )
+
+    def robot(self, name: str, *words: str, rate="20"):
+        where = [] if "--connect" in words else ["--connect", self.at]
+        return self.start(
+            name,
+            "robot",
+            "--name",
+            name,
+            "--source",
+            str(self.source),
+            "--rate",
+            rate,
+            "--linger",
+            "60",
+            *where,
+            *words,
+        )
+
+    def kill(self, name: str) -> None:
+        self.running[name].send_signal(signal.SIGKILL)
+        self.running[name].wait()
+
+    def interrupt(self, name: str) -> None:
+        self.running[name].send_signal(signal.SIGINT)
+
+    def wait(self, name: str, timeout=60) -> int:
+        try:
+            return self.running[name].wait(timeout)
+        except subprocess.TimeoutExpired:
+            told = "\n".join(f"{n}: {self.said(n)}" for n in self.running)
+            raise AssertionError(f"{name} does not end\n{told}") from None
+
+    def said(self, name: str) -> str:
+        return (self.folder / f"{name}.log").read_text()
+
+    def hears(self, name: str, words: str, timeout=60) -> None:
+        """Wait until the process has said so."""
+        end = time.monotonic() + timeout
+        while words not in self.said(name):
+            assert time.monotonic() < end, f"{name} never said {words!r}: {self.said(name)}"
+            assert self.running[name].poll() is None, f"{name} ended: {self.said(name)}"
+            time.sleep(0.05)
+
+    def end(self) -> None:
+        for process in self.running.values():
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+
+
+def same_result(a: Path, b: Path) -> None:
+    """Both folders hold the same files, to the byte; how long each stage took is left out."""
+    names = sorted(p.relative_to(a) for p in a.rglob("*") if p.is_file())
+    assert names == sorted(p.relative_to(b) for p in b.rglob("*") if p.is_file())
+    for name in names:
+        first, second = (without_timing(folder / name) for folder in (a, b))
+        assert first == second, name
+
+
+def without_timing(path: Path) -> bytes:
+    data = path.read_bytes()
+    return data.split(b'"timing"')[0] if path.name == "metrics.json" else data

@@ -1,0 +1,163 @@
+"""Every message once and in order, whatever the network did to it."""
+
+import numpy as np
+import pytest
+
+from mapweave.core.errors import DataError, UsageError
+from mapweave.live.inbox import AGAIN, ANSWER, PATIENCE, Inbox
+from mapweave.live.messages import Closed, Rows, Status, encode
+from mapweave.live.store import Store
+
+from .teams import messages, payloads, team
+
+OWNER = "a map of team"
+
+
+@pytest.fixture
+def store(tmp_path):
+    with Store(tmp_path / "map.sqlite", OWNER) as made:
+        yield made
+
+
+def hear(inbox, told, robot="r1", now=0.0):
+    for payload in told:
+        inbox.offer(robot, payload, now)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_doubled_and_shuffled_messages_of_two_robots_give_the_logs_themselves(store, seed):
+    logs = team()
+    rng = np.random.default_rng(seed)
+    told = [(f"r{k}", p) for k, log in enumerate(logs, 1) for p in payloads(log, f"r{k}", f"run{k}")]
+    told += [told[i] for i in rng.integers(len(told), size=len(told) // 2)]
+    inbox = Inbox(store)
+    for i in rng.permutation(len(told)):
+        inbox.offer(*told[i], 0.0)
+        if rng.random() < 0.2:
+            inbox.save()
+    inbox.save()
+    for k, log in enumerate(logs, 1):
+        ledger = inbox.ledgers[f"r{k}"]
+        assert ledger.complete
+        assert ledger.missing == 0
+        assert inbox.records[f"r{k}"].log.log_hash == log.log_hash
+    assert sum(ledger.doubled for ledger in inbox.ledgers.values()) == len(told) - len({p for _, p in told})
+
+
+def test_a_new_process_knows_what_the_last_one_saved(tmp_path):
+    told = payloads(team()[0])
+    with Store(tmp_path / "map.sqlite", OWNER) as store:
+        inbox = Inbox(store)
+        hear(inbox, [*told[:5], *told[7:9]])
+        inbox.save()
+        hear(inbox, told[9:])  # never saved: the process is killed
+    with Store(tmp_path / "map.sqlite", OWNER) as store:
+        inbox = Inbox(store)
+        ledger = inbox.ledgers["r1"]
+        assert (ledger.next, ledger.last, ledger.held) == (5, 8, {7, 8})
+        hear(inbox, told)
+        assert ledger.complete
+        assert inbox.records["r1"].log.log_hash == team()[0].log_hash
+
+
+def test_what_is_missing_is_asked_for_after_a_moment_and_again_when_nobody_answers(store):
+    told = payloads(team()[0])
+    inbox = Inbox(store)
+    hear(inbox, [told[0], told[1], told[6]])
+    assert not list(inbox.gaps(0.5 * PATIENCE))
+    assert list(inbox.gaps(PATIENCE)) == [("r1", 2, 5)]
+    assert not list(inbox.gaps(PATIENCE + 0.5 * AGAIN))
+    assert list(inbox.gaps(PATIENCE + AGAIN)) == [("r1", 2, 5)]
+    inbox.answered("r1")
+    hear(inbox, told[2:4], now=3.0)
+    assert list(inbox.gaps(PATIENCE + AGAIN)) == [("r1", 4, 5)]
+    hear(inbox, told[4:6])
+    assert not list(inbox.gaps(100.0))
+
+
+def test_a_status_tells_of_messages_that_never_came(store):
+    inbox = Inbox(store)
+    status = Status(robot="r1", run="a", sensor="landmarks", last=999, clock=0.0, t=0.0, pose=(0.0,) * 3, cov=())
+    hear(inbox, [encode(status)])
+    assert list(inbox.gaps(PATIENCE)) == [("r1", 0, ANSWER - 1)]
+
+
+def test_a_stranger_a_forged_name_and_another_history_are_counted_and_harm_nobody(store):
+    told = payloads(team()[0])
+    inbox = Inbox(store, ["r1"])
+    hear(inbox, told[:3])
+    hear(inbox, told[3:5], robot="r9")
+    hear(inbox, payloads(team()[1], "r2"), robot="r1")
+    hear(inbox, payloads(team()[0], run="b"))
+    hear(inbox, [b"nonsense"])
+    assert inbox.refused == {"forged name": 2}
+    n = len(payloads(team()[1], "r2"))
+    assert inbox.ledgers["r1"].refused == {"forged name": n, "other history": len(told), "malformed": 1}
+    hear(inbox, payloads(team()[1], "r2"), robot="r2")
+    assert inbox.refused == {"forged name": 2, "not expected": n}
+    hear(inbox, told)
+    assert inbox.records["r1"].log.log_hash == team()[0].log_hash
+    assert len([line for line in inbox.news if "refused" in line]) == 5
+
+
+def test_two_robots_of_one_name_in_the_log_cannot_both_be_in_the_map(store):
+    inbox = Inbox(store)
+    hear(inbox, payloads(team()[0]))
+    hear(inbox, payloads(team()[0], "twin"), robot="twin")
+    assert "r1 is robot1 already" in inbox.ledgers["twin"].fault
+    assert inbox.ledgers["twin"].complete
+    assert list(inbox.records) == ["r1"]
+
+
+def test_messages_after_one_that_contradicts_are_not_used(store):
+    log = team()[0]
+    header, first, *_ = messages(log)
+    wrong = Rows(robot="r1", run="a", seq=2, drive=first.drive)
+    inbox = Inbox(store)
+    hear(inbox, [encode(m) for m in (header, first, wrong, Closed(robot="r1", run="a", seq=3))])
+    ledger = inbox.ledgers["r1"]
+    assert "step back" in ledger.fault
+    assert len(inbox.records["r1"].parts) == 1
+    assert not list(inbox.gaps(10.0))
+
+
+def test_a_full_disk_loses_nothing(store, monkeypatch):
+    inbox = Inbox(store)
+    told = payloads(team()[0])
+    hear(inbox, told[:4])
+    with monkeypatch.context() as patch:
+
+        def full(messages):
+            raise DataError("database or disk is full")
+
+        patch.setattr(store, "put", full)
+        with pytest.raises(DataError):
+            inbox.save()
+        hear(inbox, told[4:])
+    inbox.save()
+    assert store.numbers("r1") == list(range(len(told)))
+
+
+def test_a_store_of_another_owner_version_or_kind_is_told_in_one_line(tmp_path):
+    path = tmp_path / "s.sqlite"
+    with Store(path, "robot r1 of team a") as store:
+        store.put([("r1", 0, b"x")])
+        with pytest.raises(DataError, match="another process holds it"):
+            Store(path, "robot r1 of team a")
+    with pytest.raises(UsageError, match="holds robot r1 of team a, expected robot r2"):
+        Store(path, "robot r2 of team a")
+    with Store(path, "robot r1 of team a") as store:
+        assert store.get("r1", 0, 9) == [(0, b"x")]
+        store.set_about("version", "7")
+    with pytest.raises(UsageError, match="a store of version 7, this is 1"):
+        Store(path, "robot r1 of team a")
+    other = tmp_path / "text"
+    other.write_text("no database at all, but long enough to be read as one" * 20)
+    with pytest.raises(DataError, match="not a database"):
+        Store(other, OWNER)
+
+
+def test_what_was_put_first_stays(store):
+    store.put([("r1", 0, b"first")])
+    store.put([("r1", 0, b"second"), ("r1", 1, b"next")])
+    assert store.get("r1", 0, 9) == [(0, b"first"), (1, b"next")]

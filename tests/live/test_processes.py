@@ -1,0 +1,73 @@
+"""Real processes, killed and started again: the map is the one that `map` makes of the same logs, to the byte."""
+
+import time
+
+import pytest
+
+from mapweave.api.map import map as map_logs
+from mapweave.api.simulate_landmarks import simulate_landmarks
+
+from .processes import Fleet, same_result
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("live") / "team"
+    simulate_landmarks(folder, robots=2, minutes=1.0, seed=3)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def direct(source):
+    folder = source.parent / "direct"
+    map_logs(source, folder)
+    return folder
+
+
+@pytest.fixture
+def fleet(tmp_path, source):
+    made = Fleet(tmp_path, source)
+    yield made
+    made.end()
+
+
+def test_a_team_that_drives_gives_the_map_of_its_logs_whoever_is_killed_meanwhile(fleet, direct):
+    fleet.map()
+    fleet.robot("r1")
+    fleet.robot("r2")
+    fleet.hears("map", "r1: joined")
+    fleet.hears("map", "r2: joined")
+    fleet.kill("r2")
+    fleet.robot("r2")
+    fleet.hears("r2", "goes on after")
+    fleet.kill("map")
+    time.sleep(0.5)
+    fleet.map()
+    for name in ("map", "r1", "r2"):
+        assert fleet.wait(name) == 0, fleet.said(name)
+    same_result(direct, fleet.folder / "out-map")
+    assert "1 map processes have all of them" in fleet.said("r2")
+
+
+def test_robots_drive_with_nobody_listening_and_a_map_that_comes_late_gets_the_past(fleet, direct):
+    assert fleet.robot("r1", rate="inf").wait(60) == 0
+    assert "0 map processes have all of them" in fleet.said("r1")
+    fleet.map()
+    fleet.robot("r1")
+    fleet.robot("r2", rate="inf")
+    fleet.hears("r1", "goes on after")
+    assert fleet.wait("map") == 0, fleet.said("map")
+    same_result(direct, fleet.folder / "out-map")
+
+
+def test_a_map_process_hands_the_past_of_a_robot_that_left_to_another(fleet, direct):
+    fleet.map(robots="r1,r2,r3")  # waits on for one that never comes
+    fleet.robot("r1", rate="inf")
+    fleet.robot("r2", rate="inf")
+    assert fleet.wait("r1") == fleet.wait("r2") == 0
+    fleet.start("late", "map", "--out", "out-late", "--name", "late", "--robots", "r1,r2", "--connect", fleet.at)
+    assert fleet.wait("late") == 0, fleet.said("late")
+    same_result(direct, fleet.folder / "out-late")
+    fleet.interrupt("map")
+    assert fleet.wait("map") == 0, fleet.said("map")
+    same_result(direct, fleet.folder / "out-map")
