@@ -10,7 +10,7 @@ from threading import Event
 
 from ..core.config import load
 from ..core.errors import DataError, UsageError
-from ..core.threads import one_blas_thread
+from ..core.workers import one_blas_thread
 from ..io.directory import check_target
 from ..live.inbox import Inbox
 from ..live.landmark_robot import LandmarkRobot

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 from ..core.errors import UsageError
-from .say import say
+from .terminal import say
 
 if TYPE_CHECKING:
     from ..live.transport import Network

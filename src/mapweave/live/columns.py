@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ..core.arrays import frozen
+from ..core.records import frozen
 from .messages import RefusedError
 
 

@@ -9,8 +9,8 @@ from ..core.records import Event
 from ..core.run import Step, run
 from ..landmarks import ekf_slam
 from ..landmarks.config import EkfSlamConfig
+from ..landmarks.landmark_map import Submap
 from ..landmarks.mapping import config_for, growing_maps, without_impossible
-from ..landmarks.submap import Submap
 from .columns import pack, pack_triangle
 from .landmark_stream import LandmarkRecord
 from .messages import Header, Numbered, Snapshot

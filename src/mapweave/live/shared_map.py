@@ -12,8 +12,7 @@ from ..core.records import Track
 from ..fusion.config import FuseConfig
 from ..fusion.online import OnlineFuser
 from ..fusion.result import Component
-from ..landmarks.local_map import LocalMap
-from ..landmarks.submap import Submap
+from ..landmarks.landmark_map import LocalMap, Submap
 from .columns import unpack, unpack_triangle
 from .inbox import Ledger
 from .messages import Correction, LandmarkState, RefusedError, Snapshot
