@@ -7,6 +7,7 @@ from html import escape
 from pathlib import Path
 
 from ..core.version import __version__
+from .scene import Scene, script
 
 _CSS = """
 :root{color-scheme:light dark;--fg:#1b1f24;--bg:#fff;--line:#d9dde2;--soft:#f4f6f8;--accent:#0072B2;--warn:#b25400}
@@ -20,6 +21,14 @@ th:first-child,td:first-child{text-align:left}td.text{text-align:left;white-spac
 figure{margin:1rem 0}figure img{max-width:100%;height:auto;background:#fff;border:1px solid var(--line);border-radius:6px}
 figcaption{font-size:.88rem;opacity:.8;margin-top:.25rem}.cards{display:flex;flex-wrap:wrap;gap:.75rem}
 .card{background:var(--soft);border-radius:8px;padding:.6rem .9rem;min-width:9rem}.card b{display:block;font-size:1.25rem}
+.scene .view{position:relative}.scene canvas{display:block;width:100%;height:min(70vh,34rem);border:1px solid var(--line);border-radius:6px;
+touch-action:pan-y;cursor:grab}.scene canvas:active{cursor:grabbing}.scene canvas:focus{outline:2px solid var(--accent);touch-action:none}
+.scene .tip{position:absolute;display:none;pointer-events:none;white-space:pre;font-size:.8rem;padding:.3rem .5rem;border-radius:6px;
+background:var(--fg);color:var(--bg)}.scene .bar{display:flex;flex-wrap:wrap;align-items:center;gap:.3rem .9rem;margin:.4rem 0;font-size:.85rem}
+.scene .bar label{display:flex;align-items:center;gap:.3rem}.scene .bar i{width:.8rem;height:.25rem;border-radius:2px}
+.scene .bar button{min-width:2rem;font:inherit;color:inherit;background:var(--soft);border:1px solid var(--line);border-radius:6px}
+.scene .bar input[type=range]{flex:1;min-width:8rem}.scene figcaption span{opacity:.8}
+@media (max-width:40rem){body{padding:1rem .75rem}.card{flex:1}}@media print{.scene .bar{display:none}}
 .warn{color:var(--warn)}footer{margin-top:3rem;font-size:.82rem;opacity:.7}
 """
 
@@ -31,6 +40,7 @@ class Page:
     title: str
     lead: str = ""
     parts: list[str] = field(default_factory=list)
+    scenes: int = 0
 
     def section(self, title: str) -> None:
         self.parts.append(f"<h2>{escape(title)}</h2>")
@@ -51,23 +61,35 @@ class Page:
 
     def figure(self, png: Path, caption: str) -> None:
         """A PNG or GIF, inside the page."""
-        data = base64.b64encode(png.read_bytes()).decode("ascii")
         alt = escape(caption, quote=True)
         self.parts.append(
-            f'<figure><img alt="{alt}" src="data:image/{png.suffix[1:]};base64,{data}"><figcaption>{escape(caption)}</figcaption></figure>'
+            f'<figure><img alt="{alt}" src="{_inside(png)}"><figcaption>{escape(caption)}</figcaption></figure>'
         )
 
+    def scene(self, scene: Scene, caption: str, png: Path | None = None) -> None:
+        """A map to move about in; the picture shows where no script runs. Nothing of a scene that is empty."""
+        still = "" if png is None else f'<img alt="{escape(caption, quote=True)}" src="{_inside(png)}">'
+        if not scene.empty:
+            self.scenes += 1
+            self.parts.append(scene.html(caption, still))
+
     def html(self) -> str:
+        moving = f"<script>{script()}</script>" if self.scenes else ""
         return (
             '<!doctype html><html lang="en"><head><meta charset="utf-8">'
             '<meta name="viewport" content="width=device-width,initial-scale=1">'
             f"<title>{escape(self.title)}</title><style>{_CSS}</style></head><body><h1>{escape(self.title)}</h1>"
             f'<p class="lead">{escape(self.lead)}</p>{"".join(self.parts)}'
-            f"<footer>mapweave {escape(__version__)}</footer></body></html>\n"
+            f"<footer>mapweave {escape(__version__)}</footer>{moving}</body></html>\n"
         )
 
     def write(self, path: Path) -> None:
         path.write_text(self.html(), encoding="utf-8")
+
+
+def _inside(image: Path) -> str:
+    """A PNG or GIF as an address that holds it whole."""
+    return f"data:image/{image.suffix[1:]};base64,{base64.b64encode(image.read_bytes()).decode('ascii')}"
 
 
 def _cell(value: object) -> str:

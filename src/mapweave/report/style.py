@@ -21,6 +21,7 @@ from ..core.gaussian import ellipse
 PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442")
 TRUTH = "#000000"
 MUTED = "#9AA0A6"
+LANDMARK = "#7A8088"  # seen on white and on black
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 SEQUENTIAL = "cividis"
 

@@ -1,0 +1,154 @@
+"""The page's map: what it holds is what was given, and it lives in a browser without a network or an error."""
+
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from mapweave.core.records import Track
+from mapweave.report.html import Page
+from mapweave.report.scene import MOST_CELLS, MOST_POSES, Scene
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+WATCH = """<script>
+window.errors = [];
+window.addEventListener("error", (event) => window.errors.push(event.message));
+window.addEventListener("load", () => setTimeout(() => {
+  const canvas = document.querySelector(".scene canvas");
+  const pixels = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+  const before = pixels.filter((v, i) => i % 4 === 3 && v > 0).length;
+  canvas.focus();
+  canvas.dispatchEvent(new KeyboardEvent("keydown", {key: "+"}));
+  const box = canvas.getBoundingClientRect();
+  for (let x = 0; x < box.width; x += 6) for (let y = 0; y < box.height; y += 6)
+    if (!document.querySelector(".tip").textContent.includes("landmark"))
+      canvas.dispatchEvent(new PointerEvent("pointermove", {clientX: box.left + x, clientY: box.top + y}));
+  document.querySelectorAll(".bar input[type=checkbox]").forEach((box) => box.click());
+  const slider = document.querySelector(".bar input[type=range]");
+  slider.value = 500;
+  slider.dispatchEvent(new Event("input"));
+  document.documentElement.dataset.seen = JSON.stringify({
+    errors: window.errors, ink: before, tip: document.querySelector(".tip").textContent,
+    wide: document.documentElement.scrollWidth - window.innerWidth,
+    time: document.querySelector(".bar output").textContent,
+    layers: [...document.querySelectorAll(".bar label")].map((label) => label.textContent),
+    still: document.querySelectorAll(".still").length,
+  });
+}, 300));
+</script>"""
+
+
+def team() -> Scene:
+    scene = Scene("a hall")
+    known = np.zeros((40, 60), bool)
+    known[5:35, 5:55] = True
+    occupied = np.zeros_like(known)
+    occupied[5, 5:55] = True
+    scene.grid("walls", known, occupied, (-1.0, 5.0, -1.0, 3.0))
+    t = np.linspace(100.0, 140.0, 50)
+    pose = np.column_stack([np.linspace(0, 4, 50), np.sin(t / 5), np.zeros(50)])
+    scene.track("robot 1", "robot <1>", Track(t, pose, np.tile(0.01 * np.eye(3), (50, 1, 1))), "#0072B2")
+    at = np.array([[1.0, 2.0], [3.0, 0.5]])
+    scene.points(
+        "landmarks", ["7", "</script>"], at, "#888888", ["landmark 7", "landmark x"], np.tile(np.eye(2), (2, 1, 1))
+    )
+    scene.lines("closures", np.array([[0.0, 0.0, 1.0, 2.0]]), "#009E73", ["accepted"])
+    return scene
+
+
+def data(scene: Scene) -> dict:
+    page = Page("Hall")
+    page.scene(scene, "a hall")
+    found = re.search(r'<script type="application/json">(.*?)</script>', page.html(), re.DOTALL)
+    return json.loads(found[1])
+
+
+def test_the_page_holds_what_was_given():
+    held = data(team())
+    assert held["points"][0]["names"] == ["7", "</script>"]
+    assert held["tracks"][0]["t"][0] == 100.0
+    assert held["extent"] == [-1.0, 5.0, -1.0, 3.0]
+    half, other, _ = held["points"][0]["ellipses"][0]
+    assert half == other == pytest.approx(np.sqrt(5.991), abs=1e-3)
+
+
+def test_long_trajectories_are_thinned_and_keep_their_ends():
+    n = 20 * MOST_POSES
+    pose = np.column_stack([np.arange(n), np.zeros(n), np.zeros(n)]).astype(float)
+    scene = Scene("long")
+    scene.track("robot 1", "robot 1", Track(np.arange(float(n)), pose), "#000")
+    x = data(scene)["tracks"][0]["x"]
+    assert len(x) <= MOST_POSES
+    assert (x[0], x[-1]) == (0.0, n - 1.0)
+
+
+def test_a_wall_one_cell_thick_is_kept_in_a_large_grid():
+    import base64
+    from io import BytesIO
+
+    from PIL import Image
+
+    known = np.ones((3 * MOST_CELLS, 30), bool)
+    occupied = np.zeros_like(known)
+    occupied[4001] = True
+    scene = Scene("large")
+    scene.grid("walls", known, occupied, (0.0, 1.0, 0.0, 100.0))
+    png = base64.b64decode(data(scene)["grid"]["png"].split(",")[1])
+    image = np.asarray(Image.open(BytesIO(png)).convert("RGBA"))
+    assert max(image.shape) <= MOST_CELLS
+    assert (image[::-1][4001 // 3, :, 0] < 60).all()
+
+
+def test_nothing_that_is_not_finite_reaches_the_page():
+    scene = Scene("odd")
+    scene.points("places", ["a"], np.array([[np.nan, np.inf]]), "#000", ["a"])
+    assert data(scene)["points"][0]["x"] == [0.0]
+
+
+def test_an_empty_scene_is_left_out():
+    page = Page("Empty")
+    page.scene(Scene("nothing"), "nothing")
+    assert "<figure" not in page.html()
+    assert "<script" not in page.html()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+@pytest.mark.parametrize("width", [500, 900, 1400])
+@pytest.mark.parametrize("dark", [False, True])
+def test_the_map_lives_in_a_browser(tmp_path, width, dark):
+    page = Page("Hall")
+    page.scene(team(), "a hall")
+    (tmp_path / "page.html").write_text(page.html().replace("<head>", "<head>" + WATCH))
+    command = [
+        CHROMIUM,
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-background-networking",
+        "--no-first-run",
+    ]
+    command += [
+        "--disable-sync",
+        f"--user-data-dir={tmp_path / 'user'}",
+        f"--window-size={width},900",
+        "--enable-logging=stderr",
+    ]
+    command += ["--force-dark-mode"] * dark + [
+        "--virtual-time-budget=4000",
+        "--dump-dom",
+        (tmp_path / "page.html").as_uri(),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)  # noqa: S603
+    assert "CONSOLE" not in done.stderr
+    seen = json.loads(re.search(r'data-seen="([^"]*)"', done.stdout)[1].replace("&quot;", '"'))
+    assert seen["errors"] == []
+    assert seen["ink"] > 1000
+    assert seen["wide"] <= 0
+    assert seen["tip"].startswith("landmark")
+    assert seen["time"] == "20 s"
+    assert seen["layers"] == ["walls", "closures", "robot 1", "landmarks"]
+    assert seen["still"] == 0
