@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mapweave.laser.trace import blended
 
 from mapweave.core.records import Track
 from mapweave.core.truth import Relations
@@ -17,6 +16,7 @@ from mapweave.laser.config import LaserConfig
 from mapweave.laser.mapping import map_laser
 from mapweave.laser.particle_grid import ParticleGrid
 from mapweave.laser.particle_slam import as_points
+from mapweave.laser.scan_odometry import blended
 from mapweave.laser.weave import weave
 
 pytestmark = pytest.mark.data
