@@ -8,7 +8,7 @@ from mapweave.core.walls import WallIndex
 from mapweave.exploration.laser.config import LaserExploreConfig
 from mapweave.exploration.laser.planner_state import PLANNERS, LaserBelief
 from mapweave.exploration.planner_interface import find_planner
-from mapweave.kernels.laser.render import render
+from mapweave.kernels.laser.sweep import lay_sweep
 from mapweave.laser.occupancy import FREE, OCCUPIED, Occupancy, from_counts
 from mapweave.sim.laser_team import LaserTeamSim
 from mapweave.sim.laser_world import LaserWorld
@@ -38,7 +38,8 @@ class Team:
         self.sim = LaserTeamSim(world, np.array(starts, float), seed=seed)
         M = len(self.sim.true_poses)
         self.alive, self.memory, self.step = np.ones(M, dtype=bool), {}, 0
-        self.corner = np.array(lower, float) - 1.0
+        self.low = np.floor((np.array(lower, float) - 1.0) / self.cfg.resolution + 1e-9).astype(np.int64)
+        self.corner = self.low * self.cfg.resolution
         cols, rows = np.ceil((np.array(upper) + 1.0 - self.corner) / self.cfg.resolution).astype(int)
         self.hits, self.passes = np.zeros((rows, cols), np.int32), np.zeros((rows, cols), np.int32)
         self.given: Occupancy | None = None
@@ -54,10 +55,10 @@ class Team:
         there = se2.act(pose, points)
         others = [p[:2] for k, p in enumerate(self.sim.true_poses) if k != j and self.alive[k]]
         wall = scan.hit & np.all([np.hypot(*(there - o).T) > 0.45 for o in others] or [scan.hit], axis=0)
-        for hits, kept in ((self.hits, wall), (np.zeros_like(self.hits), ~scan.hit)):
-            flat = np.column_stack([there[kept], np.zeros(int(kept.sum()))])
-            sums = np.zeros((*self.hits.shape, 4))
-            render(hits, self.passes, sums, self.corner, self.cfg.resolution, pose[:2], flat, np.ones(len(flat)))
+        far, sums = np.zeros_like(self.hits), np.zeros((*self.hits.shape, 4), np.int64)
+        light = np.tile([0.0, 1.0], (int(wall.sum()), 1))
+        lay_sweep(self.hits, far, self.passes, sums, self.low, self.cfg.resolution, pose[:2], there[wall], light,
+                  there[~scan.hit], np.inf, 1)  # fmt: skip
         return points[scan.hit]
 
     def belief(self) -> LaserBelief:

@@ -12,7 +12,7 @@ from ..laser.beam import IntensityCalibration
 from ..laser.config import LaserConfig
 from ..laser.laser_map import GridMap
 from ..laser.mapping import choose_feature, map_laser, map_session
-from ..laser.render import render_keyframes
+from ..laser.occupancy_mapper import render_keyframes
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import PoseEstimate
 from ..laser.session import GEOMETRY, Feature, LaserSession

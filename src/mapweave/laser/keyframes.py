@@ -31,7 +31,7 @@ class Keyframe(NamedTuple):
 
 class Sweep(NamedTuple):
     """One scan. offset: (3,) pose in keyframe `number`; points: (n, 2) returns and ends: (m, 2) how far beams that
-    did not come back are free, both [m] in the robot frame.
+    did not come back are free, both [m] in the robot frame; light: (n, 2) feature and weight of the returns.
     """
 
     robot: int
@@ -41,6 +41,7 @@ class Sweep(NamedTuple):
     points: Float[np.ndarray, "n 2"]
     ends: Float[np.ndarray, "m 2"]
     origin: Float[np.ndarray, "2"]  # of the sensor on the robot [m]
+    light: Float[np.ndarray, "n 2"] | None = None  # None: all alike, no feature and weight 1
 
 
 @config

@@ -15,7 +15,7 @@ from ..core.workers import Progress, no_progress
 from .beam import STEERING, IntensityCalibration, beams, calibrate, raw_scale
 from .config import LaserConfig
 from .laser_map import LaserMap, ScanRecords
-from .render import render
+from .occupancy_mapper import render
 from .robot_graph import RobotGraph
 from .scan_odometry import ScanInfo, blended
 from .session import Feature, LaserSession

@@ -1,18 +1,79 @@
-"""The merged grid, kept up to date: a scan whose pose moved is taken out and laid in again, exactly."""
+"""Scans at known poses as a grid map: laid at once, or kept up to date, exactly, as their poses move."""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ..core import se2
-from ..kernels.laser.sweep import UNIT, lay_sweep
-from .keyframes import Sweep
+from ..kernels.laser.sweep import UNIT, WEIGHT, lay_sweep
+from .beam import Beams, insertion_weight
 from .laser_map import GridMap
+from .robot_graph import RobotGraph
 
 MARGIN = 80  # cells the arrays grow by beyond what is needed
 EDGE = 2  # cells round the map that is handed over
 BESIDE = 0.15  # [m] of a wall seen from near: far returns are of that wall
 CLEAR = 4  # so many beams through for each far return and a cell is free all the same
 TURN = float(np.radians(0.5))
+
+
+@runtime_checkable
+class LaidScan(Protocol):
+    """What a map takes of a scan, in the robot frame: as `Returns`."""
+
+    @property
+    def points(self) -> Float[np.ndarray, "n 2"]: ...
+    @property
+    def ends(self) -> Float[np.ndarray, "m 2"]: ...
+    @property
+    def origin(self) -> Float[np.ndarray, "2"]: ...
+    @property
+    def light(self) -> Float[np.ndarray, "n 2"] | None: ...
+
+
+class Returns(NamedTuple):
+    """points: (n, 2) returns, ends: (m, 2) how far silent beams are free, origin: (2,) the sensor, all [m] in the robot
+    frame; light: (n, 2) feature and weight, None for no feature and weight 1.
+    """
+
+    points: Float[np.ndarray, "n 2"]
+    ends: Float[np.ndarray, "m 2"]
+    origin: Float[np.ndarray, "2"]
+    light: Float[np.ndarray, "n 2"] | None = None
+
+
+NO_ENDS = np.zeros((0, 2))
+
+
+def render(
+    scans: Sequence[Beams],
+    poses: Float[np.ndarray, "m 3"],
+    sensors: Float[np.ndarray, "m 3"],
+    resolution: float,
+    frame: str,
+) -> GridMap:
+    """The map of `scans` taken at `poses` (robot in `frame`) with the sensor at `sensors` on the robot."""
+    laid = [Returns(b.s, NO_ENDS, T[:2], np.column_stack([b.q, b.w])) for b, T in zip(scans, sensors, strict=True)]
+    return _rendered(laid, poses, resolution, frame)
+
+
+def render_keyframes(graph: RobotGraph, resolution: float, frame: str) -> GridMap:
+    """The map of the keyframes of `graph` alone, in the frame of its poses."""
+    laid = []
+    for i in range(len(graph)):
+        s = graph.points[graph.rows(i)]
+        q = np.zeros(len(s)) if graph.q is None else graph.q[graph.rows(i)]
+        w = insertion_weight(np.hypot(*(s - graph.sensor[i]).T))
+        laid.append(Returns(s, NO_ENDS, graph.sensor[i], np.column_stack([q, w])))
+    return _rendered(laid, graph.pose, resolution, frame)
+
+
+def _rendered(laid: Sequence[LaidScan], poses: Float[np.ndarray, "m 3"], resolution: float, frame: str) -> GridMap:
+    mapper = OccupancyMapper(resolution)
+    mapper.update(laid, poses)
+    return mapper.grid(frame)
 
 
 class OccupancyMapper:
@@ -27,10 +88,10 @@ class OccupancyMapper:
         self.hits = np.zeros((0, 0), np.int32)
         self.far = np.zeros((0, 0), np.int32)  # returns from beyond `near`
         self.passes = np.zeros((0, 0), np.int32)
-        self.sums = np.zeros((0, 0, 2), np.int64)
+        self.sums = np.zeros((0, 0, 4), np.int64)
         self.laid = np.zeros((0, 3))  # where each sweep lies now
 
-    def update(self, sweeps: list[Sweep], poses: Float[np.ndarray, "n 3"]) -> int:
+    def update(self, sweeps: Sequence[LaidScan], poses: Float[np.ndarray, "n 3"]) -> int:
         """Every sweep lies within half a cell and half a degree of its pose; returns how many were laid anew."""
         old = self.laid
         d = poses[: len(old)] - old
@@ -46,7 +107,7 @@ class OccupancyMapper:
             self._lay(sweeps[k], self.laid[k], 1)
         return len(new)
 
-    def grid(self) -> GridMap:
+    def grid(self, frame: str = "map") -> GridMap:
         """The map so far, cut to what was seen.
 
         Returns scatter with their range: where a wall was seen from nearer than `near`, far ones beside it do not
@@ -58,24 +119,30 @@ class OccupancyMapper:
         if not len(rows):
             shape = (2 * EDGE + 1, 2 * EDGE + 1)
             none, zero = np.zeros(shape, np.int32), np.zeros(shape)
-            return GridMap(h, np.array([-EDGE * h, -EDGE * h]), none, none, np.zeros((*shape, 2)), zero, zero)
+            return GridMap(h, np.array([-EDGE * h, -EDGE * h]), none, none, np.zeros((*shape, 2)), zero, zero, frame)
         window = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
         hits, far, passes = (np.pad(a[window], EDGE) for a in (self.hits, self.far, self.passes))
-        beside = widened(hits > 0, max(1, round(BESIDE / h)))
-        again = beside & (far > 0) & (hits == 0) & (CLEAR * far > passes)
-        hits = np.where(beside, hits, hits + far)
-        passes[again] = 0
+        if far.any():
+            beside = widened(hits > 0, max(1, round(BESIDE / h)))
+            again = beside & (far > 0) & (hits == 0) & (CLEAR * far > passes)
+            hits = np.where(beside, hits, hits + far)
+            passes[again] = 0
         low = self.corner + np.array([cols[0], rows[0]]) - EDGE
-        mean = np.zeros((*hits.shape, 2))
+        mean, feature, weight = np.zeros((*hits.shape, 2)), np.zeros(hits.shape), np.zeros(hits.shape)
         row, col = np.nonzero(hits)
         cell = np.column_stack([col, row]) + low
         at = (row - EDGE + rows[0], col - EDGE + cols[0])
-        mean[row, col] = h * (cell + self.sums[at] / (UNIT * (self.hits[at] + self.far[at])[:, None]))
-        return GridMap(h, low * h, hits, passes, mean, np.zeros(hits.shape), hits.astype(np.float32))
+        sums, returns = self.sums[at], self.hits[at] + self.far[at]
+        parts = UNIT * np.maximum(sums[:, 3:], 1)
+        mean[row, col] = h * (cell + sums[:, :2] / parts)
+        feature[row, col] = sums[:, 2] / parts[:, 0]
+        weight[row, col] = sums[:, 3] / WEIGHT * hits[row, col] / returns  # of those returns that count
+        return GridMap(h, low * h, hits, passes, mean, feature, weight, frame)
 
-    def _lay(self, sweep: Sweep, pose: np.ndarray, sign: int) -> None:
+    def _lay(self, sweep: LaidScan, pose: np.ndarray, sign: int) -> None:
         eye = se2.act(pose, sweep.origin)
         points, ends = se2.act(pose, sweep.points), se2.act(pose, sweep.ends)
+        light = sweep.light if sweep.light is not None else np.tile([0.0, 1.0], (len(points), 1))
         lay_sweep(
             self.hits,
             self.far,
@@ -85,12 +152,13 @@ class OccupancyMapper:
             self.resolution,
             eye,
             points,
+            light,
             ends,
             self.near,
             sign,
         )
 
-    def _bounds(self, sweep: Sweep, pose: np.ndarray) -> np.ndarray:
+    def _bounds(self, sweep: LaidScan, pose: np.ndarray) -> np.ndarray:
         """Lower and upper cell [x0 y0 x1 y1] the sweep touches."""
         every = se2.act(pose, np.concatenate([sweep.origin[None], sweep.points, sweep.ends])) / self.resolution
         return np.concatenate([np.floor(every.min(axis=0)), np.floor(every.max(axis=0))]).astype(np.int64)

@@ -6,7 +6,8 @@ import numpy as np
 
 from .._jit import kernel
 
-UNIT = 65536  # parts of a cell that sums of points count in
+UNIT = 1 << 16  # parts of a cell, and of a feature of 1, that sums count in
+WEIGHT = 1 << 24  # parts of a weight of 1: sums stay within 63 bits for eight million returns a cell
 
 
 @kernel
@@ -19,16 +20,18 @@ def lay_sweep(
     cell: float,
     eye: np.ndarray,
     points: np.ndarray,
+    light: np.ndarray,
     ends: np.ndarray,
     near: float,
     sign: int,
 ) -> None:
-    """`hits`, `far`, `passes` (rows, cols) int32 and `sums` (rows, cols, 2) int64 of offsets in the cell, times `sign`.
+    """`hits`, `far`, `passes` (rows, cols) int32 count and `sums` (rows, cols, 4) int64 gather, times `sign`.
 
-    corner: (2,) int64 cell of entry [0, 0]; eye: (2,) sensor; points: (n, 2) returns; ends: (m, 2) where beams that
-    came to nothing were last known free, all [m] in the map. Returns from beyond `near` [m] count as `far` ones. A beam
-    passes every cell it crosses before the one it ends in; a beam without return passes that one too. The same pose
-    counts the same, wherever the corner lies.
+    sums: weight times (offset in the cell x and y, feature, 1), in parts of `UNIT` and `WEIGHT`. corner: (2,) int64
+    cell of entry [0, 0]; eye: (2,) sensor; points: (n, 2) returns; ends: (m, 2) where beams that came to nothing were
+    last known free, all [m] in the map; light: (n, 2) feature and weight of every return. Returns from beyond `near`
+    [m] count as `far` ones. A beam passes every cell it crosses before the one it ends in; a beam without return passes
+    that one too. The same pose counts the same, wherever the corner lies.
     """
     for i in range(points.shape[0]):
         jx, jy = walk(passes, corner, cell, eye[0], eye[1], points[i, 0], points[i, 1], sign)
@@ -39,8 +42,11 @@ def lay_sweep(
             else:
                 hits[jy, jx] += sign
             vx, vy = points[i, 0] / cell, points[i, 1] / cell
-            sums[jy, jx, 0] += sign * np.int64((vx - math.floor(vx)) * UNIT)
-            sums[jy, jx, 1] += sign * np.int64((vy - math.floor(vy)) * UNIT)
+            weight = sign * np.int64(light[i, 1] * WEIGHT)
+            sums[jy, jx, 0] += weight * np.int64((vx - math.floor(vx)) * UNIT)
+            sums[jy, jx, 1] += weight * np.int64((vy - math.floor(vy)) * UNIT)
+            sums[jy, jx, 2] += weight * np.int64(light[i, 0] * UNIT)
+            sums[jy, jx, 3] += weight
     for i in range(ends.shape[0]):
         jx, jy = walk(passes, corner, cell, eye[0], eye[1], ends[i, 0], ends[i, 1], sign)
         if 0 <= jy < hits.shape[0] and 0 <= jx < hits.shape[1]:

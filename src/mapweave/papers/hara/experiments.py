@@ -14,7 +14,7 @@ from ...laser.beam import beams
 from ...laser.config import LaserConfig
 from ...laser.laser_map import GridMap, LaserMap
 from ...laser.mapping import map_laser
-from ...laser.render import render
+from ...laser.occupancy_mapper import render
 from ...laser.scan_matching import FrontEndConfig
 from ...sim.corridor import CorridorConfig, simulate_corridor
 from ...sim.laser import LaserSimulation
