@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from .api.simulate_laser import simulate_laser as simulate_laser
     from .api.simulate_swarm import SimulatedSwarm as SimulatedSwarm
     from .api.simulate_swarm import simulate_swarm as simulate_swarm
+    from .api.simulate_team import SimulatedMixedTeam as SimulatedMixedTeam
+    from .api.simulate_team import simulate_team as simulate_team
     from .api.solve import SolveResult as SolveResult
     from .api.solve import solve_pose_graph as solve_pose_graph
     from .api.team import TeamResult as TeamResult
@@ -97,6 +99,7 @@ _HOMES: dict[str, str] = {
     "simulate_landmarks": "api.simulate_landmarks",
     "simulate_laser": "api.simulate_laser",
     "simulate_swarm": "api.simulate_swarm",
+    "simulate_team": "api.simulate_team",
     "solve_pose_graph": "api.solve",
     "view": "api.view",
     # estimators fed by hand
@@ -118,6 +121,7 @@ _HOMES: dict[str, str] = {
     "Result": "api.result",
     "SimulatedDrive": "api.simulate_laser",
     "SimulatedSwarm": "api.simulate_swarm",
+    "SimulatedMixedTeam": "api.simulate_team",
     "SimulatedTeam": "api.simulate_landmarks",
     "SolveResult": "api.solve",
     "SwarmEvaluation": "api.evaluate_swarm",
@@ -190,6 +194,7 @@ __all__ = (
     "RelationEvaluation",
     "Result",
     "SimulatedDrive",
+    "SimulatedMixedTeam",
     "SimulatedSwarm",
     "SimulatedTeam",
     "SolveResult",
@@ -219,6 +224,7 @@ __all__ = (
     "simulate_landmarks",
     "simulate_laser",
     "simulate_swarm",
+    "simulate_team",
     "solve_pose_graph",
     "view",
 )

@@ -299,3 +299,25 @@ def test_the_real_logs_are_read_whole(data, number, rows_of_odometry, rows_of_si
         set(log.sightings.counts()) <= {str(k) for k in range(6, 21)} | {f"robot{k}" for k in range(1, 6)}
         for log in logs
     )
+
+
+def test_a_sighting_without_a_range_tells_its_bearing_alone(tmp_path):
+    home = tmp_path / "log"
+    home.mkdir()
+    told = ["1.0,1,6,2.5,0.1", "2.0,1,7,,0.2", "3.0,1,robot2,,-0.3", "4.0,1,6,nan,0.4", "5.0,2,6,1.0,0.0"]
+    (home / "sightings.csv").write_text("\n".join(["t,robot,id,range,bearing", *told, ""]), encoding="utf-8")
+    first, second = read_landmark_logs(home)
+    assert first.sightings.counts() == {"6": 1}
+    assert first.bearings.counts() == {"7": 1, "robot2": 1}
+    assert np.isnan(first.bearings.range).all()
+    np.testing.assert_allclose(first.bearings.bearing, [0.2, -0.3])
+    assert sum(first.dropped.values()) == 1  # a range that is said but no number
+    assert first.span == (1.0, 3.0)
+    assert not len(second.bearings)
+    assert first.until(2.5).bearings.counts() == {"7": 1}
+    (home / "sightings.csv").write_text("t,robot,id,bearing\n1.0,1,6,0.1\n", encoding="utf-8")
+    with pytest.raises(DataError, match="no robot saw"):
+        read_landmark_logs(home)
+    (home / "sightings.csv").write_text("t,robot,id\n1.0,1,6\n", encoding="utf-8")
+    with pytest.raises(ReaderError, match="expected the columns"):
+        read_landmark_logs(home)

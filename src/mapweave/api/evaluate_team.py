@@ -12,7 +12,7 @@ from ..core.errors import DataError, ReaderError
 from ..core.names import in_order, robot_key, robot_name
 from ..core.truth import NO_SURVEY, Survey
 from ..evaluation.team import RobotTruth, TeamScore, as_json, score_team
-from ..io.landmark_truth import read_robot_truth, read_survey
+from ..io.landmark_truth import TABLE, read_robot_truth, read_survey
 from ..io.team_map import read_single_maps, read_team_maps
 from ..io.tum import read_tum
 from .result import EvaluationBase
@@ -72,6 +72,7 @@ def evaluate(directory: Path, truth: Sequence[Path]) -> TeamEvaluation:
 def read_team_truth(paths: Sequence[Path], robots: Sequence[str]) -> TeamTruth:
     """Survey and trajectories of data sets, tables and TUM files together; `robots`: whose a TUM file may be."""
     survey, tracks = NO_SURVEY, {}
+    paths = [p for path in paths for p in _with_tracks(path)]
     loose = [p for p in paths if p.is_file() and p.suffix.lower() in (".tum", ".txt")]
     for path in paths:
         if path in loose:
@@ -89,6 +90,13 @@ def read_team_truth(paths: Sequence[Path], robots: Sequence[str]) -> TeamTruth:
     if not len(survey) and not tracks:
         raise DataError(f"{paths[0]}: no surveyed landmark and no true trajectory in it")
     return TeamTruth(survey, _named_as(tracks, robots))
+
+
+def _with_tracks(path: Path) -> list[Path]:
+    """`path`, and the trajectories beside the survey where it is a folder of both (or holds one called `truth`)."""
+    if (path / "truth" / TABLE).is_file():
+        path = path / "truth"
+    return [path, *sorted(path.glob("*.tum"))] if (path / TABLE).is_file() else [path]
 
 
 def unscored(score: TeamScore) -> str:

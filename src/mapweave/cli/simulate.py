@@ -8,6 +8,7 @@ WORLDS: dict[str, tuple[str, str]] = {
         "mapweave.cli.simulate_landmarks:landmarks",
         "A team with cameras among landmarks, in the MRCLAM layout.",
     ),
+    "team": ("mapweave.cli.simulate_team:team", "A mixed team: laser robots, camera robots, robots that see robots."),
     "swarm": ("mapweave.cli.simulate_swarm:swarm", "A swarm of camera robots that see each other."),
     "corridor": ("mapweave.cli.simulate_laser:corridor", "A laser drive round a ring of corridor."),
     "office": ("mapweave.cli.simulate_laser:office", "A laser drive through an office floor."),

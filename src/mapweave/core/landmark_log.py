@@ -53,6 +53,7 @@ NOTHING_SEEN = SightingTable(np.zeros(0), np.zeros(0, np.int64), np.zeros(0), np
 class LandmarkLog:
     """What one robot drove and saw. robot: `robotK`; odometry: commanded velocities or None when there are none.
 
+    bearings: sightings that told no range, which is NaN there; filters leave them aside, smoothing takes them.
     dropped: rows left out, by reason; log_hash: SHA-256 of the whole log's content, kept by `share`, so that a part
     of a log is known to be no independent witness beside the whole.
     """
@@ -64,10 +65,12 @@ class LandmarkLog:
     warnings: tuple[str, ...] = ()
     source: str = ""
     log_hash: str = ""
+    bearings: SightingTable = NOTHING_SEEN
 
     def __post_init__(self) -> None:
         if not self.log_hash:
-            object.__setattr__(self, "log_hash", _hash(self.odometry, self.sightings))
+            tables = (self.sightings, self.bearings) if len(self.bearings) else (self.sightings,)
+            object.__setattr__(self, "log_hash", _hash(self.odometry, *tables))
 
     @property
     def number(self) -> int:
@@ -76,14 +79,14 @@ class LandmarkLog:
     @property
     def span(self) -> tuple[float, float]:
         """First and last stamp [s] of all rows; raises DataError when there are none."""
-        stamps = [self.sightings.t] if self.odometry is None else [self.sightings.t, self.odometry.t]
+        stamps = [self.sightings.t, self.bearings.t, *(() if self.odometry is None else (self.odometry.t,))]
         ends = [(t[0], t[-1]) for t in stamps if len(t)]
         if not ends:
             raise DataError(f"{self.source}: {self.robot} has neither odometry nor sightings")
         return float(min(a for a, _ in ends)), float(max(b for _, b in ends))
 
     def __len__(self) -> int:
-        return len(self.sightings) + (0 if self.odometry is None else len(self.odometry.t))
+        return len(self.sightings) + len(self.bearings) + (0 if self.odometry is None else len(self.odometry.t))
 
     def events(self, cuts: Sequence[float] = ()) -> Iterator[Event]:
         """All rows as one packet, or as one up to and including each of `cuts` [s], ascending, and one of the rest.
@@ -116,17 +119,21 @@ class LandmarkLog:
         if odometry is not None:
             n = int(np.searchsorted(odometry.t, t, side="right"))
             odometry = Odometry(odometry.t[:n], odometry.v[:n], odometry.w[:n]) if n else None
-        return replace(self, odometry=odometry, sightings=self.sightings.select(self.sightings.t <= t))
+        sightings = self.sightings.select(self.sightings.t <= t)
+        return replace(
+            self, odometry=odometry, sightings=sightings, bearings=self.bearings.select(self.bearings.t <= t)
+        )
 
 
-def _hash(odometry: Odometry | None, sightings: SightingTable) -> str:
+def _hash(odometry: Odometry | None, *tables: SightingTable) -> str:
     digest = hashlib.sha256()
     if odometry is not None:
         for column in (odometry.t, odometry.v, odometry.w):
             digest.update(np.ascontiguousarray(column).tobytes())
-    digest.update("\n".join(sightings.ids).encode())
-    for column in (sightings.t, sightings.what, sightings.range, sightings.bearing):
-        digest.update(np.ascontiguousarray(column).tobytes())
+    for table in tables:
+        digest.update("\n".join(table.ids).encode())
+        for column in (table.t, table.what, table.range, table.bearing):
+            digest.update(np.ascontiguousarray(column).tobytes())
     return digest.hexdigest()
 
 

@@ -1,10 +1,11 @@
 """Landmark logs opened, whatever holds them: an MRCLAM data set (folder or zip) or a folder of plain CSV.
 
 The folder holds `odometry.csv` (t,robot,v,w) and `sightings.csv` (t,robot,id,range,bearing). The header line is needed
-and may order the columns freely. Robots are whole numbers; an id `robotK` names a robot.
+and may order the columns freely. Robots are whole numbers; an id `robotK` names a robot. A sighting whose range is
+empty, or a table without that column, tells bearings alone.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from .table import Columns, Table, csv_rows, is_name, lines, table_of
 
 ODOMETRY, SIGHTINGS = "odometry.csv", "sightings.csv"
 DRIVEN, SEEN = ("t", "robot", "v", "w"), ("t", "robot", "id", "range", "bearing")
+UNTOLD = {"": np.nan, "nan": np.inf}  # a range that is empty is not told; one that is no number is dropped with its row
 LARGEST = 10**9  # the number of a robot is less
 Rows = tuple[np.ndarray, np.ndarray, list[str]]  # the numeric columns but the robot, the robots' numbers, the ids
 
@@ -35,6 +37,36 @@ def read_csv_landmarks(path: Path, robots: Sequence[int] | None = None) -> tuple
         drive = _columns(files, ODOMETRY, DRIVEN) if ODOMETRY in files.names else None
         seen = _columns(files, SIGHTINGS, SEEN)
     return _logs(drive, seen, robots, str(path), (f"{path}/{ODOMETRY}", f"{path}/{SIGHTINGS}"))
+
+
+def read_tables(odometry: Path | None, sightings: Path | None, others: Collection[str] = ()) -> tuple[LandmarkLog, ...]:
+    """The logs in an `odometry.csv` and a `sightings.csv`, each on its own; one of them may be missing.
+
+    others: robots (`robotK`) whose logs lie elsewhere, which may be sighted. A robot without a row has no log here.
+    """
+    drive = seen = None
+    if odometry is not None:
+        with open_files(odometry.parent) as files:
+            drive = _columns(files, odometry.name, DRIVEN)
+    if sightings is not None:
+        with open_files(sightings.parent) as files:
+            seen = _columns(files, sightings.name, SEEN)
+    path = str(sightings or odometry)
+    nothing: Rows = (np.zeros((0, 3)), np.zeros(0, np.int64), [])
+    return _logs(drive, nothing if seen is None else seen, None, path, (str(odometry), str(sightings)), others)
+
+
+def columns_of(path: Path) -> str:
+    """`odometry` or `sightings`, as the first line of the table at `path` says; "" for anything else."""
+    try:
+        with path.open("rb") as file:
+            head = lines(file.readline(), str(path))
+    except (OSError, ReaderError):
+        return ""
+    header = {h.strip().lower() for h in head[0].split(",")} if head else set()
+    if header == set(DRIVEN):
+        return "odometry"
+    return "sightings" if header in (set(SEEN), set(SEEN) - {"range"}) else ""
 
 
 def landmark_logs_of(
@@ -62,14 +94,19 @@ def _numbered(table: Table, columns: tuple[str, ...]) -> Rows:
 
 
 def _logs(
-    drive: Rows | None, seen: Rows, robots: Sequence[int] | None, path: str, labels: tuple[str, str]
+    drive: Rows | None,
+    seen: Rows,
+    robots: Sequence[int] | None,
+    path: str,
+    labels: tuple[str, str],
+    others: Collection[str] | None = None,
 ) -> tuple[LandmarkLog, ...]:
     robot_of_drive = np.zeros(0, np.int64) if drive is None else drive[1]
     found = sorted({*robot_of_drive.tolist(), *seen[1].tolist()})
     missing = [k for k in robots or () if k not in found]
     if missing:
         raise DataError(f"{path}: no robot {missing[0]}; there are {', '.join(map(str, found))}")
-    names = {f"robot{k}" for k in found}
+    names = {f"robot{k}" for k in found} | set(others or ())
     logs = []
     for k in found if robots is None else robots:
         mend = landmark_log.Mending()
@@ -78,17 +115,22 @@ def _logs(
             odometry = landmark_log.mended_odometry(drive[0][robot_of_drive == k], labels[0], mend)
         if odometry is None:
             mend.warnings.append("no odometry: mapped with a random walk between sightings")
-        table = _sightings(seen, k, names, labels[1], mend)
-        if not len(table):
+        table, bearings = _sightings(seen, k, names, labels[1], mend)
+        if not len(table) and not len(bearings):
             mend.warnings.append("it saw nothing")
-        logs.append(LandmarkLog(f"robot{k}", odometry, table, mend.dropped, tuple(mend.warnings), path))
-    if not any(len(log.sightings) for log in logs):
+        logs.append(
+            LandmarkLog(f"robot{k}", odometry, table, mend.dropped, tuple(mend.warnings), path, bearings=bearings)
+        )
+    if others is None and not any(len(log.sightings) for log in logs):
         raise DataError(f"{path}: no robot saw anything")
     landmark_log.check_one_recording({log.robot: log.span for log in logs if len(log)}, path)
     return tuple(logs)
 
 
-def _sightings(seen: Rows, k: int, robots: set[str], label: str, mend: landmark_log.Mending) -> SightingTable:
+def _sightings(
+    seen: Rows, k: int, robots: set[str], label: str, mend: landmark_log.Mending
+) -> tuple[SightingTable, SightingTable]:
+    """What robot `k` saw with a range, and by bearing alone."""
     numeric, robot, ids = seen
     rows = np.flatnonzero(robot == k)
     own = f"robot{k}"
@@ -98,10 +140,20 @@ def _sightings(seen: Rows, k: int, robots: set[str], label: str, mend: landmark_
     table = np.column_stack([numeric[rows, 0], what, numeric[rows, 1:]])
     stranger = np.array([ids[i] == own or (ids[i].startswith("robot") and ids[i] not in robots) for i in rows], bool)
     mend.drop("sighting of itself or of no robot", int(stranger.sum()))
-    table = landmark_log.mended_sightings(table[~stranger] if len(rows) else table, label, mend)
-    if not len(table):
+    table = table[~stranger] if len(rows) else table
+    told = ~np.isnan(table[:, 2])
+    ranged = landmark_log.mended_sightings(table[told], label, mend)
+    directed = table[~told]
+    directed[:, 2] = 1.0
+    directed = landmark_log.mended_sightings(directed, label, mend) if len(directed) else directed
+    directed[:, 2] = np.nan
+    return _table(ranged, mine), _table(directed, mine)
+
+
+def _table(rows: np.ndarray, ids: Sequence[str]) -> SightingTable:
+    if not len(rows):
         return NOTHING_SEEN
-    return SightingTable(table[:, 0], table[:, 1].astype(np.int64), table[:, 2], table[:, 3], tuple(mine))
+    return SightingTable(rows[:, 0], rows[:, 1].astype(np.int64), rows[:, 2], rows[:, 3], tuple(ids))
 
 
 def _columns(files: Files, name: str, columns: tuple[str, ...]) -> Rows:
@@ -109,22 +161,21 @@ def _columns(files: Files, name: str, columns: tuple[str, ...]) -> Rows:
     label = files.label(name)
     rows = csv_rows(lines(files.read(name), label), label)
     header = [h.strip().lower() for h in next(rows, [])]
-    if sorted(header) != sorted(columns):
-        raise ReaderError(
-            label, f"expected the columns {','.join(columns)}, found {','.join(header)[:200] or 'none'}", 1
-        )
-    where = [header.index(c) for c in columns]
+    where = _places(header, columns, label)
     numeric: list[list[float]] = []
     robot: list[int] = []
     ids: list[str] = []
     for line, row in enumerate(rows, 2):
         if not row or row[0].startswith("#"):
             continue
-        if len(row) != len(columns):
-            raise ReaderError(label, f"expected {len(columns)} columns, found {len(row)}", line)
+        if len(row) != len(header):
+            raise ReaderError(label, f"expected {len(header)} columns, found {len(row)}", line)
         values = []
         for column, i in zip(columns, where, strict=True):
-            word = row[i].strip()
+            word = "" if i < 0 else row[i].strip()
+            if column == "range" and word in UNTOLD:
+                values.append(UNTOLD[word])
+                continue
             if column == "id":
                 if not is_name(word):
                     raise ReaderError(label, f"expected an id, found {word[:40]!r}", line)
@@ -141,6 +192,16 @@ def _columns(files: Files, name: str, columns: tuple[str, ...]) -> Rows:
         numeric.append(values)
     width = len(columns) - 1 - ("id" in columns)
     return np.array(numeric, dtype=np.float64).reshape(-1, width), np.array(robot, dtype=np.int64), ids
+
+
+def _places(header: list[str], columns: tuple[str, ...], label: str) -> list[int]:
+    """Where each of `columns` stands, -1 for a range that the table does not tell."""
+    directed = columns == SEEN and "range" not in header
+    if sorted([*header, *(["range"] if directed else [])]) != sorted(columns):
+        raise ReaderError(
+            label, f"expected the columns {','.join(columns)}, found {','.join(header)[:200] or 'none'}", 1
+        )
+    return [-1 if directed and c == "range" else header.index(c) for c in columns]
 
 
 def _whole(word: str) -> int:

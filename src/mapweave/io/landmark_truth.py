@@ -13,6 +13,7 @@ from .files import Files, open_files
 from .table import csv_rows, is_name, line_of, lines, numbers
 
 SURVEY = "Landmark_Groundtruth.dat"
+TABLE = "surveyed_landmarks.csv"  # what a simulated team's truth calls its survey
 TRUTH_FILE = re.compile(r"^Robot([0-9]+)_(Groundtruth|GroundtruthInstants|GroundtruthKeyframes)\.dat$")
 LARGEST = 10**9  # the number of a subject is less
 KINDS = ("Groundtruth", "GroundtruthInstants", "GroundtruthKeyframes")  # the first there is is used
@@ -21,7 +22,9 @@ EXTRA = {"Groundtruth": 0, "GroundtruthInstants": 2, "GroundtruthKeyframes": 0} 
 
 
 def read_survey(path: Path) -> Survey:
-    """Surveyed landmarks: of an MRCLAM data set (folder or zip), or an `id,x,y` CSV file."""
+    """Surveyed landmarks: of an MRCLAM data set (folder or zip), an `id,x,y` CSV file, or a folder with that one."""
+    if (path / TABLE).is_file():
+        path = path / TABLE
     if path.is_file() and path.suffix.lower() == ".csv":
         return _survey_csv(path)
     with open_files(path) as files:

@@ -17,13 +17,16 @@ SLIP_MEMORY = 1.0  # [s]
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """t: (n,) [s] from 0; command: (n, 2) v, w as logged; pose: (n, 3) as driven; then the sensor's hidden errors."""
+    """t: (n,) [s] from 0; command: (n, 2) v, w as logged; pose: (n, 3) as driven; then what nobody told the robot."""
 
     t: Float[np.ndarray, " n"]
     command: Float[np.ndarray, "n 2"]
     pose: Float[np.ndarray, "n 3"]
-    range_scale: float
+    speed_scale: float
+    turn_scale: float
+    lag: float
     bearing_bias: float
+    range_scale: float
 
 
 def scattered(count: int, size: Float[np.ndarray, "2"], rng: np.random.Generator) -> Float[np.ndarray, "n 2"]:
@@ -40,9 +43,18 @@ def scattered(count: int, size: Float[np.ndarray, "2"], rng: np.random.Generator
 
 
 def drive_team(
-    robots: int, size: Float[np.ndarray, "2"], seconds: float, noise: float, bias: float, rng: np.random.Generator
+    robots: int,
+    size: Float[np.ndarray, "2"],
+    seconds: float,
+    noise: float,
+    bias: float,
+    rng: np.random.Generator,
+    wide: float = 0.0,
 ) -> list[Drive]:
-    """Each robot roams round a home of its own; neighbouring homes overlap."""
+    """Each robot roams round a home of its own; neighbouring homes overlap.
+
+    wide: times what a careless workshop leaves of wheels and cameras, instead of `bias` times a real team's errors.
+    """
     n = max(2, round(seconds / COMMAND_STEP))
     homes = scattered(robots, 0.7 * size, rng)
     roam = max(4.0, 1.2 * np.sqrt(size[0] * size[1] / robots))
@@ -51,6 +63,12 @@ def drive_team(
     lag = np.round(bias * rng.uniform(0.12, 0.20, robots) / COMMAND_STEP).astype(np.intp)
     range_scale = 1 + bias * rng.normal(0.0, 0.01, robots)
     bearing_bias = bias * rng.normal(0.0, 0.006, robots)
+    if wide > 0:
+        v_scale = 1 + wide * rng.uniform(-0.1, 0.1, robots)
+        w_scale = 1 + wide * rng.uniform(-0.3, 0.1, robots)
+        lag = np.round(wide * rng.uniform(0.0, 0.3, robots) / COMMAND_STEP).astype(np.intp)
+        range_scale = 1 + wide * rng.normal(0.0, 0.02, robots)
+        bearing_bias = wide * rng.normal(0.0, 0.02, robots)
 
     pose = np.zeros((n, robots, 3))
     command = np.zeros((n, robots, 2))
@@ -76,7 +94,8 @@ def drive_team(
         pose[i + 1] = se2.compose(pose[i], se2.exp(twist))
     command[-1] = command[-2]
     t = COMMAND_STEP * np.arange(n)
-    return [Drive(t, command[:, k], pose[:, k], float(range_scale[k]), float(bearing_bias[k])) for k in range(robots)]
+    hidden = np.column_stack([v_scale, w_scale, lag * COMMAND_STEP, bearing_bias, range_scale])
+    return [Drive(t, command[:, k], pose[:, k], *hidden[k].tolist()) for k in range(robots)]
 
 
 def _waypoints(

@@ -83,7 +83,7 @@ def _record(
     pose = se2.interpolate(frames, own.t, own.pose)
     others = [se2.interpolate(frames, d.t, d.pose)[:, :2] for d in drives]
     targets = np.concatenate([np.stack(others, 1), np.broadcast_to(landmarks, (len(frames), *landmarks.shape))], axis=1)
-    seen, ranges, bearings = _look(pose, targets, k, own, world, rng)
+    seen, ranges, bearings = camera_frames(pose, targets, k, own, world.noise, rng)
     frame, target = np.nonzero(seen)
     r, b = ranges[seen], bearings[seen]
     wild = rng.random(len(r)) < world.outliers * np.minimum((r / 3.5) ** 2, 3.0)
@@ -93,7 +93,7 @@ def _record(
     truth = np.column_stack([START + truth_at, se2.interpolate(truth_at, own.t, own.pose)])
     return RobotRecording(
         number=k + 1,
-        odometry=_rows(own, rng),
+        odometry=command_rows(own, rng),
         stamps=START + np.round(frames[frame], 3),
         barcodes=code,
         sightings=np.column_stack([r, b]),
@@ -101,12 +101,12 @@ def _record(
     )
 
 
-def _look(
+def camera_frames(
     pose: Float[np.ndarray, "f 3"],
     targets: Float[np.ndarray, "f n 2"],
     k: int,
     own: Drive,
-    world: TeamWorld,
+    noise: float,
     rng: np.random.Generator,
 ) -> tuple[Bool[np.ndarray, "f n"], Float[np.ndarray, "f n"], Float[np.ndarray, "f n"]]:
     """Which target every frame shows, and every range and bearing as the camera of robot k would tell it."""
@@ -118,8 +118,8 @@ def _look(
     sigma = np.hypot(RANGE_FLOOR, RANGE_SLOPE * r)
     e_r = _remembered(r.shape, RANGE_MEMORY, RANGE_WHITE, rng)
     e_b = _remembered(r.shape, BEARING_MEMORY, BEARING_WHITE, rng)
-    measured = own.range_scale * r + world.noise * sigma * e_r
-    return seen, np.maximum(measured, 0.05), se2.wrap_angle(b + own.bearing_bias + world.noise * BEARING_SIGMA * e_b)
+    measured = own.range_scale * r + noise * sigma * e_r
+    return seen, np.maximum(measured, 0.05), se2.wrap_angle(b + own.bearing_bias + noise * BEARING_SIGMA * e_b)
 
 
 def _remembered(shape: tuple[int, ...], memory: float, white: float, rng: np.random.Generator) -> np.ndarray:
@@ -131,7 +131,7 @@ def _remembered(shape: tuple[int, ...], memory: float, white: float, rng: np.ran
     return np.asarray(np.sqrt(1 - white) * slow + np.sqrt(white) * rng.normal(size=shape))
 
 
-def _rows(own: Drive, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
+def command_rows(own: Drive, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
     """The command rows as logged: stamps in milliseconds, a few lost for up to a second, a few repeated."""
     keep = np.ones(len(own.t), bool)
     for _ in range(int(rng.poisson(own.t[-1] / 120.0))):

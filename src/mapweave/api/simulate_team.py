@@ -1,0 +1,136 @@
+"""Simulated recordings of a mixed team: laser robots, camera robots, robots with nothing but bearings to the others."""
+
+from collections import Counter
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from ..core.threads import one_blas_thread
+from ..core.version import __version__
+from ..io.directory import check_target, write_json
+from ..io.mixed_team import Row, TrueTeam, write_mixed_team
+from ..report.result import ResultBase, Rows
+from ..sim.mixed_team import MixedRecording, MixedWorld, simulate_mixed
+from ..team.robot_part import PARAMETERS
+
+if TYPE_CHECKING:
+    from ..report.style import Target
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class SimulatedMixedTeam(ResultBase, MixedRecording):
+    """The recording, and the world and the seed it came from."""
+
+    world: MixedWorld
+    seed: int
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """What stands in `simulation.json`."""
+        robots = {
+            str(r.number): {
+                "kind": r.kind,
+                **asdict(r.carries),
+                "sightings": len(r.seen.t),
+                "scans": 0 if r.laser is None else len(r.laser.scans),
+                "clock": r.clock,
+            }
+            for r in self.robots
+        }
+        return {"version": __version__, "seed": self.seed, "world": asdict(self.world), "robots": robots}
+
+    def lines(self) -> list[str]:
+        kinds = ", ".join(f"{n} of kind {kind}" for kind, n in Counter(r.kind for r in self.robots).items())
+        seen = sum(len(r.seen.t) for r in self.robots)
+        return [f"{kinds}, {len(self.landmarks)} landmarks, {seen} sightings, seed {self.seed}"]
+
+    def headline(self) -> Rows:
+        rows = [
+            (r.number, r.kind, len(r.seen.t), 0 if r.laser is None else len(r.laser.scans), _driven(r.truth.pose))
+            for r in self.robots
+        ]
+        return ("robot", "kind", "sightings", "scans", "driven [m]"), rows
+
+    def draw(self, target: "Target") -> None:
+        """Walls, landmarks and the true ways."""
+        from ..report.simulation import draw_world  # noqa: PLC0415  (figures cost half a second)
+
+        ways = {f"robot {r.number}, {r.kind}": r.truth.pose[:, :2] for r in self.robots}
+        points = np.array(list(self.landmarks.values())).reshape(-1, 2)
+        draw_world(target, "the simulated team", ways, points, walls=self.walls.segments)
+
+    def write_into(self, folder: Path) -> None:
+        """The files `map` takes, `truth/` and `simulation.json`."""
+        rows: list[Row] = [
+            (t, str(r.number), name, z, b)
+            for r in self.robots
+            for t, name, z, b in zip(
+                r.seen.t.tolist(), r.seen.ids, r.seen.range.tolist(), r.seen.bearing.tolist(), strict=True
+            )
+        ]
+        hidden = {str(r.number): {p: getattr(r.drive, p) for p in PARAMETERS} for r in self.robots}
+        write_mixed_team(
+            folder,
+            {str(r.number): r.commands for r in self.robots if r.commands is not None},
+            rows,
+            [r.laser for r in self.robots if r.laser is not None],
+            TrueTeam(self.landmarks, self.walls.segments, {r.name: r.truth for r in self.robots}, hidden),
+        )
+        write_json(folder / "simulation.json", self.metrics)
+
+
+@one_blas_thread()
+def simulate_team(
+    out: Path | str | None = None,
+    *,
+    lasers: int = 2,
+    cameras: int = 2,
+    bearing_cameras: int = 0,
+    bearings: int = 1,
+    rooms: int = 1,
+    landmarks: int = 15,
+    minutes: float = 5.0,
+    noise: float = 1.0,
+    bias: float = 1.0,
+    outliers: float = 0.0,
+    calibration: Literal["real", "random"] = "real",
+    clock: float = 0.0,
+    everything: bool = False,
+    seed: int = 0,
+    force: bool = False,
+) -> SimulatedMixedTeam:
+    """The recording (the same for the same seed), written to the folder `out` when one is given.
+
+    noise, bias: relative to a real team's; outliers: the share of sightings that are mislabelled or wrong by metres;
+    clock: [s] sd of the laser logs' clocks. Raises UsageError for a world that cannot be, or an `out` that holds
+    something other than an earlier recording.
+    """
+    world = MixedWorld(
+        lasers=lasers,
+        cameras=cameras,
+        bearing_cameras=bearing_cameras,
+        bearings=bearings,
+        rooms=rooms,
+        landmarks=landmarks,
+        minutes=minutes,
+        noise=noise,
+        bias=bias,
+        outliers=outliers,
+        calibration=calibration,
+        clock=clock,
+        everything=everything,
+    )
+    world.check()
+    if out is not None:
+        check_target(Path(out), force=force)
+    made = simulate_mixed(world, seed)
+    team = SimulatedMixedTeam(made.robots, made.landmarks, made.walls, world, seed)
+    if out is not None:
+        team.write(out, force=force)
+    return team
+
+
+def _driven(way: np.ndarray) -> float:
+    return float(np.hypot(*np.diff(way[:, :2], axis=0).T).sum())

@@ -1,0 +1,296 @@
+"""A team in which every robot carries something else: laser scanners, cameras for landmarks, or eyes for robots alone.
+
+They drive in rooms in a row, among landmarks on posts. The walls between rooms stop lasers and wheels; cameras stand
+higher and look over them. Robots are lower than the laser's plane.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core import se2
+from ..core.arrays import frozen
+from ..core.config import config
+from ..core.errors import UsageError
+from ..core.laser_log import LaserLog
+from ..core.records import Scan, Track
+from ..kernels.walls.raycast import cast
+from .drift import DriftConfig, drifted
+from .driving import Drive, drive_team, scattered
+from .landmarks import FRAME, START, TRUTH_STEP, camera_frames, command_rows
+from .laser import stream
+from .laser_world import LaserWorld, WallStyle, WorldBuilder
+from .scanner import Reflectance, Scanner, measure
+
+SCAN_EVERY, WHEELS_EVERY = 1.0, 0.2  # [s]; the second is a whole part of the first
+SCANNER = Scanner(beams=271, opening=np.radians(270.0), far=10.0)
+WHEELS = DriftConfig(scale=0.02, end_error=None)
+AREA_PER_LANDMARK, LEAST_AREA = 8.0, 40.0  # [m^2] of a room
+REACH, RIM, DEPTH, THICK = 0.55, 1.3, (0.2, 0.6), 0.4  # of a room's size robots go; [m] from there to the wall; boxes
+WILD = 3.0  # [m] sd of a range that is wrong by metres
+Sees = Literal["nothing", "bearings", "ranges"]
+KINDS = ("laser", "camera", "bearing-camera", "bearings")
+
+
+@config
+class MixedWorld:
+    """What to simulate; noise and bias are relative to a real team's (1), outliers is a share of all sightings.
+
+    calibration: `real` draws wheels and cameras as a real team's, `random` as a careless workshop leaves them; clock:
+    [s] sd of each laser log's clock; everything: every robot carries all that any of them does, on the same ways.
+    """
+
+    lasers: int = 2
+    cameras: int = 2
+    bearing_cameras: int = 0
+    bearings: int = 1
+    rooms: int = 1
+    landmarks: int = 15
+    minutes: float = 5.0
+    noise: float = 1.0
+    bias: float = 1.0
+    outliers: float = 0.0
+    calibration: Literal["real", "random"] = "real"
+    clock: float = 0.0
+    everything: bool = False
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The kind of robots 1, 2, .."""
+        counts = (self.lasers, self.cameras, self.bearing_cameras, self.bearings)
+        return tuple(kind for kind, n in zip(KINDS, counts, strict=True) for _ in range(n))
+
+    def check(self) -> None:
+        """Raises UsageError when no world can be made of it."""
+        least = {"lasers": 0, "cameras": 0, "bearing-cameras": 0, "bearings": 0, "rooms": 1, "landmarks": 0}
+        for name, low in {**least, "noise": 0.0, "bias": 0.0, "clock": 0.0}.items():
+            found = getattr(self, name.replace("-", "_"))
+            if not low <= found < np.inf:
+                raise UsageError(f"--{name} must be {low:g} or more, found {found}")
+        if not self.kinds:
+            raise UsageError("a team needs a robot: --lasers, --cameras, --bearing-cameras and --bearings are all 0")
+        if not 0.0 < self.minutes < np.inf:
+            raise UsageError(f"--minutes must be more than 0, found {self.minutes}")
+        if not 0.0 <= self.outliers <= 1.0:
+            raise UsageError(f"--outliers is a share between 0 and 1, found {self.outliers}")
+        if self.calibration not in {"real", "random"}:
+            raise UsageError(f"--calibration: expected real or random, found {self.calibration!r}")
+
+
+@dataclass(frozen=True, slots=True)
+class Carries:
+    """What a robot has: wheels that tell their commands, a laser, a camera for landmarks, one for other robots."""
+
+    wheels: bool
+    laser: bool
+    landmarks: Sees
+    robots: Sees
+
+
+CARRIES = {
+    "laser": Carries(wheels=False, laser=True, landmarks="nothing", robots="nothing"),
+    "camera": Carries(wheels=True, laser=False, landmarks="ranges", robots="ranges"),
+    "bearing-camera": Carries(wheels=True, laser=False, landmarks="bearings", robots="bearings"),
+    "bearings": Carries(wheels=False, laser=False, landmarks="nothing", robots="bearings"),
+}
+EVERYTHING = Carries(wheels=True, laser=True, landmarks="ranges", robots="ranges")
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """n sightings in order of time. t: (n,) [s]; range: (n,) [m], NaN where it was not told; bearing: (n,) [rad]."""
+
+    t: Float[np.ndarray, " n"]
+    ids: tuple[str, ...]
+    range: Float[np.ndarray, " n"]
+    bearing: Float[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, slots=True)
+class MixedRobot:
+    """One robot's rows and truth.
+
+    commands: (n, 3) t, v, w, or None; laser: its log, by its own clock, which is `clock` [s] ahead; truth: poses in the
+    frame of the world; drive: as it drove, with what nobody told the robot.
+    """
+
+    number: int
+    kind: str
+    carries: Carries
+    commands: Float[np.ndarray, "n 3"] | None
+    seen: Seen
+    laser: LaserLog | None
+    clock: float
+    truth: Track
+    drive: Drive
+
+    @property
+    def name(self) -> str:
+        return f"robot{self.number}"
+
+
+@dataclass(frozen=True, slots=True)
+class MixedRecording:
+    """landmarks: id -> (x, y) [m]; walls: what lasers see."""
+
+    robots: tuple[MixedRobot, ...]
+    landmarks: dict[str, tuple[float, float]]
+    walls: LaserWorld
+
+
+def simulate_mixed(world: MixedWorld, seed: int = 0) -> MixedRecording:
+    """The recording of `world`; the same for the same seed. Landmarks are L1, L2, ..
+
+    Each robot and sensor draws from a stream of its own: what a robot carries changes nothing for the others.
+    """
+    world.check()
+    each = [world.landmarks // world.rooms + (k < world.landmarks % world.rooms) for k in range(world.rooms)]
+    area = max(LEAST_AREA, AREA_PER_LANDMARK * max(each))
+    size = np.array([np.sqrt(area * 15 / 8), np.sqrt(area * 8 / 15)])
+    pitch = 2 * (REACH * size[0] + RIM) + THICK
+    middle = np.array([[k * pitch, 0.0] for k in range(world.rooms)])
+    posts = [scattered(n, size, stream(seed, f"posts {k}")) + middle[k] for k, n in enumerate(each)]
+    points = np.concatenate(posts)
+    walls = _walls(middle, size, stream(seed, "walls"))
+    drives = _drives(world, middle, size, seed)
+    names = tuple(f"L{i + 1}" for i in range(len(points)))
+    robots = tuple(_robot(k, world, drives, points, names, walls, seed) for k in range(len(drives)))
+    return MixedRecording(
+        robots, {name: (float(x), float(y)) for name, (x, y) in zip(names, points, strict=True)}, walls
+    )
+
+
+def _drives(
+    world: MixedWorld, middle: Float[np.ndarray, "r 2"], size: Float[np.ndarray, "2"], seed: int
+) -> list[Drive]:
+    """The robots of every kind go to one room after the other."""
+    before = dict.fromkeys(KINDS, 0)
+    room = []
+    for kind in world.kinds:
+        room.append(before[kind] % world.rooms)
+        before[kind] += 1
+    out: list[Drive | None] = [None] * len(room)
+    for r in range(world.rooms):
+        mine = [k for k, where in enumerate(room) if where == r]
+        if mine:
+            rng = stream(seed, f"drive {r}")
+            wide = 1.0 if world.calibration == "random" else 0.0
+            made = drive_team(len(mine), size, 60 * world.minutes, world.noise, world.bias, rng, wide)
+            for k, drive in zip(mine, made, strict=True):
+                out[k] = replace(drive, pose=drive.pose + np.append(middle[r], 0.0))
+    return [drive for drive in out if drive is not None]
+
+
+def _walls(middle: Float[np.ndarray, "r 2"], size: Float[np.ndarray, "2"], rng: np.random.Generator) -> LaserWorld:
+    """Every room with its own walls and boxes along them, clear of where robots go."""
+    build = WorldBuilder("rooms", WallStyle(), rng)
+    half = REACH * size + RIM
+    for x, y in middle.tolist():
+        corners = [(x + sx * half[0], y + sy * half[1]) for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        for a, b in zip(corners, corners[1:] + corners[:1], strict=True):
+            build.plain(a, b)
+        for side in (-1.0, 1.0):
+            for at in np.arange(-half[0] + 0.4, half[0] - 1.6, 2.2):
+                if rng.random() < 0.7:
+                    wide, deep = float(rng.uniform(0.4, 1.4)), float(rng.uniform(*DEPTH))
+                    edge = y + side * half[1]
+                    build.box(x + float(at), min(edge, edge - side * deep), wide, deep, float(rng.uniform(0.2, 0.8)))
+            for at in np.arange(-half[1] + 0.8, half[1] - 1.4, 1.8):
+                if rng.random() < 0.6:
+                    wide, deep = float(rng.uniform(*DEPTH)), float(rng.uniform(0.3, 1.0))
+                    edge = x + side * half[0]
+                    build.box(min(edge, edge - side * wide), y + float(at), wide, deep, float(rng.uniform(0.2, 0.8)))
+    return build.world()
+
+
+def _robot(
+    k: int,
+    world: MixedWorld,
+    drives: list[Drive],
+    points: Float[np.ndarray, "n 2"],
+    names: tuple[str, ...],
+    walls: LaserWorld,
+    seed: int,
+) -> MixedRobot:
+    own, kind = drives[k], world.kinds[k]
+    carries = EVERYTHING if world.everything else CARRIES[kind]
+    clock = world.clock * float(stream(seed, f"clock {k}").standard_normal())
+    at = np.arange(0.0, own.t[-1], TRUTH_STEP)
+    return MixedRobot(
+        number=k + 1,
+        kind=kind,
+        carries=carries,
+        commands=command_rows(own, stream(seed, f"commands {k}")) if carries.wheels else None,
+        seen=_sightings(k, world, carries, drives, points, names, seed),
+        laser=_laser(k, own, clock, walls, seed) if carries.laser else None,
+        clock=clock if carries.laser else 0.0,
+        truth=Track(START + at, se2.interpolate(at, own.t, own.pose), frame="world"),
+        drive=own,
+    )
+
+
+def _sightings(
+    k: int,
+    world: MixedWorld,
+    carries: Carries,
+    drives: list[Drive],
+    points: Float[np.ndarray, "n 2"],
+    names: tuple[str, ...],
+    seed: int,
+) -> Seen:
+    """What robot k's camera told, frame by frame, some of it mislabelled or wrong by metres."""
+    rng, own = stream(seed, f"camera {k}"), drives[k]
+    frames = np.arange(rng.uniform(0.5, 1.0), own.t[-1], FRAME)
+    pose = se2.interpolate(frames, own.t, own.pose)
+    others = [se2.interpolate(frames, d.t, d.pose)[:, :2] for d in drives]
+    targets = np.concatenate([np.stack(others, 1), np.broadcast_to(points, (len(frames), *points.shape))], axis=1)
+    seen, ranges, bearings = camera_frames(pose, targets, k, own, world.noise, rng)
+    ids = np.array([*(f"robot{j + 1}" for j in range(len(drives))), *names])
+    is_robot = np.arange(len(ids)) < len(drives)
+    wrong = rng.random(seen.shape) < world.outliers
+    mislabel = wrong & (rng.random(seen.shape) < 0.5)
+    label = rng.integers(0, len(ids), seen.shape)
+    label = np.where(label == k, (label + 1) % len(ids), label)
+    ranges = np.where(wrong & ~mislabel, np.abs(ranges + WILD * rng.standard_normal(seen.shape)) + 0.1, ranges)
+    turned = np.pi * rng.uniform(-1.0, 1.0, seen.shape)
+    for which, sees in ((is_robot, carries.robots), (~is_robot, carries.landmarks)):
+        if sees == "nothing":
+            seen[:, which] = False
+        if sees != "ranges":
+            ranges[:, which] = np.nan
+            lost = wrong & ~mislabel & which
+            bearings = np.where(lost, turned, bearings)
+    frame = np.nonzero(seen)[0]
+    what = np.where(mislabel, label, np.arange(len(ids)))[seen]
+    t = START + np.round(frames[frame], 3)
+    return Seen(t, tuple(ids[what].tolist()), ranges[seen], bearings[seen])
+
+
+def _laser(k: int, own: Drive, clock: float, walls: LaserWorld, seed: int) -> LaserLog:
+    each = round(SCAN_EVERY / WHEELS_EVERY)
+    t = WHEELS_EVERY * np.arange(int(own.t[-1] / WHEELS_EVERY) + 1)
+    true = se2.interpolate(t, own.t, own.pose)
+    wheels, _ = drifted(true, WHEELS, stream(seed, f"wheels {k}"))
+    at = np.arange(0, len(t), each)
+    nobody = np.zeros((len(at), 0, 3))
+    hit_at, what, cosine = cast(
+        np.ascontiguousarray(true[at]), SCANNER.angles(), walls.segments, nobody, SCANNER.far + 0.3
+    )
+    surface = np.append(walls.reflectance, 0.0)
+    ranges, _ = measure(hit_at, what, cosine, surface[what], SCANNER, Reflectance(), stream(seed, f"scanner {k}"))
+    stamp = (np.round((START + clock + t) * 1e6).astype(np.int64) * 1000) / 1e9
+    scans = tuple(
+        Scan(
+            frozen(ranges[i]),
+            frozen(ranges[i] < SCANNER.range_max, dtype=bool),
+            None,
+            SCANNER.angle_min,
+            SCANNER.angle_increment,
+            SCANNER.range_max,
+            odometry=frozen(wheels[j]),
+        )
+        for i, j in enumerate(at.tolist())
+    )
+    return LaserLog(str(k + 1), f"simulated team, seed {seed}", stamp[at], scans, Track(stamp, wheels, frame="odom"))
