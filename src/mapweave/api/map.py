@@ -67,7 +67,8 @@ def map(  # noqa: A001  (the verb)
     ----------
     logs
         MRCLAM data sets (folder or zip), folders of `odometry.csv` and `sightings.csv`, laser logs (.bag, .db3, .mcap,
-        CARMEN and others), or `LaserLog`s in memory. Leave it out where tables are given.
+        CARMEN and others), or `LaserLog`s in memory. Logs of several kinds together, and tables of commands and
+        sightings beside them, are a mixed team. Leave it out where tables are given.
     out
         The folder to write; an earlier result there is replaced whole.
     scans
@@ -171,10 +172,20 @@ def _of_logs(logs: Sequence[Path | str | LaserLog], options: MapOptions) -> MapR
             raise UsageError("expected files or logs in memory, found both")
         return _laser(ready, options)
     paths = [Path(log) for log in logs if not isinstance(log, LaserLog)]
+    if _is_mixed(paths):
+        from .map_mixed import map_logs  # noqa: PLC0415  (each kind of log imports what it needs)
+
+        return map_logs(paths, options)
     mapper = _mapper(paths)
     if (given := options.laser.given()) and mapper.__name__ != LASER:
         raise UsageError(f"{', '.join(given)}: only for laser logs, found {paths[0]}")
     return mapper.map_logs(paths, options)
+
+
+def _is_mixed(paths: Sequence[Path]) -> bool:
+    from ..io.mixed_logs import is_mixed  # noqa: PLC0415
+
+    return all(path.exists() for path in paths) and is_mixed(paths)
 
 
 def _in_memory(

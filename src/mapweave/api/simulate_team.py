@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ..core.threads import one_blas_thread
 from ..core.version import __version__
+from ..core.workers import one_blas_thread
 from ..io.directory import check_target, write_json
 from ..io.mixed_team import Row, TrueTeam, write_mixed_team
 from ..report.result import ResultBase, Rows

@@ -63,7 +63,7 @@ def team(
         Write into the folder even when something else stands there.
     """
     from ..api.simulate_team import simulate_team
-    from .say import say
+    from .terminal import say
 
     made = simulate_team(
         out,

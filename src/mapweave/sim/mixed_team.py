@@ -11,11 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.arrays import frozen
 from ..core.config import config
 from ..core.errors import UsageError
 from ..core.laser_log import LaserLog
-from ..core.records import Scan, Track
+from ..core.records import Scan, Track, frozen
 from ..kernels.walls.raycast import cast
 from .drift import DriftConfig, drifted
 from .driving import Drive, drive_team, scattered

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from jaxtyping import Float, Int
 
 from ..core.gaussian import symmetrise
-from ..solve import Information, SingularError, Solution
+from ..solve import Factor, Information, SingularError, Solution
 from ..solve.multifrontal import Elimination
 from .config import SmoothingConfig
 from .problem import TeamProblem
@@ -114,7 +114,8 @@ class _Known:
         out = self._moved(index) - (self._moved(hubs) @ self.taken.T) @ self.motions[index].T
         groups = float(len(out) - self.priors)
         shared = float(np.count_nonzero(self.free >= self.team.landmark_start))
-        out[: len(out) - self.priors] *= np.sqrt(groups / max(groups - shared, groups / MOST_CORRECTED))
+        if groups:
+            out[: len(out) - self.priors] *= np.sqrt(groups / max(groups - shared, groups / MOST_CORRECTED))
         return np.asarray(out)
 
     def _moved(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "groups k"]:
@@ -178,15 +179,26 @@ def _scores(team: TeamProblem, x: Float[np.ndarray, " n"], length: float) -> sp.
 
 
 def _priors(team: TeamProblem, x: Float[np.ndarray, " n"]) -> sp.csr_matrix:
-    """What one standard deviation of error of each prior would pull, (priors, n)."""
+    """What one standard deviation of error of each prior and of each way that scans tell would pull, (priors, n)."""
     rows = [sp.csr_matrix((0, len(x)))]
-    for term, origin in zip(team.problem.terms, team.origins, strict=True):
+    for term, origin in zip(team.factors, team.origins, strict=True):
         if origin is None:
-            information = term.normal(x)[0] + TINY * np.eye(term.columns.shape[1])
-            pull = np.asarray(np.linalg.cholesky(information)[:, :, 0], dtype=np.float64)
+            pull = _pulls(term, x)
             row = np.repeat(np.arange(len(pull)), pull.shape[1])
-            rows.append(sp.csr_matrix((pull.ravel(), (row, term.columns.ravel())), shape=(len(pull), len(x))))
+            columns = np.repeat(term.columns, term.rows, axis=0).ravel()
+            rows.append(sp.csr_matrix((pull.ravel(), (row, columns)), shape=(len(pull), len(x))))
     return sp.csr_matrix(sp.vstack(rows))
+
+
+def _pulls(term: Factor, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "p d"]:
+    """Rows whose outer products add up to the term's information."""
+    if term.rows == 1:
+        information = term.normal(x)[0] + TINY * np.eye(term.columns.shape[1])
+        return np.asarray(np.linalg.cholesky(information)[:, :, 0], dtype=np.float64)
+    J, W = term.jacobian(x), term.sqrt_info
+    if W is not None:
+        J = W[..., None] * J if W.ndim == 2 else W @ J
+    return np.asarray((np.sqrt(term.weights(x))[:, None, None] * J).reshape(-1, J.shape[2]))
 
 
 def _correlation(team: TeamProblem, robot: int, x: Float[np.ndarray, " n"], length: float) -> float:

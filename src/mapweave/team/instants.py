@@ -36,12 +36,17 @@ def instants_of(log: LandmarkLog, seen_at: Float[np.ndarray, " s"], track: Track
     """The instants of `log`'s robot: first and last stamp, sightings it made, sightings of it inside its log."""
     first, last = log.span
     inside = seen_at[(seen_at >= first) & (seen_at <= last)]
-    t = np.unique(np.concatenate([[first, last], log.sightings.t, inside]))
+    t = np.unique(np.concatenate([[first, last], log.sightings.t, log.bearings.t, inside]))
     t = _spaced(t, cfg.shortest_step)
     gaps = np.diff(t)
     parts = np.maximum(np.ceil(gaps / cfg.longest_step - 1e-9).astype(int), 1)
     more = [np.linspace(a, b, n + 1)[1:-1] for a, b, n in zip(t[:-1], t[1:], parts, strict=True) if n > 1]
     t = np.sort(np.concatenate([t, *more]))
+    return Instants(t, se2.interpolate(t, track.t, track.pose), track)
+
+
+def keyframe_instants(t: Float[np.ndarray, " n"], track: Track) -> Instants:
+    """The instants of a robot whose scans became keyframes at `t`: between them its scans tell the way well."""
     return Instants(t, se2.interpolate(t, track.t, track.pose), track)
 
 

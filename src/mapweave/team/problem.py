@@ -6,7 +6,7 @@ robot's first pose is held too.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,12 +16,14 @@ from scipy.sparse.csgraph import connected_components
 from ..core.landmark_log import LandmarkLog
 from ..core.records import Track
 from ..landmarks.landmark_map import LandmarkMap
-from ..solve import Factor, Pattern, Problem, Solution, SolveConfig, minimise, wrapping
+from ..laser.robot_graph import RobotGraph
+from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, minimise, wrapping
 from .commanded_motion import CommandedMotion
 from .config import CalibrationPrior, SmoothingConfig
-from .instants import instants_of
+from .instants import instants_of, keyframe_instants
 from .motion_factors import step_factor
 from .robot_part import LAG, PARAMETERS, RANGE, SPEED, TURN, RobotPart
+from .scan_factors import Crossing, crossing_factor, scan_factor
 from .sighting_factors import sighting_factors
 
 HELD_TOGETHER = 0.002  # sd of the mean range scale of robots without odometry: nothing else holds their size
@@ -54,10 +56,23 @@ class TeamProblem:
     def landmark_columns(self) -> Int[np.ndarray, " n"]:
         return self.landmark_start + np.arange(2 * len(self.landmarks))
 
-    def solve(self, cfg: SmoothingConfig) -> Solution:
-        """The minimum near the start."""
+    def solve(self, cfg: SmoothingConfig, start: Float[np.ndarray, " n"] | None = None) -> Solution:
+        """The minimum near the start (or near `start`)."""
+        problem = self.problem if start is None else replace(self.problem, x0=start)
         limits = SolveConfig(max_iterations=cfg.max_iterations, damping=1e-4, step_tolerance=1e-4, cost_tolerance=5e-5)
-        return minimise(self.problem, limits, self.pattern)
+        return minimise(problem, limits, self.pattern)
+
+    def softened(self, width: float) -> "TeamProblem":
+        """The same problem with every robust kernel `width` times as wide: far starts still feel what they saw."""
+        terms = [
+            replace(term, kernel=Cauchy(width * term.kernel.k)) if isinstance(term.kernel, Cauchy) else term
+            for term in self.factors
+        ]
+        return replace(self, problem=replace(self.problem, terms=terms))
+
+    @property
+    def factors(self) -> list[Factor]:
+        return [term for term in self.problem.terms if isinstance(term, Factor)]
 
 
 def team_problem(
@@ -67,15 +82,26 @@ def team_problem(
     labels: Mapping[str, Mapping[str, str]],
     calibration: Mapping[str, Mapping[str, tuple[float, float]]],
     cfg: SmoothingConfig,
+    scans: Mapping[str, RobotGraph] | None = None,
+    crossings: Sequence[Crossing] = (),
 ) -> TeamProblem:
     """The problem of all `logs` (in order; the first robot's first pose is the gauge), started at a fused map.
+
+    scans[robot]: the keyframes of a robot with a laser, whose scans tell how it moved, not its wheels; crossings:
+    keyframes of two such robots that were matched.
 
     landmarks, tracks: where to start, in one frame; labels[robot]: own landmark name -> name in the map;
     calibration[robot]: parameter -> (mean, standard deviation) known beforehand, in place of the prior of `cfg`.
     """
     names = [log.robot for log in logs]
+    scans = scans or {}
     seen_at = _seen_at(logs, names) if cfg.robot_sightings else {name: np.zeros(0) for name in names}
-    at = [instants_of(log, seen_at[log.robot], tracks[log.robot], cfg) for log in logs]
+    at = [
+        keyframe_instants(scans[log.robot].t, tracks[log.robot])
+        if log.robot in scans
+        else instants_of(log, seen_at[log.robot], tracks[log.robot], cfg)
+        for log in logs
+    ]
     starts = np.concatenate([[0], np.cumsum([3 * len(i.t) for i in at])]).astype(int)
     landmark_start = int(starts[-1])
     first_parameter = landmark_start + 2 * len(landmarks)
@@ -85,7 +111,8 @@ def team_problem(
             at[k],
             int(starts[k]),
             first_parameter + len(PARAMETERS) * k,
-            None if log.odometry is None else CommandedMotion.of(log.odometry, cfg.motion.hold),
+            None if log.odometry is None or log.robot in scans else CommandedMotion.of(log.odometry, cfg.motion.hold),
+            scans.get(log.robot),
         )
         for k, log in enumerate(logs)
     )
@@ -99,7 +126,7 @@ def team_problem(
     where = {name: landmark_start + 2 * k for k, name in enumerate(landmarks.ids)}
     used: dict[str, int] = {}
     for k, part in enumerate(parts):
-        if len(part.instants.t) > 1:
+        if part.scans is None and len(part.instants.t) > 1:
             terms.append(step_factor(part, cfg, float(prior[k][0][LAG])))
             origins.append(Origin(k, part.instants.t[:-1]))
         found = sighting_factors(part, {p.robot: p for p in parts}, labels.get(part.robot, {}), where, x0, cfg)
@@ -107,6 +134,10 @@ def team_problem(
             terms.append(term)
             origins.append(Origin(k, t))
             used[term.name] = used.get(term.name, 0) + len(term.columns)
+    for term in _scan_terms(parts, crossings, cfg):
+        terms.append(term)
+        origins.append(None)
+        used[term.name] = used.get(term.name, 0) + len(term.columns)
     for part in _first_of_groups(parts, terms, len(x0)):
         fixed[part.start : part.start + 3] = True
     terms += _priors(parts, prior)
@@ -114,6 +145,17 @@ def team_problem(
     angles = np.concatenate([part.start + 3 * np.arange(len(part.instants.t)) + 2 for part in parts])
     problem = Problem(x0, terms, fixed, wrapping(angles))
     return TeamProblem(parts, landmarks.ids, landmark_start, problem, Pattern.of(problem), tuple(origins), used)
+
+
+def _scan_terms(parts: Sequence[RobotPart], crossings: Sequence[Crossing], cfg: SmoothingConfig) -> list[Factor]:
+    """Every robot's own pose graph, and for each pair of robots their keyframes that were matched."""
+    terms = [scan_factor(part, part.scans) for part in parts if part.scans is not None and len(part.scans) > 1]
+    by = {part.robot: part for part in parts}
+    pairs: dict[tuple[str, str], list[Crossing]] = {}
+    for crossing in crossings:
+        if crossing.a in by and crossing.b in by:
+            pairs.setdefault((crossing.a, crossing.b), []).append(crossing)
+    return terms + [crossing_factor(by[a], by[b], found, cfg.motion.outlier) for (a, b), found in pairs.items()]
 
 
 def _first_of_groups(parts: Sequence[RobotPart], terms: Sequence[Factor], n: int) -> list[RobotPart]:
@@ -131,10 +173,10 @@ def _seen_at(logs: Sequence[LandmarkLog], names: Sequence[str]) -> dict[str, Flo
     """When each robot was sighted by another."""
     out: dict[str, list[np.ndarray]] = {name: [np.zeros(0)] for name in names}
     for log in logs:
-        table = log.sightings
-        for k, name in enumerate(table.ids):
-            if name in out and name != log.robot:
-                out[name].append(table.t[table.what == k])
+        for table in (log.sightings, log.bearings):
+            for k, name in enumerate(table.ids):
+                if name in out and name != log.robot:
+                    out[name].append(table.t[table.what == k])
     return {name: np.concatenate(parts) for name, parts in out.items()}
 
 
@@ -174,7 +216,7 @@ def _priors(parts: Sequence[RobotPart], prior: Sequence[tuple[np.ndarray, np.nda
         for part, (_, sd) in zip(parts, prior, strict=True)
         if part.motion is None and sd[RANGE] > 0
     ]
-    if loose and all(part.motion is None for part in parts):
+    if loose and all(part.motion is None and part.scans is None for part in parts):
         held = np.array([loose])
         n = len(loose)
         centre = float(np.mean([m[RANGE] for m, _ in prior]))

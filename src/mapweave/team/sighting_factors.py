@@ -23,11 +23,13 @@ def sighting_factors(
     cfg: SmoothingConfig,
 ) -> list[tuple[Factor, Float[np.ndarray, " m"]]]:
     """What this robot saw of landmarks and of other robots, with the stamps."""
-    table, camera = part.log.sightings, cfg.camera
+    table, camera = part.seen, cfg.camera
     point = np.full(len(table), -1)
+    first, last = part.instants.t[0], part.instants.t[-1]
+    there = (table.t >= first) & (table.t <= last)
     out = []
     for k, own in enumerate(table.ids):
-        rows = np.flatnonzero(table.what == k)
+        rows = np.flatnonzero((table.what == k) & there)
         other = team.get(own)
         if other is None or own == part.robot:
             point[rows] = landmarks.get(labels.get(own, own), -1)
@@ -91,13 +93,14 @@ def _sighting_factor(
     bearing: float,
     camera: CameraNoise,
 ) -> Factor:
-    """Range and bearing of points, from where the robot was at the stamp: a little way from its nearest instant.
+    """Bearing, and range where it was told, from where the robot was at the stamp: a little way from its instant.
 
     The range's noise grows with the distance expected at the start, not with the range read: else short readings
     would weigh more, and the map would shrink.
     """
-    table = part.log.sightings
-    z = np.stack([table.range[rows], table.bearing[rows]], axis=-1)
+    table = part.seen
+    ranged = np.isfinite(table.range[rows])
+    z = np.stack([np.where(ranged, table.range[rows], 0.0), table.bearing[rows]], axis=-1)
     k, step = part.instants.from_nearest(table.t[rows])
     pose = part.pose_columns(k)
     parameters = np.tile(part.parameters + np.array([BIAS, RANGE]), (len(z), 1))
@@ -132,4 +135,5 @@ def _sighting_factor(
 
     expected = np.linalg.norm(seen.at(x0)[0] - eye(x0)[0], axis=1)
     sd = np.stack([np.hypot(floor, camera.range_share * expected), np.full(len(z), bearing)], axis=-1)
+    sd[~ranged, 0] = np.inf
     return Factor(columns, residual, jacobian, 2, 1.0 / sd, Cauchy(camera.outlier), "landmark" if end == 5 else "robot")

@@ -10,12 +10,15 @@ from ..core import se2
 from ..core.landmark_log import LandmarkLog
 from ..core.records import Track
 from ..landmarks.landmark_map import LandmarkMap
+from ..laser.robot_graph import RobotGraph
+from ..laser.scan_odometry import blended
 from ..solve import SingularError, Solution, Status
 from .commanded_motion import LAG, TURN
 from .config import SmoothingConfig
 from .covariance import TeamCovariance, team_covariance
 from .problem import TeamProblem, team_problem
 from .robot_part import PARAMETERS, RobotPart
+from .scan_factors import Crossing
 from .team_map import TeamMap
 
 OBSERVED = 0.7  # share of the prior's standard deviation
@@ -52,22 +55,35 @@ def smooth(
     labels: Mapping[str, Mapping[str, str]],
     cfg: SmoothingConfig,
     calibration: Mapping[str, Calibration] | None = None,
+    scans: Mapping[str, RobotGraph] | None = None,
+    crossings: Sequence[Crossing] = (),
+    soften: Sequence[float] = (),
 ) -> Smoothed:
     """`team` with all of `logs` (those of its robots) worked into one least-squares problem, started at the filters'.
 
     labels[robot]: own landmark name -> name in the map. calibration: what is known beforehand of some robots, in place
-    of the prior; a standard deviation of 0 holds a value. Poses stand at every odometry and sighting stamp. Where the
+    of the prior; a standard deviation of 0 holds a value. scans[robot]: the keyframes of a robot with a laser;
+    crossings: those of two robots that were matched. soften: before the end, every kernel is so many times as wide, one
+    after the other, for starts that are far off. Poses stand at every odometry and sighting stamp. Where the
     problem has no minimum near the start, the map stays as it was and `refused` says why.
     """
     own = {log.robot: log for log in logs}
     chosen = [own[robot] for robot in team.robots if robot in own]
-    chosen = [log for log in chosen if len(log.sightings) and len(team.tracks[log.robot].t)]
+    scans = scans or {}
+    chosen = [
+        log
+        for log in chosen
+        if (len(log.sightings) or len(log.bearings) or log.robot in scans) and len(team.tracks[log.robot].t)
+    ]
     if not chosen:
         return _kept(team, cfg, "nobody saw anything")
-    problem = team_problem(chosen, team.landmarks, team.tracks, labels, calibration or {}, cfg)
-    if not problem.used:
+    problem = team_problem(chosen, team.landmarks, team.tracks, labels, calibration or {}, cfg, scans, crossings)
+    if not set(problem.used) - {"scan"}:
         return _kept(team, cfg, "nobody saw a landmark of the map or another robot", problem)
-    solution = problem.solve(cfg)
+    x = None
+    for width in soften:
+        x = problem.softened(width).solve(cfg, x).x
+    solution = problem.solve(cfg, x)
     if solution.status in {Status.SINGULAR, Status.DIVERGED} or not np.isfinite(solution.x).all():
         return _kept(team, cfg, f"the problem of the whole team is {solution.status}", problem, solution)
     try:
@@ -138,14 +154,21 @@ def _calibration(problem: TeamProblem, solution: Solution, cov: TeamCovariance) 
 def _dense(part: RobotPart, x: Float[np.ndarray, " n"], cov: Float[np.ndarray, "k 3 3"]) -> Track:
     """Poses at every stamp of the log: between instants as commanded, bent so that both ends are met."""
     log, at = part.log, part.instants.t
-    stamps = [log.sightings.t] if log.odometry is None else [log.sightings.t, log.odometry.t]
-    t = np.unique(np.concatenate(stamps))
     poses = x[part.start : part.start + 3 * len(at)].reshape(-1, 3)
+    if part.scans is not None:
+        t = part.instants.track.t
+    else:
+        t = np.unique(
+            np.concatenate([log.sightings.t, log.bearings.t, *(() if log.odometry is None else (log.odometry.t,))])
+        )
     k = np.clip(np.searchsorted(at, t, side="right") - 1, 0, max(len(at) - 2, 0))
     span = np.maximum(at[k + 1] - at[k], 1e-9) if len(at) > 1 else np.ones(len(t))
     share = np.clip((t - at[k]) / span, 0.0, 1.0)
     after = np.minimum(k + 1, len(at) - 1)
     P = (1 - share)[:, None, None] * cov[k] + share[:, None, None] * cov[after]
+    if part.scans is not None:
+        rows = np.searchsorted(t, at)
+        return Track(t, blended(part.instants.track.pose, rows, poses), P)
     if part.motion is None:
         return Track(t, se2.interpolate(t, at, poses), P)
     speed, turn, lag = (float(x[part.parameters + j]) for j in (0, TURN, LAG))

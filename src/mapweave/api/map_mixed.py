@@ -1,0 +1,369 @@
+"""`map` of mixed teams: landmark logs, laser logs and tables of sightings become one map in one frame."""
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.config import config, load
+from ..core.errors import DataError, UsageError
+from ..core.landmark_log import LandmarkLog
+from ..core.laser_log import LaserLog
+from ..core.names import in_order, robot_key, robot_name
+from ..core.version import __version__
+from ..fusion.config import FuseConfig
+from ..fusion.join import fuse
+from ..fusion.result import Fusion
+from ..io.directory import write_json
+from ..io.laser_logs import read_laser
+from ..io.laser_map import NAME, write_grid, write_laser_map
+from ..io.local_map import write_local_map
+from ..io.mixed_logs import LaserOf, MixedLogs, is_mixed, read_mixed_landmarks, sorted_logs
+from ..io.ros_map import write_ros_map
+from ..io.team_map import read_calibration, write_calibration, write_landmark_arrays, write_landmarks, write_tracks
+from ..landmarks.config import EkfSlamConfig
+from ..landmarks.landmark_map import LocalMap
+from ..landmarks.mapping import local_map, without_impossible
+from ..laser.beam import beams
+from ..laser.config import LaserConfig
+from ..laser.laser_map import GridMap, LaserMap
+from ..laser.mapping import map_laser
+from ..laser.render import render
+from ..report.mixed import MixedStory, draw_mixed, words, write_mixed_report
+from ..report.result import ResultBase, Rows
+from ..report.style import Target
+from ..team.config import SmoothingConfig
+from ..team.mixed import MixedMap, Scanned, map_mixed
+from ..team.relative_frame import PlacingConfig
+from ..team.team_map import TeamMap
+from .evaluate import Evaluation, judged
+from .map_laser import first_part, source_of
+from .map_options import MapOptions
+from .team import Watch, team_maps
+
+METHODS = ("graph",)
+PLAIN = LaserConfig(method="graph", feature="none")
+FAR = 60.0  # [s] between the time spans of two logs from which their clocks have nothing in common
+
+
+@config
+class MixedMapConfig:
+    """The tables `[ekf]`, `[fuse]`, `[smoothing]`, `[placing]` and `[laser]` of a mixed team's configuration file."""
+
+    ekf: EkfSlamConfig = field(default_factory=EkfSlamConfig)
+    fuse: FuseConfig = field(default_factory=FuseConfig)
+    smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
+    placing: PlacingConfig = field(default_factory=PlacingConfig)
+    laser: LaserConfig = field(default_factory=lambda: PLAIN)
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class MixedResult(ResultBase):
+    """One map of a mixed team: `maps` as those of landmark logs, the largest first, `grids` beside each."""
+
+    maps: tuple[TeamMap, ...]
+    grids: tuple[GridMap | None, ...]
+    local: tuple[LocalMap, ...]
+    lasers: tuple[LaserMap, ...]
+    story: MixedStory
+    metrics: dict[str, Any]
+    evaluation: Evaluation | None = None
+
+    def headline(self) -> Rows:
+        where = {robot: k for k, team in enumerate(self.maps, 1) for robot in team.robots}
+        rows = [(robot_key(r), kind, where.get(r)) for r, kind in sorted(self.story.kinds.items(), key=_in_order)]
+        return ("robot", "carries", "component"), rows
+
+    def draw(self, target: Target) -> None:
+        """Walls, landmarks and ways of the largest component."""
+        draw_mixed(target, self.story, 0)
+
+    def lines(self) -> list[str]:
+        first = self.maps[0]
+        out = [f"{len(first.robots)} of {len(self.story.kinds)} robots in one map of {len(first.landmarks)} landmarks"]
+        out += words(self.story)
+        out += [f"warning: {w}" for w in self.story.warnings]
+        return out + list(self.story.lines)
+
+    def write_into(self, folder: Path) -> None:
+        """Landmarks, trajectories and occupancy of every component, local maps, report and, last, `metrics.json`."""
+        _write_data(folder, self)
+        write_mixed_report(folder, self.story)
+        write_json(folder / "metrics.json", self.metrics)
+
+
+def applies(logs: Sequence[Path]) -> bool:
+    """Whether `logs` are of several kinds, or a table of sightings beside them."""
+    return is_mixed(logs)
+
+
+def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
+    """One map of all robots in `logs`."""
+    cfg = _configured(options)
+    watch = Watch()
+    found = sorted_logs(logs, source_of(options))
+    read = read_mixed_landmarks(found)
+    read, found = _wanted(read, found, options)
+    known = _calibration(read, options)
+    watch.lap("read")
+    scans, lasers = _lasers(found.lasers, cfg.laser, options)
+    apart = _apart(read, scans)
+    read = [without_impossible(log.share(options.share.get(robot_key(log.robot), 1.0)), cfg.ekf) for log in read]
+    local, fusion = _filtered([log for log in read if log.robot not in apart], cfg, options)
+    watch.lap("estimate")
+    mapped = [team for team in team_maps(local, fusion) if len(team.landmarks)] if local else []
+    scanned = {m: Scanned(made.graph, made.track) for m, made in lasers.items() if made.graph is not None}
+    labels: Mapping[str, Mapping[str, str]] = {} if not local else fusion.labels
+    options.on_progress("whole team", 0, 1)
+    made = map_mixed(
+        [log for log in read if log.robot in scanned or log.robot not in apart],
+        scanned,
+        mapped,
+        labels,
+        cfg.smoothing,
+        cfg.placing,
+        known,
+        [robot for robot in scanned if robot not in apart],
+        refine=options.refine,
+    )
+    options.on_progress("whole team", 1, 1)
+    watch.lap("smooth")
+    grids = tuple(_grid(s.map, scans, made, cfg.laser) for s in made.components)
+    watch.lap("grid")
+    warnings = _warnings(read, lasers, fusion if local else None, made, apart)
+    kinds = {log.robot: _carries(log, scanned) for log in read}
+    story = MixedStory(f"One map from {', '.join(p.name for p in logs)}", made, grids, kinds, (), warnings)
+    result = MixedResult(
+        maps=tuple(s.map for s in made.components),
+        grids=grids,
+        local=tuple(local),
+        lasers=tuple(lasers.values()),
+        story=story,
+        metrics=_metrics(made, kinds, warnings, options.seed),
+    )
+    result = _scored(result, options)
+    watch.lap("evaluate")
+    return replace(result, metrics={**result.metrics, "timing": {k: round(v, 4) for k, v in watch.seconds.items()}})
+
+
+def _configured(options: MapOptions) -> MixedMapConfig:
+    if options.method not in (None, *METHODS):
+        raise UsageError(f"--method: mixed teams know {', '.join(METHODS)}, found {options.method!r}")
+    idle = {"--fuse-every": options.fuse_every, "--start": options.start, "--likelihood": options.laser.likelihood}
+    idle["--resample"] = options.laser.resample
+    if given := [name for name, value in idle.items() if value]:
+        raise UsageError(f"{', '.join(given)}: not for mixed teams")
+    asked = options.laser
+    laser = {
+        "method": "graph",
+        "feature": asked.feature or "none",
+        "particles": asked.particles,
+        "graph": {"loops": False if asked.no_loops else None},
+    }
+    cfg = load(MixedMapConfig, options.config, {"fuse": {"weights": options.weights}, "laser": laser})
+    cfg.laser.check()
+    return cfg
+
+
+def _wanted(read: list[LandmarkLog], found: MixedLogs, options: MapOptions) -> tuple[list[LandmarkLog], MixedLogs]:
+    """The logs of the robots asked for; raises UsageError for one that is not there."""
+    names = [log.robot for log in read]
+    for option, given in (("--robots", options.robots or ()), ("--share", options.share)):
+        for key in given:
+            if robot_name(key) not in names:
+                raise UsageError(f"{option}: no robot {key}; there are {', '.join(map(robot_key, names))}")
+    if options.robots is None:
+        return read, found
+    chosen = {robot_name(key) for key in options.robots}
+    lasers = {robot: laser for robot, laser in found.lasers.items() if robot in chosen}
+    return [log for log in read if log.robot in chosen], replace(found, lasers=lasers)
+
+
+def _calibration(logs: Sequence[LandmarkLog], options: MapOptions) -> dict[str, dict[str, tuple[float, float]]]:
+    known = {} if options.calibration is None else read_calibration(options.calibration)
+    names = {log.robot for log in logs}
+    for robot in known:
+        if robot not in names:
+            there = ", ".join(sorted(map(robot_key, names), key=in_order))
+            raise UsageError(f"--calibration {options.calibration}: no robot {robot_key(robot)}; there are {there}")
+    return known
+
+
+def _lasers(
+    found: Mapping[str, LaserOf], cfg: LaserConfig, options: MapOptions
+) -> tuple[dict[str, LaserLog], dict[str, LaserMap]]:
+    """Every laser log and its own map, in the order of the robots' numbers."""
+    logs: dict[str, LaserLog] = {}
+    maps: dict[str, LaserMap] = {}
+    for robot in sorted(found, key=in_order):
+        key = robot_key(robot)
+        logs[robot] = first_part(read_laser(found[robot].path, key, found[robot].source), options.share.get(key, 1.0))
+        maps[robot] = map_laser(logs[robot], cfg, options.seed, options.on_progress)
+    return logs, maps
+
+
+def _apart(read: Sequence[LandmarkLog], scans: Mapping[str, LaserLog]) -> dict[str, float]:
+    """Robots whose log is of another time than every other robot's -> the gap [s] to the nearest."""
+    spans: dict[str, tuple[float, float]] = {}
+    for log in read:
+        if log.robot in scans:
+            stamps = scans[log.robot].stamps()
+            spans[log.robot] = (float(stamps[0]), float(stamps[-1]))
+        elif len(log):
+            spans[log.robot] = log.span
+    out = {}
+    for robot, (first, last) in spans.items():
+        gaps = [max(a - last, first - b) for other, (a, b) in spans.items() if other != robot]
+        if gaps and min(gaps) > FAR:
+            out[robot] = min(gaps)
+    if len(out) == len(spans) > 1:
+        raise DataError(
+            "no two logs are of the same time: "
+            + "; ".join(f"{robot} {a:.0f} to {b:.0f} s" for robot, (a, b) in spans.items())
+        )
+    return out
+
+
+def _filtered(logs: Sequence[LandmarkLog], cfg: MixedMapConfig, options: MapOptions) -> tuple[list[LocalMap], Fusion]:
+    local = []
+    seeing = [log for log in logs if any(not name.startswith("robot") for name in log.sightings.counts())]
+    for k, log in enumerate(seeing):
+        local.append(local_map(log, cfg.ekf, options.seed))
+        options.on_progress("local maps", k + 1, len(seeing))
+    return local, fuse(local, cfg.fuse)
+
+
+def _grid(team: TeamMap, scans: Mapping[str, LaserLog], made: MixedMap, cfg: LaserConfig) -> GridMap | None:
+    """What all lasers of a component saw, laid at the poses found."""
+    seen, poses, sensors = [], [], []
+    for robot in team.robots:
+        if robot not in scans:
+            continue
+        log, track = scans[robot], team.tracks[robot]
+        clock = made.layout.clocks.get(robot, 0.0)
+        at = np.clip(np.searchsorted(track.t, log.scan_t - clock - 1e-6), 0, len(track.t) - 1)
+        seen += [beams(scan, "none", None, cfg.beam) for scan in log.scans]
+        poses.append(track.pose[at])
+        sensors += [scan.T_robot_sensor for scan in log.scans]
+    if not seen:
+        return None
+    return render(seen, np.concatenate(poses), np.array(sensors), cfg.resolution, "map")
+
+
+def _carries(log: LandmarkLog, scanned: Mapping[str, Scanned]) -> str:
+    """What a robot's logs hold, in words."""
+    things = ["laser"] if log.robot in scanned else []
+    if log.odometry is not None:
+        things.append("wheels")
+    if len(log.sightings):
+        things.append("camera")
+    if len(log.bearings):
+        things.append("bearings")
+    return ", ".join(things) or "nothing"
+
+
+def _warnings(
+    read: Sequence[LandmarkLog],
+    lasers: Mapping[str, LaserMap],
+    fusion: Fusion | None,
+    made: MixedMap,
+    apart: Mapping[str, float],
+) -> tuple[str, ...]:
+    out = [] if fusion is None else list(fusion.warnings)
+    for log in read:
+        idle = log.robot in lasers
+        out += [f"robot {robot_key(log.robot)}: {w}" for w in log.warnings if not (idle and w == "it saw nothing")]
+    out += [f"robot {robot_key(robot)}: {w}" for robot, m in lasers.items() for w in m.warnings]
+    for robot, gap in apart.items():
+        out.append(
+            f"robot {robot_key(robot)}: its clock has nothing in common with the others': {gap:.0f} s lie between "
+            "their stamps and its own; it stays apart"
+        )
+    for robot in made.layout.lost:
+        out.append(f"robot {robot_key(robot)}: nothing that it saw, and nobody who saw it, tells where it was")
+    for component in made.components[1:]:
+        keys = ", ".join(map(robot_key, component.map.robots))
+        out.append(f"robot {keys}: not tied to the largest map: too few sightings that agree")
+    for component in made.components:
+        out += component.warnings
+    return tuple(out)
+
+
+def _metrics(made: MixedMap, kinds: Mapping[str, str], warnings: Sequence[str], seed: int) -> dict[str, Any]:
+    return {
+        "version": __version__,
+        "seed": seed,
+        "robots": {
+            robot_key(r): {"carries": kind, "clock": made.layout.clocks.get(r, 0.0)} for r, kind in kinds.items()
+        },
+        "components": [[robot_key(r) for r in s.map.robots] for s in made.components],
+        "lost": [robot_key(r) for r in made.layout.lost],
+        "ties": [
+            {
+                "a": [robot_key(r) for r in tie.a],
+                "b": [robot_key(r) for r in tie.b],
+                "agree": tie.agree,
+                "of": tie.of,
+                "clock": tie.clock,
+            }
+            for tie in made.layout.ties
+        ],
+        "through": [
+            {"robots": [robot_key(r) for r in path.robots], "sightings": list(path.sightings)} for path in made.paths
+        ],
+        "refined": [
+            {
+                "status": s.status,
+                "iterations": s.iterations,
+                "poses": s.poses,
+                "factors": dict(s.used),
+                "refused": s.refused or None,
+            }
+            for s in made.components
+        ],
+        "fusion": [],
+        "warnings": list(warnings),
+    }
+
+
+def _scored(result: MixedResult, options: MapOptions) -> MixedResult:
+    """With its score, where truth was given; truth is read here, when nothing is left to estimate."""
+    if not options.truth:
+        return result
+    with tempfile.TemporaryDirectory() as folder:
+        _write_data(Path(folder), result)
+        write_json(Path(folder) / "metrics.json", result.metrics)
+        score = judged(Path(folder), options.truth)
+    reason = [f"the truth: nothing to score: {score.unscored}"] if score.unscored else []
+    warnings = [*result.story.warnings, *reason]
+    return replace(
+        result,
+        story=replace(result.story, lines=tuple(score.lines()), warnings=tuple(warnings)),
+        metrics={**result.metrics, "warnings": warnings, "evaluation": score.as_json()},
+        evaluation=score,
+    )
+
+
+def _write_data(folder: Path, result: MixedResult) -> None:
+    for k, (team, grid) in enumerate(zip(result.maps, result.grids, strict=True), 1):
+        home = folder if k == 1 else folder / "components" / str(k)
+        home.mkdir(parents=True, exist_ok=True)
+        write_landmarks(home, team)
+        write_tracks(home, team)
+        if grid is not None:
+            write_ros_map(home, grid)
+            write_grid(home / NAME, grid, None, "none")
+    for local in result.local:
+        write_local_map(folder / "local" / local.robot, local)
+        write_landmark_arrays(folder / "local" / local.robot, local.submap.landmarks)
+    for made in result.lasers:
+        write_laser_map(folder / "local" / robot_name(made.robot), made)
+    found = {robot: known for s in result.story.map.components for robot, known in s.calibration.items()}
+    write_calibration(folder / "calibration.json", found, result.story.map.components[0].prior)
+
+
+def _in_order(item: tuple[str, str]) -> Any:
+    return in_order(item[0])

@@ -1,0 +1,149 @@
+"""The report of a mixed team: one map of walls, landmarks and ways, how everybody was tied in, what was found."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..core.names import in_order, robot_key
+from ..laser.laser_map import GridMap
+from ..team.mixed import MixedMap
+from ..team.robot_part import PARAMETERS
+from ..team.smooth import Smoothed, is_observed
+from .html import Page
+from .laser_figures import draw_occupancy
+from .style import Target, as_map, colour, figure
+from .team_figures import legend_beside, thinned
+
+MANY = 40  # landmarks from which names would cover the map
+
+
+@dataclass(frozen=True, slots=True)
+class MixedStory:
+    """kinds: robot -> what it carries; grids: one a component, None without a laser; lines: of the score."""
+
+    title: str
+    map: MixedMap
+    grids: Sequence[GridMap | None]
+    kinds: Mapping[str, str]
+    lines: Sequence[str]
+    warnings: Sequence[str]
+
+    @property
+    def robots(self) -> tuple[str, ...]:
+        return tuple(sorted(self.kinds, key=in_order))
+
+
+def words(story: MixedStory) -> list[str]:
+    """How the robots hang together, in sentences."""
+    out = [
+        f"{_names(tie.a)} and {_names(tie.b)} were tied by {tie.agree} of {tie.of} sightings"
+        + (f", {_names(tie.b)}'s clock {tie.clock:+.2f} s ahead" if tie.clock else "")
+        for tie in story.map.layout.ties
+    ]
+    for path in story.map.paths:
+        first, last, between = path.robots[0], path.robots[-1], path.robots[1:-1]
+        through = f"through {_names(between)}" if between else "directly"
+        counts = " and ".join(map(str, path.sightings))
+        out.append(f"laser robots {robot_key(first)} and {robot_key(last)} hang together {through}: {counts} sightings")
+    return out
+
+
+def draw_mixed(target: Target, story: MixedStory, k: int) -> str:
+    """Component `k` on `target`; the caption is returned."""
+    team, grid = story.map.components[k].map, story.grids[k]
+    with figure(target, 8.4, 6.0) as (_, ax):
+        if grid is not None:
+            draw_occupancy(ax, grid)
+        for robot in team.robots:
+            track = team.tracks[robot]
+            if len(track.t):
+                way = thinned(track)
+                shade = colour(story.robots.index(robot))
+                ax.plot(*way[:, :2].T, color=shade, lw=0.9, label=f"robot {robot_key(robot)}, {story.kinds[robot]}")
+                ax.plot(*way[0, :2], "o", color=shade, mfc="white", ms=6)
+        ax.plot(*team.landmarks.mean.T, "*", color="#B25400", ms=7, ls="none", zorder=4)
+        if len(team.landmarks) <= MANY:
+            for name, place in zip(team.landmarks.ids, team.landmarks.mean, strict=True):
+                ax.annotate(name, place, xytext=(3, 3), textcoords="offset points", fontsize=7)
+        as_map(ax, "One frame for walls, landmarks and robots")
+        legend_beside(ax, 20)
+    return (
+        "Walls as lasers saw them (dark), landmarks (stars), and where every robot went; a ring marks where each began."
+    )
+
+
+def write_mixed_report(folder: Path, story: MixedStory) -> None:
+    """`report.html` and `figures/*.png` in `folder`."""
+    whole = story.map.components
+    tied = len(whole[0].map.robots)
+    page = Page(story.title, f"{tied} of {len(story.robots)} robots tied into one map.")
+    page.cards(
+        [
+            ("robots in the map", f"{tied} of {len(story.robots)}"),
+            ("landmarks", str(len(whole[0].map.landmarks))),
+            ("factors", f"{sum(whole[0].used.values()):,}"),
+        ]
+    )
+    for warning in story.warnings:
+        page.text(warning, warn=True)
+    for k, component in enumerate(whole):
+        page.section("Map" if k == 0 else f"Component {k + 1}: {_names(component.map.robots)}")
+        png = folder / "figures" / ("map.png" if k == 0 else f"component_{k + 1}.png")
+        page.figure(png, draw_mixed(png, story, k))
+    if story.lines:
+        page.section("Beside the truth")
+        for line in story.lines:
+            page.text(line)
+    page.section("How they were tied")
+    for sentence in words(story) or ["Nobody was tied to anybody."]:
+        page.text(sentence)
+    page.section("The whole team at once")
+    for k, component in enumerate(whole, 1):
+        page.text(_told(component) if len(whole) == 1 else f"Component {k}: {_told(component)}")
+    page.section("Robots")
+    page.table(
+        ["robot", "carries", "poses", "from [s]", "to [s]", "median sd [m]"], [_robot(story, r) for r in story.robots]
+    )
+    found = {robot: known for s in whole for robot, known in s.calibration.items()}
+    if found:
+        head = ["robot", *(name.replace("_", " ") for name in PARAMETERS)]
+        prior = whole[0].prior
+        rows = [
+            [
+                robot_key(r),
+                *(
+                    f"{known[p][0]:.3f} ± {known[p][1]:.3f}{'' if is_observed(p, known[p][1], prior) else ' *'}"
+                    if p in known
+                    else ""
+                    for p in PARAMETERS
+                ),
+            ]
+            for r, known in found.items()
+        ]
+        page.table(head, rows)
+        page.text("With one standard deviation; an asterisk: the data told little more than was assumed beforehand.")
+    page.write(folder / "report.html")
+
+
+def _told(s: Smoothed) -> str:
+    if s.refused:
+        return f"laid out, not smoothed: {s.refused}."
+    factors = ", ".join(f"{n:,} of kind {kind}" for kind, n in sorted(s.used.items()))
+    return f"{s.poses:,} poses; {factors}. {s.iterations} iterations, {s.status}."
+
+
+def _robot(story: MixedStory, robot: str) -> list[object]:
+    track = next((s.map.tracks[robot] for s in story.map.components if robot in s.map.tracks), None)
+    if track is None or not len(track.t):
+        return [robot_key(robot), story.kinds[robot], 0, None, None, None]
+    sd = None
+    if track.cov is not None:
+        sd = float(np.sqrt(np.median(np.trace(track.cov[:, :2, :2], axis1=1, axis2=2) / 2)))
+    return [robot_key(robot), story.kinds[robot], len(track.t), f"{track.t[0]:.1f}", f"{track.t[-1]:.1f}", sd]
+
+
+def _names(robots: Sequence[str]) -> str:
+    keys = [robot_key(robot) for robot in robots]
+    return f"robot {keys[0]}" if len(keys) == 1 else f"robots {', '.join(keys[:-1])} and {keys[-1]}"

@@ -1,0 +1,191 @@
+"""One problem for a team in which every robot carries something else: laid out in common frames, then smoothed."""
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from ..core.landmark_log import LandmarkLog
+from ..core.names import in_order
+from ..core.records import Track
+from ..landmarks.landmark_map import LandmarkMap
+from ..laser.robot_graph import RobotGraph
+from .bodies import Body, Labels
+from .config import SmoothingConfig
+from .placing import Layout, lay_out
+from .relative_frame import Glances, PlacingConfig, point_seen
+from .robot_part import all_seen
+from .scan_factors import Crossing
+from .smooth import Calibration, Smoothed, smooth
+from .team_map import TeamMap
+
+SOFTEN = (8.0, 3.0)  # kernels are so many times as wide before the end: a layout is good to decimetres
+UNSURE = 1.0  # [m] sd of a landmark that bearings alone place, when the smoothing begins
+LEAST = 3  # sightings between two robots that hang together by them
+
+
+@dataclass(frozen=True, slots=True)
+class Scanned:
+    """One laser robot's own map: its keyframes, and its poses at every stamp, in its own frame and by its clock."""
+
+    graph: RobotGraph
+    track: Track
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """How two robots hang together: robots from one to the other, and the sightings between each and the next."""
+
+    robots: tuple[str, ...]
+    sightings: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class MixedMap:
+    """components: the largest first; layout: how their frames were found; paths: how laser robots hang together."""
+
+    components: tuple[Smoothed, ...]
+    layout: Layout
+    paths: tuple[Path, ...]
+
+
+def map_mixed(
+    logs: Sequence[LandmarkLog],
+    scanned: Mapping[str, Scanned],
+    mapped: Sequence[TeamMap],
+    labels: Labels,
+    smoothing: SmoothingConfig,
+    placing: PlacingConfig,
+    calibration: Mapping[str, Calibration] | None = None,
+    own_clocks: Sequence[str] = (),
+    *,
+    refine: bool = True,
+) -> MixedMap:
+    """The map of a team from all that its robots saw.
+
+    logs: what each robot drove and saw, one a robot, empty where it did neither; scanned: robots with a laser; mapped:
+    what filters made of the robots that saw landmarks with their ranges; own_clocks: robots whose laser logs may have a
+    clock of their own.
+    """
+    by = {log.robot: log for log in logs}
+    bodies = [
+        Body(dict(team.tracks), dict(zip(team.landmarks.ids, team.landmarks.mean, strict=True)))
+        for team in mapped
+        if len(team.landmarks)
+    ]
+    bodies += [Body({robot: s.track}, {}, own_clock=robot in own_clocks) for robot, s in scanned.items()]
+    held = {robot for body in bodies for robot in body.robots}
+    loose = [log for log in logs if log.robot not in held]
+    layout = lay_out(bodies, loose, by, labels, placing, smoothing)
+    spread = {name: _variance(team.landmarks, k) for team in mapped for k, name in enumerate(team.landmarks.ids)}
+    components = []
+    for body in layout.bodies:
+        whole = body.on_team_time()
+        team = _team(_with_more_landmarks(whole, by, labels, placing), spread, by, labels)
+        graphs = {robot: _on_time(scanned[robot].graph, layout, robot) for robot in team.robots if robot in scanned}
+        if refine:
+            mine = [by[robot] for robot in team.robots if robot in by]
+            components.append(smooth(team, mine, labels, smoothing, calibration, graphs, _crossings(), SOFTEN))
+        else:
+            components.append(smooth(team, [], labels, smoothing))
+    return MixedMap(tuple(components), layout, _paths(components, scanned, by))
+
+
+def _crossings() -> Sequence[Crossing]:
+    return ()
+
+
+def _on_time(graph: RobotGraph, layout: Layout, robot: str) -> RobotGraph:
+    clock = layout.clocks.get(robot, 0.0)
+    return replace(graph, t=graph.t - clock) if clock else graph
+
+
+def _variance(landmarks: LandmarkMap, k: int) -> float:
+    return float(np.trace(landmarks.cov[2 * k : 2 * k + 2, 2 * k : 2 * k + 2]) / 2)
+
+
+def _with_more_landmarks(body: Body, logs: Mapping[str, LandmarkLog], labels: Labels, cfg: PlacingConfig) -> Body:
+    """With the landmarks that no filter mapped, where bearings (or ranges) from places that are known meet."""
+    seen: dict[str, list[Glances]] = {}
+    for robot in body.robots:
+        table = all_seen(logs[robot])
+        here, names = body.believed(robot, table.t) if len(table) else np.zeros(0, bool), labels.get(robot, {})
+        for k, own in enumerate(table.ids):
+            name = names.get(own, own)
+            rows = np.flatnonzero((table.what == k) & here)
+            if own in logs or name in body.landmarks or not len(rows):
+                continue
+            seen.setdefault(name, []).append(
+                Glances(
+                    np.ones(len(rows), bool),
+                    body.pose(robot, table.t[rows]).reshape(-1, 3),
+                    np.zeros((len(rows), 2)),
+                    table.range[rows],
+                    table.bearing[rows],
+                    table.t[rows],
+                )
+            )
+    found = {name: point_seen(Glances.joined(parts), cfg) for name, parts in seen.items()}
+    return replace(body, landmarks={**body.landmarks, **{name: p for name, p in found.items() if p is not None}})
+
+
+def _team(body: Body, variance: Mapping[str, float], logs: Mapping[str, LandmarkLog], labels: Labels) -> TeamMap:
+    ids = tuple(sorted(body.landmarks, key=in_order))
+    mean = np.array([body.landmarks[name] for name in ids]).reshape(-1, 2)
+    cov = np.diag(np.repeat([variance.get(name, UNSURE**2) for name in ids], 2)) if ids else np.zeros((0, 0))
+    robots = tuple(sorted(body.robots, key=in_order))
+    counts: dict[str, dict[str, int]] = {name: {} for name in ids}
+    for robot in robots:
+        table, names = all_seen(logs[robot]), labels.get(robot, {})
+        for own, n in table.counts().items():
+            if names.get(own, own) in counts:
+                counts[names.get(own, own)][robot] = n
+    return TeamMap(
+        robots,
+        LandmarkMap(ids, mean, cov),
+        {robot: body.tracks[robot] for robot in robots},
+        {name: tuple(seen) for name, seen in counts.items()},
+        {name: sum(seen.values()) for name, seen in counts.items()},
+    )
+
+
+def _paths(
+    components: Sequence[Smoothed], scanned: Mapping[str, Scanned], logs: Mapping[str, LandmarkLog]
+) -> tuple[Path, ...]:
+    """For every two laser robots of a component, the robots through whose sightings they hang together."""
+    out = []
+    for component in components:
+        robots = component.map.robots
+        n = {(a, b): _between(logs[a], b) + _between(logs[b], a) for a in robots for b in robots if a != b}
+        beside = {a: [b for b in robots if a != b and n[a, b] >= LEAST] for a in robots}
+        lasers = [robot for robot in robots if robot in scanned]
+        for i, a in enumerate(lasers):
+            for b in lasers[i + 1 :]:
+                way = _way(a, b, beside)
+                if len(way) > 1:
+                    out.append(Path(way, tuple(n[p, q] for p, q in pairwise(way))))
+    return tuple(out)
+
+
+def _between(log: LandmarkLog, other: str) -> int:
+    return all_seen(log).counts().get(other, 0)
+
+
+def _way(a: str, b: str, beside: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """The shortest way from a to b; empty where there is none."""
+    before: dict[str, str | None] = {a: None}
+    queue = deque([a])
+    while queue:
+        robot = queue.popleft()
+        if robot == b:
+            way = [b]
+            while (previous := before[way[-1]]) is not None:
+                way.append(previous)
+            return tuple(reversed(way))
+        for other in beside[robot]:
+            if other not in before:
+                before[other] = robot
+                queue.append(other)
+    return ()

@@ -1,0 +1,59 @@
+"""What laser scans say of a team's poses: each robot's own pose graph, and keyframes of different robots matched."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core import se2
+from ..laser.closures import Closure
+from ..laser.graph_problem import edge_factor
+from ..laser.pose_graph import PoseGraph
+from ..laser.robot_graph import RobotGraph
+from ..solve import Cauchy, Factor
+from .robot_part import RobotPart
+
+
+@dataclass(frozen=True, slots=True)
+class Crossing:
+    """Keyframe `closure.second` of robot `b` as seen from keyframe `closure.first` of robot `a`."""
+
+    a: str
+    b: str
+    closure: Closure
+
+
+def scan_factor(part: RobotPart, graph: RobotGraph) -> Factor:
+    """Steps and closures between a robot's keyframes, with the ways that its finished map has.
+
+    The last pass over all scans knows these ways better than the matches they began with; so its map is the minimum of
+    this factor, and the information of the pose graph says how firmly.
+    """
+    edges = graph.graph()
+    ways = se2.between(graph.pose[edges.first], graph.pose[edges.second])
+    return _edges(PoseGraph(graph.pose, edges.first, edges.second, np.asarray(ways), edges.information), part, part)
+
+
+def crossing_factor(a: RobotPart, b: RobotPart, crossings: list[Crossing], outlier: float) -> Factor:
+    """Keyframes of two robots that were matched."""
+    found = [crossing.closure for crossing in crossings]
+    pairs = [(c.first, c.second) for c in found]
+    n = 1 + max(max(pair) for pair in pairs)
+    graph = PoseGraph.of(np.zeros((n, 3)), pairs, [c.measured for c in found], [c.information for c in found])
+    return _edges(graph, a, b, Cauchy(outlier))
+
+
+def _edges(graph: PoseGraph, a: RobotPart, b: RobotPart, kernel: Cauchy | None = None) -> Factor:
+    """The edges of `graph` between the poses of `a` and those of `b`."""
+    m = graph.edges
+    pairs = PoseGraph(np.zeros((2 * m, 3)), 2 * np.arange(m), 2 * np.arange(m) + 1, graph.measured, graph.information)
+    plain = edge_factor(pairs, "scan" if a is b else "crossing", kernel)
+    columns = np.concatenate([a.pose_columns(graph.first), b.pose_columns(graph.second)], axis=1)
+
+    def residual(x: Float[np.ndarray, " n"]) -> np.ndarray:
+        return plain.residual(x[columns].ravel())
+
+    def jacobian(x: Float[np.ndarray, " n"]) -> np.ndarray:
+        return plain.jacobian(x[columns].ravel())
+
+    return Factor(columns, residual, jacobian, 3, plain.sqrt_info, kernel, plain.name)
