@@ -31,7 +31,7 @@ from ..laser.beam import beams
 from ..laser.config import LaserConfig
 from ..laser.laser_map import GridMap, LaserMap
 from ..laser.mapping import map_laser
-from ..laser.render import render
+from ..laser.occupancy_mapper import render
 from ..report.mixed import MixedStory, draw_mixed, words, write_mixed_report
 from ..report.result import ResultBase, Rows
 from ..report.style import Target
