@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from .api.explore import explore as explore
     from .api.fuse import fuse as fuse
     from .api.landmark_slam import LandmarkSlam as LandmarkSlam
+    from .api.laser_result import LaserResult as LaserResult
     from .api.laser_slam import LaserSlam as LaserSlam
     from .api.localize import LocalizeResult as LocalizeResult
     from .api.localize import localize as localize
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from .api.map import map as map  # noqa: A004
     from .api.map_landmarks import LandmarkMapConfig as LandmarkMapConfig
     from .api.map_laser import LaserMapConfig as LaserMapConfig
-    from .api.map_laser import LaserResult as LaserResult
     from .api.map_options import LaserOptions as LaserOptions
     from .api.moving_result import Moved as Moved
     from .api.result import Result as Result
@@ -113,7 +113,7 @@ _HOMES: dict[str, str] = {
     "HaraReproduction": "papers.hara.reproduce",
     "KojimaReproduction": "papers.kojima.reproduce",
     "LaserExploration": "api.exploration_result",
-    "LaserResult": "api.map_laser",
+    "LaserResult": "api.laser_result",
     "LocalizeResult": "api.localize",
     "Located": "api.located",
     "Moved": "api.moving_result",

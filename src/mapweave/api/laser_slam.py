@@ -16,7 +16,8 @@ from ..laser.occupancy_mapper import render_keyframes
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import PoseEstimate
 from ..laser.session import GEOMETRY, Feature, LaserSession
-from .map_laser import LaserMapConfig, LaserResult, result_of
+from .laser_result import LaserResult
+from .map_laser import LaserMapConfig, result_of
 
 
 class LaserSlam:
@@ -161,7 +162,7 @@ class LaserSlam:
             made = map_session(self._session, log, feature, {"estimate": self._spent}, on_progress)
         else:
             made = map_laser(log, self.cfg, self.seed, on_progress)
-        return result_of([made], seed=self.seed)
+        return result_of([made], self.cfg, seed=self.seed)
 
     def save(self, folder: Path | str, *, force: bool = False) -> LaserResult:
         """`result`, written to a folder as `map` writes it: `localize`, `fuse`, `evaluate` and `view` read it.

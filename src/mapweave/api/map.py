@@ -44,7 +44,7 @@ def map(  # noqa: A001  (the verb)
     method: str | None = None,
     weights: str | None = None,
     share: Mapping[str, float] | None = None,
-    start: Mapping[str, tuple[float, float, float]] | None = None,
+    start: Mapping[str, Sequence[float]] | None = None,
     truth: Path | str | Sequence[Path | str] | None = None,
     config: Path | str | None = None,
     seed: int = 0,
@@ -82,13 +82,15 @@ def map(  # noqa: A001  (the verb)
     robots
         Use these robots only, by key: `["1", "3"]` (all).
     method
-        How each robot maps: `ekf` for landmarks; for laser logs as `mapweave map --help` lists them.
+        How each robot maps: `ekf` for landmarks; of laser logs graph, particle, gated or icp (graph for several robots,
+        which alone makes one map of them; particle for one).
     weights
         How much each robot's map counts: constant, paper, diagonal, full, full-scaled or naive (full-scaled).
     share
         Robot key -> first share of its time span that is used, in (0, 1] (1).
     start
-        Robot key -> its first pose in the map [m, m, rad], where that is known.
+        Robot key -> its first pose in the map [m, m, rad], where that is known; of laser logs the standard deviation
+        of its place [m] may follow, and the scans may overrule it.
     truth
         What `evaluate` takes; used for scoring alone, after the estimate.
     config
@@ -138,7 +140,8 @@ def map(  # noqa: A001  (the verb)
         method=method,
         weights=weights,
         share=dict(share or {}),
-        start=dict(start or {}),
+        start={robot: _start(robot, numbers) for robot, numbers in (start or {}).items()},
+        start_sd={robot: float(numbers[3]) for robot, numbers in (start or {}).items() if len(numbers) > 3},
         truth=_paths(truth),
         config=None if config is None else Path(config),
         seed=seed,
@@ -179,6 +182,8 @@ def _of_logs(logs: Sequence[Path | str | LaserLog], options: MapOptions) -> MapR
     mapper = _mapper(paths)
     if (given := options.laser.given()) and mapper.__name__ != LASER:
         raise UsageError(f"{', '.join(given)}: only for laser logs, found {paths[0]}")
+    if options.start_sd and mapper.__name__ != LASER:
+        raise UsageError(f"--start: expected x,y,theta, found a sigma too: only for laser logs, found {paths[0]}")
     return mapper.map_logs(paths, options)
 
 
@@ -240,6 +245,12 @@ def _mapper(logs: Sequence[Path]) -> Mapper:
             other = logs[fits.index(False)]
             raise ReaderError(other, f"expected the same kind of log as {logs[fits.index(True)]}, found another")
     raise ReaderError(logs[0], "expected an MRCLAM data set, CSV logs or a laser log, found nothing that is known")
+
+
+def _start(robot: str, numbers: Sequence[float]) -> tuple[float, float, float]:
+    if len(numbers) not in {3, 4}:
+        raise UsageError(f"--start of robot {robot}: expected x, y, theta or x, y, theta, sigma, found {len(numbers)}")
+    return float(numbers[0]), float(numbers[1]), float(numbers[2])
 
 
 def _paths(given: Path | str | Sequence[Path | str] | None) -> tuple[Path, ...]:

@@ -1,12 +1,9 @@
 """Laser logs become maps, each log on its own: poses at every stamp, occupancy, the light walls send back."""
 
 import os
-import tempfile
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,21 +12,14 @@ from ..core.errors import UsageError
 from ..core.laser_log import LaserLog
 from ..core.names import robot_name
 from ..core.records import Track
-from ..core.version import __version__
 from ..core.workers import Progress, no_progress, worker_pool
-from ..io.directory import write_json
 from ..io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
-from ..io.laser_map import write_laser_map
-from ..io.tum import read_tum, write_track_covariance, write_tum
 from ..laser.config import LaserConfig
 from ..laser.laser_map import LaserMap
 from ..laser.mapping import map_laser
-from ..report.laser import write_laser_report
-from ..report.laser_figures import aligned, draw_map
-from ..report.result import ResultBase, Rows
-from ..report.style import Target
-from .evaluate import Evaluation, judged
+from .laser_result import LaserResult, laser_metrics
 from .map_options import MapOptions
+from .weave_laser import scored, woven_result
 
 Job = tuple[Path | LaserLog, str, LaserSource, LaserConfig, int, float]
 
@@ -41,52 +31,6 @@ class LaserMapConfig:
     laser: LaserConfig = LaserConfig()
 
 
-@dataclass(frozen=True, slots=True, repr=False)
-class LaserResult(ResultBase):
-    """One map a log. `metrics` are those of `metrics.json`; `evaluation` is there when truth was given."""
-
-    maps: tuple[LaserMap, ...]
-    metrics: dict[str, Any]
-    evaluation: Evaluation | None = None
-    truth: Mapping[str, Track] = field(default_factory=dict)
-
-    def draw(self, target: Target) -> None:
-        """The first robot's map with its trajectory."""
-        first = self.maps[0]
-        truth = self.truth.get(first.robot)
-        draw_map(target, first, None if truth is None else aligned(truth, first.track))
-
-    def headline(self) -> Rows:
-        head = ("robot", "scans", "method", "feature", "map [m]")
-        rows = []
-        for made in self.maps:
-            x0, x1, y0, y1 = made.grid.extent
-            rows.append((made.robot, len(made.scans), made.method, made.feature, f"{x1 - x0:.0f} x {y1 - y0:.0f}"))
-        return head, rows
-
-    def write_into(self, folder: Path) -> None:
-        """All files of the contract; with one robot its own stand at the top level too."""
-        _write_data(folder, self.maps, self.metrics)
-        told = [] if self.evaluation is None else self.evaluation.lines()
-        write_laser_report(folder, self.maps, self.truth, told)
-        if len(self.maps) == 1:
-            for path in sorted((folder / "local" / robot_name(self.maps[0].robot)).iterdir()):
-                (folder / path.name).write_bytes(path.read_bytes())
-
-    def lines(self) -> list[str]:
-        lines = []
-        for made in self.maps:
-            refused = Counter(made.scans.decision)["odometry"]
-            x0, x1, y0, y1 = made.grid.extent
-            lines.append(
-                f"{robot_name(made.robot)}: {len(made.scans)} scans, {made.method}, feature {made.feature}, "
-                f"map {x1 - x0:.0f} x {y1 - y0:.0f} m, {refused} matches refused"
-            )
-            lines += [f"{robot_name(made.robot)}: {warning}" for warning in made.warnings]
-        lines += [f"warning: {text}" for text in self.metrics.get("warnings", ())]
-        return lines + ([] if self.evaluation is None else self.evaluation.lines())
-
-
 def applies(log: Path) -> bool:
     return is_laser_log(log)
 
@@ -94,37 +38,36 @@ def applies(log: Path) -> bool:
 def map_logs(logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResult:
     """The maps of `logs`, files or logs that are read already; robot K is the K-th of their robots.
 
-    A recording may hold several robots.
+    A recording may hold several robots. The maps of the graph method are woven, those of the others stand each alone.
     """
-    cfg = _configured(options)
     source = source_of(options)
     robots = [(log, replace(source, name=name)) for log in logs for name in _names(log, source)]
     names = [str(k) for k in range(1, len(robots) + 1)]
     wanted = names if options.robots is None else list(options.robots)
     if missing := [name for name in wanted if name not in names]:
         raise UsageError(f"--robots: there is no robot {missing[0]} among {len(names)} robots of {len(logs)} logs")
+    cfg = _configured(options, team=len(wanted) > 1)
     held = dict(zip(names, robots, strict=True))
     jobs = [(held[name][0], name, held[name][1], cfg, options.seed, options.share.get(name, 1.0)) for name in wanted]
     maps = tuple(_told(made, options) for made in _worked(jobs, options))
-    metrics = _metrics(maps, options)
-    for name in wanted:
-        if (called := held[name][1].name) is not None:
-            metrics["robots"][name]["name"] = called
-    if not options.truth:
-        return LaserResult(maps, metrics)
-    with tempfile.TemporaryDirectory() as folder:
-        _write_data(Path(folder), maps, metrics)
-        score = judged(Path(folder), options.truth)
-    known = {made.robot: _true_track(options.truth, k) for k, made in enumerate(maps)}
-    truth = {robot: track for robot, track in known.items() if track is not None}
-    if score.unscored:
-        metrics["warnings"] = [*metrics.get("warnings", ()), f"the truth: nothing to score: {score.unscored}"]
-    return LaserResult(maps, metrics | {"evaluation": score.as_json()}, score, truth)
+    if cfg.method != "graph":
+        return scored(LaserResult(maps, laser_metrics(maps, options.seed)), options.truth)
+    return woven_result(
+        maps,
+        resolution=cfg.resolution,
+        seed=options.seed,
+        starts=options.starts(),
+        merge=not options.laser.no_merge,
+        truth=options.truth,
+        on_progress=options.on_progress,
+    )
 
 
-def result_of(maps: Sequence[LaserMap], *, seed: int = 0) -> LaserResult:
-    """The result of maps that were made already, each of them on its own."""
-    return LaserResult(tuple(maps), _metrics(maps, MapOptions(seed=seed)))
+def result_of(maps: Sequence[LaserMap], cfg: LaserConfig, *, seed: int = 0) -> LaserResult:
+    """The result of maps that were made already by the settings `cfg`: those of the graph method woven."""
+    if cfg.method != "graph":
+        return LaserResult(tuple(maps), laser_metrics(maps, seed))
+    return woven_result(maps, resolution=cfg.resolution, seed=seed)
 
 
 def _names(log: Path | LaserLog, source: LaserSource) -> tuple[str | None, ...]:
@@ -157,7 +100,8 @@ def map_one(
     whole = replace(path, robot=robot) if isinstance(path, LaserLog) else read_laser(path, robot, source)
     log = first_part(whole, share)
     on_progress(f"{name}: reading", 1, 1)
-    return map_laser(log, cfg, seed, _compiling_first(f"{name}: compiling (first run only)", on_progress))
+    made = map_laser(log, cfg, seed, _compiling_first(f"{name}: compiling (first run only)", on_progress))
+    return replace(made, called=source.name or "")
 
 
 def _compiling_first(compiling: str, on_progress: Progress) -> Progress:
@@ -186,7 +130,8 @@ def first_part(log: LaserLog, share: float) -> LaserLog:
     return replace(log, scan_t=log.scan_t[:scans], scans=log.scans[:scans], odometry=rows)
 
 
-def _configured(options: MapOptions) -> LaserConfig:
+def _configured(options: MapOptions, *, team: bool) -> LaserConfig:
+    """What is asked for. A team whose method nobody names is mapped by graphs, which alone can be woven."""
     asked = options.laser
     given = {
         "method": options.method,
@@ -196,7 +141,8 @@ def _configured(options: MapOptions) -> LaserConfig:
         "resample": asked.resample,
         "graph": {"loops": False if asked.no_loops else None, "hypotheses": asked.particles},
     }
-    cfg = load(LaserMapConfig, options.config, {"laser": given}).laser
+    beneath = {"laser": {"method": "graph"}} if team else None
+    cfg = load(LaserMapConfig, options.config, {"laser": given}, beneath).laser
     cfg.check()
     return cfg
 
@@ -223,62 +169,17 @@ def _with_threads(job: Job, threads: int) -> Job:
 
 
 def _told(made: LaserMap, options: MapOptions) -> LaserMap:
-    """With a word about options that mean nothing to logs that are mapped each on its own."""
-    asked = (
-        ("--start", options.start),
+    """With a word about options that mean nothing to this method."""
+    alone = "each laser log is mapped on its own"
+    woven = "laser maps are woven by their graphs"
+    asked: list[tuple[str, object]] = [
         ("--fuse-every", options.fuse_every),
         ("--weights", options.weights),
         ("--no-refine", not options.refine),
         ("--calibration", options.calibration),
-    )
+    ]
+    if made.method != "graph":
+        asked += [("--start", options.start), ("--no-merge", options.laser.no_merge)]
     idle = [name for name, given in asked if given]
-    more = tuple(f"{name} has no effect: each laser log is mapped on its own" for name in idle)
+    more = tuple(f"{name} has no effect: {woven if made.method == 'graph' else alone}" for name in idle)
     return replace(made, warnings=(*made.warnings, *more))
-
-
-def _metrics(maps: Sequence[LaserMap], options: MapOptions) -> dict[str, Any]:
-    return {
-        "version": __version__,
-        "seed": options.seed,
-        "robots": {made.robot: _robot_metrics(made) for made in maps},
-        "components": [[made.robot] for made in maps],
-        "fusion": [],
-        "timing": {f"{robot_name(m.robot)} {stage}": spent for m in maps for stage, spent in m.timing.items()},
-    }
-
-
-def _robot_metrics(made: LaserMap) -> dict[str, Any]:
-    decisions = Counter(made.scans.decision)
-    c = made.calibration
-    return {
-        "source": made.source,
-        "odometry": made.odometry,
-        "sightings": len(made.scans),
-        "dropped": dict(made.dropped),
-        "down_weighted": decisions["odometry"],
-        "nis_median": None,
-        "warnings": list(made.warnings),
-        "method": made.method,
-        "feature": made.feature,
-        "particles": made.particles,
-        "log_hash": made.log_hash,
-        "decisions": dict(sorted(decisions.items())),
-        "calibration": None
-        if c is None
-        else {"exponent": c.exponent, "scale": c.scale, "residual": c.residual, "samples": c.samples},
-    }
-
-
-def _write_data(folder: Path, maps: Sequence[LaserMap], metrics: Mapping[str, Any]) -> None:
-    write_json(folder / "metrics.json", dict(metrics))
-    for made in maps:
-        name = robot_name(made.robot)
-        write_tum(folder / "trajectories" / f"{name}.tum", made.track)
-        write_track_covariance(folder / "trajectories" / f"{name}.cov.csv", made.track)
-        write_laser_map(folder / "local" / name, made)
-
-
-def _true_track(paths: Sequence[Path], k: int) -> Track | None:
-    """The k-th of several TUM files, or the only one for the only robot; None for other kinds of truth."""
-    tum = [path for path in paths if path.suffix.lower() in (".tum", ".txt")]
-    return read_tum(tum[k], "truth") if k < len(tum) else None

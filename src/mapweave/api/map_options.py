@@ -18,7 +18,8 @@ class LaserOptions:
     """What laser logs may be asked for beside; None: as the configuration or the log says.
 
     resample: the share of the particles `N_eff` may fall to; sensor_pose: `T_robot_sensor` [m, m, rad]; mirrored: beam
-    angles run clockwise; no_loops: the graph method looks for no old places.
+    angles run clockwise; no_loops: the graph method looks for no old places; no_merge: and every robot's map stays
+    alone.
     """
 
     particles: int | None = None
@@ -30,6 +31,7 @@ class LaserOptions:
     sensor_pose: tuple[float, float, float] | None = None
     mirrored: bool = False
     no_loops: bool = False
+    no_merge: bool = False
 
     def given(self) -> list[str]:
         """The options that were given, as the command line spells them."""
@@ -41,7 +43,8 @@ class MapOptions:
     """What `map` was asked for. Robots are called by their key: `"2"` is robot 2.
 
     share: robot -> first part of its time span, in (0, 1]; start: robot -> its first pose in the map [m, m, rad];
-    executor: where robots are worked on; None: here, or in `jobs` processes.
+    start_sd: robot -> standard deviation of that place [m], where it is told (laser logs alone); executor: where robots
+    are worked on; None: here, or in `jobs` processes.
     """
 
     robots: tuple[str, ...] | None = None
@@ -49,6 +52,7 @@ class MapOptions:
     weights: str | None = None
     share: Mapping[str, float] = field(default_factory=dict)
     start: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    start_sd: Mapping[str, float] = field(default_factory=dict)
     truth: tuple[Path, ...] = ()
     config: Path | None = None
     seed: int = 0
@@ -69,6 +73,13 @@ class MapOptions:
         for robot, part in self.share.items():
             if not 0 < part <= 1:
                 raise UsageError(f"--share of robot {robot} must be in (0, 1], found {part}")
+        for robot, sd in self.start_sd.items():
+            if not 0 < sd < math.inf:
+                raise UsageError(f"--start of robot {robot}: expected a sigma above 0 m, found {sd}")
+
+    def starts(self) -> dict[str, tuple[float, ...]]:
+        """Robot -> x, y, theta, and sigma where that is told."""
+        return {r: (*pose, self.start_sd[r]) if r in self.start_sd else pose for r, pose in self.start.items()}
 
 
 @runtime_checkable
@@ -109,16 +120,18 @@ def parse_shares(text: str | None) -> dict[str, float]:
     return shares
 
 
-def parse_starts(words: Sequence[str] | None) -> dict[str, tuple[float, float, float]]:
-    """`robot2=x,y,theta` each, as robot -> pose."""
-    starts: dict[str, tuple[float, float, float]] = {}
+def parse_starts(words: Sequence[str] | None) -> dict[str, tuple[float, ...]]:
+    """`robot2=x,y,theta` or `robot2=x,y,theta,sigma` each, as robot -> numbers."""
+    starts: dict[str, tuple[float, ...]] = {}
     for word in words or ():
-        robot, _, numbers = word.partition("=")
+        robot, _, text = word.partition("=")
         try:
-            x, y, theta = (float(n) for n in numbers.split(","))
+            numbers = tuple(float(n) for n in text.split(","))
         except ValueError:
-            raise UsageError(f"--start: expected robot2=x,y,theta, found {word!r}") from None
-        if not all(map(math.isfinite, (x, y, theta))):
+            numbers = ()
+        if len(numbers) not in {3, 4}:
+            raise UsageError(f"--start: expected robot2=x,y,theta or robot2=x,y,theta,sigma, found {word!r}")
+        if not all(map(math.isfinite, numbers)):
             raise UsageError(f"--start: expected finite numbers, found {word!r}")
-        starts[robot_key(robot.strip())] = (x, y, theta)
+        starts[robot_key(robot.strip())] = numbers
     return starts

@@ -35,6 +35,8 @@ class Laser:
         The beams of the log run clockwise.
     loops
         Close loops where --method graph finds old places again; --no-loops leaves them open.
+    merge
+        Make one map of all robots that --method graph can tie together; --no-merge leaves every robot's alone.
     """
 
     particles: int | None = None
@@ -46,6 +48,7 @@ class Laser:
     sensor_pose: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     mirrored: Annotated[bool, Parameter(negative="")] = False
     loops: bool = True
+    merge: bool = True
 
 
 def map_logs(
@@ -77,13 +80,15 @@ def map_logs(
     robots
         Use these robots only, as 1,2.
     method
-        How each robot maps its own surroundings; laser logs: particle, graph, gated or icp (particle).
+        How each robot maps its own surroundings; laser logs: graph, particle, gated or icp (one robot: particle, more:
+        graph, which alone makes one map of them).
     weights
         How much each robot's map counts: constant, paper, diagonal, full, full-scaled or naive (full-scaled).
     share
         Use the first share of a robot's time span only, as 1:1.0,2:0.5.
     start
-        Where a robot starts in the map if that is known, as robot2=x,y,theta in metres and radians.
+        Where a robot starts in the map if that is known, as robot2=x,y,theta in metres and radians; of laser logs also
+        robot2=x,y,theta,sigma with the metres it may be off.
     truth
         Score the result against this when it is done; no estimator ever sees it.
     config
@@ -148,4 +153,5 @@ def _laser(given: Laser | None) -> "LaserOptions":
         sensor_pose=place,
         mirrored=asked.mirrored,
         no_loops=not asked.loops,
+        no_merge=not asked.merge,
     )

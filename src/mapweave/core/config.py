@@ -46,8 +46,13 @@ def build(cls: type[T], values: dict[str, Any], where: str = "configuration") ->
         raise ConfigError(f"{where}: {'; '.join(dict.fromkeys(told))}") from None
 
 
-def load(cls: type[T], path: Path | None, overrides: dict[str, Any] | None = None) -> T:
-    """`cls` from a TOML file (or its defaults) with `overrides` (nested; None means not given) on top."""
+def load(
+    cls: type[T], path: Path | None, overrides: dict[str, Any] | None = None, beneath: dict[str, Any] | None = None
+) -> T:
+    """`cls` from a TOML file (or its defaults) with `overrides` (nested; None means not given) on top.
+
+    beneath: what holds where neither says anything, in place of the defaults of `cls`.
+    """
     values: dict[str, Any] = {}
     if path is not None:
         try:
@@ -58,7 +63,7 @@ def load(cls: type[T], path: Path | None, overrides: dict[str, Any] | None = Non
             raise ConfigError(_with_line(path, str(error))) from None
         except UnicodeDecodeError as error:
             raise ConfigError(f"{path}: {error}") from None
-    return build(cls, _merge(values, overrides or {}), str(path) if path else "options")
+    return build(cls, _merge(_merge(beneath or {}, values), overrides or {}), str(path) if path else "options")
 
 
 def expect_positive(cfg: object, where: str, *names: str) -> None:

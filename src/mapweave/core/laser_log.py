@@ -1,5 +1,6 @@
 """One robot's laser log after reading, whatever the format was: scans, odometry poses, what was mended and why."""
 
+import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -37,6 +38,13 @@ class LaserLog:
     @property
     def has_intensity(self) -> bool:
         return bool(self.scans) and self.scans[0].intensities is not None
+
+    def scan_hash(self, first: int | None = None) -> str:
+        """A digest of the stamps and ranges of the first scans (all): equal for logs that hold the same scans."""
+        digest = hashlib.sha256(np.ascontiguousarray(self.scan_t[:first]).tobytes())
+        for scan in self.scans[:first]:
+            digest.update(np.ascontiguousarray(np.where(scan.hit, scan.ranges, 0.0), dtype=float).tobytes())
+        return digest.hexdigest()
 
     def stamps(self) -> Float[np.ndarray, " n"]:
         """Every odometry and every scan stamp once, ascending: where a trajectory has to give a pose."""

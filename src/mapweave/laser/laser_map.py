@@ -113,7 +113,8 @@ class LaserMap:
 
     method: "graph", "particle", "gated" or "icp"; feature: the one really used (`none` when the log's intensity says
     nothing); odometry: "poses" or "none"; dead_reckoning: odometry alone at the same stamps, None without odometry;
-    graph: keyframes, steps and closures, None of the other methods.
+    graph: keyframes, steps and closures, None of the other methods; called: the robot's name in its recording, empty
+    where it has none; scan_hash: of the stamps and ranges of all scans.
     """
 
     robot: str
@@ -132,3 +133,5 @@ class LaserMap:
     warnings: tuple[str, ...] = ()
     timing: Mapping[str, float] = field(default_factory=dict)
     graph: RobotGraph | None = None
+    called: str = ""
+    scan_hash: str = ""

@@ -69,7 +69,7 @@ def finish(
     shift = se2.inverse(_first(log, poses))
     if graph is not None:
         graph = replace(graph.moved(shift), source=log.source, log_hash=log.log_hash)
-        track = replace(track, cov=_between_keyframes(track.t, graph))
+        track = replace(track, cov=between_keyframes(track.t, graph))
     corrected = se2.compose(shift, poses)
     seen = [beams(scan, feature.name, feature.calibration, cfg.beam) for scan in log.scans]
     sensors = np.array([scan.T_robot_sensor for scan in log.scans])
@@ -101,6 +101,7 @@ def finish(
         dropped=dict(log.dropped),
         warnings=(*log.warnings, *feature.warnings),
         graph=graph,
+        scan_hash=log.scan_hash(),
     )
 
 
@@ -149,7 +150,7 @@ def map_session(
     return replace(result, timing=timing)
 
 
-def _between_keyframes(t: Float[np.ndarray, " n"], graph: RobotGraph) -> Float[np.ndarray, "n 3 3"]:
+def between_keyframes(t: Float[np.ndarray, " n"], graph: RobotGraph) -> Float[np.ndarray, "n 3 3"]:
     """Covariances at stamps `t`: those of the keyframes before and after, mixed by time."""
     after = np.clip(np.searchsorted(graph.t, t, side="right"), 1, max(len(graph) - 1, 1))
     after = np.minimum(after, len(graph) - 1)

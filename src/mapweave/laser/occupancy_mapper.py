@@ -56,21 +56,27 @@ def render(
 ) -> GridMap:
     """The map of `scans` taken at `poses` (robot in `frame`) with the sensor at `sensors` on the robot."""
     laid = [Returns(b.s, NO_ENDS, T[:2], np.column_stack([b.q, b.w])) for b, T in zip(scans, sensors, strict=True)]
-    return _rendered(laid, poses, resolution, frame)
+    return render_returns(laid, poses, resolution, frame)
+
+
+def keyframe_returns(graph: RobotGraph, *, lit: bool = True) -> list[Returns]:
+    """The returns of every keyframe of `graph`; without `lit` no feature goes with them."""
+    laid = []
+    for i in range(len(graph)):
+        s = graph.points[graph.rows(i)]
+        q = np.zeros(len(s)) if graph.q is None or not lit else graph.q[graph.rows(i)]
+        w = insertion_weight(np.hypot(*(s - graph.sensor[i]).T))
+        laid.append(Returns(s, NO_ENDS, graph.sensor[i], np.column_stack([q, w])))
+    return laid
 
 
 def render_keyframes(graph: RobotGraph, resolution: float, frame: str) -> GridMap:
     """The map of the keyframes of `graph` alone, in the frame of its poses."""
-    laid = []
-    for i in range(len(graph)):
-        s = graph.points[graph.rows(i)]
-        q = np.zeros(len(s)) if graph.q is None else graph.q[graph.rows(i)]
-        w = insertion_weight(np.hypot(*(s - graph.sensor[i]).T))
-        laid.append(Returns(s, NO_ENDS, graph.sensor[i], np.column_stack([q, w])))
-    return _rendered(laid, graph.pose, resolution, frame)
+    return render_returns(keyframe_returns(graph), graph.pose, resolution, frame)
 
 
-def _rendered(laid: Sequence[LaidScan], poses: Float[np.ndarray, "m 3"], resolution: float, frame: str) -> GridMap:
+def render_returns(laid: Sequence[LaidScan], poses: Float[np.ndarray, "m 3"], resolution: float, frame: str) -> GridMap:
+    """The map of returns taken at `poses` (robot in `frame`)."""
     mapper = OccupancyMapper(resolution)
     mapper.update(laid, poses)
     return mapper.grid(frame)

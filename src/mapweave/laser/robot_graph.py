@@ -60,6 +60,15 @@ class RobotGraph:
         """Where the returns of keyframe `i` stand."""
         return slice(int(self.start[i]), int(self.start[i + 1]))
 
+    def stored(self) -> "RobotGraph":
+        """The same graph with returns as exact as a file holds them, so that maps made from either are the same."""
+        return replace(
+            self,
+            points=_thin(self.points),
+            normals=_thin(self.normals),
+            q=None if self.q is None else _thin(self.q),
+        )
+
     def moved(self, shift: Float[np.ndarray, "3"]) -> "RobotGraph":
         """The same graph seen from a frame in which its own origin is `shift`."""
         cov = se2.turned_covariance(shift[2], self.cov)
@@ -80,3 +89,8 @@ class RobotGraph:
     def graph(self) -> PoseGraph:
         """Steps and then the closures that were believed."""
         return self.steps().joined(self.accepted())
+
+
+def _thin(values: np.ndarray) -> np.ndarray:
+    """32-bit numbers again as 64-bit ones."""
+    return values.astype(np.float32).astype(np.float64)

@@ -1,0 +1,183 @@
+"""What laser maps leave behind for going on: every robot's trajectory, scans and graph, to the last digit."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..core.errors import DataError, ReaderError
+from ..core.names import in_order, robot_name
+from ..core.records import Track
+from ..core.version import __version__
+from ..laser.laser_map import LaserMap, ScanRecords
+from .directory import read_json, write_json
+from .laser_map import NAME as GRID
+from .laser_map import read_grid
+from .npz import Spec, read_npz, write_arrays
+from .robot_graph import NAME as GRAPH
+from .robot_graph import read_robot_graph
+
+VERSION = 1
+INDEX = "state.json"
+WORDS = ("robot", "method", "feature", "frame", "odometry", "source", "log_hash", "called", "scan_hash")
+WANTED: dict[str, Spec] = {
+    "words": ("text", (len(WORDS),)),
+    "particles": ("whole", ()),
+    "dropped": ("text", ("reasons",)),
+    "dropped_counts": ("whole", ("reasons",)),
+    "warnings": ("text", ("warnings",)),
+    "t": ("number", ("n",)),
+    "pose": ("number", ("n", 3)),
+    "cov": ("number", ("n", 3, 3)),
+    "scan_t": ("number", ("m",)),
+    "scan_pose": ("number", ("m", 3)),
+    "host": ("text", ("m",)),
+    "innovation": ("number", ("m", 3)),
+    "beams": ("whole", ("m",)),
+    "matches": ("whole", ("m",)),
+    "decision": ("text", ("m",)),
+    "n_eff": ("maybe", ("m",)),
+    "resampled": ("whole", ("m",)),
+}
+MAYBE: dict[str, Spec] = {
+    "dead_t": ("number", ("d",)),
+    "dead_pose": ("number", ("d", 3)),
+    "information": ("number", ("m", 3, 3)),
+}
+AGAIN = "map its logs again with --method graph"
+
+
+def write_laser_states(folder: Path, maps: Sequence[LaserMap]) -> None:
+    """`folder/state` holds, of each robot, what `local/robotK` does not: with both `read_laser_states` gives `maps`."""
+    for made in maps:
+        _write(folder / "state" / f"{robot_name(made.robot)}.npz", made)
+    write_json(folder / "state" / INDEX, {"version": __version__, "state": VERSION, "robots": [m.robot for m in maps]})
+
+
+def read_laser_states(folder: Path) -> tuple[LaserMap, ...]:
+    """The maps of all robots of the laser result in `folder`, each in its own frame, as they were written.
+
+    Raises ReaderError for a folder that holds no result, and for state that is damaged or of another version; DataError
+    for a result that cannot go on: of landmarks, or of a laser method without a graph.
+    """
+    if not folder.is_dir():
+        raise ReaderError(folder, "no such folder")
+    index = folder / "state" / INDEX
+    if not index.is_file():
+        raise DataError(f"{folder}: {why_no_state(folder)}")
+    told = read_json(index)
+    if told.get("state") != VERSION:
+        raise ReaderError(
+            index,
+            f"expected state of version {VERSION}, found {told.get('state')!r}, which mapweave {told.get('version')} "
+            f"wrote: {AGAIN}",
+        )
+    robots = told.get("robots")
+    if not isinstance(robots, list) or not robots or not all(isinstance(r, str) for r in robots):
+        raise ReaderError(index, "expected the names of its robots, found none")
+    return tuple(_read(folder, robot) for robot in robots)
+
+
+def why_no_state(folder: Path) -> str:
+    """What a folder without state is, and what to do."""
+    if not (folder / "metrics.json").is_file():
+        return "expected a result of `mapweave map`, found no metrics.json"
+    if (folder / "landmarks.csv").is_file() or any((folder / "local").rglob("local_map.json")):
+        return "expected a result of laser logs, found one of landmarks"
+    if any((folder / "local").rglob(GRID)):
+        return f"the method that made it keeps no graph of keyframes: {AGAIN}"
+    return "expected a result of laser logs, found something else"
+
+
+def holds_state(folder: Path) -> bool:
+    """Whether `read_laser_states` would try."""
+    return (folder / "state" / INDEX).is_file()
+
+
+def laser_homes(folder: Path) -> list[Path]:
+    """The folders of the robots of a laser result, whatever method made it."""
+    return sorted((p.parent for p in (folder / "local").rglob(GRID)), key=lambda p: in_order(p.as_posix()))
+
+
+def _write(path: Path, made: LaserMap) -> None:
+    track, scans, dead = made.track, made.scans, made.dead_reckoning
+    if made.graph is None or track.cov is None:
+        raise DataError(f"robot {made.robot}: the {made.method} method keeps no graph to go on from")
+    words = (
+        *(made.robot, made.method, made.feature, track.frame, made.odometry),
+        *(made.source, made.log_hash, made.called, made.scan_hash),
+    )
+    held = {
+        "words": np.array(words, dtype=np.str_),
+        "particles": np.array(made.particles),
+        "dropped": np.array(list(made.dropped), dtype=np.str_),
+        "dropped_counts": np.array(list(made.dropped.values()), dtype=np.int64),
+        "warnings": np.array(made.warnings, dtype=np.str_),
+        "t": track.t,
+        "pose": track.pose,
+        "cov": track.cov,
+        "scan_t": scans.t,
+        "scan_pose": scans.pose,
+        "host": np.array(scans.host, dtype=np.str_),
+        "innovation": scans.innovation,
+        "beams": scans.beams,
+        "matches": scans.matches,
+        "decision": np.array(scans.decision, dtype=np.str_),
+        "n_eff": scans.n_eff,
+        "resampled": scans.resampled.astype(np.int64),
+    }
+    if dead is not None:
+        held |= {"dead_t": dead.t, "dead_pose": dead.pose}
+    if scans.information is not None:
+        held["information"] = scans.information
+    write_arrays(path, held, gaps=("n_eff",))
+
+
+def _read(folder: Path, robot: str) -> LaserMap:
+    path = folder / "state" / f"{robot_name(robot)}.npz"
+    if not path.resolve().is_relative_to((folder / "state").resolve()):
+        raise ReaderError(folder / "state" / INDEX, f"expected names of robots, found {robot!r}")
+    held = read_npz(path, WANTED, MAYBE, "the state of a laser map")
+    said = dict(zip(WORDS, map(str, held["words"]), strict=True))
+    home = folder / "local" / robot_name(robot)
+    graph = read_robot_graph(home / GRAPH)
+    grid, _, _ = read_grid(home / GRID)
+    t = held["t"]
+    if said["robot"] != robot or graph.robot != robot:
+        raise ReaderError(path, f"expected the state of robot {robot}, found that of {said['robot']}")
+    if not len(graph) or not len(t) or (np.diff(t) <= 0).any() or not np.isin(graph.t, t).all():
+        raise ReaderError(path, "its stamps are not those of the graph, or do not ascend")
+    frame = said["frame"]
+    scans = ScanRecords(
+        held["scan_t"],
+        tuple(map(str, held["host"])),
+        held["scan_pose"],
+        held["innovation"],
+        held["beams"],
+        held["matches"],
+        tuple(map(str, held["decision"])),
+        held["n_eff"],
+        held["resampled"].astype(bool),
+        held.get("information"),
+    )
+    dead = Track(held["dead_t"], held["dead_pose"], frame="odom") if {"dead_t", "dead_pose"} <= held.keys() else None
+    return LaserMap(
+        robot=robot,
+        method=said["method"],
+        feature=said["feature"],
+        track=Track(t, held["pose"], held["cov"], frame),
+        grid=replace(grid, frame=frame),
+        scans=scans,
+        odometry=said["odometry"],
+        dead_reckoning=dead,
+        calibration=graph.calibration,
+        particles=int(held["particles"]),
+        source=said["source"],
+        log_hash=said["log_hash"],
+        dropped=dict(zip(map(str, held["dropped"]), held["dropped_counts"].tolist(), strict=True)),
+        warnings=tuple(map(str, held["warnings"])),
+        graph=graph,
+        called=said["called"],
+        scan_hash=said["scan_hash"],
+    )

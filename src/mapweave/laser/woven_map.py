@@ -1,0 +1,227 @@
+"""Robots whose maps hang together as one map: every robot's way in one frame, one grid, one graph, all closures."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..core import se2
+from ..core.records import Track, frozen
+from .beam import IntensityCalibration
+from .laser_map import GridMap, LaserMap
+from .mapping import between_keyframes
+from .merge import Merge
+from .occupancy_mapper import keyframe_returns, render_returns
+from .pose_graph import PoseGraph
+from .robot_graph import RobotGraph
+from .scan_odometry import blended
+from .weave import Woven
+
+FRAME = "map"
+DROPPED = "it contradicts the joint graph: "
+
+
+@dataclass(frozen=True, slots=True)
+class ClosureRow:
+    """A closure tried between keyframes of robots a and b (of one and the same: a loop).
+
+    stamps [s]; at: (2, 2) [m] where both keyframes stand in `map`; measured: (3,) pose of b in a; score, second: of
+    the search, second over score; share: of returns that match; nis: squared innovation [sd^2].
+    """
+
+    robot_a: str
+    stamp_a: float
+    robot_b: str
+    stamp_b: float
+    at: Float[np.ndarray, "2 2"]
+    measured: Float[np.ndarray, "3"]
+    score: float | None
+    second: float | None
+    share: float
+    nis: float | None
+    accepted: bool
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class WovenMap:
+    """One component: the robots that hang together, in `map`, the first pose of the first of them.
+
+    tracks: robot -> its way with covariances; pose: (n, 3) all keyframes, robots in order, owner (n,) which robot's
+    each is, t (n,) [s] their stamps; graph: the edges believed, over these poses; closures: every one tried within and
+    between these robots, and those tried with robots of later components.
+    """
+
+    robots: tuple[str, ...]
+    tracks: Mapping[str, Track]
+    grid: GridMap
+    feature: str
+    calibration: IntensityCalibration | None
+    graph: PoseGraph
+    owner: Int[np.ndarray, " n"]
+    t: Float[np.ndarray, " n"]
+    closures: tuple[ClosureRow, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "owner", frozen(self.owner, np.int64))
+        object.__setattr__(self, "t", frozen(self.t))
+
+
+def woven_maps(maps: Sequence[LaserMap], woven: Woven, resolution: float) -> tuple[WovenMap, ...]:
+    """The components of `woven`, that of most robots first; a robot alone keeps its own map as it is.
+
+    maps: each robot's own, with its graph, in the order they were woven in.
+    """
+    graphs = [_graph(m) for m in maps]
+    offset = np.concatenate([[0], np.cumsum([len(g) for g in graphs])]).astype(np.int64)
+    groups = [np.flatnonzero(woven.component == c).tolist() for c in dict.fromkeys(woven.component.tolist())]
+    groups.sort(key=lambda g: (-len(g), g[0]))
+    home = {k: n for n, group in enumerate(groups) for k in group}
+    poses = [woven.pose[k] if len(groups[home[k]]) > 1 else g.pose for k, g in enumerate(graphs)]
+    dropped = {(d.first, d.second): d.reason for d in woven.joint.dropped}
+    rows = _rows(graphs, poses, offset, woven.merges, dropped, {m.robot: home[k] for k, m in enumerate(maps)})
+    return tuple(
+        _alone(maps[group[0]], rows.get(n, ()))
+        if len(group) == 1
+        else _component(group, maps, poses, woven, offset, rows.get(n, ()), resolution)
+        for n, group in enumerate(groups)
+    )
+
+
+def _graph(made: LaserMap) -> RobotGraph:
+    assert made.graph is not None  # noqa: S101  (only the graph method is woven)
+    return made.graph
+
+
+def _alone(made: LaserMap, closures: Sequence[ClosureRow]) -> WovenMap:
+    graph = _graph(made)
+    return WovenMap(
+        robots=(made.robot,),
+        tracks={made.robot: made.track},
+        grid=made.grid,
+        feature=made.feature,
+        calibration=made.calibration,
+        graph=graph.graph(),
+        owner=np.zeros(len(graph), np.int64),
+        t=graph.t,
+        closures=tuple(closures),
+    )
+
+
+def _component(
+    group: Sequence[int],
+    maps: Sequence[LaserMap],
+    poses: Sequence[Float[np.ndarray, "_ 3"]],
+    woven: Woven,
+    offset: Int[np.ndarray, " m"],
+    closures: Sequence[ClosureRow],
+    resolution: float,
+) -> WovenMap:
+    graphs = [_graph(maps[k]) for k in group]
+    at = np.concatenate([np.arange(offset[k], offset[k + 1]) for k in group])
+    number = np.full(int(offset[-1]), -1, np.int64)
+    number[at] = np.arange(len(at))
+    joint = woven.joint.graph
+    inside = woven.joint.used & (number[joint.first] >= 0) & (number[joint.second] >= 0)
+    pose = np.concatenate([poses[k] for k in group])
+    graph = PoseGraph(
+        pose,
+        number[joint.first[inside]],
+        number[joint.second[inside]],
+        joint.measured[inside],
+        joint.information[inside],
+    )
+    turned = float(poses[group[0]][0, 2] - joint.pose[at[0], 2])
+    cov = se2.turned_covariance(turned, woven.joint.covariances()[at]) + graphs[0].cov[0]
+    ends = np.concatenate([[0], np.cumsum([len(g) for g in graphs])]).astype(np.int64)
+    tracks = {
+        maps[k].robot: _track(maps[k], poses[k], np.asarray(cov[ends[i] : ends[i + 1]])) for i, k in enumerate(group)
+    }
+    features = {maps[k].feature for k in group}
+    feature = "normalised" if features == {"normalised"} else "none"
+    return WovenMap(
+        robots=tuple(maps[k].robot for k in group),
+        tracks=tracks,
+        grid=_grid(graphs, [poses[k] for k in group], resolution, lit=feature != "none"),
+        feature=feature,
+        calibration=maps[group[0]].calibration if feature != "none" else None,
+        graph=graph,
+        owner=np.repeat(np.arange(len(group)), [len(g) for g in graphs]),
+        t=np.concatenate([g.t for g in graphs]),
+        closures=tuple(closures),
+    )
+
+
+def _track(made: LaserMap, pose: Float[np.ndarray, "n 3"], cov: Float[np.ndarray, "n 3 3"]) -> Track:
+    """The robot's way where its keyframes stand at `pose`: between them as in its own map."""
+    graph, own = _graph(made), made.track
+    rows = np.searchsorted(own.t, graph.t)
+    moved = se2.compose(pose, se2.between(graph.pose, own.pose[rows]))
+    placed = RobotGraph(
+        **{name: getattr(graph, name) for name in RobotGraph.__slots__ if name not in {"pose", "cov"}},
+        pose=pose,
+        cov=cov,
+    )
+    return Track(own.t, blended(own.pose, rows, moved), between_keyframes(own.t, placed), FRAME)
+
+
+def _grid(
+    graphs: Sequence[RobotGraph], poses: Sequence[Float[np.ndarray, "_ 3"]], resolution: float, *, lit: bool
+) -> GridMap:
+    """All keyframes of all robots laid on one grid."""
+    laid = [scan for g in graphs for scan in keyframe_returns(g, lit=lit)]
+    return render_returns(laid, np.concatenate(poses), resolution, FRAME)
+
+
+def _rows(
+    graphs: Sequence[RobotGraph],
+    poses: Sequence[Float[np.ndarray, "_ 3"]],
+    offset: Int[np.ndarray, " m"],
+    merges: Sequence[Merge],
+    dropped: Mapping[tuple[int, int], str],
+    home: Mapping[str, int],
+) -> dict[int, list[ClosureRow]]:
+    """Component -> its closures: robot by robot those within, then those between, pair by pair."""
+    out: dict[int, list[ClosureRow]] = {}
+    number = {g.robot: k for k, g in enumerate(graphs)}
+    for k, g in enumerate(graphs):
+        for c in g.closures:
+            told = dropped.get((int(offset[k]) + c.first, int(offset[k]) + c.second)) if c.accepted else None
+            row = ClosureRow(
+                g.robot,
+                float(g.t[c.first]),
+                g.robot,
+                float(g.t[c.second]),
+                poses[k][[c.first, c.second], :2],
+                c.measured,
+                c.score,
+                c.runner_up,
+                c.share,
+                c.nis,
+                c.accepted and told is None,
+                c.reason if told is None else DROPPED + told,
+            )
+            out.setdefault(home[g.robot], []).append(row)
+    for m in merges:
+        i, j = number[m.a], number[m.b]
+        for tie in m.closures:
+            held = m.merged and tie.accepted
+            told = dropped.get((int(offset[i]) + tie.first, int(offset[j]) + tie.second)) if held else None
+            reason = tie.reason if told is None else DROPPED + told
+            row = ClosureRow(
+                m.a,
+                float(graphs[i].t[tie.first]),
+                m.b,
+                float(graphs[j].t[tie.second]),
+                np.stack([poses[i][tie.first, :2], poses[j][tie.second, :2]]),
+                tie.measured,
+                tie.score,
+                tie.ratio,
+                tie.share,
+                tie.nis,
+                held and told is None,
+                reason if m.merged or not tie.accepted else f"the maps are not merged: {m.reason}",
+            )
+            out.setdefault(min(home[m.a], home[m.b]), []).append(row)
+    return out

@@ -1,0 +1,197 @@
+"""Laser logs of a team become one map where the scans tell how they lie; else they stand alone, with the reason."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mapweave.io.grid import read_grid
+
+import mapweave
+from mapweave.api.map_options import LaserOptions, parse_starts
+from mapweave.cli import _run
+from mapweave.core.errors import DataError, UsageError
+from mapweave.core.records import Track
+from mapweave.io.g2o import read_g2o, read_g2o_file
+from mapweave.io.robot_graph import read_robot_graph
+from mapweave.io.table import read_table
+from mapweave.io.tum import read_tum, write_tum
+
+from ..laser.team_logs import cut, office, part_of
+
+HOUR = 3600.0
+
+
+@pytest.fixture(scope="module")
+def team(tmp_path_factory):
+    """Two logs of one floor, the second by a clock an hour off, and the files of their truth."""
+    log, truth = office(3)
+    n = len(log.scans)
+    logs = [cut(log, 0, int(0.62 * n)), cut(log, int(0.38 * n), n, "2", HOUR)]
+    folder = tmp_path_factory.mktemp("truth")
+    paths = [folder / f"robot{k}.tum" for k in (1, 2)]
+    for path, part, clock in zip(paths, logs, (0.0, HOUR), strict=True):
+        write_tum(path, part_of(truth, part, clock))
+    return logs, paths
+
+
+@pytest.fixture(scope="module")
+def woven(team, tmp_path_factory):
+    logs, truth = team
+    out = tmp_path_factory.mktemp("woven") / "out"
+    return mapweave.map(logs, out, truth=truth), out
+
+
+def test_robots_that_saw_the_same_walls_are_in_one_map_whatever_their_clocks(woven):
+    result, out = woven
+    told = json.loads((out / "metrics.json").read_text())
+    assert told["components"] == [["1", "2"]]
+    (row,) = told["fusion"]
+    assert {"a", "b", "overlap", "score", "second", "agreeing", "chi2", "decision", "reason"} <= set(row)
+    assert (row["a"], row["b"], row["decision"]) == ("1", "2", "merged")
+    assert row["agreeing"] >= 4
+    assert f"merged on {row['agreeing']} closures" in row["reason"]
+    assert {told["robots"][k]["method"] for k in "12"} == {"graph"}
+    scores = told["evaluation"]["robots"]
+    assert [scores[k]["component"] for k in "12"] == [1, 1]
+    assert max(scores[k]["ate"] for k in "12") < 0.25
+    assert any("robot1 and robot2 in one map" in line for line in result.lines())
+
+
+def test_the_frame_is_the_first_pose_of_the_lowest_robot(woven):
+    _, out = woven
+    assert np.allclose(read_tum(out / "trajectories" / "robot1.tum").pose[0], 0.0, atol=1e-9)
+    assert np.hypot(*read_tum(out / "trajectories" / "robot2.tum").pose[0, :2]) > 1.0
+
+
+def test_the_grid_holds_the_walls_of_both_robots_where_their_trajectories_put_them(woven):
+    _, out = woven
+    grid = read_grid(out / "grid.npz")[0]
+    low, high = grid.origin, grid.origin + grid.resolution * np.array(grid.shape[::-1])
+    taken = {tuple(c) for c in np.floor((grid.cells()[:, :2] - grid.origin) / grid.resolution).astype(int).tolist()}
+    for k in (1, 2):
+        graph = read_robot_graph(out / "local" / f"robot{k}" / "robot_graph.npz")
+        track = read_tum(out / "trajectories" / f"robot{k}.tum")
+        pose = track.pose[np.abs(track.t[:, None] - graph.t[None]).argmin(axis=0)]
+        i = len(graph) // 2
+        c, s = np.cos(pose[i, 2]), np.sin(pose[i, 2])
+        points = pose[i, :2] + graph.points[graph.rows(i)] @ np.array([[c, s], [-s, c]])
+        assert (points > low).all()
+        assert (points < high).all()
+        cells = np.floor((points - grid.origin) / grid.resolution).astype(int)
+        assert np.mean([tuple(c) in taken for c in cells.tolist()]) > 0.97
+
+
+def test_the_pose_graph_holds_all_keyframes_and_closures_tell_of_both_robots(woven):
+    result, out = woven
+    graphs = [read_robot_graph(out / "local" / f"robot{k}" / "robot_graph.npz") for k in (1, 2)]
+    held = read_g2o_file(out / "pose_graph.g2o")
+    assert len(held.graph) == sum(map(len, graphs))
+    assert held.fixed == (0,)
+    assert (out / "pose_graph.g2o").read_text().splitlines()[-1].startswith("FIX")
+    n = len(graphs[0])
+    between = (held.graph.first < n) & (held.graph.second >= n)
+    table = read_table(out / "closures.csv")
+    ties = [k for k in range(len(table)) if table.columns["robot_a"][k] != table.columns["robot_b"][k]]
+    believed = [k for k in ties if table.columns["accepted"][k] == "1"]
+    assert between.sum() >= len(believed) >= 4
+    stamps = table.numbers("stamp_b")[ties]
+    assert np.isin(np.round(stamps, 6), np.round(graphs[1].t, 6)).all()
+    assert len(ties) == len(result.merges[0].closures)
+
+
+def test_trajectories_carry_covariances_that_grow_from_the_first_pose(woven):
+    result, out = woven
+    (made,) = result.components
+    for k in "12":
+        P = made.tracks[k].cov
+        assert (np.linalg.eigvalsh(P)[:, 0] > 0).all()
+        rows = (out / "trajectories" / f"robot{k}.cov.csv").read_text().splitlines()
+        assert len(rows) == len(made.tracks[k].t) + 1
+    assert np.trace(made.tracks["2"].cov[0]) > 2.0 * np.trace(made.tracks["1"].cov[0])
+
+
+def test_robots_that_are_not_to_be_merged_stand_each_in_a_component(team, tmp_path):
+    logs, _ = team
+    out = tmp_path / "out"
+    alone = mapweave.map(logs, out, laser=LaserOptions(no_merge=True, no_loops=True), share={"1": 0.3, "2": 0.3})
+    assert alone.metrics["components"] == [["1"], ["2"]]
+    assert alone.metrics["fusion"] == []
+    for part, k in ((out, 1), (out / "components" / "2", 2)):
+        own = out / "local" / f"robot{k}"
+        assert (part / "grid.npz").read_bytes() == (own / "grid.npz").read_bytes()
+        assert [p.name for p in sorted((part / "trajectories").glob("*.tum"))] == [f"robot{k}.tum"]
+        assert (part / "map.pgm").is_file()
+        assert len(read_g2o(part / "pose_graph.g2o")) > 3
+
+
+def test_two_places_that_fit_are_refused_and_a_start_decides(tmp_path):
+    log, truth = office(2)
+    n = len(log.scans)
+    logs = [cut(log, 0, int(0.62 * n)), cut(log, int(0.38 * n), n, "2")]
+    refused = mapweave.map(logs)
+    assert refused.metrics["components"] == [["1"], ["2"]]
+    row = refused.metrics["fusion"][0]
+    assert row["decision"] == "refused"
+    assert row["reason"]
+    assert any(line == f"robot1 and robot2: not merged: {row['reason']}" for line in refused.lines())
+    start = mapweave.core.se2.between(part_of(truth, logs[0]).pose[0], part_of(truth, logs[1]).pose[0])
+    told = mapweave.map(logs, start={"2": (*start.tolist(), 0.1)})
+    assert told.metrics["components"] == [["1", "2"]]
+    first = told.components[0].tracks["2"].pose[0]
+    assert np.hypot(*(first - start)[:2]) < 0.3
+
+
+def test_a_start_of_nobody_and_one_that_is_no_pose_are_refused(team):
+    logs, _ = team
+    with pytest.raises(UsageError, match="there is no robot7; there are robot1, robot2"):
+        mapweave.map(logs, start={"7": (0.0, 0.0, 0.0)}, share={"1": 0.1, "2": 0.1})
+    with pytest.raises(UsageError, match="expected x, y, theta or x, y, theta, sigma, found 2"):
+        mapweave.map(logs, start={"2": (0.0, 0.0)})
+    with pytest.raises(UsageError, match="expected a sigma above 0 m, found 0"):
+        mapweave.map(logs, start={"2": (0.0, 0.0, 0.0, 0.0)})
+    assert parse_starts(["robot2=1,2,0.5,0.3", "3=0,0,1"]) == {"2": (1.0, 2.0, 0.5, 0.3), "3": (0.0, 0.0, 1.0)}
+    with pytest.raises(UsageError, match="robot2=x,y,theta,sigma"):
+        parse_starts(["robot2=1,2"])
+
+
+def test_a_sigma_is_refused_for_landmark_logs(tmp_path):
+    mapweave.simulate_landmarks(tmp_path / "team", robots=2, landmarks=8, minutes=0.3, seed=1)
+    with pytest.raises(UsageError, match="found a sigma too"):
+        mapweave.map(tmp_path / "team", start={"2": (0.0, 0.0, 0.0, 1.0)})
+
+
+def test_the_same_log_twice_is_refused_by_name(team):
+    logs, _ = team
+    with pytest.raises(DataError, match=r"robot1 \(part1.mcap\) and robot2 \(copy.mcap\) hold the same scans"):
+        mapweave.map([logs[0], replace(logs[0], source="copy.mcap", log_hash="other")], share={"1": 0.2, "2": 0.2})
+
+
+def test_a_robot_that_never_moves_stays_alone_and_says_so(team):
+    logs, _ = team
+    still = logs[1].scans[0]
+    t = logs[1].scan_t[:6]
+    log = replace(
+        logs[1], source="parked.mcap", scan_t=t, scans=(still,) * 6, odometry=Track(t, np.tile(still.odometry, (6, 1)))
+    )
+    result = mapweave.map([logs[0], log], share={"1": 0.4})
+    assert result.metrics["components"] == [["1"], ["2"]]
+    assert any("hardly moved: 1 keyframe" in w for w in result.metrics["robots"]["2"]["warnings"])
+    assert not any("hardly moved" in w for w in result.metrics["robots"]["1"]["warnings"])
+    assert result.metrics["fusion"][0]["decision"] == "refused"
+    assert result.metrics["fusion"][0]["reason"]
+
+
+def test_the_same_team_is_mapped_the_same_from_files_at_the_command_line(tmp_path, capsys):
+    drives = [tmp_path / f"{name}.mcap" for name in "ab"]
+    for k, drive in enumerate(drives, 1):
+        words = ["--rooms", "1", "--visited", "2", "--seed", str(k), "--beams", "120"]
+        assert _run(["simulate", "office", "--out", str(drive), *words]) == 0
+    outs = [tmp_path / "one", tmp_path / "two"]
+    for out, jobs in zip(outs, "12", strict=True):
+        words = ["--feature", "none", "--share", "1:0.5,2:0.5", "--jobs", jobs]
+        assert _run(["map", *map(str, drives), "--out", str(out), *words]) == 0
+    told = capsys.readouterr().out
+    assert "robot1 and robot2: not merged: " in told
+    for name in ("trajectories/robot1.tum", "components/2/grid.npz", "state/robot2.npz", "closures.csv"):
+        assert (outs[0] / name).read_bytes() == (outs[1] / name).read_bytes(), name
