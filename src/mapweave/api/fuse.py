@@ -13,6 +13,8 @@ from ..fusion.join import fuse as join_maps
 from ..io.directory import check_target
 from ..io.local_map import read_local_map
 from ..landmarks.landmark_map import LocalMap
+from .fuse_laser import are_laser_results, fuse_laser
+from .laser_result import LaserResult
 from .team import TeamResult, Watch, team_result
 
 
@@ -28,7 +30,7 @@ def fuse(
     seed: int = 0,
     force: bool = False,
     on_progress: Progress = no_progress,
-) -> TeamResult:
+) -> TeamResult | LaserResult:
     """Fuse the local maps of several results into one map; written to `out` if given.
 
     Robots are called `DIR/robotK`. Every decision (merged or refused) has its reason in the result; the same log given
@@ -37,17 +39,18 @@ def fuse(
     Parameters
     ----------
     directories
-        Results of `map` or `fuse`.
+        Results of `map` or `fuse`, all of landmark logs or all of laser logs (of the graph method).
     out
         The folder to write; an earlier result there is replaced whole.
     weights
-        How much each map counts: constant, paper, diagonal, full, full-scaled or naive (full-scaled).
+        How much each map counts: constant, paper, diagonal, full, full-scaled or naive (full-scaled). Landmarks alone.
     identities
         `known`: equal ids are one landmark, where the places agree; `unknown`: found out from the places (known).
+        Landmarks alone.
     truth
         What `evaluate` takes; used for scoring alone.
     config
-        A TOML file of settings, as `configuration("fuse")` prints them; options here win.
+        A TOML file of settings, as `configuration("fuse")` prints them; options here win. Landmarks alone.
     seed
         Kept in the metrics (0).
     force
@@ -60,7 +63,7 @@ def fuse(
     ReaderError
         For a result that is missing or damaged.
     DataError
-        For one without local maps.
+        For one without local maps, and where laser results stand beside others.
     UsageError
         For options that cannot be; ConfigError for a configuration that is refused. Nothing is written then.
 
@@ -77,6 +80,18 @@ def fuse(
     cfg = load(FuseConfig, None if config is None else Path(config), {"weights": weights, "identities": identities})
     if out is not None:
         check_target(Path(out), force=force)
+    for folder in given:
+        if not folder.is_dir():
+            raise ReaderError(folder, "no such folder")
+    if are_laser_results(given):
+        idle = {"--weights": weights, "--identities": identities, "--config": config}
+        if asked := [name for name, value in idle.items() if value is not None]:
+            raise UsageError(f"{', '.join(asked)}: only for landmark results, found {given[0]}")
+        names, scores = distinct_names(given), tuple(Path(p) for p in truth)
+        woven = fuse_laser(given, names, seed=seed, truth=scores, on_progress=on_progress)
+        if out is not None:
+            woven.write(out, force=force)
+        return woven
     watch = Watch()
     local: list[LocalMap] = []
     recordings: dict[str, str] = {}
@@ -113,8 +128,6 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
 
 
 def _read_all(path: Path, label: str) -> list[LocalMap]:
-    if not path.is_dir():
-        raise ReaderError(path, "no such folder")
     found = [p.parent for p in (path / "local").rglob("local_map.json")]
     homes = sorted(found, key=lambda p: in_order(p.as_posix()))
     if not homes:

@@ -29,7 +29,8 @@ class LaserResult(ResultBase):
     """`metrics` are those of `metrics.json`; `evaluation` is there when truth was given.
 
     maps: each robot's own, in the frame of its first pose; components: the graph method's maps of the robots that hang
-    together, that of most robots first; merges: every pair of robots tried, with the decision and its reason.
+    together, that of most robots first; merges: every pair of robots tried, with the decision and its reason; starts:
+    robot -> x, y, theta[, sigma] that were told; notes: what `summary` says beside.
     """
 
     maps: tuple[LaserMap, ...]
@@ -38,6 +39,8 @@ class LaserResult(ResultBase):
     truth: Mapping[str, Track] = field(default_factory=dict)
     components: tuple[WovenMap, ...] = ()
     merges: tuple[Merge, ...] = ()
+    starts: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def draw(self, target: Target) -> None:
         """The first robot's map with its trajectory."""
@@ -55,7 +58,7 @@ class LaserResult(ResultBase):
 
     def write_into(self, folder: Path) -> None:
         """All files of the contract; a robot alone in its component has its own map's files there too."""
-        write_laser_data(folder, self.maps, self.metrics, self.components)
+        write_laser_data(folder, self)
         told = [] if self.evaluation is None else self.evaluation.lines()
         write_laser_report(folder, self.maps, self.truth, told)
         if not self.components and len(self.maps) == 1:
@@ -78,6 +81,7 @@ class LaserResult(ResultBase):
         lines += [told_merge(merge) for merge in self.merges]
         if len(self.maps) > 1 and self.components:
             lines += [told_component(made) for made in self.components]
+        lines += self.notes
         lines += [f"warning: {text}" for text in self.metrics.get("warnings", ())]
         return lines + ([] if self.evaluation is None else self.evaluation.lines())
 
@@ -138,11 +142,10 @@ def _robot_metrics(made: LaserMap) -> dict[str, Any]:
     return {**told, "name": made.called} if made.called else told
 
 
-def write_laser_data(
-    folder: Path, maps: Sequence[LaserMap], metrics: Mapping[str, Any], components: Sequence[WovenMap]
-) -> None:
+def write_laser_data(folder: Path, result: LaserResult) -> None:
     """Every file but the report and the copies of lone robots' maps: what scores and what goes on is read from."""
-    write_json(folder / "metrics.json", dict(metrics))
+    maps, components = result.maps, result.components
+    write_json(folder / "metrics.json", result.metrics)
     for made in maps:
         write_laser_map(folder / "local" / robot_name(made.robot), made)
         if not components:
@@ -154,7 +157,7 @@ def write_laser_data(
         else:
             write_woven_map(part, woven)
     if components:
-        write_laser_states(folder, maps)
+        write_laser_states(folder, maps, result.starts)
 
 
 def _parts(folder: Path, components: Sequence[WovenMap]) -> list[tuple[Path, WovenMap]]:

@@ -1,7 +1,7 @@
 """Laser logs become maps, each log on its own: poses at every stamp, occupancy, the light walls send back."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,11 +14,13 @@ from ..core.names import robot_name
 from ..core.records import Track
 from ..core.workers import Progress, no_progress, worker_pool
 from ..io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
+from ..io.laser_state import read_laser_states
 from ..laser.config import LaserConfig
 from ..laser.laser_map import LaserMap
 from ..laser.mapping import map_laser
 from .laser_result import LaserResult, laser_metrics
 from .map_options import MapOptions
+from .resume_laser import next_robots, resumed
 from .weave_laser import scored, woven_result
 
 Job = tuple[Path | LaserLog, str, LaserSource, LaserConfig, int, float]
@@ -40,25 +42,51 @@ def map_logs(logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResul
 
     A recording may hold several robots. The maps of the graph method are woven, those of the others stand each alone.
     """
-    source = source_of(options)
-    robots = [(log, replace(source, name=name)) for log in logs for name in _names(log, source)]
-    names = [str(k) for k in range(1, len(robots) + 1)]
-    wanted = names if options.robots is None else list(options.robots)
-    if missing := [name for name in wanted if name not in names]:
-        raise UsageError(f"--robots: there is no robot {missing[0]} among {len(names)} robots of {len(logs)} logs")
-    cfg = _configured(options, team=len(wanted) > 1)
-    held = dict(zip(names, robots, strict=True))
-    jobs = [(held[name][0], name, held[name][1], cfg, options.seed, options.share.get(name, 1.0)) for name in wanted]
+    before = options.laser.resume
+    if before is not None:
+        return _going_on(before, logs, options)
+    held = _robots(logs, options, [])
+    cfg = _configured(options, team=len(held) > 1)
+    jobs = [(log, key, source, cfg, options.seed, options.share.get(key, 1.0)) for key, (log, source) in held.items()]
     maps = tuple(_told(made, options) for made in _worked(jobs, options))
     if cfg.method != "graph":
         return scored(LaserResult(maps, laser_metrics(maps, options.seed)), options.truth)
+    return _woven(maps, cfg, options, options.starts(), ())
+
+
+def _going_on(before: Path, logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResult:
+    """The result in `before` with further logs: what one run of all logs would have given."""
+    state = read_laser_states(before)
+    cfg = _configured(options, team=True)
+    if cfg.method != "graph":
+        raise UsageError(f"--resume: goes on with --method graph, found {cfg.method}")
+    held = _robots(logs, options, [m.robot for m in state.maps])
+    read = [_read(log, key, source, options.share.get(key, 1.0)) for key, (log, source) in held.items()]
+    found = resumed(before, state, read)
+    sources = [source for _, source in held.values()]
+    jobs = [
+        (log, robot, source, cfg, options.seed, 1.0)
+        for log, robot, source in zip(read, found.robots, sources, strict=True)
+    ]
+    maps = found.maps([_told(made, options) for made in _worked(jobs, options)])
+    return _woven(maps, cfg, options, {**state.starts, **options.starts()}, found.notes)
+
+
+def _woven(
+    maps: Sequence[LaserMap],
+    cfg: LaserConfig,
+    options: MapOptions,
+    starts: Mapping[str, Sequence[float]],
+    notes: Sequence[str],
+) -> LaserResult:
     return woven_result(
         maps,
         resolution=cfg.resolution,
         seed=options.seed,
-        starts=options.starts(),
+        starts=starts,
         merge=not options.laser.no_merge,
         truth=options.truth,
+        notes=notes,
         on_progress=options.on_progress,
     )
 
@@ -68,6 +96,19 @@ def result_of(maps: Sequence[LaserMap], cfg: LaserConfig, *, seed: int = 0) -> L
     if cfg.method != "graph":
         return LaserResult(tuple(maps), laser_metrics(maps, seed))
     return woven_result(maps, resolution=cfg.resolution, seed=seed)
+
+
+def _robots(
+    logs: Sequence[Path | LaserLog], options: MapOptions, there: Sequence[str]
+) -> dict[str, tuple[Path | LaserLog, LaserSource]]:
+    """Key of each robot asked for -> its log and where in it; numbers follow those that are `there`."""
+    source = source_of(options)
+    robots = [(log, replace(source, name=name)) for log in logs for name in _names(log, source)]
+    held = dict(zip(next_robots(there, len(robots)), robots, strict=True))
+    wanted = list(held) if options.robots is None else list(options.robots)
+    if missing := [name for name in wanted if name not in held]:
+        raise UsageError(f"--robots: there is no robot {missing[0]} among {len(held)} robots of {len(logs)} logs")
+    return {name: held[name] for name in wanted}
 
 
 def _names(log: Path | LaserLog, source: LaserSource) -> tuple[str | None, ...]:
@@ -97,11 +138,15 @@ def map_one(
     """The map of one log, or of the first `share` of its time."""
     name = robot_name(robot)
     on_progress(f"{name}: reading", 0, None)
-    whole = replace(path, robot=robot) if isinstance(path, LaserLog) else read_laser(path, robot, source)
-    log = first_part(whole, share)
+    log = _read(path, robot, source, share)
     on_progress(f"{name}: reading", 1, 1)
     made = map_laser(log, cfg, seed, _compiling_first(f"{name}: compiling (first run only)", on_progress))
     return replace(made, called=source.name or "")
+
+
+def _read(path: Path | LaserLog, robot: str, source: LaserSource, share: float) -> LaserLog:
+    whole = replace(path, robot=robot) if isinstance(path, LaserLog) else read_laser(path, robot, source)
+    return first_part(whole, share)
 
 
 def _compiling_first(compiling: str, on_progress: Progress) -> Progress:

@@ -19,7 +19,7 @@ class LaserOptions:
 
     resample: the share of the particles `N_eff` may fall to; sensor_pose: `T_robot_sensor` [m, m, rad]; mirrored: beam
     angles run clockwise; no_loops: the graph method looks for no old places; no_merge: and every robot's map stays
-    alone.
+    alone; resume: a finished result that the logs go on from.
     """
 
     particles: int | None = None
@@ -32,6 +32,7 @@ class LaserOptions:
     mirrored: bool = False
     no_loops: bool = False
     no_merge: bool = False
+    resume: Path | None = None
 
     def given(self) -> list[str]:
         """The options that were given, as the command line spells them."""

@@ -44,6 +44,7 @@ def woven_result(
     merge: bool = True,
     truth: Sequence[Path] = (),
     warnings: Sequence[str] = (),
+    notes: Sequence[str] = (),
     on_progress: Progress = no_progress,
 ) -> LaserResult:
     """The maps of all robots that can be tied together. starts: robot -> x, y, theta[, sigma] of its first pose.
@@ -70,7 +71,9 @@ def woven_result(
     metrics = laser_metrics(made, seed, components, woven.merges, timing)
     if warnings:
         metrics["warnings"] = list(warnings)
-    result = LaserResult(tuple(made), metrics, components=components, merges=woven.merges)
+    result = LaserResult(
+        tuple(made), metrics, components=components, merges=woven.merges, starts=starts or {}, notes=tuple(notes)
+    )
     return scored(result, truth)
 
 
@@ -92,7 +95,7 @@ def scored(result: LaserResult, truth: Sequence[Path]) -> LaserResult:
         return result
     metrics = result.metrics
     with tempfile.TemporaryDirectory() as folder:
-        write_laser_data(Path(folder), result.maps, metrics, result.components)
+        write_laser_data(Path(folder), result)
         score = judged(Path(folder), truth)
     known = {made.robot: _true_track(truth, k) for k, made in enumerate(result.maps)}
     tracks = {robot: track for robot, track in known.items() if track is not None}

@@ -21,7 +21,7 @@ def fuse(
     Parameters
     ----------
     directories
-        Results of `map` or `fuse`; their robots are called DIR/robotK.
+        Results of `map` or `fuse`, of landmark logs or of laser logs; their robots are called DIR/robotK.
     out
         The folder to write, laid out as `map` does.
     weights

@@ -37,6 +37,8 @@ class Laser:
         Close loops where --method graph finds old places again; --no-loops leaves them open.
     merge
         Make one map of all robots that --method graph can tie together; --no-merge leaves every robot's alone.
+    resume
+        A finished result of --method graph that the logs go on from: of a robot of its own, or of one in it.
     """
 
     particles: int | None = None
@@ -49,6 +51,7 @@ class Laser:
     mirrored: Annotated[bool, Parameter(negative="")] = False
     loops: bool = True
     merge: bool = True
+    resume: Path | None = None
 
 
 def map_logs(
@@ -154,4 +157,5 @@ def _laser(given: Laser | None) -> "LaserOptions":
         mirrored=asked.mirrored,
         no_loops=not asked.loops,
         no_merge=not asked.merge,
+        resume=asked.resume,
     )

@@ -1,7 +1,7 @@
 """What laser maps leave behind for going on: every robot's trajectory, scans and graph, to the last digit."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -48,15 +48,25 @@ MAYBE: dict[str, Spec] = {
 AGAIN = "map its logs again with --method graph"
 
 
-def write_laser_states(folder: Path, maps: Sequence[LaserMap]) -> None:
+@dataclass(frozen=True, slots=True)
+class LaserState:
+    """maps: every robot's own, in its own frame; starts: robot -> x, y, theta[, sigma] that were told of it."""
+
+    maps: tuple[LaserMap, ...]
+    starts: Mapping[str, tuple[float, ...]]
+
+
+def write_laser_states(folder: Path, maps: Sequence[LaserMap], starts: Mapping[str, Sequence[float]]) -> None:
     """`folder/state` holds, of each robot, what `local/robotK` does not: with both `read_laser_states` gives `maps`."""
     for made in maps:
         _write(folder / "state" / f"{robot_name(made.robot)}.npz", made)
-    write_json(folder / "state" / INDEX, {"version": __version__, "state": VERSION, "robots": [m.robot for m in maps]})
+    told = {robot: list(numbers) for robot, numbers in starts.items()}
+    held = {"version": __version__, "state": VERSION, "robots": [m.robot for m in maps], "starts": told}
+    write_json(folder / "state" / INDEX, held)
 
 
-def read_laser_states(folder: Path) -> tuple[LaserMap, ...]:
-    """The maps of all robots of the laser result in `folder`, each in its own frame, as they were written.
+def read_laser_states(folder: Path) -> LaserState:
+    """What `write_laser_states` and the robots' own folders in `folder` hold, as it was written.
 
     Raises ReaderError for a folder that holds no result, and for state that is damaged or of another version; DataError
     for a result that cannot go on: of landmarks, or of a laser method without a graph.
@@ -76,7 +86,15 @@ def read_laser_states(folder: Path) -> tuple[LaserMap, ...]:
     robots = told.get("robots")
     if not isinstance(robots, list) or not robots or not all(isinstance(r, str) for r in robots):
         raise ReaderError(index, "expected the names of its robots, found none")
-    return tuple(_read(folder, robot) for robot in robots)
+    starts = told.get("starts")
+    if not isinstance(starts, dict) or not all(_is_start(numbers) for numbers in starts.values()):
+        raise ReaderError(index, "expected starts of robots as lists of 3 or 4 numbers, found something else")
+    given = {robot: tuple(map(float, numbers)) for robot, numbers in starts.items()}
+    return LaserState(tuple(_read(folder, robot) for robot in robots), given)
+
+
+def _is_start(numbers: object) -> bool:
+    return isinstance(numbers, list) and len(numbers) in {3, 4} and all(isinstance(n, int | float) for n in numbers)
 
 
 def why_no_state(folder: Path) -> str:

@@ -1,0 +1,50 @@
+"""`fuse` of laser results: the graphs of all their robots woven into one map."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from ..core.errors import DataError
+from ..core.names import robot_name
+from ..core.workers import Progress
+from ..io.laser_state import holds_state, laser_homes, read_laser_states
+from ..laser.laser_map import LaserMap
+from .laser_result import LaserResult
+from .weave_laser import same_logs, woven_result
+
+
+def are_laser_results(folders: Sequence[Path]) -> bool:
+    """Whether these are results of laser logs; raises DataError where some are and others are not."""
+    laser = [holds_state(folder) or bool(laser_homes(folder)) for folder in folders]
+    if any(laser) and not all(laser):
+        one, other = folders[laser.index(True)], folders[laser.index(False)]
+        raise DataError(f"{one} is a result of laser logs and {other} is none: only results of one kind are fused")
+    return all(laser)
+
+
+def fuse_laser(
+    folders: Sequence[Path], names: Sequence[str], *, seed: int, truth: Sequence[Path], on_progress: Progress
+) -> LaserResult:
+    """One result of all robots of `folders`, called NAME/robotK; a log that several hold counts once and is told."""
+    maps: list[LaserMap] = []
+    for k, (folder, name) in enumerate(zip(folders, names, strict=True)):
+        on_progress("reading", k, len(folders))
+        maps += [_renamed(made, f"{name}/{robot_name(made.robot)}") for made in read_laser_states(folder).maps]
+    warnings = []
+    while (twice := same_logs(maps)) is not None:
+        first, again = twice
+        maps = [made for made in maps if made is not again]
+        warnings.append(f"{again.robot} is the same log as {first.robot}: it counts once")
+    return woven_result(
+        maps,
+        resolution=maps[0].grid.resolution,
+        seed=seed,
+        truth=truth,
+        warnings=warnings,
+        on_progress=on_progress,
+    )
+
+
+def _renamed(made: LaserMap, robot: str) -> LaserMap:
+    graph = None if made.graph is None else replace(made.graph, robot=robot)
+    return replace(made, robot=robot, graph=graph)

@@ -1,0 +1,168 @@
+"""Laser results go on with further logs, and finished ones are fused: the same bytes as one run, or one clear error."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import mapweave
+from mapweave.api.map_options import LaserOptions
+from mapweave.cli import _run
+from mapweave.core.errors import DataError, MapweaveError, ReaderError, UsageError
+
+from ..laser.team_logs import cut, office
+
+
+@pytest.fixture(scope="module")
+def logs():
+    log, _ = office(3)
+    n = len(log.scans)
+    return cut(log, 0, int(0.62 * n)), cut(log, int(0.38 * n), n, "2")
+
+
+@pytest.fixture(scope="module")
+def sessions(logs, tmp_path_factory):
+    """One run of both logs; a run of the first and another that goes on with the second."""
+    folder = tmp_path_factory.mktemp("sessions")
+    mapweave.map(list(logs), folder / "one", seed=4)
+    mapweave.map([logs[0]], folder / "first", method="graph", seed=4)
+    mapweave.map([logs[1]], folder / "both", laser=LaserOptions(resume=folder / "first"), seed=4)
+    return folder
+
+
+def written(folder):
+    """Every file but the page, which tells how long things took; metrics without their times."""
+    out = {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+    metrics = json.loads(out.pop("metrics.json"))
+    del out["report.html"]
+    return out, {**metrics, "timing": None}
+
+
+def test_a_second_session_gives_the_bytes_of_one_run_of_both_logs(sessions):
+    one, both = written(sessions / "one"), written(sessions / "both")
+    assert one[1] == both[1]
+    assert one[0].keys() == both[0].keys()
+    assert [name for name in one[0] if one[0][name] != both[0][name]] == []
+    assert one[1]["components"] == [["1", "2"]]
+
+
+def test_a_log_that_was_cut_goes_on_as_the_same_robot_with_the_bytes_of_one_run(logs, sessions, tmp_path):
+    rng = np.random.default_rng(7)
+    n = int(rng.integers(20, len(logs[0].scans) - 5))
+    early = cut(logs[0], 0, n)
+    stopped = replace(
+        early,
+        scans=logs[0].scans[:n],
+        source=logs[0].source,
+        odometry=replace(early.odometry, pose=logs[0].odometry.pose[: len(early.odometry.t)]),
+    )
+    mapweave.map([stopped, logs[1]], tmp_path / "stopped", seed=4)
+    result = mapweave.map([logs[0]], tmp_path / "on", laser=LaserOptions(resume=tmp_path / "stopped"), seed=4)
+    assert f"robot1: its log goes on, from scan {n + 1} to {len(logs[0].scans)}" in result.lines()
+    one, on = written(sessions / "one"), written(tmp_path / "on")
+    assert one[1] == on[1]
+    assert [name for name in one[0] if one[0][name] != on[0].get(name)] == []
+
+
+def test_the_log_that_is_there_already_is_refused(logs, sessions):
+    with pytest.raises(DataError, match=r"these scans are in .*first already, as robot1"):
+        mapweave.map([replace(logs[0], source="again.mcap")], laser=LaserOptions(resume=sessions / "first"))
+
+
+def test_a_start_told_in_the_first_session_holds_in_the_second(logs, sessions, tmp_path):
+    start = {"1": (1.0, 2.0, 0.5)}
+    mapweave.map([logs[0]], tmp_path / "first", method="graph", start=start)
+    made = mapweave.map([logs[1]], laser=LaserOptions(resume=tmp_path / "first", no_merge=True))
+    assert made.starts == start
+
+
+def spoiled(sessions, tmp_path):
+    return shutil.copytree(sessions / "both", tmp_path / "spoiled")
+
+
+def refused(folder, logs):
+    with pytest.raises(MapweaveError) as told:
+        mapweave.map([logs[1]], laser=LaserOptions(resume=folder))
+    return str(told.value)
+
+
+def test_a_result_of_another_version_is_refused(sessions, logs, tmp_path):
+    folder = spoiled(sessions, tmp_path)
+    index = folder / "state" / "state.json"
+    index.write_text(json.dumps({**json.loads(index.read_text()), "state": 99, "version": "7.0"}))
+    assert "expected state of version 1, found 99, which mapweave 7.0 wrote" in refused(folder, logs)
+
+
+def test_a_result_of_landmarks_one_without_graphs_and_no_result_are_refused(logs, tmp_path):
+    mapweave.simulate_landmarks(tmp_path / "team", robots=2, landmarks=8, minutes=0.3, seed=1)
+    mapweave.map(tmp_path / "team", tmp_path / "landmarks")
+    assert "expected a result of laser logs, found one of landmarks" in refused(tmp_path / "landmarks", logs)
+    mapweave.map([logs[0]], tmp_path / "gated", method="gated", share={"1": 0.2})
+    assert "keeps no graph of keyframes: map its logs again with --method graph" in refused(tmp_path / "gated", logs)
+    assert "no such folder" in refused(tmp_path / "nowhere", logs)
+    (tmp_path / "empty").mkdir()
+    assert "found no metrics.json" in refused(tmp_path / "empty", logs)
+
+
+@pytest.mark.parametrize("name", ["state/state.json", "state/robot1.npz", "local/robot2/robot_graph.npz"])
+@pytest.mark.parametrize("how", ["cut", "gone", "other"])
+def test_a_damaged_result_is_refused_by_the_file_that_is_damaged(sessions, logs, tmp_path, name, how):
+    folder = spoiled(sessions, tmp_path)
+    path = folder / name
+    if how == "cut":
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    elif how == "gone":
+        path.unlink()
+    else:
+        path.write_bytes(
+            (folder / "grid.npz").read_bytes() if path.suffix == ".npz" else b'{"state": 1, "robots": [3]}'
+        )
+    told = refused(folder, logs)
+    assert path.name in told or (how == "gone" and name == "state/state.json")
+    assert "\n" not in told
+
+
+def test_the_states_of_two_robots_exchanged_are_found_out(sessions, logs, tmp_path):
+    folder = spoiled(sessions, tmp_path)
+    a, b = (folder / "state" / f"robot{k}.npz" for k in (1, 2))
+    held = a.read_bytes()
+    a.write_bytes(b.read_bytes())
+    b.write_bytes(held)
+    assert "expected the state of robot 1, found that of 2" in refused(folder, logs)
+
+
+def test_only_the_graph_method_goes_on(sessions, logs):
+    with pytest.raises(UsageError, match="--resume: goes on with --method graph, found particle"):
+        mapweave.map([logs[1]], method="particle", laser=LaserOptions(resume=sessions / "first"))
+
+
+def test_finished_results_are_fused_by_the_same_decision_as_one_run(sessions, logs, tmp_path):
+    mapweave.map([logs[1]], tmp_path / "second", method="graph", seed=4)
+    fused = mapweave.fuse([sessions / "first", tmp_path / "second"], tmp_path / "fused")
+    assert fused.metrics["components"] == [["first/robot1", "second/robot1"]]
+    one = json.loads((sessions / "one" / "metrics.json").read_text())["fusion"][0]
+    row = fused.metrics["fusion"][0]
+    assert (row["agreeing"], row["decision"]) == (one["agreeing"], one["decision"])
+    assert np.allclose(row["transform"], one["transform"], atol=1e-9)
+    assert (tmp_path / "fused" / "trajectories" / "second" / "robot1.tum").is_file()
+    assert (tmp_path / "fused" / "grid.npz").read_bytes() == (sessions / "one" / "grid.npz").read_bytes()
+    again = mapweave.fuse([tmp_path / "fused", sessions / "first"])
+    assert again.metrics["warnings"] == ["first/robot1 is the same log as fused/first/robot1: it counts once"]
+    assert again.metrics["components"] == [["fused/first/robot1", "fused/second/robot1"]]
+
+
+def test_laser_results_are_not_fused_with_landmarks_nor_with_options_of_theirs(sessions, tmp_path, capsys):
+    mapweave.simulate_landmarks(tmp_path / "team", robots=2, landmarks=8, minutes=0.3, seed=1)
+    mapweave.map(tmp_path / "team", tmp_path / "landmarks")
+    words = ["fuse", str(sessions / "first"), str(tmp_path / "landmarks"), "--out", str(tmp_path / "out")]
+    assert _run(words) == 1
+    err = capsys.readouterr().err
+    assert "only results of one kind are fused" in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(UsageError, match="--weights: only for landmark results"):
+        mapweave.fuse([sessions / "first", sessions / "both"], weights="full")
+    with pytest.raises(ReaderError, match="no such folder"):
+        mapweave.fuse([sessions / "first", tmp_path / "nowhere"])
