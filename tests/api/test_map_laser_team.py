@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mapweave.io.grid import read_grid
 
 import mapweave
 from mapweave.api.map_options import LaserOptions, parse_starts
@@ -13,6 +12,7 @@ from mapweave.cli import _run
 from mapweave.core.errors import DataError, UsageError
 from mapweave.core.records import Track
 from mapweave.io.g2o import read_g2o, read_g2o_file
+from mapweave.io.laser_map import read_grid
 from mapweave.io.robot_graph import read_robot_graph
 from mapweave.io.table import read_table
 from mapweave.io.tum import read_tum, write_tum

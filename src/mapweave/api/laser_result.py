@@ -21,6 +21,8 @@ from ..report.laser import write_laser_report
 from ..report.laser_figures import aligned, draw_map
 from ..report.result import ResultBase, Rows
 from ..report.style import Target
+from ..report.woven import told_component, told_merge
+from ..report.woven_figures import draw_component
 from .evaluate import Evaluation
 
 
@@ -43,7 +45,10 @@ class LaserResult(ResultBase):
     notes: tuple[str, ...] = ()
 
     def draw(self, target: Target) -> None:
-        """The first robot's map with its trajectory."""
+        """The map of most robots with their trajectories."""
+        if self.components and len(self.components[0].robots) > 1:
+            draw_component(target, self.components[0], self.truth)
+            return
         first = self.maps[0]
         truth = self.truth.get(first.robot)
         draw_map(target, first, None if truth is None else aligned(truth, first.track))
@@ -60,7 +65,8 @@ class LaserResult(ResultBase):
         """All files of the contract; a robot alone in its component has its own map's files there too."""
         write_laser_data(folder, self)
         told = [] if self.evaluation is None else self.evaluation.lines()
-        write_laser_report(folder, self.maps, self.truth, told)
+        told_too = (*self.notes, *(f"warning: {text}" for text in self.metrics.get("warnings", ())))
+        write_laser_report(folder, self.maps, self.truth, told, self.components, self.merges, told_too)
         if not self.components and len(self.maps) == 1:
             _copied(folder, folder, self.maps[0].robot)
         for part, made in _parts(folder, self.components):
@@ -84,20 +90,6 @@ class LaserResult(ResultBase):
         lines += self.notes
         lines += [f"warning: {text}" for text in self.metrics.get("warnings", ())]
         return lines + ([] if self.evaluation is None else self.evaluation.lines())
-
-
-def told_merge(merge: Merge) -> str:
-    """The decision on a pair of robots, for people."""
-    words = merge.reason if merge.merged else f"not merged: {merge.reason}"
-    return f"{robot_name(merge.a)} and {robot_name(merge.b)}: {words}"
-
-
-def told_component(made: WovenMap) -> str:
-    """Which robots hang together, for people."""
-    x0, x1, y0, y1 = made.grid.extent
-    names = [robot_name(r) for r in made.robots]
-    who = f"{', '.join(names[:-1])} and {names[-1]} in one map" if len(names) > 1 else f"{names[0]} alone"
-    return f"{who}: {x1 - x0:.0f} x {y1 - y0:.0f} m, in the frame of {names[0]}'s first pose"
 
 
 def laser_metrics(

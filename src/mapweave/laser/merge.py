@@ -62,7 +62,8 @@ class Merge:
     transform: T_a_b, covariance: of an error in b's frame, both None when refused; overlap: share of the walls of one
     that lie on the other's, of the two the larger, under the best transform; score: median of the submaps that agree
     on it; second: that of the next best transform, over it; agreeing: submaps that confirm it; chi2: of their
-    closures; alike: of what both robots saw, the share on which they agree; rival: the next best transform.
+    closures; alike: of what both robots saw, the share on which they agree; rival: the next best transform; best: the
+    transform that all this was asked of, T_a_b, also when refused, None where no submap was found.
     """
 
     a: str
@@ -78,6 +79,7 @@ class Merge:
     chi2: float | None = None
     alike: float | None = None
     rival: Float[np.ndarray, "3"] | None = None
+    best: Float[np.ndarray, "3"] | None = None
     closures: tuple[MapClosure, ...] = ()
 
     def row(self) -> dict[str, Any]:
@@ -166,6 +168,7 @@ def _weighed(pair: _Pair, found: Sequence[Hypothesis], tried: int, start: Start 
         chi2=best.chi2 if held else None,
         alike=best.seen.share,
         rival=None if rival is None else frozen(rival.transform),
+        best=frozen(best.transform),
         closures=tuple(c for _, c in checked),
     )
     why = _why_refused(pair, told, best, rival, tried, cfg.votes if start is None else cfg.known_votes)
@@ -328,8 +331,8 @@ def _swapped(m: Merge) -> Merge:
         )
         for c in m.closures
     )
-    rival = None if m.rival is None else frozen(se2.inverse(m.rival))
-    return replace(m, a=m.b, b=m.a, transform=T, covariance=P, rival=rival, closures=closures)
+    rival, best = (None if way is None else frozen(se2.inverse(way)) for way in (m.rival, m.best))
+    return replace(m, a=m.b, b=m.a, transform=T, covariance=P, rival=rival, best=best, closures=closures)
 
 
 def _turned(measured: np.ndarray, information: np.ndarray) -> np.ndarray:

@@ -9,8 +9,11 @@ import numpy as np
 from ..core.names import robot_name
 from ..core.records import Track
 from ..laser.laser_map import LaserMap
+from ..laser.merge import Merge
+from ..laser.woven_map import WovenMap
 from .html import Page
 from .laser_figures import aligned, draw_calibration, draw_intensity, draw_map, draw_scans, draw_tracks
+from .woven import write_woven
 
 WHY = {
     "first": "the first scan: the map begins with it",
@@ -22,23 +25,36 @@ WHY = {
 
 
 def write_laser_report(
-    folder: Path, maps: Sequence[LaserMap], truth: Mapping[str, Track], evaluation: Sequence[str]
+    folder: Path,
+    maps: Sequence[LaserMap],
+    truth: Mapping[str, Track],
+    evaluation: Sequence[str],
+    components: Sequence[WovenMap] = (),
+    merges: Sequence[Merge] = (),
+    notes: Sequence[str] = (),
 ) -> None:
     """`report.html` and `figures/` in `folder`, and each robot's `intensity.png` in `local/robotK/`.
 
-    truth: robot -> its true trajectory, in any frame; evaluation: lines to show.
+    truth: robot -> its true trajectory, in any frame; evaluation: lines to show; notes: what else there is to say.
     """
-    page = Page("Laser map", _lead(maps))
+    page = Page("Laser map", _lead(maps, components))
+    for line in notes:
+        page.text(line)
     if evaluation:
         page.section("Against the truth")
         for line in evaluation:
             page.text(line)
+    if len(maps) > 1 and components:
+        write_woven(page, folder, maps, components, merges, truth)
     for made in maps:
         _robot(page, folder, made, truth.get(made.robot))
     page.write(folder / "report.html")
 
 
-def _lead(maps: Sequence[LaserMap]) -> str:
+def _lead(maps: Sequence[LaserMap], components: Sequence[WovenMap]) -> str:
+    if len(maps) > 1 and components:
+        count = "one map" if len(components) == 1 else f"{len(components)} maps that nothing ties together"
+        return f"{len(maps)} robots, {count}."
     if len(maps) == 1:
         return f"{Path(maps[0].source).name}, mapped with the {maps[0].method} method."
     return f"{len(maps)} logs, each mapped on its own, in the frame of its own first pose."
@@ -57,7 +73,7 @@ def _robot(page: Page, folder: Path, made: LaserMap, truth: Track | None) -> Non
     draw_map(figures / f"{name}_map.png", made, seen)
     page.figure(figures / f"{name}_map.png", "Occupied cells black, free ones white, unknown ones grey.")
     light = folder / "local" / name / "intensity.png"
-    draw_intensity(light, made)
+    draw_intensity(light, made.grid, made.feature, f"robot {made.robot}")
     page.figure(light, "The feature every occupied cell sends back; grid.npz holds the same as numbers.")
     tracks = {"estimate": made.track}
     if made.dead_reckoning is not None:

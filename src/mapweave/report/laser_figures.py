@@ -33,12 +33,11 @@ def draw_map(path: Target, made: LaserMap, truth: Track | None) -> None:
         ax.set_aspect("equal", adjustable="box")
 
 
-def draw_intensity(path: Path, made: LaserMap) -> None:
+def draw_intensity(path: Path, grid: GridMap, feature: str, who: str) -> None:
     """Every cell with returns in the colour of its feature (dark to bright for any colour vision).
 
     Cells that were mostly seen through are left out: somebody passed by.
     """
-    grid = made.grid
     solid = grid.occupancy()[grid.weight > 0] > PASSED_BY  # in the order of `cells`
     cells = grid.cells()[solid]
     with figure(path, *map_size(grid)) as (fig, ax):
@@ -46,9 +45,9 @@ def draw_intensity(path: Path, made: LaserMap) -> None:
         ax.set_facecolor("#F4F6F8")
         rows, cols = grid.shape
         dot = float(np.clip((900.0 / max(rows, cols)) ** 2, 4.0, 16.0))
-        if made.feature == "none":
+        if feature == "none":
             ax.scatter(*cells[:, :2].T, s=dot, marker="s", color=MUTED, linewidths=0)
-            title = f"robot {made.robot}: no intensity used, geometry alone"
+            title = f"{who}: no intensity used, geometry alone"
         else:
             order = np.argsort(cells[:, 3])
             drawn = ax.scatter(
@@ -63,7 +62,7 @@ def draw_intensity(path: Path, made: LaserMap) -> None:
                 linewidths=0,
             )
             fig.colorbar(drawn, ax=ax, label="feature q", shrink=0.7, extend="max")
-            title = f"robot {made.robot}: light sent back ({made.feature})"
+            title = f"{who}: light sent back ({feature})"
         as_map(ax, title)
         ax.set_aspect("equal", adjustable="box")
 

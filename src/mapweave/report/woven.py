@@ -1,0 +1,112 @@
+"""The part of a laser report that tells how robots hang together, and why two of them do or do not."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from ..core.names import robot_name
+from ..core.records import Track
+from ..laser.laser_map import LaserMap
+from ..laser.merge import Merge
+from ..laser.woven_map import WovenMap
+from .html import Page
+from .laser_figures import draw_intensity
+from .woven_figures import draw_closures, draw_component, draw_pair
+
+MOST_PICTURES = 12  # of pairs of robots
+
+
+def told_merge(merge: Merge) -> str:
+    """The decision on a pair of robots, for people."""
+    words = merge.reason if merge.merged else f"not merged: {merge.reason}"
+    return f"{robot_name(merge.a)} and {robot_name(merge.b)}: {words}"
+
+
+def told_component(made: WovenMap) -> str:
+    """Which robots hang together, for people."""
+    x0, x1, y0, y1 = made.grid.extent
+    names = [robot_name(r) for r in made.robots]
+    who = f"{', '.join(names[:-1])} and {names[-1]} in one map" if len(names) > 1 else f"{names[0]} alone"
+    return f"{who}: {x1 - x0:.0f} x {y1 - y0:.0f} m, in the frame of {names[0]}'s first pose"
+
+
+def write_woven(
+    page: Page,
+    folder: Path,
+    maps: Sequence[LaserMap],
+    components: Sequence[WovenMap],
+    merges: Sequence[Merge],
+    truth: Mapping[str, Track],
+) -> None:
+    """The sections on `page`, its figures in `folder/figures`, and intensity.png of every map of several robots."""
+    page.section("Which robots hang together")
+    for made in components:
+        page.text(f"{told_component(made)}.")
+    if merges:
+        _pairs(page, merges)
+    for k, made in enumerate(components, 1):
+        if len(made.robots) > 1:
+            _component(page, folder, made, k, truth)
+    graphs = {made.robot: made.graph for made in maps if made.graph is not None}
+    shown = [m for m in merges if m.best is not None and m.a in graphs and m.b in graphs]
+    if shown:
+        page.section("Two maps laid on each other")
+    for merge in shown[:MOST_PICTURES]:
+        path = folder / "figures" / f"pair_{_file(merge.a)}_{_file(merge.b)}.png"
+        draw_pair(path, merge, graphs[merge.a], graphs[merge.b])
+        page.figure(path, f"{told_merge(merge)}.")
+    if len(shown) > MOST_PICTURES:
+        page.text(f"{len(shown) - MOST_PICTURES} pairs more are told in the table alone.")
+
+
+def _pairs(page: Page, merges: Sequence[Merge]) -> None:
+    head = ["robots", "decision", "overlap", "score", "second", "agreeing", "chi-square", "alike", "why"]
+    rows = []
+    for m in merges:
+        decision = "merged" if m.merged else "not merged"
+        overlap, second, alike = (None if v is None else f"{100 * v:.0f} %" for v in (m.overlap, m.second, m.alike))
+        name = f"{robot_name(m.a)}, {robot_name(m.b)}"
+        rows.append([name, decision, overlap, m.score, second, m.agreeing, m.chi2, alike, m.reason])
+    page.table(head, rows)
+    page.text(
+        "Overlap: share of the walls of one map that lie on those of the other. Score: of the submaps of one searched "
+        "for in the other, 0 to 1; second: that of the next best place, over it. Agreeing: submaps that confirm the "
+        "place; chi-square: of their closures. Alike: of what both robots saw, the share on which they agree."
+    )
+
+
+def _component(page: Page, folder: Path, made: WovenMap, k: int, truth: Mapping[str, Track]) -> None:
+    names = ", ".join(robot_name(r) for r in made.robots)
+    page.section(f"The map of {names}")
+    accepted = sum(c.accepted for c in made.closures)
+    driven = [f"{robot_name(r)} {_way(made.tracks[r]):.0f} m" for r in made.robots]
+    x0, x1, y0, y1 = made.grid.extent
+    page.cards(
+        [
+            ("map", f"{x1 - x0:.0f} x {y1 - y0:.0f} m"),
+            ("robots", str(len(made.robots))),
+            ("keyframes", str(len(made.graph))),
+            ("closures believed", f"{accepted} of {len(made.closures)}"),
+        ]
+    )
+    page.text(f"Driven: {', '.join(driven)}. The frame is the first pose of {robot_name(made.robots[0])}.")
+    figures = folder / "figures"
+    draw_component(figures / f"component{k}_map.png", made, truth)
+    page.figure(figures / f"component{k}_map.png", "Occupied cells black, free ones white, unknown ones grey.")
+    draw_closures(figures / f"component{k}_closures.png", made)
+    page.figure(
+        figures / f"component{k}_closures.png",
+        "From keyframe to keyframe; closures.csv tells why each was believed or refused.",
+    )
+    if made.feature != "none":
+        light = (folder if k == 1 else folder / "components" / str(k)) / "intensity.png"
+        draw_intensity(light, made.grid, made.feature, names)
+        page.figure(light, "The feature every occupied cell sends back; grid.npz holds the same as numbers.")
+
+
+def _way(track: Track) -> float:
+    steps = track.pose[1:, :2] - track.pose[:-1, :2]
+    return float(((steps**2).sum(axis=1) ** 0.5).sum())
+
+
+def _file(robot: str) -> str:
+    return robot_name(robot).replace("/", "_")

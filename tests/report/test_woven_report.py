@@ -1,0 +1,148 @@
+"""The page of woven maps: who hangs together, every pair with its decision, closures and both maps drawn."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib import colors, image
+
+from mapweave.core import se2
+from mapweave.core.records import Track
+from mapweave.laser.merge import Merge
+from mapweave.laser.pose_graph import PoseGraph
+from mapweave.laser.robot_graph import RobotGraph
+from mapweave.laser.woven_map import ClosureRow, WovenMap
+from mapweave.report.laser import write_laser_report
+from mapweave.report.style import PALETTE
+from mapweave.report.woven import MOST_PICTURES
+from mapweave.report.woven_figures import robot_colour, truths_in
+
+from ..io.made_laser_map import made_laser_map
+
+T = np.array([0.5, -0.3, 0.2])
+
+
+def graph(robot, track):
+    """Ten keyframes, each of which sees a line of points ahead."""
+    pose = track.pose[:: max(1, len(track.t) // 10)][:10]
+    n, seen = len(pose), np.column_stack([np.full(20, 1.5), np.linspace(-1, 1, 20)])
+    return RobotGraph(
+        robot=robot,
+        t=track.t[:: max(1, len(track.t) // 10)][:10],
+        pose=pose,
+        cov=np.tile(np.eye(3) * 1e-3, (n, 1, 1)),
+        path=np.arange(n) * 0.3,
+        step=se2.between(pose[:-1], pose[1:]),
+        step_information=np.tile(np.eye(3) * 1e4, (n - 1, 1, 1)),
+        closures=(),
+        start=20 * np.arange(n + 1),
+        points=np.tile(seen, (n, 1)),
+        normals=np.tile([-1.0, 0.0], (20 * n, 1)),
+        q=None,
+        lined=np.ones(20 * n, dtype=bool),
+        sensor=np.zeros((n, 2)),
+    )
+
+
+@pytest.fixture(scope="module")
+def woven():
+    made = made_laser_map()
+    maps = [replace(made, robot=k, method="graph", graph=graph(k, made.track)) for k in "123"]
+    tracks = {"1": made.track, "2": Track(made.track.t, se2.compose(T, made.track.pose))}
+    graphs = [m.graph for m in maps]
+    pose = np.concatenate([graphs[0].pose, se2.compose(T, graphs[1].pose)])
+
+    def row(a, b, accepted):
+        at = np.array([pose[1, :2], pose[15, :2]])
+        return ClosureRow(a, 100.0, b, 101.0, at, T, 0.8, 0.5, 0.9, 1.2, accepted, "why")
+
+    closures = (row("1", "1", True), row("1", "2", True), row("1", "2", False), row("1", "3", False))
+    one = WovenMap(
+        robots=("1", "2"),
+        tracks=tracks,
+        grid=made.grid,
+        feature="normalised",
+        calibration=None,
+        graph=PoseGraph.of(pose, [], [], []),
+        owner=np.repeat([0, 1], len(graphs[0])),
+        t=np.concatenate([graphs[0].t, graphs[1].t]),
+        closures=closures,
+    )
+    alone = replace(one, robots=("3",), tracks={"3": made.track}, closures=())
+    merges = (
+        Merge("1", "2", True, "merged on 9 closures", transform=T, score=0.8, agreeing=9, chi2=3.0, alike=0.98, best=T),
+        Merge("1", "3", False, "two places fit equally well", score=0.7, second=0.97, best=T, rival=-T),
+        Merge("2", "3", False, "too little overlap: none of 5 submaps is found in the other map"),
+    )
+    return maps, (one, alone), merges
+
+
+@pytest.fixture(scope="module")
+def page(woven, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    maps, components, merges = woven
+    write_laser_report(folder, maps, {}, [], components, merges, ("robot1: its log goes on",))
+    return folder, (folder / "report.html").read_text()
+
+
+def test_the_page_says_who_hangs_together_and_decides_every_pair_in_words(page):
+    _, html = page
+    for words in (
+        "3 robots, 2 maps that nothing ties together.",
+        "robot1 and robot2 in one map: 5 x 3 m, in the frame of robot1&#x27;s first pose.",
+        "robot3 alone",
+        "robot1: its log goes on",
+        "merged on 9 closures",
+        "robot1 and robot3: not merged: two places fit equally well.",
+        "too little overlap: none of 5 submaps is found in the other map",
+    ):
+        assert words in html, words
+    assert html.count("<td>not merged</td>") == 2
+    assert "2 of 4" in html  # closures believed
+
+
+def test_a_picture_shows_every_pair_that_has_a_place(page):
+    folder, _ = page
+    assert sorted(p.name for p in (folder / "figures").glob("pair_*")) == [
+        "pair_robot1_robot2.png",
+        "pair_robot1_robot3.png",
+    ]
+    wide = image.imread(folder / "figures" / "pair_robot1_robot3.png")
+    blue, orange = (_drawn(wide, c) for c in PALETTE[:2])
+    assert blue[:, : wide.shape[1] // 2].any()
+    assert blue[:, wide.shape[1] // 2 :].any()
+    assert orange.any()
+
+
+def test_robots_and_closures_are_drawn_in_colours_of_their_own(page):
+    folder, _ = page
+    drawn = image.imread(folder / "figures" / "component1_map.png")
+    assert all(_drawn(drawn, robot_colour(k)).sum() > 50 for k in range(2))
+    assert len({robot_colour(k) for k in range(7)}) == 7
+    ties = image.imread(folder / "figures" / "component1_closures.png")
+    assert all(_drawn(ties, PALETTE[k]).sum() > 10 for k in (0, 2, 5))
+    assert (folder / "intensity.png").is_file()
+
+
+def test_of_many_pairs_the_page_shows_some_and_counts_the_others(woven, tmp_path):
+    maps, components, merges = woven
+    many = (merges[0],) * (MOST_PICTURES + 3)
+    write_laser_report(tmp_path, maps, {}, [], components, many)
+    html = (tmp_path / "report.html").read_text()
+    assert "3 pairs more are told in the table alone." in html
+    assert len(re.findall("<figcaption>robot1 and robot2: merged", html)) == MOST_PICTURES
+
+
+def test_the_truth_of_all_robots_is_moved_by_one_motion(woven):
+    (one, _) = woven[1]
+    away = np.array([3.0, 1.0, 0.7])
+    truths = {k: Track(t.t, se2.compose(away, t.pose)) for k, t in one.tracks.items()}
+    for told, robot in zip(truths_in(one, truths), one.robots, strict=True):
+        assert np.allclose(told.pose, one.tracks[robot].pose, atol=1e-9)
+    late = {k: Track(t.t + 1e6, t.pose) for k, t in one.tracks.items()}
+    assert truths_in(one, late) == []
+
+
+def _drawn(pixels, colour):
+    return (np.abs(pixels[..., :3] - colors.to_rgb(colour)) < 0.02).all(axis=-1)
