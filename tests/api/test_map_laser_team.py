@@ -13,6 +13,7 @@ from mapweave.core.errors import DataError, UsageError
 from mapweave.core.records import Track
 from mapweave.io.g2o import read_g2o, read_g2o_file
 from mapweave.io.laser_map import read_grid
+from mapweave.io.mcap import write_mcap
 from mapweave.io.robot_graph import read_robot_graph
 from mapweave.io.table import read_table
 from mapweave.io.tum import read_tum, write_tum
@@ -109,6 +110,22 @@ def test_trajectories_carry_covariances_that_grow_from_the_first_pose(woven):
         rows = (out / "trajectories" / f"robot{k}.cov.csv").read_text().splitlines()
         assert len(rows) == len(made.tracks[k].t) + 1
     assert np.trace(made.tracks["2"].cov[0]) > 2.0 * np.trace(made.tracks["1"].cov[0])
+
+
+def test_a_robot_is_followed_through_the_parts_of_the_map_that_two_robots_saw(woven, team, tmp_path):
+    result, out = woven
+    log, truth = office(3)
+    n = len(log.scans)
+    begin = int(0.3 * n)
+    third = cut(log, begin, int(0.75 * n), "3")
+    write_mcap(tmp_path / "third.mcap", third)
+    track = result.components[0].tracks["1"]
+    start = track.pose[np.searchsorted(track.t, log.scan_t[begin])]
+    found = mapweave.localize(tmp_path / "third.mcap", out, start=start.tolist())
+    second = result.components[0].tracks["2"]
+    at = np.searchsorted(second.t, third.scan_t[-1] + HOUR - 1e-6)
+    assert found.metrics["localisation"]["trusted"]
+    assert np.hypot(*(found.found.track.pose[-1] - second.pose[at])[:2]) < 0.3
 
 
 def test_robots_that_are_not_to_be_merged_stand_each_in_a_component(team, tmp_path):

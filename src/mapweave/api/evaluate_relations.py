@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,17 +10,21 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.errors import ReaderError, UsageError
-from ..core.names import in_order
+from ..core.names import in_order, robot_key
 from ..core.records import Track
 from ..core.truth import Relations
 from ..evaluation.relations import RelationScore, exact_pairs, nearest, score_relations
 from ..io.relations import is_relations, read_relations
 from ..io.table import read_table
+from ..io.team_map import read_metrics
 from ..io.tum import read_tum
 from .result import EvaluationBase
 
 if TYPE_CHECKING:
     from ..report.style import Target
+
+
+Scans = tuple[Float[np.ndarray, " m"], Sequence[str]]  # stamps [s] and hosts
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -63,19 +68,49 @@ def applies(directory: Path, truth: Path) -> bool:
 
 
 def evaluate(directory: Path, truth: Sequence[Path]) -> RelationEvaluation:
-    """The score of the robot whose trajectory has poses at most of the relations."""
+    """The score of the robot whose trajectory has poses at most of the relations.
+
+    Robots that drove one after the other in one map count as one: relations reach from one to the next.
+    """
     if len(truth) != 1:
         raise UsageError(f"--truth: expected one file of relations, found {len(truth)}")
     relations = read_relations(truth[0])
-    tracks = {path.stem: read_tum(path) for path in sorted((directory / "trajectories").glob("*.tum"))}
+    homes = [directory, *sorted(directory.glob("components/[0-9]*"), key=lambda p: in_order(p.name))]
+    tracks: dict[str, Track] = {}
+    scans: dict[str, Scans] = {}
+    for home in homes:
+        found = _component(directory, home / "trajectories")
+        tracks |= {name: track for name, (track, _) in found.items()}
+        scans |= {name: seen for name, (_, seen) in found.items()}
     if not tracks:
         raise ReaderError(directory / "trajectories", "expected trajectories, found none")
-    return evaluate_tracks(tracks, {robot: _scans(directory, robot) for robot in tracks}, relations)
+    return evaluate_tracks(tracks, scans, relations)
+
+
+def _component(directory: Path, folder: Path) -> dict[str, tuple[Track, Scans]]:
+    """Robot -> its trajectory and scans; all of them as one where they drove one after the other in one map."""
+    paths = sorted(folder.rglob("*.tum"), key=lambda p: in_order(p.as_posix()))
+    names = [path.relative_to(folder).with_suffix("").as_posix() for path in paths]
+    each = {name: (read_tum(path), _scans(directory, name)) for name, path in zip(names, paths, strict=True)}
+    in_time = sorted(each.values(), key=lambda held: float(held[0].t[0]))
+    apart = all(a.t[-1] < b.t[0] for (a, _), (b, _) in pairwise(in_time))
+    if len(each) < 2 or not apart or not _one_map(directory, names):
+        return each
+    whole = Track(np.concatenate([t.t for t, _ in in_time]), np.concatenate([t.pose for t, _ in in_time]))
+    hosts = [host for _, (_, seen) in in_time for host in seen]
+    return {", ".join(names): (whole, (np.concatenate([t for _, (t, _) in in_time]), hosts))}
+
+
+def _one_map(directory: Path, names: Sequence[str]) -> bool:
+    """Whether the result says that these robots hang together: their trajectories are in one frame."""
+    told = read_metrics(directory).get("components")
+    groups = [set(map(str, group)) for group in told if isinstance(group, list)] if isinstance(told, list) else []
+    return {robot_key(name) for name in names} in groups
 
 
 def evaluate_tracks(
     tracks: dict[str, Track],
-    scans: dict[str, tuple[Float[np.ndarray, " m"], Sequence[str]]],
+    scans: dict[str, Scans],
     relations: Relations,
 ) -> RelationEvaluation:
     """As `evaluate`, on trajectories in memory; `scans`: stamps [s] and hosts of every robot's scans."""
@@ -90,7 +125,7 @@ def evaluate_tracks(
     return RelationEvaluation(robot, score_relations(track, relations), score_relations(track, exact))
 
 
-def _scans(directory: Path, robot: str) -> tuple[Float[np.ndarray, " m"], Sequence[str]]:
+def _scans(directory: Path, robot: str) -> Scans:
     for path in (directory / "local" / robot / "scans.csv", directory / "scans.csv"):
         if path.is_file():
             table = read_table(path)
