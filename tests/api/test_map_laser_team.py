@@ -114,7 +114,7 @@ def test_trajectories_carry_covariances_that_grow_from_the_first_pose(woven):
 
 def test_a_robot_is_followed_through_the_parts_of_the_map_that_two_robots_saw(woven, team, tmp_path):
     result, out = woven
-    log, truth = office(3)
+    log, _ = office(3)
     n = len(log.scans)
     begin = int(0.3 * n)
     third = cut(log, begin, int(0.75 * n), "3")
