@@ -1,15 +1,25 @@
 """The mutation run makes the mistakes that it names, each on one line, and knows where sources and tests live."""
 
 import ast
+import sys
+from dataclasses import replace
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import pytest
 
 TOP = Path(__file__).resolve().parent.parent
-SPEC = spec_from_file_location("mutants", TOP / "benchmarks" / "mutants.py")
-mutants = module_from_spec(SPEC)
-SPEC.loader.exec_module(mutants)
+
+
+def loaded(name):
+    """A script of benchmarks/, which finds its neighbours among the modules that are loaded."""
+    spec = spec_from_file_location(name, TOP / "benchmarks" / f"{name}.py")
+    sys.modules[name] = module_from_spec(spec)
+    spec.loader.exec_module(sys.modules[name])
+    return sys.modules[name]
+
+
+areas, finder, mutants = (loaded(name) for name in ("mutants_areas", "mutants_finder", "mutants"))
 
 SOURCE = b'''"""Text about 1.5 - 2."""
 
@@ -29,7 +39,7 @@ def f(x: int = -1, *, axis: "a - b" = 0) -> "c * d":
 
 
 def lines():
-    found = mutants.Finder("f.py", SOURCE).mutants()
+    found = finder.Finder("f.py", SOURCE).mutants()
     return {(m.kind, m.apply(SOURCE).decode().splitlines()[m.line - 1].strip()) for m in found}
 
 
@@ -68,23 +78,54 @@ def test_annotations_messages_axes_and_text_are_left_alone():
 
 
 def test_every_mistake_is_python_on_one_line_that_means_something_else():
-    for m in mutants.Finder("f.py", SOURCE).mutants():
+    for m in finder.Finder("f.py", SOURCE).mutants():
         changed = m.apply(SOURCE)
         old, new = SOURCE.splitlines(), changed.splitlines()
         assert [k + 1 for k in range(len(old)) if old[k] != new[k]] == [m.line]
         assert ast.dump(ast.parse(changed)) != ast.dump(ast.parse(SOURCE))
 
 
-def test_every_area_names_sources_and_tests_that_exist():
-    for area in mutants.AREAS:
-        for pattern in area.sources:
-            assert list((TOP / "src" / "mapweave").glob(pattern)), pattern
-        for test in area.tests:
-            assert (TOP / test).exists(), test
+@pytest.mark.parametrize("area", areas.AREAS, ids=lambda area: area.name)
+def test_every_area_names_sources_and_tests_that_exist(area):
+    area.check_tests()
+    assert area.files()
 
 
-def test_the_same_pattern_names_the_same_mistakes_and_no_other_file():
-    drawn = mutants.all_mutants("solve/problem.py")
-    assert drawn == mutants.all_mutants("solve/problem.py")
-    assert {m.path for m, _ in drawn} == {"solve/problem.py"}
-    assert len(drawn) > 10
+def test_every_mistake_that_is_said_to_change_nothing_can_be_made_and_has_a_reason():
+    for known in areas.EQUIVALENT:
+        assert mutants.mistakes(known)
+        assert len(known.reason) > 20
+
+
+def test_a_source_or_a_test_that_has_gone_is_named():
+    with pytest.raises(areas.GoneError, match="solve:NoSuchThing"):
+        areas.defining("solve:NoSuchThing")
+    with pytest.raises(areas.GoneError, match="no test tests"):
+        replace(areas.AREAS[0], first=("tests/gone.py",)).check_tests()
+
+
+def test_the_same_seed_draws_the_same_mistakes_whatever_else_is_drawn_from():
+    area = next(a for a in areas.AREAS if a.name == "outlier rejection")
+    ten = mutants.draw(area, 10, 3)
+    assert ten == mutants.draw(area, 10, 3)
+    assert ten != mutants.draw(area, 10, 4)
+    every = mutants.draw(area, 0, 3)
+    assert len(every.tried) + len(every.equivalent) == every.possible
+    assert set(ten.tried) <= set(every.tried)
+    wider = replace(area, sources=(*area.sources, "fusion:align_robust"))
+    assert set(mutants.draw(wider, 10, 3).tried) <= set(ten.tried) | set(mutants.draw(wider, 0, 3).tried)
+
+
+def test_the_page_keeps_the_rows_of_areas_that_were_not_run():
+    first, second = areas.AREAS[:2]
+    page = "before\n" + "".join(mutants.TABLE) + "after\n"
+    one = mutants.on_page([(second.name, "300", "16", "12", "75 %", "1")], page)
+    both = mutants.on_page([(first.name, "100", "10", "10", "100 %", "0")], one)
+    again = mutants.on_page([(second.name, "300", "16", "16", "100 %", "0")], both)
+    assert both.startswith("before\n")
+    assert both.endswith("after\n")
+    assert both.index(first.name) < both.index(second.name)
+    assert "| all | 400 | 26 | 22 | 85 % | 1 |" in both
+    assert "| all | 400 | 26 | 26 | 100 % | 0 |" in again
+    with pytest.raises(areas.GoneError):
+        mutants.on_page([], "a page without a table")

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 from mapweave.core.se2 import wrap_angle
-from mapweave.kernels.landmarks import ekf_drive
+from mapweave.kernels.landmarks import ekf_apply_drive, ekf_drive, ekf_smooth
 from mapweave.kernels.landmarks.ekf_smooth import smooth
 
 from . import robot_models as models
@@ -110,3 +111,57 @@ def test_the_maps_own_covariance_moves_poses_as_shifting_a_landmark_does():
         frames = np.isin(problem()[-1], np.unique(problem()[2]))
         wanted = 0.01**2 * by[frames, :, None] * by[frames, None, :]
         assert np.allclose((with_map - own)[frames], wanted, rtol=0.05, atol=2e-7)
+
+
+def coasting_state():
+    rng = np.random.default_rng(3)
+    x = np.concatenate([[0.3, -0.4, 0.8, 0.25, 0.6, 0.0, 0.01, 1.0], rng.uniform(-2, 2, 6)])
+    A = rng.normal(size=(14, 14))
+    return x, 1e-3 * A @ A.T
+
+
+def test_coasting_the_chain_is_coasting_the_whole_state_and_its_derivative():
+    noise = NOISE._replace(speed=0.2, speed_time=1.5, spin=0.7, spin_time=0.8)
+    x, P = coasting_state()
+    y, F, Q = x.copy(), np.zeros((5, 5)), np.zeros((5, 5))
+    ekf_smooth.coasted(y, 0.73, noise, F, Q)
+    wanted, R = x.copy(), P.copy()
+    ekf_apply_drive.coast(wanted, R, len(x), 0.73, noise)
+    np.testing.assert_allclose(y, wanted, atol=1e-14)
+    np.testing.assert_allclose(F @ P[:5, :5] @ F.T + Q, R[:5, :5], atol=1e-12)
+    for k in range(5):
+        ends = []
+        for step in (1e-6, -1e-6):
+            moved = x.copy()
+            moved[k] += step
+            ekf_smooth.coasted(moved, 0.73, noise, np.zeros((5, 5)), np.zeros((5, 5)))
+            ends.append(moved[:5])
+        np.testing.assert_allclose(F[:, k], (ends[0] - ends[1]) / 2e-6, atol=1e-6)
+
+
+def test_speed_and_turn_rate_gather_what_they_forget_and_never_more_than_their_spread():
+    noise = NOISE._replace(speed=0.2, speed_time=1.5, spin=0.7, spin_time=0.8)
+    for dt in (0.02, 0.5, 30.0):
+        x, F, Q = coasting_state()[0], np.zeros((5, 5)), np.zeros((5, 5))
+        ekf_smooth.coasted(x, dt, noise, F, Q)
+        assert F[3, 3] == pytest.approx(np.exp(-dt / 1.5))
+        assert F[4, 4] == pytest.approx(np.exp(-dt / 0.8))
+        assert Q[3, 3] == pytest.approx(0.2**2 * (1 - np.exp(-2 * dt / 1.5)))
+        assert Q[4, 4] == pytest.approx(0.7**2 * (1 - np.exp(-2 * dt / 0.8)))
+
+
+def test_a_way_between_frames_is_nearly_what_frames_without_sightings_there_would_give():
+    x, commands, stamps, slots, z, track_t = problem()
+    rough, spread = smoothed(x, np.zeros((14, 14)))
+    more = np.setdiff1d(track_t, stamps)
+    order = np.argsort(np.concatenate([stamps, more]), kind="stable")
+    every = np.concatenate([stamps, more])[order]
+    which = np.concatenate([slots, np.full(len(more), -1)])[order]
+    r, b = (np.concatenate([z[:, c], np.zeros(len(more))])[order] for c in (0, 1))
+    pose, cov = np.zeros_like(rough), np.zeros_like(spread)
+    smooth(x, np.zeros((14, 14)), 0.0, *commands, every, np.unique(every), which, r, b, NOISE, track_t, pose, cov)
+    np.testing.assert_allclose(rough, pose, atol=2e-4)
+    for k in range(1, len(track_t)):
+        ratio = eigh(spread[k] + 1e-10 * np.eye(3), cov[k] + 1e-10 * np.eye(3), eigvals_only=True)
+        assert ratio.min() > 0.3
+        assert ratio.max() < 3.0

@@ -1,0 +1,247 @@
+"""Where the mathematics lives, which tests must notice a mistake in it, and the mistakes that change nothing."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent.parent
+HOUSE = HERE / "src" / "mapweave"
+
+
+class GoneError(LookupError):
+    """A source or a test that an area names is not where it is looked for."""
+
+
+@dataclass(frozen=True)
+class Area:
+    """Sources, each the file of a room that defines a name (`room:name`), and the tests that must notice.
+
+    `first` tells within seconds; `then` is asked about what `first` lets through.
+    """
+
+    name: str
+    sources: tuple[str, ...]
+    first: tuple[str, ...]
+    then: tuple[str, ...] = ()
+
+    def files(self) -> list[Path]:
+        return sorted({defining(source) for source in self.sources})
+
+    def check_tests(self) -> None:
+        for test in (*self.first, *self.then):
+            if not (HERE / test.split("::")[0]).exists():
+                raise GoneError(f"area {self.name!r}: no test {test}")
+
+
+def defining(source: str) -> Path:
+    """The one file of the room whose top level defines the name of `room:name`."""
+    room, _, name = source.partition(":")
+    wanted = re.compile(rf"^(?:def|class) {name}\b|^{name}\b[^=\n]*=", re.MULTILINE)
+    found = [f for f in sorted((HOUSE / room).rglob("*.py")) if wanted.search(f.read_text())]
+    if len(found) != 1:
+        where = ", ".join(f.relative_to(HOUSE).as_posix() for f in found) or "no file"
+        raise GoneError(f"{source}: one file of {room}/ should define {name}, but {where} does")
+    return found[0]
+
+
+AREAS = (
+    Area(
+        "poses and Gaussians",
+        ("core:composed_covariance", "core:joseph"),
+        ("tests/core/test_se2.py", "tests/core/test_gaussian.py"),
+        ("tests/solve", "tests/kernels/test_submap.py", "tests/fusion/test_submaps.py"),
+    ),
+    Area(
+        "solver",
+        (
+            "solve:Cholesky",
+            "solve:gauss_newton",
+            "solve:dissect",
+            "solve:Elimination",
+            "solve:Information",
+            "solve:minimise",
+            "solve:Pattern",
+            "solve:Factor",
+            "solve:GemanMcClure",
+        ),
+        ("tests/solve",),
+        ("tests/fusion/test_submaps.py",),
+    ),
+    Area(
+        "landmark filter",
+        (
+            "kernels/landmarks:replay",
+            "kernels/landmarks:pose_covariance",
+            "kernels/landmarks:arc",
+            "kernels/landmarks:trust",
+            "kernels/landmarks:smooth",
+            "kernels/landmarks:consider",
+            "kernels/landmarks:quadratic",
+        ),
+        ("tests/kernels/test_ekf.py", "tests/kernels/test_ekf_drive_noise.py", "tests/kernels/test_ekf_smooth.py"),
+        ("tests/landmarks",),
+    ),
+    Area(
+        "association",
+        ("landmarks:jcbb", "landmarks:pairing_probabilities"),
+        (
+            "tests/landmarks/test_association.py",
+            "tests/landmarks/test_association_oracle.py",
+            "tests/landmarks/test_pairing.py",
+        ),
+        ("tests/fusion/test_unknown_identities.py",),
+    ),
+    Area(
+        "fusion",
+        (
+            "fusion:align_robust",
+            "fusion:variance_factors",
+            "fusion:fuse_relative",
+            "fusion:baseline_pair",
+            "fusion:Measurement",
+            "fusion:JoinLayout",
+            "fusion:MapTerm",
+            "fusion:Consensus",
+        ),
+        (
+            "tests/fusion/test_relative_information.py",
+            "tests/fusion/test_relative_information_model.py",
+            "tests/papers/test_relative_theorems.py",
+            "tests/fusion/test_submaps.py",
+            "tests/fusion/test_cluster.py",
+            "tests/fusion/test_joint_fit.py",
+            "tests/fusion/test_outlier_rejection.py",
+        ),
+        ("tests/fusion/test_join.py",),
+    ),
+    Area(
+        "identities and handover",
+        ("fusion:joint_fit", "fusion:match_maps", "fusion:hand_over"),
+        ("tests/fusion/test_joint_fit.py", "tests/fusion/test_identities.py"),
+        ("tests/fusion/test_unknown_identities.py",),
+    ),
+    Area(
+        "outlier rejection",
+        ("fusion:find_outliers",),
+        ("tests/fusion/test_outlier_rejection.py", "tests/fusion/test_cluster.py"),
+        ("tests/fusion/test_join.py",),
+    ),
+    Area(
+        "swarm",
+        (
+            "swarm:angle_jacobian",
+            "swarm:bearing_factor",
+            "swarm:linear_start",
+            "swarm:contradictions",
+            "swarm:normalise",
+            "swarm:mutual_headings",
+            "swarm:sighting_matrix",
+        ),
+        (
+            "tests/swarm/test_bearing_model.py",
+            "tests/swarm/test_contradiction.py",
+            "tests/swarm/test_batch.py",
+            "tests/swarm/test_free.py",
+            "tests/swarm/test_beacons.py",
+            "tests/swarm/test_kalman.py",
+        ),
+        ("tests/swarm/test_anything.py", "tests/swarm/test_robust.py"),
+    ),
+    Area(
+        "laser matching",
+        (
+            "kernels/laser:intensity_icp",
+            "kernels/laser:score_field",
+            "kernels/laser:align_scan",
+            "kernels/laser:refine",
+            "laser:FrontEnd",
+        ),
+        (
+            "tests/kernels/test_field.py",
+            "tests/laser/test_scan_matching.py",
+            "tests/laser/test_match_information.py",
+            "tests/laser/test_icp.py",
+        ),
+        ("tests/laser/test_icp_slam.py", "tests/laser/test_particle_slam.py"),
+    ),
+    Area(
+        "particle filter",
+        ("kernels/laser:systematic", "kernels/laser:inherit", "laser:log_likelihood"),
+        ("tests/kernels/test_resample.py", "tests/kernels/test_tiles.py"),
+        (
+            "tests/laser/test_particle_ancestry.py",
+            "tests/laser/test_particle_slam.py",
+        ),
+    ),
+    Area(
+        "closures and pose graph",
+        ("laser:Closure", "laser:edge_factor", "laser:cycle_squares", "laser:solve_graph", "laser:step_covariance"),
+        ("tests/laser/test_closures.py", "tests/laser/test_consistency.py", "tests/laser/test_robust_graph.py"),
+        ("tests/laser/test_laser_team.py", "tests/laser/test_graph_slam.py"),
+    ),
+    Area(
+        "place search",
+        ("kernels/laser:branch_and_bound", "kernels/laser:lay_onto_lines", "laser:likelihood_field"),
+        ("tests/laser/test_place_search.py",),
+        ("tests/laser/test_merge.py",),
+    ),
+    Area(
+        "joint pass",
+        ("kernels/laser:refine_poses", "laser:joint_pass"),
+        ("tests/laser/test_joint_pass.py",),
+    ),
+    Area(
+        "team smoothing",
+        (
+            "team:CommandedMotion",
+            "team:team_covariance",
+            "team:step_factor",
+            "team:team_problem",
+            "team:sighting_factors",
+            "team:Smoothed",
+        ),
+        ("tests/team/test_commanded_motion.py",),
+        ("tests/team/test_smoothing.py",),
+    ),
+    Area(
+        "walls",
+        ("kernels/walls:cast", "kernels/walls:cast_in_grid", "kernels/walls:mark_near", "kernels/walls:mark_in_sight"),
+        (
+            "tests/kernels/test_raycast.py",
+            "tests/kernels/test_wall_grid.py",
+            "tests/core/test_walls.py",
+            "tests/kernels/test_sight.py",
+        ),
+    ),
+    Area(
+        "exploration",
+        (
+            "kernels/exploration:arc_points",
+            "kernels/exploration:drive_laps",
+            "kernels/exploration:expected_uncertainty",
+            "kernels/exploration:improve_tours",
+            "kernels/exploration:balanced_tours",
+            "kernels/exploration:spread",
+        ),
+        (
+            "tests/kernels/test_arcs.py",
+            "tests/kernels/test_wavefront.py",
+            "tests/kernels/test_tour_moves.py",
+            "tests/kernels/test_laps.py",
+        ),
+        ("tests/exploration/test_planners.py",),
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Equivalent:
+    """A mistake after which every result is the same, with the reason; `before` and `after` are whole lines."""
+
+    source: str
+    before: str
+    after: str
+    reason: str
+
+
+EQUIVALENT: tuple[Equivalent, ...] = ()
