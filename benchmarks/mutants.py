@@ -3,14 +3,16 @@
     python benchmarks/mutants.py [--area TEXT] [--n 16] [--seed 0] [--least 0.95] [--folder DIR] [--page] [--list]
 
 A mistake is a flipped sign, `-` for `+`, `/` for `*`, a lost term, a lost transpose, a constant ten times as large, a
-comparison or a condition turned round, a bound left out, a `continue` or an early return left out. Each is made in a
+comparison or a condition turned round, a bound left out, a `continue` or an early return left out. Settings of
+configuration classes, which logs tell and not mathematics, are left as they are. Each is made in a
 copy of the tree, where the quick tests of its area run, shortest file first, until one fails, and where none does the
 slower ones; the tree itself is not touched. A run that takes far longer than without the mistake has found it too.
 Survivors are printed as a diff: each is a test to write, unless the two lines mean the same. Those that do are named in
 `mutants_areas.py` with the reason, and do not count. The same seed draws the same mistakes from the same lines.
 
-`--quick` leaves out the slower tests. `--folder` keeps the copy, its compiled kernels and the mistakes found so far (which are not tried again while their
-lines stay the same); `--page` writes the figures of the areas run into docs/contributing.md.
+`--quick` leaves out the slower tests. `--folder` keeps the copy, its compiled kernels and the mistakes found so far,
+which are not tried again while their lines stay the same; `--page` writes the figures of the areas run into
+docs/contributing.md.
 """
 
 import argparse

@@ -167,7 +167,7 @@ AREAS = (
     Area(
         "particle filter",
         ("kernels/laser:systematic", "kernels/laser:inherit", "laser:log_likelihood"),
-        ("tests/kernels/test_resample.py", "tests/kernels/test_tiles.py"),
+        ("tests/kernels/test_resample.py", "tests/kernels/test_tiles.py", "tests/laser/test_particle_pieces.py"),
         (
             "tests/laser/test_particle_ancestry.py",
             "tests/laser/test_particle_slam.py",
@@ -176,7 +176,12 @@ AREAS = (
     Area(
         "closures and pose graph",
         ("laser:Closure", "laser:edge_factor", "laser:cycle_squares", "laser:solve_graph", "laser:step_covariance"),
-        ("tests/laser/test_closures.py", "tests/laser/test_consistency.py", "tests/laser/test_robust_graph.py"),
+        (
+            "tests/laser/test_step_noise.py",
+            "tests/laser/test_consistency.py",
+            "tests/laser/test_robust_graph.py",
+            "tests/laser/test_closures.py",
+        ),
         ("tests/laser/test_laser_team.py", "tests/laser/test_graph_slam.py"),
     ),
     Area(

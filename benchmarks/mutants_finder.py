@@ -58,6 +58,8 @@ class Finder:
         return sorted(m for m in found if m.old != m.new and self._parses(m))
 
     def _of(self, node: ast.AST, *, in_index: bool) -> Iterator[Mutant]:
+        if isinstance(node, ast.ClassDef) and any(ast.unparse(word) == "config" for word in node.decorator_list):
+            return  # settings, chosen on logs
         if isinstance(node, SKIPPED_NODES) or (isinstance(node, ast.keyword) and node.arg in SKIPPED_KEYWORDS):
             return
         if getattr(node, "lineno", 0) == getattr(node, "end_lineno", None):

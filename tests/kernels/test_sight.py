@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from mapweave.kernels.walls.segments import Raster, Sector, distance_of_moves, free_share
+from mapweave.kernels.walls.segments import (
+    Raster,
+    Sector,
+    distance_of_moves,
+    free_share,
+    mark_near,
+    sight_on_raster,
+)
 from mapweave.kernels.walls.sight import mark_in_sight, nearest_views, points_in_sight, unexplored_in_sight
 
 RNG = np.random.default_rng(2)
@@ -102,3 +109,56 @@ def test_the_distance_of_a_move_is_the_least_along_it():
         )
         assert d == pytest.approx(least, abs=0.06)
         assert (d == 0.0) == hidden(p, q)
+
+
+@pytest.mark.kernel
+@pytest.mark.parametrize("corner", [(0.0, 0.0), (3.0, 5.0), (-2.0, -3.5)])
+def test_cells_are_near_a_wall_where_their_centres_are_wherever_the_raster_lies(corner):
+    corner, cell = np.array(corner), 0.8
+    near = np.zeros((19, 23), dtype=bool)
+    mark_near(near, SEGMENTS, 1.3, Raster(corner, cell))
+    centres = corner + cell * (np.stack(np.meshgrid(np.arange(23), np.arange(19)), axis=-1) + 0.5)
+    flat = centres.reshape(-1, 2)
+    np.testing.assert_array_equal(near.ravel(), distance_of_moves(flat, flat, SEGMENTS) < 1.3)
+    assert near.any()
+    assert not near.all()
+
+
+@pytest.mark.kernel
+@pytest.mark.parametrize("corner", [(0.0, 0.0), (4.0, 3.0), (-3.0, -6.0)])
+def test_a_view_over_the_edge_of_the_raster_counts_what_is_on_it(corner):
+    raster, sector = Raster(np.array(corner), 1.1), Sector(6.0, np.pi / 2)
+    edges = np.array(corner) + 1.1 * np.array([[0.6, 0.4], [11.3, 0.7], [0.4, 9.2], [11.3, 9.6], [6.1, 5.3]])
+    for place in edges:
+        for heading in (0.3, 2.0, -2.5):
+            pose = np.array([*place, heading])
+            seen = np.zeros((10, 12), dtype=bool)
+            mark_in_sight(seen, pose, sector, raster, SEGMENTS)
+            np.testing.assert_array_equal(seen, dense_view(pose, seen.shape, 6.0, np.pi / 2, raster.corner, 1.1))
+            counted = unexplored_in_sight(np.zeros((10, 12), dtype=bool), pose[None], sector, raster, SEGMENTS)
+            assert counted[0] == seen.sum()
+
+
+@pytest.mark.kernel
+def test_sight_on_a_raster_is_free_where_every_cell_under_the_line_is():
+    free = RNG.random((12, 15)) < 0.8
+    seen = 0
+    for _ in range(300):
+        a, b = RNG.uniform(-0.5, [15.5, 12.5], (2, 2))
+        under = np.unique(np.floor(a + np.linspace(0, 1, 4001)[:, None] * (b - a)).astype(int), axis=0)
+        inside = ((under >= 0) & (under < [15, 12])).all(axis=1)
+        want = inside.all() and free[under[inside, 1], under[inside, 0]].all()
+        assert sight_on_raster(free, a, b) == want
+        seen += want
+    assert 20 < seen < 280
+
+
+@pytest.mark.kernel
+def test_a_line_through_a_corner_needs_both_cells_beside_it():
+    a, b = np.array([0.5, 0.5]), np.array([2.5, 2.5])
+    for corner, want in (((0, 1), False), ((1, 0), False), ((2, 1), False), ((0, 2), True)):
+        free = np.ones((3, 3), dtype=bool)
+        free[corner] = False
+        assert sight_on_raster(free, a, b) == want
+        assert sight_on_raster(free, b, a) == want
+        assert sight_on_raster(free[:, ::-1], a * [-1, 1] + [3, 0], b * [-1, 1] + [3, 0]) == want

@@ -74,6 +74,15 @@ def test_a_place_that_looks_alike_in_two_directions_is_refused(place, monkeypatc
         assert ("looks alike" in match.reason) is not accepted
 
 
+@pytest.mark.parametrize(("sd", "limits"), [(0.02, [0.3, 0.3, 0.1]), (0.2, [0.6, 0.6, 0.15])])
+def test_a_match_may_leave_the_estimate_by_three_deviations_and_by_a_little_always(place, monkeypatch, sd, limits):
+    matcher, asked = Matcher(CFG, ALL_ROUND), []
+    match = matcher.front_end.match
+    monkeypatch.setattr(matcher.front_end, "match", lambda b, start, most: asked.append(most) or match(b, start, most))
+    matcher.match(place, seen([0.3, 0.2, 0.1]), np.array([0.3, 0.2, 0.1]), narrow(sd, 0.25 * sd))
+    np.testing.assert_allclose(asked[0], limits)
+
+
 def test_what_scattered_normals_tell_along_a_wall_counts_for_nothing():
     lines = np.diag([300.0, 5e4, 2e3])
     kept = believed(lines, 1.0, 0.02)

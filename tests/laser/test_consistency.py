@@ -4,9 +4,17 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from mapweave.core import se2
-from mapweave.laser.consistency import adjoint, consistent_set, cycle_squares, largest_clique
+from mapweave.laser.consistency import (
+    GATE,
+    _by_degeneracy,
+    adjoint,
+    consistent_set,
+    cycle_squares,
+    largest_clique,
+)
 
 
 def brute_size(adjacent):
@@ -42,6 +50,24 @@ def test_a_clique_among_hundreds_is_found_and_a_search_cut_short_says_so():
     assert not largest_clique(upper | upper.T, most_nodes=3).exact
     assert largest_clique(np.zeros((0, 0), dtype=bool)).members == ()
     assert len(largest_clique(np.zeros((4, 4), dtype=bool)).members) == 1
+
+
+def test_a_search_takes_nodes_with_most_ties_first_each_the_last_of_the_least_tied_that_are_left():
+    rng = np.random.default_rng(4)
+    for _ in range(10):
+        upper = np.triu(rng.random((12, 12)) < 0.5, 1)
+        adjacent = upper | upper.T
+        order = _by_degeneracy(adjacent)
+        assert sorted(order) == list(range(12))
+        for last in range(12):
+            rest = order[: last + 1]
+            ties = adjacent[np.ix_(rest, rest)].sum(axis=1)
+            assert ties[last] == ties.min()
+            assert rest[last] == max(rest[ties == ties.min()])
+
+
+def test_the_gate_is_what_99_of_100_true_cycles_stay_under():
+    assert stats.chi2.cdf(GATE, 3) == pytest.approx(0.99)
 
 
 def test_the_adjoint_carries_small_motions():

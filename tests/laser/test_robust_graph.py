@@ -92,6 +92,8 @@ def test_false_closures_are_dropped_and_told(method, share):
         solved = solve_graph(bad, RobustGraphConfig(method=method))
         false = np.arange(bad.edges) >= graph.edges
         assert not solved.used[false].any()
+        assert solved.rounds < RobustGraphConfig().most_rounds
+        assert solved.iterations >= solved.rounds
         assert {d.edge for d in solved.dropped} == set(np.flatnonzero(~solved.used).tolist())
         for d in solved.dropped:
             assert d.nis > 16.27

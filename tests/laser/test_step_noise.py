@@ -1,0 +1,55 @@
+"""How far a step errs: wheels and walls are independent witnesses, and errors grow with the way."""
+
+import numpy as np
+import pytest
+
+from mapweave.laser.step_noise import StepNoise, believed, step_covariance, wheel_noise
+
+NOISE = StepNoise()
+
+
+def test_squares_of_odometry_grow_with_the_way_and_with_the_turning_either_way_round():
+    base = wheel_noise(np.zeros(3), NOISE)
+    assert np.linalg.eigvalsh(base)[0] > 0
+    assert base.max() < 1e-7
+
+    def more(*step):
+        return wheel_noise(np.array(step), NOISE) - base
+
+    ahead, spun = more(1.0, 0.0, 0.0), more(0.0, 0.0, 1.0)
+    np.testing.assert_allclose(
+        ahead, np.diag([NOISE.wheels_xy**2, NOISE.wheels_xy**2, NOISE.wheels_turn_per_m**2]), rtol=1e-6
+    )
+    np.testing.assert_allclose(spun, np.diag([0.0, 0.0, NOISE.wheels_turn**2]), rtol=1e-6, atol=1e-15)
+    np.testing.assert_allclose(more(3.0, -4.0, -2.0), 5.0 * ahead + 2.0 * spun, rtol=1e-6)
+
+
+@pytest.mark.parametrize("way", [0.0, 2.5])
+def test_what_walls_and_wheels_tell_adds_up_and_drift_comes_on_top(way):
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(3, 3)) * 50.0
+    lines, wheels = root @ root.T, wheel_noise(np.array([0.8, 0.1, 0.3]), NOISE)
+    cov = step_covariance(lines, wheels, way, NOISE)
+    told = believed(lines, NOISE.trust, NOISE.blur)[:2, :2]
+    place = np.linalg.inv(told + np.linalg.inv(wheels[:2, :2])) + NOISE.drift_xy**2 * way * np.eye(2)
+    np.testing.assert_allclose(cov[:2, :2], place, atol=2e-8)
+    heading = 1.0 / (NOISE.hold * lines[2, 2] + 1.0 / wheels[2, 2]) + NOISE.drift_turn**2 * way
+    assert cov[2, 2] == pytest.approx(heading, rel=1e-3, abs=2e-10)
+    assert not cov[2, :2].any()
+    assert not cov[:2, 2].any()
+
+
+def test_without_walls_a_step_errs_as_the_wheels_do_and_without_wheels_as_the_walls_do():
+    wheels = wheel_noise(np.array([1.0, 0.0, 0.5]), NOISE)
+    np.testing.assert_allclose(step_covariance(np.zeros((3, 3)), wheels, 0.0, NOISE), wheels, rtol=1e-3, atol=2e-8)
+    lines = np.diag([4e4, 1e4, 2e4])
+    blind = np.diag([1e6, 1e6, 1e6])
+    sure = believed(lines, NOISE.trust, NOISE.blur)
+    np.testing.assert_allclose(
+        step_covariance(lines, blind, 0.0, NOISE)[:2, :2], np.linalg.inv(sure[:2, :2]), rtol=1e-2, atol=2e-8
+    )
+
+
+def test_a_step_that_everything_is_sure_of_keeps_a_covariance_that_can_be_inverted():
+    sure = step_covariance(1e12 * np.eye(3), np.zeros((3, 3)), 0.0, NOISE)
+    assert np.linalg.eigvalsh(sure)[0] > 1e-11
