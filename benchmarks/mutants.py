@@ -32,7 +32,7 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 
-from mutants_areas import AREAS, EQUIVALENT, HERE, HOUSE, Area, Equivalent, GoneError, defining
+from mutants_areas import AREAS, EQUIVALENT, HERE, HOUSE, ONCE_LET_PASS, Area, Equivalent, GoneError, defining
 from mutants_finder import Finder, Mutant
 
 PAGE = HERE / "docs" / "contributing.md"
@@ -219,6 +219,21 @@ def mistakes(known: Equivalent) -> list[Mutant]:
     return found
 
 
+def named() -> list[Drawn]:
+    """Every mistake that tests once let pass, with the tests that are to find it."""
+    out = []
+    for known in ONCE_LET_PASS:
+        file = defining(known.source)
+        path, source = file.relative_to(HOUSE).as_posix(), file.read_bytes()
+        at = source.find(known.before.encode())
+        if source.count(known.before.encode()) != 1:
+            raise GoneError(f"{known.source}: one line should be {known.before!r}")
+        line, end = source[:at].count(b"\n") + 1, at + len(known.before.encode())
+        mutant = Mutant(path, line, at, end, "named", known.before, known.after)
+        out.append(Drawn(Area("once let pass", (known.source,), known.tests), (mutant,), (), 1))
+    return out
+
+
 def diff(mutant: Mutant) -> str:
     before, after = mutant.lines(text(mutant.path))
     return f"{mutant.path}:{mutant.line}  ({mutant.kind})\n  - {before}\n  + {after}"
@@ -268,6 +283,7 @@ def on_page(rows: list[tuple[str, ...]], page: str) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--area", default="", help="areas whose name holds this text (default: all)")
+    parser.add_argument("--named", action="store_true", help="only the mistakes that tests once let pass")
     parser.add_argument("--n", type=int, default=16, help="mistakes to draw in each area, 0 for every one (default 16)")
     parser.add_argument("--seed", type=int, default=0, help="of the draw (default 0)")
     parser.add_argument("--patience", type=float, default=4.0, help="times the usual duration before a run is cut")
@@ -281,7 +297,7 @@ def main() -> int:
     if not chosen:
         parser.error(f"--area {words.area!r}: the areas are {', '.join(area.name for area in AREAS)}")
     try:
-        return command(words, [draw(area, words.n, words.seed) for area in chosen])
+        return command(words, named() if words.named else [draw(area, words.n, words.seed) for area in chosen])
     except GoneError as error:
         parser.error(str(error))
 
@@ -307,7 +323,7 @@ def command(words: argparse.Namespace, drawn: list[Drawn]) -> int:
             rows.append(row(d, len(survivors)))
             left, tried = left + len(survivors), tried + len(d.tried)
     print("\n" + "\n".join(f"{cells[0]:26}" + "".join(f"{cell:>15}" for cell in cells[1:]) for cells in (HEAD, *rows)))
-    if words.page:
+    if words.page and not words.named:
         PAGE.write_text(on_page(rows, PAGE.read_text()))
     return int(1 - left / max(tried, 1) < words.least)
 

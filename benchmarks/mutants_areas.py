@@ -157,6 +157,7 @@ AREAS = (
             "laser:FrontEnd",
         ),
         (
+            "tests/kernels/test_align_scan.py",
             "tests/kernels/test_field.py",
             "tests/laser/test_scan_matching.py",
             "tests/laser/test_match_information.py",
@@ -250,3 +251,127 @@ class Equivalent:
 
 
 EQUIVALENT: tuple[Equivalent, ...] = ()
+
+
+@dataclass(frozen=True)
+class Named:
+    """A mistake that tests once let pass, and the tests that find it now; `before` and `after` are whole lines."""
+
+    source: str
+    before: str
+    after: str
+    tests: tuple[str, ...]
+
+
+DRIVE, CLOSURES = ("tests/kernels/test_ekf_drive_noise.py",), ("tests/laser/test_closures.py",)
+JOINT = ("tests/landmarks/test_association.py",)
+IDENTITY = ("tests/fusion/test_joint_fit.py", "tests/fusion/test_identities.py")
+PARTICLES = ("tests/kernels/test_resample.py", "tests/laser/test_particle_pieces.py")
+
+ONCE_LET_PASS: tuple[Named, ...] = (
+    Named(
+        "kernels/landmarks:arc",
+        "Q[0, 1] += dx * q02 - dy * q12 - dx * dy * q22",
+        "Q[0, 1] += dx * q02 - dy * q12 + dx * dy * q22",
+        DRIVE,
+    ),
+    Named(
+        "kernels/landmarks:arc",
+        "rest = noise.rest_xy * noise.rest_xy * dt",
+        "rest = noise.rest_xy * noise.rest_xy",
+        DRIVE,
+    ),
+    Named(
+        "fusion:variance_factors",
+        "return np.asarray(np.clip(out, *FACTORS))",
+        "return np.asarray(out)",
+        ("tests/fusion/test_submaps.py",),
+    ),
+    Named("landmarks:jcbb", "if self.limits[len(pairs)] > D:", "if True:", JOINT),
+    Named(
+        "landmarks:jcbb",
+        "limits = [chi2_quantile(float(probability), float(d * (k + 1))) for k in range(m)]",
+        "limits = [chi2_quantile(float(probability), float(d)) for k in range(m)]",
+        JOINT,
+    ),
+    Named(
+        "fusion:joint_fit",
+        "self.floor, self.scale_information = 2 * noise**2 * np.eye(len(a)), scale_sigma**-2",
+        "self.floor, self.scale_information = 2 * noise**2 * np.eye(len(a)), 1e12",
+        IDENTITY,
+    ),
+    Named(
+        "fusion:joint_fit",
+        "V = self.Pb + C @ self.Pa @ C.T + self.floor",
+        "V = self.Pb + self.Pa + self.floor",
+        IDENTITY,
+    ),
+    Named(
+        "fusion:match_maps",
+        "return np.asarray(cfg.gate * np.sqrt(both + (scale * off[:, None]) ** 2))",
+        "return np.asarray(cfg.gate * np.sqrt(both + 0.0 * off[:, None]))",
+        IDENTITY,
+    ),
+    Named(
+        "swarm:contradictions",
+        "bad[rows] = off > GATE * sigma[rows]",
+        "bad[rows] = off > 10 * GATE * sigma[rows]",
+        ("tests/swarm/test_contradiction.py",),
+    ),
+    Named(
+        "kernels/laser:align_scan",
+        "return pose, rotate_information(H, R), cost",
+        "return pose, H.copy(), cost",
+        ("tests/laser/test_match_information.py",),
+    ),
+    Named(
+        "kernels/walls:cast",
+        "if np.hypot(mx - px, my - py) <= far + half:",
+        "if np.hypot(mx - px, my - py) <= far:",
+        ("tests/kernels/test_raycast.py",),
+    ),
+    Named(
+        "kernels/laser:systematic",
+        "while drawn < n and drawn + u < sum_to:",
+        "while drawn < n and drawn + 0.5 < sum_to:",
+        PARTICLES,
+    ),
+    Named(
+        "laser:log_likelihood",
+        "state.poses, state.total = state.poses[ancestors], state.total[ancestors]",
+        "state.poses = state.poses[ancestors]",
+        PARTICLES,
+    ),
+    Named(
+        "solve:minimise",
+        "if cfg.damping == 0 or new < cost or (small and new <= cost * (1 + ROUNDING)):",
+        "if cfg.damping == 0 or new < 1.01 * cost or (small and new <= cost * (1 + ROUNDING)):",
+        ("tests/solve/test_minimise.py",),
+    ),
+    Named("laser:Closure", "if nis > c.gate:", "if nis > 100 * c.gate:", CLOSURES),
+    Named("laser:Closure", "if values[1] < c.least_information:", "if False:", CLOSURES),
+    Named(
+        "laser:KeyframeGraph",
+        "C = se2.turned_covariance(-(self.pose[a, 2] - self.pose[k, 2]), C)",
+        "C = np.asarray(C)",
+        CLOSURES,
+    ),
+    Named(
+        "laser:step_covariance",
+        "J = R @ np.array([[1.0, 0.0, -step[1]], [0.0, 1.0, step[0]], [0.0, 0.0, 1.0]])",
+        "J = R @ np.array([[1.0, 0.0, step[1]], [0.0, 1.0, -step[0]], [0.0, 0.0, 1.0]])",
+        CLOSURES,
+    ),
+    Named(
+        "laser:step_covariance",
+        "scatter = 0.5 * blur * (lines[0, 0] + lines[1, 1])",
+        "scatter = 0.0",
+        CLOSURES,
+    ),
+    Named(
+        "laser:LoopSearch",
+        "near = (d < c.reach) & ((robot != node.robot) | (graph.path[:n] < node.path - c.far))",
+        "near = d < c.reach",
+        CLOSURES,
+    ),
+)

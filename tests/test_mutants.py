@@ -97,6 +97,13 @@ def test_every_mistake_that_is_said_to_change_nothing_can_be_made_and_has_a_reas
         assert len(known.reason) > 20
 
 
+def test_every_mistake_that_was_once_let_pass_can_still_be_made():
+    for drawn in mutants.named():
+        drawn.area.check_tests()
+        (mutant,) = drawn.tried
+        ast.parse(mutant.apply(mutants.text(mutant.path)))
+
+
 def test_a_source_or_a_test_that_has_gone_is_named():
     with pytest.raises(areas.GoneError, match="solve:NoSuchThing"):
         areas.defining("solve:NoSuchThing")

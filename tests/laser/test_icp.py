@@ -105,3 +105,29 @@ def test_too_few_pairs_is_a_failure_that_says_so_and_moves_nothing():
     assert far.pairs == 0
     assert np.allclose(far.pose, [0.1, 0.2, 0.3])
     assert match(np.zeros((0, 3)), np.zeros((4, 3)), np.zeros(3), IcpConfig()).status == "failed"
+
+
+def test_the_distance_left_is_the_root_mean_square_over_the_pairs_and_unpaired_points_have_none():
+    rng = np.random.default_rng(4)
+    reference = room(rng)
+    T = np.array([0.05, 0.03, -0.02])
+    scan = np.column_stack([se2.act(se2.inverse(T), reference[:, :2]) + rng.normal(0, 0.01, (90, 2)), reference[:, 2]])
+    scan[::9, :2] += 20.0
+    found = match(reference, scan, np.zeros(3), IcpConfig())
+    paired = np.arange(90) % 9 > 0
+    d = np.hypot(*(se2.act(found.pose, scan[paired, :2])[:, None] - reference[:, :2]).T).min(axis=0)
+    assert found.pairs == paired.sum()
+    assert found.rms == pytest.approx(np.sqrt(np.mean(d**2)), rel=0.2)
+    assert 0.005 < found.rms < 0.03
+
+
+def test_a_match_does_not_end_before_the_gate_is_at_its_least():
+    """Two pairs beyond the least gate pull against each other: the match stands still and they must still go."""
+    reference = room(np.random.default_rng(5))
+    apart = np.array([[10.0, 0.0, 0.0], [-10.0, 0.0, 0.0]])
+    scan = np.concatenate([reference, apart])
+    wide = np.concatenate([reference, apart * [1.02, 1, 1]])  # 0.2 m off: twice the least gate
+    found = match(wide, scan, np.zeros(3), IcpConfig())
+    assert np.abs(found.pose).max() < 1e-9
+    assert found.pairs == len(reference)
+    assert found.rms < 1e-9

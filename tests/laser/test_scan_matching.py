@@ -7,7 +7,7 @@ from mapweave.core import se2
 from mapweave.core.records import Scan
 from mapweave.kernels.laser.local_map import FAR, add_points, align_scan, fit_lines, solve3
 from mapweave.laser.beam import BeamConfig, beams
-from mapweave.laser.scan_matching import FrontEnd, FrontEndConfig
+from mapweave.laser.scan_matching import FrontEnd, FrontEndConfig, allowed_sd
 
 pytestmark = pytest.mark.kernel
 
@@ -105,3 +105,13 @@ def test_solving_three_equations_by_hand_is_solving_them():
         got = solve3(H[0, 0], H[0, 1], H[0, 2], H[1, 1], H[1, 2], H[2, 2], *g)
         assert np.allclose(got, np.linalg.solve(H, g))
     assert solve3(0.0, 0, 0, 1, 0, 1, 1, 1, 1) == (0.0, 0.0, 0.0)
+
+
+def test_what_a_step_may_err_grows_with_the_way_and_with_the_turning_either_way_round():
+    c = FrontEndConfig()
+    still = allowed_sd(np.zeros(3), c)
+    np.testing.assert_allclose(still, [c.sd_xy, c.sd_xy, c.sd_turn])
+    ahead, spun = allowed_sd(np.array([1.0, 0.0, 0.0]), c) - still, allowed_sd(np.array([0.0, 0.0, 1.0]), c) - still
+    assert (ahead > 0).all()
+    assert spun[2] > 0
+    np.testing.assert_allclose(allowed_sd(np.array([-0.3, 0.4, -0.2]), c), still + 0.5 * ahead + 0.2 * spun)
