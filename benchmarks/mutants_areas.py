@@ -230,6 +230,7 @@ AREAS = (
             "kernels/exploration:spread",
         ),
         (
+            "tests/kernels/test_objective.py",
             "tests/kernels/test_arcs.py",
             "tests/kernels/test_wavefront.py",
             "tests/kernels/test_tour_moves.py",

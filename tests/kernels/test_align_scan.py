@@ -84,13 +84,13 @@ def found(lines, at, normal, q):
     best = None
     for a in (-1, 0, 1):
         for b in (-1, 0, 1):
-            cell = np.floor(at / CELL).astype(int) + [b, a]
+            cell = np.floor(at / CELL).astype(int) + np.array([b, a])
             x, y, nx, ny, feature, like = lines[cell[1] % SIZE, cell[0] % SIZE].astype(float)
             if x == FAR or nx * normal[0] + ny * normal[1] < AGREE:
                 continue
             d = at - cell * CELL - [x, y]
             D = d @ d + ALPHA * (q - feature) ** 2
-            if best is None or D < best[0]:
+            if best is None or best[0] > D:
                 best = (D, d, np.array([nx, ny]), like)
     return best
 
@@ -106,7 +106,7 @@ def test_the_nearest_cell_is_the_one_of_least_distance_whose_normal_agrees():
         want = found(lines, at, normal, q[k])
         D, dx, dy, nx, ny, like = nearest_cell(lines, CELL, *at, *normal, q[k], ALPHA, AGREE)
         if want is None:
-            assert D == np.inf
+            assert np.inf == D
             none += 1
             continue
         np.testing.assert_allclose([D, dx, dy, nx, ny, like], [want[0], *want[1], *want[2], want[3]], atol=1e-5)
@@ -151,8 +151,8 @@ def test_a_step_of_scan_matching_is_the_dense_one(tangent):
     s, normal, q, T = scan(rng)
     sd, information = np.array([0.05, 0.2, 0.04]), 60.0 / 0.02**2
     for turn in (0.0, 2 * np.pi):
-        predicted = T + [0.04, -0.07, 0.06 + turn]
-        start = T + [0.03, 0.02, 0.03]
+        predicted = T + np.array([0.04, -0.07, 0.06 + turn])
+        start = T + np.array([0.03, 0.02, 0.03])
         pose, H, cost = align_scan(
             lines, CELL, s, normal, q, ALPHA, AGREE, start, predicted, sd, information, tangent, KAPPA, 1
         )
@@ -170,7 +170,7 @@ def test_a_match_walks_to_where_its_own_step_is_nothing():
     s, normal, q, T = scan(rng)
     sd = np.array([0.3, 0.3, 0.3])
     at = (lines, CELL, s, normal, q, ALPHA, AGREE)
-    pose, _, cost = align_scan(*at, T + [0.05, -0.04, 0.04], T, sd, 60.0 / 0.02**2, 0.1, KAPPA, 60)
+    pose, _, cost = align_scan(*at, T + np.array([0.05, -0.04, 0.04]), T, sd, 60.0 / 0.02**2, 0.1, KAPPA, 60)
     _, _, there = align_scan(*at, T, T, sd, 60.0 / 0.02**2, 0.1, KAPPA, 1)
     assert np.abs(se2.between(T, pose)).max() < 0.03
     again, _, _ = align_scan(*at, pose, T, sd, 60.0 / 0.02**2, 0.1, KAPPA, 1)
@@ -212,7 +212,7 @@ def test_a_step_of_refining_a_particle_is_the_dense_one_against_its_own_map():
     s, feature = s.astype(np.float32), feature.astype(np.float32)
     root = rng.normal(size=(3, 3))
     prior, cap, information, tangent = 200.0 * root @ root.T, 0.09, 60.0 / 0.03**2, 0.3
-    starts = np.stack([T + [0.04, 0.03, 0.03], T + [-0.02, 0.05, -0.04]])
+    starts = T + np.array([[0.04, 0.03, 0.03], [-0.02, 0.05, -0.04]])
 
     def refined(iterations):
         return refine(

@@ -112,3 +112,17 @@ def test_landmark_errors_are_those_of_the_dense_information_matrix():
     each = [P[b : b + 2, b : b + 2] for b in range(n, n + 6, 2)]
     assert np.allclose(errors[:3], [np.sqrt(np.trace(p)) for p in each])
     assert np.isnan(errors[3])
+
+
+@pytest.mark.kernel
+def test_a_landmark_that_a_robot_drives_over_is_known_from_elsewhere():
+    cfg = SubmapConfig()
+    track, every = drive(24), 4
+    under = track[0, 8, :2].copy()
+    S = odometry_information(track, every, cfg.Q)
+    sensor = LandmarkSensor(Sector(cfg.reach, cfg.half_angle), cfg.R, 2.0)
+    add_landmark_information(S, track, every, under[None], 1.0, sensor)
+    errors = landmark_errors(np.linalg.inv(S), track, every, np.array([under, under + 1e-9]), sensor)
+    assert np.isfinite(S).all()
+    assert np.isfinite(errors).all()
+    assert errors[1] == pytest.approx(errors[0], rel=1e-6)
