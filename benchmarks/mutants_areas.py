@@ -206,7 +206,11 @@ AREAS = (
             "team:sighting_factors",
             "team:Smoothed",
         ),
-        ("tests/team/test_commanded_motion.py",),
+        (
+            "tests/team/test_commanded_motion.py",
+            "tests/team/test_team_algebra.py",
+            "tests/team/test_smoothing.py::test_all_derivatives_are_those_of_differences",
+        ),
         ("tests/team/test_smoothing.py",),
     ),
     Area(

@@ -11,7 +11,7 @@ from mapweave.fusion.outlier_rejection import Outlier, find_exchanged, find_outl
 from mapweave.landmarks.landmark_map import LandmarkMap
 
 NAMES = "abcdefgh"
-FRAMES = np.array([[0.0, 0.0, 0.0], [3.0, -1.0, 2.0], [-2.0, 4.0, -1.0], [1.0, 2.0, 3.0]])
+FRAMES = np.array([[0.0, 0.0, 0.0], [3.0, -1.0, 2.0], [-2.0, 4.0, -1.0], [1.0, 2.0, 3.0], [0.5, -4.0, 1.0]])
 
 
 def places(seed=0):
@@ -127,15 +127,17 @@ def test_where_two_maps_alone_hold_a_landmark_both_are_doubted():
     found = find_outliers(cluster)
     assert sorted((d.owner, d.id, d.alone) for d in found) == [(0, "h", True), (1, "h", True)]
     assert all(d.residual == pytest.approx(2.0) for d in found)
+    assert find_exchanged(cluster, found) == found
 
 
 def test_exchanged_labels_are_told_apart_from_landmarks_that_moved():
     points = places()
     labels = [(2, "b", "f"), (2, "f", "b")]
-    cluster = laid(maps([NAMES] * 4, points, moved=[(1, "d", np.array([0.0, 1.0]))], exchanged=labels))
+    moved = [(1, "d", np.array([0.0, 1.0])), (3, "b", np.array([-1.0, 0.5]))]
+    cluster = laid(maps([NAMES] * 5, points, moved=moved, exchanged=labels))
     found = find_exchanged(cluster, find_outliers(cluster))
     told = {(d.owner, d.id): d.belongs_to for d in found}
-    assert told == {(2, "b"): "f", (2, "f"): "b", (1, "d"): None}
+    assert told == {(2, "b"): "f", (2, "f"): "b", (1, "d"): None, (3, "b"): None}
 
 
 def test_three_labels_that_went_round_are_put_back_and_a_chain_that_stays_open_is_not():

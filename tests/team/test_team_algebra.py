@@ -1,0 +1,365 @@
+"""The team's problem in small: its parts against dense algebra and against what its words say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapweave.core import se2
+from mapweave.core.landmark_log import LandmarkLog, SightingTable
+from mapweave.core.records import Odometry, Track
+from mapweave.landmarks.landmark_map import LandmarkMap
+from mapweave.team.commanded_motion import CommandedMotion, random_walk
+from mapweave.team.config import CalibrationPrior, MotionNoise, SmoothingConfig
+from mapweave.team.covariance import MOST_CORRECTED, _correlation, _Known, _motions, _priors, _scores, team_covariance
+from mapweave.team.instants import Instants, instants_of
+from mapweave.team.problem import HELD_TOGETHER, team_problem
+from mapweave.team.robot_part import PARAMETERS
+from mapweave.team.smooth import _dense, is_observed, smooth
+from mapweave.team.team_map import TeamMap
+
+CFG = SmoothingConfig()
+POINTS = np.array([[2.0, 1.0], [3.5, -1.0], [0.5, 2.5], [4.0, 2.0], [1.0, -2.0]])
+NAMES = tuple("abcde")
+
+
+def driven(robot, start, rng, seconds=18.0, noise=1.0, odometry=True):
+    """A robot that drives as commanded and sees every point each 1.5 s, and robot1 sees robot2."""
+    t = np.arange(0.0, seconds, 0.3)
+    commands = Odometry(t, rng.uniform(0.1, 0.3, len(t)), rng.uniform(-0.4, 0.5, len(t)))
+    seen = np.repeat(np.arange(0.7, seconds, 1.5), len(POINTS))
+    motion = CommandedMotion.of(commands, 2.0)
+    at = np.unique(np.concatenate([t, seen]))
+    pose = se2.compose(start, motion.at(at, 1.0, 0.95, 0.15)[0])
+    track = Track(at, pose)
+    eye = pose[np.searchsorted(at, seen)]
+    d = np.tile(POINTS, (len(seen) // len(POINTS), 1)) - eye[:, :2]
+    r = np.hypot(*d.T) + noise * 0.05 * rng.normal(size=len(seen))
+    b = se2.wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - eye[:, 2] + noise * 0.02 * rng.normal(size=len(seen)))
+    table = SightingTable(seen, np.tile(np.arange(len(POINTS)), len(seen) // len(POINTS)), r, b, NAMES)
+    return LandmarkLog(robot, commands if odometry else None, table), track
+
+
+def logs_and_map(noise=1.0, odometry=True):
+    rng = np.random.default_rng(3)
+    made = [
+        driven("robot1", np.zeros(3), rng, noise=noise),
+        driven("robot2", np.array([1.0, 2.0, -1.0]), rng, noise=noise, odometry=odometry),
+    ]
+    landmarks = LandmarkMap(NAMES, POINTS + 0.02 * noise * rng.normal(size=POINTS.shape), 0.01 * np.eye(10))
+    return [log for log, _ in made], landmarks, {log.robot: track for log, track in made}
+
+
+@pytest.fixture(scope="module")
+def solved():
+    logs, landmarks, tracks = logs_and_map()
+    team = team_problem(logs, landmarks, tracks, {}, {}, CFG)
+    return team, team.solve(CFG)
+
+
+def dense_information(team, x, free):
+    H = np.zeros((len(x), len(x)))
+    for term in team.problem.terms:
+        for columns, block in zip(term.columns, term.normal(x)[0], strict=True):
+            H[np.ix_(columns, columns)] += block
+    return H[np.ix_(free, free)]
+
+
+def frame_of_the_body(team, x):
+    """What takes the motion of the landmarks as a whole off every error: (n, n)."""
+    M, n = _motions(team, x), len(x)
+    taken = np.zeros((3, n))
+    body = M[team.landmark_columns]
+    taken[:, team.landmark_columns] = np.linalg.inv(body.T @ body) @ body.T
+    return np.eye(n) - M @ taken
+
+
+def test_what_shifts_and_turns_the_whole_changes_no_sighting_and_no_step(solved):
+    team, solution = solved
+    x, h = solution.x, 1e-5
+    for motion in _motions(team, x).T:
+        assert np.abs(motion).max() >= 1.0
+        for term, origin in zip(team.problem.terms, team.origins, strict=True):
+            if origin is not None:
+                change = (term.residual(x + h * motion) - term.residual(x - h * motion)) / (2 * h)
+                assert np.abs(change).max() < 1e-5, term.name
+
+
+def test_model_covariances_of_poses_are_those_of_the_dense_inverse_in_the_frame_of_the_landmarks(solved):
+    team, solution = solved
+    n, free = len(solution.x), solution.free
+    P = np.zeros((n, n))
+    P[np.ix_(free, free)] = np.linalg.inv(dense_information(team, solution.x, free))
+    T = frame_of_the_body(team, solution.x)
+    P = T @ P @ T.T
+    got = np.concatenate(_Known.of(team, solution, CFG.cluster).pose_blocks())
+    for k in range(len(got)):
+        at = 3 * k + np.arange(3)
+        np.testing.assert_allclose(got[k], P[np.ix_(at, at)], rtol=1e-4, atol=1e-9)
+
+
+def pulls(team, x, length):
+    """Every group's pull on every variable, by adding one factor after the other."""
+    begin = min(part.instants.t[0] for part in team.parts)
+    out = {}
+    for term, origin in zip(team.problem.terms, team.origins, strict=True):
+        if origin is None:
+            continue
+        for t, columns, g in zip(origin.t, term.columns, term.normal(x)[1], strict=True):
+            row = out.setdefault((origin.robot, int((t - begin) // length)), np.zeros(len(x)))
+            np.add.at(row, columns, g)
+    return np.array(list(out.values()))
+
+
+def test_groups_of_factors_pull_as_their_sum_does(solved):
+    team, solution = solved
+    want = pulls(team, solution.x, 5.0)
+    got = _scores(team, solution.x, 5.0).toarray()
+    assert got.shape == want.shape == (8, len(solution.x))
+    np.testing.assert_allclose(got.T @ got, want.T @ want, rtol=1e-6, atol=1e-6 * np.abs(want).max() ** 2)
+
+
+def test_priors_pull_with_their_information(solved):
+    team, solution = solved
+    rows = _priors(team, solution.x).toarray()
+    known = np.zeros(len(solution.x))
+    for part in team.parts:
+        for k, name in enumerate(PARAMETERS):
+            known[part.parameters + k] = getattr(CFG.calibration, f"{name}_sd") ** -2.0
+    np.testing.assert_allclose(rows.T @ rows, np.diag(known), rtol=1e-6)
+
+
+def test_landmarks_have_the_sandwich_of_the_dense_inverse(solved):
+    team, solution = solved
+    x, free = solution.x, solution.free
+    cfg = replace(CFG, cluster=0.8)
+    inverse = np.zeros((len(x), len(x)))
+    inverse[np.ix_(free, free)] = np.linalg.inv(dense_information(team, x, free))
+    scores, known = pulls(team, x, 0.8), _priors(team, x).toarray()
+    shared = (free >= team.landmark_start).sum()
+    taken_out = len(scores) / max(len(scores) - shared, len(scores) / MOST_CORRECTED)
+    middle = taken_out * scores.T @ scores + known.T @ known
+    T = frame_of_the_body(team, x)
+    wanted = T @ inverse @ middle @ inverse @ T.T
+    known = _Known.of(team, solution, cfg.cluster)
+    hubs = np.arange(team.landmark_start, len(x))
+    moved = known.moved(hubs)
+    np.testing.assert_allclose(moved.T @ moved, wanted[np.ix_(hubs, hubs)], rtol=1e-3, atol=1e-9)
+
+
+def test_few_groups_keep_the_shape_of_the_map_before_and_many_tell_their_own(solved):
+    team, solution = solved
+    before = np.diag(np.linspace(1.0, 3.0, 10)) * 1e-2
+    floor = CFG.position_floor**2 * np.eye(10)
+    few = team_covariance(team, solution, CFG, before).landmarks - floor
+    T = frame_of_the_body(team, solution.x)[np.ix_(team.landmark_columns, team.landmark_columns)]
+    shape = T @ before @ T.T
+    share = np.trace(few) / np.trace(shape)
+    assert share >= 1 - 1e-9
+    np.testing.assert_allclose(few, share * shape, atol=1e-12)
+    tiny = team_covariance(team, solution, CFG, 1e-6 * before).landmarks - floor
+    known = _Known.of(team, solution, CFG.cluster)
+    sandwich = known.moved(team.landmark_columns)
+    assert np.trace(tiny) == pytest.approx(np.square(sandwich).sum(), rel=1e-3)
+
+
+def test_a_robots_covariances_have_their_floor_and_its_own_factor(solved):
+    team, solution = solved
+    cov = team_covariance(team, solution, CFG, 0.01 * np.eye(10))
+    blocks = _Known.of(team, solution, CFG.cluster).pose_blocks()
+    floor = np.diag([CFG.position_floor**2, CFG.position_floor**2, CFG.heading_floor**2])
+    for k, (P, model) in enumerate(zip(cov.poses, blocks, strict=True)):
+        assert cov.inflation[k] == _correlation(team, k, solution.x, CFG.memory)
+        np.testing.assert_allclose(P, cov.inflation[k] * model + floor, atol=1e-12)
+    assert all((sd > 0).all() for sd in cov.calibration)
+
+
+def test_sightings_that_err_together_are_told_from_those_that_do_not():
+    logs, landmarks, tracks = logs_and_map()
+    table = logs[0].sightings
+    slow = table.range + 0.3 * np.sin(0.2 * table.t + table.what)
+    team = team_problem(
+        [replace(logs[0], sightings=replace(table, range=slow)), logs[1]], landmarks, tracks, {}, {}, CFG
+    )
+    x = team.problem.x0
+    factors = [_correlation(team, k, x, CFG.memory) for k in (0, 1)]
+    for robot, factor in enumerate(factors):
+        part, together, alone = team.parts[robot], 0.0, 0.0
+        (term,) = (
+            term
+            for term, origin in zip(team.problem.terms, team.origins, strict=True)
+            if term.name == "landmark" and origin.robot == robot
+        )
+        g = term.normal(x)[1][:, 3:5]
+        t, what = part.log.sightings.t, part.log.sightings.what
+        for landmark in range(5):
+            for slot in range(5):
+                rows = (what == landmark) & (t // CFG.memory == slot)
+                together += np.square(g[rows].sum(axis=0)).sum()
+                alone += np.square(g[rows]).sum()
+        assert factor == pytest.approx(max(1.0, together / alone))
+    assert factors[0] > 1.5
+    assert _correlation(team, 0, x, 1e-3) == 1.0
+
+
+def test_heading_that_wanders_moves_a_robot_aside_as_its_integral_does():
+    """Brownian heading over the way: aside L^3 / 3, with the heading L^2 / 2, each times the rate's square."""
+    quiet = MotionNoise(along=0, across=0, drift=0.2, turn=0, rest_xy=0, rest_theta=0, lost_xy=0, lost_theta=0)
+    motion = CommandedMotion.of(Odometry(np.arange(0.0, 4.0, 0.1), np.full(40, 0.5), np.zeros(40)), 2.0)
+    (Q,) = motion.noise(np.array([0.5, 3.5]), 0.0, quiet)
+    way = 1.5
+    wanted = 0.04 * np.array([[0, 0, 0], [0, way**3 / 3, way**2 / 2], [0, way**2 / 2, way]])
+    np.testing.assert_allclose(Q, wanted, atol=1e-12)
+
+
+def test_each_kind_of_noise_grows_with_what_it_is_of():
+    t, n = np.arange(0.0, 4.0, 0.1), 40
+    motion = CommandedMotion.of(Odometry(t, np.full(n, -0.5), np.full(n, 0.4)), 2.0)
+    zero = dict.fromkeys(("along", "across", "drift", "turn", "rest_xy", "rest_theta", "lost_xy", "lost_theta"), 0.0)
+    stamps = np.array([0.6, 3.1])
+    way, angle, dt = 1.25, 1.0, 2.5
+
+    def diagonal(**kind):
+        return np.diag(motion.noise(stamps, 0.1, MotionNoise(**(zero | kind)))[0])
+
+    np.testing.assert_allclose(diagonal(along=0.3), [0.09 * way, 0, 0])
+    np.testing.assert_allclose(diagonal(across=0.3), [0, 0.09 * way, 0])
+    np.testing.assert_allclose(diagonal(turn=0.3)[2], 0.09 * angle)
+    np.testing.assert_allclose(diagonal(rest_xy=0.3), [0.09 * dt, 0.09 * dt, 0])
+    np.testing.assert_allclose(diagonal(rest_theta=0.3)[2], 0.09 * dt)
+    assert not diagonal(lost_xy=0.3, lost_theta=0.3).any()
+    late = motion.noise(np.array([3.0, 8.0]), 0.0, MotionNoise(**(zero | {"lost_xy": 0.3, "lost_theta": 0.2})))[0]
+    lost = 5.0 - (3.9 + 2.0 - 3.0)  # the last command holds for 2 s
+    np.testing.assert_allclose(
+        np.diag(late), [0.09 * lost, 0.09 * lost + 0.04 * lost * (0.5 * 2.9) ** 2 / 3, 0.04 * lost]
+    )
+
+
+def test_a_robot_whose_commands_nobody_knows_wanders_with_the_time():
+    cfg = MotionNoise()
+    Q = random_walk(np.array([0.0, 1.0, 4.0]), cfg)
+    for k, dt in enumerate((1.0, 3.0)):
+        speeds = np.array([cfg.unknown_speed, cfg.unknown_slip, cfg.unknown_spin])
+        rest = np.array([cfg.rest_xy, cfg.rest_xy, cfg.rest_theta])
+        np.testing.assert_allclose(Q[k], np.diag((speeds * dt) ** 2 + rest**2 * dt))
+
+
+def test_the_nearest_instant_is_the_nearest():
+    rng = np.random.default_rng(5)
+    t = np.sort(rng.uniform(0, 10, 12))
+    poses = np.column_stack([t, 2 * t, 0.1 * t])
+    instants = Instants(t, poses, Track(t, poses))
+    asked = np.concatenate([rng.uniform(-1, 11, 60), t])
+    np.testing.assert_array_equal(instants.nearest(asked), np.abs(asked[:, None] - t).argmin(axis=1))
+    k, step = instants.from_nearest(asked[:60].clip(t[0], t[-1]))
+    there = se2.compose(poses[k], step)
+    np.testing.assert_allclose(there[:, 1], 2 * there[:, 0], atol=1e-9)
+    np.testing.assert_allclose(there[:, 0], asked[:60].clip(t[0], t[-1]), atol=1e-9)
+    one = Instants(t[:1], poses[:1], Track(t[:1], poses[:1]))
+    assert one.nearest(np.array([-3.0, 4.0])).tolist() == [0, 0]
+
+
+def test_instants_are_where_something_is_seen_neither_too_dense_nor_too_far_apart():
+    (log, _), _, tracks = logs_and_map()
+    cfg = replace(CFG, longest_step=1.0, shortest_step=0.6)
+    seen_at = np.array([-5.0, 3.13, 3.2, 99.0])
+    at = instants_of(log, seen_at, tracks["robot1"], cfg)
+    first, last = log.span
+    assert at.t[0] == first
+    assert np.diff(at.t).max() <= 1.0 + 1e-9
+    kept = at.t[np.isin(at.t, np.concatenate([[first, last], log.sightings.t, seen_at]))]
+    assert np.diff(kept).min() >= 0.6 - 1e-9
+    assert at.t.min() >= first
+    assert at.t.max() <= last
+    assert 3.13 in at.t or np.abs(kept - 3.13).min() < 0.6
+    sparse = instants_of(log, seen_at, tracks["robot1"], replace(CFG, longest_step=50.0))
+    assert np.isin(sparse.t, np.concatenate([[first, last], log.sightings.t, seen_at])).all()
+    np.testing.assert_allclose(at.start, se2.interpolate(at.t, tracks["robot1"].t, tracks["robot1"].pose))
+
+
+def test_the_calibration_is_pulled_to_what_was_known_by_its_deviations():
+    logs, landmarks, tracks = logs_and_map()
+    known = {"robot2": {"lag": (0.3, 0.05), "range_scale": (1.1, 0.0)}}
+    team = team_problem(logs, landmarks, tracks, {}, known, CFG)
+    (prior,) = (term for term in team.problem.terms if term.name == "prior")
+    x = team.problem.x0.copy()
+    assert prior.squares(x).sum() == pytest.approx(0.0)
+    one, two = team.parts
+    assert x[two.parameters + 2] == 0.3
+    assert x[two.parameters + 4] == 1.1
+    assert two.parameters + 4 not in team.problem.free
+    assert one.parameters + 4 in team.problem.free
+    x[two.parameters + 2] += 0.1
+    x[one.parameters] += 3 * CFG.calibration.speed_scale_sd
+    assert prior.squares(x).sum() == pytest.approx(2.0**2 + 3.0**2)
+
+
+def test_a_team_without_any_odometry_keeps_the_mean_of_its_range_scales():
+    logs, landmarks, tracks = logs_and_map()
+    blind = [replace(log, odometry=None) for log in logs]
+    team = team_problem(blind, landmarks, tracks, {}, {}, CFG)
+    (scale,) = (term for term in team.problem.terms if term.name == "scale")
+    x = team.problem.x0.copy()
+    for part, off in zip(team.parts, (0.05, -0.05), strict=True):
+        x[part.parameters + 4] += off
+    assert scale.squares(x)[0] == pytest.approx(0.0, abs=1e-9)
+    x[team.parts[0].parameters + 4] += 2 * HELD_TOGETHER
+    assert scale.squares(x)[0] == pytest.approx(1.0)
+    assert not {part.parameters + k for part in team.parts for k in (0, 1, 2)} & set(team.problem.free.tolist())
+    one = team_problem([logs[0], blind[1]], landmarks, tracks, {}, {}, CFG)
+    assert "scale" not in {term.name for term in one.problem.terms}
+
+
+def test_the_first_pose_is_the_frame_and_so_is_that_of_who_saw_nothing_in_common():
+    logs, landmarks, tracks = logs_and_map()
+    team = team_problem(logs, landmarks, tracks, {}, {}, CFG)
+    held = np.setdiff1d(np.arange(len(team.problem.x0)), team.problem.free)
+    assert held.tolist() == [0, 1, 2]
+    stranger = replace(logs[1].sightings, ids=tuple("vwxyz"))
+    apart = team_problem([logs[0], replace(logs[1], sightings=stranger)], landmarks, tracks, {}, {}, CFG)
+    start = apart.parts[1].start
+    held = np.setdiff1d(np.arange(len(apart.problem.x0)), apart.problem.free)
+    assert held.tolist() == [0, 1, 2, start, start + 1, start + 2]
+    named = {"robot2": dict(zip("vwxyz", NAMES, strict=True))}
+    tied = team_problem([logs[0], replace(logs[1], sightings=stranger)], landmarks, tracks, named, {}, CFG)
+    assert tied.used == team.used
+
+
+def test_a_track_goes_through_every_estimated_pose_and_bends_evenly_between(solved):
+    team, solution = solved
+    part = team.parts[1]
+    n = len(part.instants.t)
+    poses = solution.x[part.start : part.start + 3 * n].reshape(-1, 3)
+    cov = np.eye(3) * np.arange(1.0, n + 1)[:, None, None]
+    track = _dense(part, solution.x, cov)
+    rows = np.searchsorted(track.t, part.instants.t)
+    there = np.isin(part.instants.t, track.t)
+    assert there.sum() > 10
+    np.testing.assert_allclose(se2.between(track.pose[rows[there]], poses[there]), 0.0, atol=1e-9)
+    np.testing.assert_allclose(track.cov[rows[there]], cov[there], atol=1e-9)
+    steps = np.hypot(*np.diff(track.pose[:, :2], axis=0).T)
+    assert (steps <= 0.6 * np.diff(track.t) + 1e-3).all()
+    between = (track.t > part.instants.t[0]) & (track.t < part.instants.t[-1]) & ~np.isin(track.t, part.instants.t)
+    share = np.interp(track.t[between], part.instants.t, np.arange(1.0, n + 1))
+    np.testing.assert_allclose(track.cov[between, 0, 0], share, atol=1e-9)
+
+
+def test_clean_logs_are_smoothed_to_the_truth_with_their_calibration():
+    logs, landmarks, tracks = logs_and_map(noise=0.0)
+    shifted = LandmarkMap(NAMES, POINTS + 0.03 * np.random.default_rng(1).normal(size=POINTS.shape), landmarks.cov)
+    result = smooth(TeamMap(("robot1", "robot2"), shifted, tracks), logs, {}, CFG)
+    assert not result.refused
+    np.testing.assert_allclose(result.map.landmarks.mean, POINTS, atol=2e-3)
+    for robot in ("robot1", "robot2"):
+        found = result.calibration[robot]
+        for name, true in zip(PARAMETERS, (1.0, 0.95, 0.15, 0.0, 1.0), strict=True):
+            assert found[name][0] == pytest.approx(true, abs=0.01), name
+        truth = se2.interpolate(result.map.tracks[robot].t, tracks[robot].t, tracks[robot].pose)
+        assert np.abs(se2.between(truth, result.map.tracks[robot].pose)).max() < 0.02
+
+
+def test_a_parameter_is_observed_where_the_data_told_clearly_more_than_was_known():
+    prior = {"lag": (0.15, 0.1)}
+    assert is_observed("lag", 0.05, prior)
+    assert not is_observed("lag", 0.09, prior)
+    assert CalibrationPrior().lag_sd == 0.1
