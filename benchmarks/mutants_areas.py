@@ -44,6 +44,18 @@ def defining(source: str) -> Path:
     return found[0]
 
 
+SUBMAPS = "tests/exploration/test_submap_fusion.py"
+HAND_OVER = (
+    "the_hand_over_residual_has_the_jacobian_of_its_differences",
+    "a_hand_over_equals_conditioning_and_mapping_the_whole_map_and_submap",
+    "a_submap_without_common_landmarks_leaves_the_old_ones_unchanged",
+    "unknown_landmarks_are_recognised_and_duplicates_merged",
+    "merging_two_pairs_of_duplicates_is_conditioning_on_both_at_once",
+    "landmarks_that_one_submap_holds_apart_are_never_merged",
+    "a_landmark_between_two_that_it_may_be_is_left_out",
+    "a_landmark_that_may_be_new_stays_one_until_more_is_known",
+)
+
 AREAS = (
     Area(
         "poses and Gaussians",
@@ -115,10 +127,16 @@ AREAS = (
         ("tests/fusion/test_join.py",),
     ),
     Area(
-        "identities and handover",
-        ("fusion:joint_fit", "fusion:match_maps", "fusion:hand_over"),
-        ("tests/fusion/test_joint_fit.py", "tests/fusion/test_identities.py"),
-        ("tests/fusion/test_unknown_identities.py",),
+        "identities",
+        ("fusion:joint_fit", "fusion:match_maps"),
+        ("tests/fusion/test_joint_fit.py", "tests/fusion/test_identity_pieces.py"),
+        ("tests/fusion/test_identities.py",),
+    ),
+    Area(
+        "handover",
+        ("fusion:hand_over", "fusion:MapAndSubmap"),
+        tuple(f"{SUBMAPS}::test_{name}" for name in HAND_OVER),
+        (SUBMAPS,),
     ),
     Area(
         "outlier rejection",
@@ -270,7 +288,7 @@ class Named:
 
 DRIVE, CLOSURES = ("tests/kernels/test_ekf_drive_noise.py",), ("tests/laser/test_closures.py",)
 JOINT = ("tests/landmarks/test_association.py",)
-IDENTITY = ("tests/fusion/test_joint_fit.py", "tests/fusion/test_identities.py")
+IDENTITY = ("tests/fusion/test_joint_fit.py", "tests/fusion/test_identity_pieces.py")
 PARTICLES = ("tests/kernels/test_resample.py", "tests/laser/test_particle_pieces.py")
 
 ONCE_LET_PASS: tuple[Named, ...] = (

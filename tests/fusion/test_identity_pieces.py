@@ -1,0 +1,259 @@
+"""The steps of finding common landmarks without names: gates, proposals, assignment, exchanges, and when to refuse."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapweave.core import se2
+from mapweave.fusion.identities import (
+    IdentityConfig,
+    _assigned,
+    _distinct,
+    _exchanged,
+    _fits,
+    _gates,
+    _hypotheses,
+    _neighbours,
+    _pairs,
+    _proposals,
+    _refusal,
+    _worked_out,
+    _worth,
+    match_maps,
+)
+from mapweave.fusion.joint_fit import JointFit, joint_fit
+from mapweave.landmarks.landmark_map import LandmarkMap
+
+CFG = IdentityConfig()
+T = np.array([2.0, -3.0, 2.4])
+
+
+def a_map(points, sigma=0.02):
+    sigma = np.broadcast_to(sigma, len(points))
+    return LandmarkMap(tuple(map(str, range(len(points)))), np.asarray(points, float), np.diag(np.repeat(sigma**2, 2)))
+
+
+def two_maps(seed=0, common=8, own=3, scale=1.0, noise=0.01):
+    """Two maps of one place, `common` landmarks in both; the second's in another order, turned, `scale` times as large.
+
+    links: which is which.
+    """
+    rng = np.random.default_rng([seed, 70])
+    points = rng.uniform(-5, 5, (common + 2 * own, 2))
+    here, there = points[: common + own], np.concatenate([points[:common], points[common + own :]])
+    order = rng.permutation(len(there))
+    sigma = rng.uniform(0.015, 0.03, (2, common + own))
+    source = a_map(here + noise * rng.normal(size=here.shape), sigma[0])
+    target = a_map((scale * se2.act(T, there) + noise * rng.normal(size=there.shape))[order], sigma[1])
+    links = np.array([(i, int(np.flatnonzero(order == i)[0])) for i in range(common)])
+    return source, target, links
+
+
+def fit(chi2, links):
+    return JointFit(np.zeros(3), 1.0, chi2, np.zeros(len(links)))
+
+
+def test_gates_are_deviations_of_both_maps_and_of_the_scale_away_from_the_middle():
+    source, target, _ = two_maps()
+    gates = _gates(source, target, CFG)
+    middle = source.mean.mean(axis=0)
+    for i in range(len(source)):
+        for j in range(len(target)):
+            both = source.cov[2 * i, 2 * i] + target.cov[2 * j, 2 * j] + 2 * CFG.noise**2
+            scaled = (CFG.scale_sigma * np.hypot(*(source.mean[i] - middle))) ** 2
+            assert gates[i, j] == pytest.approx(CFG.gate * np.sqrt(both + scaled))
+            assert _gates(source, target, CFG, 0.0)[i, j] == pytest.approx(CFG.gate * np.sqrt(both))
+
+
+def test_pairs_are_told_with_their_distance_and_its_variance_and_short_ones_are_left_out():
+    source, _, _ = two_maps()
+    points = np.concatenate([source.mean, source.mean[:1] + np.array([0.05, 0.0])])
+    m = a_map(points, 0.02)
+    i, j, d, v = _pairs(m, CFG)
+    found = {(int(a), int(b)): (x, y) for a, b, x, y in zip(i, j, d, v, strict=True)}
+    variance = 2 * (0.02**2 + CFG.noise**2)
+    for a in range(len(points)):
+        for b in range(a + 1, len(points)):
+            apart = np.hypot(*(points[a] - points[b]))
+            if apart > 3 * np.sqrt(variance):
+                assert found[a, b] == pytest.approx((apart, variance))
+            else:
+                assert (a, b) not in found
+    assert (0, len(source)) not in found
+
+
+def test_hypotheses_are_every_pair_laid_on_every_pair_as_long_both_ways_round():
+    source, target, _ = two_maps(common=4, own=1)
+    turn, shift = _hypotheses(source, target, CFG)
+    np.testing.assert_allclose(np.abs(turn), 1.0)
+    found = {(round(z.real, 6), round(z.imag, 6)) for z in np.concatenate([turn[:, None], shift[:, None]], 1)[:, 1]}
+    wanted = set()
+    (i, j, long, u), (k, l, far, v) = _pairs(source, CFG), _pairs(target, CFG)
+    for a in range(len(long)):
+        for b in range(len(far)):
+            if abs(long[a] - far[b]) >= CFG.gate * np.sqrt(u[a] + v[b] + (CFG.scale_sigma * long[a]) ** 2):
+                continue
+            for p, q in ((k[b], l[b]), (l[b], k[b])):
+                s, t = source.mean[[i[a], j[a]]], target.mean[[p, q]]
+                angle = np.arctan2(*(t[1] - t[0])[::-1]) - np.arctan2(*(s[1] - s[0])[::-1])
+                place = t.mean(axis=0) - se2.rotation(float(angle)) @ s.mean(axis=0)
+                wanted.add((round(place[0], 6), round(place[1], 6)))
+    assert found == wanted
+    assert len(turn) == len(shift) == len(wanted)
+
+
+def test_with_too_many_hypotheses_those_of_the_longest_pairs_are_tried():
+    source, target, _ = two_maps()
+    all_of_them = len(_hypotheses(source, target, CFG)[0])
+    few = _hypotheses(source, target, replace(CFG, hypotheses=40))[0]
+    assert 2 <= len(few) <= 40 < all_of_them
+
+
+def test_the_best_proposal_is_the_truth_and_the_others_are_other_places():
+    for seed in range(4):
+        source, target, _ = two_maps(seed)
+        proposals = _proposals(source, target, CFG)
+        assert np.abs(se2.between(T, proposals[0])[:2]).max() < 0.3
+        assert abs(se2.between(T, proposals[0])[2]) < 0.05
+        for a, one in enumerate(proposals):
+            for other in proposals[:a]:
+                assert _distinct(one, other, source, target, CFG)
+    assert _proposals(a_map([[0.0, 0.0]]), target, CFG) == []
+
+
+def test_alignments_are_distinct_where_they_put_half_the_landmarks_beyond_a_gate():
+    source, target, _ = two_maps()
+    gate = np.median(_gates(source, target, CFG))
+    for share, distinct in ((0.9, False), (1.1, True)):
+        moved = se2.compose(T, np.array([share * gate, 0.0, 0.0]))
+        assert _distinct(T, moved, source, target, CFG) is distinct
+
+
+def test_links_are_an_assignment_of_least_squares_within_the_gates():
+    rng = np.random.default_rng(1)
+    moved, there = rng.uniform(0, 2, (5, 2)), rng.uniform(0, 2, (6, 2))
+    gates2 = rng.uniform(0.1, 0.6, (5, 6))
+    links = _assigned(moved, there, gates2)
+    ratio = np.minimum(np.square(moved[:, None] - there).sum(axis=2) / gates2, 1.0)
+
+    def best(row, free):
+        if row == 5:
+            return 0.0
+        return min(ratio[row, c] + best(row + 1, free - {c}) for c in free)
+
+    assert (ratio[links[:, 0], links[:, 1]] < 1.0).all()
+    assert len(set(links[:, 1])) == len(links)
+    total = ratio[links[:, 0], links[:, 1]].sum() + (5 - len(links))
+    assert total == pytest.approx(best(0, frozenset(range(6))))
+
+
+def test_neighbours_are_all_exchanges_and_moves_to_free_landmarks_within_twice_the_gates():
+    rng = np.random.default_rng(2)
+    moved, there = rng.uniform(0, 1.2, (4, 2)), rng.uniform(0, 1.2, (6, 2))
+    links, gates = np.array([[0, 1], [1, 3], [2, 0], [3, 5]]), rng.uniform(0.2, 0.4, (4, 6))
+    near = np.hypot(*np.moveaxis(moved[:, None] - there, -1, 0)) < 2 * gates
+    wanted = set()
+    for a in range(4):
+        for b in range(a):
+            other = links[:, 1].copy()
+            other[[a, b]] = other[[b, a]]
+            if near[a, other[a]] and near[b, other[b]]:
+                wanted.add(tuple(other))
+        for free in (2, 4):
+            if near[a, free]:
+                other = links[:, 1].copy()
+                other[a] = free
+                wanted.add(tuple(other))
+    found = _neighbours(moved, there, links, gates)
+    assert {tuple(change[:, 1]) for change in found} == wanted
+    assert len(found) == len(wanted) > 3
+    assert all((change[:, 0] == links[:, 0]).all() for change in found)
+
+
+def test_exchanges_end_where_none_makes_chi_square_smaller():
+    source, target, links = two_maps(3)
+    points = target.mean.copy()
+    points[links[1, 1]] = points[links[0, 1]] + [0.09, 0.0]  # two landmarks so near that either may be the other
+    mean = source.mean.copy()
+    mean[1] = se2.act(se2.inverse(T), points[links[1, 1]])
+    source, target = a_map(mean, 0.05), a_map(points, 0.05)
+    wrong = links.copy()
+    wrong[[0, 1], 1] = links[[1, 0], 1]
+    begun = joint_fit(source, target, wrong, T, CFG.noise, CFG.scale_sigma)
+    found, better = _exchanged(source, target, wrong, begun, CFG)
+    np.testing.assert_array_equal(found, links)
+    assert better.chi2 < begun.chi2
+    again, same = _exchanged(source, target, found, better, CFG)
+    assert again is found
+    assert same is better
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.03])
+def test_a_proposal_is_worked_out_to_the_true_links_and_the_scale_between_the_maps(scale):
+    for seed in range(3):
+        source, target, links = two_maps(seed, scale=scale)
+        off = se2.compose(T, np.array([0.1, -0.05, 0.02]))
+        off[:2] *= scale
+        found, told = _worked_out(source, target, off, CFG)
+        assert {tuple(l) for l in found} == {tuple(l) for l in links}
+        assert told.scale == pytest.approx(scale, abs=0.01)
+        assert told.single.max() <= 18.0
+
+
+def test_a_link_that_alone_adds_too_much_is_let_go():
+    source, target, links = two_maps(4)
+    points = target.mean.copy()
+    points[links[2, 1]] += [0.2, 0.0]
+    target = LandmarkMap(target.ids, points, target.cov)
+    whole = joint_fit(source, target, links, T, CFG.noise, CFG.scale_sigma)
+    assert whole.single.argmax() == 2
+    assert whole.single.max() > 18.0
+    wide = replace(CFG, gate=10.0)
+    found, told = _worked_out(source, target, T, wide)
+    assert {tuple(l) for l in found} == {tuple(l) for k, l in enumerate(links) if k != 2}
+    assert told.single.max() <= 18.0
+
+
+def test_worth_is_links_less_misfit_and_a_rival_must_fit():
+    links = np.zeros((5, 2), dtype=int)
+    assert _worth(links, fit(18.0, links), CFG) == pytest.approx(5 - 18.0 / CFG.gate**2)
+    limit = CFG.chi2_per_dof * (2 * 5 - 3)
+    assert _fits(links, fit(0.99 * limit, links), CFG)
+    assert not _fits(links, fit(1.01 * limit, links), CFG)
+    assert not _fits(links[:2], fit(0.0, links), CFG)
+    assert _fits(links[:3], fit(0.0, links), CFG)
+
+
+def test_a_match_is_refused_for_too_few_links_a_rival_as_good_or_a_misfit():
+    links = np.zeros((7, 2), dtype=int)
+    good = fit(10.0, links)
+    assert _refusal(links, good, 0, 7.0, CFG) == ""
+    assert "are needed" in _refusal(links[: CFG.links - 1], good, 0, 7.0, CFG)
+    assert _refusal(links[: CFG.links], fit(9.0, links), 0, 6.0, CFG) == ""
+    assert "another alignment" in _refusal(links, good, 7 - CFG.margin + 1, 0.5 * CFG.lead, CFG)
+    assert _refusal(links, good, 7 - CFG.margin, 0.5 * CFG.lead, CFG) == ""
+    assert _refusal(links, good, 7, 1.5 * CFG.lead, CFG) == ""
+    limit = CFG.chi2_per_dof * 11
+    assert _refusal(links, fit(0.99 * limit, links), 0, 7.0, CFG) == ""
+    assert "do not fit" in _refusal(links, fit(1.01 * limit, links), 0, 7.0, CFG)
+
+
+def test_a_place_that_repeats_itself_is_refused_and_its_rival_counted():
+    rng = np.random.default_rng(5)
+    block = rng.uniform(0, 3, (6, 2))
+    twice = np.concatenate([block, block + np.array([8.0, 0.0])])
+    found = match_maps(a_map(block), a_map(se2.act(T, twice)))
+    assert not found.accepted
+    assert found.rival == len(found.links) == 6
+    once = match_maps(a_map(block), a_map(se2.act(T, np.concatenate([block, rng.uniform(8, 11, (6, 2))]))))
+    assert once.accepted
+    assert once.rival < 6
+    assert once.dof == 9
+
+
+def test_maps_with_nothing_alike_are_refused_with_the_reason():
+    found = match_maps(a_map([[0.0, 0.0], [1.0, 0.0]]), a_map([[0.0, 0.0], [7.0, 0.0]]))
+    assert not found.accepted
+    assert found.links.shape == (0, 2)
+    assert "equally far apart" in found.reason
