@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
+from mapweave.fusion.alignment import JointFit, joint_fit
 from mapweave.fusion.identities import (
     IdentityConfig,
     _assigned,
@@ -22,7 +23,6 @@ from mapweave.fusion.identities import (
     _worth,
     match_maps,
 )
-from mapweave.fusion.joint_fit import JointFit, joint_fit
 from mapweave.landmarks.landmark_map import LandmarkMap
 
 CFG = IdentityConfig()

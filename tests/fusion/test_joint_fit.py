@@ -7,8 +7,7 @@ from scipy.optimize import least_squares
 
 from mapweave.core import se2
 from mapweave.fusion import alignment
-from mapweave.fusion.alignment import align_robust
-from mapweave.fusion.joint_fit import _Linked, joint_fit
+from mapweave.fusion.alignment import _Linked, align_robust, joint_fit
 from mapweave.landmarks.landmark_map import LandmarkMap
 
 from .worlds import covariance

@@ -6,8 +6,16 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.fusion.config import FuseConfig
-from mapweave.fusion.consensus import Consensus, Entries, overlaps
-from mapweave.fusion.outlier_rejection import Outlier, find_exchanged, find_outliers, inflated, relabelled
+from mapweave.fusion.consensus import (
+    Consensus,
+    Entries,
+    Outlier,
+    find_exchanged,
+    find_outliers,
+    inflated,
+    overlaps,
+    relabelled,
+)
 from mapweave.landmarks.landmark_map import LandmarkMap
 
 NAMES = "abcdefgh"

@@ -15,7 +15,7 @@ from mapweave.kernels.exploration.objective import (
     unexplored_cells,
 )
 from mapweave.kernels.exploration.tours import BALANCE, balanced_tours, greedy_cover
-from mapweave.kernels.raster import Raster, Sector
+from mapweave.kernels.walls.segments import Raster, Sector
 
 pytestmark = pytest.mark.kernel
 

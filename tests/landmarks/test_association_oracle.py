@@ -7,9 +7,15 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.gaussian import chi2_quantile
-from mapweave.landmarks import pairing
-from mapweave.landmarks.association import Assignment, certain, individual_costs, jcbb, nearest_neighbour
-from mapweave.landmarks.pairing import pairing_probabilities
+from mapweave.landmarks import association as pairing
+from mapweave.landmarks.association import (
+    Assignment,
+    certain,
+    individual_costs,
+    jcbb,
+    nearest_neighbour,
+    pairing_probabilities,
+)
 
 R = np.array([[0.04, 0.001], [0.001, 0.0016]])
 GATE, NEW = 9.21, 25.0
