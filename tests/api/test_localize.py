@@ -49,7 +49,9 @@ def test_a_robot_is_found_anywhere_in_the_map_and_followed(world):
     assert _run(words) == 0
     metrics = json.loads((out / "metrics.json").read_text())
     told = metrics["localisation"]
-    assert (told["start"], told["found"], told["trusted"]) == ("global", True, True)
+    assert (told["start"], told["found"], told["trusted"], told["doubt"]) == ("global", True, True, None)
+    assert told["evidence"]["light"] > 0.5
+    assert told["evidence"]["explained"] > 0.9
     assert told["found_after_scans"] <= 15
     assert metrics["evaluation"]["right"] is True
     assert metrics["evaluation"]["position_rmse"] < 0.2
@@ -86,7 +88,9 @@ def test_a_robot_somewhere_else_is_not_trusted(world, tmp_path):
     write_mcap(tmp_path / "office.mcap", office.log)
     result = localize(tmp_path / "office.mcap", world / "map")
     assert not result.found.trusted
-    assert "not to be trusted" in result.lines()[0] or "not found" in result.lines()[0]
+    told = result.metrics["localisation"]
+    assert (told["trusted"], told["doubt"]) == (False, result.found.doubt)
+    assert "not to be trusted" in result.lines()[1] or "not found" in result.lines()[0]
 
 
 def test_a_place_that_does_not_explain_the_scans_is_given_up_and_sought_anew(world):

@@ -20,6 +20,7 @@ from ..io.laser_map import NAME, read_grid, write_scans
 from ..io.tum import read_tum, write_tum
 from ..laser.laser_map import GridMap
 from ..laser.localise import Localisation, localise
+from ..laser.localise_trust import Evidence
 from ..report.localize import draw_where, write_localisation_report
 from ..report.result import ResultBase, Rows
 from ..report.style import Target
@@ -85,8 +86,10 @@ class LocalizeResult(ResultBase):
             after = made.found_t - made.scans.t[0]
             took = made.timing.get("global_start", 0.0)
             start = f"the start was found after {after:.1f} s, {made.found_scans} scans ({took:.1f} s of work)"
-        trust = "the map explains" if made.trusted else "not to be trusted: the map explains"
-        lines = [f"robot1: {start}; {trust} {100 * made.matched:.0f} % of the returns", *made.warnings]
+        explained = f"the map explains {100 * made.matched:.0f} % of the returns"
+        lines = [f"robot1: {start}; {explained}", *made.warnings]
+        if made.doubt and made.found_t is not None:
+            lines.insert(1, f"robot1: not to be trusted: {made.doubt}")
         if self.score is not None and self.score.n:
             judged = "right" if self.score.right else "wrong"
             lines.append(
@@ -234,6 +237,12 @@ def _grid_path(folder: Path) -> Path:
     return there[0]
 
 
+def _evidence(seen: Evidence) -> dict[str, Any]:
+    x, y, theta = (None, None, None) if seen.rival is None else seen.rival.tolist()
+    rival = None if x is None else {"x": x, "y": y, "theta": theta, "score_ratio": seen.ratio}
+    return {"explained": seen.explained, "through_walls": seen.through, "light": seen.light, "next_place": rival}
+
+
 def _metrics(found: Localisation, where: Path, seed: int, score: StartScore | None) -> dict[str, Any]:
     after = None if found.found_t is None else found.found_t - float(found.scans.t[0])
     metrics: dict[str, Any] = {
@@ -257,6 +266,8 @@ def _metrics(found: Localisation, where: Path, seed: int, score: StartScore | No
             "found_after_scans": found.found_scans,
             "matched": found.matched,
             "trusted": found.trusted,
+            "doubt": found.doubt or None,
+            "evidence": None if found.evidence is None else _evidence(found.evidence),
         },
         "timing": dict(found.timing),
     }

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import distance_transform_edt
 
 from ..core.records import frozen
@@ -21,6 +21,15 @@ class NearestField:
     near: Float[np.ndarray, "rows cols 3"]
     origin: Float[np.ndarray, "2"]
     cell: float
+
+    def nearest(self, points: Float[np.ndarray, "n 2"], outside: float) -> Float[np.ndarray, "n 3"]:
+        """The nearest wall point of each point and its feature; `outside` [m] away for points beyond the table."""
+        at = np.floor((points - self.origin) / self.cell).astype(int)
+        rows, cols = self.near.shape[:2]
+        inside = (at[:, 0] >= 0) & (at[:, 0] < cols) & (at[:, 1] >= 0) & (at[:, 1] < rows)
+        out = np.column_stack([points + outside, np.zeros(len(points))])
+        out[inside] = self.near[at[inside, 1], at[inside, 0]]
+        return out
 
     def score(
         self,
@@ -44,9 +53,14 @@ class NearestField:
         )
 
 
+def wall_cells(grid: GridMap) -> Bool[np.ndarray, "rows cols"]:
+    """The cells of `grid` that are walls."""
+    return np.asarray((grid.weight > 0) & (grid.occupancy() > LEAST_OCCUPANCY))
+
+
 def nearest_field(grid: GridMap) -> NearestField:
     """The table of `grid`. Raises ValueError when no cell of it is occupied."""
-    there = (grid.weight > 0) & (grid.occupancy() > LEAST_OCCUPANCY)
+    there = wall_cells(grid)
     if not there.any():
         raise ValueError("no cell of the map is occupied")
     there = np.pad(there, MARGIN)

@@ -17,6 +17,7 @@ from .config import LaserConfig
 from .laser_map import GridMap, IntensityCalibration, ScanRecords
 from .likelihood_field import nearest_field
 from .localise_filter import LocaliseConfig, PlaceFilter
+from .localise_trust import Evidence, Seen, evidence
 from .scan_odometry import ScanInfo, ScanOdometry, blended
 
 
@@ -27,8 +28,9 @@ class Localisation:
     track: poses in `map` at every odometry and every scan stamp (before the start was found: carried back by
     odometry); scans: as for mapping, innovation against odometry. start: "given" or "global"; found_t: stamp [s] at
     which the hypotheses had become one, None where they never did (a given start: the first stamp); found_scans:
-    scans used until then; matched: share of the returns after that which the map explains; trusted: whether that
-    share, and the hypotheses being one, speak for the answer; feature: the one really used.
+    scans used until then; matched: share of the returns after that which the map explains; evidence: what speaks for
+    the place found, None where none was; doubt: why the answer is not to be trusted, empty where it is; feature: the
+    one really used.
     """
 
     robot: str
@@ -39,12 +41,18 @@ class Localisation:
     found_t: float | None
     found_scans: int | None
     matched: float
-    trusted: bool
+    evidence: Evidence | None
+    doubt: str
     feature: str
     particles: int
     dropped: Mapping[str, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     timing: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def trusted(self) -> bool:
+        """Whether everything known speaks for the answer."""
+        return not self.doubt
 
 
 def localise(
@@ -87,6 +95,20 @@ def localise(
         warnings.append("the start was not found: the hypotheses never became one")
     if way.restarts:
         warnings.append(f"places found that did not explain the scans and were given up: {way.restarts}")
+    found, doubt = None, "the start was not found"
+    if way.found is not None:
+        on_progress("other places", 0, 1)
+        rows = [(row, pose) for row, pose in zip(way.at, way.corrected, strict=True) if row >= way.found]
+        seen = [
+            Seen(
+                pose, beams(log.scans[row], feature, calibration, cfg.beam), np.array(log.scans[row].T_robot_sensor[:2])
+            )
+            for row, pose in _kept(rows, how.trust.scans)
+        ]
+        found = evidence(seen, grid, walls, light=feature != "none", searched=start is None, cfg=how.trust)
+        few = f"the map explains {100 * matched:.0f} % of the returns"
+        doubt = found.doubt or ("" if matched >= how.trusted else few)
+        on_progress("other places", 1, 1)
     total = perf_counter() - began
     return Localisation(
         log.robot,
@@ -97,7 +119,8 @@ def localise(
         None if way.found is None else float(log.scan_t[way.found]),
         None if way.found is None else way.found + 1,
         float(matched),
-        way.found is not None and matched >= how.trusted,
+        found,
+        doubt,
         feature,
         cfg.particles,
         dict(log.dropped),
@@ -165,6 +188,12 @@ def _follow(
         way.corrected.append(pose)
         way.infos.append(ScanInfo(info.innovation, info.beams, matches, "matched", n_eff, resampled))
     return way
+
+
+def _kept(rows: list[tuple[int, np.ndarray]], most: int) -> list[tuple[int, np.ndarray]]:
+    """The last `most` of the rows whole, and as many spread over those before."""
+    before, last = rows[:-most], rows[-most:]
+    return before[:: max(1, -(-len(before) // most))] + last
 
 
 def _some(b: Beams, count: int) -> Float[np.ndarray, "n 3"]:

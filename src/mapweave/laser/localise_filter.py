@@ -12,6 +12,7 @@ from ..kernels.laser.resample import systematic
 from .beam import Beams
 from .laser_map import GridMap
 from .likelihood_field import NearestField
+from .localise_trust import TrustConfig
 
 
 @config
@@ -39,6 +40,7 @@ class LocaliseConfig:
     found_share: float = 0.95  # of the weight within `found_xy` times 2 of its middle
     trusted: float = 0.6  # share of the returns the map must explain
     doubts: int = 8  # updates in a row whose mean share is less: the place found was wrong, the search begins anew
+    trust: TrustConfig = TrustConfig()
 
 
 @dataclass(slots=True)

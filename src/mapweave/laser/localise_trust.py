@@ -1,0 +1,192 @@
+"""Whether a place found in a map is to be believed: what the map explains, what light says, and what else would fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..core import se2
+from ..core.config import config
+from .beam import Beams
+from .laser_map import GridMap
+from .likelihood_field import NearestField, wall_cells
+from .place_search import Hit, LikelihoodField, PlaceConfig, everywhere, likelihood_field, search
+from .submaps import SubmapConfig, query_around
+
+NOWHERE = 1e6  # [m] to the nearest wall from outside the map
+
+
+@config
+class TrustConfig:
+    """When a robot that seems to be placed in a map is believed to be there."""
+
+    least_explained: float = 0.6  # share of the returns that must lie on walls of the map, within
+    near: float = 0.15  # [m] of them
+    most_through: float = 0.1  # share of the beams at most that pass a wall of the map
+    margin: float = 0.4  # [m] or more before they return
+    least_cosine: float = 0.3  # of incidence: beams along walls do not say what they pass
+    contrast: float = 0.08  # [q] sd of the light of returns and of the map from which on it tells places apart: then
+    least_light: float = 0.5  # both must correlate so much at least
+    light_ahead: float = 0.25  # correlation by which the place found must be ahead of another that fits, or
+    most_ratio: float = 0.9  # share of its score that the next best place may have at most
+    same: float = 0.5  # [m] and
+    same_turn: float = 0.25  # [rad] between poses that are one place
+    keyframe: float = 0.3  # [m] between the scans another place is searched for with
+    keyframes: int = 100  # of them, at most, the last
+    scans: int = 200  # that are held against the map, spread over the way
+    beams: int = 120  # returns of each that are asked
+    place: PlaceConfig = PlaceConfig()
+
+
+class Seen(NamedTuple):
+    """A scan where the robot is believed to have made it. pose: (3,) in the map; eye: (2,) the scanner on the robot."""
+
+    pose: Float[np.ndarray, "3"]
+    beams: Beams
+    eye: Float[np.ndarray, "2"]
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What speaks for and against a place.
+
+    explained: share of the returns on walls of the map; through: share of the beams that pass one; light: correlation
+    of brightness, None where it says nothing; rival: (3,) where the latest pose would lie at the next best place, None
+    where there is none; ratio: that place's score over that of the place found (over 1: it fits better); doubt: why the
+    place is not believed, empty where it is.
+    """
+
+    explained: float
+    through: float
+    light: float | None
+    ratio: float
+    rival: Float[np.ndarray, "3"] | None
+    doubt: str
+
+
+def evidence(
+    seen: Sequence[Seen], grid: GridMap, walls: NearestField, *, light: bool, searched: bool, cfg: TrustConfig
+) -> Evidence:
+    """What scans, one at least, say of the poses they are believed to be made from.
+
+    walls: of `grid`; light: whether brightness takes part; searched: whether the place was searched everywhere, so that
+    another that fits as well is a reason for doubt.
+    """
+    some = [seen[k] for k in np.unique(np.linspace(0, len(seen) - 1, cfg.scans).round().astype(int))]
+    here = _agreement(some, walls, np.zeros(3), light=light, cfg=cfg)
+    ratio, rival = _rival(seen, grid, light=light, cfg=cfg) if searched else (0.0, None)
+    doubt = _doubt(here, cfg)
+    if not doubt and rival is not None and ratio > cfg.most_ratio:
+        moved = se2.compose(rival, se2.inverse(seen[-1].pose))
+        there = _agreement(some, walls, moved, light=light, cfg=cfg)
+        ahead = 0.0 if here.light is None or there.light is None else here.light - there.light
+        if ahead < cfg.light_ahead:
+            x, y, turn = rival
+            place = f"({x:.1f} m, {y:.1f} m, {np.degrees(turn):.0f} degrees)"
+            doubt = f"the scans fit also where the last pose is {place}: {ratio:.2f} times as well"
+    return Evidence(here.explained, here.through, here.light, ratio, rival, doubt)
+
+
+class _Agreement(NamedTuple):
+    explained: float
+    through: float
+    light: float | None
+
+
+def _doubt(here: _Agreement, cfg: TrustConfig) -> str:
+    doubts = (
+        (here.explained < cfg.least_explained, f"the map explains {100 * here.explained:.0f} % of the returns"),
+        (here.through > cfg.most_through, f"{100 * here.through:.0f} % of the beams pass through walls of the map"),
+        (
+            here.light is not None and here.light < cfg.least_light,
+            f"the light sent back is not that of the map (correlation {here.light or 0.0:.2f})",
+        ),
+    )
+    return next((reason for doubtful, reason in doubts if doubtful), "")
+
+
+def _agreement(
+    seen: Sequence[Seen], walls: NearestField, moved: Float[np.ndarray, "3"], *, light: bool, cfg: TrustConfig
+) -> _Agreement:
+    """How the scans agree with the map when all their poses are moved rigidly."""
+    far: list[np.ndarray] = []
+    passed: list[np.ndarray] = []
+    told: list[np.ndarray] = []
+    known: list[np.ndarray] = []
+    for one in seen:
+        b, pose = one.beams, se2.compose(moved, one.pose)
+        pick = np.linspace(0, len(b.q) - 1, min(cfg.beams, len(b.q))).round().astype(int)
+        points = se2.act(pose, b.s[pick])
+        near = walls.nearest(points, NOWHERE)
+        d = np.hypot(*(near[:, :2] - points).T)
+        far.append(d)
+        steep = (b.c[pick] >= cfg.least_cosine) & (b.r[pick] > 2.0 * cfg.margin)
+        passed.append(_through(walls, se2.act(pose, one.eye), points[steep], cfg))
+        told.append(b.q[pick][d < cfg.near])
+        known.append(near[d < cfg.near, 2])
+    every, through = np.concatenate(far), np.concatenate(passed)
+    return _Agreement(
+        float(np.mean(every < cfg.near)) if len(every) else 0.0,
+        float(through.mean()) if len(through) else 0.0,
+        _correlation(np.concatenate(told), np.concatenate(known), cfg.contrast) if light else None,
+    )
+
+
+def _correlation(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"], contrast: float) -> float | None:
+    """Of two brightnesses; None where either hardly changes, which tells nothing."""
+    if len(a) < 2 or a.std() < contrast or b.std() < contrast:
+        return None
+    return float(np.mean((a - a.mean()) * (b - b.mean())) / (a.std() * b.std()))
+
+
+def _through(
+    walls: NearestField, eye: Float[np.ndarray, "2"], points: Float[np.ndarray, "n 2"], cfg: TrustConfig
+) -> Bool[np.ndarray, " n"]:
+    """Which beams from `eye` pass a wall `margin` or more before they return, and after they left."""
+    if not len(points):
+        return np.zeros(0, bool)
+    r = np.hypot(*(points - eye).T)
+    s = np.arange(cfg.margin, float(r.max()) - cfg.margin, 0.5 * walls.cell)
+    samples = eye + s[None, :, None] * ((points - eye) / r[:, None])[:, None]
+    near = walls.nearest(samples.reshape(-1, 2), NOWHERE).reshape(len(points), len(s), 3)
+    d = np.hypot(*(near[..., :2] - samples).transpose(2, 0, 1))
+    return np.asarray(((d < 0.5 * walls.cell) & (s < r[:, None] - cfg.margin)).any(axis=1))
+
+
+def _rival(
+    seen: Sequence[Seen], grid: GridMap, *, light: bool, cfg: TrustConfig
+) -> tuple[float, Float[np.ndarray, "3"] | None]:
+    """The best other place of the last scans, laid together as they are believed to lie, and its score's ratio."""
+    kept = [seen[-1]]
+    for one in reversed(seen[:-1]):
+        if np.hypot(*(one.pose - kept[-1].pose)[:2]) >= cfg.keyframe:
+            kept.append(one)
+    kept = kept[: cfg.keyframes]
+    lights = [one.beams.q for one in kept] if light else None
+    clouds = [one.beams.s for one in kept]
+    query = query_around(np.array([one.pose for one in kept]), clouds, 0, lights, SubmapConfig(around=len(kept)))
+    if not len(query.points):
+        return 1.0, None
+    field = _field(grid, light=light, cfg=cfg)
+    least = 0.5 * cfg.most_ratio
+    places = search(field, query.points, everywhere(field), query.q, least_ratio=least)
+    hits = [hit for hit in (places.best, places.second) if hit is not None]
+    own = [hit for hit in hits if _same(hit, seen[-1].pose, cfg)]
+    others = [hit for hit in hits if not _same(hit, seen[-1].pose, cfg)]
+    if not others:
+        return 0.0, None
+    ratio = others[0].score / own[0].score if own else 1.0  # the place found is not even the second
+    return ratio, np.array(others[0].pose)
+
+
+def _field(grid: GridMap, *, light: bool, cfg: TrustConfig) -> LikelihoodField:
+    rows, cols = np.nonzero(wall_cells(grid))
+    q = grid.feature[rows, cols].astype(float) if light else None
+    return likelihood_field(grid.mean[rows, cols].astype(float), q, cfg.place)
+
+
+def _same(hit: Hit, pose: Float[np.ndarray, "3"], cfg: TrustConfig) -> bool:
+    d = se2.between(pose, hit.pose)
+    return bool(np.hypot(d[0], d[1]) < cfg.same and abs(d[2]) < cfg.same_turn)
