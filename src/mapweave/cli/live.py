@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ..live.transport import Network
 
 app = App(name="live", help="A team that drives now, over a real network.", help_format="plaintext")
-NEEDS = ("zenoh", "msgspec")
+NEEDS = {"zenoh": "eclipse-zenoh", "msgspec": "msgspec", "cryptography": "cryptography"}
 
 
 @app.command
@@ -144,9 +144,7 @@ def map_team(
     _expect_extra()
     from ..api.live import live_map
 
-    names = None if robots is None else [word.strip() for word in robots.split(",") if word.strip()]
-    if names is not None and not names:
-        raise UsageError(f"--robots: expected names as r1,r2, found {robots!r}")
+    names = None if robots is None else _names(robots, "--robots")
     network = _network(team, connect, listen, tls)
     with _until_interrupted() as stop:
         result = live_map(
@@ -167,6 +165,117 @@ def map_team(
     say(f"report: {out / 'report.html'}")
 
 
+@app.command
+def view(
+    *,
+    port: int = 8642,
+    host: str = "127.0.0.1",
+    browser: bool = False,
+    team: str = "team",
+    connect: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
+    listen: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
+    tls: Path | None = None,
+) -> None:
+    """Show the shared map in a browser: robots, who is there, what was decided. Ctrl-C ends it.
+
+    Parameters
+    ----------
+    port
+        Where the page stands; 0 is any that is free.
+    host
+        The address it is served on; 127.0.0.1 is this machine alone.
+    browser
+        Open it in a browser.
+    team
+        The team's name.
+    connect
+        Where others listen, as tcp/host:port; without it those on one network find each other.
+    listen
+        Where to listen, as tcp/host:port; messages are passed on between those that connect.
+    tls
+        The folder of this process's certificate, as mapweave live keys makes them.
+    """
+    _expect_extra()
+    from ..api.live_view import live_view
+
+    network = _network(team, connect, listen, tls)
+    with _until_interrupted() as stop:
+        live_view(port=port, host=host, browser=browser, network=network, stop=stop, say=say)
+
+
+@app.command
+def demo(
+    *,
+    out: Path = Path("live-demo"),
+    robots: int = 3,
+    seconds: float = 45.0,
+    port: int = 8642,
+    seed: int = 0,
+    force: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """Let a simulated team drive, each robot in a process, mapped in another and shown in the browser.
+
+    Parameters
+    ----------
+    out
+        The folder of the result.
+    robots
+        How many drive.
+    seconds
+        How long they drive, by the clock.
+    port
+        Where the page stands.
+    seed
+        Of the simulated world.
+    force
+        Write into the folder even when something other than a result stands there.
+    """
+    _expect_extra()
+    from ..api.live_demo import live_demo
+
+    with _until_interrupted() as stop:
+        live_demo(out, robots=robots, seconds=seconds, port=port, seed=seed, force=force, stop=stop, say=say)
+
+
+@app.command
+def keys(
+    *,
+    out: Path,
+    robots: str,
+    maps: str = "map,view",
+    team: str = "team",
+    days: float = 365.0,
+) -> None:
+    """Make an authority for a team and a certificate for each of its processes; robots added later get theirs too.
+
+    Parameters
+    ----------
+    out
+        The folder of the authority; a folder in it for each process is what --tls takes.
+    robots
+        Their names, as r1,r2: each may speak under its own name alone.
+    maps
+        The names of map processes and views, which may also pass on what others say.
+    team
+        The team's name.
+    days
+        How long the certificates serve.
+    """
+    _expect_extra()
+    from ..api.live_keys import live_keys
+
+    for folder in live_keys(out, robots=_names(robots, "--robots"), maps=_names(maps, "--maps"), team=team, days=days):
+        say(f"--tls {folder}")
+    say(f"{out / 'authority-key.pem'} signs certificates: keep it off the robots")
+
+
+def _names(words: str, option: str) -> list[str]:
+    names = [word.strip() for word in words.split(",") if word.strip()]
+    if not names:
+        raise UsageError(f"{option}: expected names as r1,r2, found {words!r}")
+    return names
+
+
 def _network(team: str, connect: list[str] | None, listen: list[str] | None, tls: Path | None) -> "Network":
     from ..live.transport import Network, endpoints
 
@@ -174,7 +283,7 @@ def _network(team: str, connect: list[str] | None, listen: list[str] | None, tls
 
 
 def _expect_extra() -> None:
-    missing = [name for name in NEEDS if find_spec(name) is None]
+    missing = [name for module, name in NEEDS.items() if find_spec(module) is None]
     if missing:
         raise UsageError(f"mapweave live needs {' and '.join(missing)}: pip install 'mapweave[live]'")
 

@@ -1,12 +1,9 @@
 """A landmark robot that is driving: the estimator of `map`, one message at a time."""
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from ..core.errors import EstimateError
-from ..core.records import Event
-from ..core.run import Step, run
+from ..core.run import Runner
 from ..landmarks import ekf_slam
 from ..landmarks.config import EkfSlamConfig
 from ..landmarks.landmark_map import Submap
@@ -29,11 +26,10 @@ class LandmarkRobot:
         self._seed = seed
         self._submap: Submap | None = None
         self._counts: dict[str, int] = {}
-        self._pending: Event | None = None
-        self._steps = run(ekf_slam, self._cfg, self._events(), seed)
+        self._runner = Runner(ekf_slam, self._cfg, seed)
 
     def add(self, message: Numbered) -> None:
-        """The estimate with the rows of `message`; raises EstimateError when it leaves finite numbers."""
+        """The estimate with the rows of `message`."""
         self.last = message.seq
         if isinstance(message, Header):  # it was begun with it
             return
@@ -49,20 +45,8 @@ class LandmarkRobot:
                 self._map_anew()
             return
         for event in log.events():
-            self._pending = event
-            self._take(next(self._steps))
-
-    def _events(self) -> Iterator[Event]:
-        """Whatever is pending, once."""
-        while self._pending is not None:
-            event, self._pending = self._pending, None
-            yield event
-
-    def _take(self, step: Step) -> None:
-        if not np.isfinite(step.state.x).all():
-            raise EstimateError(f"{self.record.header.log_robot}: EKF-SLAM left finite numbers")
-        self._state = step.state
-        self._submap = None
+            self._runner.push(event)
+            self._submap = None
 
     def _map_anew(self) -> None:
         log = self.record.log
@@ -71,9 +55,12 @@ class LandmarkRobot:
 
     @property
     def submap(self) -> Submap:
-        """Pose and landmarks in `local_k`."""
+        """Pose and landmarks in `local_k`; raises EstimateError when the estimate left finite numbers."""
         if self._submap is None:
-            state = getattr(self, "_state", None) or ekf_slam.initial(self.record.header.log_robot, self._cfg)
+            robot = self.record.header.log_robot
+            state = self._runner.states.get(robot) or ekf_slam.initial(robot, self._cfg)
+            if not np.isfinite(state.x).all():
+                raise EstimateError(f"{robot}: EKF-SLAM left finite numbers")
             self._submap = state.submap
         return self._submap
 

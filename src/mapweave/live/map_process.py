@@ -6,13 +6,14 @@ from dataclasses import dataclass, field
 from queue import Empty, Full, Queue
 from threading import Event
 
+import numpy as np
 import zenoh
 
 from ..core.errors import DataError, UsageError
 from .clocks import ClockOffset
-from .inbox import Inbox
-from .messages import LARGEST, MapState, RefusedError, RobotState, count, decode, encode
-from .shared_map import SharedMap, listed, triangle
+from .inbox import Inbox, Ledger
+from .messages import LARGEST, MapState, Numbers, RefusedError, RobotState, count, decode, encode
+from .shared_map import SharedMap, listed, square, triangle
 from .store import Store
 from .topics import Topics
 from .transport import SETTLE, ask, ask_parameters, put, there_is
@@ -156,12 +157,15 @@ class MapProcess:
 
     def _clock(self, robot: str, asked: float, payload: bytes, answered: float) -> None:
         try:
-            offset = self.clocks.setdefault(robot, ClockOffset())
-            offset.add(asked, float(payload), answered)
+            heard = self.clocks.get(robot) or ClockOffset()
+            heard.add(asked, float(payload), answered)
         except ValueError:
             self.inbox.refused["malformed"] += 1
             return
-        off, error = offset.best
+        if not heard.known:
+            return
+        self.clocks[robot] = heard
+        off, error = heard.best
         if abs(off) - error > TELL_CLOCK and robot not in self._clocks_told:
             self._clocks_told.add(robot)
             ahead = "ahead" if off > 0 else "behind"
@@ -169,44 +173,47 @@ class MapProcess:
 
     def state(self) -> MapState:
         """The shared map as it stands."""
-        now = time.monotonic()
-        robots = []
-        for name, ledger in sorted(self.inbox.ledgers.items()):
-            placed = self.shared.placed.get(name)
-            header = None if ledger.record is None else ledger.record.header
-            offset = self.clocks[name].best if name in self.clocks and self.clocks[name].known else (None, None)
-            robots.append(
-                RobotState(
-                    robot=name,
-                    run=ledger.run,
-                    log_robot="" if header is None else header.log_robot,
-                    sensor="" if header is None else header.sensor,
-                    there=ledger.there,
-                    finished=ledger.complete,
-                    have=ledger.next,
-                    last=ledger.last,
-                    rate=ledger.rate(now),
-                    pose=() if placed is None else listed(placed.pose),
-                    cov=() if placed is None else triangle(placed.cov),
-                    component=0 if placed is None else placed.component,
-                    landmarks=0 if ledger.status is None else ledger.status.landmarks,
-                    offset=offset[0],
-                    offset_error=offset[1],
-                    refused=dict(ledger.refused),
-                    doubled=ledger.doubled,
-                )
-            )
         refused = dict(self.inbox.refused)
         if self._heard.let_go:
             refused["let go, asked for later"] = self._heard.let_go
+        now = time.monotonic()
         return MapState(
             map=self.name,
             clock=self._wall(),
             fused=self.shared.fused,
-            robots=robots,
+            robots=[self._robot(ledger, now) for _, ledger in sorted(self.inbox.ledgers.items())],
             landmarks=self.shared.landmarks,
             decisions=self.shared.decisions,
             refused=refused,
+        )
+
+    def _robot(self, ledger: Ledger, now: float) -> RobotState:
+        header = None if ledger.record is None else ledger.record.header
+        offset, error = self.clocks[ledger.robot].best if ledger.robot in self.clocks else (None, None)
+        placed, status = self.shared.placed.get(ledger.robot), ledger.status
+        pose: Numbers = ()
+        cov: Numbers = ()
+        if placed is not None and status is not None:
+            carried = placed.carry(np.array(status.pose), square(status.cov))
+            pose, cov = listed(carried[0]), triangle(carried[1])
+        return RobotState(
+            robot=ledger.robot,
+            run=ledger.run,
+            log_robot="" if header is None else header.log_robot,
+            sensor="" if header is None else header.sensor,
+            there=ledger.there,
+            finished=ledger.complete,
+            have=ledger.next,
+            last=ledger.last,
+            rate=ledger.rate(now),
+            pose=pose,
+            cov=cov,
+            component=0 if placed is None else placed.component,
+            landmarks=0 if status is None else status.landmarks,
+            offset=offset,
+            offset_error=error,
+            refused=dict(ledger.refused),
+            doubled=ledger.doubled,
         )
 
     def tell_state(self) -> None:

@@ -68,7 +68,7 @@ class Closed(_Message, tag="closed", frozen=True):
 
 
 class Status(_Message, tag="status", frozen=True):
-    """How a robot stands, once a second. last: number of its newest message; clock: its own wall clock [s].
+    """How a robot stands, twice a second. last: number of its newest message; clock: its own wall clock [s].
 
     t: stamp [s] of its estimate; pose: `T_local_robot`; cov: its upper triangle xx, xy, xt, yy, yt, tt.
     """

@@ -14,7 +14,7 @@ from .store import Store
 from .topics import Topics
 from .transport import SETTLE, ask_parameters, put, there_is
 
-STATUS_EVERY = 1.0  # [s]
+STATUS_EVERY = 0.5  # [s]
 SNAPSHOT_EVERY = 2.0  # [s]
 NAME_PATIENCE = 4.0  # [s] that the token of a robot that was killed may last
 DISK_AGAIN = 1.0  # [s] until a full disk is tried again
@@ -200,7 +200,7 @@ class RobotProcess:
             put(self._session, self._topics.snapshot(self.name), payload)
 
     def _linger(self, driving: Driving, pace: Pace, stop: Event, *, finished: bool) -> None:
-        """Answers until nobody needs it any more; a status every second."""
+        """Answers until nobody needs it any more; a status now and then."""
         begin = time.monotonic()
         told = float("-inf")
         while not stop.is_set():

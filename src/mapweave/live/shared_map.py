@@ -1,6 +1,6 @@
 """The shared map while robots drive: their latest snapshots through the very fusion of `map`."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,14 +22,21 @@ TRIANGLE = np.triu_indices(3)
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """Where a robot stands in the shared map: `T_map_local` of its frame, `T_map_robot` and their covariances."""
+    """Where a robot's own frame stands in the shared map: `T_map_local`, its covariance, the scale of its lengths."""
 
     component: int
     frame: Float[np.ndarray, "3"]
     frame_cov: Float[np.ndarray, "3 3"]
     scale: float
-    pose: Float[np.ndarray, "3"]
-    cov: Float[np.ndarray, "3 3"]
+
+    def carry(
+        self, pose: Float[np.ndarray, "3"], cov: Float[np.ndarray, "3 3"]
+    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+        """`T_map_robot` of a `T_local_robot`, and its covariance."""
+        shrink = np.diag([1 / self.scale, 1 / self.scale, 1.0])
+        small = shrink @ pose
+        P = se2.composed_covariance(self.frame, self.frame_cov, small, shrink @ cov @ shrink)
+        return se2.compose(self.frame, small), 0.5 * (P + P.T)
 
     def correction(self, name: str, robot: str) -> Correction:
         """What map process `name` tells `robot`."""
@@ -56,20 +63,18 @@ class SharedMap:
             return False
         self.used = {ledger.robot: s.last for ledger, s in told}
         maps: dict[str, LocalMap] = {}
-        snapshots: dict[str, Snapshot] = {}
         refused: list[str] = []
         for ledger, snapshot in told:
             if ledger.record is None or not snapshot.ids:
                 continue
             try:
                 maps[ledger.robot] = local_map_of(ledger, snapshot)
-                snapshots[ledger.robot] = snapshot
             except (RefusedError, ValueError) as error:
                 refused.append(f"{ledger.robot}: refused, its snapshot: {error}")
-        self._fuse(maps, snapshots, refused)
+        self._fuse(maps, refused)
         return True
 
-    def _fuse(self, maps: dict[str, LocalMap], snapshots: dict[str, Snapshot], refused: list[str]) -> None:
+    def _fuse(self, maps: dict[str, LocalMap], refused: list[str]) -> None:
         self.fused += 1
         name_of = {m.robot: name for name, m in maps.items()}
         try:
@@ -82,7 +87,7 @@ class SharedMap:
         for k, component in enumerate(fusion.components, 1):
             for robot in component.robots:
                 name = name_of[robot]
-                self.placed[name] = _place(k, component, robot, snapshots[name], maps[name])
+                self.placed[name] = _place(k, component, robot)
             cov = component.map.cov
             for i, (landmark, (x, y)) in enumerate(zip(component.map.ids, component.map.mean.tolist(), strict=True)):
                 block = cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
@@ -115,13 +120,8 @@ def local_map_of(ledger: Ledger, snapshot: Snapshot) -> LocalMap:
     )
 
 
-def _place(k: int, component: Component, robot: str, snapshot: Snapshot, m: LocalMap) -> Placed:
-    frame, frame_cov = component.frames[robot], component.frame_cov[robot]
-    scale = component.scales.get(robot, 1.0)
-    shrink = np.diag([1 / scale, 1 / scale, 1.0])
-    small = np.array(snapshot.pose) @ shrink
-    cov = se2.composed_covariance(frame, frame_cov, small[None], (shrink @ m.submap.cov[:3, :3] @ shrink)[None])[0]
-    return Placed(k, frame, frame_cov, scale, se2.compose(frame, small), 0.5 * (cov + cov.T))
+def _place(k: int, component: Component, robot: str) -> Placed:
+    return Placed(k, component.frames[robot], component.frame_cov[robot], component.scales.get(robot, 1.0))
 
 
 def listed(pose: Float[np.ndarray, "3"]) -> tuple[float, ...]:
@@ -131,3 +131,10 @@ def listed(pose: Float[np.ndarray, "3"]) -> tuple[float, ...]:
 def triangle(P: Float[np.ndarray, "3 3"]) -> tuple[float, ...]:
     """xx, xy, xt, yy, yt, tt."""
     return tuple(float(x) for x in P[TRIANGLE])
+
+
+def square(numbers: Sequence[float]) -> Float[np.ndarray, "3 3"]:
+    """The symmetric matrix of which `triangle` gives the numbers; zero of none."""
+    P = np.zeros((3, 3))
+    P[TRIANGLE] = numbers or 0.0
+    return P + np.triu(P, 1).T

@@ -1,0 +1,118 @@
+"""A simulated team that drives now, mapped and shown: every part a process of its own."""
+
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from threading import Event
+
+from ..core.errors import EstimateError, UsageError
+from ..core.names import in_order
+from ..io.directory import check_target
+from .simulate_landmarks import simulate_landmarks
+
+Say = Callable[[str], None]
+MINUTES = 4.0
+PATIENCE = 15.0  # [s] for processes that were asked to end
+
+
+def live_demo(
+    out: Path | str = "live-demo",
+    *,
+    robots: int = 3,
+    seconds: float = 45.0,
+    port: int = 8642,
+    seed: int = 0,
+    force: bool = False,
+    stop: Event | None = None,
+    say: Say = print,
+) -> None:
+    """Simulate a team, let each robot drive in a process, map it in another and show it in a browser; `out` is written.
+
+    Parameters
+    ----------
+    out
+        The folder of the result.
+    robots
+        How many drive (3).
+    seconds
+        How long they drive, by the clock (45).
+    port
+        Where the page stands (8642).
+    seed
+        Of the simulated world (0).
+    force
+        Write into `out` even when something other than a result stands there.
+    stop
+        Ends it early, with a whole result.
+    say
+        Called with a line where something happens.
+    """
+    if not 1 <= robots <= 20:
+        raise UsageError(f"--robots: expected 1 to 20, found {robots}")
+    if not 5 <= seconds <= 3600:
+        raise UsageError(f"--seconds: expected 5 to 3600, found {seconds}")
+    out = Path(out)
+    check_target(out, force=force)
+    stop = stop or Event()
+    with tempfile.TemporaryDirectory(prefix="mapweave-live-") as home, ExitStack() as ending:
+        folder = Path(home)
+        simulate_landmarks(folder / "team", robots=robots, minutes=MINUTES, seed=seed)
+        at = _free()
+        names = [f"r{k}" for k in range(1, robots + 1)]
+        where = ["--connect", at, "--team", "demo"]
+        mapping = _start(
+            "map", "--out", str(out.absolute()), "--robots", ",".join(names), "--listen", at, "--team", "demo",
+            "--store", str(folder / "map.sqlite"), *(["--force"] if force else []),
+        )  # fmt: skip
+        ending.callback(_end, mapping)
+        others = {"view": _start("view", "--port", str(port), *where)}
+        for name in names:
+            rate = 60 * MINUTES / seconds
+            words = ["--name", name, "--source", str(folder / "team"), "--history", str(folder / f"{name}.sqlite")]
+            others[name] = _start("robot", *words, "--rate", f"{rate:g}", *where)
+        for process in others.values():
+            ending.callback(_end, process)
+        say(f"watch it at http://127.0.0.1:{port}/ ({seconds:g} s)")
+        _wait(mapping, others, stop)
+        if mapping.returncode:
+            raise EstimateError("the map process ended without a result")
+
+
+def _wait(mapping: subprocess.Popen[bytes], others: dict[str, subprocess.Popen[bytes]], stop: Event) -> None:
+    """Until the map is written; raises UsageError when a process that should be there failed."""
+    asked = False
+    while mapping.poll() is None:
+        if stop.wait(0.2) and not asked:
+            asked = True
+            mapping.send_signal(signal.SIGINT)
+        for name in sorted(others, key=in_order):
+            if others[name].poll() not in {None, 0} and not stop.is_set():
+                raise UsageError(f"{name} could not go on: see above")
+
+
+def _start(*words: str) -> subprocess.Popen[bytes]:
+    """A process of the team; it does not see the terminal's Ctrl-C, which the demo passes on in order."""
+    return subprocess.Popen([sys.executable, "-m", "mapweave", "live", *words], start_new_session=True)  # noqa: S603
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """Asked to end, and ended when it does not."""
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _free() -> str:
+    """An endpoint on this machine that nobody listens at."""
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{s.getsockname()[1]}"

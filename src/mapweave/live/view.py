@@ -1,0 +1,158 @@
+"""The shared map in a browser: one page, fed by server-sent events; nothing is asked of the page's network."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Condition, Thread
+
+import msgspec
+import zenoh
+
+from ..core.errors import UsageError
+from .messages import MapState, RefusedError, decode
+from .topics import Topics
+
+PAGE = Path(__file__).with_name("page.html")
+POINTS = 4000  # of each robot's trail, for browsers that come late
+STEP = 0.05  # [m] from point to point of a trail
+SILENCE = 10.0  # [s] after which a browser is told that nothing came, so that one that left is noticed
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'"
+Trail = list[tuple[float, float, int]]
+
+
+class Board:
+    """The newest state of every map process, and where its robots were. readers: browsers that follow it."""
+
+    def __init__(self) -> None:
+        self.version = 0
+        self.readers = 0
+        self.closed = False
+        self.states: dict[str, MapState] = {}
+        self._trails: dict[str, Trail] = {}
+        self._fresh: dict[str, int] = {}
+        self._changed = Condition()
+
+    def take(self, state: MapState) -> None:
+        """What a map process says now; who waits is woken."""
+        with self._changed:
+            self.version += 1
+            self.states[state.map] = state
+            self._fresh[state.map] = self.version
+            for robot in state.robots:
+                if robot.pose:
+                    self._walk(f"{state.map}/{robot.robot}", (robot.pose[0], robot.pose[1], robot.component))
+            self._changed.notify_all()
+
+    def _walk(self, key: str, here: tuple[float, float, int]) -> None:
+        trail = self._trails.setdefault(key, [])
+        if trail:
+            x, y, component = trail[-1]
+            if component == here[2] and (x - here[0]) ** 2 + (y - here[1]) ** 2 < STEP**2:
+                return
+        trail.append(here)
+        if len(trail) > POINTS:
+            del trail[: POINTS // 4]
+
+    def all(self) -> tuple[int, bytes]:
+        """Version and JSON of all states, with the trails."""
+        with self._changed:
+            return self.version, msgspec.json.encode({"states": list(self.states.values()), "trails": self._trails})
+
+    def after(self, version: int, patience: float) -> tuple[int, bytes | None]:
+        """Version and JSON of the states that came after `version`; None when none came within `patience` [s]."""
+        with self._changed:
+            self._changed.wait_for(lambda: self.closed or self.version > version, patience)
+            if self.version <= version:
+                return version, None
+            fresh = [s for name, s in self.states.items() if self._fresh[name] > version]
+            return self.version, msgspec.json.encode({"states": fresh})
+
+    def close(self) -> None:
+        """Nothing more comes: those who wait go."""
+        with self._changed:
+            self.closed = True
+            self._changed.notify_all()
+
+
+def follow(session: zenoh.Session, topics: Topics, board: Board) -> object:
+    """`board` hears every map process of the team for as long as what is returned is held."""
+
+    def hear(sample: zenoh.Sample) -> None:
+        try:
+            state = decode(sample.payload.to_bytes())
+        except RefusedError:
+            return
+        if isinstance(state, MapState) and state.map == topics.map_of(str(sample.key_expr)):
+            board.take(state)
+
+    return session.declare_subscriber(topics.map_state(), zenoh.handlers.Callback(hear))
+
+
+@contextmanager
+def served(board: Board, host: str, port: int) -> Iterator[str]:
+    """The page stands at the address that is given, until the block ends; raises UsageError when the port is taken."""
+    try:
+        server = ThreadingHTTPServer((host, port), _handler(board))
+    except OSError as error:
+        raise UsageError(f"--port {port}: {error.strerror or error}") from None
+    except OverflowError:
+        raise UsageError(f"--port {port}: expected a number from 0 to 65535") from None
+    server.daemon_threads = True
+    thread = Thread(target=server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
+    thread.start()
+    try:
+        yield f"http://{host}:{server.server_address[1]}/"
+    finally:
+        board.close()
+        server.shutdown()
+        server.server_close()
+
+
+def _handler(board: Board) -> type[BaseHTTPRequestHandler]:
+    """Answers `/`, `/events` and `/state.json`."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            answers: dict[str, Callable[[], None]] = {
+                "/": lambda: self._whole("text/html; charset=utf-8", PAGE.read_bytes()),
+                "/state.json": lambda: self._whole("application/json", board.all()[1]),
+                "/events": self._events,
+            }
+            answer = answers.get(self.path)
+            if answer is None:
+                self.send_error(HTTPStatus.NOT_FOUND)
+                return
+            answer()
+
+        def _whole(self, kind: str, body: bytes) -> None:
+            self._head(kind)
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def _head(self, kind: str) -> None:
+            self.send_response(HTTPStatus.OK)
+            self.send_header("Content-Type", kind)
+            self.send_header("Cache-Control", "no-store")
+            self.send_header("Content-Security-Policy", POLICY)
+
+        def _events(self) -> None:
+            self._head("text/event-stream")
+            self.end_headers()
+            version, data = board.all()
+            try:
+                self.wfile.write(b"data: " + data + b"\n\n")
+                board.readers += 1
+                while not board.closed:
+                    self.wfile.flush()
+                    version, fresh = board.after(version, SILENCE)
+                    self.wfile.write(b": nothing new\n\n" if fresh is None else b"data: " + fresh + b"\n\n")
+            except OSError:  # the browser left
+                return
+
+        def log_message(self, format: str, *args: object) -> None:  # noqa: A002
+            """Nothing is printed a request."""
+
+    return Handler

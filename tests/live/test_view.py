@@ -1,0 +1,93 @@
+"""The page in a real browser: 50 robots, whatever words the decisions hold."""
+
+import re
+import shutil
+import socket
+import subprocess
+import time
+import urllib.error
+import urllib.request
+
+import pytest
+
+from mapweave.core.errors import UsageError
+from mapweave.live.messages import LandmarkState, MapState, RobotState
+from mapweave.live.view import Board, served
+
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+def state(n=50, name="map", x=0.0):
+    robots = [
+        RobotState(
+            robot=f"r{k}", run="a", log_robot=f"robot{k}", sensor="landmarks", there=k != 3, finished=False, have=10,
+            last=9 if k != 4 else 19, rate=1.0, pose=(x + 0.5 * k, 0.1 * k, 0.3), cov=(0.04, 0.0, 0.0, 0.01, 0.0, 0.01),
+            component=1, landmarks=5, offset=5.0 if k == 2 else 0.01, offset_error=0.01,
+        )
+        for k in range(1, n + 1)
+    ]  # fmt: skip
+    landmarks = [LandmarkState(id=str(k), x=float(k), y=3.0, cov=(0.1, 0.02, 0.2), component=1) for k in range(20)]
+    decisions = ["r1: reference", "<img src=x onerror=alert(1)>"]
+    return MapState(map=name, clock=0.0, fused=3, robots=robots, landmarks=landmarks, decisions=decisions)
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium here: the page is not opened in a browser")
+def test_fifty_robots_stand_on_the_page_and_words_stay_words(tmp_path):
+    board = Board()
+    board.take(state())
+    command = [
+        BROWSER, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}", "--window-size=1200,700",
+        "--virtual-time-budget=3000", f"--screenshot={tmp_path / 'page.png'}", "--dump-dom",
+    ]  # fmt: skip
+    with served(board, "127.0.0.1", 0) as address:
+        browser = subprocess.Popen([*command, address], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)  # noqa: S603
+        end = time.monotonic() + 60
+        while not board.readers and time.monotonic() < end:
+            time.sleep(0.1)
+        time.sleep(0.5)
+    page = browser.communicate(timeout=60)[0]  # drawn once nothing is under way any more
+    rows = re.findall(r"<tr.*?</tr>", page.split('id="robots"')[1].split("</tbody>")[0])
+    assert len(rows) == 50
+    assert "gone" in rows[2]
+    assert "10, 10 missing" in rows[3]
+    assert ">5.0<" in rows[1]
+    assert "&lt;img src=x" in page
+    assert "<img" not in page
+    assert (tmp_path / "page.png").stat().st_size > 20_000  # an empty page is a tenth of that
+
+
+def test_events_bring_every_state_and_late_browsers_get_the_trails():
+    board = Board()
+    board.take(state(2))
+    board.take(state(2, x=1.0))
+    with served(board, "127.0.0.1", 0) as address, urllib.request.urlopen(f"{address}events", timeout=10) as page:  # noqa: S310
+        first = page.readline()
+        assert first.startswith(b'data: {"states":[{"type":"map"')
+        assert b'"map/r1":[[0.5,0.1,1],[1.5,0.1,1]]' in first
+        page.readline()
+        board.take(state(1, "other"))
+        assert b'"map":"other"' in page.readline()
+
+
+def test_anything_but_the_page_is_not_found_and_the_page_may_ask_nobody_else():
+    with served(Board(), "127.0.0.1", 0) as address:
+        with pytest.raises(urllib.error.HTTPError) as missing:
+            urllib.request.urlopen(f"{address}../etc/passwd", timeout=10)  # noqa: S310
+        assert missing.value.code == 404
+        with urllib.request.urlopen(address, timeout=10) as page:  # noqa: S310
+            assert page.headers["Content-Security-Policy"].startswith("default-src 'none'")
+            assert not re.search(rb"https?://", page.read())
+
+
+def test_a_port_in_use_is_told_in_one_line():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with (
+            pytest.raises(UsageError, match=f"--port {port}: Address already in use"),
+            served(Board(), "127.0.0.1", port),
+        ):
+            pass
+    with pytest.raises(UsageError, match="0 to 65535"), served(Board(), "127.0.0.1", 70000):
+        pass
