@@ -3,7 +3,7 @@
 import math
 import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -148,6 +148,7 @@ def live_map(
     stop: Event | None = None,
     say: Say = print,
     wall: Callable[[], float] = time.time,
+    at_the_door: Mapping[str, int] | None = None,
 ) -> TeamResult:
     """Hear a team until `stop` is set, or until all of `robots` have told their logs to the end; one map, in `out`.
 
@@ -183,6 +184,8 @@ def live_map(
         Called with a line where something happens.
     wall
         This process's clock [s].
+    at_the_door
+        Counts of what the transport refused, to be told beside ours (none).
     """
     out = Path(out)
     network = network or Network()
@@ -201,7 +204,7 @@ def live_map(
             kept.clear()
         inbox = Inbox(kept, robots)
         with session(network) as opened:
-            process = MapProcess(name, opened, Topics(network.team), kept, inbox, say, wall)
+            process = MapProcess(name, opened, Topics(network.team), kept, inbox, say, wall, at_the_door)
             process.shared.cfg = cfg.fuse
             process.join()
             say(f"{name}: team {network.team}, heard so far kept in {path}")

@@ -2,7 +2,7 @@
 
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from threading import Event, current_thread, main_thread
@@ -142,11 +142,18 @@ def map_team(
         The folder of this process's certificate, as mapweave live keys makes them.
     """
     _expect_extra()
+    from dataclasses import replace
+
     from ..api.live import live_map
+    from ..live.door import LOG_LEVELS, watched
 
     names = None if robots is None else _names(robots, "--robots")
     network = _network(team, connect, listen, tls)
-    with _until_interrupted() as stop:
+    with _until_interrupted() as stop, ExitStack() as door:
+        counts = None
+        if tls is not None:
+            counts = door.enter_context(watched())
+            network = replace(network, log_levels=LOG_LEVELS)
         result = live_map(
             out,
             robots=names,
@@ -160,6 +167,7 @@ def map_team(
             network=network,
             stop=stop,
             say=say,
+            at_the_door=counts,
         )
     say(result.summary())
     say(f"report: {out / 'report.html'}")

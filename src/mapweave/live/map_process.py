@@ -1,7 +1,7 @@
 """A map process: it hears every robot, keeps what it heard, asks for what is missing and tells the shared map."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from queue import Empty, Full, Queue
 from threading import Event
@@ -46,7 +46,10 @@ class _Heard:
 
 
 class MapProcess:
-    """One of any number of map processes of a team. wall: its wall clock [s]."""
+    """One of any number of map processes of a team. wall: its wall clock [s].
+
+    at_the_door: counts of what the transport refused.
+    """
 
     def __init__(
         self,
@@ -57,7 +60,9 @@ class MapProcess:
         inbox: Inbox,
         say: Say,
         wall: Callable[[], float] = time.time,
+        at_the_door: Mapping[str, int] | None = None,
     ) -> None:
+        self._door = {} if at_the_door is None else at_the_door
         self.name, self.inbox, self.shared = name, inbox, SharedMap()
         self.clocks: dict[str, ClockOffset] = {}
         self._session, self._topics, self._store, self._say, self._wall = session, topics, store, say, wall
@@ -173,7 +178,7 @@ class MapProcess:
 
     def state(self) -> MapState:
         """The shared map as it stands."""
-        refused = dict(self.inbox.refused)
+        refused = {**self.inbox.refused, **self._door}
         if self._heard.let_go:
             refused["let go, asked for later"] = self._heard.let_go
         now = time.monotonic()
@@ -232,7 +237,8 @@ class MapProcess:
             if ledger.fault:
                 told += f"; from there on refused: {ledger.fault}"
             out.append(told + (f"; refused: {count(ledger.refused)}" if ledger.refused else ""))
-        return out + ([f"refused from others: {count(self.inbox.refused)}"] if self.inbox.refused else [])
+        others = {**self.inbox.refused, **self._door}
+        return out + ([f"refused from others: {count(others)}"] if others else [])
 
     def _hear(self, sample: zenoh.Sample) -> None:
         self._heard.message(self._topics.robot_of(str(sample.key_expr)), sample.payload.to_bytes())

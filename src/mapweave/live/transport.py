@@ -21,19 +21,21 @@ class Network:
 
     connect, listen: endpoints as `tcp/host:port`; with none of both, processes of one network find each other. A
     process that listens passes messages on between those that connect to it. tls: the folder of its certificate.
+    extra: settings of Zenoh beside, by its own keys.
     """
 
     connect: tuple[str, ...] = ()
     listen: tuple[str, ...] = ()
     tls: Path | None = None
     team: str = "team"
+    log_levels: str = "error"
     extra: dict[str, object] = field(default_factory=dict)
 
 
 @contextmanager
 def session(network: Network) -> Iterator[zenoh.Session]:
     """An open session; raises UsageError when a port is taken, an endpoint is none, or a certificate does not serve."""
-    zenoh.init_log_from_env_or("error")
+    zenoh.init_log_from_env_or(network.log_levels)
     opened = _opened(network)
     try:
         yield opened

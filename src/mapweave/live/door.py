@@ -1,0 +1,69 @@
+"""What Zenoh refuses before any of our code sees it, counted: strangers at the door and names that are not one's own.
+
+Zenoh tells of it in log lines on the process's standard output alone, so that is read here: for the command line only.
+"""
+
+import os
+import re
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Thread
+
+STRANGER, FORGED = "strangers", "not on the access list"
+REASONS = (  # words of a line, what it counts as; None: of no interest
+    (re.compile(r"is unauthorized to"), FORGED),
+    (re.compile(r"access_control"), None),
+    (re.compile(r"interceptor"), None),
+    (re.compile(r"Skipping name verification"), None),
+    (
+        re.compile(r"zenoh_link_tls.*(received fatal alert|invalid peer certificate|peer sent no certificates)"),
+        STRANGER,
+    ),
+)
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+LOG_LEVELS = "error,zenoh_link_tls=warn,zenoh::net::routing::interceptor::access_control=trace"
+
+
+@contextmanager
+def watched() -> Iterator[Counter[str]]:
+    """Counts of what was refused; while it lasts, this process's own words go past Zenoh's."""
+    counts: Counter[str] = Counter()
+    sys.stdout.flush()
+    ours = os.dup(1)
+    reading, writing = os.pipe()
+    os.dup2(writing, 1)
+    os.close(writing)
+    before, sys.stdout = sys.stdout, os.fdopen(ours, "w", buffering=1, encoding=sys.stdout.encoding, errors="replace")
+    reader = Thread(target=_read, args=(reading, counts), daemon=True)
+    reader.start()
+    try:
+        yield counts
+    finally:
+        sys.stdout.flush()
+        os.dup2(sys.stdout.fileno(), 1)  # the pipe's last writer goes: the reader ends
+        reader.join(1.0)
+        sys.stdout.close()
+        sys.stdout = before
+
+
+def reason_of(line: str) -> tuple[bool, str | None]:
+    """Whether Zenoh's line is understood, and what it counts as, if anything."""
+    plain = COLOUR.sub("", line)
+    for words, reason in REASONS:
+        if words.search(plain):
+            return True, reason
+    return False, None
+
+
+def _read(reading: int, counts: Counter[str]) -> None:
+    with os.fdopen(reading, encoding="utf-8", errors="replace") as lines:
+        for line in lines:
+            known, reason = reason_of(line)
+            if reason is not None:
+                counts[reason] += 1
+                if counts[reason] == 1:
+                    print(f"refused: {reason}: {COLOUR.sub('', line).strip()}", file=sys.stderr)  # noqa: T201
+            elif not known:
+                sys.stderr.write(line)

@@ -1,0 +1,172 @@
+"""Who may speak: certificates, the access list, and what is refused and counted."""
+
+import datetime as dt
+import json
+import shutil
+import time
+
+import pytest
+
+from mapweave.api.live_keys import live_keys
+from mapweave.api.simulate_landmarks import simulate_landmarks
+from mapweave.core.errors import DataError, UsageError
+from mapweave.live.credentials import Authority, _authority, issue, make_team, tls_settings
+from mapweave.live.door import FORGED, STRANGER, reason_of
+from mapweave.live.messages import encode
+from mapweave.live.topics import Topics
+from mapweave.live.transport import Network, endpoints, put, session
+
+from .processes import Fleet, free_endpoint
+from .teams import messages, team
+
+NOW = dt.datetime.now(dt.UTC)
+TOPICS = Topics("team")
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("keys")
+    make_team(folder / "team", "team", ["r1", "r2"], ["map"], 30, NOW)
+    make_team(folder / "strangers", "team", ["r1"], ["map"], 30, NOW)
+    return folder
+
+
+def heard_from(keys, home, words, unchecked=None):
+    """What a map process hears of a process with the certificate in `home`."""
+    at = free_endpoint().replace("tcp/", "tls/")
+    heard, there = [], []
+    network = Network(connect=(at,), tls=home)
+    if unchecked is not None:
+        network = Network(connect=(at,), extra=unchecked)
+    with session(Network(listen=(at,), tls=keys / "team" / "map")) as hub:
+        held = [
+            hub.declare_subscriber(TOPICS.log(), lambda s: heard.append((str(s.key_expr), s.payload.to_string()))),
+            hub.liveliness().declare_subscriber(TOPICS.alive(), lambda s: there.append(str(s.key_expr))),
+        ]
+        with session(network) as robot:
+            tokens = [robot.liveliness().declare_token(TOPICS.alive(name)) for name in ("r1", "r2")]
+            end = time.monotonic() + (5 if home.parent.name == "team" and unchecked is None else 1.5)
+            while not there and time.monotonic() < end:
+                time.sleep(0.05)
+            for key, word in words:
+                put(robot, key, word.encode())
+            time.sleep(0.5)
+            del tokens, held
+    return heard, there
+
+
+WORDS = [(TOPICS.log("r1"), "own"), (TOPICS.log("r2"), "forged"), ("mapweave/team/@map/map/state", "forged too")]
+
+
+def test_a_robot_is_heard_under_its_own_name_alone(keys):
+    heard, there = heard_from(keys, keys / "team" / "r1", WORDS)
+    assert heard == [(TOPICS.log("r1"), "own")]
+    assert set(there) == {TOPICS.alive("r1")}
+
+
+def test_a_stranger_is_not_heard_whatever_it_calls_itself(keys):
+    for name in ("r1", "map"):
+        assert heard_from(keys, keys / "strangers" / name, WORDS) == ([], [])
+
+
+def test_an_expired_certificate_is_refused_here_and_by_the_others(keys, tmp_path):
+    home = tmp_path / "r1"
+    shutil.copytree(keys / "team" / "r1", home)
+    authority = _authority(keys / "team", "team", NOW)
+    assert isinstance(authority, Authority)
+    issue(authority, home, "r1", NOW - dt.timedelta(days=3), NOW - dt.timedelta(days=1))
+    with pytest.raises(UsageError, match=r"the certificate expired on \d{4}-\d\d-\d\d"):
+        tls_settings(home)
+    unchecked = tls_settings(home, NOW - dt.timedelta(days=2))
+    assert heard_from(keys, home, WORDS, unchecked) == ([], [])
+
+
+def test_a_folder_that_does_not_serve_is_told_in_one_line(keys, tmp_path):
+    home = tmp_path / "r1"
+    shutil.copytree(keys / "team" / "r1", home)
+    (home / "key.pem").unlink()
+    with pytest.raises(UsageError, match=r"expected key\.pem there, found none"):
+        tls_settings(home)
+    shutil.copy(keys / "team" / "r2" / "key.pem", home)
+    with pytest.raises(UsageError, match=r"key\.pem does not belong to certificate\.pem"):
+        tls_settings(home)
+    (home / "key.pem").write_text("none")
+    with pytest.raises(UsageError, match="cannot be read"):
+        tls_settings(home)
+
+
+def test_keys_are_kept_when_robots_are_added_and_secrets_are_ones_own(tmp_path):
+    live_keys(tmp_path, robots=["r1"])
+    before = (tmp_path / "r1" / "certificate.pem").read_bytes()
+    homes = live_keys(tmp_path, robots=["r2"])
+    assert {home.name for home in homes} == {"r1", "r2", "map", "view"}
+    assert (tmp_path / "r1" / "certificate.pem").read_bytes() == before
+    lists = {json.dumps(json.loads((home / "access.json").read_text())) for home in homes}
+    assert len(lists) == 1
+    assert json.loads(lists.pop())["names"] == {"r1": "robot", "map": "map", "view": "map", "r2": "robot"}
+    for secret in (tmp_path / "authority-key.pem", tmp_path / "r2" / "key.pem"):
+        assert secret.stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        ({"robots": ["a b"]}, "--robots: expected letters"),
+        ({"robots": ["r1", "r1"]}, "r1 comes twice"),
+        ({"robots": ["map"]}, "map comes twice"),
+        ({"robots": ["r1"], "days": 0.0}, "--days: expected above 0"),
+        ({"robots": ["r1"], "team": "*"}, "--team: expected letters"),
+    ],
+)
+def test_keys_for_what_cannot_be_are_refused(tmp_path, asked, told):
+    with pytest.raises((DataError, UsageError), match=told):
+        live_keys(tmp_path, **asked)
+
+
+@pytest.mark.parametrize("word", ["127.0.0.1:7447", "tcp/7447", "tcp/host:", "http/a:1", "tcp/host:port"])
+def test_an_endpoint_that_is_none_is_refused(word):
+    with pytest.raises(UsageError, match="--connect: expected protocol/host:port"):
+        endpoints([word], "--connect")
+
+
+def test_a_port_in_use_is_told_in_one_line():
+    at = (free_endpoint(),)
+    with (
+        session(Network(listen=at)),
+        pytest.raises(UsageError, match="already in use") as told,
+        session(Network(listen=at)),
+    ):
+        pass
+    assert "\n" not in str(told.value)
+
+
+def test_lines_of_refusals_are_known():
+    line = "WARN acc-0 ThreadId(06) zenoh_link_tls::unicast: received fatal alert: DecryptError. Hint: ..."
+    assert reason_of(line) == (True, STRANGER)
+    line = "TRACE rx-1 zenoh::net::routing::interceptor::access_control: x on y is unauthorized to Put (ingress) on k"
+    assert reason_of(line) == (True, FORGED)
+    assert reason_of(line.replace("unauthorized", "authorized")) == (True, None)
+    assert reason_of("something else") == (False, None)
+
+
+def test_a_whole_team_with_certificates_maps_and_counts_what_it_refused(tmp_path, keys):
+    simulate_landmarks(tmp_path / "team", robots=2, minutes=0.3, seed=3)
+    fleet = Fleet(tmp_path, tmp_path / "team")
+    fleet.at = fleet.at.replace("tcp/", "tls/")
+    home = keys / "team"
+    try:
+        fleet.map("--tls", str(home / "map"))
+        fleet.hears("map", "heard so far")
+        with session(Network(connect=(fleet.at,), tls=home / "r2")) as forger:
+            time.sleep(1.0)
+            put(forger, TOPICS.log("r1"), encode(messages(team()[1], "r1", "forged")[0]))
+            with session(Network(connect=(fleet.at,), tls=keys / "strangers" / "r1")):
+                fleet.hears("map", f"refused: {STRANGER}")
+            fleet.hears("map", f"refused: {FORGED}")
+        for name in ("r1", "r2"):
+            fleet.robot(name, "--tls", str(home / name), rate="inf")
+        assert fleet.wait("map") == 0, fleet.said("map")
+    finally:
+        fleet.end()
+    assert "of 2 robots in one map" in fleet.said("map")
+    assert f"{FORGED}" in fleet.said("map").split("refused from others:")[1]
