@@ -101,13 +101,20 @@ class CommandedMotion:
         return np.asarray(_before(f * self.dt)[k] + f[k] * part)
 
 
-def random_walk(t: Float[np.ndarray, " n"], cfg: MotionNoise) -> Float[np.ndarray, "m 3 3"]:
-    """Covariances (n - 1, 3, 3) of the motion of a robot whose commands nobody knows: it may stand or drive."""
+def random_walk(
+    t: Float[np.ndarray, " n"], cfg: MotionNoise, keeps: Float[np.ndarray, " m"] | None = None
+) -> Float[np.ndarray, "m 3 3"]:
+    """Covariances (n - 1, 3, 3) of the motion of a robot whose commands nobody knows: it may stand or drive.
+
+    keeps: (n - 1,) [s] for how long it may keep its speed and turn rate, where that is longer than a step: steps that
+    are independent would bring it less far than driving on.
+    """
     dt = np.diff(t)
+    together = dt * (dt if keeps is None else np.maximum(keeps, dt))
     Q = np.zeros((len(dt), 3, 3))
-    Q[:, 0, 0] = np.square(cfg.unknown_speed * dt) + cfg.rest_xy**2 * dt
-    Q[:, 1, 1] = np.square(cfg.unknown_slip * dt) + cfg.rest_xy**2 * dt
-    Q[:, 2, 2] = np.square(cfg.unknown_spin * dt) + cfg.rest_theta**2 * dt
+    Q[:, 0, 0] = cfg.unknown_speed**2 * together + cfg.rest_xy**2 * dt
+    Q[:, 1, 1] = cfg.unknown_slip**2 * together + cfg.rest_xy**2 * dt
+    Q[:, 2, 2] = cfg.unknown_spin**2 * together + cfg.rest_theta**2 * dt
     return Q
 
 

@@ -21,6 +21,7 @@ class MotionNoise:
     unknown_speed: float = 0.12  # [m/s] ahead, of a robot without odometry
     unknown_slip: float = 0.02  # [m/s] sideways, of a robot without odometry
     unknown_spin: float = 0.35  # [rad/s] turn rate of a robot without odometry
+    unknown_memory: float = 6.0  # [s] for which a robot without odometry may keep its speed, where it tells no ranges
     outlier: float = 2.5  # standard deviations from which a step counts less: robots are blocked now and then
 
 

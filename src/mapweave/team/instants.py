@@ -13,11 +13,15 @@ from .config import SmoothingConfig
 
 @dataclass(frozen=True, slots=True)
 class Instants:
-    """t: (n,) [s] ascending; start: (n, 3) poses to begin with, in the map's frame; track: where those come from."""
+    """t: (n,) [s] ascending; start: (n, 3) poses to begin with, in the map's frame; track: where those come from.
+
+    gap: (n - 1,) [s] between the instants before and after each step at which the robot saw or was seen.
+    """
 
     t: Float[np.ndarray, " n"]
     start: Float[np.ndarray, "n 3"]
     track: Track
+    gap: Float[np.ndarray, " m"]
 
     def nearest(self, t: Float[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
         """Which instant is nearest to each of `t`."""
@@ -42,12 +46,12 @@ def instants_of(log: LandmarkLog, seen_at: Float[np.ndarray, " s"], track: Track
     parts = np.maximum(np.ceil(gaps / cfg.longest_step - 1e-9).astype(int), 1)
     more = [np.linspace(a, b, n + 1)[1:-1] for a, b, n in zip(t[:-1], t[1:], parts, strict=True) if n > 1]
     t = np.sort(np.concatenate([t, *more]))
-    return Instants(t, se2.interpolate(t, track.t, track.pose), track)
+    return Instants(t, se2.interpolate(t, track.t, track.pose), track, np.repeat(gaps, parts))
 
 
 def keyframe_instants(t: Float[np.ndarray, " n"], track: Track) -> Instants:
     """The instants of a robot whose scans became keyframes at `t`: between them its scans tell the way well."""
-    return Instants(t, se2.interpolate(t, track.t, track.pose), track)
+    return Instants(t, se2.interpolate(t, track.t, track.pose), track, np.diff(t))
 
 
 def _spaced(t: Float[np.ndarray, " n"], least: float) -> Float[np.ndarray, " k"]:

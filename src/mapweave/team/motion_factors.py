@@ -47,7 +47,10 @@ def _wandering(part: RobotPart, columns: Int[np.ndarray, "m 6"], cfg: SmoothingC
     In its camera's own metres: else a smaller map would be a likelier one.
     """
     scale = part.parameters + RANGE
-    whiten = np.linalg.inv(np.linalg.cholesky(random_walk(part.instants.t, cfg.motion)))
+    keeps = part.instants.gap
+    if not len(part.log.sightings):
+        keeps = np.maximum(keeps, cfg.motion.unknown_memory)
+    whiten = np.linalg.inv(np.linalg.cholesky(random_walk(part.instants.t, cfg.motion, keeps)))
 
     def residual(x: np.ndarray) -> np.ndarray:
         return np.asarray(_halfway(*_moved(x[columns]))[0] * [x[scale], x[scale], 1.0])
