@@ -182,9 +182,10 @@ def compiled(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg:
     return time.process_time() - begun
 
 
-def mission(planner="paper", robots=2, scenario="yuan", until="landmarks", how="known", **more) -> LandmarkMission:
-    kills, drop = more.pop("kills", None), more.pop("drop", 0.0)
-    cfg = with_noise(ExploreConfig(**more), CALIBRATED)
+def mission(
+    planner="paper", robots=2, scenario="yuan", until="landmarks", how="known", kills=None, drop=0.0
+) -> LandmarkMission:
+    cfg = with_noise(ExploreConfig(), CALIBRATED)
     cfg = replace(cfg, submap=replace(cfg.submap, association=how))
     return LandmarkMission(find_scenario(scenario), robots, planner, until, kills, drop, cfg)
 

@@ -12,7 +12,7 @@ def sweep(belief, poses, cfg):
     """
     ahead = poses[:, :2] + 12.0 * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
     leaving = ((ahead < belief.lower) | (ahead > belief.upper)).any(axis=1)
-    return np.column_stack([np.where(leaving, 1.0, 2.0), np.where(leaving, max(cfg.turns) / 2, 0.0)])
+    return np.column_stack([np.where(leaving, 1.0, 2.0), np.where(leaving, max(cfg.commands.turns) / 2, 0.0)])
 
 
 # A planner is named as module:function; in a script or notebook the module is __main__.

@@ -69,9 +69,9 @@ def test_options_beyond_all_use_are_refused_with_the_number(tmp_path, world, opt
 @pytest.mark.parametrize(
     ("world", "settings", "message"),
     [
-        (FIELD, "cell = 1e-9", r"cell, 2 robots: .* has 1e\+20 of them"),
+        (FIELD, "[mission]\ncell = 1e-9", r"mission\.cell, 2 robots: .* has 1e\+20 of them"),
         (WALLED, "[walls]\npath_cell = 1e-9", r"walls\.path_cell / 4: .* of them"),
-        (FIELD, "speeds = [1e308]", r"speeds\.0: expected at most 1e\+09, found 1e\+308"),
+        (FIELD, "[commands]\nspeeds = [1e308]", r"commands\.speeds\.0: expected at most 1e\+09, found 1e\+308"),
         (ROOM, "[plan]\nresolution = 1e9", r"plan\.resolution: expected at most 1, found 1e\+09"),
         (ROOM, "[plan]\nresolution = 1e-7", r"plan\.resolution: .* has 3e\+15 of them"),
         (ROOM, "map_resolution = 1e-9", "map_resolution: .* of them"),

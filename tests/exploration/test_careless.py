@@ -122,11 +122,24 @@ def test_ones_own_planner_may_stand_in_the_folder_one_is_in(tmp_path, monkeypatc
 @pytest.mark.parametrize(
     ("world", "text", "told"),
     [
-        (FIELD, "cell = 0\nspeeds = []\n[submap]\nreach = -1.0\n", r"cell: .* above 0.*; speeds: .*; submap\.reach: "),
-        (FIELD, "turns = []\n", "turns: expected at least one"),
-        (FIELD, "w_area = nan\n[submap]\nx = 3\n", r"submap\.x: unknown key; w_area: .* not finite"),
+        (
+            FIELD,
+            "[mission]\ncell = 0\n[commands]\nspeeds = []\n[submap]\nreach = -1.0\n",
+            r"mission\.cell: .* above 0.*; commands\.speeds: .*; submap\.reach: ",
+        ),
+        (FIELD, "[commands]\nturns = []\n", "commands.turns: expected at least one"),
+        (
+            FIELD,
+            "[objective]\nw_area = nan\n[submap]\nx = 3\n",
+            r"submap\.x: unknown key; objective\.w_area: .* not finite",
+        ),
         (HALL, "[robots]\nperiod = 0\n[plan]\nresolution = 0\n", r"robots\.period: .* above 0.*; plan\.resolution: "),
         (HALL, "cell = 3\n[plan]\nspeed = nan\n", r"plan\.speed: .* not finite; cell: unknown key"),
+        (
+            FIELD,
+            "cell = 3\nfusion_gate = 9\nx = 1\n",
+            r"cell: is now mission\.cell; fusion_gate: is now handover\.gate; x: unk",
+        ),
     ],
 )
 def test_settings_that_cannot_be_are_told_all_at_once(tmp_path, world, text, told):

@@ -13,7 +13,14 @@ from mapweave.core import se2
 from mapweave.core.errors import ConfigError, DataError, EstimateError, UsageError
 from mapweave.exploration.landmarks import team as team_module
 from mapweave.exploration.landmarks.belief import PLANNERS
-from mapweave.exploration.landmarks.config import ExploreConfig, JointConfig, LapSearchConfig
+from mapweave.exploration.landmarks.config import (
+    ExploreConfig,
+    HandoverConfig,
+    JointConfig,
+    LapSearchConfig,
+    MissionConfig,
+    ObjectiveConfig,
+)
 from mapweave.exploration.landmarks.experiment import (
     CALIBRATED,
     LandmarkMission,
@@ -31,7 +38,11 @@ from mapweave.landmarks.submap_slam import SubmapConfig
 
 def mission(planner="paper", association="known", until="landmarks", noise=CALIBRATED, **more):
     own = {k: more.pop(k) for k in ("robots", "kills", "drop") if k in more}
-    cfg = with_noise(ExploreConfig(submap=SubmapConfig(association=association), **more), noise)
+    limits = MissionConfig(max_steps=more.pop("max_steps", 1500))
+    handover = HandoverConfig(by=more.pop("handover_by", 60))
+    settings = {"mission": limits, "handover": handover, "joint": more.pop("joint", JointConfig())}
+    settings["objective"] = ObjectiveConfig(**more)
+    cfg = with_noise(ExploreConfig(submap=SubmapConfig(association=association), **settings), noise)
     return LandmarkMission(find_scenario("yuan"), planner=planner, until=until, cfg=cfg, **own)
 
 
@@ -177,7 +188,7 @@ def test_one_robot_explores_a_field_to_its_end():
 
 
 def test_the_printed_escape_rule_gets_stuck_where_the_guard_does_not():
-    stuck = mission(noise=1.0, literal_escape=True, negligible_gain=0, fuse_by=10**9, max_steps=300)
+    stuck = mission(noise=1.0, literal_escape=True, negligible_gain=0, handover_by=10**9, max_steps=300)
     (literal,) = runs_of([stuck], 4)
     assert sum(r.finished for r in literal) == 0
 

@@ -8,15 +8,15 @@ import pytest
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 from mapweave.exploration.gym import ExplorationEnv
-from mapweave.exploration.landmarks.config import ExploreConfig
+from mapweave.exploration.landmarks.config import ExploreConfig, MissionConfig
 
 
 def test_the_environment_passes_pettingzoos_api_test():
-    parallel_api_test(ExplorationEnv(cfg=ExploreConfig(max_steps=40)), num_cycles=60)
+    parallel_api_test(ExplorationEnv(cfg=ExploreConfig(mission=MissionConfig(max_steps=40))), num_cycles=60)
 
 
 def test_the_same_seed_gives_the_same_environment():
-    parallel_seed_test(lambda: ExplorationEnv(cfg=ExploreConfig(max_steps=15)), num_cycles=10)
+    parallel_seed_test(lambda: ExplorationEnv(cfg=ExploreConfig(mission=MissionConfig(max_steps=15))), num_cycles=10)
 
 
 @pytest.mark.parametrize("name", ["random", "coverage"])

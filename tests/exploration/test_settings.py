@@ -55,10 +55,10 @@ def test_what_a_wrong_heading_costs_decides_whether_a_robot_turns_first():
     team = Team(make_field(ScenarioConfig(landmarks=3), 1, 0), cfg, coverage.choose, np.random.default_rng(0))
     pose, goal = np.zeros(3), np.array([0.0, 10.0])
     eager = replace(cfg, steering=replace(cfg.steering, heading_cost=0.01))
-    assert steer(team.belief(), pose, goal, cfg)[1] == max(cfg.turns)
+    assert steer(team.belief(), pose, goal, cfg)[1] == max(cfg.commands.turns)
     strict = replace(cfg, steering=replace(cfg.steering, heading_cost=50.0))
     assert steer(team.belief(), pose, goal, strict)[0] <= steer(team.belief(), pose, goal, eager)[0]
-    assert steer(team.belief(), pose, np.array([10.0, 0.1]), eager)[0] == max(cfg.speeds)
+    assert steer(team.belief(), pose, np.array([10.0, 0.1]), eager)[0] == max(cfg.commands.speeds)
 
 
 def test_turning_towards_a_place_costs_what_is_set():

@@ -22,14 +22,14 @@ from ..exploration.landmarks.experiment import (
 from ..exploration.landmarks.scenario import check_rasters, find_scenario, make_field
 from ..exploration.laser.scenario import find_laser_scenario
 from ..exploration.planner_interface import find_planner
-from ..io.directory import check_target
 from .exploration_result import LandmarkExploration, LaserExploration
 from .explore_laser import explore_laser
-from .explore_options import check_magnitudes, check_numbers, factor_of, kills_of, remaining_runs, steps_of
+from .explore_options import Runs, check_magnitudes, check_numbers, end_of, factor_of, kills_of
 
 NOISE = {"printed": 1.0, "calibrated": CALIBRATED}
 POSITIVE = (
-    *("cell", "speeds", "apart_distance", "fuse_by", "max_steps", "coverage.radius", "coverage.replan_every"),
+    *("mission.cell", "mission.max_steps", "commands.speeds", "objective.apart_distance", "handover.by"),
+    *("coverage.radius", "coverage.replan_every"),
     *("loop.radius", "loop.rate", "loop.rate_alone", "joint.rate", "joint.rate_alone", "joint.density"),
     *("joint.search.tries", "joint.search.first_plans", "joint.search.most_places", "joint.search.coarse_cell"),
     *("joint.search.pose_stride", "joint.search.layouts", "joint.search.least_range"),
@@ -144,8 +144,8 @@ def explore(
     cfg = load(ExploreConfig, None if config is None else Path(config))
     expect_positive(cfg, str(config), *POSITIVE)
     check_magnitudes(cfg, str(config))
-    if not cfg.turns:
-        raise ConfigError(f"{config}: turns: expected at least one turn rate [rad/s]")
+    if not cfg.commands.turns:
+        raise ConfigError(f"{config}: commands.turns: expected at least one turn rate [rad/s]")
     if association is not None:
         cfg = replace(cfg, submap=replace(cfg.submap, association=association))
     if cfg.submap.association not in ASSOCIATIONS:
@@ -155,27 +155,18 @@ def explore(
     found = find_scenario(scenario)
     world = make_field(found, robots, seed)
     check_rasters(found, len(world.starts), cfg)
-    mission = LandmarkMission(found, robots, planner, _until(until), kills_of(kill or {}, len(world.starts)), drop, cfg)
+    until, kills = end_of(until, "landmarks", "field"), kills_of(kill or {}, len(world.starts))
+    mission = LandmarkMission(found, robots, planner, until, kills, drop, cfg)
     find_planner(planner, PLANNERS)
-    if out is not None:
-        check_target(Path(out), force=force)
-    on_progress("exploring", 0, runs)
-    first_score, first = explore_once(mission, seed)
-    more = remaining_runs(partial(explore_many, mission), runs, seed, jobs, executor, on_progress)
-    scores = (first_score, *(replace(score, run=k) for k, score in enumerate(more, 1)))
-    result = LandmarkExploration(scenario, mission, seed, noise_factor(cfg), scores, first)
-    if out is not None:
-        result.write(out, force=force)
-    return result
+    todo = Runs(runs=runs, seed=seed, jobs=jobs, executor=executor, out=out, force=force, on_progress=on_progress)
+    return todo.explore(
+        partial(explore_once, mission),
+        partial(explore_many, mission),
+        partial(LandmarkExploration, scenario, mission, seed, noise_factor(cfg)),
+    )
 
 
 def _noise(noise: str | float) -> float:
     if isinstance(noise, str) and noise in NOISE:
         return NOISE[noise]
     return factor_of(noise, "printed, calibrated")
-
-
-def _until(until: str | int) -> str | int:
-    if isinstance(until, str) and until in ("landmarks", "field"):
-        return until
-    return steps_of(until, "landmarks, field")

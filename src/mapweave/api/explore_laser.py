@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from concurrent.futures import Executor
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -15,9 +14,8 @@ from ..exploration.laser.planner_state import PLANNERS
 from ..exploration.laser.scenario import LaserScenarioConfig, make_place
 from ..exploration.planner_interface import find_planner
 from ..exploration.world import check_cells
-from ..io.directory import check_target
 from .exploration_result import LaserExploration
-from .explore_options import check_magnitudes, check_numbers, factor_of, kills_of, remaining_runs, steps_of
+from .explore_options import Runs, check_magnitudes, check_numbers, end_of, factor_of, kills_of
 
 POSITIVE = (
     *("robots.radius", "robots.speed", "robots.turn", "robots.period", "robots.scanner.beams", "robots.scanner.far"),
@@ -70,22 +68,19 @@ def explore_laser(
     for key, cell in (("plan.resolution", cfg.plan.resolution), ("map_resolution", cfg.map_resolution)):
         check_cells(key, place.lower, place.upper, cell)
     kills = kills_of(kill or {}, len(place.starts))
-    mission = LaserMission(scenario, robots, planner, _until(until), kills, drop, cfg)
+    mission = LaserMission(scenario, robots, planner, _end(until), kills, drop, cfg)
     find_planner(planner, PLANNERS)
-    if out is not None:
-        check_target(Path(out), force=force)
 
     def mapped_so_far(step: int, explored: float) -> None:
         del step
         on_progress("the first run: area mapped", explored, 1.0)
 
-    first_score, first = explore_laser_once(mission, seed, on_progress=mapped_so_far)
-    more = remaining_runs(partial(explore_laser_many, mission), runs, seed, jobs, executor, on_progress)
-    scores = (first_score, *(replace(score, run=k) for k, score in enumerate(more, 1)))
-    result = LaserExploration(name, mission, seed, factor, scores, first)
-    if out is not None:
-        result.write(out, force=force)
-    return result
+    todo = Runs(runs=runs, seed=seed, jobs=jobs, executor=executor, out=out, force=force, on_progress=on_progress)
+    return todo.explore(
+        partial(explore_laser_once, mission, on_progress=mapped_so_far),
+        partial(explore_laser_many, mission),
+        partial(LaserExploration, name, mission, seed, factor),
+    )
 
 
 def _check_sizes(cfg: LaserMissionConfig, where: str) -> None:
@@ -113,9 +108,7 @@ def _factor(noise: str | float) -> float:
     return factor_of(noise, "calibrated")
 
 
-def _until(until: str | int) -> str | int:
-    if until == "field":
-        return until
+def _end(until: str | int) -> str | int:
     if until == "landmarks":
         raise UsageError("--until landmarks: a laser world has none; give field or a number of steps")
-    return steps_of(until, "field")
+    return end_of(until, "field")

@@ -2,13 +2,19 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path
 from typing import TypeVar
 
 from ..core.errors import ConfigError, UsageError
 from ..core.workers import Progress, worker_pool
+from ..exploration.mission import RunScore
+from ..io.directory import check_target
+from ..report.result import ResultBase
 
-Score = TypeVar("Score")
+Score = TypeVar("Score", bound=RunScore)
+Record = TypeVar("Record")
+Result = TypeVar("Result", bound=ResultBase)
 LOUDEST = 1e4  # times the usual noise, far beyond what any filter bears
 LARGEST = 1e9  # no length, count or weight of an exploration is beyond
 
@@ -26,25 +32,43 @@ def parse_kills(text: list[str] | None) -> dict[str, int]:
     return out
 
 
-def remaining_runs(
-    many: Callable[[int, int, Executor | None], list[Score]],
-    runs: int,
-    seed: int,
-    jobs: int,
-    executor: Executor | None,
-    on_progress: Progress,
-) -> list[Score]:
-    """Scores of runs 1, 2, ... `runs` - 1, a few at a time, so that progress can be told; run 0 is there already.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Runs:
+    """How many runs, the first one's seed, where they are worked on, who hears of it, and the folder for the result."""
 
-    many: (how many, the seed of the first, where to run them) -> their scores.
-    """
-    scores: list[Score] = []
-    with worker_pool(jobs, runs - 1, executor) as workers:
-        step = max(1, jobs) * 2
-        for start in range(1, runs, step):
-            scores += many(min(step, runs - start), seed + start, workers)
-            on_progress("exploring", 1 + len(scores), runs)
-    return scores
+    runs: int
+    seed: int
+    jobs: int
+    executor: Executor | None
+    out: Path | str | None
+    force: bool
+    on_progress: Progress
+
+    def explore(
+        self,
+        once: Callable[[int], tuple[Score, Record]],
+        many: Callable[[int, int, Executor | None], list[Score]],
+        result: Callable[[tuple[Score, ...], Record], Result],
+    ) -> Result:
+        """The result of all runs, numbered from 0, written to `out` if given; a folder that is refused stops it first.
+
+        once: seed -> score and record of the first run; many: (how many, the seed of the first, where to run them) ->
+        scores; result: (scores, the first run's record) -> what `explore` gives.
+        """
+        if self.out is not None:
+            check_target(Path(self.out), force=self.force)
+        self.on_progress("exploring", 0, self.runs)
+        score, first = once(self.seed)
+        scores = [score]
+        with worker_pool(self.jobs, self.runs - 1, self.executor) as workers:
+            step = max(1, self.jobs) * 2
+            for start in range(1, self.runs, step):
+                scores += many(min(step, self.runs - start), self.seed + start, workers)
+                self.on_progress("exploring", len(scores), self.runs)
+        found = result(tuple(replace(score, run=k) for k, score in enumerate(scores)), first)
+        if self.out is not None:
+            found.write(self.out, force=self.force)
+        return found
 
 
 def factor_of(noise: str | float, names: str) -> float:
@@ -58,12 +82,14 @@ def factor_of(noise: str | float, names: str) -> float:
     return factor
 
 
-def steps_of(until: str | int, names: str) -> int:
-    """At least one step; `names` are the words that would have been understood too."""
+def end_of(until: str | int, *words: str) -> str | int:
+    """One of `words`, or a number of steps, at least one."""
+    if isinstance(until, str) and until in words:
+        return until
     try:
         steps = int(until)
     except ValueError:
-        raise UsageError(f"--until: expected {names} or a number of steps, found {until!r}") from None
+        raise UsageError(f"--until: expected {', '.join(words)} or a number of steps, found {until!r}") from None
     if steps < 1:
         raise UsageError(f"--until: expected at least 1 step, found {steps}")
     return steps

@@ -1,6 +1,7 @@
 """Configuration: typed frozen dataclasses, filled from TOML, every mistake told at once.
 
-A config stands beside the code that reads it: ``@config class IcpConfig: max_correspondence: float = 0.5  # [m]``.
+A config stands beside the code that reads it: ``@config class IcpConfig: max_correspondence: float = 0.5  # [m]``. A
+key that has moved is named in the `MOVED` of the outermost class (old: new, dotted); a file with the old is told so.
 """
 
 import tomllib
@@ -42,7 +43,7 @@ def build(cls: type[T], values: dict[str, Any], where: str = "configuration") ->
     try:
         return TypeAdapter(cls).validate_python(values)
     except ValidationError as error:
-        told = [f"{_place(e['loc'])}: {_WORDS.get(e['type'], e['msg'])}" for e in error.errors()]
+        told = [_told(cls, _place(e["loc"]), e["type"], e["msg"]) for e in error.errors()]
         raise ConfigError(f"{where}: {'; '.join(dict.fromkeys(told))}") from None
 
 
@@ -80,6 +81,11 @@ def expect_positive(cfg: object, where: str, *names: str) -> None:
             )
     if told:
         raise ConfigError(f"{where}: {'; '.join(told)}")
+
+
+def _told(cls: type, place: str, kind: str, message: str) -> str:
+    new = getattr(cls, "MOVED", {}).get(place) if kind == "unexpected_keyword_argument" else None
+    return f"{place}: is now {new}" if new else f"{place}: {_WORDS.get(kind, message)}"
 
 
 def _place(loc: tuple[int | str, ...]) -> str:

@@ -91,7 +91,7 @@ class ExplorationEnv(ParallelEnv):  # type: ignore[misc]
         done = moment is None or team.reached()
         if done:
             next(self._play, None)  # the submaps left are handed over
-        over = not done and team.step >= self.cfg.max_steps
+        over = not done and team.step >= self.cfg.mission.max_steps
         cells = team.explored.fused.size
         rewards, live = {}, team.alive
         for name in self.agents:
@@ -151,7 +151,7 @@ class ExplorationEnv(ParallelEnv):  # type: ignore[misc]
             sd[0] / reach,
             sd[1] / reach,
             sd[2] / np.pi,
-            team.ages[j] / self.cfg.fuse_by,
+            team.ages[j] / self.cfg.handover.by,
             len(sub.ids) / 50,
             known.mean(),
             min(1.0, gap / float(2 * np.hypot(*half))),

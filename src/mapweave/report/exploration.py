@@ -112,9 +112,9 @@ def draw_explored(path: Path, run: LandmarkRecord, result: ExploreResult) -> Non
     """The step at which each cell was first seen, and the frontier at each quarter of the run."""
     cfg = result.mission.cfg
     width, height = run.world.upper - run.world.lower
-    shape = (int(np.ceil(height / cfg.cell)), int(np.ceil(width / cfg.cell)))
+    shape = (int(np.ceil(height / cfg.mission.cell)), int(np.ceil(width / cfg.mission.cell)))
     seen, first = np.zeros(shape, dtype=bool), np.full(shape, np.nan)
-    sector, raster = Sector(cfg.submap.reach, cfg.submap.half_angle), Raster(run.world.lower, cfg.cell)
+    sector, raster = Sector(cfg.submap.reach, cfg.submap.half_angle), Raster(run.world.lower, cfg.mission.cell)
     for moment in (run.first_look, *run.moments):
         for pose in moment.poses:
             if run.floor is None:
@@ -125,12 +125,12 @@ def draw_explored(path: Path, run: LandmarkRecord, result: ExploreResult) -> Non
         first[seen & np.isnan(first)] = moment.step
     with figure(path, 8.0, min(7.2 * float(height / width), TALLEST) + 0.4) as (fig, ax):
         _field(ax, run)
-        (x0, y0), (x1, y1) = run.world.lower, run.world.lower + cfg.cell * np.array(shape[::-1])
+        (x0, y0), (x1, y1) = run.world.lower, run.world.lower + cfg.mission.cell * np.array(shape[::-1])
         image = ax.imshow(first, origin="lower", extent=(x0, x1, y0, y1), cmap=SEQUENTIAL, interpolation="nearest")
         quarters = [0.25 * k * max(len(run.moments), 1) for k in (1, 2, 3)]
         filled = np.where(np.isnan(first), len(run.moments) + 1.0, first)
         if filled.min() < filled.max():
-            centres = [lo + cfg.cell * (np.arange(n) + 0.5) for lo, n in ((x0, shape[1]), (y0, shape[0]))]
+            centres = [lo + cfg.mission.cell * (np.arange(n) + 0.5) for lo, n in ((x0, shape[1]), (y0, shape[0]))]
             ax.contour(*centres, filled, levels=sorted(set(quarters)), colors="white", linewidths=1.0)
         fig.colorbar(image, ax=ax, label="first seen at step", shrink=0.85)
         ax.grid(visible=False)

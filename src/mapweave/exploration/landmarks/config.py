@@ -1,4 +1,7 @@
-"""Everything that can be set about an exploration of a landmark world, a table for each planner and for walls."""
+"""Everything that can be set about an exploration of a landmark world, a table for each planner and part."""
+
+from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +16,7 @@ class SteeringConfig:
 
     heading_cost: float = 3.0  # [m/rad] that a wrong heading counts as: no circling round a goal, no crawling
     landmark_reached: float = 4.0  # [m] from a landmark at which a lost robot has tried it: well within the reach
+    lost: float = 6.0  # [m], sd of a robot's place in the map beyond which it looks for known landmarks
 
 
 @config
@@ -88,38 +92,29 @@ class WallsConfig:
 
 
 @config
-class ExploreConfig:
-    """Weights, thresholds and discretisation of one exploration."""
+class CommandsConfig:
+    """What a robot may be told to do: every speed with every turn rate."""
 
-    submap: SubmapConfig = SubmapConfig()
     speeds: tuple[float, ...] = (0.5, 1.0, 1.5, 2.0)  # [m/s] offered, as in the paper
     turns: tuple[float, ...] = tuple(float(k) * np.pi / 8 for k in range(-4, 5))  # [rad/s] offered, as in the paper
+
+
+@config
+class ObjectiveConfig:
+    """Planners `paper` and `area`: what a command is worth, and when a robot escapes from where nothing is."""
+
     w_accuracy: float = 1 / 3  # weight of the map's expected accuracy, w1: the paper gives all three the same
     w_area: float = 1 / 3  # weight of new area, w2
     w_apart: float = 1 / 3  # weight of the distance to the others' submaps, w3
+    apart_distance: float = 20.0  # [m] beyond which being farther from others is worth no more, d_t
     escape_uncertainty: float = 0.3  # [m^2] a landmark below which a robot that gains no area escapes, C_t
     negligible_gain: int | None = None  # [cells] up to which a control gains no area; None: see `gain_threshold`
     stall_steps: int = 10  # [steps] without gain after which the robot escapes whatever its uncertainty
-    lost: float = 6.0  # [m], sd of a robot's place in the map beyond which it looks for known landmarks
     literal_escape: bool = False  # the printed rule alone: deadlocks under the stated noise
-    apart_distance: float = 20.0  # [m] beyond which being farther from others is worth no more, d_t
-    cell: float = 1.0  # [m], side of the explored raster's cells, as in the paper
-    fuse_after: int = 10  # [steps] before which no submap is handed over, n_s
-    fuse_uncertainty: float = 0.3  # [m^2] a landmark below which a submap is handed over, C_f
-    fuse_by: int = 60  # [steps] after which a submap is handed over whatever its uncertainty
-    fusion_gate: float = 18.42  # D^2 of two landmarks taken for one, 0.9999 of chi-square with 2 degrees of freedom
-    fusion_sure: float = 0.9  # probability above which two landmarks of unknown identity become one
-    fusion_density: float = 4e-4  # [1/m^2] landmarks expected, times the chance that one beside a new one went unseen
-    max_steps: int = 1500  # [steps] after which a run ends unfinished
-    steering: SteeringConfig = SteeringConfig()
-    coverage: CoverageConfig = CoverageConfig()
-    loop: LoopConfig = LoopConfig()
-    joint: JointConfig = JointConfig()
-    walls: WallsConfig = WallsConfig()
 
     @property
     def gain_threshold(self) -> int:
-        """Cells that gain no area. None chosen: 12 as part of the area term, the printed 0 where there is no such term.
+        """Cells that gain no area. None chosen: 12 as part of the area term, the printed 0 where there is none.
 
         The printed rule (no cell at all) keeps the paper's robots at specks which their area term is too weak to fetch.
         """
@@ -127,7 +122,58 @@ class ExploreConfig:
             return self.negligible_gain
         return 12 if self.w_area else 0
 
+
+@config
+class HandoverConfig:
+    """When a submap goes into the global map, and which landmarks are taken for one then."""
+
+    after: int = 10  # [steps] before which no submap is handed over, n_s
+    uncertainty: float = 0.3  # [m^2] a landmark below which a submap is handed over, C_f
+    by: int = 60  # [steps] after which a submap is handed over whatever its uncertainty
+    gate: float = 18.42  # D^2 of two landmarks taken for one, 0.9999 of chi-square with 2 degrees of freedom
+    sure: float = 0.9  # probability above which two landmarks of unknown identity become one
+    density: float = 4e-4  # [1/m^2] landmarks expected, times the chance that one beside a new one went unseen
+
+
+@config
+class MissionConfig:
+    """How finely the field is kept, and how long a run may take."""
+
+    cell: float = 1.0  # [m], side of the explored raster's cells, as in the paper
+    max_steps: int = 1500  # [steps] after which a run ends unfinished
+
+
+@config
+class ExploreConfig:
+    """Weights, thresholds and discretisation of one exploration."""
+
+    MOVED: ClassVar[Mapping[str, str]] = {  # old keys and where they are now
+        "speeds": "commands.speeds",
+        "turns": "commands.turns",
+        "lost": "steering.lost",
+        "cell": "mission.cell",
+        "max_steps": "mission.max_steps",
+        **{
+            key: f"objective.{key}"
+            for key in ("w_accuracy", "w_area", "w_apart", "apart_distance", "escape_uncertainty")
+        },
+        **{key: f"objective.{key}" for key in ("negligible_gain", "stall_steps", "literal_escape")},
+        **{f"fuse_{key}": f"handover.{key}" for key in ("after", "uncertainty", "by")},
+        **{f"fusion_{key}": f"handover.{key}" for key in ("gate", "sure", "density")},
+    }
+
+    mission: MissionConfig = MissionConfig()
+    submap: SubmapConfig = SubmapConfig()
+    commands: CommandsConfig = CommandsConfig()
+    objective: ObjectiveConfig = ObjectiveConfig()
+    handover: HandoverConfig = HandoverConfig()
+    steering: SteeringConfig = SteeringConfig()
+    coverage: CoverageConfig = CoverageConfig()
+    loop: LoopConfig = LoopConfig()
+    joint: JointConfig = JointConfig()
+    walls: WallsConfig = WallsConfig()
+
     @property
     def controls(self) -> Float[np.ndarray, "m 2"]:
         """All (v, w) offered, slow and right-turning first."""
-        return np.array([(v, w) for v in self.speeds for w in self.turns])
+        return np.array([(v, w) for v in self.commands.speeds for w in self.commands.turns])

@@ -40,7 +40,7 @@ def held_target(belief: LandmarkBelief, j: int, pose: np.ndarray, cfg: ExploreCo
     ex = belief.explored
     if j in targets and (ex.sees(j, targets[j]) or given_up(belief, j, targets[j], cfg)):
         del targets[j]
-    if j not in targets and belief.stalled[j] >= cfg.stall_steps:
+    if j not in targets and belief.stalled[j] >= cfg.objective.stall_steps:
         goal = next_target(belief, j, pose)
         if goal is not None:
             targets[j] = goal

@@ -142,8 +142,8 @@ def survey_floor(world: Field, walls: Walls, cfg: ExploreConfig) -> FloorPlan:
     for share in (0.75, 1.0):
         weight += walls.blocked(lower, world.upper, cell, cfg.walls.robot_radius + share * cfg.walls.comfort)
     ground = Ground.of(free, lower, cell, weight=weight)
-    nx, ny = (int(np.ceil((world.upper[k] - lower[k]) / cfg.cell - 1e-9)) for k in (0, 1))
-    x, y = (lower[k] + (np.arange(n) + 0.5) * cfg.cell for k, n in ((0, nx), (1, ny)))
+    nx, ny = (int(np.ceil((world.upper[k] - lower[k]) / cfg.mission.cell - 1e-9)) for k in (0, 1))
+    x, y = (lower[k] + (np.arange(n) + 0.5) * cfg.mission.cell for k, n in ((0, nx), (1, ny)))
     centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     far = cfg.submap.reach - cfg.walls.view_margin
     views = nearest_views(centres, ground.free, raster, far, walls.segments, cfg.walls.view_neighbours)
@@ -155,7 +155,7 @@ def survey_floor(world: Field, walls: Walls, cfg: ExploreConfig) -> FloorPlan:
     return FloorPlan(
         walls,
         lower,
-        cfg.cell,
+        cfg.mission.cell,
         ground,
         free & (weight == 1.0),
         seen,
@@ -189,7 +189,8 @@ def _pockets(
     rows, cols = np.indices(parts.shape)
     shape = seen.shape
     row, col = (
-        np.minimum(((k + 0.5) * cell / cfg.cell).astype(int), n - 1) for k, n in ((rows, shape[0]), (cols, shape[1]))
+        np.minimum(((k + 0.5) * cell / cfg.mission.cell).astype(int), n - 1)
+        for k, n in ((rows, shape[0]), (cols, shape[1]))
     )
     unseen = np.where(seen[row, col], 0, parts)
     roomy = ~walls.blocked(world.lower, world.upper, cell, room)

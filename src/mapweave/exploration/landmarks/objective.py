@@ -30,7 +30,7 @@ def choose_area(
     belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig
 ) -> Float[np.ndarray, "r 2"]:
     """The paper's planner without its accuracy term."""
-    return choose(belief, poses, replace(cfg, w_accuracy=0.0))
+    return choose(belief, poses, replace(cfg, objective=replace(cfg.objective, w_accuracy=0.0)))
 
 
 def objective(
@@ -40,8 +40,8 @@ def objective(
     controls, after = offered(belief, pose, cfg)
     sub, s = belief.submaps[j], cfg.submap
     gain = new_cells(belief, j, after, cfg)
-    J = cfg.w_area * gain * belief.explored.cell**2 / (0.5 * np.pi * cfg.submap.reach**2)
-    if cfg.w_accuracy:
+    J = cfg.objective.w_area * gain * belief.explored.cell**2 / (0.5 * np.pi * cfg.submap.reach**2)
+    if cfg.objective.w_accuracy:
         C = expected_uncertainty(
             np.asarray(sub.pose),
             _within_sight(belief, j, pose, cfg),
@@ -50,11 +50,11 @@ def objective(
             MotionAndSight(s.period, s.Q, s.R, Sector(s.reach, s.half_angle)),
         )
         least = C.min()
-        J = J + cfg.w_accuracy * (least / np.maximum(C, 1e-300) if least > 0 else np.ones_like(C))
+        J = J + cfg.objective.w_accuracy * (least / np.maximum(C, 1e-300) if least > 0 else np.ones_like(C))
     others = [i for i in np.flatnonzero(belief.alive) if i != j]
-    if others and cfg.w_apart:
+    if others and cfg.objective.w_apart:
         d = np.stack([distance_to_hull(hulls[i], after[:, :2]) for i in others])
-        J = J + cfg.w_apart * np.minimum(d / cfg.apart_distance, 1.0).mean(axis=0)
+        J = J + cfg.objective.w_apart * np.minimum(d / cfg.objective.apart_distance, 1.0).mean(axis=0)
     return controls, J, gain
 
 
@@ -67,7 +67,7 @@ def _choose_one(
     cfg: ExploreConfig,
 ) -> np.ndarray:
     ex = belief.explored
-    known = None if cfg.literal_escape else way_back(belief, j, pose, cfg)
+    known = None if cfg.objective.literal_escape else way_back(belief, j, pose, cfg)
     if known is not None:
         return steer(belief, pose, known, cfg)
     if j in targets:
@@ -76,10 +76,10 @@ def _choose_one(
         else:
             return steer(belief, pose, targets[j], cfg)
     controls, J, gain = objective(belief, j, pose, hulls, cfg)
-    if gain.max() <= cfg.gain_threshold:
+    if gain.max() <= cfg.objective.gain_threshold:
         sub = belief.submaps[j]
-        sure = map_uncertainty(np.asarray(sub.cov)) / (len(sub.ids) + 1) <= cfg.escape_uncertainty
-        stalled = not cfg.literal_escape and belief.stalled[j] >= cfg.stall_steps
+        sure = map_uncertainty(np.asarray(sub.cov)) / (len(sub.ids) + 1) <= cfg.objective.escape_uncertainty
+        stalled = not cfg.objective.literal_escape and belief.stalled[j] >= cfg.objective.stall_steps
         goal = next_target(belief, j, pose) if sure or stalled else None
         if goal is not None:
             targets[j] = goal

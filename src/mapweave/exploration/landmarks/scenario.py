@@ -101,10 +101,12 @@ def bounds(scenario: ScenarioConfig) -> tuple[np.ndarray, np.ndarray]:
 def check_rasters(scenario: ScenarioConfig, robots: int, cfg: ExploreConfig) -> None:
     """Raises ConfigError when a raster over the field would have too many cells, or none."""
     lower, upper = bounds(scenario)
-    if (upper - lower).min() < cfg.cell:
+    if (upper - lower).min() < cfg.mission.cell:
         w, h = upper - lower
-        raise ConfigError(f"cell: a field of {w:g} m x {h:g} m is smaller than a cell of {cfg.cell:g} m")
-    check_cells(f"cell, {robots} robots", lower, upper, cfg.cell, MOST_KNOWN / robots)
+        raise ConfigError(
+            f"mission.cell: a field of {w:g} m x {h:g} m is smaller than a cell of {cfg.mission.cell:g} m"
+        )
+    check_cells(f"mission.cell, {robots} robots", lower, upper, cfg.mission.cell, MOST_KNOWN / robots)
     check_cells("joint.search.coarse_cell", lower, upper, cfg.joint.search.coarse_cell, MOST_KNOWN)
     if scenario.walls is not None:
         check_cells("walls.path_cell / 4", lower, upper, 0.25 * cfg.walls.path_cell, MOST_CELLS)

@@ -30,7 +30,7 @@ def offered(
     if not inside.any():
         back = np.clip(pose[:2], belief.lower, belief.upper)
         if np.array_equal(back, pose[:2]):
-            inside = controls[:, 0] == min(cfg.speeds)
+            inside = controls[:, 0] == min(cfg.commands.speeds)
         else:
             inside[np.argmin(_time_to(poses, 0.98 * back + 0.02 * 0.5 * (belief.lower + belief.upper), cfg))] = True
     return controls[inside], poses[inside]
@@ -63,10 +63,10 @@ def clear_controls(
         clear = _clear(belief, pose, poses, obstacles, cfg.walls.robot_radius + margin)
         if clear.any():
             return controls[clear], poses[clear]
-    turns = np.array([(0.0, w) for w in cfg.turns if w != 0.0])
+    turns = np.array([(0.0, w) for w in cfg.commands.turns if w != 0.0])
     rim = np.linspace(-np.pi, np.pi, 32, endpoint=False)
     around = np.column_stack([np.tile(pose[:2], (32, 1)), pose[2] + rim])
-    slow = move(around, np.broadcast_to([min(cfg.speeds), 0.0], (32, 2)), cfg.submap.period)
+    slow = move(around, np.broadcast_to([min(cfg.commands.speeds), 0.0], (32, 2)), cfg.submap.period)
     ways = rim[_clear(belief, pose, slow, obstacles, cfg.walls.robot_radius + cfg.walls.margin / 3)]
     if len(ways):
         wish = 0.0 if towards is None else np.arctan2(*(towards - pose[:2])[::-1]) - pose[2]
@@ -122,13 +122,13 @@ def _time_to(poses: Float[np.ndarray, "m 3"], goal: Float[np.ndarray, "2"], cfg:
 def way_back(belief: LandmarkBelief, j: int, pose: Float[np.ndarray, "3"], cfg: ExploreConfig) -> np.ndarray | None:
     """Where (2,) robot j finds itself again: the nearest mapped landmark not tried yet; None while it is not lost.
 
-    Lost: its place in the map has a standard deviation beyond `cfg.lost`. A landmark reached without help counts as
-    tried, since a lost robot is not where it thinks.
+    Lost: its place in the map has a standard deviation beyond `cfg.steering.lost`. A landmark reached without help
+    counts as tried, since a lost robot is not where it thinks.
     """
     tried: dict[int, set[str]] = belief.memory.setdefault("tried", {})
     G = belief.global_map
     _, P = pose_in_map(G, belief.submaps[j])
-    if not G.ids or np.linalg.eigvalsh(P[:2, :2])[-1] <= cfg.lost**2:
+    if not G.ids or np.linalg.eigvalsh(P[:2, :2])[-1] <= cfg.steering.lost**2:
         tried.pop(j, None)
         return None
     seen = tried.setdefault(j, set())

@@ -138,7 +138,7 @@ class Team:
         if self.world.walls is not None:
             self.floor = survey_floor(self.world, self.world.walls, self.cfg)
             outside = ~self.floor.field
-        self.explored = Explored.over(self.world.lower, self.world.upper, M, self.cfg.cell, outside)
+        self.explored = Explored.over(self.world.lower, self.world.upper, M, self.cfg.mission.cell, outside)
         self.wanted = set(range(len(self.world.landmarks))) - set(self.floor.hidden if self.floor else ())
         if not self.wanted:
             raise DataError("walls hide every landmark from every place a robot can reach: there is nothing to map")
@@ -175,7 +175,7 @@ class Team:
 
     def play(self) -> Iterator[StepRecord]:
         """Steps until the goal, every robot's death or `max_steps`; then the submaps left are handed over."""
-        while not self.reached() and self.step < self.cfg.max_steps and self.alive.any():
+        while not self.reached() and self.step < self.cfg.mission.max_steps and self.alive.any():
             self._deaths()
             if self.until == "landmarks" and not self.wanted <= self.truth.seen():
                 self._sweep_again()
@@ -224,7 +224,7 @@ class Team:
                 self.truth.origin[j] = {}
 
     def _commands(self) -> Float[np.ndarray, "r 2"]:
-        limits = max(self.cfg.speeds), max(abs(w) for w in self.cfg.turns)
+        limits = max(self.cfg.commands.speeds), max(abs(w) for w in self.cfg.commands.turns)
         return query_planner(self.planner, self.belief(), self.poses(), self.cfg, limits)
 
     def _drive(self, j: int, command: np.ndarray) -> Observations:
@@ -283,14 +283,14 @@ class Team:
 
     def _due(self, j: int) -> bool:
         c, sub = self.cfg, self.submaps[j]
-        sure = map_uncertainty(np.asarray(sub.cov)) / (len(sub.ids) + 1) < c.fuse_uncertainty
+        sure = map_uncertainty(np.asarray(sub.cov)) / (len(sub.ids) + 1) < c.handover.uncertainty
         helps = bool(self._lost(j) and len(sub.ids))
-        return (self.ages[j] > c.fuse_after and (sure or helps)) or self.ages[j] >= c.fuse_by
+        return (self.ages[j] > c.handover.after and (sure or helps)) or self.ages[j] >= c.handover.by
 
     def _lost(self, j: int) -> bool:
         """Whether robot j no longer knows where in the map it is: what it sees now may tell."""
         P = pose_in_map(self.G, self.submaps[j])[1]
-        return bool(np.linalg.eigvalsh(P[:2, :2])[-1] > self.cfg.lost**2)
+        return bool(np.linalg.eigvalsh(P[:2, :2])[-1] > self.cfg.steering.lost**2)
 
     def _hand_over(self, j: int, *, surely: bool = False) -> bool:
         """The submap joins the map and starts anew; a lost message leaves it as it is, to be sent again next step."""
@@ -303,10 +303,10 @@ class Team:
             self.G,
             self.submaps[j],
             known=known,
-            gate=c.fusion_gate,
+            gate=c.handover.gate,
             prefix="m",
-            density=c.fusion_density,
-            sure=c.fusion_sure,
+            density=c.handover.density,
+            sure=c.handover.sure,
         )
         self._score_names(j, done)
         self.G = done.map

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...core.version import __version__
 from ...core.workers import Progress, no_progress, one_blas_thread, worker_pool
-from ...exploration.landmarks.config import ExploreConfig
+from ...exploration.landmarks.config import ExploreConfig, HandoverConfig, MissionConfig, ObjectiveConfig
 from ...exploration.landmarks.experiment import CALIBRATED, LandmarkMission, LandmarkScore, explore_many, with_noise
 from ...exploration.landmarks.scenario import find_scenario
 from ...io.directory import check_target, plain, write_json
@@ -156,17 +156,27 @@ def missions() -> list[tuple[str, str, int, LandmarkMission]]:
         for robots in (2, 1)
         for noise, factor in (("printed", 1.0), ("calibrated", CALIBRATED))
     ]
-    literal: dict[str, Any] = {"literal_escape": True, "negligible_gain": 0, "fuse_by": 10**9}
+    literal: dict[str, Any] = {"literal_escape": True, "negligible_gain": 0}
     out += [
         ("ablation", "whole objective", 2, _mission()),
         ("ablation", "no accuracy", 2, _mission(w_accuracy=0.0)),
         ("ablation", "no distance to others", 2, _mission(w_apart=0.0)),
         ("ablation", "no area", 2, _mission(w_area=0.0)),
-        ("ablation", "no area, specks still left", 2, _mission(w_area=0.0, negligible_gain=12)),
+        (
+            "ablation",
+            "no area, specks still left",
+            2,
+            _mission(w_area=0.0, negligible_gain=12),
+        ),
         ("ablation", "whole objective, no speck left", 2, _mission(negligible_gain=0)),
         ("ablation", "no escape", 2, _mission(**NO_ESCAPE)),
         ("ablation", "no area, no escape", 2, _mission(w_area=0.0, **NO_ESCAPE)),
-        ("ablation", "printed escape rule, printed noise", 2, _mission(1.0, **literal)),
+        (
+            "ablation",
+            "printed escape rule, printed noise",
+            2,
+            _mission(1.0, handover_by=10**9, **literal),
+        ),
     ]
     out += [
         ("beyond", name, robots, _mission(planner=planner, robots=robots, until=until, association=how))
@@ -192,9 +202,11 @@ def _mission(
     robots: int = 2,
     until: str | int = "landmarks",
     association: str = "known",
-    **more: Any,
+    handover_by: int = 60,
+    **objective: Any,
 ) -> LandmarkMission:
-    cfg = with_noise(ExploreConfig(**{"max_steps": 1000, **more}), factor)
+    mission, handover = MissionConfig(max_steps=1000), HandoverConfig(by=handover_by)
+    cfg = with_noise(ExploreConfig(mission=mission, objective=ObjectiveConfig(**objective), handover=handover), factor)
     cfg = replace(cfg, submap=replace(cfg.submap, association=association))
     return LandmarkMission(find_scenario("yuan"), robots, planner, until, cfg=cfg)
 
