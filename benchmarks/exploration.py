@@ -173,7 +173,7 @@ def compiled(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg:
         Phi[:, :3] = np.eye(3)
         Phi[:2, 2] = u[0] * cfg.period * np.array([-np.sin(x[2]), np.cos(x[2])])
         x[:3] = move(x[:3], u, cfg.period)
-        ekf_apply_drive.settle(F, len(x), Phi, cfg.Q.copy())
+        ekf_apply_drive.apply_drive(F, len(x), Phi, cfg.Q.copy())
         ranges, bearings = z.T.copy()
         ekf.frame(
             x, F, rows, ranges, bearings, known, started, places, counts, astray, np.empty(len(rows)),

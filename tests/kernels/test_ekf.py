@@ -104,7 +104,7 @@ def test_settling_equals_the_dense_prediction():
     wanted[:3, :3] += Q
     packed = np.empty(6)
     ekf_apply_drive.pose_covariance(P, Phi, Q, packed)
-    ekf_apply_drive.settle(P, len(x), Phi, Q)
+    ekf_apply_drive.apply_drive(P, len(x), Phi, Q)
     assert np.allclose(P, wanted, atol=1e-14)
     assert np.allclose(packed, wanted[np.triu_indices(3)], atol=1e-14)
     assert np.array_equal(Phi, cleared()[0])

@@ -62,8 +62,8 @@ def survey_building(
     reached = np.isin(regions, homes[homes > 0])
     _check_closed(reached, lower)
     shut = frozen(_shut(regions, set(homes.tolist()), lower))
-    made = Building(frozen(lower), CELL, frozen(reached, dtype=bool), np.zeros((0, 2)), shut)
-    return replace(made, seen=frozen(_seen_pieces(walls, made.places(), reach)))
+    building = Building(frozen(lower), CELL, frozen(reached, dtype=bool), np.zeros((0, 2)), shut)
+    return replace(building, seen=frozen(_seen_pieces(walls, building.places(), reach)))
 
 
 def _check_closed(reached: Bool[np.ndarray, "rows cols"], lower: Float[np.ndarray, "2"]) -> None:

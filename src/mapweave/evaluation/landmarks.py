@@ -71,7 +71,7 @@ def find_exchanges(landmarks: LandmarkMap, survey: Survey) -> tuple[tuple[Exchan
     """
     ours, true = _common(landmarks, survey)
     n = len(ours)
-    found: list[Exchange] = []
+    exchanges: list[Exchange] = []
     names = list(ours.ids)
     if n < 3:
         return (), survey
@@ -87,12 +87,14 @@ def find_exchanges(landmarks: LandmarkMap, survey: Survey) -> tuple[tuple[Exchan
         after = np.sqrt(max(0.0, energy - 2 * float(swapped[i, j])) / n)
         if not after < BETTER * before:
             break
-        found.append(Exchange(names[i], names[j], float(before), float(after)))
+        exchanges.append(Exchange(names[i], names[j], float(before), float(after)))
         b[i], b[j] = b[j], b[i]
         taken[i] = taken[j] = True
-    while found and not (found[-1].after < MUCH_BETTER * found[-1].before and _gain(found[-1]) > WORTH_NAMING):
-        found.pop()
-    return tuple(found), _exchanged(survey, found)
+    while exchanges and not (
+        exchanges[-1].after < MUCH_BETTER * exchanges[-1].before and _gain(exchanges[-1]) > WORTH_NAMING
+    ):
+        exchanges.pop()
+    return tuple(exchanges), _exchanged(survey, exchanges)
 
 
 def naive_mean(maps: Sequence[LandmarkMap], rounds: int = 20) -> LandmarkMap | None:
@@ -116,6 +118,10 @@ def naive_mean(maps: Sequence[LandmarkMap], rounds: int = 20) -> LandmarkMap | N
         mean = _average([_fit(m, mean) for m in placed])
     ids = tuple(sorted(mean))
     return LandmarkMap(ids, np.array([mean[name] for name in ids]), np.eye(2 * len(ids)))
+
+
+def _is_worth_naming(exchange: Exchange) -> bool:
+    return exchange.after < MUCH_BETTER * exchange.before and _gain(exchange) > WORTH_NAMING
 
 
 def _gain(exchange: Exchange) -> float:

@@ -16,7 +16,7 @@ from ..landmarks.association import pairing_probabilities
 from ..landmarks.landmark_map import GlobalMap, Submap
 
 ITERATIONS = 10  # at most; with little noise two suffice
-SETTLED = 1e-6  # [m], [rad]
+CONVERGED = 1e-6  # [m], [rad]
 CANDIDATES = 40  # pairs weighed together, the nearest
 FLOOR = 1e-12  # what keeps a constraint on things already certain solvable: [m^2], and as a share
 
@@ -101,7 +101,7 @@ class MapAndSubmap:
             last, moved = moved, -(solve_psd(S, h - H @ moved[used]) @ H) @ rows
             self.x[:] = start + moved
             self.x[self.angles] = se2.wrap_angle(self.x[self.angles])
-            if np.abs(moved - last).max() < SETTLED:
+            if np.abs(moved - last).max() < CONVERGED:
                 break
         U = solve_triangular(np.linalg.cholesky(S), H, lower=True, check_finite=False) @ rows
         self.U = np.vstack([self.U, U])

@@ -46,7 +46,7 @@ def play(log: LandmarkLog, cfg: EkfSlamConfig, seed: int = 0) -> Played:
         raise failed from None
     state = steps[-1].state if steps else ekf_slam.initial(log.robot, cfg)
     info = steps[-1].info if steps else ekf_slam.EkfSlamInfo(ekf_slam.Status.USED)
-    x, P = state.x, state.settled()
+    x, P = state.x, state.covariance()
     if not max(np.abs(x).max(), np.abs(P).max(initial=0.0)) < LARGEST:
         raise failed
     t, pose, square = np.array(info.track.t), np.array(info.track.pose), np.array(info.track.cov)
@@ -69,7 +69,7 @@ def _smooth(
     pose: Float[np.ndarray, "n 3"],
     cov: Float[np.ndarray, "n 3 3"],
 ) -> None:
-    """Poses and their covariances corrected, in place, by the finished map (`P`: its covariance, settled)."""
+    """Poses and their covariances corrected, in place, by the finished map (`P`: its covariance, drive applied)."""
     seen, o = log.sightings, log.odometry
     slots = np.array([state.slot.get(name, -1) for name in seen.ids], dtype=np.int64)[seen.what]
     used = np.where((slots >= 0) & state.started[slots], slots, -1)

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..core.records import Event, Odometry, Sightings, Stretch, Track, frozen
 from ..kernels.landmarks import ekf
-from ..kernels.landmarks.ekf_apply_drive import clear, settle
+from ..kernels.landmarks.ekf_apply_drive import apply_drive, clear
 from ..kernels.landmarks.ekf_start import CANDIDATES
 from ..kernels.landmarks.ekf_state import HEAD, POSE, RANGE_SCALE
 from .config import EkfSlamConfig, calibration_prior, noise
@@ -58,12 +58,12 @@ class EkfSlamState:
     @property
     def submap(self) -> Submap:
         """Pose and started landmarks in `frame`, the calibration marginalised away, distances in the range sensor's."""
-        return submap(self.robot, self.frame, self.x, self.settled(), self.ids, self.started)
+        return submap(self.robot, self.frame, self.x, self.covariance(), self.ids, self.started)
 
-    def settled(self) -> Float[np.ndarray, "m m"]:
+    def covariance(self) -> Float[np.ndarray, "m m"]:
         """The covariance of `x` now, what was driven since the last sighting included."""
         P = self.P.copy()
-        settle(P, len(self.x), self.Phi.copy(), self.Q.copy())
+        apply_drive(P, len(self.x), self.Phi.copy(), self.Q.copy())
         return P
 
 
@@ -191,7 +191,7 @@ def is_landmark(name: str) -> bool:
 
 
 def submap(robot: str, frame: str, x: np.ndarray, P: np.ndarray, ids: tuple[str, ...], started: np.ndarray) -> Submap:
-    """The map in `x`, `P` (settled), its distances those of the range sensor: multiplied by the range scale."""
+    """The map in `x`, `P` (drive applied), its distances those of the range sensor: multiplied by the range scale."""
     slots = np.flatnonzero(started)
     points = (HEAD + 2 * slots[:, None] + np.arange(2)).ravel()
     rows = np.concatenate([np.arange(POSE), points])

@@ -48,7 +48,7 @@ def update(state: FilterState, net: Network, form: Form = "ekf", max_iterations:
     """One set of sightings taken in.
 
     `ekf` linearises at the estimate, `fej` always at the first one, so that directions no sighting sees gain no
-    information; `iekf` linearises again at its own result until it settles. Exact sightings (sigma 0), where the
+    information; `iekf` linearises again at its own result until it converges. Exact sightings (sigma 0), where the
     paper's S is singular, are taken in by the pseudo-inverse, P serving as the metric and left as it is.
     """
     turns = max_iterations if form == "iekf" else 1

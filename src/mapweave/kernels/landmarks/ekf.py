@@ -3,7 +3,7 @@
 import numpy as np
 
 from .._jit import kernel
-from .ekf_apply_drive import coast, pose_covariance, settle
+from .ekf_apply_drive import apply_drive, coast, pose_covariance
 from .ekf_drive import drive
 from .ekf_sight import release, sight
 from .ekf_start import begin, consider
@@ -15,7 +15,7 @@ def frame(
     x: Array, P: Array, slots: Array, ranges: Array, bearings: Array, noise: Noise,
     started: Array, waiting: Array, n_waiting: Array, astray: Array, nis: Array, weight: Array,
 ) -> None:  # fmt: skip
-    """All sightings of one camera frame (pose settled); fills `nis` and `weight`.
+    """All sightings of one camera frame (drive applied); fills `nis` and `weight`.
 
     A slot below zero is no landmark of this filter; it and a landmark that only waits get NaN.
     """
@@ -66,7 +66,7 @@ def drive_rows(
 
 
 @kernel
-def look(
+def drive_and_update(
     x: Array,
     P: Array,
     Phi: Array,
@@ -96,7 +96,7 @@ def look(
             coast(x, P, len(x), now - t, noise)
     else:
         t, at = drive(x, Phi, Q, t, now, cmd_t, cmd_v, cmd_w, at, noise)
-        settle(P, len(x), Phi, Q)
+        apply_drive(P, len(x), Phi, Q)
     frame(x, P, slots, ranges, bearings, noise, started, waiting, n_waiting, astray, nis, weight)
     pose[0], pose[1], pose[2] = x[0], x[1], wrap(x[2])
     pose_covariance(P, Phi, Q, cov)
@@ -150,7 +150,7 @@ def replay(
         while j < len(stamp) and stamp[j] == now:
             j += 1
         if j > first:
-            at = look(
+            at = drive_and_update(
                 x, P, Phi, Q, t, now, cmd_t[:i], cmd_v, cmd_w, at, slots[first:j], ranges[first:j], bearings[first:j],
                 noise, started, waiting, n_waiting, astray, nis[first:j], weight[first:j], pose[rows], cov[rows],
             )  # fmt: skip

@@ -13,7 +13,7 @@ COAST_STEP = 0.1  # [s]
 
 
 @kernel
-def settle(
+def apply_drive(
     P: Array,
     size: int,
     Phi: Array,
@@ -60,7 +60,7 @@ def pose_covariance(
     Q: Array,
     out: Array,
 ) -> None:
-    """The pose's covariance now, (xx, xy, xt, yy, yt, tt) into `out`, with the drive that is not settled."""
+    """The pose's covariance now, (xx, xy, xt, yy, yt, tt) into `out`, with the drive that is not applied."""
     k = 0
     for i in range(POSE):
         for j in range(i, POSE):
@@ -87,7 +87,7 @@ def coast(x: Array, P: Array, size: int, dt: float, noise: Noise) -> None:
     for _ in range(steps):
         clear(Phi, Q)
         arc(x, Phi, Q, 1.0, 1.0, h, noise, plain(0) > 0)
-        settle(P, size, Phi, Q)
+        apply_drive(P, size, Phi, Q)
         x[V_SCALE] *= keep_v
         x[TURN_SCALE] *= keep_w
         for j in range(size):

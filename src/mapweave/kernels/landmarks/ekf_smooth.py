@@ -59,7 +59,7 @@ def fix(x: Array, P: Array, B: Array, slot: int, z_range: float, z_bearing: floa
 
 @kernel
 def coasted(x: Array, dt: float, noise: Noise, F: Array, Q: Array) -> None:
-    """`ekf_settle.coast` for the chain alone: moves `x[:5]`, fills its derivative F (5, 5) and noise Q (5, 5)."""
+    """`ekf_apply_drive.coast` for the chain alone: moves `x[:5]`, fills its derivative F (5, 5) and noise Q (5, 5)."""
     steps = max(1, int(np.ceil(dt / COAST_STEP)))
     h = dt / steps
     keep_v, keep_w = np.exp(-h / noise.speed_time), np.exp(-h / noise.spin_time)

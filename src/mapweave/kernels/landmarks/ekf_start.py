@@ -47,7 +47,7 @@ def begin(
     z_bearing: float,
     noise: Noise,
 ) -> None:
-    """Starts the landmark of `slot` from one sighting (pose settled), with its cross-covariances."""
+    """Starts the landmark of `slot` from one sighting (drive applied), with its cross-covariances."""
     a = HEAD + 2 * slot
     s = x[RANGE_SCALE]
     r = z_range / s

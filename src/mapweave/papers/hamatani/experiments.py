@@ -66,8 +66,8 @@ def run_filter(
     if case.first == "linear":  # the shape the first sightings give, as large as the guess and where it is
         shape = locate(sightings(case.bearing, case.known, rng), SwarmConfig(covariance=False)).position
         if not case.known:
-            spread = np.square(first - first.mean(axis=0)).sum() / np.square(shape - shape.mean(axis=0)).sum()
-            shape = first.mean(axis=0) + np.sqrt(spread) * (shape - shape.mean(axis=0))
+            scale2 = np.square(first - first.mean(axis=0)).sum() / np.square(shape - shape.mean(axis=0)).sum()
+            shape = first.mean(axis=0) + np.sqrt(scale2) * (shape - shape.mean(axis=0))
         first = shape
     state = filter_start(sightings(case.bearing, case.known, rng), first, PRIOR_SIGMA)
     path = np.empty((updates, *LAYOUT.shape))
