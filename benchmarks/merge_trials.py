@@ -4,8 +4,8 @@
 
 Kinds: `office` floors with 0 to 80 % of the way shared, any rotation; `corridor`, straight and flush; `symmetric`
 floors that look the same turned by 180 degrees, half of the way shared at least; `repetitive` rows of equal rooms;
-`strangers`: two different floors. On request `twins`: symmetric floors of which each robot may have seen another half:
-what they saw is what two robots in one half would see, so no method can know, and wrong merges are to be expected.
+`strangers`: two different floors. On request `twins`: symmetric floors of which each robot may have seen another half,
+which must be refused: two places fit.
 """
 
 import argparse

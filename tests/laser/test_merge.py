@@ -54,6 +54,19 @@ def test_maps_with_unknown_starts_are_merged_where_they_belong(pair, merge):
             assert not c.reason.startswith("it confirms")
 
 
+def test_maps_that_share_little_are_merged_on_the_whole_of_what_they_share():
+    made = office_pair(6, 0.05)
+    told = merge_maps(made.a, made.b)
+    assert told.merged, told.reason
+    error = se2.between(told.transform, made.transform)
+    assert np.hypot(*error[:2]) < 0.5
+    assert abs(error[2]) < 0.05
+    whole = [c for c in told.closures if c.reason.endswith("the whole maps laid on each other")]
+    assert len(whole) == 1
+    assert "the whole maps" in told.reason
+    assert np.linalg.eigvalsh(told.covariance).min() > 0
+
+
 def test_the_row_for_the_metrics_has_every_key(merge):
     row = merge.row()
     for key in ("a", "b", "overlap", "score", "second", "agreeing", "chi2", "decision", "reason"):
@@ -110,7 +123,9 @@ def test_in_a_flush_corridor_the_direction_that_is_not_held_is_named():
     assert min(apart, 180.0 - apart) < 5.0
 
 
-def test_a_building_that_looks_the_same_turned_round_is_refused_with_both_places():
+@pytest.mark.parametrize("share", [1.0, 0.1])
+def test_a_building_that_looks_the_same_turned_round_is_refused_with_both_places(share):
+    """Also when each robot saw another half: the far ends of the corridor, which both saw, allow the other place."""
     rng = np.random.default_rng(4)
     parts = [[-12.0, 4.0, 0.0, 4.0], [-12.0, -4.0, 0.0, -4.0], [-12.0, -4.0, -12.0, 4.0]]
     parts += [
@@ -121,7 +136,7 @@ def test_a_building_that_looks_the_same_turned_round_is_refused_with_both_places
     ]
     half = np.array(parts)
     walls = Walls.of(np.concatenate([half, -half]))
-    made = drive_pair(walls, np.array([-12.0, -4.0]), np.array([12.0, 4.0]), 1.0, rng, SMALL)
+    made = drive_pair(walls, np.array([-12.0, -4.0]), np.array([12.0, 4.0]), share, rng, SMALL)
     told = merge_maps(made.a, made.b)
     assert not told.merged
     assert "fit equally well" in told.reason

@@ -1,7 +1,7 @@
 """How far two maps overlap under a transform, and whether one robot saw through what the other saw as walls."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +16,7 @@ MOST_BINS, LEAST_BINS = 360, 60  # directions of a keyframe's view, wider than i
 FRAMES = 60  # keyframes asked at most
 REACH = 8.0  # [m] views are compared up to
 BEHIND, ALIKE = 0.4, 0.2  # [m] a wall this much nearer was seen through; one this near is the same
+CLOSE = 0.6  # [m] from its walls, and a point seen through may be a wall of a bent map
 WALL = 0.2  # [m] walls this near overlap
 COARSE = 0.2  # [m] of the points compared
 
@@ -47,10 +48,15 @@ class KeyframeMap:
 
 @dataclass(frozen=True, slots=True)
 class SeenAlike:
-    """alike, through: points of both maps that the other robot saw as walls too, and that it saw through."""
+    """alike, through: points of both maps that the other robot saw as walls too, and that it saw through.
+
+    clear: of what both saw, the share alike when points seen through close to the other's walls are left out: bent maps
+    and slanted views make such points, another place makes points amid free floor.
+    """
 
     alike: int
     through: int
+    clear: float = 0.0
 
     @property
     def share(self) -> float:
@@ -65,7 +71,8 @@ def seen_alike(a: KeyframeMap, b: KeyframeMap, transform: Float[np.ndarray, "3"]
     """
     one = _views_of_walls(a, b, transform)
     other = _views_of_walls(b, a, se2.inverse(transform))
-    return one if one.share <= other.share else other
+    least = one if one.share <= other.share else other
+    return replace(least, clear=min(one.clear, other.clear))
 
 
 def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray) -> SeenAlike:
@@ -89,7 +96,9 @@ def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray) -> Se
         same[seen] += like
         through[seen] += known & ~like & (around.min(axis=0) - r > BEHIND)
     judged = same + through > 0
-    return SeenAlike(int((judged & (same >= through)).sum()), int((judged & (same < through)).sum()))
+    alike, unlike = judged & (same >= through), judged & (same < through)
+    away = int(np.sum(np.asarray(cKDTree(a.walls).query(walls[unlike])[0]) > CLOSE)) if unlike.any() else 0
+    return SeenAlike(int(alike.sum()), int(unlike.sum()), int(alike.sum()) / max(int(alike.sum()) + away, 1))
 
 
 def wall_overlap(walls: Float[np.ndarray, "m 2"], b: KeyframeMap, transform: Float[np.ndarray, "3"]) -> float:

@@ -1,8 +1,9 @@
 """Two robots' laser maps made one, whose starts nobody knows, or refused with the reason.
 
-Submaps of one robot are searched for in the whole map of the other, at every heading; places that agree make a
-transform. The maps become one when under it what one robot saw through is not where the other saw walls, enough
-submaps confirm it, no other transform comes near, and it is held in every direction.
+The whole maps are laid on each other at every heading and shift; where that decides nothing, submaps of one robot are
+searched for in the whole map of the other, and places that agree make a transform. The maps become one when under it
+what one robot saw through is not where the other saw walls, enough submaps confirm it or the whole maps leave no doubt,
+no other transform is allowed, and it is held in every direction.
 """
 
 from collections.abc import Sequence
@@ -28,6 +29,7 @@ from .merge_search import (
     hypotheses,
     same_place,
     stages,
+    whole_candidates,
     whole_place,
 )
 from .place_search import LikelihoodField
@@ -130,37 +132,53 @@ def merge_maps(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig | None = None, s
 
 
 def _decided(pair: _Pair, start: Start | None) -> Merge:
-    """The decision on the submaps of a stage, and of more where it is no merge beyond doubt."""
+    """The decision on the whole maps, and where it is no merge, on submaps: those of a stage, and more if in doubt.
+
+    Near a start that is given only submaps are searched for.
+    """
+    a, b, place, cfg = pair
+    whole = [] if start is not None else whole_candidates(a, b, place, cfg)
+    told = Merge(a.robot, b.robot, False, "too little overlap: no place of one map in the other is free of walls")
+    if whole:
+        told = _weighed(pair, whole, 0, start)
+        if told.merged or not told.reason.startswith("too little overlap"):
+            return told
     found: list[Hypothesis] = []
-    tried, told = 0, Merge(pair.a.robot, pair.b.robot, False, "")
-    asked = stages(pair.b, pair.cfg)
+    tried, asked = 0, stages(b, cfg)
     for k, stage in enumerate(asked):
-        more, count = hypotheses(pair.b, pair.place, stage, pair.cfg, start)
+        more, count = hypotheses(b, place, stage, cfg, start)
         found, tried = found + more, tried + count
-        if k + 1 < len(asked) and len(found) < pair.cfg.sure:
+        if k + 1 < len(asked) and len(found) < cfg.sure:
             continue
-        told = _weighed(pair, found, tried, start)
-        if told.merged and told.agreeing >= pair.cfg.sure:
+        if not found:
+            return replace(told, reason=f"too little overlap: none of {tried} submaps is found in the other map")
+        told = _weighed(pair, [*candidates(a, b, found, cfg), *whole], tried, start)
+        if told.merged and told.agreeing >= cfg.sure:
             break
     return told
 
 
-def _weighed(pair: _Pair, found: Sequence[Hypothesis], tried: int, start: Start | None) -> Merge:
+def _weighed(pair: _Pair, ways: Sequence[Candidate], tried: int, start: Start | None) -> Merge:
+    """The decision between transforms."""
     a, b, place, cfg = pair
-    refused = Merge(a.robot, b.robot, False, "")
-    if not found:
-        return replace(refused, reason=f"too little overlap: none of {tried} submaps is found in the other map")
-    ways = candidates(a, b, found, cfg)
-    best = ways[0]
+    best = max(ways, key=lambda c: c.evidence(cfg.alike))
     checked = _closures(pair, best)
     held = [h for h, c in checked if c.accepted]
-    if len(held) >= 2:
+    needed = cfg.votes if start is None else cfg.known_votes
+    if len(held) >= needed:
         best = candidate(a, b, held, cfg)
+    elif _certain(best, cfg):
+        checked += [(h, _closure(a, b, h, best, cfg, whole=True)) for h in best.members[:1]]
+        held = [h for h, c in checked if c.accepted]
+        needed = 1
     others = [c for c in ways if not same_place(b, c.transform, best.transform, cfg)]
-    rival = max(others, key=lambda c: c.evidence(cfg.alike), default=None)
+    rival = max(others, key=lambda c: (_allowed(c, best, cfg), c.evidence(cfg.alike)), default=None)
     score = _score(held or best.members)
-    told = replace(
-        refused,
+    told = Merge(
+        a.robot,
+        b.robot,
+        merged=False,
+        reason="",
         overlap=wall_overlap(place.points, b, best.transform),
         score=score,
         second=None if rival is None else _score(rival.members) / score,
@@ -171,16 +189,27 @@ def _weighed(pair: _Pair, found: Sequence[Hypothesis], tried: int, start: Start 
         best=frozen(best.transform),
         closures=tuple(c for _, c in checked),
     )
-    why = _why_refused(pair, told, best, rival, tried, cfg.votes if start is None else cfg.known_votes)
+    why = _why_refused(pair, told, best, rival, tried, needed)
     if why:
         return replace(told, reason=why, overlap=None if "too little overlap" in why else told.overlap)
-    reason = (
-        f"merged on {len(held)} closures that agree within {_spread(held, b, best.transform):.2f} m: "
-        f"{100 * best.seen.share:.0f} % of what both robots saw is alike"
-    )
+    on = f"{len(held)} closures that agree within {_spread(held, b, best.transform):.2f} m"
+    if needed == 1:
+        on = f"the whole maps: {best.seen.alike} places of walls that both saw agree"
+    reason = f"merged on {on}: {100 * best.seen.share:.0f} % of what both robots saw is alike"
     return replace(
         told, merged=True, reason=reason, transform=frozen(best.transform), covariance=frozen(best.covariance)
     )
+
+
+def _certain(best: Candidate, cfg: MergeConfig) -> bool:
+    """Whether the whole maps alone tell that they lie so: much in common, and nothing amid free floor."""
+    return best.evidence(cfg.alike) >= cfg.certain and best.seen.clear >= cfg.clear
+
+
+def _allowed(other: Candidate, best: Candidate, cfg: MergeConfig) -> bool:
+    """Whether the maps might as well lie as `other` says: no wall amid free floor, and not little in common."""
+    seen = other.seen
+    return seen.clear >= cfg.clear and seen.alike >= max(cfg.least_seen, cfg.rival * best.seen.alike)
 
 
 def _why_refused(pair: _Pair, told: Merge, best: Candidate, rival: Candidate | None, tried: int, needed: int) -> str:
@@ -190,21 +219,19 @@ def _why_refused(pair: _Pair, told: Merge, best: Candidate, rival: Candidate | N
     evidence = best.evidence(cfg.alike)
     if good and (along := _slides(pair, best)) is not None:
         return f"a corridor: {along} is not held, the maps may slide along it"
-    if good and rival is not None and cfg.lead * rival.evidence(cfg.alike) > evidence:
+    if good and rival is not None and (cfg.lead * rival.evidence(cfg.alike) > evidence or _allowed(rival, best, cfg)):
         which = f"two places of {pair.b.robot} in the map of {pair.a.robot}"
         first, second = (f"{words(c.transform)}, {100 * c.seen.share:.0f} %" for c in (best, rival))
         return f"{which} fit equally well: {first} of what both saw is alike, and {second}"
     if not good and best.seen.alike + best.seen.through >= cfg.least_seen:
+        what = f"{tried} submaps" if tried else "the whole maps"
         return (
-            f"too little overlap: no place fits {tried} submaps; in the best, {pair.b.robot} at "
+            f"too little overlap: no place fits {what}; in the best, {pair.b.robot} at "
             f"{words(best.transform)} in the map of {pair.a.robot}, each robot saw "
             f"through walls of the other ({100 * best.seen.share:.0f} % alike, {100 * cfg.alike:.0f} % are needed)"
         )
     if not good or told.agreeing < needed:
-        return (
-            f"too little overlap: {told.agreeing} submaps agree on a place, {needed} are needed "
-            f"(best score {told.score:.2f})"
-        )
+        return f"too little overlap: {told.agreeing} submaps agree on a place, {needed} are needed"
     return ""
 
 
@@ -221,15 +248,19 @@ def _closures(pair: _Pair, best: Candidate) -> list[tuple[Hypothesis, MapClosure
     return list(zip(found, rows, strict=True))
 
 
-def _closure(a: KeyframeMap, b: KeyframeMap, h: Hypothesis, best: Candidate, cfg: MergeConfig) -> MapClosure:
-    """A hypothesis as a measurement from the nearest keyframe of a."""
+def _closure(
+    a: KeyframeMap, b: KeyframeMap, h: Hypothesis, best: Candidate, cfg: MergeConfig, *, whole: bool = False
+) -> MapClosure:
+    """A hypothesis as a measurement from the nearest keyframe of a. whole: of the whole map, which is believed."""
     pose = h.fit.pose
     near = int(np.argmin(np.hypot(*(a.pose[:, :2] - pose[:2]).T)))
     e = se2.between(se2.compose(best.transform, b.pose[h.anchor]), pose)
     A = adjoint(se2.inverse(b.pose[h.anchor]))
     S = A @ best.covariance @ A.T + h.fit.covariance + np.diag([0.05**2, 0.05**2, 0.01**2])
     reason = "it confirms the transform"
-    if h.score <= cfg.score:
+    if whole:
+        reason = "it confirms the transform: the whole maps laid on each other"
+    elif h.score <= cfg.score:
         reason = f"it scores {h.score:.2f}, more than {cfg.score:.2f} is needed"
     elif h.fit.share <= cfg.share:
         reason = f"{100 * h.fit.share:.0f} % of its points lie on walls, more than {100 * cfg.share:.0f} % is needed"

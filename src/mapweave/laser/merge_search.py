@@ -1,20 +1,25 @@
 """How two maps may lie: submaps of one searched for in the whole of the other, and transforms on which they agree."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
 
 from ..core import se2
 from ..core.config import config
 from ..core.gaussian import symmetrise
 from .consistency import adjoint, largest_clique
+from .map_correlation import CorrelationConfig, map_places
 from .map_overlap import KeyframeMap, SeenAlike, seen_alike
 from .place_search import Fit, Hit, LikelihoodField, PlaceConfig, Window, everywhere, likelihood_field, refine, search
 from .pose_graph import PoseGraph
 from .robust_graph import RobustGraphConfig, solve_graph
 from .submaps import Query, SubmapConfig, gathered, query_around
+
+WHOLE = 1000  # points of a whole map that are searched with
 
 
 @config
@@ -35,12 +40,16 @@ class MergeConfig:
     sure: int = 20  # submaps that confirm, and no more are searched for everywhere
     lead: float = 5.0  # times the evidence of any other place that is not contradicted
     push_lead: float = 2.5  # times that of the same place pushed along its worst direction
+    clear: float = 0.98  # share of it, but for points close to walls, at a place the maps allow,
+    rival: float = 0.1667  # of the best place's points seen alike, at another place the maps allow
+    certain: int = 200  # evidence of the whole maps, and fewer submaps need confirm
     alike: float = 0.9  # share of what both saw on which they agree
     least_seen: int = 150  # points both saw
     held: float = 0.02  # information along the worst direction over that along the best
     slide: tuple[float, ...] = (0.8, 1.6, 3.0)  # [m] the map is pushed along its worst direction as a test
     drift: float = 0.01  # [m per m] sd of a map's own ways,
     drift_turn: float = 0.002  # [rad per sqrt m]
+    correlation: CorrelationConfig = CorrelationConfig()
     place: PlaceConfig = PlaceConfig()
     submap: SubmapConfig = SubmapConfig()
 
@@ -55,7 +64,8 @@ class Start(NamedTuple):
 class Hypothesis(NamedTuple):
     """The submap around keyframe `anchor` of map b lies at `fit.pose` in map a; so the maps lie as `transform` says.
 
-    score: of the search; ratio: of the second place over the best.
+    score: of the search; ratio: of the second place over the best. Of a whole map `anchor` is its keyframe nearest to
+    one of a.
     """
 
     anchor: int
@@ -137,6 +147,35 @@ def candidates(a: KeyframeMap, b: KeyframeMap, found: Sequence[Hypothesis], cfg:
         gone = {left[k] for k in members} | {k for k in left if same_place(b, found[k].transform, at[0], cfg)}
         left = [k for k in left if k not in gone]
     return sorted(out, key=lambda c: -c.evidence(cfg.alike))
+
+
+def whole_candidates(a: KeyframeMap, b: KeyframeMap, place: LikelihoodField, cfg: MergeConfig) -> list[Candidate]:
+    """The transforms that the whole maps allow best, each laid onto the walls; most evidence first."""
+    thin = b.walls[np.linspace(0, len(b.walls) - 1, min(len(b.walls), WHOLE)).round().astype(int)]
+    out: list[Candidate] = []
+    for found in map_places(a, b, cfg.correlation):
+        close = search(place, thin, Window(found.transform, (2.0 * cfg.agree,) * 2, cfg.agree_turn)).best
+        if close is None:
+            continue
+        ways = [_whole(a, b, place, start, close.score, cfg) for start in (found.transform, close.pose)]
+        out.append(max(ways, key=lambda c: c.evidence(cfg.alike)))
+    return sorted(out, key=lambda c: -c.evidence(cfg.alike))
+
+
+def _whole(
+    a: KeyframeMap, b: KeyframeMap, place: LikelihoodField, start: np.ndarray, score: float, cfg: MergeConfig
+) -> Candidate:
+    """All walls of b laid onto those of a from `start` on, as one hypothesis."""
+    fit = refine(place, b.walls, start)
+    at = se2.compose(fit.pose, b.pose)
+    tree = cKDTree(a.pose[:, :2])
+    anchor = int(np.argmin(tree.query(at[:, :2])[0]))
+    far = np.abs(b.path - b.path[anchor]).max()
+    P = symmetrise(fit.covariance + np.diag(np.square([0.03, 0.03, 0.002 + 0.5 * cfg.drift_turn * np.sqrt(far)])))
+    A = adjoint(se2.inverse(b.pose[anchor]))
+    seen_there = replace(fit, pose=at[anchor], covariance=symmetrise(A @ P @ A.T))
+    member = Hypothesis(anchor, fit.pose, score, 0.0, seen_there)
+    return Candidate(fit.pose, P, 0.0, (member,), seen_alike(a, b, fit.pose))
 
 
 def candidate(a: KeyframeMap, b: KeyframeMap, group: Sequence[Hypothesis], cfg: MergeConfig) -> Candidate:
