@@ -13,6 +13,8 @@ from ..laser.merge import Merge
 from ..laser.woven_map import WovenMap
 from .html import Page
 from .laser_figures import aligned, draw_calibration, draw_intensity, draw_map, draw_scans, draw_tracks
+from .laser_scene import laser_scene
+from .style import colour
 from .woven import write_woven
 
 WHY = {
@@ -71,10 +73,14 @@ def _robot(page: Page, folder: Path, made: LaserMap, truth: Track | None) -> Non
         page.text(f"left out: {count} x {reason}")
     seen = None if truth is None else aligned(truth, made.track)
     draw_map(figures / f"{name}_map.png", made, seen)
-    page.figure(figures / f"{name}_map.png", "Occupied cells black, free ones white, unknown ones grey.")
+    others = {} if made.dead_reckoning is None else {"odometry alone": made.dead_reckoning}
+    others |= {} if seen is None else {"truth": seen}
+    scene = laser_scene(made.grid, {made.robot: made.track}, {made.robot: colour(0)}, others=others)
+    page.scene(scene, "Occupied cells dark, free ones white, unknown ones open.", figures / f"{name}_map.png")
     light = folder / "local" / name / "intensity.png"
     draw_intensity(light, made.grid, made.feature, f"robot {made.robot}")
-    page.figure(light, "The feature every occupied cell sends back; grid.npz holds the same as numbers.")
+    if made.feature != "none":
+        page.figure(light, "The feature every occupied cell sends back; grid.npz holds the same as numbers.")
     tracks = {"estimate": made.track}
     if made.dead_reckoning is not None:
         tracks["odometry"] = made.dead_reckoning

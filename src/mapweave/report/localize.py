@@ -5,10 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ..core.records import Track
 from ..laser.laser_map import GridMap
 from ..laser.localise import Localisation
 from .html import Page
 from .laser_figures import READABLE, draw_occupancy, map_size, map_window
+from .laser_scene import walls
+from .scene import Scene
 from .style import Target, as_map, colour, figure
 
 
@@ -29,7 +32,15 @@ def write_localisation_report(folder: Path, found: Localisation, grid: GridMap, 
         page.text(line, warn=not found.trusted)
     where, scans = folder / "figures" / "where.png", folder / "figures" / "scans.png"
     draw_where(where, found, grid)
-    page.figure(where, "The finished map and the robot in it; thin before the start was found.")
+    t = found.track.t
+    known = t >= (np.inf if found.found_t is None else found.found_t)
+    ways = {"before the start was found": ~known, "robot": known}
+    scene = Scene("The finished map and the robot in it")
+    walls(scene, grid)
+    for shade, (layer, rows) in zip((1, 0), ways.items(), strict=True):
+        cov = None if found.track.cov is None else found.track.cov[rows]
+        scene.track(layer, layer, Track(t[rows], found.track.pose[rows], cov), colour(shade))
+    page.scene(scene, "The finished map and the robot in it.", where)
     _draw_scans(scans, found)
     page.figure(scans, "How much of every scan the map explains, and how many hypotheses still count.")
     page.write(folder / "report.html")

@@ -13,6 +13,8 @@ from ..team.robot_part import PARAMETERS
 from ..team.smooth import Smoothed, is_observed
 from .html import Page
 from .laser_figures import draw_occupancy
+from .laser_scene import walls
+from .scene import Scene, landmark_points
 from .style import Target, as_map, colour, figure
 from .team_figures import legend_beside, thinned
 
@@ -74,6 +76,19 @@ def draw_mixed(target: Target, story: MixedStory, k: int) -> str:
     )
 
 
+def _scene(story: MixedStory, k: int) -> Scene:
+    """Component `k` to move about in."""
+    team, grid = story.map.components[k].map, story.grids[k]
+    scene = Scene("Walls, landmarks and where every robot went")
+    if grid is not None:
+        walls(scene, grid)
+    for robot in team.robots:
+        name = f"robot {robot_key(robot)}"
+        scene.track(name, f"{name}, {story.kinds[robot]}", team.tracks[robot], colour(story.robots.index(robot)))
+    landmark_points(scene, team, team.landmarks)
+    return scene
+
+
 def write_mixed_report(folder: Path, story: MixedStory) -> None:
     """`report.html` and `figures/*.png` in `folder`."""
     whole = story.map.components
@@ -91,7 +106,7 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
     for k, component in enumerate(whole):
         page.section("Map" if k == 0 else f"Component {k + 1}: {_names(component.map.robots)}")
         png = folder / "figures" / ("map.png" if k == 0 else f"component_{k + 1}.png")
-        page.figure(png, draw_mixed(png, story, k))
+        page.scene(_scene(story, k), draw_mixed(png, story, k), png)
     if story.lines:
         page.section("Beside the truth")
         for line in story.lines:

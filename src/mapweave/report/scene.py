@@ -18,7 +18,11 @@ from jaxtyping import Bool, Float
 from PIL import Image
 
 from ..core.gaussian import ellipse
+from ..core.names import robot_key
 from ..core.records import Track
+from ..landmarks.landmark_map import LandmarkMap
+from ..team.team_map import TeamMap
+from .style import LANDMARK
 
 MOST_POSES = 800  # of a trajectory: enough to draw it and to point at
 MOST_CELLS = 1600  # along the longer side of a grid: finer cells are joined, a wall stays a wall
@@ -118,6 +122,19 @@ class Scene:
             f'<figure class="scene"><div class="still">{still}</div><script type="application/json">{data}</script>'
             f"<figcaption>{escape(caption)} <span>{how}</span></figcaption></figure>"
         )
+
+
+def landmark_points(scene: Scene, team: TeamMap, landmarks: LandmarkMap) -> None:
+    """The layer of `landmarks` of `team`, each with its ellipse, and who saw it how often."""
+    n = len(landmarks)
+    blocks = landmarks.cov.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
+    texts = []
+    for name, (x, y), cov in zip(landmarks.ids, landmarks.mean, blocks, strict=True):
+        who = ", ".join(robot_key(r) for r in team.members.get(name, ()))
+        seen = f"\nseen {team.sightings[name]} times by {who}" if who and name in team.sightings else ""
+        sd = 100 * np.sqrt(np.trace(cov) / 2)
+        texts.append(f"landmark {name}\n({x:.3f}, {y:.3f}) m\nsd {sd:.1f} cm an axis{seen}")
+    scene.points("landmarks", landmarks.ids, landmarks.mean, LANDMARK, texts, blocks)
 
 
 @cache

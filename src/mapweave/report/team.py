@@ -3,17 +3,15 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
-
 from ..core.names import robot_key
 from ..evaluation.consistency import mean_or_none
-from ..landmarks.landmark_map import LandmarkMap, LocalMap
+from ..landmarks.landmark_map import LocalMap
 from ..team.robot_part import PARAMETERS
 from ..team.smooth import is_observed
 from ..team.team_map import TeamMap
 from . import style, team_figures
 from .html import Page
-from .scene import Scene
+from .scene import Scene, landmark_points
 from .score import growth, landmark_errors, track_errors
 from .team_figures import TeamStory
 
@@ -56,24 +54,9 @@ def _map(page: Page, png: Path, story: TeamStory, team: TeamMap) -> None:
         if robot in team.tracks:
             name = f"robot {robot_key(robot)}"
             scene.track(name, name, team.tracks[robot], style.colour(story.colour_of(robot)))
-    landmarks = team_figures.shape(team.landmarks)
-    at, blocks = landmarks.mean, landmark_covariances(landmarks)
-    texts = []
-    for name, where, cov in zip(landmarks.ids, at, blocks, strict=True):
-        who = ", ".join(robot_key(r) for r in team.members.get(name, ()))
-        seen = f"\nseen {team.sightings[name]} times by {who}" if name in team.sightings and who else ""
-        spot = f"({where[0]:.3f}, {where[1]:.3f}) m"
-        texts.append(f"landmark {name}\n{spot}\nsd {100 * np.sqrt(np.trace(cov) / 2):.1f} cm an axis{seen}")
-    scene.points("landmarks", landmarks.ids, at, style.LANDMARK, texts, blocks)
+    landmark_points(scene, team, team_figures.shape(team.landmarks))
     told = "Landmarks with the 95 % ellipses of the map's shape, and where the robots drove."
     page.scene(scene, told if not scene.empty else caption, png)
-
-
-def landmark_covariances(landmarks: LandmarkMap) -> np.ndarray:
-    """(n, 2, 2) of each landmark alone, out of the joint covariance."""
-    n = len(landmarks)
-    at = np.arange(n)
-    return np.asarray(landmarks.cov.reshape(n, 2, n, 2)[at, :, at, :])
 
 
 def _lead(story: TeamStory) -> str:

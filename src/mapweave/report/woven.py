@@ -10,7 +10,8 @@ from ..laser.merge import Merge
 from ..laser.woven_map import WovenMap
 from .html import Page
 from .laser_figures import draw_intensity
-from .woven_figures import draw_closures, draw_component, draw_pair
+from .laser_scene import laser_scene
+from .woven_figures import draw_closures, draw_component, draw_pair, robot_colour, truths_in
 
 MOST_PICTURES = 12  # of pairs of robots
 
@@ -91,7 +92,11 @@ def _component(page: Page, folder: Path, made: WovenMap, k: int, truth: Mapping[
     page.text(f"Driven: {', '.join(driven)}. The frame is the first pose of {robot_name(made.robots[0])}.")
     figures = folder / "figures"
     draw_component(figures / f"component{k}_map.png", made, truth)
-    page.figure(figures / f"component{k}_map.png", "Occupied cells black, free ones white, unknown ones grey.")
+    colours = {robot: robot_colour(i) for i, robot in enumerate(made.robots)}
+    seen = [robot for robot in made.robots if robot in truth]
+    others = {f"truth of {robot_name(r)}": t for r, t in zip(seen, truths_in(made, truth), strict=False)}
+    scene = laser_scene(made.grid, made.tracks, colours, made.closures, others)
+    page.scene(scene, "Occupied cells dark, free ones white, unknown ones open.", figures / f"component{k}_map.png")
     draw_closures(figures / f"component{k}_closures.png", made)
     page.figure(
         figures / f"component{k}_closures.png",
