@@ -138,7 +138,7 @@ def test_ones_own_planner_may_stand_in_the_folder_one_is_in(tmp_path, monkeypatc
         (
             FIELD,
             "cell = 3\nfusion_gate = 9\nx = 1\n",
-            r"cell: is now mission\.cell; fusion_gate: is now handover\.gate; x: unk",
+            r"cell: is now mission\.cell; fusion_gate: is now handover\.pairing\.gate; x: unk",
         ),
     ],
 )

@@ -92,7 +92,7 @@ def test_tours_of_few_places_are_as_short_as_the_best_of_all():
         first = np.linalg.norm(places[None] - starts[:, None], axis=-1)
         between = np.linalg.norm(places[None] - places[:, None], axis=-1)
         last = first.copy() if closed else np.zeros_like(first)
-        tours, counts = balanced_tours(first, between, last)
+        tours, counts = balanced_tours(first, between, last, 0.3)
         ours = [list(tours[r, : counts[r]]) for r in range(2)]
         assert sorted(ours[0] + ours[1]) == list(range(5))
         best = np.inf

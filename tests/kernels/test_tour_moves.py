@@ -26,9 +26,9 @@ def cost(first, between, tours, counts):
 @pytest.mark.parametrize("seed", range(8))
 def test_improved_tours_visit_every_node_once_and_are_never_dearer(seed):
     first, between = case(seed, 3, 12)
-    tours, counts = balanced_tours(first, between, np.zeros_like(first))
+    tours, counts = balanced_tours(first, between, np.zeros_like(first), 0.3)
     before = cost(first, between, tours, counts)
-    improve_tours(first, between, tours, counts)
+    improve_tours(first, between, tours, counts, 3)
     assert sorted(n for r in range(3) for n in tours[r, : counts[r]]) == list(range(12))
     assert cost(first, between, tours, counts) <= before + 1e-9
 
@@ -36,8 +36,8 @@ def test_improved_tours_visit_every_node_once_and_are_never_dearer(seed):
 @pytest.mark.parametrize("seed", range(6))
 def test_small_cases_come_within_a_few_percent_of_the_best_of_all_tours(seed):
     first, between = case(100 + seed, 2, 5)
-    tours, counts = balanced_tours(first, between, np.zeros_like(first))
-    improve_tours(first, between, tours, counts)
+    tours, counts = balanced_tours(first, between, np.zeros_like(first), 0.3)
+    improve_tours(first, between, tours, counts, 3)
     best = min(
         cost(first, between, np.array([[*p[:k], *p][:5], [*p[k:], *p][:5]]), (k, 5 - k))
         for p in permutations(range(5))

@@ -10,7 +10,7 @@ from mapweave.core.records import Scan
 from mapweave.laser.closures import Matched
 from mapweave.laser.config import LaserTeamConfig
 from mapweave.laser.keyframes import Sweep
-from mapweave.laser.occupancy_mapper import OccupancyMapper
+from mapweave.laser.occupancy_mapper import LayingConfig, OccupancyMapper
 from mapweave.laser.team import LaserTeam
 
 from .buildings import drive, errors, estimate, lap, ring, rooms, wall_distance
@@ -185,7 +185,7 @@ def test_what_teammates_send_back_is_not_a_wall():
 
 def test_a_wall_seen_from_near_is_not_drawn_again_from_afar():
     none = np.zeros((0, 2))
-    mapper = OccupancyMapper(0.1, near=6.0)
+    mapper = OccupancyMapper(0.1, LayingConfig(near=6.0))
     near = Sweep(0, 0, 0.0, np.zeros(3), np.array([[2.05, 0.05]]), none, np.zeros(2))
     far = near._replace(points=np.array([[8.15, 0.05], [8.15, 3.05]]))
     mapper.update([near, far], np.array([[0.0, 0.0, 0.0], [-6.0, 0.0, 0.0]]))

@@ -88,7 +88,8 @@ def _map_read(
         fusion, online = fuse_online(
             read, local, cfg.ekf, cfg.fuse, options.fuse_every, options.seed, options.on_progress
         )
-    fusion = tie_by_starts(fusion, {robot_name(key): pose for key, pose in options.start.items()})
+    starts = {robot_name(key): pose for key, pose in options.start.items()}
+    fusion = tie_by_starts(fusion, starts, cfg.fuse.start_tolerance)
     maps = team_maps(local, fusion)
     watch.lap("fuse")
     smoothed = _smoothed(maps, read, fusion, cfg.smoothing, options) if options.refine else ()

@@ -4,6 +4,7 @@ from typing import Literal
 
 from ..core.config import config
 from ..core.errors import ConfigError
+from .full_covariance import VarianceConfig
 from .identities import IdentityConfig
 
 Weights = Literal["constant", "paper", "diagonal", "full", "full-scaled", "naive"]
@@ -34,10 +35,13 @@ class FuseConfig:
     distrust: float = 4.0  # factor on covariances while this is judged
     mislabelled: float = 0.05  # probability that one robot gives a landmark a wrong name
     mislabelled_chi2: float = 18.0  # chi-square (two degrees) from which a shared name counts as wrong
+    weighed: int = 40  # landmarks in common that are weighed for it at most; more than enough
+    start_tolerance: float = 0.5  # [m] between a start given and the one found from landmarks, above which it is told
     repeats: int = 1  # times each relative measurement is fed (the paper's habit); more than 1 is overconfident
     delta: float = 1.0  # the paper's factor on the noise
     constant_variance: float = 1e-3  # of every relative measurement with weights="constant" [m^2], [rad^2]
     robot_sightings: bool = False  # sightings of robots tie the frames too; worse where tracks err, as on real logs
+    variance: VarianceConfig = VarianceConfig()
     matching: IdentityConfig = IdentityConfig()
 
     def __post_init__(self) -> None:

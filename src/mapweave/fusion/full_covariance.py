@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..core.config import config
 from ..core.gaussian import solve_psd, symmetrise
 from ..landmarks.landmark_map import LandmarkMap
 from ..solve import Factor, Pattern, Problem, Solution, SolveConfig, Term, minimise, wrapping
@@ -92,9 +93,21 @@ def _turn_rows(A: Float[np.ndarray, "m k"], c: float, s: float) -> Float[np.ndar
     return out
 
 
-FACTORS = (0.05, 400.0)  # between which a variance factor is believed
 EXACT = 1000  # variables up to which the expectation is computed and not sampled
-DRAWS = 32
+DRAWS = 32  # solutions it is sampled from
+
+
+@config
+class VarianceConfig:
+    """How the variance factor of each map is found."""
+
+    least: float = 0.05  # the smallest factor that is believed
+    greatest: float = 400.0  # the largest one
+    rounds: int = 20  # of estimating all factors, at most
+    still: float = 0.01  # relative change of the factors at which they are found
+
+
+VARIANCE = VarianceConfig()
 
 
 def variance_factors(
@@ -103,6 +116,7 @@ def variance_factors(
     solution: Solution,
     factors: Float[np.ndarray, " k"],
     prior: float,
+    cfg: VarianceConfig,
 ) -> Float[np.ndarray, " k"]:
     """The next estimate of each map's factor; the problem's first terms are the maps with the present `factors`.
 
@@ -116,7 +130,7 @@ def variance_factors(
     for k, (term, part, e) in enumerate(zip(terms, own, expected, strict=True)):
         Ar = term.information @ term.residual(solution.x)
         out[k] = (factors[k] * float(Ar @ part @ Ar) + prior) / (max(e, 0.0) + prior)
-    return np.asarray(np.clip(out, *FACTORS))
+    return np.asarray(np.clip(out, cfg.least, cfg.greatest))
 
 
 def _exactly(terms: Sequence[MapTerm], own: Sequence[np.ndarray], solution: Solution) -> Iterator[float]:
@@ -148,8 +162,6 @@ def _sampled(terms: Sequence[MapTerm], own: Sequence[np.ndarray], solution: Solu
 
 SOLVE = SolveConfig(max_iterations=100, damping=1e-6, step_tolerance=1e-8, cost_tolerance=1e-11)
 NEARER = SolveConfig(max_iterations=2, damping=0.0)  # between two estimates of the variance factors
-ROUNDS = 20
-STILL = 0.01  # relative change of the variance factors that is waited for
 LARGE = 3000  # variables from which nested dissection pays
 
 
@@ -231,6 +243,7 @@ def join(
     scale_sigma: float | None = None,
     floor: float = 0.0,
     variance_prior: float | None = None,
+    variance: VarianceConfig = VARIANCE,
     extra: Sequence[Term] = (),
 ) -> JoinedMap:
     """`maps` (those of `start.members`, in order) as one map with its full covariance.
@@ -242,9 +255,9 @@ def join(
     problem, layout = build(maps, start, _noise(maps, factors, floor), scale_sigma, extra)
     pattern = grouped(Pattern.of(problem), problem, layout)
     solution = minimise(problem, SOLVE, pattern)
-    for i in range(ROUNDS if variance_prior is not None else 0):
-        new = variance_factors(maps, problem, solution, factors, variance_prior or 0.0)
-        last = np.abs(np.log(new / factors)).max() < STILL or i == ROUNDS - 1
+    for i in range(variance.rounds if variance_prior is not None else 0):
+        new = variance_factors(maps, problem, solution, factors, variance_prior or 0.0, variance)
+        last = np.abs(np.log(new / factors)).max() < variance.still or i == variance.rounds - 1
         factors = new
         problem, layout = build(
             maps, _from(start, solution.x, layout), _noise(maps, factors, floor), scale_sigma, extra

@@ -14,9 +14,7 @@ from ..core import se2
 from ..core.gaussian import symmetrise
 from ..core.records import owned
 from ..landmarks.landmark_map import GlobalMap, Submap
-from .map_and_submap import DENSITY, GATE, SURE, MapAndSubmap, merge_duplicates, told
-
-KEPT_APART = 10.0  # [m] landmarks farther from each other are never mistaken for one
+from .map_and_submap import PAIRING, MapAndSubmap, PairingConfig, merge_duplicates, told
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,18 +35,16 @@ def hand_over(
     L: Submap,
     *,
     known: bool,
-    gate: float = GATE,
     prefix: str = "",
-    density: float = DENSITY,
-    sure: float = SURE,
+    cfg: PairingConfig = PAIRING,
 ) -> Handover:
     """`G` with all that `L` knows: matched landmarks fused, the others added, the robot's frame moved to its pose.
 
-    With `known` identities equal ids are one landmark. Otherwise pairs inside `gate` are weighed together, over all
-    ways to pair (`pairing_probabilities`, which says what `density` is); those with a probability above `sure` are
-    fused. A landmark that may be new is added, and merged later if it turns out to be an old one; one that is surely
-    old, with no telling which, is left out. Landmarks of one submap were told apart by it and are never merged.
-    Unknown landmarks are named `prefix` and a number. Other robots' submaps are not touched: they are independent.
+    With `known` identities equal ids are one landmark. Otherwise pairs inside the gate of `cfg` are weighed together,
+    over all ways to pair (`pairing_probabilities`), and those that are surely one are fused. A landmark that may be new
+    is added, and merged later if it turns out to be an old one; one that is surely old, with no telling which, is left
+    out. Landmarks of one submap were told apart by it and are never merged. Unknown landmarks are named `prefix` and a
+    number. Other robots' submaps are not touched: they are independent.
     """
     Y = MapAndSubmap(G, L)
     pairs: dict[int, int] = {}
@@ -60,7 +56,7 @@ def hand_over(
             Y.constrain(list(pairs.items()))
     else:
         while True:
-            found, torn = Y.sure_pairs(pairs, gate, density, sure)
+            found, torn = Y.sure_pairs(pairs, cfg)
             if not found:
                 break
             Y.constrain(found)
@@ -69,18 +65,18 @@ def hand_over(
     out = _forward(G, Y, names, [i for i, name in enumerate(names) if name is not None and i not in pairs])
     merged: tuple[tuple[str, str], ...] = ()
     if not known:
-        out = replace(out, apart=out.apart | _apart(out, [name for name in names if name is not None]))
-        out, merged = merge_duplicates(out, gate, density=density, sure=sure)
+        out = replace(out, apart=out.apart | _apart(out, [name for name in names if name is not None], cfg.apart))
+        out, merged = merge_duplicates(out, cfg)
         renamed = {gone: kept for kept, gone in merged}
         names = tuple(_follow(name, renamed) for name in names)
     return Handover(out, names, tuple(i in pairs for i in range(len(L.ids))), merged)
 
 
-def _apart(G: GlobalMap, names: list[str]) -> frozenset[tuple[str, str]]:
+def _apart(G: GlobalMap, names: list[str], far: float) -> frozenset[tuple[str, str]]:
     """Landmarks of one submap are told apart by it; of those far from each other nobody will ever ask."""
     at = [G.mean[G.ids.index(name)] for name in names]
     return frozenset(
-        told(a, b) for (a, p), (b, q) in combinations(zip(names, at, strict=True), 2) if np.hypot(*(p - q)) < KEPT_APART
+        told(a, b) for (a, p), (b, q) in combinations(zip(names, at, strict=True), 2) if np.hypot(*(p - q)) < far
     )
 
 

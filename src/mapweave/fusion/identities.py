@@ -18,8 +18,6 @@ from ..landmarks.landmark_map import LandmarkMap
 from .alignment import JointFit, joint_fit
 
 CHUNK = 2_000_000  # distances held at once
-RIVALS = 8  # distinct alignments that are worked out
-LONE = 18.0  # chi-square (two degrees) that one link alone may add
 
 
 @config
@@ -39,6 +37,8 @@ class IdentityConfig:
     noise: float = 0.01  # [m] what covariances do not know of
     scale_sigma: float = 0.02  # deviation of one map's scale from the other's
     hypotheses: int = 20_000  # alignments tried, at most
+    rivals: int = 8  # distinct alignments that are worked out
+    lone: float = 18.0  # chi-square (two degrees) that one link alone may add
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,11 +135,11 @@ def _proposals(source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig) ->
         near = 1.0 - (d.real**2 + d.imag**2) / gates2
         score[a : a + step] = np.maximum(near.max(axis=2), 0.0).sum(axis=1)
     out: list[np.ndarray] = []
-    for h in np.argsort(-score, kind="stable")[: 40 * RIVALS]:
+    for h in np.argsort(-score, kind="stable")[: 40 * cfg.rivals]:
         T = se2.pose(shift[h].real, shift[h].imag, float(np.angle(turn[h])))
         if all(_distinct(T, U, source, target, cfg) for U in out):
             out.append(T)
-            if len(out) == RIVALS:
+            if len(out) == cfg.rivals:
                 break
     return out
 
@@ -204,7 +204,7 @@ def _worked_out(
         return links, fit
     fit = joint_fit(source, target, links, fit.T, cfg.noise, cfg.scale_sigma)
     links, fit = _exchanged(source, target, links, fit, cfg)
-    while len(links) > 2 and fit.single.max() > LONE:
+    while len(links) > 2 and fit.single.max() > cfg.lone:
         links = np.delete(links, int(np.argmax(fit.single)), axis=0)
         fit = joint_fit(source, target, links, fit.T, cfg.noise, cfg.scale_sigma)
     return links, fit

@@ -113,6 +113,7 @@ def _join(
                 scale_sigma=cfg.scale_sigma,
                 floor=cfg.floor,
                 variance_prior=cfg.variance_prior,
+                variance=cfg.variance,
                 extra=extra,
             )
         case "full" if cfg.repeats == 1:  # what the relative form gives, to first order in the noise, in fewer steps

@@ -9,6 +9,7 @@ from scipy.linalg import blas, solve_triangular
 from scipy.spatial import cKDTree
 
 from ..core import se2
+from ..core.config import config
 from ..core.gaussian import solve_psd, symmetrise
 from ..core.records import owned
 from ..kernels.dense import mirror
@@ -17,10 +18,24 @@ from ..landmarks.landmark_map import GlobalMap, Submap
 
 ITERATIONS = 10  # at most; with little noise two suffice
 CONVERGED = 1e-6  # [m], [rad]
-CANDIDATES = 40  # pairs weighed together, the nearest
 FLOOR = 1e-12  # what keeps a constraint on things already certain solvable: [m^2], and as a share
 
 Pairs = list[tuple[int, int]]  # (landmark of the submap, landmark of the map)
+
+
+@config
+class PairingConfig:
+    """When two landmarks of unknown identity are one."""
+
+    gate: float = 18.42  # D^2 of two landmarks taken for one, 0.9999 of chi-square with 2 degrees of freedom
+    sure: float = 0.9  # probability above which two landmarks become one
+    density: float = 4e-4  # [1/m^2] landmarks expected, times the chance that one beside a new one went unseen
+    candidates: int = 40  # pairs weighed together, the nearest
+    reach: float = 3.0  # [m] apart up to which two landmarks of the map may turn out to be one
+    apart: float = 10.0  # [m] apart from which two landmarks of one submap are never asked about again
+
+
+PAIRING = PairingConfig()
 
 
 class MapAndSubmap:
@@ -106,10 +121,8 @@ class MapAndSubmap:
         U = solve_triangular(np.linalg.cholesky(S), H, lower=True, check_finite=False) @ rows
         self.U = np.vstack([self.U, U])
 
-    def sure_pairs(
-        self, taken: dict[int, int], gate: float, density: float, sure: float
-    ) -> tuple[Pairs, frozenset[int]]:
-        """Pairs of landmarks of neither side used yet, each one landmark with a probability above `sure`.
+    def sure_pairs(self, taken: dict[int, int], cfg: PairingConfig) -> tuple[Pairs, frozenset[int]]:
+        """Pairs of landmarks of neither side used yet, each one landmark with a probability above `cfg.sure`.
 
         With them those of the submap that are surely among the map's landmarks, though there is no telling which.
         """
@@ -121,17 +134,17 @@ class MapAndSubmap:
         order = np.argsort(away)[: 8 * len(free_l) + 32]
         i, m = free_l[order // len(free_g)], free_g[order % len(free_g)]
         D2 = self._distances(i, m)
-        order = np.argsort(D2)[: min(int((gate > D2).sum()), CANDIDATES)]
+        order = np.argsort(D2)[: min(int((cfg.gate > D2).sum()), cfg.candidates)]
         i, m = i[order], m[order]
         if not len(i):
             return [], frozenset()
         pairs = list(zip(i.tolist(), m.tolist(), strict=True))
         h, H, used = self.residuals(pairs)
         S = symmetrise(H @ self.rows(used)[:, used] @ H.T)
-        p = pairing_probabilities(np.stack([i, len(self.points) + m], axis=1), h.reshape(-1, 2), S, density)
+        p = pairing_probabilities(np.stack([i, len(self.points) + m], axis=1), h.reshape(-1, 2), S, cfg.density)
         old = np.bincount(i, weights=p, minlength=len(self.points))
-        torn = frozenset(int(k) for k in np.unique(i) if old[k] > sure and p[i == k].max() <= sure)
-        return [pair for pair, q in zip(pairs, p, strict=True) if q > sure], torn
+        torn = frozenset(int(k) for k in np.unique(i) if old[k] > cfg.sure and p[i == k].max() <= cfg.sure)
+        return [pair for pair, q in zip(pairs, p, strict=True) if q > cfg.sure], torn
 
     def _distances(self, i: Int[np.ndarray, " k"], m: Int[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
         """D^2 of submap landmark i[k] and map landmark m[k] being one point."""
@@ -169,21 +182,14 @@ def lessened(P: Float[np.ndarray, "n n"], U: Float[np.ndarray, "k n"], new: int 
     return out
 
 
-SURE = 0.9  # probability above which two landmarks count as one
-DENSITY = 4e-4  # [1/m^2] landmarks expected, times the chance that one beside a new one went unseen
-GATE = 18.42  # D^2, 0.9999 of chi-square with 2 degrees of freedom
+def merge_duplicates(G: GlobalMap, cfg: PairingConfig = PAIRING) -> tuple[GlobalMap, tuple[tuple[str, str], ...]]:
+    """`G` with landmarks fused that are surely one: D^2 below `gate`, nearer than `reach`, never told apart.
 
-
-def merge_duplicates(
-    G: GlobalMap, gate: float = GATE, reach: float = 3.0, density: float = DENSITY, sure: float = SURE
-) -> tuple[GlobalMap, tuple[tuple[str, str], ...]]:
-    """`G` with landmarks fused that are surely one: D^2 below `gate`, nearer than `reach` [m], never told apart.
-
-    sure, density: see `pairing_probabilities`. The older name stays; the pairs come back as (kept, gone).
+    The older name stays; the pairs come back as (kept, gone).
     """
     state = _Merging(G)
     merged: list[tuple[str, str]] = []
-    while (pair := state.surest(gate, reach, density, sure)) is not None:
+    while (pair := state.surest(cfg)) is not None:
         state.merge(*pair)
         merged.append((G.ids[pair[0]], G.ids[pair[1]]))
     return (state.map() if merged else G), tuple(merged)
@@ -204,24 +210,26 @@ class _Merging:
         self.keep = np.arange(len(G.ids))
         self.apart = G.apart
 
-    def surest(self, gate: float, reach: float, density: float, sure: float) -> tuple[int, int] | None:
-        """The pair most probably one landmark, if that is more probable than `sure`, the older landmark first."""
+    def surest(self, cfg: PairingConfig) -> tuple[int, int] | None:
+        """The pair most probably one landmark, if that is more probable than `cfg.sure`, the older landmark first."""
         marks, ids = self.x[self.first :].reshape(-1, 2), self.G.ids
         if len(self.keep) < 2:
             return None
-        near = [(int(self.keep[min(k)]), int(self.keep[max(k)])) for k in cKDTree(marks[self.keep]).query_pairs(reach)]
+        near = [
+            (int(self.keep[min(k)]), int(self.keep[max(k)])) for k in cKDTree(marks[self.keep]).query_pairs(cfg.reach)
+        ]
         pairs = [(a, b) for a, b in sorted(near) if told(ids[a], ids[b]) not in self.apart]
         D2 = [float((e := marks[a] - marks[b]) @ np.linalg.solve(self._spread(a, b), e)) for a, b in pairs]
-        pairs = [pairs[k] for k in np.argsort(D2, kind="stable")[:CANDIDATES] if gate > D2[k]]
+        pairs = [pairs[k] for k in np.argsort(D2, kind="stable")[: cfg.candidates] if cfg.gate > D2[k]]
         if not pairs:
             return None
         a, b = np.array(pairs, dtype=np.intp).T
         i, j = ((self.first + 2 * k[:, None] + np.arange(2)).ravel() for k in (a, b))
         HU = self.U[:, i] - self.U[:, j]
         HP = self.P[i] - self.P[j]
-        p = pairing_probabilities(np.array(pairs), marks[a] - marks[b], HP[:, i] - HP[:, j] - HU.T @ HU, density)
+        p = pairing_probabilities(np.array(pairs), marks[a] - marks[b], HP[:, i] - HP[:, j] - HU.T @ HU, cfg.density)
         best = int(np.argmax(p))
-        return pairs[best] if p[best] > sure else None
+        return pairs[best] if p[best] > cfg.sure else None
 
     def merge(self, a: int, b: int) -> None:
         """Conditions the map on landmarks a and b being one point, and drops b."""

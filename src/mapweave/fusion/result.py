@@ -65,10 +65,7 @@ class Fusion:
         return tuple(w.removeprefix(start) for w in self.warnings if w.startswith(start))
 
 
-AGREE = 0.5  # [m] between a start given and the one found from landmarks, above which it is told
-
-
-def tie_by_starts(fusion: Fusion, starts: Mapping[str, tuple[float, float, float]]) -> Fusion:
+def tie_by_starts(fusion: Fusion, starts: Mapping[str, tuple[float, float, float]], tolerance: float = 0.5) -> Fusion:
     """The fusion with every component that holds a robot of known start placed into the lowest-numbered robot's map.
 
     starts: robot -> first pose in `map` [m, m, rad], taken as exact. Robots tied by landmarks stay as they are: a start
@@ -81,7 +78,7 @@ def tie_by_starts(fusion: Fusion, starts: Mapping[str, tuple[float, float, float
     warnings = list(fusion.warnings)
     for robot in sorted(set(starts) & set(base.robots), key=in_order):
         off = float(np.hypot(*(base.frames[robot][:2] - np.array(starts[robot][:2]))))
-        if off > AGREE:
+        if off > tolerance:
             warnings.append(f"{robot}: its landmarks put its start {off:.2f} m from the one given; the landmarks count")
     tied, others = base, list[Component]()
     placed: dict[str, str] = {}

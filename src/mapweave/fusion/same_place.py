@@ -20,7 +20,6 @@ from .alignment import align_robust, joint_fit
 from .config import FuseConfig
 
 ENOUGH = 2  # landmarks in common that fix a rigid transform
-MOST = 40  # landmarks in common that are weighed; more than enough
 LISTED = 8  # contradicting landmarks told by name
 
 
@@ -64,8 +63,8 @@ def same_place(source: LandmarkMap, target: LandmarkMap, cfg: FuseConfig) -> Evi
     there = set(target.ids)
     shared = tuple(name for name in source.ids if name in there)
     weighed = shared
-    if len(shared) > MOST:
-        weighed = tuple(shared[i] for i in np.linspace(0, len(shared) - 1, MOST).round().astype(np.intp))
+    if len(shared) > cfg.weighed:
+        weighed = tuple(shared[i] for i in np.linspace(0, len(shared) - 1, cfg.weighed).round().astype(np.intp))
     a, b = _distrusted(source.select(weighed), cfg), _distrusted(target.select(weighed), cfg)
     rough = align_robust(a.mean, b.mean, np.full(len(weighed), cfg.gate))
     apart = np.hypot(*(se2.act(rough.T_target_source, a.mean) - b.mean).T)

@@ -10,6 +10,7 @@ from .icp import IcpConfig
 from .joint_pass import JointConfig
 from .keyframe_graph import KeyframeGraphConfig
 from .keyframes import KeyframeConfig
+from .occupancy_mapper import LayingConfig
 from .particle_grid import CellConfig
 from .scan_matching import FrontEndConfig
 from .step_noise import StepNoise
@@ -149,8 +150,8 @@ class LaserTeamConfig:
     """A team whose starts are known: those of all robots but the first err, `map` hangs on the first's."""
 
     teammate: float = 0.45  # [m] around a teammate: returns from there are not walls
-    near: float = 6.0  # [m] a wall seen from within is not drawn again by returns from beyond
     open_share: float = 0.9  # share of the scanner's range that is free where a beam does not come back
     beams: BeamConfig = BeamConfig()
     front_end: FrontEndConfig = ALL_ROUND
     graph: KeyframeGraphConfig = KeyframeGraphConfig()
+    map: LayingConfig = LayingConfig(near=6.0)

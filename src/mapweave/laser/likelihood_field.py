@@ -11,7 +11,6 @@ from ..kernels.laser.likelihood_field import score_field
 from .laser_map import GridMap
 
 MARGIN = 10  # cells round the map in which a beam still finds its nearest
-LEAST_OCCUPANCY = 0.3  # what was mostly seen through was somebody passing by
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,14 +52,14 @@ class NearestField:
         )
 
 
-def wall_cells(grid: GridMap) -> Bool[np.ndarray, "rows cols"]:
-    """The cells of `grid` that are walls."""
-    return np.asarray((grid.weight > 0) & (grid.occupancy() > LEAST_OCCUPANCY))
+def wall_cells(grid: GridMap, least_occupancy: float) -> Bool[np.ndarray, "rows cols"]:
+    """The cells of `grid` that are walls: occupied with a probability above `least_occupancy`."""
+    return np.asarray((grid.weight > 0) & (grid.occupancy() > least_occupancy))
 
 
-def nearest_field(grid: GridMap) -> NearestField:
-    """The table of `grid`. Raises ValueError when no cell of it is occupied."""
-    there = wall_cells(grid)
+def nearest_field(grid: GridMap, least_occupancy: float = 0.3) -> NearestField:
+    """The table of the walls of `grid`. Raises ValueError when no cell of it is occupied."""
+    there = wall_cells(grid, least_occupancy)
     if not there.any():
         raise ValueError("no cell of the map is occupied")
     there = np.pad(there, MARGIN)

@@ -78,7 +78,7 @@ def localise(
         feature = "none"
         warnings.append("the log or the map has no intensity: geometry alone is used")
     try:
-        walls = nearest_field(grid)
+        walls = nearest_field(grid, how.trust.least_occupancy)
     except ValueError as error:
         raise DataError(f"{log.source}: {error}") from None
     alpha = cfg.cells.alpha if feature != "none" else 0.0

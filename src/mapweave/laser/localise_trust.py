@@ -22,6 +22,7 @@ NOWHERE = 1e6  # [m] to the nearest wall from outside the map
 class TrustConfig:
     """When a robot that seems to be placed in a map is believed to be there."""
 
+    least_occupancy: float = 0.3  # of a cell that is a wall: what was mostly seen through was somebody passing by
     least_explained: float = 0.6  # share of the returns that must lie on walls of the map, within
     near: float = 0.15  # [m] of them
     most_through: float = 0.1  # share of the beams at most that pass a wall of the map
@@ -182,7 +183,7 @@ def _rival(
 
 
 def _field(grid: GridMap, *, light: bool, cfg: TrustConfig) -> LikelihoodField:
-    rows, cols = np.nonzero(wall_cells(grid))
+    rows, cols = np.nonzero(wall_cells(grid, cfg.least_occupancy))
     q = grid.feature[rows, cols].astype(float) if light else None
     return likelihood_field(grid.mean[rows, cols].astype(float), q, cfg.place)
 

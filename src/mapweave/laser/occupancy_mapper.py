@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..core import se2
+from ..core.config import config
 from ..kernels.laser.sweep import UNIT, WEIGHT, lay_sweep
 from .beam import Beams, insertion_weight
 from .laser_map import GridMap
@@ -14,9 +15,6 @@ from .robot_graph import RobotGraph
 
 MARGIN = 80  # cells the arrays grow by beyond what is needed
 EDGE = 2  # cells round the map that is handed over
-BESIDE = 0.15  # [m] of a wall seen from near: far returns are of that wall
-CLEAR = 4  # so many beams through for each far return and a cell is free all the same
-TURN = float(np.radians(0.5))
 
 
 @runtime_checkable
@@ -45,6 +43,20 @@ class Returns(NamedTuple):
 
 
 NO_ENDS = np.zeros((0, 2))
+
+
+@config
+class LayingConfig:
+    """How scans are laid into a map that is kept up to date."""
+
+    near: float = np.inf  # [m] a wall seen from within is not drawn again by returns from beyond
+    beside: float = 0.15  # [m] of a wall seen from near: far returns are of that wall
+    clear: float = 4.0  # so many beams through for each far return and a cell is free all the same
+    shift: float = 0.5  # [cells] that a scan's pose must move before it is laid anew, or
+    turn: float = float(np.radians(0.5))  # [rad] that it must turn
+
+
+AT_ONCE = LayingConfig()
 
 
 def render(
@@ -88,21 +100,21 @@ class OccupancyMapper:
     All are whole numbers, sums of points too: what is taken out leaves no trace.
     """
 
-    def __init__(self, resolution: float, near: float = np.inf) -> None:
-        self.resolution, self.near = resolution, near
+    def __init__(self, resolution: float, cfg: LayingConfig = AT_ONCE) -> None:
+        self.resolution, self.cfg = resolution, cfg
         self.corner = np.zeros(2, dtype=np.int64)  # cell of the arrays' lower left entry
         self.hits = np.zeros((0, 0), np.int32)
-        self.far = np.zeros((0, 0), np.int32)  # returns from beyond `near`
+        self.far = np.zeros((0, 0), np.int32)  # returns from beyond `cfg.near`
         self.passes = np.zeros((0, 0), np.int32)
         self.sums = np.zeros((0, 0, 4), np.int64)
         self.laid = np.zeros((0, 3))  # where each sweep lies now
 
     def update(self, sweeps: Sequence[LaidScan], poses: Float[np.ndarray, "n 3"]) -> int:
-        """Every sweep lies within half a cell and half a degree of its pose; returns how many were laid anew."""
+        """Every sweep lies within `shift` and `turn` of its pose; returns how many were laid anew."""
         old = self.laid
         d = poses[: len(old)] - old
-        far = np.hypot(d[:, 0], d[:, 1]) > 0.5 * self.resolution
-        moved = np.flatnonzero(far | (np.abs(se2.wrap_angle(d[:, 2])) > TURN))
+        far = np.hypot(d[:, 0], d[:, 1]) > self.cfg.shift * self.resolution
+        moved = np.flatnonzero(far | (np.abs(se2.wrap_angle(d[:, 2])) > self.cfg.turn))
         for k in moved.tolist():
             self._lay(sweeps[k], self.laid[k], -1)
         new = [*moved.tolist(), *range(len(old), len(sweeps))]
@@ -129,8 +141,8 @@ class OccupancyMapper:
         window = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
         hits, far, passes = (np.pad(a[window], EDGE) for a in (self.hits, self.far, self.passes))
         if far.any():
-            beside = widened(hits > 0, max(1, round(BESIDE / h)))
-            again = beside & (far > 0) & (hits == 0) & (CLEAR * far > passes)
+            beside = widened(hits > 0, max(1, round(self.cfg.beside / h)))
+            again = beside & (far > 0) & (hits == 0) & (self.cfg.clear * far > passes)
             hits = np.where(beside, hits, hits + far)
             passes[again] = 0
         low = self.corner + np.array([cols[0], rows[0]]) - EDGE
@@ -160,7 +172,7 @@ class OccupancyMapper:
             points,
             light,
             ends,
-            self.near,
+            self.cfg.near,
             sign,
         )
 

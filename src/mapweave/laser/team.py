@@ -191,7 +191,7 @@ class LaserTeam:
 
     def mapper(self, resolution: float) -> OccupancyMapper:
         """What `grid` keeps at this resolution [m]."""
-        return self._mapper.setdefault(resolution, OccupancyMapper(resolution, self.cfg.near))
+        return self._mapper.setdefault(resolution, OccupancyMapper(resolution, self.cfg.map))
 
     def sweep_poses(self) -> Float[np.ndarray, "n 3"]:
         """Where each delivered scan was taken, in `map`."""

@@ -93,7 +93,7 @@ def plan(
     chosen, goals = cover(belief, floor, cells, cfg.coverage.radius, cfg)
     first = _approach(floor, poses[live], goals, cfg.coverage.turn_cost)
     between = stations(belief, floor, cfg.coverage.radius, cfg).ways(floor, chosen)
-    tours, counts = balanced_tours(first, between, np.zeros_like(first))
+    tours, counts = balanced_tours(first, between, np.zeros_like(first), cfg.coverage.balance)
     return {int(j): goals[tours[k, 0] if counts[k] else int(np.argmin(first[k]))] for k, j in enumerate(live)}
 
 
@@ -106,7 +106,7 @@ def laps(
     places = have.places[chosen]
     first = _approach(floor, poses[live], places, cfg.coverage.turn_cost)
     last = _ways(floor, poses[live], places)
-    tours, counts = balanced_tours(first, have.ways(floor, chosen), last)
+    tours, counts = balanced_tours(first, have.ways(floor, chosen), last, cfg.coverage.balance)
     return {int(j): [*(places[i] for i in tours[k, : counts[k]]), poses[j, :2].copy()] for k, j in enumerate(live)}
 
 

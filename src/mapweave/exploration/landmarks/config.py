@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...core.config import config
+from ...fusion.map_and_submap import PairingConfig
 from ...landmarks.submap_slam import SubmapConfig
 
 
@@ -27,6 +28,7 @@ class CoverageConfig:
     replan_every: int = 4  # [steps] between plans: two seconds, in which a robot sees what changes its tour
     gain_weight: float = 0.12  # [m] that a newly seen cell is worth: a course over new ground may be a little longer
     turn_cost: float = 2.0  # [m/rad] that turning towards the first disc counts as: half a turn takes about 4 s
+    balance: float = 0.3  # what the sum of all tours weighs beside the longest, those of `loop` too
 
 
 @config
@@ -130,9 +132,7 @@ class HandoverConfig:
     after: int = 10  # [steps] before which no submap is handed over, n_s
     uncertainty: float = 0.3  # [m^2] a landmark below which a submap is handed over, C_f
     by: int = 60  # [steps] after which a submap is handed over whatever its uncertainty
-    gate: float = 18.42  # D^2 of two landmarks taken for one, 0.9999 of chi-square with 2 degrees of freedom
-    sure: float = 0.9  # probability above which two landmarks of unknown identity become one
-    density: float = 4e-4  # [1/m^2] landmarks expected, times the chance that one beside a new one went unseen
+    pairing: PairingConfig = PairingConfig()
 
 
 @config
@@ -159,7 +159,7 @@ class ExploreConfig:
         },
         **{key: f"objective.{key}" for key in ("negligible_gain", "stall_steps", "literal_escape")},
         **{f"fuse_{key}": f"handover.{key}" for key in ("after", "uncertainty", "by")},
-        **{f"fusion_{key}": f"handover.{key}" for key in ("gate", "sure", "density")},
+        **{f"fusion_{key}": f"handover.pairing.{key}" for key in ("gate", "sure", "density")},
     }
 
     mission: MissionConfig = MissionConfig()

@@ -58,7 +58,7 @@ def plan(belief: LandmarkBelief, poses: np.ndarray, live: np.ndarray, cfg: Explo
     chosen = discs(belief, cells, cfg.coverage.radius)
     first = approach_cost(poses[live], chosen, cfg.coverage.turn_cost)
     between = np.linalg.norm(chosen[:, None] - chosen[None], axis=-1)
-    tours, counts = balanced_tours(first, between, np.zeros_like(first))
+    tours, counts = balanced_tours(first, between, np.zeros_like(first), cfg.coverage.balance)
     goals: dict[int, np.ndarray] = {}
     for k, j in enumerate(live):
         goal = chosen[tours[k, 0]] if counts[k] else nearest_unexplored(cells, poses[j])

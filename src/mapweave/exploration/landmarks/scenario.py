@@ -25,7 +25,6 @@ from ..world import (
 )
 from .config import ExploreConfig
 
-WALL_GAP = 0.3  # [m] that random landmarks keep from walls
 MOST_LANDMARKS = 3000  # their joint covariance takes 300 MB
 BUILT_IN = {"yuan": 1.0, "yuan-large": 4.0}  # name -> area relative to the paper's field
 
@@ -41,6 +40,7 @@ class ScenarioConfig(WorldConfig):
     lower: tuple[float, float] | None = None  # [m], corner of the field
     upper: tuple[float, float] | None = None  # [m], the opposite corner
     landmarks: int | tuple[tuple[float, float], ...] = YUAN_LANDMARKS  # how many at random, or where [m]
+    wall_gap: float = 0.3  # [m] that random landmarks keep from walls
 
 
 def find_scenario(name: str) -> ScenarioConfig:
@@ -121,22 +121,28 @@ def make_field(scenario: ScenarioConfig, robots: int | None, seed: int) -> Field
         if scenario.landmarks < 1:
             raise DataError("the scenario has no landmarks: there is nothing to map")
         rng = np.random.default_rng([seed, 0])
-        landmarks = _scatter(lower, upper, scenario.landmarks, walls, floor_plan(scenario), rng)
+        landmarks = _scatter(lower, upper, scenario.landmarks, walls, scenario.wall_gap, floor_plan(scenario), rng)
     else:
         landmarks = np.array(scenario.landmarks, dtype=float).reshape(-1, 2)
     return Field(lower, upper, landmarks, _starts(scenario, robots, lower, upper), walls)
 
 
 def _scatter(
-    lower: np.ndarray, upper: np.ndarray, n: int, walls: Walls | None, plan: RosMap | None, rng: np.random.Generator
+    lower: np.ndarray,
+    upper: np.ndarray,
+    n: int,
+    walls: Walls | None,
+    gap: float,
+    plan: RosMap | None,
+    rng: np.random.Generator,
 ) -> np.ndarray:
-    """`n` random places (n, 2), none nearer than `WALL_GAP` to a wall, all on free ground of the `plan`."""
+    """`n` random places (n, 2), none nearer than `gap` [m] to a wall, all on free ground of the `plan`."""
     if walls is None:
         return rng.uniform(lower, upper, size=(n, 2))
     places = np.zeros((0, 2))
     for _ in range(1000):
         more = rng.uniform(lower, upper, size=(n, 2))
-        good = walls.clearance(more) >= WALL_GAP
+        good = walls.clearance(more) >= gap
         places = np.vstack([places, more[good if plan is None else good & plan.free(more)]])
         if len(places) >= n:
             return places[:n]

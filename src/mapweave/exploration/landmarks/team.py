@@ -298,15 +298,12 @@ class Team:
             return False
         known = self.cfg.submap.association == "known"
         self.borders.append((self.step, j, _corners(self.G, self.submaps[j])))
-        c = self.cfg
         done = hand_over(
             self.G,
             self.submaps[j],
             known=known,
-            gate=c.handover.gate,
             prefix="m",
-            density=c.handover.density,
-            sure=c.handover.sure,
+            cfg=self.cfg.handover.pairing,
         )
         self._score_names(j, done)
         self.G = done.map

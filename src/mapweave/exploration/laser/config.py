@@ -1,6 +1,8 @@
 """Everything that can be set about an exploration with lasers: the robots, how the team maps, how it plans."""
 
+from collections.abc import Mapping
 from dataclasses import field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -47,6 +49,10 @@ class RightOfWayConfig:
     retry_from: float = 1.0  # [m] of way at least to the place it tries again from
     retry_to: float = 4.0  # [m] of way at most to that place
     retry_steps: int = 15  # [steps] that getting there may take
+    retry_arrived: float = 0.3  # [m] from that place at which it is reached
+    parted: float = 1.5  # times `meeting` apart beyond which nobody waits for the other any more
+    standing: float = 0.03  # [m] a step, up to which a robot stands still
+    leaving_steps: int = 3  # [steps] of standing still up to which a robot with a goal is about to leave
 
 
 @config
@@ -58,6 +64,8 @@ class AllocationConfig:
     turn_cost: float = 0.6  # [m/rad] that turning towards a goal counts as: what the robot would drive meanwhile
     wall_cost: int = 4  # what a metre of way by a wall counts beside one in the open, 1 to 255
     parked_cost: int = 12  # what a metre of way where a robot stands counts: one goes round it if one can
+    balance: float = 0.3  # what the sum of all tours weighs beside the longest
+    stretch: int = 3  # places of a tour that are moved together to better it, at most
 
 
 @config
@@ -99,6 +107,8 @@ class LaserExploreConfig:
 @config
 class LaserMissionConfig:
     """Robots, how the team maps, how it plans. The planner's limits are taken from the robots."""
+
+    MOVED: ClassVar[Mapping[str, str]] = {"team.near": "team.map.near"}  # old keys and where they are now
 
     robots: LaserRobotsConfig = field(default_factory=LaserRobotsConfig)
     team: LaserTeamConfig = field(default_factory=LaserTeamConfig)

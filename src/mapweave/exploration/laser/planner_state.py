@@ -35,9 +35,6 @@ PLANNERS = {
 }
 
 
-MOVED = 0.03  # [m] a step above which a robot does not stand still
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Route(CostToGo):
     """The ways to one place from everywhere, going round robots that stand where there is room to.
@@ -138,7 +135,7 @@ def planner_state_of(belief: LaserBelief, poses: np.ndarray, cfg: LaserExploreCo
         state.still = np.zeros(M, dtype=np.int64)
         state.about = np.column_stack([poses[:, :2], np.full(M, belief.step)])
     else:
-        moved = np.hypot(*(poses[:, :2] - state.last[:, :2]).T) > MOVED
+        moved = np.hypot(*(poses[:, :2] - state.last[:, :2]).T) > cfg.right_of_way.standing
         state.still = np.where(moved, 0, state.still + 1)
         left = np.hypot(*(poses[:, :2] - state.about[:, :2]).T) > cfg.right_of_way.left_place
         state.about[left] = np.column_stack([poses[left, :2], np.full(int(left.sum()), belief.step)])

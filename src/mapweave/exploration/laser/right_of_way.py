@@ -34,7 +34,11 @@ def resolve_conflicts(
                 continue
             if not _in_way(state, poses, i, k, near, rules.next_way):
                 continue
-            leaving = k in state.goals and state.still[k] < 3 and not _in_way(state, poses, k, i, near, rules.next_way)
+            leaving = (
+                k in state.goals
+                and state.still[k] < rules.leaving_steps
+                and not _in_way(state, poses, k, i, near, rules.next_way)
+            )
             if not leaving and not _yield_to(state, poses, k, i, step, cfg) and i not in state.yielding:
                 state.priority[i], state.priority[k] = state.priority[k], state.priority[i]
                 _yield_to(state, poses, i, k, step, cfg)
@@ -78,10 +82,10 @@ def _end_waiting(state: PlannerState, poses: np.ndarray, live: np.ndarray, step:
     for k, waiting in list(state.yielding.items()):
         i = waiting.whom
         if i == k:
-            if step >= waiting.until or np.hypot(*(waiting.place - poses[k, :2])) < 0.3:
+            if step >= waiting.until or np.hypot(*(waiting.place - poses[k, :2])) < rules.retry_arrived:
                 del state.yielding[k]
             continue
-        gone = i not in live or np.hypot(*(poses[i, :2] - poses[k, :2])) > 1.5 * rules.meeting
+        gone = i not in live or np.hypot(*(poses[i, :2] - poses[k, :2])) > rules.parted * rules.meeting
         passed = not _in_way(state, poses, i, k, near, rules.clear_way) and not _goal_blocked(
             state, poses, k, i, near, cfg
         )

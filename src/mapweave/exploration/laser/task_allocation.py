@@ -134,8 +134,8 @@ def keep_commitments(problem: AllocationProblem, chosen: dict[int, int], cfg: La
 def by_tours(problem: AllocationProblem, cfg: LaserExploreConfig) -> dict[int, int]:
     """Robot -> piece: the first of its tour, the tours short in the longest and then in the sum."""
     first, between = problem.first + cfg.service, problem.between + cfg.service
-    tours, counts = balanced_tours(first, between, np.zeros_like(first))
-    improve_tours(first, between, tours, counts)
+    tours, counts = balanced_tours(first, between, np.zeros_like(first), cfg.allocation.balance)
+    improve_tours(first, between, tours, counts, cfg.allocation.stretch)
     chosen = {j: int(tours[r, 0]) for r, j in enumerate(problem.robots) if counts[r]}
     return {j: n for j, n in chosen.items() if problem.first[problem.robots.index(j), n] < FAR / 2}
 

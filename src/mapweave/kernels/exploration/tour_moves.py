@@ -6,8 +6,6 @@ import numpy as np
 
 from .._jit import kernel
 
-STRETCH = 3  # nodes moved together, at most
-
 
 class OpenTours(NamedTuple):
     """Tours being tried better, in place. first: (M, n) cost from each robot to each node; between: (n, n).
@@ -74,13 +72,13 @@ def _with(tour: np.ndarray, count: int, p: int, part: np.ndarray, out: np.ndarra
 
 
 @kernel
-def _move_stretch(plan: OpenTours, r: int, a: int) -> bool:
-    """Up to STRETCH nodes from place a of tour r put elsewhere, either way round, where that costs less."""
+def _move_stretch(plan: OpenTours, r: int, a: int, stretch: int) -> bool:
+    """Up to `stretch` nodes from place a of tour r put elsewhere, either way round, where that costs less."""
     first, between, tours, counts, lengths = plan
     n = tours.shape[1]
     rest, tried = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     before = tours_cost(lengths)
-    for size in range(1, min(STRETCH, counts[r] - a) + 1):
+    for size in range(1, min(stretch, counts[r] - a) + 1):
         part = tours[r, a : a + size].copy()
         _without(tours[r], counts[r], a, size, rest)
         for s in range(len(counts)):
@@ -104,10 +102,10 @@ def _move_stretch(plan: OpenTours, r: int, a: int) -> bool:
 
 
 @kernel
-def improve_tours(first: np.ndarray, between: np.ndarray, tours: np.ndarray, counts: np.ndarray) -> None:
+def improve_tours(first: np.ndarray, between: np.ndarray, tours: np.ndarray, counts: np.ndarray, stretch: int) -> None:
     """`tours` (M, n) and `counts` (M,) of open tours, in place, as `tours.balanced_tours` gives them: never dearer.
 
-    first: (M, n) cost from each robot to each node; between: (n, n).
+    first: (M, n) cost from each robot to each node; between: (n, n); stretch: most nodes moved together.
     """
     M = len(counts)
     lengths = np.zeros(M)
@@ -121,7 +119,7 @@ def improve_tours(first: np.ndarray, between: np.ndarray, tours: np.ndarray, cou
                 helped |= _exchange_ends(plan, r, s)
             a = 0
             while a < counts[r]:
-                if _move_stretch(plan, r, a):
+                if _move_stretch(plan, r, a, stretch):
                     helped = True
                 else:
                     a += 1

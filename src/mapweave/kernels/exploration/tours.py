@@ -6,15 +6,17 @@ import numpy as np
 
 from .._jit import kernel
 
-BALANCE = 0.3  # what the sum of all tours weighs beside the longest
-
 
 class TourCosts(NamedTuple):
-    """first: (M, n) cost from each robot to each node; between: (n, n); last: (M, n) from each to where it ends."""
+    """first: (M, n) cost from each robot to each node; between: (n, n); last: (M, n) from each to where it ends.
+
+    balance: what the sum of all tours weighs beside the longest.
+    """
 
     first: np.ndarray
     between: np.ndarray
     last: np.ndarray
+    balance: float
 
 
 @kernel
@@ -58,7 +60,7 @@ def greedy_cover(cells: np.ndarray, xs: np.ndarray, ys: np.ndarray, radius: floa
 
 @kernel
 def _length(costs: TourCosts, tour: np.ndarray, n: int, robot: int) -> float:
-    first, between, last = costs
+    first, between, last, _ = costs
     if n == 0:
         return 0.0
     total: float = first[robot, tour[0]] + last[robot, tour[n - 1]]
@@ -70,7 +72,7 @@ def _length(costs: TourCosts, tour: np.ndarray, n: int, robot: int) -> float:
 @kernel
 def _insertion_cost(costs: TourCosts, tour: np.ndarray, n: int, robot: int, v: int, p: int) -> float:
     """What putting node v at place p of a tour of n nodes adds to its length."""
-    first, between, last = costs
+    first, between, last, _ = costs
     cost: float = 0.0
     if n == 0:
         cost = first[robot, v] + last[robot, v]
@@ -125,7 +127,8 @@ def _relocate(costs: TourCosts, tours: np.ndarray, counts: np.ndarray, r: int, a
                 better = length < before - 1e-9
             else:
                 top_now, top_then = max(before, there), max(without, length)
-                better = top_then + BALANCE * (without + length) < top_now + BALANCE * (before + there) - 1e-9
+                now, then = top_now + costs.balance * (before + there), top_then + costs.balance * (without + length)
+                better = then < now - 1e-9
             if better:
                 tours[r, : n - 1] = rest[: n - 1]
                 counts[r] = n - 1
@@ -150,22 +153,24 @@ def _cheapest(
         for r in range(len(counts)):
             for p in range(counts[r] + 1):
                 extra = _insertion_cost(costs, tours[r], counts[r], r, v, p)
-                cost = max(longest, lengths[r] + extra) + BALANCE * extra
+                cost = max(longest, lengths[r] + extra) + costs.balance * extra
                 if not done[v] and cost < best:
                     best, node, robot, place = cost, v, r, p
     return node, robot, place
 
 
 @kernel
-def balanced_tours(first: np.ndarray, between: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def balanced_tours(
+    first: np.ndarray, between: np.ndarray, last: np.ndarray, balance: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Tours of all nodes, one a robot, short in the longest and then in the sum.
 
     first: (M, n) cost from each robot to each node; between: (n, n); last: (M, n) cost from each node to where the
-    robot should end, zeros for open tours. Returns (tours (M, n), counts (M,)): cheapest insertion, then reversals
-    and relocations while they help.
+    robot should end, zeros for open tours; balance: what the sum of all tours weighs beside the longest. Returns (tours
+    (M, n), counts (M,)): cheapest insertion, then reversals and relocations while they help.
     """
     M, n = first.shape
-    costs = TourCosts(first, between, last)
+    costs = TourCosts(first, between, last, balance)
     tours = np.zeros((M, n + 1), dtype=np.int64)
     counts = np.zeros(M, dtype=np.int64)
     lengths = np.zeros(M)
