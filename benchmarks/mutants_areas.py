@@ -275,6 +275,12 @@ class Equivalent:
 
 EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(
+        "fusion:baseline_pair",
+        "return H.reshape((*d.shape[:-2], 2 * n, 3 + 2 * n))",
+        "return H.reshape((*d.shape[:-2], 2 * n, 3 - 2 * n))",
+        "any length below zero is the one that is left to find, and that is 3 + 2 n",
+    ),
+    Equivalent(
         "laser:cycle_squares",
         "squares = np.where(np.tri(n, k=-1, dtype=bool).T, squares, 0.0)",
         "squares = np.where(np.tri(n, k=-1, dtype=bool), squares, 0.0)",
