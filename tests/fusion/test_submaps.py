@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
+from mapweave.fusion import full_covariance
 from mapweave.fusion.cluster import Cluster
 from mapweave.fusion.full_covariance import MapTerm, build, join
 from mapweave.landmarks.landmark_map import LandmarkMap
@@ -147,7 +148,7 @@ def test_sampled_variance_factors_are_the_exact_ones(monkeypatch):
     maps[2] = LandmarkMap(maps[2].ids, maps[2].mean, maps[2].cov / 9, maps[2].frame)
     how = {"scale_sigma": 0.02, "floor": 0.002, "variance_prior": 4.0}
     exact = join(maps, start, **how)
-    monkeypatch.setattr(variance_factors, "EXACT", 0)
+    monkeypatch.setattr(full_covariance, "EXACT", 0)
     sampled = join(maps, start, **how)
     np.testing.assert_allclose(sampled.variance_factors, exact.variance_factors, rtol=0.12)
     np.testing.assert_allclose(sampled.mean, exact.mean, atol=0.005)
