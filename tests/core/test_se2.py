@@ -113,3 +113,40 @@ def test_align_recovers_a_rigid_transform():
     T = np.array([1.0, -2.0, 2.5])
     p = rng.normal(size=(6, 2))
     assert np.allclose(se2.align(p, se2.act(T, p), rng.uniform(0.1, 1, 6)), T)
+
+
+def matrix(x, y, z, w):
+    """The rotation of a quaternion, by turning the axes: q v q*."""
+
+    def product(a, b):
+        return np.array([
+            a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1],
+            a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0],
+            a[3] * b[2] + a[0] * b[1] - a[1] * b[0] + a[2] * b[3],
+            a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2],
+        ])  # fmt: skip
+
+    q, back = np.array([x, y, z, w]), np.array([-x, -y, -z, w])
+    return np.array([product(product(q, np.append(e, 0.0)), back)[:3] for e in np.eye(3)]).T
+
+
+def test_the_heading_of_a_quaternion_is_that_of_the_x_axis_seen_from_above_and_it_may_stand_on_its_head():
+    rng = np.random.default_rng(3)
+    heads = 0
+    for q in rng.normal(size=(50, 4)).tolist():
+        R = matrix(*q)
+        assert abs(se2.wrap_angle(se2.heading_of_quaternion(*q) - np.arctan2(R[1, 0], R[0, 0]))) < 1e-9
+        assert se2.is_upside_down(*q) == (R[2, 2] < 0)
+        heads += int(R[2, 2] < 0)
+    assert 10 < heads < 40
+
+
+def test_headings_come_back_from_quaternions():
+    for theta in (*np.linspace(-3.1, 3.1, 41).tolist(), np.pi, -np.pi):
+        q = se2.quaternion_of_heading(theta)
+        assert abs(se2.wrap_angle(se2.heading_of_quaternion(*q) - theta)) < 1e-11
+        assert abs(se2.wrap_angle(se2.heading_of_quaternion(*(-3.0 * v for v in q)) - theta)) < 1e-11
+        assert not se2.is_upside_down(*q)
+        kept = se2.representable_heading(theta + 4 * np.pi)
+        assert abs(se2.wrap_angle(kept - theta)) < 1e-11
+        assert se2.heading_of_quaternion(*se2.quaternion_of_heading(kept)) == kept

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.kernels.laser.joint_scans import beams_by_direction, match_pairs
+from mapweave.kernels.laser.joint_scans import beams_by_direction, match_beam, match_pairs, refine_poses
 from mapweave.laser.joint_pass import (
     JointConfig,
     joint_pass,
@@ -72,6 +72,70 @@ def test_a_pair_of_scans_is_matched_as_by_trying_every_return():
     assert np.allclose(g[0], g_all, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.kernel
+def test_a_point_finds_the_nearest_return_as_by_trying_every_one_wherever_it_lies():
+    cloud = cloud_at(np.array([[0.4, -0.2, 0.3]]), most=240)
+    sensor = np.array([[0.15, -0.1]])
+    table = beams_by_direction(cloud.start, cloud.points, cloud.lined, sensor, 720)[0]
+    lines, normals = cloud.points[cloud.lined], cloud.normals[cloud.lined]
+    rng = np.random.default_rng(7)
+    missed = 0
+    for k in rng.integers(0, len(lines), 80):
+        for reach in (0.05, 0.3):
+            at = lines[k] + rng.normal(0, 0.8 * reach, 2)
+            d = np.where(normals @ normals[k] >= 0.5, np.hypot(*(lines - at).T), np.inf)
+            got = match_beam(table, cloud.points, cloud.normals, *sensor[0], *at, *normals[k], reach, 0.5)
+            if d.min() >= reach:
+                assert got == -1
+                missed += 1
+            else:
+                np.testing.assert_array_equal(cloud.points[got], lines[np.argmin(d)])
+    assert 0 < missed < 120
+
+
+@pytest.mark.kernel
+def test_a_step_of_laying_a_scan_on_keyframes_is_the_dense_one():
+    keyframes = np.array([[0.0, 0.0, 0.0], [0.5, -0.3, 2.6], [-0.4, 0.2, -1.0]])
+    true = np.array([0.3, 0.25, 0.4])
+    cloud, scan = cloud_at(keyframes), cloud_at(true[None], most=60)
+    table = beams_by_direction(cloud.start, cloud.points, cloud.lined, cloud.sensor, 720)
+    near = np.array([[2, 0, -1, 1]])
+    start, width, gate, per_return = true + np.array([0.03, -0.02, 0.015]), 0.08, 3.0, 400.0
+    sd = np.array([0.05, 0.05, 0.02])
+
+    def laid(widths, begun=start):
+        return refine_poses(
+            begun[None], scan.start, scan.points, scan.normals, scan.lined, near, keyframes, cloud.points,
+            cloud.normals, table, cloud.sensor, gate, 0.5, np.array(widths), per_return, sd,
+        )[0]  # fmt: skip
+
+    def step(pose):
+        W = np.diag(sd**-2)
+        H, g = W.copy(), W @ (pose - start)
+        for i in (2, 0, 1):
+            rows = slice(cloud.start[i], cloud.start[i + 1])
+            held = cloud.lined[rows]
+            lines = se2.act(keyframes[i], cloud.points[rows][held])
+            normals = cloud.normals[rows][held] @ se2.rotation(float(keyframes[i, 2])).T
+            R = se2.rotation(float(pose[2]))
+            for p, n in zip(scan.points[scan.lined], scan.normals[scan.lined], strict=True):
+                x = pose[:2] + R @ p
+                d = np.where(normals @ (R @ n) >= 0.5, np.hypot(*(lines - x).T), np.inf)
+                k = int(np.argmin(d))
+                if d[k] >= gate * width:
+                    continue
+                e = float(normals[k] @ (x - lines[k]))
+                j = np.array([*normals[k], normals[k] @ np.array([-(R @ p)[1], (R @ p)[0]])])
+                w = per_return * (width**2 / (width**2 + e**2)) ** 2
+                H, g = H + w * np.outer(j, j), g + w * j * e
+        return pose - np.linalg.solve(H, g)
+
+    once = step(start)
+    np.testing.assert_allclose(laid([width]), once, atol=1e-9)
+    np.testing.assert_allclose(laid([width, width]), step(once), atol=1e-9)
+    assert np.abs(se2.between(true, laid([width] * 6))).max() < 0.02
+
+
 def test_keyframes_that_stand_wrong_are_moved_to_where_their_walls_agree():
     truth = around()
     rng = np.random.default_rng(1)
@@ -121,8 +185,13 @@ def test_information_along_a_bare_wall_that_only_noise_in_normals_gives_is_taken
     assert gradient[0, 0] == pytest.approx(0.0, abs=1e-9)
     assert kept[1, 0, 0] == pytest.approx(900.0 - 0.05 * 1900.0)
     assert kept[0, 2, 2] == 300.0
+    assert kept[1, 1, 1] == pytest.approx(1000.0 - 0.05 * 1900.0)
     same, _ = without_scatter(H, g, 0.0)
     assert np.allclose(same, H)
+    R = se2.turn(0.7)
+    turned, pull = without_scatter(R @ H @ R.T, g @ R.T, 0.1)
+    assert np.allclose(turned, R @ kept @ R.T)
+    assert np.allclose(pull, gradient @ R.T)
 
 
 def test_one_keyframe_or_scans_without_returns_are_no_error():
