@@ -157,6 +157,7 @@ AREAS = (
         ),
         (
             "tests/swarm/test_bearing_model.py",
+            "tests/swarm/test_gauge.py",
             "tests/swarm/test_contradiction.py",
             "tests/swarm/test_batch.py",
             "tests/swarm/test_free.py",
@@ -274,6 +275,12 @@ class Equivalent:
 
 
 EQUIVALENT: tuple[Equivalent, ...] = (
+    Equivalent(
+        "fusion:joint_fit",
+        "blocks = Q.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k)] + 1e-12 * np.eye(2)",
+        "blocks = Q.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k)] - 1e-12 * np.eye(2)",
+        "far below the rounding of information in metres, it only keeps zero from being divided by",
+    ),
     Equivalent(
         "fusion:baseline_pair",
         "return H.reshape((*d.shape[:-2], 2 * n, 3 + 2 * n))",
