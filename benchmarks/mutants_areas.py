@@ -158,6 +158,7 @@ AREAS = (
         (
             "tests/swarm/test_bearing_model.py",
             "tests/swarm/test_gauge.py",
+            "tests/swarm/test_network.py",
             "tests/swarm/test_contradiction.py",
             "tests/swarm/test_batch.py",
             "tests/swarm/test_free.py",
@@ -275,6 +276,24 @@ class Equivalent:
 
 
 EQUIVALENT: tuple[Equivalent, ...] = (
+    Equivalent(
+        "fusion:find_exchanged",
+        "for a, b in zip(*linear_sum_assignment(np.minimum(distance, 1e3)), strict=True):",
+        "for a, b in zip(*linear_sum_assignment(np.minimum(distance, 10000.0)), strict=True):",
+        "distances beyond a kilometre, and those of what nobody else holds, are beyond every gate either way",
+    ),
+    Equivalent(
+        "kernels/laser:align_scan",
+        "if d0 * d0 + d1 * d1 < 1e-10 and abs(d2) < 1e-5:",
+        "if d0 * d0 + d1 * d1 < 1e-10 and abs(d2) < 0.0001:",
+        "a search whose last step was below what any scan tells ends one step sooner",
+    ),
+    Equivalent(
+        "kernels/exploration:balanced_tours",
+        "if shorter < length - 1e-9:",
+        "if shorter < length:",
+        "the margin keeps orders of equal length from being exchanged for rounding; they are as long",
+    ),
     Equivalent(
         "fusion:joint_fit",
         "blocks = Q.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k)] + 1e-12 * np.eye(2)",

@@ -14,7 +14,7 @@ from mapweave.kernels.exploration.objective import (
     mark_half_disc,
     unexplored_cells,
 )
-from mapweave.kernels.exploration.tours import BALANCE, balanced_tours, greedy_cover
+from mapweave.kernels.exploration.tours import BALANCE, TourCosts, _cheapest, balanced_tours, greedy_cover
 from mapweave.kernels.walls.segments import Raster, Sector
 
 pytestmark = pytest.mark.kernel
@@ -171,3 +171,22 @@ def test_one_robots_tour_of_few_places_is_nearly_the_shortest():
         over.append(length(first, between, last, 0, list(tours[0])) / shortest)
     assert np.mean(over) < 1.05
     assert min(over) >= 1 - 1e-9
+
+
+def test_the_next_node_goes_where_the_longest_tour_and_then_the_sum_grow_least():
+    rng = np.random.default_rng(9)
+    for _ in range(6):
+        first, between, last = rng.uniform(1, 9, (2, 6)), rng.uniform(1, 9, (6, 6)), rng.uniform(0, 3, (2, 6))
+        between = 0.5 * (between + between.T)
+        plan = [[4, 1], [2]]
+        tours, counts = np.zeros((2, 7), dtype=np.int64), np.array([2, 1])
+        tours[0, :2], tours[1, 0] = plan[0], plan[1][0]
+        done = np.isin(np.arange(6), [1, 2, 4])
+        lengths = np.array([length(first, between, last, r, plan[r]) for r in (0, 1)])
+        costs = {}
+        for node in np.flatnonzero(~done).tolist():
+            for r in (0, 1):
+                for p in range(len(plan[r]) + 1):
+                    then = length(first, between, last, r, [*plan[r][:p], node, *plan[r][p:]])
+                    costs[node, r, p] = max(lengths.max(), then) + BALANCE * (then - lengths[r])
+        assert _cheapest(TourCosts(first, between, last), tours, counts, lengths, done) == min(costs, key=costs.get)

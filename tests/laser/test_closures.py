@@ -50,6 +50,11 @@ def test_a_match_where_the_estimate_allows_it_is_believed_with_its_own_informati
     match = Matcher(CFG, ALL_ROUND).match(place, seen(true), np.add(true, [0.02, -0.02, 0.005]), narrow(0.05, 0.02))
     assert match.accepted
     assert np.abs(se2.between(true, match.measured)).max() < 0.02
+    matcher = Matcher(CFG, ALL_ROUND)
+    matcher.front_end.hold(place.scans)
+    lines = believed(matcher.front_end.information(seen(true), match.measured), CFG.trust, CFG.blur)
+    floor = np.diag([CFG.floor_xy**2, CFG.floor_xy**2, CFG.floor_turn**2])
+    np.testing.assert_allclose(np.linalg.inv(match.information), np.linalg.inv(lines) + floor, rtol=1e-4, atol=1e-9)
     sd = np.sqrt(np.diag(np.linalg.inv(match.information)))
     assert (sd[:2] > CFG.floor_xy).all()
     assert (sd[:2] < 0.05).all()
@@ -72,6 +77,15 @@ def test_a_place_that_looks_alike_in_two_directions_is_refused(place, monkeypatc
         match = matcher.match(place, seen(true), true, narrow())
         assert match.accepted is accepted
         assert ("looks alike" in match.reason) is not accepted
+
+
+def test_a_scan_without_returns_matches_nothing_and_is_refused_with_the_reason(place):
+    b = seen([0.3, 0.2, 0.1])
+    blind = b._replace(s=b.s[:0], normal=b.normal[:0], q=b.q[:0], support=b.support[:0])
+    match = Matcher(CFG, ALL_ROUND).match(place, blind, np.array([0.3, 0.2, 0.1]), narrow())
+    assert not match.accepted
+    assert match.share == 0.0
+    assert "too few returns match: 0 of 0" in match.reason
 
 
 @pytest.mark.parametrize(("sd", "limits"), [(0.02, [0.3, 0.3, 0.1]), (0.2, [0.6, 0.6, 0.15])])

@@ -90,6 +90,14 @@ def test_particles_move_when_the_robot_has_gone_far_enough_since_they_last_did()
     assert [now.shape for _, now, _ in state.history] == [(6, 3)] * 3
 
 
+@pytest.mark.parametrize(("share", "always"), [(1.0, True), (0.0, False)])
+def test_an_update_tells_whether_particles_were_drawn_anew(share, always):
+    _, infos = driven([0.0, 0.5, 1.0], small(resample=share))
+    assert [info.resampled for info in infos[1:]] == [always, always]
+    assert not infos[0].resampled
+    assert all(1.0 <= info.n_eff <= 6.0 for info in infos[1:])
+
+
 def test_other_records_than_scans_and_empty_scans_move_nothing():
     cfg = small()
     state, _ = driven([0.0, 0.5], cfg)

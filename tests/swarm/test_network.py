@@ -1,10 +1,14 @@
 """A network is whole when it exists: every mistake is named when it is made."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mapweave.core.errors import DataError
-from mapweave.swarm.network import Distance, Network, network
+from mapweave.swarm.network import Distance, Network, components, network
+
+from .swarms import complete
 
 
 def test_ids_stand_in_natural_order_and_sightings_by_index():
@@ -45,3 +49,16 @@ def test_what_does_not_belong_together_is_refused(change, told):
 def test_an_anchor_nobody_sighted_is_refused():
     with pytest.raises(DataError, match="'z'"):
         network(2, ["a"], ["b"], np.array([0.1]), 0.01, {"z": [0.0, 0.0]})
+
+
+@pytest.mark.parametrize(
+    ("anchors", "measured", "held"), [(0, True, False), (1, False, False), (1, True, True), (2, False, True)]
+)
+def test_a_piece_is_held_by_two_anchors_or_by_one_and_a_distance(anchors, measured, held):
+    places = np.array([[0.0, 0.0], [4.0, 1.0], [1.0, 3.0], [5.0, 5.0]])
+    net = complete(places, 0.5, np.random.default_rng(1), range(anchors))
+    net = replace(net, distances=(Distance(2, 3, 4.5),) if measured else ())
+    parts = components(net)
+    assert parts.label.max() == 0
+    assert parts.fixed(0) is held
+    assert parts.anchored is held
