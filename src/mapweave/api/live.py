@@ -9,20 +9,27 @@ from pathlib import Path
 from threading import Event
 
 from ..core.config import load
-from ..core.errors import DataError, UsageError
+from ..core.errors import ConfigError, DataError, UsageError
+from ..core.landmark_log import LandmarkLog
+from ..core.laser_log import LaserLog
+from ..core.names import in_order
 from ..core.workers import one_blas_thread
+from ..fusion.config import FuseConfig
 from ..io.directory import check_target
 from ..live.inbox import Inbox
 from ..live.landmark_robot import LandmarkRobot
-from ..live.landmark_stream import messages_of
+from ..live.laser_robot import LaserRobot
 from ..live.map_process import MapProcess
 from ..live.messages import Header, check_name
 from ..live.robot import Pace, RobotProcess
-from ..live.sources import open_source
+from ..live.sources import messages, open_source
 from ..live.store import Store
 from ..live.topics import Topics
 from ..live.transport import Network, session
+from .laser_result import LaserResult
 from .map_landmarks import LandmarkMapConfig, map_landmark_logs
+from .map_laser import LaserMapConfig
+from .map_laser import map_logs as map_lasers
 from .map_options import MapOptions
 from .team import TeamResult
 
@@ -49,6 +56,7 @@ def live_robot(
     history: Path | str | None = None,
     fresh: bool = False,
     linger: float = 30.0,
+    seed: int = 0,
     config: Path | str | None = None,
     network: Network | None = None,
     stop: Event | None = None,
@@ -65,7 +73,7 @@ def live_robot(
     name
         What the team calls it.
     source
-        An MRCLAM data set or a folder with odometry.csv and sightings.csv.
+        An MRCLAM data set, a folder with odometry.csv and sightings.csv, a laser log, sim:landmarks or sim:office.
     robot
         Which robot of the log it is, by key (the one whose number `name` ends with, or the only one).
     rate
@@ -78,6 +86,8 @@ def live_robot(
         Forget an earlier history.
     linger
         How long it stays at most after the log's end for those who lack something [s] (30).
+    seed
+        Of a simulated world (0).
     config
         A TOML file of settings, as for `map`.
     network
@@ -98,23 +108,31 @@ def live_robot(
         raise UsageError(f"--linger: expected seconds, found {linger}")
     network = network or Network()
     check_name(network.team, "--team")
-    cfg = load(LandmarkMapConfig, None if config is None else Path(config))
-    read = open_source(str(source), name, robot)
+    settings = None if config is None else Path(config)
+    log = open_source(str(source), name, robot, seed)
     path = Path("mapweave-live", f"{network.team}-{name}.sqlite") if history is None else Path(history)
     with Store(path, f"robot {name} of team {network.team}") as store:
         if fresh:
             store.clear()
-        run = _begun(store, "landmarks", period)
-        messages = messages_of(read.log, name, run, period)
-        header = next(messages_of(read.log, name, run, period))[1]
+        run = _begun(store, "laser" if isinstance(log, LaserLog) else "landmarks", period)
+        header = next(messages(log, name, run, period))[1]
         assert isinstance(header, Header)  # noqa: S101  (the first of every log)
-        driving = LandmarkRobot(header, cfg.ekf)
+        driving = _driving(header, settings)
         with session(network) as opened:
             process = RobotProcess(name, opened, Topics(network.team), store, say, wall)
             process.join()
-            say(f"{name}: {read.log.robot} of {source}, team {network.team}, history in {path}")
-            told = process.run(messages, driving, Pace(rate, linger), stop or Event())
+            say(f"{name}: {log.robot} of {source}, team {network.team}, history in {path}")
+            told = process.run(messages(log, name, run, period), driving, Pace(rate, linger), stop or Event())
             return LiveRobot(name, told, process.heard_by)
+
+
+def _driving(header: Header, settings: Path | None) -> LandmarkRobot | LaserRobot:
+    """The estimator that `map` would run."""
+    if header.sensor == "landmarks":
+        return LandmarkRobot(header, load(LandmarkMapConfig, settings).ekf)
+    cfg = load(LaserMapConfig, settings, {"laser": {"method": "graph"}}).laser
+    cfg.check()
+    return LaserRobot(header, cfg)
 
 
 def _begun(store: Store, sensor: str, period: float) -> str:
@@ -149,7 +167,7 @@ def live_map(
     say: Say = print,
     wall: Callable[[], float] = time.time,
     at_the_door: Mapping[str, int] | None = None,
-) -> TeamResult:
+) -> TeamResult | LaserResult:
     """Hear a team until `stop` is set, or until all of `robots` have told their logs to the end; one map, in `out`.
 
     The map is the one that `map` makes of the same logs, to the byte: what arrives is put in order of robot and number
@@ -197,7 +215,7 @@ def live_map(
         raise UsageError(f"--every: expected seconds above 0, found {every}")
     check_target(out, force=force)
     options = MapOptions(config=None if config is None else Path(config), seed=seed)
-    cfg = load(LandmarkMapConfig, options.config)
+    fusing = _fuse_config(options.config)
     path = out.with_name(f"{out.name}.sqlite") if store is None else Path(store)
     with Store(path, f"a map of team {network.team}") as kept:
         if fresh:
@@ -205,7 +223,7 @@ def live_map(
         inbox = Inbox(kept, robots)
         with session(network) as opened:
             process = MapProcess(name, opened, Topics(network.team), kept, inbox, say, wall, at_the_door)
-            process.shared.cfg = cfg.fuse
+            process.shared.cfg = fusing
             process.join()
             say(f"{name}: team {network.team}, heard so far kept in {path}")
             process.run(stop or Event(), every, lambda inbox: _all_told(inbox, robots))
@@ -217,17 +235,28 @@ def live_map(
     return result
 
 
+def _fuse_config(settings: Path | None) -> FuseConfig:
+    """How landmark robots are fused; the settings may also be those of laser robots. Raises ConfigError of neither."""
+    try:
+        return load(LandmarkMapConfig, settings).fuse
+    except ConfigError:
+        load(LaserMapConfig, settings).laser.check()
+        return FuseConfig()
+
+
 def _all_told(inbox: Inbox, robots: Sequence[str] | None) -> bool:
     ledgers = inbox.ledgers
     return robots is not None and all(name in ledgers and ledgers[name].complete for name in robots)
 
 
-def _final(inbox: Inbox, options: MapOptions) -> TeamResult:
+def _final(inbox: Inbox, options: MapOptions) -> TeamResult | LaserResult:
     """The map of all that was heard up to each robot's first gap."""
-    logs = [record.log for record in inbox.records.values()]
-    logs = [log for log in logs if len(log)]
-    if not any(len(log.sightings) for log in logs):
+    logs = sorted((record.log for record in inbox.records.values()), key=lambda log: in_order(log.robot))
+    lasers = [log for log in logs if isinstance(log, LaserLog) and len(log.scans)]
+    if lasers:
+        return map_lasers(lasers, options)
+    landmarks = [log for log in logs if isinstance(log, LandmarkLog) and len(log)]
+    if not any(len(log.sightings) for log in landmarks):
         raise DataError("no robot told what it saw: no map")
-    logs.sort(key=lambda log: log.number)
-    sources = dict.fromkeys(Path(log.source).name for log in logs)
-    return map_landmark_logs(logs, options, f"One map from {', '.join(sources)}")
+    sources = dict.fromkeys(Path(log.source).name for log in landmarks)
+    return map_landmark_logs(landmarks, options, f"One map from {', '.join(sources)}")

@@ -31,6 +31,7 @@ def robot(
     history: Path | None = None,
     fresh: Annotated[bool, Parameter(negative="")] = False,
     linger: float = 30.0,
+    seed: int = 0,
     config: Path | None = None,
     team: str = "team",
     connect: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
@@ -44,7 +45,8 @@ def robot(
     name
         What the team calls it.
     source
-        An MRCLAM data set (folder or zip) or a folder with odometry.csv and sightings.csv.
+        An MRCLAM data set (folder or zip), a folder with odometry.csv and sightings.csv, a laser log, sim:landmarks or
+        sim:office.
     robot
         Which robot of the log it is, where the name does not end with its number.
     rate
@@ -57,6 +59,8 @@ def robot(
         Forget an earlier history.
     linger
         How many seconds it stays at most after the log's end for map processes that lack something.
+    seed
+        Of a simulated world; every robot of a team takes the same.
     config
         A TOML file with settings, as for map.
     team
@@ -82,6 +86,7 @@ def robot(
             history=history,
             fresh=fresh,
             linger=linger,
+            seed=seed,
             config=config,
             network=network,
             stop=stop,

@@ -8,10 +8,23 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from .landmark_stream import LandmarkRecord
-from .messages import Closed, Header, Message, Numbered, RefusedError, RobotState, Rows, Snapshot, Status, decode
+from .laser_stream import LaserRecord
+from .messages import (
+    Closed,
+    Header,
+    Message,
+    Numbered,
+    RefusedError,
+    RobotState,
+    Rows,
+    Scans,
+    Snapshot,
+    Status,
+    decode,
+)
 from .store import Store
 
-Record = LandmarkRecord
+Record = LandmarkRecord | LaserRecord
 
 ANSWER = 200  # messages asked for at once
 PATIENCE = 0.3  # [s] that a message may come late before it is asked for
@@ -99,7 +112,7 @@ class Inbox:
             self.news.append(f"{speaker}: refused: {refused}")
 
     def _take(self, speaker: str, message: Message, payload: bytes, now: float) -> None:
-        if not isinstance(message, Header | Rows | Closed | Status | Snapshot):
+        if not isinstance(message, Header | Rows | Scans | Closed | Status | Snapshot):
             raise RefusedError("malformed", f"a {type(message).__name__} from a robot")
         if message.robot != speaker:
             raise RefusedError("forged name", f"{message.robot!r} under the key of {speaker!r}")
@@ -175,8 +188,8 @@ class Inbox:
         message = decode(payload)
         if isinstance(message, Header):
             self._expect_room_for(ledger, message)
-            ledger.record = LandmarkRecord.begin(message)
-        elif ledger.record is None or not isinstance(message, Rows | Closed):
+            ledger.record = LandmarkRecord.begin(message) if message.sensor == "landmarks" else LaserRecord(message)
+        elif ledger.record is None or not isinstance(message, Rows | Scans | Closed):
             raise RefusedError("malformed", f"a {type(message).__name__} in a history without a header")
         else:
             ledger.record.add(message)

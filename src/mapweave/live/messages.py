@@ -29,7 +29,7 @@ class Header(_Message, tag="header", frozen=True):
     """The first message of a history: who tells it, and what its log is called by those who read it whole.
 
     sensor: "landmarks" or "laser"; log_robot: `robotK`; names: landmarks and robots by the index that `Rows.what`
-    counts from; odometry: whether there is any.
+    counts from; odometry: whether there is any; odometry_from, log_hash: of a laser's log.
     """
 
     robot: str
@@ -39,6 +39,8 @@ class Header(_Message, tag="header", frozen=True):
     source: str
     odometry: bool
     seq: int = 0
+    odometry_from: str = ""
+    log_hash: str = ""
     names: list[str] = []
     dropped: dict[str, int] = {}
     warnings: list[str] = []
@@ -57,6 +59,34 @@ class Rows(_Message, tag="rows", frozen=True):
     seen: bytes = b""
     what: list[int] = []
     names: list[str] = []
+
+
+class Beams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One scan of n beams. ranges, light: numbers as `laser_stream.squeeze` packs them; hit: a bit a beam, the first
+    the highest of its byte; mount: `T_robot_sensor`; odometry: `T_odom_robot` at `t`.
+    """
+
+    t: float
+    n: int
+    ranges: bytes
+    hit: bytes
+    light: bytes | None
+    angle_min: float
+    angle_increment: float
+    range_max: float
+    mount: Numbers
+    host: str
+    odometry: Numbers | None
+
+
+class Scans(_Message, tag="scans", frozen=True):
+    """Scans and odometry of a laser, later than those of all earlier messages. track: columns t, x, y, theta."""
+
+    robot: str
+    run: str
+    seq: int
+    scans: list[Beams] = []
+    track: bytes = b""
 
 
 class Closed(_Message, tag="closed", frozen=True):
@@ -161,8 +191,8 @@ class MapState(_Message, tag="map", frozen=True):
     refused: dict[str, int] = {}
 
 
-Numbered = Header | Rows | Closed
-Message = Header | Rows | Closed | Status | Snapshot | Correction | MapState
+Numbered = Header | Rows | Scans | Closed
+Message = Header | Rows | Scans | Closed | Status | Snapshot | Correction | MapState
 
 
 class RefusedError(DataError):
@@ -222,6 +252,11 @@ def _check(message: Message) -> None:
             _expect(len(message.drive) % 24 == 0 and len(message.seen) % 24 == 0, "three columns of equal length")
             _expect(len(message.seen) // 24 == len(message.what), "an index a sighting")
             _expect(all(k >= 0 for k in message.what), "an index below 0")
+        case Scans():
+            _names(message.robot)
+            _expect(message.seq > 0, "scans have a number above 0")
+            _expect(len(message.track) % 32 == 0, "four columns of equal length")
+            _beams(message.scans)
         case Closed():
             _names(message.robot)
             _expect(message.seq > 0, "the last message has a number above 0")
@@ -247,6 +282,14 @@ def _check(message: Message) -> None:
         case MapState():
             _names(message.map)
             _states(message)
+
+
+def _beams(scans: list[Beams]) -> None:
+    for beams in scans:
+        _finite(beams.t, beams.angle_min, beams.angle_increment)
+        _expect(beams.range_max > 0, "a largest range above 0")
+        _pose(beams.mount, ())
+        _pose(beams.odometry or beams.mount, ())
 
 
 def _states(state: MapState) -> None:

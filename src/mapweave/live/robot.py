@@ -32,7 +32,7 @@ class Driving(Protocol):
 
     def add(self, message: Numbered) -> None: ...
     def status(self) -> tuple[tuple[float, ...], tuple[float, ...], int]: ...
-    def snapshot(self) -> Snapshot: ...
+    def snapshot(self) -> Snapshot | None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,8 +195,9 @@ class RobotProcess:
     def _tell_snapshot(self, driving: Driving) -> None:
         if driving.t is None:
             return
-        payload = encode(driving.snapshot())
-        if len(payload) <= LARGEST:
+        snapshot = driving.snapshot()
+        payload = b"" if snapshot is None else encode(snapshot)
+        if 0 < len(payload) <= LARGEST:
             put(self._session, self._topics.snapshot(self.name), payload)
 
     def _linger(self, driving: Driving, pace: Pace, stop: Event, *, finished: bool) -> None:

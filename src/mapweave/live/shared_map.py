@@ -18,6 +18,7 @@ from .inbox import Ledger
 from .messages import Correction, LandmarkState, RefusedError, Snapshot
 
 TRIANGLE = np.triu_indices(3)
+ALONE = (np.zeros(3), np.zeros((3, 3)), 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +59,7 @@ class SharedMap:
 
     def update(self, ledgers: Iterable[Ledger]) -> bool:
         """Whether there was anything fresher, which is fused now; what can't be fused is said in `decisions`."""
+        self._lasers(ledgers := list(ledgers))
         told = [(ledger, ledger.snapshot) for ledger in ledgers if ledger.snapshot is not None and not ledger.fault]
         if all(self.used.get(ledger.robot) == s.last for ledger, s in told):
             return False
@@ -73,6 +75,15 @@ class SharedMap:
                 refused.append(f"{ledger.robot}: refused, its snapshot: {error}")
         self._fuse(maps, refused)
         return True
+
+    def _lasers(self, ledgers: Sequence[Ledger]) -> None:
+        """Laser robots stand each in a part of its own until their logs are woven at the end."""
+        lasers = [x.robot for x in ledgers if x.record is not None and x.record.header.sensor == "laser"]
+        if lasers:
+            self.placed = {name: Placed(k, *ALONE) for k, name in enumerate(lasers, 1)}
+            self.decisions = [
+                f"{name}: in its own frame; the maps are woven when the logs are whole" for name in lasers
+            ]
 
     def _fuse(self, maps: dict[str, LocalMap], refused: list[str]) -> None:
         self.fused += 1

@@ -1,48 +1,103 @@
 """Where a live robot's rows come from: a log played at any rate, or a simulated team."""
 
 import re
-from dataclasses import dataclass
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from ..core.errors import UsageError
 from ..core.landmark_log import LandmarkLog
+from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key, robot_name
 from ..io.landmark_logs import is_landmark_log, read_landmark_logs
+from ..io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
+from ..io.mrclam import write_mrclam
+from ..sim.landmarks import TeamWorld, simulate_team
+from ..sim.laser import drive
+from ..sim.office import OfficeConfig, office_route, office_world
+from .landmark_stream import messages_of
+from .laser_stream import messages_of_laser
+from .messages import Numbered
 
-SIMULATED = ("sim:landmarks", "sim:office")
+LANDMARKS, OFFICE = "sim:landmarks", "sim:office"
+SIMULATED = 5  # robots in the simulated team among landmarks
+ROUTES = 1000  # the seed of robot K's route through the office of seed S is K + 1000 S
 
 
-@dataclass(frozen=True, slots=True)
-class Source:
-    """What one robot drives through. log: all of it, as a reader gives it."""
-
-    log: LandmarkLog
-    told: str
-
-
-def open_source(source: str, name: str, robot: str | None) -> Source:
-    """The log of one robot of `source`; raises UsageError when it is none or doesn't hold the robot.
+def open_source(source: str, name: str, robot: str | None, seed: int = 0) -> LandmarkLog | LaserLog:
+    """The log of one robot of `source`, as a reader gives it; raises UsageError when it is none or lacks the robot.
 
     robot: which one of those in the log; when None the one that `name` ends with the number of, or the only one.
     """
+    number = re.search(r"(\d+)$", name)
+    key = robot if robot is not None else None if number is None else str(int(number[1]))
+    if source == OFFICE:
+        return _office(_whole(key, name), seed)
+    if source == LANDMARKS:
+        with tempfile.TemporaryDirectory() as folder:
+            write_mrclam(Path(folder), simulate_team(TeamWorld(robots=SIMULATED), seed))
+            logs = [replace(log, source=f"{LANDMARKS}-{seed}") for log in read_landmark_logs(Path(folder))]
+        return _chosen(logs, key, name, source, asked=robot is not None)
     path = Path(source)
+    if source.startswith("sim:"):
+        raise UsageError(f"--source {source}: expected {LANDMARKS} or {OFFICE}")
     if not path.exists():
         raise UsageError(f"--source {source}: no such file or folder")
-    if not is_landmark_log(path):
-        raise UsageError(f"--source {source}: expected an MRCLAM data set or a folder with sightings.csv")
-    logs = {log.robot: log for log in read_landmark_logs(path)}
-    return Source(logs[_chosen(sorted(logs, key=in_order), name, robot, source)], source)
+    if (path.is_dir() or path.suffix.lower() == ".zip") and is_landmark_log(path):
+        return _chosen(list(read_landmark_logs(path)), key, name, source, asked=robot is not None)
+    if is_laser_log(path):
+        return _laser(path, key, name, asked=robot is not None)
+    raise UsageError(f"--source {source}: expected an MRCLAM data set, CSV logs or a laser log")
 
 
-def _chosen(robots: list[str], name: str, robot: str | None, source: str) -> str:
-    there = ", ".join(map(robot_key, robots))
-    if robot is not None:
-        if robot_name(robot) not in robots:
-            raise UsageError(f"--robot {robot}: {source} holds robots {there}")
-        return robot_name(robot)
+def messages(log: LandmarkLog | LaserLog, robot: str, run: str, period: float) -> Iterator[tuple[float, Numbered]]:
+    """What a robot with this log tells, and when [s] of the log's clock."""
+    if isinstance(log, LaserLog):
+        return messages_of_laser(log, robot, run, period)
+    return messages_of(log, robot, run, period)
+
+
+def _laser(path: Path, key: str | None, name: str, *, asked: bool) -> LaserLog:
+    """The only robot of a laser log, or the one of that name or number in it; the team calls it by `name`'s number."""
+    source = LaserSource()
+    there = robots_of(path, source)
+    called = there[0]
+    if len(there) > 1:
+        names = [str(word) for word in there]
+        if key in names:
+            called = key
+        elif key is not None and key.isdecimal() and 0 < int(key) <= len(names):
+            called = names[int(key) - 1]
+        else:
+            raise UsageError(f"--robot: which robot is {name}? {path} holds {', '.join(names)}")
+    elif asked and key != "1":
+        raise UsageError(f"--robot {key}: {path} holds one robot")
     number = re.search(r"(\d+)$", name)
-    if number is not None and f"robot{int(number[1])}" in robots:
-        return f"robot{int(number[1])}"
+    return read_laser(path, robot_name("1" if number is None else str(int(number[1]))), replace(source, name=called))
+
+
+def _office(k: int, seed: int) -> LaserLog:
+    """Robot k's round through the office of `seed`, by a way of its own."""
+    cfg, own = OfficeConfig(), k + ROUTES * seed
+    made = drive(office_world(cfg, seed), office_route(cfg, own), cfg.drive, own)
+    return replace(made.log, robot=robot_name(str(k)), source=f"{OFFICE}-{seed}-{k}")
+
+
+def _whole(key: str | None, name: str) -> int:
+    if key is None or not key.isdecimal():
+        raise UsageError(f"--robot: which robot is {name}? Expected a number")
+    return int(key)
+
+
+def _chosen(logs: list[LandmarkLog], key: str | None, name: str, source: str, *, asked: bool) -> LandmarkLog:
+    by = {log.robot: log for log in logs}
+    robots = sorted(by, key=in_order)
+    if key is not None and robot_name(key) in by:
+        return by[robot_name(key)]
+    there = ", ".join(map(robot_key, robots))
+    if asked:
+        raise UsageError(f"--robot {key}: {source} holds robots {there}")
     if len(robots) == 1:
-        return robots[0]
+        return by[robots[0]]
     raise UsageError(f"--robot: which robot is {name}? {source} holds {there}")

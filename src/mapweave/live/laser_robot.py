@@ -1,0 +1,42 @@
+"""A laser robot that is driving: the estimator of `map --method graph`, one message at a time."""
+
+import numpy as np
+
+from ..laser.config import LaserConfig
+from ..laser.session import LaserSession
+from .laser_stream import LaserRecord
+from .messages import Header, Numbered, Snapshot
+
+TRIANGLE = np.triu_indices(3)
+
+
+class LaserRobot:
+    """The estimate of one robot after the messages so far, by geometry: light is calibrated when the log is whole."""
+
+    def __init__(self, header: Header, cfg: LaserConfig, seed: int = 0) -> None:
+        self.record = LaserRecord(header)
+        self.t: float | None = None
+        self.last = 0
+        self._session = LaserSession(header.log_robot, cfg, seed)
+
+    def add(self, message: Numbered) -> None:
+        """The estimate with the scans of `message`."""
+        self.last = message.seq
+        if isinstance(message, Header):  # it was begun with it
+            return
+        part = self.record.add(message)
+        if part is None:
+            return
+        for event in part.events():
+            self._session.push(event)
+            self.t = event.t if self.t is None else max(self.t, event.t)
+
+    def status(self) -> tuple[tuple[float, ...], tuple[float, ...], int]:
+        """`T_local_robot`, the upper triangle of its covariance, how many landmarks there are: none."""
+        now = self._session.now
+        cov = np.nan_to_num(now.cov)
+        return tuple(now.pose.tolist()), tuple(cov[TRIANGLE].tolist()), 0
+
+    def snapshot(self) -> Snapshot | None:
+        """A laser robot hands over scans alone."""
+        return None

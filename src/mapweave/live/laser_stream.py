@@ -1,0 +1,200 @@
+"""A laser log as numbered messages, and numbered messages as a laser log: the same scans, to the bit."""
+
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core.laser_log import LaserLog
+from ..core.records import Scan, Track, frozen
+from .columns import pack, unpack
+from .messages import LARGEST, Beams, Closed, Header, Numbered, RefusedError, Scans
+
+MOST_BEAMS = 100_000  # of one scan
+MOST_BYTES = LARGEST // 2  # of the scans in one message; a packet of more is split
+MILLIMETRES = 1000.0
+
+
+def messages_of_laser(log: LaserLog, robot: str, run: str, period: float) -> Iterator[tuple[float, Numbered]]:
+    """All messages of a whole log and when each is complete [s]: what came in every `period` [s], header and end."""
+    o = log.odometry
+    stamps = [log.scan_t] if o is None else [log.scan_t, o.t]
+    begin, end = min(float(t[0]) for t in stamps if len(t)), max(float(t[-1]) for t in stamps if len(t))
+    yield (
+        begin,
+        Header(
+            robot=robot,
+            run=run,
+            sensor="laser",
+            log_robot=log.robot,
+            source=log.source,
+            odometry=o is not None,
+            odometry_from=log.odometry_from,
+            log_hash=log.log_hash,
+            dropped=dict(log.dropped),
+            warnings=list(log.warnings),
+        ),
+    )
+    cuts = np.arange(begin + period, end, period)
+    seen = [0, *np.searchsorted(log.scan_t, cuts, side="right").tolist(), len(log.scans)]
+    driven = [0] * len(seen) if o is None else [0, *np.searchsorted(o.t, cuts, side="right").tolist(), len(o.t)]
+    seq = 0
+    for t, (a, b), (c, d) in zip([*cuts.tolist(), end], pairwise(seen), pairwise(driven), strict=True):
+        track = pack(o.t[c:d], *o.pose[c:d].T) if o is not None and d > c else b""
+        batch: list[Beams] = []
+        size = 0
+        for k in range(a, b):
+            beams = beams_of(float(log.scan_t[k]), log.scans[k])
+            size += len(beams.ranges) + len(beams.light or b"") + len(beams.hit)
+            batch.append(beams)
+            if size > MOST_BYTES:
+                seq += 1
+                yield t, Scans(robot=robot, run=run, seq=seq, track=track, scans=batch)
+                track, batch, size = b"", [], 0
+        if batch or track:
+            seq += 1
+            yield t, Scans(robot=robot, run=run, seq=seq, track=track, scans=batch)
+    yield end, Closed(robot=robot, run=run, seq=seq + 1)
+
+
+def beams_of(t: float, scan: Scan) -> Beams:
+    """One scan, packed; see `squeeze` for ranges and light."""
+    return Beams(
+        t=t,
+        n=len(scan.ranges),
+        ranges=squeeze(scan.ranges),
+        hit=np.packbits(scan.hit).tobytes(),
+        light=None if scan.intensities is None else squeeze(scan.intensities),
+        angle_min=scan.angle_min,
+        angle_increment=scan.angle_increment,
+        range_max=scan.range_max,
+        mount=tuple(scan.T_robot_sensor.tolist()),
+        host=scan.host,
+        odometry=None if scan.odometry is None else tuple(scan.odometry.tolist()),
+    )
+
+
+def scan_of(beams: Beams) -> Scan:
+    """The scan; raises RefusedError when its arrays do not fit each other."""
+    n = beams.n
+    hit = np.unpackbits(np.frombuffer(beams.hit, np.uint8))
+    if not 0 <= n <= MOST_BEAMS or len(hit) != 8 * ((n + 7) // 8):
+        raise RefusedError("malformed", f"{n} beams, {len(hit)} marks of returns")
+    return Scan(
+        frozen(stretch(beams.ranges, n)),
+        frozen(hit[:n], dtype=bool),
+        None if beams.light is None else frozen(stretch(beams.light, n)),
+        beams.angle_min,
+        beams.angle_increment,
+        beams.range_max,
+        frozen(beams.mount),
+        beams.host,
+        None if beams.odometry is None else frozen(beams.odometry),
+    )
+
+
+def squeeze(values: Float[np.ndarray, " n"]) -> bytes:
+    """The numbers to the bit, as short as they allow: a letter for how they are told, then a zlib stream of it.
+
+    m: whole thousandths as int32; f: float32; d: float64; all little-endian.
+    """
+    whole = np.rint(values * MILLIMETRES)
+    if (np.abs(whole) < 2**31).all() and np.array_equal(whole / MILLIMETRES, values):
+        kind, data = b"m", whole.astype("<i4").tobytes()
+    elif np.array_equal(values.astype("<f4").astype(float), values):
+        kind, data = b"f", values.astype("<f4").tobytes()
+    else:
+        kind, data = b"d", values.astype("<f8").tobytes()
+    return kind + zlib.compress(data, 6)
+
+
+def stretch(data: bytes, n: int) -> Float[np.ndarray, " n"]:
+    """The n numbers of `squeeze`; raises RefusedError when they are not n or not finite."""
+    kinds = {b"m": "<i4", b"f": "<f4", b"d": "<f8"}
+    kind = kinds.get(data[:1])
+    if kind is None:
+        raise RefusedError("malformed", "a column of no known kind")
+    expected = n * np.dtype(kind).itemsize
+    try:
+        stream = zlib.decompressobj()
+        raw = stream.decompress(data[1:], expected + 1)
+    except zlib.error as error:
+        raise RefusedError("malformed", f"a column that cannot be unpacked: {error}") from None
+    if len(raw) != expected or stream.unconsumed_tail or not stream.eof:
+        raise RefusedError("malformed", f"a column that does not hold {n} numbers")
+    values = np.frombuffer(raw, kind).astype(float)
+    if not np.isfinite(values).all():
+        raise RefusedError("malformed", "a number that is not finite")
+    return values / MILLIMETRES if kind == "<i4" else values
+
+
+@dataclass(slots=True)
+class LaserRecord:
+    """What a laser robot has told so far, put together in the order of its numbers."""
+
+    header: Header
+    stamps: list[float] = field(default_factory=list)
+    scans: list[Scan] = field(default_factory=list)
+    tracks: list[Float[np.ndarray, "4 _"]] = field(default_factory=list)
+    closed: bool = False
+
+    def add(self, message: Numbered) -> LaserLog | None:
+        """Its scans and odometry as a log of their own; raises RefusedError when they can't be this robot's."""
+        if self.closed:
+            raise RefusedError("malformed", "a message after the last one")
+        if isinstance(message, Closed):
+            self.closed = True
+            return None
+        if not isinstance(message, Scans):
+            raise RefusedError("sensor", f"{type(message).__name__} from a robot that announced a laser")
+        track = unpack(message.track, 4)
+        scans = [scan_of(beams) for beams in message.scans]
+        stamps = [beams.t for beams in message.scans]
+        self._expect(stamps, scans, track)
+        self.stamps += stamps
+        self.scans += scans
+        if track.shape[1]:
+            self.tracks.append(track)
+        return self._log(stamps, scans, [track])
+
+    def _expect(self, stamps: list[float], scans: list[Scan], track: Float[np.ndarray, "4 n"]) -> None:
+        before = [*self.stamps[-1:], *stamps]
+        if any(later < earlier for earlier, later in pairwise(before)):
+            raise RefusedError("malformed", "scans that step back in time")
+        rows = np.concatenate([*(t[0, -1:] for t in self.tracks[-1:]), track[0]])
+        if not (np.diff(rows) > 0).all():
+            raise RefusedError("malformed", "odometry that steps back in time")
+        if track.shape[1] and not self.header.odometry:
+            raise RefusedError("sensor", "odometry from a robot that announced none")
+        first = [*self.scans[:1], *scans][:1]
+        for scan in scans:
+            if (scan.intensities is None) != (first[0].intensities is None):
+                raise RefusedError("sensor", "light in some scans and not in others")
+            if (scan.odometry is None) == self.header.odometry:
+                raise RefusedError("sensor", "scans whose odometry is not what was announced")
+
+    @property
+    def log(self) -> LaserLog:
+        """Everything so far."""
+        return self._log(self.stamps, self.scans, self.tracks)
+
+    def _log(self, stamps: list[float], scans: list[Scan], tracks: list[Float[np.ndarray, "4 _"]]) -> LaserLog:
+        h = self.header
+        rows = np.concatenate([np.zeros((4, 0)), *tracks], axis=1)
+        return LaserLog(
+            h.log_robot,
+            h.source,
+            np.array(stamps),
+            tuple(scans),
+            Track(rows[0], rows[1:].T, frame="odom") if h.odometry else None,
+            h.odometry_from,
+            dict(h.dropped),
+            tuple(h.warnings),
+            h.log_hash,
+        )
+
+    def __len__(self) -> int:
+        return len(self.scans)

@@ -1,0 +1,164 @@
+"""Laser robots: scans told and put together again to the bit, and real processes whose map is that of their logs."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mapweave.api.laser_slam import LaserSlam
+from mapweave.api.simulate_laser import simulate_laser
+from mapweave.core.errors import UsageError
+from mapweave.laser.config import LaserConfig
+from mapweave.live.laser_robot import LaserRobot
+from mapweave.live.laser_stream import LaserRecord, beams_of, messages_of_laser, scan_of, squeeze, stretch
+from mapweave.live.messages import LARGEST, RefusedError, Rows, Scans, decode, encode
+from mapweave.live.sources import open_source
+from mapweave.sim.corridor import CorridorConfig
+from mapweave.sim.office import OfficeConfig
+
+from .processes import Fleet, same_result
+
+
+@cache
+def drive(robot="robot1", distance=4.0):
+    return replace(simulate_laser(world=CorridorConfig(distance=distance), seed=1).log, robot=robot)
+
+
+def told(log, period=1.0):
+    return [m for _, m in messages_of_laser(log, "r1", "a", period)]
+
+
+@pytest.mark.parametrize("period", [0.3, 2.0, 1e6])
+def test_a_laser_log_is_the_same_to_the_bit_once_told(period):
+    for log in (
+        drive(),
+        replace(drive(), odometry=None, scans=tuple(replace(s, odometry=None) for s in drive().scans)),
+    ):
+        first, *rest = [decode(encode(m)) for m in told(log, period)]
+        assert max(len(encode(m)) for m in rest) < LARGEST
+        record = LaserRecord(first)
+        for message in rest:
+            record.add(message)
+        got = record.log
+        assert record.closed
+        assert (got.robot, got.source, got.log_hash, got.odometry_from) == (
+            log.robot, log.source, log.log_hash, log.odometry_from,
+        )  # fmt: skip
+        assert (got.dropped, got.warnings) == (log.dropped, log.warnings)
+        assert got.scan_t.tobytes() == log.scan_t.tobytes()
+        for a, b in zip(got.scans, log.scans, strict=True):
+            for name in ("ranges", "hit", "intensities", "T_robot_sensor", "odometry"):
+                x, y = getattr(a, name), getattr(b, name)
+                assert (x is None and y is None) or x.tobytes() == y.tobytes()
+            assert (a.angle_min, a.angle_increment, a.range_max, a.host) == (
+                b.angle_min, b.angle_increment, b.range_max, b.host,
+            )  # fmt: skip
+        if log.odometry is not None:
+            assert got.odometry.pose.tobytes() == log.odometry.pose.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("values", "kind"),
+    [
+        (np.array([1.234, -5.0, 0.0]), b"m"),
+        (np.float32([1.1, 2.2, 3.3]).astype(float), b"f"),
+        (np.array([1 / 3, 2.0]), b"d"),
+        (np.array([1e12, 0.001]), b"d"),
+        (np.zeros(0), b"m"),
+    ],
+)
+def test_numbers_are_told_as_short_as_they_allow_and_to_the_bit(values, kind):
+    data = squeeze(values)
+    assert data[:1] == kind
+    assert stretch(data, len(values)).tobytes() == values.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("data", "n"),
+    [
+        (b"", 1),
+        (b"x123", 1),
+        (b"dnothing packed", 1),
+        (squeeze(np.ones(3)), 4),
+        (squeeze(np.ones(3)), 2),
+        (squeeze(np.zeros(1_000_000)), 10),
+        (squeeze(np.array([np.inf])), 1),
+        (squeeze(np.ones(3))[:-4], 3),
+    ],
+)
+def test_columns_that_are_not_what_they_say_are_refused(data, n):
+    with pytest.raises(RefusedError, match="malformed"):
+        stretch(data, n)
+
+
+def test_scans_that_contradict_what_was_announced_are_refused():
+    first, second, *_ = told(drive())
+    scan = second.scans[0]
+
+    def refused(words, *messages, header=first):
+        record = LaserRecord(header)
+        for message in messages[:-1]:
+            record.add(message)
+        with pytest.raises(RefusedError, match=words):
+            record.add(messages[-1])
+
+    again = Scans(robot="r1", run="a", seq=2, scans=second.scans[:1])
+    refused("scans that step back", Scans(robot="r1", run="a", seq=1, scans=second.scans[:3]), again)
+    refused("odometry that steps back", second, Scans(robot="r1", run="a", seq=2, track=second.track))
+    dark = replace(scan_of(scan), intensities=None)
+    refused("light in some", Scans(robot="r1", run="a", seq=1, scans=[scan, beams_of(scan.t + 1, dark)]))
+    lost = replace(scan_of(scan), odometry=None)
+    refused("not what was announced", Scans(robot="r1", run="a", seq=1, scans=[beams_of(scan.t, lost)]))
+    refused("Rows from a robot that announced a laser", Rows(robot="r1", run="a", seq=1))
+
+
+def test_a_laser_robot_told_message_by_message_stands_where_its_scans_one_by_one_put_it():
+    log, cfg = drive(), LaserConfig(method="graph")
+    first, *rest = told(log)
+    robot = LaserRobot(first, cfg)
+    for message in [first, *rest]:
+        robot.add(message)
+    slam = LaserSlam(cfg)
+    for t, scan in zip(log.scan_t, log.scans, strict=True):
+        pose = slam.add_scan(
+            t, scan.ranges, scan.angles(), odometry=scan.odometry, intensities=scan.intensities,
+            range_max=scan.range_max, sensor_pose=scan.T_robot_sensor,
+        ).pose  # fmt: skip
+    np.testing.assert_allclose(robot.status()[0], pose, atol=1e-9)
+    assert robot.t == log.stamps()[-1]
+
+
+def test_simulated_sources_give_each_robot_its_own_way_and_all_the_same_walls():
+    one, two = (open_source("sim:office", f"r{k}", None, 2) for k in (1, 2))
+    assert (one.robot, two.robot) == ("robot1", "robot2")
+    assert one.log_hash != two.log_hash or not np.array_equal(one.scans[5].ranges, two.scans[5].ranges)
+    again = open_source("sim:office", "r1", None, 2)
+    assert again.scans[7].ranges.tobytes() == one.scans[7].ranges.tobytes()
+    assert open_source("sim:landmarks", "scout-3", None).robot == "robot3"
+    with pytest.raises(UsageError, match="holds robots 1, 2, 3, 4, 5"):
+        open_source("sim:landmarks", "r1", "9")
+    with pytest.raises(UsageError, match="expected sim:landmarks or sim:office"):
+        open_source("sim:moon", "r1", None)
+
+
+@pytest.mark.slow
+def test_laser_robots_that_drive_give_the_map_of_their_logs(tmp_path):
+    logs = [tmp_path / f"{name}.mcap" for name in "ab"]
+    world = OfficeConfig(rooms=1, visited=1)
+    for seed, path in enumerate(logs, 1):
+        simulate_laser(path, world, seed=seed)
+    command = [sys.executable, "-m", "mapweave", "map", *map(str, logs), "--out", str(tmp_path / "direct")]
+    subprocess.run(command, check=True, capture_output=True, timeout=120)  # noqa: S603
+    fleet = Fleet(tmp_path, tmp_path)
+    try:
+        fleet.map()
+        for name, path in zip(("r1", "r2"), logs, strict=True):
+            fleet.source = path
+            fleet.robot(name, rate="inf")
+        assert fleet.wait("map", 90) == 0, fleet.said("map")
+    finally:
+        fleet.end()
+    same_result(tmp_path / "direct", tmp_path / "out-map", but=("report.html",))  # it tells how long a scan took
