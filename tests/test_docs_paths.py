@@ -9,7 +9,7 @@ TOP = Path(__file__).parent.parent
 SOURCE = TOP / "src" / "mapweave"
 NAMED = re.compile(r"`((?:[a-z_]+/)+(?:[a-z_0-9]+\.py)?)`")
 PAGES = sorted([*TOP.glob("docs/**/*.md"), TOP / "README.md"])
-FOLDERS_OF_RESULTS = {"trajectories/", "figures/", "log/", "recording/", "result/", "local/", "components/"}
+FOLDERS_OF_RESULTS = {"trajectories/", "state/", "figures/", "log/", "recording/", "result/", "local/", "components/"}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
