@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.gaussian import symmetrise
+from ..core.names import robot_name
 from ..core.records import frozen
 from .consistency import adjoint, cycle_squares, largest_clique
 from .map_overlap import KeyframeMap, seen_alike, wall_overlap
@@ -147,7 +148,8 @@ def _decided(pair: _Pair, start: Start | None) -> Merge:
     tried, asked = 0, stages(b, cfg)
     for k, stage in enumerate(asked):
         more, count = hypotheses(b, place, stage, cfg, start)
-        found, tried = found + more, tried + count
+        found += [h for h in more if start is None or _near(start, h.transform)]
+        tried += count
         if k + 1 < len(asked) and len(found) < cfg.sure:
             continue
         if not found:
@@ -201,6 +203,12 @@ def _weighed(pair: _Pair, ways: Sequence[Candidate], tried: int, start: Start | 
     )
 
 
+def _near(start: Start, T: np.ndarray) -> bool:
+    """Whether the start allows a transform: it lies within three standard deviations, or as near as is searched."""
+    sd, e = np.asarray(start.sd), se2.between(start.transform, T)
+    return bool(np.hypot(*e[:2]) <= max(3.0 * np.hypot(*sd[:2]), 1.0) and abs(e[2]) <= max(3.0 * sd[2], 0.2))
+
+
 def _certain(best: Candidate, cfg: MergeConfig) -> bool:
     """Whether the whole maps alone tell that they lie so: much in common, and nothing amid free floor."""
     return best.evidence(cfg.alike) >= cfg.certain and best.seen.clear >= cfg.clear
@@ -220,14 +228,14 @@ def _why_refused(pair: _Pair, told: Merge, best: Candidate, rival: Candidate | N
     if good and (along := _slides(pair, best)) is not None:
         return f"a corridor: {along} is not held, the maps may slide along it"
     if good and rival is not None and (cfg.lead * rival.evidence(cfg.alike) > evidence or _allowed(rival, best, cfg)):
-        which = f"two places of {pair.b.robot} in the map of {pair.a.robot}"
+        which = f"two places of {robot_name(pair.b.robot)} in the map of {robot_name(pair.a.robot)}"
         first, second = (f"{words(c.transform)}, {100 * c.seen.share:.0f} %" for c in (best, rival))
         return f"{which} fit equally well: {first} of what both saw is alike, and {second}"
     if not good and best.seen.alike + best.seen.through >= cfg.least_seen:
         what = f"{tried} submaps" if tried else "the whole maps"
         return (
-            f"too little overlap: no place fits {what}; in the best, {pair.b.robot} at "
-            f"{words(best.transform)} in the map of {pair.a.robot}, each robot saw "
+            f"too little overlap: no place fits {what}; in the best, {robot_name(pair.b.robot)} at "
+            f"{words(best.transform)} in the map of {robot_name(pair.a.robot)}, each robot saw "
             f"through walls of the other ({100 * best.seen.share:.0f} % alike, {100 * cfg.alike:.0f} % are needed)"
         )
     if not good or told.agreeing < needed:
@@ -318,7 +326,7 @@ def _slides(pair: _Pair, best: Candidate) -> str | None:
     values, vectors = np.linalg.eigh(total)
     along = (
         f"the direction of {np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])) % 180.0:.0f} degrees in the map of "
-        f"{pair.a.robot}"
+        f"{robot_name(pair.a.robot)}"
     )
     if values[0] < cfg.held * values[1]:
         return along
