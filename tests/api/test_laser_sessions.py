@@ -10,7 +10,7 @@ import pytest
 import mapweave
 from mapweave.api.map_options import LaserOptions
 from mapweave.cli import _run
-from mapweave.core.errors import DataError, MapweaveError, ReaderError, UsageError
+from mapweave.core.errors import ConfigError, DataError, MapweaveError, ReaderError, UsageError
 
 from ..laser.team_logs import cut, office
 
@@ -151,6 +151,16 @@ def test_finished_results_are_fused_by_the_same_decision_as_one_run(sessions, lo
     again = mapweave.fuse([tmp_path / "fused", sessions / "first"])
     assert again.metrics["warnings"] == ["first/robot1 is the same log as fused/first/robot1: it counts once"]
     assert again.metrics["components"] == [["fused/first/robot1", "fused/second/robot1"]]
+
+
+def test_what_it_takes_to_merge_is_a_setting(sessions, tmp_path):
+    (tmp_path / "hard.toml").write_text("[laser.merge]\nvotes = 1000\nknown_votes = 1000\n")
+    fused = mapweave.fuse(sessions / "both", config=tmp_path / "hard.toml")
+    assert fused.metrics["components"] == [["both/robot1"], ["both/robot2"]]
+    assert "1000 are needed" in fused.metrics["fusion"][0]["reason"]
+    (tmp_path / "wrong.toml").write_text("[laser.merge]\nvotings = 3\n")
+    with pytest.raises(ConfigError, match=r"laser.merge.votings: unknown key"):
+        mapweave.fuse(sessions / "both", config=tmp_path / "wrong.toml")
 
 
 def test_laser_results_are_not_fused_with_landmarks_nor_with_options_of_theirs(sessions, tmp_path, capsys):

@@ -202,6 +202,16 @@ def test_a_robot_that_never_moves_stays_alone_and_says_so(team):
     assert result.metrics["fusion"][0]["reason"]
 
 
+def test_a_robot_that_saw_nothing_does_not_keep_the_others_from_their_map(team):
+    logs, _ = team
+    blind = tuple(replace(scan, hit=np.zeros_like(scan.hit)) for scan in logs[1].scans[:20])
+    log = replace(logs[1], source="blind.mcap", scan_t=logs[1].scan_t[:20], scans=blind)
+    result = mapweave.map([logs[0], log], share={"1": 0.2})
+    assert result.metrics["components"] == [["1"], ["2"]]
+    assert result.metrics["fusion"][0]["decision"] == "refused"
+    assert all(np.isfinite(c.tracks[r].pose).all() for c in result.components for r in c.robots)
+
+
 def test_the_same_team_is_mapped_the_same_from_files_at_the_command_line(tmp_path, capsys):
     drives = [tmp_path / f"{name}.mcap" for name in "ab"]
     for k, drive in enumerate(drives, 1):

@@ -80,7 +80,7 @@ def test_the_command_prints_it_and_refuses_jobs_without_settings(capsys):
     assert out == configuration("map", laser=True)
     assert "[laser.filter]" in out
     assert _run(["config", "simulate"]) == 2
-    assert _run(["config", "fuse", "--laser"]) == 2
+    assert _run(["config", "locate", "--laser"]) == 2
     assert capsys.readouterr().err.count("\n") == 2
     with pytest.raises(UsageError, match="expected one of map, map --laser"):
         configuration("view")

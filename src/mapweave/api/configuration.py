@@ -10,6 +10,7 @@ JOBS: dict[tuple[str, bool], str] = {
     ("map", False): "mapweave.api.map_landmarks:LandmarkMapConfig",
     ("map", True): "mapweave.api.map_laser:LaserMapConfig",
     ("fuse", False): "mapweave.fusion.config:FuseConfig",
+    ("fuse", True): "mapweave.api.map_laser:LaserMapConfig",
     ("locate", False): "mapweave.api.locate:LocateConfig",
     ("localize", True): "mapweave.api.map_laser:LaserMapConfig",
     ("explore", False): "mapweave.exploration.landmarks.config:ExploreConfig",
@@ -25,7 +26,7 @@ def configuration(job: str, *, laser: bool = False) -> str:
     job
         map, fuse, locate, localize or explore.
     laser
-        The keys for laser logs (map) or laser worlds (explore); `localize` has no others.
+        The keys for laser logs (map, fuse) or laser worlds (explore); `localize` has no others.
 
     Raises
     ------

@@ -50,7 +50,8 @@ def fuse(
     truth
         What `evaluate` takes; used for scoring alone.
     config
-        A TOML file of settings, as `configuration("fuse")` prints them; options here win. Landmarks alone.
+        A TOML file of settings, as `configuration("fuse")` prints them for landmarks and `configuration("fuse",
+        laser=True)` for laser maps (the tables `merge` and `graph.joint` and `resolution`); options here win.
     seed
         Kept in the metrics (0).
     force
@@ -77,21 +78,22 @@ def fuse(
     given = [Path(directories)] if isinstance(directories, Path | str) else [Path(d) for d in directories]
     if not given:
         raise UsageError("expected a result of map, found none")
-    cfg = load(FuseConfig, None if config is None else Path(config), {"weights": weights, "identities": identities})
     if out is not None:
         check_target(Path(out), force=force)
     for folder in given:
         if not folder.is_dir():
             raise ReaderError(folder, "no such folder")
     if are_laser_results(given):
-        idle = {"--weights": weights, "--identities": identities, "--config": config}
+        idle = {"--weights": weights, "--identities": identities}
         if asked := [name for name, value in idle.items() if value is not None]:
             raise UsageError(f"{', '.join(asked)}: only for landmark results, found {given[0]}")
         names, scores = distinct_names(given), tuple(Path(p) for p in truth)
-        woven = fuse_laser(given, names, seed=seed, truth=scores, on_progress=on_progress)
+        settings = None if config is None else Path(config)
+        woven = fuse_laser(given, names, config=settings, seed=seed, truth=scores, on_progress=on_progress)
         if out is not None:
             woven.write(out, force=force)
         return woven
+    cfg = load(FuseConfig, None if config is None else Path(config), {"weights": weights, "identities": identities})
     watch = Watch()
     local: list[LocalMap] = []
     recordings: dict[str, str] = {}

@@ -4,12 +4,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from ..core.config import load
 from ..core.errors import DataError
 from ..core.names import robot_name
 from ..core.workers import Progress
 from ..io.laser_state import holds_state, laser_homes, read_laser_states
 from ..laser.laser_map import LaserMap
 from .laser_result import LaserResult
+from .map_laser import LaserMapConfig
 from .weave_laser import same_logs, woven_result
 
 
@@ -23,9 +25,17 @@ def are_laser_results(folders: Sequence[Path]) -> bool:
 
 
 def fuse_laser(
-    folders: Sequence[Path], names: Sequence[str], *, seed: int, truth: Sequence[Path], on_progress: Progress
+    folders: Sequence[Path],
+    names: Sequence[str],
+    *,
+    config: Path | None,
+    seed: int,
+    truth: Sequence[Path],
+    on_progress: Progress,
 ) -> LaserResult:
     """One result of all robots of `folders`, called NAME/robotK; a log that several hold counts once and is told."""
+    cfg = load(LaserMapConfig, config).laser
+    cfg.check()
     maps: list[LaserMap] = []
     for k, (folder, name) in enumerate(zip(folders, names, strict=True)):
         on_progress("reading", k, len(folders))
@@ -35,9 +45,11 @@ def fuse_laser(
         first, again = twice
         maps = [made for made in maps if made is not again]
         warnings.append(f"{again.robot} is the same log as {first.robot}: it counts once")
+    if config is None:
+        cfg = replace(cfg, resolution=maps[0].grid.resolution)
     return woven_result(
         maps,
-        resolution=maps[0].grid.resolution,
+        cfg,
         seed=seed,
         truth=truth,
         warnings=warnings,

@@ -81,7 +81,7 @@ def _woven(
 ) -> LaserResult:
     return woven_result(
         maps,
-        resolution=cfg.resolution,
+        cfg,
         seed=options.seed,
         starts=starts,
         merge=not options.laser.no_merge,
@@ -95,7 +95,7 @@ def result_of(maps: Sequence[LaserMap], cfg: LaserConfig, *, seed: int = 0) -> L
     """The result of maps that were made already by the settings `cfg`: those of the graph method woven."""
     if cfg.method != "graph":
         return LaserResult(tuple(maps), laser_metrics(maps, seed))
-    return woven_result(maps, resolution=cfg.resolution, seed=seed)
+    return woven_result(maps, cfg, seed=seed)
 
 
 def _robots(

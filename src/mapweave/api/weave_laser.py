@@ -14,6 +14,7 @@ from ..core.names import robot_name
 from ..core.records import Track
 from ..core.workers import Progress, no_progress
 from ..io.tum import read_tum
+from ..laser.config import LaserConfig
 from ..laser.laser_map import LaserMap
 from ..laser.merge_search import Start
 from ..laser.weave import weave
@@ -37,8 +38,8 @@ def same_logs(maps: Sequence[LaserMap]) -> tuple[LaserMap, LaserMap] | None:
 
 def woven_result(
     maps: Sequence[LaserMap],
+    cfg: LaserConfig,
     *,
-    resolution: float,
     seed: int,
     starts: Mapping[str, Sequence[float]] | None = None,
     merge: bool = True,
@@ -63,8 +64,8 @@ def woven_result(
     if len(made) > 1:
         on_progress("weave", 0, 1)
     graphs = [m.graph for m in made if m.graph is not None]
-    woven = weave(graphs, starts=told, merge=merge)
-    components = woven_maps(made, woven, resolution)
+    woven = weave(graphs, cfg.merge, told, merge=merge, last=cfg.graph.joint)
+    components = woven_maps(made, woven, cfg.resolution)
     if len(made) > 1:
         on_progress("weave", 1, 1)
     timing = {"weave": perf_counter() - began} if len(made) > 1 else {}

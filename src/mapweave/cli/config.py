@@ -18,7 +18,7 @@ def config(
     job
         map, fuse, locate, localize or explore.
     laser
-        The settings for laser logs (map) or laser worlds (explore).
+        The settings for laser logs (map, fuse) or laser worlds (explore).
     """
     from ..api.configuration import configuration
     from .terminal import say

@@ -10,6 +10,7 @@ from .icp import IcpConfig
 from .joint_pass import JointConfig
 from .keyframe_graph import KeyframeGraphConfig
 from .keyframes import KeyframeConfig
+from .merge_search import MergeConfig
 from .occupancy_mapper import LayingConfig
 from .particle_grid import CellConfig
 from .scan_matching import FrontEndConfig
@@ -93,6 +94,7 @@ class LaserConfig:
     icp: IcpConfig = IcpConfig()
     calibration: CalibrationConfig = CalibrationConfig()
     graph: GraphConfig = GraphConfig()
+    merge: MergeConfig = MergeConfig()
 
     def eps(self, sd: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """How far [m, m, rad] a match may deviate from an odometry increment allowed `sd`."""

@@ -48,7 +48,7 @@ class MergeConfig:
     held: float = 0.02  # information along the worst direction over that along the best
     slide: tuple[float, ...] = (0.8, 1.6, 3.0)  # [m] the map is pushed along its worst direction as a test
     drift: float = 0.01  # [m per m] sd of a map's own ways,
-    drift_turn: float = 0.002  # [rad per sqrt m]
+    drift_turn: float = 0.002  # [rad per sqrt m] and of their headings
     correlation: CorrelationConfig = CorrelationConfig()
     place: PlaceConfig = PlaceConfig()
     submap: SubmapConfig = SubmapConfig()

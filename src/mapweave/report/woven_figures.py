@@ -19,6 +19,7 @@ from .laser_figures import draw_occupancy, map_size, map_window
 from .style import MUTED, TRUTH, Target, as_map, colour, figure
 
 ROBOTS = (0, 1, 3, 4, 6, 2, 5)  # places in the palette, those of closures last
+STYLES = ("-", "-.", ":")  # of lines, for robots beyond the palette
 TIE, LOOP, REFUSED = 2, 0, 5  # colours of closures between robots, within one, and of those refused
 WALLS = 0.1  # [m] of the points two maps are drawn with
 
@@ -33,7 +34,8 @@ def draw_component(path: Target, made: WovenMap, truths: Mapping[str, Track]) ->
     with figure(path, *map_size(made.grid)) as (fig, ax):
         draw_occupancy(ax, made.grid)
         for k, (robot, track) in enumerate(made.tracks.items()):
-            ax.plot(*track.pose[:, :2].T, color=robot_colour(k), label=robot_name(robot), linewidth=1.2)
+            style = STYLES[k // len(ROBOTS) % len(STYLES)]
+            ax.plot(*track.pose[:, :2].T, style, color=robot_colour(k), label=robot_name(robot), linewidth=1.2)
             ax.plot(*track.pose[0, :2], "o", color=robot_colour(k), markeredgecolor="white", markersize=6)
             ax.plot(*track.pose[-1, :2], "s", color=robot_colour(k), markeredgecolor="white", markersize=6)
         for k, track in enumerate(truths_in(made, truths)):
