@@ -19,6 +19,7 @@ from mapweave.io.landmark_logs import is_landmark_log, read_landmark_logs
 from mapweave.io.landmark_truth import read_robot_truth, read_survey
 from mapweave.io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
 from mapweave.io.laser_map import read_grid, write_grid
+from mapweave.io.laser_state import read_laser_states
 from mapweave.io.local_map import read_local_map, write_local_map
 from mapweave.io.positions import read_network, read_positions, read_track, write_network, write_positions, write_track
 from mapweave.io.relations import read_relations
@@ -271,6 +272,13 @@ def a_laser_graph(work: Path) -> list[Files]:
     return out
 
 
+def a_laser_state(work: Path) -> list[Files]:
+    from tests.io.test_laser_state import kept, made_map
+
+    kept(work, made_map())
+    return [{n: data for n, data in files_in(work).items() if n.endswith((".npz", ".json"))}]
+
+
 def a_swarm(work: Path) -> list[Files]:
     n, rng = 4, np.random.default_rng(0)
     work.mkdir(parents=True)
@@ -344,6 +352,7 @@ FORMATS: dict[str, tuple[Reader, Callable[[Path], list[Files]]]] = {
     "grid": (of_file(read_grid), a_grid),
     "team": (read_result, a_team),
     "laser-graph": (of_file(read_robot_graph), a_laser_graph),
+    "laser-state": (read_laser_states, a_laser_state),
     "swarm": (read_swarm, a_swarm),
     "tum": (of_file(read_tum), a_tum),
     "relations": (of_file(read_relations), always({"r.relations": RELATIONS})),

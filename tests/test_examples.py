@@ -21,6 +21,7 @@ SAYS = {
     "landmark_team": "landmark RMSE 0.",
     "laser_arrays": "cells are occupied",
     "laser_live": "cells are occupied",
+    "laser_sessions": "2 robots in one map",
     "laser_two_robots": "merged on ",
     "own_planner": "% of the field seen",
     "swarm": "RMSE 0.",

@@ -162,6 +162,17 @@ def test_two_places_that_fit_are_refused_and_a_start_decides(tmp_path):
     assert np.hypot(*(first - start)[:2]) < 0.3
 
 
+def test_a_wrong_start_is_overruled_by_the_scans_and_that_is_told(team, woven):
+    logs, _ = team
+    right = woven[0].merges[0].transform
+    wrong = (float(right[0]) + 6.0, float(right[1]), float(right[2]) + 1.5, 0.3)
+    told = mapweave.map(logs, start={"2": wrong})
+    (row,) = told.metrics["fusion"]
+    assert row["decision"] == "merged"
+    assert "the scans overrule the start that was given, by 6.0" in row["reason"]
+    assert np.allclose(row["transform"], right, atol=0.05)
+
+
 def test_a_start_of_nobody_and_one_that_is_no_pose_are_refused(team):
     logs, _ = team
     with pytest.raises(UsageError, match="there is no robot7; there are robot1, robot2"):
