@@ -154,7 +154,7 @@ def test_finished_results_are_fused_by_the_same_decision_as_one_run(sessions, lo
 
 
 def test_what_it_takes_to_merge_is_a_setting(sessions, tmp_path):
-    (tmp_path / "hard.toml").write_text("[laser.merge]\nvotes = 1000\nknown_votes = 1000\n")
+    (tmp_path / "hard.toml").write_text("[laser.merge]\nvotes = 1000\ncertain = 1000000\n")
     fused = mapweave.fuse(sessions / "both", config=tmp_path / "hard.toml")
     assert fused.metrics["components"] == [["both/robot1"], ["both/robot2"]]
     assert "1000 are needed" in fused.metrics["fusion"][0]["reason"]
