@@ -145,6 +145,20 @@ def test_a_smaller_map_is_no_likelier_one():
     assert costs[1] == pytest.approx(costs[0], rel=0.02)
 
 
+def test_without_any_wheels_the_map_keeps_the_size_that_ranges_gave_it():
+    w = world(3)
+    blind = [replace(log, odometry=None) for log in w.logs]
+    result = smoothed(w, logs=blind)
+    before, after = (m.mean - m.mean.mean(axis=0) for m in (w.map.landmarks, result.map.landmarks))
+    assert np.linalg.norm(after) == pytest.approx(np.linalg.norm(before), rel=1e-3)
+    size = after.ravel() / np.linalg.norm(after)
+    alone = (w.map.landmarks.mean - w.map.landmarks.mean.mean(axis=0)).ravel()
+    alone /= np.linalg.norm(alone)
+    assert size @ result.map.landmarks.cov @ size >= 0.9 * (alone @ w.map.landmarks.cov @ alone)
+    held = [team_problem(logs, w.map.landmarks, w.map.tracks, {}, {}, CFG).size_is_held for logs in (blind, w.logs)]
+    assert held == [True, False]
+
+
 def test_nothing_seen_leaves_the_filters_map_and_says_so():
     w = world(3)
     blind = [replace(log, sightings=NOTHING_SEEN) for log in w.logs]

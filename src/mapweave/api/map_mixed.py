@@ -243,7 +243,7 @@ def _grid(team: TeamMap, scans: Mapping[str, LaserLog], made: MixedMap, cfg: Las
         if robot not in scans:
             continue
         log, track = scans[robot], team.tracks[robot]
-        clock = made.layout.clocks.get(robot, 0.0)
+        clock = made.clocks[robot].ahead if robot in made.clocks else 0.0
         at = np.clip(np.searchsorted(track.t, log.scan_t - clock - 1e-6), 0, len(track.t) - 1)
         seen += [beams(scan, "none", None, cfg.beam) for scan in log.scans]
         poses.append(track.pose[at])
@@ -297,7 +297,11 @@ def _metrics(made: MixedMap, kinds: Mapping[str, str], warnings: Sequence[str], 
         "version": __version__,
         "seed": seed,
         "robots": {
-            robot_key(r): {"carries": kind, "clock": made.layout.clocks.get(r, 0.0)} for r, kind in kinds.items()
+            robot_key(r): {
+                "carries": kind,
+                "clock": {"ahead": made.clocks[r].ahead, "sd": made.clocks[r].sd} if r in made.clocks else None,
+            }
+            for r, kind in kinds.items()
         },
         "components": [[robot_key(r) for r in s.map.robots] for s in made.components],
         "lost": [robot_key(r) for r in made.layout.lost],
@@ -312,7 +316,12 @@ def _metrics(made: MixedMap, kinds: Mapping[str, str], warnings: Sequence[str], 
             for tie in made.layout.ties
         ],
         "through": [
-            {"robots": [robot_key(r) for r in path.robots], "sightings": list(path.sightings)} for path in made.paths
+            {
+                "robots": [robot_key(r) for r in path.robots],
+                "sightings": list(path.sightings),
+                "landmarks": list(path.landmarks),
+            }
+            for path in made.paths
         ],
         "refined": [
             {

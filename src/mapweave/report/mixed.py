@@ -41,14 +41,19 @@ def words(story: MixedStory) -> list[str]:
     """How the robots hang together, in sentences."""
     out = [
         f"{_names(tie.a)} and {_names(tie.b)} were tied by {tie.agree} of {tie.of} sightings"
-        + (f", {_names(tie.b)}'s clock {tie.clock:+.2f} s ahead" if tie.clock else "")
         for tie in story.map.layout.ties
+    ]
+    out += [
+        f"the clock of robot {robot_key(robot)} was found {clock.ahead:+.3f} ± {clock.sd:.3f} s ahead"
+        for robot, clock in story.map.clocks.items()
     ]
     for path in story.map.paths:
         first, last, between = path.robots[0], path.robots[-1], path.robots[1:-1]
         through = f"through {_names(between)}" if between else "directly"
-        counts = " and ".join(map(str, path.sightings))
-        out.append(f"laser robots {robot_key(first)} and {robot_key(last)} hang together {through}: {counts} sightings")
+        steps = [
+            f"{n} sightings" if n else f"{m} landmarks" for n, m in zip(path.sightings, path.landmarks, strict=True)
+        ]
+        out.append(f"laser robots {robot_key(first)} and {robot_key(last)} hang together {through}: {', '.join(steps)}")
     return out
 
 

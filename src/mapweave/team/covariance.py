@@ -5,6 +5,7 @@ for seconds. So the scatter of the scores (each factor's pull) is measured by gr
 seconds, and carried through the information matrix ("sandwich"; Liang and Zeger, 1986).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,7 +64,30 @@ def team_covariance(
     poses = [f * model + floor for f, model in zip(factors, known.pose_blocks(), strict=True)]
     deviations = np.sqrt(np.maximum(np.diag(S)[m:], 0.0)).reshape(-1, len(PARAMETERS))
     landmarks = S[:m, :m] + cfg.position_floor**2 * np.eye(m)
+    if team.size_is_held:
+        landmarks, poses = _with_size(team, solution.x, before, landmarks, poses)
     return TeamCovariance(landmarks, tuple(poses), tuple(deviations), tuple(factors))
+
+
+def _with_size(
+    team: TeamProblem,
+    x: Float[np.ndarray, " n"],
+    before: Float[np.ndarray, "m m"],
+    landmarks: Float[np.ndarray, "m m"],
+    poses: Sequence[Float[np.ndarray, "_ 3 3"]],
+) -> tuple[Float[np.ndarray, "m m"], list[Float[np.ndarray, "_ 3 3"]]]:
+    """The covariances with what nobody knows of the map's size: as much as `before`, that of the filters, had."""
+    points = x[team.landmark_columns].reshape(-1, 2)
+    centre = points.mean(axis=0)
+    away = (points - centre).ravel()
+    variance = float(away @ before @ away) / float(away @ away) ** 2
+    out = []
+    for part, P in zip(team.parts, poses, strict=True):
+        from_centre = x[part.start : part.start + 3 * len(part.instants.t)].reshape(-1, 3)[:, :2] - centre
+        more = np.zeros_like(P)
+        more[:, :2, :2] = variance * from_centre[:, :, None] * from_centre[:, None, :]
+        out.append(P + more)
+    return landmarks + variance * np.outer(away, away), out
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +216,7 @@ def _priors(team: TeamProblem, x: Float[np.ndarray, " n"]) -> sp.csr_matrix:
 
 def _pulls(term: Factor, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "p d"]:
     """Rows whose outer products add up to the term's information."""
-    if term.rows == 1:
+    if term.columns.shape[1] == 1:
         information = term.normal(x)[0] + TINY * np.eye(term.columns.shape[1])
         return np.asarray(np.linalg.cholesky(information)[:, :, 0], dtype=np.float64)
     J, W = term.jacobian(x), term.sqrt_info

@@ -13,11 +13,11 @@ from ..core.records import Track
 from ..landmarks.landmark_map import LandmarkMap
 from ..laser.robot_graph import RobotGraph
 from .bodies import Body, Labels
+from .clocks import COARSE, Clock, clock_of
 from .config import SmoothingConfig
 from .placing import Layout, lay_out
 from .relative_frame import Glances, PlacingConfig, point_seen
 from .robot_part import all_seen
-from .scan_factors import Crossing
 from .smooth import Calibration, Smoothed, smooth
 from .team_map import TeamMap
 
@@ -36,19 +36,27 @@ class Scanned:
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """How two robots hang together: robots from one to the other, and the sightings between each and the next."""
+    """How two robots hang together: robots from one to the other, and what there is between each and the next.
+
+    sightings: of each other, landmarks: that both saw.
+    """
 
     robots: tuple[str, ...]
     sightings: tuple[int, ...]
+    landmarks: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class MixedMap:
-    """components: the largest first; layout: how their frames were found; paths: how laser robots hang together."""
+    """components: the largest first; layout: how their frames were found; paths: how laser robots hang together.
+
+    clocks: of robots whose logs were found to be ahead of the others.
+    """
 
     components: tuple[Smoothed, ...]
     layout: Layout
     paths: tuple[Path, ...]
+    clocks: Mapping[str, Clock]
 
 
 def map_mixed(
@@ -81,25 +89,61 @@ def map_mixed(
     layout = lay_out(bodies, loose, by, labels, placing, smoothing)
     spread = {name: _variance(team.landmarks, k) for team in mapped for k, name in enumerate(team.landmarks.ids)}
     components = []
+    clocks = {robot: Clock(layout.clocks.get(robot, 0.0), COARSE) for robot in layout.clocks}
     for body in layout.bodies:
         whole = body.on_team_time()
         team = _team(_with_more_landmarks(whole, by, labels, placing), spread, by, labels)
-        graphs = {robot: _on_time(scanned[robot].graph, layout, robot) for robot in team.robots if robot in scanned}
-        if refine:
-            mine = [by[robot] for robot in team.robots if robot in by]
-            components.append(smooth(team, mine, labels, smoothing, calibration, graphs, _crossings(), SOFTEN))
-        else:
+        mine = [by[robot] for robot in team.robots if robot in by]
+        if not refine:
             components.append(smooth(team, [], labels, smoothing))
-    return MixedMap(tuple(components), layout, _paths(components, scanned, by))
+            continue
+        for _ in range(placing.clock_rounds):
+            graphs = {
+                robot: _on_time(scanned[robot].graph, clocks.get(robot)) for robot in team.robots if robot in scanned
+            }
+            done = smooth(team, mine, labels, smoothing, calibration, graphs, (), SOFTEN)
+            wrong = {} if len(team.robots) < 2 else _late(done.map, own_clocks, by, labels, placing, clocks)
+            if not wrong:
+                break
+            team = _with_clocks(team, wrong)
+        components.append(done)
+    return MixedMap(tuple(components), layout, _paths(components, scanned, by), clocks)
 
 
-def _crossings() -> Sequence[Crossing]:
-    return ()
+def _late(
+    team: TeamMap,
+    robots: Sequence[str],
+    logs: Mapping[str, LandmarkLog],
+    labels: Labels,
+    cfg: PlacingConfig,
+    clocks: dict[str, Clock],
+) -> dict[str, float]:
+    """How far [s] the clocks of `robots` are ahead, where the smoothed ways show it; `clocks` is brought up to date."""
+    wrong = {}
+    for robot in robots:
+        found = clock_of(robot, team, logs, labels, cfg) if robot in team.tracks else None
+        if found is None:
+            continue
+        before = clocks.get(robot, Clock(0.0, 0.0)).ahead
+        if abs(found.ahead) > cfg.clock_sure * found.sd or (before and abs(found.ahead) > found.sd):
+            wrong[robot] = found.ahead
+            clocks[robot] = Clock(before + found.ahead, found.sd)
+        elif before:
+            clocks[robot] = Clock(before, found.sd)
+    return wrong
 
 
-def _on_time(graph: RobotGraph, layout: Layout, robot: str) -> RobotGraph:
-    clock = layout.clocks.get(robot, 0.0)
-    return replace(graph, t=graph.t - clock) if clock else graph
+def _with_clocks(team: TeamMap, ahead: Mapping[str, float]) -> TeamMap:
+    """The team with the stamps of those robots moved back that are ahead."""
+    tracks = {
+        robot: replace(track, t=track.t - ahead[robot]) if robot in ahead else track
+        for robot, track in team.tracks.items()
+    }
+    return replace(team, tracks=tracks)
+
+
+def _on_time(graph: RobotGraph, clock: Clock | None) -> RobotGraph:
+    return graph if clock is None else replace(graph, t=graph.t - clock.ahead)
 
 
 def _variance(landmarks: LandmarkMap, k: int) -> float:
@@ -159,13 +203,15 @@ def _paths(
     for component in components:
         robots = component.map.robots
         n = {(a, b): _between(logs[a], b) + _between(logs[b], a) for a in robots for b in robots if a != b}
-        beside = {a: [b for b in robots if a != b and n[a, b] >= LEAST] for a in robots}
+        seen = {a: {name for name, by in component.map.members.items() if a in by} for a in robots}
+        beside = {a: [b for b in robots if a != b and (n[a, b] >= LEAST or len(seen[a] & seen[b]) > 1)] for a in robots}
         lasers = [robot for robot in robots if robot in scanned]
         for i, a in enumerate(lasers):
             for b in lasers[i + 1 :]:
                 way = _way(a, b, beside)
                 if len(way) > 1:
-                    out.append(Path(way, tuple(n[p, q] for p, q in pairwise(way))))
+                    shared = tuple(len(seen[p] & seen[q]) for p, q in pairwise(way))
+                    out.append(Path(way, tuple(n[p, q] for p, q in pairwise(way)), shared))
     return tuple(out)
 
 

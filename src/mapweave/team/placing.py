@@ -18,7 +18,7 @@ from ..laser.scan_odometry import blended
 from .bodies import Body, Labels, glances
 from .commanded_motion import CommandedMotion
 from .config import SmoothingConfig
-from .relative_frame import PlacingConfig, Relation, is_sure, relate
+from .relative_frame import PlacingConfig, Relation, is_sure, relate, sharpened
 
 SAME = np.diag([0.05**2, 0.05**2, 0.02**2])  # covariance of a tie by the same robot's two tracks
 NEAR, NEAR_SHARE = 0.5, 0.3  # [m], [m per s or m]: how far places of one loose robot may contradict its wheels
@@ -134,9 +134,10 @@ def _with_clock(
     a: Body, b: Body, logs: Mapping[str, LandmarkLog], labels: Labels, cfg: PlacingConfig, plain: Relation | None
 ) -> tuple[Relation | None, float]:
     """The relation with the offset of b's clock that explains most, where it explains clearly more than none."""
+    sharp = sharpened(cfg)
 
     def at(clock: float) -> Relation | None:
-        found = relate(glances(a, replace(b, clock=clock), logs, labels), cfg)
+        found = relate(glances(a, replace(b, clock=clock), logs, labels), sharp)
         return None if found is None or found.of < 5 * cfg.least else found
 
     def worth(found: Relation | None) -> float:
@@ -145,15 +146,15 @@ def _with_clock(
     steps = round(cfg.clock / cfg.clock_step)
     tried = {k * cfg.clock_step: at(k * cfg.clock_step) for k in range(-steps, steps + 1)}
     best = min(tried, key=lambda clock: (worth(tried[clock]), abs(clock)))
-    found = tried[best]
-    if found is None or worth(found) > (1 - cfg.clock_lead) * worth(plain):
+    found, none = tried[best], tried[0.0]
+    if found is None or (none is not None and (worth(none) - worth(found)) * found.of < cfg.clock_lead):
         return plain, 0.0
     step = 0.5 * cfg.clock_step
     while step > 0.01:
         near = {c: at(c) for c in (best - step, best, best + step)}
         best = min(near, key=lambda clock: (worth(near[clock]), abs(clock)))
-        found, step = near[best], 0.5 * step
-    return found, float(best)
+        step = 0.5 * step
+    return relate(glances(a, replace(b, clock=best), logs, labels), cfg), float(best)
 
 
 def _by_same_robot(a: Track, b: Track) -> Relation:
@@ -250,7 +251,7 @@ def _windows(
 
 def _agreeing(
     t: Float[np.ndarray, " k"], place: Float[np.ndarray, "k 3"], carrier: Track, *, driven: bool
-) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k 3"]]:
+) -> tuple[Float[np.ndarray, " j"], Float[np.ndarray, "j 3"]]:
     """The places that follow from a neighbour as the wheels say, as far as that can be told."""
     if len(t) < 3:
         return t, place

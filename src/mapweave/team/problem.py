@@ -26,7 +26,7 @@ from .robot_part import LAG, PARAMETERS, RANGE, SPEED, TURN, RobotPart
 from .scan_factors import Crossing, crossing_factor, scan_factor
 from .sighting_factors import sighting_factors
 
-HELD_TOGETHER = 0.002  # sd of the mean range scale of robots without odometry: nothing else holds their size
+HELD_TOGETHER = 0.001  # share of the size of a map that nothing but ranges tells: so firmly it is held
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +69,11 @@ class TeamProblem:
             for term in self.factors
         ]
         return replace(self, problem=replace(self.problem, terms=terms))
+
+    @property
+    def size_is_held(self) -> bool:
+        """Whether the map keeps the size it began with, which nothing but ranges tells."""
+        return any(term.name == "size" for term in self.factors)
 
     @property
     def factors(self) -> list[Factor]:
@@ -140,7 +145,7 @@ def team_problem(
         used[term.name] = used.get(term.name, 0) + len(term.columns)
     for part in _first_of_groups(parts, terms, len(x0)):
         fixed[part.start : part.start + 3] = True
-    terms += _priors(parts, prior)
+    terms += _priors(parts, prior, x0, landmark_start + np.arange(2 * len(landmarks)))
     origins += [None] * (len(terms) - len(origins))
     angles = np.concatenate([part.start + 3 * np.arange(len(part.instants.t)) + 2 for part in parts])
     problem = Problem(x0, terms, fixed, wrapping(angles))
@@ -191,8 +196,13 @@ def _prior(
     return mean, sd
 
 
-def _priors(parts: Sequence[RobotPart], prior: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[Factor]:
-    """What is known of the calibration; the range scales of robots without odometry keep their mean."""
+def _priors(
+    parts: Sequence[RobotPart],
+    prior: Sequence[tuple[np.ndarray, np.ndarray]],
+    x0: Float[np.ndarray, " n"],
+    landmarks: Int[np.ndarray, " k"],
+) -> list[Factor]:
+    """What is known of the calibration; where nobody has wheels or a laser, the map keeps its size."""
     columns = np.concatenate(
         [part.parameters + np.flatnonzero(sd > 0) for part, (_, sd) in zip(parts, prior, strict=True)]
     )
@@ -217,18 +227,43 @@ def _priors(parts: Sequence[RobotPart], prior: Sequence[tuple[np.ndarray, np.nda
         if part.motion is None and sd[RANGE] > 0
     ]
     if loose and all(part.motion is None and part.scans is None for part in parts):
-        held = np.array([loose])
-        n = len(loose)
-        centre = float(np.mean([m[RANGE] for m, _ in prior]))
-        out.append(
-            Factor(
-                held,
-                lambda x: x[held].mean(axis=1, keepdims=True) - centre,
-                lambda _: np.full((1, 1, n), 1.0 / n),
-                1,
-                np.array([[1.0 / HELD_TOGETHER]]),
-                None,
-                "scale",
-            )
-        )
+        out.append(_size(x0, landmarks) if len(landmarks) > 2 else _mean_range_scale(loose, prior))
     return out
+
+
+def _mean_range_scale(loose: Sequence[int], prior: Sequence[tuple[np.ndarray, np.ndarray]]) -> Factor:
+    held = np.array([loose])
+    n = len(loose)
+    centre = float(np.mean([m[RANGE] for m, _ in prior]))
+    return Factor(
+        held,
+        lambda x: x[held].mean(axis=1, keepdims=True) - centre,
+        lambda _: np.full((1, 1, n), 1.0 / n),
+        1,
+        np.array([[1.0 / HELD_TOGETHER]]),
+        None,
+        "scale",
+    )
+
+
+def _size(x0: Float[np.ndarray, " n"], landmarks: Int[np.ndarray, " k"]) -> Factor:
+    """The landmarks are spread as widely as at the start: ranges alone tell the size, and the filters had them all.
+
+    Their errors are one-sided, so that another weighting is another size, not a better one.
+    """
+    columns = landmarks[None]
+
+    def spread(x: np.ndarray) -> tuple[np.ndarray, float]:
+        away = x[landmarks].reshape(-1, 2) - x[landmarks].reshape(-1, 2).mean(axis=0)
+        return away, float(np.square(away).sum())
+
+    before = spread(x0)[1]
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        return np.array([[0.5 * np.log(spread(x)[1] / before)]])
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        away, square = spread(x)
+        return np.asarray((away / square).reshape(1, 1, -1))
+
+    return Factor(columns, residual, jacobian, 1, np.array([[1.0 / HELD_TOGETHER]]), None, "size")

@@ -37,7 +37,19 @@ class PlacingConfig:
     apart_names: float = 1.5  # [m] from which equal names of two maps are not one landmark
     clock: float = 3.0  # [s] largest offset of a clock that is looked for
     clock_step: float = 0.25  # [s]
-    clock_lead: float = 0.15  # share of the cost by which an offset must be better than none
+    clock_lead: float = 10.0  # cost by which an offset must be better than none
+    clock_sure: float = 3.0  # standard deviations from which a fine offset is believed,
+    clock_rounds: int = 3  # smoothing again after each
+
+
+def sharpened(cfg: PlacingConfig) -> PlacingConfig:
+    """The same with the noise of sightings alone, as from tracks that are good."""
+    return replace(
+        cfg,
+        range_floor=0.5 * cfg.range_floor,
+        range_share=0.5 * cfg.range_share,
+        bearing=0.4 * cfg.bearing,
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,51 @@
+"""How far a robot's clock is ahead of the others', from what they saw of each other along their smoothed ways."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..core.landmark_log import LandmarkLog
+from .bodies import Body, Labels, glances
+from .relative_frame import PlacingConfig, costs, sharpened
+from .team_map import TeamMap
+
+REACH, COARSE = 0.6, 0.1  # [s] looked for either way, and the steps
+LEAST = 20  # sightings of the robot or by it
+TOGETHER = 3.0  # times the sd that independent sightings would give: a camera's errors last for seconds
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """ahead: [s] of the team's clock, with its standard deviation."""
+
+    ahead: float
+    sd: float
+
+
+def clock_of(
+    robot: str, team: TeamMap, logs: Mapping[str, LandmarkLog], labels: Labels, cfg: PlacingConfig
+) -> Clock | None:
+    """What the robot's stamps want to be moved by in `team`; None where too little was seen, or all stood still."""
+    others = Body({name: track for name, track in team.tracks.items() if name != robot and len(track.t)}, {})
+    own = Body({robot: team.tracks[robot]}, {})
+    sharp = sharpened(cfg)
+    here = np.zeros(3)
+
+    def cost(ahead: float) -> float:
+        z = glances(others, replace(own, clock=ahead), logs, labels)
+        return np.inf if len(z) < LEAST else float(costs(z, here, sharp)) / len(z)
+
+    tried = np.arange(-REACH, REACH + 0.5 * COARSE, COARSE)
+    value = np.array([cost(t) for t in tried])
+    if not np.isfinite(value).all():
+        return None
+    middle = float(tried[int(np.argmin(value))])
+    near = np.array([middle - COARSE, middle, middle + COARSE])
+    bottom = np.array([cost(t) for t in near])
+    bend = float(bottom[0] - 2 * bottom[1] + bottom[2]) / COARSE**2
+    if bend <= 0 or not np.isfinite(bend):
+        return None
+    ahead = middle + float(np.clip(0.5 * COARSE * (bottom[0] - bottom[2]) / (bend * COARSE**2), -COARSE, COARSE))
+    n = len(glances(others, own, logs, labels))
+    return Clock(ahead, TOGETHER / np.sqrt(2.0 * bend * n))

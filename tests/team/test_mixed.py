@@ -1,0 +1,177 @@
+"""Mixed teams in one problem: tied through each other, honest, whatever the order; what cannot be tied stays apart."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapweave.core import se2
+from mapweave.core.landmark_log import NOTHING_SEEN, LandmarkLog
+from mapweave.laser.closures import Closure
+from mapweave.solve import Factor
+from mapweave.team.config import SmoothingConfig
+from mapweave.team.problem import team_problem
+from mapweave.team.scan_factors import Crossing
+
+from .mixed_teams import mixed
+
+ONE_ROOM = {"lasers": 2, "cameras": 1, "bearing_cameras": 1, "bearings": 1, "minutes": 4.0}
+TWO_ROOMS = {"lasers": 2, "cameras": 4, "bearings": 0, "rooms": 2, "landmarks": 24, "minutes": 5.0}
+
+
+@pytest.fixture(scope="module")
+def one_room():
+    w = mixed(11, **ONE_ROOM)
+    return w, w.map()
+
+
+@pytest.fixture(scope="module")
+def two_rooms():
+    w = mixed(5, **TWO_ROOMS)
+    return w, w.map()
+
+
+def nees(w, made, robots):
+    """Mean NEES per degree of freedom of the places of `robots`, under the score's alignment."""
+    T, out = w.score(made).alignment, {}
+    team = made.components[0].map
+    for robot in robots:
+        track, true = team.tracks[robot], w.truth.robots[robot].track
+        e = (se2.compose(T, track.pose) - se2.interpolate(track.t, true.t, true.pose))[:, :2]
+        R = se2.rotation(float(T[2]))
+        P = R @ track.cov[:, :2, :2] @ R.T
+        out[robot] = float(np.einsum("ni,nij,nj->n", e, np.linalg.inv(P), e).mean() / 2)
+    return out
+
+
+def test_everybody_is_in_one_frame_and_knows_how_well(one_room):
+    w, made = one_room
+    assert made.components[0].map.robots == tuple(log.robot for log in w.logs)
+    score = w.score(made)
+    assert all(score.robots[robot].ate < 0.15 for robot in ("robot1", "robot2", "robot3"))
+    assert score.landmarks.rmse < 0.2
+    assert set(made.components[0].used) == {"landmark", "robot", "scan"}
+    found = nees(w, made, made.components[0].map.robots)
+    assert all(n < 3.0 for n in found.values()), found
+
+
+def test_every_pose_has_a_covariance_that_can_be(one_room):
+    _, made = one_room
+    for track in made.components[0].map.tracks.values():
+        assert np.isfinite(track.pose).all()
+        assert np.linalg.eigvalsh(track.cov).min() > 0
+        assert (np.diff(track.t) > 0).all()
+
+
+def test_lasers_that_see_no_common_wall_are_tied_through_those_who_see_both(two_rooms):
+    w, made = two_rooms
+    assert made.components[0].map.robots == tuple(log.robot for log in w.logs)
+    (path,) = made.paths
+    assert (path.robots[0], path.robots[-1]) == ("robot1", "robot2")
+    assert path.robots[1:-1]
+    assert path.sightings[0] >= 3
+    assert path.sightings[-1] >= 3
+    assert all(n >= 3 or m >= 3 for n, m in zip(path.sightings, path.landmarks, strict=True))
+    tracks = made.components[0].map.tracks
+    pair = []
+    for robot in ("robot1", "robot2"):
+        true = w.truth.robots[robot].track
+        t = tracks[robot].t[len(tracks[robot].t) // 2]
+        i = np.searchsorted(tracks[robot].t, t)
+        pair.append((tracks[robot].pose[i], se2.interpolate(np.array([t]), true.t, true.pose)[0], tracks[robot].cov[i]))
+    said, true = se2.between(pair[0][0], pair[1][0]), se2.between(pair[0][1], pair[1][1])
+    assert np.hypot(*(said - true)[:2]) < 0.6
+    assert abs(se2.wrap_angle((said - true)[2])) < 0.06
+
+
+def test_the_order_of_robots_does_not_matter(two_rooms):
+    w, made = two_rooms
+    back = w.map(w.logs[::-1], dict(reversed(w.scanned.items())), w.mapped[::-1])
+    for robot, track in made.components[0].map.tracks.items():
+        np.testing.assert_allclose(back.components[0].map.tracks[robot].pose, track.pose, atol=1e-9)
+    np.testing.assert_allclose(back.components[0].map.landmarks.mean, made.components[0].map.landmarks.mean, atol=1e-9)
+    assert back.paths == made.paths
+
+
+def test_those_whom_nothing_ties_stay_apart(two_rooms):
+    w, _ = two_rooms
+    deaf = [
+        replace(
+            log,
+            sightings=log.sightings.select(
+                np.array([not log.sightings.ids[k].startswith("robot") for k in log.sightings.what], bool)
+            ),
+        )
+        for log in w.logs
+    ]
+    made = w.map(deaf)
+    assert [s.map.robots for s in made.components][-2:] == [("robot1",), ("robot2",)]
+    assert made.paths == ()
+    alone = made.components[-1]
+    assert alone.refused
+    np.testing.assert_array_equal(alone.map.tracks["robot2"].pose, w.scanned["robot2"].track.pose)
+
+
+def test_a_robot_that_sees_nothing_and_nobody_sees_is_named(one_room):
+    w, made = one_room
+    more = w.map([*w.logs, LandmarkLog("robot9", None, NOTHING_SEEN)])
+    assert more.layout.lost == ("robot9",)
+    np.testing.assert_allclose(more.components[0].map.landmarks.mean, made.components[0].map.landmarks.mean, atol=1e-9)
+
+
+def test_a_clock_that_is_ahead_is_found():
+    w = mixed(6, lasers=2, cameras=4, bearings=0, minutes=5.0, noise=0.3, clock=1.5)
+    assert max(abs(c) for c in w.clocks.values()) > 0.5
+    made = w.map(own_clocks=list(w.scanned))
+    for robot in w.scanned:
+        assert made.clocks[robot].ahead == pytest.approx(w.clocks[robot], abs=0.15)
+        assert abs(made.clocks[robot].ahead - w.clocks[robot]) < 3.5 * made.clocks[robot].sd
+    score = w.score(made)
+    assert all(score.robots[robot].ate < 0.2 for robot in w.scanned)
+    assert made.components[0].map.robots == tuple(log.robot for log in w.logs)
+
+
+def test_all_derivatives_are_those_of_differences(one_room):
+    w, made = one_room
+    team = made.components[0].map
+    graphs = {robot: s.graph for robot, s in w.scanned.items()}
+    rng = np.random.default_rng(0)
+    z, fit = np.array([0.3, -0.2, 0.5]), {"innovation": np.zeros(3), "share": 0.9, "nis": 1.0}
+    closure = Closure(
+        (0, 1), 3, 5, accepted=True, reason="", measured=z, information=np.diag([30.0, 20.0, 90.0]), **fit
+    )
+    crossings = [Crossing("robot1", "robot2", closure)]
+    problem = team_problem(w.logs, team.landmarks, team.tracks, {}, {}, SmoothingConfig(), graphs, crossings)
+    x = problem.problem.x0 + rng.normal(0, 0.02, len(problem.problem.x0))
+    kinds = set()
+    for term in problem.problem.terms:
+        assert isinstance(term, Factor)
+        kinds.add(term.name)
+        if term.name == "odometry":
+            continue  # checked where landmark logs are
+        J = term.jacobian(x)
+        for row in range(0, len(term.columns), max(1, len(term.columns) // 4)):
+            for c, column in enumerate(term.columns[row]):
+                d = np.zeros(len(x))
+                d[column] = 1e-6
+                change = term.residual(x + d)[row] - term.residual(x - d)[row]
+                change = np.where(np.abs(change) > 1, se2.wrap_angle(change), change) / 2e-6
+                np.testing.assert_allclose(J[row, :, c], change, atol=2e-4, rtol=1e-4, err_msg=term.name)
+    assert {"scan", "crossing", "landmark", "robot", "wandering", "prior"} <= kinds
+
+
+def test_a_sighting_without_a_range_says_nothing_of_distance(one_room):
+    w, made = one_room
+    team = made.components[0].map
+    problem = team_problem(
+        w.logs, team.landmarks, team.tracks, {}, {}, SmoothingConfig(), {r: s.graph for r, s in w.scanned.items()}
+    )
+    directed = [
+        term
+        for term, origin in zip(problem.factors, problem.origins, strict=True)
+        if origin is not None and problem.parts[origin.robot].robot == "robot4" and term.name == "landmark"
+    ]
+    assert directed
+    for term in directed:
+        assert not term.whitened(problem.problem.x0)[:, 0].any()
+        assert np.abs(term.whitened(problem.problem.x0)[:, 1]).max() > 0
