@@ -37,6 +37,7 @@ def robot(
     connect: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
     listen: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
     tls: Path | None = None,
+    lease: float = 3.0,
 ) -> None:
     """Drive one robot: estimate as `mapweave map` does, keep a history, tell the team. Ctrl-C ends it.
 
@@ -71,11 +72,13 @@ def robot(
         Where to listen, as tcp/host:port; messages are passed on between those that connect.
     tls
         The folder of this process's certificate, as mapweave live keys makes them.
+    lease
+        Seconds without a sign of life until the other counts as gone; more than a message takes there and back.
     """
     _expect_extra()
     from ..api.live import live_robot
 
-    network = _network(team, connect, listen, tls)
+    network = _network(team, connect, listen, tls, lease)
     with _until_interrupted() as stop:
         done = live_robot(
             name,
@@ -111,6 +114,7 @@ def map_team(
     connect: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
     listen: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
     tls: Path | None = None,
+    lease: float = 3.0,
 ) -> None:
     """Make the shared map of a team that drives; any number of such processes may run, anywhere.
 
@@ -145,6 +149,8 @@ def map_team(
         Where to listen, as tcp/host:port; messages are passed on between those that connect.
     tls
         The folder of this process's certificate, as mapweave live keys makes them.
+    lease
+        Seconds without a sign of life until the other counts as gone; more than a message takes there and back.
     """
     _expect_extra()
     from dataclasses import replace
@@ -153,7 +159,7 @@ def map_team(
     from ..live.door import LOG_LEVELS, watched
 
     names = None if robots is None else _names(robots, "--robots")
-    network = _network(team, connect, listen, tls)
+    network = _network(team, connect, listen, tls, lease)
     with _until_interrupted() as stop, ExitStack() as door:
         counts = None
         if tls is not None:
@@ -188,6 +194,7 @@ def view(
     connect: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
     listen: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
     tls: Path | None = None,
+    lease: float = 3.0,
 ) -> None:
     """Show the shared map in a browser: robots, who is there, what was decided. Ctrl-C ends it.
 
@@ -207,11 +214,13 @@ def view(
         Where to listen, as tcp/host:port; messages are passed on between those that connect.
     tls
         The folder of this process's certificate, as mapweave live keys makes them.
+    lease
+        Seconds without a sign of life until the other counts as gone; more than a message takes there and back.
     """
     _expect_extra()
     from ..api.live_view import live_view
 
-    network = _network(team, connect, listen, tls)
+    network = _network(team, connect, listen, tls, lease)
     with _until_interrupted() as stop:
         live_view(port=port, host=host, browser=browser, network=network, stop=stop, say=say)
 
@@ -289,10 +298,12 @@ def _names(words: str, option: str) -> list[str]:
     return names
 
 
-def _network(team: str, connect: list[str] | None, listen: list[str] | None, tls: Path | None) -> "Network":
+def _network(
+    team: str, connect: list[str] | None, listen: list[str] | None, tls: Path | None, lease: float
+) -> "Network":
     from ..live.transport import Network, endpoints
 
-    return Network(endpoints(connect, "--connect"), endpoints(listen, "--listen"), tls, team)
+    return Network(endpoints(connect, "--connect"), endpoints(listen, "--listen"), tls, team, lease)
 
 
 def _expect_extra() -> None:

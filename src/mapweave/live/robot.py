@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from threading import Event
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import zenoh
 
@@ -25,6 +25,7 @@ Say = Callable[[str], None]
 Timed = Iterator[tuple[float, Numbered]]
 
 
+@runtime_checkable
 class Driving(Protocol):
     """An estimator that takes messages one by one."""
 

@@ -11,7 +11,7 @@ import zenoh
 
 from ..core.errors import UsageError
 
-LEASE = 3000  # [ms] without a sign of life until a peer counts as gone
+OPENING = 30_000  # [ms] that a handshake may take, in four messages
 SETTLE = 0.3  # [s] for declarations to reach those who are there
 
 
@@ -21,6 +21,7 @@ class Network:
 
     connect, listen: endpoints as `tcp/host:port`; with none of both, processes of one network find each other. A
     process that listens passes messages on between those that connect to it. tls: the folder of its certificate.
+    lease: seconds without a sign of life until the other counts as gone; more than a message takes there and back.
     extra: settings of Zenoh beside, by its own keys.
     """
 
@@ -28,6 +29,7 @@ class Network:
     listen: tuple[str, ...] = ()
     tls: Path | None = None
     team: str = "team"
+    lease: float = 3.0
     log_levels: str = "error"
     extra: dict[str, object] = field(default_factory=dict)
 
@@ -44,6 +46,8 @@ def session(network: Network) -> Iterator[zenoh.Session]:
 
 
 def _opened(network: Network) -> zenoh.Session:
+    if not 0.5 <= network.lease <= 600:
+        raise UsageError(f"--lease: expected 0.5 to 600 seconds, found {network.lease}")
     config = zenoh.Config()
     for key, value in settings(network).items():
         try:
@@ -68,8 +72,10 @@ def settings(network: Network) -> dict[str, object]:
         "listen/timeout_ms": 0,
         "listen/exit_on_failure": True,
         "scouting/multicast/enabled": alone,
-        "transport/link/tx/lease": LEASE,
+        "transport/link/tx/lease": round(1000 * network.lease),
         "transport/link/tx/keep_alive": 4,
+        "transport/unicast/open_timeout": OPENING,
+        "transport/unicast/accept_timeout": OPENING,
         "transport/link/rx/max_message_size": 1 << 24,
     }
     if network.tls is not None:

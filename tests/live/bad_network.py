@@ -1,0 +1,119 @@
+"""Networks that misbehave: a relay that is late and breaks off, and namespaces whose link goes down."""
+
+import os
+import shutil
+import socket
+import subprocess
+import threading
+import time
+from collections import deque
+from contextlib import contextmanager, suppress
+
+
+class Relay:
+    """Passes TCP on from `at` to `target`, everything `delay` [s] later; `cut` breaks every connection."""
+
+    def __init__(self, target: str, delay: float) -> None:
+        host, port = target.removeprefix("tcp/").split(":")
+        self.delay, self.target = delay, (host, int(port))
+        self.open = True
+        self._links: list[socket.socket] = []
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.at = f"tcp/127.0.0.1:{self._server.getsockname()[1]}"
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                near, _ = self._server.accept()
+            except OSError:
+                return
+            try:
+                far = socket.create_connection(self.target, timeout=5)
+            except OSError:
+                near.close()
+                continue
+            if not self.open:
+                near.close()
+                far.close()
+                continue
+            self._links += [near, far]
+            for a, b in ((near, far), (far, near)):
+                queue: deque = deque()
+                threading.Thread(target=self._read, args=(a, queue), daemon=True).start()
+                threading.Thread(target=self._write, args=(b, queue), daemon=True).start()
+
+    def _read(self, source: socket.socket, queue: deque) -> None:
+        data = b"begin"
+        while data:
+            with suppress(OSError):
+                source.settimeout(None)
+            try:
+                data = source.recv(65536)
+            except OSError:
+                data = b""
+            queue.append((time.monotonic() + self.delay, data))
+
+    def _write(self, sink: socket.socket, queue: deque) -> None:
+        while True:
+            while not queue:
+                time.sleep(0.005)
+            due, data = queue.popleft()
+            time.sleep(max(0.0, due - time.monotonic()))
+            if not data:
+                with suppress(OSError):
+                    sink.shutdown(socket.SHUT_RDWR)
+                return
+            try:
+                sink.sendall(data)
+            except OSError:
+                return
+
+    def cut(self, seconds: float) -> None:
+        """No connection for so long."""
+        self.open = False
+        links, self._links = self._links, []
+        for link in links:
+            with suppress(OSError):
+                link.shutdown(socket.SHUT_RDWR)
+            link.close()
+        time.sleep(seconds)
+        self.open = True
+
+    def close(self) -> None:
+        self._server.close()
+
+
+def ip(*words: str) -> bool:
+    return subprocess.run(["ip", *words], capture_output=True, check=False).returncode == 0  # noqa: S603, S607
+
+
+@contextmanager
+def two_namespaces():
+    """Names of two namespaces with a cable between 10.77.0.1 and 10.77.0.2; None where they cannot be made."""
+    a, b = f"mapweave-a{os.getpid()}", f"mapweave-b{os.getpid()}"
+    made = shutil.which("ip") is not None and ip("netns", "add", a)
+    try:
+        made = made and all(
+            ip(*words.split())
+            for words in (
+                f"netns add {b}",
+                f"-n {a} link set lo up",
+                f"-n {b} link set lo up",
+                f"link add cable netns {a} type veth peer name cable netns {b}",
+                f"-n {a} addr add 10.77.0.1/24 dev cable",
+                f"-n {b} addr add 10.77.0.2/24 dev cable",
+                f"-n {a} link set cable up",
+                f"-n {b} link set cable up",
+            )
+        )
+        yield (a, b) if made else None
+    finally:
+        ip("netns", "del", a)
+        ip("netns", "del", b)
+
+
+def lossy(namespace: str) -> bool:
+    """Whether the cable loses 20 % of its packets now and is late by 2 s; not every kernel can."""
+    command = ["tc", "-n", namespace, "qdisc", "add", "dev", "cable", "root", "netem", "delay", "2s", "loss", "20%"]
+    return shutil.which("tc") is not None and subprocess.run(command, capture_output=True, check=False).returncode == 0  # noqa: S603
