@@ -147,7 +147,16 @@ def locate(
     source, log = _source(sightings)
     axis = axis if log is None else False
     known = dict(anchors or {})
-    given = prepare(source, anchors=known, dim=dim, sigma=sigma, distances=distances, axis=axis, until=until)
+    given = prepare(
+        source,
+        anchors=known,
+        dim=dim,
+        sigma=sigma,
+        distances=distances,
+        axis=axis,
+        until=until,
+        cfg=cfg.swarm.consistency,
+    )
     read = perf_counter()
     on_progress("reading", 1, 1)
     on_progress("locating", 0, 1)

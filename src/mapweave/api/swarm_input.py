@@ -12,6 +12,7 @@ from ..core.errors import DataError, UsageError
 from ..io.sightings import Dropped, SwarmTruth, read_sightings, read_swarm_truth
 from ..io.table import Table
 from ..io.team_bearings import read_team_truth
+from ..swarm.config import CONSISTENCY, ConsistencyConfig
 from ..swarm.network import DEFAULT_SIGMA, Distance, Network, contradictions, shares_an_axis
 
 Place = Sequence[float] | Float[np.ndarray, " d"]
@@ -60,6 +61,7 @@ def prepare(
     distances: Sequence[tuple[str, str, float]],
     axis: bool | None,
     until: float | None = None,
+    cfg: ConsistencyConfig = CONSISTENCY,
 ) -> SwarmInput:
     """The sightings of `source` with the noise, axes and known places filled in.
 
@@ -85,14 +87,14 @@ def prepare(
         table = table.rows(early)
     filled, sigma_source = _filled(table, sigma)
     table = BearingTable(table.ids, table.observer, table.target, table.direction, filled, table.t, axis is not False)
-    if axis is None and not warnings and not shares_an_axis(table, filled):
+    if axis is None and not warnings and not shares_an_axis(table, filled, cfg):
         if table.dim == 3:
             raise DataError(f"{name}: mutual sightings do not point at each other; in space robots need common axes")
         table = BearingTable(table.ids, table.observer, table.target, table.direction, filled, table.t, axis=False)
         warnings.append(
             "mutual sightings do not point at each other: no common axis, so every robot's heading is estimated"
         )
-    bad = contradictions(table, filled)
+    bad = contradictions(table, filled, cfg)
     if bad.any():
         rows = np.flatnonzero(bad).tolist()
         dropped += tuple(

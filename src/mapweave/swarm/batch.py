@@ -15,10 +15,6 @@ from .posterior import posterior
 from .result import SwarmEstimate
 from .start import Start, prepare
 
-SELDOM = 4  # a robot with no more sightings than this, made or suffered, is kept apart from its neighbours
-NEAREST = 0.1  # median sighting lengths
-LOOSE = 10.0  # median sighting lengths a robot that nothing determines may stray from its start
-
 
 def batch(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) -> SwarmEstimate:
     """The maximum-likelihood positions of `net`; `initial` (n, d) takes the place of the linear start."""
@@ -35,11 +31,11 @@ def refine(
     kernel: GemanMcClure | None = None,
     pattern: Pattern | None = None,
     *,
-    seldom: int = SELDOM,
+    everyone: bool = False,
 ) -> tuple[Solution, Problem, Pattern]:
     """Levenberg-Marquardt from `start`; robots that nothing determines are held loosely where they are.
 
-    seldom: robots with no more sightings than this are kept from falling onto their neighbours.
+    Robots seldom sighted are kept from falling onto their neighbours, with `everyone` all robots are.
     """
     n, w, dim = len(net), factors.width(net), net.dim
     x0 = np.zeros((n, w))
@@ -62,11 +58,11 @@ def refine(
     if net.distances:
         terms.append(factors.distance_factor(net))
     if loose.any():
-        terms.append(factors.prior_factor(np.flatnonzero(loose.ravel()), flat, LOOSE * span))
+        terms.append(factors.prior_factor(np.flatnonzero(loose.ravel()), flat, cfg.loose * span))
     degree = np.bincount(np.concatenate([net.observer, net.target]), minlength=n)
-    few = np.flatnonzero(np.minimum(degree[net.observer], degree[net.target]) <= seldom)
+    few = np.flatnonzero(everyone | (np.minimum(degree[net.observer], degree[net.target]) <= cfg.seldom))
     if len(few):
-        terms.append(factors.apart_factor(net, few, NEAREST * span))
+        terms.append(factors.apart_factor(net, few, cfg.nearest * span))
     problem = Problem(flat, terms, fixed.ravel(), lambda x, dx: factors.retract(net, x, dx))
     if len(terms) == 1 and pattern is None and int(problem.free.size) == n * w - dim * len(net.anchors):
         pattern = start.pattern

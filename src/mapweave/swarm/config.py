@@ -1,10 +1,47 @@
-"""How a swarm is to be located."""
+"""How a swarm is to be located, and when the answer is doubted."""
 
 from typing import Literal
+
+import numpy as np
 
 from ..core.config import config
 
 Method = Literal["batch", "robust", "distributed", "ekf", "iekf", "fej"]
+
+
+@config
+class ConsistencyConfig:
+    """Which sightings cannot be, before anything is located."""
+
+    gate: float = float(6.0 * np.sqrt(2.0))  # standard deviations by which two sightings of one pair may differ
+    least_pairs: int = 5  # mutual pairs below which nothing is said about axes
+    axis_angle: float = 0.5  # [rad] median miss of mutual sightings up to which axes count as common, or
+    axis_sigmas: float = 20.0  # standard deviations of it
+
+
+@config
+class RobustConfig:
+    """Method `robust`: how wrong sightings are found."""
+
+    reweights: int = 12  # of the start of least unsquared deviations
+    cooling: float = 1.6  # by which the kernel's width is divided at each stage
+    stage_iterations: int = 4  # of Levenberg-Marquardt at each stage
+    reselections: int = 3  # of the sightings that agree, at most
+    suspect: float = 0.3  # share of a robot's sightings that disagree from which on it may stand at a wrong place
+    relocations: int = 3  # rounds of putting suspects elsewhere, since they may be neighbours
+    crossings_of: int = 40  # sightings of one robot whose crossings are tried: 780 pairs
+
+
+@config
+class VerdictConfig:
+    """When an answer is doubted."""
+
+    doubt: float = 1e-3  # probability below which a chi-square is called wrong
+    many: float = 0.07  # share called wrong beyond which single sightings prove nothing: some wrong ones are not found
+    too_many: float = 0.25  # share called wrong beyond which nothing does
+
+
+CONSISTENCY, ROBUST, VERDICT = ConsistencyConfig(), RobustConfig(), VerdictConfig()
 
 
 @config
@@ -19,3 +56,9 @@ class SwarmConfig:
     inlier_gate: float = 3.5  # standard deviations a sighting may miss by and count as an inlier (robust)
     max_rounds: int = 20000  # of talking (distributed)
     tolerance: float = 1e-6  # [rad] of messages between robots (distributed): changes below are not sent on
+    seldom: int = 4  # a robot with no more sightings than this, made or suffered, is kept apart from its neighbours
+    nearest: float = 0.1  # median sighting lengths that it is kept apart
+    loose: float = 10.0  # median sighting lengths a robot that nothing determines may stray from its start
+    consistency: ConsistencyConfig = ConsistencyConfig()
+    robust: RobustConfig = RobustConfig()
+    verdict: VerdictConfig = VerdictConfig()

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import DataError
-from .config import SwarmConfig
+from .config import VERDICT, SwarmConfig, VerdictConfig
 from .factors import bearing_factor
 from .gauge import gauge_of
 from .kalman import FilterState, Form, filter_start, update
@@ -34,10 +34,10 @@ def filtered(net: Network, cfg: SwarmConfig, form: Form, initial: np.ndarray | N
         plain = replace(net, axis=True)
         initial = linear_start(plain, parts, plain.direction, *linear_pattern(plain, parts))
     state = update(filter_start(net, initial, cfg.prior_sigma), net, form, cfg.max_iterations)
-    return report(net, state, form)
+    return report(net, state, form, cfg.verdict)
 
 
-def report(net: Network, state: FilterState, form: Form) -> SwarmEstimate:
+def report(net: Network, state: FilterState, form: Form, verdict: VerdictConfig = VERDICT) -> SwarmEstimate:
     """What a filter state says, as an estimate."""
     n, dim = len(net), net.dim
     parts = components(net)
@@ -51,7 +51,7 @@ def report(net: Network, state: FilterState, form: Form) -> SwarmEstimate:
     exact = not np.any(net.sigma > 0)
     chi2 = float(bearing_factor(net).squares(state.x.ravel()).sum())
     dof = len(net.observer) * (dim - 1) - len(state.free) + seen.nullity
-    doubts = [] if exact else chi2_warnings(chi2, dof)
+    doubts = [] if exact else chi2_warnings(chi2, dof, verdict)
     held = np.ones(n * dim, dtype=bool)
     held[state.free] = False
     information = None

@@ -13,6 +13,7 @@ from ..core.bearings import BearingTable
 from ..core.errors import DataError
 from ..core.names import in_order
 from ..core.records import frozen
+from .config import CONSISTENCY, ConsistencyConfig
 
 DEFAULT_SIGMA = float(np.radians(1.0))  # [rad]; standard deviation of a bearing where none is said
 
@@ -197,11 +198,9 @@ def effective_sigma(net: Network) -> Float[np.ndarray, " m"]:
     return net.sigma if np.any(net.sigma > 0) else np.ones(len(net.sigma))
 
 
-GATE = 6.0 * np.sqrt(2.0)  # standard deviations between two sightings of the same pair
-FEW = 5  # mutual pairs below which nothing is said about axes
-
-
-def contradictions(table: BearingTable, sigma: Float[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
+def contradictions(
+    table: BearingTable, sigma: Float[np.ndarray, " m"], cfg: ConsistencyConfig = CONSISTENCY
+) -> Bool[np.ndarray, " m"]:
     """Which rows contradict another of the same observer, target and stamp.
 
     Of two that contradict, both; of three or more, those far from the median direction of all. sigma: (m,) [rad].
@@ -225,23 +224,23 @@ def contradictions(table: BearingTable, sigma: Float[np.ndarray, " m"]) -> Bool[
         else:
             middle = np.median(u, axis=0)
             off = _angle(u, middle[None, :])
-        bad[rows] = off > GATE * sigma[rows]
+        bad[rows] = off > cfg.gate * sigma[rows]
         if high - low == 2:
             bad[rows] = bad[rows].any()
     return bad
 
 
-def shares_an_axis(table: BearingTable, sigma: Float[np.ndarray, " m"]) -> bool:
+def shares_an_axis(table: BearingTable, sigma: Float[np.ndarray, " m"], cfg: ConsistencyConfig = CONSISTENCY) -> bool:
     """False when mutual sightings plainly do not point at each other: every robot has axes of its own."""
     n = len(table.ids)
     forth, back = table.observer * n + table.target, table.target * n + table.observer
     _, a, b = np.intersect1d(forth, back, return_indices=True)
     mutual = table.observer[a] < table.target[a]
     a, b = a[mutual], b[mutual]
-    if len(a) < FEW:
+    if len(a) < cfg.least_pairs:
         return True
     off = _angle(table.direction[a], -table.direction[b])
-    return bool(np.median(off) <= max(0.5, 20.0 * float(np.median(sigma))))
+    return bool(np.median(off) <= max(cfg.axis_angle, cfg.axis_sigmas * float(np.median(sigma))))
 
 
 def _angle(a: Float[np.ndarray, "k d"], b: Float[np.ndarray, "l d"]) -> Float[np.ndarray, " k"]:

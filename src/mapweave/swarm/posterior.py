@@ -64,7 +64,7 @@ def posterior(
     chi2 = float(sum(term.squares(solution.x).sum() for term in measured))
     unknown = dim * (n - len(net.anchors)) + (0 if net.axis else len(np.unique(net.observer)))
     dof = len(net.observer) * (dim - 1) + len(net.distances) - unknown + start.seen.nullity
-    doubts = chi2_warnings(chi2, dof) if anyone and np.any(net.sigma > 0) else []
+    doubts = chi2_warnings(chi2, dof, cfg.verdict) if anyone and np.any(net.sigma > 0) else []
     if status is not Status.CONVERGED:
         doubts.append(f"the refinement ended with: {status}")
     if information is None:

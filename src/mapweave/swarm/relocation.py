@@ -7,15 +7,14 @@ minimum at each place where two of its rays cross. Against neighbours held in pl
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from .config import ROBUST, RobustConfig
 from .factors import bearing_factor
 from .network import Network
 
-SUSPECT = 0.3  # of a robot's sightings disagree: it may stand at a wrong place
-ROUNDS = 3  # since suspects may be neighbours
-MOST = 40  # sightings of one robot whose crossings are tried: those of 780 pairs
 
-
-def relocated(net: Network, position: Float[np.ndarray, "n d"], limit: float) -> Float[np.ndarray, "n d"]:
+def relocated(
+    net: Network, position: Float[np.ndarray, "n d"], limit: float, cfg: RobustConfig = ROBUST
+) -> Float[np.ndarray, "n d"]:
     """`position`, robots with many sightings beyond `limit` (squared, whitened) put where fewer are.
 
     Each is moved to the crossing of two of its rays with the least sum of squared residuals cut off at `limit`, if that
@@ -25,14 +24,14 @@ def relocated(net: Network, position: Float[np.ndarray, "n d"], limit: float) ->
     order = np.argsort(np.concatenate([net.observer, net.target]), kind="stable")
     ends = np.searchsorted(np.concatenate([net.observer, net.target])[order], np.arange(len(net) + 1))
     factor = bearing_factor(net)
-    for _ in range(ROUNDS):
+    for _ in range(cfg.relocations):
         wrong = factor.squares(p.ravel()) > limit
         share = _share(net, wrong)
-        suspects = np.flatnonzero((share > SUSPECT) & ~net.is_anchor)
+        suspects = np.flatnonzero((share > cfg.suspect) & ~net.is_anchor)
         moved = False
         for k in suspects[np.argsort(-share[suspects], kind="stable")].tolist():
             rows = order[ends[k] : ends[k + 1]] % len(net.observer)
-            better = _best_crossing(net, p, k, rows[:MOST], limit)
+            better = _best_crossing(net, p, k, rows[: cfg.crossings_of], limit)
             if better is not None:
                 p[k], moved = better, True
         if not moved:

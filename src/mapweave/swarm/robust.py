@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from ..core.gaussian import chi2_quantile
 from ..solve import GemanMcClure
 from .batch import batch, refine
-from .config import SwarmConfig
+from .config import ROBUST, RobustConfig, SwarmConfig
 from .factors import bearing_factor
 from .headings import mutual_pairs, world_directions
 from .linear import linear_pattern, linear_start
@@ -25,12 +25,6 @@ from .relocation import relocated, unsupported
 from .result import SwarmEstimate
 from .start import Start, prepare
 from .verdict import support_warnings, trust_warnings
-
-REWEIGHTS = 12  # of the least-unsquared-deviations start
-COOLING = 1.6  # the kernel's width is divided by this at each stage
-STAGE_ITERATIONS = 4
-RESELECTIONS = 3
-EVERYONE = 10**9  # sightings: all robots are kept apart, since a wrong sighting is escaped by falling together
 
 
 def robust(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) -> SwarmEstimate:
@@ -45,17 +39,17 @@ def robust(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) ->
     used = agree.copy()
     used[agree] = start.used
     kept = net.select(used)
-    start = replace(start, position=unsquared_start(kept, start) if initial is None else start.position)
+    start = replace(start, position=unsquared_start(kept, start, cfg.robust) if initial is None else start.position)
     x = graduated(kept, start, cfg)
     if net.axis:
-        x = relocated(kept, x.reshape(len(net), net.dim), limit(net, cfg.inlier_gate)).ravel()
+        x = relocated(kept, x.reshape(len(net), net.dim), limit(net, cfg.inlier_gate), cfg.robust).ravel()
     inlier = agreeing(net, x, cfg.inlier_gate) & ~unheard(net, used)
     if not inlier.any():
         return _nothing_agrees(net, cfg, initial)
-    for _ in range(RESELECTIONS):
+    for _ in range(cfg.robust.reselections):
         chosen = net.select(inlier)
         start = prepare_at(chosen, x, start)
-        solution, problem, pattern = refine(chosen, start, cfg, seldom=EVERYONE)
+        solution, problem, pattern = refine(chosen, start, cfg, everyone=True)
         x = solution.x
         again = agreeing(net, x, cfg.inlier_gate) & ~unheard(net, used)
         if (again == inlier).all() or not again.any():
@@ -64,9 +58,9 @@ def robust(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) ->
     chosen = net.select(inlier)
     if len(chosen.observer) != problem.terms[0].size // (net.dim - 1):
         start = prepare_at(chosen, x, start)
-        solution, problem, pattern = refine(chosen, start, cfg, seldom=EVERYONE)
+        solution, problem, pattern = refine(chosen, start, cfg, everyone=True)
     estimate = posterior(chosen, start, solution, problem, cfg, "robust", ~inlier, pattern=pattern)
-    doubts = [*trust_warnings(net, ~inlier), *support_warnings(net, unsupported(net, ~inlier))]
+    doubts = [*trust_warnings(net, ~inlier, cfg.verdict), *support_warnings(net, unsupported(net, ~inlier))]
     return replace(estimate, reliable=estimate.reliable and not doubts, warnings=(*doubts, *estimate.warnings))
 
 
@@ -93,14 +87,14 @@ def mutual_agreement(net: Network, gate: float) -> Bool[np.ndarray, " m"]:
     return agree
 
 
-def unsquared_start(net: Network, start: Start) -> Float[np.ndarray, "n d"]:
+def unsquared_start(net: Network, start: Start, how: RobustConfig = ROBUST) -> Float[np.ndarray, "n d"]:
     """Positions of least summed (not squared) deviation, by reweighting the linear start."""
     parts = components(net)
     pattern, held = linear_pattern(net, parts)
     direction = world_directions(net, start.heading)
     plain = net if net.axis else replace(net, axis=True)
     position = start.position
-    for _ in range(REWEIGHTS):
+    for _ in range(how.reweights):
         d = position[net.target] - position[net.observer]
         usual = float(np.median(np.linalg.norm(d, axis=1))) or 1.0
         along = np.einsum("mk,mk->m", d, direction)
@@ -111,17 +105,20 @@ def unsquared_start(net: Network, start: Start) -> Float[np.ndarray, "n d"]:
 
 
 def graduated(net: Network, start: Start, cfg: SwarmConfig) -> Float[np.ndarray, " s"]:
-    """The state under a Geman-McClure kernel narrowed from covering all residuals to the inlier gate."""
+    """The state under a Geman-McClure kernel narrowed from covering all residuals to the inlier gate.
+
+    All robots are kept apart, since a wrong sighting is escaped by falling together.
+    """
     state = _state(start)
     largest = float(np.sqrt(bearing_factor(net).squares(state).max()))
     width, pattern = max(largest, cfg.inlier_gate), None
-    stage = SwarmConfig(max_iterations=STAGE_ITERATIONS)
+    stage = replace(cfg, max_iterations=cfg.robust.stage_iterations)
     while True:
-        solution, _, pattern = refine(net, start, stage, GemanMcClure(width), pattern, seldom=EVERYONE)
+        solution, _, pattern = refine(net, start, stage, GemanMcClure(width), pattern, everyone=True)
         start = _moved(net, start, solution.x)
         if width <= cfg.inlier_gate:
             return solution.x
-        width = max(width / COOLING, cfg.inlier_gate)
+        width = max(width / cfg.robust.cooling, cfg.inlier_gate)
 
 
 def agreeing(net: Network, x: Float[np.ndarray, " s"], gate: float) -> Bool[np.ndarray, " m"]:

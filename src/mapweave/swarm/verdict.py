@@ -3,22 +3,19 @@
 import numpy as np
 
 from ..core.gaussian import chi2_quantile
+from .config import VERDICT, VerdictConfig
 from .headings import mutual_pairs
 from .network import Network
 
-DOUBT = 1e-3  # probability below which a chi-square is called wrong
-MANY = 0.07  # share found wrong, beyond which single sightings cannot be trusted (some of the wrong stay unfound)
-TOO_MANY = 0.25  # share found wrong, beyond which nothing can
 
-
-def trust_warnings(net: Network, outlier: np.ndarray) -> list[str]:
+def trust_warnings(net: Network, outlier: np.ndarray, cfg: VerdictConfig = VERDICT) -> list[str]:
     """What stands against trusting which sightings were called wrong."""
     share = float(outlier.mean())
     share_text = f"{100 * share:.0f} % of the sightings were called wrong"
-    if share > TOO_MANY:
+    if share > cfg.too_many:
         return [f"{share_text}: too many to say which ones"]
     single = 2 * len(mutual_pairs(net)[0]) < 0.5 * len(net.observer)
-    if share > MANY and single:
+    if share > cfg.many and single:
         return [f"{share_text}; where robots are not sighted from both ends the rest cannot be told from them"]
     return []
 
@@ -31,12 +28,12 @@ def support_warnings(net: Network, robots: np.ndarray) -> list[str]:
     return [f"so many sightings of {len(robots)} robots were called wrong that their others prove nothing: {names}"]
 
 
-def chi2_warnings(chi2: float, dof: int) -> list[str]:
+def chi2_warnings(chi2: float, dof: int, cfg: VerdictConfig = VERDICT) -> list[str]:
     """What stands against trusting residuals of `chi2` with `dof` degrees of freedom."""
     if dof <= 0:
         counted = f"chi-square {chi2:.4g} with {dof} degrees of freedom"
         return [f"no sightings are left over to check the positions with ({counted})"]
-    if chi2 <= chi2_quantile(1 - DOUBT, float(dof)):
+    if chi2 <= chi2_quantile(1 - cfg.doubt, float(dof)):
         return []
     counted = f"chi-square {chi2:.4g} with {dof} degrees of freedom"
     return [f"the residuals are larger than sigma says ({counted}): outliers, a bias, or sigma too small"]
