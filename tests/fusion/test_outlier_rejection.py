@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
+from mapweave.fusion.alignment import RigidFit
 from mapweave.fusion.config import FuseConfig
 from mapweave.fusion.consensus import (
     Consensus,
@@ -235,3 +236,12 @@ def test_a_map_half_of_whose_shared_landmarks_lie_elsewhere_does_not_agree():
     good = Consensus(Entries.of(maps([NAMES, NAMES], places(), moved=bad[:3])), FuseConfig())
     good.place(0, FRAMES[0])
     assert good.agrees(1, good.fit(1))
+
+
+@pytest.mark.parametrize(("off", "agrees"), [(0.45, True), (0.55, False)])
+def test_maps_agree_when_the_median_of_what_they_share_lies_within_the_limit(off, agrees):
+    cluster = Consensus(Entries.of(maps([NAMES, NAMES], places())), FuseConfig())
+    cluster.place(0, FRAMES[0])
+    residual = np.array([0.0, 0.1, 0.2, off, off, 3.0, 9.0, 20.0])
+    assert FuseConfig().refuse == 0.5
+    assert cluster.agrees(1, RigidFit(FRAMES[1], residual, residual < 0.35)) is agrees

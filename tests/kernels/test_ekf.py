@@ -229,3 +229,40 @@ def test_wrap_brings_angles_into_half_open_turn():
     for angle in (-7.0, -np.pi, 0.0, 3.0, np.pi, 9.5):
         assert -np.pi <= ekf_state.wrap(angle) < np.pi
         assert abs(wrap_angle(ekf_state.wrap(angle) - angle)) < 1e-12
+
+
+def test_a_replay_stands_at_every_stamp_of_commands_and_sightings_until_both_have_ended():
+    x, P = random_state(12)
+    y, R = x.copy(), P.copy()
+    t, v, w = some_commands()
+    stamp = np.array([10.12, 10.12, 10.4, 10.99, 11.2])  # two after the last command
+    slots, z = np.array([0, 2, 1, -1, 0]), np.array([[3.0, 0.4], [4.0, 0.9], [2.5, 0.7], [1.0, 0.0], [3.1, 0.5]])
+    want_t = np.unique(np.concatenate([t, stamp]))
+
+    def tables():
+        return np.ones(3, bool), np.zeros((3, ekf_start.CANDIDATES, 2)), np.zeros(3, np.int64), np.zeros(1, np.int64)
+
+    Phi, Q = cleared()
+    nis, weight, track_t = np.zeros(5), np.zeros(5), np.full(60, np.nan)
+    pose, cov = np.zeros((60, 3)), np.zeros((60, 6))
+    rows, at = ekf.replay(
+        x, P, Phi, Q, 10.0, t, v, w, -1, 0, stamp, slots, z[:, 0].copy(), z[:, 1].copy(), PLAIN, *tables(), nis, weight,
+        track_t, pose, cov,
+    )  # fmt: skip
+    assert rows == len(want_t)
+    np.testing.assert_array_equal(track_t[:rows], want_t)
+    now, at_one, kept = 10.0, -1, tables()
+    Phi, Q = cleared()
+    for k, until in enumerate(want_t):
+        now, at_one = ekf_drive.drive(
+            y, Phi, Q, now, until, t[: np.searchsorted(t, until, "right")], v, w, at_one, PLAIN
+        )
+        here = stamp == until
+        if here.any():
+            ekf_apply_drive.apply_drive(R, len(y), Phi, Q)
+            ranges, bearings = z[here, 0].copy(), z[here, 1].copy()
+            ekf.frame(y, R, slots[here], ranges, bearings, PLAIN, *kept, np.zeros(here.sum()), np.zeros(here.sum()))
+        np.testing.assert_allclose(pose[k, :2], y[:2], atol=1e-9)
+    assert at == at_one
+    np.testing.assert_allclose(x, y, atol=1e-9)
+    np.testing.assert_allclose(P, R, atol=1e-9)

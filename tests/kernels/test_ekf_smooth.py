@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import eigh
 
 from mapweave.core.se2 import wrap_angle
-from mapweave.kernels.landmarks import ekf_apply_drive, ekf_drive, ekf_smooth
+from mapweave.kernels.landmarks import ekf_apply_drive, ekf_drive, ekf_sight, ekf_smooth
 from mapweave.kernels.landmarks.ekf_smooth import smooth
 
 from . import robot_models as models
@@ -165,3 +165,44 @@ def test_a_way_between_frames_is_nearly_what_frames_without_sightings_there_woul
         ratio = eigh(spread[k] + 1e-10 * np.eye(3), cov[k] + 1e-10 * np.eye(3), eigvals_only=True)
         assert ratio.min() > 0.3
         assert ratio.max() < 3.0
+
+
+@pytest.mark.parametrize("gate", [1e9, 0.5])
+def test_a_sighting_moves_the_chain_as_it_moves_the_filter_whose_map_is_known(gate):
+    rng = np.random.default_rng(6)
+    x, _ = coasting_state()
+    x[6:8] = 0.03, 1.04
+    noise = NOISE._replace(range_share=0.05, range_inflation=7.0, bearing_inflation=3.0, gate=gate)
+    root = rng.normal(size=(3, 3))
+    P = 1e-3 * root @ root.T
+    whole = np.zeros((14, 14))
+    whole[:3, :3] = P
+    r, b = models.observe(x[:3], x[10:12])
+    z = 1.04 * r + 0.02, b + 0.03 - 0.01
+    y, U = x.copy(), np.zeros((2, 14))
+    ekf_sight.sight(y, whole, U, 0, 1, *z, noise, np.zeros(1, np.int64))
+    ekf_sight.release(whole, U, 2)
+    B = np.zeros((3, 11))
+    ekf_smooth.fix(x, P, B, 1, *z, noise, np.zeros(1, np.int64))
+    np.testing.assert_allclose(x, y, atol=1e-12)
+    np.testing.assert_allclose(P, whole[:3, :3], atol=1e-12)
+
+
+def test_what_a_sighting_makes_the_chain_owe_to_the_map_is_its_derivative():
+    x, _ = coasting_state()
+    x[6:8] = 0.03, 1.04
+    r, b = models.observe(x[:3], x[10:12])
+    z = 1.04 * r, b + 0.03  # as predicted: the gain's own change takes no part
+
+    def fixed(parameters):
+        y = x.copy()
+        y[3:] = parameters
+        P, B = np.diag([0.02, 0.03, 0.01]), np.zeros((3, 11))
+        ekf_smooth.fix(y, P, B, 1, *z, NOISE._replace(range_share=0.05), np.zeros(1, np.int64))
+        return y[:3], B
+
+    _, B = fixed(x[3:])
+    for k in range(11):
+        d = np.zeros(11)
+        d[k] = 1e-6
+        np.testing.assert_allclose(B[:, k], (fixed(x[3:] + d)[0] - fixed(x[3:] - d)[0]) / 2e-6, atol=1e-5)
