@@ -9,7 +9,7 @@ from typing import Any, Protocol, cast, runtime_checkable
 from ..core.errors import ReaderError, UsageError
 from ..core.laser_log import LaserLog
 from ..core.workers import Progress, no_progress, one_blas_thread
-from ..io.directory import check_target
+from ..io.directory import check_target, result_directory
 from ..io.table import Columns
 from .map_options import LaserOptions, MapOptions, MapResult
 
@@ -53,6 +53,7 @@ def map(  # noqa: A001  (the verb)
     refine: bool = True,
     calibration: Path | str | None = None,
     laser: LaserOptions | None = None,
+    mcap: bool = False,
     force: bool = False,
     executor: Executor | None = None,
     on_progress: Progress = no_progress,
@@ -108,6 +109,8 @@ def map(  # noqa: A001  (the verb)
         What is known of the robots beforehand, as `calibration.json` holds it; no sd, or 0, holds a value (nothing).
     laser
         Options for laser logs alone.
+    mcap
+        Also write `result.mcap` into `out`: map, ways, landmarks and walls as messages for RViz and Foxglove (False).
     force
         Write into `out` even when something other than a result stands there (False).
     executor
@@ -156,6 +159,8 @@ def map(  # noqa: A001  (the verb)
     options.check()
     if out is not None:
         check_target(Path(out), force=force)
+    elif mcap:
+        raise UsageError("mcap: expected a folder to write to (out), found none")
     if logs is None:
         result = _in_memory(scans, odometry, sightings, options)
     elif scans is None and odometry is None and sightings is None:
@@ -163,7 +168,12 @@ def map(  # noqa: A001  (the verb)
     else:
         raise UsageError("expected either logs or tables in memory (scans, odometry, sightings), found both")
     if out is not None:
-        result.write(out, force=force)
+        with result_directory(Path(out), force=force) as work:
+            result.write_into(work)
+            if mcap:
+                from ..io.result_mcap import write_result_mcaps  # noqa: PLC0415  (only who asks for it waits for it)
+
+                write_result_mcaps(work)
     return result
 
 

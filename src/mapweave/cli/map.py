@@ -70,6 +70,7 @@ def map_logs(
     refine: bool = True,
     calibration: Path | None = None,
     laser: Laser | None = None,
+    mcap: Annotated[bool, Parameter(negative="")] = False,
     force: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Make one map of the logs of a team: a local map a robot, then all of them woven together.
@@ -106,6 +107,8 @@ def map_logs(
         Smooth the whole team at the end (landmark logs); --no-refine leaves the fused filters' map as it is.
     calibration
         What is known of the robots beforehand, as calibration.json holds it; a value without sd is held.
+    mcap
+        Also write result.mcap: map, ways, landmarks and walls as messages for RViz and Foxglove.
     force
         Write into the folder even when something other than a result stands there.
     """
@@ -130,6 +133,7 @@ def map_logs(
             refine=refine,
             calibration=calibration,
             laser=_laser(laser),
+            mcap=mcap,
             force=force,
             on_progress=on_progress,
         )

@@ -5,7 +5,7 @@ known) and `/ground_truth`, a PoseStamped, so that no reader looking for odometr
 """
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -57,47 +57,62 @@ def write_mcap(path: Path, log: LaserLog, truth: Track | None = None, *, range_m
     They do when ranges, intensities and angles are 32-bit numbers, headings are rounded (`se2.representable_heading`)
     and stamps are whole nanoseconds, as simulated ones are. All scans must come from one sensor.
     """
+    types = {topic: kind for topic, kind in TYPES.items() if topic != "/ground_truth" or truth is not None}
+    write_messages(path, types, _messages(log, truth, range_min), {"/tf_static"})
+
+
+def write_messages(path: Path, types: Mapping[str, str], messages: Iterable[Message], latched: Collection[str]) -> None:
+    """`path` is a recording of `messages` in the order of their times. types: topic -> type.
+
+    latched: topics that tell who comes late what they told last.
+    """
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / path.stem
-        writer = Writer(bag, version=8, storage_plugin=StoragePlugin.MCAP)
-        with writer:
+        with Writer(bag, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
             connections = {
                 topic: writer.add_connection(
-                    topic, kind, typestore=STORE, offered_qos_profiles=[LATCHED] if topic == "/tf_static" else []
+                    topic, kind, typestore=STORE, offered_qos_profiles=[LATCHED] if topic in latched else []
                 )
-                for topic, kind in TYPES.items()
-                if topic != "/ground_truth" or truth is not None
+                for topic, kind in types.items()
             }
-            for ns, topic, message in sorted(_messages(log, truth, range_min), key=lambda m: m[0]):
-                writer.write(connections[topic], ns, STORE.serialize_cdr(message, TYPES[topic]))
+            for ns, topic, message in sorted(messages, key=lambda m: m[0]):
+                writer.write(connections[topic], ns, STORE.serialize_cdr(message, types[topic]))
         with result_file(path) as work:
             next(bag.glob("*.mcap")).replace(work)
 
 
 def _messages(log: LaserLog, truth: Track | None, range_min: float) -> Iterator[Message]:
-    first = _ns(min([*log.scan_t[:1], *([] if log.odometry is None else log.odometry.t[:1])]))
-    still = [_transform(first, BASE, LASER, log.scans[0].T_robot_sensor)]
+    first = nanoseconds(min([*log.scan_t[:1], *([] if log.odometry is None else log.odometry.t[:1])]))
+    still = [transform_message(first, BASE, LASER, log.scans[0].T_robot_sensor)]
     if truth is not None:
-        still.append(_transform(first, WORLD, ODOM, truth.pose[0]))
+        still.append(transform_message(first, WORLD, ODOM, truth.pose[0]))
         for t, pose in zip(truth.t, truth.pose, strict=True):
-            yield _ns(t), "/ground_truth", _type("PoseStamped")(header=_header(_ns(t), WORLD), pose=_pose(pose))
-    yield first, "/tf_static", _type("tf2_msgs/msg/TFMessage")(transforms=still)
+            yield (
+                nanoseconds(t),
+                "/ground_truth",
+                message_type("PoseStamped")(header=header_message(nanoseconds(t), WORLD), pose=pose_message(pose)),
+            )
+    yield first, "/tf_static", message_type("tf2_msgs/msg/TFMessage")(transforms=still)
     if log.odometry is not None:
         for t, pose in zip(log.odometry.t, log.odometry.pose, strict=True):
-            ns = _ns(t)
-            yield ns, "/tf", _type("tf2_msgs/msg/TFMessage")(transforms=[_transform(ns, ODOM, BASE, pose)])
+            ns = nanoseconds(t)
+            yield (
+                ns,
+                "/tf",
+                message_type("tf2_msgs/msg/TFMessage")(transforms=[transform_message(ns, ODOM, BASE, pose)]),
+            )
             yield ns, "/odom", _odometry(ns, pose)
     steps = np.diff(log.scan_t)
     every = float(np.median(steps)) if len(steps) else 0.0
     for t, scan in zip(log.scan_t, log.scans, strict=True):
-        yield _ns(t), "/scan", _scan(_ns(t), scan, range_min, every)
+        yield nanoseconds(t), "/scan", _scan(nanoseconds(t), scan, range_min, every)
 
 
 def _scan(ns: int, scan: Scan, range_min: float, every: float) -> Any:
     ranges = np.where(scan.hit, scan.ranges, np.inf).astype(np.float32)  # REP 117: infinite is no return
     light = np.zeros(0) if scan.intensities is None else scan.intensities
-    return _type("sensor_msgs/msg/LaserScan")(
-        header=_header(ns, LASER),
+    return message_type("sensor_msgs/msg/LaserScan")(
+        header=header_message(ns, LASER),
         angle_min=scan.angle_min,
         angle_max=scan.angle_min + scan.angle_increment * (len(ranges) - 1),
         angle_increment=scan.angle_increment,
@@ -111,45 +126,48 @@ def _scan(ns: int, scan: Scan, range_min: float, every: float) -> Any:
 
 
 def _odometry(ns: int, pose: Float[np.ndarray, "3"]) -> Any:
-    still = _type("Vector3")(x=0.0, y=0.0, z=0.0)
-    return _type("nav_msgs/msg/Odometry")(
-        header=_header(ns, ODOM),
+    still = message_type("Vector3")(x=0.0, y=0.0, z=0.0)
+    return message_type("nav_msgs/msg/Odometry")(
+        header=header_message(ns, ODOM),
         child_frame_id=BASE,
-        pose=_type("PoseWithCovariance")(pose=_pose(pose), covariance=np.zeros(36)),
-        twist=_type("TwistWithCovariance")(twist=_type("Twist")(linear=still, angular=still), covariance=np.zeros(36)),
-    )
-
-
-def _pose(pose: Float[np.ndarray, "3"]) -> Any:
-    return _type("Pose")(
-        position=_type("Point")(x=float(pose[0]), y=float(pose[1]), z=0.0), orientation=_rotation(float(pose[2]))
-    )
-
-
-def _transform(ns: int, parent: str, child: str, pose: Float[np.ndarray, "3"]) -> Any:
-    return _type("TransformStamped")(
-        header=_header(ns, parent),
-        child_frame_id=child,
-        transform=_type("Transform")(
-            translation=_type("Vector3")(x=float(pose[0]), y=float(pose[1]), z=0.0),
-            rotation=_rotation(float(pose[2])),
+        pose=message_type("PoseWithCovariance")(pose=pose_message(pose), covariance=np.zeros(36)),
+        twist=message_type("TwistWithCovariance")(
+            twist=message_type("Twist")(linear=still, angular=still), covariance=np.zeros(36)
         ),
     )
 
 
-def _rotation(theta: float) -> Any:
+def pose_message(pose: Float[np.ndarray, "3"]) -> Any:
+    return message_type("Pose")(
+        position=message_type("Point")(x=float(pose[0]), y=float(pose[1]), z=0.0),
+        orientation=rotation_message(float(pose[2])),
+    )
+
+
+def transform_message(ns: int, parent: str, child: str, pose: Float[np.ndarray, "3"]) -> Any:
+    return message_type("TransformStamped")(
+        header=header_message(ns, parent),
+        child_frame_id=child,
+        transform=message_type("Transform")(
+            translation=message_type("Vector3")(x=float(pose[0]), y=float(pose[1]), z=0.0),
+            rotation=rotation_message(float(pose[2])),
+        ),
+    )
+
+
+def rotation_message(theta: float) -> Any:
     x, y, z, w = quaternion_of_heading(theta)
-    return _type("Quaternion")(x=x, y=y, z=z, w=w)
+    return message_type("Quaternion")(x=x, y=y, z=z, w=w)
 
 
-def _header(ns: int, frame: str) -> Any:
-    stamp = _type("builtin_interfaces/msg/Time")(sec=ns // 10**9, nanosec=ns % 10**9)
-    return _type("std_msgs/msg/Header")(stamp=stamp, frame_id=frame)
+def header_message(ns: int, frame: str) -> Any:
+    stamp = message_type("builtin_interfaces/msg/Time")(sec=ns // 10**9, nanosec=ns % 10**9)
+    return message_type("std_msgs/msg/Header")(stamp=stamp, frame_id=frame)
 
 
-def _type(name: str) -> Callable[..., Any]:
+def message_type(name: str) -> Callable[..., Any]:
     return STORE.types[name if "/" in name else f"geometry_msgs/msg/{name}"]  # type: ignore[no-any-return]
 
 
-def _ns(t: float) -> int:
+def nanoseconds(t: float) -> int:
     return round(float(t) * 1e9)

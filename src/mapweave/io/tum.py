@@ -66,3 +66,21 @@ def write_track_covariance(path: Path, track: Track) -> None:
     with open_text(path) as file:
         file.write(COVARIANCE_HEAD + "\n")
         write_rows(file, "%.6f" + ",%.6e" * 6 + "\n", rows)
+
+
+def read_track_covariance(path: Path, track: Track) -> Track:
+    """`track` with the covariances of the file written beside it.
+
+    Raises ReaderError where the file does not hold seven finite numbers for each pose.
+    """
+    try:
+        rows = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+    except (OSError, ValueError) as error:
+        raise ReaderError(path, f"expected the covariances of a trajectory: {error}") from None
+    if rows.shape != (len(track.t), 7) or not np.isfinite(rows).all():
+        raise ReaderError(
+            path, f"expected {len(track.t)} rows of {COVARIANCE_HEAD}, found {len(rows)} or other numbers"
+        )
+    _, xx, xy, yy, xt, yt, tt = rows.T
+    cov = np.stack([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]]).transpose(2, 0, 1)
+    return Track(track.t, track.pose, cov, track.frame)
