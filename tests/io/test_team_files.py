@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mapweave.core.errors import DataError, ReaderError
 from mapweave.core.names import in_order, robot_key, robot_name
@@ -80,3 +81,13 @@ def test_numbers_in_names_are_put_in_order_as_numbers():
     assert robot_key("robot3") == "3"
     assert robot_name("3") == "robot3"
     assert robot_name("run/robot3") == robot_key("run/robot3") == "run/robot3"
+
+
+def test_a_written_trajectory_is_a_tum_file_to_a_reader_that_knows_only_the_format(tmp_path):
+    t, heading = 1.7e9 + np.arange(4.0), np.array([0.0, 1.0, -3.0, 3.1])
+    write_tum(tmp_path / "r.tum", Track(t, np.column_stack([t - t[0], -t + t[0], heading])))
+    rows = np.loadtxt(tmp_path / "r.tum")
+    assert rows.shape == (4, 8)
+    np.testing.assert_allclose(rows[:, :4], np.column_stack([t, t - t[0], -t + t[0], np.zeros(4)]), atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(rows[:, 4:], axis=1), 1.0, atol=1e-8)
+    np.testing.assert_allclose(Rotation.from_quat(rows[:, 4:]).as_euler("zyx")[:, 0], heading, atol=1e-8)

@@ -1,0 +1,53 @@
+"""What the documentation tells people to type is what the command line takes, and tests it names are there."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from mapweave.cli import make_app
+
+TOP = Path(__file__).parent.parent
+PAGES = sorted([*TOP.glob("docs/**/*.md"), TOP / "README.md"])
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+TEST = re.compile(r"`(tests/[\w/]+\.py)(?:::(\w+))?`")
+
+
+def commands(page):
+    """Every line of a page's code blocks that calls mapweave, joined where it goes on."""
+    out = []
+    for language, block in BLOCK.findall(page.read_text(encoding="utf-8")):
+        if language not in {"", "sh", "bash", "console"}:
+            continue
+        for line in block.replace("\\\n", " ").splitlines():
+            words = line.split("#")[0].strip()
+            if words.startswith("mapweave ") and "COMMAND" not in words:
+                out.append(words)
+    return out
+
+
+EVERY = [(page, line) for page in PAGES for line in commands(page)]
+
+
+@pytest.mark.parametrize(("page", "line"), EVERY, ids=[f"{p.stem}: {w}" for p, w in EVERY])
+def test_the_command_line_takes_what_a_page_tells(page, line):
+    words = shlex.split(line.replace("[", "").replace("]", "").replace("...", "").replace("|", " "))[1:]
+    words = [word for word in words if word.strip(".")]
+    if len(words) == 2 and words[1].isupper():
+        return  # `mapweave simulate WORLD` and such stand for several
+    make_app().parse_args(words, print_error=False, exit_on_error=False)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_tests_that_a_page_names_are_there(page):
+    missing = []
+    for file, name in TEST.findall(page.read_text(encoding="utf-8")):
+        path = TOP / file
+        if not path.exists() or (name and f"def {name}(" not in path.read_text(encoding="utf-8")):
+            missing.append(f"{file}::{name}")
+    assert not missing
+
+
+def test_there_are_commands_to_try():
+    assert len(EVERY) > 30
