@@ -8,7 +8,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.records import Scan
 from mapweave.laser.beam import BeamConfig, beams
-from mapweave.laser.closures import ClosureConfig, Matcher, Place
+from mapweave.laser.closures import ClosureConfig, Matched, Matcher, Place
 from mapweave.laser.config import ALL_ROUND
 from mapweave.laser.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
 from mapweave.laser.keyframes import Keyframe
@@ -158,3 +158,34 @@ def test_only_places_of_long_ago_are_searched_by_their_own_robot():
     assert near
     assert (graph.path[near] < graph.path[60] - 50.0).all()
     assert loops.candidates(graph, 19) == []
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6])
+def test_false_closures_are_found_out_however_many(share):
+    """A way driven round three times; of all closures, `share` is false and agrees with nothing."""
+    rng = np.random.default_rng(3)
+    truth = [np.zeros(3)]
+    for k in range(180):
+        truth.append(se2.compose(truth[-1], np.array([0.5, 0.0, np.pi / 2 if k % 15 == 14 else 0.0])))
+    truth = np.array(truth)
+    true = se2.between(truth[:-1], truth[1:])
+    sd = np.array([0.02, 0.02, 0.005])
+    graph = driven(true + rng.normal(0.0, sd, true.shape), np.diag(sd**2), spacing=0.5)
+    pairs = [(k, k + 60 * turn) for turn in (1, 2) for k in range(0, 181 - 60 * turn, 6)]
+    false = int(share / (1.0 - share) * len(pairs))
+    information = np.diag([2500.0, 2500.0, 40000.0])
+    for i, k in pairs:
+        z = se2.between(truth[i], truth[k]) + rng.normal(0.0, [0.02, 0.02, 0.005])
+        graph.close(i, k, Matched(True, "", z, information, np.zeros(3), 1.0, 1.0))
+    clean = graph.copy()
+    clean.solve()
+    for _ in range(false):
+        i, k = sorted(rng.choice(181, 2, replace=False).tolist())
+        z = np.array([*rng.uniform(-4, 4, 2), rng.uniform(-3, 3)])
+        graph.close(i, k, Matched(True, "", z, information, np.zeros(3), 1.0, 1.0))
+    graph.solve()
+    kept = [c.accepted for c in graph.closures]
+    assert all(kept[: len(pairs)])
+    assert not any(kept[len(pairs) :])
+    assert all("contradicts the other measurements" in c.reason for c in graph.closures[len(pairs) :])
+    assert np.abs(graph.pose - clean.pose).max() < 1e-3

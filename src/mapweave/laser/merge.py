@@ -128,6 +128,8 @@ def merge_maps(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig | None = None, s
     if free.transform is None:
         return replace(free, reason=f"near the start that was given: {near.reason}; everywhere: {free.reason}")
     away = se2.between(start.transform, free.transform)
+    if (np.abs(away) <= 3.0 * np.asarray(start.sd)).all():
+        return free
     how_far = f"{np.hypot(*away[:2]):.2f} m and {np.degrees(abs(away[2])):.1f} degrees"
     return replace(free, reason=f"{free.reason}; the scans overrule the start that was given, by {how_far}")
 
