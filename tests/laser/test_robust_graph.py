@@ -10,7 +10,7 @@ from mapweave.core import se2
 from mapweave.core.errors import DataError
 from mapweave.io.g2o import read_g2o
 from mapweave.laser.pose_graph import PoseGraph
-from mapweave.laser.robust_graph import Prior, RobustGraphConfig, connected, solve_graph
+from mapweave.laser.robust_graph import FADED, Prior, RobustGraphConfig, connected, solve_graph, truncated_weights
 
 SD = np.array([0.05, 0.05, 0.02])
 PLAIN = RobustGraphConfig(method="none")
@@ -104,6 +104,19 @@ def test_false_closures_are_dropped_and_told(method, share):
         assert cost <= 1.05 * clean.chi2
         plain = solve_graph(bad, PLAIN)
         assert squares(replace(graph, pose=plain.graph.pose)).sum() > 10 * clean.chi2
+
+
+@pytest.mark.parametrize("control", [0.01, 0.4, 3.0, 50.0])
+def test_what_an_edge_counts_is_the_weight_of_least_cost_with_what_dropping_it_costs(control):
+    gate = 16.27
+    s = np.concatenate([[0.0], np.geomspace(1e-3, 1e6, 60)])
+    found = truncated_weights(s, gate, control)
+    w = np.linspace(0.0, 1.0, 20001)
+    cost = w * s[:, None] + gate * control * (1 - w) / (control + w)
+    np.testing.assert_allclose(found, np.maximum(w[cost.argmin(axis=1)], FADED), atol=1e-4)
+    assert (np.diff(found) <= 0).all()
+    assert found[0] == 1.0
+    assert found[-1] == FADED
 
 
 def test_a_graph_without_contradictions_stays_whole():

@@ -248,14 +248,14 @@ def test_the_nearest_instant_is_the_nearest():
     rng = np.random.default_rng(5)
     t = np.sort(rng.uniform(0, 10, 12))
     poses = np.column_stack([t, 2 * t, 0.1 * t])
-    instants = Instants(t, poses, Track(t, poses))
+    instants = Instants(t, poses, Track(t, poses), np.diff(t))
     asked = np.concatenate([rng.uniform(-1, 11, 60), t])
     np.testing.assert_array_equal(instants.nearest(asked), np.abs(asked[:, None] - t).argmin(axis=1))
     k, step = instants.from_nearest(asked[:60].clip(t[0], t[-1]))
     there = se2.compose(poses[k], step)
     np.testing.assert_allclose(there[:, 1], 2 * there[:, 0], atol=1e-9)
     np.testing.assert_allclose(there[:, 0], asked[:60].clip(t[0], t[-1]), atol=1e-9)
-    one = Instants(t[:1], poses[:1], Track(t[:1], poses[:1]))
+    one = Instants(t[:1], poses[:1], Track(t[:1], poses[:1]), np.zeros(0))
     assert one.nearest(np.array([-3.0, 4.0])).tolist() == [0, 0]
 
 
@@ -266,6 +266,8 @@ def test_instants_are_where_something_is_seen_neither_too_dense_nor_too_far_apar
     at = instants_of(log, seen_at, tracks["robot1"], cfg)
     first, last = log.span
     assert at.t[0] == first
+    assert at.gap.shape == (len(at.t) - 1,)
+    assert (at.gap >= np.diff(at.t) - 1e-9).all()
     assert np.diff(at.t).max() <= 1.0 + 1e-9
     kept = at.t[np.isin(at.t, np.concatenate([[first, last], log.sightings.t, seen_at]))]
     assert np.diff(kept).min() >= 0.6 - 1e-9

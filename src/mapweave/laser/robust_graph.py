@@ -189,15 +189,22 @@ def _believed(
             if worst <= cfg.gate:
                 return np.ones(graph.edges, dtype=bool), pose, rounds, iterations
             control = cfg.gate / (2.0 * worst - cfg.gate)  # [Yang20] remark 5
-        low, high = control / (control + 1.0) * cfg.gate, (control + 1.0) / control * cfg.gate
-        between = np.sqrt(cfg.gate * control * (control + 1.0) / np.maximum(s, 1e-300)) - control  # [Yang20] eq. 14
-        new = np.where(s <= low, 1.0, np.where(s >= high, FADED, np.clip(between, FADED, 1.0)))
-        weight = np.where(may, new, 1.0)
+        high = (control + 1.0) / control * cfg.gate
+        weight = np.where(may, truncated_weights(s, cfg.gate, control), 1.0)
         control *= cfg.growth
         if ((weight > 1.0 - 1e-6) | (weight <= FADED)).all() and high < 1.05 * cfg.gate:
             break
     s = _squares(replace(graph, pose=pose))
     return ~may | (s <= cfg.gate), pose, rounds, iterations
+
+
+def truncated_weights(s: Float[np.ndarray, " m"], gate: float, control: float) -> Float[np.ndarray, " m"]:
+    """What edges of squared residuals `s` count when squares beyond `gate` are truncated, the more softly the smaller
+    `control` is [Yang20] eq. 14: the w in (0, 1] of least `w s + gate control (1 - w) / (control + w)`.
+    """
+    low, high = control / (control + 1.0) * gate, (control + 1.0) / control * gate
+    between = np.sqrt(gate * control * (control + 1.0) / np.maximum(s, 1e-300)) - control
+    return np.where(s <= low, 1.0, np.where(s >= high, FADED, np.clip(between, FADED, 1.0)))
 
 
 def _problem(
