@@ -1,60 +1,73 @@
-"""Opening a result, and what its report holds."""
+"""A finished result is opened, or written for the Rerun viewer, or it is said why not."""
 
-import re
 import webbrowser
+from importlib.util import find_spec
 
-import numpy as np
 import pytest
 
 import mapweave
-from mapweave.api import view as view_module
-from mapweave.landmarks.landmark_map import LandmarkMap
-from mapweave.team.team_map import TeamMap
-from mapweave.viewer.base import NullViewer, viewer
+from mapweave.io.finished import read_finished
+
+needs_rerun = pytest.mark.skipif(find_spec("rerun") is None, reason="the extra [viewer] is not installed")
 
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
-    home = tmp_path_factory.mktemp("view")
-    mapweave.simulate_landmarks(home / "team", robots=2, landmarks=10, minutes=1, seed=2)
-    made = mapweave.map(home / "team", home / "out", truth=home / "team", fuse_every=20)
-    return home / "out", made
+    folder = tmp_path_factory.mktemp("view")
+    mapweave.simulate_landmarks(folder / "team", robots=2, landmarks=8, minutes=0.5, seed=1)
+    mapweave.map(folder / "team", folder / "out")
+    return folder / "out"
 
 
-def test_the_report_needs_nothing_beside_it_and_tells_every_decision(result):
-    folder, made = result
-    page = (folder / "report.html").read_text()
-    assert not re.findall(r'(?:src|href)="(?!data:)', page)
-    for section in ("Map", "Beside the truth", "Fusion", "Robots", "How the map grew"):
-        assert f"<h2>{section}</h2>" in page
-    for decision in made.fusion.decisions:
-        assert decision.reason.replace("'", "&#x27;") in page
-    figures = {p.name for p in (folder / "figures").iterdir()}
-    assert page.count("<img") == len(figures)
-    assert {"fused_map.png", "landmark_errors.png", "growth.png", "calibration.png", "uncertainty.png"} <= figures
-    assert sum(p.stat().st_size for p in (folder / "figures").iterdir()) < 1_500_000
+@pytest.fixture
+def no_display(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("sys.platform", "linux")
 
 
-def test_with_a_display_the_report_and_the_viewer_are_opened(result, monkeypatch):
-    folder, made = result
-    opened, shown = [], []
+def test_a_finished_result_holds_its_ways_and_landmarks(result):
+    (part,) = read_finished(result)
+    assert list(part.tracks) == ["robot1", "robot2"]
+    assert part.tracks["robot1"].cov is not None
+    assert len(part.landmarks) > 5
+    assert part.walls is None
 
-    class Recorder(NullViewer):
-        name = "a viewer"
 
-        def show(self, team, entity="map"):
-            shown.append((entity, team.landmarks.ids))
+def test_without_a_display_the_report_is_named(result, no_display):
+    assert mapweave.view(result) == [f"report: {result / 'report.html'}"]
 
+
+def test_with_a_display_the_report_is_opened(result, monkeypatch):
+    opened = []
+    monkeypatch.setattr("sys.platform", "linux")
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(webbrowser, "open", opened.append)
-    monkeypatch.setattr(view_module, "viewer", lambda **_: Recorder())
-    said = mapweave.view(folder)
-    assert opened == [(folder / "report.html").resolve().as_uri()]
-    assert shown == [("component_1", made.maps[0].landmarks.ids)]
-    assert len(said) == 2
+    assert mapweave.view(result) == [f"opened {result / 'report.html'}"]
+    assert opened == [(result / "report.html").resolve().as_uri()]
+    assert mapweave.view(result, browser=False) == [f"report: {result / 'report.html'}"]
 
 
-def test_a_viewer_that_is_not_wanted_shows_nothing_silently():
-    nobody = viewer(wanted=False)
-    assert nobody.name == ""
-    nobody.show(TeamMap((), LandmarkMap((), np.zeros((0, 2)), np.zeros((0, 0)))))
+def test_a_viewer_that_cannot_start_is_an_error(result, no_display):
+    told = "no display" if find_spec("rerun") else "pip install"
+    with pytest.raises(mapweave.MapweaveError, match=told):
+        mapweave.view(result, rerun=True)
+
+
+@needs_rerun
+def test_a_recording_is_written(result, tmp_path, no_display):
+    assert mapweave.view(result, save=tmp_path / "map.rrd") == [f"wrote {tmp_path / 'map.rrd'}"]
+    held = (tmp_path / "map.rrd").read_bytes()
+    assert held[:4] == b"RRF2"
+    assert len(held) > 20_000
+
+
+@needs_rerun
+def test_a_recording_that_cannot_be_written_is_one_error(result, tmp_path):
+    with pytest.raises(mapweave.MapweaveError):
+        mapweave.view(result, save=tmp_path / "nowhere" / "map.rrd")
+
+
+def test_a_folder_that_is_no_result_is_refused(tmp_path):
+    with pytest.raises(mapweave.ReaderError):
+        mapweave.view(tmp_path, save=tmp_path / "map.rrd")

@@ -1,35 +1,69 @@
-"""`view`: a result's report in the browser, its map in the viewer where there is one."""
+"""`view`: a result's report in the browser, its map in the Rerun viewer."""
 
 import os
 import sys
 import webbrowser
+from importlib.util import find_spec
 from pathlib import Path
 
-from ..core.errors import ReaderError
-from ..io.team_map import read_metrics, read_team_maps
-from ..viewer.base import viewer
+from ..core.errors import EstimateError, ReaderError, UsageError
+from ..io.finished import read_finished
+from ..io.team_map import read_metrics
 
 
-def view(directory: Path | str, *, browser: bool = True) -> list[str]:
-    """Opens the report (unless there is no display or `browser` is False) and the viewer; what was done, line by line.
+def view(
+    directory: Path | str, *, browser: bool = True, rerun: bool = False, save: Path | str | None = None
+) -> list[str]:
+    """Opens what a command wrote; what was done, line by line.
 
-    Raises ReaderError when `directory` holds no result.
+    Parameters
+    ----------
+    directory
+        The result of any job.
+    browser
+        Open the report, unless there is no display (True).
+    rerun
+        Show walls, landmarks and every robot along time in the Rerun viewer (False): the extra `[viewer]`.
+    save
+        Write what Rerun would show to this .rrd file instead (nothing).
+
+    Raises
+    ------
+    ReaderError
+        Where `directory` holds no result, or a damaged one.
+    UsageError
+        Where Rerun is asked for and not installed, or has nothing to show.
+    EstimateError
+        Where the viewer cannot start.
     """
     folder = Path(directory)
     read_metrics(folder)
+    if rerun or save is not None:
+        return [_in_rerun(folder, None if save is None else Path(save))]
     report = folder / "report.html"
     if not report.is_file():
         raise ReaderError(folder, "expected report.html, found none")
     if not (browser and _has_display()):
         return [f"report: {report}"]
     webbrowser.open(report.resolve().as_uri())
-    done = [f"opened {report}"]
-    shown = viewer(wanted=(folder / "landmarks.npz").is_file(), title=folder.name)
-    if shown.name:
-        for k, team in enumerate(read_team_maps(folder), 1):
-            shown.show(team, f"component_{k}")
-        done.append(f"opened the map in {shown.name}")
-    return done
+    return [f"opened {report}"]
+
+
+def _in_rerun(folder: Path, save: Path | None) -> str:
+    if find_spec("rerun") is None:
+        raise UsageError("--rerun: the viewer is not installed: pip install 'mapweave[viewer]'")
+    parts = read_finished(folder)
+    if not any(part.tracks or part.walls is not None or part.landmarks is not None for part in parts):
+        raise UsageError(f"{folder}: expected trajectories, walls or landmarks to show, found none")
+    if save is None and not _has_display():
+        raise EstimateError("--rerun: no display to open the viewer on; --save FILE.rrd writes what it would show")
+    from ..viewer.rerun_viewer import show_in_rerun  # noqa: PLC0415  (an extra)
+
+    try:
+        show_in_rerun(folder.resolve().name, parts, save)
+    except (RuntimeError, OSError) as error:
+        raise EstimateError(f"the Rerun viewer: {error}") from None
+    return "opened the map in Rerun" if save is None else f"wrote {save}"
 
 
 def _has_display() -> bool:

@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.gaussian import ellipse
-from ..core.names import in_order
 from ..core.records import Track
 from ..core.se2 import quaternion_of_heading
 from ..landmarks.landmark_map import LandmarkMap
+from .finished import Finished, read_finished
 from .mcap import (
     Message,
     header_message,
@@ -27,9 +27,7 @@ from .mcap import (
     transform_message,
     write_messages,
 )
-from .ros_map import OCCUPIED, RosMap, read_ros_map
-from .team_map import read_landmarks
-from .tum import read_track_covariance, read_tum
+from .ros_map import OCCUPIED, RosMap
 
 NAME = "result.mcap"
 FRAME = "map"
@@ -48,26 +46,19 @@ PATH, POSE = "nav_msgs/msg/Path", "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 def write_result_mcaps(folder: Path) -> None:
     """`result.mcap` beside every component of the finished result in `folder`, each in its own frame `map`."""
-    parts = [folder, *sorted((folder / "components").glob("*"), key=lambda p: in_order(p.name))]
-    for part in parts:
+    for part in read_finished(folder):
         _write(part)
 
 
-def _write(folder: Path) -> None:
-    tracks: dict[str, Track] = {}
-    for path in sorted((folder / "trajectories").glob("*.tum"), key=lambda p: in_order(p.stem)):
-        cov = path.with_suffix(".cov.csv")
-        track = read_tum(path)
-        tracks[path.stem] = read_track_covariance(cov, track) if cov.exists() else track
-    walls = read_ros_map(folder / "map.yaml") if (folder / "map.yaml").exists() else None
-    landmarks = read_landmarks(folder / "landmarks.npz") if (folder / "landmarks.npz").exists() else None
-    types = {topic: kind for topic, kind in TYPES.items() if topic not in {"/map", "/walls"} or walls is not None}
-    if landmarks is None or not len(landmarks):
+def _write(made: Finished) -> None:
+    landmarks = made.landmarks if made.landmarks is not None and len(made.landmarks) else None
+    types = {topic: kind for topic, kind in TYPES.items() if topic not in {"/map", "/walls"} or made.walls is not None}
+    if landmarks is None:
         types.pop("/landmarks")
-    for robot in tracks:
+    for robot in made.tracks:
         types |= {f"/{robot}/path": PATH, f"/{robot}/pose": POSE}
     latched = {topic for topic in types if topic in {"/map", "/walls", "/landmarks"} or topic.endswith("/path")}
-    write_messages(folder / NAME, types, _messages(tracks, walls, landmarks), latched)
+    write_messages(made.folder / NAME, types, _messages(made.tracks, made.walls, landmarks), latched)
 
 
 def _messages(tracks: Mapping[str, Track], walls: RosMap | None, landmarks: LandmarkMap | None) -> Iterator[Message]:
@@ -75,7 +66,7 @@ def _messages(tracks: Mapping[str, Track], walls: RosMap | None, landmarks: Land
     if walls is not None:
         yield first, "/map", _occupancy(first, walls)
         yield first, "/walls", _cloud(first, walls)
-    if landmarks is not None and len(landmarks):
+    if landmarks is not None:
         yield first, "/landmarks", _markers(first, landmarks)
     for robot, track in tracks.items():
         poses = [
@@ -124,11 +115,9 @@ def _occupancy(ns: int, walls: RosMap) -> Any:
 
 def _cloud(ns: int, walls: RosMap) -> Any:
     """The centres of occupied cells."""
-    rows, cols = np.nonzero(walls.state == OCCUPIED)
-    c, s = np.cos(walls.origin[2]), np.sin(walls.origin[2])
-    cells = (np.column_stack([cols, rows]) + 0.5) * walls.resolution
-    points = np.zeros((len(cells), 3), np.float32)
-    points[:, :2] = cells @ np.array([[c, s], [-s, c]]) + walls.origin[:2]
+    centres = walls.occupied()
+    points = np.zeros((len(centres), 3), np.float32)
+    points[:, :2] = centres
     fields = [
         message_type("sensor_msgs/msg/PointField")(name=name, offset=4 * k, datatype=FLOAT32, count=1)
         for k, name in enumerate("xyz")

@@ -48,6 +48,13 @@ class RosMap:
         out[inside] = self.state[row[inside], col[inside]] == FREE
         return out
 
+    def occupied(self) -> Float[np.ndarray, "n 2"]:
+        """The centres [m] of occupied cells in the map, row by row."""
+        rows, cols = np.nonzero(self.state == OCCUPIED)
+        c, s = np.cos(self.origin[2]), np.sin(self.origin[2])
+        cells = (np.column_stack([cols, rows]) + 0.5) * self.resolution
+        return np.asarray(cells @ np.array([[c, s], [-s, c]]) + self.origin[:2])
+
     def extent(self) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
         """Lower and upper corner [m] of the upright rectangle around the raster."""
         rows, cols = self.state.shape
