@@ -12,6 +12,7 @@ from mapweave.laser.closures import ClosureConfig, Matched, Matcher, Place
 from mapweave.laser.config import ALL_ROUND
 from mapweave.laser.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
 from mapweave.laser.keyframes import Keyframe
+from mapweave.laser.place_search import Hit, Places
 from mapweave.laser.step_noise import believed, carried
 from mapweave.laser.submap_loops import SubmapLoopConfig, SubmapLoops
 from mapweave.laser.team import LoopSearch
@@ -189,3 +190,20 @@ def test_false_closures_are_found_out_however_many(share):
     assert not any(kept[len(pairs) :])
     assert all("contradicts the other measurements" in c.reason for c in graph.closures[len(pairs) :])
     assert np.abs(graph.pose - clean.pose).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("light", "best", "second", "ambiguous"),
+    [
+        (False, 0.97, 0.91, True),  # bare walls fit anywhere along themselves
+        (True, 0.97, 0.91, False),  # light fits there alone
+        (True, 0.72, 0.70, True),  # light fits neither
+        (True, 0.90, 0.88, True),
+        (False, 0.70, 0.55, False),
+    ],
+)
+def test_where_light_fits_one_place_alone_walls_that_fit_elsewhere_too_do_not_matter(light, best, second, ambiguous):
+    loops = SubmapLoops(SubmapLoopConfig(), light=light)
+    places = Places(Hit(np.zeros(3), best), Hit(np.array([1.0, 0.0, 0.0]), second))
+    assert loops.ambiguous(places) is ambiguous
+    assert not loops.ambiguous(Places(Hit(np.zeros(3), best), None))

@@ -184,12 +184,12 @@ def finalise(state: GraphState, cfg: LaserConfig, on_progress: Progress = no_pro
     cov = graph.covariances()
     sensors = np.array(state.sensors).reshape(-1, 2)
     rows = np.array(grown.keyframes, dtype=np.int64)
-    steps, _ = graph.edges()
+    steps, closed = graph.edges()
     pose = graph.pose
     if cfg.graph.last_pass:
         on_progress("last pass", 0, 2)
         cloud = scan_cloud([state.scans[k] for k in rows], sensors[rows], joint.beams)
-        pose = joint_pass(steps, cloud, joint)
+        pose = joint_pass(steps, cloud, joint, closed)
         on_progress("last pass", 1, 2)
     poses = blended(local, rows, pose)
     if cfg.graph.last_pass:

@@ -118,8 +118,9 @@ def joint_pass(
     """The poses of `steps` moved so that keyframes that see the same walls agree on them; the first stays.
 
     steps: the keyframes with the edges between neighbours, which carry what cannot be matched; cloud: the keyframes'
-    returns. ties: edges between robots over the same poses, at the information they have; robot: (n,) whose each
-    keyframe is, those of one in a row and in order: the last of one and the first of the next are no neighbours.
+    returns. ties: edges over the same poses that count beside the matches: closures, which light may tell, and what
+    ties robots. robot: (n,) whose each keyframe is, those of one in a row and in order: the last of one and the first
+    of the next are no neighbours.
     """
     pose = np.array(steps.pose)
     if len(pose) < 2:

@@ -7,10 +7,10 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.config import config
-from ..core.gaussian import mahalanobis2
+from ..core.gaussian import mahalanobis2, symmetrise
 from .closures import Matched
 from .keyframe_graph import KeyframeGraph
-from .place_search import Fit, PlaceConfig, Window
+from .place_search import Fit, PlaceConfig, Places, Window
 from .submaps import PlaceMatch, Query, Submap, SubmapConfig, locate, query_at, submap_around
 
 NOTHING = np.zeros((3, 3))
@@ -30,6 +30,9 @@ class SubmapLoopConfig:
     window_turn: float = 0.35  # [rad] headings searched to either side
     least_score: float = 0.5  # least share of the likelihood a perfect fit would have
     most_ratio: float = 0.85  # most of the best score that another place may have: more, and it is ambiguous
+    most_misfit: float = (
+        0.7  # where light takes part: what the best misses of a perfect score over what that place misses
+    )
     least_share: float = 0.55  # share of the points that must lie on walls after refining
     most_moved: float = 0.3  # [m] between the pose searched and refined
     least_held: float = 25.0  # [1/m^2] information in the direction least held: less, and it is a bare corridor
@@ -108,7 +111,11 @@ class SubmapLoops:
         )
         if reason := self._doubt(found, best.score, fit):
             return refused._replace(reason=reason)
-        nis = mahalanobis2(innovation, cov + fit.covariance)
+        P = fit.covariance
+        if found.places.ratio > c.most_ratio:  # light alone tells where it lies along the walls, to the search's step
+            weak = se2.rotation(-float(fit.pose[2])) @ fit.weak
+            P = P + np.square(0.5 * c.place.cell) * np.pad(np.outer(weak, weak), (0, 1))
+        nis = mahalanobis2(innovation, cov + P)
         apart = f"{np.hypot(*innovation[:2]):.2f} m and {np.degrees(innovation[2]):.1f} degrees"
         sd = f"{np.sqrt(nis):.1f} standard deviations"
         if nis > c.gate:
@@ -116,7 +123,7 @@ class SubmapLoops:
         return refused._replace(
             accepted=True,
             nis=nis,
-            information=fit.information,
+            information=symmetrise(np.linalg.inv(P)),
             reason=f"{100 * fit.share:.0f} % of the returns match, {sd} from the estimate",
         )
 
@@ -125,12 +132,21 @@ class SubmapLoops:
         c = self.cfg
         doubts = (
             (score < c.least_score, f"it fits too little: score {score:.2f}"),
-            (found.places.ratio > c.most_ratio, f"two places fit alike: {found.places.ratio:.2f} of the best score"),
+            (self.ambiguous(found.places), f"two places fit alike: {found.places.ratio:.2f} of the best score"),
             (fit.share < c.least_share, f"too few returns match: {100 * fit.share:.0f} %"),
             (found.moved > c.most_moved, f"search and refined match differ by {found.moved:.2f} m"),
             (fit.held[0] < c.least_held, "the place looks alike along one direction"),
         )
         return next((reason for doubtful, reason in doubts if doubtful), "")
+
+    def ambiguous(self, places: Places) -> bool:
+        """Whether another place fits about as well. Light on walls makes one place fit all but perfectly, while others
+        still have most of its score: they share the walls.
+        """
+        c, best, second = self.cfg, places.best, places.second
+        if best is None or second is None or places.ratio <= c.most_ratio:
+            return best is None
+        return not self.light or 1.0 - best.score > c.most_misfit * (1.0 - second.score)
 
     def _window(self, cov: Float[np.ndarray, "3 3"]) -> float:
         """[m] to search for a place whose relative covariance is `cov`."""
