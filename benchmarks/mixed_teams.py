@@ -1,0 +1,144 @@
+"""Simulated teams with wrong sightings and unknown calibration, and mixed teams, beside the same teams at their best.
+
+    python benchmarks/mixed_teams.py [--robots 2,5] [--minutes 5] [--seeds 1] [--outliers 0.3] [--mixed] [--json FILE]
+
+Camera teams: each is mapped with a share of sightings mislabelled or wrong by metres and calibrations drawn from a wide
+range that nobody tells, and once more without wrong sightings and with the true calibration held. Printed: mean ATE of
+both [m] and their ratio, landmark RMSE [m], and the share of poses (places) and landmarks inside their own 3 sigma. With
+`--mixed`: two lasers, two cameras and one robot with bearings alone beside the same team in which everybody carries
+everything: landmark RMSE, distance of occupied cells from the true walls, and both ratios.
+"""
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+import mapweave
+from mapweave.api.evaluate_team import TeamTruth, read_team_truth
+from mapweave.core import se2
+from mapweave.core.walls import Walls
+from mapweave.evaluation.consistency import mean_or_none
+from mapweave.evaluation.team import TeamScore, score_team
+from mapweave.io.table import read_table
+from mapweave.team.team_map import TeamMap
+
+INSIDE = 11.83  # chi-square, 2 degrees of freedom, of 3 sigma (0.27 %)
+SURE = 0.65  # occupancy from which a cell is wall
+Row = dict[str, float | int | None]
+
+
+def scored(maps: tuple[TeamMap, ...], truth: TeamTruth) -> TeamScore:
+    return score_team(maps, {}, truth.survey, truth.robots)
+
+
+def inside(team: TeamMap, score: TeamScore, truth: TeamTruth) -> tuple[float, float]:
+    """Shares of poses, thinned to one a second, and of landmarks that lie inside their own 3 sigma."""
+    T, poses = score.alignment, []
+    if T is None:
+        return float("nan"), float("nan")
+    R = se2.rotation(float(T[2]))
+    for robot, track in team.tracks.items():
+        true = truth.robots[robot].track
+        t = np.arange(track.t[0], track.t[-1], 1.0)
+        at = np.unique(np.searchsorted(track.t, t))
+        at = at[(track.t[at] >= true.t[0]) & (track.t[at] <= true.t[-1])]
+        e = (se2.compose(T, track.pose[at]) - se2.interpolate(track.t[at], true.t, true.pose))[:, :2]
+        P = R @ track.cov[at][:, :2, :2] @ R.T
+        poses.append(np.einsum("ni,nij,nj->n", e, np.linalg.inv(P), e))
+    known = dict(zip(truth.survey.ids, truth.survey.xy, strict=True))
+    marks = []
+    for k, name in enumerate(team.landmarks.ids):
+        if name in known:
+            e = se2.act(T, team.landmarks.mean[k]) - known[name]
+            P = R @ team.landmarks.cov[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] @ R.T
+            marks.append(float(e @ np.linalg.solve(P, e)))
+    return float((np.concatenate(poses) < INSIDE).mean()), float((np.array(marks) < INSIDE).mean())
+
+
+def cameras(robots: int, minutes: float, outliers: float, seed: int) -> Row:
+    """One camera team at its worst and at its best."""
+    world = {"lasers": 0, "cameras": robots, "bearings": 0, "minutes": minutes, "calibration": "random", "seed": seed}
+    with tempfile.TemporaryDirectory() as folder:
+        bad, good = Path(folder) / "bad", Path(folder) / "good"
+        mapweave.simulate_team(bad, outliers=outliers, **world)
+        mapweave.simulate_team(good, **world)
+        truth = read_team_truth([good], [f"robot{k + 1}" for k in range(robots)])
+        rough = mapweave.map(bad)
+        best = mapweave.map(good, calibration=good / "truth" / "calibration.json")
+    a, b = scored(rough.maps, truth), scored(best.maps, truth)
+    poses, marks = inside(rough.maps[0], a, truth)
+    ate = [mean_or_none([r.ate for r in s.robots.values()]) for s in (a, b)]
+    return {
+        "robots": robots,
+        "seed": seed,
+        "tied": len(rough.maps[0].robots),
+        "ate": ate[0],
+        "ate_best": ate[1],
+        "ratio": ate[0] / ate[1],
+        "landmarks": a.landmarks.rmse,
+        "landmarks_best": b.landmarks.rmse,
+        "poses_inside": poses,
+        "landmarks_inside": marks,
+    }
+
+
+def walls_off(result: object, score: TeamScore, home: Path) -> float:
+    """RMS distance [m] of the occupied cells' centres from the true walls."""
+    grid = result.grids[0]
+    rows, cols = np.nonzero((grid.hits > 0) & (grid.occupancy() > SURE))
+    cells = grid.origin + grid.resolution * (np.stack([cols, rows], axis=-1) + 0.5)
+    table = read_table(home / "truth" / "walls.csv")
+    walls = Walls.of(np.column_stack([table.numbers(name) for name in ("x0", "y0", "x1", "y1")]))
+    return float(np.sqrt(np.square(walls.clearance(se2.act(score.alignment, cells))).mean()))
+
+
+def mixed(minutes: float, seed: int) -> Row:
+    """One mixed team, and the same in which everybody carries everything."""
+    told: Row = {"seed": seed}
+    for name, everything in (("mixed", False), ("all", True)):
+        with tempfile.TemporaryDirectory() as folder:
+            home = Path(folder) / "team"
+            mapweave.simulate_team(home, minutes=minutes, everything=everything, seed=seed)
+            truth = read_team_truth([home], [f"robot{k}" for k in range(1, 6)])
+            result = mapweave.map(home)
+            score = scored(result.maps, truth)
+            told[f"{name}_tied"] = len(result.maps[0].robots)
+            told[f"{name}_landmarks"] = score.landmarks.rmse
+            told[f"{name}_walls"] = walls_off(result, score, home)
+            told[f"{name}_ate"] = mean_or_none([r.ate for r in score.robots.values()])
+    told["landmark_ratio"] = told["mixed_landmarks"] / told["all_landmarks"]
+    told["wall_ratio"] = told["mixed_walls"] / told["all_walls"]
+    return told
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--robots", default="2,5")
+    parser.add_argument("--minutes", type=float, default=5.0)
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--outliers", type=float, default=0.3)
+    parser.add_argument("--mixed", action="store_true")
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    rows = []
+    for seed in range(args.seeds):
+        if args.mixed:
+            rows.append(mixed(args.minutes, seed))
+            print_row(rows[-1])
+        else:
+            for robots in map(int, args.robots.split(",")):
+                rows.append(cameras(robots, args.minutes, args.outliers, seed))
+                print_row(rows[-1])
+    if args.json:
+        args.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+
+
+def print_row(row: Row) -> None:
+    print("  ".join(f"{k} {v:.3f}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()), flush=True)
+
+
+if __name__ == "__main__":
+    main()
