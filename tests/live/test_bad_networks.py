@@ -101,7 +101,7 @@ def test_a_clock_five_seconds_ahead_is_measured_and_told(tmp_path, source):
         stop.set()
         for robot in robots:
             robot.join()
-    told = [line for line in said if "clock" in line]
+    told = [line for line in said if "its clock" in line]
     assert len(told) == 1
     assert told[0].startswith("r1: its clock is 5.0 s ahead (within 0.0")
 

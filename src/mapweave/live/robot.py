@@ -240,6 +240,7 @@ class RobotProcess:
         if isinstance(state, MapState) and state.map == self._topics.map_of(str(sample.key_expr)):
             mine = [robot.have for robot in state.robots if robot.robot == self.name]
             self.listeners.have[state.map] = mine[0] if mine else 0
+            self.listeners.ever = True  # a liveliness token may be long in coming over a slow link
 
     def _hear_correction(self, sample: zenoh.Sample) -> None:
         try:

@@ -72,6 +72,7 @@ def settings(network: Network) -> dict[str, object]:
         "listen/timeout_ms": 0,
         "listen/exit_on_failure": True,
         "scouting/multicast/enabled": alone,
+        "scouting/gossip/enabled": alone,  # else those that connect would go past the one that passes on
         "transport/link/tx/lease": round(1000 * network.lease),
         "transport/link/tx/keep_alive": 4,
         "transport/unicast/open_timeout": OPENING,
