@@ -26,19 +26,20 @@ from mapweave.sim.swarm import SwarmScene
 SOURCE = Path(mapweave.__file__).parent
 PLACE = {  # column and row on the sheet; a room imports from rows below its own, or from its own row
     "cli": (6, 0),
-    "api": (6, 1),
-    "papers": (2, 2),
+    "api": (4, 1),
+    "papers": (8, 1),
     "report": (6, 2),
     "viewer": (10, 2),
-    "exploration": (4, 3),
-    "evaluation": (8, 3),
-    "io": (2, 4),
-    "sim": (6, 4),
-    "team": (10, 4),
-    "fusion": (4, 5),
-    "laser": (2, 6),
-    "landmarks": (6, 6),
-    "swarm": (10, 6),
+    "evaluation": (2, 3),
+    "exploration": (8, 3),
+    "live": (4, 4),
+    "io": (2, 5),
+    "fusion": (8, 5),
+    "sim": (4, 6),
+    "team": (10, 6),
+    "swarm": (2, 7),
+    "landmarks": (6, 7),
+    "laser": (10, 7),
 }
 ESTIMATORS = ("landmarks", "laser", "swarm", "fusion", "team", "exploration")
 EVENT_RECORDS = ("records", "landmark_log", "laser_log", "bearings")  # of core
@@ -100,7 +101,7 @@ def draw(path: Path) -> None:
     last = max(row for _, row in PLACE.values())
     spot = {room: (float(x), -row * step, 3.5) for room, (x, row) in PLACE.items()}  # centre x and y, width
     spot |= {room: (wide / 2, -(last + 0.95 + 0.75 * k) * step, wide - 0.5) for k, room in enumerate(GROUND)}
-    with figure(path, width=9.6, height=10.2) as (_, ax):
+    with figure(path, width=9.6, height=11.8) as (_, ax):
         for a, b in needed(imports()):
             (xa, ya, wide_a), (xb, yb, wide_b) = spot[a], spot[b]
             side = 1 if xb > xa else -1

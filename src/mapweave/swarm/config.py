@@ -41,6 +41,17 @@ class VerdictConfig:
     too_many: float = 0.25  # share called wrong beyond which nothing does
 
 
+@config
+class MessagesConfig:
+    """Method `distributed`: what is worth telling."""
+
+    relaxation: float = 0.95  # share of a Jacobi step that is taken towards what the neighbours say
+    quiet: float = 1e-4  # of the usual distance; a linear step below this is not told
+    relinearise: int = 5  # rounds between new linearisations
+    faint: float = 1e-8  # a robot's own prior, of the information of one sighting
+    firmer: float = 1e-5  # share of a link's own information below which a change of it is not told
+
+
 CONSISTENCY, ROBUST, VERDICT = ConsistencyConfig(), RobustConfig(), VerdictConfig()
 
 
@@ -61,4 +72,5 @@ class SwarmConfig:
     loose: float = 10.0  # median sighting lengths a robot that nothing determines may stray from its start
     consistency: ConsistencyConfig = ConsistencyConfig()
     robust: RobustConfig = RobustConfig()
+    messages: MessagesConfig = MessagesConfig()
     verdict: VerdictConfig = VerdictConfig()

@@ -20,13 +20,8 @@ from .posterior import posterior
 from .result import SwarmEstimate, Traffic
 from .start import Start, prepare
 
-RELAXATION = 0.95
-QUIET = 1e-4  # of the usual distance; a linear step below this is not worth telling
-RELINEARISE = 5  # rounds between new linearisations
-FAINT = 1e-8  # a robot's own prior, of the information of one sighting
-FIRMER = 1e-5  # a change of information smaller than this share of a link's own is not worth telling
-TINY = 1e-9  # [m rad]
-FLOAT = 8  # bytes
+TINY = 1e-9  # [m rad] that a guard against dividing by zero adds
+FLOAT = 8  # bytes of a number in a message
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +50,7 @@ def distributed(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = Non
     links = links_of(net)
     anchors = np.array(list(net.anchors.values()))
     usual = float(np.linalg.norm(np.ptp(anchors, axis=0))) / np.sqrt(len(net))  # known to all beforehand
-    position, said = (
-        (initial.copy(), Traffic(0, 0, 0)) if initial is not None else relaxed(net, links, usual, cfg.max_rounds)
-    )
+    position, said = (initial.copy(), Traffic(0, 0, 0)) if initial is not None else relaxed(net, links, usual, cfg)
     for k, p in net.anchors.items():
         position[k] = p
     position, more = believed(net, links, position, cfg)
@@ -82,7 +75,7 @@ def links_of(net: Network) -> MessageLinks:
 
 
 def relaxed(
-    net: Network, links: MessageLinks, usual: float, max_rounds: int
+    net: Network, links: MessageLinks, usual: float, cfg: SwarmConfig
 ) -> tuple[Float[np.ndarray, "n d"], Traffic]:
     """The linear start by Jacobi over-relaxation from the anchors' midpoint, and what was said."""
     n, dim = len(net), net.dim
@@ -101,15 +94,15 @@ def relaxed(
     rounds = messages = 0
     speaks = np.ones(n, dtype=bool)
     degree = np.bincount(links.a, minlength=n)
-    while speaks.any() and rounds < max_rounds:
+    while speaks.any() and rounds < cfg.max_rounds:
         rounds += 1
         messages += int(degree[speaks].sum())
         heard[speaks] = position[speaks]
         pull = np.zeros((n, dim))
         np.add.at(pull, links.a, np.einsum("lab,lb->la", C, heard[links.b]))
         wanted = np.einsum("nab,nb->na", inverse, pull + 1e-6 * position)
-        position[free] += RELAXATION * (wanted - position)[free]
-        speaks = np.linalg.norm(position - heard, axis=1) > QUIET * usual
+        position[free] += cfg.messages.relaxation * (wanted - position)[free]
+        speaks = np.linalg.norm(position - heard, axis=1) > cfg.messages.quiet * usual
     return position, Traffic(rounds, messages, messages * dim * FLOAT)
 
 
@@ -122,7 +115,7 @@ def believed(
     fixed = net.is_anchor
     x = start.copy()
     at = start.copy()  # where each robot's sightings are linearised
-    faint = FAINT / max(float(np.median(_range(net, x) * effective_sigma(net))), TINY) ** 2
+    faint = cfg.messages.faint / max(float(np.median(_range(net, x) * effective_sigma(net))), TINY) ** 2
     W, s, size = _linearised(net, links, at)
     # Link a -> b: what a told b; at first as if a were known, since two who each know one direction tell nothing.
     Lam = W.copy()
@@ -135,7 +128,7 @@ def believed(
         np.add.at(belief, links.b, Lam)
         np.add.at(carried, links.b, eta)
         x[~fixed] = np.linalg.solve(_firm(belief), carried[..., None])[~fixed, :, 0]
-        if rounds % RELINEARISE == 0:
+        if rounds % cfg.messages.relinearise == 0:
             at = x.copy()
             W, s, size = _linearised(net, links, at)
         own = np.einsum("lab,lb->la", W, at[links.b] - at[links.a]) + s  # of b; of a it is the negative
@@ -148,7 +141,7 @@ def believed(
         to_b[known] = W[known]
         new_eta[known] = (own + np.einsum("lab,lb->la", W, x[links.a]))[known]
         change = (new_eta - eta) - np.einsum("lab,lb->la", to_b - Lam, x[links.b])
-        firmer = np.linalg.norm(to_b - Lam, axis=(1, 2)) > FIRMER * np.linalg.norm(W, axis=(1, 2))
+        firmer = np.linalg.norm(to_b - Lam, axis=(1, 2)) > cfg.messages.firmer * np.linalg.norm(W, axis=(1, 2))
         speaks = (firmer | (np.linalg.norm(change, axis=1) * size > cfg.tolerance)) & ~fixed[links.b]
         Lam[speaks], eta[speaks] = to_b[speaks], new_eta[speaks]
         messages += int(np.count_nonzero(speaks))

@@ -16,6 +16,7 @@ class GoalConfig:
     """When a goal is reached, done, put off or another's."""
 
     arrived: float = 0.35  # [m] from a goal at which a robot is there: a cell and a half of the planning grid
+    snap: float = 1.0  # [m] within which a place off the ground counts as its nearest cell
     progress: float = 0.2  # [m] nearer that counts as progress: a cell of the planning grid
     seen_share: float = 0.8  # of a goal's unknown cells after which it is done: the rest is noise of the walls
     spare_way: float = 20.0  # [m] farther than needed that ways to a goal are looked for, so that detours are known

@@ -11,7 +11,6 @@ from ..ground import Ground, nearest_cells
 from .config import LaserExploreConfig
 
 EIGHT = np.ones((3, 3), dtype=bool)
-SNAP = 1.0  # [m] within which a place off the ground counts as its nearest cell
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,17 +45,18 @@ def mapped_ground(
     blocked = grid.occupied
     if len(obstacles):
         blocked = blocked | disc_mask(grid, obstacles, cfg.radius)
+    snap = cfg.goals.snap
     keep, dearest = cfg.radius + cfg.margin, cfg.allocation.wall_cost
     away = ndimage.distance_transform_edt(~blocked) * grid.resolution if blocked.any() else np.full(blocked.shape, 1e3)
     fits = away >= keep - 1e-9
     regions, _ = ndimage.label(fits & grid.free)
     wanted = np.unique(
-        [regions[tuple(c)] for c in nearest_cells(regions > 0, grid.origin, grid.resolution, places, SNAP) if c[0] >= 0]
+        [regions[tuple(c)] for c in nearest_cells(regions > 0, grid.origin, grid.resolution, places, snap) if c[0] >= 0]
     )
     reach = np.isin(regions, wanted[wanted > 0]) if len(wanted) else np.zeros(fits.shape, dtype=bool)
     near_wall = np.clip((cfg.roomy - away) / max(cfg.roomy - keep, 1e-6), 0.0, 1.0)
     weight = np.where(reach, 1 + np.round((dearest - 1) * near_wall), 0).astype(np.uint8)
-    return MappedGround(weight, grid.origin, grid.resolution, SNAP, grid=grid, fits=fits)
+    return MappedGround(weight, grid.origin, grid.resolution, snap, grid=grid, fits=fits)
 
 
 def frontiers(ground: MappedGround, cfg: LaserExploreConfig) -> list[Frontier]:

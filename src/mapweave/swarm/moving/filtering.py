@@ -15,9 +15,6 @@ from .factors import velocity_noise
 from .result import RobotTrajectory, SwarmTrack, TrackConfig
 from .smooth import solve_velocity
 
-START = 3  # instants that are smoothed to begin with
-ROUNDS = 3  # of linearising one instant's sightings anew
-
 
 @dataclass(frozen=True, slots=True)
 class MotionState:
@@ -35,7 +32,7 @@ class MotionState:
 def filtered(
     table: BearingTable, anchors: Mapping[int, Float[np.ndarray, " d"]], cfg: TrackConfig | None = None
 ) -> SwarmTrack:
-    """What was known at each instant from the sightings until then; the first `START` instants are smoothed together.
+    """What was known at each instant from the sightings until then; the first instants are smoothed together.
 
     Robots at nearly constant velocity in common axes; anchors stand still. Raises DataError when fewer than two are
     seen, when there are no later instants, or a robot is not seen in the first ones.
@@ -43,13 +40,13 @@ def filtered(
     cfg = cfg or TrackConfig()
     assert table.t is not None  # noqa: S101  (callers hand in stamped tables)
     stamps = np.unique(table.t)
-    if len(stamps) <= START:
-        raise DataError(f"a filter needs more than {START} instants, found {len(stamps)}")
+    if len(stamps) <= cfg.first_instants:
+        raise DataError(f"a filter needs more than {cfg.first_instants} instants, found {len(stamps)}")
     moving = np.setdiff1d(np.unique(np.concatenate([table.observer, table.target])), list(anchors))
-    begin = _begin(table.rows(table.t <= stamps[START - 1]), moving, anchors, cfg)
+    begin = _begin(table.rows(table.t <= stamps[cfg.first_instants - 1]), moving, anchors, cfg)
     out: list[MotionState] = []
     chi2, rows = 0.0, 0
-    for state, value, count in _run(table, stamps[START:], begin, moving, anchors, cfg):
+    for state, value, count in _run(table, stamps[cfg.first_instants :], begin, moving, anchors, cfg):
         out.append(state)
         chi2, rows = chi2 + value, rows + count
     d = table.dim
@@ -77,8 +74,9 @@ def update(
     table: BearingTable,
     moving: Int[np.ndarray, " n"],
     anchors: Mapping[int, Float[np.ndarray, " d"]],
+    rounds: int = 3,
 ) -> tuple[MotionState, float, int]:
-    """The state given one instant's sightings, linearised anew `ROUNDS` times; also NIS and its dof."""
+    """The state given one instant's sightings, linearised anew `rounds` times; also NIS and its dof."""
     d = table.dim
     place = np.full(len(table.ids), -1)
     place[moving] = np.arange(len(moving))
@@ -88,7 +86,7 @@ def update(
     R = np.repeat(table.sigma**2, d - 1)
     x, nis = state.x, 0.0
     K = H = np.zeros((0, 0))
-    for step in range(ROUNDS):
+    for step in range(rounds):
         p = known.copy()
         p[moving] = x.reshape(len(moving), 2 * d)[:, :d]
         e, H = _linear(table, p, place, len(state.x))
@@ -130,7 +128,9 @@ def _begin(
     for k in moving.tolist():
         rows = line.of(k)
         if rows.start == rows.stop:
-            raise DataError(f"robot {table.ids[k]} is not seen in the first {START} instants: the filter cannot begin")
+            raise DataError(
+                f"robot {table.ids[k]} is not seen in the first {cfg.first_instants} instants: the filter cannot begin"
+            )
         last.append(rows.stop - 1)
     at = index[np.array(last)].ravel()
     assert table.t is not None  # noqa: S101
@@ -160,5 +160,5 @@ def _run(
     edges = np.searchsorted(table.t[order], np.append(stamps, np.inf))
     for k, t in enumerate(stamps.tolist()):
         now = table.rows(order[edges[k] : edges[k + 1]])
-        state, nis, rows = update(predict(state, t, table.dim, cfg.acceleration), now, moving, anchors)
+        state, nis, rows = update(predict(state, t, table.dim, cfg.acceleration), now, moving, anchors, cfg.relinearise)
         yield state, nis, rows

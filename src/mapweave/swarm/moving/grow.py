@@ -11,8 +11,6 @@ from ..headings import meet
 from .poses import PoseProblem
 from .result import TrackConfig
 
-ENOUGH = 6  # sightings that place a robot
-
 
 def grow(problem: PoseProblem, cfg: TrackConfig, on_progress: Progress = no_progress) -> tuple[np.ndarray, set[int]]:
     """A start for all poses, and the robots that could be placed in the one frame.
@@ -25,7 +23,7 @@ def grow(problem: PoseProblem, cfg: TrackConfig, on_progress: Progress = no_prog
     edges = np.arange(stamps.min(), stamps.max() + cfg.window, cfg.window)
     count = len(edges) - 1
     window = np.clip(np.searchsorted(edges, stamps, side="right") - 1, 0, count - 1)
-    begin = max(range(count), key=lambda w: _tied(problem, window == w))
+    begin = max(range(count), key=lambda w: _tied(problem, window == w, cfg.enough))
     x = problem.x0
     x[problem.index] = problem.own
     root = _busiest(problem, window == begin)
@@ -38,7 +36,7 @@ def grow(problem: PoseProblem, cfg: TrackConfig, on_progress: Progress = no_prog
     for done, w in enumerate(windows):
         on_progress("growing tracks", done, len(windows))
         low, high = edges[w], edges[w + 1]
-        _join(problem, x, placed, window == w, good)
+        _join(problem, x, placed, window == w, good, cfg.enough)
         still = ~np.isin(problem.line.robot, list(problem.odometry))
         inside = (problem.line.t >= low - cfg.window) & (problem.line.t <= high + cfg.window * (w < begin))
         reached = _reached(problem, w, begin, edges)
@@ -50,7 +48,7 @@ def grow(problem: PoseProblem, cfg: TrackConfig, on_progress: Progress = no_prog
     return x, placed
 
 
-def _tied(problem: PoseProblem, rows: np.ndarray) -> tuple[int, float]:
+def _tied(problem: PoseProblem, rows: np.ndarray, enough: int) -> tuple[int, float]:
     """How many robots sightings `rows` tie into one piece, and how many sightings the weakest tie of them has."""
     counts: dict[tuple[int, int], int] = {}
     for a, b in zip(problem.table.observer[rows].tolist(), problem.table.target[rows].tolist(), strict=True):
@@ -58,7 +56,7 @@ def _tied(problem: PoseProblem, rows: np.ndarray) -> tuple[int, float]:
     group: dict[int, set[int]] = {}
     size, weakest = 0, 0.0
     for (a, b), c in sorted(counts.items(), key=lambda item: -item[1]):
-        if c < ENOUGH or b in group.get(a, {a}):
+        if c < enough or b in group.get(a, {a}):
             continue
         joined = group.get(a, {a}) | group.get(b, {b})
         for k in joined:
@@ -73,7 +71,7 @@ def _busiest(problem: PoseProblem, rows: np.ndarray) -> int:
     return int(np.bincount(both).argmax())
 
 
-def _join(problem: PoseProblem, x: np.ndarray, placed: set[int], rows: np.ndarray, good: float) -> None:
+def _join(problem: PoseProblem, x: np.ndarray, placed: set[int], rows: np.ndarray, good: float, enough: int) -> None:
     """Robots that the sightings `rows` tie to those placed are placed too, the best tied first; x is changed."""
     refused: set[int] = set()
     while True:
@@ -84,7 +82,7 @@ def _join(problem: PoseProblem, x: np.ndarray, placed: set[int], rows: np.ndarra
         counts = np.bincount(other[tie], minlength=len(problem.table.ids))
         counts[list(refused)] = 0
         new = int(counts.argmax())
-        if counts[new] < ENOUGH:
+        if counts[new] < enough:
             return
         use = np.flatnonzero(tie & (other == new))
         by_placed = inside[0][use]

@@ -10,8 +10,6 @@ from ...core.config import config
 from ...core.records import frozen
 from ...solve import Solution
 
-OUTLIER = 4.0  # standard deviations
-
 
 @config
 class TrackConfig:
@@ -29,6 +27,10 @@ class TrackConfig:
     scale_w: float = 0.0  # the same of its w
     kernel: float = 0.0  # Cauchy kernel on sightings [standard deviations]; 0: none
     window: float = 20.0  # [s] by which a start without common axes is grown
+    outlier: float = 4.0  # standard deviations beyond which a sighting is an outlier, with a kernel
+    first_instants: int = 3  # that are smoothed together before filtering begins
+    relinearise: int = 3  # times that one instant's sightings are linearised by the filter
+    enough: int = 6  # sightings that place a robot, where a start without common axes is grown
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +52,7 @@ def without_outliers(
     squares: Float[np.ndarray, " m"], rows: int, solution: Solution, cfg: TrackConfig
 ) -> tuple[Bool[np.ndarray, " m"], float, int]:
     """Which sightings (by their squared whitened residuals) are outliers, and chi2 and dof without them."""
-    out = np.asarray((squares > OUTLIER**2) & (cfg.kernel > 0.0))
+    out = np.asarray((squares > cfg.outlier**2) & (cfg.kernel > 0.0))
     return out, solution.chi2 - float(squares[out].sum()), solution.dof - rows * int(out.sum())
 
 
@@ -59,8 +61,9 @@ class SwarmTrack:
     """All robots over time.
 
     tracks: by robot index; chi2, dof: of the whitened sightings and motions, without the sightings that are `outlier`
-    (m,), beyond `OUTLIER` standard deviations and looked for only with a robust kernel; gauge: what was free and how
-    it was held, "" when anchors fix all; scale: by robot index, the factors found on its odometry's v and w.
+    (m,), beyond `TrackConfig.outlier` standard deviations and looked for only with a robust kernel; gauge: what was
+    free and how it was held, "" when anchors fix all; scale: by robot index, the factors found on its odometry's v and
+    w.
     """
 
     tracks: Mapping[int, RobotTrajectory]
