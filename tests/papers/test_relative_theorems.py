@@ -5,6 +5,8 @@ import pytest
 
 from mapweave.fusion.relative_measurement import RelativeLayout, measurement
 from mapweave.papers.kojima import limits, rls
+from mapweave.papers.kojima.settling import settling
+from mapweave.papers.kojima.world import KojimaConfig, draw_worlds, run_filters
 
 INFORMATION = np.array([1e-5] * 3 + [1e3] * 16)  # the paper's initial covariance, inverted
 
@@ -67,6 +69,20 @@ def test_theorem_2_corrected_k_times_the_error_is_constant_within_1_percent(seed
     scaled = np.array([at * np.linalg.norm(limits.after(information, H, told.R, at) - P_inf) for at in k])
     assert np.ptp(scaled) < 0.01 * scaled.mean()
     assert np.linalg.matrix_rank(P_inf, tol=1e-9) == layout.size - 10
+
+
+@pytest.mark.eq("Kojima12:23")
+def test_under_the_papers_own_prior_the_error_falls_as_1_over_k_at_once_and_with_delta_80_only_later():
+    cfg = KojimaConfig()
+    worlds = draw_worlds(cfg, 10, np.random.default_rng(11))
+    local = next(run_filters(cfg, worlds, np.random.default_rng(12)))
+    x = np.concatenate([worlds.start[:, 1], worlds.landmarks.reshape(10, -1)], axis=1)
+    by = {(t.maps, t.delta): t for t in settling(cfg, local, x, np.random.default_rng(13))}
+    assert by["the experiment's", 1.0].early.max() < 0.01
+    assert 0.005 < by["the experiment's", 80.0].early.max() < 0.04
+    assert np.median(by["less certain", 80.0].early) > 0.05
+    assert np.median(by["less certain", 80.0].late) < 0.05
+    assert 0 < by["the experiment's", 80.0].left.max() < 0.03
 
 
 @pytest.mark.eq("Kojima12:22", "Kojima12:24", "Kojima12:25", "Kojima12:26", "Kojima12:27")

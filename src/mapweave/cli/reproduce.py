@@ -6,7 +6,7 @@ PAPERS: dict[str, tuple[str, str]] = {
     # paper: where its command lives, and what it does
     "kojima": (
         "mapweave.cli.reproduce_kojima:kojima",
-        "Kojima, Okawa, Namerikawa: merging two maps, Table 2 and Fig. 7.",
+        "Kojima, Okawa, Namerikawa: merging two maps, Table 2 and Figs. 4 to 7.",
     ),
     "hamatani": (
         "mapweave.cli.reproduce_hamatani:hamatani",

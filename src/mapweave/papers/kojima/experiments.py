@@ -13,13 +13,13 @@ from ...fusion.relative_information import Weights, baseline_pair
 from ...fusion.relative_measurement import Measurement, RelativeLayout, measurement
 from . import limits, rls
 from .dense import solve_all
+from .settling import LAYOUT, prior_information
 from .unequal_maps import UnequalConfig, UnequalMaps, draw_unequal
 from .world import SEEN, KojimaConfig, LocalMaps, Worlds, run_filters
 
 Reading = Literal["prior", "measurement"]
 Rule = Literal["certain", "widest", "narrowest"]
 
-LAYOUT = RelativeLayout(2, 8)
 READINGS: tuple[Reading, ...] = ("prior", "measurement")
 SHORT: tuple[Weights, ...] = ("constant", "paper")
 
@@ -76,11 +76,7 @@ def _initial(cfg: KojimaConfig, local: LocalMaps) -> rls.Estimate:
     T = np.stack([se2.align(m[1, :2], m[0, :2]) for m in local.mean])
     points = np.concatenate([local.mean[:, 0], se2.act(T[:, None], local.mean[:, 1, 2:])], axis=1)
     x = np.concatenate([T, points.reshape(len(T), -1)], axis=1)
-    return rls.Estimate(x, np.tile(np.linalg.inv(_prior(cfg)), (len(T), 1, 1)))
-
-
-def _prior(cfg: KojimaConfig) -> Float[np.ndarray, "n n"]:
-    return np.diag(1 / np.r_[np.full(3, cfg.prior_frame_variance), np.full(16, cfg.prior_landmark_variance)])
+    return rls.Estimate(x, np.tile(np.linalg.inv(prior_information(cfg)), (len(T), 1, 1)))
 
 
 def _measure(cfg: KojimaConfig, local: LocalMaps, k: int, weights: Weights) -> Measurement:
@@ -106,7 +102,7 @@ def _run(
     limit = 0.0
     if reading == "prior":
         H = _measure(cfg, first, 1, weights).dense_jacobian(LAYOUT, estimate.x)
-        limit = float(np.mean([np.trace(limits.limit(_prior(cfg), each)) for each in H]))
+        limit = float(np.mean([np.trace(limits.limit(prior_information(cfg), each)) for each in H]))
     return Run(
         reading=reading,
         weights=weights,

@@ -1,23 +1,16 @@
-"""The figures and the page of `reproduce kojima`."""
+"""The figures of `reproduce kojima`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 
 from ...core import se2
-from ...report.html import Page
-from ...report.style import MUTED, TRUTH, Target, as_map, colour, figure, marker
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    title: str
-    head: Sequence[str]
-    rows: Sequence[Sequence[object]]
+from ...report.style import MUTED, TRUTH, Target, as_map, colour, draw_ellipse, figure, marker
+from .world import SEEN
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +30,8 @@ class Pictures:
     """What the figures show.
 
     errors: by reading, (RLS, proposed) landmark errors of each world [m]; bars: landmark error [m] by (baseline,
-    weights); the rest is one world: truth, start poses, fused landmarks and frame.
+    weights); the rest is one world: truth, start poses, either robot's map in its own frame with the truth there,
+    and by weighting the merged landmarks and the frame of robot 2.
     """
 
     first_step: int
@@ -48,43 +42,20 @@ class Pictures:
     truth: Float[np.ndarray, "n 2"]
     start: Float[np.ndarray, "2 3"]
     radius: float
-    fused: Float[np.ndarray, "n 2"]
-    frame: Float[np.ndarray, "3"]
+    local_mean: Float[np.ndarray, "2 5 2"]
+    local_cov: Float[np.ndarray, "2 10 10"]
+    local_truth: Float[np.ndarray, "2 5 2"]
+    merged: Mapping[str, tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "3"]]]
 
 
-def write(where: Path, pictures: Pictures, tables: Sequence[Table], differences: Sequence[str]) -> None:
-    """`report.html` and `figures/*.png` in `where`."""
-    figures = where / "figures"
-    draw_trace(figures / "trace.png", pictures)
-    _errors(figures / "errors.png", pictures)
-    _bars(figures / "unequal.png", pictures)
-    _world(figures / "world.png", pictures)
-    page = Page(
-        "Kojima, Okawa, Namerikawa (2012), reproduced",
-        "Two robots map five landmarks each with EKF-SLAM, share two, stop, and merge their maps 700 times.",
-    )
-    page.text(
-        "The covariances of this experiment count the same maps 700 times, as the paper does. They are kept to be "
-        "compared with the print and are overconfident; fusing in this package uses every map once.",
-        warn=True,
-    )
-    captions = {
-        0: (
-            ("errors.png", "Landmark error of every world under both weightings: they lie on the line of equality."),
-            ("world.png", "One world: true and merged landmarks, the two circles and the robots' first poses."),
-        ),
-        1: (("trace.png", "Trace of the global covariance while the robots stand; bands hold 90 % of the worlds."),),
-        3: (("unequal.png", "Where weights pay: landmark error of merged maps of unequal quality."),),
-    }
-    for k, table in enumerate(tables):
-        page.section(table.title)
-        page.table(table.head, table.rows)
-        for name, caption in captions.get(k, ()):
-            page.figure(figures / name, caption)
-    page.section("What differs, and why")
-    for sentence in differences:
-        page.text(sentence)
-    page.write(where / "report.html")
+ENLARGED = 10.0  # how much larger than life the regions of local maps are drawn
+_TRUE: dict[str, Any] = {
+    "linestyle": "none",
+    "marker": "s",
+    "markersize": 9,
+    "markerfacecolor": "none",
+    "color": TRUTH,
+}
 
 
 def draw_trace(path: Target, p: Pictures) -> None:
@@ -105,7 +76,7 @@ def draw_trace(path: Target, p: Pictures) -> None:
         axes[0].set_ylabel("trace of the covariance [m² + rad²]")
 
 
-def _errors(path: Path, p: Pictures) -> None:
+def draw_errors(path: Target, p: Pictures) -> None:
     with figure(path, 5.2, 4.6) as (_, ax):
         every = np.concatenate([*(e for pair in p.errors.values() for e in pair), p.printed])
         ends = [100 * float(every.min()) / 1.3, 100 * float(every.max()) * 1.3]
@@ -132,7 +103,7 @@ def _errors(path: Path, p: Pictures) -> None:
         ax.legend(loc="upper left")
 
 
-def _bars(path: Path, p: Pictures) -> None:
+def draw_bars(path: Target, p: Pictures) -> None:
     rules, names = (list(dict.fromkeys(key[k] for key in p.bars)) for k in (0, 1))
     with figure(path, 6.0, 3.4) as (_, ax):
         width = 0.8 / len(names)
@@ -147,24 +118,44 @@ def _bars(path: Path, p: Pictures) -> None:
         ax.legend(ncols=len(names), loc="upper left")
 
 
-def _world(path: Path, p: Pictures) -> None:
+def draw_local_map(path: Target, p: Pictures, k: int) -> None:
+    """Robot k's map in its own frame: its way, the landmarks it found, their 95 % regions ten times as large."""
+    with figure(path, 5.2, 4.6) as (_, ax):
+        mean, cov = p.local_mean[k], p.local_cov[k]
+        _circle(ax, np.zeros(3), (1.0, -1.0)[k] * p.radius, colour(k), f"path of robot {k + 1}")
+        _arrow(ax, np.zeros(3), TRUTH)
+        ax.plot(*p.local_truth[k].T, **_TRUE, label="true")
+        ax.plot(*mean.T, linestyle="none", marker="x", color=colour(k), label="EKF-SLAM")
+        for at, (point, name) in enumerate(zip(mean, SEEN[k], strict=True)):
+            draw_ellipse(ax, point, cov[2 * at : 2 * at + 2, 2 * at : 2 * at + 2], colour(k), ENLARGED)
+            ax.annotate(str(name + 1), point, textcoords="offset points", xytext=(7, 7), color=TRUTH, fontsize=8)
+        as_map(ax, f"local map {k + 1}, ellipses x {ENLARGED:g}")
+        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+
+def draw_global_map(path: Target, p: Pictures) -> None:
+    """The merged map with either weighting, on the truth."""
     with figure(path, 6.0, 5.4) as (_, ax):
-        turn = np.linspace(0, 2 * np.pi, 200)
         for k, side in enumerate((1.0, -1.0)):
-            centre = se2.act(p.start[k], np.array([0.0, side * p.radius]))
-            circle = centre + p.radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-            ax.plot(*circle.T, color=colour(k), linewidth=0.9, label=f"path of robot {k + 1}")
-        _arrow(ax, p.start[0], TRUTH)
-        _arrow(ax, p.start[1], TRUTH)
-        _arrow(ax, p.frame, colour(2))
+            _circle(ax, p.start[k], side * p.radius, MUTED, f"path of robot {k + 1}")
+            _arrow(ax, p.start[k], TRUTH)
+        ax.plot(*p.truth.T, **_TRUE, label="true")
+        for at, (name, (points, frame)) in enumerate(p.merged.items()):
+            ax.plot(*points.T, linestyle="none", marker=("+", "x")[at], color=colour(at), markersize=8, label=name)
+            _arrow(ax, frame, colour(at))
         ax.plot(
-            *p.truth.T, linestyle="none", marker="s", markersize=9, markerfacecolor="none", color=TRUTH, label="true"
-        )
-        ax.plot(*p.fused.T, linestyle="none", marker="x", color=colour(2), label="merged")
-        ax.plot(*p.truth[:2].T, linestyle="none", marker="o", markersize=16, markerfacecolor="none", color=MUTED,
-                label="in common")  # fmt: skip
+            *p.truth[:2].T, linestyle="none", marker="o", markersize=16, markerfacecolor="none", color=MUTED,
+            label="in common",
+        )  # fmt: skip
         as_map(ax)
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+
+def _circle(ax: Axes, start: Float[np.ndarray, "3"], radius: float, color: str, name: str) -> None:
+    turn = np.linspace(0, 2 * np.pi, 200)
+    centre = se2.act(start, np.array([0.0, radius]))
+    ring = centre + abs(radius) * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    ax.plot(*ring.T, color=color, linewidth=0.9, label=name)
 
 
 def _arrow(ax: Axes, pose: Float[np.ndarray, "3"], color: str) -> None:

@@ -1,0 +1,88 @@
+"""Merging where nobody says which landmark is which: how often the right pairs are found, and when it is refused."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core import se2
+from ...core.workers import Progress, no_progress
+from ...fusion.identities import IdentityConfig, match_maps
+from ...landmarks.landmark_map import LandmarkMap
+
+POINTS, SIZE, SIGMA = 20, 3.0, 0.01  # landmarks a map, side of the square [m], deviation [m]
+RIGHT = 0.15  # [m] every landmark must lie within, for an alignment to be right
+IN_COMMON = (0, 2, 4, 6, 8, 14)
+EXACT = IdentityConfig(noise=0.0, scale_sigma=1e-3)  # maps that err as their covariances say, and no more
+
+
+@dataclass(frozen=True, slots=True)
+class IdentityTrials:
+    """Of `trials` pairs of maps with `common` landmarks in both.
+
+    found: the alignment was right, believed or not; right, wrong: believed and so; refused: not believed, mostly for
+    `reason`. told: whether matching knew that covariances and scales are right, or took both for those of real maps.
+    """
+
+    told: bool
+    common: int
+    trials: int
+    found: int
+    right: int
+    wrong: int
+    refused: int
+    reason: str
+
+
+def draw_pair(
+    common: int, rng: np.random.Generator
+) -> tuple[LandmarkMap, LandmarkMap, np.ndarray, set[tuple[int, int]]]:
+    """Two maps with `common` landmarks in both, `T_target_source`, and the true links (source, target)."""
+    points = rng.uniform(0, SIZE, (2 * POINTS - common, 2))
+    order = rng.permutation(POINTS)
+    T = np.append(rng.uniform(-5, 5, 2), rng.uniform(-np.pi, np.pi))
+    first = points[:POINTS] + rng.normal(0, SIGMA, (POINTS, 2))
+    second = se2.act(T, points[POINTS - common :][order]) + rng.normal(0, SIGMA, (POINTS, 2))
+    names = tuple(str(i) for i in range(POINTS))
+    P = SIGMA**2 * np.eye(2 * POINTS)
+    place = np.argsort(order)
+    links = {(POINTS - common + i, int(place[i])) for i in range(common)}
+    return LandmarkMap(names, first, P), LandmarkMap(names, second, P), T, links
+
+
+def identity_trials(
+    trials: int,
+    seed: int,
+    commons: tuple[int, ...] = IN_COMMON,
+    *,
+    told: bool = True,
+    on_progress: Progress = no_progress,
+) -> tuple[IdentityTrials, ...]:
+    """`trials` pairs for every number in common, every pair with a generator of its own."""
+    out = []
+    cfg = EXACT if told else IdentityConfig()
+    for at, common in enumerate(commons):
+        on_progress("identities", at, len(commons))
+        found = right = wrong = 0
+        reasons: dict[str, int] = {}
+        for trial in range(trials):
+            source, target, T, _ = draw_pair(common, np.random.default_rng([seed, common, trial]))
+            match = match_maps(source, target, cfg)
+            off = se2.act(match.T_target_source, source.mean) - se2.act(T, source.mean)
+            ok = bool(np.hypot(off[:, 0], off[:, 1]).max() < RIGHT)
+            found += ok
+            right += match.accepted and ok
+            wrong += match.accepted and not ok
+            if not match.accepted:
+                kind = _kind(match.reason)
+                reasons[kind] = reasons.get(kind, 0) + 1
+        most = max(reasons, key=lambda kind: reasons[kind]) if reasons else ""
+        out.append(IdentityTrials(told, common, trials, found, right, wrong, trials - right - wrong, most))
+    return tuple(out)
+
+
+def _kind(reason: str) -> str:
+    """The reason without its numbers."""
+    for kind in ("another alignment", "chi-square", "needed"):
+        if kind in reason:
+            return {"needed": "too few agree"}.get(kind, kind)
+    return reason

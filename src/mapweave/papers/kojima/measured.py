@@ -1,0 +1,177 @@
+"""What `reproduce kojima` measured, and its tables."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ...core import se2
+from ...fusion.relative_information import Weights
+from ...report.result import Rows
+from .experiments import Rule, Run, Unequal
+from .identity_trials import IdentityTrials
+from .settling import Settling
+from .world import SEEN, KojimaConfig, LocalMaps, Worlds
+
+PRINTED = {"constant": (0.0117, 0.0295), "paper": (0.00945, 0.0260)}  # the paper's Table 2: robot, landmark [m]
+NAMES = {"constant": "RLS", "paper": "Proposed", "diagonal": "diagonal", "full": "full"}
+CASES: tuple[tuple[Rule, Weights], ...] = (
+    ("certain", "constant"),
+    ("certain", "paper"),
+    ("certain", "diagonal"),
+    ("certain", "full"),
+    ("widest", "constant"),
+    ("widest", "paper"),
+    ("widest", "diagonal"),
+    ("widest", "full"),
+)
+SHOWN = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 700)  # updates of the trace curve that are printed
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Everything measured. seeds: worlds behind Table 2; unequal_seeds: behind the table of unequal maps; maps: local
+    maps when the robots come to rest.
+    """
+
+    seed: int
+    quick: bool
+    seeds: int
+    unequal_seeds: int
+    cfg: KojimaConfig
+    worlds: Worlds
+    maps: LocalMaps
+    runs: tuple[Run, ...]
+    nees: dict[tuple[Weights, int], float]
+    unequal: tuple[Unequal, ...]
+    settled: tuple[Settling, ...]
+    identities: tuple[IdentityTrials, ...]
+    timing: dict[str, float]
+
+    def run(self, reading: str, weights: str) -> Run:
+        return next(r for r in self.runs if (r.reading, r.weights) == (reading, weights))
+
+    def relative_difference(self, reading: str) -> tuple[float, float]:
+        """How much lower the proposed weights' errors are than plain RLS's (robot, landmark), as a share of 1."""
+        plain, proposed = self.run(reading, "constant"), self.run(reading, "paper")
+        return 1 - proposed.robot_rmse / plain.robot_rmse, 1 - proposed.landmark_rmse / plain.landmark_rmse
+
+    def table2(self) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
+        """Head and rows: errors in cm, the root mean square over all worlds and the spread between worlds."""
+        head = ("weights", "reference", "robot [cm]", "spread", "paper", "landmark [cm]", "spread", "paper")
+        rows: list[tuple[object, ...]] = []
+        for r in self.runs:
+            robot, landmark = (f"{100 * v:.3g}" for v in PRINTED[r.weights])
+            ours = [f"{100 * v:.3f}" for v in (r.robot_rmse, r.robot.std(), r.landmark_rmse, r.landmark.std())]
+            rows.append((NAMES[r.weights], r.reading, ours[0], ours[1], robot, ours[2], ours[3], landmark))
+        return head, rows
+
+    def trace_table(self) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
+        """Head and rows of the trace of the global covariance after some updates; the paper only draws it."""
+        head = ("step", "updates", *(f"{NAMES[r.weights]}, {r.reading}" for r in self.runs), "paper")
+        rows: list[tuple[object, ...]] = [
+            (self.cfg.drive_steps + k, k, *(f"{r.trace[k]:.3e}" for r in self.runs), "drawn") for k in SHOWN
+        ]
+        falls = ("yes" if (np.diff(r.trace) < 0).all() else "no" for r in self.runs)
+        rows.append(("limit", "∞", *(f"{r.limit:.3e}" for r in self.runs), "drawn"))
+        rows.append(("falls at every update", "", *falls, "yes"))
+        rows.append(("settles above zero", "", *("yes" if r.limit > 0 else "no" for r in self.runs), "yes"))
+        return head, rows
+
+    def unequal_table(self) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
+        """Head and rows for maps of unequal quality, each counted once: errors in cm and as a share of plain RLS's."""
+        head = ("weights", "baseline", "landmark [cm]", "of RLS", "robot frame [cm]", "of RLS")
+        plain = {u.rule: u for u in self.unequal if u.weights == "constant"}
+        rows: list[tuple[object, ...]] = [
+            (
+                "eq. 14" if u.weights == "paper" else NAMES[u.weights],
+                u.rule,
+                f"{100 * u.landmark_rmse:.2f}",
+                f"{u.landmark_rmse / plain[u.rule].landmark_rmse:.3f}",
+                f"{100 * u.frame_rmse:.2f}",
+                f"{u.frame_rmse / plain[u.rule].frame_rmse:.3f}",
+            )
+            for u in self.unequal
+        ]
+        return head, rows
+
+    def honesty_table(self) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
+        head = ("weights", "used", "NEES per degree of freedom", "which is")
+        words = {("full", 1): "honest", ("paper", 1): "too cautious", ("full", 700): "overconfident"}
+        rows: list[tuple[object, ...]] = [
+            ("eq. 14" if w == "paper" else NAMES[w], f"{k} x", f"{v:.3f}", words[w, k])
+            for (w, k), v in self.nees.items()
+        ]
+        return head, rows
+
+    def local_table(self) -> Rows:
+        """Head and rows: errors of the local maps in their own frames when the robots come to rest, in cm."""
+        head = ("map", "landmarks [cm]", "worst world", "the filter's own deviation [cm]", "paper")
+        e = np.linalg.norm(self.maps.mean - self.local_truth(), axis=-1)
+        own = np.sqrt(np.trace(self.maps.cov, axis1=-2, axis2=-1) / 5)
+        rows: list[tuple[object, ...]] = [
+            (
+                f"robot {k + 1} (Fig. {4 + k})",
+                f"{100 * np.sqrt(np.mean(e[:, k] ** 2)):.3f}",
+                f"{100 * np.sqrt(np.mean(e[:, k] ** 2, axis=-1)).max():.3f}",
+                f"{100 * np.sqrt(np.mean(own[:, k] ** 2)):.3f}",
+                "drawn",
+            )
+            for k in (0, 1)
+        ]
+        return head, rows
+
+    def global_table(self) -> Rows:
+        """Head and rows, map 1 the prior: each merged landmark's error in cm, and how far the weightings lie apart."""
+        head = ("landmark", "seen by robot", "RLS [cm]", "proposed [cm]", "apart [cm]", "paper")
+        plain, proposed = (self.run("prior", w).final.x[:, 3:].reshape(-1, 8, 2) for w in ("constant", "paper"))
+        truth = self.worlds.landmarks
+        columns = [100 * _rms(a - b) for a, b in ((plain, truth), (proposed, truth), (plain, proposed))]
+        rows: list[tuple[object, ...]] = [
+            (str(i + 1), " and ".join(str(k + 1) for k in (0, 1) if i in SEEN[k]), f"{a:.3f}", f"{b:.3f}", f"{c:.4f}",
+             "drawn")
+            for i, (a, b, c) in enumerate(zip(*columns, strict=True))
+        ]  # fmt: skip
+        return head, rows
+
+    def settling_table(self) -> Rows:
+        """Head and rows: how nearly k times the error of P_k is constant, under the paper's own prior."""
+        head = (
+            "maps",
+            "δ",
+            "k = 100 .. 10,000",
+            "worst",
+            "k = 1,000 .. 100,000",
+            "worst",
+            "left at k = 700",
+            "worst",
+        )
+        rows: list[tuple[object, ...]] = [
+            (
+                t.maps,
+                f"{t.delta:g}",
+                *(f"{100 * f(v):.2g} %" for v in (t.early, t.late, t.left) for f in (np.median, np.max)),
+            )
+            for t in self.settled
+        ]
+        return head, rows
+
+    def identities_table(self) -> Rows:
+        """Head and rows: what came of trials without names."""
+        head = ("in common", "told", "alignment right", "believed, right", "believed, wrong", "refused", "mostly for")
+        rows: list[tuple[object, ...]] = [
+            (t.common, "exact maps" if t.told else "nothing", t.found, t.right, t.wrong, t.refused, t.reason or "-")
+            for t in self.identities
+        ]
+        return head, rows
+
+    def local_truth(self) -> Float[np.ndarray, "s 2 5 2"]:
+        """The landmarks of either robot in its own frame."""
+        start, points = self.worlds.start, self.worlds.landmarks
+        own = se2.act(se2.inverse(start[:, 1])[:, None], points[:, SEEN[1]])
+        return np.stack([points[:, SEEN[0]], own], axis=1)
+
+
+def _rms(e: Float[np.ndarray, "s n 2"]) -> Float[np.ndarray, " n"]:
+    """Root mean square length over the worlds, of each of n points."""
+    return np.asarray(np.sqrt(np.mean(np.sum(e**2, axis=-1), axis=0)))

@@ -1,0 +1,145 @@
+"""What all reproduced papers have in common: sections of tables and figures, differences, and a table of claims."""
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+from ..io.directory import write_json
+from ..report.html import Page
+from ..report.result import HasMetrics, ResultBase, Rows
+from ..report.style import Target
+
+CLAIMS_HEAD = ("claim of the paper", "in the code", "held by", "printed", "here", "over", "command")
+CLAIMS_FILE = "claims.md"
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """One figure: the file it goes to under `figures/`, its caption, and what draws it."""
+
+    file: str
+    caption: str
+    draw: Callable[[Target], object]
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A heading with a table (none where `head` is empty), sentences before it and figures after it."""
+
+    title: str
+    head: Sequence[str] = ()
+    rows: Sequence[Sequence[object]] = ()
+    drawings: Sequence[Drawing] = ()
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """One statement of a paper and what became of it.
+
+    code: a file under `src/mapweave`; test: `file::function` under `tests`; printed: the paper's figure; here: the
+    name under which `Reproduction.measured` gives ours; over: how many draws ours is of, with `measured` names in
+    braces; command: what prints it.
+    """
+
+    claim: str
+    code: str
+    test: str
+    printed: str
+    here: str
+    over: str
+    command: str
+
+
+class Reproduction(ResultBase):
+    """Base of what `reproduce` gives. A subclass has `metrics` too."""
+
+    __slots__ = ()
+
+    @property
+    @abstractmethod
+    def title(self) -> str:
+        """Head of the page: who, when."""
+
+    @property
+    @abstractmethod
+    def lead(self) -> str:
+        """One line: what was run, how often."""
+
+    @property
+    def warning(self) -> str:
+        """What a reader must know before any figure; empty where there is nothing."""
+        return ""
+
+    @abstractmethod
+    def sections(self) -> tuple[Section, ...]:
+        """Tables and figures in the order of the page."""
+
+    @abstractmethod
+    def differences(self) -> tuple[str, ...]:
+        """What differs from the print, and why, in sentences."""
+
+    @property
+    @abstractmethod
+    def claims(self) -> tuple[Claim, ...]:
+        """The paper's statements."""
+
+    @abstractmethod
+    def measured(self) -> Mapping[str, str]:
+        """Figures of this run by the names that `claims` uses."""
+
+    def claims_table(self) -> Rows:
+        """Head and rows of the closing table."""
+        told = self.measured()
+        rows = [
+            (c.claim, c.code, c.test, c.printed, told[c.here], c.over.format_map(told), c.command) for c in self.claims
+        ]
+        return CLAIMS_HEAD, rows
+
+    def headline(self) -> Rows:
+        first = next(s for s in self.sections() if s.head)
+        return first.head, first.rows
+
+    def lines(self) -> list[str]:
+        return [f"{self.title}: {self.lead}", *self.differences()]
+
+    def write_into(self, folder: Path) -> None:
+        """`report.html`, `figures/*.png`, `metrics.json`, and the closing table in Markdown."""
+        page = Page(self.title, self.lead)
+        if self.warning:
+            page.text(self.warning, warn=True)
+        for section in self.sections():
+            page.section(section.title)
+            if section.text:
+                page.text(section.text)
+            if section.head:
+                page.table(section.head, section.rows)
+            for drawing in section.drawings:
+                drawing.draw(folder / "figures" / drawing.file)
+                page.figure(folder / "figures" / drawing.file, drawing.caption)
+        page.section("What differs, and why")
+        for sentence in self.differences():
+            page.text(sentence)
+        page.section("Claim by claim")
+        page.table(*self.claims_table())
+        page.write(folder / "report.html")
+        (folder / CLAIMS_FILE).write_text(markdown(*self.claims_table()), encoding="utf-8")
+        write_json(folder / "metrics.json", cast("HasMetrics", self).metrics)
+
+
+def markdown(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """A Markdown table; files, tests and commands in code type."""
+    marked = {"in the code", "held by", "command"}
+    told = [[f"`{v}`" if name in marked else v for name, v in zip(head, row, strict=True)] for row in rows]
+    return "".join(f"{_row(cells)}\n" for cells in (head, ["---"] * len(head), *told))
+
+
+def sentences(text: str, **figures: object) -> tuple[str, ...]:
+    """Paragraphs of `text`, each on one line, with the `figures` filled in."""
+    return tuple(" ".join(part.split()) for part in text.format(**figures).strip().split("\n\n"))
+
+
+def _row(cells: Sequence[object]) -> str:
+    return "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"

@@ -1,0 +1,38 @@
+"""The closing tables of the methods' pages: every claim points to code and a test that are there."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from mapweave.papers.kojima.claims import CLAIMS as KOJIMA
+from mapweave.papers.reproduction import CLAIMS_HEAD, markdown
+
+TOP = Path(__file__).parent.parent.parent
+PAGES = {"relative-fusion.md": KOJIMA}
+EVERY = [pytest.param(page, claim, id=f"{page}:{claim.here}") for page, claims in PAGES.items() for claim in claims]
+
+
+@pytest.mark.parametrize(("page", "claim"), EVERY)
+def test_a_claims_code_test_and_command_are_there(page, claim):
+    assert (TOP / "src" / "mapweave" / claim.code).is_file()
+    file, name = claim.test.split("::")
+    assert re.search(rf"^def {name}\(", (TOP / "tests" / file).read_text(encoding="utf-8"), re.MULTILINE)
+    assert claim.command.split()[0] in {"reproduce", "explore", "localize"}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_ends_in_the_table_that_its_command_writes(page):
+    lines = (TOP / "docs" / "methods" / page).read_text(encoding="utf-8").rstrip().splitlines()
+    table = [line for line in lines[-len(PAGES[page]) - 2 :] if line.startswith("|")]
+    assert len(table) == len(PAGES[page]) + 2
+    assert table[0] == markdown(CLAIMS_HEAD, []).splitlines()[0]
+    for line, claim in zip(table[2:], PAGES[page], strict=True):
+        cells = [cell.strip() for cell in line.strip("|").split(" | ")]
+        told = (claim.claim, f"`{claim.code}`", f"`{claim.test}`", claim.printed, f"`{claim.command}`")
+        assert (*cells[:4], cells[6]) == told
+        assert cells[4]
+
+
+def test_cells_of_a_table_cannot_break_it():
+    assert markdown(("a", "command"), [("x | y", "z")]) == "| a | command |\n| --- | --- |\n| x \\| y | `z` |\n"
