@@ -16,7 +16,7 @@ from mapweave.laser import particle_slam
 from mapweave.laser.beam import IntensityCalibration, beams
 from mapweave.laser.config import LaserConfig
 from mapweave.laser.mapping import choose_feature, finish, map_laser
-from mapweave.papers.hara.experiments import score
+from mapweave.papers.hara.methods import score
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 from mapweave.sim.laser import DriveConfig
 from mapweave.sim.scanner import SECOND_LAW

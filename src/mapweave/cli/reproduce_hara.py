@@ -26,15 +26,10 @@ def hara(
     force
         Write into the folder even when something other than a result stands there.
     """
-    from ..papers.hara.reproduce import NOTES, reproduce_hara
-    from .terminal import progress, say, say_table
+    from ..papers.hara.reproduce import reproduce_hara
+    from .reproduce_said import say_reproduction
+    from .terminal import progress
 
     with progress() as on_progress:
         result = reproduce_hara(out, quick=quick, seed=seed, force=force, on_progress=on_progress)
-    say(f"Hara, Kawata, Ohya, Yuta: trajectory error [m] on a loop of 200 m, {result.errors.shape[1]} drives\n")
-    say_table(*result.table())
-    say("\nWhat differs, and why")
-    for note in NOTES:
-        say(f"- {note}")
-    if out is not None:
-        say(f"\nreport: {out / 'report.html'}")
+    say_reproduction(result, out)

@@ -27,8 +27,8 @@ def kojima(
         Write into the folder even when something other than a result stands there.
     """
     from ..papers.kojima.reproduce import reproduce_kojima
-    from .terminal import progress
     from .reproduce_said import say_reproduction
+    from .terminal import progress
 
     with progress() as on_progress:
         result = reproduce_kojima(out, quick=quick, seed=seed, force=force, on_progress=on_progress)

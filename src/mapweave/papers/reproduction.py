@@ -69,6 +69,11 @@ class Reproduction(ResultBase):
         """One line: what was run, how often."""
 
     @property
+    @abstractmethod
+    def form(self) -> str:
+        """What was added to the command: " --quick", or nothing."""
+
+    @property
     def warning(self) -> str:
         """What a reader must know before any figure; empty where there is nothing."""
         return ""
@@ -94,7 +99,8 @@ class Reproduction(ResultBase):
         """Head and rows of the closing table."""
         told = self.measured()
         rows = [
-            (c.claim, c.code, c.test, c.printed, told[c.here], c.over.format_map(told), c.command) for c in self.claims
+            (c.claim, c.code, c.test, c.printed, told[c.here], c.over.format_map(told), c.command + self.form)
+            for c in self.claims
         ]
         return CLAIMS_HEAD, rows
 

@@ -1,51 +1,20 @@
 """The 200 m loop of Hara, Kawata, Ohya and Yuta, simulated, and every method of the paper on it."""
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from ...core import se2
-from ...core.records import Track
 from ...core.workers import Progress
-from ...evaluation.trajectory import align_tracks, ate
 from ...laser.beam import beams
 from ...laser.config import LaserConfig
 from ...laser.laser_map import GridMap, LaserMap
 from ...laser.mapping import map_laser
 from ...laser.occupancy_mapper import render
-from ...laser.scan_matching import FrontEndConfig
 from ...sim.corridor import CorridorConfig, simulate_corridor
 from ...sim.laser import LaserSimulation
-
-# What a gate allows wheels like the simulated ones, which err by a few per cent: the paper's "found by experience".
-WHEELS = FrontEndConfig(sd_xy=0.01, sd_xy_per_m=0.06, sd_turn=0.01, sd_turn_per_m=0.02, sd_turn_per_rad=0.05)
-
-
-class Method(NamedTuple):
-    """figure: of the paper, where it shows one."""
-
-    name: str
-    figure: str
-    cfg: LaserConfig | None  # None: odometry alone
-
-
-def methods(particles: int) -> tuple[Method, ...]:
-    """In the order of the paper; matching and filtering with geometry alone and with intensity."""
-    icp = LaserConfig(method="icp")
-    gated = LaserConfig(method="gated", matcher="icp", front_end=WHEELS, gate_sd_xy=0.0, gate_sd_turn=0.0)
-    filtered = LaserConfig(particles=particles)
-    return (
-        Method("odometry", "Fig. 4", None),
-        Method("ICP, geometry", "", replace(icp, feature="none")),
-        Method("Intensity-ICP", "Fig. 5", icp),
-        Method("gated ICP, geometry", "", replace(gated, feature="none")),
-        Method("gated Intensity-ICP", "Fig. 6", gated),
-        Method("gated, on lines, intensity", "", LaserConfig(method="gated")),
-        Method(f"RBPF-{particles}, geometry", "", replace(filtered, feature="none")),
-        Method(f"RBPF-{particles}, intensity", "Fig. 7", filtered),
-    )
+from .methods import Method, score
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +26,6 @@ class Picture:
     grid: GridMap
     track: Float[np.ndarray, "n 2"]
     truth: Float[np.ndarray, "m 2"]
-
-
-def score(track: Track, truth: Track) -> float:
-    """ATE [m] after one rigid alignment."""
-    T = align_tracks([(track, truth, True)])
-    found, _ = ate(track, truth, T if T is not None else np.zeros(3), dense=True)
-    return float("nan") if found is None else found
 
 
 def compare(

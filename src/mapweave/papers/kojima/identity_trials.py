@@ -12,7 +12,7 @@ from ...landmarks.landmark_map import LandmarkMap
 POINTS, SIZE, SIGMA = 20, 3.0, 0.01  # landmarks a map, side of the square [m], deviation [m]
 RIGHT = 0.15  # [m] every landmark must lie within, for an alignment to be right
 IN_COMMON = (0, 2, 4, 6, 8, 14)
-EXACT = IdentityConfig(noise=0.0, scale_sigma=1e-3)  # maps that err as their covariances say, and no more
+EXACT = IdentityConfig(noise=0.0, scale_sigma=1e-3, gate=3.5)  # maps that err as their covariances say, and no more
 
 
 @dataclass(frozen=True, slots=True)

@@ -174,6 +174,10 @@ class KojimaReproduction(Measured, Reproduction):
         return "Kojima, Okawa, Namerikawa (2012)"
 
     @property
+    def form(self) -> str:
+        return " --quick" if self.quick else ""
+
+    @property
     def lead(self) -> str:
         return f"two robots, EKF-SLAM each, 700 merges, {self.seeds} simulated worlds"
 
