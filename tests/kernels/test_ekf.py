@@ -266,3 +266,18 @@ def test_a_replay_stands_at_every_stamp_of_commands_and_sightings_until_both_hav
     assert at == at_one
     np.testing.assert_allclose(x, y, atol=1e-9)
     np.testing.assert_allclose(P, R, atol=1e-9)
+
+
+def test_sightings_of_one_place_agree_from_wherever_and_whichever_way_the_robot_looks():
+    noise = PLAIN._replace(agree=4)
+    waiting, count = np.zeros((1, ekf_start.CANDIDATES, 2)), np.zeros(1, np.int64)
+    place, said = np.array([2.0, -1.0]), []
+    for pose in ([0.0, 0.0, 0.3], [1.0, 1.5, -2.0], [-1.0, 0.5, 2.9], [3.0, 0.0, 1.2]):
+        x, _ = random_state(13)
+        x[:3] = pose
+        r, b = models.observe(x[:3], place)
+        said.append(
+            ekf_start.consider(x, 0, r * x[ekf_state.RANGE_SCALE], b + x[ekf_state.BEARING_BIAS], noise, waiting, count)
+        )
+        np.testing.assert_allclose(waiting[0, len(said) - 1], place)
+    assert said == [False, False, False, True]

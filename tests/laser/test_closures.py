@@ -10,9 +10,11 @@ from mapweave.core.records import Scan
 from mapweave.laser.beam import BeamConfig, beams
 from mapweave.laser.closures import ClosureConfig, Matched, Matcher, Place
 from mapweave.laser.config import ALL_ROUND
+from mapweave.laser.graph_problem import Solved, problem
 from mapweave.laser.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
 from mapweave.laser.keyframes import Keyframe
 from mapweave.laser.place_search import Hit, Places
+from mapweave.laser.pose_graph import PoseGraph
 from mapweave.laser.step_noise import believed, carried
 from mapweave.laser.submap_loops import SubmapLoopConfig, SubmapLoops
 from mapweave.laser.team import LoopSearch
@@ -207,3 +209,41 @@ def test_where_light_fits_one_place_alone_walls_that_fit_elsewhere_too_do_not_ma
     places = Places(Hit(np.zeros(3), best), Hit(np.array([1.0, 0.0, 0.0]), second))
     assert loops.ambiguous(places) is ambiguous
     assert not loops.ambiguous(Places(Hit(np.zeros(3), best), None))
+
+
+def test_covariances_of_a_solved_graph_are_those_of_the_dense_inverse():
+    rng = np.random.default_rng(2)
+    pose = np.column_stack([np.arange(5.0), rng.normal(0, 1, 5), rng.uniform(-2, 2, 5)])
+    pairs = [(k, k + 1) for k in range(4)]
+    z = [se2.between(pose[i], pose[j]) for i, j in pairs]
+    roots = rng.normal(size=(6, 3, 3))
+    information = [1e3 * (r @ r.T + np.eye(3)) for r in roots]
+    steps = PoseGraph.of(pose, pairs, z, information[:4])
+    loops = [(0, 3), (1, 4)]
+    closed = PoseGraph.of(pose, loops, [se2.between(pose[i], pose[j]) for i, j in loops], information[4:])
+    sd = np.array([[0.1, 0.2, 0.05]])
+    solved = Solved.of(problem(steps, closed, (np.array([0]), pose[:1], sd), 3.0))
+    np.testing.assert_allclose(solved.pose, pose, atol=1e-6)
+    x, h = pose.ravel(), 1e-6
+
+    def residual(v):
+        X = v.reshape(-1, 3)
+        first = (X[0] - pose[0]) / sd[0]
+        rest = [
+            np.linalg.cholesky(W).T @ se2.between(m, se2.between(X[i], X[j]))
+            for (i, j), m, W in zip([*pairs, *loops], [*z, *closed.measured], information, strict=True)
+        ]
+        return np.concatenate([first, *rest])
+
+    J = np.stack([(residual(x + h * e) - residual(x - h * e)) / (2 * h) for e in np.eye(15)], axis=1)
+    P = np.linalg.inv(J.T @ J)
+    for k, block in enumerate(solved.covariances()):
+        at = 3 * k + np.arange(3)
+        np.testing.assert_allclose(block, P[np.ix_(at, at)], rtol=1e-4, atol=1e-9)
+    at = np.concatenate([3 + np.arange(3), 12 + np.arange(3)])
+
+    def between(v):
+        return se2.between(v[:3], v[3:])
+
+    D = np.stack([(between(x[at] + h * e) - between(x[at] - h * e)) / (2 * h) for e in np.eye(6)], axis=1)
+    np.testing.assert_allclose(solved.relative(1, 4), D @ P[np.ix_(at, at)] @ D.T, rtol=1e-4, atol=1e-9)
