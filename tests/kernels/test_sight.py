@@ -70,7 +70,7 @@ def test_points_in_sight_are_near_and_not_hidden():
 @pytest.mark.parametrize("neighbours", [0, 3])
 def test_the_nearest_view_of_a_point_is_the_nearest_place_that_sees_it_with_enough_others_around(neighbours):
     stand = RNG.random((14, 15)) < 0.5
-    lower, cell = np.array([0.0, 1.0]), 1.3
+    lower, cell = np.array([-1.2, 0.7]), 1.4
     centres = lower + cell * (np.stack(np.meshgrid(np.arange(15), np.arange(14)), axis=-1) + 0.5)
     points = RNG.uniform(0, 20, (25, 2))
     found = nearest_views(points, stand, Raster(lower, cell), 6.0, SEGMENTS, neighbours)
