@@ -5,6 +5,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.errors import DataError
+from mapweave.kernels.laser.place_refine import fit_normals, lay_onto_lines
 from mapweave.laser.place_search import (
     FULL,
     Q_LEVELS,
@@ -184,3 +185,83 @@ def test_places_nobody_can_search_are_refused():
     assert search(field, np.zeros((0, 2)), everywhere(field)).best is None
     with pytest.raises(DataError, match="at most"):
         search(field, np.zeros((2000, 2)), everywhere(field))
+
+
+@pytest.mark.kernel
+def test_a_field_is_the_likelihood_of_the_nearest_wall_point_as_far_as_it_matters():
+    place = walls(np.random.default_rng(5), count=4, size=2.0)
+    cfg = PlaceConfig()
+    field = likelihood_field(place, None, cfg)
+    pad = 2**cfg.levels - 1
+    table = field.tables[0][pad:, pad:]
+    rows, cols = np.indices(field.nearest.shape)
+    centres = field.origin + cfg.cell * (np.stack([cols, rows], axis=-1) + 0.5)
+    d = np.hypot(*np.moveaxis(centres[:, :, None] - place, -1, 0))
+    far = max(3.0 * cfg.sigma, cfg.gate)
+    near = d.min(axis=2) < far - cfg.cell
+    beyond = d.min(axis=2) > 2.0 * far + 2.0 * cfg.cell
+    assert near.any()
+    assert beyond.any()
+    value = 255 * np.exp(-0.5 * (d.min(axis=2) / cfg.sigma) ** 2)
+    assert np.abs(table[: rows.shape[0], : cols.shape[1]][near] - value[near]).max() <= 1.0
+    assert not table[: rows.shape[0], : cols.shape[1]][beyond].any()
+    assert (field.nearest[beyond] == -1).all()
+    chosen = np.take_along_axis(d, np.maximum(field.nearest, 0)[..., None], axis=2)[..., 0]
+    np.testing.assert_allclose(chosen[near], d.min(axis=2)[near], atol=1e-9)
+    low, high = centres[0, 0], centres[-1, -1]
+    assert (low <= place.min(axis=0) - far + cfg.cell).all()
+    assert (high >= place.max(axis=0) + far - cfg.cell).all()
+
+
+@pytest.mark.kernel
+def test_lines_are_the_principal_axes_of_what_lies_around():
+    points = walls(np.random.default_rng(6), count=5, size=1.5)
+    lines = fit_normals(points, 0.3)
+    for k in range(0, len(points), 7):
+        around = points[np.hypot(*(points - points[k]).T) <= 0.3]
+        values, vectors = np.linalg.eigh(np.cov(around.T, bias=True))
+        assert abs(vectors[:, 0] @ lines[k, :2]) == pytest.approx(1.0, abs=1e-6) or values[0] > 0.9 * values[1]
+        assert lines[k, 2] == pytest.approx(max(values[0], 0.0) / values[1], abs=1e-6)
+    assert fit_normals(np.array([[0.0, 0.0], [9.0, 9.0]]), 0.3)[:, 2].tolist() == [1.0, 1.0]
+
+
+@pytest.mark.kernel
+def test_a_scan_is_laid_where_its_costs_pull_no_more_and_what_is_told_there_is_the_dense_sum():
+    rng = np.random.default_rng(8)
+    place = walls(rng, count=6, size=2.5)
+    cfg = PlaceConfig()
+    field = likelihood_field(place, None, cfg)
+    truth = np.array([0.3, -0.2, 0.7])
+    points = se2.act(se2.inverse(truth), place[::3] + rng.normal(0.0, 0.02, place[::3].shape))
+    points[:3] += 5.0
+    width, gate = 0.1, 0.2
+    start = truth + np.array([0.05, -0.04, 0.02])
+    pose, H, count, mean2 = lay_onto_lines(
+        points, start, field.points, field.lines, field.nearest, field.origin, cfg.cell, gate,
+        np.array([0.3, width]), 1e-7,
+    )  # fmt: skip
+    assert np.abs(se2.between(truth, pose)).max() < 0.02
+    dense, g, found, squares, h = np.zeros((3, 3)), np.zeros(3), 0, 0.0, 1e-6
+    for p in points:
+        at = se2.act(pose, p)
+        col, row = np.floor((at - field.origin) / cfg.cell).astype(int)
+        if not (0 <= row < field.nearest.shape[0] and 0 <= col < field.nearest.shape[1]):
+            continue
+        k = field.nearest[row, col]
+        if k < 0 or np.hypot(*(at - field.points[k])) > gate:
+            continue
+        d, (nx, ny, wide) = at - field.points[k], field.lines[k]
+        steps = h * np.eye(3)
+        J = np.array(
+            [(se2.act(se2.compose(pose, e), p) - se2.act(se2.compose(pose, -e), p)) / (2 * h) for e in steps]
+        ).T
+        for direction, share in ((np.array([nx, ny]), 1.0), (np.array([ny, -nx]), wide)):
+            e = direction @ d
+            w = share * (width**2 / (width**2 + e**2)) ** 2
+            dense, g = dense + w * np.outer(direction @ J, direction @ J), g + w * e * (direction @ J)
+            squares += share * e**2
+        found += 1
+    assert count == found > 60
+    assert mean2 == pytest.approx(squares / found, rel=1e-6)
+    np.testing.assert_allclose(H, dense, rtol=1e-5, atol=1e-5 * dense.max())
+    assert np.abs(np.linalg.solve(dense, g)).max() < 2e-3
