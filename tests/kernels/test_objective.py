@@ -14,12 +14,12 @@ from mapweave.kernels.exploration.objective import (
     mark_half_disc,
     unexplored_cells,
 )
-from mapweave.kernels.exploration.tours import BALANCE, TourCosts, _cheapest, balanced_tours, greedy_cover
+from mapweave.kernels.exploration.tours import TourCosts, _cheapest, balanced_tours, greedy_cover
 from mapweave.kernels.walls.segments import Raster, Sector
 
 pytestmark = pytest.mark.kernel
 
-SECTOR = Sector(4.0, 1.2)
+SECTOR, BALANCE = Sector(4.0, 1.2), 0.3
 
 
 def drawn(rng, n):
@@ -135,7 +135,7 @@ def test_tours_visit_everything_once_and_no_reversal_or_relocation_makes_them_be
     first = np.hypot(*np.moveaxis(robots[:, None] - nodes, -1, 0))
     between = np.hypot(*np.moveaxis(nodes[:, None] - nodes, -1, 0))
     last = np.zeros_like(first) if open_end else 1.0 * first
-    tours, counts = balanced_tours(first, between, last)
+    tours, counts = balanced_tours(first, between, last, BALANCE)
     plan = [list(tour[:n]) for tour, n in zip(tours, counts, strict=True)]
     assert sorted(node for tour in plan for node in tour) == list(range(9))
     now = [length(first, between, last, r, tour) for r, tour in enumerate(plan)]
@@ -165,7 +165,7 @@ def test_one_robots_tour_of_few_places_is_nearly_the_shortest():
         first = np.hypot(*np.moveaxis(start[:, None] - nodes, -1, 0))
         between = np.hypot(*np.moveaxis(nodes[:, None] - nodes, -1, 0))
         last = np.zeros_like(first)
-        tours, counts = balanced_tours(first, between, last)
+        tours, counts = balanced_tours(first, between, last, BALANCE)
         assert counts.tolist() == [6]
         shortest = min(length(first, between, last, 0, order) for order in itertools.permutations(range(6)))
         over.append(length(first, between, last, 0, list(tours[0])) / shortest)
@@ -189,4 +189,4 @@ def test_the_next_node_goes_where_the_longest_tour_and_then_the_sum_grow_least()
                 for p in range(len(plan[r]) + 1):
                     then = length(first, between, last, r, [*plan[r][:p], node, *plan[r][p:]])
                     costs[node, r, p] = max(lengths.max(), then) + BALANCE * (then - lengths[r])
-        assert _cheapest(TourCosts(first, between, last), tours, counts, lengths, done) == min(costs, key=costs.get)
+        assert _cheapest(TourCosts(first, between, last, BALANCE), tours, counts, lengths, done) == min(costs, key=costs.get)
