@@ -277,6 +277,12 @@ class Equivalent:
 
 EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(
+        "fusion:variance_factors",
+        "last = np.abs(np.log(new / factors)).max() < variance.still or i == variance.rounds - 1",
+        "last = np.abs(np.log(new / factors)).max() < variance.still and i == variance.rounds - 1",
+        "the rounds go on after the factors stand still, and move them by less than that",
+    ),
+    Equivalent(
         "solve:dissect",
         "out = np.full(n, -1.0)",
         "out = np.full(n, -10.0)",
@@ -381,7 +387,7 @@ ONCE_LET_PASS: tuple[Named, ...] = (
     ),
     Named(
         "fusion:variance_factors",
-        "return np.asarray(np.clip(out, *FACTORS))",
+        "return np.asarray(np.clip(out, cfg.least, cfg.greatest))",
         "return np.asarray(out)",
         ("tests/fusion/test_submaps.py",),
     ),
@@ -412,8 +418,8 @@ ONCE_LET_PASS: tuple[Named, ...] = (
     ),
     Named(
         "swarm:contradictions",
-        "bad[rows] = off > GATE * sigma[rows]",
-        "bad[rows] = off > 10 * GATE * sigma[rows]",
+        "bad[rows] = off > cfg.gate * sigma[rows]",
+        "bad[rows] = off > 10 * cfg.gate * sigma[rows]",
         ("tests/swarm/test_contradiction.py",),
     ),
     Named(

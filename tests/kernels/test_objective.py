@@ -189,4 +189,6 @@ def test_the_next_node_goes_where_the_longest_tour_and_then_the_sum_grow_least()
                 for p in range(len(plan[r]) + 1):
                     then = length(first, between, last, r, [*plan[r][:p], node, *plan[r][p:]])
                     costs[node, r, p] = max(lengths.max(), then) + BALANCE * (then - lengths[r])
-        assert _cheapest(TourCosts(first, between, last, BALANCE), tours, counts, lengths, done) == min(costs, key=costs.get)
+        assert _cheapest(TourCosts(first, between, last, BALANCE), tours, counts, lengths, done) == min(
+            costs, key=costs.get
+        )

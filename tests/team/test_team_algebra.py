@@ -296,10 +296,31 @@ def test_the_calibration_is_pulled_to_what_was_known_by_its_deviations():
     assert prior.squares(x).sum() == pytest.approx(2.0**2 + 3.0**2)
 
 
-def test_a_team_without_any_odometry_keeps_the_mean_of_its_range_scales():
+def test_a_team_without_any_odometry_keeps_the_size_of_the_map_it_begins_with():
     logs, landmarks, tracks = logs_and_map()
     blind = [replace(log, odometry=None) for log in logs]
     team = team_problem(blind, landmarks, tracks, {}, {}, CFG)
+    (size,) = (term for term in team.problem.terms if term.name == "size")
+    x, at, h = team.problem.x0.copy(), team.landmark_columns, 1e-6
+    assert size.squares(x)[0] == pytest.approx(0.0, abs=1e-9)
+    middle = np.tile(x[at].reshape(-1, 2).mean(axis=0), len(at) // 2)
+    larger = x.copy()
+    larger[at] = middle + np.exp(2 * HELD_TOGETHER) * (x[at] - middle) + 3.0
+    assert size.squares(larger)[0] == pytest.approx(2.0**2)
+    for k, column in enumerate(size.columns[0]):
+        d = np.zeros(len(x))
+        d[column] = h
+        change = (size.residual(larger + d) - size.residual(larger - d))[0, 0] / (2 * h)
+        assert size.jacobian(larger)[0, 0, k] == pytest.approx(change, abs=1e-6)
+    assert not {part.parameters + k for part in team.parts for k in (0, 1, 2)} & set(team.problem.free.tolist())
+    one = team_problem([logs[0], blind[1]], landmarks, tracks, {}, {}, CFG)
+    assert "size" not in {term.name for term in one.problem.terms}
+
+
+def test_a_team_without_odometry_and_with_one_landmark_keeps_the_mean_of_its_range_scales():
+    logs, landmarks, tracks = logs_and_map()
+    one = LandmarkMap(NAMES[:1], landmarks.mean[:1], landmarks.cov[:2, :2])
+    team = team_problem([replace(log, odometry=None) for log in logs], one, tracks, {}, {}, CFG)
     (scale,) = (term for term in team.problem.terms if term.name == "scale")
     x = team.problem.x0.copy()
     for part, off in zip(team.parts, (0.05, -0.05), strict=True):
@@ -307,9 +328,6 @@ def test_a_team_without_any_odometry_keeps_the_mean_of_its_range_scales():
     assert scale.squares(x)[0] == pytest.approx(0.0, abs=1e-9)
     x[team.parts[0].parameters + 4] += 2 * HELD_TOGETHER
     assert scale.squares(x)[0] == pytest.approx(1.0)
-    assert not {part.parameters + k for part in team.parts for k in (0, 1, 2)} & set(team.problem.free.tolist())
-    one = team_problem([logs[0], blind[1]], landmarks, tracks, {}, {}, CFG)
-    assert "scale" not in {term.name for term in one.problem.terms}
 
 
 def test_the_first_pose_is_the_frame_and_so_is_that_of_who_saw_nothing_in_common():
