@@ -182,12 +182,14 @@ def _rows(
     dropped: Mapping[tuple[int, int], str],
     home: Mapping[str, int],
 ) -> dict[int, list[ClosureRow]]:
-    """Component -> its closures: robot by robot those within, then those between, pair by pair."""
+    """Component -> its closures: robot by robot those within, then those between, pair by pair.
+
+    dropped: ties between robots that the joint graph does not hold, by their keyframes among all.
+    """
     out: dict[int, list[ClosureRow]] = {}
     number = {g.robot: k for k, g in enumerate(graphs)}
     for k, g in enumerate(graphs):
         for c in g.closures:
-            told = dropped.get((int(offset[k]) + c.first, int(offset[k]) + c.second)) if c.accepted else None
             row = ClosureRow(
                 g.robot,
                 float(g.t[c.first]),
@@ -199,8 +201,8 @@ def _rows(
                 c.runner_up,
                 c.share,
                 c.nis,
-                c.accepted and told is None,
-                c.reason if told is None else DROPPED + told,
+                c.accepted,
+                c.reason,
             )
             out.setdefault(home[g.robot], []).append(row)
     for m in merges:
