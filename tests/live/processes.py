@@ -38,7 +38,7 @@ class Fleet:
             name, "map", "--out", f"out-{name}", "--name", name, "--robots", robots, "--listen", self.at, *words
         )
 
-    def robot(self, name: str, *words: str, rate="20"):
+    def robot(self, name: str, *words: str, rate="20", linger="60"):
         where = [] if "--connect" in words else ["--connect", self.at]
         return self.start(
             name,

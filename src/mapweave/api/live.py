@@ -122,7 +122,8 @@ def live_robot(
             process = RobotProcess(name, opened, Topics(network.team), store, say, wall)
             process.join()
             say(f"{name}: {log.robot} of {source}, team {network.team}, history in {path}")
-            told = process.run(messages(log, name, run, period), driving, Pace(rate, linger), stop or Event())
+            expected = bool(network.connect or network.listen)
+            told = process.run(messages(log, name, run, period), driving, Pace(rate, linger, expected), stop or Event())
             return LiveRobot(name, told, process.heard_by)
 
 

@@ -38,10 +38,11 @@ class Driving(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """rate: seconds of the log in one of the clock; inf: as fast as it goes. linger: see `RobotProcess.run`."""
+    """rate: seconds of the log in one of the clock; inf: as fast as it goes. The rest: see `RobotProcess.run`."""
 
     rate: float = 1.0
     linger: float = 30.0
+    expected: bool = False
 
 
 @dataclass(slots=True)
@@ -103,7 +104,8 @@ class RobotProcess:
         """All of `messages`, each at its time; how many there are now.
 
         Those in the store already are taken from there and not told again. After the last one the process stays until
-        every map process there has all of them, but at most `pace.linger` [s]; with nobody there (nor ever) it goes.
+        every map process there has all of them, but at most `pace.linger` [s]; where nobody was ever heard of it goes
+        at once, unless others are `expected`, be the network gone just now.
         """
         rest = self._again(messages, driving)
         begin_t, begin = None, time.monotonic()
@@ -207,7 +209,7 @@ class RobotProcess:
         told = float("-inf")
         while not stop.is_set():
             now = time.monotonic()
-            nobody = not (self.listeners.there or self.listeners.ever)
+            nobody = not (self.listeners.there or self.listeners.ever or pace.expected)
             if now > begin + pace.linger or (nobody and now > begin + GRACE):
                 return
             if self.listeners.all_have(self.last + 1):
