@@ -168,7 +168,7 @@ def align(source: Points, target: Points, weights: Float[np.ndarray, " n"] | Non
     return np.array([t[0], t[1], theta])
 
 
-DECIMALS = 12
+DECIMALS = 12  # of a heading from a quaternion: a picoradian
 
 
 def quaternion_of_heading(theta: float) -> tuple[float, float, float, float]:

@@ -16,7 +16,7 @@ from ..io.ros_map import RosMap, read_plan, read_ros_map
 
 Segment = tuple[float, float, float, float]  # x0 y0 x1 y1 [m]
 Pose = tuple[float, float, float]
-MOST_ROBOTS = 200
+MOST_ROBOTS = 200  # whose joint planning still takes seconds
 MOST_WALLS = 200_000  # segments
 MOST_CELLS = 25_000_000  # of a raster laid over the world: 500 m x 500 m in cells of 0.1 m
 MOST_KNOWN = 10_000_000  # cells times robots, each of which keeps what it has seen

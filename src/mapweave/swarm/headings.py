@@ -55,7 +55,7 @@ def _offset(
     return np.array([a[0], a[1], turn]), float(np.mean(np.minimum(e * e, limit**2)))
 
 
-SWEEPS = 30
+SWEEPS = 30  # of averaging each heading with those of the robots it is tied to
 WILD = 0.3  # [rad]; a sighting of an anchor further off counts as this much off
 
 

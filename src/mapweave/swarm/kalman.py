@@ -17,7 +17,7 @@ from .network import Network
 
 Form = Literal["ekf", "iekf", "fej"]
 STEP_TOLERANCE = 1e-9  # [m]; an iterated update ends when no coordinate moves further
-HALVINGS = 30
+HALVINGS = 30  # of a step, to a thousand-millionth
 RANK = 1e-10  # singular values below this share of the largest are zero (exact sightings)
 
 

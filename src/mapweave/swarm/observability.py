@@ -20,7 +20,7 @@ from .network import Components, Network
 
 SHIFT = 1e-13  # added to the normal matrix, whose own entries are about 1
 PIVOT = 3e-8  # a pivot below this is zero
-PROBES = 4
+PROBES = 4  # random vectors: that all four miss a way to move has no probability
 MOVES = 1e-6  # a filtered probe above this says that the robot can move
 CANDIDATES = 4  # pairs tried as stand-ins for anchors
 

@@ -24,7 +24,7 @@ STATUS = {
 }
 
 WEAK_SHARE, WEAK_DEVIATION = 0.8, 3.0  # of the variance in one mode; deviation in units of a sighting's own error
-POWER_STEPS = 12
+POWER_STEPS = 12  # of the power iteration: the largest mode to a percent, which a warning needs
 
 
 def posterior(
