@@ -54,6 +54,8 @@ HAND_OVER = (
     "landmarks_that_one_submap_holds_apart_are_never_merged",
     "a_landmark_between_two_that_it_may_be_is_left_out",
     "a_landmark_that_may_be_new_stays_one_until_more_is_known",
+    "distances_of_pairs_after_a_constraint_are_those_of_the_constrained_covariance",
+    "which_duplicates_are_surest_depends_on_the_covariances_of_the_pairs_themselves",
 )
 
 AREAS = (

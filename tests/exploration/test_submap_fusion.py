@@ -5,7 +5,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.fusion.handover import hand_over
-from mapweave.fusion.map_and_submap import MapAndSubmap, merge_duplicates
+from mapweave.fusion.map_and_submap import FLOOR, MapAndSubmap, merge_duplicates
 from mapweave.kernels.landmarks import submap as kernels
 from mapweave.landmarks.landmark_map import GlobalMap, Submap, known_starts
 from mapweave.landmarks.submap_slam import Observations, SubmapConfig, empty, in_view, move, predict, sight, update
@@ -353,3 +353,38 @@ def test_no_landmark_in_view_and_a_singular_pose_block_are_no_errors():
     seen, _ = update(m, Observations(np.array([[5.0, 0.1]]), None), cfg)
     assert len(seen.ids) == 1
     assert np.allclose(se2.act(m.pose, seen.mean), [[5 * np.cos(0.1), 5 * np.sin(0.1)]])
+
+
+def test_distances_of_pairs_after_a_constraint_are_those_of_the_constrained_covariance():
+    rng = np.random.default_rng(13)
+    marks = rng.uniform(2, 8, (6, 2))
+    frames = np.array([[0.0, 0.0, 0.1], [0.3, -0.2, 0.05]])
+    G = GlobalMap(
+        ("robot1", "robot2"), frames, ("0", "1", "2"), marks[:3] + 0.05 * rng.normal(size=(3, 2)), random_psd(rng, 12)
+    )
+    L = driven_submap(rng, "robot2", marks[1:5])
+    Y = MapAndSubmap(G, L)
+    Y.constrain([(0, 1)])
+    n = len(G.cov)
+    P = np.zeros((n + len(L.cov), n + len(L.cov)))
+    P[:n, :n], P[n:, n:] = G.cov, L.cov
+    P -= Y.U.T @ Y.U
+    i, m = np.array([1, 1, 2, 3]), np.array([2, 0, 0, 2])
+    want = []
+    for a, b in zip(i.tolist(), m.tolist(), strict=True):
+        h, H, used = Y.residuals([(a, b)])
+        want.append(h @ np.linalg.solve(H @ P[np.ix_(used, used)] @ H.T + FLOOR * np.eye(2), h))
+    np.testing.assert_allclose(Y._distances(i, m), want, rtol=1e-6)
+
+
+def test_which_duplicates_are_surest_depends_on_the_covariances_of_the_pairs_themselves():
+    """Two pairs equally far apart: the one whose places are known less well may be one landmark, the other not."""
+    mean = np.array([[0.0, 0.0], [0.5, 0.0], [20.0, 0.0], [20.5, 0.0], [40.0, 1.0]])
+    for loose in (0, 2):
+        sd = np.full(5, 0.05)
+        sd[[loose, loose + 1]] = 0.5
+        P = np.diag(np.concatenate([[1e-6] * 3, np.repeat(sd**2, 2)]))
+        G = GlobalMap(("robot1",), np.zeros((1, 3)), ("a", "b", "c", "d", "e"), mean, P)
+        merged, pairs = merge_duplicates(G)
+        assert pairs == ((("a", "b"), ("c", "d"))[loose // 2],)
+        assert len(merged.ids) == 4

@@ -94,6 +94,21 @@ def test_a_point_finds_the_nearest_return_as_by_trying_every_one_wherever_it_lie
 
 
 @pytest.mark.kernel
+@pytest.mark.parametrize("r", [0.9, 1.0, 1.5, 3.0])
+def test_a_lone_return_nearly_a_gate_aside_is_found_in_every_direction(r):
+    start, lined, sensor, gate = np.array([0, 1]), np.ones(1, bool), np.array([[0.3, -0.2]]), 0.3
+    normal = np.array([[1.0, 0.0]])
+    for direction in np.linspace(-np.pi, np.pi, 33):
+        for side in (-1, 1):
+            at = sensor[0] + r * np.array([np.cos(direction), np.sin(direction)])
+            aside = direction + side * 2 * np.arcsin(0.5 * 0.98 * gate / r)
+            point = sensor + r * np.array([[np.cos(aside), np.sin(aside)]])
+            table = beams_by_direction(start, point, lined, sensor, 200)[0]
+            assert match_beam(table, point, normal, *sensor[0], *at, 1.0, 0.0, gate, 0.5) == 0
+            assert match_beam(table, point, normal, *sensor[0], *at, 1.0, 0.0, 0.95 * gate, 0.5) == -1
+
+
+@pytest.mark.kernel
 def test_a_step_of_laying_a_scan_on_keyframes_is_the_dense_one():
     keyframes = np.array([[0.0, 0.0, 0.0], [0.5, -0.3, 2.6], [-0.4, 0.2, -1.0]])
     true = np.array([0.3, 0.25, 0.4])
