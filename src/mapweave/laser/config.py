@@ -11,6 +11,7 @@ from .joint_pass import JointConfig
 from .keyframe_graph import KeyframeGraphConfig
 from .keyframes import KeyframeConfig
 from .merge_search import MergeConfig
+from .moving import MovingConfig
 from .occupancy_mapper import LayingConfig
 from .particle_grid import CellConfig
 from .scan_matching import FrontEndConfig
@@ -74,6 +75,15 @@ class GraphConfig:
 
 
 @config
+class WheelCheck:
+    """When the way that scans tell and the way that wheels tell differ so long that it is a warning."""
+
+    stretch: float = 2.0  # [m] driven, whose lengths are compared
+    share: float = 0.2  # by which they differ
+    long: float = 8.0  # [m] on end
+
+
+@config
 class LaserConfig:
     method: str = "particle"  # how a log is mapped: particle, graph, gated or icp
     particles: int = 100  # hypotheses of the particle filter
@@ -88,6 +98,8 @@ class LaserConfig:
     raw_alpha: float = 0.1  # [m^2 per q^2] what raw intensity counts, which range changes too
     resolution: float = 0.1  # [m] cell of the map handed over
     beam: BeamConfig = BeamConfig()
+    moving: MovingConfig = MovingConfig()
+    wheels: WheelCheck = WheelCheck()
     cells: CellConfig = CellConfig()
     front_end: FrontEndConfig = FrontEndConfig()
     filter: FilterConfig = FilterConfig()

@@ -13,7 +13,7 @@ from ..core.laser_log import LaserLog
 from ..core.records import Track
 from ..core.workers import Progress, no_progress
 from .beam import STEERING, IntensityCalibration, beams, calibrate, raw_scale
-from .config import LaserConfig
+from .config import LaserConfig, WheelCheck
 from .laser_map import LaserMap, ScanRecords
 from .occupancy_mapper import render
 from .robot_graph import RobotGraph
@@ -140,7 +140,16 @@ def map_session(
     began = perf_counter()
     poses, graph = session.finalise(on_progress)
     finalised = perf_counter()
-    result = finish(log, session.cfg, feature, poses, session.infos, graph)
+    clean = replace(log, scans=tuple(session.scans))
+    result = finish(clean, session.cfg, feature, poses, session.infos, graph)
+    disagreement = wheels_disagree(result.track, result.dead_reckoning, session.cfg.wheels)
+    moved = {"return of something that moves": session.moving.count} if session.moving.count else {}
+    result = replace(
+        result,
+        scan_hash=log.scan_hash(),
+        dropped={**result.dropped, **moved},
+        warnings=(*result.warnings, *disagreement),
+    )
     timing = {
         **spent,
         **({} if graph is None else {"last_pass": finalised - began}),
@@ -148,6 +157,33 @@ def map_session(
         "ms_per_scan": 1e3 * spent["estimate"] / len(log.scans),
     }
     return replace(result, timing=timing)
+
+
+def wheels_disagree(track: Track, dead: Track | None, cfg: WheelCheck) -> tuple[str, ...]:
+    """A warning where the way the scans tell and the way the wheels tell differ for long.
+
+    dead: dead reckoning at the stamps of `track`. Both ways are cut where the wheels have driven `cfg.stretch` on;
+    stretches that differ in length by a share of `cfg.share` add up while they follow each other.
+    """
+    if dead is None or len(dead.t) != len(track.t) or len(track.t) < 2:
+        return ()
+    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(dead.pose[:, :2], axis=0).T))])
+    cuts = np.searchsorted(driven, np.arange(0.0, driven[-1], cfg.stretch))
+    wheels = np.hypot(*np.diff(dead.pose[cuts, :2], axis=0).T)
+    scans = np.hypot(*np.diff(track.pose[cuts, :2], axis=0).T)
+    far = np.abs(scans - wheels) > cfg.share * np.maximum(wheels, 0.5 * cfg.stretch)
+    most, run, end = 0, 0, 0
+    for k, differs in enumerate(far.tolist()):
+        run = run + 1 if differs else 0
+        if run > most:
+            most, end = run, k + 1
+    if most * cfg.stretch < cfg.long:
+        return ()
+    part = slice(end - most, end)
+    first, last = track.t[cuts[end - most]], track.t[cuts[end]]
+    ways = f"the scans tell a way of {scans[part].sum():.1f} m and the wheels one of {wheels[part].sum():.1f} m"
+    why = "something moved along, the walls tell nothing along the way, or the wheels slip"
+    return (f"from {first:.1f} s to {last:.1f} s {ways}: {why}",)
 
 
 def between_keyframes(t: Float[np.ndarray, " n"], graph: RobotGraph) -> Float[np.ndarray, "n 3 3"]:

@@ -1,12 +1,13 @@
 """One robot's laser estimator fed event by event: what a finished log and a robot that drives now have in common."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from ..core.records import Event
+from ..core import se2
+from ..core.records import Event, Scan
 from ..core.run import Runner
 from ..core.workers import Progress, no_progress
 from ..kernels._jit import set_threads
@@ -15,6 +16,8 @@ from .beam import IntensityCalibration
 from .config import LaserConfig
 from .graph_slam import GraphState
 from .icp_slam import IcpState
+from .keyframes import KeyframeOdometry
+from .moving import MovingReturns
 from .particle_slam import ParticleState
 from .robot_graph import RobotGraph
 from .scan_odometry import PoseEstimate, ScanInfo
@@ -64,21 +67,52 @@ class Finalised(NamedTuple):
 class LaserSession:
     """The estimate of one robot while its scans come. `push` changes it; everything else leaves it as it is.
 
-    Poses are in the frame of the first scan. infos: what became of every scan. One session belongs to one thread.
+    Poses are in the frame of the first scan. infos: what became of every scan; scans: each without the returns of
+    things that move, which `moving` counts. One session belongs to one thread.
     """
 
     def __init__(self, robot: str, cfg: LaserConfig, seed: int = 0, feature: Feature = GEOMETRY) -> None:
         set_threads(cfg.threads if cfg.method in {"particle", "graph"} else 1)
         self.robot, self.cfg, self.feature = robot, cfg, feature
         self.infos: list[ScanInfo] = []
+        self.scans: list[Scan] = []
+        self.moving = MovingReturns(cfg.moving)
+        self._last = self._moved = np.zeros(3)
+        self._odometry: Float[np.ndarray, 3] | None = None
         self._runner = Runner(estimator(cfg, feature), cfg, seed)
 
     def push(self, event: Event) -> ScanInfo | None:
         """What a scan did to the estimate; None of odometry packets."""
-        info: ScanInfo | None = self._runner.push(event).info
-        if info is not None:
-            self.infos.append(info)
+        record = event.record
+        if not isinstance(record, Scan):
+            self._runner.push(event)
+            return None
+        clean = self.cfg.moving.leave_out
+        scan = self.moving.cleaned(event.t, record, self._predicted(record)) if clean else record
+        info: ScanInfo = self._runner.push(replace(event, record=scan)).info
+        self.scans.append(scan)
+        self.infos.append(info)
+        local = self._local()
+        self._moved, self._last = se2.between(self._last, local), local
+        self._odometry = record.odometry
+        self.moving.correct(local)
         return info
+
+    def _predicted(self, scan: Scan) -> Float[np.ndarray, "3"]:
+        """Where the front end will be at the scan as wheels have it; without wheels it goes on as before."""
+        moved = self._moved
+        if scan.odometry is not None:
+            moved = np.zeros(3) if self._odometry is None else se2.between(self._odometry, scan.odometry)
+        return np.asarray(se2.compose(self._last, moved))
+
+    def _local(self) -> Float[np.ndarray, "3"]:
+        """The latest pose of the front end, which drifts and never jumps."""
+        state = self._state()
+        if isinstance(state, GraphState):
+            state = state.odometry if state.particles is None else state.particles
+        if isinstance(state, IcpState):
+            return np.array(state.poses[-1])
+        return np.array(state.local if isinstance(state, KeyframeOdometry) else state.odometry.pose)
 
     @property
     def now(self) -> PoseEstimate:
