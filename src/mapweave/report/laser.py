@@ -12,8 +12,7 @@ from ..laser.laser_map import LaserMap
 from ..laser.merge import Merge
 from ..laser.woven_map import WovenMap
 from .html import Page
-from .laser_figures import aligned, draw_calibration, draw_intensity, draw_map, draw_scans, draw_tracks
-from .laser_scene import laser_scene
+from .laser_figures import aligned, draw_calibration, draw_intensity, draw_map, draw_scans, draw_tracks, laser_scene
 from .style import colour
 from .woven import write_woven
 

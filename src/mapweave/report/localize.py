@@ -9,8 +9,7 @@ from ..core.records import Track
 from ..laser.laser_map import GridMap
 from ..laser.localise import Localisation
 from .html import Page
-from .laser_figures import READABLE, draw_occupancy, map_size, map_window
-from .laser_scene import walls
+from .laser_figures import READABLE, draw_occupancy, map_size, map_window, walls
 from .scene import Scene
 from .style import Target, as_map, colour, figure
 

@@ -12,8 +12,7 @@ from ..team.mixed import MixedMap
 from ..team.robot_part import PARAMETERS
 from ..team.smooth import Smoothed, is_observed
 from .html import Page
-from .laser_figures import draw_occupancy
-from .laser_scene import walls
+from .laser_figures import draw_occupancy, walls
 from .scene import Scene, landmark_points
 from .style import Target, as_map, colour, figure
 from .team_figures import legend_beside, thinned

@@ -9,8 +9,7 @@ from ..laser.laser_map import LaserMap
 from ..laser.merge import Merge
 from ..laser.woven_map import WovenMap
 from .html import Page
-from .laser_figures import draw_intensity
-from .laser_scene import laser_scene
+from .laser_figures import draw_intensity, laser_scene
 from .woven_figures import draw_closures, draw_component, draw_pair, robot_colour, truths_in
 
 MOST_PICTURES = 12  # of pairs of robots

@@ -20,11 +20,10 @@ from ..laser.robot_graph import RobotGraph
 from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, minimise, wrapping
 from .commanded_motion import CommandedMotion
 from .config import CalibrationPrior, SmoothingConfig
+from .factors import sighting_factors, step_factor
 from .instants import instants_of, keyframe_instants
-from .motion_factors import step_factor
 from .robot_part import LAG, PARAMETERS, RANGE, SPEED, TURN, RobotPart
 from .scan_factors import Crossing, crossing_factor, scan_factor
-from .sighting_factors import sighting_factors
 
 HELD_TOGETHER = 0.001  # share of the size of a map that nothing but ranges tells: so firmly it is held
 
