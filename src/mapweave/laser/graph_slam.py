@@ -123,7 +123,7 @@ def current(state: GraphState) -> PoseEstimate:
 def so_far(state: GraphState, cfg: LaserConfig) -> RobotGraph:
     """The keyframes so far, solved, without the last pass; `state` is as before."""
     _, grown = _whole(state, cfg, no_progress)
-    cov = grown.graph.covariances()
+    cov = cfg.graph.unsure * grown.graph.covariances()
     sensors = np.array(state.sensors).reshape(-1, 2)
     return _robot_graph(grown, grown.graph.pose, cov, sensors[grown.keyframes])
 
@@ -181,7 +181,7 @@ def finalise(state: GraphState, cfg: LaserConfig, on_progress: Progress = no_pro
     joint = cfg.graph.joint
     local, grown = _whole(state, cfg, on_progress)
     graph = grown.graph
-    cov = graph.covariances()
+    cov = cfg.graph.unsure * graph.covariances()
     sensors = np.array(state.sensors).reshape(-1, 2)
     rows = np.array(grown.keyframes, dtype=np.int64)
     steps, closed = graph.edges()
