@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from jaxtyping import Float, Int
 from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf, dpotri
-from scipy.sparse.csgraph import maximum_bipartite_matching
+from scipy.sparse.csgraph import dijkstra, maximum_bipartite_matching
 
 from ..kernels.dense import extend_add
 
@@ -75,20 +75,9 @@ def hop_coordinates(graph: sp.csr_array) -> Float[np.ndarray, "n k"]:
 
 def _hops(graph: sp.csr_array, start: int) -> Float[np.ndarray, " n"]:
     """Hop distance from `start`; nodes that cannot be reached lie beyond all others."""
-    n = graph.shape[0]
-    out = np.full(n, -1.0)
-    frontier = np.array([start])
-    out[start] = 0.0
-    level = 0
-    while len(frontier):
-        level += 1
-        first, count = graph.indptr[frontier], np.diff(graph.indptr)[frontier]
-        offset = np.repeat(first - np.concatenate([[0], np.cumsum(count)[:-1]]), count)
-        near = graph.indices[offset + np.arange(count.sum())]
-        frontier = np.unique(near[out[near] < 0])
-        out[frontier] = level
-    out[out < 0] = level + 1.0
-    return out
+    out = np.asarray(dijkstra(graph, indices=np.array([start]), unweighted=True))[0]
+    reached = np.isfinite(out)
+    return np.where(reached, out, out[reached].max() + 2.0)
 
 
 def _upper_half(part: np.ndarray, x: np.ndarray, done: np.ndarray) -> np.ndarray:
