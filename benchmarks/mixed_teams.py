@@ -3,10 +3,10 @@
     python benchmarks/mixed_teams.py [--robots 2,5] [--minutes 5] [--seeds 1] [--outliers 0.3] [--mixed] [--json FILE]
 
 Camera teams: each is mapped with a share of sightings mislabelled or wrong by metres and calibrations drawn from a wide
-range that nobody tells, and once more without wrong sightings and with the true calibration held. Printed: mean ATE
-of both [m] and their ratio, landmark RMSE [m], and the share of poses (places) and landmarks inside their own 3 sigma.
-With `--mixed`: two lasers, two cameras and one robot with bearings alone beside the same team in which everybody
-carries everything: landmark RMSE, distance of occupied cells from the true walls, and both ratios.
+range that nobody tells, and once more without wrong sightings and with the true calibration held. Printed: mean ATE of
+both [m] and their ratio, landmark RMSE [m], and the share of poses and landmarks inside their own 3 sigma. With
+`--mixed`: two lasers, two cameras and one robot with bearings alone beside the same team in which everybody carries
+everything: landmark RMSE, distance of occupied cells from the true walls, and both ratios.
 """
 
 import argparse

@@ -10,7 +10,9 @@ from mapweave.core.landmark_log import NOTHING_SEEN, LandmarkLog
 from mapweave.laser.closures import Closure
 from mapweave.solve import Factor
 from mapweave.team.config import SmoothingConfig
+from mapweave.team.mixed import regained
 from mapweave.team.problem import team_problem
+from mapweave.team.relative_frame import PlacingConfig
 from mapweave.team.scan_factors import Crossing
 
 from .mixed_teams import mixed
@@ -175,3 +177,21 @@ def test_a_sighting_without_a_range_says_nothing_of_distance(one_room):
     for term in directed:
         assert not term.whitened(problem.problem.x0)[:, 0].any()
         assert np.abs(term.whitened(problem.problem.x0)[:, 1]).max() > 0
+
+
+def test_a_robot_whose_filter_was_lost_comes_back_by_what_it_saw():
+    w = mixed(1, lasers=0, cameras=3, bearings=0, minutes=4.0, outliers=0.3, calibration="random")
+    maps, told = regained(w.mapped, w.logs, {}, SmoothingConfig(), PlacingConfig())
+    assert told
+    assert maps[0].robots == ("robot1", "robot2", "robot3")
+    for sentence in told:
+        assert "its own map did not fit" in sentence
+    made = w.map(mapped=maps)
+    assert all(r.ate < 0.2 for r in w.score(made).robots.values())
+
+
+def test_robots_whose_filters_did_well_are_left_alone(two_rooms):
+    w, _ = two_rooms
+    maps, told = regained(w.mapped, w.logs, {}, SmoothingConfig(), PlacingConfig())
+    assert maps[0] is w.mapped[0]
+    assert told == ()

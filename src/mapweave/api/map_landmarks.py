@@ -1,7 +1,7 @@
 """`map` of landmark logs: EKF-SLAM for every robot in its own frame, then all local maps fused."""
 
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from pathlib import Path
 
 from ..core.config import config, load
@@ -19,6 +19,8 @@ from ..landmarks.config import EkfSlamConfig
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import local_map, without_impossible
 from ..team.config import SmoothingConfig
+from ..team.mixed import SOFTEN, regained
+from ..team.relative_frame import PlacingConfig
 from ..team.smooth import Smoothed, smooth
 from ..team.team_map import TeamMap
 from .map_options import MapOptions
@@ -112,9 +114,12 @@ def _smoothed(
             there = ", ".join(sorted(map(robot_key, names), key=in_order))
             raise UsageError(f"--calibration {options.calibration}: no robot {robot_key(robot)}; there are {there}")
     out = []
+    maps, back = regained(maps, logs, fusion.labels, cfg, PlacingConfig())
     for k, team in enumerate(maps):
         options.on_progress("smoothing", k, len(maps))
-        out.append(smooth(team, logs, fusion.labels, cfg, known))
+        far = SOFTEN if back and k == 0 else ()
+        done = smooth(team, logs, fusion.labels, cfg, known, soften=far)
+        out.append(replace(done, notes=back) if k == 0 else done)
     options.on_progress("smoothing", len(maps), len(maps))
     return tuple(out)
 

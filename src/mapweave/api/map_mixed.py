@@ -36,7 +36,7 @@ from ..report.mixed import MixedStory, draw_mixed, words, write_mixed_report
 from ..report.result import ResultBase, Rows
 from ..report.style import Target
 from ..team.config import SmoothingConfig
-from ..team.mixed import MixedMap, Scanned, map_mixed
+from ..team.mixed import MixedMap, Scanned, map_mixed, regained
 from ..team.relative_frame import PlacingConfig
 from ..team.team_map import TeamMap
 from .evaluate import Evaluation, judged
@@ -115,13 +115,14 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     local, fusion = _filtered([log for log in read if log.robot not in apart], cfg, options)
     watch.lap("estimate")
     mapped = [team for team in team_maps(local, fusion) if len(team.landmarks)] if local else []
-    scanned = {m: Scanned(made.graph, made.track) for m, made in lasers.items() if made.graph is not None}
     labels: Mapping[str, Mapping[str, str]] = {} if not local else fusion.labels
+    fitted, back = regained(mapped, [log for log in read if log.robot not in apart], labels, cfg.smoothing, cfg.placing)
+    scanned = {m: Scanned(made.graph, made.track) for m, made in lasers.items() if made.graph is not None}
     options.on_progress("whole team", 0, 1)
     made = map_mixed(
         [log for log in read if log.robot in scanned or log.robot not in apart],
         scanned,
-        mapped,
+        fitted,
         labels,
         cfg.smoothing,
         cfg.placing,
@@ -133,7 +134,7 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     watch.lap("smooth")
     grids = tuple(_grid(s.map, scans, made, cfg.laser) for s in made.components)
     watch.lap("grid")
-    warnings = _warnings(read, lasers, fusion if local else None, made, apart)
+    warnings = (*back, *_warnings(read, lasers, fusion if local else None, made, apart))
     kinds = {log.robot: _carries(log, scanned) for log in read}
     story = MixedStory(f"One map from {', '.join(p.name for p in logs)}", made, grids, kinds, (), warnings)
     result = MixedResult(

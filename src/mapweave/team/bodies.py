@@ -99,6 +99,10 @@ def _of_robot(robot: str, own: Body, other: Body, log: LandmarkLog, labels: Labe
     if not len(table):
         return []
     here, names = own.believed(robot, table.t), labels.get(robot, {})
+    if not here.any():
+        return []
+    pose = np.zeros((len(table), 3))
+    pose[here] = own.pose(robot, table.t[here])
     out = []
     for k, name in enumerate(table.ids):
         rows = np.flatnonzero((table.what == k) & here)
@@ -113,7 +117,7 @@ def _of_robot(robot: str, own: Body, other: Body, log: LandmarkLog, labels: Labe
             point = np.tile(other.landmarks[names.get(name, name)], (len(rows), 1))
         else:
             continue
-        out.append(_glances(table, rows, own.pose(robot, table.t[rows]), point, forward=forward))
+        out.append(_glances(table, rows, pose[rows], point, forward=forward))
     return out
 
 

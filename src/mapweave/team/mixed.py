@@ -8,14 +8,14 @@ from itertools import pairwise
 import numpy as np
 
 from ..core.landmark_log import LandmarkLog
-from ..core.names import in_order
+from ..core.names import in_order, robot_key
 from ..core.records import Track
 from ..landmarks.landmark_map import LandmarkMap
 from ..laser.robot_graph import RobotGraph
 from .bodies import Body, Labels
 from .clocks import COARSE, Clock, clock_of
 from .config import SmoothingConfig
-from .placing import Layout, lay_out
+from .placing import Layout, agreeing, lay_out
 from .relative_frame import Glances, PlacingConfig, point_seen
 from .robot_part import all_seen
 from .smooth import Calibration, Smoothed, smooth
@@ -78,11 +78,7 @@ def map_mixed(
     clock of their own.
     """
     by = {log.robot: log for log in logs}
-    bodies = [
-        Body(dict(team.tracks), dict(zip(team.landmarks.ids, team.landmarks.mean, strict=True)))
-        for team in mapped
-        if len(team.landmarks)
-    ]
+    bodies = [_body(team) for team in mapped if len(team.landmarks)]
     bodies += [Body({robot: s.track}, {}, own_clock=robot in own_clocks) for robot, s in scanned.items()]
     held = {robot for body in bodies for robot in body.robots}
     loose = [log for log in logs if log.robot not in held]
@@ -108,6 +104,70 @@ def map_mixed(
             team = _with_clocks(team, wrong)
         components.append(done)
     return MixedMap(tuple(components), layout, _paths(components, scanned, by), clocks)
+
+
+def regained(
+    maps: Sequence[TeamMap],
+    logs: Sequence[LandmarkLog],
+    labels: Labels,
+    smoothing: SmoothingConfig,
+    placing: PlacingConfig,
+) -> tuple[tuple[TeamMap, ...], tuple[str, ...]]:
+    """The maps, with robots in the largest whose own maps did not fit it, but whose sightings place them there.
+
+    A filter that believed wrong sightings early is lost for good; its log is not. Where several maps are the largest,
+    the one is taken in which most sightings agree. Also a sentence for each robot that came back.
+    """
+    by = {log.robot: log for log in logs}
+    if not maps or not len(maps[0].landmarks):
+        return tuple(maps), ()
+    cfg = replace(placing, loose_share=placing.regained_share, window=placing.regained_window)
+    largest = [k for k, team in enumerate(maps) if len(team.robots) == len(maps[0].robots) and len(team.landmarks)]
+    tried = [(k, *_with_the_lost(_body(maps[k]), by, labels, smoothing, cfg)) for k in largest]
+
+    def agree(body: Body) -> int:
+        return sum(agreeing(robot, body, by, labels, cfg)[0] for robot in body.robots if robot in by)
+
+    k, body, back = tried[0] if len(tried) == 1 else max(tried, key=lambda option: agree(option[1]))
+    if not back:
+        return tuple(maps), ()
+    spread = {name: _variance(maps[k].landmarks, i) for i, name in enumerate(maps[k].landmarks.ids)}
+    rest = [team for j, team in enumerate(maps) if j != k and not set(team.robots) & set(back)]
+    told = tuple(
+        f"robot {robot_key(robot)}: its own map did not fit the others', {n} of {of} sightings place it"
+        for robot, (n, of) in back.items()
+    )
+    return (_team(_with_more_landmarks(body, by, labels, cfg), spread, by, labels), *rest), told
+
+
+def _body(team: TeamMap) -> Body:
+    return Body(dict(team.tracks), dict(zip(team.landmarks.ids, team.landmarks.mean, strict=True)))
+
+
+def _with_the_lost(
+    body: Body, logs: Mapping[str, LandmarkLog], labels: Labels, smoothing: SmoothingConfig, cfg: PlacingConfig
+) -> tuple[Body, dict[str, tuple[int, int]]]:
+    """The body with the robots that it can place, and with better tracks of its own that little agrees with.
+
+    Also how many of the sightings of each agree, and of how many. One that places nobody is left as it is.
+    """
+    back: dict[str, tuple[int, int]] = {}
+    for robot in sorted(body.robots, key=in_order):
+        if robot not in logs or logs[robot].odometry is None or len(body.landmarks) < LEAST:
+            continue
+        agree, of = agreeing(robot, body, logs, labels, cfg)
+        if agree >= cfg.lost_share * of:
+            continue
+        others = replace(body, tracks={name: track for name, track in body.tracks.items() if name != robot})
+        anew = lay_out([others], [logs[robot]], logs, labels, cfg, smoothing).bodies[0]
+        if robot in anew.tracks:
+            now = agreeing(robot, replace(anew, anchors={}), logs, labels, cfg)
+            if now[0] > cfg.better * agree:
+                body, back[robot] = replace(anew, anchors={}, reach={}), now
+    loose = [log for robot, log in logs.items() if robot not in body.tracks and log.odometry is not None]
+    layout = lay_out([body], loose, logs, labels, cfg, smoothing)
+    back.update({tie.b[0]: (tie.agree, tie.of) for tie in layout.ties})
+    return layout.bodies[0], back
 
 
 def _late(

@@ -18,7 +18,7 @@ from ..laser.scan_odometry import blended
 from .bodies import Body, Labels, glances
 from .commanded_motion import CommandedMotion
 from .config import SmoothingConfig
-from .relative_frame import PlacingConfig, Relation, is_sure, relate, sharpened
+from .relative_frame import PlacingConfig, Relation, is_sure, relate, residuals, sharpened
 
 SAME = np.diag([0.05**2, 0.05**2, 0.02**2])  # covariance of a tie by the same robot's two tracks
 NEAR, NEAR_SHARE = 0.5, 0.3  # [m], [m per s or m]: how far places of one loose robot may contradict its wheels
@@ -72,6 +72,17 @@ def lay_out(
         waiting = [other for other in waiting if other.robot != log.robot]
     groups.sort(key=lambda body: (-len(body.robots), in_order(min(body.robots, key=in_order))))
     return Layout(tuple(groups), tuple(ties), tuple(log.robot for log in waiting), clocks)
+
+
+def agreeing(
+    robot: str, body: Body, logs: Mapping[str, LandmarkLog], labels: Labels, cfg: PlacingConfig
+) -> tuple[int, int]:
+    """How many sightings by a robot of the body, and of it, agree with its track there, and of how many."""
+    own = Body({robot: body.tracks[robot]}, {})
+    rest = replace(body, tracks={name: track for name, track in body.tracks.items() if name != robot})
+    z = glances(rest, own, logs, labels)
+    e = np.square(residuals(z, np.zeros(3), cfg)).sum(axis=-1) if len(z) else np.zeros(0)
+    return int((e < cfg.inlier**2).sum()), len(z)
 
 
 def _merged(
@@ -236,7 +247,7 @@ def _windows(
         at.append(middle)
         place.append(se2.compose(found.transform, there))
         agree += found.agree
-    if not at:
+    if not at or agree < cfg.loose_share * len(seen):
         return None
     times, anchors = _agreeing(np.array(at), np.array(place), carrier, driven=driven)
     if not len(times):

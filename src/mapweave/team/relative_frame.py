@@ -34,7 +34,11 @@ class PlacingConfig:
     sure_theta: float = 0.3  # [rad]
     window: float = 12.0  # [s] over which bare wheels are trusted,
     window_still: float = 1.2  # [s] over which a robot without wheels is taken to stand
-    apart_names: float = 1.5  # [m] from which equal names of two maps are not one landmark
+    loose_share: float = 0.25  # share of a loose robot's sightings that must agree with where they place it
+    regained_share: float = 0.3  # the same of a robot whose own map does not fit the others',
+    regained_window: float = 6.0  # [s] over which its wheels are trusted,
+    lost_share: float = 0.6  # of a robot's sightings: its filter was lost where fewer agree with its track, and
+    better: float = 1.1  # times as many must agree with another
     clock: float = 3.0  # [s] largest offset of a clock that is looked for
     clock_step: float = 0.25  # [s]
     clock_lead: float = 10.0  # cost by which an offset must be better than none

@@ -30,7 +30,7 @@ class Smoothed:
     """One component after smoothing. calibration: a robot each; inflation: of its poses' model covariance.
 
     prior: what was known of each parameter before; used: factors of each kind; poses: how many were estimated;
-    refused: why the map is still the filters', or "".
+    refused: why the map is still the filters', or ""; notes: what else there is to say of how it came about.
     """
 
     map: TeamMap
@@ -42,11 +42,12 @@ class Smoothed:
     status: str
     prior: Calibration
     refused: str = ""
+    notes: tuple[str, ...] = ()
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """A sentence where the map had to stay the filters' though there was something to smooth."""
-        return (f"not smoothed: {self.refused}",) if self.refused and self.used else ()
+        return (*self.notes, *((f"not smoothed: {self.refused}",) if self.refused and self.used else ()))
 
 
 def smooth(
