@@ -101,7 +101,8 @@ def measured(sensor: str, robots: int, rate: float, seconds: float) -> dict[str,
         mapping.terminate()
         _, _, usage = os.wait4(mapping.pid, 0)
         before = json.loads(Path(folder, "ready").read_text())["cpu"]
-        placed = {(r, s): t for r, s, t in json.loads(Path(folder, "placed.json").read_text())}
+        found = json.loads(Path(folder, "placed.json").read_text())
+        placed = {(r, s): t for r, s, t in found["placed"]}
     late = np.array([placed[key] - t for key, t in sent.items() if key in placed])
     size = sum(len(payload) for *_, payload, _ in every)
     return {
@@ -113,7 +114,7 @@ def measured(sensor: str, robots: int, rate: float, seconds: float) -> dict[str,
         "p99_ms": 1e3 * float(np.quantile(late, 0.99)),
         "kB_a_robot_minute": size / robots / seconds * 60 / rate / 1e3,
         "cpu_share": (usage.ru_utime + usage.ru_stime - before) / seconds,
-        "memory_MB": usage.ru_maxrss / 1024,
+        "memory_MB": found["memory_kB"] / 1024,
     }
 
 
@@ -168,7 +169,9 @@ def mapping(folder: Path, at: str) -> None:
         (folder / "coming").write_text(json.dumps({"cpu": time.process_time()}))
         (folder / "coming").rename(folder / "ready")
         process.run(stop, 2.0, lambda _: False)
-    (folder / "placed.json").write_text(json.dumps(inbox.placed))
+    status = Path("/proc/self/status").read_text()  # of this process alone, other than what getrusage tells
+    peak = int(status.split("VmHWM:")[1].split()[0])
+    (folder / "placed.json").write_text(json.dumps({"placed": inbox.placed, "memory_kB": peak}))
 
 
 def main() -> None:
