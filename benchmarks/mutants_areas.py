@@ -55,6 +55,7 @@ HAND_OVER = (
     "a_landmark_between_two_that_it_may_be_is_left_out",
     "a_landmark_that_may_be_new_stays_one_until_more_is_known",
     "distances_of_pairs_after_a_constraint_are_those_of_the_constrained_covariance",
+    "of_two_that_a_landmark_may_be_the_one_known_well_is_merged_first",
     "which_duplicates_are_surest_depends_on_the_covariances_of_the_pairs_themselves",
 )
 

@@ -388,3 +388,10 @@ def test_which_duplicates_are_surest_depends_on_the_covariances_of_the_pairs_the
         merged, pairs = merge_duplicates(G)
         assert pairs == ((("a", "b"), ("c", "d"))[loose // 2],)
         assert len(merged.ids) == 4
+
+
+def test_of_two_that_a_landmark_may_be_the_one_known_well_is_merged_first():
+    mean = np.array([[0.0, 0.0], [0.15, 0.0], [-0.15, 0.0]])
+    P = np.diag(np.concatenate([[1e-6] * 3, np.repeat(np.array([0.05, 0.05, 2.0]) ** 2, 2)]))
+    _, pairs = merge_duplicates(GlobalMap(("robot1",), np.zeros((1, 3)), ("a", "b", "c"), mean, P))
+    assert pairs[0] == ("a", "b")
