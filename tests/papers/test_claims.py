@@ -5,12 +5,13 @@ from pathlib import Path
 
 import pytest
 
+from mapweave.papers.hamatani.claims import CLAIMS as HAMATANI
 from mapweave.papers.hara.claims import CLAIMS as HARA
 from mapweave.papers.kojima.claims import CLAIMS as KOJIMA
 from mapweave.papers.reproduction import CLAIMS_HEAD, markdown
 
 TOP = Path(__file__).parent.parent.parent
-PAGES = {"relative-fusion.md": KOJIMA, "intensity-laser.md": HARA}
+PAGES = {"relative-fusion.md": KOJIMA, "intensity-laser.md": HARA, "bearing-swarm.md": HAMATANI}
 EVERY = [pytest.param(page, claim, id=f"{page}:{claim.here}") for page, claims in PAGES.items() for claim in claims]
 
 

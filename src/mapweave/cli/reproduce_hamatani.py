@@ -26,21 +26,10 @@ def hamatani(
     force
         Write into the folder even when something other than a result stands there.
     """
-    from ..papers.hamatani.reproduce import PRINTED, TITLES, reproduce_hamatani
-    from .terminal import progress, say, say_table
+    from ..papers.hamatani.reproduce import reproduce_hamatani
+    from .reproduce_said import say_reproduction
+    from .terminal import progress
 
     with progress() as on_progress:
         result = reproduce_hamatani(out, quick=quick, seed=seed, force=force, on_progress=on_progress)
-    say("Hamatani, Nakamura, Naruse: five robots, bearings alone\n")
-    say(f"Settings: {result.settings()}\n")
-    for number in PRINTED:
-        say(TITLES[number])
-        say_table(*result.table(number))
-        say()
-    say("The drift of scale, nothing known")
-    say_table(*result.drift_table())
-    say("\nWhat differs, and why")
-    for sentence in result.differences():
-        say(f"- {sentence}")
-    if out is not None:
-        say(f"\nreport: {out / 'report.html'}")
+    say_reproduction(result, out)

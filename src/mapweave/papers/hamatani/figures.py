@@ -1,22 +1,13 @@
-"""The figures and the page of `reproduce hamatani`."""
+"""The figures of `reproduce hamatani`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 
-from ...report.html import Page
 from ...report.style import MUTED, TRUTH, Target, as_map, colour, figure
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    title: str
-    head: Sequence[str]
-    rows: Sequence[Sequence[object]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,39 +27,10 @@ class Pictures:
     drift: tuple[tuple[str, Float[np.ndarray, " k"]], ...]
 
 
-def write(where: Path, pictures: Pictures, tables: Sequence[Table], settings: str, differences: Sequence[str]) -> None:
-    """`report.html` and `figures/*.png` in `where`."""
-    figures = where / "figures"
-    _layouts(
-        figures / "initial.png",
-        pictures.truth,
-        (("nothing known", pictures.first), ("1 and 2 known", pictures.first_known)),
-        "first guess",
-    )
-    draw_final(figures / "final.png", pictures)
-    _drift(figures / "drift.png", pictures)
-    page = Page(
-        "Hamatani, Nakamura, Naruse, reproduced",
-        "Five robots that see each other in known directions, and an EKF without prediction over 200 sets of them.",
-    )
-    page.text(settings)
-    for table in tables:
-        page.section(table.title)
-        page.table(table.head, table.rows)
-    page.figure(figures / "drift.png", "Exact start, bearings of 0.01 deg²: the paper's filter makes the scale drift.")
-    page.section("Figs. 3 and 4: guesses of 25 m², bearings of 0.1 deg²")
-    page.figure(figures / "initial.png", "First guesses (crosses) and true positions (circles).")
-    page.figure(
-        figures / "final.png",
-        "After 200 updates. Left, nothing known: the shape is right, place and scale are not; the dashed outline is "
-        "the truth brought onto it by place and scale alone. Right, robots 1 and 2 known: from this guess the filter "
-        f"is still {_worst(pictures.known, pictures.truth):.2f} m off at worst (the paper shows one that is not), the "
-        f"batch estimate of a single set of sightings {_worst(pictures.once, pictures.truth):.2f} m.",
-    )
-    page.section("What differs, and why")
-    for sentence in differences:
-        page.text(sentence)
-    page.write(where / "report.html")
+def draw_initial(target: Target, pictures: Pictures) -> None:
+    """The first guesses beside the truth."""
+    panels = (("nothing known", pictures.first), ("1 and 2 known", pictures.first_known))
+    _layouts(target, pictures.truth, panels, "first guess")
 
 
 def draw_final(target: Target, pictures: Pictures) -> None:
@@ -97,7 +59,7 @@ def _layouts(
             ax.legend(loc="best")
 
 
-def _worst(x: np.ndarray, truth: np.ndarray) -> float:
+def worst(x: np.ndarray, truth: np.ndarray) -> float:
     return float(np.linalg.norm(x - truth, axis=1).max())
 
 
@@ -109,7 +71,7 @@ def _outline(ax: Axes, truth: np.ndarray, x: np.ndarray) -> None:
     ax.plot(*ring.T, "--", color=colour(1), linewidth=1.0, label="truth, moved and scaled")
 
 
-def _drift(path: Path, pictures: Pictures) -> None:
+def draw_drift(path: Target, pictures: Pictures) -> None:
     with figure(path, 6.0, 3.4) as (_, ax):
         for k, (name, curve) in enumerate(pictures.drift):
             ax.plot(1 + np.arange(len(curve)), curve, color=colour(k), linestyle=("-", "--")[k % 2], label=name)
