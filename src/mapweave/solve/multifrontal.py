@@ -77,7 +77,7 @@ def _hops(graph: sp.csr_array, start: int) -> Float[np.ndarray, " n"]:
     """Hop distance from `start`; nodes that cannot be reached lie beyond all others."""
     out = np.asarray(dijkstra(graph, indices=np.array([start]), unweighted=True))[0]
     reached = np.isfinite(out)
-    return np.where(reached, out, out[reached].max() + 2.0)
+    return np.asarray(np.where(reached, out, out[reached].max() + 2.0))
 
 
 def _upper_half(part: np.ndarray, x: np.ndarray, done: np.ndarray) -> np.ndarray:
