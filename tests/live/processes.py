@@ -62,7 +62,7 @@ class Fleet:
     def interrupt(self, name: str) -> None:
         self.running[name].send_signal(signal.SIGINT)
 
-    def wait(self, name: str, timeout=60) -> int:
+    def wait(self, name: str, timeout=240) -> int:
         try:
             return self.running[name].wait(timeout)
         except subprocess.TimeoutExpired:
@@ -72,7 +72,7 @@ class Fleet:
     def said(self, name: str) -> str:
         return (self.folder / f"{name}.log").read_text()
 
-    def hears(self, name: str, words: str, timeout=60) -> None:
+    def hears(self, name: str, words: str, timeout=240) -> None:
         """Wait until the process has said so."""
         end = time.monotonic() + timeout
         while words not in self.said(name):
