@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mapweave.laser.intensity import IntensityCalibration
 
 from mapweave.core import se2
 from mapweave.kernels.laser.resample import systematic
 from mapweave.laser import particle_slam
-from mapweave.laser.beam import beams
+from mapweave.laser.beam import IntensityCalibration, beams
 from mapweave.laser.config import LaserConfig
 from mapweave.laser.mapping import choose_feature, finish, map_laser
 from mapweave.laser.particle_grid import ParticleGrid
