@@ -217,9 +217,10 @@ def _certain(best: Candidate, cfg: MergeConfig) -> bool:
 
 
 def _allowed(other: Candidate, best: Candidate, cfg: MergeConfig) -> bool:
-    """Whether the maps might as well lie as `other` says: no wall amid free floor, and not little in common."""
+    """Whether the maps might as well lie as `other` says: no wall amid free floor, much in common and alike."""
     seen = other.seen
-    return seen.clear >= cfg.clear and seen.alike >= max(cfg.least_seen, cfg.rival * best.seen.alike)
+    enough = seen.alike >= max(cfg.least_seen, cfg.rival * best.seen.alike)
+    return enough and seen.clear >= cfg.clear and seen.share >= cfg.rival_alike
 
 
 def _why_refused(pair: _Pair, told: Merge, best: Candidate, rival: Candidate | None, tried: int, needed: int) -> str:

@@ -41,7 +41,8 @@ class MergeConfig:
     lead: float = 5.0  # times the evidence of any other place that is not contradicted
     push_lead: float = 2.5  # times that of the same place pushed along its worst direction
     clear: float = 0.98  # share of it, but for points close to walls, at a place the maps allow,
-    rival: float = 0.1667  # of the best place's points seen alike, at another place the maps allow
+    rival: float = 0.1667  # of the best place's points seen alike, at another place the maps allow, and
+    rival_alike: float = 0.85  # share of what both saw on which they agree there
     certain: int = 200  # evidence of the whole maps, and fewer submaps need confirm
     alike: float = 0.9  # share of what both saw on which they agree
     least_seen: int = 150  # points both saw
