@@ -15,6 +15,7 @@ from ..laser.robot_graph import RobotGraph
 from .bodies import Body, Labels
 from .clocks import COARSE, Clock, clock_of
 from .config import SmoothingConfig
+from .fixed_stretches import fixed_stretches
 from .placing import Layout, agreeing, lay_out
 from .relative_frame import Glances, PlacingConfig, point_seen
 from .robot_part import all_seen
@@ -102,7 +103,9 @@ def map_mixed(
             if not wrong:
                 break
             team = _with_clocks(team, wrong)
-        components.append(done)
+        loosely = [robot for robot in done.map.tracks if robot not in held and by[robot].odometry is None]
+        cut, told = fixed_stretches(done.map, loosely, by, labels, placing)
+        components.append(replace(done, map=cut, notes=(*done.notes, *told)))
     return MixedMap(tuple(components), layout, _paths(components, scanned, by), clocks)
 
 

@@ -39,6 +39,7 @@ class PlacingConfig:
     regained_window: float = 6.0  # [s] over which its wheels are trusted,
     lost_share: float = 0.6  # of a robot's sightings: its filter was lost where fewer agree with its track, and
     better: float = 1.1  # times as many must agree with another
+    fixed_window: float = 2.0  # [s] either way, in which sightings must fix a robot without wheels
     clock: float = 3.0  # [s] largest offset of a clock that is looked for
     clock_step: float = 0.25  # [s]
     clock_lead: float = 10.0  # cost by which an offset must be better than none

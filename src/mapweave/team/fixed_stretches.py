@@ -1,0 +1,92 @@
+"""Where a robot without wheels or map of its own is fixed by sightings at all, and where its way must be left out.
+
+Between sightings nothing carries such a robot, and a bearing from one observer fixes no distance: what a least-squares
+problem then says is one of several answers, with the covariance of that one alone. A pose is kept only where, within a
+few seconds, sightings that agree with it come from enough directions.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..core.landmark_log import LandmarkLog
+from ..core.names import robot_key
+from ..core.records import Track
+from .bodies import Body, Labels, glances
+from .relative_frame import Glances, PlacingConfig, residuals
+from .team_map import TeamMap
+
+LEAST = 2  # poses that make a way
+
+
+class _Seen(NamedTuple):
+    """Sightings that tie the robot to one other. by_it: the robot was the observer; ranged: with a distance."""
+
+    t: Float[np.ndarray, " m"]
+    agrees: Bool[np.ndarray, " m"]
+    by_it: Bool[np.ndarray, " m"]
+    ranged: Bool[np.ndarray, " m"]
+
+
+def fixed_stretches(
+    team: TeamMap, robots: Sequence[str], logs: Mapping[str, LandmarkLog], labels: Labels, cfg: PlacingConfig
+) -> tuple[TeamMap, tuple[str, ...]]:
+    """The map with the ways of `robots` cut to the poses that sightings fix, and a sentence for each that was cut.
+
+    A pose is fixed where within `cfg.fixed_window` at least `cfg.lost_share` of the sightings agree with it, and those
+    come from two others that saw it, or from three others that it saw or that saw it; a distance counts as one more.
+    A robot of which less than two poses are fixed is left out of the map.
+    """
+    tracks, told = dict(team.tracks), []
+    for robot in robots:
+        track = team.tracks[robot]
+        keep = _fixed(track, _partners(robot, team, logs, labels, cfg), cfg)
+        if keep.all():
+            continue
+        gone = int((~keep).sum())
+        if keep.sum() < LEAST:
+            del tracks[robot]
+            told.append(f"robot {robot_key(robot)}: too few sightings fix where it was: it is left out")
+            continue
+        cov = None if track.cov is None else track.cov[keep]
+        tracks[robot] = Track(track.t[keep], track.pose[keep], cov, track.frame)
+        why = "too few sightings fix where it was then"
+        told.append(f"robot {robot_key(robot)}: {gone} of {len(keep)} poses are left out: {why}")
+    names = tuple(name for name in team.robots if name in tracks)
+    return replace(team, robots=names, tracks=tracks), tuple(told)
+
+
+def _partners(
+    robot: str, team: TeamMap, logs: Mapping[str, LandmarkLog], labels: Labels, cfg: PlacingConfig
+) -> list[_Seen]:
+    """What ties the robot to every other robot and landmark."""
+    own = Body({robot: team.tracks[robot]}, {})
+    others = [Body({name: track}, {}) for name, track in team.tracks.items() if name != robot]
+    others += [Body({}, {name: at}) for name, at in zip(team.landmarks.ids, team.landmarks.mean, strict=True)]
+    found = [glances(other, own, logs, labels) for other in others]
+    return [_seen(z, cfg) for z in found if len(z)]
+
+
+def _seen(z: Glances, cfg: PlacingConfig) -> _Seen:
+    miss = np.square(residuals(z, np.zeros(3), cfg)).sum(axis=-1)
+    return _Seen(z.t, miss < cfg.inlier**2, ~z.forward, np.isfinite(z.range))
+
+
+def _fixed(track: Track, partners: list[_Seen], cfg: PlacingConfig) -> Bool[np.ndarray, " n"]:
+    n = len(track.t)
+    all_of_them, agreeing = np.zeros(n, int), np.zeros(n, int)
+    saw_it, seen_by_it, distances = np.zeros(n, int), np.zeros(n, int), np.zeros(n, int)
+    for s in partners:
+        near = np.abs(track.t[:, None] - s.t[None, :]) <= cfg.fixed_window
+        good = near & s.agrees
+        all_of_them += near.sum(axis=1)
+        agreeing += good.sum(axis=1)
+        forward = (good & ~s.by_it).any(axis=1)
+        saw_it += forward
+        seen_by_it += (good & s.by_it).any(axis=1) & ~forward
+        distances += (good & s.ranged).any(axis=1)
+    directions = (saw_it + distances >= 2) | (saw_it + seen_by_it + distances >= 3)
+    return np.asarray(directions & (agreeing >= cfg.lost_share * all_of_them))
