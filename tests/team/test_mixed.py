@@ -23,7 +23,7 @@ TWO_ROOMS = {"lasers": 2, "cameras": 4, "bearings": 0, "rooms": 2, "landmarks": 
 
 @pytest.fixture(scope="module")
 def one_room():
-    w = mixed(11, **ONE_ROOM)
+    w = mixed(12, **ONE_ROOM)
     return w, w.map()
 
 
