@@ -29,16 +29,18 @@ if os.environ.get("MAPWEAVE_TYPECHECK", "1") == "1":
 
 def pytest_addoption(parser):
     parser.addoption("--all", action="store_true", help="also the tests marked slow, which take minutes")
+    parser.addoption("--long", action="store_true", help="also the tests marked long, which take minutes each")
 
 
 def pytest_collection_modifyitems(config, items):
-    """Slow tests are left out unless they are asked for: by --all, by -m, or by their own name."""
-    if config.option.all or config.option.markexpr or any("::" in word for word in config.args):
+    """Slow and long tests are left out unless asked for: by --all and --long, by -m, or by their own name."""
+    if config.option.markexpr or any("::" in word for word in config.args):
         return
-    slow = [item for item in items if item.get_closest_marker("slow")]
-    if slow:
-        config.hook.pytest_deselected(items=slow)
-        items[:] = [item for item in items if not item.get_closest_marker("slow")]
+    asked = {"slow": config.option.all or config.option.long, "long": config.option.long}
+    out = [item for item in items if any(item.get_closest_marker(mark) and not on for mark, on in asked.items())]
+    if out:
+        config.hook.pytest_deselected(items=out)
+        items[:] = [item for item in items if item not in set(out)]
 
 
 @pytest.fixture(scope="session")

@@ -87,6 +87,11 @@ RESULTS = {
         lambda home: mapweave.simulate_swarm(scene=mapweave.SwarmScene(robots=9)),
         None,
     ),
+    "simulate team": (
+        mapweave.SimulatedMixedTeam,
+        lambda home: mapweave.simulate_team(lasers=1, cameras=1, bearings=0, landmarks=8, minutes=0.5),
+        "simulation.json",
+    ),
     "solve": (mapweave.SolveResult, lambda home: mapweave.solve_pose_graph(triangle(home)), "metrics.json"),
     "reproduce hamatani": (
         mapweave.HamataniReproduction,
@@ -96,8 +101,8 @@ RESULTS = {
 }
 
 
-SLOW = {"reproduce hamatani", "explore, laser"}
-PARAMS = [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in sorted(RESULTS)]
+MARKS = {"reproduce hamatani": pytest.mark.long, "explore, laser": pytest.mark.slow}
+PARAMS = [pytest.param(name, marks=MARKS.get(name, ())) for name in sorted(RESULTS)]
 
 
 @pytest.fixture(scope="session", params=PARAMS)

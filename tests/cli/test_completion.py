@@ -26,7 +26,7 @@ def script(tmp_path_factory):
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash on this machine")
 @pytest.mark.parametrize(
-    ("words", "found"), [("loc", {"locate", "localize"}), ("map --me", {"--method"}), ("simulate off", {"office"})]
+    ("words", "found"), [("loc", {"locate", "localize"}), ("map --meth", {"--method"}), ("simulate off", {"office"})]
 )
 def test_bash_completes_commands_and_options(script, words, found):
     ask = ASK.format(words=words, at=len(words.split()))

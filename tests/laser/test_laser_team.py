@@ -94,7 +94,7 @@ def test_a_map_kept_up_to_date_is_exactly_the_map_drawn_anew(watched):
     kept = team.grid(0.1)
     assert laid > len(team.sweeps)  # some were laid anew
     mapper = team.mapper(0.1)
-    fresh = type(mapper)(0.1, mapper.near)
+    fresh = type(mapper)(0.1, mapper.cfg)
     fresh.update(team.sweeps, mapper.laid)
     again = fresh.grid()
     for name in ("origin", "hits", "passes", "mean"):

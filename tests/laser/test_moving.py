@@ -62,6 +62,21 @@ def test_somebody_who_walks_ahead_hides_his_own_past_and_is_left_out_all_the_sam
         assert gone.sum() >= 0.8 * near(seen, [seen.ranges[200] + 0.1, 0.0]).sum() > 0
 
 
+def test_where_wheels_tell_headings_badly_nothing_is_left_out():
+    def gone(error):
+        found = MovingReturns(MovingConfig())
+        out = []
+        for k in range(40):
+            seen = scan((0.0, 0.0, 0.0), [[(4.0, -1.5 + 0.4 * (k % 8), 0.22)]])
+            clean = found.cleaned(0.5 * k, seen, np.array([0.0, 0.0, error * (-1.0) ** k]))
+            found.correct(np.zeros(3))
+            out.append(int((seen.hit & ~clean.hit).sum()))
+        return out
+
+    assert sum(gone(0.001)[20:]) > 20
+    assert sum(gone(0.03)[20:]) == 0
+
+
 def test_what_stands_is_kept_also_where_it_comes_out_from_behind_something():
     post, box = (5.0, 0.6, 0.15), (3.0, 0.9, 0.4)
     for gone, _ in left_out(lambda _: [post, box], [(0.4 * k, -0.1 * k, 0.03 * k) for k in range(10)]):

@@ -80,7 +80,7 @@ def test_a_place_seen_again_lies_where_it_was_seen_first(data, name):
     assert np.median(gap) < 0.10
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_intel_log_cut_into_three_robots_is_woven_again(data):
     """Starts hidden, nothing shared in time: poses of different robots keep the relations as one robot's do."""
     log = read_laser(data / "carmen" / "intel.clf.gz")

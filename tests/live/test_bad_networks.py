@@ -38,7 +38,7 @@ def fleet(tmp_path, source):
     made.end()
 
 
-@pytest.mark.parametrize(("delay", "lease"), [(0.9, "3"), pytest.param(2.0, "10", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("delay", "lease"), [(0.9, "3"), pytest.param(2.0, "10", marks=pytest.mark.long)])
 def test_late_and_cut_off_twice_the_map_is_the_same(fleet, direct, delay, lease):
     relay = Relay(fleet.at, delay)
     fleet.more = ["--lease", lease]
@@ -180,7 +180,7 @@ def test_a_second_robot_of_one_name_is_refused_at_once(fleet):
     assert "a robot of that name is in team team already" in fleet.said("twin")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_killed_fifty_times_at_random_moments_the_map_is_the_same(fleet, direct):
     rng = np.random.default_rng(5)
     start = {"map": fleet.map, "r1": lambda: fleet.robot("r1", rate="0.5"), "r2": lambda: fleet.robot("r2", rate="0.5")}

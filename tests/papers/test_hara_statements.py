@@ -56,7 +56,7 @@ def _driven(log):
     return map_laser(replace(log, scan_t=log.scan_t[:2], scans=log.scans[:2]), ICP, 0).dead_reckoning
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_our_filter_with_intensity_errs_a_fraction_of_geometry_and_of_odometry(errors):
     ours = errors("512")
     assert ours.mean() <= 0.40 * min(errors("geometry").mean(), errors("geometry, default").mean())
@@ -64,17 +64,17 @@ def test_our_filter_with_intensity_errs_a_fraction_of_geometry_and_of_odometry(e
     assert ours.max() <= 0.30
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_intensity_icp_errs_less_than_icp_on_geometry(errors):
     assert errors("icp").mean() <= 0.75 * errors("icp geometry").mean()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_quarter_of_the_particles_errs_at_most_twice_as_much(errors):
     assert errors("128").mean() <= 2.0 * errors("512").mean()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_feature_found_from_the_log_is_the_reflectance_and_maps_as_well_as_the_true_law(drives, errors):
     told = []
     for seed, sim in enumerate(drives):
@@ -97,7 +97,7 @@ def _mapped(sim, feature, cfg, seed):
     return finish(sim.log, cfg, feature, particle_slam.trajectory(state), infos)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_pose_graph_behind_the_filter_closes_five_of_six_loops_and_no_closure_is_wrong(drives):
     closed = 0
     for seed, sim in enumerate(drives):

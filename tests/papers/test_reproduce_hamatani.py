@@ -43,7 +43,7 @@ def written(tmp_path_factory):
     return out, done.stdout, json.loads((out / "metrics.json").read_text(encoding="utf-8"))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.eq("Hamatani:2", "Hamatani:4", "Hamatani:5", "Hamatani:6", "Hamatani:7", "Hamatani:8")
 def test_the_tables_of_the_paper_come_out_and_the_row_that_does_not_is_named(written):
     out, said, metrics = written
@@ -65,7 +65,7 @@ def test_the_tables_of_the_paper_come_out_and_the_row_that_does_not_is_named(wri
     assert len((out / "claims.md").read_text().splitlines()) == 2 + len(CLAIMS)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_scale_drifts_with_fresh_jacobians_and_stays_with_the_first_ones_whatever_the_guess(written):
     _, _, metrics = written
     rows = {(r["guess_m2"], r["filter"], r["first"]): r for r in metrics["drift"]}

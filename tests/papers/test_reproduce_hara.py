@@ -58,7 +58,7 @@ def test_the_printed_filter_is_the_papers_to_the_letter():
     assert PRINTED.filter.update_distance == 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.eq("Hara07:5")
 def test_where_matching_fails_the_gate_carries_the_map_and_refuses_rightly():
     rows = try_gate(range(2))

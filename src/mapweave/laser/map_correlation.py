@@ -24,14 +24,14 @@ MOST = 1_000_000  # cells of a correlation; larger maps get larger cells
 class CorrelationConfig:
     """How whole maps are laid on each other."""
 
-    cell: float = 0.3  # [m]
+    cell: float = 0.3  # [m] side of the cells that walls and free floor are laid on
     turn: float = 0.03490658503988659  # [rad] between headings, 2 degrees
     through: float = 3.0  # walls on walls that a wall on free floor outweighs
     reach: float = 10.0  # [m] from a keyframe that a beam makes floor free,
     short: float = 0.5  # [m] less than its range
     places: int = 10  # handed over at most,
-    apart: float = 1.5  # [m] or
-    apart_turn: float = 0.25  # [rad] apart, and
+    apart: float = 1.5  # [m] that two places lie apart at least, or
+    apart_turn: float = 0.25  # [rad] are turned, and
     least: float = 0.15  # of the best one's score
 
 

@@ -28,6 +28,8 @@ class MovingConfig:
     same: float = 0.12  # [m] and less between ranges: the same thing
     blur: float = 0.01  # [rad] the heading between scans may be wrong, and
     blur_share: float = 0.2  # [rad/rad] so much more of what was turned between
+    astray: float = 0.006  # [rad] mean error of headings before matching from which on nothing is left out
+    forget: float = 0.97  # of that mean, a scan
     most_share: float = 0.3  # of a scan's returns that may move: when more seem to, it is the robot's pose that is off
 
 
@@ -52,13 +54,15 @@ class MovingReturns:
         self.count = self.total = 0
         self._earlier: dict[bytes, list[_Earlier]] = {}
         self._latest = b""
+        self._expected = np.zeros(3)  # of the robot, when the latest scan came
+        self._astray = 0.0  # [rad] mean error of such headings
 
     def cleaned(self, t: float, scan: Scan, pose: Float[np.ndarray, "3"]) -> Scan:
         """The scan without returns of things that move. pose: of the robot, as far as it is known before matching."""
         c = self.cfg
         sensor = np.asarray(se2.compose(pose, scan.T_robot_sensor))
         now = _Earlier(t, scan.ranges, scan.hit, scan.angle_min, scan.angle_increment, scan.T_robot_sensor, sensor)
-        self._latest = scan.T_robot_sensor.tobytes()
+        self._latest, self._expected = scan.T_robot_sensor.tobytes(), np.asarray(pose)
         held = self._earlier.setdefault(scan.T_robot_sensor.tobytes(), [])
         if held and (len(held[-1].ranges), held[-1].first, held[-1].step) != (len(now.ranges), now.first, now.step):
             held.clear()
@@ -67,7 +71,7 @@ class MovingReturns:
         while len(held) > 1 and held[1].t < t - c.most_age:
             held.pop(0)
         self.total += int(scan.hit.sum())
-        if not asked or scan.angle_increment == 0.0:
+        if not asked or scan.angle_increment == 0.0 or self._astray > c.astray:
             return scan
         poses = np.array([se2.between(one.pose, sensor) for one in asked])
         moves = moving_returns(
@@ -96,6 +100,8 @@ class MovingReturns:
     def correct(self, pose: Float[np.ndarray, "3"]) -> None:
         """The latest scan was made from `pose`: later scans are held against it from there."""
         held = self._earlier.get(self._latest)
+        miss = float(abs(se2.wrap_angle(pose[2] - self._expected[2])))
+        self._astray = self.cfg.forget * self._astray + (1.0 - self.cfg.forget) * miss
         if held:
             held[-1] = held[-1]._replace(pose=np.asarray(se2.compose(pose, held[-1].sensor)))
 
