@@ -286,12 +286,6 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "the rounds go on after the factors stand still, and move them by less than that",
     ),
     Equivalent(
-        "solve:dissect",
-        "out = np.full(n, -1.0)",
-        "out = np.full(n, -10.0)",
-        "any number below zero stands for a node that is not reached yet",
-    ),
-    Equivalent(
         "fusion:find_exchanged",
         "for a, b in zip(*linear_sum_assignment(np.minimum(distance, 1e3)), strict=True):",
         "for a, b in zip(*linear_sum_assignment(np.minimum(distance, 10000.0)), strict=True):",

@@ -64,7 +64,7 @@ def test_two_recordings_of_one_place_become_one_map():
         assert rmse(fused.components[0], points) < 0.4
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_two_simulated_teams_become_one_and_each_team_does(tmp_path):
     """210 pairs of 21 worlds through the whole of simulating, mapping and fusing; each world's halves are joined."""
     teams, joined, shared = [], 0, 0

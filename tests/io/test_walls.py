@@ -308,4 +308,4 @@ def test_a_short_seeded_fuzz_of_every_format_finds_nothing(tmp_path):
     env = os.environ | {"PYTHONPATH": path}
     done = subprocess.run(words, env=env, capture_output=True, text=True, check=False)  # noqa: S603  (our own)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert " over 25 formats, 0 findings" in done.stdout
+    assert " over 26 formats, 0 findings" in done.stdout

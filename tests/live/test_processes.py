@@ -49,6 +49,7 @@ def test_a_team_that_drives_gives_the_map_of_its_logs_whoever_is_killed_meanwhil
     assert "1 map processes have all of them" in fleet.said("r2")
 
 
+@pytest.mark.long
 def test_robots_drive_with_nobody_listening_and_a_map_that_comes_late_gets_the_past(fleet, direct):
     assert fleet.robot("r1", rate="inf", linger="0.5").wait(240) == 0
     assert "0 map processes have all of them" in fleet.said("r1")

@@ -93,7 +93,7 @@ def test_full_weights_vary_by_less_than_3_percent_whichever_pair_is_the_baseline
     assert np.ptp(landmark) < 0.03 * landmark.min()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_command_prints_both_tables_and_writes_the_report(tmp_path, capsys):
     out = tmp_path / "kojima"
     assert _run(["reproduce", "kojima", "--quick", "--seed", "3", "--out", str(out)]) == 0
@@ -117,7 +117,7 @@ def test_the_command_prints_both_tables_and_writes_the_report(tmp_path, capsys):
     assert again["unequal"] == metrics["unequal"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_identities_are_found_in_98_of_100_trials_with_six_in_common_and_hardly_ever_wrongly_believed():
     """Seeds of its own. Six in common and all six needed: noise beyond the gate on one of them is a refusal."""
     for row in identity_trials(100, 7, (0, 2, 6, 8)):
