@@ -6,11 +6,10 @@ COPY src src
 RUN pip wheel --no-cache-dir --no-deps --wheel-dir /wheel .
 
 FROM python:3.13-slim
-COPY constraints.txt /tmp/constraints.txt
-COPY --from=wheel /wheel /tmp/wheel
-RUN pip install --no-cache-dir -c /tmp/constraints.txt /tmp/wheel/*.whl \
- && rm -r /tmp/wheel /tmp/constraints.txt \
- && useradd --create-home robot
+WORKDIR /install
+COPY constraints.txt .
+COPY --from=wheel /wheel .
+RUN pip install --no-cache-dir -c constraints.txt ./*.whl && useradd --create-home robot
 USER robot
 WORKDIR /data
 # kernels compiled once are kept in the image
