@@ -9,9 +9,9 @@ import pytest
 
 from mapweave.api.live_keys import live_keys
 from mapweave.api.simulate_landmarks import simulate_landmarks
+from mapweave.cli.live_door import FORGED, STRANGER, reason_of
 from mapweave.core.errors import DataError, UsageError
 from mapweave.live.credentials import Authority, _authority, issue, make_team, tls_settings
-from mapweave.live.door import FORGED, STRANGER, reason_of
 from mapweave.live.messages import encode
 from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, endpoints, put, session

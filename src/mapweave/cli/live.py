@@ -156,7 +156,7 @@ def map_team(
     from dataclasses import replace
 
     from ..api.live import live_map
-    from ..live.door import LOG_LEVELS, watched
+    from .live_door import LOG_LEVELS, watched
 
     names = None if robots is None else _names(robots, "--robots")
     network = _network(team, connect, listen, tls, lease)
