@@ -9,12 +9,13 @@ from jaxtyping import Bool, Float
 from ..solve import Information, Pattern, Problem, SingularError, Solution
 from ..solve import Status as SolveStatus
 from . import factors
+from .close_pairs import with_true_lengths
 from .config import SwarmConfig
 from .gauge import Gauge, basis, normalise
 from .network import Network
 from .result import JointInformation, Status, SwarmEstimate, Traffic
 from .start import Start
-from .verdict import barely_determined, chi2_warnings, layout_warnings
+from .verdict import barely_determined, chi2_warnings, close_remarks, layout_warnings
 
 STATUS = {
     SolveStatus.CONVERGED: Status.CONVERGED,
@@ -58,8 +59,14 @@ def posterior(
         information = _information_at(problem, x, information, pattern)
     G, C = basis(net, gauge, position)
     covariance = None
+    close = 0
     if information is not None and cfg.covariance:
         covariance = position_covariance(net, gauge, information, solution.free, localisable, position, (G, C))
+        deviation = np.sqrt(np.nan_to_num(np.trace(covariance.cov, axis1=1, axis2=2)))
+        honest, close = with_true_lengths(net, x, problem, information, pattern, deviation, localisable)
+        if close:
+            information = honest
+            covariance = position_covariance(net, gauge, information, solution.free, localisable, position, (G, C))
     measured = problem.terms[: 1 + bool(net.distances)]
     chi2 = float(sum(term.squares(solution.x).sum() for term in measured))
     unknown = dim * (n - len(net.anchors)) + (0 if net.axis else len(np.unique(net.observer)))
@@ -72,7 +79,7 @@ def posterior(
     weak = covariance is not None and covariance.weak
     remarks = [*notes, *layout_warnings(net, localisable, start.seen.in_line)]
     if covariance is not None:
-        remarks += barely_determined(net, position, covariance.cov, localisable)
+        remarks += [*barely_determined(net, position, covariance.cov, localisable), *close_remarks(close)]
     if covariance is not None and weak:
         remarks.append(
             f"weak anchors: {100 * (covariance.mode_share or 0.0):.0f} % of all variance lies in one mode (most often "

@@ -33,6 +33,12 @@ class JointInformation:
         known = Information.of(sp.csc_matrix(self.matrix[free][:, free]))
         return symmetrise(E[free].T @ known.solve(E[free]))
 
+    def variances(self, E: Float[np.ndarray, "s k"]) -> Float[np.ndarray, " k"]:
+        """The variance of each of the functions whose gradients are the columns of E."""
+        free = ~self.held
+        known = Information.of(sp.csc_matrix(self.matrix[free][:, free]))
+        return np.asarray(np.einsum("sk,sk->k", E[free], known.solve(E[free])))
+
     def nees(self, error: Float[np.ndarray, "n d"], wanted: Bool[np.ndarray, " n"]) -> tuple[float, int]:
         """`e^T P^-1 e` over the positions of the robots `wanted` jointly, and its degrees of freedom.
 

@@ -17,6 +17,7 @@ from ..solve import GemanMcClure
 from .batch import batch, refine
 from .config import ROBUST, RobustConfig, SwarmConfig
 from .factors import bearing_factor
+from .fallen import fallen_together
 from .headings import mutual_pairs, world_directions
 from .linear import linear_pattern, linear_start
 from .network import Network, components, effective_sigma
@@ -24,7 +25,7 @@ from .posterior import posterior
 from .relocation import relocated, unsupported
 from .result import SwarmEstimate
 from .start import Start, prepare
-from .verdict import support_warnings, trust_warnings
+from .verdict import fallen_warnings, support_warnings, trust_warnings
 
 
 def robust(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) -> SwarmEstimate:
@@ -46,6 +47,28 @@ def robust(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) ->
     inlier = agreeing(net, x, cfg.inlier_gate) & ~unheard(net, used)
     if not inlier.any():
         return _nothing_agrees(net, cfg, initial)
+    doubts: list[str] = []
+    for round_ in range(cfg.robust.reselections):
+        estimate, inlier, start = _selected(net, x, start, used, inlier, cfg)
+        if not net.axis or not cfg.covariance:
+            break
+        fallen = fallen_together(net, inlier, estimate, limit(net, cfg.inlier_gate), cfg)
+        if not len(fallen.wrong) or round_ == cfg.robust.reselections - 1:
+            doubts = fallen_warnings(net, np.concatenate([fallen.wrong, fallen.undecided]))
+            break
+        inlier[fallen.wrong] = False
+        chosen = net.select(inlier)
+        start = prepare_at(chosen, estimate.position.ravel(), start)
+        x = refine(chosen, start, cfg, everyone=True)[0].x
+        inlier = agreeing(net, x, cfg.inlier_gate)
+    doubts += [*trust_warnings(net, ~inlier, cfg.verdict), *support_warnings(net, unsupported(net, ~inlier))]
+    return replace(estimate, reliable=estimate.reliable and not doubts, warnings=(*doubts, *estimate.warnings))
+
+
+def _selected(
+    net: Network, x: np.ndarray, start: Start, used: np.ndarray, inlier: np.ndarray, cfg: SwarmConfig
+) -> tuple[SwarmEstimate, Bool[np.ndarray, " m"], Start]:
+    """The estimate of the sightings that agree with it, found from those that agree at x; and which they are."""
     for _ in range(cfg.robust.reselections):
         chosen = net.select(inlier)
         start = prepare_at(chosen, x, start)
@@ -59,9 +82,7 @@ def robust(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) ->
     if len(chosen.observer) != problem.terms[0].size // (net.dim - 1):
         start = prepare_at(chosen, x, start)
         solution, problem, pattern = refine(chosen, start, cfg, everyone=True)
-    estimate = posterior(chosen, start, solution, problem, cfg, "robust", ~inlier, pattern=pattern)
-    doubts = [*trust_warnings(net, ~inlier, cfg.verdict), *support_warnings(net, unsupported(net, ~inlier))]
-    return replace(estimate, reliable=estimate.reliable and not doubts, warnings=(*doubts, *estimate.warnings))
+    return posterior(chosen, start, solution, problem, cfg, "robust", ~inlier, pattern=pattern), inlier, start
 
 
 def _nothing_agrees(net: Network, cfg: SwarmConfig, initial: np.ndarray | None) -> SwarmEstimate:

@@ -20,6 +20,15 @@ def trust_warnings(net: Network, outlier: np.ndarray, cfg: VerdictConfig = VERDI
     return []
 
 
+def fallen_warnings(net: Network, rows: np.ndarray) -> list[str]:
+    """What stands against sightings `rows` that agree only while two robots stand close together."""
+    if not len(rows):
+        return []
+    pairs = [f"{net.ids[net.observer[k]]}-{net.ids[net.target[k]]}" for k in rows[:10].tolist()]
+    named = ", ".join(pairs) + (", .." if len(rows) > 10 else "")
+    return [f"{len(rows)} sightings may as well be wrong, and the two robots then stand further apart: {named}"]
+
+
 def support_warnings(net: Network, robots: np.ndarray) -> list[str]:
     """What stands against the places of `robots` (indices), whose own sightings contradict each other too much."""
     if not len(robots):
@@ -47,6 +56,14 @@ def barely_determined(net: Network, position: np.ndarray, cov: np.ndarray, local
     if not count or count > 0.5 * len(worst):  # most robots at once: that is the scale, said elsewhere
         return []
     return [f"robots barely determined, by rays nearly parallel: {count}; the covariance may fall short of their error"]
+
+
+def close_remarks(pairs: int) -> list[str]:
+    """What is said of `pairs` of robots whose distance is hardly known."""
+    if not pairs:
+        return []
+    named = f"{pairs} pairs of robots that see each other stand" if pairs > 1 else "a pair of robots that sight stands"
+    return [f"{named} so close that the distance is not known: the covariance counts their sightings accordingly"]
 
 
 def layout_warnings(net: Network, localisable: np.ndarray, in_line: int) -> list[str]:
