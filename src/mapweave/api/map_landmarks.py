@@ -18,6 +18,7 @@ from ..io.team_map import read_calibration
 from ..landmarks.config import EkfSlamConfig
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import local_map, without_impossible
+from ..landmarks.sifting import SiftConfig, sifted
 from ..team.config import SmoothingConfig
 from ..team.mixed import SOFTEN, regained
 from ..team.relative_frame import PlacingConfig
@@ -32,8 +33,9 @@ METHODS = ("ekf",)
 
 @config
 class LandmarkMapConfig:
-    """The tables `[ekf]`, `[fuse]` and `[smoothing]` of a configuration file."""
+    """The tables `[sift]`, `[ekf]`, `[fuse]` and `[smoothing]` of a configuration file."""
 
+    sift: SiftConfig = field(default_factory=SiftConfig)
     ekf: EkfSlamConfig = field(default_factory=EkfSlamConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)
     smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
@@ -79,7 +81,7 @@ def _configured(options: MapOptions) -> LandmarkMapConfig:
 def _map_read(
     logs: Sequence[LandmarkLog], cfg: LandmarkMapConfig, options: MapOptions, title: str, watch: Watch
 ) -> TeamResult:
-    read = [without_impossible(log, cfg.ekf) for log in _shared(list(logs), options)]
+    read = [sifted(without_impossible(log, cfg.ekf), cfg.ekf, cfg.sift) for log in _shared(list(logs), options)]
     watch.lap("read")
     local = _local_maps(read, cfg.ekf, options)
     watch.lap("estimate")

@@ -27,6 +27,7 @@ from ..io.team_map import read_calibration, write_calibration, write_landmark_ar
 from ..landmarks.config import EkfSlamConfig
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import local_map, without_impossible
+from ..landmarks.sifting import SiftConfig, sifted
 from ..laser.beam import beams
 from ..laser.config import LaserConfig
 from ..laser.laser_map import GridMap, LaserMap
@@ -51,8 +52,9 @@ FAR = 60.0  # [s] between the time spans of two logs from which their clocks hav
 
 @config
 class MixedMapConfig:
-    """The tables `[ekf]`, `[fuse]`, `[smoothing]`, `[placing]` and `[laser]` of a mixed team's configuration file."""
+    """The tables of a mixed team's configuration file, named as the fields."""
 
+    sift: SiftConfig = field(default_factory=SiftConfig)
     ekf: EkfSlamConfig = field(default_factory=EkfSlamConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)
     smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
@@ -111,7 +113,8 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     watch.lap("read")
     scans, lasers = _lasers(found.lasers, cfg.laser, options)
     apart = _apart(read, scans)
-    read = [without_impossible(log.share(options.share.get(robot_key(log.robot), 1.0)), cfg.ekf) for log in read]
+    read = [log.share(options.share.get(robot_key(log.robot), 1.0)) for log in read]
+    read = [sifted(without_impossible(log, cfg.ekf), cfg.ekf, cfg.sift) for log in read]
     local, fusion = _filtered([log for log in read if log.robot not in apart], cfg, options)
     watch.lap("estimate")
     mapped = [team for team in team_maps(local, fusion) if len(team.landmarks)] if local else []

@@ -57,7 +57,7 @@ def lay_out(
     smoothing: SmoothingConfig,
 ) -> Layout:
     """Frames and tracks of everybody that can be placed; the same whatever the order of the robots."""
-    groups = sorted(bodies, key=lambda body: in_order(min(body.robots, key=in_order)))
+    groups = sorted(bodies, key=_first_robot)
     waiting = sorted(loose, key=lambda log: in_order(log.robot))
     ties: list[Tie] = []
     clocks: dict[str, float] = {}
@@ -70,8 +70,12 @@ def lay_out(
         ties.append(Tie(groups[k].robots, (log.robot,), agree, of))
         groups[k] = groups[k].on_team_time().joined(body)
         waiting = [other for other in waiting if other.robot != log.robot]
-    groups.sort(key=lambda body: (-len(body.robots), in_order(min(body.robots, key=in_order))))
+    groups.sort(key=lambda body: (-len(body.robots), _first_robot(body)))
     return Layout(tuple(groups), tuple(ties), tuple(log.robot for log in waiting), clocks)
+
+
+def _first_robot(body: Body) -> tuple[tuple[tuple[int, int, str], ...], str]:
+    return in_order(min(body.robots, key=in_order, default=""))
 
 
 def agreeing(

@@ -1,0 +1,115 @@
+"""Sightings that what the same robot saw moments before and after contradicts: wrong labels, ranges wrong by metres.
+
+Over a few seconds wheels tell well where a robot went. So sightings of one name, carried into one frame by the wheels,
+lie together where the name stands, and wrong ones lie alone: no map and no filter is needed to tell them apart.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..core.config import config
+from ..core.landmark_log import LandmarkLog, SightingTable
+from ..core.records import Odometry
+from .config import EkfSlamConfig
+from .ekf_slam import is_landmark
+
+
+@config
+class SiftConfig:
+    """What nearby sightings may differ by, and from how many wrong ones on a log is sifted."""
+
+    window: float = 4.0  # [s] either way, in which sightings of one name are compared
+    turned: float = 1.2  # [rad] commanded between two sightings, from which they are not compared
+    floor: float = 0.15  # [m] by which places may differ,
+    share: float = 0.08  # and as a share of the distance,
+    turn_error: float = 0.25  # of the angle commanded in between, times the distance,
+    drift: float = 0.12  # of the way commanded in between,
+    moving: float = 0.35  # [m/s] and for another robot, which drives
+    least: int = 3  # others in the window, from which a sighting is judged
+    support: float = 0.5  # share of them that must agree with it
+    enough: int = 2  # that must agree, in a log that is sifted
+    dirty: float = 0.08  # share of the sightings judged that are contradicted, from which the log is sifted
+
+
+@dataclass(frozen=True, slots=True)
+class Witnesses:
+    """For each of n sightings, how many others there are to compare it with, and how many of them agree."""
+
+    of: Int[np.ndarray, " n"]
+    agree: Int[np.ndarray, " n"]
+
+    def contradicted(self, cfg: SiftConfig) -> Bool[np.ndarray, " n"]:
+        """Those that enough others could have borne out, and did not."""
+        return np.asarray((self.of >= cfg.least) & (self.agree < cfg.support * self.of))
+
+    def borne_out(self, cfg: SiftConfig) -> Bool[np.ndarray, " n"]:
+        """Those that enough others bear out, and no majority contradicts."""
+        return np.asarray((self.agree >= cfg.enough) & ~self.contradicted(cfg))
+
+
+def sifted(log: LandmarkLog, ekf: EkfSlamConfig, cfg: SiftConfig | None = None) -> LandmarkLog:
+    """The log without the sightings that its others contradict, where those are many; they are counted and told.
+
+    A log with few of them, or without odometry, comes back as it is. In one with many, a sighting that hardly another
+    bears out goes too: wrong labels scatter over all names, and most of them have nothing near that could contradict them.
+    """
+    cfg = cfg or SiftConfig()
+    if log.odometry is None or not len(log.sightings):
+        return log
+    found = witnesses(log.sightings, log.odometry, ekf, cfg)
+    judged = found.of >= cfg.least
+    wrong = found.contradicted(cfg)
+    if wrong.sum() <= cfg.dirty * max(int(judged.sum()), 1):
+        return log
+    keep = found.borne_out(cfg)
+    gone = int((~keep).sum())
+    told = f"{gone} of {len(keep)} sightings contradict those of the same name moments before and after: left out"
+    return replace(
+        log,
+        sightings=log.sightings.select(keep),
+        dropped={**log.dropped, "sighting: contradicted": gone},
+        warnings=(*log.warnings, told),
+    )
+
+
+def witnesses(seen: SightingTable, wheels: Odometry, ekf: EkfSlamConfig, cfg: SiftConfig) -> Witnesses:
+    """Which sightings bear each other out along the way that `wheels` tell."""
+    pose, way, turned = _driven(seen.t, wheels, ekf)
+    bearing = pose[:, 2] + seen.bearing
+    place = pose[:, :2] + seen.range[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
+    of, agree = np.zeros(len(seen), np.int64), np.zeros(len(seen), np.int64)
+    for k, name in enumerate(seen.ids):
+        rows = np.flatnonzero(seen.what == k)
+        moving = 0.0 if is_landmark(name) else cfg.moving
+        for apart in range(1, len(rows)):
+            a, b = rows[:-apart], rows[apart:]
+            dt = seen.t[b] - seen.t[a]
+            near = dt <= cfg.window
+            if not near.any():
+                break
+            a, b, dt = a[near], b[near], dt[near]
+            angle = turned[b] - turned[a]
+            near = angle <= cfg.turned
+            a, b, dt, angle = a[near], b[near], dt[near], angle[near]
+            r = np.minimum(seen.range[a], seen.range[b])
+            most = cfg.floor + (cfg.share + cfg.turn_error * angle) * r + cfg.drift * (way[b] - way[a]) + moving * dt
+            fits = np.hypot(*(place[a] - place[b]).T) <= most
+            for end in (a, b):
+                np.add.at(of, end, 1)
+                np.add.at(agree, end, fits)
+    return Witnesses(of, agree)
+
+
+def _driven(
+    t: Float[np.ndarray, " n"], wheels: Odometry, ekf: EkfSlamConfig
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Poses at `t` as commands with the expected calibration say; the way [m] and the angle [rad] driven until then."""
+    dt = np.append(np.minimum(np.diff(wheels.t), ekf.hold), 0.0)
+    angle, way = ekf.turn_scale * wheels.w * dt, ekf.speed_scale * wheels.v * dt
+    heading = np.cumsum(angle) - 0.5 * angle
+    steps = [way * np.cos(heading), way * np.sin(heading), angle, np.abs(way), np.abs(angle)]
+    then = wheels.t + ekf.lag
+    told = np.stack([np.interp(t, then, np.append(0.0, np.cumsum(s)[:-1])) for s in steps], axis=-1)
+    return np.column_stack([told[:, :2], told[:, 2]]), told[:, 3], told[:, 4]

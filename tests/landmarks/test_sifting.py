@@ -1,0 +1,97 @@
+"""Sightings that the same robot's others contradict: found without a map, and none where nothing is wrong."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+
+import mapweave
+from mapweave.api.evaluate_team import read_team_truth
+from mapweave.core.landmark_log import LandmarkLog
+from mapweave.evaluation.consistency import mean_or_none
+from mapweave.evaluation.team import score_team
+from mapweave.io.landmark_logs import read_landmark_logs
+from mapweave.landmarks.config import EkfSlamConfig
+from mapweave.landmarks.mapping import local_map
+from mapweave.landmarks.sifting import SiftConfig, sifted, witnesses
+
+EKF = EkfSlamConfig()
+TEAM = {"lasers": 0, "cameras": 2, "bearings": 0, "calibration": "random", "minutes": 3.0, "seed": 11}
+
+
+@cache
+def logs(outliers: float) -> tuple[LandmarkLog, ...]:
+    with TemporaryDirectory() as folder:
+        mapweave.simulate_team(Path(folder) / "team", outliers=outliers, **TEAM)
+        return tuple(read_landmark_logs(Path(folder) / "team", None))
+
+
+def rows(log: LandmarkLog) -> set[tuple[float, str, float]]:
+    seen = log.sightings
+    return {(t, seen.ids[k], r) for t, k, r in zip(seen.t, seen.what, seen.range, strict=True)}
+
+
+def test_wrong_sightings_go_and_right_ones_stay():
+    for clean, dirty in zip(logs(0.0), logs(0.3), strict=True):
+        right, left = rows(clean) & rows(dirty), rows(sifted(dirty, EKF))
+        assert len(right) < 0.75 * len(rows(dirty))
+        assert len(left & right) > 0.97 * len(right)
+        assert len(left & right) > 0.94 * len(left)
+
+
+def test_what_is_left_out_is_counted_and_told():
+    dirty = logs(0.3)[0]
+    done = sifted(dirty, EKF)
+    gone = len(dirty.sightings) - len(done.sightings)
+    assert done.dropped["sighting: contradicted"] == gone
+    assert done.warnings[-1].startswith(f"{gone} of {len(dirty.sightings)} sightings contradict")
+
+
+def test_a_clean_log_comes_back_as_it_is():
+    for log in logs(0.0):
+        assert sifted(log, EKF) is log
+
+
+def test_a_log_without_wheels_is_not_judged():
+    log = replace(logs(0.3)[0], odometry=None)
+    assert sifted(log, EKF) is log
+
+
+def test_a_filter_maps_what_was_sifted_as_if_nothing_had_been_wrong():
+    clean, dirty = logs(0.0)[0], logs(0.3)[0]
+    a, b = local_map(clean).submap.landmarks, local_map(sifted(dirty, EKF)).submap.landmarks
+    assert len(b) >= len(a) - 1
+    both = a.select([name for name in a.ids if name in b.ids])
+    far = [np.linalg.norm(p - b.mean[b.ids.index(name)]) for name, p in zip(both.ids, both.mean, strict=True)]
+    assert np.sqrt(np.mean(np.square(far))) < 0.25
+
+
+@pytest.mark.slow
+def test_a_team_with_three_in_ten_sightings_wrong_is_as_good_as_one_told_everything(tmp_path):
+    team = {**TEAM, "minutes": 4.0, "seed": 12}
+    mapweave.simulate_team(tmp_path / "bad", outliers=0.3, **team)
+    mapweave.simulate_team(tmp_path / "good", **team)
+    truth = read_team_truth([tmp_path / "good"], ["robot1", "robot2"])
+    found = mapweave.map(tmp_path / "bad")
+    best = mapweave.map(tmp_path / "good", calibration=tmp_path / "good" / "truth" / "calibration.json")
+    a, b = (
+        mean_or_none([r.ate for r in score_team(m.maps, {}, truth.survey, truth.robots).robots.values()])
+        for m in (found, best)
+    )
+    assert len(found.maps[0].robots) == 2
+    assert a < 1.2 * b
+    assert any("contradict those of the same name" in w for w in found.warnings)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("number", [1, 3, 4, 6])
+def test_real_logs_are_not_sifted(data, number):
+    for log in read_landmark_logs(data / "mrclam" / f"MRCLAM_Dataset{number}.zip"):
+        cfg = SiftConfig()
+        found = witnesses(log.sightings, log.odometry, EKF, cfg) if log.odometry is not None else None
+        if found is not None:
+            assert found.contradicted(cfg).sum() < 0.01 * len(log.sightings)
+        assert sifted(log, EKF) is log
