@@ -53,7 +53,7 @@ def sifted(log: LandmarkLog, ekf: EkfSlamConfig, cfg: SiftConfig | None = None) 
     """The log without the sightings that its others contradict, where those are many; they are counted and told.
 
     A log with few of them, or without odometry, comes back as it is. In one with many, a sighting that hardly another
-    bears out goes too: wrong labels scatter over all names, and most of them have nothing near that could contradict them.
+    bears out goes too: wrong labels scatter over all names, and most have nothing near that could contradict them.
     """
     cfg = cfg or SiftConfig()
     if log.odometry is None or not len(log.sightings):
