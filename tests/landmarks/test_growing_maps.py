@@ -7,7 +7,8 @@ import pytest
 
 from mapweave.landmarks import ekf_slam
 from mapweave.landmarks.config import EkfSlamConfig
-from mapweave.landmarks.mapping import growing_maps, local_map
+from mapweave.landmarks.growing import grow, growing_maps
+from mapweave.landmarks.mapping import local_map
 
 from .robot_worlds import drive
 
@@ -49,8 +50,37 @@ def test_every_row_is_played_once_however_many_maps_are_taken(monkeypatch):
         return step(state, event, cfg, rng)
 
     monkeypatch.setattr(ekf_slam, "step", counted)
-    assert sum(m is not None for m in growing_maps(log, EkfSlamConfig(), np.linspace(1000.0, 1040.0, 50).tolist())) > 40
+    grown = grow(log, EkfSlamConfig(), np.linspace(1000.0, 1040.0, 50).tolist())
+    assert sum(m is not None for m in grown.maps) > 40
     assert sum(rows) == len(log)
+    monkeypatch.undo()
+    whole = local_map(log)
+    assert_same(grown.whole, whole)
+    np.testing.assert_array_equal(grown.whole.track.pose, whole.track.pose)
+    np.testing.assert_array_equal(grown.whole.track.cov, whole.track.cov)
+
+
+def test_without_wheels_pieces_that_ended_are_not_played_again(monkeypatch):
+    """Beyond the whole map's own two runs a piece, rows are handled a bounded number of times, however many maps."""
+    log, _ = drive(24, 120.0)
+    s = log.sightings
+    blinks = (s.t - s.t[0]) % 20.0 < 12.0
+    log = replace(log, sightings=s.select(blinks), odometry=None)
+    rows = []
+    step = ekf_slam.step
+
+    def counted(state, event, cfg, rng):
+        rows.append(len(event.record.t))
+        return step(state, event, cfg, rng)
+
+    monkeypatch.setattr(ekf_slam, "step", counted)
+    handled = []
+    for n in (40, 160):
+        rows.clear()
+        grow(log, EkfSlamConfig(), np.linspace(*log.span, n).tolist())
+        handled.append(sum(rows))
+    assert handled[1] < 1.5 * handled[0]
+    assert handled[1] < 20 * len(log)
 
 
 def test_a_landmark_that_moves_is_left_out_of_every_map_that_knows_it():

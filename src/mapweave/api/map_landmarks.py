@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import field, replace
+from functools import partial
 from pathlib import Path
 
 from ..core.config import config, load
@@ -16,8 +17,8 @@ from ..io.landmark_logs import is_landmark_log, landmark_logs_of, read_landmark_
 from ..io.table import Columns
 from ..io.team_map import read_calibration
 from ..landmarks.config import EkfSlamConfig
-from ..landmarks.landmark_map import LocalMap
-from ..landmarks.mapping import local_map, without_impossible
+from ..landmarks.growing import Growth, grow
+from ..landmarks.mapping import without_impossible
 from ..landmarks.sifting import SiftConfig, sifted
 from ..team.config import SmoothingConfig
 from ..team.mixed import SOFTEN, regained
@@ -25,7 +26,7 @@ from ..team.relative_frame import PlacingConfig
 from ..team.smooth import Smoothed, smooth
 from ..team.team_map import TeamMap
 from .map_options import MapOptions
-from .online import OnlineMap, fuse_online
+from .online import OnlineMap, fuse_online, times_of
 from .team import TeamResult, Watch, team_maps, team_result
 
 METHODS = ("ekf",)
@@ -83,15 +84,15 @@ def _map_read(
 ) -> TeamResult:
     read = [sifted(without_impossible(log, cfg.ekf), cfg.ekf, cfg.sift) for log in _shared(list(logs), options)]
     watch.lap("read")
-    local = _local_maps(read, cfg.ekf, options)
+    times = [] if options.fuse_every is None else times_of(read, options.fuse_every)
+    grown = _local_maps(read, cfg, times, options)
+    local = [g.whole for g in grown]
     watch.lap("estimate")
     online: tuple[OnlineMap, ...] = ()
     if options.fuse_every is None:
         fusion = fuse(local, cfg.fuse, {m.robot: m.source for m in local})
     else:
-        fusion, online = fuse_online(
-            read, local, cfg.ekf, cfg.fuse, options.fuse_every, options.seed, options.on_progress
-        )
+        fusion, online = fuse_online(read, grown, cfg.fuse, options.fuse_every, options.on_progress)
     starts = {robot_name(key): pose for key, pose in options.start.items()}
     fusion = tie_by_starts(fusion, starts, cfg.fuse.start_tolerance)
     maps = team_maps(local, fusion)
@@ -154,13 +155,16 @@ def _shared(logs: list[LandmarkLog], options: MapOptions) -> list[LandmarkLog]:
     return [log.share(options.share.get(robot_key(log.robot), 1.0)) for log in logs]
 
 
-def _local_maps(logs: Sequence[LandmarkLog], cfg: EkfSlamConfig, options: MapOptions) -> list[LocalMap]:
-    """A local map a robot, in the order of `logs`, whoever works on them."""
+def _local_maps(
+    logs: Sequence[LandmarkLog], cfg: LandmarkMapConfig, times: Sequence[float], options: MapOptions
+) -> list[Growth]:
+    """A local map a robot, in the order of `logs`, whoever works on them; and those on the way at `times`."""
     n = len(logs)
-    out: list[LocalMap] = []
+    out: list[Growth] = []
+    one = partial(grow, cfg=cfg.ekf, times=times, tracks=cfg.fuse.robot_sightings)
     with worker_pool(options.jobs, n, options.executor) as pool:
         spread = map if pool is None else pool.map
-        for k, m in enumerate(spread(local_map, logs, [cfg] * n, [options.seed] * n)):
+        for k, m in enumerate(spread(one, logs)):
             out.append(m)
             options.on_progress("local maps", k + 1, n)
     return out

@@ -12,9 +12,8 @@ from ..evaluation.landmarks import GrowthPoint, growth_point
 from ..fusion.config import FuseConfig
 from ..fusion.online import OnlineFuser
 from ..fusion.result import Fusion
-from ..landmarks.config import EkfSlamConfig
-from ..landmarks.landmark_map import LandmarkMap, LocalMap
-from ..landmarks.mapping import growing_maps
+from ..landmarks.growing import Growth
+from ..landmarks.landmark_map import LandmarkMap
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,37 +25,45 @@ class OnlineMap:
     landmarks: LandmarkMap
 
 
+def times_of(logs: Sequence[LandmarkLog], every: float) -> list[float]:
+    """When [s] each robot hands over its map: every `every` seconds after the first row of all, before the last."""
+    first, last = _span(logs)
+    return [float(t) for t in np.arange(first + every, last, every)]
+
+
 def fuse_online(
     logs: Sequence[LandmarkLog],
-    whole: Sequence[LocalMap],
-    ekf: EkfSlamConfig,
+    grown: Sequence[Growth],
     cfg: FuseConfig,
     every: float,
-    seed: int,
     on_progress: Progress,
 ) -> tuple[Fusion, tuple[OnlineMap, ...]]:
-    """The fusion of all `whole` maps, and the global map every `every` seconds until then.
+    """The fusion of all whole maps, and the global map every `every` seconds until then.
 
-    A robot's map at a time is its filter's by then; the last is the one that the whole log gives.
+    grown: each log's maps at `times_of(logs, every)`; a robot's map at a time is its filter's by then, and the last is
+    the one that the whole log gives.
     """
-    spans = [log.span for log in logs if len(log)]
-    first, last = min(a for a, _ in spans), max(b for _, b in spans)
-    times = np.arange(first + every, last, every).tolist()
+    first, last = _span(logs)
+    times = times_of(logs, every)
     fuser = OnlineFuser(cfg, {log.robot: log.source for log in logs})
-    growing = [growing_maps(log, ekf, times, seed) for log in logs]
-    grown = []
+    out = []
     for k, t in enumerate(times):
         on_progress("fusing online", k, len(times))
-        fresher = [m for m in map(next, growing) if m is not None]
+        fresher = [m for m in (g.maps[k] for g in grown) if m is not None]
         if fresher:
             fuser = fuser.update(*fresher)
         if fuser.largest is not None:
-            grown.append(OnlineMap(float(t - first), fuser.tied_in, fuser.largest.map))
-    fuser = fuser.update(*whole)
+            out.append(OnlineMap(float(t - first), fuser.tied_in, fuser.largest.map))
+    fuser = OnlineFuser(cfg, fuser.recordings, {g.whole.robot: g.whole for g in grown}).settled()
     if fuser.largest is not None:
-        grown.append(OnlineMap(float(last - first), fuser.tied_in, fuser.largest.map))
+        out.append(OnlineMap(float(last - first), fuser.tied_in, fuser.largest.map))
     on_progress("fusing online", len(times), len(times))
-    return fuser.fusion, tuple(grown)
+    return fuser.fusion, tuple(out)
+
+
+def _span(logs: Sequence[LandmarkLog]) -> tuple[float, float]:
+    spans = [log.span for log in logs if len(log)]
+    return min(a for a, _ in spans), max(b for _, b in spans)
 
 
 def growth(grown: Sequence[OnlineMap], survey: Survey) -> tuple[GrowthPoint, ...]:

@@ -236,9 +236,14 @@ def relabelled(landmarks: LandmarkMap, outliers: Sequence[Outlier]) -> LandmarkM
     return LandmarkMap(tuple(new.get(i, i) for i in landmarks.ids), landmarks.mean, landmarks.cov, landmarks.frame)
 
 
+def widened(outliers: Sequence[Outlier]) -> dict[str, float]:
+    """The variance [m^2] added to each landmark that is doubted."""
+    return {d.id: d.residual**2 for d in outliers if not d.belongs_to}
+
+
 def inflated(landmarks: LandmarkMap, outliers: Sequence[Outlier]) -> LandmarkMap:
     """The map with the variance of doubted landmarks raised, so that they hardly count."""
-    wide = {d.id: d.residual**2 for d in outliers if not d.belongs_to}
+    wide = widened(outliers)
     if not wide:
         return landmarks
     extra = np.repeat([wide.get(i, 0.0) for i in landmarks.ids], 2)

@@ -9,7 +9,7 @@ from ..core.names import in_order
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from .cluster import Cluster, JoinedMap, average
 from .config import FuseConfig
-from .consensus import Outlier, find_exchanged, find_outliers, inflated, relabelled
+from .consensus import Outlier, find_exchanged, find_outliers, inflated, relabelled, widened
 from .full_covariance import join
 from .identities import identify
 from .initial_frames import arrange, as_cluster
@@ -63,7 +63,8 @@ def fuse(
         seen = frame_sightings([sound[k] for k in start.members], start.frames) if cfg.robot_sightings else []
         joined = _join(own, start, cfg, seen) if len(own) > 1 else _alone(own[0])
         robots = tuple(names[k] for k in start.members)
-        components.append(_component(robots, own, joined))
+        doubted = {names[k]: widened([d for d in outliers if d.owner == k]) for k in start.members}
+        components.append(_component(robots, own, joined, {r: wide for r, wide in doubted.items() if wide}))
         decisions += [
             _decide(robots, i, joined, start, refused.get(k), first=not len(components) > 1)
             for i, k in enumerate(start.members)
@@ -148,7 +149,9 @@ def _alone(landmarks: LandmarkMap) -> JoinedMap:
     )
 
 
-def _component(robots: tuple[str, ...], maps: Sequence[LandmarkMap], joined: JoinedMap) -> Component:
+def _component(
+    robots: tuple[str, ...], maps: Sequence[LandmarkMap], joined: JoinedMap, doubted: Mapping[str, Mapping[str, float]]
+) -> Component:
     members = {name: tuple(r for r, m in zip(robots, maps, strict=True) if name in m.ids) for name in joined.ids}
     ids = sorted(joined.ids, key=in_order)
     return Component(
@@ -158,6 +161,7 @@ def _component(robots: tuple[str, ...], maps: Sequence[LandmarkMap], joined: Joi
         frame_cov=dict(zip(robots, joined.frame_cov, strict=True)),
         members={name: members[name] for name in ids},
         scales=dict(zip(robots, (float(s) for s in joined.scales), strict=True)),
+        widened=doubted,
     )
 
 

@@ -33,7 +33,10 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class Component:
-    """Robots tied together and their one map. `frames[k]` is `T_map_local_k`; `frame_cov[k]`: over x, y, theta."""
+    """Robots tied together and their one map. `frames[k]` is `T_map_local_k`; `frame_cov[k]`: over x, y, theta.
+
+    widened[robot][landmark]: variance [m^2] added to where that robot's map puts a landmark that is doubted.
+    """
 
     robots: tuple[str, ...]
     map: LandmarkMap
@@ -41,6 +44,7 @@ class Component:
     frame_cov: Mapping[str, Float[np.ndarray, "3 3"]]
     members: Mapping[str, tuple[str, ...]]  # landmark id -> robots that saw it
     scales: Mapping[str, float] = field(default_factory=dict)
+    widened: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,6 @@
 """A whole log through EKF-SLAM, and past poses corrected by the finished map."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,7 @@ from jaxtyping import Float
 from ..core.errors import EstimateError
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Track
-from ..core.run import run
+from ..core.run import Step, run
 from ..kernels.landmarks import ekf_smooth
 from ..kernels.landmarks.ekf_state import RANGE_SCALE
 from . import ekf_slam
@@ -21,10 +22,23 @@ LARGEST = 1e100  # [m], [m^2]: beyond, products of two numbers of the estimate a
 
 
 @dataclass(frozen=True, slots=True)
+class Taken:
+    """The filter at one moment of its pass.
+
+    state: None before the first row; tracked: how many poses there were by then; seen: how many sightings.
+    """
+
+    state: ekf_slam.EkfSlamState | None
+    tracked: int
+    seen: int
+
+
+@dataclass(frozen=True, slots=True)
 class Played:
     """A log played to its end.
 
-    x, P: the filter's last state; nis, weight: (n,) of each row of `seen`, NaN where it was no update of a landmark.
+    x, P: the filter's last state; nis, weight: (n,) of each row of `seen`, NaN where it was no update of a landmark;
+    taken: the filter at each of the times asked for; filtered: its poses before any was corrected, where times were.
     """
 
     seen: SightingTable
@@ -35,21 +49,30 @@ class Played:
     nis: Float[np.ndarray, " n"]
     weight: Float[np.ndarray, " n"]
     warnings: tuple[str, ...] = ()
+    taken: tuple[Taken, ...] = ()
+    filtered: Track = ekf_slam.NOWHERE
 
 
-def play(log: LandmarkLog, cfg: EkfSlamConfig, seed: int = 0) -> Played:
-    """EKF-SLAM over `log`, past poses corrected by the finished map; raises EstimateError when it overflows."""
+def play(log: LandmarkLog, cfg: EkfSlamConfig, seed: int = 0, times: Sequence[float] = ()) -> Played:
+    """EKF-SLAM over `log`, past poses corrected by the finished map; raises EstimateError when it overflows.
+
+    times: [s] ascending, at which the filter's state is kept on its one pass.
+    """
     failed = EstimateError(f"{log.source}: {log.robot}: EKF-SLAM left finite numbers")
     try:
-        steps = list(run(ekf_slam, cfg, log.events(), seed))
+        steps = list(run(ekf_slam, cfg, log.events(times), seed))
     except ZeroDivisionError:  # an innovation's determinant ran over
         raise failed from None
     state = steps[-1].state if steps else ekf_slam.initial(log.robot, cfg)
-    info = steps[-1].info if steps else ekf_slam.EkfSlamInfo(ekf_slam.Status.USED)
     x, P = state.x, state.covariance()
     if not max(np.abs(x).max(), np.abs(P).max(initial=0.0)) < LARGEST:
         raise failed
-    t, pose, square = np.array(info.track.t), np.array(info.track.pose), np.array(info.track.cov)
+    tracks = [step.info.track for step in steps]
+    t, pose, square = (
+        np.concatenate([getattr(ekf_slam.NOWHERE, name), *(getattr(track, name) for track in tracks)])
+        for name in ("t", "pose", "cov")
+    )
+    filtered = Track(t.copy(), pose.copy(), square.copy(), state.frame) if len(times) else ekf_slam.NOWHERE
     if cfg.smooth and state.started.any() and len(log.sightings) * len(x) <= MOST_NUMBERS:
         _smooth(log, cfg, state, P, t, pose, square)
     if not (np.isfinite(pose).all() and np.isfinite(square).all()):
@@ -57,7 +80,22 @@ def play(log: LandmarkLog, cfg: EkfSlamConfig, seed: int = 0) -> Played:
     scale = float(x[RANGE_SCALE])
     by = np.array([scale, scale, 1.0])
     track = Track(t, pose * by, square * np.outer(by, by), state.frame)
-    return Played(log.sightings, x, P, state.submap, track, info.nis, info.weight)
+    nis, weight = (np.concatenate([np.zeros(0), *(getattr(s.info, name) for s in steps)]) for name in ("nis", "weight"))
+    return Played(
+        log.sightings, x, P, state.submap, track, nis, weight, taken=_taken(steps, log, times), filtered=filtered
+    )
+
+
+def _taken(steps: Sequence[Step], log: LandmarkLog, times: Sequence[float]) -> tuple[Taken, ...]:
+    """The filter at each of `times`, from the steps of a pass that was cut there."""
+    ends = [step.t for step in steps]
+    poses = np.cumsum([0, *(len(step.info.track.t) for step in steps)])
+    out = []
+    for t in times:
+        k = int(np.searchsorted(ends, t, side="right"))
+        seen = int(np.searchsorted(log.sightings.t, t, side="right"))
+        out.append(Taken(steps[k - 1].state if k else None, int(poses[k]), seen))
+    return tuple(out)
 
 
 def _smooth(

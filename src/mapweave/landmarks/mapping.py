@@ -1,20 +1,19 @@
 """One robot's log becomes its local map: all of it through EKF-SLAM, and what there is to say about the result."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..core.landmark_log import LandmarkLog, SightingTable
-from ..core.records import Odometry, Track
-from ..core.run import run
-from ..kernels.landmarks.ekf_state import HEAD, POSE, RANGE_SCALE
+from ..core.records import Odometry
+from ..kernels.landmarks.ekf_state import HEAD, POSE
 from . import ekf_slam
 from .config import EkfSlamConfig
 from .ekf_replay import Played, play
 from .landmark_map import LocalMap, RobotSightings
-from .without_odometry import play_in_pieces
+from .without_odometry import Known, play_in_pieces
 
 CALIBRATION = ("speed_scale", "turn_scale", "lag", "bearing_bias", "range_scale")
 
@@ -26,11 +25,21 @@ def local_map(log: LandmarkLog, cfg: EkfSlamConfig | None = None, seed: int = 0)
     misreads; so are rows with numbers that no robot drives or sees. Nothing is random here; `seed` is what every
     estimator takes.
     """
-    cfg = config_for(log, cfg or EkfSlamConfig())
-    estimate = play if cfg.odometry else play_in_pieces
+    return map_of(log, cfg or EkfSlamConfig())[0]
+
+
+def map_of(
+    log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float] = (), known: Known | None = None
+) -> tuple[LocalMap, Played]:
+    """The map of `log`, and the first pass over it, in which the filter was kept at each of `times` [s].
+
+    Of a robot without odometry, whose pieces of map are tied anew by every row, nothing is kept at times; known: its
+    pieces that were played before.
+    """
+    cfg = config_for(log, cfg)
     log = without_impossible(log, cfg)
+    first = done = play(log, cfg, times=times) if cfg.odometry else play_in_pieces(log, cfg, known)
     dropped, warnings, kept = dict(log.dropped), list(log.warnings), log
-    done = estimate(kept, cfg)
     for _ in range(cfg.restless_most):
         name = _restless(done.seen, done.weight, cfg)
         if name is None:
@@ -41,70 +50,11 @@ def local_map(log: LandmarkLog, cfg: EkfSlamConfig | None = None, seed: int = 0)
         warnings.append(f"{name} was seen {gone} times but at no fixed place: left out")
         stays = np.array([other != name for other in kept.sightings.ids], bool)
         kept = replace(kept, sightings=kept.sightings.select(stays[kept.sightings.what]))
-        done = estimate(kept, cfg)
-    return _result(log, cfg, done, dropped, [*warnings, *done.warnings])
+        done = play(kept, cfg) if cfg.odometry else play_in_pieces(kept, cfg)
+    return _result(log, cfg, done, dropped, [*warnings, *done.warnings]), first
 
 
-def growing_maps(
-    log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float], seed: int = 0
-) -> Iterator[LocalMap | None]:
-    """The map of the rows until each of `times` [s], ascending, one after the other; None while there is no landmark.
-
-    The filter goes on from map to map, so that all of them cost what the last does; past poses are not corrected, and
-    a landmark without a fixed place is left out of the map, not of the filter. A robot without odometry, whose pieces
-    of map are tied anew by every row, is mapped from its first row each time.
-    """
-    cfg = config_for(log, cfg)
-    log = without_impossible(log, cfg)
-    if not cfg.odometry:
-        for t in times:
-            cut = log.until(t)
-            m = local_map(cut, cfg, seed) if len(cut.sightings) else None
-            yield m if m is not None and len(m.submap.ids) else None
-        return
-    steps = run(ekf_slam, cfg, log.events(times), seed)
-    following = next(steps, None)
-    state, weights, tracks = None, [np.zeros(0)], [ekf_slam.NOWHERE]
-    for t in times:
-        while following is not None and following.t <= t:
-            state = following.state
-            weights.append(following.info.weight)
-            tracks.append(following.info.track)
-            following = next(steps, None)
-        m = None if state is None else _map_so_far(log.until(t), state, np.concatenate(weights), tracks, cfg)
-        yield m if m is not None and len(m.submap.ids) else None
-
-
-def _map_so_far(
-    log: LandmarkLog,
-    state: ekf_slam.EkfSlamState,
-    weight: Float[np.ndarray, " n"],
-    tracks: Sequence[Track],
-    cfg: EkfSlamConfig,
-) -> LocalMap:
-    """What a filter that has worked in all of `log` hands over."""
-    submap, moving = state.submap, _restless(log.sightings, weight, cfg)
-    if moving in submap.ids:
-        keep = np.array([name != moving for name in submap.ids])
-        rows = np.concatenate([[True] * POSE, np.repeat(keep, 2)])
-        ids = tuple(name for name in submap.ids if name != moving)
-        submap = replace(submap, ids=ids, mean=submap.mean[keep], cov=submap.cov[np.ix_(rows, rows)])
-    scale = np.array([state.x[RANGE_SCALE], state.x[RANGE_SCALE], 1.0])
-    pose = np.concatenate([track.pose for track in tracks]) * scale
-    cov = np.concatenate([track.cov for track in tracks if track.cov is not None]) * np.outer(scale, scale)
-    counts = log.sightings.counts()
-    return LocalMap(
-        robot=log.robot,
-        submap=submap,
-        track=Track(np.concatenate([track.t for track in tracks]), pose, cov, state.frame),
-        sightings={name: counts[name] for name in submap.ids},
-        robot_sightings=_robot_sightings(log),
-        source=log.source,
-        log_hash=log.log_hash,
-    )
-
-
-def _robot_sightings(log: LandmarkLog) -> RobotSightings:
+def robot_sightings(log: LandmarkLog) -> RobotSightings:
     table = log.sightings
     robots = np.array([not ekf_slam.is_landmark(name) for name in table.ids], bool)
     r = table.select(robots[table.what]) if len(table) else table
@@ -142,11 +92,19 @@ def without_impossible(log: LandmarkLog, cfg: EkfSlamConfig) -> LandmarkLog:
 
 def _restless(seen: SightingTable, weights: Float[np.ndarray, " n"], cfg: EkfSlamConfig) -> str | None:
     """The landmark with the largest share of its sightings down-weighted, if that is most of them."""
+    judged = np.isfinite(weights)
+    n = len(seen.ids)
+    down = np.bincount(seen.what[judged & (weights < 1.0)], minlength=n)
+    return restless(seen.ids, np.bincount(seen.what[judged], minlength=n), down, cfg)
+
+
+def restless(
+    ids: Sequence[str], judged: Int[np.ndarray, " k"], down: Int[np.ndarray, " k"], cfg: EkfSlamConfig
+) -> str | None:
+    """The one of `ids` of whose `judged` sightings the largest share is down-weighted, if that is most of them."""
     worst, name = cfg.restless_share, None
-    for k, other in enumerate(seen.ids):
-        weight = weights[seen.what == k]
-        weight = weight[np.isfinite(weight)]
-        share = float((weight < 1.0).mean()) if len(weight) >= cfg.restless_sightings else 0.0
+    for k, other in enumerate(ids):
+        share = float(down[k] / judged[k]) if judged[k] and judged[k] >= cfg.restless_sightings else 0.0
         if share > worst:
             worst, name = share, other
     return name
@@ -172,7 +130,7 @@ def _result(
         submap=done.submap,
         track=done.track,
         sightings=counts,
-        robot_sightings=_robot_sightings(log),
+        robot_sightings=robot_sightings(log),
         odometry="velocity" if cfg.odometry else "none",
         source=log.source,
         log_hash=log.log_hash,

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Bool
 
 from ..core import se2
 from ..core.landmark_log import LandmarkLog, SightingTable
@@ -13,13 +14,17 @@ from .ekf_slam import is_landmark
 from .landmark_map import LandmarkMap, Submap
 from .pieces import Tied, tie
 
+Known = dict[tuple[int, int], tuple[Bool[np.ndarray, " k"], Played]]  # rows of a part -> what came of it
 
-def play_in_pieces(log: LandmarkLog, cfg: EkfSlamConfig) -> Played:
+
+def play_in_pieces(log: LandmarkLog, cfg: EkfSlamConfig, known: Known | None = None) -> Played:
     """The largest map that pieces without a gap longer than `cfg.piece_gap` give; poses at every sighting stamp.
 
-    Its frame is the first pose of the first piece tied, its covariance that relative to the largest piece.
+    Its frame is the first pose of the first piece tied, its covariance that relative to the largest piece. known:
+    parts of this very log that were played before, whose rows are the same, and which are not played again; those
+    played now are added.
     """
-    played = _play_parts(log, cfg)
+    played = _play_parts(log, cfg, {} if known is None else known)
     maps = [_piece(done, cfg.piece_sightings) for done in played]
     able = [k for k, m in enumerate(maps) if len(m) >= 2]
     if len(played) <= 1 or not able:
@@ -39,23 +44,30 @@ def play_in_pieces(log: LandmarkLog, cfg: EkfSlamConfig) -> Played:
     return Played(log.sightings, played[first].x, played[first].P, made, track, nis, weight, told)
 
 
-def _play_parts(log: LandmarkLog, cfg: EkfSlamConfig) -> list[Played]:
+def _play_parts(log: LandmarkLog, cfg: EkfSlamConfig, known: Known) -> list[Played]:
     """A filter's run for each part between long gaps; it ends early, and another begins, where the heading is lost."""
     played, filtered = [], replace(cfg, smooth=False)
-    waiting = _parts(log.sightings, cfg.piece_gap)[::-1]
+    waiting = parts(log.sightings, cfg.piece_gap)[::-1]
     while waiting:
         part = waiting.pop()
-        track = play(replace(log, sightings=log.sightings.select(part)), filtered).track
-        lost = np.zeros(0) if track.cov is None else track.t[track.cov[:, 2, 2] > cfg.piece_heading**2]
-        if len(lost) and lost[0] > track.t[0]:
-            ended = log.sightings.t[part] < lost[0]
+        key = (int(part[0]), int(part[-1]))
+        if key in known:
+            ended, done = known[key]
+        else:
+            track = play(replace(log, sightings=log.sightings.select(part)), filtered).track
+            lost = np.zeros(0) if track.cov is None else track.t[track.cov[:, 2, 2] > cfg.piece_heading**2]
+            ended = np.ones(len(part), bool)
+            if len(lost) and lost[0] > track.t[0]:
+                ended = log.sightings.t[part] < lost[0]
+            done = play(replace(log, sightings=log.sightings.select(part[ended])), cfg)
+            known[key] = ended, done
+        if not ended.all():
             waiting.append(part[~ended])
-            part = part[ended]
-        played.append(play(replace(log, sightings=log.sightings.select(part)), cfg))
+        played.append(done)
     return played
 
 
-def _parts(seen: SightingTable, gap: float) -> list[np.ndarray]:
+def parts(seen: SightingTable, gap: float) -> list[np.ndarray]:
     """Rows of each part; a new one begins with the first landmark sighted after more than `gap` [s] without any."""
     landmark = np.array([is_landmark(name) for name in seen.ids], bool)
     rows = np.flatnonzero(landmark[seen.what]) if len(seen) else np.zeros(0, np.int64)

@@ -7,7 +7,7 @@ from ..core.run import Runner
 from ..landmarks import ekf_slam
 from ..landmarks.config import EkfSlamConfig
 from ..landmarks.landmark_map import Submap
-from ..landmarks.mapping import config_for, growing_maps, without_impossible
+from ..landmarks.mapping import config_for, local_map, without_impossible
 from .columns import pack, pack_triangle
 from .landmark_stream import LandmarkRecord
 from .messages import Header, Numbered, Snapshot
@@ -50,8 +50,8 @@ class LandmarkRobot:
 
     def _map_anew(self) -> None:
         log = self.record.log
-        mapped = next(growing_maps(log, self._cfg, [log.span[1]], self._seed))
-        self._submap = None if mapped is None else mapped.submap
+        mapped = local_map(log, self._cfg, self._seed) if len(log.sightings) else None
+        self._submap = mapped.submap if mapped is not None and mapped.submap.ids else None
 
     @property
     def submap(self) -> Submap:

@@ -1,7 +1,7 @@
 """The shared map while robots drive: their latest snapshots through the very fusion of `map`."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -56,6 +56,7 @@ class SharedMap:
     decisions: list[str] = field(default_factory=list)
     used: dict[str, int] = field(default_factory=dict)
     fused: int = 0
+    fuser: OnlineFuser = field(default_factory=OnlineFuser)
 
     def update(self, ledgers: Iterable[Ledger]) -> bool:
         """Whether there was anything fresher, which is fused now; what can't be fused is said in `decisions`."""
@@ -90,7 +91,10 @@ class SharedMap:
         name_of = {m.robot: name for name, m in maps.items()}
         try:
             recordings = {m.robot: m.source for m in maps.values()}
-            fusion = OnlineFuser(self.cfg, recordings).update(*maps.values()).fusion
+            if set(self.fuser.latest) - set(recordings):  # who is refused by now is out of the sum
+                self.fuser = OnlineFuser(self.cfg)
+            self.fuser = replace(self.fuser, cfg=self.cfg, recordings=recordings).update(*maps.values())
+            fusion = self.fuser.fusion
         except (MapweaveError, np.linalg.LinAlgError) as error:
             self.decisions = [*refused, f"not fused: {error}"]
             return
