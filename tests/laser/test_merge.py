@@ -143,6 +143,47 @@ def test_a_building_that_looks_the_same_turned_round_is_refused_with_both_places
     assert told.rival is not None
 
 
+@pytest.fixture(scope="module")
+def small_office():
+    """Two robots that saw all of a building that looks nearly the same turned round, whose desks alone differ."""
+    rng = np.random.default_rng(11)
+    half = [[-10.0, 4.0, 0.0, 4.0], [-10.0, -4.0, 0.0, -4.0], [-10.0, -4.0, -10.0, 4.0]]
+    half += [[-5.0, 1.0, -5.0, 4.0], [-5.0, -4.0, -5.0, -1.0]]
+    parts = np.concatenate([np.array(half), -np.array(half), np.array(box(-8.0, 3.2, -6.6, 4.0))])
+    return drive_pair(Walls.of(parts), np.array([-10.0, -4.0]), np.array([10.0, 4.0]), 1.0, rng, SMALL)
+
+
+@pytest.mark.parametrize("off", [(0.3, -0.3, 0.05), (-0.7, 0.4, -0.1)])
+def test_of_two_places_that_fit_alike_a_start_decides(small_office, off):
+    made = small_office
+    assert "fit equally well" in merge_maps(made.a, made.b).reason
+    start = Start(se2.compose(made.transform, np.array(off)), np.array([0.5, 0.5, 0.1]))
+    told = merge_maps(made.a, made.b, start=start)
+    assert told.merged, told.reason
+    assert np.hypot(*se2.between(told.transform, made.transform)[:2]) < 0.2
+    back = merge_maps(made.b, made.a, start=Start(se2.inverse(start.transform), start.sd))
+    assert back.merged, back.reason
+
+
+def test_a_start_where_the_scans_do_not_fit_decides_nothing(small_office):
+    made = small_office
+    false = Start(se2.compose(made.transform, np.array([2.5, 1.5, 0.8])), np.array([0.3, 0.3, 0.1]))
+    told = merge_maps(made.a, made.b, start=false)
+    assert not told.merged
+    assert "near the start that was given: no place fits there as well as elsewhere" in told.reason
+    assert "everywhere: two places" in told.reason
+
+
+def test_a_start_is_never_less_likely_than_that_it_is_false():
+    start = Start(np.array([1.0, 2.0, 0.5]), np.array([0.5, 0.5, 0.1]))
+    assert start.likelihood(start.transform, 0.05) == 1.0
+    assert start.likelihood(np.array([50.0, 2.0, 0.5]), 0.05) == pytest.approx(0.05)
+    off = start.likelihood(se2.compose(start.transform, np.array([np.hypot(0.5, 0.3), 0.0, 0.0])), 0.05)
+    assert off == pytest.approx(0.05 + 0.95 * np.exp(-0.5))
+    assert start.near(np.array([2.5, 2.0, 0.6]))
+    assert not start.near(np.array([2.5, 2.0, 0.9]))
+
+
 def test_what_one_saw_through_speaks_against_a_transform(pair):
     true = seen_alike(pair.a, pair.b, pair.transform)
     assert true.share > 0.95

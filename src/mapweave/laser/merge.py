@@ -107,12 +107,24 @@ class _Pair(NamedTuple):
     b: KeyframeMap
     place: LikelihoodField
     cfg: MergeConfig
+    start: Start | None = None
+
+    @property
+    def alike(self) -> float:
+        """Share of what both saw on which they must agree; near a start that was given less will do."""
+        return self.cfg.alike if self.start is None else self.cfg.known_alike
+
+    def evidence(self, c: Candidate) -> float:
+        """For a transform: what both saw, and how likely a start that was given makes it."""
+        seen = c.evidence(self.alike)
+        return seen if self.start is None or seen < 0 else seen * self.start.likelihood(c.transform, self.cfg.blunder)
 
 
 def merge_maps(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig | None = None, start: Start | None = None) -> Merge:
     """Whether the two maps are one building's, and how they lie.
 
-    start: where b is said to lie in a: searched first, and believed only as far as the scans agree.
+    start: where b is said to lie in a: searched first; of places that fit alike it decides. Where nothing fits there,
+    the scans alone decide.
     """
     cfg = cfg or MergeConfig()
     if len(b.pose) > len(a.pose):
@@ -120,11 +132,11 @@ def merge_maps(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig | None = None, s
         return _swapped(merge_maps(b, a, cfg, swapped))
     pair = _Pair(a, b, whole_place(a, cfg, featured=b.q is not None), cfg)
     if start is None:
-        return _decided(pair, None)
-    near = _decided(pair, start)
+        return _decided(pair)
+    near = _decided(pair._replace(start=start))
     if near.merged:
         return near
-    free = _decided(pair, None)
+    free = _decided(pair)
     if free.transform is None:
         return replace(free, reason=f"near the start that was given: {near.reason}; everywhere: {free.reason}")
     away = se2.between(start.transform, free.transform)
@@ -134,38 +146,42 @@ def merge_maps(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig | None = None, s
     return replace(free, reason=f"{free.reason}; the scans overrule the start that was given, by {how_far}")
 
 
-def _decided(pair: _Pair, start: Start | None) -> Merge:
+def _decided(pair: _Pair) -> Merge:
     """The decision on the whole maps, and where it is no merge, on submaps: those of a stage, and more if in doubt.
 
-    Near a start that is given only submaps are searched for.
+    Where a start is given submaps are searched for near it alone; the whole maps tell of other places.
     """
-    a, b, place, cfg = pair
-    whole = [] if start is not None else whole_candidates(a, b, place, cfg)
+    a, b, place, cfg, start = pair
+    whole = whole_candidates(a, b, place, cfg, start)
     told = Merge(a.robot, b.robot, False, "too little overlap: no place of one map in the other is free of walls")
-    if whole:
-        told = _weighed(pair, whole, 0, start)
+    if whole and start is None:
+        told = _weighed(pair, whole, 0)
         if told.merged or not told.reason.startswith("too little overlap"):
             return told
     found: list[Hypothesis] = []
     tried, asked = 0, stages(b, cfg)
     for k, stage in enumerate(asked):
         more, count = hypotheses(b, place, stage, cfg, start)
-        found += [h for h in more if start is None or _near(start, h.transform)]
+        found += [h for h in more if start is None or start.near(h.transform)]
         tried += count
         if k + 1 < len(asked) and len(found) < cfg.sure:
             continue
-        if not found:
+        ways = [*candidates(a, b, found, cfg), *whole]
+        if not (found or (start is not None and whole)):
             return replace(told, reason=f"too little overlap: none of {tried} submaps is found in the other map")
-        told = _weighed(pair, [*candidates(a, b, found, cfg), *whole], tried, start)
+        told = _weighed(pair, ways, tried)
         if told.merged and told.agreeing >= cfg.sure:
             break
     return told
 
 
-def _weighed(pair: _Pair, ways: Sequence[Candidate], tried: int, start: Start | None) -> Merge:
+def _weighed(pair: _Pair, ways: Sequence[Candidate], tried: int) -> Merge:
     """The decision between transforms."""
-    a, b, place, cfg = pair
-    best = max(ways, key=lambda c: c.evidence(cfg.alike))
+    a, b, place, cfg, start = pair
+    best = max(ways, key=pair.evidence)
+    if start is not None and not start.near(best.transform):
+        elsewhere = f"{robot_name(b.robot)} at {words(best.transform)} in the map of {robot_name(a.robot)}"
+        return Merge(a.robot, b.robot, False, f"no place fits there as well as elsewhere: {elsewhere}")
     checked = _closures(pair, best)
     held = [h for h, c in checked if c.accepted]
     needed = cfg.votes if start is None else cfg.known_votes
@@ -176,7 +192,7 @@ def _weighed(pair: _Pair, ways: Sequence[Candidate], tried: int, start: Start | 
         held = [h for h, c in checked if c.accepted]
         needed = 1
     others = [c for c in ways if not same_place(b, c.transform, best.transform, cfg)]
-    rival = max(others, key=lambda c: (_allowed(c, best, cfg), c.evidence(cfg.alike)), default=None)
+    rival = max(others, key=lambda c: (start is None and _allowed(c, best, cfg), pair.evidence(c)), default=None)
     score = _score(held or best.members)
     told = Merge(
         a.robot,
@@ -205,12 +221,6 @@ def _weighed(pair: _Pair, ways: Sequence[Candidate], tried: int, start: Start | 
     )
 
 
-def _near(start: Start, T: np.ndarray) -> bool:
-    """Whether the start allows a transform: it lies within three standard deviations, or as near as is searched."""
-    sd, e = np.asarray(start.sd), se2.between(start.transform, T)
-    return bool(np.hypot(*e[:2]) <= max(3.0 * np.hypot(*sd[:2]), 1.0) and abs(e[2]) <= max(3.0 * sd[2], 0.2))
-
-
 def _certain(best: Candidate, cfg: MergeConfig) -> bool:
     """Whether the whole maps alone tell that they lie so: much in common, and nothing amid free floor."""
     return best.evidence(cfg.alike) >= cfg.certain and best.seen.clear >= cfg.clear
@@ -223,14 +233,19 @@ def _allowed(other: Candidate, best: Candidate, cfg: MergeConfig) -> bool:
     return enough and seen.clear >= cfg.clear and seen.share >= cfg.rival_alike
 
 
+def _doubtful(pair: _Pair, best: Candidate, rival: Candidate) -> bool:
+    """Whether the maps might lie as `rival` says; that a start does not rule it out is in its evidence."""
+    near = pair.cfg.lead * pair.evidence(rival) > pair.evidence(best)
+    return near or (pair.start is None and _allowed(rival, best, pair.cfg))
+
+
 def _why_refused(pair: _Pair, told: Merge, best: Candidate, rival: Candidate | None, tried: int, needed: int) -> str:
     """The reason in words, empty when there is none. The most telling cause comes first."""
     cfg = pair.cfg
-    good = best.seen.share >= cfg.alike and best.seen.alike >= cfg.least_seen
-    evidence = best.evidence(cfg.alike)
+    good = best.seen.share >= pair.alike and best.seen.alike >= cfg.least_seen
     if good and (along := _slides(pair, best)) is not None:
         return f"a corridor: {along} is not held, the maps may slide along it"
-    if good and rival is not None and (cfg.lead * rival.evidence(cfg.alike) > evidence or _allowed(rival, best, cfg)):
+    if good and rival is not None and _doubtful(pair, best, rival):
         which = f"two places of {robot_name(pair.b.robot)} in the map of {robot_name(pair.a.robot)}"
         first, second = (f"{words(c.transform)}, {100 * c.seen.share:.0f} %" for c in (best, rival))
         return f"{which} fit equally well: {first} of what both saw is alike, and {second}"
@@ -239,7 +254,7 @@ def _why_refused(pair: _Pair, told: Merge, best: Candidate, rival: Candidate | N
         return (
             f"too little overlap: no place fits {what}; in the best, {robot_name(pair.b.robot)} at "
             f"{words(best.transform)} in the map of {robot_name(pair.a.robot)}, each robot saw "
-            f"through walls of the other ({100 * best.seen.share:.0f} % alike, {100 * cfg.alike:.0f} % are needed)"
+            f"through walls of the other ({100 * best.seen.share:.0f} % alike, {100 * pair.alike:.0f} % are needed)"
         )
     if not good or told.agreeing < needed:
         return f"too little overlap: {told.agreeing} submaps agree on a place, {needed} are needed"
@@ -248,7 +263,7 @@ def _why_refused(pair: _Pair, told: Merge, best: Candidate, rival: Candidate | N
 
 def _closures(pair: _Pair, best: Candidate) -> list[tuple[Hypothesis, MapClosure]]:
     """Every submap near the other map under the best transform, and whether it confirms it."""
-    a, b, place, cfg = pair
+    a, b, place, cfg, _ = pair
     found = confirmed(a, b, place, best.transform, cfg)
     rows = [_closure(a, b, h, best, cfg) for h in found]
     fit = [k for k, c in enumerate(rows) if c.accepted]
@@ -295,7 +310,7 @@ def _consistent(pair: _Pair, found: Sequence[Hypothesis], rows: Sequence[MapClos
     """The largest set of closures whose cycles are all within the covariances of matches and ways."""
     if not rows:
         return []
-    a, b, _, cfg = pair
+    a, b, _, cfg, _ = pair
     first, second = [c.first for c in rows], [c.second for c in rows]
     P = np.array([h.fit.covariance for h in found])
     squares = cycle_squares(
@@ -337,7 +352,7 @@ def _slides(pair: _Pair, best: Candidate) -> str | None:
         for sign in (-1.0, 1.0):
             pushed = best.transform + sign * step * np.array([*vectors[:, 0], 0.0])
             seen = seen_alike(pair.a, pair.b, pushed)
-            if cfg.push_lead * best._replace(seen=seen).evidence(cfg.alike) > best.evidence(cfg.alike):
+            if cfg.push_lead * best._replace(seen=seen).evidence(pair.alike) > best.evidence(pair.alike):
                 return along
     return None
 

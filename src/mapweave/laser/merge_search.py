@@ -19,6 +19,7 @@ from .pose_graph import PoseGraph
 from .robust_graph import RobustGraphConfig, solve_graph
 from .submaps import Query, SubmapConfig, gathered, query_around
 
+SLIP = (0.3, 0.3, 0.05)  # [m, m, rad] that a map's first keyframes may be off the rest
 WHOLE = 1000  # points of a whole map that are searched with
 
 
@@ -37,6 +38,8 @@ class MergeConfig:
     candidates: int = 16  # transforms looked into
     votes: int = 4  # submaps that confirm, at least
     known_votes: int = 3  # at least, inside the window of a start that was given
+    known_alike: float = 0.8  # share of what both saw on which they agree there,
+    blunder: float = 0.05  # chance that a start is false: what its likelihood never falls below
     sure: int = 20  # submaps that confirm, and no more are searched for everywhere
     lead: float = 5.0  # times the evidence of any other place that is not contradicted
     push_lead: float = 2.5  # times that of the same place pushed along its worst direction
@@ -60,6 +63,19 @@ class Start(NamedTuple):
 
     transform: Float[np.ndarray, "3"]
     sd: Float[np.ndarray, "3"]
+
+    def near(self, T: Float[np.ndarray, "3"]) -> bool:
+        """Whether it allows a transform, which lies within three standard deviations, or as near as is searched."""
+        sd, e = np.asarray(self.sd), se2.between(self.transform, T)
+        return bool(np.hypot(*e[:2]) <= max(3.0 * np.hypot(*sd[:2]), 1.0) and abs(e[2]) <= max(3.0 * sd[2], 0.2))
+
+    def likelihood(self, T: Float[np.ndarray, "3"], blunder: float) -> float:
+        """Of a transform, 1 where it is said to be; never under `blunder`, the chance that what was said is false.
+
+        What a map slips in its first metres counts as error of the start too.
+        """
+        e = se2.between(self.transform, T) / np.hypot(np.asarray(self.sd), SLIP)
+        return float(blunder + (1.0 - blunder) * np.exp(-0.5 * e @ e))
 
 
 class Hypothesis(NamedTuple):
@@ -150,15 +166,25 @@ def candidates(a: KeyframeMap, b: KeyframeMap, found: Sequence[Hypothesis], cfg:
     return sorted(out, key=lambda c: -c.evidence(cfg.alike))
 
 
-def whole_candidates(a: KeyframeMap, b: KeyframeMap, place: LikelihoodField, cfg: MergeConfig) -> list[Candidate]:
-    """The transforms that the whole maps allow best, each laid onto the walls; most evidence first."""
+def whole_candidates(
+    a: KeyframeMap, b: KeyframeMap, place: LikelihoodField, cfg: MergeConfig, start: Start | None = None
+) -> list[Candidate]:
+    """The transforms that the whole maps allow best, and that near a start; each laid onto the walls.
+
+    Most evidence comes first.
+    """
     thin = b.walls[np.linspace(0, len(b.walls) - 1, min(len(b.walls), WHOLE)).round().astype(int)]
+    windows = [
+        Window(found.transform, (2.0 * cfg.agree,) * 2, cfg.agree_turn) for found in map_places(a, b, cfg.correlation)
+    ]
+    if start is not None:
+        windows.append(_start_window(start, np.zeros(3)))
     out: list[Candidate] = []
-    for found in map_places(a, b, cfg.correlation):
-        close = search(place, thin, Window(found.transform, (2.0 * cfg.agree,) * 2, cfg.agree_turn)).best
+    for window in windows:
+        close = search(place, thin, window).best
         if close is None:
             continue
-        ways = [_whole(a, b, place, start, close.score, cfg) for start in (found.transform, close.pose)]
+        ways = [_whole(a, b, place, at, close.score, cfg) for at in (window.centre, close.pose)]
         out.append(max(ways, key=lambda c: c.evidence(cfg.alike)))
     return sorted(out, key=lambda c: -c.evidence(cfg.alike))
 
