@@ -6,7 +6,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.errors import DataError
 from mapweave.core.walls import Walls
-from mapweave.laser.map_overlap import KeyframeMap, seen_alike, wall_overlap
+from mapweave.laser.map_overlap import KeyframeMap, lit_alike, seen_alike, wall_overlap
 from mapweave.laser.merge import merge_maps
 from mapweave.laser.merge_search import Start
 from mapweave.sim.laser_pairs import PairConfig, drive_pair
@@ -165,6 +165,37 @@ def test_of_two_places_that_fit_alike_a_start_decides(small_office, off):
     assert back.merged, back.reason
 
 
+def middle_of(m):
+    """[m] of the building, in the frame of a map that holds all of it."""
+    return 0.5 * (m.walls.min(axis=0) + m.walls.max(axis=0))
+
+
+def shining(m, frame, even=False):
+    """The map with walls whose brightness is told by where they stand in `frame`."""
+    at = [se2.act(frame, se2.act(p, c)) for p, c in zip(m.pose, m.points, strict=True)]
+    rng = np.random.default_rng(1)
+    levels = [np.floor(0.7 * c).astype(int) @ np.array([7, 13]) % 5 / 5.0 * (not even) for c in at]
+    return KeyframeMap(m.robot, m.pose, m.points, [v + rng.normal(0.0, 0.02, len(v)) for v in levels])
+
+
+def test_of_two_places_that_fit_alike_the_brightness_of_the_walls_decides(small_office):
+    a, b = shining(small_office.a, np.zeros(3)), shining(small_office.b, small_office.transform)
+    true = small_office.transform
+    assert lit_alike(a, b, true) > 0.8
+    turned = se2.compose(np.array([*(2.0 * middle_of(small_office.a)), np.pi]), true)
+    assert lit_alike(a, b, turned) < 0.4
+    assert lit_alike(small_office.a, b, true) is None
+    assert seen_alike(a, b, turned).share > 0.9
+    assert lit_alike(shining(a, np.zeros(3), even=True), b, true) is None
+    assert lit_alike(a, b, np.array([500.0, 0.0, 0.0])) is None
+    told = merge_maps(a, b)
+    assert told.merged, told.reason
+    assert np.hypot(*se2.between(told.transform, true)[:2]) < 0.2
+    assert "at other places their walls do not shine alike" in told.reason
+    even = merge_maps(shining(a, np.zeros(3), even=True), shining(b, np.zeros(3), even=True))
+    assert "fit equally well" in even.reason
+
+
 def test_a_start_where_the_scans_do_not_fit_decides_nothing(small_office):
     made = small_office
     false = Start(se2.compose(made.transform, np.array([2.5, 1.5, 0.8])), np.array([0.3, 0.3, 0.1]))
@@ -195,6 +226,23 @@ def test_what_one_saw_through_speaks_against_a_transform(pair):
     walls = np.concatenate([se2.act(p, c) for p, c in zip(pair.a.pose, pair.a.points, strict=True)])
     assert wall_overlap(walls, pair.b, pair.transform) > 0.5
     assert wall_overlap(walls, pair.b, np.array([500.0, 0.0, 0.0])) == 0.0
+
+
+def test_a_wall_seen_from_its_two_sides_does_not_speak_for_a_place():
+    rng = np.random.default_rng(2)
+    walls = Walls.of(np.array(box(0.0, 0.0, 14.0, 7.0)))
+    made = drive_pair(walls, np.zeros(2), np.array([14.0, 7.0]), 1.0, rng, PairConfig(keyframes=60, beams=120))
+    true = seen_alike(made.a, made.b, made.transform)
+    assert true.alike > 150
+    lengths = np.hypot(*made.a.walls_side.T)
+    assert np.mean(np.abs(lengths - 1.0) < 1e-9) > 0.8
+    assert np.mean(((middle_of(made.a) - made.a.walls) * made.a.walls_side).sum(axis=1) > 0) > 0.8
+    normals = made.a.walls_side[lengths > 0.5]
+    square = np.angle(np.mean(np.exp(4j * np.arctan2(normals[:, 1], normals[:, 0])))) / 4.0
+    for axis in (0, 1):  # the room beside, which shares a wall
+        across = np.array([np.cos(square + axis * np.pi / 2), np.sin(square + axis * np.pi / 2)])
+        shift = np.array([*(np.ptp(made.a.walls @ across) * across), 0.0])
+        assert seen_alike(made.a, made.b, se2.compose(shift, made.transform)).alike < 30
 
 
 def test_maps_that_hold_nothing_are_told():

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from ..core import se2
 from ..core.errors import DataError
 from ..core.records import frozen
+from ..kernels.laser.place_refine import fit_normals
 from .submaps import gathered
 
 MOST_BINS, LEAST_BINS = 360, 60  # directions of a keyframe's view, wider than its beams are apart
@@ -18,6 +19,8 @@ REACH = 8.0  # [m] views are compared up to
 BEHIND, ALIKE = 0.4, 0.2  # [m] a wall this much nearer was seen through; one this near is the same
 CLOSE = 0.6  # [m] from its walls, and a point seen through may be a wall of a bent map
 WALL = 0.2  # [m] walls this near overlap
+LEAST_LIT, EVEN = 150, 0.05  # walls that meet whose brightness is compared, and its sd, at least
+LINE, THICK, SIDED = 0.5, 0.3, 0.2  # [m] wall points this near make a line this thin at most; cosine to its side
 COARSE = 0.2  # [m] of the points compared
 
 
@@ -26,7 +29,8 @@ class KeyframeMap:
     """One robot's keyframes in the frame of its own map.
 
     pose: (n, 3); points: of each keyframe (k, 2) [m] in its own frame; q: their brightness, or None; path: (n,) [m]
-    driven up to each keyframe; walls: (w, 2) [m] all points in the map's frame, thinned.
+    driven up to each; walls: (w, 2) [m] all points in the map's frame, thinned; walls_q: (w,) their brightness;
+    walls_side: (w, 2) unit normals on the side they were seen from, zero where that was both or they make no line.
     """
 
     robot: str
@@ -35,6 +39,8 @@ class KeyframeMap:
     q: Sequence[Float[np.ndarray, " _"]] | None = None
     path: Float[np.ndarray, " n"] = field(init=False)
     walls: Float[np.ndarray, "w 2"] = field(init=False, repr=False)
+    walls_q: Float[np.ndarray, " w"] | None = field(init=False, repr=False)
+    walls_side: Float[np.ndarray, "w 2"] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pose", frozen(self.pose))
@@ -42,8 +48,22 @@ class KeyframeMap:
             raise DataError(f"map of {self.robot}: {len(self.pose)} keyframes and points of {len(self.points)}")
         steps = np.hypot(*np.diff(self.pose[:, :2], axis=0).T) if len(self.pose) > 1 else np.zeros(0)
         object.__setattr__(self, "path", frozen(np.concatenate([[0.0], np.cumsum(steps)])))
-        cloud, _ = gathered(self.pose, self.points, range(len(self.pose)), np.zeros(3), COARSE)
+        cloud, q = gathered(self.pose, self.points, range(len(self.pose)), np.zeros(3), COARSE, self.q)
         object.__setattr__(self, "walls", frozen(cloud))
+        object.__setattr__(self, "walls_q", None if q is None else frozen(q))
+        object.__setattr__(self, "walls_side", frozen(self._sides()))
+
+    def _sides(self) -> Float[np.ndarray, "w 2"]:
+        home = [-p / np.maximum(np.hypot(*p.T), 1e-9)[:, None] for p in self.points]
+        back = [u @ se2.rotation(float(pose[2])).T for u, pose in zip(home, self.pose, strict=True)]
+        seen = [
+            gathered(self.pose, self.points, range(len(self.pose)), np.zeros(3), COARSE, [u[:, k] for u in back])[1]
+            for k in range(2)
+        ]
+        lines = fit_normals(self.walls, LINE)
+        facing = sum(lines[:, k] * np.asarray(seen[k]) for k in range(2))
+        told = (np.abs(facing) > SIDED) & (lines[:, 2] < THICK)
+        return np.asarray(lines[:, :2] * (np.sign(facing) * told)[:, None])
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +96,12 @@ def seen_alike(a: KeyframeMap, b: KeyframeMap, transform: Float[np.ndarray, "3"]
 
 
 def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray) -> SeenAlike:
-    """Walls of b in the views of a. A view is the nearest return in each direction; what is behind it is unknown."""
+    """Walls of b in the views of a. A view is the nearest return in each direction; what is behind it is unknown.
+
+    A wall that one robot saw from one side and the other from the other says nothing.
+    """
     walls = se2.act(transform, b.walls)
+    side = b.walls_side @ se2.rotation(float(transform[2])).T
     tree = cKDTree(walls)
     near = [k for k in range(len(a.pose)) if len(tree.query_ball_point(a.pose[k, :2], REACH)) > 10]
     if len(near) > FRAMES:
@@ -93,12 +117,28 @@ def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray) -> Se
         around = np.stack([view[(at + d) % bins] for d in (-1, 0, 1)])
         known = np.isfinite(around).all(axis=0)
         like = known & (np.abs(around - r) < ALIKE + 0.02 * r).any(axis=0)
-        same[seen] += like
+        facing = ((a.pose[k, :2] - walls[seen]) * side[seen]).sum(axis=1)
+        same[seen] += like & (facing > -SIDED * r)
         through[seen] += known & ~like & (around.min(axis=0) - r > BEHIND)
     judged = same + through > 0
     alike, unlike = judged & (same >= through), judged & (same < through)
     away = int(np.sum(np.asarray(cKDTree(a.walls).query(walls[unlike])[0]) > CLOSE)) if unlike.any() else 0
     return SeenAlike(int(alike.sum()), int(unlike.sum()), int(alike.sum()) / max(int(alike.sum()) + away, 1))
+
+
+def lit_alike(a: KeyframeMap, b: KeyframeMap, transform: Float[np.ndarray, "3"]) -> float | None:
+    """Correlation of the brightness of walls that meet where b lies at `transform` in a.
+
+    None where too few meet or have a brightness, or all are equally bright.
+    """
+    if a.walls_q is None or b.walls_q is None or not len(a.walls) or not len(b.walls):
+        return None
+    far, at = cKDTree(a.walls).query(se2.act(transform, b.walls))
+    met = far < WALL
+    one, other = a.walls_q[at[met]], b.walls_q[met]
+    if len(one) < LEAST_LIT or min(np.std(one), np.std(other)) < EVEN:
+        return None
+    return float(np.corrcoef(one, other)[0, 1])
 
 
 def wall_overlap(walls: Float[np.ndarray, "m 2"], b: KeyframeMap, transform: Float[np.ndarray, "3"]) -> float:

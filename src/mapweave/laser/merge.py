@@ -8,7 +8,7 @@ no other transform is allowed, and it is held in every direction.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -18,7 +18,8 @@ from ..core.gaussian import symmetrise
 from ..core.names import robot_name
 from ..core.records import frozen
 from .consistency import adjoint, cycle_squares, largest_clique
-from .map_overlap import KeyframeMap, seen_alike, wall_overlap
+from .map_overlap import KeyframeMap, wall_overlap
+from .merge_doubts import Pair, allowed, doubtful, slides, words
 from .merge_search import (
     Candidate,
     Hypothesis,
@@ -33,7 +34,6 @@ from .merge_search import (
     whole_candidates,
     whole_place,
 )
-from .place_search import LikelihoodField
 
 CYCLE_GATE = 4.0 * 11.34  # squared sd of a cycle: twice the 99 % of 3 degrees of freedom in sd, maps bend unevenly
 
@@ -102,24 +102,6 @@ class Merge:
         }
 
 
-class _Pair(NamedTuple):
-    a: KeyframeMap
-    b: KeyframeMap
-    place: LikelihoodField
-    cfg: MergeConfig
-    start: Start | None = None
-
-    @property
-    def alike(self) -> float:
-        """Share of what both saw on which they must agree; near a start that was given less will do."""
-        return self.cfg.alike if self.start is None else self.cfg.known_alike
-
-    def evidence(self, c: Candidate) -> float:
-        """For a transform: what both saw, and how likely a start that was given makes it."""
-        seen = c.evidence(self.alike)
-        return seen if self.start is None or seen < 0 else seen * self.start.likelihood(c.transform, self.cfg.blunder)
-
-
 def merge_maps(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig | None = None, start: Start | None = None) -> Merge:
     """Whether the two maps are one building's, and how they lie.
 
@@ -130,7 +112,7 @@ def merge_maps(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig | None = None, s
     if len(b.pose) > len(a.pose):
         swapped = None if start is None else Start(se2.inverse(start.transform), start.sd)
         return _swapped(merge_maps(b, a, cfg, swapped))
-    pair = _Pair(a, b, whole_place(a, cfg, featured=b.q is not None), cfg)
+    pair = Pair(a, b, whole_place(a, cfg, featured=b.q is not None), cfg)
     if start is None:
         return _decided(pair)
     near = _decided(pair._replace(start=start))
@@ -146,12 +128,12 @@ def merge_maps(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig | None = None, s
     return replace(free, reason=f"{free.reason}; the scans overrule the start that was given, by {how_far}")
 
 
-def _decided(pair: _Pair) -> Merge:
+def _decided(pair: Pair) -> Merge:
     """The decision on the whole maps, and where it is no merge, on submaps: those of a stage, and more if in doubt.
 
     Where a start is given submaps are searched for near it alone; the whole maps tell of other places.
     """
-    a, b, place, cfg, start = pair
+    a, b, place, cfg, start = pair[:5]
     whole = whole_candidates(a, b, place, cfg, start)
     told = Merge(a.robot, b.robot, False, "too little overlap: no place of one map in the other is free of walls")
     if whole and start is None:
@@ -175,9 +157,10 @@ def _decided(pair: _Pair) -> Merge:
     return told
 
 
-def _weighed(pair: _Pair, ways: Sequence[Candidate], tried: int) -> Merge:
+def _weighed(pair: Pair, ways: Sequence[Candidate], tried: int) -> Merge:
     """The decision between transforms."""
-    a, b, place, cfg, start = pair
+    a, b, place, cfg, start = pair[:5]
+    pair = pair.lit_by(ways)
     best = max(ways, key=pair.evidence)
     if start is not None and not start.near(best.transform):
         elsewhere = f"{robot_name(b.robot)} at {words(best.transform)} in the map of {robot_name(a.robot)}"
@@ -192,7 +175,7 @@ def _weighed(pair: _Pair, ways: Sequence[Candidate], tried: int) -> Merge:
         held = [h for h, c in checked if c.accepted]
         needed = 1
     others = [c for c in ways if not same_place(b, c.transform, best.transform, cfg)]
-    rival = max(others, key=lambda c: (start is None and _allowed(c, best, cfg), pair.evidence(c)), default=None)
+    rival = max(others, key=lambda c: (allowed(pair, c, best), pair.evidence(c)), default=None)
     score = _score(held or best.members)
     told = Merge(
         a.robot,
@@ -216,6 +199,8 @@ def _weighed(pair: _Pair, ways: Sequence[Candidate], tried: int) -> Merge:
     if needed == 1:
         on = f"the whole maps: {best.seen.alike} places of walls that both saw agree"
     reason = f"merged on {on}: {100 * best.seen.share:.0f} % of what both robots saw is alike"
+    if any(pair.darkened(c) for c in ways):
+        reason += ", and at other places their walls do not shine alike"
     return replace(
         told, merged=True, reason=reason, transform=frozen(best.transform), covariance=frozen(best.covariance)
     )
@@ -226,26 +211,13 @@ def _certain(best: Candidate, cfg: MergeConfig) -> bool:
     return best.evidence(cfg.alike) >= cfg.certain and best.seen.clear >= cfg.clear
 
 
-def _allowed(other: Candidate, best: Candidate, cfg: MergeConfig) -> bool:
-    """Whether the maps might as well lie as `other` says: no wall amid free floor, much in common and alike."""
-    seen = other.seen
-    enough = seen.alike >= max(cfg.least_seen, cfg.rival * best.seen.alike)
-    return enough and seen.clear >= cfg.clear and seen.share >= cfg.rival_alike
-
-
-def _doubtful(pair: _Pair, best: Candidate, rival: Candidate) -> bool:
-    """Whether the maps might lie as `rival` says; that a start does not rule it out is in its evidence."""
-    near = pair.cfg.lead * pair.evidence(rival) > pair.evidence(best)
-    return near or (pair.start is None and _allowed(rival, best, pair.cfg))
-
-
-def _why_refused(pair: _Pair, told: Merge, best: Candidate, rival: Candidate | None, tried: int, needed: int) -> str:
+def _why_refused(pair: Pair, told: Merge, best: Candidate, rival: Candidate | None, tried: int, needed: int) -> str:
     """The reason in words, empty when there is none. The most telling cause comes first."""
     cfg = pair.cfg
     good = best.seen.share >= pair.alike and best.seen.alike >= cfg.least_seen
-    if good and (along := _slides(pair, best)) is not None:
+    if good and (along := slides(pair, best)) is not None:
         return f"a corridor: {along} is not held, the maps may slide along it"
-    if good and rival is not None and _doubtful(pair, best, rival):
+    if good and rival is not None and doubtful(pair, best, rival):
         which = f"two places of {robot_name(pair.b.robot)} in the map of {robot_name(pair.a.robot)}"
         first, second = (f"{words(c.transform)}, {100 * c.seen.share:.0f} %" for c in (best, rival))
         return f"{which} fit equally well: {first} of what both saw is alike, and {second}"
@@ -261,9 +233,9 @@ def _why_refused(pair: _Pair, told: Merge, best: Candidate, rival: Candidate | N
     return ""
 
 
-def _closures(pair: _Pair, best: Candidate) -> list[tuple[Hypothesis, MapClosure]]:
+def _closures(pair: Pair, best: Candidate) -> list[tuple[Hypothesis, MapClosure]]:
     """Every submap near the other map under the best transform, and whether it confirms it."""
-    a, b, place, cfg, _ = pair
+    a, b, place, cfg = pair[:4]
     found = confirmed(a, b, place, best.transform, cfg)
     rows = [_closure(a, b, h, best, cfg) for h in found]
     fit = [k for k, c in enumerate(rows) if c.accepted]
@@ -306,11 +278,11 @@ def _closure(
     )
 
 
-def _consistent(pair: _Pair, found: Sequence[Hypothesis], rows: Sequence[MapClosure]) -> list[int]:
+def _consistent(pair: Pair, found: Sequence[Hypothesis], rows: Sequence[MapClosure]) -> list[int]:
     """The largest set of closures whose cycles are all within the covariances of matches and ways."""
     if not rows:
         return []
-    a, b, _, cfg, _ = pair
+    a, b, _, cfg = pair[:4]
     first, second = [c.first for c in rows], [c.second for c in rows]
     P = np.array([h.fit.covariance for h in found])
     squares = cycle_squares(
@@ -334,29 +306,6 @@ def _ways(m: KeyframeMap, at: Sequence[int], cfg: MergeConfig) -> np.ndarray:
     return out
 
 
-def _slides(pair: _Pair, best: Candidate) -> str | None:
-    """Words for a direction along which the maps may be pushed without contradiction; None when they hold."""
-    cfg = pair.cfg
-    total = np.zeros((2, 2))
-    for h in best.members:
-        across = np.array([-h.fit.weak[1], h.fit.weak[0]])
-        total += h.fit.held[0] * np.outer(h.fit.weak, h.fit.weak) + h.fit.held[1] * np.outer(across, across)
-    values, vectors = np.linalg.eigh(total)
-    along = (
-        f"the direction of {np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])) % 180.0:.0f} degrees in the map of "
-        f"{robot_name(pair.a.robot)}"
-    )
-    if values[0] < cfg.held * values[1]:
-        return along
-    for step in cfg.slide:
-        for sign in (-1.0, 1.0):
-            pushed = best.transform + sign * step * np.array([*vectors[:, 0], 0.0])
-            seen = seen_alike(pair.a, pair.b, pushed)
-            if cfg.push_lead * best._replace(seen=seen).evidence(pair.alike) > best.evidence(pair.alike):
-                return along
-    return None
-
-
 def _score(members: Sequence[Hypothesis]) -> float:
     return float(np.median([h.score for h in members]))
 
@@ -364,11 +313,6 @@ def _score(members: Sequence[Hypothesis]) -> float:
 def _spread(held: Sequence[Hypothesis], b: KeyframeMap, T: np.ndarray) -> float:
     e = np.array([se2.between(se2.compose(T, b.pose[h.anchor]), h.fit.pose) for h in held])
     return float(np.sqrt(np.mean(np.square(e[:, :2]).sum(axis=1))))
-
-
-def words(T: Float[np.ndarray, "3"]) -> str:
-    """A transform for people to read."""
-    return f"({T[0]:.1f} m, {T[1]:.1f} m, {np.degrees(T[2]):.0f} degrees)"
 
 
 def _swapped(m: Merge) -> Merge:

@@ -13,7 +13,7 @@ from ..core.config import config
 from ..core.gaussian import symmetrise
 from .consistency import adjoint, largest_clique
 from .map_correlation import CorrelationConfig, map_places
-from .map_overlap import KeyframeMap, SeenAlike, seen_alike
+from .map_overlap import KeyframeMap, SeenAlike, lit_alike, seen_alike
 from .place_search import Fit, Hit, LikelihoodField, PlaceConfig, Window, everywhere, likelihood_field, refine, search
 from .pose_graph import PoseGraph
 from .robust_graph import RobustGraphConfig, solve_graph
@@ -46,6 +46,8 @@ class MergeConfig:
     clear: float = 0.98  # share of it, but for points close to walls, at a place the maps allow,
     rival: float = 0.1667  # of the best place's points seen alike, at another place the maps allow, and
     rival_alike: float = 0.85  # share of what both saw on which they agree there
+    light: float = 0.6  # correlation of the walls' brightness from which on it tells places apart, and
+    light_rival: float = 0.5  # of it, where another place has less it is as likely as a false start
     certain: int = 200  # evidence of the whole maps, and fewer submaps need confirm
     alike: float = 0.9  # share of what both saw on which they agree
     least_seen: int = 150  # points both saw
@@ -93,13 +95,17 @@ class Hypothesis(NamedTuple):
 
 
 class Candidate(NamedTuple):
-    """A transform T_a_b some hypotheses agree on, its covariance in b's frame, and what the views of both say of it."""
+    """A transform T_a_b some hypotheses agree on, its covariance in b's frame, and what the views of both say of it.
+
+    light: correlation of the brightness of walls that meet, None where too few have any.
+    """
 
     transform: Float[np.ndarray, "3"]
     covariance: Float[np.ndarray, "3 3"]
     chi2: float
     members: tuple[Hypothesis, ...]
     seen: SeenAlike
+    light: float | None = None
 
     def evidence(self, alike: float) -> float:
         """Points seen alike less those seen through, weighed so that it is 0 where the share alike is `alike`."""
@@ -202,13 +208,13 @@ def _whole(
     A = adjoint(se2.inverse(b.pose[anchor]))
     seen_there = replace(fit, pose=at[anchor], covariance=symmetrise(A @ P @ A.T))
     member = Hypothesis(anchor, fit.pose, score, 0.0, seen_there)
-    return Candidate(fit.pose, P, 0.0, (member,), seen_alike(a, b, fit.pose))
+    return Candidate(fit.pose, P, 0.0, (member,), seen_alike(a, b, fit.pose), lit_alike(a, b, fit.pose))
 
 
 def candidate(a: KeyframeMap, b: KeyframeMap, group: Sequence[Hypothesis], cfg: MergeConfig) -> Candidate:
     """The transform on which a group of hypotheses meets."""
     T, P, chi2 = meeting(b, group, cfg)
-    return Candidate(T, P, chi2, tuple(group), seen_alike(a, b, T))
+    return Candidate(T, P, chi2, tuple(group), seen_alike(a, b, T), lit_alike(a, b, T))
 
 
 def confirmed(

@@ -1,0 +1,93 @@
+"""What speaks against a place that a map was laid at in another: other places, and directions that nothing holds."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core.names import robot_name
+from .map_overlap import KeyframeMap, seen_alike
+from .merge_search import Candidate, MergeConfig, Start
+from .place_search import LikelihoodField
+
+
+class Pair(NamedTuple):
+    """Two maps, the walls of the first, a start that was given, and the most that brightness agrees at any place."""
+
+    a: KeyframeMap
+    b: KeyframeMap
+    place: LikelihoodField
+    cfg: MergeConfig
+    start: Start | None = None
+    light: float | None = None
+
+    @property
+    def alike(self) -> float:
+        """Share of what both saw on which they must agree; near a start that was given less will do."""
+        return self.cfg.alike if self.start is None else self.cfg.known_alike
+
+    def evidence(self, c: Candidate) -> float:
+        """For a transform: what both saw, and how likely the start and the brightness of the walls make it."""
+        seen = c.evidence(self.alike)
+        if seen <= 0.0:
+            return seen
+        told = 1.0 if self.start is None else self.start.likelihood(c.transform, self.cfg.blunder)
+        return seen * told * (self.cfg.blunder if self.darkened(c) else 1.0)
+
+    def darkened(self, c: Candidate) -> bool:
+        """Whether walls shine there unlike each other, while at another place bright lies on bright."""
+        if self.light is None or c.light is None:
+            return False
+        return self.light >= self.cfg.light and c.light < self.cfg.light_rival * self.light
+
+    def lit_by(self, ways: Sequence[Candidate]) -> "Pair":
+        """The same pair when it lies in one of these ways."""
+        seen = [c.light for c in ways if c.light is not None and c.seen.share >= self.alike]
+        return self._replace(light=max(seen, default=None))
+
+
+def allowed(pair: Pair, other: Candidate, best: Candidate) -> bool:
+    """Whether the maps might as well lie as `other` says: no wall amid free floor, much in common and alike.
+
+    Where a start was given its likelihood says that, and where brightness speaks against it, it is out.
+    """
+    if pair.start is not None or pair.darkened(other):
+        return False
+    cfg, seen = pair.cfg, other.seen
+    enough = seen.alike >= max(cfg.least_seen, cfg.rival * best.seen.alike)
+    return enough and seen.clear >= cfg.clear and seen.share >= cfg.rival_alike
+
+
+def doubtful(pair: Pair, best: Candidate, rival: Candidate) -> bool:
+    """Whether the maps might lie as `rival` says; what a start and brightness say is in its evidence."""
+    near = pair.cfg.lead * pair.evidence(rival) > pair.evidence(best)
+    return near or allowed(pair, rival, best)
+
+
+def slides(pair: Pair, best: Candidate) -> str | None:
+    """Words for a direction along which the maps may be pushed without contradiction; None when they hold."""
+    cfg = pair.cfg
+    total = np.zeros((2, 2))
+    for h in best.members:
+        across = np.array([-h.fit.weak[1], h.fit.weak[0]])
+        total += h.fit.held[0] * np.outer(h.fit.weak, h.fit.weak) + h.fit.held[1] * np.outer(across, across)
+    values, vectors = np.linalg.eigh(total)
+    along = (
+        f"the direction of {np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])) % 180.0:.0f} degrees in the map of "
+        f"{robot_name(pair.a.robot)}"
+    )
+    if values[0] < cfg.held * values[1]:
+        return along
+    for step in cfg.slide:
+        for sign in (-1.0, 1.0):
+            pushed = best.transform + sign * step * np.array([*vectors[:, 0], 0.0])
+            seen = seen_alike(pair.a, pair.b, pushed)
+            if cfg.push_lead * best._replace(seen=seen).evidence(pair.alike) > best.evidence(pair.alike):
+                return along
+    return None
+
+
+def words(T: Float[np.ndarray, "3"]) -> str:
+    """A transform for people to read."""
+    return f"({T[0]:.1f} m, {T[1]:.1f} m, {np.degrees(T[2]):.0f} degrees)"
