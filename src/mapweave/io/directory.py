@@ -1,26 +1,42 @@
-"""Results appear whole or not at all: written beside, then renamed."""
+"""Results appear whole or not at all: written aside, then put in place, whenever the process ends.
+
+What a killed process left aside is removed by the next that writes to the same place.
+"""
 
 import json
 import math
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..core.errors import ReaderError, UsageError
+from .exchange import held, is_held, put_in_place
 
 MARKERS = ("metrics.json", "simulation.json")  # what tells an earlier result from anything else
+ASIDE = ".unfinished-"  # in the name of whatever is not in place yet
+SETTLED = 60.0  # [s] after which what stands aside and is held by nobody was left behind
+LONGEST = 40  # letters of a target's name that the name aside repeats
 
 
 def check_target(out: Path, *, force: bool = False) -> None:
-    """Raises UsageError unless `out` may be (re)placed: absent, empty, an earlier mapweave result, or `force`."""
+    """Raises UsageError unless `out` may be (re)placed: absent, empty, an earlier mapweave result, or `force`.
+
+    Raises it also where the folder that `out` belongs to cannot be written.
+    """
     if out.exists() and not out.is_dir():
         raise UsageError(f"{out}: exists and is not a directory")
+    there = next(p for p in out.absolute().parents if p.exists())
+    if not there.is_dir():
+        raise UsageError(f"{out}: {there} is not a directory")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise UsageError(f"{out}: cannot be written: no permission to write in {there}")
     if force or not out.exists() or not any(out.iterdir()):
         return
     if not _is_result(out):
@@ -29,40 +45,73 @@ def check_target(out: Path, *, force: bool = False) -> None:
 
 @contextmanager
 def result_directory(out: Path, *, force: bool = False) -> Iterator[Path]:
-    """A fresh directory to write into; it takes the place of `out` when the block ends without an exception."""
+    """A fresh directory to write into; it takes the place of `out` when the block ends without an exception.
+
+    At every moment `out` is what it was before or the new result, whole. Of two processes the last stays.
+    """
     check_target(out, force=force)
-    parent = out.resolve().parent
-    parent.mkdir(parents=True, exist_ok=True)
-    work = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=parent))
-    try:
-        work.chmod(0o755)
-        yield work
-        old = None
-        if out.exists():
-            old = Path(tempfile.mkdtemp(prefix=f".{out.name}.old.", dir=parent))
-            out.replace(old)
-        work.replace(out.resolve())
-        if old is not None:
-            shutil.rmtree(old, ignore_errors=True)
-    except BaseException:
-        shutil.rmtree(work, ignore_errors=True)
-        raise
+    target = out.resolve()
+    with _naming(out):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _sweep(target)
+        work = Path(tempfile.mkdtemp(prefix=_aside(target), dir=target.parent))
+        try:
+            with held(work):
+                work.chmod(0o755)
+                yield work
+                put_in_place(work, target)
+        finally:
+            shutil.rmtree(work, ignore_errors=True)  # of a failure; or the result that was there before
 
 
 @contextmanager
 def result_file(out: Path) -> Iterator[Path]:
     """A path to write to; it takes the place of the file `out` when the block ends without an exception."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{out.name}.", dir=out.parent)
-    os.close(handle)
-    work = Path(name)
+    with _naming(out):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        _sweep(out)
+        handle, name = tempfile.mkstemp(prefix=_aside(out), dir=out.parent)
+        os.close(handle)
+        work = Path(name)
+        try:
+            with held(work):
+                yield work
+                work.chmod(0o644)
+                work.replace(out)
+        except BaseException:
+            work.unlink(missing_ok=True)
+            raise
+
+
+@contextmanager
+def _naming(out: Path) -> Iterator[None]:
+    """An error of the file system names `out`, which was asked for, in place of a name aside or none."""
     try:
-        yield work
-        work.chmod(0o644)
-        work.replace(out)
-    except BaseException:
-        work.unlink(missing_ok=True)
-        raise
+        yield
+    except OSError as error:
+        if error.errno is None or (error.filename is not None and ASIDE not in str(error.filename)):
+            raise
+        raise OSError(error.errno, f"cannot be written: {error.strerror or error}", str(out)) from error
+
+
+def _aside(target: Path) -> str:
+    return f".{target.name[:LONGEST]}{ASIDE}"
+
+
+def _sweep(target: Path) -> None:
+    """What killed processes left beside `target` is gone."""
+    for left in target.parent.glob(f"{_escaped(_aside(target))}*"):
+        with suppress(OSError):
+            if time.time() - left.stat().st_mtime < SETTLED or is_held(left):
+                continue
+            if left.is_dir():
+                shutil.rmtree(left, ignore_errors=True)
+            else:
+                left.unlink()
+
+
+def _escaped(name: str) -> str:
+    return "".join(f"[{c}]" if c in "*?[" else c for c in name)
 
 
 def write_json(path: Path, value: Any) -> None:
