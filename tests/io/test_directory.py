@@ -87,7 +87,7 @@ def test_where_names_cannot_be_exchanged_the_result_is_replaced_all_the_same(tmp
 
 
 def test_two_processes_on_one_target_leave_one_whole_result(tmp_path):
-    code = KILLED.split("write(0)")[0] + "for k in range(200): write(sys.argv[2])"
+    code = KILLED.split("write(0)", maxsplit=1)[0] + "for k in range(200): write(sys.argv[2])"
     words = [sys.executable, "-c", code, str(tmp_path / "out")]
     both = [subprocess.Popen([*words, name], stderr=subprocess.PIPE, text=True) for name in "ab"]  # noqa: S603
     assert [(p.communicate(timeout=120)[1], p.returncode) for p in both] == [("", 0), ("", 0)]

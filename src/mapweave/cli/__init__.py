@@ -73,10 +73,11 @@ def main(tokens: list[str] | None = None) -> None:
 
 
 def _say_whatever_the_terminal_can_show() -> None:
-    """A letter that the terminal's encoding lacks becomes `?`, never an error."""
+    """A letter that the terminal's encoding lacks becomes `?`, bytes that are no letters go out as they are."""
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper) and (stream.encoding or "").lower().replace("-", "") != "utf8":
-            stream.reconfigure(errors="replace")
+        if isinstance(stream, TextIOWrapper):
+            utf8 = (stream.encoding or "").lower().replace("-", "") == "utf8"
+            stream.reconfigure(errors="surrogateescape" if utf8 else "replace")
 
 
 def _stop_writing() -> int:

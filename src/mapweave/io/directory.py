@@ -91,7 +91,7 @@ def _naming(out: Path) -> Iterator[None]:
     except OSError as error:
         if error.errno is None or (error.filename is not None and ASIDE not in str(error.filename)):
             raise
-        raise OSError(error.errno, f"cannot be written: {error.strerror or error}", str(out)) from error
+        raise OSError(error.errno, f"cannot be written: {os.strerror(error.errno)}", str(out)) from error
 
 
 def _aside(target: Path) -> str:
@@ -116,7 +116,8 @@ def _escaped(name: str) -> str:
 
 def write_json(path: Path, value: Any) -> None:
     """`value` as indented JSON with keys in the order given; arrays become lists, NaN and infinity null."""
-    path.write_text(json.dumps(plain(value), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    text = json.dumps(plain(value), indent=1, ensure_ascii=False) + "\n"
+    path.write_text(text, encoding="utf-8", errors="backslashreplace")  # bytes that are no letters read back the same
 
 
 def read_json(path: Path) -> dict[str, Any]:

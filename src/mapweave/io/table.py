@@ -18,6 +18,7 @@ from ..core.errors import DataError, EstimateError, ReaderError
 from .directory import result_file
 
 BATCH = 2000
+ANY_NAME = "backslashreplace"  # how bytes of a file name that are no letters are written
 
 
 def lines(data: bytes, label: str) -> list[str]:
@@ -106,7 +107,7 @@ def told_path(path: Path) -> str:
 def open_text(path: Path) -> IO[str]:
     """`path` opened to write, its folder made; line ends are the same everywhere."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    return path.open("w", encoding="utf-8", newline="\n")
+    return path.open("w", encoding="utf-8", errors=ANY_NAME, newline="\n")
 
 
 Number = Callable[[float], str]
@@ -251,7 +252,7 @@ def write_table(
     Raises EstimateError, naming the file and the column, for a number that is infinite.
     """
     each = [number] * len(head) if callable(number) else number
-    with result_file(path) as work, work.open("w", encoding="utf-8", newline="\n") as out:
+    with result_file(path) as work, work.open("w", encoding="utf-8", errors=ANY_NAME, newline="\n") as out:
         out.write(",".join(head) + "\n")
         for row in rows:
             try:

@@ -84,7 +84,7 @@ class Page:
         )
 
     def write(self, path: Path) -> None:
-        path.write_text(self.html(), encoding="utf-8")
+        path.write_text(self.html(), encoding="utf-8", errors="backslashreplace")
 
 
 def _inside(image: Path) -> str:
