@@ -50,3 +50,11 @@ def data() -> Path:
     if not where or not Path(where).is_dir():
         pytest.skip("real logs are not here: set MAPWEAVE_DATA to the folder that holds them")
     return Path(where)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _parts_of_their_own(tmp_path_factory):
+    """What stopped work leaves is kept apart from the user's."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MAPWEAVE_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
+        yield

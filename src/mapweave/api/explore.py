@@ -158,7 +158,16 @@ def explore(
     until, kills = end_of(until, "landmarks", "field"), kills_of(kill or {}, len(world.starts))
     mission = LandmarkMission(found, robots, planner, until, kills, drop, cfg)
     find_planner(planner, PLANNERS)
-    todo = Runs(runs=runs, seed=seed, jobs=jobs, executor=executor, out=out, force=force, on_progress=on_progress)
+    todo = Runs(
+        runs=runs,
+        seed=seed,
+        jobs=jobs,
+        executor=executor,
+        out=out,
+        force=force,
+        on_progress=on_progress,
+        ours=planner in PLANNERS and not isinstance(found.walls, str),
+    )
     return todo.explore(
         partial(explore_once, mission),
         partial(explore_many, mission),

@@ -75,11 +75,21 @@ def explore_laser(
         del step
         on_progress("the first run: area mapped", explored, 1.0)
 
-    todo = Runs(runs=runs, seed=seed, jobs=jobs, executor=executor, out=out, force=force, on_progress=on_progress)
+    todo = Runs(
+        runs=runs,
+        seed=seed,
+        jobs=jobs,
+        executor=executor,
+        out=out,
+        force=force,
+        on_progress=on_progress,
+        ours=planner in PLANNERS and not isinstance(scenario.walls, str),
+    )
     return todo.explore(
-        partial(explore_laser_once, mission, on_progress=mapped_so_far),
+        partial(explore_laser_once, mission),
         partial(explore_laser_many, mission),
         partial(LaserExploration, name, mission, seed, factor),
+        on_progress=mapped_so_far,
     )
 
 

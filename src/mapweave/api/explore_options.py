@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
+from contextlib import nullcontext
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -10,6 +11,7 @@ from ..core.errors import ConfigError, UsageError
 from ..core.workers import Progress, worker_pool
 from ..exploration.mission import RunScore
 from ..io.directory import check_target
+from ..io.kept import kept_parts, part
 from ..report.result import ResultBase
 
 Score = TypeVar("Score", bound=RunScore)
@@ -43,32 +45,40 @@ class Runs:
     out: Path | str | None
     force: bool
     on_progress: Progress
+    ours: bool  # no module and no file beside decides what happens: finished runs can be kept
 
     def explore(
         self,
         once: Callable[[int], tuple[Score, Record]],
         many: Callable[[int, int, Executor | None], list[Score]],
         result: Callable[[tuple[Score, ...], Record], Result],
+        **told: Callable[[int, float], None],
     ) -> Result:
         """The result of all runs, numbered from 0, written to `out` if given; a folder that is refused stops it first.
 
         once: seed -> score and record of the first run; many: (how many, the seed of the first, where to run them) ->
-        scores; result: (scores, the first run's record) -> what `explore` gives.
+        scores; result: (scores, the first run's record) -> what `explore` gives;
+        told: who hears of the first run, by the names that `once` knows.
         """
         if self.out is not None:
             check_target(Path(self.out), force=self.force)
         self.on_progress("exploring", 0, self.runs)
-        score, first = once(self.seed)
-        scores = [score]
+        with kept_parts() if self.ours else nullcontext():
+            score, first = part(once, self.seed, **told)
+            found = result(self._scored(score, many), first)
+            if self.out is not None:
+                found.write(self.out, force=self.force)
+        return found
+
+    def _scored(self, first: Score, many: Callable[[int, int, Executor | None], list[Score]]) -> tuple[Score, ...]:
+        scores = [first]
+        self.on_progress("exploring", 1, self.runs)
         with worker_pool(self.jobs, self.runs - 1, self.executor) as workers:
             step = max(1, self.jobs) * 2
             for start in range(1, self.runs, step):
                 scores += many(min(step, self.runs - start), self.seed + start, workers)
                 self.on_progress("exploring", len(scores), self.runs)
-        found = result(tuple(replace(score, run=k) for k, score in enumerate(scores)), first)
-        if self.out is not None:
-            found.write(self.out, force=self.force)
-        return found
+        return tuple(replace(score, run=k) for k, score in enumerate(scores))
 
 
 def factor_of(noise: str | float, names: str) -> float:

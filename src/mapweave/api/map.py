@@ -10,6 +10,7 @@ from ..core.errors import ReaderError, UsageError
 from ..core.laser_log import LaserLog
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.directory import check_target, result_directory
+from ..io.kept import kept_parts
 from ..io.table import Columns
 from .map_options import LaserOptions, MapOptions, MapResult
 
@@ -33,6 +34,7 @@ MAPPERS: tuple[str, ...] = (
 
 
 @one_blas_thread()
+@kept_parts()
 def map(  # noqa: A001  (the verb)
     logs: Path | str | LaserLog | Sequence[Path | str | LaserLog] | None = None,
     out: Path | str | None = None,

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import field, replace
-from functools import partial
 from pathlib import Path
 
 from ..core.config import config, load
@@ -13,6 +12,7 @@ from ..core.workers import worker_pool
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse
 from ..fusion.result import Fusion, tie_by_starts
+from ..io.kept import parts
 from ..io.landmark_logs import is_landmark_log, landmark_logs_of, read_landmark_logs
 from ..io.table import Columns
 from ..io.team_map import read_calibration
@@ -159,15 +159,13 @@ def _local_maps(
     logs: Sequence[LandmarkLog], cfg: LandmarkMapConfig, times: Sequence[float], options: MapOptions
 ) -> list[Growth]:
     """A local map a robot, in the order of `logs`, whoever works on them; and those on the way at `times`."""
-    n = len(logs)
-    out: list[Growth] = []
-    one = partial(grow, cfg=cfg.ekf, times=times, tracks=cfg.fuse.robot_sightings)
-    with worker_pool(options.jobs, n, options.executor) as pool:
-        spread = map if pool is None else pool.map
-        for k, m in enumerate(spread(one, logs)):
-            out.append(m)
-            options.on_progress("local maps", k + 1, n)
-    return out
+    jobs = [(log, cfg.ekf, tuple(times), cfg.fuse.robot_sightings) for log in logs]
+    with worker_pool(options.jobs, len(jobs), options.executor) as pool:
+        return parts(_grown, jobs, pool, "local maps", options.on_progress)
+
+
+def _grown(log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float], tracks: bool) -> Growth:  # noqa: FBT001
+    return grow(log, cfg, times, tracks=tracks)
 
 
 def _number(key: str) -> int:

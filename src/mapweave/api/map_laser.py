@@ -13,6 +13,7 @@ from ..core.laser_log import LaserLog
 from ..core.names import robot_name
 from ..core.records import Track
 from ..core.workers import Progress, no_progress, worker_pool
+from ..io.kept import part, parts
 from ..io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
 from ..io.laser_state import read_laser_states
 from ..laser.config import LaserConfig
@@ -193,19 +194,12 @@ def _configured(options: MapOptions, *, team: bool) -> LaserConfig:
 
 
 def _worked(jobs: Sequence[Job], options: MapOptions) -> list[LaserMap]:
-    if len(jobs) == 1:
-        return [map_one(*job, options.on_progress) for job in jobs]
     with worker_pool(options.jobs, len(jobs), options.executor) as executor:
         if executor is None:
-            return [map_one(*job, options.on_progress) for job in jobs]
+            return [part(map_one, *job, on_progress=options.on_progress) for job in jobs]
         if options.executor is None:  # processes of our own share the cores
             jobs = [_with_threads(job, max(1, (os.cpu_count() or 1) // min(options.jobs, len(jobs)))) for job in jobs]
-        running = [executor.submit(map_one, *job) for job in jobs]
-        maps = []
-        for k, done in enumerate(running, 1):
-            maps.append(done.result())
-            options.on_progress("robots", k, len(jobs))
-        return maps
+        return parts(map_one, jobs, executor, "robots", options.on_progress)
 
 
 def _with_threads(job: Job, threads: int) -> Job:

@@ -65,10 +65,10 @@ def main(tokens: list[str] | None = None) -> None:
             _stop_writing()
             _tell(f"stdout: {error.strerror}")
             code = 1
-        except Exception:
+        except Exception as error:
             if not interruption.asked:
                 raise
-            _tell("interrupted")  # what was raised came of it
+            code = _failed(error, asked=True)  # what was raised came of it
     sys.exit(code)
 
 
@@ -102,7 +102,7 @@ def _run(tokens: list[str], interruption: Interruption | None = None) -> int:
         app = make_app()
         app(tokens, exit_on_error=False, print_error=False)
     except (CycloptsError, MapweaveError, MemoryError, KeyboardInterrupt) as error:
-        return _failed(KeyboardInterrupt() if interruption is not None and interruption.asked else error)
+        return _failed(error, asked=interruption is not None and interruption.asked)
     except BrokenPipeError:
         return _stop_writing()
     except OSError as error:
@@ -116,16 +116,17 @@ def _run(tokens: list[str], interruption: Interruption | None = None) -> int:
     return 0
 
 
-def _failed(error: BaseException) -> int:
-    """The exit status, the reason told in one line."""
-    if isinstance(error, KeyboardInterrupt):
-        _tell("interrupted")
+def _failed(error: BaseException, *, asked: bool = False) -> int:
+    """The exit status, the reason told in one line, and what the error's notes add; asked: Ctrl-C was pressed."""
+    notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
+    if asked or isinstance(error, KeyboardInterrupt):
+        _tell(f"interrupted{notes}")
         return 130
     if isinstance(error, MemoryError):
-        _tell("not enough memory for this")
+        _tell(f"not enough memory for this{notes}")
         return 1
     if isinstance(error, OSError):
-        _tell(f"{error.filename}: {error.strerror}")
+        _tell(f"{error.filename}: {error.strerror}{notes}")
         return 1
-    _tell(str(error))
+    _tell(f"{error}{notes}")
     return int(getattr(error, "exit_code", 2))  # what cannot be parsed is bad usage

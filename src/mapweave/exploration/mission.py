@@ -3,8 +3,9 @@
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from functools import partial
 from typing import Generic, TypeVar
+
+from ..io.kept import parts
 
 Scenario = TypeVar("Scenario")
 Config = TypeVar("Config")
@@ -60,6 +61,4 @@ def run_seeds(
 
     score_one: (mission, seed, run) -> how that run ended.
     """
-    seeds, numbers = range(seed, seed + runs), range(runs)
-    one = partial(score_one, mission)
-    return list(map(one, seeds, numbers) if executor is None else executor.map(one, seeds, numbers))
+    return parts(score_one, [(mission, seed + k, k) for k in range(runs)], executor)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...core.workers import Progress, no_progress
+from ...io.kept import part
 from ...sim.swarm import Layout, Swarm, SwarmScene, simulate_swarm
 from ...swarm.config import SwarmConfig
 from ...swarm.locate import locate
@@ -75,7 +76,7 @@ def beyond(
     out = []
     for at, case in enumerate(cases):
         on_progress("beyond the paper", at, len(cases))
-        out.append(_tried(case, draws, seed))
+        out.append(part(_tried, case, draws, seed))
     return tuple(out)
 
 

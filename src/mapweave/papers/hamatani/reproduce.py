@@ -10,6 +10,7 @@ import numpy as np
 from ...core.version import __version__
 from ...core.workers import Progress, no_progress, one_blas_thread
 from ...io.directory import check_target
+from ...io.kept import kept_parts, part
 from ...report.result import Rows
 from ...report.style import Target
 from ...swarm.locate import locate
@@ -331,6 +332,7 @@ class HamataniReproduction(Reproduction):
 
 
 @one_blas_thread()
+@kept_parts()
 def reproduce_hamatani(
     out: Path | str | None = None,
     *,
@@ -351,8 +353,8 @@ def reproduce_hamatani(
     cells: list[Cell] = []
     for case in (*cases, *DRIFT):
         on_progress("five robots", len(cells), len(cases) + len(DRIFT))
-        cells.append(measure(case, trials, seed))
-    pictures = _example(seed)
+        cells.append(part(measure, case, trials, seed))
+    pictures = part(_example, seed)
     filtered = perf_counter()
     further = beyond(CASES, 4 if quick else 20, seed, on_progress)
     timing = {"filters": filtered - begun, "beyond": perf_counter() - filtered}

@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from ...core import se2
 from ...core.workers import Progress
+from ...io.kept import part
 from ...laser.beam import beams
 from ...laser.config import LaserConfig
 from ...laser.laser_map import GridMap, LaserMap
@@ -38,7 +39,7 @@ def compare(
         sim = simulate_corridor(loop, seed)
         for m, method in enumerate(chosen):
             on_progress("reproduce hara", s * len(chosen) + m, len(seeds) * len(chosen))
-            made = map_laser(sim.log, method.cfg or LaserConfig(method="icp", feature="none"), seed)
+            made = part(map_laser, sim.log, method.cfg or LaserConfig(method="icp", feature="none"), seed)
             track = made.track if method.cfg else made.dead_reckoning
             errors[m, s] = score(track, sim.truth) if track is not None else np.nan
             if seed == shown:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from ...core.version import __version__
 from ...core.workers import Progress, no_progress, one_blas_thread
 from ...io.directory import check_target
+from ...io.kept import kept_parts, part
 from ...report.result import Rows
 from ...report.style import Target
 from ...sim.corridor import CorridorConfig
@@ -277,6 +278,7 @@ class HaraReproduction(Reproduction):
 
 
 @one_blas_thread()
+@kept_parts()
 def reproduce_hara(
     out: Path | str | None = None,
     *,
@@ -299,9 +301,9 @@ def reproduce_hara(
     drives = range(seed, seed + seeds)
     errors, pictures = compare(chosen, drives, seed, on_progress, loop)
     hard = None if loop is None else HardConfig(corridor=replace(loop, drive=HardConfig().corridor.drive))
-    gate = try_gate(drives, hard, on_progress)
-    along = try_along(drives, loop)
-    alpha = alpha_curve(drives, loop, on_progress)
+    gate = part(try_gate, drives, hard, on_progress=on_progress)
+    along = part(try_along, drives, loop)
+    alpha = part(alpha_curve, drives, loop, on_progress=on_progress)
     timing = {"all": perf_counter() - begun}
     result = HaraReproduction(seed, quick, particles, chosen, errors, pictures, gate, along, alpha, timing)
     if out is not None:

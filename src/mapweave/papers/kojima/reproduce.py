@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from ...core.version import __version__
 from ...core.workers import Progress, no_progress, one_blas_thread
 from ...io.directory import check_target
+from ...io.kept import kept_parts, part
 from ...report.style import Target
 from ..reproduction import Claim, Drawing, Reproduction, Section, sentences
 from . import figures
@@ -298,6 +300,7 @@ class KojimaReproduction(Measured, Reproduction):
 
 
 @one_blas_thread()
+@kept_parts()
 def reproduce_kojima(
     out: Path | str | None = None,
     *,
@@ -317,14 +320,16 @@ def reproduce_kojima(
     cfg = KojimaConfig()
     drawn, driven, again, pairs = (np.random.default_rng([seed, k]) for k in range(4))
     worlds = draw_worlds(cfg, seeds, drawn)
-    runs, first = merge_online(cfg, worlds, driven, on_progress)
+    runs, first = part(merge_online, cfg, worlds, driven, on_progress=on_progress)
     merged = perf_counter()
     nees = honesty(worlds, first, draws, again)
-    table = unequal(unequal_seeds, pairs, CASES, on_progress=on_progress)
+    table = part(unequal, unequal_seeds, pairs, CASES, on_progress=on_progress)
     weighed = perf_counter()
     settled = settling(cfg, first, runs[0].final.x, np.random.default_rng([seed, 4]))
     identities = tuple(
-        row for told in (True, False) for row in identity_trials(trials, seed, told=told, on_progress=on_progress)
+        row
+        for told in (True, False)
+        for row in part(partial(identity_trials, told=told), trials, seed, on_progress=on_progress)
     )
     timing = {"table2": merged - begun, "weights": weighed - merged, "identities": perf_counter() - weighed}
     result = KojimaReproduction(

@@ -14,6 +14,7 @@ from ...exploration.landmarks.config import ExploreConfig, HandoverConfig, Missi
 from ...exploration.landmarks.experiment import CALIBRATED, LandmarkMission, LandmarkScore, explore_many, with_noise
 from ...exploration.landmarks.scenario import find_scenario
 from ...io.directory import check_target, plain, write_json
+from ...io.kept import kept_parts
 from ...report.result import ResultBase, Rows
 from ...report.style import Target
 from . import page as report
@@ -212,6 +213,7 @@ def _mission(
 
 
 @one_blas_thread()
+@kept_parts()
 def reproduce_yuan(
     out: Path | str | None = None,
     *,
