@@ -135,7 +135,7 @@ def lit_alike(a: KeyframeMap, b: KeyframeMap, transform: Float[np.ndarray, "3"])
         return None
     far, at = cKDTree(a.walls).query(se2.act(transform, b.walls))
     met = far < WALL
-    one, other = a.walls_q[at[met]], b.walls_q[met]
+    one, other = a.walls_q[np.asarray(at)[met]], b.walls_q[met]
     if len(one) < LEAST_LIT or min(np.std(one), np.std(other)) < EVEN:
         return None
     return float(np.corrcoef(one, other)[0, 1])
