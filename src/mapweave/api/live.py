@@ -27,11 +27,14 @@ from ..live.store import Store
 from ..live.topics import Topics
 from ..live.transport import Network, session
 from .laser_result import LaserResult
+from .live_ros2 import RosOptions, drive_ros2
 from .map_landmarks import LandmarkMapConfig, map_landmark_logs
 from .map_laser import LaserMapConfig
 from .map_laser import map_logs as map_lasers
 from .map_options import MapOptions
 from .team import TeamResult
+
+ROS2 = "ros2"
 
 Say = Callable[[str], None]
 
@@ -58,6 +61,7 @@ def live_robot(
     linger: float = 30.0,
     seed: int = 0,
     config: Path | str | None = None,
+    ros: RosOptions | None = None,
     network: Network | None = None,
     stop: Event | None = None,
     say: Say = print,
@@ -73,7 +77,8 @@ def live_robot(
     name
         What the team calls it.
     source
-        An MRCLAM data set, a folder with odometry.csv and sightings.csv, a laser log, sim:landmarks or sim:office.
+        An MRCLAM data set, a folder with odometry.csv and sightings.csv, a laser log, sim:landmarks or sim:office; or
+        ros2: a robot that drives now, whose ROS 2 runs rmw_zenoh, until `stop`.
     robot
         Which robot of the log it is, by key (the one whose number `name` ends with, or the only one).
     rate
@@ -90,8 +95,11 @@ def live_robot(
         Of a simulated world (0).
     config
         A TOML file of settings, as for `map`.
+    ros
+        Which robot of which ROS graph, where the source is ros2 (the one of that name, or the only one, of domain 0).
     network
-        How to reach the others (those on this network find each other).
+        How to reach the others (those on this network find each other); a ROS graph's router among them, which stands
+        at tcp/localhost:7447 unless `connect` names another.
     stop
         Ends the run as soon as it is set.
     say
@@ -109,8 +117,21 @@ def live_robot(
     network = network or Network()
     check_name(network.team, "--team")
     settings = None if config is None else Path(config)
-    log = open_source(str(source), name, robot, seed)
     path = Path("mapweave-live", f"{network.team}-{name}.sqlite") if history is None else Path(history)
+    stop = stop or Event()
+    if str(source) == ROS2:
+        if robot is not None or rate != 1.0:
+            raise UsageError(f"--source {ROS2}: a robot that drives now has neither --robot nor --rate")
+        with Store(path, f"robot {name} of team {network.team}") as store:
+            if fresh:
+                store.clear()
+            run = _begun(store, "laser", period)
+            options = ros or RosOptions()
+            told, heard = drive_ros2(name, options, store, run, period, linger, settings, network, stop, say, wall)
+            return LiveRobot(name, told, heard)
+    if ros is not None:
+        raise UsageError(f"--domain, --pattern, --graph, --sensor-pose: of --source {ROS2} alone")
+    log = open_source(str(source), name, robot, seed)
     with Store(path, f"robot {name} of team {network.team}") as store:
         if fresh:
             store.clear()
@@ -123,7 +144,7 @@ def live_robot(
             process.join()
             say(f"{name}: {log.robot} of {source}, team {network.team}, history in {path}")
             expected = bool(network.connect or network.listen)
-            told = process.run(messages(log, name, run, period), driving, Pace(rate, linger, expected), stop or Event())
+            told = process.run(messages(log, name, run, period), driving, Pace(rate, linger, expected), stop)
             return LiveRobot(name, told, process.heard_by)
 
 

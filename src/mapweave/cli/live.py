@@ -14,6 +14,7 @@ from ..core.errors import UsageError
 from .terminal import say
 
 if TYPE_CHECKING:
+    from ..api.live_ros2 import RosOptions
     from ..live.transport import Network
 
 app = App(name="live", help="A team that drives now, over a real network.", help_format="plaintext")
@@ -33,6 +34,10 @@ def robot(
     linger: float = 30.0,
     seed: int = 0,
     config: Path | None = None,
+    domain: int | None = None,
+    pattern: str | None = None,
+    graph: str | None = None,
+    sensor_pose: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     team: str = "team",
     connect: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
     listen: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
@@ -47,7 +52,7 @@ def robot(
         What the team calls it.
     source
         An MRCLAM data set (folder or zip), a folder with odometry.csv and sightings.csv, a laser log, sim:landmarks or
-        sim:office.
+        sim:office; or ros2: a robot that drives now, whose ROS 2 runs rmw_zenoh, until Ctrl-C.
     robot
         Which robot of the log it is, where the name does not end with its number.
     rate
@@ -64,10 +69,19 @@ def robot(
         Of a simulated world; every robot of a team takes the same.
     config
         A TOML file with settings, as for map.
+    domain
+        Of ros2: the graph's ROS_DOMAIN_ID (0).
+    pattern
+        Of ros2: the robot's namespace, which may hold * and ? (the one called --name, or the only one).
+    graph
+        Of ros2: where the graph's router is, when --connect is the team's and another; needed with --tls.
+    sensor_pose
+        Of ros2: where the scanner stands on the robot, as x,y,theta [m, m, rad], when tf does not tell.
     team
         The team's name: teams of different names do not hear each other.
     connect
-        Where others listen, as tcp/host:port; without it those on one network find each other.
+        Where others listen, as tcp/host:port; without it those on one network find each other, and ros2 takes
+        tcp/localhost:7447.
     listen
         Where to listen, as tcp/host:port; messages are passed on between those that connect.
     tls
@@ -79,6 +93,7 @@ def robot(
     from ..api.live import live_robot
 
     network = _network(team, connect, listen, tls, lease)
+    asked = _ros(domain, pattern, graph, sensor_pose)
     with _until_interrupted() as stop:
         done = live_robot(
             name,
@@ -91,6 +106,7 @@ def robot(
             linger=linger,
             seed=seed,
             config=config,
+            ros=asked,
             network=network,
             stop=stop,
             say=say,
@@ -304,6 +320,22 @@ def _network(
     from ..live.transport import Network, endpoints
 
     return Network(endpoints(connect, "--connect"), endpoints(listen, "--listen"), tls, team, lease)
+
+
+def _ros(domain: int | None, pattern: str | None, graph: str | None, place: str | None) -> "RosOptions | None":
+    """What was asked of a ROS graph; None when nothing was."""
+    if all(word is None for word in (domain, pattern, graph, place)):
+        return None
+    from ..api.live_ros2 import RosOptions
+    from ..live.transport import endpoints
+    from .terminal import numbers
+
+    where = None if graph is None else endpoints([graph], "--graph")[0]
+    pose = None
+    if place is not None:
+        x, y, theta = numbers(place, 3, "--sensor-pose")
+        pose = (x, y, theta)
+    return RosOptions(domain or 0, pattern, where, pose)
 
 
 def _expect_extra() -> None:

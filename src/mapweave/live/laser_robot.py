@@ -1,8 +1,11 @@
 """A laser robot that is driving: the estimator of `map --method graph`, one message at a time."""
 
 import numpy as np
+from jaxtyping import Float
 
 from ..laser.config import LaserConfig
+from ..laser.laser_map import GridMap
+from ..laser.occupancy_mapper import render_keyframes
 from ..laser.session import LaserSession
 from .laser_stream import LaserRecord
 from .messages import Header, Numbered, Snapshot
@@ -17,6 +20,7 @@ class LaserRobot:
         self.record = LaserRecord(header)
         self.t: float | None = None
         self.last = 0
+        self._cfg = cfg
         self._session = LaserSession(header.log_robot, cfg, seed)
 
     def add(self, message: Numbered) -> None:
@@ -36,6 +40,17 @@ class LaserRobot:
         now = self._session.now
         cov = np.nan_to_num(now.cov)
         return tuple(now.pose.tolist()), tuple(cov[TRIANGLE].tolist()), 0
+
+    @property
+    def odometry(self) -> Float[np.ndarray, "3"] | None:
+        """`T_odom_robot` at the latest scan; None before the first, and without odometry."""
+        return self.record.scans[-1].odometry if self.record.scans else None
+
+    def map(self) -> GridMap | None:
+        """The grid so far, of the keyframes' scans, in the frame that poses are told in; None before the first scan."""
+        graph = self._session.graph()
+        frame = f"local_{self.record.header.log_robot}"
+        return None if graph is None else render_keyframes(graph, self._cfg.resolution, frame)
 
     def snapshot(self) -> Snapshot | None:
         """A laser robot hands over scans alone."""

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import zenoh
 
 from ..core.errors import DataError, UsageError
-from .messages import LARGEST, Correction, MapState, Numbered, RefusedError, Snapshot, Status, decode, encode
+from .messages import LARGEST, Correction, Header, MapState, Numbered, RefusedError, Snapshot, Status, decode, encode
 from .store import Store
 from .topics import Topics
 from .transport import SETTLE, ask_parameters, put, there_is
@@ -19,6 +19,7 @@ SNAPSHOT_EVERY = 2.0  # [s]
 NAME_PATIENCE = 4.0  # [s] that the token of a robot that was killed may last
 DISK_AGAIN = 1.0  # [s] until a full disk is tried again
 MOST_ANSWERS = 500  # messages that one question is answered with
+TICK = 0.05  # [s] that a feed is waited for
 GRACE = 1.0  # [s] after the last message, for a map process to be heard of
 
 Say = Callable[[str], None]
@@ -34,6 +35,15 @@ class Driving(Protocol):
     def add(self, message: Numbered) -> None: ...
     def status(self) -> tuple[tuple[float, ...], tuple[float, ...], int]: ...
     def snapshot(self) -> Snapshot | None: ...
+
+
+@runtime_checkable
+class Feed(Protocol):
+    """Messages that come when they come. `resume` is told what a history holds; `close` gives the last messages."""
+
+    def resume(self, kept: Sequence[Numbered]) -> None: ...
+    def take(self, timeout: float) -> list[Numbered]: ...
+    def close(self) -> list[Numbered]: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +150,62 @@ class RobotProcess:
         self._tell_snapshot(driving)
         self._linger(driving, pace, stop, finished=finished)
         return self.last + 1
+
+    def follow(
+        self, feed: Feed, begin: Callable[[Header], Driving], pace: Pace, stop: Event, shown: Callable[[Driving], None]
+    ) -> int:
+        """All that `feed` gives until `stop`, which ends the drive; how many messages there are now.
+
+        begin: the estimator of a header; shown: called with it after all that came was worked in. Then as `run`, but
+        the process stays although `stop` is set.
+        """
+        driving = self._resumed(feed, begin)
+        told_status = float("-inf")
+        while not stop.is_set():
+            driving = self._worked(feed.take(TICK), driving, begin)
+            now = time.monotonic()
+            if driving is not None and now >= told_status + STATUS_EVERY:
+                told_status = now
+                self._tell_status(driving, finished=False)
+            if driving is not None:
+                shown(driving)
+        driving = self._worked(feed.close(), driving, begin)
+        if driving is None:
+            return 0
+        if self._unsaved:  # a full disk gets one more try
+            self._full_until = 0.0
+            self._tell([])
+        self._linger(driving, pace, Event(), finished=not self._unsaved)
+        return self.last + 1
+
+    def _resumed(self, feed: Feed, begin: Callable[[Header], Driving]) -> Driving | None:
+        """The estimator after all that the store holds, and `feed` told of it."""
+        kept = [decode(payload) for _, payload in self._store.get(self.name, 0, 1 << 60)]
+        history = [message for message in kept if isinstance(message, Numbered)]
+        try:
+            feed.resume(history)
+        except RefusedError as error:
+            raise UsageError(f"{self._store.path}: {error}") from None
+        driving = None
+        for message in history:
+            driving = begin(message) if isinstance(message, Header) else driving
+            assert driving is not None  # noqa: S101  (a history begins with its header)
+            driving.add(message)
+            self.last = message.seq
+        if history:
+            self._say(f"{self.name}: goes on after {len(history)} messages of its history")
+        return driving
+
+    def _worked(
+        self, batch: Sequence[Numbered], driving: Driving | None, begin: Callable[[Header], Driving]
+    ) -> Driving | None:
+        """`batch` kept, told and driven through."""
+        self._tell(batch)
+        for message in batch:
+            driving = begin(message) if isinstance(message, Header) else driving
+            assert driving is not None  # noqa: S101  (a header comes first)
+            driving.add(message)
+        return driving
 
     def _again(self, messages: Timed, driving: Driving) -> Timed:
         """What the store holds, worked in anew; what is left of `messages`."""

@@ -1,0 +1,132 @@
+"""A robot whose ROS 2 runs rmw_zenoh, driven as `live_robot` drives a log."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import Event
+
+import zenoh
+
+from ..core.config import load
+from ..core.errors import UsageError
+from ..live.laser_robot import LaserRobot
+from ..live.messages import Header, RefusedError
+from ..live.robot import Driving, Pace, RobotProcess
+from ..live.ros2.feed import Chosen, RosFeed
+from ..live.ros2.shown import RosView
+from ..live.store import Store
+from ..live.topics import Topics
+from ..live.transport import Network, session
+from .map_laser import LaserMapConfig
+
+ROUTER = "tcp/localhost:7447"  # where rmw_zenoh's router stands unless told otherwise
+AGAIN = 1000  # [ms] between two tries to reach it
+LARGEST_DOMAIN = 232  # a domain of ROS 2 is 0 to 232
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class RosOptions:
+    """Which robot of which graph. domain: ROS_DOMAIN_ID; pattern: of the robot's namespace, as `tb*`.
+
+    graph: where the graph's router is, when it is another than the team's `connect`; sensor_pose: where the scanner
+    stands on the robot [m, m, rad], when tf does not tell.
+    """
+
+    domain: int = 0
+    pattern: str | None = None
+    graph: str | None = None
+    sensor_pose: tuple[float, float, float] | None = None
+
+    def check(self, network: Network) -> None:
+        """Raises UsageError for what cannot be."""
+        if not 0 <= self.domain <= LARGEST_DOMAIN:
+            raise UsageError(f"--domain: expected 0 to {LARGEST_DOMAIN}, found {self.domain}")
+        if network.tls is not None and self.graph is None:
+            raise UsageError("--tls: ROS speaks under names no certificate has: --graph says where it is reached")
+
+
+def drive_ros2(
+    name: str,
+    options: RosOptions,
+    store: Store,
+    run: str,
+    period: float,
+    linger: float,
+    config: Path | None,
+    network: Network,
+    stop: Event,
+    say: Say,
+    wall: Callable[[], float] = time.time,
+) -> tuple[int, int]:
+    """Drives `name` by what its ROS graph tells, until `stop`; how many messages there are, how many have all."""
+    options.check(network)
+    cfg = load(LaserMapConfig, config, {"laser": {"method": "graph"}}).laser
+    cfg.check()
+    topics = Topics(network.team)
+    with ExitStack() as open_ones:
+        mine = _graph_network(options, network)
+        graph = open_ones.enter_context(_reached(mine, stop, lambda words: say(f"{name}: {words}")))
+        if graph is None:
+            return 0, 0
+        team = graph if options.graph is None else open_ones.enter_context(session(network))
+        process = RobotProcess(name, team, topics, store, say, wall)
+        process.join()
+        feed = RosFeed(graph, Chosen(name, run, period, options.domain, options.pattern, options.sensor_pose), say)
+        view = RosView(graph, feed, say)
+        say(
+            f"{name}: domain {options.domain} at {', '.join(mine.connect or mine.listen)}, team {network.team}, "
+            f"history in {store.path}"
+        )
+
+        def begin(header: Header) -> Driving:
+            return LaserRobot(header, cfg)
+
+        def shown(driving: Driving) -> None:
+            assert isinstance(driving, LaserRobot)  # noqa: S101  (begun above)
+            view.show(driving)
+
+        try:
+            told = process.follow(feed, begin, Pace(linger=linger), stop, shown)
+        except RefusedError as error:
+            raise UsageError(str(error).partition(": ")[2]) from None
+        if refused := feed.summary():
+            say(f"{name}: refused {refused}")
+        return told, process.heard_by
+
+
+def _graph_network(options: RosOptions, network: Network) -> Network:
+    """The session with the graph: a client of its router, or the router itself where nothing else listens."""
+    extra = network.extra | {"timestamping/enabled": True}
+    if options.graph is not None:
+        made = Network((options.graph,), (), None, network.team, network.lease, extra=extra)
+    elif network.listen:
+        return replace(network, extra=extra | {"scouting/gossip/enabled": True})
+    else:
+        made = replace(network, connect=network.connect or (ROUTER,), extra=extra)
+    waiting = {"mode": "client", "connect/timeout_ms": AGAIN, "connect/exit_on_failure": True}
+    return replace(made, extra=made.extra | waiting)
+
+
+@contextmanager
+def _reached(network: Network, stop: Event, say: Say) -> Iterator[zenoh.Session | None]:
+    """The session, as soon as there is a router; None when `stop` is set before."""
+    told = False
+    while not stop.is_set():
+        with ExitStack() as opening:
+            try:
+                opened = opening.enter_context(session(network))
+            except UsageError as error:
+                if network.listen:
+                    raise
+                if not told:
+                    told = True
+                    say(f"waits for {', '.join(network.connect)}: {error}")
+                stop.wait(AGAIN / 1000)
+                continue
+            yield opened
+            return
+    yield None

@@ -1,0 +1,265 @@
+"""Scans of one robot, each with its odometry and its place on the robot, from ROS messages as they come."""
+
+from collections import Counter, deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ...core.records import Scan, Track, frozen
+from ...io.assemble import LARGEST, RawScan, is_sound, poses_at, scan_of
+from ...io.transforms import Transforms, frame, planar, rigid
+from ..laser_stream import MOST_BEAMS
+from ..messages import RefusedError
+
+PATIENCE = 2.0  # [s] of the robot's clock that a scan waits for odometry and for its frame
+GAP = 1.0  # [s] without odometry: scans within are not placed by what is before and after
+LEAP = 60.0  # [s] that a stamp may be ahead of the one before; more is believed when three in a row say so
+SURE = 3
+MOST_WAITING = 2000  # scans
+UNDECIDED = 2000  # transforms kept while it is open whether odometry comes from tf
+POSES, BY_TF, NO_ODOMETRY = "poses", "tf", "none"
+
+Row = tuple[float, float, float, float]  # t [s], x, y [m], theta [rad]
+Placed = tuple[float, Scan]
+
+
+@dataclass(slots=True)
+class Clock:
+    """Stamps of one sensor, which only ascend."""
+
+    what: str
+    last: float | None = None
+    _ahead: list[float] = field(default_factory=list)
+
+    def take(self, t: float) -> None:
+        """Raises RefusedError for a stamp that is not after the last, and for a leap that others do not confirm."""
+        if t <= 0:
+            raise RefusedError("stamp", f"{self.what} without a stamp")
+        if self.last is not None and t <= self.last:
+            raise RefusedError("clock", f"{self.what} {self.last - t:.3g} s before the last one: refused until past it")
+        if self.last is not None and t > self.last + LEAP:
+            goes_on = bool(self._ahead) and self._ahead[-1] < t <= self._ahead[-1] + LEAP
+            self._ahead = [*self._ahead, t] if goes_on else [t]
+            if len(self._ahead) < SURE:
+                raise RefusedError("clock", f"{self.what} {t - self.last:.3g} s after the last one")
+        self._ahead = []
+        self.last = t
+
+
+class Assembly:
+    """What one robot's messages make. `scan`, `odometry` and `transforms` change it; `ready` takes what is whole.
+
+    wheels: where odometry comes from: "poses", "tf" or "none". sensor_pose: `T_robot_sensor`, where no transform
+    tells it. refused: messages not used, by reason; told: the first of each reason.
+    """
+
+    def __init__(self, wheels: str = POSES, sensor_pose: Sequence[float] | None = None) -> None:
+        self.wheels = wheels
+        self.refused: Counter[str] = Counter()
+        self.told: dict[str, str] = {}
+        self.odom_frame = self.base_frame = self.sensor_frame = ""
+        self.latest: Row | None = None
+        self._given = None if sensor_pose is None else frozen(sensor_pose)
+        self._tf = Transforms()
+        self._places: dict[str, tuple[np.ndarray, bool]] = {}
+        self._clocks = {"scan": Clock("a scan"), "odometry": Clock("odometry")}
+        self._waiting: deque[tuple[RawScan, str]] = deque()
+        self._undecided: deque[tuple[float, tuple[float, float, float], tuple[str, str]]] = deque(maxlen=UNDECIDED)
+        self._rows: list[Row] = []
+        self._fresh: list[Row] = []
+        self._light: bool | None = None
+
+    def resume(self, scan: float | None, odometry: float | None, *, light: bool | None) -> None:
+        """Stamps [s] that were told already: only later ones are used; light: whether scans had intensities."""
+        self._clocks["scan"].last, self._clocks["odometry"].last, self._light = scan, odometry, light
+
+    def refuse(self, error: RefusedError) -> None:
+        """Counted; the first of each reason is kept in words."""
+        self.refused[error.reason] += 1
+        self.told.setdefault(error.reason, str(error))
+
+    def transforms(self, message: Any) -> None:
+        """Of each edge the first transform, and whether it ever moved; odometry where that comes from tf."""
+        for one in message.transforms:
+            edge = frame(one.header.frame_id), frame(one.child_frame_id)
+            told = rigid(one.transform.translation, one.transform.rotation)
+            if not (edge[0] and edge[1] and _sound(told)):
+                self.refuse(RefusedError("malformed", f"a transform from {edge[0]!r} to {edge[1]!r} that is none"))
+                continue
+            if edge not in self._tf.seen:
+                self._tf.add(0.0, one)
+                self._places.clear()
+            elif len(self._tf.seen[edge]) == 1:
+                self._tf.add(0.0, one)
+                if not self._tf.moves(edge):
+                    self._tf.seen[edge].pop()
+            row = _stamp(one.header), planar(told), edge
+            if self.wheels == BY_TF and edge == self.odometry_edge:
+                self._row(*row)
+            elif self.wheels == POSES and not self._rows:
+                self._undecided.append(row)
+
+    def take_tf(self) -> None:
+        """Odometry is the transform that is found for it, those that came already among them."""
+        self.wheels = BY_TF
+        edge = self.odometry_edge
+        for row in self._undecided:
+            if row[2] == edge:
+                self._row(*row)
+        self._undecided.clear()
+
+    @property
+    def odometry_edge(self) -> tuple[str, str] | None:
+        """The transform that is the odometry, as far as frames tell; None while none is known."""
+        return self._tf.odometry_edge(self.sensor_frame) if self.sensor_frame else None
+
+    def odometry(self, message: Any) -> None:
+        """One Odometry."""
+        told = rigid(message.pose.pose.position, message.pose.pose.orientation)
+        if not _sound(told):
+            self.refuse(RefusedError("malformed", "odometry that is no pose"))
+        elif self.wheels == POSES:
+            self._row(
+                _stamp(message.header), planar(told), (frame(message.header.frame_id), frame(message.child_frame_id))
+            )
+
+    def _row(self, t: float, pose: tuple[float, float, float], edge: tuple[str, str]) -> None:
+        try:
+            self._clocks["odometry"].take(t)
+        except RefusedError as error:
+            self.refuse(error)
+            return
+        self.odom_frame, self.base_frame = edge
+        self.latest = (t, *pose)
+        self._rows.append(self.latest)
+        self._fresh.append(self.latest)
+
+    def scan(self, message: Any) -> None:
+        """One LaserScan."""
+        try:
+            raw = self._raw(message)
+            self._clocks["scan"].take(raw.t)
+        except RefusedError as error:
+            self.refuse(error)
+            return
+        name = frame(message.header.frame_id)
+        self.sensor_frame = self.sensor_frame or name
+        self._waiting.append((raw, name))
+        if len(self._waiting) > MOST_WAITING:
+            self._waiting.popleft()
+            self.refuse(RefusedError("late", "scans that nothing placed"))
+
+    def _raw(self, message: Any) -> RawScan:
+        """Raises RefusedError when its numbers do not make a scan."""
+        ranges, light = _floats(message.ranges), _floats(message.intensities)
+        n = len(ranges)
+        if not 2 <= n <= MOST_BEAMS:
+            raise RefusedError("malformed", f"a scan of {n} beams")
+        step = float(message.angle_increment) or (float(message.angle_max) - float(message.angle_min)) / (n - 1)
+        limit = float(message.range_max)
+        raw = RawScan(
+            _stamp(message.header),
+            ranges,
+            light if len(light) == n else None,
+            float(message.angle_min),
+            step,
+            float(message.range_min),
+            limit if limit > 0 else np.inf,
+        )
+        if not is_sound(raw) or np.isnan(raw.range_min) or step == 0 or abs(step) * (n - 1) > 4 * np.pi:
+            raise RefusedError("malformed", "a scan whose angles or limits are none")
+        return raw
+
+    def ready(self, *, all_of_them: bool = False) -> tuple[list[Placed], list[Row]]:
+        """Scans that are placed now, in the order of their stamps, and odometry rows since the last time.
+
+        all_of_them: none will follow, so that those still waiting are refused.
+        """
+        out: list[Placed] = []
+        while self._waiting:
+            raw, name = self._waiting[0]
+            placed = self._placed(raw, name)
+            late = all_of_them or (self._clocks["scan"].last or 0.0) - raw.t > PATIENCE
+            if isinstance(placed, RefusedError) and not late:
+                break
+            self._waiting.popleft()
+            if isinstance(placed, RefusedError):
+                self.refuse(placed)
+            elif placed is not None:
+                out.append((raw.t, placed))
+        self._forget()
+        rows, self._fresh = self._fresh, []
+        return out, rows
+
+    def _placed(self, raw: RawScan, name: str) -> Scan | RefusedError | None:
+        """The scan; what it lacks yet; None when it will always lack it, which is counted."""
+        place = self._place(name)
+        if place is None:
+            base = self.base_frame or "the robot"
+            return RefusedError("frame", f"a scan in {name!r}, which no transform places on {base!r}")
+        mount, upside_down = place
+        sign = -1.0 if upside_down else 1.0
+        raw = replace(
+            raw, angle_min=sign * raw.angle_min, angle_increment=sign * raw.angle_increment, T_robot_sensor=mount
+        )
+        if self.wheels == NO_ODOMETRY:
+            return self._lit(raw)
+        if not self._rows or self._rows[-1][0] < raw.t:
+            return RefusedError("odometry", "a scan without odometry")
+        after = next(k for k, row in enumerate(self._rows) if row[0] >= raw.t)
+        near = self._rows[max(after - 1, 0) : after + 1]
+        if near[-1][0] != raw.t and (len(near) < 2 or near[1][0] - near[0][0] > GAP):
+            self.refuse(RefusedError("odometry", "a scan without odometry"))
+            return None
+        rows = np.array(near)
+        pose = poses_at(np.array([raw.t]), Track(rows[:, 0], rows[:, 1:], frame="odom"))[0]
+        scan = self._lit(raw)
+        return None if scan is None else replace(scan, odometry=frozen(pose))
+
+    def _lit(self, raw: RawScan) -> Scan | None:
+        """With intensities where the first scan had some; None, counted, for one that lacks them then."""
+        if self._light is None:
+            self._light = raw.intensities is not None and len(np.unique(raw.intensities)) > 1
+        if self._light and raw.intensities is None:
+            self.refuse(RefusedError("light", "a scan without intensities, though those before had some"))
+            return None
+        return scan_of(raw if self._light else replace(raw, intensities=None))
+
+    def _place(self, name: str) -> tuple[np.ndarray, bool] | None:
+        """`T_robot_sensor` and whether it hangs upside down; None while it is not known."""
+        if name not in self._places:
+            base = self.base_frame
+            if not base and self.wheels == NO_ODOMETRY:
+                base = self._tf.chain(name)[-1]
+            found = self._tf.sensor_pose(base, name) if base else None
+            if found is None and self._given is not None:
+                found = self._given, False
+            if found is None:
+                return None
+            self._places[name] = found
+            self.base_frame = base
+        return self._places[name]
+
+    def _forget(self) -> None:
+        """Rows that no waiting scan needs, but the last two."""
+        first = self._waiting[0][0].t if self._waiting else self._rows[-1][0] if self._rows else 0.0
+        keep = next((k for k, (_, b) in enumerate(pairwise(self._rows)) if b[0] >= first), max(len(self._rows) - 2, 0))
+        del self._rows[:keep]
+
+
+def _sound(told: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]) -> bool:
+    shift, turn = told
+    return bool((np.abs(shift) < LARGEST).all() and abs(float(turn @ turn) - 1.0) < 0.1)
+
+
+def _stamp(header: Any) -> float:
+    return float((header.stamp.sec * 10**9 + header.stamp.nanosec) / 1e9)
+
+
+def _floats(values: Any) -> np.ndarray:
+    with np.errstate(invalid="ignore"):
+        return np.asarray(values, dtype=float)

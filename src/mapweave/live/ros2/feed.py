@@ -1,0 +1,301 @@
+"""One robot of a ROS graph as a live source: found by its tokens, heard through its topics, told as messages."""
+
+import re
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from queue import Empty, Full, Queue
+
+import zenoh
+import zenoh.ext
+
+from ...core.names import robot_name
+from ..columns import unpack
+from ..messages import Closed, Header, Numbered, RefusedError, Scans
+from .assembly import NO_ODOMETRY, POSES, Assembly, Placed, Row
+from .cdr import ODOMETRY, SCAN, TF, decode
+from .graph import Graph, RosRobot, chosen
+from .packets import Packets
+from .wire import SUBSCRIPTION, Attachment, Entity, Qos, Topic, every_token
+
+WAITING = 5000  # messages not worked in yet: beyond, they are let go and counted
+MOST_PUBLISHERS = 10_000
+SETTLE = 1.0  # [s] after the first robot is seen, for others to be seen too
+BEGIN = 3.0  # [s] after the first scan, for odometry by tf where nobody publishes Odometry
+SILENCE = 5.0  # [s] without a scan until it is told
+
+Say = Callable[[str], None]
+Heard = tuple[Topic, bytes, bytes | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """What the feed is asked for. pattern: of the robot's namespace; period: [s] of scans in one message."""
+
+    name: str
+    run: str
+    period: float = 1.0
+    domain: int = 0
+    pattern: str | None = None
+    sensor_pose: tuple[float, float, float] | None = None
+
+
+@dataclass(slots=True)
+class Member:
+    """What this process is in the ROS graph: a node, and its next entity's number."""
+
+    session: zenoh.Session
+    domain: int
+    namespace: str
+    node: str
+    entities: int = 0
+    held: list[object] = field(default_factory=list)
+
+    def declare(self, kind: str, topic: Topic | None = None) -> Entity:
+        """Others see it from now on."""
+        who = str(self.session.info.zid())
+        made = Entity(self.domain, who, 0, self.entities, kind, self.namespace, self.node, topic)
+        self.entities += 1
+        self.held.append(self.session.liveliness().declare_token(made.token()))
+        return made
+
+
+class RosFeed:
+    """The messages of one robot. `take` and `close` are called from one thread; callbacks only fill a queue.
+
+    robot: which one it is, None before it was seen; assembly: what its messages make; graph: who else is there.
+    """
+
+    def __init__(self, session: zenoh.Session, asked: Chosen, say: Say) -> None:
+        self.asked, self.graph = asked, Graph()
+        self.robot: RosRobot | None = None
+        self.member: Member | None = None
+        self.assembly = Assembly(sensor_pose=asked.sensor_pose)
+        self.lost: Counter[str] = Counter()
+        self._session, self._say = session, say
+        self._tokens: Queue[tuple[str, bool]] = Queue()
+        self._heard: Queue[Heard] = Queue(WAITING)
+        self._let_go = 0
+        self._said: set[str] = set()
+        self._packets: Packets | None = None
+        self._new = True  # no scan was told yet
+        self._seen = self._first = self._last = 0.0
+        self._sequences: dict[bytes, int] = {}
+        self._declared: list[object] = []
+        self._declared.append(
+            session.liveliness().declare_subscriber(
+                every_token(asked.domain), zenoh.handlers.Callback(self._token), history=True
+            )
+        )
+
+    def resume(self, kept: Sequence[Numbered]) -> None:
+        """Goes on after a history. Raises RefusedError when that has ended."""
+        if not kept:
+            return
+        header, last = kept[0], kept[-1]
+        if isinstance(last, Closed):
+            raise RefusedError("history", "this drive has ended; --fresh begins a new one")
+        assert isinstance(header, Header)  # noqa: S101  (number 0 of every history)
+        self._packets, self._new = Packets(header, self.asked.period, last.seq), False
+        self.assembly.wheels = header.odometry_from
+        scan = odometry = light = None
+        for message in kept[1:]:
+            if isinstance(message, Scans):
+                scan = message.scans[-1].t if message.scans else scan
+                light = message.scans[0].light is not None if message.scans and light is None else light
+                track = unpack(message.track, 4)
+                odometry = float(track[0, -1]) if track.shape[1] else odometry
+        self.assembly.resume(scan, odometry, light=light)
+
+    def take(self, timeout: float) -> list[Numbered]:
+        """Messages that are whole now; waits for something to come for `timeout` [s] at most."""
+        self._work_in(timeout)
+        if self.robot is None:
+            self._choose()
+        self._tell()
+        return self._whole(*self.assembly.ready()) if self._begun() else []
+
+    def close(self) -> list[Numbered]:
+        """What was heard and is not told yet, and the end of the history; nothing where none was begun."""
+        for one in self._declared:
+            one.undeclare()  # type: ignore[attr-defined]
+        self._work_in(0.0)
+        if not self._begun(now=True):
+            return []
+        assert self._packets is not None  # noqa: S101  (begun)
+        out = self._whole(*self.assembly.ready(all_of_them=True))
+        self._tell()
+        return [] if self._new else [*out, *self._packets.close()]
+
+    @property
+    def header(self) -> Header | None:
+        return None if self._packets is None else self._packets.header
+
+    def summary(self) -> str:
+        """What was refused, in words; empty when nothing was."""
+        counts = self.assembly.refused + self.lost
+        return ", ".join(f"{n} {reason}" for reason, n in sorted(counts.items()))
+
+    def _begun(self, *, now: bool = False) -> bool:
+        """Whether there is a header: once it is known where odometry comes from."""
+        a = self.assembly
+        if self._packets is not None or self.robot is None:
+            return self._packets is not None
+        if not a.sensor_frame:
+            return False
+        self._first = self._first or time.monotonic()
+        if self.robot.odometry is None and a.wheels == POSES:
+            if a.odometry_edge is not None:
+                a.take_tf()
+            elif now or time.monotonic() > self._first + BEGIN:
+                a.wheels = NO_ODOMETRY
+                self._say(f"{self.asked.name}: {self.robot.called} tells no odometry: poses come from scans alone")
+            else:
+                return False
+        self._packets = Packets(self._header(self.robot), self.asked.period)
+        return True
+
+    def _header(self, robot: RosRobot) -> Header:
+        number = re.search(r"(\d+)$", self.asked.name)
+        wheels = self.assembly.wheels
+        return Header(
+            robot=self.asked.name,
+            run=self.asked.run,
+            sensor="laser",
+            log_robot=robot_name("1" if number is None else str(int(number[1]))),
+            source=f"ros2:{robot.scan.name}",
+            odometry=wheels != NO_ODOMETRY,
+            odometry_from=wheels,
+            log_hash=self.asked.run,
+        )
+
+    def _whole(self, placed: list[Placed], rows: list[Row]) -> list[Numbered]:
+        """Messages that are complete now; the header comes before the first scan."""
+        assert self._packets is not None  # noqa: S101  (begun)
+        new = bool(placed) and self._new
+        self._new = self._new and not new
+        return [*([self._packets.header] if new else []), *self._packets.add(placed, rows)]
+
+    def _work_in(self, timeout: float) -> None:
+        """Everything that came."""
+        while not self._tokens.empty():
+            token, there = self._tokens.get_nowait()
+            (self.graph.put if there else self.graph.drop)(token)
+        end = time.monotonic() + timeout
+        waited = False
+        while True:
+            try:
+                heard = self._heard.get(timeout=max(0.0, end - time.monotonic()) if not waited else 0.0)
+            except Empty:
+                return
+            waited = True
+            self._hear(*heard)
+
+    def _hear(self, topic: Topic, payload: bytes, attachment: bytes | None) -> None:
+        try:
+            if not self._is_new(topic, attachment):
+                return
+            message = decode(payload, topic.kind)
+        except RefusedError as error:
+            self.assembly.refuse(error)
+            return
+        if topic.kind == SCAN:
+            self._last = time.monotonic()
+            self.assembly.scan(message)
+        elif topic.kind == ODOMETRY:
+            self.assembly.odometry(message)
+        else:
+            self.assembly.transforms(message)
+
+    def _is_new(self, topic: Topic, attachment: bytes | None) -> bool:
+        """Whether this is the next message of its publisher, or a later one; what is between them was lost."""
+        if attachment is None:
+            raise RefusedError("attachment", f"a message on {topic.name} without one")
+        told = Attachment.decode(attachment)
+        before = self._sequences.get(told.gid)
+        if before is not None and told.sequence <= before:
+            self.lost["doubled"] += 1
+            return False
+        if before is not None and told.sequence > before + 1:
+            self.lost["lost"] += told.sequence - before - 1
+        if len(self._sequences) > MOST_PUBLISHERS:
+            self._sequences.clear()
+        self._sequences[told.gid] = told.sequence
+        return True
+
+    def _choose(self) -> None:
+        """Hears the robot once it is seen and others had time to be."""
+        robots = self.graph.robots()
+        now = time.monotonic()
+        if not robots:
+            return
+        self._seen = self._seen or now
+        if now < self._seen + SETTLE:
+            return
+        found = chosen(robots, self.asked.name, self.asked.pattern)
+        if found is None:
+            there = ", ".join(robot.name or "one without a namespace" for robot in robots)
+            self._once(f"no robot fits {self.asked.pattern!r} yet; there are {there}")
+            return
+        self.robot = found
+        wheels = found.odometry.name if found.odometry else "tf, if that tells any"
+        beside = f"; not heard: {', '.join(found.beside)}" if found.beside else ""
+        self._once(f"hears {found.scan.name}, odometry from {wheels}{beside}")
+        self.member = Member(self._session, self.asked.domain, f"/{found.name}", node_name(self.asked.name))
+        self.member.declare("NN")
+        self._last = now
+        self._heard_topics(found.topics)
+
+    def _heard_topics(self, topics: Sequence[Topic]) -> None:
+        assert self.member is not None  # noqa: S101  (chosen)
+        for topic in topics:
+            latched = topic.qos.transient_local
+            qos = Qos(topic.kind != SCAN, latched, 100 if topic.kind == TF else 10)
+            self.member.declare(SUBSCRIPTION, Topic(topic.name, topic.kind, topic.type_hash, qos))
+            self._declared.append(
+                zenoh.ext.declare_advanced_subscriber(
+                    self._session,
+                    topic.key(self.asked.domain),
+                    zenoh.handlers.Callback(partial(self._sample, topic)),
+                    history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=100) if latched else None,
+                    subscriber_detection=latched,
+                )
+            )
+
+    def _tell(self) -> None:
+        """A line of each kind of thing that went wrong, once; that the robot is gone or silent, and is back."""
+        for told in (*self.graph.refused.values(), *self.assembly.told.values()):
+            self._once(f"refused: {told}")
+        if self._let_go:
+            self.lost["too many at once"] += self._let_go
+            self._let_go = 0
+            self._once("messages come faster than they are worked in: some are let go")
+        if self.robot is None:
+            return
+        now = time.monotonic()
+        if now > self._last + SILENCE:
+            self._once(f"no scan for {SILENCE:g} s on {self.robot.scan.name}")
+        else:
+            self._said.discard(f"no scan for {SILENCE:g} s on {self.robot.scan.name}")
+
+    def _once(self, words: str) -> None:
+        if words not in self._said:
+            self._said.add(words)
+            self._say(f"{self.asked.name}: {words}")
+
+    def _token(self, sample: zenoh.Sample) -> None:
+        self._tokens.put((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
+
+    def _sample(self, topic: Topic, sample: zenoh.Sample) -> None:
+        attachment = None if sample.attachment is None else sample.attachment.to_bytes()
+        try:
+            self._heard.put_nowait((topic, sample.payload.to_bytes(), attachment))
+        except Full:
+            self._let_go += 1
+
+
+def node_name(name: str) -> str:
+    """`name` as the name of a ROS node, which holds letters, digits and underscores."""
+    return "mapweave_" + re.sub(r"\W", "_", name, flags=re.ASCII)

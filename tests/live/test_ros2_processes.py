@@ -1,0 +1,322 @@
+"""A live robot beside nodes that speak the protocol of rmw_zenoh: scans in, map, poses and transforms back."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from mapweave.api.live import live_robot
+from mapweave.api.live_ros2 import RosOptions
+from mapweave.api.map_laser import map_logs
+from mapweave.api.map_options import MapOptions
+from mapweave.core import se2
+from mapweave.core.errors import UsageError
+from mapweave.laser.config import LaserConfig
+from mapweave.live.laser_robot import LaserRobot
+from mapweave.live.laser_stream import LaserRecord
+from mapweave.live.messages import Closed, decode
+from mapweave.live.store import Store
+from mapweave.live.transport import Network
+from mapweave.sim.corridor import CorridorConfig, simulate_corridor
+from mapweave.sim.laser import DriveConfig
+
+from .processes import Fleet, free_endpoint, same_result
+from .ros_peer import (
+    HASHES,
+    Node,
+    RosDrive,
+    open_session,
+    read_grid,
+    read_pose,
+    read_transforms,
+    scan,
+    wait_for,
+)
+
+MOUNT = (0.2, 0.05, 0.3)
+SCAN, GRID = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/OccupancyGrid"
+POSE, TF = "geometry_msgs/msg/PoseWithCovarianceStamped", "tf2_msgs/msg/TFMessage"
+
+
+def drive(seed):
+    return simulate_corridor(CorridorConfig(distance=5.0, drive=DriveConfig(sensor_pose=MOUNT)), seed)
+
+
+@pytest.fixture
+def ros():
+    """Where the router of a ROS graph stands, and a session in that graph."""
+    at = free_endpoint()
+    router = open_session(at, "router")
+    session = open_session(at)
+    yield at, session
+    session.close()
+    router.close()
+
+
+@pytest.fixture
+def fleet(tmp_path, ros):
+    made = Fleet(tmp_path, "ros2")
+    made.at = ros[0]
+    yield made
+    made.end()
+
+
+def joins(fleet, name, *words):
+    return fleet.start(name, "robot", "--name", name, "--source", "ros2", "--connect", fleet.at, *words)
+
+
+def record(path, name):
+    """What a robot's history holds, as one log, and its last message."""
+    with Store(path, f"robot {name} of team team") as store:
+        kept = [decode(payload) for _, payload in store.get(name, 0, 1 << 30)]
+    made = LaserRecord(kept[0])
+    for message in kept[1:]:
+        made.add(message)
+    return made.log, kept[-1]
+
+
+def same_scans(log, simulated):
+    """Every scan with its odometry and place as it was driven; stamps to the nanosecond."""
+    np.testing.assert_array_equal(log.scan_t, simulated.scan_t)
+    for ours, driven in zip(log.scans, simulated.scans, strict=True):
+        np.testing.assert_array_equal(ours.hit, driven.hit)
+        np.testing.assert_array_equal(ours.ranges[ours.hit], driven.ranges[driven.hit])
+        np.testing.assert_array_equal(ours.intensities, driven.intensities)
+        np.testing.assert_allclose(ours.odometry, driven.odometry, atol=1e-12)
+        np.testing.assert_allclose(ours.T_robot_sensor, MOUNT, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_two_ros_robots_make_one_map_and_the_graph_gets_maps_poses_and_transforms_back(fleet, ros):
+    at, session = ros
+    made = {"tb1": drive(1), "tb2": drive(2)}
+    ones = {name: RosDrive(session, name, d.log, MOUNT, by_tf=name == "tb2") for name, d in made.items()}
+    rviz = Node(session, "rviz")
+    rviz.hear("/tb1/pose", POSE)
+    rviz.hear("/tf", TF)
+    fleet.start("map", "map", "--out", "out-map", "--robots", "r1,r2", "--connect", at)
+    fleet.hears("map", "heard so far")
+    joins(fleet, "r1", "--pattern", "tb1")
+    joins(fleet, "r2", "--pattern", "*2")
+    fleet.hears("r1", "hears /tb1/scan, odometry from /tb1/odom")
+    fleet.hears("r2", "hears /tb2/scan, odometry from tf")
+    playing = [threading.Thread(target=one.play, args=(1.0,)) for one in ones.values()]
+    for thread in playing:
+        thread.start()
+    for thread in playing:
+        thread.join()
+    last = made["tb1"].log.scan_t[-1]
+    wait_for(lambda: rviz.heard["/tb1/pose"] and read_pose(rviz.heard["/tb1/pose"][-1][0])[0] > last - 1.5)
+    rviz.hear("/tb1/map", GRID, latched=True)  # told before: kept for those that come late
+    wait_for(lambda: rviz.heard["/tb1/map"])
+    tokens = rviz.graph()
+    for name in ("r1", "r2"):
+        fleet.interrupt(name)
+    for name in ("r1", "r2", "map"):
+        assert fleet.wait(name) == 0, fleet.said(name)
+        assert "Traceback" not in fleet.said(name)
+    for name, d in zip(("r1", "r2"), made.values(), strict=True):
+        assert "1 map processes have all of them" in fleet.said(name)
+        log, end = record(fleet.folder / f"mapweave-live/team-{name}.sqlite", name)
+        same_scans(log, d.log)
+        assert isinstance(end, Closed)
+        assert log.odometry_from == ("tf" if name == "r2" else "poses")
+    _the_map_is_that_of_the_logs(fleet)
+    _is_in_the_graph(tokens)
+    _shows_poses_and_transforms(rviz, made["tb1"], fleet.folder / "mapweave-live/team-r1.sqlite")
+
+
+def _the_map_is_that_of_the_logs(fleet):
+    logs = [record(fleet.folder / f"mapweave-live/team-{name}.sqlite", name)[0] for name in ("r1", "r2")]
+    direct = fleet.folder / "direct"
+    map_logs(logs, MapOptions()).write(direct)
+    same_result(direct, fleet.folder / "out-map", but=("report.html",))  # which tells how long the stages took
+
+
+def _is_in_the_graph(tokens):
+    mine = [token for token in tokens if "/mapweave_r1" in token]
+    assert sum("/NN/%/%tb1/mapweave_r1" in token for token in mine) == 1
+    for kind, topic, ros_type in (
+        ("MP", "%tb1%map", GRID),
+        ("MP", "%tb1%pose", POSE),
+        ("MP", "%tf", TF),
+        ("MS", "%tb1%scan", SCAN),
+    ):
+        package, _, word = ros_type.split("/")
+        part = f"/mapweave_r1/{topic}/{package}::msg::dds_::{word}_/{HASHES[ros_type]}/"
+        assert any(f"/{kind}/" in token and part in token for token in mine), part
+
+
+def estimated(path, name, t):
+    """The pose that the estimator of `map` has at `t`, from the scans of the robot's history."""
+    with Store(path, f"robot {name} of team team") as store:
+        kept = [decode(payload) for _, payload in store.get(name, 0, 1 << 30)]
+    robot = LaserRobot(kept[0], LaserConfig(method="graph"))
+    for message in kept[1:]:
+        robot.add(message)
+        if robot.t == t:
+            return np.array(robot.status()[0])
+    raise AssertionError(t)
+
+
+def _shows_poses_and_transforms(rviz, made, store):
+    t, frame, pose, cov = read_pose(rviz.heard["/tb1/pose"][-1][0])
+    assert frame == "tb1/map"
+    again = estimated(store, "r1", t)
+    np.testing.assert_allclose(np.array(pose), again, atol=1e-9)
+    begin, end = np.searchsorted(made.truth.t, [made.log.scan_t[0], t])
+    np.testing.assert_allclose(again, se2.between(made.truth.pose[begin], made.truth.pose[end]), atol=0.25)
+    assert cov[0] > 0 < cov[35]
+    edges = [one for data, _ in rviz.heard["/tf"] for one in read_transforms(data) if one[1] == "tb1/map"]
+    _, _, child, place = edges[-1]
+    assert child == "tb1/odom"
+    wheels = made.log.odometry.pose[int(np.searchsorted(made.log.odometry.t, t))]
+    np.testing.assert_allclose(se2.compose(np.array(place), wheels), np.array(pose), atol=0.05)
+    frame, resolution, (width, height), _, cells = read_grid(rviz.heard["/tb1/map"][-1][0])
+    assert (frame, round(resolution, 6)) == ("tb1/map", 0.1)
+    assert set(cells) == {-1, 0, 100}
+    assert width * height == len(cells) > 500
+    sequence = [int.from_bytes(attached[:8], "little") for _, attached in rviz.heard["/tb1/pose"]]
+    assert sequence == list(range(1, len(sequence) + 1))
+
+
+def follows(name, at, folder, stop, said, **options):
+    """A robot in a thread of this process, as `live_robot` runs it."""
+    arguments = {
+        "ros": RosOptions(**options),
+        "network": Network(connect=(at,)),
+        "history": folder / f"{name}.sqlite",
+        "stop": stop,
+        "say": said.append,
+        "period": 0.5,
+    }
+    thread = threading.Thread(target=live_robot, args=(name, "ros2"), kwargs=arguments)
+    thread.start()
+    return thread
+
+
+def test_nonsense_in_the_graph_is_told_in_a_line_each_and_the_drive_is_as_without(ros, tmp_path):
+    at, session = ros
+    made = drive(3)
+    other = Node(session, "other", "/tb9")
+    other.publisher("/tb9/scan", SCAN, type_hash="RIHS01_" + 64 * "0")
+    held = session.liveliness().declare_token("@ros2_lv/0/not/a/token")
+    one = RosDrive(session, "tb1", made.log, MOUNT)
+    stop, said = threading.Event(), []
+    thread = follows("r1", at, tmp_path, stop, said)
+    wait_for(lambda: any("hears /tb1/scan" in words for words in said))
+    one.node.say("/tb1/scan", b"\x00\x01\x00\x00nonsense")
+    one.node.say("/tb1/scan", bytes(2 << 20))
+    one.node.say("/tb1/odom", b"")
+    one.node.out["/tb1/scan"].put(one.scan(0), attachment=b"short")
+    one.node.out["/tb1/scan"].put(one.scan(0))
+    one.node.say("/tb1/scan", scan(999.5, "camera", [1.0, 2.0], 0.0, 0.1, 10.0))
+    one.play(4.0)
+    one.node.say("/tb1/scan", scan(500.0, "tb1/laser", [1.0, 2.0], 0.0, 0.1, 10.0))  # the clock was set back
+    one.node.counts["/tb1/scan"] -= 1
+    one.node.say("/tb1/scan", one.scan(0))  # told twice
+    wait_for(lambda: any("refused: clock" in words for words in said))
+    stop.set()
+    thread.join(60)
+    log, _ = record(tmp_path / "r1.sqlite", "r1")
+    same_scans(log, made.log)
+    told = "\n".join(said)
+    for words in (
+        "refused: malformed: no sensor_msgs/msg/LaserScan in 12 bytes",
+        "refused: oversized: sensor_msgs/msg/LaserScan of 2097152 bytes",
+        "refused: attachment: 5 bytes that are none of rmw_zenoh's",
+        "refused: frame: a scan in 'camera', which no transform places on",
+        "refused: clock: a scan 510 s before the last one",
+        "refused: token: no token of a ROS graph: @ros2_lv/0/not/a/token",
+        "refused: hash: /tb9/scan is sensor_msgs/msg/LaserScan of another definition",
+        "refused 2 attachment, 1 clock, 1 doubled, 1 frame, 2 malformed, 1 oversized",
+    ):
+        assert told.count(words) == 1, (words, told)
+    held.undeclare()
+
+
+def test_a_robot_started_again_goes_on_where_its_history_ends(ros, tmp_path):
+    at, session = ros
+    made = drive(4)
+    one = RosDrive(session, "tb1", made.log, MOUNT)
+    stop, said = threading.Event(), []
+    rows = sorted(
+        [(t, "odometry", k) for k, t in enumerate(made.log.odometry.t.tolist())]
+        + [(t, "scan", k) for k, t in enumerate(made.log.scan_t.tolist())]
+    )
+    thread = follows("r1", at, tmp_path, stop, said)
+    wait_for(lambda: any("hears /tb1/scan" in words for words in said))
+    for row in rows:
+        one.tell(*row)
+        time.sleep(0.005)
+    time.sleep(1.0)
+    stop.set()
+    thread.join(60)
+    with pytest.raises(UsageError, match="this drive has ended; --fresh begins a new one"):
+        live_robot(
+            "r1",
+            "ros2",
+            network=Network(connect=(at,)),
+            history=tmp_path / "r1.sqlite",
+            period=0.5,
+            say=said.append,
+            stop=threading.Event(),
+        )
+    _cut_off(tmp_path / "r1.sqlite", 5)
+    again = threading.Event()
+    thread = follows("r1", at, tmp_path, again, said)
+    wait_for(lambda: sum("hears /tb1/scan" in words for words in said) == 2)
+    for row in rows:
+        one.tell(*row)
+        time.sleep(0.005)
+    time.sleep(1.0)
+    again.set()
+    thread.join(60)
+    log, end = record(tmp_path / "r1.sqlite", "r1")
+    same_scans(log, made.log)
+    assert isinstance(end, Closed)
+    assert "r1: goes on after 5 messages of its history" in said
+
+
+def _cut_off(path, last):
+    """As if the process had been killed after message `last`."""
+    with Store(path, "robot r1 of team team") as store:
+        kept = store.get("r1", 0, last - 1)
+        run, period, sensor = store.about("run"), store.about("period"), store.about("sensor")
+        store.clear()
+        for name, value in (("run", run), ("period", period), ("sensor", sensor)):
+            store.set_about(name, value)
+        store.put([("r1", seq, payload) for seq, payload in kept])
+
+
+def test_several_robots_that_could_be_meant_are_listed(ros, tmp_path):
+    at, session = ros
+    log = drive(1).log
+    ones = [RosDrive(session, name, log, MOUNT) for name in ("tb1", "tb2")]
+    with pytest.raises(UsageError, match="--pattern: which robot is r1\\? There are tb1, tb2"):
+        live_robot("r1", "ros2", network=Network(connect=(at,)), history=tmp_path / "a.sqlite", say=lambda _: None)
+    assert len(ones) == 2
+
+
+def test_where_no_router_is_it_waits_and_says_so(tmp_path):
+    stop, said = threading.Event(), []
+    thread = follows("r1", free_endpoint(), tmp_path, stop, said)
+    wait_for(lambda: any("waits for tcp/127.0.0.1" in words for words in said))
+    stop.set()
+    thread.join(20)
+    assert not thread.is_alive()
+    assert len(said) == 1
+
+
+def test_what_cannot_be_is_refused_at_once(tmp_path):
+    for options, words in (
+        ({"ros": RosOptions(domain=233)}, "--domain: expected 0 to 232, found 233"),
+        ({"rate": 2.0}, "neither --robot nor --rate"),
+        ({"robot": "2"}, "neither --robot nor --rate"),
+        ({"network": Network(tls=tmp_path)}, "--tls: ROS speaks under names no certificate has"),
+    ):
+        with pytest.raises(UsageError, match=words):
+            live_robot("r1", "ros2", history=tmp_path / "a.sqlite", say=lambda _: None, **options)
+    with pytest.raises(UsageError, match="of --source ros2 alone"):
+        live_robot("r1", "sim:office", ros=RosOptions(), history=tmp_path / "a.sqlite")

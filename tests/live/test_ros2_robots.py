@@ -1,0 +1,250 @@
+"""Which robots a ROS graph holds, and what their messages make: mounts, odometry, and what is refused and counted."""
+
+import math
+
+import numpy as np
+import pytest
+
+from mapweave.core import se2
+from mapweave.live.messages import RefusedError
+from mapweave.live.ros2 import cdr
+from mapweave.live.ros2.assembly import GAP, LEAP, PATIENCE, Assembly
+from mapweave.live.ros2.graph import Graph, chosen
+from mapweave.live.ros2.wire import NO_HASH, Entity, Topic
+
+from . import ros_peer
+
+RANGES = [1.0, 2.0, math.inf, math.nan, 0.01, 3.0]
+
+
+def graph(*published, type_hash=None):
+    made = Graph()
+    for k, (name, kind) in enumerate(published):
+        topic = Topic(name, kind, type_hash or cdr.type_hash(kind))
+        made.put(Entity(0, "ab", 0, k, "MP", "/", "n", topic).token())
+    return made
+
+
+def test_topics_of_one_namespace_are_one_robot():
+    robots = graph(
+        ("/tb1/scan", cdr.SCAN),
+        ("/tb1/odom", cdr.ODOMETRY),
+        ("/tb2/lidar/scan", cdr.SCAN),
+        ("/tb2/odometry/filtered", cdr.ODOMETRY),
+        ("/tb2/odom", cdr.ODOMETRY),
+        ("/tb2/tf", cdr.TF),
+        ("/tf", cdr.TF),
+        ("/tf_static", cdr.TF),
+    ).robots()
+    assert [(r.name, r.scan.name, r.odometry.name) for r in robots] == [
+        ("tb1", "/tb1/scan", "/tb1/odom"),
+        ("tb2", "/tb2/lidar/scan", "/tb2/odom"),
+    ]
+    assert [t.name for t in robots[1].tf] == ["/tb2/tf", "/tf", "/tf_static"]
+    assert robots[1].beside == ("/tb2/odometry/filtered",)
+
+
+def test_a_robot_without_a_namespace_does_not_take_the_odometry_of_another():
+    one, two = graph(("/scan", cdr.SCAN), ("/tb1/scan", cdr.SCAN), ("/tb1/odom", cdr.ODOMETRY)).robots()
+    assert (one.name, one.odometry) == ("", None)
+    assert two.odometry.name == "/tb1/odom"
+
+
+def test_the_only_robot_takes_the_only_odometry_wherever_it_is():
+    (robot,) = graph(("/front/scan", cdr.SCAN), ("/odom", cdr.ODOMETRY)).robots()
+    assert robot.odometry.name == "/odom"
+
+
+def test_another_type_hash_is_refused_and_told():
+    made = graph(("/scan", cdr.SCAN), type_hash="RIHS01_" + 64 * "0")
+    assert made.robots() == []
+    assert "/scan is sensor_msgs/msg/LaserScan of another definition" in next(iter(made.refused.values()))
+
+
+def test_a_graph_without_hashes_is_read():
+    (robot,) = graph(("/scan", cdr.SCAN), type_hash=NO_HASH).robots()
+    assert robot.scan.key(0).endswith("LaserScan_/TypeHashNotSupported")
+
+
+def test_tokens_that_go_take_their_robot_with_them():
+    made = graph(("/scan", cdr.SCAN))
+    made.drop(next(iter(made.entities)))
+    made.put("@ros2_lv/nonsense")
+    assert made.robots() == []
+    assert list(made.refused) == ["@ros2_lv/nonsense"]
+
+
+def test_a_pattern_a_name_or_being_alone_says_which_robot():
+    robots = graph(("/tb1/scan", cdr.SCAN), ("/tb2/scan", cdr.SCAN)).robots()
+    assert chosen(robots, "r1", "tb2").name == "tb2"
+    assert chosen(robots, "r1", "*1").name == "tb1"
+    assert chosen(robots, "tb2", None).name == "tb2"
+    assert chosen(robots[:1], "r1", None).name == "tb1"
+    assert chosen(robots, "r1", "x*") is None
+    for pattern in (None, "tb?"):
+        with pytest.raises(RefusedError, match="--pattern: which robot is r1\\? There are tb1, tb2"):
+            chosen(robots, "r1", pattern)
+
+
+def fed(made, *messages):
+    for kind, payload in messages:
+        message = cdr.decode(payload, kind)
+        {cdr.SCAN: made.scan, cdr.ODOMETRY: made.odometry, cdr.TF: made.transforms}[kind](message)
+    return made
+
+
+def scan(t, frame="laser", ranges=RANGES, angle_min=-0.5, step=0.2, range_max=10.0, light=()):
+    return cdr.SCAN, ros_peer.scan(t, frame, ranges, angle_min, step, range_max, light)
+
+
+def odometry(t, pose=(0.0, 0.0, 0.0)):
+    return cdr.ODOMETRY, ros_peer.odometry(t, "odom", "base", pose)
+
+
+def mounted(pose=(0.2, 0.0, 0.3)):
+    return cdr.TF, ros_peer.transforms((1.0, "base", "laser", pose))
+
+
+def test_a_scan_gets_the_odometry_of_its_own_stamp_and_its_place_on_the_robot():
+    upper = cdr.TF, ros_peer.transforms((1.0, "base", "tower", (0.1, 0.0, math.pi / 2)))
+    lower = cdr.TF, ros_peer.transforms((1.0, "tower", "laser", (0.3, 0.0, 0.1)))
+    made = fed(Assembly(), odometry(10.0), scan(10.25), upper, odometry(10.5, (1.0, 0.0, 0.2)))
+    assert made.ready()[0] == []
+    ((t, placed),), rows = fed(made, lower).ready()
+    assert t == 10.25
+    np.testing.assert_allclose(placed.odometry, [0.5, 0.0, 0.1], atol=1e-9)
+    np.testing.assert_allclose(placed.T_robot_sensor, [0.1, 0.3, math.pi / 2 + 0.1], atol=1e-9)
+    assert placed.hit.tolist() == [True, True, False, False, False, True]
+    assert placed.ranges.tolist() == [1.0, 2.0, 10.0, 10.0, 10.0, 3.0]
+    assert rows == []  # those of the message before
+    assert not made.refused
+
+
+def test_a_scanner_upside_down_sees_its_beams_the_other_way():
+    hung = ros_peer.Writer().put("I", 1).head(1.0, "base").text("laser").put("d", 0, 0, 0, 1.0, 0.0, 0.0, 0.0)
+    ((_, placed),), _ = fed(Assembly(), (cdr.TF, hung.bytes()), odometry(9.0), odometry(10.0), scan(10.0)).ready()
+    assert (placed.angle_min, placed.angle_increment) == (0.5, pytest.approx(-0.2))
+
+
+def test_odometry_that_comes_as_a_transform_counts_from_its_first_row():
+    made = fed(Assembly(), mounted())
+    for t, x in ((5.0, 0.0), (5.5, 1.0)):
+        fed(made, (cdr.TF, ros_peer.transforms((t, "odom", "base", (x, 0.0, 0.0)))))
+    fed(made, scan(5.25))
+    assert made.odometry_edge == ("odom", "base")
+    made.take_tf()
+    ((_, placed),), rows = made.ready()
+    assert placed.odometry.tolist() == [0.5, 0.0, 0.0]
+    assert [row[:2] for row in rows] == [(5.0, 0.0), (5.5, 1.0)]
+
+
+def test_without_odometry_the_root_of_the_scanners_frames_is_the_robot():
+    ((_, placed),), _ = fed(Assembly("none"), mounted((0.2, 0.1, 0.0)), scan(5.0)).ready()
+    assert placed.odometry is None
+    assert placed.T_robot_sensor.tolist() == [0.2, 0.1, 0.0]
+
+
+def test_a_scan_in_an_unknown_frame_is_refused_after_a_while():
+    made = fed(Assembly(), mounted(), odometry(10.0), odometry(10.5), scan(10.5, "camera"))
+    assert made.ready()[0] == []
+    assert not made.refused
+    fed(made, odometry(11.0 + PATIENCE), scan(11.0 + PATIENCE))
+    assert [t for t, _ in made.ready()[0]] == [11.0 + PATIENCE]
+    assert made.refused == {"frame": 1}
+    assert made.told["frame"] == "frame: a scan in 'camera', which no transform places on 'base'"
+
+
+def test_a_place_given_by_hand_serves_where_no_transform_tells_it():
+    made = fed(Assembly(sensor_pose=(0.1, 0.0, 0.0)), odometry(10.0), scan(10.0))
+    ((_, placed),), _ = made.ready()
+    assert placed.T_robot_sensor.tolist() == [0.1, 0.0, 0.0]
+
+
+def test_scans_while_odometry_is_away_are_refused_and_the_drive_goes_on_after():
+    made = fed(Assembly(), mounted(), odometry(10.0), scan(10.0), scan(10.4), scan(11.0))
+    assert [t for t, _ in made.ready()[0]] == [10.0]
+    fed(made, odometry(10.2 + GAP, (1.0, 0.0, 0.0)), scan(10.2 + GAP), odometry(10.5 + GAP), scan(10.5 + GAP))
+    assert [t for t, _ in made.ready()[0]] == [10.2 + GAP, 10.5 + GAP]
+    assert made.refused == {"odometry": 2}
+
+
+def test_scans_for_which_no_odometry_comes_at_all_do_not_wait_for_ever():
+    made = fed(Assembly(), mounted(), odometry(10.0), scan(10.1), scan(11.0), scan(12.5))
+    assert made.ready()[0] == []
+    assert made.refused == {"odometry": 1}
+    made.ready(all_of_them=True)
+    assert made.refused == {"odometry": 3}
+
+
+def test_a_clock_that_is_set_back_is_refused_until_it_has_passed():
+    made = fed(Assembly(), mounted(), odometry(10.0), scan(10.0), scan(7.0), odometry(7.0), scan(10.0))
+    assert made.refused == {"clock": 3}
+    assert made.told["clock"] == "clock: a scan 3 s before the last one: refused until past it"
+    fed(made, odometry(10.1), scan(10.1))
+    assert [t for t, _ in made.ready()[0]] == [10.0, 10.1]
+
+
+def test_one_stamp_far_ahead_is_refused_and_three_in_a_row_are_believed():
+    far = 20.0 + LEAP
+    made = fed(Assembly("none"), mounted(), scan(10.0), scan(far), scan(10.1))
+    assert [t for t, _ in made.ready()[0]] == [10.0, 10.1]
+    fed(made, scan(far), scan(far + 0.1), scan(far + 0.2))
+    assert [t for t, _ in made.ready()[0]] == [far + 0.2]
+    assert made.refused == {"clock": 3}
+
+
+def test_light_is_kept_when_the_first_scan_has_some_and_all_have_it():
+    light = [5.0, 6.0, 0.0, 0.0, 0.0, 7.0]
+    made = fed(Assembly("none"), mounted(), scan(1.0, light=light), scan(1.1), scan(1.2, light=light))
+    placed, _ = made.ready()
+    assert [s.intensities.tolist() for _, s in placed] == [light, light]
+    assert made.refused == {"light": 1}
+    made = fed(Assembly("none"), mounted(), scan(1.0), scan(1.1, light=light))
+    assert [s.intensities for _, s in made.ready()[0]] == [None, None]
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        scan(5.0, ranges=[1.0]),
+        scan(5.0, angle_min=math.nan),
+        scan(5.0, step=math.inf),
+        scan(5.0, step=3.0),
+        scan(0.0),
+        odometry(5.0, (math.nan, 0.0, 0.0)),
+        odometry(5.0, (1e300, 0.0, 0.0)),
+        (cdr.TF, ros_peer.transforms((1.0, "base", "", (0.0, 0.0, 0.0)))),
+        (cdr.TF, ros_peer.transforms((1.0, "base", "laser", (math.inf, 0.0, 0.0)))),
+    ],
+)
+def test_what_no_sensor_says_is_refused_and_changes_nothing(message):
+    made = fed(Assembly(), message)
+    assert sum(made.refused.values()) == 1
+    assert made.ready(all_of_them=True) == ([], [])
+
+
+def test_rows_that_no_scan_waits_for_are_let_go():
+    made = fed(Assembly(), mounted())
+    for k in range(500):
+        fed(made, odometry(10.0 + 0.02 * k), *([scan(10.0 + 0.02 * k)] if k % 10 == 0 else []))
+        made.ready()
+    assert len(made._rows) <= 3
+
+
+def test_a_resumed_drive_uses_only_what_is_later():
+    made = Assembly()
+    made.resume(10.0, 10.0, light=False)
+    fed(made, mounted(), odometry(9.9), scan(9.9), odometry(10.1), odometry(10.3, (0.2, 0.0, 0.0)), scan(10.2))
+    ((t, placed),), _ = made.ready()
+    assert t == 10.2
+    np.testing.assert_allclose(placed.odometry, [0.1, 0.0, 0.0], atol=1e-9)
+    assert made.refused == {"clock": 2}
+
+
+def test_mounts_compose_as_poses_do():
+    made = fed(Assembly("none"), mounted((0.2, 0.1, 0.4)))
+    fed(made, (cdr.TF, ros_peer.transforms((1.0, "root", "base", (1.0, 2.0, -0.7)))), scan(3.0))
+    ((_, placed),), _ = made.ready()
+    np.testing.assert_allclose(
+        placed.T_robot_sensor, se2.compose(np.array([1.0, 2.0, -0.7]), np.array([0.2, 0.1, 0.4])), atol=1e-9
+    )
