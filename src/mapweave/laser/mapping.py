@@ -14,6 +14,7 @@ from ..core.records import Track
 from ..core.workers import Progress, no_progress
 from .beam import STEERING, IntensityCalibration, beams, calibrate, raw_scale
 from .config import LaserConfig, WheelCheck
+from .contradicting_stamps import TOGETHER, of_one_moment
 from .laser_map import LaserMap, ScanRecords
 from .occupancy_mapper import render
 from .robot_graph import RobotGraph
@@ -64,8 +65,7 @@ def finish(
 ) -> LaserMap:
     """The result from the poses at every scan: poses at every stamp, the records, the grid. graph: in their frame."""
     frame = f"local_{log.robot}"
-    track, dead = _tracks(log, poses, frame)
-    at = np.searchsorted(track.t, log.scan_t)
+    track, dead, unclear = _tracks(log, poses, frame)
     shift = se2.inverse(_first(log, poses))
     if graph is not None:
         graph = replace(graph.moved(shift), source=log.source, log_hash=log.log_hash)
@@ -76,7 +76,7 @@ def finish(
     records = ScanRecords(
         log.scan_t,
         tuple(scan.host for scan in log.scans),
-        track.pose[at],
+        corrected,
         np.array([i.innovation for i in infos]),
         np.array([i.beams for i in infos]),
         np.array([i.matches for i in infos]),
@@ -99,7 +99,7 @@ def finish(
         source=log.source,
         log_hash=log.log_hash,
         dropped=dict(log.dropped),
-        warnings=(*log.warnings, *feature.warnings),
+        warnings=(*log.warnings, *feature.warnings, *unclear),
         graph=graph,
         scan_hash=log.scan_hash(),
     )
@@ -209,13 +209,13 @@ def _first(log: LaserLog, poses: np.ndarray) -> np.ndarray:
     return np.asarray(se2.compose(poses[0], se2.between(log.scans[0].odometry, rows.pose[0])))
 
 
-def _tracks(log: LaserLog, poses: np.ndarray, frame: str) -> tuple[Track, Track | None]:
-    """Estimate and dead reckoning at every odometry and scan stamp, from the first stamp's pose."""
+def _tracks(log: LaserLog, poses: np.ndarray, frame: str) -> tuple[Track, Track | None, tuple[str, ...]]:
+    """Estimate and dead reckoning at every odometry and scan stamp, from the first stamp's pose, and what to say."""
     shift = se2.inverse(_first(log, poses))
     rows = log.odometry
     if rows is None or log.scans[0].odometry is None:
         last = np.append(np.diff(log.scan_t) > 0, True)
-        return Track(log.scan_t[last], se2.compose(shift, poses)[last], frame=frame), None
+        return Track(log.scan_t[last], se2.compose(shift, poses)[last], frame=frame), None, ()
     own = np.array([scan.odometry for scan in log.scans])
     between = ~np.isin(rows.t, log.scan_t)
     t = np.concatenate([rows.t[between], log.scan_t])
@@ -224,6 +224,11 @@ def _tracks(log: LaserLog, poses: np.ndarray, frame: str) -> tuple[Track, Track 
     at = np.flatnonzero(order >= int(between.sum()))
     filled = blended(odometry, at, se2.compose(shift, poses))
     t = t[order]
+    filled, middle = of_one_moment(t, filled, order >= int(between.sum()))
     last = np.append(np.diff(t) > 0, True)
     dead = se2.between(odometry[0], odometry)
-    return Track(t[last], filled[last], frame=frame), Track(t[last], dead[last], frame="odom")
+    tracks = Track(t[last], filled[last], frame=frame), Track(t[last], dead[last], frame="odom")
+    if not middle.any():
+        return *tracks, ()
+    near = f"{int(middle.sum())} poses have stamps within {1e3 * TOGETHER:g} ms of others and lie elsewhere"
+    return *tracks, (f"{near}: stamps in the log are wrong; the trajectory gives the middle of such poses",)
