@@ -16,12 +16,11 @@ from ..core import se2
 from ..core.config import config
 from ..core.errors import DataError
 from ..core.records import frozen
-from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, Status, minimise, wrapping
+from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, Status, Term, minimise, wrapping
 from ..solve.problem import Kernel
-from .graph_problem import edge_factor
+from .pose_edges import PoseEdges
 from .pose_graph import PoseGraph
 
-DISSECT = 700  # poses from which on the multifrontal factor pays
 READMIT = 6  # solves at most, while edges dropped before fit again
 FADED = 1e-8  # what a dropped edge counts while weights are sought: the graph stays in one piece
 
@@ -132,7 +131,7 @@ def solve_graph(
     for _ in range(READMIT):
         component, held = _components(graph, used, first, priors)
         problem = _problem(replace(graph, pose=x), used.astype(float), held, priors, None)
-        found = minimise(problem, cfg.solve, _pattern(problem, len(graph)))
+        found = minimise(problem, cfg.solve, Pattern.of(problem).in_threes())
         x, iterations = found.x.reshape(-1, 3), iterations + found.iterations
         back = ~used & (_squares(replace(graph, pose=x)) <= cfg.gate)
         if not back.any():
@@ -172,12 +171,12 @@ def _believed(
     weight = np.ones(graph.edges)
     if cfg.method == "cauchy":
         problem = _problem(graph, weight, held, priors, Cauchy(cfg.kernel), may)
-        found = minimise(problem, cfg.solve, _pattern(problem, len(graph)))
+        found = minimise(problem, cfg.solve, Pattern.of(problem).in_threes())
         pose = found.x.reshape(-1, 3)
         beyond = may & (_squares(replace(graph, pose=pose)) > cfg.gate)
         return ~beyond, pose, 1, found.iterations
     step = replace(cfg.solve, max_iterations=10, step_tolerance=1e-5, cost_tolerance=1e-5)
-    pattern = _pattern(_problem(graph, weight, held, priors, None), len(graph))
+    pattern = Pattern.of(_problem(graph, weight, held, priors, None)).in_threes()
     pose, iterations, control = graph.pose, 0, 0.0
     for rounds in range(1, cfg.most_rounds + 1):
         problem = _problem(replace(graph, pose=pose), weight, held, priors, None)
@@ -217,16 +216,14 @@ def _problem(
 ) -> Problem:
     """Edges of weight 0 are left out; `kernel` is for the edges `robust`."""
     there = weight > 0
-    parts: list[tuple[str, np.ndarray, Kernel | None]] = []
-    parts.append(("edges", there, None) if robust is None else ("steps", there & ~robust, None))
+    parts: list[tuple[np.ndarray, Kernel | None]] = [(there, None)]
     if robust is not None:
-        parts.append(("closures", there & robust, kernel))
-    terms: list[Factor] = []
-    for name, rows, shape in parts:
+        parts = [(there & ~robust, None), (there & robust, kernel)]
+    terms: list[Term] = []
+    for rows, shape in parts:
         if rows.any():
-            information = graph.information[rows] * weight[rows, None, None]
-            part = PoseGraph(graph.pose, graph.first[rows], graph.second[rows], graph.measured[rows], information)
-            terms.append(edge_factor(part, name, shape))
+            parts_of = graph.first[rows], graph.second[rows], graph.measured[rows], graph.information[rows]
+            terms.append(PoseEdges(PoseGraph(graph.pose, *parts_of), weight[rows], shape))
     if priors:
         terms.append(_prior_factor(priors))
     mask = np.zeros(3 * len(graph), dtype=bool)
@@ -252,14 +249,8 @@ def _prior_squares(priors: Sequence[Prior], pose: np.ndarray) -> np.ndarray:
     return _prior_factor(priors).squares(pose.ravel()) if priors else np.zeros(0)
 
 
-def _pattern(problem: Problem, poses: int) -> Pattern:
-    pattern = Pattern.of(problem)
-    return pattern if poses < DISSECT else pattern.dissected(problem.free // 3)
-
-
 def _squares(graph: PoseGraph) -> np.ndarray:
-    r = se2.between(graph.measured, se2.between(graph.pose[graph.first], graph.pose[graph.second]))
-    return np.asarray(np.einsum("mi,mij,mj->m", r, graph.information, r))
+    return PoseEdges(graph, np.ones(graph.edges)).squares(graph.pose.ravel())
 
 
 def _columns(poses: np.ndarray) -> np.ndarray:

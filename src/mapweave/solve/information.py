@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from scipy.sparse.linalg import splu
 
 from ..core.gaussian import symmetrise
+from .block_cholesky import BLOCK, BlockCholesky, BlockOrder
 from .multifrontal import Cholesky, Elimination, NotPositiveError
 from .problem import Problem
 
@@ -24,7 +25,7 @@ class Pattern:
     slots: tuple[np.ndarray, ...]  # for each term, (m d d,): its slot in the data, or nnz for a fixed variable
     rows: tuple[np.ndarray, ...]  # for each term, (m d,): its row of the gradient, or `size` for a fixed variable
     diagonal: Int[np.ndarray, " f"]
-    elimination: Elimination | None = None
+    elimination: Elimination | BlockOrder | None = None
 
     @classmethod
     def of(cls, problem: Problem) -> "Pattern":
@@ -63,6 +64,15 @@ class Pattern:
         then cheap for all groups at once.
         """
         return replace(self, elimination=Elimination.of(self.matrix(np.ones(len(self.indices))), group))
+
+    def in_threes(self) -> "Pattern":
+        """The same pattern, to be factorised over blocks of three variables in a row: for planar pose graphs.
+
+        The free variables are whole poses, and every factor touches whole poses.
+        """
+        if self.size % BLOCK:
+            raise ValueError(f"variables in threes: expected a multiple of 3, found {self.size}")
+        return replace(self, elimination=BlockOrder.of(self.matrix(np.ones(len(self.indices)))))
 
     def assemble(
         self, blocks: Sequence[np.ndarray], gradients: Sequence[np.ndarray]
@@ -103,12 +113,15 @@ class Information:
     factor: Any = field(repr=False)
 
     @classmethod
-    def of(cls, matrix: sp.csc_matrix, elimination: Elimination | None = None) -> "Information":
+    def of(cls, matrix: sp.csc_matrix, elimination: Elimination | BlockOrder | None = None) -> "Information":
         """`matrix` (symmetric, positive definite, both triangles stored) factorised; raises SingularError.
 
-        With an `elimination` made for this pattern the factor is multifrontal: many times faster on large graphs.
+        With an `elimination` made for this pattern the factor is multifrontal or of blocks: many times faster on large
+        graphs.
         """
         try:
+            if isinstance(elimination, BlockOrder):
+                return cls(matrix, BlockCholesky.of(matrix, elimination))
             if elimination is not None:
                 return cls(matrix, Cholesky.of(matrix, elimination))
             factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
@@ -143,7 +156,8 @@ class Information:
 
     def pivots(self) -> Float[np.ndarray, " n"]:
         """The pivots of elimination: all positive exactly when the matrix is positive definite."""
-        return self.factor.pivots() if isinstance(self.factor, Cholesky) else np.asarray(self.factor.U.diagonal())
+        own = isinstance(self.factor, Cholesky | BlockCholesky)
+        return self.factor.pivots() if own else np.asarray(self.factor.U.diagonal())
 
     def logdet(self) -> float:
         """Log det of the information; the covariance's is its negative. Raises SingularError when not positive."""
@@ -172,7 +186,7 @@ class Information:
 
     def blocks(self, index: Int[np.ndarray, "b k"]) -> Float[np.ndarray, "b k k"]:
         """For each row of `index`, the covariance over those k variables: marginals without the full inverse."""
-        if isinstance(self.factor, Cholesky) and self.factor.together(index):
+        if isinstance(self.factor, Cholesky | BlockCholesky) and self.factor.together(index):
             return self.factor.blocks(index)
         b, k = index.shape
         out = np.empty((b, k, k))

@@ -150,7 +150,8 @@ def _judge(
 
 def _factored(pattern: Pattern, values: np.ndarray) -> tuple[Cholesky, float]:
     """The normal matrix factorised with the smallest shift that keeps it positive, and that shift."""
-    elimination = pattern.elimination or Elimination.of(pattern.matrix(values))
+    held = pattern.elimination
+    elimination = held if isinstance(held, Elimination) else Elimination.of(pattern.matrix(values))
     for shift in SHIFT * 100.0 ** np.arange(8):
         data = values.copy()
         data[pattern.diagonal] += shift
