@@ -34,7 +34,7 @@ def test_the_same_task_gives_the_same_laps_and_places_lie_in_the_field():
 
 
 def test_trying_more_plans_never_makes_the_plan_dearer():
-    judge = lap_search._Judge(TASK)
+    judge = lap_search._Judge(TASK, 8)
     start = min(lap_search._first_plans(TASK), key=judge)
     rng = np.random.default_rng(0)
     cost, plan = lap_search._improve(start, judge, 60, rng)

@@ -36,7 +36,7 @@ class LoopConfig:
     """Planner `loop`: a closed tour for each robot, then `coverage`."""
 
     radius: float = 13.0  # [m] of a disc: larger than for `coverage`, so that fewer are left and a lap closes in time
-    rate: float = 20.5  # [m^2] of field a robot and step: how long it goes on to close loops
+    rate: float = 19.5  # [m^2] of field a robot and step: how long it goes on to close loops
     rate_alone: float = 17.0  # [m^2] the same for one robot, whose lap is longer
     arrived: float = 4.0  # [m] from a place of the tour at which it is reached: what lies there is in view by then
 
@@ -45,8 +45,11 @@ class LoopConfig:
 class LapSearchConfig:
     """How planner `joint` searches its laps and judges them."""
 
-    tries: int = 1500  # plans tried before the first step: nine seconds for the paper's field
-    first_plans: int = 4  # that are improved before one of them is chosen
+    tries: int = 700  # changes tried of a plan: with the others, twelve seconds for the paper's field
+    first_plans: int = 4  # that are improved a little before the best of them are chosen
+    finalists: int = 2  # of these that are improved further before one is chosen
+    fine_share: float = 0.4  # of the tries that the chosen one gets once more, judged on more layouts
+    fine_heat: float = 0.25  # of the heat with which that begins: it refines and does not wander off
     most_places: int = 12  # a lap: more make the search slower and the laps no better
     arrived: float = 5.0  # [m] from a place at which it is reached: cutting corners costs no coverage within the reach
     tail_steps: int = 40  # [steps] of driving judged beyond the laps: what repair takes where something is left
@@ -56,7 +59,9 @@ class LapSearchConfig:
     pose_stride: int = 12  # [steps] between the poses that carry the information
     border: float = 12.0  # [m] from the border at which the first plans' ring lies, a little less than the reach
     overlap: float = 1.2  # of its share of the ring that a robot may go round, on into the next one's
-    layouts: int = 8  # of landmarks on which the map's error is judged: more change the choice no more
+    rough_layouts: int = 8  # of landmarks on which the map's error of first plans is judged
+    layouts: int = 24  # the same of the finalists: on 8 the best plan is the one that suits just these
+    fine_layouts: int = 96  # the same of the chosen one
     least_range: float = 2.0  # [m], sightings from nearer are not counted on to tell more
 
 
@@ -64,11 +69,12 @@ class LapSearchConfig:
 class JointConfig:
     """Planner `joint`: laps of all robots planned together."""
 
-    rate: float = 23.5  # [m^2] of field a robot and step: how long the laps take
+    rate: float = 23.0  # [m^2] of field a robot and step: how long the laps take
     rate_alone: float = 20.0  # [m^2] the same for one robot
     density: float = 1 / 275  # [1/m^2] landmarks expected: those of the paper's field
-    error_weight: float = 60.0  # [steps/m] that expected map error is worth
-    sure_margin: float = 1.0  # [m] within the reach at which a cell is surely seen, for poses are estimates
+    error_weight: float = 100.0  # [steps/m] that expected map error is worth
+    sure_margin: float = 1.0  # [m] by which a cell must be within the reach to be surely seen: poses are estimates
+    sure_levels: int = 4  # multiples of that margin, after which what was seen least surely is looked at again
     most_robot_steps: int = 800  # robots times steps beyond which planning would take minutes and `loop` takes over
     search: LapSearchConfig = LapSearchConfig()
 
@@ -110,19 +116,9 @@ class ObjectiveConfig:
     w_apart: float = 1 / 3  # weight of the distance to the others' submaps, w3
     apart_distance: float = 20.0  # [m] beyond which being farther from others is worth no more, d_t
     escape_uncertainty: float = 0.3  # [m^2] a landmark below which a robot that gains no area escapes, C_t
-    negligible_gain: int | None = None  # [cells] up to which a control gains no area; None: see `gain_threshold`
+    negligible_gain: int = 12  # [cells] up to which a control gains no area; the print's 0 keeps robots at specks
     stall_steps: int = 10  # [steps] without gain after which the robot escapes whatever its uncertainty
     literal_escape: bool = False  # the printed rule alone: deadlocks under the stated noise
-
-    @property
-    def gain_threshold(self) -> int:
-        """Cells that gain no area. None chosen: 12 as part of the area term, the printed 0 where there is none.
-
-        The printed rule (no cell at all) keeps the paper's robots at specks which their area term is too weak to fetch.
-        """
-        if self.negligible_gain is not None:
-            return self.negligible_gain
-        return 12 if self.w_area else 0
 
 
 @config

@@ -52,23 +52,30 @@ def choose(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: Explore
 
 
 def _note(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> None:
-    """Marks cells as surely seen: a little within the sensor's reach, for poses are estimates."""
-    sure = belief.memory.setdefault("sure", np.zeros_like(belief.explored.fused))
-    s, ex, margin = cfg.submap, belief.explored, cfg.joint.sure_margin
-    sector = Sector(s.reach - margin, s.half_angle - margin / s.reach)
-    for j in np.flatnonzero(belief.alive):
-        mark_half_disc(sure, poses[j], sector, ex.raster)
+    """Marks cells as seen with room to spare, a raster for each margin within the sensor's reach, growing.
+
+    Poses are estimates: what was seen at the edge of the reach alone may not have been seen at all.
+    """
+    s, ex, joint = cfg.submap, belief.explored, cfg.joint
+    sure = belief.memory.setdefault("sure", np.zeros((joint.sure_levels, *ex.fused.shape), dtype=bool))
+    for k, cells in enumerate(sure):
+        margin = (k + 1) * joint.sure_margin
+        sector = Sector(s.reach - margin, s.half_angle - margin / s.reach)
+        for j in np.flatnonzero(belief.alive):
+            mark_half_disc(cells, poses[j], sector, ex.raster)
 
 
 def _repair(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> np.ndarray:
-    """Coverage of what is unseen; when something was missed though all was seen, of what was not surely seen first."""
-    sure, ex = belief.memory["sure"], belief.explored
-    if ex.sweeps > belief.memory.get("swept", 1):
-        if not sure.all():
-            shadow = Explored(ex.lower, ex.cell, sure, np.zeros_like(ex.pending), np.zeros_like(ex.backlog))
-            return coverage.choose(replace(belief, explored=shadow), poses, cfg)
-        sure[:] = False
-        belief.memory["swept"] = ex.sweeps
+    """Coverage of what is unseen; when all was seen and yet something missed, of what was least surely seen first."""
+    memory, ex = belief.memory, belief.explored
+    if ex.sweeps > memory.get("swept", 1):
+        for cells in memory["sure"]:
+            again = cells | ex.team()
+            if not again.all():
+                shadow = Explored(ex.lower, ex.cell, again, np.zeros_like(ex.pending), np.zeros_like(ex.backlog))
+                return coverage.choose(replace(belief, explored=shadow), poses, cfg)
+        memory["sure"][:] = False
+        memory["swept"] = ex.sweeps
     return coverage.choose(belief, poses, cfg)
 
 

@@ -10,6 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.linalg import lapack
 
 from ...kernels.exploration.laps import (
     LandmarkSensor,
@@ -25,6 +26,8 @@ from ...landmarks.submap_slam import SubmapConfig
 from .config import LapSearchConfig
 
 Plan = tuple[Float[np.ndarray, "r k 2"], Int[np.ndarray, " r"]]
+HOPELESS = ((8, 0.85), (24, 0.92))  # after so many layouts a plan is given up whose error, times this, is too much
+MEAN_OF_RMS = 0.886  # mean distance over its root mean square, for a round Gaussian
 
 
 @dataclass(frozen=True)
@@ -50,19 +53,21 @@ def find_laps(task: LapTask) -> tuple[tuple[np.ndarray, ...], int]:
     The same for the same task; the step is no sooner than the task's.
     """
     rng, search = np.random.default_rng(0), task.search
-    judge = _Judge(task)
-    first = sorted(_first_plans(task), key=judge)[: search.first_plans]
-    begun = [_improve(plan, judge, search.tries // 8, rng) for plan in first]
-    _, plan = _improve(min(begun, key=lambda b: b[0])[1], judge, search.tries, rng)
-    share = judge.shares(judge.drive(plan))
+    rough, judge, fine = (_Judge(task, n) for n in (search.rough_layouts, search.layouts, search.fine_layouts))
+    first = sorted(_first_plans(task), key=rough)[: search.first_plans]
+    begun = sorted((_improve(plan, rough, search.tries // 4, rng) for plan in first), key=lambda b: b[0])
+    better = [_improve(plan, judge, search.tries, rng) for _, plan in begun[: search.finalists]]
+    best = min(better, key=lambda b: b[0])[1]
+    _, plan = _improve(best, fine, round(search.fine_share * search.tries), rng, search.fine_heat)
+    share = fine.shares(fine.drive(plan))
     end = max(task.steps, int(np.argmax(share >= share[-1])))
     return tuple(w[:n].copy() for w, n in zip(*plan, strict=True)), end
 
 
 class _Judge:
-    """The cost of a plan, in steps."""
+    """The cost of a plan, in steps; the map's error is that over `layouts` of landmarks, drawn once."""
 
-    def __init__(self, task: LapTask) -> None:
+    def __init__(self, task: LapTask, layouts: int) -> None:
         self.task = task
         self.lower, self.upper = np.array(task.lower), np.array(task.upper)
         self.starts, self.controls = np.array(task.starts), np.array(task.controls)
@@ -70,7 +75,7 @@ class _Judge:
         self.nothing = np.zeros((ny, nx), dtype=bool)
         self.landmarks = max(1, round(task.density * float(np.prod(self.upper - self.lower))))
         rng = np.random.default_rng(1)
-        self.layouts = rng.uniform(self.lower, self.upper, size=(task.search.layouts, self.landmarks, 2))
+        self.layouts = rng.uniform(self.lower, self.upper, size=(layouts, self.landmarks, 2))
 
     def __call__(self, plan: Plan, enough: float = np.inf) -> float:
         """Its cost, or something above `enough` when that is sure to be exceeded."""
@@ -81,9 +86,9 @@ class _Judge:
         cost = float(t.steps + (1.0 - share[t.steps :] ** self.landmarks).sum() + t.search.missed_cost * missed)
         if cost > enough:
             return cost
-        return cost + t.error_weight * self.error(
-            track[:, : t.steps // t.search.pose_stride * t.search.pose_stride + 1]
-        )
+        judged = track[:, : t.steps // t.search.pose_stride * t.search.pose_stride + 1]
+        left = (enough - cost) / t.error_weight if t.error_weight else np.inf
+        return cost + t.error_weight * self.error(judged, left)
 
     def drive(self, plan: Plan) -> np.ndarray:
         """Poses (M, n, 3) of a drive without noise, a little longer than the task."""
@@ -97,19 +102,33 @@ class _Judge:
         sector = Sector(s.reach - search.reach_margin, s.half_angle)
         return seen_shares(track, self.nothing, sector, Raster(self.lower, search.coarse_cell))
 
-    def error(self, track: np.ndarray) -> float:
-        """Mean error [m] expected of the landmarks along `track` (M, n, 3), over layouts drawn once."""
+    def error(self, track: np.ndarray, enough: float = np.inf) -> float:
+        """Mean error [m] expected of the landmarks along `track` (M, n, 3), over the layouts.
+
+        Of a plan whose first layouts make it very probable that this is above `enough`, theirs alone, above it too.
+        """
         s, every = self.task.submap, self.task.search.pose_stride
         sensor = LandmarkSensor(Sector(s.reach, s.half_angle), s.R, self.task.search.least_range)
         track = np.ascontiguousarray(track)
         odometry = odometry_information(track, every, s.Q)
+        limits = dict(HOPELESS)
         total = 0.0  # of landmarks seen: those missed are dear already
-        for marks in self.layouts:
+        for k, marks in enumerate(self.layouts):
             S = odometry.copy()
             add_landmark_information(S, track, every, marks, 1.0, sensor)
-            errors = landmark_errors(np.linalg.inv(S), track, every, marks, sensor)
-            total += float(np.nanmean(errors))
+            total += MEAN_OF_RMS * float(np.nanmean(landmark_errors(_inverse(S), track, every, marks, sensor)))
+            if total / (k + 1) * limits.get(k + 1, 0.0) > enough:
+                return total / (k + 1)
         return total / len(self.layouts)
+
+
+def _inverse(S: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """Of a positive definite S: half the work of a general inverse."""
+    L, failed = lapack.dpotrf(S.T, lower=1)
+    if failed:
+        return np.linalg.inv(S)
+    P, _ = lapack.dpotri(L, lower=1, overwrite_c=1)
+    return np.asarray(np.tril(P) + np.tril(P, -1).T)
 
 
 def _first_plans(task: LapTask) -> list[Plan]:
@@ -144,12 +163,12 @@ def _on_the_ring(lower: np.ndarray, upper: np.ndarray, begin: float, turn: float
     return list(middle + out / np.max(np.abs(out) / half, axis=1, keepdims=True))
 
 
-def _improve(plan: Plan, judge: _Judge, tries: int, rng: np.random.Generator) -> tuple[float, Plan]:
-    """The best plan met on a walk of small changes that cools down, and its cost."""
+def _improve(plan: Plan, judge: _Judge, tries: int, rng: np.random.Generator, heat: float = 1.0) -> tuple[float, Plan]:
+    """The best plan met on a walk of small changes that cools down, and its cost. heat: with which it begins."""
     now = best = judge(plan)
     best_plan = plan
     for k in range(tries):
-        left = 1.0 - k / tries
+        left = heat * (1.0 - k / tries)
         other = _changed(plan, judge.lower, judge.upper, 1.0 + 8.0 * left, rng)
         bound = now - 2.0 * left * np.log(rng.random())
         cost = judge(other, bound)

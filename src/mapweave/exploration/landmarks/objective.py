@@ -76,7 +76,7 @@ def _choose_one(
         else:
             return steer(belief, pose, targets[j], cfg)
     controls, J, gain = objective(belief, j, pose, hulls, cfg)
-    if gain.max() <= cfg.objective.gain_threshold:
+    if gain.max() <= cfg.objective.negligible_gain:
         sub = belief.submaps[j]
         sure = map_uncertainty(np.asarray(sub.cov)) / (len(sub.ids) + 1) <= cfg.objective.escape_uncertainty
         stalled = not cfg.objective.literal_escape and belief.stalled[j] >= cfg.objective.stall_steps
