@@ -1,32 +1,98 @@
 """`reproduce yuan`: every case is run and told, with the paper's own figures beside."""
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from mapweave.exploration.landmarks.experiment import explore_many
 from mapweave.papers.yuan import reproduce as module
-from mapweave.papers.yuan.reproduce import PRINTED, TITLES, missions, reproduce_yuan
+from mapweave.papers.yuan.experiments import HEAD, PRINTED, cases, moving, plain_neighbour, run
+from mapweave.papers.yuan.reproduce import AREA, GOALS, TITLES, implied_error, reproduce_yuan
 
 
-def test_the_table_holds_the_papers_figures_and_every_case_ours(tmp_path, monkeypatch):
-    few = [m for m in missions() if m[1] in ("two robots, calibrated noise", "whole objective", "loop, 296 steps")]
-    short = [(g, n, k, module.replace(m, until=12)) for g, n, k, m in few]
-    monkeypatch.setattr(module, "missions", lambda: short)
-    result = reproduce_yuan(tmp_path / "out", quick=True)
+def short(case, steps=12):
+    """The case with runs that end after a few steps, laps not searched."""
+    mission = replace(case.mission, until=steps, planner="paper")
+    return replace(case, mission=mission)
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory):
+    """The whole command with short runs."""
+    out = tmp_path_factory.mktemp("yuan") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "cases", lambda: tuple(short(c) for c in cases()))
+        patch.setattr(module, "run", lambda **more: replace(run(**more), until=12))
+        return out, reproduce_yuan(out, quick=True)
+
+
+def test_the_tables_hold_the_papers_figures_and_every_case_ours(told):
+    out, result = told
     rows = result.table("table1")
-    assert rows[0][:3] == ("two robots, paper", "30/30", "208 / 371 / 296")
-    assert rows[1][:3] == ("two robots, calibrated noise", "4/4", "12 / 12 / 12")
-    assert len(result.table("beyond")) == 1
-    told = json.loads((tmp_path / "out" / "metrics.json").read_text())
-    assert told["printed"]["1"]["map_error_m"] == PRINTED[1][3]
-    assert len(told["cases"]) == 3
-    assert (tmp_path / "out" / "report.html").exists()
-    assert (tmp_path / "out" / "figures" / "ablation.png").exists()
+    assert rows[0][0] == "two robots, paper"
+    assert rows[0][3:6] == ("208 / 371 / 296", 0.282, 0.327)
+    assert [r[0] for r in rows].count("one robot, paper") == 1
+    assert {r[0] for r in rows} >= {"two robots, calibrated noise, nn", "two robots, calibrated noise, nn as printed"}
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["printed"]["1"]["map_error_m"] == PRINTED[1][3]
+    assert len(metrics["cases"]) == len(cases())
+    assert {f.name for f in (out / "figures").iterdir()} == {"one.png", "two.png", "planners.png", "ablation.png"}
+    assert len((out / "claims.md").read_text().splitlines()) == 2 + len(result.claims)
+    assert all(len(row) == len(HEAD) for group in TITLES for row in result.table(group))
 
 
-@pytest.mark.parametrize("group", list(TITLES))
-def test_every_group_has_cases_and_each_term_is_left_out_once(group):
-    names = [n for g, n, _, _ in missions() if g == group]
-    assert len(names) >= 4
-    if group == "ablation":
-        assert {"no accuracy", "no area", "no distance to others"} < set(names)
+def test_goals_are_judged_on_seeds_that_nothing_was_chosen_on(told):
+    _, result = told
+    _, rows = result.goals()
+    assert [row[0] for row in rows] == list(GOALS)
+    assert {row[1] for row in rows} == {"100-107"}
+    assert [row[3] for row in rows] == ["≤ 180", "≤ 195", ""]
+    assert all(row[-1] == "reached" or row[-1].startswith("missed: ") for row in rows)
+    assert not {c.first_seed for c in cases()} - {0, 100}
+
+
+def test_the_area_term_is_left_out_with_the_same_escape_on_both_sides():
+    by = {c.name: c.mission.cfg for c in cases() if c.group == "ablation"}
+    for _, whole, without in AREA:
+        a, b = by[whole], by[without]
+        assert b.objective.w_area == 0.0
+        assert replace(a.objective, w_area=0.0) == b.objective
+        assert replace(a, objective=b.objective, mission=b.mission) == b
+
+
+def test_constants_are_changed_by_1_percent_and_nothing_else():
+    changed = [c for c in cases() if c.group == "stability"]
+    for case in changed:
+        name, factor = case.name.split(" x ")
+        planner, key = name.split(".")
+        plain = run(planner=planner).cfg
+        wanted = replace(getattr(plain, planner), **{key: float(factor) * getattr(getattr(plain, planner), key)})
+        assert case.mission.cfg == replace(plain, **{planner: wanted})
+    assert {c.mission.planner for c in changed} == set(GOALS)
+
+
+def test_landmarks_as_uncertain_as_printed_err_by_more_than_printed():
+    draws = np.random.default_rng(0).normal(size=(200_000, 2)) * np.sqrt(0.327 / np.pi)
+    assert implied_error(0.327) == pytest.approx(np.hypot(*draws.T).mean(), rel=0.01)
+    for robots in (1, 2):
+        assert PRINTED[robots][3] < 0.75 * implied_error(PRINTED[robots][4])
+
+
+@pytest.mark.slow
+def test_one_robot_errs_as_the_print_says_when_the_noise_is_in_position():
+    two, one = (explore_many(moving(run(robots=k), 0.06, 0.0), 8, 1000) for k in (2, 1))
+    error, spread = (
+        np.mean([getattr(r, what) for r in one]) / np.mean([getattr(r, what) for r in two])
+        for what in ("map_error", "c_per_n")
+    )
+    assert 1.1 < error < 1.7
+    assert 1.2 < spread < 2.1
+
+
+@pytest.mark.slow
+def test_every_nearest_neighbour_believed_is_not_enough_for_an_honest_map():
+    plain, sure = (explore_many(m(run(association="nn")), 10, 0) for m in (plain_neighbour, lambda m: m))
+    assert sum(r.misassociations for r in sure) < sum(r.misassociations for r in plain)
+    assert np.mean([r.nees_per_dof for r in sure]) < np.mean([r.nees_per_dof for r in plain])

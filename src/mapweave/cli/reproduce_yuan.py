@@ -14,7 +14,7 @@ def yuan(
     jobs: int = 1,
     force: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Repeat the active SLAM of Yuan, Huang, Tao and Xi, and set Table 1 beside ours.
+    """Repeat the active SLAM of Yuan, Huang, Tao and Xi, and set Table 1, Figs. 1 and 2 beside ours.
 
     Parameters
     ----------
@@ -29,17 +29,10 @@ def yuan(
     force
         Write into the folder even when something other than a result stands there.
     """
-    from ..papers.yuan.reproduce import TITLES, differences, reproduce_yuan
-    from .terminal import progress, say, say_table
+    from ..papers.yuan.reproduce import reproduce_yuan
+    from .reproduce_said import say_reproduction
+    from .terminal import progress
 
     with progress() as on_progress:
         result = reproduce_yuan(out, quick=quick, seed=seed, jobs=jobs, force=force, on_progress=on_progress)
-    for group, title in TITLES.items():
-        say(title)
-        say_table(result.HEAD, result.table(group))
-        say()
-    say("What differs, and why")
-    for sentence in differences():
-        say(f"- {sentence}")
-    if out is not None:
-        say(f"\nreport: {out / 'report.html'}")
+    say_reproduction(result, out)
