@@ -194,7 +194,7 @@ def test_a_topic_that_is_not_there_and_a_method_nobody_knows_are_told(log, tmp_p
     assert not (tmp_path / "o").exists()
 
 
-def test_progress_tells_of_reading_compiling_and_every_scan(log):
+def test_progress_tells_of_reading_and_of_every_scan(log):
     told = []
     map_logs(
         log,
@@ -203,8 +203,9 @@ def test_progress_tells_of_reading_compiling_and_every_scan(log):
         on_progress=lambda stage, done, total=None: told.append((stage, done, total)),
     )
     stages = list(dict.fromkeys(stage for stage, _, _ in told))
-    assert stages[:2] == ["robot1: reading", "robot1: compiling (first run only)"]
-    assert ("robot1: compiling (first run only)", 1, 1) in told
+    assert stages[0] == "robot1: reading"
+    assert ("robot1: reading", 1, 1) in told
+    assert len(stages) > 1
     assert told[-1][1] == told[-1][2] == 13
 
 

@@ -10,7 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from mapweave.cli import main
+from mapweave.cli import main, terminal
+from mapweave.cli.terminal import Stage, progress
+from mapweave.kernels.compiling import tell_compiling
 
 COMMAND = (sys.executable, "-m", "mapweave")
 SHELL = f"{sys.executable} -m mapweave"
@@ -124,3 +126,61 @@ def test_a_message_of_several_lines_becomes_one():
     done = run("locate", "a\nb.csv", "--out", "c")
     assert done.returncode == 1
     assert done.stderr == "mapweave: a b.csv: no such file\n"
+
+
+def test_without_a_terminal_a_line_now_and_then_tells_how_far_it_is(monkeypatch, capsys):
+    monkeypatch.setattr(terminal, "QUIET", 0.02)
+    with progress() as on_progress:
+        on_progress("robots", 1, 4)
+        time.sleep(0.05)
+        on_progress("robots", 2, 4)
+        time.sleep(0.1)
+    err = capsys.readouterr().err
+    assert "mapweave: robots, 25 %\n" in err
+    assert "mapweave: robots, 50 %, about 0 s left\n" in err
+
+
+def test_short_work_without_a_terminal_is_silent(capsys):
+    with progress() as on_progress:
+        on_progress("robots", 1, 4)
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("stage", "line"),
+    [
+        (Stage("reading", 100.0), "reading, 20 s"),
+        (Stage("scans", 100.0, 0.0, 25.0, 100.0), "scans, 25 %, about 60 s left"),
+        (Stage("scans", 100.0, 20.0, 30.0, 1000.0), "scans, 3 %, about 32 min left"),
+        (Stage("scans", 100.0, 1.0, 2.0, 1000.0), "scans, 0 %, about 5.5 h left"),
+        (Stage("scans", 100.0, 5.0, 5.0, 10.0), "scans, 50 %"),
+    ],
+)
+def test_the_time_left_follows_from_the_pace_so_far(stage, line):
+    assert stage.line(120.0) == line
+
+
+def test_compiling_is_told_when_it_compiles_and_only_then(monkeypatch, capsys):
+    monkeypatch.setattr(terminal, "QUIET", 0.02)
+    with progress():
+        time.sleep(0.05)
+        assert "compiling" not in capsys.readouterr().err
+        tell_compiling("cast")
+        time.sleep(0.05)
+    assert "mapweave: compiling (first run only), 0 s\n" in capsys.readouterr().err
+    tell_compiling("cast")
+
+
+def test_a_kernel_that_is_kept_is_not_compiled_again(tmp_path):
+    code = (
+        "import sys\nfrom mapweave.kernels.compiling import compiling_told\nfrom mapweave.kernels._jit import kernel\n"
+        "sys.path.insert(0, sys.argv[1])\nfrom twice import twice\n"
+        "told = []\nwith compiling_told(told.append): twice(2.0)\nprint(len(told))"
+    )
+    (tmp_path / "twice.py").write_text(
+        "from mapweave.kernels._jit import kernel\n\n\n@kernel\ndef twice(x):\n    return 2 * x\n"
+    )
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    words = [sys.executable, "-c", code, str(tmp_path)]
+    told = [subprocess.run(words, env=env, capture_output=True, text=True, check=True).stdout for _ in range(2)]  # noqa: S603
+    assert told == ["1\n", "0\n"]

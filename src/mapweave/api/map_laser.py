@@ -141,25 +141,13 @@ def map_one(
     on_progress(f"{name}: reading", 0, None)
     log = _read(path, robot, source, share)
     on_progress(f"{name}: reading", 1, 1)
-    made = map_laser(log, cfg, seed, _compiling_first(f"{name}: compiling (first run only)", on_progress))
+    made = map_laser(log, cfg, seed, on_progress)
     return replace(made, called=source.name or "")
 
 
 def _read(path: Path | LaserLog, robot: str, source: LaserSource, share: float) -> LaserLog:
     whole = replace(path, robot=robot) if isinstance(path, LaserLog) else read_laser(path, robot, source)
     return first_part(whole, share)
-
-
-def _compiling_first(compiling: str, on_progress: Progress) -> Progress:
-    """`on_progress` that shows `compiling` until the first scan is done: so long a first run compiles kernels."""
-    on_progress(compiling, 0, None)
-
-    def told(stage: str, done: float, total: float | None = None) -> None:
-        if done <= 1:
-            on_progress(compiling, 1, 1)
-        on_progress(stage, done, total)
-
-    return told
 
 
 def first_part(log: LaserLog, share: float) -> LaserLog:

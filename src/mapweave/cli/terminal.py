@@ -1,16 +1,18 @@
 """Between a command and the terminal: what it prints, the numbers it is given, progress, Ctrl-C.
 
-Progress goes to stderr and is silent where that is no terminal. Ctrl-C counts also where it falls into code that
-swallows exceptions, as a compiler's callbacks do.
+Progress goes to stderr: bars on a terminal, elsewhere a line every half minute. Ctrl-C counts also where it falls into
+code that swallows exceptions, as a compiler's callbacks do.
 """
 
 import math
 import signal
 import sys
+import time
 from _thread import interrupt_main
 from collections.abc import Sequence
-from contextlib import contextmanager
-from threading import Timer, current_thread, main_thread
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from threading import Event, Thread, Timer, current_thread, main_thread
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -19,9 +21,13 @@ from ..core.errors import UsageError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from rich.console import Console
+
     from ..core.workers import Progress as OnProgress
 
 AGAIN = 0.1  # [s] after which an interruption that was swallowed is asked for again
+QUIET = 30.0  # [s] between two lines of progress where there is no terminal
+COMPILING = "compiling (first run only)"
 
 
 def say(line: str = "") -> None:
@@ -54,28 +60,108 @@ def numbers(text: str, count: int, option: str) -> tuple[float, ...]:
 
 @contextmanager
 def progress() -> "Iterator[OnProgress]":
-    """A progress callback drawn as one bar a stage."""
+    """A progress callback on stderr: one bar a stage with the time left, or a line now and then where nobody watches.
+
+    That kernels are being compiled is told when they are.
+    """
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+    from ..kernels.compiling import compiling_told
 
     console = Console(stderr=True)
+    with _bars(console) if console.is_terminal else _lines() as on_progress:
+        told: list[str] = []
+
+        def compiling(kernel: str) -> None:
+            told.append(kernel)
+            on_progress(COMPILING, len(told), None)
+
+        with compiling_told(compiling):
+            yield on_progress
+
+
+@contextmanager
+def _bars(console: "Console") -> "Iterator[OnProgress]":
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
     bars: dict[str, TaskID] = {}
     with Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f}%"),
         TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
         console=console,
-        disable=not console.is_terminal,
         transient=True,
     ) as drawn:
 
         def on_progress(stage: str, done: float, total: float | None = None) -> None:
+            if stage != COMPILING and COMPILING in bars:
+                drawn.remove_task(bars.pop(COMPILING))
             if stage not in bars:
                 bars[stage] = drawn.add_task(stage, total=total)
             drawn.update(bars[stage], completed=done, total=total)
 
         yield on_progress
+
+
+@contextmanager
+def _lines() -> "Iterator[OnProgress]":
+    """Every `QUIET` seconds a line: the stage worked on, how far it is, and about how long it will take."""
+    state = Stage("starting", time.monotonic())
+    over = Event()
+
+    def on_progress(stage: str, done: float, total: float | None = None) -> None:
+        nonlocal state
+        now = time.monotonic()
+        begun, first = (state.begun, state.first) if stage == state.name else (now, done)
+        state = Stage(stage, begun, first, done, total)
+
+    def tell() -> None:
+        while not over.wait(QUIET):
+            with suppress(OSError, ValueError, AttributeError):  # nobody listens any more
+                sys.stderr.write(f"mapweave: {state.line(time.monotonic())}\n")
+                sys.stderr.flush()
+
+    teller = Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield on_progress
+    finally:
+        over.set()
+        teller.join()
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """What is worked on. begun [s], first: clock and part done when first heard of; total: None where unknown."""
+
+    name: str
+    begun: float
+    first: float = 0.0
+    done: float = 0.0
+    total: float | None = None
+
+    def line(self, now: float) -> str:
+        """The stage for people, with the time left as its pace so far tells it."""
+        if not self.total:
+            return f"{self.name}, {now - self.begun:.0f} s"
+        share = f"{self.name}, {100 * self.done / self.total:.0f} %"
+        if self.done <= self.first:
+            return share
+        left = (now - self.begun) * (self.total - self.done) / (self.done - self.first)
+        return f"{share}, about {_duration(left)} left"
+
+
+def _duration(seconds: float) -> str:
+    return (
+        f"{seconds:.0f} s"
+        if seconds < 90
+        else f"{seconds / 60:.0f} min"
+        if seconds < 5400
+        else f"{seconds / 3600:.1f} h"
+    )
 
 
 class Interruption:

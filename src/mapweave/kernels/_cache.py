@@ -18,6 +18,8 @@ from pathlib import Path
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
+from .compiling import tell_compiling
+
 log = logging.getLogger(__name__)
 
 BROKEN = (pickle.UnpicklingError, EOFError, ValueError, TypeError, AttributeError, ImportError, IndexError, KeyError)
@@ -36,14 +38,17 @@ class KernelCache(FunctionCache):
         self._cache_file = IndexDataCacheFile(self.cache_path, f"{self._stem}-{self._digest}", self._digest)
 
     def load_overload(self, sig: object, target_context: object) -> object:
+        found: object = None
         try:
-            return super().load_overload(sig, target_context)
+            found = super().load_overload(sig, target_context)
         except BROKEN as error:
             log.warning("%s: compiled code in %s is torn (%r): built anew", self._stem, self.cache_path, error)
             self._put_aside()
-            return None
         except OSError:
-            return None
+            pass
+        if found is None:
+            tell_compiling(self._stem)
+        return found
 
     def save_overload(self, sig: object, data: object) -> None:
         try:
