@@ -23,6 +23,7 @@ SAYS = {
     "laser_live": "cells are occupied",
     "laser_sessions": "2 robots in one map",
     "laser_two_robots": "merged on ",
+    "live_team": "2 of 2 robots in one map",
     "own_planner": "% of the field seen",
     "swarm": "RMSE 0.",
 }

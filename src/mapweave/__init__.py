@@ -1,8 +1,8 @@
 """mapweave: one map, with honest uncertainty, from the logs of many robots.
 
 Verbs (`map`, `fuse`, `locate`, `localize`, `explore`, `evaluate`, `solve_pose_graph`, `simulate_*`, `reproduce_*`,
-`demo`, `view`), the results they return, their options and configuration, and the errors they raise. A name is imported
-when it is first used, so that `import mapweave` is instant.
+`live_*`, `demo`, `view`), the results they return, their options and configuration, and the errors they raise. A name
+is imported when it is first used, so that `import mapweave` is instant.
 """
 
 from importlib import import_module
@@ -26,6 +26,12 @@ if TYPE_CHECKING:
     from .api.landmark_slam import LandmarkSlam as LandmarkSlam
     from .api.laser_result import LaserResult as LaserResult
     from .api.laser_slam import LaserSlam as LaserSlam
+    from .api.live import LiveRobot as LiveRobot
+    from .api.live import live_map as live_map
+    from .api.live import live_robot as live_robot
+    from .api.live_keys import live_keys as live_keys
+    from .api.live_ros2 import RosOptions as RosOptions
+    from .api.live_view import live_view as live_view
     from .api.localize import LocalizeResult as LocalizeResult
     from .api.localize import localize as localize
     from .api.locate import LocateConfig as LocateConfig
@@ -65,6 +71,7 @@ if TYPE_CHECKING:
     from .landmarks.config import EkfSlamConfig as EkfSlamConfig
     from .laser.config import LaserConfig as LaserConfig
     from .laser.scan_odometry import PoseEstimate as PoseEstimate
+    from .live.transport import Network as Network
     from .papers.hamatani.reproduce import HamataniReproduction as HamataniReproduction
     from .papers.hamatani.reproduce import reproduce_hamatani as reproduce_hamatani
     from .papers.hara.reproduce import HaraReproduction as HaraReproduction
@@ -102,6 +109,14 @@ _HOMES: dict[str, str] = {
     "simulate_team": "api.simulate_team",
     "solve_pose_graph": "api.solve",
     "view": "api.view",
+    # a team that drives now
+    "LiveRobot": "api.live",
+    "Network": "live.transport",
+    "RosOptions": "api.live_ros2",
+    "live_keys": "api.live_keys",
+    "live_map": "api.live",
+    "live_robot": "api.live",
+    "live_view": "api.live_view",
     # estimators fed by hand
     "LandmarkSlam": "api.landmark_slam",
     "LaserSlam": "api.laser_slam",
@@ -187,12 +202,14 @@ __all__ = (
     "Located",
     "MapweaveError",
     "Moved",
+    "Network",
     "OfficeConfig",
     "PoseEstimate",
     "Progress",
     "ReaderError",
     "RelationEvaluation",
     "Result",
+    "RosOptions",
     "SimulatedDrive",
     "SimulatedMixedTeam",
     "SimulatedSwarm",
@@ -214,6 +231,10 @@ __all__ = (
     "evaluate",
     "explore",
     "fuse",
+    "live_keys",
+    "live_map",
+    "live_robot",
+    "live_view",
     "localize",
     "locate",
     "map",
@@ -229,6 +250,19 @@ __all__ = (
     "view",
 )
 
+_LIVE = {"zenoh": "eclipse-zenoh", "msgspec": "msgspec", "cryptography": "cryptography"}  # the extra [live]
+
+
+def _lacking(name: str, module: str) -> object:
+    """Stands for a name whose extra is not installed: calling it says so."""
+
+    def lacks(*args: object, **options: object) -> None:  # noqa: ARG001
+        from .core.errors import UsageError
+
+        raise UsageError(f"{name} needs {_LIVE[module]}: pip install 'mapweave[live]'")
+
+    return lacks
+
 
 if not TYPE_CHECKING:  # a checker shall know the names above and no others
 
@@ -236,7 +270,12 @@ if not TYPE_CHECKING:  # a checker shall know the names above and no others
         home = _HOMES.get(name)
         if home is None:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        value = getattr(import_module(f"{__name__}.{home}"), name)
+        try:
+            value = getattr(import_module(f"{__name__}.{home}"), name)
+        except ModuleNotFoundError as error:
+            if error.name not in _LIVE:
+                raise
+            return _lacking(name, error.name)
         globals()[name] = value
         return value
 

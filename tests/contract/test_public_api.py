@@ -39,6 +39,20 @@ def test_a_type_checker_reads_the_same_names_from_the_same_modules():
     assert seen == {name: (home, name) for name, home in mapweave._HOMES.items()}
 
 
+def test_without_the_extra_every_name_is_there_and_those_of_a_live_team_say_what_is_missing():
+    code = (
+        "import sys\n"
+        "sys.modules['zenoh'] = None\n"
+        "from mapweave import *\n"
+        "try:\n"
+        "    live_robot('r1', 'LOG')\n"
+        "except UsageError as error:\n"
+        "    print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
+    assert done.stdout == "live_robot needs eclipse-zenoh: pip install 'mapweave[live]'\n"
+
+
 def test_importing_and_asking_for_help_imports_nothing_heavy():
     heavy = ("numpy", "scipy", "numba", "matplotlib", "pydantic")
     code = (
