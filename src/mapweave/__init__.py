@@ -197,6 +197,7 @@ __all__ = (
     "LaserOptions",
     "LaserResult",
     "LaserSlam",
+    "LiveRobot",
     "LocalizeResult",
     "LocateConfig",
     "Located",

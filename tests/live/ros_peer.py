@@ -197,9 +197,9 @@ class Node:
         form = named_attachment if as_before else attachment
         self.out[name].put(payload, attachment=form(self.counts[name], self.gids[name]))
 
-    def hear(self, name, kind, *, latched=False):
+    def hear(self, name, kind, *, latched=False, type_hash=None):
         """Messages on a topic, as they come, in `heard`."""
-        rest, key = self.topic(name, kind, LATCHED if latched else VOLATILE)
+        rest, key = self.topic(name, kind, LATCHED if latched else VOLATILE, type_hash)
         self.held.append(self.token("MS", rest))
         mine = self.heard.setdefault(name, [])
         beat = zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True)
@@ -223,15 +223,15 @@ class Node:
 class RosDrive:
     """A robot that plays a simulated log in its namespace: scans, transforms, and odometry as a topic or as tf."""
 
-    def __init__(self, session, space, log, mount, *, by_tf=False, domain=0):
+    def __init__(self, session, space, log, mount, *, by_tf=False, domain=0, type_hash=None):
         self.node = Node(session, "driver", f"/{space}", domain)
         self.space, self.log, self.mount, self.by_tf = space, log, mount, by_tf
-        self.node.publisher(f"/{space}/scan", "sensor_msgs/msg/LaserScan", SENSOR)
-        self.node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED)
+        self.node.publisher(f"/{space}/scan", "sensor_msgs/msg/LaserScan", SENSOR, type_hash)
+        self.node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED, type_hash)
         if by_tf:
-            self.node.publisher("/tf", "tf2_msgs/msg/TFMessage")
+            self.node.publisher("/tf", "tf2_msgs/msg/TFMessage", type_hash=type_hash)
         else:
-            self.node.publisher(f"/{space}/odom", "nav_msgs/msg/Odometry")
+            self.node.publisher(f"/{space}/odom", "nav_msgs/msg/Odometry", type_hash=type_hash)
         still = (1.0, f"{space}/base_link", f"{space}/laser", mount)
         self.node.say("/tf_static", transforms(still))
 

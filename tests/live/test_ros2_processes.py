@@ -181,11 +181,11 @@ def _shows_poses_and_transforms(rviz, made, store):
     assert sequence == list(range(1, len(sequence) + 1))
 
 
-def follows(name, at, folder, stop, said, **options):
+def follows(name, at, folder, stop, said, *, listen=False, **options):
     """A robot in a thread of this process, as `live_robot` runs it."""
     arguments = {
         "ros": RosOptions(**options),
-        "network": Network(connect=(at,)),
+        "network": Network(listen=(at,)) if listen else Network(connect=(at,)),
         "history": folder / f"{name}.sqlite",
         "stop": stop,
         "say": said.append,
@@ -288,6 +288,74 @@ def _cut_off(path, last):
         for name, value in (("run", run), ("period", period), ("sensor", sensor)):
             store.set_about(name, value)
         store.put([("r1", seq, payload) for seq, payload in kept])
+
+
+def test_with_listen_it_is_the_router_and_what_others_publish_as_map_stays_theirs(tmp_path):
+    at = free_endpoint()
+    stop, said = threading.Event(), []
+    thread = follows("r-1", at, tmp_path, stop, said, listen=True, domain=7)
+    wait_for(lambda: said)
+    with open_session(at) as session, open_session(at) as screen:
+        other = Node(session, "slam", "/tb1", 7)
+        other.publisher("/tb1/map", GRID)
+        rviz = Node(screen, "rviz", domain=7)
+        rviz.hear("/tb1/mapweave/map", GRID, latched=True)
+        rviz.hear("/tb1/map", GRID)
+        rviz.hear("/tf", TF)
+        made = drive(5)
+        one = RosDrive(session, "tb1", made.log, MOUNT, domain=7)
+        wait_for(lambda: any("hears /tb1/scan" in words for words in said))
+        one.play(4.0)
+        wait_for(lambda: rviz.heard["/tb1/mapweave/map"])
+        tokens = rviz.graph()
+        stop.set()
+        thread.join(60)
+    words = "/tb1/slam publishes /tb1/map: ours is /tb1/mapweave/map, and no transform is told"
+    assert f"r-1: {words}" in said
+    assert rviz.heard["/tb1/map"] == rviz.heard["/tf"] == []
+    assert any("/NN/%/%tb1/mapweave_r_1" in one for one in tokens)
+    same_scans(record(tmp_path / "r-1.sqlite", "r-1")[0], made.log)
+
+
+def test_a_graph_without_type_hashes_is_answered_without_them(ros, tmp_path):
+    at, session = ros
+    none = "TypeHashNotSupported"
+    made = drive(6)
+    rviz = Node(session, "rviz")
+    rviz.hear("/tb1/map", GRID, latched=True, type_hash=none)
+    one = RosDrive(session, "tb1", made.log, MOUNT, by_tf=True, type_hash=none)
+    stop, said = threading.Event(), []
+    thread = follows("r1", at, tmp_path, stop, said)
+    wait_for(lambda: any("hears /tb1/scan" in words for words in said))
+    one.play(2.0)
+    wait_for(lambda: rviz.heard["/tb1/map"])
+    stop.set()
+    thread.join(60)
+    same_scans(record(tmp_path / "r1.sqlite", "r1")[0], made.log)
+
+
+def test_when_the_router_goes_and_comes_back_the_drive_goes_on(tmp_path):
+    at = free_endpoint()
+    router = open_session(at, "router")
+    made = drive(7)
+    stop, said = threading.Event(), []
+    with open_session(at) as session:
+        one = RosDrive(session, "tb1", made.log, MOUNT)
+        thread = follows("r1", at, tmp_path, stop, said)
+        wait_for(lambda: any("hears /tb1/scan" in words for words in said))
+        one.tell(999.5, "odometry", 0)
+        router.close()
+        time.sleep(0.5)
+        router = open_session(at, "router")
+        listens = "/mapweave_r1/%tb1%scan"
+        wait_for(lambda: any(listens in words for words in Node(session, "look").graph()))
+        time.sleep(1.0)
+        one.play(4.0)
+        time.sleep(1.0)
+        stop.set()
+        thread.join(60)
+    router.close()
+    same_scans(record(tmp_path / "r1.sqlite", "r1")[0], made.log)
 
 
 def test_several_robots_that_could_be_meant_are_listed(ros, tmp_path):
