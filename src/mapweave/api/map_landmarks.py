@@ -18,9 +18,11 @@ from ..io.table import Columns
 from ..io.team_map import read_calibration
 from ..landmarks.config import EkfSlamConfig
 from ..landmarks.growing import Growth, grow
+from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import without_impossible
 from ..landmarks.sifting import SiftConfig, sifted
 from ..team.config import SmoothingConfig
+from ..team.kidnapped import Cut, KidnapConfig, cut_kidnapped, with_stretches
 from ..team.mixed import SOFTEN, regained
 from ..team.relative_frame import PlacingConfig
 from ..team.smooth import Smoothed, smooth
@@ -34,11 +36,12 @@ METHODS = ("ekf",)
 
 @config
 class LandmarkMapConfig:
-    """The tables `[sift]`, `[ekf]`, `[fuse]` and `[smoothing]` of a configuration file."""
+    """The tables `[sift]`, `[ekf]`, `[fuse]`, `[kidnap]` and `[smoothing]` of a configuration file."""
 
     sift: SiftConfig = field(default_factory=SiftConfig)
     ekf: EkfSlamConfig = field(default_factory=EkfSlamConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)
+    kidnap: KidnapConfig = field(default_factory=KidnapConfig)
     smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
 
 
@@ -86,20 +89,37 @@ def _map_read(
     watch.lap("read")
     times = [] if options.fuse_every is None else times_of(read, options.fuse_every)
     grown = _local_maps(read, cfg, times, options)
-    local = [g.whole for g in grown]
+    cut = _cut(read, [g.whole for g in grown], cfg)
     watch.lap("estimate")
+    local, fusion = cut.local, cut.fusion
     online: tuple[OnlineMap, ...] = ()
-    if options.fuse_every is None:
-        fusion = fuse(local, cfg.fuse, {m.robot: m.source for m in local})
-    else:
-        fusion, online = fuse_online(read, grown, cfg.fuse, options.fuse_every, options.on_progress)
+    if options.fuse_every is not None:
+        anew = [
+            g if main is log else _grown(main, cfg.ekf, times, cfg.fuse.robot_sightings)
+            for g, log, main in zip(grown, read, cut.main, strict=True)
+        ]
+        grown = [replace(g, whole=m) for g, m in zip(anew, local, strict=True)]
+        fusion, online = fuse_online(cut.main, grown, cfg.fuse, options.fuse_every, options.on_progress)
     starts = {robot_name(key): pose for key, pose in options.start.items()}
     fusion = tie_by_starts(fusion, starts, cfg.fuse.start_tolerance)
-    maps = team_maps(local, fusion)
+    maps, stretches, lost = with_stretches(team_maps(local, fusion), cut, cfg.smoothing, PlacingConfig())
+    fusion = replace(fusion, warnings=(*fusion.warnings, *lost))
     watch.lap("fuse")
-    smoothed = _smoothed(maps, read, fusion, cfg.smoothing, options) if options.refine else ()
+    smoothed = _smoothed(maps, stretches, fusion, cfg.smoothing, options) if options.refine else ()
     watch.lap("smooth")
     return team_result(title, options.seed, local, fusion, options.truth, online, watch, maps, smoothed)
+
+
+def _cut(logs: Sequence[LandmarkLog], local: Sequence[LocalMap], cfg: LandmarkMapConfig) -> Cut:
+    """The team with the logs of kidnapped robots cut, and its fusion."""
+
+    def mapper(log: LandmarkLog) -> LocalMap:
+        return _grown(log, cfg.ekf, (), False).whole
+
+    def join(maps: Sequence[LocalMap]) -> Fusion:
+        return fuse(maps, cfg.fuse, {m.robot: m.source for m in maps})
+
+    return cut_kidnapped(logs, local, join(local), cfg.smoothing, PlacingConfig(), cfg.kidnap, mapper, join)
 
 
 def _smoothed(
@@ -120,7 +140,8 @@ def _smoothed(
     maps, back = regained(maps, logs, fusion.labels, cfg, PlacingConfig())
     for k, team in enumerate(maps):
         options.on_progress("smoothing", k, len(maps))
-        far = SOFTEN if back and k == 0 else ()
+        carried = any(log.cuts for log in logs if log.robot in team.robots)
+        far = SOFTEN if carried or (back and k == 0) else ()
         done = smooth(team, logs, fusion.labels, cfg, known, soften=far)
         out.append(replace(done, notes=back) if k == 0 else done)
     options.on_progress("smoothing", len(maps), len(maps))

@@ -4,7 +4,7 @@ A `TeamRecording` is what a simulator makes of a whole team, with its truth, and
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -55,7 +55,8 @@ class LandmarkLog:
 
     bearings: sightings that told no range, which is NaN there; filters leave them aside, smoothing takes them.
     dropped: rows left out, by reason; log_hash: SHA-256 of the whole log's content, kept by `share`, so that a part
-    of a log is known to be no independent witness beside the whole.
+    of a log is known to be no independent witness beside the whole. cuts: stamps [s], ascending, at which the robot was
+    put down elsewhere: nothing it drove leads across one.
     """
 
     robot: str
@@ -66,6 +67,7 @@ class LandmarkLog:
     source: str = ""
     log_hash: str = ""
     bearings: SightingTable = NOTHING_SEEN
+    cuts: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.log_hash:
@@ -115,14 +117,25 @@ class LandmarkLog:
 
     def until(self, t: float) -> "LandmarkLog":
         """The rows stamped `t` [s] or earlier."""
-        odometry = self.odometry
-        if odometry is not None:
-            n = int(np.searchsorted(odometry.t, t, side="right"))
-            odometry = Odometry(odometry.t[:n], odometry.v[:n], odometry.w[:n]) if n else None
-        sightings = self.sightings.select(self.sightings.t <= t)
-        return replace(
-            self, odometry=odometry, sightings=sightings, bearings=self.bearings.select(self.bearings.t <= t)
-        )
+        return self.chosen(lambda stamps: stamps <= t)
+
+    def within(self, begin: float, end: float) -> "LandmarkLog":
+        """The rows stamped `begin` [s] or later, before `end` [s]."""
+        return self.chosen(lambda stamps: (stamps >= begin) & (stamps < end))
+
+    def stretches(self) -> tuple["LandmarkLog", ...]:
+        """The log between its cuts; one without cuts is one stretch."""
+        ends = (-np.inf, *self.cuts, np.inf)
+        return tuple(replace(self.within(a, b), cuts=()) for a, b in pairwise(ends))
+
+    def chosen(self, at: Callable[[np.ndarray], np.ndarray]) -> "LandmarkLog":
+        """The rows at whose stamps `at` is true."""
+        o = self.odometry
+        if o is not None:
+            keep = at(o.t)
+            o = Odometry(o.t[keep], o.v[keep], o.w[keep]) if keep.any() else None
+        sightings, bearings = self.sightings.select(at(self.sightings.t)), self.bearings.select(at(self.bearings.t))
+        return replace(self, odometry=o, sightings=sightings, bearings=bearings)
 
 
 def _hash(odometry: Odometry | None, *tables: SightingTable) -> str:

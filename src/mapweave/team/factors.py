@@ -15,8 +15,7 @@ from .robot_part import BIAS, LAG, RANGE, SPEED, TURN, RobotPart
 
 def step_factor(part: RobotPart, cfg: SmoothingConfig, lag: float) -> Factor:
     """The way between neighbouring instants, against commands where there are any."""
-    t = part.instants.t
-    k = np.arange(len(t) - 1)
+    t, k = part.instants.t, part.instants.steps
     columns = np.concatenate([part.pose_columns(k), part.pose_columns(k + 1)], axis=1)
     kernel = Cauchy(cfg.motion.outlier)
     if part.motion is None:
@@ -24,11 +23,11 @@ def step_factor(part: RobotPart, cfg: SmoothingConfig, lag: float) -> Factor:
     motion = part.motion
     parameters = np.tile(part.parameters + np.array([SPEED, TURN, LAG]), (len(k), 1))
     columns9 = np.concatenate([columns, parameters], axis=1)
-    whiten = np.linalg.inv(np.linalg.cholesky(motion.noise(t, lag, cfg.motion)))
+    whiten = np.linalg.inv(np.linalg.cholesky(motion.noise(t, lag, cfg.motion)[k]))
 
     def residual(x: np.ndarray) -> np.ndarray:
         speed, turn, lag = x[parameters[0]]
-        r = _moved(x[columns])[0] / [speed, speed, 1.0] - motion.between(t, 1.0, turn, lag).step
+        r = _moved(x[columns])[0] / [speed, speed, 1.0] - motion.between(t, 1.0, turn, lag).step[k]
         r[:, 2] = se2.wrap_angle(r[:, 2])
         return np.asarray(r)
 
@@ -36,7 +35,7 @@ def step_factor(part: RobotPart, cfg: SmoothingConfig, lag: float) -> Factor:
         speed, turn, lag = x[parameters[0]]
         z, J = _moved(x[columns])
         J[:, :2] /= speed
-        by = -motion.between(t, 1.0, turn, lag).by_calibration
+        by = -motion.between(t, 1.0, turn, lag).by_calibration[k]
         by[:, :2, SPEED] = -z[:, :2] / speed**2
         by[:, 2, SPEED] = 0.0
         return np.concatenate([J, by], axis=2)
@@ -53,7 +52,7 @@ def _wandering(part: RobotPart, columns: Int[np.ndarray, "m 6"], cfg: SmoothingC
     keeps = part.instants.gap
     if not len(part.log.sightings):
         keeps = np.maximum(keeps, cfg.motion.unknown_memory)
-    whiten = np.linalg.inv(np.linalg.cholesky(random_walk(part.instants.t, cfg.motion, keeps)))
+    whiten = np.linalg.inv(np.linalg.cholesky(random_walk(part.instants.t, cfg.motion, keeps)[part.instants.steps]))
 
     def residual(x: np.ndarray) -> np.ndarray:
         return np.asarray(_halfway(*_moved(x[columns]))[0] * [x[scale], x[scale], 1.0])

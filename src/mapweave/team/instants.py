@@ -15,13 +15,19 @@ from .config import SmoothingConfig
 class Instants:
     """t: (n,) [s] ascending; start: (n, 3) poses to begin with, in the map's frame; track: where those come from.
 
-    gap: (n - 1,) [s] between the instants before and after each step at which the robot saw or was seen.
+    gap: (n - 1,) [s] between the instants before and after each step at which the robot saw or was seen; infinite where
+    the robot was put down elsewhere in between.
     """
 
     t: Float[np.ndarray, " n"]
     start: Float[np.ndarray, "n 3"]
     track: Track
     gap: Float[np.ndarray, " m"]
+
+    @property
+    def steps(self) -> Int[np.ndarray, " s"]:
+        """The instants from which the robot drove to the next."""
+        return np.flatnonzero(np.isfinite(self.gap))
 
     def nearest(self, t: Float[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
         """Which instant is nearest to each of `t`."""
@@ -37,7 +43,16 @@ class Instants:
 
 
 def instants_of(log: LandmarkLog, seen_at: Float[np.ndarray, " s"], track: Track, cfg: SmoothingConfig) -> Instants:
-    """The instants of `log`'s robot: first and last stamp, sightings it made, sightings of it inside its log."""
+    """The instants of `log`'s robot: first and last stamp of every stretch, sightings it made, sightings of it."""
+    stretches = [_of_stretch(stretch, seen_at, cfg) for stretch in log.stretches() if len(stretch)]
+    t = np.concatenate([stamps for stamps, _ in stretches])
+    gap = np.concatenate([np.append(steps, np.inf) for _, steps in stretches])[:-1]
+    return Instants(t, se2.interpolate(t, track.t, track.pose), track, gap)
+
+
+def _of_stretch(
+    log: LandmarkLog, seen_at: Float[np.ndarray, " s"], cfg: SmoothingConfig
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]:
     first, last = log.span
     inside = seen_at[(seen_at >= first) & (seen_at <= last)]
     t = np.unique(np.concatenate([[first, last], log.sightings.t, log.bearings.t, inside]))
@@ -45,8 +60,7 @@ def instants_of(log: LandmarkLog, seen_at: Float[np.ndarray, " s"], track: Track
     gaps = np.diff(t)
     parts = np.maximum(np.ceil(gaps / cfg.longest_step - 1e-9).astype(int), 1)
     more = [np.linspace(a, b, n + 1)[1:-1] for a, b, n in zip(t[:-1], t[1:], parts, strict=True) if n > 1]
-    t = np.sort(np.concatenate([t, *more]))
-    return Instants(t, se2.interpolate(t, track.t, track.pose), track, np.repeat(gaps, parts))
+    return np.sort(np.concatenate([t, *more])), np.repeat(gaps, parts)
 
 
 def keyframe_instants(t: Float[np.ndarray, " n"], track: Track) -> Instants:

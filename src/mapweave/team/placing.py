@@ -18,7 +18,7 @@ from ..laser.scan_odometry import blended
 from .bodies import Body, Labels, glances
 from .commanded_motion import CommandedMotion
 from .config import SmoothingConfig
-from .relative_frame import PlacingConfig, Relation, is_sure, relate, residuals, sharpened
+from .relative_frame import Glances, PlacingConfig, Relation, is_sure, relate, residuals, sharpened
 
 SAME = np.diag([0.05**2, 0.05**2, 0.02**2])  # covariance of a tie by the same robot's two tracks
 NEAR, NEAR_SHARE = 0.5, 0.3  # [m], [m per s or m]: how far places of one loose robot may contradict its wheels
@@ -196,7 +196,7 @@ def _placed_next(
     """The loose robot that most windows place, in which group, and its track there."""
     best: tuple[int, int, LandmarkLog, Body, int, int] | None = None
     for log in waiting:
-        carrier = _carrier(log, logs, smoothing)
+        carrier = carried_by_wheels(log, logs, smoothing)
         if not len(carrier.t):
             continue
         for k, group in enumerate(groups):
@@ -206,7 +206,7 @@ def _placed_next(
     return None if best is None else best[1:]
 
 
-def _carrier(log: LandmarkLog, logs: Mapping[str, LandmarkLog], smoothing: SmoothingConfig) -> Track:
+def carried_by_wheels(log: LandmarkLog, logs: Mapping[str, LandmarkLog], smoothing: SmoothingConfig) -> Track:
     """Where wheels say the robot went, at every stamp that matters; without wheels it stands at the origin."""
     seen = [
         table.t[table.what == table.ids.index(log.robot)]
@@ -223,23 +223,30 @@ def _carrier(log: LandmarkLog, logs: Mapping[str, LandmarkLog], smoothing: Smoot
     return Track(t, motion.at(t, known.speed_scale, known.turn_scale, known.lag)[0])
 
 
-def _windows(
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """A loose robot placed window by window. t: (k,) [s]; place: (k, 3) in the group's frame; seen: all there was."""
+
+    t: Float[np.ndarray, " k"]
+    place: Float[np.ndarray, "k 3"]
+    agree: int
+    seen: Glances
+    length: float
+
+
+def placed_windows(
     group: Body,
     log: LandmarkLog,
     carrier: Track,
     logs: Mapping[str, LandmarkLog],
     labels: Labels,
     cfg: PlacingConfig,
-) -> tuple[Body, int, int] | None:
-    """The robot's track in the group's frame, bent through every window that places it; how many sightings agree."""
-    robot = log.robot
-    driven = log.odometry is not None
-    seen = glances(group, Body({robot: carrier}, {}), logs, labels)
-    if len(seen) < cfg.least:
-        return None
+) -> Windows:
+    """Where sightings place the robot in the group, each window on its own; those that are not sure are left out."""
+    seen = glances(group, Body({log.robot: carrier}, {}), logs, labels)
     seen = seen.select(np.argsort(seen.t, kind="stable"))
-    length = cfg.window if driven else cfg.window_still
-    number = ((seen.t - seen.t[0]) // length).astype(int)
+    length = cfg.window_still if log.odometry is None else cfg.window
+    number = ((seen.t - seen.t[:1]) // length).astype(int)
     at, place, agree = [], [], 0
     for k in np.unique(number).tolist():
         part = seen.select(number == k)
@@ -251,17 +258,47 @@ def _windows(
         at.append(middle)
         place.append(se2.compose(found.transform, there))
         agree += found.agree
-    if not at or agree < cfg.loose_share * len(seen):
+    return Windows(np.array(at), np.array(place).reshape(-1, 3), agree, seen, length)
+
+
+def _windows(
+    group: Body,
+    log: LandmarkLog,
+    carrier: Track,
+    logs: Mapping[str, LandmarkLog],
+    labels: Labels,
+    cfg: PlacingConfig,
+) -> tuple[Body, int, int] | None:
+    """The robot's track in the group's frame, bent through every window that places it; how many sightings agree."""
+    robot, driven = log.robot, log.odometry is not None
+    found = placed_windows(group, log, carrier, logs, labels, cfg)
+    if len(found.seen) < cfg.least or not len(found.t) or found.agree < cfg.loose_share * len(found.seen):
         return None
-    times, anchors = _agreeing(np.array(at), np.array(place), carrier, driven=driven)
+    times, anchors = _agreeing(found.t, found.place, carrier, driven=driven)
     if not len(times):
         return None
     t = np.unique(np.concatenate([carrier.t, times]))
     base = se2.interpolate(t, carrier.t, carrier.pose)
     rows = np.searchsorted(t, times)
     pose = blended(base, rows, anchors) if driven else se2.interpolate(t, times, anchors)
-    body = Body({robot: Track(t, pose)}, {}, {robot: times}, {robot: 0.7 * length})
-    return body, agree, len(seen)
+    body = Body({robot: Track(t, pose)}, {}, {robot: times}, {robot: 0.7 * found.length})
+    return body, found.agree, len(found.seen)
+
+
+def placed_alone(
+    group: Body,
+    log: LandmarkLog,
+    logs: Mapping[str, LandmarkLog],
+    labels: Labels,
+    cfg: PlacingConfig,
+    smoothing: SmoothingConfig,
+) -> Track | None:
+    """The way of `log`'s robot, not in the group, where its sightings place it there; None where they do not."""
+    carrier = carried_by_wheels(log, logs, smoothing)
+    inside = (carrier.t >= log.span[0]) & (carrier.t <= log.span[1])
+    carrier = Track(carrier.t[inside], carrier.pose[inside])
+    found = _windows(group, log, carrier, logs, labels, cfg)
+    return None if found is None else found[0].tracks[log.robot]
 
 
 def _agreeing(

@@ -130,9 +130,9 @@ def team_problem(
     where = {name: landmark_start + 2 * k for k, name in enumerate(landmarks.ids)}
     used: dict[str, int] = {}
     for k, part in enumerate(parts):
-        if part.scans is None and len(part.instants.t) > 1:
+        if part.scans is None and len(part.instants.steps):
             terms.append(step_factor(part, cfg, float(prior[k][0][LAG])))
-            origins.append(Origin(k, part.instants.t[:-1]))
+            origins.append(Origin(k, part.instants.t[part.instants.steps]))
         found = sighting_factors(part, {p.robot: p for p in parts}, labels.get(part.robot, {}), where, x0, cfg)
         for term, t in found:
             terms.append(term)

@@ -1,0 +1,349 @@
+"""Robots that somebody picked up and put down elsewhere: found by what they saw, their logs cut there.
+
+Wheels tell nothing of being carried, so a filter either loses the robot or bends its map. Against landmarks that the
+carried robot had no part in, every few seconds of its log place it on their own; where places on either side of a
+moment follow from each other as the wheels say, but not across it, it was put down elsewhere.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..core import se2
+from ..core.config import config
+from ..core.landmark_log import LandmarkLog
+from ..core.names import in_order, robot_key
+from ..core.records import Track
+from ..fusion.result import Fusion
+from ..landmarks.landmark_map import LandmarkMap, LocalMap
+from .bodies import Body, Labels, glances
+from .commanded_motion import CommandedMotion
+from .config import SmoothingConfig
+from .placing import Windows, carried_by_wheels, placed_alone, placed_windows
+from .relative_frame import PlacingConfig, residuals
+from .team_map import TeamMap
+
+Mapper = Callable[[LandmarkLog], LocalMap]
+Joiner = Callable[[Sequence[LocalMap]], Fusion]
+
+
+@config
+class KidnapConfig:
+    """When a robot is looked at more closely, and when it was put down elsewhere."""
+
+    bin: float = 10.0  # [s] of a log in which sightings are compared with the map
+    bin_sightings: int = 6  # in one, at least
+    bin_share: float = 0.4  # of them that must agree
+    bad_bins: int = 2  # that do not, from which a robot is looked at
+    bent: float = 0.2  # [m] by which its filtered way differs from its wheels within six seconds, from which it is
+    window: float = 8.0  # [s] of a log that is placed on its own,
+    run: int = 3  # and how many of them follow from each other on either side of a cut;
+    long_window: float = 30.0  # [s] of longer ones, for robots that see little,
+    long_run: int = 2  # and how many of those
+    back: int = 4  # windows back, to one of which the next must follow
+    fits: float = 0.5  # [m] by which a place may differ from what wheels say of the one before, [rad] its heading,
+    fits_share: float = 0.3  # and as a share of the way and of the angle
+    carried: float = 0.8  # [m] by which it does where the robot was carried, or
+    carried_turn: float = 1.2  # [rad] its heading,
+    carried_share: float = 0.25  # both beyond that share of way and angle
+    landmarks: int = 4  # of a map against which a robot is placed
+    most: int = 5  # robots, one after the other
+
+
+SPAN = 6.0  # [s] over which wheels and filter are compared
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """The logs and local maps of a team whose kidnapped robots are cut.
+
+    logs: with their cuts; main: the stretch of each robot that `local` is of; warnings: a sentence for each cut robot.
+    """
+
+    logs: tuple[LandmarkLog, ...]
+    main: tuple[LandmarkLog, ...]
+    local: tuple[LocalMap, ...]
+    fusion: Fusion
+
+
+def cut_kidnapped(
+    logs: Sequence[LandmarkLog],
+    local: Sequence[LocalMap],
+    fusion: Fusion,
+    smoothing: SmoothingConfig,
+    placing: PlacingConfig,
+    cfg: KidnapConfig,
+    mapper: Mapper,
+    join: Joiner,
+) -> Cut:
+    """The team with every robot's log cut where the robot was put down elsewhere, its map from the longest stretch.
+
+    The robot that fits the team's map worst is looked at first; after each that was carried the rest are judged anew.
+    A team in which nobody was comes back as it is. mapper, join: how local maps and their fusion are made.
+    """
+    whole, main, maps = list(logs), list(logs), list(local)
+    cleared: set[str] = set()
+    for _ in range(cfg.most):
+        by = {log.robot: log for log in main}
+        suspects = _suspects(maps, fusion, by, cfg, placing, smoothing)
+        found = None
+        for robot in suspects:
+            k = next(i for i, log in enumerate(main) if log.robot == robot)
+            if robot in cleared or main[k] is not logs[k]:
+                continue
+            cuts = _cuts(main[k], maps, fusion, cfg, placing, smoothing, mapper, join)
+            if cuts:
+                found = k, cuts
+                break
+            cleared.add(robot)
+        if found is None:
+            break
+        k, cuts = found
+        whole[k] = replace(logs[k], cuts=cuts)
+        stretches = whole[k].stretches()
+        main[k] = max(stretches, key=lambda part: len(part.sightings))
+        made = mapper(main[k])
+        maps[k] = replace(made, warnings=(*made.warnings, _told(logs[k], cuts)))
+        fusion = join(maps)
+        cleared.clear()
+    return Cut(tuple(whole), tuple(main), tuple(maps), fusion)
+
+
+def with_stretches(
+    maps: Sequence[TeamMap], cut: Cut, smoothing: SmoothingConfig, placing: PlacingConfig
+) -> tuple[tuple[TeamMap, ...], tuple[LandmarkLog, ...], tuple[str, ...]]:
+    """The maps with the ways of cut robots over all stretches that sightings place, and the logs of these stretches.
+
+    Also a sentence for each stretch that nothing places, which is left out.
+    """
+    out, logs, told = list(maps), list(cut.logs), []
+    for i, log in enumerate(cut.logs):
+        k = next((j for j, team in enumerate(out) if log.robot in team.tracks), None)
+        if not log.cuts or k is None:
+            continue
+        team, by = out[k], {other.robot: other for other in cut.logs}
+        others = {robot: track for robot, track in team.tracks.items() if robot != log.robot}
+        body = Body(others, dict(zip(team.landmarks.ids, team.landmarks.mean, strict=True)))
+        pieces, kept = [], []
+        for part in log.stretches():
+            if len(part) and part.span == cut.main[i].span:
+                track: Track | None = team.tracks[log.robot]
+            else:
+                track = _placed(body, part, by, cut.fusion.labels, placing, smoothing) if len(part) else None
+            if track is not None:
+                pieces.append(track)
+                kept.append(part)
+            elif len(part):
+                a, b = (end - log.span[0] for end in part.span)
+                told.append(f"robot {robot_key(log.robot)}: nothing places it from {a:.1f} to {b:.1f} s of its log")
+        out[k] = replace(team, tracks={**team.tracks, log.robot: _in_one(pieces)})
+        logs[i] = replace(_in_one_log(log, kept), cuts=tuple(part.span[0] for part in kept[1:]))
+    return tuple(out), tuple(logs), tuple(told)
+
+
+def _placed(
+    body: Body,
+    part: LandmarkLog,
+    logs: Mapping[str, LandmarkLog],
+    labels: Labels,
+    placing: PlacingConfig,
+    smoothing: SmoothingConfig,
+) -> Track | None:
+    """The way of a stretch in the body's frame, with the covariance from which a place is believed at all."""
+    track = placed_alone(body, part, {**logs, part.robot: part}, labels, placing, smoothing)
+    if track is None:
+        return None
+    cov = np.diag([placing.sure_xy**2, placing.sure_xy**2, placing.sure_theta**2])
+    return Track(track.t, track.pose, np.tile(cov, (len(track.t), 1, 1)), track.frame)
+
+
+def _in_one(tracks: Sequence[Track]) -> Track:
+    known = [track.cov for track in tracks if track.cov is not None]
+    cov = np.concatenate(known) if len(known) == len(tracks) else None
+    t, pose = (np.concatenate([getattr(track, name) for track in tracks]) for name in ("t", "pose"))
+    return Track(t, pose, cov, tracks[0].frame)
+
+
+def _in_one_log(log: LandmarkLog, parts: Sequence[LandmarkLog]) -> LandmarkLog:
+    """The rows of `log` that are in one of `parts`, which are stretches of it."""
+
+    def chosen(t: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+        return np.asarray(np.any([(t >= part.span[0]) & (t <= part.span[1]) for part in parts], axis=0))
+
+    return log.chosen(chosen)
+
+
+def _told(log: LandmarkLog, cuts: Sequence[float]) -> str:
+    begin = log.span[0]
+    when = ", ".join(f"{t:.1f} (after {t - begin:.1f} s of its log)" for t in cuts)
+    return f"put down elsewhere at {when}: its path is cut there, its own map is of the longest stretch"
+
+
+def _suspects(
+    maps: Sequence[LocalMap],
+    fusion: Fusion,
+    logs: Mapping[str, LandmarkLog],
+    cfg: KidnapConfig,
+    placing: PlacingConfig,
+    smoothing: SmoothingConfig,
+) -> list[str]:
+    """Robots with wheels worth a closer look, the worst first."""
+    bad: dict[str, int] = {}
+    for m in maps:
+        log = logs[m.robot]
+        if log.odometry is None or not len(m.submap.ids):
+            continue
+        restless = sum("at no fixed place" in w and not w.startswith("barcode:") for w in m.warnings)
+        n = _bad_bins(m, fusion, logs, cfg, placing)
+        if n >= cfg.bad_bins or restless or _bent(m.track, log, smoothing) > cfg.bent:
+            bad[m.robot] = n
+    return sorted(bad, key=lambda robot: (-bad[robot], in_order(robot)))
+
+
+def _bad_bins(
+    m: LocalMap, fusion: Fusion, logs: Mapping[str, LandmarkLog], cfg: KidnapConfig, placing: PlacingConfig
+) -> int:
+    """In how many stretches of the log most of what the robot saw lies elsewhere in the largest map."""
+    first = fusion.components[0] if fusion.components else None
+    if first is None:
+        return 0
+    if m.robot not in first.robots:
+        return int(np.ptp(m.track.t) // cfg.bin) if len(m.track.t) else 0
+    T = first.frames[m.robot]
+    own = Body({m.robot: Track(m.track.t, se2.compose(T, m.track.pose))}, {})
+    z = glances(_landmarks(first.map), own, logs, fusion.labels)
+    if not len(z):
+        return 0
+    agrees = np.square(residuals(z, np.zeros(3), placing)).sum(axis=-1) < placing.inlier**2
+    number = ((z.t - z.t.min()) // cfg.bin).astype(int)
+    n, good = np.bincount(number), np.bincount(number, weights=agrees)
+    return int(((n >= cfg.bin_sightings) & (good < cfg.bin_share * n)).sum())
+
+
+def _bent(track: Track, log: LandmarkLog, smoothing: SmoothingConfig) -> float:
+    """The most [m] that the track goes another way than the wheels within `SPAN` seconds."""
+    if log.odometry is None or not len(track.t) or np.ptp(track.t) <= SPAN:
+        return 0.0
+    t = np.arange(track.t[0], track.t[-1], 1.0)
+    known, motion = smoothing.calibration, CommandedMotion.of(log.odometry, smoothing.motion.hold)
+    said, k = motion.at(t, known.speed_scale, known.turn_scale, known.lag)[0], int(SPAN)
+    was = se2.interpolate(t, track.t, track.pose)
+    miss = se2.between(se2.between(said[:-k], said[k:]), se2.between(was[:-k], was[k:]))
+    return float(np.hypot(miss[:, 0], miss[:, 1]).max(initial=0.0))
+
+
+def _cuts(
+    log: LandmarkLog,
+    maps: Sequence[LocalMap],
+    fusion: Fusion,
+    cfg: KidnapConfig,
+    placing: PlacingConfig,
+    smoothing: SmoothingConfig,
+    mapper: Mapper,
+    join: Joiner,
+) -> tuple[float, ...]:
+    """When [s] the robot was put down elsewhere: against each half of its own log, then against what others mapped.
+
+    A robot that nobody carried contradicts no half of its own; where it was carried, one half is whole.
+    """
+    a, b = log.span
+    for half in (log.within(-np.inf, 0.5 * (a + b)), log.within(0.5 * (a + b), np.inf)):
+        own = mapper(half) if len(half.sightings) else None
+        if own is not None and len(own.submap.ids) >= cfg.landmarks:
+            known = _calibrated(smoothing, own)
+            found = _jumps(_landmarks(own.submap.landmarks), log, {}, cfg, placing, known)
+            if found:
+                return found
+    others = join([m for m in maps if m.robot != log.robot])
+    first = others.components[0] if others.components else None
+    if first is None or len(first.robots) < 2 or len(first.map) < cfg.landmarks:
+        return ()
+    return _jumps(_landmarks(first.map), log, fusion.labels, cfg, placing, smoothing)
+
+
+def _calibrated(smoothing: SmoothingConfig, m: LocalMap) -> SmoothingConfig:
+    """With the wheels as a map of the robot's own found them."""
+    found = {name: m.calibration[name][0] for name in ("turn_scale", "lag") if name in m.calibration}
+    return replace(smoothing, calibration=replace(smoothing.calibration, **found))
+
+
+def _landmarks(m: LandmarkMap) -> Body:
+    return Body({}, dict(zip(m.ids, m.mean, strict=True)))
+
+
+def _jumps(
+    reference: Body,
+    log: LandmarkLog,
+    labels: Labels,
+    cfg: KidnapConfig,
+    placing: PlacingConfig,
+    smoothing: SmoothingConfig,
+) -> tuple[float, ...]:
+    """The moments across which places in `reference` do not follow from each other, though they do on either side."""
+    carrier = carried_by_wheels(log, {}, smoothing)
+    for length, least in ((cfg.window, cfg.run), (cfg.long_window, cfg.long_run)):
+        windowed = replace(placing, window=length)
+        windows = placed_windows(reference, log, carrier, {log.robot: log}, labels, windowed)
+        out = []
+        for before, after in pairwise(_runs(windows, carrier, least, cfg)):
+            i, j = before[-1], after[0]
+            if not _follows(windows, i, j, carrier, cfg.carried, cfg.carried_turn, cfg.carried_share):
+                out.append(_moment(windows, i, j, carrier, placing))
+        if out:
+            return tuple(out)
+    return ()
+
+
+def _runs(windows: Windows, carrier: Track, least: int, cfg: KidnapConfig) -> list[list[int]]:
+    """At least `least` windows that follow from each other; runs that begin inside another are left out."""
+    runs: list[list[int]] = []
+    for k in range(len(windows.t)):
+        near = [run for run in runs if k - run[-1] <= cfg.back]
+        fits = [run for run in near if _follows(windows, run[-1], k, carrier, cfg.fits, cfg.fits, cfg.fits_share)]
+        if fits:
+            max(fits, key=len).append(k)
+        else:
+            runs.append([k])
+    solid = [run for run in runs if len(run) >= least]
+    ends, out = -1, []
+    for run in solid:
+        if run[0] > ends:
+            out.append(run)
+            ends = run[-1]
+    return out
+
+
+def _follows(windows: Windows, i: int, j: int, carrier: Track, floor: float, turn: float, share: float) -> bool:
+    """Whether window j lies where the wheels lead from window i, give or take."""
+    base = se2.interpolate(windows.t[[i, j]], carrier.t, carrier.pose)
+    said = se2.between(base[0], base[1])
+    miss = se2.between(se2.compose(windows.place[i], said), windows.place[j])
+    way, angle = float(np.hypot(said[0], said[1])), _turned(carrier, windows.t[i], windows.t[j])
+    near = float(np.hypot(miss[0], miss[1])) < floor + share * way
+    return near and abs(float(miss[2])) < turn + share * angle
+
+
+def _turned(carrier: Track, begin: float, end: float) -> float:
+    """The angle [rad] turned through, to and fro."""
+    inside = carrier.pose[(carrier.t >= begin) & (carrier.t <= end), 2]
+    return float(np.abs(se2.wrap_angle(np.diff(inside))).sum())
+
+
+def _moment(windows: Windows, i: int, j: int, carrier: Track, placing: PlacingConfig) -> float:
+    """The moment between two windows up to which sightings agree with the one, and from which with the other."""
+    z = windows.seen.select((windows.seen.t > windows.t[i]) & (windows.seen.t < windows.t[j]))
+    if not len(z):
+        return float(0.5 * (windows.t[i] + windows.t[j]))
+    cost = []
+    for k in (i, j):
+        base = se2.interpolate(windows.t[[k]], carrier.t, carrier.pose)[0]
+        T = se2.compose(windows.place[k], se2.inverse(base))
+        cost.append(np.minimum(np.square(residuals(z, T, placing)).sum(axis=-1), placing.inlier**2))
+    total = np.append(0.0, np.cumsum(cost[0])) + np.append(np.cumsum(cost[1][::-1])[::-1], 0.0)
+    k = int(np.argmin(total))
+    left = z.t[k - 1] if k else windows.t[i]
+    right = z.t[k] if k < len(z) else windows.t[j]
+    return float(0.5 * (left + right))
