@@ -1,5 +1,6 @@
 """Whole explorations: accuracy, consistency, deaths, lost messages, bad input."""
 
+from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -18,6 +19,7 @@ from mapweave.exploration.landmarks.config import (
     HandoverConfig,
     JointConfig,
     LapSearchConfig,
+    LoopConfig,
     MissionConfig,
     ObjectiveConfig,
 )
@@ -29,10 +31,10 @@ from mapweave.exploration.landmarks.experiment import (
     with_noise,
 )
 from mapweave.exploration.landmarks.scenario import ScenarioConfig, find_scenario, make_field
-from mapweave.exploration.landmarks.team import Team
+from mapweave.exploration.landmarks.team import Team, Truth
 from mapweave.exploration.planner_interface import find_planner
-from mapweave.fusion.handover import hand_over
-from mapweave.landmarks.landmark_map import Submap
+from mapweave.fusion.handover import Handover, hand_over
+from mapweave.landmarks.landmark_map import Submap, known_starts
 from mapweave.landmarks.submap_slam import SubmapConfig
 
 
@@ -50,10 +52,10 @@ def mean(runs, name):
     return float(np.mean([getattr(r, name) for r in runs]))
 
 
-def runs_of(what, runs, initializer=None):
+def runs_of(what, runs, initializer=None, seed=0):
     """Scores of many runs from fresh processes, where the tests' shape checks are off: they cost minutes here."""
     with ProcessPoolExecutor(2, mp_context=get_context("spawn"), initializer=initializer) as workers:
-        return [explore_many(m, runs, 0, workers) for m in what]
+        return [explore_many(m, runs, seed, workers) for m in what]
 
 
 @pytest.mark.slow
@@ -148,6 +150,29 @@ def test_a_map_of_unknown_landmarks_is_as_honest_as_one_of_known(planner):
     assert mean(unknown, "map_error") <= 1.2 * mean(known, "map_error")
     assert mean(unknown, "steps") <= 1.05 * mean(known, "steps")
     assert sum(r.duplicates for r in unknown) <= 0.02 * 29 * len(unknown)
+
+
+def test_two_landmarks_exchanged_after_a_first_look_are_judged_as_the_ones_they_lie_on():
+    truth = Truth(np.zeros((1, 3)), origin=[{"a": Counter({7: 1, 8: 5}), "b": Counter({8: 1, 7: 4})}])
+    G = known_starts(("r",), np.zeros((1, 3)))
+    truth.hand_over(0, ("a", "b"), Handover(G, ("m0", "m1"), (False, False)))
+    assert truth.source == {"m0": 8, "m1": 7}
+    assert truth.misassociations == 2
+    truth.origin[0] = {"a": Counter({7: 3})}
+    truth.hand_over(0, ("a",), Handover(G, ("m0",), (True,)))
+    assert truth.misassociations == 3
+    truth.hand_over(0, (), Handover(G, (), (), (("m0", "m1"),)))
+    assert truth.misassociations == 4
+    assert set(truth.source) == {"m0"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("planner", "seed"), [("loop", 102), ("coverage", 111)])
+def test_close_landmarks_exchanged_and_a_lone_pair_far_off_leave_the_map_honest(planner, seed):
+    known = mission(planner, "jcbb")
+    known = replace(known, cfg=replace(known.cfg, loop=LoopConfig(rate=20.5)))
+    (runs,) = runs_of([known], 1, seed=seed)
+    assert runs[0].nees_per_dof < 1.6
 
 
 @pytest.mark.slow

@@ -128,7 +128,7 @@ class HandoverConfig:
     after: int = 10  # [steps] before which no submap is handed over, n_s
     uncertainty: float = 0.3  # [m^2] a landmark below which a submap is handed over, C_f
     by: int = 60  # [steps] after which a submap is handed over whatever its uncertainty
-    pairing: PairingConfig = PairingConfig()
+    pairing: PairingConfig = PairingConfig(sure=0.98)  # surer than a lone pair far off ever is: that waits
 
 
 @config

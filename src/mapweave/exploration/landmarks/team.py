@@ -3,6 +3,7 @@
 Where a robot's true motion meets a wall, it stops short of it, and the team remembers the place.
 """
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from time import perf_counter
@@ -73,17 +74,49 @@ class Bumper:
 
 @dataclass(slots=True)
 class Truth:
-    """What only the simulator and the score know: true poses, who saw what, which landmark an estimate stems from."""
+    """What only the simulator and the score know: true poses, who saw what, which landmark an estimate stems from.
+
+    origin: for each robot, submap landmark -> how many of its sightings were of which true landmark; told: the same of
+    the map's landmarks. An estimate is of the landmark that most of its sightings were of: where two landmarks close
+    together were exchanged after a first sighting, it comes to lie on the other one.
+    """
 
     poses: Float[np.ndarray, "r 3"]
     safe: set[int] = field(default_factory=set)  # landmarks in the global map
     pending: list[set[int]] = field(default_factory=list)  # seen in a submap that is not handed over yet
-    origin: list[dict[str, int]] = field(default_factory=list)  # submap landmark -> true landmark
-    source: dict[str, int] = field(default_factory=dict)  # global landmark -> true landmark
+    origin: list[dict[str, Counter[int]]] = field(default_factory=list)
+    told: dict[str, Counter[int]] = field(default_factory=dict)
     misassociations: int = 0
 
     def seen(self) -> set[int]:
         return self.safe.union(*self.pending)
+
+    @property
+    def source(self) -> dict[str, int]:
+        """Global landmark -> true landmark."""
+        return {name: _mostly(sightings) for name, sightings in self.told.items()}
+
+    def hand_over(self, j: int, ids: tuple[str, ...], done: Handover) -> None:
+        """What robot j's submap landmarks `ids` were of is told of the map's; matches that are wrong are counted.
+
+        Wrong: a sighting of another landmark than most of its estimate's, and two estimates made one that were not.
+        """
+        for local, name in zip(ids, done.names, strict=True):
+            sightings = self.origin[j].get(local)
+            if not sightings:
+                continue
+            self.misassociations += sightings.total() - max(sightings.values())
+            if name is not None:
+                self._join(name, sightings)
+        for kept, gone in done.merged:
+            if gone in self.told:
+                self._join(kept, self.told.pop(gone))
+        self.origin[j] = {}
+
+    def _join(self, name: str, sightings: Counter[int]) -> None:
+        known = self.told.setdefault(name, Counter())
+        self.misassociations += bool(known) and _mostly(known) != _mostly(sightings)
+        known.update(sightings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,8 +292,7 @@ class Team:
             if a is None:
                 continue
             self.truth.pending[j].add(int(rows[k]))
-            if origin.setdefault(ids[a], int(rows[k])) != rows[k]:
-                self.truth.misassociations += 1
+            origin.setdefault(ids[a], Counter())[int(rows[k])] += 1
         self._mark(j)
         return seen
 
@@ -305,24 +337,19 @@ class Team:
             prefix="m",
             cfg=self.cfg.handover.pairing,
         )
-        self._score_names(j, done)
+        self.truth.hand_over(j, self.submaps[j].ids, done)
         self.G = done.map
         self.submaps[j] = empty(self.robots[j], self.submaps[j].frame)
         self.ages[j] = 0
         self.explored.fuse(j)
         self.truth.safe |= self.truth.pending[j]
-        self.truth.pending[j], self.truth.origin[j] = set(), {}
+        self.truth.pending[j] = set()
         return True
 
-    def _score_names(self, j: int, done: Handover) -> None:
-        source, origin = self.truth.source, self.truth.origin[j]
-        for local, name in zip(self.submaps[j].ids, done.names, strict=True):
-            true = origin.get(local)
-            if name is not None and true is not None and source.setdefault(name, true) != true:
-                self.truth.misassociations += 1
-        for kept, gone in done.merged:
-            if source.pop(gone, None) not in (None, source.get(kept)):
-                self.truth.misassociations += 1
+
+def _mostly(sightings: Counter[int]) -> int:
+    """The landmark that most sightings were of, of several the one seen first."""
+    return max(sightings, key=sightings.__getitem__)
 
 
 def _corners(G: GlobalMap, L: Submap) -> np.ndarray:

@@ -35,6 +35,7 @@ CLAIMS = (
         f"{WHOLE}::test_with_the_printed_noise_robots_that_get_lost_find_back",
         "0.282 m",
         "printed_noise",
+        "{few} runs",
     ),
     _claim(
         "One robot: steps min / max / mean (Table 1)",
@@ -72,6 +73,7 @@ CLAIMS = (
         f"{WRITTEN}::test_every_nearest_neighbour_believed_is_not_enough_for_an_honest_map",
         "used",
         "neighbour",
+        "{few} runs",
     ),
     _claim(
         "Without the gain in area robots stay where they are (eq. 19, 20)",
@@ -79,7 +81,7 @@ CLAIMS = (
         f"{WHOLE}::test_the_area_term_is_worth_its_steps_with_the_same_escape_on_both_sides",
         "not told",
         "area",
-        "{half} runs",
+        "{few} runs",
     ),
     _claim(
         "Without the escape to a frontier robots get caught",
@@ -87,7 +89,7 @@ CLAIMS = (
         f"{WHOLE}::test_without_the_escape_no_run_ends",
         "not told",
         "escape",
-        "{half} runs",
+        "{few} runs",
     ),
     _claim(
         "The distance to the others' submaps makes the team more efficient (eq. 20)",
@@ -95,7 +97,7 @@ CLAIMS = (
         "exploration/test_planners.py::test_distance_to_a_hull_is_signed_and_works_for_a_segment_and_a_point",
         "not told",
         "apart",
-        "{half} runs",
+        "{few} runs",
     ),
     _claim(
         "A robot that fails leaves the others at work",
@@ -103,6 +105,6 @@ CLAIMS = (
         f"{WHOLE}::test_a_robot_that_dies_leaves_no_landmark_missed_and_an_honest_map",
         "not told",
         "dead",
-        "{half} runs",
+        "{few} runs",
     ),
 )
