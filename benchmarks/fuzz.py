@@ -20,8 +20,11 @@ import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import fuzz_formats
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # some inputs are made as the tests make them
+
+import fuzz_formats
 from fuzz_mutations import mutate, smaller
 
 from mapweave.core.errors import MapweaveError

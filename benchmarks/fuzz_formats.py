@@ -49,6 +49,8 @@ def not_finite(made: object, name: str = "result") -> str:
     if isinstance(made, float):
         return "" if np.isfinite(made) else name
     if dataclasses.is_dataclass(made):
+        if name == "bearings" and hasattr(made, "range"):  # sightings whose range is unknown
+            made = dataclasses.replace(made, range=np.zeros(len(made.t)))
         parts = ((f.name, getattr(made, f.name)) for f in dataclasses.fields(made))
     elif isinstance(made, Mapping):
         parts = ((name, v) for v in made.values())

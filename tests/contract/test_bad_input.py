@@ -207,6 +207,45 @@ def test_evaluating_what_is_no_result_or_against_nothing_is_refused(recording, t
     assert "s.csv:3" in refused(tmp_path, "evaluate", tmp_path / "a", "--truth", tmp_path / "s.csv")
 
 
+def test_a_score_is_added_to_the_report_and_takes_the_place_of_an_earlier_one(recording, tmp_path):
+    out = tmp_path / "out"
+    run("map", recording, "--out", out, "--no-refine")
+    plain = (out / "report.html").read_text()
+    before = json.loads((out / "metrics.json").read_text())
+    assert "evaluation" not in before
+    for _ in range(2):
+        code, told, err = run("evaluate", out, "--truth", recording, "--json")
+        assert (code, err) == (0, "")
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["evaluation"] == json.loads(told)
+    assert {k: v for k, v in metrics.items() if k != "evaluation"} == before
+    page = (out / "report.html").read_text()
+    assert page.count("<h2>Score against team</h2>") == 1
+    assert page.index("Score against team") < page.index("<footer>")
+    assert page.partition("<!-- score: begin -->")[0] + page.partition("<!-- score: end -->")[2] == plain
+    assert (out / "figures" / "score.png").stat().st_size > 1000
+    (out / "report.html").unlink()
+    assert run("evaluate", out, "--truth", recording)[0] == 0
+    assert not (out / "report.html").exists()
+
+
+def test_a_result_that_cannot_be_written_is_scored_all_the_same(recording, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    run("map", recording, "--out", out, "--no-refine")
+    before = (out / "metrics.json").read_bytes()
+
+    def full(*_, **__):
+        raise OSError(28, "No space left on device", None)
+
+    monkeypatch.setattr("mapweave.io.directory.tempfile.mkstemp", full)
+    code, told, err = run("evaluate", out, "--truth", recording)
+    assert code == 0
+    assert "ATE" in told
+    assert err.startswith("mapweave: ")
+    assert err.endswith("cannot be written: No space left on device: the report is left as it is\n")
+    assert (out / "metrics.json").read_bytes() == before
+
+
 def test_viewing_what_is_no_result_is_refused(tmp_path):
     assert "metrics.json" in refused(tmp_path, "view", tmp_path)
 

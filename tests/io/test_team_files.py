@@ -1,5 +1,7 @@
 """Landmarks and trajectories to files and back."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -8,7 +10,7 @@ from mapweave.core.errors import DataError, ReaderError
 from mapweave.core.names import in_order, robot_key, robot_name
 from mapweave.core.records import Track
 from mapweave.io.npz import write_npz
-from mapweave.io.team_map import read_team_maps, write_landmarks, write_tracks
+from mapweave.io.team_map import read_members, read_team_maps, write_landmarks, write_tracks
 from mapweave.io.tum import read_tum, write_track_covariance, write_tum
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.team.team_map import TeamMap
@@ -42,6 +44,15 @@ def test_a_team_map_written_and_read_back_is_the_same(tmp_path):
     head = (tmp_path / "landmarks.csv").read_text().splitlines()
     assert head[0] == "id,x,y,var_x,cov_xy,var_y,robots,sightings"
     assert head[2].endswith(",2;10,5")
+
+
+def test_robots_of_folders_with_any_name_are_read_back(tmp_path):
+    names = ("robot2", "a;b/robot1", "back\\slash;/robot3", ";", "\\", 'x,y "z"/robot4')
+    team = a_team()
+    members = dict.fromkeys(team.landmarks.ids, names)
+    write_landmarks(tmp_path, replace(team, members=members))
+    back, _ = read_members(tmp_path / "landmarks.csv")
+    assert {k: sorted(v) for k, v in back.items()} == {k: sorted(v) for k, v in members.items()}
 
 
 def test_the_same_arrays_give_the_same_bytes(tmp_path):

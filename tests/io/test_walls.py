@@ -4,6 +4,7 @@ import gzip
 import io
 import json
 import os
+import resource
 import struct
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from pathlib import Path
 import lz4.frame
 import numpy as np
 import pytest
+from PIL import Image
 
 from mapweave.core.errors import DataError, MapweaveError, ReaderError
 from mapweave.io.angulation import read_angulation
@@ -150,6 +152,51 @@ def test_a_landmark_table_with_bad_rows_is_told_with_its_line(tmp_path, rows, sa
         path.write_bytes(path.read_bytes().replace(b",1,1,\n", b",1,1\n"))
     with pytest.raises(ReaderError, match=said):
         read_members(path)
+
+
+def test_a_picture_whose_chunk_announces_gigabytes_takes_none(tmp_path):
+    grey = np.zeros((10, 8), np.uint8)
+    Image.fromarray(grey).save(tmp_path / "m.png")
+    data = (tmp_path / "m.png").read_bytes()
+    at = data.index(b"IDAT")
+    (tmp_path / "m.png").write_bytes(data[: at - 4] + struct.pack(">I", 2**31 - 1) + data[at:])
+    (tmp_path / "map.yaml").write_text("image: m.png\nresolution: 0.05\norigin: [0.0, 0.0, 0.0]\n")
+    limit = resource.getrlimit(resource.RLIMIT_AS)
+    size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (size + 2**30, limit[1]))
+    try:
+        read_ros_map(tmp_path / "map.yaml")
+    except ReaderError as error:
+        assert "expected a PGM or PNG image" in str(error)  # noqa: PT017  (either is right, gigabytes are not)
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, limit)
+
+
+@pytest.mark.parametrize("code", ["1e25", "-1e300"])
+def test_a_barcode_beyond_whole_numbers_is_told_with_its_line(tmp_path, code):
+    (tmp_path / "Barcodes.dat").write_text("1 5\n6 72\n")
+    (tmp_path / "Robot1_Measurement.dat").write_text(f"0.0 72 1.0 0.1\n1.0 {code} 1.0 0.1\n")
+    with pytest.raises(ReaderError, match=r"Robot1_Measurement\.dat:2: expected a whole number for barcode"):
+        list(read_landmark_logs(tmp_path))
+
+
+def test_a_direction_of_any_length_is_a_direction(tmp_path):
+    (tmp_path / "s.csv").write_text("observer,target,bx,by,bz\na,b,1,0,0\nb,a,-1e308,1e308,0\n")
+    assert read_sightings(tmp_path / "s.csv").table.direction[1] == pytest.approx([-(0.5**0.5), 0.5**0.5, 0.0])
+
+
+def test_a_parquet_table_with_words_that_are_no_text_is_refused(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    words = pyarrow.StringArray.from_buffers(
+        2, pyarrow.array([0, 1, 2], pyarrow.int32()).buffers()[1], pyarrow.py_buffer(b"\xff\xfe")
+    )
+    parquet.write_table(
+        pyarrow.table({"observer": words, "target": words, "bearing": [0.0, 1.0]}), tmp_path / "s.parquet"
+    )
+    with pytest.raises(ReaderError, match=r"s\.parquet: expected a Parquet table"):
+        read_sightings(tmp_path / "s.parquet")
 
 
 LONG = "w" * 140_000

@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 from abc import abstractmethod
+from collections.abc import Sequence
 from numbers import Real
 
 from ..core.version import __version__
-from ..io.directory import write_json
+from ..io.directory import read_json, result_file, write_json
 from ..report.result import ResultBase, Rows
 
 
@@ -49,6 +50,21 @@ class EvaluationBase(ResultBase):
     def headline(self) -> Rows:
         plain = [(name, value) for name, value in self.as_json().items() if isinstance(value, str | Real)]
         return ("score", "value"), plain
+
+    def add_to(self, folder: Path, truth: Sequence[Path]) -> None:
+        """The result scored holds this score: `evaluation` in its `metrics.json`, and the end of its `report.html`.
+
+        A file that is not there is left so. Raises ReaderError where metrics.json is damaged, OSError where nothing can
+        be written.
+        """
+        metrics, report = folder / "metrics.json", folder / "report.html"
+        held = read_json(metrics)
+        if report.is_file():
+            from ..report.score import add_score  # noqa: PLC0415  (figures cost half a second)
+
+            add_score(report, [p.name for p in truth], self.lines(), self.headline()[1], self.draw)
+        with result_file(metrics) as work:
+            write_json(work, {**held, "evaluation": self.as_json()})
 
     def write_into(self, folder: Path) -> None:
         from ..report.score import write_score_report  # noqa: PLC0415  (figures cost half a second)

@@ -7,7 +7,7 @@ from io import TextIOWrapper
 from typing import TYPE_CHECKING
 
 from ..core.version import __version__
-from .terminal import Interruption
+from .terminal import Interruption, warn
 
 if TYPE_CHECKING:
     from cyclopts import App
@@ -60,10 +60,10 @@ def main(tokens: list[str] | None = None) -> None:
         except BrokenPipeError:
             code = _stop_writing()
         except KeyboardInterrupt:
-            _tell("interrupted")
+            warn("interrupted")
         except OSError as error:
             _stop_writing()
-            _tell(f"stdout: {error.strerror}")
+            warn(f"stdout: {error.strerror}")
             code = 1
         except Exception as error:
             if not interruption.asked:
@@ -86,11 +86,6 @@ def _stop_writing() -> int:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
     return 0
-
-
-def _tell(message: str) -> None:
-    """One line on stderr, whatever the message holds."""
-    print(f"mapweave: {' '.join(message.split())}", file=sys.stderr)  # noqa: T201
 
 
 def _run(tokens: list[str], interruption: Interruption | None = None) -> int:
@@ -120,13 +115,13 @@ def _failed(error: BaseException, *, asked: bool = False) -> int:
     """The exit status, the reason told in one line, and what the error's notes add; asked: Ctrl-C was pressed."""
     notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
     if asked or isinstance(error, KeyboardInterrupt):
-        _tell(f"interrupted{notes}")
+        warn(f"interrupted{notes}")
         return 130
     if isinstance(error, MemoryError):
-        _tell(f"not enough memory for this{notes}")
+        warn(f"not enough memory for this{notes}")
         return 1
     if isinstance(error, OSError):
-        _tell(f"{error.filename}: {error.strerror}{notes}")
+        warn(f"{error.filename}: {error.strerror}{notes}")
         return 1
-    _tell(f"{error}{notes}")
+    warn(f"{error}{notes}")
     return int(getattr(error, "exit_code", 2))  # what cannot be parsed is bad usage

@@ -15,6 +15,8 @@ def evaluate(
 ) -> None:
     """Score a result against the truth: errors, and whether its uncertainty is honest.
 
+    The score is added to the result's report.html and metrics.json, in place of an earlier one.
+
     Parameters
     ----------
     directory
@@ -26,9 +28,13 @@ def evaluate(
         Print JSON with the keys documented for `metrics.json`.
     """
     from ..api.evaluate import evaluate as score
-    from .terminal import say
+    from .terminal import say, warn
 
     told = score(directory, truth)
+    try:
+        told.add_to(directory, truth)
+    except OSError as error:
+        warn(f"{error.filename}: {error.strerror}: the report is left as it is")
     if json:
         from json import dumps
 

@@ -35,6 +35,11 @@ def say(line: str = "") -> None:
     print(line)  # noqa: T201
 
 
+def warn(line: str) -> None:
+    """One line on stderr."""
+    print(f"mapweave: {' '.join(line.split())}", file=sys.stderr)  # noqa: T201
+
+
 def say_table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
     """Columns as wide as they need to be, numbers right."""
     text = [[_cell(v) for v in row] for row in rows]

@@ -18,6 +18,7 @@ from .table import line_of, numbers, open_text, row_texts
 
 ROBOT_FILE = re.compile(r"^Robot([0-9]+)_(Odometry|Measurement)\.dat$")
 BARCODES = "Barcodes.dat"
+WHOLE = 2**53  # beyond it numbers as files hold them are not whole
 ENOUGH = 20  # sightings that make an unlisted barcode a landmark (its place is the estimator's to judge)
 
 
@@ -96,7 +97,8 @@ def _robot(files: Files, k: int, found: dict[int, dict[str, str]], codes: dict[i
         name = kinds["Measurement"]
         data, label = files.read(name), files.label(name)
         table = numbers(data, label, ("t", "barcode", "range", "bearing"))
-        wrong = np.flatnonzero(np.isfinite(table[:, 1]) & (table[:, 1] != np.round(table[:, 1])))
+        code = table[:, 1]
+        wrong = np.flatnonzero(np.isfinite(code) & ((code != np.round(code)) | (np.abs(code) > WHOLE)))
         if len(wrong):
             line = line_of(data, label, int(wrong[0]))
             raise ReaderError(label, f"expected a whole number for barcode, found {table[wrong[0], 1]:g}", line)

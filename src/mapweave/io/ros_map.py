@@ -2,6 +2,7 @@
 
 import ast
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -112,7 +113,8 @@ def read_plan(
 def _read_image(path: Path, most_pixels: int | None) -> Float[np.ndarray, "rows cols"]:
     """Brightness 0..255 of every pixel, the lowest row of the picture first."""
     try:
-        with Image.open(path) as image:
+        data = BytesIO(path.read_bytes())  # of a file itself a torn chunk's announced gigabytes would be made room for
+        with Image.open(data) as image:
             if most_pixels is not None and image.width * image.height > most_pixels:
                 size = f"{image.width} x {image.height}"
                 raise ReaderError(path, f"expected at most {most_pixels:,} pixels, found {size}")

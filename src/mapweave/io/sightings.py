@@ -19,6 +19,7 @@ from ..core.records import Odometry, frozen
 from .directory import result_file
 from .table import Table, read_table, write_table
 
+HUGE = 1e100  # a number whose square may overflow
 LAYOUTS = (("bearing",), ("azimuth", "elevation"), ("bx", "by", "bz"))
 
 
@@ -84,7 +85,7 @@ def read_sightings(path: Path | Table, *, dim: int | None = None, axis: bool = T
         if len(layout) == 1
         else unit3(values[:, 0], values[:, 1])
         if len(layout) == 2
-        else values / np.linalg.norm(values, axis=1, keepdims=True)
+        else _tame(values) / np.linalg.norm(_tame(values), axis=1, keepdims=True)
     )
     table = BearingTable(ids, index[0], index[1], direction, sigma[keep], None if t is None else t[keep], axis)
     lines = [file.lines[k] for k in keep.tolist()]
@@ -165,7 +166,7 @@ def _bad_rows(
         reasons.update(dict.fromkeys(np.flatnonzero(unstamped).tolist(), "no time stamp"))
         bad |= unstamped
     if len(layout) == 3:
-        short = (np.linalg.norm(np.where(bad[:, None], 1.0, values), axis=1) < 1e-9) & ~bad
+        short = (np.linalg.norm(_tame(np.where(bad[:, None], 1.0, values)), axis=1) < 1e-9) & ~bad
         reasons.update(dict.fromkeys(np.flatnonzero(short).tolist(), "zero direction"))
         bad |= short
     own = [k for k, (a, b) in enumerate(zip(observer, target, strict=True)) if a == b]
@@ -173,6 +174,12 @@ def _bad_rows(
         reasons.setdefault(k, "observer is target")
     bad[own] = True
     return bad, reasons
+
+
+def _tame(directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """The same directions, those whose squares would overflow made shorter."""
+    largest = np.abs(directions).max(axis=1, keepdims=True, initial=0.0)
+    return directions / np.where(largest > HUGE, largest, 1.0)
 
 
 def _warnings(path: Path | str, layout: tuple[str, ...], values: Float[np.ndarray, "m c"]) -> list[str]:

@@ -221,13 +221,21 @@ def read_table(path: Path) -> Table:
 
 def _read_parquet(path: Path) -> Table:
     try:
-        from pyarrow import parquet  # noqa: PLC0415  (an extra: only Parquet files need it)
+        from pyarrow import ArrowException, parquet  # noqa: PLC0415  (an extra: only Parquet files need it)
     except ImportError:
         raise ReaderError(path, "Parquet needs pyarrow: pip install 'mapweave[parquet]'") from None
     try:
         table = parquet.read_table(path)
-    except (OSError, ValueError) as error:
+        return _columns(path, table)
+    except (
+        OSError,
+        ValueError,
+        ArrowException,
+    ) as error:  # a name or a word that is no text shows only when it is looked at
         raise ReaderError(path, f"expected a Parquet table: {error}") from None
+
+
+def _columns(path: Path, table: Any) -> Table:
     columns: dict[str, Sequence[str] | np.ndarray] = {}
     for name, column in zip(table.column_names, table.columns, strict=True):
         values = column.to_numpy(zero_copy_only=False)

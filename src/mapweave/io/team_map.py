@@ -4,7 +4,8 @@ Landmarks are a table for people and arrays with the joint covariance for progra
 of every robot's wheels and camera, as found or as given.
 """
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -39,7 +40,7 @@ def read_members(path: Path) -> tuple[dict[str, tuple[str, ...]], dict[str, int]
     if missing := [name for name in ("id", "robots", "sightings") if name not in table.columns]:
         raise ReaderError(path, f"expected a column {missing[0]}, found {','.join(table.columns)}", 1)
     ids, sightings = table.names("id"), table.whole("sightings")
-    robots = [tuple(robot_name(key) for key in text.split(";") if key) for text in table.columns["robots"]]
+    robots = [tuple(map(robot_name, _split(str(text)))) for text in table.columns["robots"]]
     return dict(zip(ids, robots, strict=True)), dict(zip(ids, sightings, strict=True))
 
 
@@ -50,13 +51,23 @@ def write_landmarks(folder: Path, team: TeamMap) -> None:
     rows = []
     for i, name in enumerate(ids):
         P = held.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
-        robots = ";".join(sorted(map(robot_key, team.members.get(name, ())), key=in_order))
+        robots = _joined(sorted(map(robot_key, team.members.get(name, ())), key=in_order))
         rows.append(
             [name, *held.mean[i].tolist(), *P[np.triu_indices(2)].tolist(), robots, team.sightings.get(name, 0)]
         )
     number = ["{:.9f}".format] * 3 + ["{:.9e}".format] * 5
     write_table(folder / "landmarks.csv", HEAD.split(","), rows, number)
     write_landmark_arrays(folder, held)
+
+
+def _joined(keys: Iterable[str]) -> str:
+    """`keys` between semicolons; one within a key, as of a folder's name, and a backslash have a backslash before."""
+    return ";".join(key.replace("\\", "\\\\").replace(";", "\\;") for key in keys)
+
+
+def _split(text: str) -> list[str]:
+    """What `_joined` joined, empty keys left out."""
+    return [re.sub(r"\\(.)", r"\1", key) for key in re.findall(r"(?:[^;\\]|\\.)+", text)]
 
 
 def write_landmark_arrays(folder: Path, landmarks: LandmarkMap) -> None:

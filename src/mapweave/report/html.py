@@ -73,6 +73,18 @@ class Page:
             self.scenes += 1
             self.parts.append(scene.html(caption, still))
 
+    def put_into(self, html: str, name: str) -> str:
+        """`html`, a finished page, with this one as its last part, in place of the one put there by that name before.
+
+        Scenes are left out: the other page may not hold what moves them.
+        """
+        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+        before, _, rest = html.partition(begin)
+        after = rest.partition(end)[2] if rest else ""
+        page = before + after
+        at = page.rfind("<footer>") if "<footer>" in page else len(page)
+        return f"{page[:at]}{begin}{''.join(self.parts)}{end}{page[at:]}"
+
     def html(self) -> str:
         moving = f"<script>{script()}</script>" if self.scenes else ""
         return (

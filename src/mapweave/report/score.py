@@ -1,5 +1,7 @@
 """A score as a page and figures: what was measured against the truth, and how the map grew towards it."""
 
+import shutil
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -11,6 +13,7 @@ from ..core.names import robot_key
 from ..evaluation.landmarks import GrowthPoint
 from ..evaluation.team import TeamScore
 from ..evaluation.trajectory import paired
+from ..io.directory import result_file
 from . import style
 from .html import Page
 from .style import Target, colour, figure
@@ -30,6 +33,33 @@ def write_score_report(
     page.figure(folder / "figures" / "errors.png", "Errors against the truth.")
     page.table(("what", "value"), rows)
     page.write(folder / "report.html")
+
+
+def add_score(
+    report: Path,
+    truth: Sequence[str],
+    lines: Sequence[str],
+    rows: Sequence[Sequence[object]],
+    draw: Callable[[Target], object],
+) -> None:
+    """The page `report` ends in the score against `truth`, in place of the one added before.
+
+    The picture stands beside too, as `figures/score.png`. Each file is replaced whole.
+    """
+    page = Page("")
+    page.section(f"Score against {', '.join(truth)}")
+    for line in lines:
+        page.text(line)
+    with tempfile.TemporaryDirectory() as name:
+        png = Path(name) / "score.png"
+        draw(png)
+        page.figure(png, "Errors against the truth.")
+        with result_file(report.parent / "figures" / png.name) as work:
+            shutil.copyfile(png, work)
+    page.table(("what", "value"), rows)
+    text = page.put_into(report.read_text(encoding="utf-8", errors="replace"), "score")
+    with result_file(report) as work:
+        work.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def draw_team_score(target: Target, score: TeamScore) -> None:
