@@ -4,11 +4,13 @@ python benchmarks/claims.py docs/methods/relative-fusion.md DIR
 """
 
 import argparse
+from datetime import UTC, datetime
 from pathlib import Path
 
-from mapweave.papers.reproduction import CLAIMS_FILE
+import docs_figures
+from docs_tables import TABLES
 
-HEADING = "## Claim by claim"
+from mapweave.papers.reproduction import CLAIMS_FILE
 
 
 def main() -> None:
@@ -16,9 +18,13 @@ def main() -> None:
     ask.add_argument("page", type=Path)
     ask.add_argument("result", type=Path)
     said = ask.parse_args()
-    text = said.page.read_text(encoding="utf-8").split(HEADING)[0].rstrip()
-    table = (said.result / CLAIMS_FILE).read_text(encoding="utf-8")
-    said.page.write_text(f"{text}\n\n{HEADING}\n\n{table}", encoding="utf-8")
+    table = (said.result / CLAIMS_FILE).read_text(encoding="utf-8").strip()
+    name = said.page.resolve().relative_to(docs_figures.TOP).as_posix()
+    known = next((t for t in TABLES if t.page == name and t.written == CLAIMS_FILE), None)
+    if known is None:
+        ask.error(f"{name}: no table of claims in docs_tables.py")
+    today, commit = f"{datetime.now(UTC):%Y-%m-%d}", docs_figures.git("rev-parse", "--short", "HEAD")
+    docs_figures.write(docs_figures.Record(known.name, name, known.told, today, commit, table))
 
 
 if __name__ == "__main__":

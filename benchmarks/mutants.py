@@ -36,7 +36,7 @@ from mutants_areas import AREAS, EQUIVALENT, HERE, HOUSE, ONCE_LET_PASS, Area, E
 from mutants_finder import Finder, Mutant
 
 PAGE = HERE / "docs" / "contributing.md"
-TABLE = ("<!-- mutants -->\n", "<!-- /mutants -->\n")
+TABLE = ("<!-- mutants: begin -->\n", "<!-- mutants: end -->\n")
 SMALLEST_LIMIT = 20.0  # s of processor time
 COMPILING = 90.0  # s more where the kernels are not those that are kept
 

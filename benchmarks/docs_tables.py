@@ -1,0 +1,72 @@
+"""Every measured table of the documentation: its name, its page, the command that measures it.
+
+A table stands on its page between `<!-- NAME: begin -->` and `<!-- NAME: end -->`. To register one, put the marks on
+the page and add a line here.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+PYTHON = "python"  # stands for the interpreter that runs this; {page}, {out} for the page and an empty folder
+FUSION, SWARM = "docs/methods/relative-fusion.md", "docs/methods/bearing-swarm.md"
+LASER, EXPLORE = "docs/methods/intensity-laser.md", "docs/methods/active-exploration.md"
+CHECKED_ELSEWHERE = {"walks"}  # marks of what is no measurement
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """One table. written: how the command gives it.
+
+    stdout: as the Markdown table that it prints; page: into the page itself, between the marks; a file's name: as that
+    file in {out}; reader: as figures for people, which whoever runs it puts on the page.
+    """
+
+    name: str
+    page: str
+    command: tuple[str, ...]
+    written: Literal["stdout", "page", "reader", "claims.md"] = "reader"
+
+    @property
+    def told(self) -> str:
+        """The command as a reader would type it."""
+        shown = {"{page}": self.page, "{out}": "DIR"}
+        return " ".join(shown.get(word, word) for word in self.command)
+
+
+def bench(script: str, *words: str) -> tuple[str, ...]:
+    return (PYTHON, f"benchmarks/{script}.py", *words)
+
+
+def reproduce(paper: str) -> tuple[str, ...]:
+    return ("mapweave", "reproduce", paper, "--out", "{out}")
+
+
+TABLES = (
+    Table("team smoothing", "docs/landmark-mapping.md", bench("team_smoothing", "--page", "{page}"), "page"),
+    Table("mutants", "docs/contributing.md", bench("mutants", "--quick", "--n", "12", "--page"), "page"),
+    Table("live", "docs/live.md", bench("live")),
+    Table("swarm of 1,000", "docs/locate.md", bench("swarm")),
+    Table("swarm of 10,000", "docs/locate.md", bench("swarm")),
+    Table("angulation", "docs/locate.md", bench("swarm_real")),
+    Table("ekf slam", "docs/methods/ekf-slam.md", bench("real_sets")),
+    Table("joining", "docs/methods/joining.md", bench("real_sets")),
+    Table("kojima asserted", FUSION, (PYTHON, "-m", "pytest", "tests/fusion", "tests/papers")),
+    Table("kojima set-up", FUSION, reproduce("kojima")),
+    Table("kojima unequal maps", FUSION, reproduce("kojima")),
+    Table("kojima claims", FUSION, reproduce("kojima"), "claims.md"),
+    Table("belief propagation", SWARM, bench("swarm")),
+    Table("swarm grid", SWARM, bench("swarm")),
+    Table("swarm times", SWARM, bench("swarm")),
+    Table("hamatani claims", SWARM, reproduce("hamatani"), "claims.md"),
+    Table("intel relations", LASER, bench("laser")),
+    Table("simulated ring", LASER, bench("corridor")),
+    Table("hara claims", LASER, reproduce("hara"), "claims.md"),
+    Table("laser exploration", EXPLORE, bench("exploration_laser", "--seeds", "2")),
+    Table("yuan", EXPLORE, reproduce("yuan")),
+    Table("yuan other seeds", EXPLORE, reproduce("yuan")),
+    Table("area term", EXPLORE, reproduce("yuan")),
+    Table("among walls", EXPLORE, ("mapweave", "explore", "SCENARIO", "--runs", "20", "--until", "field")),
+    Table("submaps", EXPLORE, bench("exploration")),
+    Table("planning alone", EXPLORE, bench("exploration_laser")),
+    Table("laser missions", EXPLORE, bench("exploration_laser")),
+)

@@ -1,0 +1,67 @@
+"""Measured tables of the documentation are those that were measured, and whoever changes one by hand is told."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+TOP = Path(__file__).parent.parent
+sys.path.insert(0, str(TOP / "benchmarks"))
+
+import docs_figures  # noqa: E402
+from docs_tables import TABLES, Table  # noqa: E402
+
+
+def test_every_measured_table_is_the_one_that_was_measured():
+    assert docs_figures.stale() == []
+
+
+def test_every_command_names_a_script_that_is_there():
+    scripts = [word for table in TABLES for word in table.command if word.startswith("benchmarks/")]
+    assert scripts
+    assert [s for s in scripts if not (TOP / s).exists()] == []
+
+
+def test_names_and_files_of_tables_are_their_own():
+    assert len({docs_figures.kept(t.name) for t in TABLES}) == len(TABLES)
+
+
+@pytest.fixture
+def docs(tmp_path):
+    (tmp_path / "docs").mkdir()
+    page = tmp_path / "docs" / "a.md"
+    page.write_text("Before.\n\n<!-- speed: begin -->\n| a |\n|---|\n| 1 |\n<!-- speed: end -->\n\nAfter.\n")
+    return page
+
+
+SPEED = Table("speed", "docs/a.md", ("python", "benchmarks/speed.py"))
+
+
+def told(top, *tables):
+    return docs_figures.stale(top, tables or (SPEED,))
+
+
+def test_a_table_is_written_with_its_date_and_then_known(docs, tmp_path):
+    assert "is not that of docs/figures/speed.json" in told(tmp_path)[0]
+    text = "| a |\n|---|\n| 2.5 |"
+    docs_figures.write(docs_figures.Record("speed", "docs/a.md", SPEED.told, "2026-11-22", "abc1234", text), tmp_path)
+    assert told(tmp_path) == []
+    page = docs.read_text()
+    assert page.startswith(
+        "Before.\n\n<!-- speed: begin -->\n| a |\n|---|\n| 2.5 |\n\nMeasured 2026-11-22 at abc1234 by "
+    )
+    assert page.endswith("by `python benchmarks/speed.py`.\n<!-- speed: end -->\n\nAfter.\n")
+    assert docs_figures.bare(docs_figures.on_page(SPEED, tmp_path)) == text
+
+
+def test_a_figure_changed_by_hand_a_lost_mark_and_a_stray_one_are_told(docs, tmp_path):
+    record = docs_figures.Record("speed", "docs/a.md", SPEED.told, "2026-11-22", "abc1234", "| a |\n|---|\n| 2.5 |")
+    docs_figures.write(record, tmp_path)
+    docs.write_text(docs.read_text().replace("2.5", "2.4"))
+    assert len(told(tmp_path)) == 1
+    docs.write_text("<!-- other: begin -->\n<!-- other: end -->\n")
+    first, second = told(tmp_path)
+    assert first.startswith("docs/a.md: no marks <!-- speed: begin -->")
+    assert second == "docs/a.md: 'other' is not in docs_tables.py"
+    other = Table("other", "docs/a.md", ("python",))
+    assert told(tmp_path, other)[-1] == "docs/figures/speed.json: of no table"
