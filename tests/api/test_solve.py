@@ -103,6 +103,34 @@ def test_priors_that_contradict_the_edges_are_told(tmp_path):
         mapweave.solve_pose_graph(tmp_path / "twice.g2o")
 
 
+def test_vertices_held_where_the_edges_do_not_put_them_are_told_and_the_result_is_not_trusted(tmp_path):
+    ring(tmp_path / "sound.g2o")
+    sound = mapweave.solve_pose_graph(tmp_path / "sound.g2o", tmp_path / "out")
+    assert sound.metrics["trusted"] is True
+    assert sound.doubts == ()
+    solved, ids = sound.solved.graph.pose, sound.file.ids
+    for off, told in ((0.0, False), (5.0, True)):
+        rows = [
+            f"VERTEX_SE2 {ids[k]} {x + off * (k == 4)} {y} {turn}" for k, (x, y, turn) in enumerate(solved.tolist())
+        ]
+        edges = [row for row in (tmp_path / "sound.g2o").read_text().splitlines() if row.startswith("EDGE")]
+        (tmp_path / "held.g2o").write_text("\n".join([*rows, *edges, f"FIX {ids[0]}", f"FIX {ids[4]}"]) + "\n")
+        result = mapweave.solve_pose_graph(tmp_path / "held.g2o")
+        where = f"vertex {ids[4]} is held where the rest of the graph does not put it"
+        assert any(where in why for why in result.doubts) is told
+        assert result.metrics["trusted"] is not told
+        assert any("not to be trusted" in line for line in result.lines()) is told
+
+
+def test_edges_that_contradict_without_robust_are_not_trusted_and_with_it_are(tmp_path):
+    ring(tmp_path / "ring.g2o")
+    ids = mapweave.solve_pose_graph(tmp_path / "ring.g2o").file.ids
+    false = [f"EDGE_SE2 {ids[a]} {ids[b]} 7 -5 2 400 0 0 400 0 400" for a, b in ((0, 2), (1, 3))]
+    ring(tmp_path / "false.g2o", extra="\n".join(false))
+    plain = mapweave.solve_pose_graph(tmp_path / "false.g2o")
+    assert any("edges contradict each other" in why and "--robust" in why for why in plain.doubts)
+
+
 def test_a_bad_file_is_one_line_and_leaves_nothing(tmp_path, capsys):
     (tmp_path / "bad.g2o").write_text("VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
     assert _run(["solve", str(tmp_path / "bad.g2o"), "--out", str(tmp_path / "out")]) == 1

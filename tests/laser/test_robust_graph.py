@@ -9,6 +9,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.errors import DataError
 from mapweave.io.g2o import read_g2o
+from mapweave.laser.left_out import left_out_squares
 from mapweave.laser.pose_graph import PoseGraph
 from mapweave.laser.robust_graph import FADED, Prior, RobustGraphConfig, connected, solve_graph, truncated_weights
 
@@ -119,6 +120,50 @@ def test_what_an_edge_counts_is_the_weight_of_least_cost_with_what_dropping_it_c
     assert found[-1] == FADED
 
 
+def test_how_far_an_edge_lies_from_the_solution_without_it_is_what_solving_without_it_says():
+    _, graph = laps(np.random.default_rng(3), n=24, closures=10)
+    solved = solve_graph(graph, PLAIN)
+    rows = np.arange(23, graph.edges)
+    told = left_out_squares(solved.graph, solved.solution, rows)
+    for row, square in zip(rows.tolist(), told.tolist(), strict=True):
+        rest = np.arange(graph.edges) != row
+        names = ("first", "second", "measured", "information")
+        less = solve_graph(PoseGraph(graph.pose, *(getattr(graph, name)[rest] for name in names)), PLAIN)
+        i, j = graph.first[[row]], graph.second[[row]]
+        seen = se2.between(less.graph.pose[i], less.graph.pose[j])
+        r = se2.between(graph.measured[[row]], seen)[0]
+        P = less.relative_covariances(i, j)[0]
+        turn = se2.turn(-graph.measured[row, 2])
+        S = turn @ P @ turn.T + np.linalg.inv(graph.information[row])
+        assert square == pytest.approx(r @ np.linalg.solve(S, r), rel=0.15, abs=0.05)
+
+
+def test_a_false_closure_that_bends_the_graph_to_itself_is_found():
+    truth, graph = laps(np.random.default_rng(8), n=40, closures=6)
+    z = se2.compose(se2.between(truth[19], truth[39]), np.array([0.9, 0.0, 0.0]))
+    bad = graph.joined(PoseGraph.of(graph.pose, [(19, 39)], [z], [np.diag([1e4, 1e4, 1e4])]))
+    solved = solve_graph(bad)
+    assert solve_graph(bad, PLAIN).nis[-1] < 16.27
+    assert not solved.used[-1]
+    assert solved.used[:-1].all()
+
+
+@pytest.mark.data
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [20, 21])
+def test_six_false_closures_on_ten_true_ones_leave_the_intel_graph_as_it_is(data, seed):
+    graph = read_g2o(data / "g2o" / "intel.g2o.gz")
+    rng, n = np.random.default_rng(seed), len(graph)
+    first = rng.integers(0, n, 471)
+    second = (first + rng.integers(2, n - 2, 471)) % n
+    z = np.column_stack([rng.uniform(-5, 5, (471, 2)), rng.uniform(-3, 3, 471)])
+    information = np.repeat(np.median(graph.information, axis=0)[None], 471, 0)
+    solved = solve_graph(graph.joined(PoseGraph(graph.pose, first, second, z, information)))
+    cost = squares(replace(graph, pose=solved.graph.pose)).sum()
+    assert cost <= 1.1 * solve_graph(graph, PLAIN).chi2
+    assert solved.used[: graph.edges].all()
+
+
 def test_a_graph_without_contradictions_stays_whole():
     _, graph = laps(np.random.default_rng(5))
     solved = solve_graph(graph)
@@ -223,7 +268,7 @@ def test_real_graphs_survive_false_closures(data):
     clean = solve_graph(graph, PLAIN)
     rng = np.random.default_rng(7)
     closures = int((np.abs(graph.second - graph.first) != 1).sum())
-    for share in (0.1, 0.3):
+    for share in (0.1, 0.3, 0.6):
         count = round(share * closures)
         a = rng.integers(0, len(graph), count)
         b = (a + rng.integers(2, len(graph) - 2, count)) % len(graph)

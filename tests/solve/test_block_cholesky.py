@@ -39,6 +39,13 @@ def test_solutions_pivots_and_blocks_are_those_of_the_dense_matrix(n, ties):
     P, index = np.linalg.inv(A), np.arange(3 * n).reshape(n, 3)[:, [2, 0]]
     asked = np.stack([P[np.ix_(k, k)] for k in index])
     np.testing.assert_allclose(factor.blocks(index), asked, rtol=1e-9, atol=1e-11)
+    row, column = np.nonzero(np.abs(A).reshape(n, 3, n, 3).sum(axis=(1, 3)) > 0)
+    row, column = row[row != column], column[row != column]
+    if len(row):
+        diagonal, tied = factor.pairs(row, column)
+        blocks = P.reshape(n, 3, n, 3).swapaxes(1, 2)
+        np.testing.assert_allclose(tied, blocks[row, column], rtol=1e-8, atol=1e-10)
+        np.testing.assert_allclose(diagonal, blocks[np.arange(n), np.arange(n)], rtol=1e-8, atol=1e-10)
 
 
 def test_nothing_is_solved_in_no_time():

@@ -21,6 +21,7 @@ from ..report.result import ResultBase
 from ..report.solve import draw_graph, write_solve_report
 from ..report.style import Target
 
+CHANCE = 1e-6  # that a sound graph is called doubtful, in each way it is looked at
 TOLD = 5  # dropped edges named one by one on the terminal
 
 
@@ -28,7 +29,8 @@ TOLD = 5  # dropped edges named one by one on the terminal
 class SolveResult(ResultBase):
     """What `solve` gives: the file's graph with the poses solved, and which edges were not believed.
 
-    covariance: (n, 3, 3) of every pose, zero where it is held; None when the solve did not converge.
+    covariance: (n, 3, 3) of every pose, zero where it is held; None when the solve did not converge. doubts: those of
+    `warnings` for which the result is not to be trusted; none when it is.
     """
 
     source: Path
@@ -36,6 +38,7 @@ class SolveResult(ResultBase):
     solved: SolvedGraph
     covariance: Float[np.ndarray, "n 3 3"] | None
     robust: bool
+    doubts: tuple[str, ...]
     warnings: tuple[str, ...]
     timing: dict[str, float] = field(compare=False)
 
@@ -65,6 +68,8 @@ class SolveResult(ResultBase):
             ],
             "components": [[ids[k] for k in np.flatnonzero(s.component == c).tolist()] for c in range(parts)],
             "component_sizes": np.bincount(s.component).tolist(),
+            "trusted": not self.doubts,
+            "doubts": list(self.doubts),
             "warnings": list(self.warnings),
             "timing": self.timing,
         }
@@ -78,7 +83,8 @@ class SolveResult(ResultBase):
             lines.append(f"{len(s.dropped)} of {s.graph.edges} edges contradict the others and were dropped")
         ids = self.file.ids
         lines += [f"dropped edge {d.edge} ({ids[d.first]} to {ids[d.second]}): {d.reason}" for d in s.dropped[:TOLD]]
-        return [*lines, *self.warnings]
+        lines += [told for told in self.warnings if told not in self.doubts]
+        return [*lines, *(f"not to be trusted: {why}" for why in self.doubts)]
 
     def draw(self, target: Target) -> None:
         """The solved poses and the edges between them."""
@@ -123,7 +129,9 @@ def solve_pose_graph(
     done = perf_counter()
     covariance = solved.covariances() if solved.solution.information is not None else None
     timing = {"read": read - started, "solve": done - read, "covariance": perf_counter() - done}
-    result = SolveResult(Path(file), held, solved, covariance, robust, _warnings(held, solved), timing)
+    doubts = _doubts(held, solved, robust=robust)
+    warnings = (*_warnings(held, solved), *doubts)
+    result = SolveResult(Path(file), held, solved, covariance, robust, doubts, warnings, timing)
     if out is not None:
         with result_directory(Path(out), force=force) as work:
             result.write_into(work)
@@ -144,13 +152,30 @@ def _warnings(held: G2oFile, solved: SolvedGraph) -> tuple[str, ...]:
         told.append(
             f"the graph falls into {len(sizes)} parts that no edge ties, each solved in its own frame: {parts}{more}"
         )
-    limit = chi2_quantile(1.0 - 1e-6, 3.0)
+    return tuple(told)
+
+
+def _doubts(held: G2oFile, solved: SolvedGraph, *, robust: bool) -> tuple[str, ...]:
+    """Why the solution is not to be trusted."""
+    told: list[str] = []
+    if not solved.converged:
+        told.append(f"the solve did not converge ({solved.status})")
+    limit = chi2_quantile(1.0 - CHANCE, 3.0)
     for prior, nis in zip(held.priors, solved.prior_nis.tolist(), strict=True):
         if nis > limit:
-            told.append(
-                f"the prior of vertex {held.ids[prior.vertex]} contradicts the rest of the graph: it lies "
-                f"{np.sqrt(nis):.1f} standard deviations from the solution"
-            )
-    if not solved.converged:
-        told.append(f"the solve did not converge ({solved.status}): its poses are not to be trusted")
+            where = f"the prior of vertex {held.ids[prior.vertex]} contradicts the rest of the graph"
+            told.append(f"{where}: it lies {np.sqrt(nis):.1f} standard deviations from the solution without it")
+    for vertex, nis in zip(solved.fixed, solved.fixed_nis.tolist(), strict=True):
+        if nis > limit:
+            where = f"vertex {held.ids[vertex]} is held where the rest of the graph does not put it"
+            told.append(f"{where}: it lies {np.sqrt(nis):.1f} standard deviations from there")
+    ties = int((np.abs(solved.graph.second - solved.graph.first) != 1).sum())
+    if 2 * len(solved.dropped) > ties:
+        told.append(f"{len(solved.dropped)} of {ties} edges beside the steps were dropped, more than were believed")
+    if solved.dof > 0 and solved.chi2 > chi2_quantile(1.0 - CHANCE, float(solved.dof)):
+        mend = "" if robust else "; --robust drops those that contradict"
+        told.append(
+            f"edges contradict each other or are less sure than they say: chi-square {solved.chi2:.6g} with "
+            f"{solved.dof} degrees of freedom{mend}"
+        )
     return tuple(told)

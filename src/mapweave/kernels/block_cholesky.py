@@ -228,8 +228,10 @@ def lower_inverse(D: np.ndarray, j: int, out: np.ndarray) -> None:
 
 
 @kernel
-def block_inverse(L_diagonal: np.ndarray, L: np.ndarray, begin: np.ndarray, L_rows: np.ndarray) -> np.ndarray:
-    """(n, 3, 3): the diagonal blocks of `A^-1`, from the last column to the first: only entries where L has some."""
+def block_inverse(
+    L_diagonal: np.ndarray, L: np.ndarray, begin: np.ndarray, L_rows: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 3, 3) diagonal blocks of `A^-1` and (m, 3, 3) those where L has one: from the last column to the first."""
     n, m = L_diagonal.shape[0], L.shape[0]
     out, Z = np.zeros((n, 3, 3)), np.zeros((m, 3, 3))
     W, inv = np.zeros((m, 3, 3)), np.zeros((1, 3, 3))  # W: L times the inverse of its diagonal block, negative
@@ -253,4 +255,4 @@ def block_inverse(L_diagonal: np.ndarray, L: np.ndarray, begin: np.ndarray, L_ro
         for p in range(b, e):
             take_transposed(out, j, W, p, Z, p)
         put_block(out, j, out, j, -1.0)
-    return out
+    return out, Z

@@ -123,11 +123,33 @@ class BlockCholesky:
 
     def blocks(self, index: Int[np.ndarray, "b k"]) -> Float[np.ndarray, "b k k"]:
         """Blocks of the inverse over each row of `index`, whose variables must be `together`."""
-        Z = np.empty_like(self.L_diagonal)
-        Z[self.order.order] = block_inverse(self.L_diagonal, self.L, self.order.begin, self.L_rows)
-        Z = 0.5 * (Z + Z.swapaxes(1, 2))
+        Z, _ = self._inverse()
         local = index % BLOCK
         return np.asarray(Z[(index[:, 0] // BLOCK)[:, None, None], local[:, :, None], local[:, None, :]])
+
+    def pairs(
+        self, first: Int[np.ndarray, " p"], second: Int[np.ndarray, " p"]
+    ) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "p 3 3"]]:
+        """Of the inverse the diagonal block of every block of variables, and that of `first` (rows) and `second`.
+
+        Each pair is of different blocks that the matrix ties.
+        """
+        diagonal, below = self._inverse()
+        rank = np.empty(len(self.order.order), dtype=np.int64)
+        rank[self.order.order] = np.arange(len(rank))
+        a, b = rank[first], rank[second]
+        column, row = np.minimum(a, b), np.maximum(a, b)
+        n = len(rank)
+        kept = np.repeat(np.arange(n), np.diff(self.order.begin)) * n + self.L_rows
+        out = below[np.searchsorted(kept, column * n + row)]
+        return diagonal, np.where((a > b)[:, None, None], out, out.swapaxes(1, 2))
+
+    def _inverse(self) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "m 3 3"]]:
+        """Diagonal blocks of the inverse, by block of variables, and those where L has one."""
+        diagonal, below = block_inverse(self.L_diagonal, self.L, self.order.begin, self.L_rows)
+        Z = np.empty_like(diagonal)
+        Z[self.order.order] = 0.5 * (diagonal + diagonal.swapaxes(1, 2))
+        return Z, below
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """`matrix^-1 b` for b (n,) or (n, c)."""
