@@ -13,7 +13,7 @@ from mapweave.api.simulate_laser import simulate_laser
 from mapweave.core.errors import UsageError
 from mapweave.laser.config import LaserConfig
 from mapweave.live.laser_robot import LaserRobot
-from mapweave.live.laser_stream import LaserRecord, beams_of, messages_of_laser, scan_of, squeeze, stretch
+from mapweave.live.laser_stream import LaserRecord, beams_of, messages_of_laser, scan_of, squeeze, stretch, whole_log
 from mapweave.live.messages import LARGEST, RefusedError, Rows, Scans, decode, encode
 from mapweave.live.sources import open_source
 from mapweave.sim.corridor import CorridorConfig
@@ -40,9 +40,7 @@ def test_a_laser_log_is_the_same_to_the_bit_once_told(period):
         first, *rest = [decode(encode(m)) for m in told(log, period)]
         assert max(len(encode(m)) for m in rest) < LARGEST
         record = LaserRecord(first)
-        for message in rest:
-            record.add(message)
-        got = record.log
+        got = whole_log(first, [part for message in rest if (part := record.add(message)) is not None])
         assert record.closed
         assert (got.robot, got.source, got.log_hash, got.odometry_from) == (
             log.robot, log.source, log.log_hash, log.odometry_from,

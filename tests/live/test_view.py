@@ -7,11 +7,16 @@ import subprocess
 import time
 import urllib.error
 import urllib.request
+import zlib
 
+import matplotlib.pyplot as plt
+import msgspec
+import numpy as np
 import pytest
 
 from mapweave.core.errors import UsageError
-from mapweave.live.messages import LandmarkState, MapState, RobotState
+from mapweave.live.messages import LandmarkState, MapState, RobotState, Tile
+from mapweave.live.tile_bytes import SIDE, pack
 from mapweave.live.view import Board, served
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -67,6 +72,54 @@ def test_events_bring_every_state_and_late_browsers_get_the_trails():
         page.readline()
         board.take(state(1, "other"))
         assert b'"map":"other"' in page.readline()
+
+
+def square(value, i=0):
+    cells = np.full((SIDE, SIDE), value, np.uint8)
+    return Tile(map="map", component=1, level=0, i=i, j=0, cell=0.05, cells=pack(cells))
+
+
+def test_a_square_of_the_map_is_named_in_an_event_and_fetched_on_its_own():
+    board = Board()
+    board.take(state(1))
+    board.take_tile(square(255))
+    board.take_tile(square(1, i=-1))
+    with served(board, "127.0.0.1", 0) as address, urllib.request.urlopen(f"{address}events", timeout=10) as page:  # noqa: S310
+        assert b'"tiles":{"map/1/0/0/0":[2,0.05],"map/1/0/-1/0":[3,0.05]}' in page.readline()
+        page.readline()
+        board.take_tile(msgspec.structs.replace(square(1), cells=b""))
+        assert b'"tiles":{"map/1/0/0/0":null}' in page.readline()
+        with urllib.request.urlopen(f"{address}tile/map/1/0/-1/0", timeout=10) as answer:  # noqa: S310
+            assert answer.headers["Content-Encoding"] == "deflate"
+            assert zlib.decompress(answer.read()) == bytes([1]) * SIDE * SIDE
+        for gone in ("map/1/0/0/0", "map/9/0/0/0", "../view.py"):
+            with pytest.raises(urllib.error.HTTPError):
+                urllib.request.urlopen(f"{address}tile/{gone}", timeout=10)  # noqa: S310
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium here: the page is not opened in a browser")
+def test_walls_are_drawn_dark_and_free_floor_bright(tmp_path):
+    board = Board()
+    board.take(state(1))
+    board.take_tile(square(255))
+    board.take_tile(square(1, i=-1))
+    command = [
+        BROWSER, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}", "--window-size=1000,500",
+        "--virtual-time-budget=3000", f"--screenshot={tmp_path / 'page.png'}",
+    ]  # fmt: skip
+    with served(board, "127.0.0.1", 0) as address:
+        browser = subprocess.Popen([*command, address], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # noqa: S603
+        end = time.monotonic() + 60
+        while not board.fetched >= 2 and time.monotonic() < end:
+            time.sleep(0.1)
+        time.sleep(0.5)
+    browser.wait(60)
+    picture = (
+        np.rint(255 * plt.imread(tmp_path / "page.png")[:, :520, :3]).astype(int).reshape(-1, 3)
+    )  # the panel left out
+    wall, free = (int((picture == colour).all(axis=1).sum()) for colour in ((0x24, 0x29, 0x2F), (255, 255, 255)))
+    assert wall > 10_000
+    assert abs(wall - free) < 0.2 * wall
 
 
 def test_anything_but_the_page_is_not_found_and_the_page_may_ask_nobody_else():

@@ -4,7 +4,7 @@ import math
 import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
 
@@ -12,10 +12,11 @@ from ..core.config import load
 from ..core.errors import ConfigError, DataError, UsageError
 from ..core.landmark_log import LandmarkLog
 from ..core.laser_log import LaserLog
-from ..core.names import in_order
+from ..core.names import in_order, robot_key
 from ..core.workers import one_blas_thread
 from ..fusion.config import FuseConfig
 from ..io.directory import check_target
+from ..laser.config import LaserConfig
 from ..live.inbox import Inbox
 from ..live.landmark_robot import LandmarkRobot
 from ..live.laser_robot import LaserRobot
@@ -33,6 +34,7 @@ from .map_laser import LaserMapConfig
 from .map_laser import map_logs as map_lasers
 from .map_options import MapOptions
 from .team import TeamResult
+from .weave_laser import starts_among
 
 ROS2 = "ros2"
 
@@ -177,6 +179,7 @@ def live_map(
     out: Path | str,
     *,
     robots: Sequence[str] | None = None,
+    start: Mapping[str, Sequence[float]] | None = None,
     name: str = "map",
     store: Path | str | None = None,
     fresh: bool = False,
@@ -202,6 +205,8 @@ def live_map(
         The folder of the result; an earlier one there is replaced whole.
     robots
         The names that are heard, all others are refused (all, until `stop`).
+    start
+        Where robots start in the map if that is known: name -> x, y, theta[, sigma], as for `map`.
     name
         What this map process is called, where a team has several (map).
     store
@@ -233,11 +238,14 @@ def live_map(
     check_name(name)
     for robot in robots or ():
         check_name(robot, "--robots")
+    if robots is not None and (missing := [robot for robot in start or () if robot not in robots]):
+        raise UsageError(f"--start: {missing[0]} is not one of --robots {','.join(robots)}")
     if not (0 < every < math.inf):
         raise UsageError(f"--every: expected seconds above 0, found {every}")
     check_target(out, force=force)
     options = MapOptions(config=None if config is None else Path(config), seed=seed)
-    fusing = _fuse_config(options.config)
+    known = start or {}
+    fusing, weaving = _fuse_config(options.config), _laser_config(options.config)
     path = out.with_name(f"{out.name}.sqlite") if store is None else Path(store)
     with Store(path, f"a map of team {network.team}") as kept:
         if fresh:
@@ -246,13 +254,15 @@ def live_map(
         with session(network) as opened:
             process = MapProcess(name, opened, Topics(network.team), kept, inbox, say, wall, at_the_door)
             process.shared.cfg = fusing
+            process.laser = weaving
+            process.starts = lambda names: starts_among(names, {k: v for k, v in known.items() if k in names})
             process.join()
             say(f"{name}: team {network.team}, heard so far kept in {path}")
             process.run(stop or Event(), every, lambda inbox: _all_told(inbox, robots))
             process.tell_state()
         for line in process.summary():
             say(line)
-        result = _final(inbox, options)
+        result = _final(inbox, _with_starts(options, known, inbox, say))
     result.write(out, force=force)
     return result
 
@@ -266,6 +276,29 @@ def _fuse_config(settings: Path | None) -> FuseConfig:
         return FuseConfig()
 
 
+def _with_starts(options: MapOptions, known: Mapping[str, Sequence[float]], inbox: Inbox, say: Say) -> MapOptions:
+    """The options with where robots start, by the names of their logs; one that was never heard of is told."""
+    called = {name: x.record.header.log_robot for name, x in inbox.ledgers.items() if x.record is not None}
+    for name in known:
+        if name not in called:
+            say(f"--start: {name} was never heard of; there are {', '.join(called) or 'none'}")
+    poses = {robot_key(called[name]): tuple(numbers) for name, numbers in known.items() if name in called}
+    return replace(
+        options,
+        start={key: (x, y, theta) for key, (x, y, theta, *_) in poses.items()},
+        start_sd={key: numbers[3] for key, numbers in poses.items() if len(numbers) > 3},
+    )
+
+
+def _laser_config(settings: Path | None) -> LaserConfig:
+    """How laser robots are followed and woven; the settings may also be those of landmark robots."""
+    beneath = {"laser": {"method": "graph"}}
+    try:
+        return load(LaserMapConfig, settings, beneath=beneath).laser
+    except ConfigError:
+        return load(LaserMapConfig, None, beneath=beneath).laser
+
+
 def _all_told(inbox: Inbox, robots: Sequence[str] | None) -> bool:
     ledgers = inbox.ledgers
     return robots is not None and all(name in ledgers and ledgers[name].complete for name in robots)
@@ -273,7 +306,8 @@ def _all_told(inbox: Inbox, robots: Sequence[str] | None) -> bool:
 
 def _final(inbox: Inbox, options: MapOptions) -> TeamResult | LaserResult:
     """The map of all that was heard up to each robot's first gap."""
-    logs = sorted((record.log for record in inbox.records.values()), key=lambda log: in_order(log.robot))
+    told = [log for log in map(inbox.log, inbox.ledgers) if log is not None]
+    logs = sorted(told, key=lambda log: in_order(log.robot))
     lasers = [log for log in logs if isinstance(log, LaserLog) and len(log.scans)]
     if lasers:
         return map_lasers(lasers, options)

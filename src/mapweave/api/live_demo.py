@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Event
+from typing import Literal
 
 from ..core.errors import EstimateError, UsageError
 from ..core.names import in_order
@@ -17,6 +18,7 @@ from .simulate_landmarks import simulate_landmarks
 
 Say = Callable[[str], None]
 MINUTES = 4.0
+OFFICE_SECONDS = 190.0  # that a round through the office takes
 PATIENCE = 15.0  # [s] for processes that were asked to end
 
 
@@ -24,6 +26,7 @@ def live_demo(
     out: Path | str = "live-demo",
     *,
     robots: int = 3,
+    world: Literal["landmarks", "office"] = "landmarks",
     seconds: float = 45.0,
     port: int = 8642,
     seed: int = 0,
@@ -39,6 +42,8 @@ def live_demo(
         The folder of the result.
     robots
         How many drive (3).
+    world
+        Among landmarks with cameras, or through an office with lasers.
     seconds
         How long they drive, by the clock (45).
     port
@@ -61,20 +66,23 @@ def live_demo(
     stop = stop or Event()
     with tempfile.TemporaryDirectory(prefix="mapweave-live-") as home, ExitStack() as ending:
         folder = Path(home)
-        simulate_landmarks(folder / "team", robots=robots, minutes=MINUTES, seed=seed)
+        source, rate = "sim:office", OFFICE_SECONDS / seconds
+        if world == "landmarks":
+            simulate_landmarks(folder / "team", robots=robots, minutes=MINUTES, seed=seed)
+            source, rate = str(folder / "team"), 60 * MINUTES / seconds
         at = _free()
         names = [f"r{k}" for k in range(1, robots + 1)]
         where = ["--connect", at, "--team", "demo"]
+        docked = [f"--start={name}=0,0,0" for name in names] if world == "office" else []
         mapping = _start(
-            "map", "--out", str(out.absolute()), "--robots", ",".join(names), "--listen", at, "--team", "demo",
+            "map", *docked, "--out", str(out.absolute()), "--robots", ",".join(names), "--listen", at, "--team", "demo",
             "--store", str(folder / "map.sqlite"), *(["--force"] if force else []),
         )  # fmt: skip
         ending.callback(_end, mapping)
         others = {"view": _start("view", "--port", str(port), *where)}
         for name in names:
-            rate = 60 * MINUTES / seconds
-            words = ["--name", name, "--source", str(folder / "team"), "--history", str(folder / f"{name}.sqlite")]
-            others[name] = _start("robot", *words, "--rate", f"{rate:g}", *where)
+            words = ["--name", name, "--source", source, "--history", str(folder / f"{name}.sqlite")]
+            others[name] = _start("robot", *words, "--rate", f"{rate:g}", "--seed", str(seed), *where)
         for process in others.values():
             ending.callback(_end, process)
         say(f"watch it at http://127.0.0.1:{port}/ ({seconds:g} s)")

@@ -59,7 +59,7 @@ def woven_result(
             "expected every log once"
         )
     made = [_storable(m, alone=len(maps) == 1) for m in maps]
-    told = _starts([m.robot for m in made], starts or {})
+    told = starts_among([m.robot for m in made], starts or {})
     began = perf_counter()
     if len(made) > 1:
         on_progress("weave", 0, 1)
@@ -108,8 +108,8 @@ def scored(result: LaserResult, truth: Sequence[Path]) -> LaserResult:
     return replace(result, metrics={**metrics, "evaluation": score.as_json()}, evaluation=score, truth=tracks)
 
 
-def _starts(robots: Sequence[str], given: Mapping[str, Sequence[float]]) -> dict[int, Start]:
-    """Where robots start in the frame of the first, by place among them."""
+def starts_among(robots: Sequence[str], given: Mapping[str, Sequence[float]]) -> dict[int, Start]:
+    """Where robots start in the frame of the first, by place among them; raises UsageError for one that is not."""
     if missing := [robot for robot in given if robot not in robots]:
         there = ", ".join(robot_name(r) for r in robots)
         raise UsageError(f"--start: there is no {robot_name(missing[0])}; there are {there}")

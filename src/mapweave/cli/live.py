@@ -6,7 +6,7 @@ from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from threading import Event, current_thread, main_thread
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Parameter
 
@@ -119,6 +119,7 @@ def map_team(
     *,
     out: Path,
     robots: str | None = None,
+    start: Annotated[list[str] | None, Parameter(negative="")] = None,
     name: str = "map",
     store: Path | None = None,
     fresh: Annotated[bool, Parameter(negative="")] = False,
@@ -143,6 +144,9 @@ def map_team(
         The folder the map, the trajectories, metrics.json and report.html are written to.
     robots
         The names that are heard, as r1,r2; all others are refused.
+    start
+        Where a robot starts in the map if that is known, as r2=x,y,theta in metres and radians, of laser robots also
+        with a standard deviation in metres: r2=x,y,theta,sigma.
     name
         What this map process is called, where a team has several.
     store
@@ -172,6 +176,7 @@ def map_team(
     from dataclasses import replace
 
     from ..api.live import live_map
+    from ..api.map_options import parse_starts
     from .live_door import LOG_LEVELS, watched
 
     names = None if robots is None else _names(robots, "--robots")
@@ -184,6 +189,7 @@ def map_team(
         result = live_map(
             out,
             robots=names,
+            start=parse_starts(start),
             name=name,
             store=store,
             fresh=fresh,
@@ -246,6 +252,7 @@ def demo(
     *,
     out: Path = Path("live-demo"),
     robots: int = 3,
+    world: Literal["landmarks", "office"] = "landmarks",
     seconds: float = 45.0,
     port: int = 8642,
     seed: int = 0,
@@ -259,6 +266,8 @@ def demo(
         The folder of the result.
     robots
         How many drive.
+    world
+        landmarks: with cameras; office: with lasers.
     seconds
         How long they drive, by the clock.
     port
@@ -272,7 +281,9 @@ def demo(
     from ..api.live_demo import live_demo
 
     with _until_interrupted() as stop:
-        live_demo(out, robots=robots, seconds=seconds, port=port, seed=seed, force=force, stop=stop, say=say)
+        live_demo(
+            out, robots=robots, world=world, seconds=seconds, port=port, seed=seed, force=force, stop=stop, say=say
+        )
 
 
 @app.command

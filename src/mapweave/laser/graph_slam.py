@@ -120,10 +120,11 @@ def current(state: GraphState) -> PoseEstimate:
     return PoseEstimate(np.asarray(pose), cov + graph.jitter)
 
 
-def so_far(state: GraphState, cfg: LaserConfig) -> RobotGraph:
-    """The keyframes so far, solved, without the last pass; `state` is as before."""
+def so_far(state: GraphState, cfg: LaserConfig, *, covariances: bool = True) -> RobotGraph:
+    """The keyframes so far, solved, without the last pass; `state` is as before. Without `covariances` they are NaN."""
     _, grown = _whole(state, cfg, no_progress)
-    cov = cfg.graph.unsure * grown.graph.covariances()
+    n = len(grown.keyframes)
+    cov = cfg.graph.unsure * grown.graph.covariances() if covariances else np.full((n, 3, 3), np.nan)
     sensors = np.array(state.sensors).reshape(-1, 2)
     return _robot_graph(grown, grown.graph.pose, cov, sensors[grown.keyframes])
 

@@ -126,10 +126,15 @@ class LaserSession:
             return PoseEstimate(np.array(state.poses[-1]), np.full((3, 3), np.nan))
         return PoseEstimate(np.zeros(3), np.zeros((3, 3)))
 
-    def graph(self) -> RobotGraph | None:
-        """The keyframes so far, solved, with their returns; None before the first, and of other methods than graph."""
+    def graph(self, *, covariances: bool = True) -> RobotGraph | None:
+        """The keyframes so far, solved, with their returns; None before the first, and of other methods than graph.
+
+        Without `covariances`, which take most of the time, they are NaN.
+        """
         state = self._state()
-        return graph_slam.so_far(state, self.cfg) if isinstance(state, GraphState) and state.t else None
+        if not isinstance(state, GraphState) or not state.t:
+            return None
+        return graph_slam.so_far(state, self.cfg, covariances=covariances)
 
     def finalise(self, on_progress: Progress = no_progress) -> Finalised:
         """The best that all scans so far tell; there is one at least."""

@@ -46,6 +46,7 @@ def weave(
     *,
     merge: bool = True,
     last: JointConfig | None = None,
+    known: Mapping[tuple[int, int], Merge] | None = None,
 ) -> Woven:
     """One map of all robots that can be tied together, each in its place; the others on their own.
 
@@ -53,7 +54,8 @@ def weave(
     robot alone. Robots are tried against those before them; one that is tied in already is not tried again with a
     robot of its own component, and a tie that the joint graph drops is no tie.
 
-    last: how all keyframes of a component are matched in the end.
+    last: how all keyframes of a component are matched in the end. known: what was decided earlier on pairs of these
+    robots, when there was less of them: taken as it stands, its closures by their keyframes.
     """
     maps = [keyframe_map(r) for r in robots]
     offset = np.concatenate([[0], np.cumsum([len(r) for r in robots])])
@@ -67,7 +69,7 @@ def weave(
             if group[i] == group[j]:
                 continue
             given = _between_robots(starts or {}, i, j)
-            found = merge_maps(maps[i], maps[j], cfg, given)
+            found = (known or {}).get((i, j)) or merge_maps(maps[i], maps[j], cfg, given)
             merges.append(found)
             if found.transform is None:
                 continue

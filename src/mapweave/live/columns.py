@@ -8,6 +8,8 @@ from jaxtyping import Float
 from ..core.records import frozen
 from .messages import RefusedError
 
+TRIANGLE = np.triu_indices(3)
+
 
 def pack(*columns: Sequence[float] | np.ndarray) -> bytes:
     """Equal-length columns (n,), or the rows of one array."""
@@ -40,3 +42,19 @@ def unpack_triangle(data: bytes, size: int) -> Float[np.ndarray, "m m"]:
     if (np.diag(P) < 0).any():
         raise RefusedError("malformed", "a variance below 0")
     return P
+
+
+def listed(pose: Float[np.ndarray, "3"]) -> tuple[float, ...]:
+    return tuple(float(x) for x in pose)
+
+
+def triangle(P: Float[np.ndarray, "3 3"]) -> tuple[float, ...]:
+    """xx, xy, xt, yy, yt, tt."""
+    return tuple(float(x) for x in P[TRIANGLE])
+
+
+def square(numbers: Sequence[float]) -> Float[np.ndarray, "3 3"]:
+    """The symmetric matrix of which `triangle` gives the numbers; zero of none."""
+    P = np.zeros((3, 3))
+    P[TRIANGLE] = numbers or 0.0
+    return P + np.triu(P, 1).T

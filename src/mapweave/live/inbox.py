@@ -4,11 +4,13 @@ No network and no clock here: `now` [s] is an argument, from any steady clock.
 """
 
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
+from ..core.landmark_log import LandmarkLog
+from ..core.laser_log import LaserLog
 from .landmark_stream import LandmarkRecord
-from .laser_stream import LaserRecord
+from .laser_stream import LaserRecord, whole_log
 from .messages import (
     Closed,
     Header,
@@ -244,7 +246,20 @@ class Inbox:
         if robot in self.ledgers:
             self.ledgers[robot].asked = None
 
-    @property
-    def records(self) -> Mapping[str, Record]:
-        """The records of all robots heard of, by name."""
-        return {name: ledger.record for name, ledger in self.ledgers.items() if ledger.record is not None}
+    def log(self, robot: str) -> LandmarkLog | LaserLog | None:
+        """What `robot` told up to its first gap; None of one that told no header yet."""
+        ledger = self.ledgers[robot]
+        record = ledger.record
+        if not isinstance(record, LaserRecord):
+            return None if record is None else record.log
+        again = LaserRecord(record.header)
+        parts = (again.add(message) for message in self._told(ledger) if isinstance(message, Scans))
+        return whole_log(record.header, (part for part in parts if part is not None))
+
+    def _told(self, ledger: Ledger) -> Iterator[Message]:
+        """The messages before `next`, from the store and from what it does not hold yet."""
+        unsaved = {seq: payload for robot, seq, payload in self._unsaved if robot == ledger.robot}
+        for first in range(0, ledger.next, ANSWER):
+            last = min(first + ANSWER, ledger.next) - 1
+            kept = dict(self._store.get(ledger.robot, first, last))
+            yield from (decode(kept.get(seq) or unsaved[seq]) for seq in range(first, last + 1))

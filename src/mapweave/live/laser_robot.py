@@ -1,7 +1,6 @@
 """A laser robot that is driving: the estimator of `map --method graph`, one message at a time."""
 
 import numpy as np
-from jaxtyping import Float
 
 from ..laser.config import LaserConfig
 from ..laser.laser_map import GridMap
@@ -14,11 +13,15 @@ TRIANGLE = np.triu_indices(3)
 
 
 class LaserRobot:
-    """The estimate of one robot after the messages so far, by geometry: light is calibrated when the log is whole."""
+    """The estimate of one robot after the messages so far, by geometry: light is calibrated when the log is whole.
+
+    t: [s] of it; odometry: `T_odom_robot` (3,) at the latest scan; None before it, or without any.
+    """
 
     def __init__(self, header: Header, cfg: LaserConfig, seed: int = 0) -> None:
         self.record = LaserRecord(header)
         self.t: float | None = None
+        self.odometry: np.ndarray | None = None
         self.last = 0
         self._cfg = cfg
         self._session = LaserSession(header.log_robot, cfg, seed)
@@ -31,6 +34,8 @@ class LaserRobot:
         part = self.record.add(message)
         if part is None:
             return
+        if part.scans:
+            self.odometry = part.scans[-1].odometry
         for event in part.events():
             self._session.push(event)
             self.t = event.t if self.t is None else max(self.t, event.t)
@@ -41,14 +46,9 @@ class LaserRobot:
         cov = np.nan_to_num(now.cov)
         return tuple(now.pose.tolist()), tuple(cov[TRIANGLE].tolist()), 0
 
-    @property
-    def odometry(self) -> Float[np.ndarray, "3"] | None:
-        """`T_odom_robot` at the latest scan; None before the first, and without odometry."""
-        return self.record.scans[-1].odometry if self.record.scans else None
-
     def map(self) -> GridMap | None:
         """The grid so far, of the keyframes' scans, in the frame that poses are told in; None before the first scan."""
-        graph = self._session.graph()
+        graph = self._session.graph(covariances=False)
         frame = f"local_{self.record.header.log_robot}"
         return None if graph is None else render_keyframes(graph, self._cfg.resolution, frame)
 

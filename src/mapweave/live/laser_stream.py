@@ -1,8 +1,8 @@
 """A laser log as numbered messages, and numbered messages as a laser log: the same scans, to the bit."""
 
 import zlib
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -133,13 +133,17 @@ def stretch(data: bytes, n: int) -> Float[np.ndarray, " n"]:
 
 @dataclass(slots=True)
 class LaserRecord:
-    """What a laser robot has told so far, put together in the order of its numbers."""
+    """How far a laser robot's messages came, in the order of its numbers; their scans are not kept here.
+
+    scans: how many came; t, driven: [s] stamps of the last scan and the last row of odometry.
+    """
 
     header: Header
-    stamps: list[float] = field(default_factory=list)
-    scans: list[Scan] = field(default_factory=list)
-    tracks: list[Float[np.ndarray, "4 _"]] = field(default_factory=list)
+    scans: int = 0
+    t: float = -np.inf
+    driven: float = -np.inf
     closed: bool = False
+    _light: bool | None = None
 
     def add(self, message: Numbered) -> LaserLog | None:
         """Its scans and odometry as a log of their own; raises RefusedError when they can't be this robot's."""
@@ -154,47 +158,52 @@ class LaserRecord:
         scans = [scan_of(beams) for beams in message.scans]
         stamps = [beams.t for beams in message.scans]
         self._expect(stamps, scans, track)
-        self.stamps += stamps
-        self.scans += scans
+        if stamps:
+            self.t = stamps[-1]
+            self._light = scans[0].intensities is not None
         if track.shape[1]:
-            self.tracks.append(track)
-        return self._log(stamps, scans, [track])
+            self.driven = float(track[0, -1])
+        self.scans += len(scans)
+        return _log(self.header, stamps, scans, track)
 
     def _expect(self, stamps: list[float], scans: list[Scan], track: Float[np.ndarray, "4 n"]) -> None:
-        before = [*self.stamps[-1:], *stamps]
-        if any(later < earlier for earlier, later in pairwise(before)):
+        if any(later < earlier for earlier, later in pairwise([self.t, *stamps])):
             raise RefusedError("malformed", "scans that step back in time")
-        rows = np.concatenate([*(t[0, -1:] for t in self.tracks[-1:]), track[0]])
-        if not (np.diff(rows) > 0).all():
+        if not (np.diff(np.concatenate([[self.driven], track[0]])) > 0).all():
             raise RefusedError("malformed", "odometry that steps back in time")
         if track.shape[1] and not self.header.odometry:
             raise RefusedError("sensor", "odometry from a robot that announced none")
-        first = [*self.scans[:1], *scans][:1]
+        light = self._light
         for scan in scans:
-            if (scan.intensities is None) != (first[0].intensities is None):
+            light = scan.intensities is not None if light is None else light
+            if (scan.intensities is not None) != light:
                 raise RefusedError("sensor", "light in some scans and not in others")
             if (scan.odometry is None) == self.header.odometry:
                 raise RefusedError("sensor", "scans whose odometry is not what was announced")
 
-    @property
-    def log(self) -> LaserLog:
-        """Everything so far."""
-        return self._log(self.stamps, self.scans, self.tracks)
 
-    def _log(self, stamps: list[float], scans: list[Scan], tracks: list[Float[np.ndarray, "4 _"]]) -> LaserLog:
-        h = self.header
-        rows = np.concatenate([np.zeros((4, 0)), *tracks], axis=1)
-        return LaserLog(
-            h.log_robot,
-            h.source,
-            np.array(stamps),
-            tuple(scans),
-            Track(rows[0], rows[1:].T, frame="odom") if h.odometry else None,
-            h.odometry_from,
-            dict(h.dropped),
-            tuple(h.warnings),
-            h.log_hash,
-        )
+def whole_log(header: Header, parts: Iterable[LaserLog]) -> LaserLog:
+    """The log of a robot from what its messages said, in their order."""
+    stamps: list[float] = []
+    scans: list[Scan] = []
+    rows = [np.zeros((4, 0))]
+    for part in parts:
+        stamps += part.scan_t.tolist()
+        scans += part.scans
+        if part.odometry is not None:
+            rows.append(np.vstack([part.odometry.t, part.odometry.pose.T]))
+    return _log(header, stamps, scans, np.concatenate(rows, axis=1))
 
-    def __len__(self) -> int:
-        return len(self.scans)
+
+def _log(h: Header, stamps: list[float], scans: list[Scan], rows: Float[np.ndarray, "4 n"]) -> LaserLog:
+    return LaserLog(
+        h.log_robot,
+        h.source,
+        np.array(stamps),
+        tuple(scans),
+        Track(rows[0], rows[1:].T, frame="odom") if h.odometry else None,
+        h.odometry_from,
+        dict(h.dropped),
+        tuple(h.warnings),
+        h.log_hash,
+    )

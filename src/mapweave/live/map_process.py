@@ -10,10 +10,13 @@ import numpy as np
 import zenoh
 
 from ..core.errors import DataError, UsageError
+from ..laser.config import LaserConfig
 from .clocks import ClockOffset
+from .columns import listed, square, triangle
 from .inbox import Inbox, Ledger
+from .laser_team import LaserWeaver, Starts, WovenTeam, nobody
 from .messages import LARGEST, MapState, Numbers, RefusedError, RobotState, count, decode, encode
-from .shared_map import SharedMap, listed, square, triangle
+from .shared_map import SharedMap
 from .store import Store
 from .topics import Topics
 from .transport import SETTLE, ask, ask_parameters, put, there_is
@@ -63,7 +66,11 @@ class MapProcess:
         at_the_door: Mapping[str, int] | None = None,
     ) -> None:
         self._door = {} if at_the_door is None else at_the_door
-        self.name, self.inbox, self.shared = name, inbox, SharedMap()
+        self.name, self.inbox, self.shared = name, inbox, SharedMap(name=name)
+        self.laser = LaserConfig()
+        self.starts: Starts = nobody
+        self._weaver: LaserWeaver | None = None
+        self._woven: WovenTeam | None = None
         self.clocks: dict[str, ClockOffset] = {}
         self._session, self._topics, self._store, self._say, self._wall = session, topics, store, say, wall
         self._heard = _Heard()
@@ -83,17 +90,26 @@ class MapProcess:
             *(s.declare_subscriber(key, hear) for key in (t.log(), t.status(), t.snapshot())),
             s.declare_subscriber(t.map_state(), callback(self._hear_map), allowed_origin=remote),
             s.declare_queryable(t.history(), callback(self._answer), allowed_origin=remote),
+            s.declare_queryable(t.tiles(self.name), callback(self._answer_tiles)),
             s.liveliness().declare_subscriber(t.alive(), callback(self._robot_there), history=True),
             s.liveliness().declare_token(t.map_alive(self.name)),
         ]
 
     def run(self, stop: Event, every: float, until: Callable[[Inbox], bool]) -> None:
         """Until `stop`, or until `until` holds; the shared map is fused anew every `every` [s] where there is news."""
+        try:
+            self._hear_until(stop, every, until)
+        finally:
+            if self._weaver is not None:
+                self._weaver.stop()
+
+    def _hear_until(self, stop: Event, every: float, until: Callable[[Inbox], bool]) -> None:
         state = clock = fuse = float("-inf")
         while not stop.is_set():
             now = time.monotonic()
             self._work_in(now)
             self._ask(now)
+            self._weave(every)
             if now >= fuse and self._fuse():
                 took = time.monotonic() - now
                 fuse = now + max(every, FUSING_SHARE * took)
@@ -143,10 +159,36 @@ class MapProcess:
     def _fuse(self) -> bool:
         if not self.shared.update(self.inbox.ledgers.values()):
             return False
+        self._tell_corrections()
+        return True
+
+    def _tell_corrections(self) -> None:
         for robot, placed in self.shared.placed.items():
             correction = placed.correction(self.name, robot)
             put(self._session, self._topics.correction(robot, self.name), encode(correction))
-        return True
+
+    def _weave(self, every: float) -> None:
+        """Laser robots are followed in a thread of their own; what it has woven anew is told."""
+        heard = {
+            name: ledger.next
+            for name, ledger in self.inbox.ledgers.items()
+            if ledger.record is not None and ledger.record.header.sensor == "laser"
+        }
+        if not heard:
+            return
+        if self._weaver is None:
+            self.shared.resolution = self.laser.resolution
+            self._weaver = LaserWeaver(self._store, self.laser, every, self.starts)
+            self._weaver.start()
+        self._weaver.hear(heard)
+        if self._weaver.failed:
+            self.shared.decisions = [f"not woven: {self._weaver.failed}"]
+        if self._weaver.newest is None or self._weaver.newest is self._woven:
+            return
+        self._woven = self._weaver.newest
+        for tile in self.shared.take(self._woven):
+            put(self._session, self._topics.tile(self.name, tile), encode(tile))
+        self._tell_corrections()
 
     def _ask_clocks(self) -> None:
         for robot, ledger in self.inbox.ledgers.items():
@@ -239,6 +281,13 @@ class MapProcess:
             out.append(told + (f"; refused: {count(ledger.refused)}" if ledger.refused else ""))
         others = {**self.inbox.refused, **self._door}
         return out + ([f"refused from others: {count(others)}"] if others else [])
+
+    def _answer_tiles(self, query: zenoh.Query) -> None:
+        """The whole map as it is, for views that come late."""
+        with query:
+            for key in tuple(self.shared.tiles):
+                payload = encode(self.shared.tile(key))
+                query.reply(query.key_expr, payload, congestion_control=zenoh.CongestionControl.BLOCK)
 
     def _hear(self, sample: zenoh.Sample) -> None:
         self._heard.message(self._topics.robot_of(str(sample.key_expr)), sample.payload.to_bytes())

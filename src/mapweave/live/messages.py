@@ -12,10 +12,12 @@ from collections.abc import Mapping
 import msgspec
 
 from ..core.errors import DataError
+from .tile_bytes import SIDE, is_tile
 
 PROTOCOL = 1
 LARGEST = 1 << 20  # bytes of a message: beyond, it is refused unread
 LONGEST_NAME = 64
+MOST_LEVELS = 16  # of tiles
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 
 Numbers = tuple[float, ...]
@@ -191,8 +193,24 @@ class MapState(_Message, tag="map", frozen=True):
     refused: dict[str, int] = {}
 
 
+class Tile(_Message, tag="tile", frozen=True):
+    """A square of the occupancy map of a part. Tile (i, j) has its lower left corner at `(i, j) * 128 * cell` [m].
+
+    level: 0 the finest; cell: [m]; cells: a zlib stream of 128 rows of 128 bytes from below, 0 unseen, else 1 (free) to
+    255 (occupied); empty where there is no such square any more.
+    """
+
+    map: str
+    component: int
+    level: int
+    i: int
+    j: int
+    cell: float
+    cells: bytes
+
+
 Numbered = Header | Rows | Scans | Closed
-Message = Header | Rows | Scans | Closed | Status | Snapshot | Correction | MapState
+Message = Header | Rows | Scans | Closed | Status | Snapshot | Correction | MapState | Tile
 
 
 class RefusedError(DataError):
@@ -279,6 +297,12 @@ def _check(message: Message) -> None:
             _names(message.robot, message.map)
             _pose(message.pose, message.cov)
             _expect(math.isfinite(message.scale) and message.scale > 0, "a scale above 0")
+        case Tile():
+            _names(message.map)
+            _finite(message.cell)
+            _expect(message.cell > 0, "a cell's side above 0")
+            _expect(message.component > 0 and 0 <= message.level < MOST_LEVELS, "a part and a level")
+            _expect(not message.cells or is_tile(message.cells), f"a square of {SIDE} cells each way")
         case MapState():
             _names(message.map)
             _states(message)

@@ -4,9 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
 
-from ..core import se2
 from ..core.errors import MapweaveError
 from ..core.records import Track
 from ..fusion.config import FuseConfig
@@ -15,40 +13,19 @@ from ..fusion.result import Component
 from ..landmarks.landmark_map import LocalMap, Submap
 from .columns import unpack, unpack_triangle
 from .inbox import Ledger
-from .messages import Correction, LandmarkState, RefusedError, Snapshot
-
-TRIANGLE = np.triu_indices(3)
-ALONE = (np.zeros(3), np.zeros((3, 3)), 1.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Placed:
-    """Where a robot's own frame stands in the shared map: `T_map_local`, its covariance, the scale of its lengths."""
-
-    component: int
-    frame: Float[np.ndarray, "3"]
-    frame_cov: Float[np.ndarray, "3 3"]
-    scale: float
-
-    def carry(
-        self, pose: Float[np.ndarray, "3"], cov: Float[np.ndarray, "3 3"]
-    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
-        """`T_map_robot` of a `T_local_robot`, and its covariance."""
-        shrink = np.diag([1 / self.scale, 1 / self.scale, 1.0])
-        small = shrink @ pose
-        P = se2.composed_covariance(self.frame, self.frame_cov, small, shrink @ cov @ shrink)
-        return se2.compose(self.frame, small), 0.5 * (P + P.T)
-
-    def correction(self, name: str, robot: str) -> Correction:
-        """What map process `name` tells `robot`."""
-        return Correction(
-            map=name, robot=robot, pose=listed(self.frame), cov=triangle(self.frame_cov), scale=self.scale
-        )
+from .laser_team import WovenTeam
+from .messages import LandmarkState, RefusedError, Snapshot, Tile
+from .placed import ALONE, Placed
+from .tiles import COARSER, TileKey
 
 
 @dataclass(slots=True)
 class SharedMap:
-    """The fusion of the newest snapshots. used: robot -> message number of the snapshot that is in it."""
+    """The fusion of the newest snapshots, or laser robots as they were woven last.
+
+    used: robot -> message number of the snapshot that is in it; name: of the map process; tiles: the map that lasers
+    made, its finest cells `resolution` [m] wide.
+    """
 
     cfg: FuseConfig = field(default_factory=FuseConfig)
     placed: dict[str, Placed] = field(default_factory=dict)
@@ -57,10 +34,16 @@ class SharedMap:
     used: dict[str, int] = field(default_factory=dict)
     fused: int = 0
     fuser: OnlineFuser = field(default_factory=OnlineFuser)
+    name: str = "map"
+    resolution: float = 0.05
+    tiles: dict[TileKey, bytes] = field(default_factory=dict)
 
     def update(self, ledgers: Iterable[Ledger]) -> bool:
         """Whether there was anything fresher, which is fused now; what can't be fused is said in `decisions`."""
-        self._lasers(ledgers := list(ledgers))
+        ledgers = list(ledgers)
+        lasers = [x.robot for x in ledgers if x.record is not None and x.record.header.sensor == "laser"]
+        if lasers:
+            return self._lasers(lasers)
         told = [(ledger, ledger.snapshot) for ledger in ledgers if ledger.snapshot is not None and not ledger.fault]
         if all(self.used.get(ledger.robot) == s.last for ledger, s in told):
             return False
@@ -77,14 +60,29 @@ class SharedMap:
         self._fuse(maps, refused)
         return True
 
-    def _lasers(self, ledgers: Sequence[Ledger]) -> None:
-        """Laser robots stand each in a part of its own until their logs are woven at the end."""
-        lasers = [x.robot for x in ledgers if x.record is not None and x.record.header.sensor == "laser"]
-        if lasers:
-            self.placed = {name: Placed(k, *ALONE) for k, name in enumerate(lasers, 1)}
-            self.decisions = [
-                f"{name}: in its own frame; the maps are woven when the logs are whole" for name in lasers
-            ]
+    def take(self, team: WovenTeam) -> list[Tile]:
+        """Laser robots stand as `team` has them; the tiles that are not as they were told last."""
+        self.fused, self.placed, self.decisions = team.number, dict(team.placed), list(team.decisions)
+        changed = {key: cells for key, cells in team.tiles.items() if self.tiles.get(key) != cells}
+        gone = self.tiles.keys() - team.tiles.keys()
+        self.tiles = dict(team.tiles)
+        return [self.tile(key) for key in (*sorted(gone), *changed)]
+
+    def tile(self, key: TileKey) -> Tile:
+        """The tile as it is told; without cells where there is none any more."""
+        component, level, i, j = key
+        side = self.resolution * COARSER**level
+        return Tile(
+            map=self.name, component=component, level=level, i=i, j=j, cell=side, cells=self.tiles.get(key, b"")
+        )
+
+    def _lasers(self, robots: Sequence[str]) -> bool:
+        """A laser robot that is not woven yet stands in a part of its own; whether one is new."""
+        new = [name for name in robots if name not in self.placed]
+        for name in new:
+            self.placed[name] = Placed(max((p.component for p in self.placed.values()), default=0) + 1, *ALONE)
+            self.decisions = [*self.decisions, f"{name}: in its own frame until its scans are worked in"]
+        return bool(new)
 
     def _fuse(self, maps: dict[str, LocalMap], refused: list[str]) -> None:
         self.fused += 1
@@ -137,19 +135,3 @@ def local_map_of(ledger: Ledger, snapshot: Snapshot) -> LocalMap:
 
 def _place(k: int, component: Component, robot: str) -> Placed:
     return Placed(k, component.frames[robot], component.frame_cov[robot], component.scales.get(robot, 1.0))
-
-
-def listed(pose: Float[np.ndarray, "3"]) -> tuple[float, ...]:
-    return tuple(float(x) for x in pose)
-
-
-def triangle(P: Float[np.ndarray, "3 3"]) -> tuple[float, ...]:
-    """xx, xy, xt, yy, yt, tt."""
-    return tuple(float(x) for x in P[TRIANGLE])
-
-
-def square(numbers: Sequence[float]) -> Float[np.ndarray, "3 3"]:
-    """The symmetric matrix of which `triangle` gives the numbers; zero of none."""
-    P = np.zeros((3, 3))
-    P[TRIANGLE] = numbers or 0.0
-    return P + np.triu(P, 1).T

@@ -6,6 +6,8 @@ for robots takes in a chunk that begins with `@`.
 
 from dataclasses import dataclass
 
+from .messages import Tile
+
 EVERY = "*"
 
 
@@ -45,6 +47,15 @@ class Topics:
 
     def correction(self, robot: str, name: str = EVERY) -> str:
         return f"mapweave/{self.team}/@map/{name}/correction/{robot}"
+
+    def tile(self, name: str = EVERY, tile: Tile | None = None) -> str:
+        """One square of the map, published when it has changed."""
+        where = "**" if tile is None else f"{tile.component}/{tile.level}/{tile.i}/{tile.j}"
+        return f"mapweave/{self.team}/@map/{name}/tile/{where}"
+
+    def tiles(self, name: str = EVERY) -> str:
+        """Answers with all squares of the map, one reply each."""
+        return f"mapweave/{self.team}/@map/{name}/tiles"
 
     def robot_of(self, key: str) -> str:
         """Whose key it is."""

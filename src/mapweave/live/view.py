@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from io import BufferedIOBase
 from pathlib import Path
 from threading import Condition, Thread
 
@@ -11,8 +12,9 @@ import msgspec
 import zenoh
 
 from ..core.errors import UsageError
-from .messages import MapState, RefusedError, decode
+from .messages import MapState, RefusedError, Tile, decode
 from .topics import Topics
+from .transport import ask
 
 PAGE = Path(__file__).with_name("page.html")
 POINTS = 4000  # of each robot's trail, for browsers that come late
@@ -23,15 +25,20 @@ Trail = list[tuple[float, float, int]]
 
 
 class Board:
-    """The newest state of every map process, and where its robots were. readers: browsers that follow it."""
+    """The newest state of every map process, where its robots were, its map. readers: browsers that follow it.
+
+    fetched: squares of the map that browsers have asked for.
+    """
 
     def __init__(self) -> None:
         self.version = 0
         self.readers = 0
+        self.fetched = 0
         self.closed = False
         self.states: dict[str, MapState] = {}
         self._trails: dict[str, Trail] = {}
         self._fresh: dict[str, int] = {}
+        self._tiles: dict[str, tuple[int, Tile]] = {}  # those that are gone without cells
         self._changed = Condition()
 
     def take(self, state: MapState) -> None:
@@ -45,6 +52,27 @@ class Board:
                     self._walk(f"{state.map}/{robot.robot}", (robot.pose[0], robot.pose[1], robot.component))
             self._changed.notify_all()
 
+    def take_tile(self, tile: Tile) -> None:
+        """A square of a map as it is now."""
+        with self._changed:
+            self.version += 1
+            self._tiles[f"{tile.map}/{tile.component}/{tile.level}/{tile.i}/{tile.j}"] = (self.version, tile)
+            self._changed.notify_all()
+
+    def cells(self, key: str) -> bytes | None:
+        """The packed cells of a tile; None where there is none."""
+        with self._changed:
+            self.fetched += 1
+            return self._tiles[key][1].cells or None if key in self._tiles else None
+
+    def _newer(self, version: int) -> dict[str, tuple[int, float] | None]:
+        """Tiles told after `version`: when, and the side of their cells [m]; None for those that are gone."""
+        return {
+            key: (when, tile.cell) if tile.cells else None
+            for key, (when, tile) in self._tiles.items()
+            if when > version
+        }
+
     def _walk(self, key: str, here: tuple[float, float, int]) -> None:
         trail = self._trails.setdefault(key, [])
         if trail:
@@ -56,9 +84,10 @@ class Board:
             del trail[: POINTS // 4]
 
     def all(self) -> tuple[int, bytes]:
-        """Version and JSON of all states, with the trails."""
+        """Version and JSON of all states, with the trails and which tiles there are."""
         with self._changed:
-            return self.version, msgspec.json.encode({"states": list(self.states.values()), "trails": self._trails})
+            told = {"states": list(self.states.values()), "trails": self._trails, "tiles": self._newer(0)}
+            return self.version, msgspec.json.encode(told)
 
     def after(self, version: int, patience: float) -> tuple[int, bytes | None]:
         """Version and JSON of the states that came after `version`; None when none came within `patience` [s]."""
@@ -67,7 +96,7 @@ class Board:
             if self.version <= version:
                 return version, None
             fresh = [s for name, s in self.states.items() if self._fresh[name] > version]
-            return self.version, msgspec.json.encode({"states": fresh})
+            return self.version, msgspec.json.encode({"states": fresh, "tiles": self._newer(version)})
 
     def close(self) -> None:
         """Nothing more comes: those who wait go."""
@@ -79,15 +108,24 @@ class Board:
 def follow(session: zenoh.Session, topics: Topics, board: Board) -> object:
     """`board` hears every map process of the team for as long as what is returned is held."""
 
-    def hear(sample: zenoh.Sample) -> None:
+    def take(payload: bytes, name: str | None = None) -> None:
         try:
-            state = decode(sample.payload.to_bytes())
+            told = decode(payload)
         except RefusedError:
             return
-        if isinstance(state, MapState) and state.map == topics.map_of(str(sample.key_expr)):
-            board.take(state)
+        if isinstance(told, MapState) and told.map == name:
+            new = name not in board.states
+            board.take(told)
+            if new:  # what it has drawn so far is asked for
+                ask(session, topics.tiles(name), "", take, lambda: None)
+        elif isinstance(told, Tile) and name in {None, told.map}:
+            board.take_tile(told)
 
-    return session.declare_subscriber(topics.map_state(), zenoh.handlers.Callback(hear))
+    def hear(sample: zenoh.Sample) -> None:
+        take(sample.payload.to_bytes(), topics.map_of(str(sample.key_expr)))
+
+    callback = zenoh.handlers.Callback(hear)
+    return [session.declare_subscriber(key, callback) for key in (topics.map_state(), topics.tile())]
 
 
 @contextmanager
@@ -111,7 +149,7 @@ def served(board: Board, host: str, port: int) -> Iterator[str]:
 
 
 def _handler(board: Board) -> type[BaseHTTPRequestHandler]:
-    """Answers `/`, `/events` and `/state.json`."""
+    """Answers `/`, `/events`, `/state.json` and `/tile/MAP/PART/LEVEL/I/J`."""
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
@@ -121,13 +159,18 @@ def _handler(board: Board) -> type[BaseHTTPRequestHandler]:
                 "/events": self._events,
             }
             answer = answers.get(self.path)
+            if self.path.startswith("/tile/") and (cells := board.cells(self.path.removeprefix("/tile/"))):
+                self._whole("application/octet-stream", cells, packed=True)
+                return
             if answer is None:
                 self.send_error(HTTPStatus.NOT_FOUND)
                 return
             answer()
 
-        def _whole(self, kind: str, body: bytes) -> None:
+        def _whole(self, kind: str, body: bytes, *, packed: bool = False) -> None:
             self._head(kind)
+            if packed:
+                self.send_header("Content-Encoding", "deflate")
             self.send_header("Content-Length", str(len(body)))
             self.end_headers()
             self.wfile.write(body)
@@ -141,18 +184,23 @@ def _handler(board: Board) -> type[BaseHTTPRequestHandler]:
         def _events(self) -> None:
             self._head("text/event-stream")
             self.end_headers()
-            version, data = board.all()
-            try:
-                self.wfile.write(b"data: " + data + b"\n\n")
-                board.readers += 1
-                while not board.closed:
-                    self.wfile.flush()
-                    version, fresh = board.after(version, SILENCE)
-                    self.wfile.write(b": nothing new\n\n" if fresh is None else b"data: " + fresh + b"\n\n")
-            except OSError:  # the browser left
-                return
+            _tell(board, self.wfile)
 
         def log_message(self, format: str, *args: object) -> None:  # noqa: A002
             """Nothing is printed a request."""
 
     return Handler
+
+
+def _tell(board: Board, page: BufferedIOBase) -> None:
+    """Every state as it comes, until the browser leaves or the board is closed."""
+    version, data = board.all()
+    try:
+        page.write(b"data: " + data + b"\n\n")
+        board.readers += 1
+        while not board.closed:
+            page.flush()
+            version, fresh = board.after(version, SILENCE)
+            page.write(b": nothing new\n\n" if fresh is None else b"data: " + fresh + b"\n\n")
+    except OSError:  # the browser left
+        return

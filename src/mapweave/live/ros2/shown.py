@@ -72,8 +72,8 @@ class RosView:
         if now >= self._next_tf:
             self._next_tf = now + TF_EVERY
             self._tell_transform(driving)
-        if (last or now >= self._next_map) and len(driving.record) != self._drawn:
-            self._drawn = len(driving.record)
+        if (last or now >= self._next_map) and driving.record.scans != self._drawn:
+            self._drawn = driving.record.scans
             self._tell_map(driving)
             took = time.monotonic() - now
             self._next_map = now + max(MAP_EVERY, MAP_SHARE * took)
