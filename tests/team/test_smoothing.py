@@ -165,3 +165,17 @@ def test_nothing_seen_leaves_the_filters_map_and_says_so():
     result = smoothed(w, logs=blind)
     assert result.map is w.map
     assert result.refused
+
+
+def test_a_team_whose_size_ranges_alone_tell_is_enlarged_by_what_they_fall_short():
+    w = world(4, minutes=1.0)
+    logs = [replace(log, odometry=None) for log in w.logs]
+    spread = []
+    for bare in (1.0, 0.99):
+        done = smoothed(w, replace(CFG, calibration=CalibrationPrior(bare_range_scale=bare)), logs)
+        assert not done.refused
+        mean = done.map.landmarks.mean
+        spread.append(float(np.sqrt(np.square(mean - mean.mean(axis=0)).sum())))
+    assert spread[1] / spread[0] == pytest.approx(1 / 0.99, rel=1e-3)
+    begun = w.map.landmarks.mean
+    assert spread[0] == pytest.approx(np.sqrt(np.square(begun - begun.mean(axis=0)).sum()), rel=3e-3)

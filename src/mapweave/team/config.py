@@ -51,6 +51,7 @@ class CalibrationPrior:
     bearing_bias_sd: float = 0.02  # [rad] its standard deviation
     range_scale: float = 1.0  # range read over the true one
     range_scale_sd: float = 0.02  # its standard deviation
+    bare_range_scale: float = 0.99  # range as maps made of ranges alone hold it over the true one: nobody has wheels
 
 
 @config

@@ -66,7 +66,8 @@ def smooth(
     of the prior; a standard deviation of 0 holds a value. scans[robot]: the keyframes of a robot with a laser;
     crossings: those of two robots that were matched. soften: before the end, every kernel is so many times as wide, one
     after the other, for starts that are far off. Poses stand at every odometry and sighting stamp. Where the
-    problem has no minimum near the start, the map stays as it was and `refused` says why.
+    problem has no minimum near the start, the map stays as it was and `refused` says why. Where nobody has wheels or a
+    laser the map is larger than the filters' by what maps made of ranges alone fall short (`bare_range_scale`).
     """
     own = {log.robot: log for log in logs}
     chosen = [own[robot] for robot in team.robots if robot in own]
@@ -78,7 +79,12 @@ def smooth(
     ]
     if not chosen:
         return _kept(team, cfg, "nobody saw anything")
-    problem = team_problem(chosen, team.landmarks, team.tracks, labels, calibration or {}, cfg, scans, crossings)
+    start = team
+    if all(log.odometry is None and log.robot not in scans for log in chosen) and len(team.landmarks) > 2:
+        bare = cfg.calibration.bare_range_scale
+        cfg = replace(cfg, calibration=replace(cfg.calibration, range_scale=bare))
+        start = _enlarged(team, 1.0 / bare)
+    problem = team_problem(chosen, start.landmarks, start.tracks, labels, calibration or {}, cfg, scans, crossings)
     if not set(problem.used) - {"scan"}:
         return _kept(team, cfg, "nobody saw a landmark of the map or another robot", problem)
     x = None
@@ -88,7 +94,7 @@ def smooth(
     if solution.status in {Status.SINGULAR, Status.DIVERGED} or not np.isfinite(solution.x).all():
         return _kept(team, cfg, f"the problem of the whole team is {solution.status}", problem, solution)
     try:
-        cov = team_covariance(problem, solution, cfg, team.landmarks.cov)
+        cov = team_covariance(problem, solution, cfg, start.landmarks.cov)
     except SingularError as error:
         return _kept(team, cfg, str(error), problem, solution)
     tracks = dict(team.tracks)
@@ -107,6 +113,18 @@ def smooth(
         status=str(solution.status),
         prior=_prior(cfg),
     )
+
+
+def _enlarged(team: TeamMap, by: float) -> TeamMap:
+    """The team with all lengths multiplied by `by`."""
+    lengths, m = np.array([by, by, 1.0]), team.landmarks
+    tracks = {
+        robot: replace(
+            track, pose=track.pose * lengths, cov=None if track.cov is None else track.cov * np.outer(lengths, lengths)
+        )
+        for robot, track in team.tracks.items()
+    }
+    return replace(team, landmarks=LandmarkMap(m.ids, by * m.mean, by**2 * m.cov, m.frame), tracks=tracks)
 
 
 def is_observed(parameter: str, sd: float, prior: Calibration) -> bool:
