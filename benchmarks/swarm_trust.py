@@ -79,7 +79,7 @@ def tried(case: str, scene: SwarmScene, method: Method, seeds: range) -> Tally:
             tally = replace(tally, refused=tally.refused + 1)
             continue
         free = found.localisable & ~found.anchor
-        if not free.any() or found.gauge:  # a shape alone
+        if not free.any() or found.gauge or found.information is None:  # a shape alone
             continue
         clean = net.select(~wild)
         at_truth = locate(clean, SwarmConfig(max_iterations=0), initial=truth) if net.axis else found

@@ -41,7 +41,7 @@ def test_with_six_in_common_or_more_nearly_every_alignment_is_right_and_believed
         if match.accepted:
             assert len(links & {(int(i), int(j)) for i, j in match.links}) >= common - 2
     assert right >= 19
-    assert believed >= (18 if common == 6 else 19)
+    assert believed >= 19
 
 
 @pytest.mark.parametrize("common", [0, 2, 4])
@@ -53,9 +53,9 @@ def test_with_too_few_in_common_a_match_is_refused_with_the_reason(common):
         wrong += match.accepted and not lies_right(match.T_target_source, T, source)
         if not match.accepted:
             reasons.append(match.reason)
-    assert wrong <= 1
+    assert wrong == 0
     assert len(reasons) > 15
-    assert all("needed" in r or "another alignment" in r or "chi-square" in r for r in reasons)
+    assert all("needed" in r or "another alignment" in r or "chi-square" in r or "chance" in r for r in reasons)
 
 
 def test_a_regular_grid_fits_in_many_ways_and_is_refused():

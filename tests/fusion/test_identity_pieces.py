@@ -8,8 +8,10 @@ import pytest
 from mapweave.core import se2
 from mapweave.fusion.alignment import JointFit, joint_fit
 from mapweave.fusion.identities import (
+    Candidate,
     IdentityConfig,
     _assigned,
+    _chance,
     _distinct,
     _exchanged,
     _fits,
@@ -19,8 +21,9 @@ from mapweave.fusion.identities import (
     _pairs,
     _proposals,
     _refusal,
+    _rivals,
+    _weighed,
     _worked_out,
-    _worth,
     match_maps,
 )
 from mapweave.landmarks.landmark_map import LandmarkMap
@@ -226,28 +229,65 @@ def test_a_link_that_alone_adds_too_much_is_let_go():
     assert told.single.max() <= 18.0
 
 
-def test_worth_is_links_less_misfit_and_a_rival_must_fit():
-    links = np.zeros((5, 2), dtype=int)
-    assert _worth(links, fit(18.0, links), CFG) == pytest.approx(5 - 18.0 / CFG.gate**2)
+def candidate(links, chi2, evidence=9.0):
+    return Candidate(links, fit(chi2, links), evidence)
+
+
+def test_a_rival_must_fit_and_be_another_alignment():
+    links = np.stack([np.arange(5), np.arange(5)], axis=1)
     limit = CFG.chi2_per_dof * (2 * 5 - 3)
-    assert _fits(links, fit(0.99 * limit, links), CFG)
-    assert not _fits(links, fit(1.01 * limit, links), CFG)
-    assert not _fits(links[:2], fit(0.0, links), CFG)
-    assert _fits(links[:3], fit(0.0, links), CFG)
+    assert _fits(candidate(links, 0.99 * limit), CFG)
+    assert not _fits(candidate(links, 1.01 * limit), CFG)
+    assert not _fits(candidate(links[:2], 0.0), CFG)
+    assert _fits(candidate(links[:3], 0.0), CFG)
+    m = a_map(np.random.default_rng(1).uniform(0, 3, (8, 2)))
+    best = candidate(links, 1.0)
+    away = JointFit(np.array([2.0, 1.0, 0.7]), 1.0, 1.0, np.zeros(5))
+    assert _rivals(Candidate(links + np.array([0, 1]), away, 1.0), best, m, m, CFG)
+    assert not _rivals(candidate(links + np.array([0, 1]), 1.0), best, m, m, CFG)  # the same alignment
+    assert not _rivals(Candidate(np.vstack([links[:3], links[3:] + np.array([0, 2])]), away, 1.0), best, m, m, CFG)
 
 
-def test_a_match_is_refused_for_too_few_links_a_rival_as_good_or_a_misfit():
+def test_a_match_is_refused_for_too_few_links_a_rival_as_likely_a_misfit_or_as_chance():
     links = np.zeros((7, 2), dtype=int)
-    good = fit(10.0, links)
-    assert _refusal(links, good, 0, 7.0, CFG) == ""
-    assert "are needed" in _refusal(links[: CFG.links - 1], good, 0, 7.0, CFG)
-    assert _refusal(links[: CFG.links], fit(9.0, links), 0, 6.0, CFG) == ""
-    assert "another alignment" in _refusal(links, good, 7 - CFG.margin + 1, 0.5 * CFG.lead, CFG)
-    assert _refusal(links, good, 7 - CFG.margin, 0.5 * CFG.lead, CFG) == ""
-    assert _refusal(links, good, 7, 1.5 * CFG.lead, CFG) == ""
+    good = candidate(links, 10.0)
+    enough = np.log(CFG.odds)
+    assert _refusal(good, 0, 7.0, CFG) == ""
+    assert "are needed" in _refusal(candidate(links[: CFG.links - 1], 9.0), 0, 7.0, CFG)
+    assert _refusal(candidate(links[: CFG.links], 9.0), 0, 6.0, CFG) == ""
+    assert "another alignment" in _refusal(good, 6, enough - 0.01, CFG)
+    assert _refusal(good, 6, enough + 0.01, CFG) == ""
     limit = CFG.chi2_per_dof * 11
-    assert _refusal(links, fit(0.99 * limit, links), 0, 7.0, CFG) == ""
-    assert "do not fit" in _refusal(links, fit(1.01 * limit, links), 0, 7.0, CFG)
+    assert _refusal(candidate(links, 0.99 * limit), 0, 7.0, CFG) == ""
+    assert "do not fit" in _refusal(candidate(links, 1.01 * limit), 0, 7.0, CFG)
+    assert _chance(candidate(links, 1.0, np.log(CFG.chance) + 0.01), 20, 20, CFG) == ""
+    assert "may be chance" in _chance(candidate(links, 1.0, np.log(CFG.chance) - 0.01), 20, 20, CFG)
+
+
+def crowded(off, seed=8):
+    """Two maps of 20 landmarks, 1 cm sure, that have the first seven in common; the third lies `off` [m] in one."""
+    rng = np.random.default_rng(seed)
+    block, one, two = (rng.uniform(0, 3, (n, 2)) for n in (7, 13, 13))
+    moved = block + np.where(np.arange(7)[:, None] == 2, [off, 0.0], 0.0)
+    names, P = tuple(map(str, range(20))), 1e-4 * np.eye(40)
+    return LandmarkMap(names, np.vstack([block, one]), P), LandmarkMap(names, se2.act(T, np.vstack([moved, two])), P)
+
+
+def test_a_link_that_is_no_evidence_is_let_go():
+    for off, kept in ((0.01, True), (0.056, False)):
+        source, target = crowded(off)
+        assert (2, 2) in {tuple(map(int, l)) for l in _worked_out(source, target, T, CFG)[0]}
+        assert ((2, 2) in {tuple(map(int, l)) for l in _weighed(source, target, T, CFG).links}) == kept
+
+
+def test_landmarks_that_agree_in_a_crowd_are_less_evidence_than_the_same_among_few():
+    source, target = crowded(0.0)
+    crowd = match_maps(source, target)
+    alone = match_maps(source.select(source.ids[:7]), target.select(target.ids[:7]))
+    seven = {(i, i) for i in range(7)}
+    assert seven <= {tuple(map(int, l)) for l in crowd.links}
+    assert seven == {tuple(map(int, l)) for l in alone.links}
+    assert alone.evidence > crowd.evidence + 5
 
 
 def test_a_place_that_repeats_itself_is_refused_and_its_rival_counted():

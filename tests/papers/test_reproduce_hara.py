@@ -14,6 +14,7 @@ from mapweave.papers.hara.gate import try_gate
 from mapweave.papers.hara.hard_world import GLASS, HardConfig, simulate_hard
 from mapweave.papers.hara.methods import PRINTED
 from mapweave.papers.hara.reproduce import reproduce_hara
+from mapweave.papers.hara.starts import counts, starts_table
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 
 LOOP = CorridorConfig(long_leg=9.0, short_leg=7.0, distance=20.0, start=3.0)
@@ -42,6 +43,19 @@ def test_every_method_of_the_paper_is_compared_and_drawn(reproduction):
     assert (out / "figures" / "maps.png").stat().st_size > 10_000
     assert "Claim by claim" in (out / "report.html").read_text()
     assert len((out / "claims.md").read_text().splitlines()) == 2 + len(result.claims)
+
+
+def test_no_trusted_start_is_wrong_and_light_tells_what_walls_cannot(reproduction):
+    result, _ = reproduction
+    light, walls = (counts(result.starts, feature) for feature in ("normalised", "none"))
+    assert light["wrong"] == walls["wrong"] == 0
+    assert light["right"] >= 4
+    assert light["right"] > walls["right"]
+    twin = [s for s in result.starts if s.where == "twin"]
+    assert [(s.feature, s.answer) for s in twin] == [("normalised", "not sure")]
+    head, rows = starts_table(result.starts)
+    assert all(len(row) == len(head) for row in rows)
+    assert sum(int(row[3]) + int(row[4]) + int(row[5]) for row in rows if row[0] == "all") == len(result.starts)
 
 
 def test_the_best_geometry_is_the_least_of_all_rows_without_intensity(reproduction):

@@ -1,8 +1,9 @@
 """Which landmark of one map is which of another when nobody told: alignment first, then names, then the joint test.
 
 Distances do not depend on the frame: two landmarks of one map and two of the other that lie equally far apart propose
-an alignment. The one that brings most landmarks together names them by optimal assignment; names are then exchanged
-in pairs while that makes the joint chi-square smaller.
+an alignment. Those that bring most landmarks together name them by optimal assignment; names are then exchanged in
+pairs while that makes the joint chi-square smaller. Of what is found the likeliest is believed, where it is likelier
+than chance: so many ways there are to pair a few landmarks of two maps that some pairing nearly always fits.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,22 +17,25 @@ from ..core import se2
 from ..core.config import config
 from ..landmarks.landmark_map import LandmarkMap
 from .alignment import JointFit, joint_fit
+from .evidence import log_correspondences, log_evidence, spread_area
 
 CHUNK = 2_000_000  # distances held at once
 
 
 @config
 class IdentityConfig:
-    """When a match is believed: links needed, how many more than the next best alignment, chi-square per degree.
+    """When a match is believed: links needed, evidence against chance and other alignments, chi-square per degree.
 
-    lead: a difference in links less misfit that does instead of the margin. gate: standard deviations within which
-    two landmarks may be one. noise: what covariances do not know of [m]; scale_sigma: deviation of one map's scale
-    from the other's.
+    gate: standard deviations within which two landmarks may be one. noise: what covariances do not know of [m];
+    scale_sigma: deviation of one map's scale from the other's. Maps may have these errors, or (`tight`) hardly any:
+    the evidence is that of the likelier of the two, `loose` the probability of the first.
     """
 
     links: int = 6  # landmarks that must agree before a match is believed
-    margin: int = 2  # links more than the next best alignment has
-    lead: float = 0.75  # a difference in links less misfit that does instead of the margin
+    chance: float = 2.0  # how much likelier than chance, all ways to pair as many landmarks counted
+    odds: float = 5.0  # how much likelier than any other alignment
+    loose: float = 0.05  # probability that maps err by noise and scale too, before they are compared
+    tight: float = 0.1  # share of noise and scale that is left where they do not
     chi2_per_dof: float = 3.0  # chi-square per degree of freedom up to which a match is believed
     gate: float = 3.0  # standard deviations within which two landmarks may be one
     noise: float = 0.01  # [m] what covariances do not know of
@@ -45,7 +49,8 @@ class IdentityConfig:
 class Match:
     """links: (k, 2) indices into source and target; `accepted`, or the plain reason why not.
 
-    T_target_source: the alignment found; rival: how many links the next best alignment has.
+    T_target_source: the alignment found; rival: how many links the next best alignment has; evidence: logarithm of
+    the odds for these links against chance.
     """
 
     links: Int[np.ndarray, "k 2"]
@@ -55,46 +60,93 @@ class Match:
     rival: int
     accepted: bool
     reason: str
+    evidence: float = -np.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """An alignment worked out: its links (k, 2), the joint fit of these, and their `evidence`."""
+
+    links: Int[np.ndarray, "k 2"]
+    fit: JointFit
+    evidence: float
 
 
 def match_maps(source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig | None = None) -> Match:
     """The landmarks that `source` and `target` have in common, names ignored; refused with a reason when unsure."""
     cfg = cfg or IdentityConfig()
-    found = [_worked_out(source, target, T, cfg) for T in _proposals(source, target, cfg)]
-    found = [m for m in found if len(m[0]) >= 2]
+    found = [_weighed(source, target, T, cfg) for T in _proposals(source, target, cfg)]
+    found = [c for c in found if len(c.links) >= 2]
     if not found:
         none = np.zeros((0, 2), dtype=np.intp)
         return Match(
             none, np.zeros(3), 0.0, 0, 0, accepted=False, reason="no two landmarks lie equally far apart in both"
         )
-    found.sort(key=lambda m: -_worth(m[0], m[1], cfg))
-    links, fit = found[0]
-    rivals = [(l, f) for l, f in found[1:] if _distinct(f.T, fit.T, source, target, cfg) and _fits(l, f, cfg)]
-    rival = max((len(l) for l, _ in rivals), default=0)
-    lead = _worth(links, fit, cfg) - max((_worth(l, f, cfg) for l, f in rivals), default=0.0)
-    reason = _refusal(links, fit, rival, lead, cfg)
-    return Match(links, fit.T, fit.chi2, 2 * len(links) - 3, rival, accepted=not reason, reason=reason)
+    found.sort(key=lambda c: (len(c.links) < cfg.links, -c.evidence, -len(c.links)))
+    best = found[0]
+    rivals = [c for c in found[1:] if _rivals(c, best, source, target, cfg)]
+    rival = max((len(c.links) for c in rivals), default=0)
+    lead = best.evidence - max((c.evidence for c in rivals), default=-np.inf)
+    k = len(best.links)
+    reason = _refusal(best, rival, lead if k > 2 else 0.0, cfg) or _chance(best, len(source), len(target), cfg)
+    return Match(best.links, best.fit.T, best.fit.chi2, 2 * k - 3, rival, not reason, reason, best.evidence)
 
 
-def _refusal(links: np.ndarray, fit: JointFit, rival: int, lead: float, cfg: IdentityConfig) -> str:
-    k = len(links)
+def _refusal(best: Candidate, rival: int, lead: float, cfg: IdentityConfig) -> str:
+    k = len(best.links)
     if k < cfg.links:
         return f"{k} landmarks fit together, {cfg.links} are needed"
-    if k - rival < cfg.margin and lead < cfg.lead:
+    if lead < np.log(cfg.odds):
         return f"{k} landmarks fit together, but {rival} do as well in another alignment"
-    per_dof = fit.chi2 / (2 * k - 3)
+    per_dof = best.fit.chi2 / (2 * k - 3)
     if per_dof > cfg.chi2_per_dof:
         return f"the {k} landmarks that lie together do not fit: chi-square per degree of freedom {per_dof:.1f}"
     return ""
 
 
-def _worth(links: np.ndarray, fit: JointFit, cfg: IdentityConfig) -> float:
-    """Links, less what their misfit takes away."""
-    return len(links) - fit.chi2 / (cfg.gate**2)
+def _chance(best: Candidate, n: int, m: int, cfg: IdentityConfig) -> str:
+    if best.evidence >= np.log(cfg.chance):
+        return ""
+    return f"that {len(best.links)} landmarks of {n} and {m} fit together may be chance"
 
 
-def _fits(links: np.ndarray, fit: JointFit, cfg: IdentityConfig) -> bool:
-    return len(links) > 2 and fit.chi2 <= cfg.chi2_per_dof * (2 * len(links) - 3)
+def _rivals(c: Candidate, best: Candidate, source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig) -> bool:
+    """Whether `c` fits and is another alignment than `best`, no worse version of it with half the links alike."""
+    alike = int(np.count_nonzero((c.links[:, None] == best.links).all(axis=2).any(axis=1)))
+    return 2 * alike < len(c.links) and _distinct(c.fit.T, best.fit.T, source, target, cfg) and _fits(c, cfg)
+
+
+def _fits(c: Candidate, cfg: IdentityConfig) -> bool:
+    return len(c.links) > 2 and c.fit.chi2 <= cfg.chi2_per_dof * (2 * len(c.links) - 3)
+
+
+def _weighed(source: LandmarkMap, target: LandmarkMap, T: Float[np.ndarray, "3"], cfg: IdentityConfig) -> Candidate:
+    """The alignment begun at T with the links that are most evidence, those that are none let go."""
+    links, fit = _worked_out(source, target, T, cfg)
+    if len(links) <= 2:
+        return Candidate(links, fit, -np.inf)
+    area = max(min(spread_area(source), spread_area(target)), 1e-12)
+    models = (
+        (cfg.noise, cfg.scale_sigma, cfg.loose),
+        (cfg.tight * cfg.noise, cfg.tight * cfg.scale_sigma, 1 - cfg.loose),
+    )
+    best = (-np.inf, links)
+    for noise, scale_sigma, share in models:
+        kept, before = links, -np.inf
+        while True:
+            told = joint_fit(source, target, kept, fit.T, noise, scale_sigma)
+            known = log_evidence(source, target, kept, told, area, noise, scale_sigma) + np.log(share)
+            evidence = known - log_correspondences(len(kept), len(source), len(target))
+            if evidence <= before:
+                break
+            best, before = max(best, (evidence, kept), key=lambda b: b[0]), evidence
+            if len(kept) <= max(cfg.links, 3):
+                break
+            kept = np.delete(kept, int(np.argmax(told.single)), axis=0)
+    if len(best[1]) < len(links):
+        links = best[1]
+        fit = joint_fit(source, target, links, fit.T, cfg.noise, cfg.scale_sigma)
+    return Candidate(links, fit, float(best[0]))
 
 
 def _distinct(

@@ -11,13 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ..core import se2
 from ..core.names import in_order
 from ..landmarks.landmark_map import LandmarkMap
 from .alignment import align_robust, joint_fit
 from .config import FuseConfig
+from .evidence import log_evidence, spread_area
 
 ENOUGH = 2  # landmarks in common that fix a rigid transform
 LISTED = 8  # contradicting landmarks told by name
@@ -69,7 +70,7 @@ def same_place(source: LandmarkMap, target: LandmarkMap, cfg: FuseConfig) -> Evi
     rough = align_robust(a.mean, b.mean, np.full(len(weighed), cfg.gate))
     apart = np.hypot(*(se2.act(rough.T_target_source, a.mean) - b.mean).T)
     far = [int(i) for i in np.argsort(-apart, kind="stable") if apart[i] > cfg.gate]
-    area = max(min(_area(source), _area(target)), 1e-12)
+    area = max(min(spread_area(source), spread_area(target)), 1e-12)
     return Evidence(
         log_odds=_log_odds(a, b, rough.T_target_source, area, cfg),
         shared=shared,
@@ -113,11 +114,6 @@ def _distrusted(m: LandmarkMap, cfg: FuseConfig) -> LandmarkMap:
     return LandmarkMap(m.ids, m.mean, cfg.distrust * m.cov, m.frame)
 
 
-def _area(m: LandmarkMap) -> float:
-    """The area [m^2] of the disc over which landmarks would be spread as widely as those of `m` are."""
-    return 2 * np.pi * float(np.mean(np.sum((m.mean - m.mean.mean(axis=0)) ** 2, axis=1)))
-
-
 def _log_odds(a: LandmarkMap, b: LandmarkMap, T: Float[np.ndarray, "3"], area: float, cfg: FuseConfig) -> float:
     """The log Bayes factor of landmark i of `a` being landmark i of `b`; -inf where under half of them can be.
 
@@ -131,29 +127,6 @@ def _log_odds(a: LandmarkMap, b: LandmarkMap, T: Float[np.ndarray, "3"], area: f
             return -np.inf
         links = np.delete(links, int(np.argmax(fit.single)), axis=0)
         fit = joint_fit(a, b, links, fit.T, cfg.floor, cfg.scale_sigma)
-    V, N = _precision(a, b, links[:, 0], fit.T, cfg)
     k = len(links)
-    fitted = -0.5 * (fit.chi2 + np.linalg.slogdet(2 * np.pi * V)[1])
-    prior = -np.log(2 * np.pi * area) - 0.5 * np.log(2 * np.pi * cfg.scale_sigma**2)
-    volume = -0.5 * float(np.linalg.slogdet(N / (2 * np.pi))[1])
     names = k * np.log1p(-cfg.mislabelled) + (n - k) * np.log(cfg.mislabelled)
-    return float(fitted + prior + volume + names + k * np.log(area))
-
-
-def _precision(
-    a: LandmarkMap, b: LandmarkMap, rows: Int[np.ndarray, " k"], T: Float[np.ndarray, "3"], cfg: FuseConfig
-) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, "4 4"]]:
-    """The covariance of what lies between linked landmarks, and the information on transform and scale."""
-    k = len(rows)
-    at = (2 * rows[:, None] + np.arange(2)).ravel()
-    R = se2.rotation(float(T[2]))
-    C = np.kron(np.eye(k), R)
-    V = b.cov[np.ix_(at, at)] + C @ a.cov[np.ix_(at, at)] @ C.T + 2 * cfg.floor**2 * np.eye(2 * k)
-    turned = a.mean[rows] @ R.T
-    J = np.zeros((2 * k, 4))
-    J[0::2, 0] = J[1::2, 1] = 1.0
-    J[0::2, 2], J[1::2, 2] = -turned[:, 1], turned[:, 0]
-    J[:, 3] = turned.ravel()
-    N = J.T @ np.linalg.solve(V, J)
-    N[3, 3] += cfg.scale_sigma**-2
-    return V, N
+    return log_evidence(a, b, links, fit, area, cfg.floor, cfg.scale_sigma) + float(names)

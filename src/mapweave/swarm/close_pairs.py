@@ -27,11 +27,13 @@ def with_true_lengths(
     pattern: Pattern | None,
     deviation: Float[np.ndarray, " n"],
     chosen: Bool[np.ndarray, " n"],
+    unchecked: Bool[np.ndarray, " m"] | None = None,
 ) -> tuple[Information, int]:
     """The information at `x` with close sightings counted by the lengths they may have, and of how many pairs they are.
 
     problem: whose first term are the sightings; deviation: (n,) [m] no less than that of each of the robots `chosen`
     along any direction. Where no sighting between those is close it is the very `information`.
+    unchecked: (m,) close sightings that may be wrong, and tell nothing.
     """
     u, r = bearing.predict(*_ends(net, x))
     apart = r < CLOSE * (deviation[net.observer] + deviation[net.target])
@@ -47,7 +49,10 @@ def with_true_lengths(
         length[rows] = np.where(r[rows] ** 2 < CLOSE**2 * along, np.sqrt(r[rows] ** 2 + along), r[rows])
         if (length == r).all():
             return information, 0
-        wider = _weighed(sightings, r / length)
+        share = r / length
+        if unchecked is not None:
+            share[unchecked & (share < 1.0)] = 0.0
+        wider = _weighed(sightings, share)
         H, _ = pattern.assemble([wider.normal(x)[0], *(a for a, _ in parts[1:])], [b for _, b in parts])
         try:
             current = Information.of(H, pattern.elimination)

@@ -1,4 +1,4 @@
-"""Sightings that agree only because the two robots fell together: each is left out in turn, and the others are asked.
+"""Sightings that agree only because robots fell in with them: each is left out in turn, and the others are asked.
 
 A wrong sighting between neighbours is escaped by shrinking the distance between them: across a short distance any
 direction fits, and its residual is small. Without it the two stand where their other sightings put them. Where these
@@ -20,7 +20,11 @@ from .result import SwarmEstimate
 from .start import prepare
 
 HOPS = 3  # sightings away from the two, beyond which robots are held while one sighting is left out
+FEW = 4000  # sightings up to which all are asked, not only those of hardly known length
 PROMISE = 0.4  # of the limit: what the linear model must promise for a sighting to be left out at all
+UNCHECKED = 0.8  # share of its direction that a sighting alone tells, from which on nothing checks it
+NEAR_MISS = 70.0  # of the limit, squared: 30 standard deviations, up to which a sighting called wrong is tried again
+SWAPS = 2  # sightings let go at most for one that is taken in
 UNDECIDED = 0.5  # of the limit: a gain from which on a sighting may as well be wrong
 
 
@@ -35,9 +39,10 @@ class Fallen:
 def fallen_together(
     net: Network, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, limit: float, cfg: SwarmConfig
 ) -> Fallen:
-    """Of the sightings `inlier` that `found` was made of, those beyond `limit` (squared, whitened) once left out.
+    """Of the sightings `inlier` that `found` was made of, those that the others contradict once they are free to.
 
-    Sightings confirmed by one the other way are not doubted. Common axes are assumed, and covariances.
+    limit: squared whitened residual from which a sighting is wrong. Only sightings not confirmed by one the other way
+    are left out. Common axes are assumed, and covariances.
     """
     wrong: list[int] = []
     undecided: list[int] = []
@@ -45,36 +50,70 @@ def fallen_together(
         gain, miss = _left_out(net, inlier, found.position, row, cfg)
         if miss > limit and gain > UNDECIDED * limit:
             (wrong if gain > limit else undecided).append(row)
+    for row in _near_misses(net, inlier, found, limit):
+        gain, others = _taken_in(net, inlier, found.position, row, limit, cfg)
+        if gain > 0.0:
+            wrong += others
+        elif gain > -UNDECIDED * limit:
+            undecided += others
     return Fallen(np.array(wrong, dtype=np.intp), np.array(undecided, dtype=np.intp))
 
 
+def _near_misses(net: Network, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, limit: float) -> list[int]:
+    """Sightings called wrong that miss by so little that they may be right, and what disagrees with them wrong."""
+    squares = factors.bearing_factor(net).squares(found.position.ravel())
+    both = found.localisable[net.observer] & found.localisable[net.target]
+    return [int(k) for k in np.flatnonzero(~inlier & both & (squares < NEAR_MISS * limit))]
+
+
+def unchecked(net: Network, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate) -> Bool[np.ndarray, " m"]:
+    """(m,) of the sightings `inlier`, those of hardly known length that no other checks: wrong or not, they fit."""
+    rows = _doubtful(net, inlier, found)
+    out = np.zeros(len(inlier), dtype=bool)
+    if len(rows):
+        out[rows] = _told(net, rows, found)[1] > UNCHECKED
+    return out
+
+
 def _promising(net: Network, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, limit: float) -> list[int]:
-    """Unconfirmed sightings of hardly known length whose removal the linear model rewards, the best first."""
-    if found.cov is None or found.information is None or not np.any(net.sigma > 0):
+    """Unconfirmed sightings whose removal the linear model rewards, the best first; in large networks short ones."""
+    rows = _doubtful(net, inlier, found, anywhere=len(inlier) <= FEW)
+    if not len(rows):
         return []
+    squares, told = _told(net, rows, found)
+    promise = squares / np.maximum(1.0 - told, 1e-6)
+    order = np.argsort(-promise, kind="stable")
+    return [int(rows[k]) for k in order if promise[k] > PROMISE * limit]
+
+
+def _doubtful(
+    net: Network, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, *, anywhere: bool = False
+) -> Int[np.ndarray, " c"]:
+    """Unconfirmed sightings between robots that are localisable: of hardly known length, or `anywhere`."""
+    if found.cov is None or found.information is None or not np.any(net.sigma > 0):
+        return np.zeros(0, dtype=np.intp)
     p = found.position
     _, r = bearing.predict(p[net.observer], p[net.target])
     deviation = np.sqrt(np.nan_to_num(np.trace(found.cov, axis1=1, axis2=2)))
-    rows = np.flatnonzero(
-        inlier
-        & ~_confirmed(net, inlier)
-        & found.localisable[net.observer]
-        & found.localisable[net.target]
-        & (r < CLOSE * (deviation[net.observer] + deviation[net.target]))
-    )
-    if not len(rows):
-        return []
+    both = found.localisable[net.observer] & found.localisable[net.target]
+    short = r < CLOSE * (deviation[net.observer] + deviation[net.target])
+    return np.flatnonzero(inlier & ~_confirmed(net, inlier) & both & (short | anywhere))
+
+
+def _told(
+    net: Network, rows: Int[np.ndarray, " c"], found: SwarmEstimate
+) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, " c"]]:
+    """Squared residuals of the sightings `rows`, and how much of its own direction each tells: near 1, it alone."""
+    if found.information is None:
+        return np.zeros(len(rows)), np.zeros(len(rows))
+    x = found.position.ravel()
     factor = factors.bearing_factor(net.select(rows))
-    whitened = factor.whitened(p.ravel())
     white = np.ones((1, factor.rows)) if factor.sqrt_info is None else factor.sqrt_info
-    J = white[..., None] * factor.jacobian(p.ravel())
-    E = np.zeros((p.size, len(rows) * factor.rows))
+    J = white[..., None] * factor.jacobian(x)
+    E = np.zeros((x.size, len(rows) * factor.rows))
     columns = np.arange(E.shape[1]).reshape(len(rows), factor.rows)
     np.add.at(E, (factor.columns[:, None, :], columns[:, :, None]), J)
-    told = found.information.variances(E)[columns].max(axis=1)
-    promise = np.square(whitened).sum(axis=1) / np.maximum(1.0 - told, 1e-6)
-    order = np.argsort(-promise, kind="stable")
-    return [int(k) for k in rows[order] if promise[np.searchsorted(rows, k)] > PROMISE * limit]
+    return factor.squares(x), found.information.variances(E)[columns].max(axis=1)
 
 
 def _confirmed(net: Network, inlier: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
@@ -85,47 +124,93 @@ def _confirmed(net: Network, inlier: Bool[np.ndarray, " m"]) -> Bool[np.ndarray,
     return np.asarray(count[which.ravel()] > 1)
 
 
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A piece of a network: its sightings that are used, all of its sightings, and which robots (whole numbering)."""
+
+    used: Network
+    whole: Network
+    rows: Int[np.ndarray, " r"]
+    robots: Int[np.ndarray, " n"]
+
+
+def _part(net: Network, kept: Bool[np.ndarray, " m"], position: Float[np.ndarray, "n d"], row: int) -> _Part | None:
+    """What lies within HOPS sightings `kept` of the two robots of `row`, the outermost robots held where they are."""
+    both = [int(net.observer[row]), int(net.target[row])]
+    near, core = np.zeros(len(net), dtype=bool), np.zeros(len(net), dtype=bool)
+    near[both] = True
+    for _ in range(HOPS):
+        core = near.copy()
+        touched = kept & (near[net.observer] | near[net.target])
+        near[net.observer[touched]] = near[net.target[touched]] = True
+    inside = kept & near[net.observer] & near[net.target]
+    robots = np.unique(np.concatenate([net.observer[inside], net.target[inside]]))
+    at = np.full(len(net), -1)
+    at[robots] = np.arange(len(robots))
+    if min(at[both]) < 0:
+        return None  # nothing else sights one of them
+    known = {int(at[k]): position[k] for k in robots.tolist() if not core[k] or k in net.anchors}
+
+    def piece(rows: np.ndarray) -> Network:
+        return replace(
+            net.select(rows),
+            ids=tuple(net.ids[k] for k in robots.tolist()),
+            observer=at[net.observer[rows]],
+            target=at[net.target[rows]],
+            anchors=known,
+            distances=(),
+        )
+
+    rows = np.flatnonzero((at[net.observer] >= 0) & (at[net.target] >= 0))
+    return _Part(piece(np.flatnonzero(inside)), piece(rows), rows, robots)
+
+
 def _left_out(
     net: Network, inlier: Bool[np.ndarray, " m"], position: Float[np.ndarray, "n d"], row: int, cfg: SwarmConfig
 ) -> tuple[float, float]:
     """What the chi-square of the other inliers near by loses without sighting `row`, and its own squared residual."""
     kept = inlier.copy()
     kept[row] = False
-    near = np.zeros(len(net), dtype=bool)
-    near[[net.observer[row], net.target[row]]] = True
-    for _ in range(HOPS):
-        touched = kept & (near[net.observer] | near[net.target])
-        near[net.observer[touched]] = near[net.target[touched]] = True
-    inside = np.flatnonzero(kept & near[net.observer] & near[net.target])
-    used = np.unique(np.concatenate([net.observer[inside], net.target[inside]]))
-    core = np.zeros(len(net), dtype=bool)
-    core[[net.observer[row], net.target[row]]] = True
-    for _ in range(HOPS - 1):
-        touched = kept & (core[net.observer] | core[net.target])
-        core[net.observer[touched]] = core[net.target[touched]] = True
-    at = np.full(len(net), -1)
-    at[used] = np.arange(len(used))
-    if (at[[net.observer[row], net.target[row]]] < 0).any():
-        return 0.0, 0.0  # nothing else sights one of them
-    anchors = {int(at[k]): position[k] for k in used if not core[k] or k in net.anchors}
-    part = replace(
-        net.select(inside),
-        ids=tuple(net.ids[k] for k in used),
-        observer=at[net.observer[inside]],
-        target=at[net.target[inside]],
-        anchors=anchors,
-        distances=(),
-    )
-    before = position[used].ravel()
-    solution, _, _ = refine(part, prepare(part, position[used]), cfg, everyone=True)
-    factor = factors.bearing_factor(part)
-    gain = float(factor.squares(before).sum() - factor.squares(solution.x).sum())
-    alone = replace(
-        net.select(np.array([row])),
-        ids=part.ids,
-        observer=at[net.observer[[row]]],
-        target=at[net.target[[row]]],
-        anchors={},
-        distances=(),
-    )
-    return gain, float(factors.bearing_factor(alone).squares(solution.x)[0])
+    part = _part(net, kept, position, row)
+    if part is None:
+        return 0.0, 0.0
+    before = position[part.robots]
+    x = refine(part.used, prepare(part.used, before), cfg, everyone=True)[0].x
+    factor = factors.bearing_factor(part.used)
+    gain = float(factor.squares(before.ravel()).sum() - factor.squares(x).sum())
+    return gain, float(factors.bearing_factor(part.whole).squares(x)[part.rows == row][0])
+
+
+def _taken_in(
+    net: Network,
+    inlier: Bool[np.ndarray, " m"],
+    position: Float[np.ndarray, "n d"],
+    row: int,
+    limit: float,
+    cfg: SwarmConfig,
+) -> tuple[float, list[int]]:
+    """What the cost of all sightings near by, each cut off at `limit`, loses where `row` is believed; what then is not.
+
+    The sighting that misses most is let go until all that are left fit, or `row` itself is the one.
+    """
+    kept = inlier.copy()
+    kept[row] = True
+    let_go: list[int] = []
+    for _ in range(SWAPS + 1):
+        part = _part(net, kept, position, row)
+        if part is None:
+            break
+        before = position[part.robots]
+        x = refine(part.used, prepare(part.used, before), cfg, everyone=True)[0].x
+        whole = factors.bearing_factor(part.whole)
+        now = whole.squares(x)
+        misses = np.where(kept[part.rows], now, 0.0)
+        worst = int(np.argmax(misses))
+        if misses[worst] <= limit:
+            costs = np.minimum(whole.squares(before.ravel()), limit).sum() - np.minimum(now, limit).sum()
+            return (float(costs), let_go) if let_go else (-np.inf, [])
+        if part.rows[worst] == row:
+            break
+        let_go.append(int(part.rows[worst]))
+        kept[let_go[-1]] = False
+    return -np.inf, []

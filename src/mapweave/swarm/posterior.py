@@ -39,10 +39,13 @@ def posterior(
     traffic: Traffic | None = None,
     notes: tuple[str, ...] = (),
     pattern: Pattern | None = None,
+    unchecked: Bool[np.ndarray, " used"] | None = None,
 ) -> SwarmEstimate:
     """The estimate at `solution`, its covariance in the gauge of `start`.
 
-    `outlier`: (m_all,) of the whole network when `net` holds the inliers only; `notes`: warnings known already.
+    `outlier`: (m_all,) of the whole network when `net` holds the inliers only; `notes`: warnings known already;
+    `unchecked`: of those in `net`, sightings that may be wrong unnoticed; the covariance counts none between close
+    robots.
     """
     n, w, dim = len(net), factors.width(net), net.dim
     gauge, localisable = start.gauge, start.seen.localisable
@@ -63,7 +66,7 @@ def posterior(
     if information is not None and cfg.covariance:
         covariance = position_covariance(net, gauge, information, solution.free, localisable, position, (G, C))
         deviation = np.sqrt(np.nan_to_num(np.trace(covariance.cov, axis1=1, axis2=2)))
-        honest, close = with_true_lengths(net, x, problem, information, pattern, deviation, localisable)
+        honest, close = with_true_lengths(net, x, problem, information, pattern, deviation, localisable, unchecked)
         if close:
             information = honest
             covariance = position_covariance(net, gauge, information, solution.free, localisable, position, (G, C))

@@ -17,7 +17,7 @@ from ..solve import GemanMcClure
 from .batch import batch, refine
 from .config import ROBUST, RobustConfig, SwarmConfig
 from .factors import bearing_factor
-from .fallen import fallen_together
+from .fallen import fallen_together, unchecked
 from .headings import mutual_pairs, world_directions
 from .linear import linear_pattern, linear_start
 from .network import Network, components, effective_sigma
@@ -82,7 +82,14 @@ def _selected(
     if len(chosen.observer) != problem.terms[0].size // (net.dim - 1):
         start = prepare_at(chosen, x, start)
         solution, problem, pattern = refine(chosen, start, cfg, everyone=True)
-    return posterior(chosen, start, solution, problem, cfg, "robust", ~inlier, pattern=pattern), inlier, start
+    estimate = posterior(chosen, start, solution, problem, cfg, "robust", ~inlier, pattern=pattern)
+    if net.axis and not inlier.all():  # where some are wrong, one that nothing checks may be
+        alone = unchecked(net, inlier, estimate)[inlier]
+        if alone.any():
+            estimate = posterior(
+                chosen, start, solution, problem, cfg, "robust", ~inlier, pattern=pattern, unchecked=alone
+            )
+    return estimate, inlier, start
 
 
 def _nothing_agrees(net: Network, cfg: SwarmConfig, initial: np.ndarray | None) -> SwarmEstimate:

@@ -70,4 +70,13 @@ CLAIMS = (
         "{drives} drives",
         COMMAND,
     ),
+    Claim(
+        "Future work: localisation with intensity in a finished map",
+        "papers/hara/starts.py",
+        f"{LOOP}::test_no_trusted_start_is_wrong_and_light_tells_what_walls_cannot",
+        "not tried",
+        "localised",
+        "{starts} starts",
+        COMMAND,
+    ),
 )

@@ -1,6 +1,6 @@
 """`reproduce hara`: odometry, matching, gate and particle filter on the paper's kind of loop, six times."""
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -24,6 +24,7 @@ from .experiments import Picture, compare
 from .gate import GateRow, try_gate
 from .hard_world import HardConfig
 from .methods import Method, methods
+from .starts import SCANS, Start, counts, starts_table, try_starts
 
 WHY = """
 The paper's corridor and its log are not published. Here the ring is 60 by 30 m, 2.5 m wide, driven for 200 m with 15 to
@@ -52,7 +53,9 @@ Errors are root mean square positions after one rigid alignment to the truth.
 
 @dataclass(frozen=True, slots=True, repr=False)
 class HaraReproduction(Reproduction):
-    """errors: (methods, seeds) ATE [m]; pictures: the maps of one seed; gate: on the ring that is hard to match."""
+    """errors: (methods, seeds) ATE [m]; pictures: the maps of one seed; gate: on the ring that is hard to match;
+    starts: localised with intensity and without.
+    """
 
     seed: int
     quick: bool
@@ -63,6 +66,7 @@ class HaraReproduction(Reproduction):
     gate: tuple[GateRow, ...]
     along: tuple[AlongRow, ...]
     alpha: AlphaCurve
+    starts: tuple[Start, ...]
     timing: dict[str, float]
 
     def table(self) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
@@ -155,6 +159,11 @@ class HaraReproduction(Reproduction):
                     ),
                 ),
             ),
+            Section(
+                f"Where am I: {1 + max((s.start for s in self.starts), default=-1)} logs of unknown start in a "
+                "finished map",
+                *starts_table(self.starts),
+            ),
         )
 
     @property
@@ -195,7 +204,13 @@ class HaraReproduction(Reproduction):
         ours = self.error("our RBPF, intensity")
         raw, bare = (self.error(f"paper's RBPF, {what}") for what in ("raw intensity", "geometry"))
         found, tried = self.alpha.found, self.alpha.ate.mean(axis=1)
+        light, walls = counts(self.starts, "normalised"), counts(self.starts, "none")
         return {
+            "starts": str(1 + max((s.start for s in self.starts), default=-1)),
+            "localised": "; ".join(
+                f"{name}: {n['right']} right, {n['wrong']} wrong, {n['not sure']} not sure"
+                for name, n in (("intensity", light), ("geometry", walls))
+            ),
             "drives": str(self.errors.shape[1]),
             "odometry": f"{self.error('odometry'):.2f} m ATE",
             "icp": f"{self.error('Intensity-ICP'):.2f} m, ICP on geometry {self.error('ICP, geometry'):.2f} m",
@@ -271,6 +286,7 @@ class HaraReproduction(Reproduction):
                 "found": self.alpha.found,
                 "ate_at_found": self.alpha.at_found,
             },
+            "starts": [asdict(start) for start in self.starts],
             "notes": self.differences(),
             "claims": self.measured(),
             "timing": self.timing,
@@ -288,10 +304,10 @@ def reproduce_hara(
     loop: CorridorConfig | None = None,
     on_progress: Progress = no_progress,
 ) -> HaraReproduction:
-    """Every method on six simulated loops with 512 particles (`quick`: two loops, 64), written to `out` if given.
+    """Every method on six simulated loops with 512 particles, and 100 starts, written to `out` if given.
 
-    loop: the ring that is driven; the paper's kind where none is given. The same seed gives the same figures. Raises
-    UsageError when `out` holds something other than a result.
+    quick: two loops, 64 particles, 6 starts. loop: the ring that is driven; the paper's kind where none is given. The
+    same seed gives the same figures. Raises UsageError when `out` holds something other than a result.
     """
     if out is not None:
         check_target(Path(out), force=force)
@@ -304,8 +320,9 @@ def reproduce_hara(
     gate = part(try_gate, drives, hard, on_progress=on_progress)
     along = part(try_along, drives, loop)
     alpha = part(alpha_curve, drives, loop, on_progress=on_progress)
+    starts = part(try_starts, 6 if quick else 100, seed, SCANS, loop, on_progress=on_progress)
     timing = {"all": perf_counter() - begun}
-    result = HaraReproduction(seed, quick, particles, chosen, errors, pictures, gate, along, alpha, timing)
+    result = HaraReproduction(seed, quick, particles, chosen, errors, pictures, gate, along, alpha, starts, timing)
     if out is not None:
         result.write(out, force=force)
     return result

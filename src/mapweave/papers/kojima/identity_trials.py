@@ -31,6 +31,31 @@ class IdentityTrials:
     wrong: int
     refused: int
     reason: str
+    evidence_right: tuple[float, ...] = ()
+    evidence_wrong: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Price:
+    """What believing a share of the right alignments costs: the odds needed, and wrong ones believed of how many."""
+
+    odds: float
+    wrong: int
+    of: int
+
+
+def price(rows: tuple[IdentityTrials, ...], common: int, share: float) -> Price | None:
+    """The price of believing `share` of the trials with `common` in common; None where no odds reach it.
+
+    Wrong ones are counted over all of `rows`, which are of one kind of matching.
+    """
+    asked = next(t for t in rows if t.common == common)
+    needed = int(np.ceil(share * asked.trials))
+    if len(asked.evidence_right) < needed:
+        return None
+    least = sorted(asked.evidence_right, reverse=True)[needed - 1]
+    wrong = sum(e >= least for t in rows for e in t.evidence_wrong)
+    return Price(float(np.exp(least)), wrong, sum(t.trials for t in rows))
 
 
 def draw_pair(
@@ -64,6 +89,7 @@ def identity_trials(
         on_progress("identities", at, len(commons))
         found = right = wrong = 0
         reasons: dict[str, int] = {}
+        evidence: dict[bool, list[float]] = {True: [], False: []}
         for trial in range(trials):
             source, target, T, _ = draw_pair(common, np.random.default_rng([seed, common, trial]))
             match = match_maps(source, target, cfg)
@@ -72,17 +98,21 @@ def identity_trials(
             found += ok
             right += match.accepted and ok
             wrong += match.accepted and not ok
-            if not match.accepted:
-                kind = _kind(match.reason)
+            kind = "" if match.accepted else _kind(match.reason)
+            if kind in {"", "chance"}:
+                evidence[ok].append(match.evidence)
+            if kind:
                 reasons[kind] = reasons.get(kind, 0) + 1
         most = max(reasons, key=lambda kind: reasons[kind]) if reasons else ""
-        out.append(IdentityTrials(told, common, trials, found, right, wrong, trials - right - wrong, most))
+        refused = trials - right - wrong
+        scores = tuple(evidence[True]), tuple(evidence[False])
+        out.append(IdentityTrials(told, common, trials, found, right, wrong, refused, most, *scores))
     return tuple(out)
 
 
 def _kind(reason: str) -> str:
     """The reason without its numbers."""
-    for kind in ("another alignment", "chi-square", "needed"):
+    for kind in ("another alignment", "chi-square", "chance", "needed"):
         if kind in reason:
             return {"needed": "too few agree"}.get(kind, kind)
     return reason
