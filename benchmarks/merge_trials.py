@@ -1,14 +1,19 @@
 """Pairs of robots with unknown starts in simulated buildings: maps merged rightly, wrongly, or refused, and why.
 
-    python benchmarks/merge_trials.py [--trials N] [--seed S] [--kinds office,corridor,..]
+    python benchmarks/merge_trials.py [--trials N] [--seed S] [--kinds office,corridor,..] [--pictures] [--page FILE]
 
 Kinds: `office` floors with 0 to 80 % of the way shared, any rotation; `corridor`, straight and flush; `symmetric`
 floors that look the same turned by 180 degrees, half of the way shared at least; `repetitive` rows of equal rooms;
 `strangers`: two different floors. On request `twins`: symmetric floors of which each robot may have seen another half,
 which must be refused: two places fit.
+
+`--pictures` has the same pairs merged by features of their pictures too (`image_merge.py`); `--page` writes the table
+between its two marks in a page of the documentation.
 """
 
 import argparse
+import re
+from pathlib import Path
 from time import process_time
 
 import numpy as np
@@ -20,6 +25,7 @@ from mapweave.sim.laser_pairs import MapPair, PairConfig, drive_pair
 from mapweave.sim.office_floor import office_floor
 
 KINDS = ("office", "office", "office", "corridor", "symmetric", "repetitive", "strangers")
+BEGIN, END = "<!-- merge trials: begin -->", "<!-- merge trials: end -->"
 NEAR, NEAR_TURN = 0.5, 0.09  # [m, rad] a merge that errs by less is right
 
 
@@ -81,12 +87,12 @@ MAKERS = {"office": office, "corridor": corridor, "symmetric": symmetric, "repet
 MAKERS |= {"strangers": strangers, "twins": twins}
 
 
-def judged(pair: MapPair, merge: Merge) -> str:
-    if merge.transform is None:
+def judged(pair: MapPair, transform: np.ndarray | None) -> str:
+    if transform is None:
         return "refused"
     if not np.isfinite(pair.transform).all():
         return "wrong"
-    e = se2.between(pair.transform, merge.transform)
+    e = se2.between(pair.transform, transform)
     return "right" if np.hypot(*e[:2]) < NEAR and abs(e[2]) < NEAR_TURN else "wrong"
 
 
@@ -97,7 +103,17 @@ def trial(seed: int, kinds: tuple[str, ...] = KINDS) -> tuple[str, float, MapPai
     share = float(rng.uniform(0.0, 0.8))
     pair = MAKERS[kind](rng, share)
     merge = merge_maps(pair.a, pair.b)
-    return kind, share, pair, merge, judged(pair, merge)
+    return kind, share, pair, merge, judged(pair, merge.transform)
+
+
+def table(rows: dict[str, dict[str, list[int]]], told: str) -> str:
+    """Kinds against who merged them: right / wrong / refused. told: the command."""
+    names = list(next(iter(rows.values())))
+    lines = [f"| pairs | n | {' | '.join(names)} |", "|---|---|" + "---|" * len(names)]
+    for kind, row in sorted(rows.items()):
+        cells = " | ".join(" / ".join(map(str, row[name])) for name in names)
+        lines.append(f"| {kind} | {sum(row[names[0]])} | {cells} |")
+    return "\n".join([*lines, "", f"Right / wrong / refused, by `{told}`."])
 
 
 def main() -> None:
@@ -105,23 +121,37 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=70)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("--pictures", action="store_true")
+    parser.add_argument("--page", type=Path)
     asked = parser.parse_args()
     kinds = tuple(asked.kinds.split(","))
-    counts: dict[str, dict[str, int]] = {}
+    rows: dict[str, dict[str, list[int]]] = {}
     for seed in range(asked.seed, asked.seed + asked.trials):
         started = process_time()
         kind, share, pair, merge, verdict = trial(seed, kinds)
-        name = kind if kind != "office" else f"office, {'over' if share >= 0.25 else 'under'} 25 % of the way shared"
-        counts.setdefault(name, {"right": 0, "wrong": 0, "refused": 0})[verdict] += 1
         took = process_time() - started
+        verdicts = {"mapweave": verdict}
+        if asked.pictures:
+            from image_merge import merged_by_features
+
+            verdicts["ORB and RANSAC"] = judged(pair, merged_by_features(pair.a, pair.b))
+        name = kind if kind != "office" else f"office, {'over' if share >= 0.25 else 'under'} 25 % of the way shared"
+        for who, said in verdicts.items():
+            counts = rows.setdefault(name, {}).setdefault(who, [0, 0, 0])
+            counts[("right", "wrong", "refused").index(said)] += 1
         print(
-            f"{seed:4d} {kind:10s} way {share:.2f} walls {pair.overlap:.2f} {verdict:7s} agreeing {merge.agreeing:2d} "
-            f"alike {merge.alike or 0:.3f} {took:5.1f} s CPU  {merge.reason}",
+            f"{seed:4d} {kind:10s} way {share:.2f} walls {pair.overlap:.2f} {' '.join(verdicts.values()):15s} agreeing "
+            f"{merge.agreeing:2d} alike {merge.alike or 0:.3f} {took:5.1f} s CPU  {merge.reason}",
             flush=True,
         )
-    print(f"\n{'kind':42s} right wrong refused")
-    for name, row in sorted(counts.items()):
-        print(f"{name:42s} {row['right']:5d} {row['wrong']:5d} {row['refused']:7d}")
+    command = f"benchmarks/merge_trials.py --trials {asked.trials} --seed {asked.seed}"
+    command += "" if kinds == KINDS else f" --kinds {asked.kinds}"
+    told = table(rows, command + (" --pictures" if asked.pictures else ""))
+    print(f"\n{told}")
+    if asked.page is not None:
+        page = asked.page.read_text(encoding="utf-8")
+        marked = re.compile(f"{re.escape(BEGIN)}.*?{re.escape(END)}", re.DOTALL)
+        asked.page.write_text(marked.sub(lambda _: f"{BEGIN}\n{told}\n{END}", page), encoding="utf-8")
 
 
 if __name__ == "__main__":

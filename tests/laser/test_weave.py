@@ -4,6 +4,7 @@ import numpy as np
 
 from mapweave.core import se2
 from mapweave.core.walls import Walls
+from mapweave.laser.merge_search import MergeConfig
 from mapweave.laser.robot_graph import RobotGraph
 from mapweave.laser.weave import keyframe_map, weave
 from mapweave.sim.laser_pairs import PairConfig, drive_pair
@@ -57,3 +58,20 @@ def test_robots_that_meet_are_woven_and_a_stranger_stays_alone():
     alone = weave(robots[::2], merge=False)
     assert alone.component.tolist() == [0, 1]
     assert not alone.merges
+
+
+def test_ties_of_submaps_that_overlap_count_as_so_many_measurements_as_they_are():
+    floor = office_floor(600.0, 3)
+    walls = Walls.of(floor.world.segments)
+    made = drive_pair(walls, floor.lower + 4.0, floor.upper - 4.0, 0.8, np.random.default_rng([3, 3]), CFG)
+    robots = [robot_graph(m, str(k + 1)) for k, m in enumerate((made.a, made.b))]
+    woven = weave(robots)
+    held = [c for c in woven.merges[0].closures if c.accepted]
+    assert len(held) > 4
+    within = sum(len(r) - 1 for r in robots)
+    ties = woven.joint.graph.information[within:]
+    least = min(MergeConfig().ties_alike, len(held))
+    assert np.allclose(ties, np.array([c.information for c in held]) / least)
+    sd = np.sqrt(np.trace(woven.joint.covariances()[len(robots[0])][:2, :2]))
+    each = weave(robots, MergeConfig(ties_alike=1.0))
+    assert sd > 1.2 * np.sqrt(np.trace(each.joint.covariances()[len(robots[0])][:2, :2]))

@@ -107,6 +107,8 @@ def test_covariances_grow_from_the_first_pose_in_the_axes_of_the_map():
     joint = woven.joint.covariances()
     rows = len(ROWS) + np.arange(len(ROWS))
     assert np.allclose(made.tracks["2"].cov[ROWS], joint[rows] + maps[0].graph.cov[0], atol=1e-12)
+    (wide,) = woven_maps(maps, woven, 0.1, unsure=3.0)
+    assert np.allclose(wide.tracks["2"].cov[ROWS], 3.0 * joint[rows] + maps[0].graph.cov[0], atol=1e-12)
     turned = replace(woven, pose=tuple(se2.compose(np.array([0.0, 0.0, 1.2]), p) for p in woven.pose))
     (other,) = woven_maps(maps, turned, 0.1)
     expected = se2.turned_covariance(1.2, joint[rows]) + maps[0].graph.cov[0]

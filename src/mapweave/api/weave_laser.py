@@ -65,7 +65,7 @@ def woven_result(
         on_progress("weave", 0, 1)
     graphs = [m.graph for m in made if m.graph is not None]
     woven = weave(graphs, cfg.merge, told, merge=merge, last=cfg.graph.joint)
-    components = woven_maps(made, woven, cfg.resolution)
+    components = woven_maps(made, woven, cfg.resolution, cfg.graph.unsure)
     if len(made) > 1:
         on_progress("weave", 1, 1)
     timing = {"weave": perf_counter() - began} if len(made) > 1 else {}

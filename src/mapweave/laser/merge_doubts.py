@@ -55,7 +55,7 @@ def allowed(pair: Pair, other: Candidate, best: Candidate) -> bool:
     if pair.start is not None or pair.darkened(other):
         return False
     cfg, seen = pair.cfg, other.seen
-    enough = seen.alike >= max(cfg.least_seen, cfg.rival * best.seen.alike)
+    enough = seen.alike >= max(cfg.rival_seen, cfg.rival * best.seen.alike)
     return enough and seen.clear >= cfg.clear and seen.share >= cfg.rival_alike
 
 

@@ -73,7 +73,7 @@ def weave(
             merges.append(found)
             if found.transform is None:
                 continue
-            graph = graph.joined(_ties(found, start, int(offset[i]), int(offset[j])))
+            graph = graph.joined(_ties(found, start, int(offset[i]), int(offset[j]), (cfg or MergeConfig()).ties_alike))
             moved = se2.compose(se2.compose(frame[i], found.transform), se2.inverse(frame[j]))
             old, new = max(group[i], group[j]), min(group[i], group[j])
             if group[i] != new:  # robot i's component is the one that moves
@@ -153,8 +153,12 @@ def _between_robots(starts: Mapping[int, Start], i: int, j: int) -> Start | None
     return Start(se2.between(a.transform, b.transform), np.hypot(a.sd, b.sd))
 
 
-def _ties(found: Merge, start: np.ndarray, at_a: int, at_b: int) -> PoseGraph:
-    """The closures a merge was decided on, over the poses of all robots."""
+def _ties(found: Merge, start: np.ndarray, at_a: int, at_b: int, alike: float) -> PoseGraph:
+    """The closures a merge was decided on, over the poses of all robots.
+
+    alike: so many of them count as one measurement: their submaps overlap, and both maps are bent alike for all.
+    """
     held = [c for c in found.closures if c.accepted]
+    least = min(alike, float(len(held)))
     pairs = [(at_a + c.first, at_b + c.second) for c in held]
-    return PoseGraph.of(start, pairs, [c.measured for c in held], [c.information for c in held])
+    return PoseGraph.of(start, pairs, [c.measured for c in held], [c.information / least for c in held])

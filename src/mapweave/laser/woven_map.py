@@ -68,10 +68,11 @@ class WovenMap:
         object.__setattr__(self, "t", frozen(self.t))
 
 
-def woven_maps(maps: Sequence[LaserMap], woven: Woven, resolution: float) -> tuple[WovenMap, ...]:
+def woven_maps(maps: Sequence[LaserMap], woven: Woven, resolution: float, unsure: float = 1.0) -> tuple[WovenMap, ...]:
     """The components of `woven`, that of most robots first; a robot alone keeps its own map as it is.
 
-    maps: each robot's own, with its graph, in the order they were woven in.
+    maps: each robot's own, with its graph, in the order they were woven in; unsure: covariances of the joint graph are
+    told so many times as great.
     """
     graphs = [_graph(m) for m in maps]
     offset = np.concatenate([[0], np.cumsum([len(g) for g in graphs])]).astype(np.int64)
@@ -84,7 +85,7 @@ def woven_maps(maps: Sequence[LaserMap], woven: Woven, resolution: float) -> tup
     return tuple(
         _alone(maps[group[0]], rows.get(n, ()))
         if len(group) == 1
-        else _component(group, maps, poses, woven, offset, rows.get(n, ()), resolution)
+        else _component(group, maps, poses, woven, offset, rows.get(n, ()), resolution, unsure)
         for n, group in enumerate(groups)
     )
 
@@ -117,6 +118,7 @@ def _component(
     offset: Int[np.ndarray, " m"],
     closures: Sequence[ClosureRow],
     resolution: float,
+    unsure: float,
 ) -> WovenMap:
     graphs = [_graph(maps[k]) for k in group]
     at = np.concatenate([np.arange(offset[k], offset[k + 1]) for k in group])
@@ -133,7 +135,7 @@ def _component(
         joint.information[inside],
     )
     turned = float(poses[group[0]][0, 2] - joint.pose[at[0], 2])
-    cov = se2.turned_covariance(turned, woven.joint.covariances()[at]) + graphs[0].cov[0]
+    cov = unsure * se2.turned_covariance(turned, woven.joint.covariances()[at]) + graphs[0].cov[0]
     ends = np.concatenate([[0], np.cumsum([len(g) for g in graphs])]).astype(np.int64)
     tracks = {
         maps[k].robot: _track(maps[k], poses[k], np.asarray(cov[ends[i] : ends[i + 1]])) for i, k in enumerate(group)
