@@ -325,7 +325,7 @@ def test_a_graph_without_type_hashes_is_answered_without_them(ros, tmp_path):
     rviz.hear("/tb1/map", GRID, latched=True, type_hash=none)
     one = RosDrive(session, "tb1", made.log, MOUNT, by_tf=True, type_hash=none)
     stop, said = threading.Event(), []
-    thread = follows("r1", at, tmp_path, stop, said)
+    thread = follows("r1", free_endpoint(), tmp_path, stop, said, graph=at)  # the team's network is another, and away
     wait_for(lambda: any("hears /tb1/scan" in words for words in said))
     one.play(2.0)
     wait_for(lambda: rviz.heard["/tb1/map"])

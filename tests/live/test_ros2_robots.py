@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.live.messages import RefusedError
+from mapweave.live.laser_stream import beams_of, scan_of
+from mapweave.live.messages import RefusedError, Scans, decode, encode
 from mapweave.live.ros2 import cdr
 from mapweave.live.ros2.assembly import GAP, LEAP, PATIENCE, Assembly
 from mapweave.live.ros2.graph import Graph, chosen
@@ -221,6 +222,29 @@ def test_what_no_sensor_says_is_refused_and_changes_nothing(message):
     made = fed(Assembly(), message)
     assert sum(made.refused.values()) == 1
     assert made.ready(all_of_them=True) == ([], [])
+
+
+def test_messages_with_any_byte_changed_are_used_or_refused_and_nothing_else():
+    rng = np.random.default_rng(5)
+    made = Assembly(sensor_pose=(0.0, 0.0, 0.0))
+    refused = 0
+    for k in range(3000):
+        t = 10.0 + 0.1 * k
+        kind, payload = (scan(t), odometry(t), mounted())[k % 3]
+        changed = bytearray(payload[: rng.integers(1, len(payload) + 1)] if rng.random() < 0.2 else payload)
+        for at in rng.integers(0, len(changed), rng.integers(1, 4)):
+            changed[at] = rng.integers(256)
+        try:
+            fed(made, (kind, bytes(changed)))
+        except RefusedError:
+            refused += 1
+        for when, placed in made.ready()[0]:
+            assert np.isfinite(placed.ranges).all()
+            assert np.isfinite([when, *placed.odometry, *placed.T_robot_sensor, placed.angle_min]).all()
+            (beams,) = decode(encode(Scans(robot="r1", run="a", seq=1, scans=[beams_of(when, placed)]))).scans
+            assert np.array_equal(scan_of(beams).ranges, placed.ranges)
+    assert refused > 100
+    assert sum(made.refused.values()) > 100
 
 
 def test_rows_that_no_scan_waits_for_are_let_go():

@@ -253,7 +253,8 @@ class Assembly:
 
 def _sound(told: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]) -> bool:
     shift, turn = told
-    return bool((np.abs(shift) < LARGEST).all() and abs(float(turn @ turn) - 1.0) < 0.1)
+    in_range = (np.abs(shift) < LARGEST).all() and (np.abs(turn) < 2.0).all()
+    return bool(in_range and abs(float(turn @ turn) - 1.0) < 0.1)
 
 
 def _stamp(header: Any) -> float:
