@@ -9,6 +9,8 @@ import time
 from collections import deque
 from contextlib import contextmanager, suppress
 
+import numpy as np
+
 
 class Relay:
     """Passes TCP on from `at` to `target`, everything `delay` [s] later; `cut` breaks every connection."""
@@ -82,6 +84,43 @@ class Relay:
 
     def close(self) -> None:
         self._server.close()
+
+
+class LossyRelay(Relay):
+    """A relay whose links are as TCP makes of a line that loses packets: what is read waits `delay`, and with the
+
+    chance `loss` until it was sent again, `again` later, twice that when lost once more, and so on; all after it waits
+    too. `break_off` cuts all links at random moments. Draws are those of `seed`, one stream a direction of a link.
+    """
+
+    def __init__(self, target: str, delay: float, loss: float, seed: int, again: float = 0.2) -> None:
+        self.loss, self.again = loss, again
+        self._seeds = np.random.SeedSequence(seed)
+        self.lost = self.passed = self.cuts = 0
+        super().__init__(target, delay)
+
+    def _read(self, source: socket.socket, queue: deque) -> None:
+        rng = np.random.default_rng(self._seeds.spawn(1)[0])
+        due, data = 0.0, b"begin"
+        while data:
+            try:
+                data = source.recv(1460)  # a packet
+            except OSError:
+                data = b""
+            late, wait = self.delay, self.again
+            while data and rng.random() < self.loss:
+                late, wait = late + wait, 2.0 * wait
+                self.lost += 1
+            self.passed += bool(data)
+            due = max(due, time.monotonic() + late)
+            queue.append((due, data))
+
+    def break_off(self, stop: threading.Event, every: float, longest: float) -> None:
+        """Until `stop`: all links go, `every` seconds apart in the mean, each time for `longest` at most."""
+        rng = np.random.default_rng(self._seeds.spawn(1)[0])
+        while not stop.wait(min(rng.exponential(every), 3.0 * every)):
+            self.cuts += 1
+            self.cut(float(rng.uniform(0.0, longest)))
 
 
 def ip(*words: str) -> bool:

@@ -12,7 +12,7 @@ from mapweave.api.live import live_map, live_robot
 from mapweave.api.simulate_landmarks import simulate_landmarks
 from mapweave.live.transport import Network
 
-from .bad_network import Relay, ip, lossy, two_namespaces
+from .bad_network import LossyRelay, Relay, ip, lossy, two_namespaces
 from .processes import Fleet, free_endpoint, same_result
 
 
@@ -53,6 +53,29 @@ def test_late_and_cut_off_twice_the_map_is_the_same(fleet, direct, delay, lease)
     assert fleet.wait("map") == 0, fleet.said("map")
     relay.close()
     assert "r2: is gone" in fleet.said("map")
+    same_result(direct, fleet.folder / "out-map")
+
+
+@pytest.mark.slow
+def test_a_line_that_loses_a_fifth_of_its_packets_and_breaks_off_at_random_changes_nothing(fleet, direct):
+    relays = [LossyRelay(fleet.at, delay=0.15, loss=0.2, seed=seed) for seed in (1, 2)]
+    stop = threading.Event()
+    breaking = [threading.Thread(target=relay.break_off, args=(stop, 4.0, 3.0)) for relay in relays]
+    fleet.map()
+    fleet.hears("map", "heard so far")
+    for name, relay in zip(("r1", "r2"), relays, strict=True):
+        fleet.robot(name, "--connect", relay.at, rate="4")
+    fleet.hears("map", "r1: joined")
+    for thread in breaking:
+        thread.start()
+    time.sleep(12.0)
+    stop.set()
+    assert fleet.wait("map") == 0, fleet.said("map")
+    for thread, relay in zip(breaking, relays, strict=True):
+        thread.join()
+        relay.close()
+        assert relay.cuts >= 1
+        assert 0.1 < relay.lost / (relay.passed + relay.lost) < 0.3
     same_result(direct, fleet.folder / "out-map")
 
 

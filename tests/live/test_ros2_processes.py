@@ -380,6 +380,7 @@ def test_where_no_router_is_it_waits_and_says_so(tmp_path):
 def test_what_cannot_be_is_refused_at_once(tmp_path):
     for options, words in (
         ({"ros": RosOptions(domain=233)}, "--domain: expected 0 to 232, found 233"),
+        ({"ros": RosOptions(sensor_pose=(0.0, 0.0, float("nan")))}, "--sensor-pose: expected finite numbers"),
         ({"rate": 2.0}, "neither --robot nor --rate"),
         ({"robot": "2"}, "neither --robot nor --rate"),
         ({"network": Network(tls=tmp_path)}, "--tls: ROS speaks under names no certificate has"),

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
+from mapweave.laser.laser_map import GridMap
 from mapweave.live.laser_stream import beams_of, scan_of
 from mapweave.live.messages import RefusedError, Scans, decode, encode
 from mapweave.live.ros2 import cdr
 from mapweave.live.ros2.assembly import GAP, LEAP, PATIENCE, Assembly
 from mapweave.live.ros2.graph import Graph, chosen
+from mapweave.live.ros2.shown import grid_of, pose_of
 from mapweave.live.ros2.wire import NO_HASH, Entity, Topic
 
 from . import ros_peer
@@ -272,3 +274,21 @@ def test_mounts_compose_as_poses_do():
     np.testing.assert_allclose(
         placed.T_robot_sensor, se2.compose(np.array([1.0, 2.0, -0.7]), np.array([0.2, 0.1, 0.4])), atol=1e-9
     )
+
+
+def test_a_grid_is_told_from_its_lowest_row_up_and_a_covariance_at_x_y_and_the_turn():
+    hits = np.array([[5, 0, 0], [0, 5, 0]])
+    passes = np.array([[0, 9, 0], [9, 0, 1]])
+    nothing = np.zeros((2, 3))
+    grid = GridMap(0.05, np.array([-1.0, 2.0]), hits, passes, np.zeros((2, 3, 2)), nothing, nothing)
+    told = ros_peer.read_grid(cdr.encode(grid_of(5_000_000_007, "map", grid), cdr.GRID))
+    assert told[0] == "map"
+    assert told[1] == pytest.approx(0.05)
+    assert told[2:] == ((3, 2), (-1.0, 2.0), (100, 0, -1, 0, 100, -1))
+    pose = pose_of(5_000_000_007, "map", np.array([1.0, 2.0, 0.5]), np.arange(1.0, 7.0))
+    t, frame, told, cov = ros_peer.read_pose(cdr.encode(pose, cdr.POSE))
+    assert (t, frame) == (pytest.approx(5.000000007), "map")
+    np.testing.assert_allclose(told, [1.0, 2.0, 0.5], atol=1e-12)
+    whole = np.array(cov).reshape(6, 6)
+    np.testing.assert_array_equal(whole[np.ix_([0, 1, 5], [0, 1, 5])], [[1, 2, 3], [2, 4, 5], [3, 5, 6]])
+    assert np.count_nonzero(whole) == 9

@@ -1,5 +1,6 @@
 """A robot whose ROS 2 runs rmw_zenoh, driven as `live_robot` drives a log."""
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -22,7 +23,7 @@ from ..live.transport import Network, session
 from .map_laser import LaserMapConfig
 
 ROUTER = "tcp/localhost:7447"  # where rmw_zenoh's router stands unless told otherwise
-AGAIN = 1000  # [ms] between two tries to reach it
+AGAIN = 2000  # [ms] between two tries to reach it
 LARGEST_DOMAIN = 232  # a domain of ROS 2 is 0 to 232
 
 Say = Callable[[str], None]
@@ -45,6 +46,8 @@ class RosOptions:
         """Raises UsageError for what cannot be."""
         if not 0 <= self.domain <= LARGEST_DOMAIN:
             raise UsageError(f"--domain: expected 0 to {LARGEST_DOMAIN}, found {self.domain}")
+        if self.sensor_pose is not None and not all(math.isfinite(x) for x in self.sensor_pose):
+            raise UsageError(f"--sensor-pose: expected finite numbers, found {self.sensor_pose}")
         if network.tls is not None and self.graph is None:
             raise UsageError("--tls: ROS speaks under names no certificate has: --graph says where it is reached")
 
