@@ -58,6 +58,16 @@ def price(rows: tuple[IdentityTrials, ...], common: int, share: float) -> Price 
     return Price(float(np.exp(least)), wrong, sum(t.trials for t in rows))
 
 
+def price_text(rows: tuple[IdentityTrials, ...]) -> str:
+    """What believing 98 of 100 with six in common costs, in words that end a sentence."""
+    asked = next(t for t in rows if t.common == 6)
+    cost = price(rows, 6, 0.98)
+    if cost is None:
+        none = asked.trials - len(asked.evidence_right)
+        return f"is beyond any odds: in {none} of {asked.trials} trials fewer than six fit, or others as well"
+    return f"odds of {cost.odds:.2g} would have to do, at which {cost.wrong} of {cost.of} pairs are believed wrongly"
+
+
 def draw_pair(
     common: int, rng: np.random.Generator
 ) -> tuple[LandmarkMap, LandmarkMap, np.ndarray, set[tuple[int, int]]]:

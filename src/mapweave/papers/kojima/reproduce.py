@@ -18,7 +18,7 @@ from ..reproduction import Claim, Drawing, Reproduction, Section, sentences
 from . import figures
 from .claims import CLAIMS
 from .experiments import honesty, merge_online, unequal
-from .identity_trials import identity_trials
+from .identity_trials import identity_trials, price_text
 from .measured import CASES, NAMES, PRINTED, Measured
 from .settling import settling
 from .world import KojimaConfig, draw_worlds
@@ -55,8 +55,9 @@ centimetres {loose_left:.0f} % (medians).
 
 The paper presumes that common landmarks are known. Without names, with six in common or more, the alignment is right in
 {found} of {trials} trials at least and believed in {believed}: where noise hides one of six, five are left and it is
-refused. Told nothing of how good the maps are, matching takes them for maps of real robots, and believes {chance} of
-{few} pairs wrongly that share under six.
+refused, or they fit no better than six would by chance: counting all ways to pair landmarks, a match is believed from
+odds of 2 on. Told nothing of how good the maps are, matching takes them for maps of real robots, and believes {chance}
+of {few} pairs wrongly that share under six. To believe 98 of 100 with six in common {price}.
 
 Weights do pay when maps share more than two landmarks and differ in quality: see the table of unequal maps.
 """
@@ -94,7 +95,7 @@ class KojimaReproduction(Measured, Reproduction):
             "loose_left": 100 * float(np.median(loose.left)),
         }
 
-    def _identity_figures(self) -> dict[str, int]:
+    def _identity_figures(self) -> dict[str, int | str]:
         enough = [t for t in self.identities if t.told and t.common >= 6]
         few = [t for t in self.identities if not t.told and t.common < 6]
         return {
@@ -103,6 +104,7 @@ class KojimaReproduction(Measured, Reproduction):
             "trials": enough[0].trials,
             "chance": sum(t.wrong for t in few),
             "few": sum(t.trials for t in few),
+            "price": price_text(tuple(t for t in self.identities if not t.told)),
         }
 
     def sections(self) -> tuple[Section, ...]:
