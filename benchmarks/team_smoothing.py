@@ -32,6 +32,8 @@ from mapweave.fusion.join import fuse
 from mapweave.io.landmark_logs import read_landmark_logs
 from mapweave.landmarks.mapping import local_map
 from mapweave.team.config import SmoothingConfig
+from mapweave.team.further_rooms import with_further_rooms
+from mapweave.team.relative_frame import PlacingConfig
 from mapweave.team.smooth import smooth
 from mapweave.team.team_map import TeamMap
 
@@ -86,6 +88,7 @@ def run(path: Path, *, odometry: bool) -> dict[str, object]:
     local = [local_map(log) for log in logs]
     fusion = fuse(local, FuseConfig())
     team = team_maps(local, fusion)[0]
+    team = with_further_rooms(team, local, logs, PlacingConfig(), local_map, fuse, team_maps)[0]
     fused = time.process_time()
     result = smooth(team, logs, fusion.labels, SmoothingConfig())
     done = time.process_time()

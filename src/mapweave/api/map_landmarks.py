@@ -1,7 +1,7 @@
 """`map` of landmark logs: EKF-SLAM for every robot in its own frame, then all local maps fused."""
 
 from collections.abc import Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ..core.config import config, load
@@ -22,7 +22,8 @@ from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import without_impossible
 from ..landmarks.sifting import SiftConfig, sifted
 from ..team.config import SmoothingConfig
-from ..team.kidnapped import Cut, KidnapConfig, cut_kidnapped, with_stretches
+from ..team.further_rooms import with_further_rooms
+from ..team.kidnapped import KidnapConfig, cut_kidnapped, with_stretches
 from ..team.mixed import SOFTEN, regained
 from ..team.relative_frame import PlacingConfig
 from ..team.smooth import Smoothed, smooth
@@ -89,9 +90,10 @@ def _map_read(
     watch.lap("read")
     times = [] if options.fuse_every is None else times_of(read, options.fuse_every)
     grown = _local_maps(read, cfg, times, options)
-    cut = _cut(read, [g.whole for g in grown], cfg)
+    made, placing, local = _Made(cfg), PlacingConfig(), [g.whole for g in grown]
+    cut = cut_kidnapped(read, local, made.join(local), cfg.smoothing, placing, cfg.kidnap, made.mapper, made.join)
     watch.lap("estimate")
-    local, fusion = cut.local, cut.fusion
+    local, fusion = list(cut.local), cut.fusion
     online: tuple[OnlineMap, ...] = ()
     if options.fuse_every is not None:
         anew = [
@@ -102,24 +104,27 @@ def _map_read(
         fusion, online = fuse_online(cut.main, grown, cfg.fuse, options.fuse_every, options.on_progress)
     starts = {robot_name(key): pose for key, pose in options.start.items()}
     fusion = tie_by_starts(fusion, starts, cfg.fuse.start_tolerance)
-    maps, stretches, lost = with_stretches(team_maps(local, fusion), cut, cfg.smoothing, PlacingConfig())
-    fusion = replace(fusion, warnings=(*fusion.warnings, *lost))
+    maps, stretches, told = with_stretches(team_maps(local, fusion), cut, cfg.smoothing, placing)
+    first, rooms = with_further_rooms(maps[0], local, cut.main, placing, made.mapper, made.join, team_maps)
+    maps = (first, *maps[1:])
+    fusion = replace(fusion, warnings=(*fusion.warnings, *told, *rooms))
     watch.lap("fuse")
     smoothed = _smoothed(maps, stretches, fusion, cfg.smoothing, options) if options.refine else ()
     watch.lap("smooth")
     return team_result(title, options.seed, local, fusion, options.truth, online, watch, maps, smoothed)
 
 
-def _cut(logs: Sequence[LandmarkLog], local: Sequence[LocalMap], cfg: LandmarkMapConfig) -> Cut:
-    """The team with the logs of kidnapped robots cut, and its fusion."""
+@dataclass(frozen=True, slots=True)
+class _Made:
+    """How local maps are made, and fused, where logs are looked at again."""
 
-    def mapper(log: LandmarkLog) -> LocalMap:
-        return _grown(log, cfg.ekf, (), False).whole
+    cfg: LandmarkMapConfig
 
-    def join(maps: Sequence[LocalMap]) -> Fusion:
-        return fuse(maps, cfg.fuse, {m.robot: m.source for m in maps})
+    def mapper(self, log: LandmarkLog) -> LocalMap:
+        return _grown(log, self.cfg.ekf, (), False).whole
 
-    return cut_kidnapped(logs, local, join(local), cfg.smoothing, PlacingConfig(), cfg.kidnap, mapper, join)
+    def join(self, maps: Sequence[LocalMap]) -> Fusion:
+        return fuse(maps, self.cfg.fuse, {m.robot: m.source for m in maps})
 
 
 def _smoothed(
