@@ -1,8 +1,9 @@
 """Parts of a world that no robot without wheels ties by itself, tied by sightings between robots.
 
-A robot without odometry that sees nothing for some seconds begins a new piece of map, and pieces that share no landmark
-with the largest stay apart. All robots' left pieces together are a map of their own. Where a robot that stood in one map
-saw, or was seen by, a robot that stood in the other at that moment, the two maps lie to each other as the two robots do.
+A robot without odometry that sees nothing for some seconds begins a new piece of map, and pieces that share no
+landmark with the largest stay apart. All robots' left pieces together are a map of their own. Where a robot that stood
+in one map saw, or was seen by, a robot that stood in the other at that moment, the two maps lie to each other as the
+two robots do.
 """
 
 from collections.abc import Callable, Mapping, Sequence
