@@ -53,6 +53,7 @@ def map(  # noqa: A001  (the verb)
     jobs: int = 1,
     fuse_every: float | None = None,
     refine: bool = True,
+    online: bool = False,
     calibration: Path | str | None = None,
     laser: LaserOptions | None = None,
     mcap: bool = False,
@@ -107,6 +108,9 @@ def map(  # noqa: A001  (the verb)
     refine
         Smooth the whole team at the end: all trajectories, landmarks and calibrations in one problem (True). Landmark
         logs alone.
+    online
+        Smooth already while the logs play, in order of time, and tell what each step took and how far the map was
+        behind (False). Landmark logs alone.
     calibration
         What is known of the robots beforehand, as `calibration.json` holds it; no sd, or 0, holds a value (nothing).
     laser
@@ -153,6 +157,7 @@ def map(  # noqa: A001  (the verb)
         jobs=jobs,
         fuse_every=fuse_every,
         refine=refine,
+        online=online,
         calibration=None if calibration is None else Path(calibration),
         laser=laser or LaserOptions(),
         executor=executor,

@@ -1,8 +1,9 @@
 """`map` of landmark logs: EKF-SLAM for every robot in its own frame, then all local maps fused."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from time import perf_counter
 
 from ..core.config import config, load
 from ..core.errors import DataError, UsageError
@@ -25,11 +26,14 @@ from ..team.config import SmoothingConfig
 from ..team.further_rooms import with_further_rooms
 from ..team.kidnapped import KidnapConfig, cut_kidnapped, with_stretches
 from ..team.mixed import SOFTEN, regained
+from ..team.online_config import OnlineConfig
+from ..team.online_run import OnlineMap, OnlineRun
 from ..team.relative_frame import PlacingConfig
 from ..team.smooth import Smoothed, smooth
 from ..team.team_map import TeamMap
 from .map_options import MapOptions
-from .online import OnlineMap, fuse_online, times_of
+from .online import fuse_online, times_of
+from .smooth_online import closed, closing_start, smooth_online
 from .team import TeamResult, Watch, team_maps, team_result
 
 METHODS = ("ekf",)
@@ -37,13 +41,14 @@ METHODS = ("ekf",)
 
 @config
 class LandmarkMapConfig:
-    """The tables `[sift]`, `[ekf]`, `[fuse]`, `[kidnap]` and `[smoothing]` of a configuration file."""
+    """The tables of a configuration file: `[sift]`, `[ekf]`, `[fuse]`, `[kidnap]`, `[smoothing]` and `[online]`."""
 
     sift: SiftConfig = field(default_factory=SiftConfig)
     ekf: EkfSlamConfig = field(default_factory=EkfSlamConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)
     kidnap: KidnapConfig = field(default_factory=KidnapConfig)
     smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
+    online: OnlineConfig = field(default_factory=OnlineConfig)
 
 
 def applies(log: Path) -> bool:
@@ -88,20 +93,22 @@ def _map_read(
 ) -> TeamResult:
     read = [sifted(without_impossible(log, cfg.ekf), cfg.ekf, cfg.sift) for log in _shared(list(logs), options)]
     watch.lap("read")
-    times = [] if options.fuse_every is None else times_of(read, options.fuse_every)
+    fused, looked = (None if s is None else times_of(read, s) for s in _every(cfg, options))
+    times = sorted({*(fused or ()), *(looked or ())})
     grown = _local_maps(read, cfg, times, options)
     made, placing, local = _Made(cfg), PlacingConfig(), [g.whole for g in grown]
     cut = cut_kidnapped(read, local, made.join(local), cfg.smoothing, placing, cfg.kidnap, made.mapper, made.join)
     watch.lap("estimate")
     local, fusion = list(cut.local), cut.fusion
     online: tuple[OnlineMap, ...] = ()
-    if options.fuse_every is not None:
+    if times:
         anew = [
-            g if main is log else _grown(main, cfg.ekf, times, cfg.fuse.robot_sightings)
+            g if main is log else _grown(main, cfg.ekf, times, _with_tracks(cfg, options))
             for g, log, main in zip(grown, read, cut.main, strict=True)
         ]
         grown = [replace(g, whole=m) for g, m in zip(anew, local, strict=True)]
-        fusion, online = fuse_online(cut.main, grown, cfg.fuse, options.fuse_every, options.on_progress)
+    if fused is not None:
+        fusion, online = fuse_online(cut.main, [g.at(fused) for g in grown], cfg.fuse, fused, options.on_progress)
     starts = {robot_name(key): pose for key, pose in options.start.items()}
     fusion = tie_by_starts(fusion, starts, cfg.fuse.start_tolerance)
     maps, stretches, told = with_stretches(team_maps(local, fusion), cut, cfg.smoothing, placing)
@@ -109,9 +116,32 @@ def _map_read(
     maps = (first, *maps[1:])
     fusion = replace(fusion, warnings=(*fusion.warnings, *told, *rooms))
     watch.lap("fuse")
-    smoothed = _smoothed(maps, stretches, fusion, cfg.smoothing, options) if options.refine else ()
+    run = None
+    known = _calibration(read, options)
+    if looked is not None:
+        at = [g.at(looked) for g in grown]
+        run = smooth_online(cut.main, at, cfg.fuse, cfg.smoothing, cfg.online, known, looked, options.on_progress)
+        watch.lap("online")
+    smoothed, run = (
+        _smoothed(maps, stretches, fusion, cfg.smoothing, known, options, run) if options.refine else ((), run)
+    )
     watch.lap("smooth")
-    return team_result(title, options.seed, local, fusion, options.truth, online, watch, maps, smoothed)
+    return team_result(title, options.seed, local, fusion, options.truth, online, watch, maps, smoothed, run)
+
+
+def _every(cfg: LandmarkMapConfig, options: MapOptions) -> tuple[float | None, float | None]:
+    """How often maps are fused for the growth, and how often for smoothing online [s]."""
+    return options.fuse_every, cfg.online.fuse_every if options.online else None
+
+
+def _calibration(logs: Sequence[LandmarkLog], options: MapOptions) -> dict[str, dict[str, tuple[float, float]]]:
+    known = {} if options.calibration is None else read_calibration(options.calibration)
+    names = {log.robot for log in logs}
+    for robot in known:
+        if robot not in names:
+            there = ", ".join(sorted(map(robot_key, names), key=in_order))
+            raise UsageError(f"--calibration {options.calibration}: no robot {robot_key(robot)}; there are {there}")
+    return known
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,25 +162,27 @@ def _smoothed(
     logs: Sequence[LandmarkLog],
     fusion: Fusion,
     cfg: SmoothingConfig,
+    known: Mapping[str, Mapping[str, tuple[float, float]]],
     options: MapOptions,
-) -> tuple[Smoothed, ...]:
-    """Every component, smoothed as a whole."""
-    known = {} if options.calibration is None else read_calibration(options.calibration)
-    names = {log.robot for log in logs}
-    for robot in known:
-        if robot not in names:
-            there = ", ".join(sorted(map(robot_key, names), key=in_order))
-            raise UsageError(f"--calibration {options.calibration}: no robot {robot_key(robot)}; there are {there}")
+    run: OnlineRun | None,
+) -> tuple[tuple[Smoothed, ...], OnlineRun | None]:
+    """Every component, smoothed as a whole; the largest from where `run`, if there was one, had it."""
     out = []
     maps, back = regained(maps, logs, fusion.labels, cfg, PlacingConfig())
     for k, team in enumerate(maps):
         options.on_progress("smoothing", k, len(maps))
         carried = any(log.cuts for log in logs if log.robot in team.robots)
         far = SOFTEN if carried or (back and k == 0) else ()
-        done = smooth(team, logs, fusion.labels, cfg, known, soften=far)
+        start = team if run is None or k else closing_start(run, team)
+        began = perf_counter()
+        done = smooth(start, logs, fusion.labels, cfg, known, soften=far)
+        if done.refused and start is not team:
+            done = smooth(team, logs, fusion.labels, cfg, known, soften=far)
+        if run is not None and k == 0:
+            run = closed(run, start, done, perf_counter() - began)
         out.append(replace(done, notes=back) if k == 0 else done)
     options.on_progress("smoothing", len(maps), len(maps))
-    return tuple(out)
+    return tuple(out), run
 
 
 def _read(logs: Sequence[Path], options: MapOptions) -> list[LandmarkLog]:
@@ -185,9 +217,14 @@ def _local_maps(
     logs: Sequence[LandmarkLog], cfg: LandmarkMapConfig, times: Sequence[float], options: MapOptions
 ) -> list[Growth]:
     """A local map a robot, in the order of `logs`, whoever works on them; and those on the way at `times`."""
-    jobs = [(log, cfg.ekf, tuple(times), cfg.fuse.robot_sightings) for log in logs]
+    jobs = [(log, cfg.ekf, tuple(times), _with_tracks(cfg, options)) for log in logs]
     with worker_pool(options.jobs, len(jobs), options.executor) as pool:
         return parts(_grown, jobs, pool, "local maps", options.on_progress)
+
+
+def _with_tracks(cfg: LandmarkMapConfig, options: MapOptions) -> bool:
+    """Whether maps on the way are needed with all poses until then."""
+    return cfg.fuse.robot_sightings or options.online
 
 
 def _grown(log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float], tracks: bool) -> Growth:  # noqa: FBT001

@@ -203,6 +203,7 @@ def _told(made: LaserMap, options: MapOptions) -> LaserMap:
         ("--fuse-every", options.fuse_every),
         ("--weights", options.weights),
         ("--no-refine", not options.refine),
+        ("--online", options.online),
         ("--calibration", options.calibration),
     ]
     if made.method != "graph":

@@ -156,7 +156,12 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
 def _configured(options: MapOptions) -> MixedMapConfig:
     if options.method not in (None, *METHODS):
         raise UsageError(f"--method: mixed teams know {', '.join(METHODS)}, found {options.method!r}")
-    idle = {"--fuse-every": options.fuse_every, "--start": options.start, "--likelihood": options.laser.likelihood}
+    idle = {
+        "--fuse-every": options.fuse_every,
+        "--online": options.online,
+        "--start": options.start,
+        "--likelihood": options.laser.likelihood,
+    }
     idle["--resample"] = options.laser.resample
     if given := [name for name, value in idle.items() if value]:
         raise UsageError(f"{', '.join(given)}: not for mixed teams")

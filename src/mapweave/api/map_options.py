@@ -60,6 +60,7 @@ class MapOptions:
     jobs: int = 1
     fuse_every: float | None = None
     refine: bool = True
+    online: bool = False
     calibration: Path | None = None
     laser: LaserOptions = field(default_factory=LaserOptions)
     executor: Executor | None = None
@@ -71,6 +72,8 @@ class MapOptions:
             raise UsageError(f"--jobs must be 1 or more, found {self.jobs}")
         if self.fuse_every is not None and not 0 < self.fuse_every < math.inf:
             raise UsageError(f"--fuse-every must be more than 0 seconds, found {self.fuse_every}")
+        if self.online and not self.refine:
+            raise UsageError("--online: smooths while the logs play, and --no-refine leaves smoothing out: one of both")
         for robot, part in self.share.items():
             if not 0 < part <= 1:
                 raise UsageError(f"--share of robot {robot} must be in (0, 1], found {part}")

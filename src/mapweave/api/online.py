@@ -1,7 +1,7 @@
 """Fusing while the logs play: every so often each robot hands over the map it has by then."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -13,16 +13,7 @@ from ..fusion.config import FuseConfig
 from ..fusion.online import OnlineFuser
 from ..fusion.result import Fusion
 from ..landmarks.growing import Growth
-from ..landmarks.landmark_map import LandmarkMap
-
-
-@dataclass(frozen=True, slots=True)
-class OnlineMap:
-    """The largest component `t` [s] after the first row of all logs; robots: how many were tied in."""
-
-    t: float
-    robots: int
-    landmarks: LandmarkMap
+from ..team.online_run import OnlineMap, OnlineRun
 
 
 def times_of(logs: Sequence[LandmarkLog], every: float) -> list[float]:
@@ -35,16 +26,15 @@ def fuse_online(
     logs: Sequence[LandmarkLog],
     grown: Sequence[Growth],
     cfg: FuseConfig,
-    every: float,
+    times: Sequence[float],
     on_progress: Progress,
 ) -> tuple[Fusion, tuple[OnlineMap, ...]]:
-    """The fusion of all whole maps, and the global map every `every` seconds until then.
+    """The fusion of all whole maps, and the global map at `times` [s] until then.
 
-    grown: each log's maps at `times_of(logs, every)`; a robot's map at a time is its filter's by then, and the last is
+    grown: each log's maps at `times`; a robot's map at a time is its filter's by then, and the last is
     the one that the whole log gives.
     """
     first, last = _span(logs)
-    times = times_of(logs, every)
     fuser = OnlineFuser(cfg, {log.robot: log.source for log in logs})
     out = []
     for k, t in enumerate(times):
@@ -69,3 +59,20 @@ def _span(logs: Sequence[LandmarkLog]) -> tuple[float, float]:
 def growth(grown: Sequence[OnlineMap], survey: Survey) -> tuple[GrowthPoint, ...]:
     """Trace, log-determinant, error and consistency of every online map."""
     return tuple(growth_point(g.t, g.robots, g.landmarks, survey) for g in grown)
+
+
+def run_metrics(run: OnlineRun, survey: Survey) -> dict[str, Any]:
+    """What `metrics.json` tells of smoothing online, beside timing."""
+    points = growth(run.growth, survey)
+    return {
+        "step": run.step,
+        "steps": len(run.seconds),
+        "stretches": run.stretches,
+        "marginalised": 0,
+        "linearised_per_step": round(float(run.linearised.mean()), 3) if len(run.linearised) else None,
+        "renewed": run.renewed,
+        "laid_out": list(run.laid_out),
+        "landmarks_moved_at_the_end": run.landmarks_moved,
+        "ways_moved_at_the_end": run.ways_moved,
+        "growth": [{"t": p.t, "robots": p.robots, "landmarks": p.landmarks, "landmark_rmse": p.rmse} for p in points],
+    }

@@ -11,7 +11,7 @@ import numpy as np
 from ..core import se2
 from ..core.names import in_order, robot_key
 from ..core.records import Track
-from ..core.truth import NO_SURVEY
+from ..core.truth import NO_SURVEY, Survey
 from ..core.version import __version__
 from ..evaluation.consistency import mean_or_none
 from ..evaluation.landmarks import GrowthPoint, find_exchanges
@@ -20,10 +20,11 @@ from ..fusion.result import Component, Fusion
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from ..report.result import ResultBase, Rows
 from ..report.team_figures import TeamStory
+from ..team.online_run import OnlineMap, OnlineRun
 from ..team.smooth import Smoothed
 from ..team.team_map import TeamMap
 from .evaluate_team import TeamTruth, read_team_truth, team_lines, unscored
-from .online import OnlineMap, growth
+from .online import growth, run_metrics
 
 if TYPE_CHECKING:
     from ..report.style import Target
@@ -42,7 +43,7 @@ class TeamResult(ResultBase):
     maps: components, the largest first; local: what each robot handed over; growth: the global map over time, where
     it was fused while the logs played; score: against truth, where truth was given; smoothed: what smoothing the whole
     team found, a component each (none where it was not asked for, or where there are no logs); filter_score: of the
-    map it began from.
+    map it began from; run: how smoothing went while the logs played, where it was asked for.
     """
 
     title: str
@@ -57,6 +58,7 @@ class TeamResult(ResultBase):
     filter_score: TeamScore | None = None
     warnings: tuple[str, ...] = ()
     timing: dict[str, float] = field(default_factory=dict)
+    run: OnlineRun | None = None
 
     @property
     def metrics(self) -> dict[str, Any]:
@@ -92,13 +94,23 @@ class TeamResult(ResultBase):
                 }
                 for p in self.growth
             ]
+        if self.run is not None:
+            told["online_smoothing"] = run_metrics(self.run, self._survey)
         if self.smoothed:
             told["refined"] = {**_errors(self.score), "components": [_smoothing(s) for s in self.smoothed]}
             told["filters"] = _errors(self.filter_score)
         if self.score is not None:
             told["evaluation"] = as_json(self.score)
         told["timing"] = {stage: round(s, 4) for stage, s in self.timing.items()}
+        if self.run is not None:
+            told["timing"]["smoothing_online"] = {k: round(s, 4) for k, s in self.run.timing().items()}
         return told
+
+    @property
+    def _survey(self) -> Survey:
+        """Where the landmarks are truly, labels that look exchanged put back."""
+        known = NO_SURVEY if self.truth is None else self.truth.survey
+        return find_exchanges(self.maps[0].landmarks, known)[1] if self.truth is not None else known
 
     @property
     def story(self) -> TeamStory:
@@ -115,6 +127,7 @@ class TeamResult(ResultBase):
             smoothed=self.smoothed,
             filter_score=self.filter_score,
             warnings=self.warnings,
+            run=self.run,
         )
 
     def headline(self) -> Rows:
@@ -199,10 +212,12 @@ def team_result(
     watch: Watch,
     maps: Sequence[TeamMap] | None = None,
     smoothed: Sequence[Smoothed] = (),
+    run: OnlineRun | None = None,
 ) -> TeamResult:
     """The result of fusing `local`; truth is read here, when nothing is left to estimate.
 
-    maps: its components (found here when None); smoothed: what became of them.
+    maps: its components (found here when None); smoothed: what became of them;
+    run: smoothing while the logs played.
     """
     if maps is None:
         maps = team_maps(local, fusion)
@@ -230,8 +245,15 @@ def team_result(
         truth=known,
         smoothed=tuple(smoothed),
         filter_score=filter_score,
-        warnings=(*fusion.warnings, *own, *reason, *(w for s in smoothed for w in s.warnings)),
+        warnings=(
+            *fusion.warnings,
+            *own,
+            *reason,
+            *(w for s in smoothed for w in s.warnings),
+            *(() if run is None else run.warnings),
+        ),
         timing=watch.seconds,
+        run=run,
     )
 
 
@@ -300,9 +322,11 @@ def write_team(folder: Path, story: TeamStory, metrics: Mapping[str, Any]) -> No
         write_calibration(folder / "calibration.json", found, story.smoothed[0].prior)
     wrote = perf_counter()
     write_team_report(folder, story)
-    timing = {**metrics["timing"], "write": wrote - began, "report": perf_counter() - wrote}
+    timing = dict(metrics["timing"])
+    parts = {k: timing.pop(k) for k in ("smoothing_online",) if k in timing}  # of a stage that is told already
+    timing |= {"write": wrote - began, "report": perf_counter() - wrote}
     timing["total"] = sum(timing.values())
-    write_json(folder / "metrics.json", {**metrics, "timing": {k: round(v, 4) for k, v in timing.items()}})
+    write_json(folder / "metrics.json", {**metrics, "timing": {**{k: round(v, 4) for k, v in timing.items()}, **parts}})
 
 
 def _write_component(folder: Path, team: TeamMap) -> None:

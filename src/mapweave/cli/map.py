@@ -68,6 +68,7 @@ def map_logs(
     jobs: int = 1,
     fuse_every: float | None = None,
     refine: bool = True,
+    online: Annotated[bool, Parameter(negative="")] = False,
     calibration: Path | None = None,
     laser: Laser | None = None,
     mcap: Annotated[bool, Parameter(negative="")] = False,
@@ -105,6 +106,8 @@ def map_logs(
         Also fuse every so many seconds while the logs play, and report how the map grew.
     refine
         Smooth the whole team at the end (landmark logs); --no-refine leaves the fused filters' map as it is.
+    online
+        Smooth already while the logs play (landmark logs): what each step took and how far the map was behind is told.
     calibration
         What is known of the robots beforehand, as calibration.json holds it; a value without sd is held.
     mcap
@@ -131,6 +134,7 @@ def map_logs(
             jobs=jobs,
             fuse_every=fuse_every,
             refine=refine,
+            online=online,
             calibration=calibration,
             laser=_laser(laser),
             mcap=mcap,

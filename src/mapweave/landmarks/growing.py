@@ -23,10 +23,20 @@ OLDER = 0.2  # share of new rows in a piece of map from which a robot without od
 
 @dataclass(frozen=True, slots=True)
 class Growth:
-    """whole: the map of all rows; maps: the map at each time asked for, None while there was no landmark."""
+    """whole: the map of all rows; maps: the map at each of `times` [s], None while there was no landmark.
+
+    filtered: the filter's poses, each as it was at its time, where the robot has wheels.
+    """
 
     whole: LocalMap
+    times: tuple[float, ...]
     maps: tuple[LocalMap | None, ...]
+    filtered: Track
+
+    def at(self, times: Sequence[float]) -> "Growth":
+        """The maps at these times alone, which are among all."""
+        index = {t: k for k, t in enumerate(self.times)}
+        return replace(self, times=tuple(times), maps=tuple(self.maps[index[t]] for t in times))
 
 
 def grow(log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float], *, tracks: bool = False) -> Growth:
@@ -39,8 +49,8 @@ def grow(log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float], *, tracks
     cfg = config_for(log, cfg)
     log = without_impossible(log, cfg)
     if cfg.odometry:
-        return Growth(whole, tuple(_on_the_way(log, first, cfg, tracks=tracks)))
-    return Growth(whole, tuple(_by_pieces(log, cfg, times)))
+        return Growth(whole, tuple(times), tuple(_on_the_way(log, first, cfg, tracks=tracks)), first.filtered)
+    return Growth(whole, tuple(times), tuple(_by_pieces(log, cfg, times)), first.filtered)
 
 
 def growing_maps(log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float]) -> Sequence[LocalMap | None]:

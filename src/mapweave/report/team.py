@@ -6,6 +6,7 @@ from pathlib import Path
 from ..core.names import robot_key
 from ..evaluation.consistency import mean_or_none
 from ..landmarks.landmark_map import LocalMap
+from ..team.online_run import OnlineRun
 from ..team.robot_part import PARAMETERS
 from ..team.smooth import is_observed
 from ..team.team_map import TeamMap
@@ -33,6 +34,8 @@ def write_team_report(folder: Path, story: TeamStory) -> None:
         _truth(page, figures, story)
     if story.smoothed:
         _smoothing(page, story)
+    if story.run is not None and len(story.run.seconds):
+        _online(page, story.run)
     _fusion(page, figures, story)
     _robots(page, figures, story)
     if len(story.growth) > 1:
@@ -136,6 +139,29 @@ def _smoothing(page: Page, story: TeamStory) -> None:
             head, [[robot_key(robot), *(_told(known, p, story) for p in PARAMETERS)] for robot, known in found.items()]
         )
         page.text("With one standard deviation; an asterisk: the data told little more than was assumed beforehand.")
+
+
+def _online(page: Page, run: OnlineRun) -> None:
+    """What smoothing took while the logs played, and what was left to do at their end."""
+    page.section("While the logs played")
+    page.text(
+        f"{len(run.seconds):,} steps of {run.step:g} s; in each {run.linearised.mean():.1f} of {run.stretches} "
+        f"stretches of time were linearised, {run.renewed} times an older one that had moved. Robots or landmarks came "
+        f"in {len(run.laid_out)} times, and all was laid out anew. Nothing was marginalised for good: a stretch keeps "
+        "what it says, and is linearised anew when its poses, landmarks or calibrations have moved."
+    )
+    timing = run.timing()
+    names = (("a step", "step"), ("lag: oldest row to map", "lag"))
+    page.table(
+        ["", "mean [s]", "99 % [s]", "longest [s]"],
+        [[told, *(timing[f"{key}_{which}"] for which in ("mean", "p99", "max"))] for told, key in names],
+    )
+    if run.landmarks_moved is not None:
+        ways = "" if run.ways_moved is None else f", ways by {run.ways_moved:.4f} m"
+        page.text(
+            f"When the logs ended, smoothing everything to the end took {run.closing:.2f} s and moved landmarks by "
+            f"{run.landmarks_moved:.4f} m{ways} (root mean square)."
+        )
 
 
 def _told(known: Mapping[str, tuple[float, float]], name: str, story: TeamStory) -> str:

@@ -21,6 +21,7 @@ from ..evaluation.landmarks import GrowthPoint
 from ..evaluation.team import RobotTruth, TeamScore
 from ..fusion.result import Fusion
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
+from ..team.online_run import OnlineRun
 from ..team.smooth import Smoothed
 from ..team.team_map import TeamMap
 from . import style
@@ -41,6 +42,7 @@ class TeamStory:
     smoothed: Sequence[Smoothed] = ()
     filter_score: TeamScore | None = None
     warnings: Sequence[str] = ()
+    run: OnlineRun | None = None
 
     @property
     def robots(self) -> tuple[str, ...]:

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from ..core import se2
 from ..solve import Cauchy, Factor
-from .commanded_motion import random_walk
+from .commanded_motion import Motion, random_walk
 from .config import CameraNoise, SmoothingConfig
 from .robot_part import BIAS, LAG, RANGE, SPEED, TURN, RobotPart
 
@@ -25,9 +26,13 @@ def step_factor(part: RobotPart, cfg: SmoothingConfig, lag: float) -> Factor:
     columns9 = np.concatenate([columns, parameters], axis=1)
     whiten = np.linalg.inv(np.linalg.cholesky(motion.noise(t, lag, cfg.motion)[k]))
 
+    @lru_cache(maxsize=2)  # costs, residuals and Jacobians are asked for at the same calibration, one after the other
+    def commanded(turn: float, lag: float) -> Motion:
+        return motion.between(t, 1.0, turn, lag)
+
     def residual(x: np.ndarray) -> np.ndarray:
         speed, turn, lag = x[parameters[0]]
-        r = _moved(x[columns])[0] / [speed, speed, 1.0] - motion.between(t, 1.0, turn, lag).step[k]
+        r = _moved(x[columns])[0] / [speed, speed, 1.0] - commanded(turn, lag).step[k]
         r[:, 2] = se2.wrap_angle(r[:, 2])
         return np.asarray(r)
 
@@ -35,7 +40,7 @@ def step_factor(part: RobotPart, cfg: SmoothingConfig, lag: float) -> Factor:
         speed, turn, lag = x[parameters[0]]
         z, J = _moved(x[columns])
         J[:, :2] /= speed
-        by = -motion.between(t, 1.0, turn, lag).by_calibration[k]
+        by = -commanded(turn, lag).by_calibration[k]
         by[:, :2, SPEED] = -z[:, :2] / speed**2
         by[:, 2, SPEED] = 0.0
         return np.concatenate([J, by], axis=2)

@@ -56,7 +56,24 @@ def _of_stretch(
     first, last = log.span
     inside = seen_at[(seen_at >= first) & (seen_at <= last)]
     t = np.unique(np.concatenate([[first, last], log.sightings.t, log.bearings.t, inside]))
-    t = _spaced(t, cfg.shortest_step)
+    return _with_steps(_spaced(t, cfg.shortest_step), cfg)
+
+
+def instants_between(
+    first: float, last: float, seen: Float[np.ndarray, " s"], track: Track, cfg: SmoothingConfig
+) -> Instants:
+    """The instants of a stretch of a log: `first` and `last` [s], both kept, and where it saw or was seen between."""
+    t = _spaced(np.unique(np.concatenate([[first], seen[(seen > first) & (seen < last)]])), cfg.shortest_step)
+    if last > first:
+        t = np.append(t[: max(1, int(np.searchsorted(t, last - cfg.shortest_step, side="right")))], last)
+    t, gap = _with_steps(t, cfg)
+    return Instants(t, se2.interpolate(t, track.t, track.pose), track, gap)
+
+
+def _with_steps(
+    t: Float[np.ndarray, " k"], cfg: SmoothingConfig
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]:
+    """`t` and so many stamps between that no step is longer than the longest; and the gap each step lies in."""
     gaps = np.diff(t)
     parts = np.maximum(np.ceil(gaps / cfg.longest_step - 1e-9).astype(int), 1)
     more = [np.linspace(a, b, n + 1)[1:-1] for a, b, n in zip(t[:-1], t[1:], parts, strict=True) if n > 1]

@@ -21,7 +21,7 @@ from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, min
 from .commanded_motion import CommandedMotion
 from .config import CalibrationPrior, SmoothingConfig
 from .factors import sighting_factors, step_factor
-from .instants import instants_of, keyframe_instants
+from .instants import Instants, instants_of, keyframe_instants
 from .robot_part import LAG, PARAMETERS, RANGE, SPEED, TURN, RobotPart
 from .scan_factors import Crossing, crossing_factor, scan_factor
 
@@ -88,6 +88,7 @@ def team_problem(
     cfg: SmoothingConfig,
     scans: Mapping[str, RobotGraph] | None = None,
     crossings: Sequence[Crossing] = (),
+    instants: Mapping[str, Instants] | None = None,
 ) -> TeamProblem:
     """The problem of all `logs` (in order; the first robot's first pose is the gauge), started at a fused map.
 
@@ -95,13 +96,16 @@ def team_problem(
     keyframes of two such robots that were matched.
 
     landmarks, tracks: where to start, in one frame; labels[robot]: own landmark name -> name in the map;
-    calibration[robot]: parameter -> (mean, standard deviation) known beforehand, in place of the prior of `cfg`.
+    calibration[robot]: parameter -> (mean, standard deviation) known beforehand, in place of the prior of `cfg`;
+    instants: when poses are estimated, where that is not left to the sightings.
     """
     names = [log.robot for log in logs]
     scans = scans or {}
-    seen_at = _seen_at(logs, names) if cfg.robot_sightings else {name: np.zeros(0) for name in names}
+    seen_at = seen_when(logs, names) if cfg.robot_sightings else {name: np.zeros(0) for name in names}
     at = [
-        keyframe_instants(scans[log.robot].t, tracks[log.robot])
+        instants[log.robot]
+        if instants is not None
+        else keyframe_instants(scans[log.robot].t, tracks[log.robot])
         if log.robot in scans
         else instants_of(log, seen_at[log.robot], tracks[log.robot], cfg)
         for log in logs
@@ -120,7 +124,9 @@ def team_problem(
         )
         for k, log in enumerate(logs)
     )
-    prior = [_prior(part, calibration.get(part.robot, {}), cfg.calibration) for part in parts]
+    prior = [
+        prior_of(calibration.get(part.robot, {}), cfg.calibration, wheels=part.motion is not None) for part in parts
+    ]
     x0 = np.concatenate([*(i.start.ravel() for i in at), landmarks.mean.ravel(), *(mean for mean, _ in prior)])
     fixed = np.zeros(len(x0), bool)
     for part, (_, sd) in zip(parts, prior, strict=True):
@@ -173,7 +179,7 @@ def _first_of_groups(parts: Sequence[RobotPart], terms: Sequence[Factor], n: int
     return list(first.values())
 
 
-def _seen_at(logs: Sequence[LandmarkLog], names: Sequence[str]) -> dict[str, Float[np.ndarray, " s"]]:
+def seen_when(logs: Sequence[LandmarkLog], names: Sequence[str]) -> dict[str, Float[np.ndarray, " s"]]:
     """When each robot was sighted by another."""
     out: dict[str, list[np.ndarray]] = {name: [np.zeros(0)] for name in names}
     for log in logs:
@@ -184,13 +190,13 @@ def _seen_at(logs: Sequence[LandmarkLog], names: Sequence[str]) -> dict[str, Flo
     return {name: np.concatenate(parts) for name, parts in out.items()}
 
 
-def _prior(
-    part: RobotPart, known: Mapping[str, tuple[float, float]], cfg: CalibrationPrior
+def prior_of(
+    known: Mapping[str, tuple[float, float]], cfg: CalibrationPrior, *, wheels: bool
 ) -> tuple[Float[np.ndarray, "5"], Float[np.ndarray, "5"]]:
     """Mean and standard deviation of each parameter; 0 holds it, as speed, turn and lag of a robot without odometry."""
     mean = np.array([known.get(p, (getattr(cfg, p), 0.0))[0] for p in PARAMETERS], float)
     sd = np.array([known[p][1] if p in known else getattr(cfg, f"{p}_sd") for p in PARAMETERS], float)
-    if part.motion is None:
+    if not wheels:
         sd[[SPEED, TURN, LAG]] = 0.0
     return mean, sd
 

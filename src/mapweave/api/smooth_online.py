@@ -1,0 +1,140 @@
+"""`map --online`: the team's smoothed map while the logs play, and its closing when they end."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+
+from ..core import se2
+from ..core.landmark_log import LandmarkLog
+from ..core.records import Track
+from ..core.workers import Progress
+from ..fusion.config import FuseConfig
+from ..fusion.online import OnlineFuser
+from ..landmarks.growing import Growth
+from ..landmarks.landmark_map import LandmarkMap
+from ..solve import SingularError
+from ..team.config import SmoothingConfig
+from ..team.online import OnlineTeam, StepTold
+from ..team.online_config import OnlineConfig
+from ..team.online_run import OnlineMap, OnlineRun
+from ..team.smooth import Smoothed
+from ..team.team_map import TeamMap
+from .team import carried
+
+NO_STEP = StepTold(0, 0, 0, 0.0)
+FAR = 1.0  # [m] root mean square between the landmarks and the filters' from which the filters' are begun with
+FULL = 3  # landmarks in common by which two maps are laid over each other
+
+
+def smooth_online(
+    logs: Sequence[LandmarkLog],
+    grown: Sequence[Growth],
+    fusing: FuseConfig,
+    smoothing: SmoothingConfig,
+    cfg: OnlineConfig,
+    calibration: Mapping[str, Mapping[str, tuple[float, float]]],
+    looks: Sequence[float],
+    on_progress: Progress,
+) -> OnlineRun:
+    """All rows taken in, a step after the other in order of time.
+
+    grown: each log's maps at `looks` [s] with their poses; the filters' own time is not in that of the steps.
+    """
+    wheels = [log for log in logs if log.odometry is not None and len(log)]
+    first, last = min(log.span[0] for log in logs if len(log)), max(log.span[1] for log in logs if len(log))
+    if not wheels:
+        nothing = np.zeros(0)
+        return OnlineRun(None, cfg.step, nothing, nothing, nothing, 0, (), 0, ())
+    own = {log.robot: g.filtered for log, g in zip(logs, grown, strict=True)}
+    team = OnlineTeam(wheels, own, smoothing, cfg, calibration)
+    fuser = OnlineFuser(fusing, {log.robot: log.source for log in logs})
+    seconds, lag, linearised, laid_out, growth = [], [], [], [], list[OnlineMap]()
+    renewed, free = 0, first
+    steps = np.arange(first + cfg.step, last + cfg.step, cfg.step)
+    look = 0
+    for k, stamp in enumerate(steps):
+        t = min(float(stamp), last)
+        began = perf_counter()
+        looking = look < len(looks) and t >= looks[look]
+        told = NO_STEP
+        try:
+            if looking:
+                fuser = fuser.update(*[m for m in (g.maps[look] for g in grown) if m is not None])
+                look += 1
+                if _adopted(team, t, fuser):
+                    laid_out.append(round(t - first, 3))
+                on_progress("smoothing online", k, len(steps))
+            told = team.advance(t)
+        except SingularError:  # too little is known yet of something: it is laid out anew at the next look
+            team.forget()
+        seconds.append(perf_counter() - began)
+        free = max(free, t) + seconds[-1]
+        lag.append(free - (t - cfg.step))
+        linearised.append(told.linearised)
+        renewed += told.renewed
+        if team.members and looking:
+            growth.append(OnlineMap(t - first, len(team.members), team.landmarks))
+    on_progress("smoothing online", len(steps), len(steps))
+    return OnlineRun(
+        team, cfg.step, np.array(seconds), np.array(lag), np.array(linearised, float), renewed, tuple(laid_out),
+        len(team.stretches), tuple(growth),
+    )  # fmt: skip
+
+
+def _adopted(team: OnlineTeam, t: float, fuser: OnlineFuser) -> bool:
+    """Whether the filters' fused map held robots, landmarks or labels that were new."""
+    found = fuser.largest
+    if found is None or not len(found.map):
+        return False
+    factor = {d.robot: d.variance_factor or 1.0 for d in fuser.fusion.decisions}
+    ways = {
+        r: carried(fuser.latest[r].track, found.frames[r], found.frame_cov[r], found.scales.get(r, 1.0), factor[r])
+        for r in found.robots
+    }
+    return team.adopt(t, found.robots, found.map, ways, fuser.fusion.labels)
+
+
+def closing_start(run: OnlineRun, filters: TeamMap) -> TeamMap:
+    """The map as it stood when the logs ended, in the frame of `filters`, which has what was not smoothed yet."""
+    team = run.team
+    if team is None or not team.members:
+        return filters
+    now, start = team.landmarks, filters.landmarks
+    both = [name for name in start.ids if name in now.ids]
+    if len(both) < FULL:
+        return filters
+    T = se2.align(now.select(both).mean, start.select(both).mean)
+    off = se2.act(T, now.select(both).mean) - start.select(both).mean
+    if not np.square(off).sum(axis=1).mean() < FAR**2:
+        return filters
+    ways = {r: team.way(r) for r in team.members if r in filters.robots}
+    tracks = {**filters.tracks, **{r: Track(way.t, se2.compose(T, way.pose)) for r, way in ways.items()}}
+    place = dict(zip(now.ids, se2.act(T, now.mean), strict=True))
+    mean = np.array([place.get(name, p) for name, p in zip(start.ids, start.mean, strict=True)])
+    head = filters.robots[0]
+    if head in ways:  # the frame is its first pose
+        back = se2.inverse(tracks[head].pose[0])
+        tracks = {r: Track(track.t, se2.compose(back, track.pose)) for r, track in tracks.items()}
+        mean = se2.act(back, mean)
+    return replace(filters, landmarks=LandmarkMap(start.ids, mean, start.cov, start.frame), tracks=tracks)
+
+
+def closed(run: OnlineRun, start: TeamMap, done: Smoothed, seconds: float) -> OnlineRun:
+    """`run` with what closing it took and moved: both maps laid over each other by their landmarks."""
+    a, b = start.landmarks, done.map.landmarks
+    if run.team is None or done.refused or len(a) < FULL:
+        return replace(run, closing=seconds)
+    T = se2.align(a.mean, b.select(a.ids).mean)
+    off = se2.act(T, a.mean) - b.select(a.ids).mean
+    ways = []
+    for robot in run.team.members:
+        if robot in start.tracks and robot in done.map.tracks:
+            before, after = start.tracks[robot], done.map.tracks[robot]
+            there = se2.compose(T, se2.interpolate(after.t, before.t, before.pose))
+            ways.append(np.square(there[:, :2] - after.pose[:, :2]).sum(axis=1))
+    moved = float(np.sqrt(np.concatenate(ways).mean())) if ways else None
+    return replace(
+        run, closing=seconds, landmarks_moved=float(np.sqrt(np.square(off).sum(axis=1).mean())), ways_moved=moved
+    )

@@ -1,0 +1,59 @@
+"""How smoothing went while the logs played: what it took, what it came to, and the map on the way."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ..landmarks.landmark_map import LandmarkMap
+from .online import OnlineTeam
+
+
+@dataclass(frozen=True, slots=True)
+class OnlineMap:
+    """The largest component `t` [s] after the first row of all logs; robots: how many were tied in."""
+
+    t: float
+    robots: int
+    landmarks: LandmarkMap
+
+
+@dataclass(frozen=True, slots=True)
+class OnlineRun:
+    """What smoothing while the logs played took, and what it came to.
+
+    step: [s] of the logs taken in at once; seconds: (n,) each step took; lag: (n,) [s] from the oldest row of a step
+    until the map held it, were the logs as fast as the robots; linearised: stretches of each step; renewed: of these
+    older ones that had moved; laid_out: [s] after the first row at which robots or landmarks came in; stretches: how
+    many there are, none of them given up; closing: [s] for what was left to do when the logs ended; landmarks_moved,
+    ways_moved: [m] root mean square by which that changed them; growth: the map on the way.
+    """
+
+    team: OnlineTeam | None
+    step: float
+    seconds: Float[np.ndarray, " n"]
+    lag: Float[np.ndarray, " n"]
+    linearised: Float[np.ndarray, " n"]
+    renewed: int
+    laid_out: tuple[float, ...]
+    stretches: int
+    growth: tuple[OnlineMap, ...]
+    closing: float = 0.0
+    landmarks_moved: float | None = None
+    ways_moved: float | None = None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence where nothing could be smoothed before the end."""
+        if self.team is not None and self.team.members:
+            return ()
+        return ("--online: no robot with wheels had a map while the logs played: all was smoothed at their end",)
+
+    def timing(self) -> dict[str, float]:
+        """Seconds a step and seconds of lag: mean, 99 % and largest; and of the closing."""
+        out: dict[str, float] = {}
+        for name, values in (("step", self.seconds), ("lag", self.lag)):
+            if len(values):
+                told = (values.mean(), np.quantile(values, 0.99), values.max())
+                out |= {f"{name}_{k}": float(v) for k, v in zip(("mean", "p99", "max"), told, strict=True)}
+        return out | {"closing": self.closing}

@@ -1,0 +1,102 @@
+"""Smoothing while logs play: the answer of smoothing at the end, from nothing but what was there by then."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapweave.api.online import times_of
+from mapweave.api.smooth_online import closing_start, smooth_online
+from mapweave.core import se2
+from mapweave.core.workers import no_progress
+from mapweave.evaluation.team import score_team
+from mapweave.fusion.config import FuseConfig
+from mapweave.landmarks.config import EkfSlamConfig
+from mapweave.landmarks.growing import grow
+from mapweave.team.config import SmoothingConfig
+from mapweave.team.online_config import OnlineConfig
+from mapweave.team.smooth import smooth
+
+from .teams import world
+
+CFG, ONLINE = SmoothingConfig(), OnlineConfig()
+
+
+def played(logs, online=ONLINE, cfg=CFG):
+    looks = times_of(logs, online.fuse_every)
+    grown = [grow(log, EkfSlamConfig(), looks, tracks=True) for log in logs]
+    return smooth_online(logs, grown, FuseConfig(), cfg, online, {}, looks, no_progress)
+
+
+@pytest.fixture(scope="module")
+def run():
+    return played(world(31, robots=4, minutes=4.0).logs)
+
+
+def apart(a, b):
+    """Root mean square distance [m] of two maps' landmarks and of their ways, laid over each other."""
+    ids = [name for name in a.landmarks.ids if name in b.landmarks.ids]
+    p, q = a.landmarks.select(ids).mean, b.landmarks.select(ids).mean
+    T = se2.align(p, q)
+    ways = []
+    for robot in a.robots:
+        track, other = a.tracks[robot], b.tracks[robot]
+        there = se2.interpolate(other.t, track.t, se2.compose(T, track.pose))
+        ways.append(np.square(there[:, :2] - other.pose[:, :2]).sum(axis=1))
+    off = np.square(se2.act(T, p) - q).sum(axis=1)
+    return float(np.sqrt(off.mean())), float(np.sqrt(np.concatenate(ways).mean()))
+
+
+def test_what_stands_when_the_logs_end_is_what_smoothing_at_the_end_gives(run):
+    """Within 5 mm of landmarks and 15 mm of ways; the filters' map that both begin from is several times as far off."""
+    w = world(31, robots=4, minutes=4.0)
+    batch = smooth(w.map, w.logs, w.fusion.labels, CFG).map
+    online = closing_start(run, w.map)
+    landmarks, ways = apart(online, batch)
+    assert landmarks < 0.005
+    assert ways < 0.015
+    assert apart(w.map, batch)[1] > 3 * ways
+    closed = smooth(online, w.logs, w.fusion.labels, CFG).map
+    landmarks, ways = apart(closed, batch)
+    assert landmarks < 0.002
+    assert ways < 0.005
+
+
+def test_the_map_on_the_way_knows_nothing_of_what_came_later(run):
+    w = world(31, robots=4, minutes=4.0)
+    begin = min(log.span[0] for log in w.logs)
+    cut = [log.until(begin + 125.0) for log in w.logs]
+    early = played(cut)
+    assert len(early.growth) >= 10
+    for a, b in zip(early.growth, run.growth, strict=False):
+        assert a.landmarks.ids == b.landmarks.ids
+        np.testing.assert_allclose(a.landmarks.mean, b.landmarks.mean, atol=1e-6)
+
+
+def test_a_step_costs_the_latest_stretches_and_not_the_log(run):
+    settled = run.linearised[len(run.linearised) // 2 :]
+    assert run.stretches >= 24
+    assert settled.mean() < run.stretches / 3
+    assert len(run.seconds) == len(run.lag) == 240
+    assert (run.lag >= ONLINE.step).all()
+    assert run.timing()["step_max"] >= run.timing()["step_p99"] >= run.timing()["step_mean"] > 0
+
+
+def test_a_team_smoothed_online_is_as_sure_as_it_may_be():
+    nees = []
+    for seed in (32, 33, 34):
+        w = world(seed, robots=3, minutes=3.0)
+        done = smooth(closing_start(played(w.logs), w.map), w.logs, w.fusion.labels, CFG)
+        nees.append(score_team([done.map], {}, w.truth.survey, w.truth.robots).landmarks.nees_per_dof)
+    assert 0.4 < np.mean(nees) < 1.6
+
+
+def test_robots_without_wheels_wait_for_the_end_and_it_is_told():
+    w = world(31, robots=4, minutes=4.0)
+    logs = [replace(log.until(log.span[0] + 30.0), odometry=None) for log in w.logs]
+    run = played(logs)
+    assert "no robot with wheels" in run.warnings[0]
+    assert closing_start(run, w.map) is w.map
+    mixed = played([w.logs[0], w.logs[1], logs[2]])
+    assert mixed.warnings == ()
+    assert mixed.team.members == ("robot1", "robot2")
