@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, cast, runtime_checkable
@@ -12,6 +13,7 @@ from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.directory import check_target, result_directory
 from ..io.kept import kept_parts
 from ..io.table import Columns
+from .cluster import cluster_executor
 from .map_options import LaserOptions, MapOptions, MapResult
 
 
@@ -59,6 +61,7 @@ def map(  # noqa: A001  (the verb)
     mcap: bool = False,
     force: bool = False,
     executor: Executor | None = None,
+    cluster: str | None = None,
     on_progress: Progress = no_progress,
 ) -> MapResult:
     """Make one map of the logs of a team, each robot mapped on its own and all of them joined.
@@ -121,6 +124,9 @@ def map(  # noqa: A001  (the verb)
         Write into `out` even when something other than a result stands there (False).
     executor
         Any `concurrent.futures.Executor` in place of `jobs`.
+    cluster
+        The address of a Dask scheduler (`tcp://host:8786`) in place of `jobs`: each log's own map is made on its
+        workers, which see laser logs under the same paths. Needs the extra `[cluster]`.
     on_progress
         Called as `on_progress(stage, done, total)`.
 
@@ -168,12 +174,14 @@ def map(  # noqa: A001  (the verb)
         check_target(Path(out), force=force)
     elif mcap:
         raise UsageError("mcap: expected a folder to write to (out), found none")
-    if logs is None:
-        result = _in_memory(scans, odometry, sightings, options)
-    elif scans is None and odometry is None and sightings is None:
-        result = _of_logs([logs] if isinstance(logs, Path | str | LaserLog) else list(logs), options)
-    else:
+    if logs is not None and not (scans is None and odometry is None and sightings is None):
         raise UsageError("expected either logs or tables in memory (scans, odometry, sightings), found both")
+    with cluster_executor(cluster, executor) as workers:
+        options = replace(options, executor=workers)
+        if logs is None:
+            result = _in_memory(scans, odometry, sightings, options)
+        else:
+            result = _of_logs([logs] if isinstance(logs, Path | str | LaserLog) else list(logs), options)
     if out is not None:
         with result_directory(Path(out), force=force) as work:
             result.write_into(work)

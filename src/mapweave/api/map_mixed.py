@@ -14,6 +14,7 @@ from ..core.landmark_log import LandmarkLog
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key, robot_name
 from ..core.version import __version__
+from ..core.workers import worker_pool
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse
 from ..fusion.result import Fusion
@@ -206,12 +207,14 @@ def _lasers(
 ) -> tuple[dict[str, LaserLog], dict[str, LaserMap]]:
     """Every laser log and its own map, in the order of the robots' numbers."""
     logs: dict[str, LaserLog] = {}
-    maps: dict[str, LaserMap] = {}
     for robot in sorted(found, key=in_order):
         key = robot_key(robot)
         logs[robot] = first_part(read_laser(found[robot].path, key, found[robot].source), options.share.get(key, 1.0))
-        maps[robot] = map_laser(logs[robot], cfg, options.seed, options.on_progress)
-    return logs, maps
+    with worker_pool(options.jobs, len(logs), options.executor) as pool:
+        if pool is None:
+            return logs, {r: map_laser(log, cfg, options.seed, options.on_progress) for r, log in logs.items()}
+        running = {robot: pool.submit(map_laser, log, cfg, options.seed) for robot, log in logs.items()}
+        return logs, {robot: done.result() for robot, done in running.items()}
 
 
 def _apart(read: Sequence[LandmarkLog], scans: Mapping[str, LaserLog]) -> dict[str, float]:
@@ -239,9 +242,12 @@ def _apart(read: Sequence[LandmarkLog], scans: Mapping[str, LaserLog]) -> dict[s
 def _filtered(logs: Sequence[LandmarkLog], cfg: MixedMapConfig, options: MapOptions) -> tuple[list[LocalMap], Fusion]:
     local = []
     seeing = [log for log in logs if any(not name.startswith("robot") for name in log.sightings.counts())]
-    for k, log in enumerate(seeing):
-        local.append(local_map(log, cfg.ekf, options.seed))
-        options.on_progress("local maps", k + 1, len(seeing))
+    n = len(seeing)
+    with worker_pool(options.jobs, n, options.executor) as pool:
+        spread = map if pool is None else pool.map
+        for k, made in enumerate(spread(local_map, seeing, [cfg.ekf] * n, [options.seed] * n)):
+            local.append(made)
+            options.on_progress("local maps", k + 1, n)
     return local, fuse(local, cfg.fuse)
 
 

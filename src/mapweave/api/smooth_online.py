@@ -76,6 +76,7 @@ def smooth_online(
         renewed += told.renewed
         if team.members and looking:
             growth.append(OnlineMap(t - first, len(team.members), team.landmarks))
+    team.look_back()
     on_progress("smoothing online", len(steps), len(steps))
     return OnlineRun(
         team, cfg.step, np.array(seconds), np.array(lag), np.array(linearised, float), renewed, tuple(laid_out),

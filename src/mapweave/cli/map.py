@@ -66,6 +66,7 @@ def map_logs(
     config: Path | None = None,
     seed: int = 0,
     jobs: int = 1,
+    cluster: str | None = None,
     fuse_every: float | None = None,
     refine: bool = True,
     online: Annotated[bool, Parameter(negative="")] = False,
@@ -102,6 +103,8 @@ def map_logs(
         The same seed gives the same result, to the byte.
     jobs
         How many robots are worked on at once; the result is the same.
+    cluster
+        The address of a Dask scheduler (tcp://host:8786) whose workers make the robots' own maps, in place of --jobs.
     fuse_every
         Also fuse every so many seconds while the logs play, and report how the map grew.
     refine
@@ -132,6 +135,7 @@ def map_logs(
             config=config,
             seed=seed,
             jobs=jobs,
+            cluster=cluster,
             fuse_every=fuse_every,
             refine=refine,
             online=online,

@@ -101,6 +101,7 @@ class OnlineTeam:
         if not robots or (robots, names, labels) == (self.members, self.names, self.labels):
             return False
         known = self.members[:1] == robots[:1]
+        self.look_back()
         place = dict(zip(landmarks.ids, landmarks.mean, strict=True))
         both = [n for n in self.names if n in place]
         if known and len(both) >= ENOUGH:  # the filters' frame has moved against this one
@@ -132,23 +133,32 @@ class OnlineTeam:
         k = len(self.stretches) - 1
         if k < 0:
             return StepTold(0, 0, 0, 0.0)
+        whole = False
         while t > self._start(k):
             end = min(t, self._start(k + 1))
+            whole |= k == len(self.stretches)
             self._lay_out(k, end, t, {})
             k += 1
-        return self._solve(self.online.iterations, everything=False)
+        if whole:  # a stretch has ended: the older ones are looked at
+            self.look_back()
+        return self._solve(self.online.iterations, everything=False, older=whole)
 
     def forget(self) -> None:
         """Nothing is estimated any more, until robots are adopted again."""
         self.members, self.names, self.labels, self.h = (), (), {}, np.zeros(0)
         self.stretches, self.x, self._links, self._entries, self._passed = [], [], [], [], []
 
+    def look_back(self) -> None:
+        """Every stretch where the map as it is now puts it."""
+        if self.stretches:
+            self._back(0)
+
     def settle(self) -> StepTold:
         """Everything linearised where it is now, until nothing moves."""
         return self._solve(self.online.settle, everything=True)
 
     def way(self, robot: str) -> Track:
-        """The robot's poses so far at all of its stamps."""
+        """The robot's poses so far at all of its stamps, as of the last `look_back`."""
         at, poses = self._estimates(robot, self.stretches, self.x)
         return self._carried(robot, at, poses, at[0], at[-1])
 
@@ -220,11 +230,12 @@ class OnlineTeam:
     ) -> Track:
         """The robot's own way between `begin` and `end` [s], bent so that it passes through `poses` at `at`."""
         own = self.own[robot]
-        rows = slice(int(np.searchsorted(own.t, begin)), int(np.searchsorted(own.t, end, side="right")))
+        first, last = int(np.searchsorted(own.t, begin)), int(np.searchsorted(own.t, end, side="right"))
         inside = (at >= begin) & (at <= end)
         at, poses = at[inside], poses[inside]
-        t = np.unique(np.concatenate([own.t[rows], at]))
-        return Track(t, blended(se2.interpolate(t, own.t, own.pose), np.searchsorted(t, at), poses))
+        t = np.unique(np.concatenate([own.t[first:last], at]))
+        near = slice(max(first - 1, 0), last + 1)
+        return Track(t, blended(se2.interpolate(t, own.t[near], own.pose[near]), np.searchsorted(t, at), poses))
 
     def _hubs(self, stretch: Stretch) -> Int[np.ndarray, " h"]:
         """Where the stretch's landmarks and calibrations stand among all."""
@@ -259,26 +270,27 @@ class OnlineTeam:
             eta[rows] += hold @ points.ravel()
         return Gauss(Lambda, eta)
 
-    def _solve(self, iterations: int, *, everything: bool) -> StepTold:
-        """Gauss-Newton: stretches linearised where they are, a pass forward, a pass back."""
+    def _solve(self, iterations: int, *, everything: bool, older: bool = True) -> StepTold:
+        """Gauss-Newton: stretches linearised where they are, a pass forward, a pass back.
+
+        older: whether stretches before the latest are linearised anew where they have moved.
+        """
         cfg, n = self.online, len(self.stretches)
-        latest = range(0 if everything else max(0, n - cfg.window), n)
-        linearised = renewed = 0
+        first = 0 if everything else max(0, n - cfg.window)
+        linearised = renewed = i = 0
         moved = np.inf
         for i in range(iterations):
-            anew = {k for k in latest if self._moved(k) > (0.1 if everything else 0.5) * cfg.still}
-            anew |= {k for k in range(n) if self._links[k] is None}
-            if i == 0 and not everything:
-                far = sorted(
-                    (k for k in range(latest.start) if self._moved(k) > cfg.move), key=self._moved, reverse=True
-                )
-                renewed = len(far[: cfg.renewed])
-                anew |= set(far[: cfg.renewed])
+            anew = {k for k in range(first, n) if self._moved(k) > (0.1 if everything else 0.5) * cfg.still}
+            if i == 0 and older and not everything:
+                moves = {k: m for k in range(first) if (m := self._moved(k)) > cfg.move}
+                far = sorted(moves, key=lambda k: -moves[k])[: cfg.renewed]
+                renewed = len(far)
+                anew |= set(far)
             for k in anew:
                 self._links[k] = self.stretches[k].linearised(self.x[k])
             linearised += len(anew)
             self._forward(min(anew, default=n))
-            moved = self._back()
+            moved = self._back(first)
             if moved < cfg.still:
                 break
         return StepTold(i + 1, linearised, renewed, moved)
@@ -297,19 +309,28 @@ class OnlineTeam:
             self._passed.append(out)
             self._entries.append(out.on)
 
-    def _back(self) -> float:
-        """Every stretch where the chain puts it now; the largest change of what the latest share."""
+    def _back(self, first: int) -> float:
+        """Every stretch from `first` on where the chain puts it now; the largest change of landmarks and the latest."""
+        if any(link is None for link in self._links) or len(self._passed) < len(self.stretches):
+            self._link_and_pass()
         end = self._entries[-1]
         ends, hubs = np.split(solve(end.Lambda, end.eta), [3 * len(self.stretches[-1].exit)])
         change = float(np.abs(hubs - self.h).max(initial=0.0))
         latest = max(0, len(self.stretches) - self.online.window)
         self.h = hubs
-        for k in reversed(range(len(self.stretches))):
+        for k in reversed(range(first, len(self.stretches))):
             s, link, step = self.stretches[k], self._links[k], self._passed[k]
-            assert link is not None  # noqa: S101  (linearised by the caller)
+            assert link is not None  # noqa: S101  (linearised above)
             entry = step.w - step.W @ np.concatenate([ends, hubs])
             x = link.inside(np.concatenate([entry, ends, hubs[self._hubs(s)]]))
             if k >= latest:
                 change = max(change, float(np.abs(x - self.x[k]).max(initial=0.0)))
             self.x[k], ends = x, entry
         return change
+
+    def _link_and_pass(self) -> None:
+        """Stretches that are new linearised, and the chain passed to its end."""
+        fresh = [k for k, link in enumerate(self._links) if link is None]
+        for k in fresh:
+            self._links[k] = self.stretches[k].linearised(self.x[k])
+        self._forward(min([*fresh, len(self._passed)]))
