@@ -12,7 +12,7 @@ import pytest
 
 from mapweave.cli import main, terminal
 from mapweave.cli.terminal import Stage, progress
-from mapweave.kernels.compiling import tell_compiling
+from mapweave.kernels.compiling import tell_compiled, tell_compiling
 
 COMMAND = (sys.executable, "-m", "mapweave")
 SHELL = f"{sys.executable} -m mapweave"
@@ -162,20 +162,25 @@ def test_the_time_left_follows_from_the_pace_so_far(stage, line):
 
 def test_compiling_is_told_when_it_compiles_and_only_then(monkeypatch, capsys):
     monkeypatch.setattr(terminal, "QUIET", 0.02)
-    with progress():
+    with progress() as on_progress:
         time.sleep(0.05)
         assert "compiling" not in capsys.readouterr().err
+        on_progress("robots", 1, 4)
         tell_compiling("cast")
+        tell_compiling("which cast calls")
+        tell_compiled("which cast calls")
         time.sleep(0.05)
-    assert "mapweave: compiling (first run only), 0 s\n" in capsys.readouterr().err
-    tell_compiling("cast")
+        assert "mapweave: compiling (first run only), 0 s\n" in capsys.readouterr().err
+        tell_compiled("cast")
+        time.sleep(0.05)
+    assert capsys.readouterr().err.endswith("mapweave: robots, 25 %\n")
 
 
 def test_a_kernel_that_is_kept_is_not_compiled_again(tmp_path):
     code = (
         "import sys\nfrom mapweave.kernels.compiling import compiling_told\nfrom mapweave.kernels._jit import kernel\n"
         "sys.path.insert(0, sys.argv[1])\nfrom twice import twice\n"
-        "told = []\nwith compiling_told(told.append): twice(2.0)\nprint(len(told))"
+        "told = []\nwith compiling_told(told.append): twice(2.0)\nprint(told)"
     )
     (tmp_path / "twice.py").write_text(
         "from mapweave.kernels._jit import kernel\n\n\n@kernel\ndef twice(x):\n    return 2 * x\n"
@@ -183,4 +188,4 @@ def test_a_kernel_that_is_kept_is_not_compiled_again(tmp_path):
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     words = [sys.executable, "-c", code, str(tmp_path)]
     told = [subprocess.run(words, env=env, capture_output=True, text=True, check=True).stdout for _ in range(2)]  # noqa: S603
-    assert told == ["1\n", "0\n"]
+    assert told == ["[True, False]\n", "[]\n"]

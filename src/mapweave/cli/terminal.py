@@ -74,14 +74,15 @@ def progress() -> "Iterator[OnProgress]":
     from ..kernels.compiling import compiling_told
 
     console = Console(stderr=True)
-    with _bars(console) if console.is_terminal else _lines() as on_progress:
-        told: list[str] = []
+    with _bars(console) if console.is_terminal else _lines() as shown:
+        last: tuple[str, float, float | None] = ("starting", 0.0, None)
 
-        def compiling(kernel: str) -> None:
-            told.append(kernel)
-            on_progress(COMPILING, len(told), None)
+        def on_progress(stage: str, done: float, total: float | None = None) -> None:
+            nonlocal last
+            last = stage, done, total
+            shown(stage, done, total)
 
-        with compiling_told(compiling):
+        with compiling_told(lambda now: shown(*((COMPILING, 0.0, None) if now else last))):
             yield on_progress
 
 

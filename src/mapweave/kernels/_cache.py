@@ -18,7 +18,7 @@ from pathlib import Path
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
-from .compiling import tell_compiling
+from .compiling import tell_compiled, tell_compiling
 
 log = logging.getLogger(__name__)
 
@@ -57,6 +57,7 @@ class KernelCache(FunctionCache):
             self._put_aside()
         except OSError as error:
             log.warning("%s: compiled, but not kept in %s: %s", self._stem, self.cache_path, error)
+        tell_compiled(self._stem)
         for old in self._files():
             if self._digest not in old.name:
                 _remove(old)

@@ -1,14 +1,15 @@
-"""Who hears that a kernel is being compiled, because none of its code is kept for these arguments."""
+"""Who hears that kernels are being compiled, because no code is kept for their arguments, and that it is done."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-_listeners: list[Callable[[str], None]] = []
+_listeners: list[Callable[[bool], None]] = []
+_begun: list[str] = []  # kernels being compiled, the innermost last
 
 
 @contextmanager
-def compiling_told(to: Callable[[str], None]) -> Iterator[None]:
-    """Within, `to` is called with the name of every kernel whose compilation begins in this process."""
+def compiling_told(to: Callable[[bool], None]) -> Iterator[None]:
+    """Within, `to(True)` is called when this process begins to compile, `to(False)` when nothing is left to compile."""
     _listeners.append(to)
     try:
         yield
@@ -17,5 +18,20 @@ def compiling_told(to: Callable[[str], None]) -> Iterator[None]:
 
 
 def tell_compiling(name: str) -> None:
+    """The kernel `name` is compiled from here on."""
+    _begun.append(name)
+    if len(_begun) == 1:
+        _tell(now=True)
+
+
+def tell_compiled(name: str) -> None:
+    """The kernel `name` is compiled, and whatever it called."""
+    if name in _begun:
+        del _begun[_begun.index(name) :]
+        if not _begun:
+            _tell(now=False)
+
+
+def _tell(*, now: bool) -> None:
     for to in tuple(_listeners):
-        to(name)
+        to(now)
