@@ -25,7 +25,9 @@ from .pose_graph import PoseGraph
 
 REVISIONS = 60  # solves at most, while edges that were dropped fit again or ones that are believed do not
 CHANCE = 1e-3  # that one edge of a graph without false ones lies so far from the others
-TAILS = 10.0  # times the scatter told by the middle edge, which real edges' tails may exceed
+TAILS = 10.0  # times the scatter told by the middle edge, which real edges' tails may exceed,
+NARROWEST = 0.1  # of what edges say of themselves at least, and
+ENOUGH = 30  # edges for the middle one to tell anything
 SAME = 1e-6  # relative difference of the costs of two minima that are the same
 FADED = 1e-8  # what a dropped edge counts while weights are sought: the graph stays in one piece
 
@@ -233,7 +235,8 @@ def _worst(graph: PoseGraph, found: Solution, asked: np.ndarray) -> int | None:
     nis = left_out_squares(graph, found, rows)
     worst = int(np.argmax(nis))
     scatter = float(np.median(nis)) / chi2_quantile(0.5, 3.0)
-    limit = chi2_quantile(1.0 - CHANCE / len(rows), 3.0) * min(1.0, TAILS * scatter)
+    narrower = min(1.0, max(TAILS * scatter, NARROWEST)) if len(rows) >= ENOUGH else 1.0
+    limit = chi2_quantile(1.0 - CHANCE / len(rows), 3.0) * narrower
     return int(rows[worst]) if nis[worst] > limit else None
 
 
