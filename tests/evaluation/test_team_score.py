@@ -172,3 +172,20 @@ def test_the_json_holds_the_documented_keys():
     assert told["landmark_rmse_exchanged"] is None
     assert set(told["robots"]) == {"1", "2"}
     assert {"ate", "n", "truth", "single_map_rmse"} <= set(told["robots"]["1"])
+
+
+def test_truth_inside_spans_that_the_map_leaves_out_is_counted_and_does_not_count():
+    survey, t = a_survey(), np.arange(0.0, 100.0, 0.1)
+    true = np.column_stack([np.cos(0.1 * t), np.sin(0.1 * t), np.zeros(len(t))])
+    own = se2.compose(se2.inverse(T_SURVEY_MAP), true)
+    kept = (t <= 30.0) | (t >= 60.0)
+    track, truths = Track(t[kept], own[kept]), {"robot1": RobotTruth("Groundtruth", Track(t, true))}
+    whole = TeamMap(("robot1",), a_map(survey, sigma=1e-4), {"robot1": track})
+    told = TeamMap(("robot1",), a_map(survey, sigma=1e-4), {"robot1": track}, left_out={"robot1": ((30.0, 60.0),)})
+    across, outside = (score_team([m], {}, survey, truths).robots["robot1"] for m in (whole, told))
+    assert across.ate > 0.3
+    assert outside.ate < 0.01
+    assert across.left_out == 0
+    assert outside.left_out == 29
+    assert outside.n == across.n - 29
+    assert as_json(score_team([told], {}, survey, truths))["robots"]["1"]["left_out"] == 29

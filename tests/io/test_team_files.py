@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 from mapweave.core.errors import DataError, ReaderError
 from mapweave.core.names import in_order, robot_key, robot_name
 from mapweave.core.records import Track
+from mapweave.io.directory import write_json
 from mapweave.io.npz import write_npz
-from mapweave.io.team_map import read_members, read_team_maps, write_landmarks, write_tracks
+from mapweave.io.team_map import read_members, read_team_maps, told_gaps, write_landmarks, write_tracks
 from mapweave.io.tum import read_tum, write_track_covariance, write_tum
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.team.team_map import TeamMap
@@ -102,3 +103,15 @@ def test_a_written_trajectory_is_a_tum_file_to_a_reader_that_knows_only_the_form
     np.testing.assert_allclose(rows[:, :4], np.column_stack([t, t - t[0], -t + t[0], np.zeros(4)]), atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(rows[:, 4:], axis=1), 1.0, atol=1e-8)
     np.testing.assert_allclose(Rotation.from_quat(rows[:, 4:]).as_euler("zyx")[:, 0], heading, atol=1e-8)
+
+
+def test_spans_that_are_left_out_come_back_from_the_metrics(tmp_path):
+    team = replace(a_team(), left_out={"robot2": ((1.2e9 + 1.5, 1.2e9 + 4.25),), "robot10": ()})
+    write_landmarks(tmp_path, team)
+    write_tracks(tmp_path, team)
+    write_json(tmp_path / "metrics.json", {"version": "0", "left_out": told_gaps([team])})
+    (back,) = read_team_maps(tmp_path)
+    assert back.left_out == {"robot2": ((1.2e9 + 1.5, 1.2e9 + 4.25),)}
+    write_json(tmp_path / "metrics.json", {"version": "0", "left_out": {"2": [3.0]}})
+    with pytest.raises(ReaderError, match=r"metrics\.json: left_out: expected lists of"):
+        read_team_maps(tmp_path)

@@ -45,6 +45,7 @@ def test_where_one_saw_it_by_bearing_its_poses_are_left_out_and_said():
     window = PlacingConfig().fixed_window
     assert kept.t[-1] == pytest.approx(20.0 + window, abs=0.5)
     assert kept.cov.shape == (len(kept.t), 3, 3)
+    assert team.left_out == {"robot3": ()}
     (sentence,) = told
     assert sentence.startswith(f"robot 3: {len(T) - len(kept.t)} of {len(T)} poses are left out")
 

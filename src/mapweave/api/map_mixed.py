@@ -24,7 +24,14 @@ from ..io.laser_map import NAME, write_grid, write_laser_map
 from ..io.local_map import write_local_map
 from ..io.mixed_logs import LaserOf, MixedLogs, is_mixed, read_mixed_landmarks, sorted_logs
 from ..io.ros_map import write_ros_map
-from ..io.team_map import read_calibration, write_calibration, write_landmark_arrays, write_landmarks, write_tracks
+from ..io.team_map import (
+    read_calibration,
+    told_gaps,
+    write_calibration,
+    write_landmark_arrays,
+    write_landmarks,
+    write_tracks,
+)
 from ..landmarks.config import EkfSlamConfig
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import local_map, without_impossible
@@ -348,6 +355,7 @@ def _metrics(made: MixedMap, kinds: Mapping[str, str], warnings: Sequence[str], 
             }
             for s in made.components
         ],
+        "left_out": told_gaps([s.map for s in made.components]),
         "fusion": [],
         "warnings": list(warnings),
     }

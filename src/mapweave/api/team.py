@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ..report.style import Target
 from ..io.directory import write_json
 from ..io.local_map import write_local_map
-from ..io.team_map import write_calibration, write_landmark_arrays, write_landmarks, write_tracks
+from ..io.team_map import told_gaps, write_calibration, write_landmark_arrays, write_landmarks, write_tracks
 from ..report.team import write_team_report
 
 NOTHING = LandmarkMap((), np.zeros((0, 2)), np.zeros((0, 0)))
@@ -81,6 +81,8 @@ class TeamResult(ResultBase):
             ],
             "warnings": list(self.warnings),
         }
+        if gaps := told_gaps(self.maps):
+            told["left_out"] = gaps
         if self.growth:
             told["online"] = [
                 {

@@ -1,7 +1,7 @@
 """The whole score of a team's map: landmarks, trajectories under the same alignment, single maps for comparison."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +16,7 @@ from .landmarks import Exchange, LandmarkScore, find_exchanges, naive_mean, rmse
 from .trajectory import align_tracks, ate, rpe
 
 RPE_SECONDS = 10.0
+Spans = Sequence[tuple[float, float]]  # (begin, end) [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +30,10 @@ class RobotTruth:
 
 @dataclass(frozen=True, slots=True)
 class RobotScore:
-    """ate [m] over n truth poses; `component`: from 1; rpe over ten seconds [m, rad]."""
+    """ate [m] over n truth poses; `component`: from 1; rpe over ten seconds [m, rad].
+
+    left_out: truth poses [1] inside spans that the map says it knows nothing of; they do not count.
+    """
 
     ate: float | None
     n: int
@@ -38,6 +42,7 @@ class RobotScore:
     component: int | None
     rpe_trans: float | None = None
     rpe_rot: float | None = None
+    left_out: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +76,8 @@ def score_team(
         k = where.get(robot)
         track = maps[k].tracks.get(robot) if k is not None else None
         single = rmse_after_alignment(singles[robot], survey) if robot in singles else None
-        robots[robot] = _score_robot(track, truths.get(robot), None if k is None else alignments[k], single, k)
+        gaps = maps[k].left_out.get(robot, ()) if k is not None else ()
+        robots[robot] = _score_robot(track, truths.get(robot), None if k is None else alignments[k], single, k, gaps)
     tied = [singles[r] for r in maps[0].robots if r in singles]
     naive = naive_mean(tied)
     exchanges, mended = find_exchanges(maps[0].landmarks, survey)
@@ -118,6 +124,7 @@ def as_json(score: TeamScore) -> dict[str, object]:
                 "truth": r.truth,
                 "single_map_rmse": r.single_map_rmse,
                 "component": r.component,
+                "left_out": r.left_out,
                 "rpe_trans_10s": r.rpe_trans,
                 "rpe_rot_10s": r.rpe_rot,
             }
@@ -130,7 +137,11 @@ def _alignment(team: TeamMap, score: LandmarkScore, truths: Mapping[str, RobotTr
     """Fitted to the landmarks; where there are none, to all trajectories together."""
     if score.alignment is not None:
         return score.alignment
-    known = [(team.tracks[r], truths[r]) for r in team.robots if r in truths and r in team.tracks]
+    known = [
+        (team.tracks[r], _outside(truths[r], team.left_out.get(r, ())))
+        for r in team.robots
+        if r in truths and r in team.tracks
+    ]
     return align_tracks([(track, truth.track, truth.dense) for track, truth in known])
 
 
@@ -140,13 +151,25 @@ def _score_robot(
     alignment: Float[np.ndarray, "3"] | None,
     single: float | None,
     k: int | None,
+    gaps: Spans,
 ) -> RobotScore:
     component = None if k is None else k + 1
     if track is None or truth is None or alignment is None:
         return RobotScore(None, 0, None if truth is None else truth.kind, single, component)
-    error, n = ate(track, truth.track, alignment, dense=truth.dense)
-    drift = rpe(track, truth.track, RPE_SECONDS, dense=truth.dense)
-    return RobotScore(error, n, truth.kind, single, component, *drift)
+    known = _outside(truth, gaps)
+    error, n = ate(track, known.track, alignment, dense=truth.dense)
+    drift = rpe(track, known.track, RPE_SECONDS, dense=truth.dense)
+    gone = ate(track, truth.track, alignment, dense=truth.dense)[1] - n if gaps else 0
+    return RobotScore(error, n, truth.kind, single, component, *drift, gone)
+
+
+def _outside(truth: RobotTruth, gaps: Spans) -> RobotTruth:
+    """The truth without its poses inside `gaps`, of which the map says that it knows nothing."""
+    if not gaps:
+        return truth
+    t = truth.track.t
+    keep = ~np.any([(t > a) & (t < b) for a, b in gaps], axis=0)
+    return replace(truth, track=Track(t[keep], truth.track.pose[keep]))
 
 
 def _ratio(a: float | None, b: float | None) -> float | None:

@@ -5,7 +5,7 @@ of every robot's wheels and camera, as found or as given.
 """
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -142,7 +142,22 @@ def read_metrics(folder: Path) -> dict[str, Any]:
 def read_team_maps(folder: Path) -> tuple[TeamMap, ...]:
     """The components of a result, the largest first."""
     parts = [folder, *sorted(folder.glob("components/[0-9]*"), key=lambda p: in_order(p.name))]
-    return tuple(_component(part) for part in parts)
+    gaps = _left_out(folder / "metrics.json")
+    return tuple(_component(part, gaps) for part in parts)
+
+
+def _left_out(path: Path) -> dict[str, tuple[tuple[float, float], ...]]:
+    """Robot -> the spans of its track in which nothing says where it was, as the metrics tell them."""
+    told = read_json(path).get("left_out", {}) if path.is_file() else {}
+    try:
+        return {robot_name(robot): tuple((float(a), float(b)) for a, b in spans) for robot, spans in told.items()}
+    except (AttributeError, TypeError, ValueError):
+        raise ReaderError(path, "left_out: expected lists of [begin, end] in seconds, found something else") from None
+
+
+def told_gaps(maps: Sequence[TeamMap]) -> dict[str, list[list[float]]]:
+    """What `metrics.json` tells of spans in which nothing says where a robot was."""
+    return {robot_key(r): [[a, b] for a, b in spans] for m in maps for r, spans in m.left_out.items() if spans}
 
 
 def read_single_maps(folder: Path) -> dict[str, LandmarkMap]:
@@ -152,7 +167,7 @@ def read_single_maps(folder: Path) -> dict[str, LandmarkMap]:
     return {p.parent.relative_to(local).as_posix(): read_landmarks(p, "local") for p in found}
 
 
-def _component(folder: Path) -> TeamMap:
+def _component(folder: Path, gaps: Mapping[str, tuple[tuple[float, float], ...]]) -> TeamMap:
     tracks = folder / "trajectories"
     found = sorted(tracks.rglob("*.tum"), key=lambda p: in_order(p.as_posix()))
     told = folder / "landmarks.csv"
@@ -166,6 +181,7 @@ def _component(folder: Path) -> TeamMap:
         tracks=by_robot,
         members=members,
         sightings=sightings,
+        left_out={robot: spans for robot, spans in gaps.items() if robot in by_robot},
     )
 
 

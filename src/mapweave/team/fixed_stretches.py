@@ -7,6 +7,7 @@ few seconds, sightings that agree with it come from enough directions.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +41,7 @@ def fixed_stretches(
     come from two others that saw it, or from three others that it saw or that saw it; a distance counts as one more.
     A robot of which less than two poses are fixed is left out of the map.
     """
-    tracks, told = dict(team.tracks), []
+    tracks, gaps, told = dict(team.tracks), dict(team.left_out), []
     for robot in robots:
         track = team.tracks[robot]
         keep = _fixed(track, _partners(robot, team, logs, labels, cfg), cfg)
@@ -53,10 +54,17 @@ def fixed_stretches(
             continue
         cov = None if track.cov is None else track.cov[keep]
         tracks[robot] = Track(track.t[keep], track.pose[keep], cov, track.frame)
+        gaps[robot] = _between_kept(track.t, keep)
         why = "too few sightings fix where it was then"
         told.append(f"robot {robot_key(robot)}: {gone} of {len(keep)} poses are left out: {why}")
     names = tuple(name for name in team.robots if name in tracks)
-    return replace(team, robots=names, tracks=tracks), tuple(told)
+    return replace(team, robots=names, tracks=tracks, left_out=gaps), tuple(told)
+
+
+def _between_kept(t: Float[np.ndarray, " n"], keep: Bool[np.ndarray, " n"]) -> tuple[tuple[float, float], ...]:
+    """The spans between poses that are kept, one after the other, though poses between them are not."""
+    kept = np.flatnonzero(keep)
+    return tuple((float(t[a]), float(t[b])) for a, b in pairwise(kept) if b > a + 1)
 
 
 def _partners(

@@ -139,9 +139,17 @@ def with_stretches(
             elif len(part):
                 a, b = (end - log.span[0] for end in part.span)
                 told.append(f"robot {robot_key(log.robot)}: nothing places it from {a:.1f} to {b:.1f} s of its log")
-        out[k] = replace(team, tracks={**team.tracks, log.robot: _in_one(pieces)})
+        ends = [(float(a.t[-1]), float(b.t[0])) for a, b in pairwise(pieces)]
+        gaps = tuple(end for end, (a, b) in zip(ends, pairwise(kept), strict=True) if _rows_between(log, a, b))
+        left = {**team.left_out, log.robot: gaps} if gaps else team.left_out
+        out[k] = replace(team, tracks={**team.tracks, log.robot: _in_one(pieces)}, left_out=left)
         logs[i] = replace(_in_one_log(log, kept), cuts=tuple(part.span[0] for part in kept[1:]))
     return tuple(out), tuple(logs), tuple(told)
+
+
+def _rows_between(log: LandmarkLog, a: LandmarkLog, b: LandmarkLog) -> bool:
+    """Whether a stretch of the log lies between two of its others."""
+    return len(log.chosen(lambda t: (t > a.span[1]) & (t < b.span[0]))) > 0
 
 
 def _placed(
