@@ -15,6 +15,7 @@ from mapweave.fusion.join import fuse
 from mapweave.io.landmark_logs import read_landmark_logs
 from mapweave.landmarks.mapping import local_map
 from mapweave.sim import landmarks as simulator
+from mapweave.sim import mixed_team as mixed_simulator
 from mapweave.team.config import SmoothingConfig
 from mapweave.team.kidnapped import KidnapConfig, cut_kidnapped
 from mapweave.team.relative_frame import PlacingConfig
@@ -97,3 +98,24 @@ def test_a_log_is_cut_into_stretches_that_hold_every_row_once(tmp_path):
 def test_nobody_is_cut_in_a_real_room(data):
     logs = read_landmark_logs(data / "mrclam" / "MRCLAM_Dataset6.zip")
     assert all(a is b for a, b in zip(cut_of(logs), logs, strict=True))
+
+
+@pytest.mark.slow
+def test_a_camera_robot_of_a_mixed_team_put_down_elsewhere_is_cut_too(monkeypatch, tmp_path):
+    drive = mixed_simulator.drive_team
+
+    def carried(*args, **options):
+        laser, own, *rest = drive(*args, **options)
+        later = (own.t >= 120.0)[:, None]
+        moved = np.where(later, se2.compose(np.array([0.5, 0.5, np.pi]), own.pose), own.pose)
+        return [laser, replace(own, pose=moved), *rest]
+
+    monkeypatch.setattr(mixed_simulator, "drive_team", carried)
+    mapweave.simulate_team(tmp_path / "team", lasers=1, cameras=2, bearings=0, minutes=3.5, seed=9)
+    truth = read_team_truth([tmp_path / "team"], ["robot1", "robot2", "robot3"])
+    done = mapweave.map(tmp_path / "team")
+    score = score_team(done.maps, {}, truth.survey, truth.robots)
+    assert score.robots["robot2"].ate < 0.4
+    told = [w for w in done.metrics["warnings"] if w.startswith("robot 2: put down elsewhere at")]
+    assert len(told) == 1
+    assert 115.0 < float(told[0].split("after ")[1].split(" s")[0]) < 125.0

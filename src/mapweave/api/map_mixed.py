@@ -45,6 +45,7 @@ from ..report.mixed import MixedStory, draw_mixed, words, write_mixed_report
 from ..report.result import ResultBase, Rows
 from ..report.style import Target
 from ..team.config import SmoothingConfig
+from ..team.kidnapped import Cut, KidnapConfig, cut_kidnapped, with_stretches
 from ..team.mixed import MixedMap, Scanned, map_mixed, regained
 from ..team.relative_frame import PlacingConfig
 from ..team.team_map import TeamMap
@@ -65,6 +66,7 @@ class MixedMapConfig:
     sift: SiftConfig = field(default_factory=SiftConfig)
     ekf: EkfSlamConfig = field(default_factory=EkfSlamConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)
+    kidnap: KidnapConfig = field(default_factory=KidnapConfig)
     smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
     placing: PlacingConfig = field(default_factory=PlacingConfig)
     laser: LaserConfig = field(default_factory=lambda: PLAIN)
@@ -123,9 +125,15 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     apart = _apart(read, scans)
     read = [log.share(options.share.get(robot_key(log.robot), 1.0)) for log in read]
     read = [sifted(without_impossible(log, cfg.ekf), cfg.ekf, cfg.sift) for log in read]
-    local, fusion = _filtered([log for log in read if log.robot not in apart], cfg, options)
+    seeing = [log for log in read if log.robot not in apart and _sees_landmarks(log)]
+    cut = _cut(seeing, *_filtered(seeing, cfg, options), cfg, options.seed)
+    local, fusion = cut.local, cut.fusion
     watch.lap("estimate")
-    mapped = [team for team in team_maps(local, fusion) if len(team.landmarks)] if local else []
+    whole = team_maps(local, fusion) if local else ()
+    maps, cut_logs, lost = with_stretches(whole, cut, cfg.smoothing, cfg.placing)
+    cut_of = {log.robot: log for log in cut_logs}
+    read = [cut_of.get(log.robot, log) for log in read]
+    mapped = [team for team in maps if len(team.landmarks)]
     labels: Mapping[str, Mapping[str, str]] = {} if not local else fusion.labels
     fitted, back = regained(mapped, [log for log in read if log.robot not in apart], labels, cfg.smoothing, cfg.placing)
     scanned = {m: Scanned(made.graph, made.track) for m, made in lasers.items() if made.graph is not None}
@@ -145,7 +153,8 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     watch.lap("smooth")
     grids = tuple(_grid(s.map, scans, made, cfg.laser) for s in made.components)
     watch.lap("grid")
-    warnings = (*back, *_warnings(read, lasers, fusion if local else None, made, apart))
+    carried = [f"robot {robot_key(m.robot)}: {w}" for m in local for w in m.warnings if cut_of[m.robot].cuts]
+    warnings = (*carried, *lost, *back, *_warnings(read, lasers, fusion if local else None, made, apart))
     kinds = {log.robot: _carries(log, scanned) for log in read}
     story = MixedStory(f"One map from {', '.join(p.name for p in logs)}", made, grids, kinds, (), warnings)
     result = MixedResult(
@@ -246,9 +255,24 @@ def _apart(read: Sequence[LandmarkLog], scans: Mapping[str, LaserLog]) -> dict[s
     return out
 
 
-def _filtered(logs: Sequence[LandmarkLog], cfg: MixedMapConfig, options: MapOptions) -> tuple[list[LocalMap], Fusion]:
+def _sees_landmarks(log: LandmarkLog) -> bool:
+    return any(not name.startswith("robot") for name in log.sightings.counts())
+
+
+def _cut(logs: Sequence[LandmarkLog], local: Sequence[LocalMap], fusion: Fusion, cfg: MixedMapConfig, seed: int) -> Cut:
+    """The team with the logs of kidnapped robots cut."""
+
+    def mapper(log: LandmarkLog) -> LocalMap:
+        return local_map(log, cfg.ekf, seed)
+
+    def join(maps: Sequence[LocalMap]) -> Fusion:
+        return fuse(maps, cfg.fuse)
+
+    return cut_kidnapped(logs, local, fusion, cfg.smoothing, cfg.placing, cfg.kidnap, mapper, join)
+
+
+def _filtered(seeing: Sequence[LandmarkLog], cfg: MixedMapConfig, options: MapOptions) -> tuple[list[LocalMap], Fusion]:
     local = []
-    seeing = [log for log in logs if any(not name.startswith("robot") for name in log.sightings.counts())]
     n = len(seeing)
     with worker_pool(options.jobs, n, options.executor) as pool:
         spread = map if pool is None else pool.map
