@@ -92,7 +92,7 @@ def test_one_robot_errs_as_the_print_says_when_the_noise_is_in_position():
 
 
 @pytest.mark.slow
-def test_every_nearest_neighbour_believed_is_not_enough_for_an_honest_map():
+def test_nearest_neighbours_make_an_honest_map_and_unsure_ones_most_of_the_wrong_matches():
     plain, sure = (explore_many(m(run(association="nn")), 10, 0) for m in (plain_neighbour, lambda m: m))
-    assert sum(r.misassociations for r in sure) < sum(r.misassociations for r in plain)
-    assert np.mean([r.nees_per_dof for r in sure]) < np.mean([r.nees_per_dof for r in plain])
+    assert sum(r.misassociations for r in sure) < 0.5 * sum(r.misassociations for r in plain)
+    assert all(np.mean([r.nees_per_dof for r in runs]) < 1.5 for runs in (plain, sure))

@@ -70,7 +70,7 @@ CLAIMS = (
     _claim(
         "Nearest neighbours tell which landmark is which",
         "landmarks/association.py",
-        f"{WRITTEN}::test_every_nearest_neighbour_believed_is_not_enough_for_an_honest_map",
+        f"{WRITTEN}::test_nearest_neighbours_make_an_honest_map_and_unsure_ones_most_of_the_wrong_matches",
         "used",
         "neighbour",
         "{few} runs",
