@@ -65,6 +65,7 @@ TABLES = (
     Table("yuan", EXPLORE, reproduce("yuan")),
     Table("yuan other seeds", EXPLORE, reproduce("yuan")),
     Table("area term", EXPLORE, reproduce("yuan")),
+    Table("yuan claims", EXPLORE, reproduce("yuan"), "claims.md"),
     Table("among walls", EXPLORE, ("mapweave", "explore", "SCENARIO", "--runs", "20", "--until", "field")),
     Table("submaps", EXPLORE, bench("exploration")),
     Table("planning alone", EXPLORE, bench("exploration_laser")),

@@ -9,9 +9,15 @@ from mapweave.papers.hamatani.claims import CLAIMS as HAMATANI
 from mapweave.papers.hara.claims import CLAIMS as HARA
 from mapweave.papers.kojima.claims import CLAIMS as KOJIMA
 from mapweave.papers.reproduction import CLAIMS_HEAD, markdown
+from mapweave.papers.yuan.claims import CLAIMS as YUAN
 
 TOP = Path(__file__).parent.parent.parent
-PAGES = {"relative-fusion.md": KOJIMA, "intensity-laser.md": HARA, "bearing-swarm.md": HAMATANI}
+PAGES = {
+    "relative-fusion.md": KOJIMA,
+    "intensity-laser.md": HARA,
+    "bearing-swarm.md": HAMATANI,
+    "active-exploration.md": YUAN,
+}
 EVERY = [pytest.param(page, claim, id=f"{page}:{claim.here}") for page, claims in PAGES.items() for claim in claims]
 
 
