@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mapweave.api import map as verb
+from mapweave.api import map_laser as lasers
 from mapweave.api.map import map as map_logs
 from mapweave.api.map_options import LaserOptions
 from mapweave.cli import _run
@@ -216,3 +217,30 @@ def test_one_robot_of_several_logs_can_be_asked_for(log):
     assert np.isnan(scans.n_eff).all()  # one hypothesis has no weights, and nothing to draw anew
     assert not scans.resampled.any()
     assert replace(made.maps[0], timing={}).scans.t[-1] < 1000.0 + 0.21 * 30
+
+
+def test_robots_that_were_mapped_before_the_run_broke_off_are_not_mapped_again(log, monkeypatch, tmp_path):
+    monkeypatch.setattr("mapweave.io.kept.LEAST", 0.0)
+    monkeypatch.setenv("MAPWEAVE_CACHE_DIR", str(tmp_path / "cache"))
+    mapped, broken, map_laser, metrics = [], [True], lasers.map_laser, lasers.laser_metrics
+
+    def counted(*words):
+        mapped.append(words[0].robot)
+        return map_laser(*words)
+
+    def full(*words):
+        if broken and broken.pop():
+            raise OSError(28, "No space left on device", "disk")
+        return metrics(*words)
+
+    monkeypatch.setattr(lasers, "map_laser", counted)
+    monkeypatch.setattr(lasers, "laser_metrics", full)
+    more = {"method": "gated", "share": {"1": 0.1, "2": 0.2}}
+    with pytest.raises(OSError, match="No space left") as told:
+        map_logs([log, log], **more)
+    assert told.value.__notes__ == ["2 finished parts are kept: the same command goes on from there"]
+    assert mapped == ["1", "2"]
+    again = map_logs([log, log], **more)
+    assert mapped == ["1", "2"]
+    assert again.maps[1].track.pose.tobytes() == map_logs([log, log], **more).maps[1].track.pose.tobytes()
+    assert mapped == ["1", "2"] * 2

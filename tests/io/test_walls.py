@@ -22,12 +22,13 @@ from mapweave.io.directory import read_json
 from mapweave.io.landmark_logs import read_csv_landmarks, read_landmark_logs
 from mapweave.io.landmark_truth import read_survey
 from mapweave.io.laser_logs import read_laser
-from mapweave.io.laser_map import read_grid
+from mapweave.io.laser_map import read_grid, write_grid
 from mapweave.io.local_map import read_local_map, write_local_map
 from mapweave.io.ros_map import read_ros_map
 from mapweave.io.salvage import LARGEST_CHUNK, zstd
 from mapweave.io.sightings import read_sightings, read_swarm_truth
 from mapweave.io.team_map import read_members, read_metrics
+from mapweave.laser.laser_map import GridMap
 
 from . import mrclam_folder
 from .ros_logs import usual
@@ -101,6 +102,18 @@ def test_a_local_map_of_another_shape_is_told_by_its_key(tmp_path, key, value, s
     (tmp_path / "local_map.json").write_text(json.dumps(told | {key: value}))
     with pytest.raises(ReaderError, match=said):
         read_local_map(tmp_path)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_grid_of_halves_is_read_without_a_warning(tmp_path):
+    cells = np.ones((4, 5), np.int32)
+    halves = np.ones((4, 5, 2), np.float16)
+    light = np.ones((4, 5), np.float32)
+    write_grid(tmp_path / "grid.npz", GridMap(0.1, np.zeros(2), cells, cells, halves, light, light), None, "none")
+    with np.load(tmp_path / "grid.npz") as saved:
+        held = {name: saved[name] for name in saved.files}
+    np.savez(tmp_path / "grid.npz", **{**held, "mean": halves})
+    assert read_grid(tmp_path / "grid.npz")[0].mean.max() == 1.0
 
 
 def test_a_stream_damaged_inside_a_saved_grid_is_told(tmp_path):

@@ -48,7 +48,7 @@ def read_grid(path: Path) -> tuple[GridMap, IntensityCalibration | None, str]:
     resolution = float(held["resolution"])
     if resolution <= 0:
         raise ReaderError(path, f"expected a resolution of more than 0 m, found {resolution:g}")
-    if max(np.abs(held[name]).max(initial=0.0) for name in ("mean", "feature", "weight")) > LARGEST_VALUE:
+    if max(float(np.abs(held[name]).max(initial=0.0)) for name in ("mean", "feature", "weight")) > LARGEST_VALUE:
         raise ReaderError(path, f"expected cells with numbers under {LARGEST_VALUE:g}")
     if min(held[name].min(initial=0) for name in ("hits", "passes")) < 0:
         raise ReaderError(path, "expected counts of 0 or more")

@@ -1,0 +1,163 @@
+"""Pictures of every kind of result, made by commands anybody can repeat, and the page that shows them.
+
+    python benchmarks/gallery.py [--only NAME]... [--page]
+
+Every command runs in one folder, in order; the pictures go to `docs/images/gallery/`, made light. `--page` writes the
+page `docs/gallery.md` alone.
+"""
+
+import argparse
+import os
+import shlex
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import Image
+
+TOP = Path(__file__).resolve().parents[1]
+PAGE, PICTURES = TOP / "docs" / "gallery.md", TOP / "docs" / "images" / "gallery"
+WIDEST, COLOURS = 900, 256  # [pixels], of the palette
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """One picture: the file that the commands write, and the commands since the picture before."""
+
+    name: str
+    title: str
+    caption: str
+    file: str
+    commands: tuple[str, ...]
+
+    @property
+    def image(self) -> Path:
+        return PICTURES / f"{self.name}.png"
+
+
+GALLERY = (
+    Picture(
+        "landmarks",
+        "One map of four robots",
+        "Landmarks with 95 % ellipses, and the ways of four robots that started in unknown places.",
+        "team-map/figures/fused_map.png",
+        (
+            "mapweave simulate landmarks --out team --robots 4 --landmarks 30 --seed 3",
+            "mapweave map team --out team-map --truth team",
+        ),
+    ),
+    Picture(
+        "uncertainty",
+        "What fusing gains",
+        "The standard deviation of every landmark in each robot's own map, and in the map of all.",
+        "team-map/figures/uncertainty.png",
+        (),
+    ),
+    Picture(
+        "woven",
+        "Lasers woven into one map",
+        "Two drives through one office, each mapped as a pose graph and tied where scans agree.",
+        "woven/figures/component1_map.png",
+        (
+            "mapweave simulate office --out a.mcap --seed 3 --visited 3",
+            "mapweave simulate office --out b.mcap --seed 3 --visited 6",
+            "mapweave map a.mcap b.mcap --out woven",
+        ),
+    ),
+    Picture(
+        "graph",
+        "A pose graph",
+        "The graph behind that map, solved anew: what `solve` draws of any g2o file.",
+        "graph/figures/graph.png",
+        ("mapweave solve woven/pose_graph.g2o --out graph",),
+    ),
+    Picture(
+        "mixed",
+        "A mixed team",
+        "Robots with lasers, robots with cameras, and sightings of each other: walls, landmarks and ways in one frame.",
+        "mixed-map/figures/map.png",
+        (
+            "mapweave simulate team --out mixed --minutes 3 --seed 2",
+            "mapweave map mixed --out mixed-map",
+        ),
+    ),
+    Picture(
+        "swarm",
+        "A swarm in space",
+        "64 robots located from nothing but the bearings at which they see each other, with 95 % regions.",
+        "swarm-map/figures/network.png",
+        (
+            "mapweave simulate swarm --out swarm.csv --dim 3 --robots 64 --seed 1",
+            "mapweave locate swarm.csv --out swarm-map --dim 3 --sigma 1deg",
+        ),
+    ),
+    Picture(
+        "exploration",
+        "Robots that decide where to drive",
+        "Two robots that were told nothing but the border: their ways, and the landmarks they mapped.",
+        "exploration/figures/map.png",
+        ("mapweave explore yuan --planner loop --until landmarks --seed 1 --out exploration",),
+    ),
+    Picture(
+        "explored",
+        "When ground was first seen",
+        "The same run: the step at which every place was seen for the first time.",
+        "exploration/figures/explored.png",
+        (),
+    ),
+)
+
+
+def page() -> str:
+    """The page as it stands in the documentation."""
+    out = [
+        "# Gallery",
+        "",
+        "Every picture is a file that the commands under it write; `python benchmarks/gallery.py` makes them all anew.",
+        "Each result holds a `report.html` beside, with all figures and numbers and, where there is a map, one to move",
+        "about in.",
+    ]
+    for picture in GALLERY:
+        where = picture.image.relative_to(PAGE.parent).as_posix()
+        out += ["", f"## {picture.title}", "", f"![{picture.title}]({where})", "", picture.caption, ""]
+        if picture.commands:
+            out += ["```", *picture.commands, "```", "", f"`{picture.file}`"]
+        else:
+            out += [f"Of the same result: `{picture.file}`"]
+    return "\n".join(out) + "\n"
+
+
+def lighten(source: Path, target: Path) -> None:
+    """The picture, at most `WIDEST` pixels wide, with a palette of its own."""
+    with Image.open(source) as image:
+        full = image.convert("RGB")
+    if full.width > WIDEST:
+        full = full.resize((WIDEST, round(full.height * WIDEST / full.width)), Image.Resampling.LANCZOS)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    full.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(target, optimize=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", action="append", choices=[p.name for p in GALLERY], metavar="NAME")
+    parser.add_argument("--page", action="store_true")
+    asked = parser.parse_args()
+    PAGE.write_text(page(), encoding="utf-8")
+    if asked.page:
+        return
+    env = {**os.environ, "PYTHONPATH": str(TOP / "src")}
+    with tempfile.TemporaryDirectory() as folder:
+        for picture in GALLERY:
+            if asked.only and picture.name not in asked.only:
+                continue
+            for command in picture.commands:
+                words = [sys.executable, "-m", *shlex.split(command)]
+                subprocess.run(words, cwd=folder, env=env, check=True)
+            lighten(Path(folder) / picture.file, picture.image)
+            print(f"{picture.image.relative_to(TOP)}: {picture.image.stat().st_size / 1000:.0f} kB", flush=True)
+
+
+if __name__ == "__main__":
+    main()
