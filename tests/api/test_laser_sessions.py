@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 import mapweave
+from mapweave.api import map_laser as map_laser_module
+from mapweave.api.laser_result import write_laser_data
 from mapweave.api.map_options import LaserOptions
 from mapweave.cli import _run
 from mapweave.core.errors import ConfigError, DataError, MapweaveError, ReaderError, UsageError
+from mapweave.io.npz import read_arrays, write_arrays
 
 from ..laser.team_logs import cut, office
 
@@ -48,22 +51,51 @@ def test_a_second_session_gives_the_bytes_of_one_run_of_both_logs(sessions):
     assert one[1]["components"] == [["1", "2"]]
 
 
+def stopped_after(log, n):
+    """The same recording while it was running: its first `n` scans."""
+    early = cut(log, 0, n)
+    pose = log.odometry.pose[: len(early.odometry.t)]
+    return replace(early, scans=log.scans[:n], source=log.source, odometry=replace(early.odometry, pose=pose))
+
+
 def test_a_log_that_was_cut_goes_on_as_the_same_robot_with_the_bytes_of_one_run(logs, sessions, tmp_path):
-    rng = np.random.default_rng(7)
-    n = int(rng.integers(20, len(logs[0].scans) - 5))
-    early = cut(logs[0], 0, n)
-    stopped = replace(
-        early,
-        scans=logs[0].scans[:n],
-        source=logs[0].source,
-        odometry=replace(early.odometry, pose=logs[0].odometry.pose[: len(early.odometry.t)]),
-    )
-    mapweave.map([stopped, logs[1]], tmp_path / "stopped", seed=4)
+    n = int(np.random.default_rng(7).integers(20, len(logs[0].scans) - 5))
+    mapweave.map([stopped_after(logs[0], n), logs[1]], tmp_path / "stopped", seed=4)
     result = mapweave.map([logs[0]], tmp_path / "on", laser=LaserOptions(resume=tmp_path / "stopped"), seed=4)
     assert f"robot1: its log goes on, from scan {n + 1} to {len(logs[0].scans)}" in result.lines()
     one, on = written(sessions / "one"), written(tmp_path / "on")
     assert one[1] == on[1]
     assert [name for name in one[0] if one[0][name] != on[0].get(name)] == []
+
+
+@pytest.mark.slow
+def test_ten_random_stops_give_the_bytes_of_one_run(tmp_path):
+    """Stopped anywhere, the second recording not begun, under way, or with a scan or two."""
+    log, _ = office(5, rooms=1, visited=1)
+    n = len(log.scans)
+    logs = cut(log, 0, int(0.7 * n)), cut(log, int(0.3 * n), n, "2")
+    whole = data_of(mapweave.map(list(logs), seed=2), tmp_path / "whole")
+    assert {"state/state.json", "trajectories/robot1.tum"} <= whole.keys()
+    rng = np.random.default_rng(11)
+    for k in range(10):
+        stop = int(rng.integers(2, len(logs[0].scans) + len(logs[1].scans) - 2))
+        early = [stopped_after(logs[0], min(stop, len(logs[0].scans)))]
+        if (later := stop - len(logs[0].scans)) > 1:
+            early.append(stopped_after(logs[1], later))
+        before, after = tmp_path / f"before{k}", tmp_path / f"after{k}"
+        data_of(mapweave.map(early, seed=2, method="graph"), before)
+        rest = [log for log, held in zip(logs, [*early, None], strict=False) if held is None or held.scans != log.scans]
+        on = data_of(mapweave.map(rest, laser=LaserOptions(resume=before), seed=2), after)
+        assert [name for name in whole if whole[name] != on.get(name)] == [], stop
+        assert whole.keys() == on.keys()
+
+
+def data_of(result, folder):
+    """The files that hold what was found, less the metrics, which tell times; pictures and page follow from them."""
+    write_laser_data(folder, result)
+    files = {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+    assert files.pop("metrics.json")
+    return files
 
 
 def test_the_log_that_is_there_already_is_refused(logs, sessions):
@@ -92,7 +124,7 @@ def test_a_result_of_another_version_is_refused(sessions, logs, tmp_path):
     folder = spoiled(sessions, tmp_path)
     index = folder / "state" / "state.json"
     index.write_text(json.dumps({**json.loads(index.read_text()), "state": 99, "version": "7.0"}))
-    assert "expected state of version 1, found 99, which mapweave 7.0 wrote" in refused(folder, logs)
+    assert "expected state of version 2, found 99, which mapweave 7.0 wrote" in refused(folder, logs)
 
 
 def test_a_result_of_landmarks_one_without_graphs_and_no_result_are_refused(logs, tmp_path):
@@ -117,7 +149,7 @@ def test_a_damaged_result_is_refused_by_the_file_that_is_damaged(sessions, logs,
         path.unlink()
     else:
         path.write_bytes(
-            (folder / "grid.npz").read_bytes() if path.suffix == ".npz" else b'{"state": 1, "robots": [3]}'
+            (folder / "grid.npz").read_bytes() if path.suffix == ".npz" else b'{"state": 2, "robots": [3]}'
         )
     told = refused(folder, logs)
     assert path.name in told or (how == "gone" and name == "state/state.json")
@@ -130,7 +162,36 @@ def test_the_states_of_two_robots_exchanged_are_found_out(sessions, logs, tmp_pa
     held = a.read_bytes()
     a.write_bytes(b.read_bytes())
     b.write_bytes(held)
+    assert "robot1.npz: it is not the file that state.json tells of" in refused(folder, logs)
+    index = folder / "state" / "state.json"
+    told = json.loads(index.read_text())
+    files = told["files"]
+    one, other = (f"state/robot{k}.npz" for k in (1, 2))
+    files[one], files[other] = files[other], files[one]
+    index.write_text(json.dumps(told))
     assert "expected the state of robot 1, found that of 2" in refused(folder, logs)
+
+
+@pytest.mark.parametrize("name", ["local/robot1/grid.npz", "local/robot2/robot_graph.npz", "state/robot2.npz"])
+def test_a_whole_file_that_is_of_another_result_is_found_out_by_its_hash(sessions, logs, tmp_path, name):
+    folder = spoiled(sessions, tmp_path)
+    arrays = read_arrays(folder / name, "a file of the result")
+    mapped = {k: v + 1.0 if k in {"t", "origin", "pose"} else v for k, v in arrays.items()}
+    write_arrays(folder / name, mapped, gaps=arrays)
+    assert f"{name.split('/')[-1]}: it is not the file that state.json tells of" in refused(folder, logs)
+
+
+def test_robots_that_are_there_are_not_mapped_again(sessions, logs, tmp_path, monkeypatch):
+    mapped = []
+    real = map_laser_module.map_laser
+
+    def counted(log, *rest):
+        mapped.append(log.robot)
+        return real(log, *rest)
+
+    monkeypatch.setattr(map_laser_module, "map_laser", counted)
+    mapweave.map([logs[1]], laser=LaserOptions(resume=sessions / "first", no_merge=True), share={"2": 0.2})
+    assert mapped == ["2"]
 
 
 def test_only_the_graph_method_goes_on(sessions, logs):

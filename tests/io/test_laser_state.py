@@ -78,12 +78,15 @@ def test_a_map_without_a_graph_keeps_no_state(tmp_path):
 @pytest.mark.parametrize(
     ("told", "why"),
     [
-        ({"state": 2}, "expected state of version 1, found 2"),
+        ({"state": 1}, "expected state of version 2, found 1"),
         ({"robots": []}, "expected the names of its robots"),
         ({"robots": ["../../other"]}, "expected names of robots, found '../../other'"),
         ({"starts": {"2": [1, 2]}}, "expected starts of robots as lists of 3 or 4 numbers"),
         ({"starts": {"2": [1, 2, None]}}, "expected starts of robots as lists of 3 or 4 numbers"),
-        ({"robots": ["3"]}, "robot3.npz: cannot be read"),
+        ({"robots": ["../2"]}, "expected names of robots, found '../2'"),
+        ({"robots": ["3"]}, "robot3.npz: no such file"),
+        ({"files": None}, "expected the hashes of its files"),
+        ({"files": {}}, "robot2.npz: it is not the file that state.json tells of"),
     ],
 )
 def test_an_index_that_is_wrong_is_told(tmp_path, told, why):

@@ -1,5 +1,6 @@
 """What laser maps leave behind for going on: every robot's trajectory, scans and graph, to the last digit."""
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from .npz import Spec, read_npz, write_arrays
 from .robot_graph import NAME as GRAPH
 from .robot_graph import read_robot_graph
 
-VERSION = 1
+VERSION = 2
 INDEX = "state.json"
 WORDS = ("robot", "method", "feature", "frame", "odometry", "source", "log_hash", "called", "scan_hash")
 WANTED: dict[str, Spec] = {
@@ -57,11 +58,17 @@ class LaserState:
 
 
 def write_laser_states(folder: Path, maps: Sequence[LaserMap], starts: Mapping[str, Sequence[float]]) -> None:
-    """`folder/state` holds, of each robot, what `local/robotK` does not: with both `read_laser_states` gives `maps`."""
+    """`folder/state` holds, of each robot, what `local/robotK` does not: with both `read_laser_states` gives `maps`.
+
+    Its index tells the SHA-256 of every file that is read: the robots' own in `local` have to be written before.
+    """
+    files: dict[str, str] = {}
     for made in maps:
-        _write(folder / "state" / f"{robot_name(made.robot)}.npz", made)
+        parts = _files(made.robot)
+        _write(folder / parts[0], made)
+        files |= {part.as_posix(): _hash(folder / part) for part in parts}
     told = {robot: list(numbers) for robot, numbers in starts.items()}
-    held = {"version": __version__, "state": VERSION, "robots": [m.robot for m in maps], "starts": told}
+    held = {"version": __version__, "state": VERSION, "robots": [m.robot for m in maps], "starts": told, "files": files}
     write_json(folder / "state" / INDEX, held)
 
 
@@ -89,8 +96,35 @@ def read_laser_states(folder: Path) -> LaserState:
     starts = told.get("starts")
     if not isinstance(starts, dict) or not all(_is_start(numbers) for numbers in starts.values()):
         raise ReaderError(index, "expected starts of robots as lists of 3 or 4 numbers, found something else")
+    files = told.get("files")
+    if not isinstance(files, dict):
+        raise ReaderError(index, "expected the hashes of its files, found none")
+    for robot in robots:
+        _check(folder, index, robot, files)
     given = {robot: tuple(map(float, numbers)) for robot, numbers in starts.items()}
     return LaserState(tuple(_read(folder, robot) for robot in robots), given)
+
+
+def _files(robot: str) -> tuple[Path, Path, Path]:
+    """What a robot is read from: its state, its graph and its grid."""
+    name = robot_name(robot)
+    return Path("state") / f"{name}.npz", Path("local") / name / GRAPH, Path("local") / name / GRID
+
+
+def _hash(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _check(folder: Path, index: Path, robot: str, files: Mapping[str, object]) -> None:
+    """Raises ReaderError for a file that is missing or is not the one that the index tells of."""
+    for part in _files(robot):
+        path = folder / part
+        if part.is_absolute() or ".." in part.parts:
+            raise ReaderError(index, f"expected names of robots, found {robot!r}")
+        if not path.is_file():
+            raise ReaderError(path, "no such file: the result is not whole")
+        if files.get(part.as_posix()) != _hash(path):
+            raise ReaderError(path, f"it is not the file that {INDEX} tells of: damaged, or of another result")
 
 
 def _is_start(numbers: object) -> bool:
@@ -154,8 +188,6 @@ def _write(path: Path, made: LaserMap) -> None:
 
 def _read(folder: Path, robot: str) -> LaserMap:
     path = folder / "state" / f"{robot_name(robot)}.npz"
-    if not path.resolve().is_relative_to((folder / "state").resolve()):
-        raise ReaderError(folder / "state" / INDEX, f"expected names of robots, found {robot!r}")
     held = read_npz(path, WANTED, MAYBE, "the state of a laser map")
     said = dict(zip(WORDS, map(str, held["words"]), strict=True))
     home = folder / "local" / robot_name(robot)
