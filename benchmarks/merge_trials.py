@@ -1,6 +1,7 @@
 """Pairs of robots with unknown starts in simulated buildings: maps merged rightly, wrongly, or refused, and why.
 
     python benchmarks/merge_trials.py [--trials N] [--seed S] [--kinds office,corridor,..] [--pictures] [--page FILE]
+        [--log FILE]
 
 Kinds: `office` floors with 0 to 80 % of the way shared, any rotation; `corridor`, straight and flush; `symmetric`
 floors that look the same turned by 180 degrees, half of the way shared at least; `repetitive` rows of equal rooms;
@@ -8,13 +9,16 @@ floors that look the same turned by 180 degrees, half of the way shared at least
 which must be refused: two places fit.
 
 `--pictures` has the same pairs merged by features of their pictures too (`image_merge.py`); `--page` writes the table
-between its two marks in a page of the documentation.
+between its two marks in a page of the documentation. `--log` keeps every trial: the same command goes on after those
+that are there, as long as the rules of merging are the same.
 """
 
 import argparse
+import json
 import re
 from pathlib import Path
 from time import process_time
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +30,7 @@ from mapweave.sim.office_floor import office_floor
 
 KINDS = ("office", "office", "office", "corridor", "symmetric", "repetitive", "strangers")
 BEGIN, END = "<!-- merge trials: begin -->", "<!-- merge trials: end -->"
+PICTURES = "ORB and RANSAC"
 NEAR, NEAR_TURN = 0.5, 0.09  # [m, rad] a merge that errs by less is right
 
 
@@ -106,6 +111,30 @@ def trial(seed: int, kinds: tuple[str, ...] = KINDS) -> tuple[str, float, MapPai
     return kind, share, pair, merge, judged(pair, merge.transform)
 
 
+def tried(seed: int, kinds: tuple[str, ...], *, pictures: bool) -> dict[str, Any]:
+    """A trial, printed: kind, share, verdicts by who merged."""
+    started = process_time()
+    kind, share, pair, merge, verdict = trial(seed, kinds)
+    took = process_time() - started
+    verdicts = {"mapweave": verdict}
+    if pictures:
+        from image_merge import merged_by_features
+
+        verdicts[PICTURES] = judged(pair, merged_by_features(pair.a, pair.b))
+    print(
+        f"{seed:4d} {kind:10s} way {share:.2f} walls {pair.overlap:.2f} {' '.join(verdicts.values()):15s} agreeing "
+        f"{merge.agreeing:2d} alike {merge.alike or 0:.3f} {took:5.1f} s CPU  {merge.reason}",
+        flush=True,
+    )
+    return {"kind": kind, "share": share, "verdicts": verdicts}
+
+
+def logged(path: Path, kinds: str, *, pictures: bool) -> dict[int, dict[str, Any]]:
+    """The trials in a log that were asked for in the same words."""
+    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    return {t["seed"]: t for t in lines if t["kinds"] == kinds and (PICTURES in t["verdicts"]) == pictures}
+
+
 def table(rows: dict[str, dict[str, list[int]]], told: str) -> str:
     """Kinds against who merged them: right / wrong / refused. told: the command."""
     names = list(next(iter(rows.values())))
@@ -123,27 +152,23 @@ def main() -> None:
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--pictures", action="store_true")
     parser.add_argument("--page", type=Path)
+    parser.add_argument("--log", type=Path)
     asked = parser.parse_args()
     kinds = tuple(asked.kinds.split(","))
     rows: dict[str, dict[str, list[int]]] = {}
+    done = (
+        {} if asked.log is None or not asked.log.is_file() else logged(asked.log, asked.kinds, pictures=asked.pictures)
+    )
     for seed in range(asked.seed, asked.seed + asked.trials):
-        started = process_time()
-        kind, share, pair, merge, verdict = trial(seed, kinds)
-        took = process_time() - started
-        verdicts = {"mapweave": verdict}
-        if asked.pictures:
-            from image_merge import merged_by_features
-
-            verdicts["ORB and RANSAC"] = judged(pair, merged_by_features(pair.a, pair.b))
+        made = done.get(seed) or tried(seed, kinds, pictures=asked.pictures)
+        if asked.log is not None and seed not in done:
+            with asked.log.open("a", encoding="utf-8") as log:
+                log.write(json.dumps({"seed": seed, "kinds": asked.kinds, **made}) + "\n")
+        kind, share = made["kind"], made["share"]
         name = kind if kind != "office" else f"office, {'over' if share >= 0.25 else 'under'} 25 % of the way shared"
-        for who, said in verdicts.items():
+        for who, said in made["verdicts"].items():
             counts = rows.setdefault(name, {}).setdefault(who, [0, 0, 0])
             counts[("right", "wrong", "refused").index(said)] += 1
-        print(
-            f"{seed:4d} {kind:10s} way {share:.2f} walls {pair.overlap:.2f} {' '.join(verdicts.values()):15s} agreeing "
-            f"{merge.agreeing:2d} alike {merge.alike or 0:.3f} {took:5.1f} s CPU  {merge.reason}",
-            flush=True,
-        )
     command = f"benchmarks/merge_trials.py --trials {asked.trials} --seed {asked.seed}"
     command += "" if kinds == KINDS else f" --kinds {asked.kinds}"
     told = table(rows, command + (" --pictures" if asked.pictures else ""))

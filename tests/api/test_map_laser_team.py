@@ -62,6 +62,17 @@ def test_robots_that_saw_the_same_walls_are_in_one_map_whatever_their_clocks(wov
     assert any("robot1 and robot2 in one map" in line for line in result.lines())
 
 
+def test_a_log_that_ends_amid_a_loop_is_closed_by_the_robot_that_went_on(woven, team):
+    result, _ = woven
+    _, truth = team
+    first, second = (read_tum(path) for path in truth)
+    assert np.hypot(*(first.pose[-1] - first.pose[0])[:2]) > 2.0
+    made = result.components[0]
+    ends = [made.tracks["1"].pose[0], made.tracks["2"].pose[-1]]
+    true = [first.pose[0], second.pose[-1]]
+    assert np.hypot(*(se2.between(*ends) - se2.between(*true))[:2]) < 0.4
+
+
 def test_the_frame_is_the_first_pose_of_the_lowest_robot(woven):
     _, out = woven
     assert np.allclose(read_tum(out / "trajectories" / "robot1.tum").pose[0], 0.0, atol=1e-9)
@@ -259,13 +270,17 @@ def test_the_intel_log_cut_in_three_is_one_map_as_exact_as_that_of_one_robot(dat
 
 @pytest.mark.slow
 @pytest.mark.data
-def test_logs_of_two_buildings_are_not_merged_and_the_reason_is_told(data):
-    logs = [read_laser(data / name) for name in ("carmen/loop5.log.gz", "urg04lx/exp1.dat.gz")]
-    result = mapweave.map([dark(log) for log in logs])
-    assert result.metrics["components"] == [["1"], ["2"]]
-    (row,) = result.metrics["fusion"]
-    assert row["decision"] == "refused"
-    assert row["reason"]
+def test_logs_of_different_buildings_are_not_merged_and_the_reasons_are_told(data):
+    logs = [read_laser(data / name) for name in ("carmen/loop5.log.gz", "urg04lx/exp1.dat.gz", "carmen/intel.clf.gz")]
+    result = mapweave.map([dark(log) for log in logs], share={"3": 0.3})
+    assert result.metrics["components"] == [["1"], ["2"], ["3"]]
+    rows = result.metrics["fusion"]
+    assert [(row["a"], row["b"], row["decision"]) for row in rows] == [
+        ("1", "2", "refused"),
+        ("1", "3", "refused"),
+        ("2", "3", "refused"),
+    ]
+    assert all("overlap" in row["reason"] or "corridor" in row["reason"] for row in rows)
 
 
 def _walls(result, robot):

@@ -1,5 +1,7 @@
 """Many robots' maps woven: components, frames, and one graph over all."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 
 from mapweave.core import se2
@@ -55,6 +57,10 @@ def test_robots_that_meet_are_woven_and_a_stranger_stays_alone():
     there = se2.compose(made.transform, made.b.pose)
     assert np.median(np.hypot(*(woven.pose[2] - there)[:, :2].T)) < 0.25
     assert woven.joint.converged
+    with ThreadPoolExecutor(3) as pool:
+        beside = weave(robots, executor=pool)
+    assert [m.row() for m in beside.merges] == [m.row() for m in woven.merges]
+    assert all((one == other).all() for one, other in zip(beside.pose, woven.pose, strict=True))
     alone = weave(robots[::2], merge=False)
     assert alone.component.tolist() == [0, 1]
     assert not alone.merges

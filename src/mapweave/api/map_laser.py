@@ -88,6 +88,8 @@ def _woven(
         merge=not options.laser.no_merge,
         truth=options.truth,
         notes=notes,
+        jobs=options.jobs,
+        executor=options.executor,
         on_progress=options.on_progress,
     )
 

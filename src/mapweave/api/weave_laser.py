@@ -2,6 +2,7 @@
 
 import tempfile
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -12,7 +13,7 @@ from ..core import se2
 from ..core.errors import DataError, UsageError
 from ..core.names import robot_name
 from ..core.records import Track
-from ..core.workers import Progress, no_progress
+from ..core.workers import Progress, no_progress, worker_pool
 from ..io.tum import read_tum
 from ..laser.config import LaserConfig
 from ..laser.laser_map import LaserMap
@@ -46,9 +47,12 @@ def woven_result(
     truth: Sequence[Path] = (),
     warnings: Sequence[str] = (),
     notes: Sequence[str] = (),
+    jobs: int = 1,
+    executor: Executor | None = None,
     on_progress: Progress = no_progress,
 ) -> LaserResult:
-    """The maps of all robots that can be tied together. starts: robot -> x, y, theta[, sigma] of its first pose.
+    """The maps of all robots that can be tied together. starts: robot -> x, y, theta[, sigma] of its first pose; jobs:
+    processes that pairs of robots are tried in, or `executor`.
 
     Raises DataError where two logs hold the same scans, UsageError for a start of a robot that is not there.
     """
@@ -64,7 +68,9 @@ def woven_result(
     if len(made) > 1:
         on_progress("weave", 0, 1)
     graphs = [m.graph for m in made if m.graph is not None]
-    woven = weave(graphs, cfg.merge, told, merge=merge, last=cfg.graph.joint)
+    pairs = len(graphs) * (len(graphs) - 1) // 2 if merge else 0
+    with worker_pool(jobs, pairs, executor if pairs > 1 else None) as pool:
+        woven = weave(graphs, cfg.merge, told, merge=merge, last=cfg.graph.joint, executor=pool)
     components = woven_maps(made, woven, cfg.resolution, cfg.graph.unsure)
     if len(made) > 1:
         on_progress("weave", 1, 1)

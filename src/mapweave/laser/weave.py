@@ -1,6 +1,7 @@
 """The maps of many robots woven into one: pairs merged or refused, components, one pose graph over all robots."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +48,7 @@ def weave(
     merge: bool = True,
     last: JointConfig | None = None,
     known: Mapping[tuple[int, int], Merge] | None = None,
+    executor: Executor | None = None,
 ) -> Woven:
     """One map of all robots that can be tied together, each in its place; the others on their own.
 
@@ -55,7 +57,8 @@ def weave(
     robot of its own component, and a tie that the joint graph drops is no tie.
 
     last: how all keyframes of a component are matched in the end. known: what was decided earlier on pairs of these
-    robots, when there was less of them: taken as it stands, its closures by their keyframes.
+    robots, when there was less of them: taken as it stands, its closures by their keyframes. executor: where pairs are
+    tried side by side, those too that are not needed then: what comes of it is the same.
     """
     maps = [keyframe_map(r) for r in robots]
     offset = np.concatenate([[0], np.cumsum([len(r) for r in robots])])
@@ -64,12 +67,12 @@ def weave(
     within = graph.edges
     merges: list[Merge] = []
     frame, group = [np.zeros(3) for _ in robots], list(range(len(robots)))
+    tried = _tried(maps, cfg, starts or {}, known or {}, executor if merge else None)
     for j in range(1, len(robots)) if merge else ():
         for i in range(j):
             if group[i] == group[j]:
                 continue
-            given = _between_robots(starts or {}, i, j)
-            found = (known or {}).get((i, j)) or merge_maps(maps[i], maps[j], cfg, given)
+            found = tried(i, j)
             merges.append(found)
             if found.transform is None:
                 continue
@@ -86,6 +89,29 @@ def weave(
     doubtful = np.arange(graph.edges) >= within
     joint = solve_graph(graph, RobustGraphConfig(method="cauchy"), doubtful=doubtful)
     return _told(robots, joint, within, tuple(merges), last or JointConfig())
+
+
+def _tried(
+    maps: Sequence[KeyframeMap],
+    cfg: MergeConfig | None,
+    starts: Mapping[int, Start],
+    known: Mapping[tuple[int, int], Merge],
+    executor: Executor | None,
+) -> Callable[[int, int], Merge]:
+    """What is decided on robots i < j. With an executor all pairs begin at once, else each when it is asked for."""
+    if executor is None:
+        return lambda i, j: known.get((i, j)) or merge_maps(maps[i], maps[j], cfg, _between_robots(starts, i, j))
+    running = {
+        (i, j): executor.submit(merge_maps, maps[i], maps[j], cfg, _between_robots(starts, i, j))
+        for j in range(1, len(maps))
+        for i in range(j)
+        if (i, j) not in known
+    }
+
+    def result(i: int, j: int) -> Merge:
+        return known.get((i, j)) or running[i, j].result()
+
+    return result
 
 
 def _side_by_side(graphs: Sequence[PoseGraph], pose: Float[np.ndarray, "n 3"]) -> PoseGraph:
