@@ -65,7 +65,7 @@ def main() -> None:
         print(f"  mapweave chi2 {clean.chi2:.6f}  {cpu:.3f} s CPU {wall:.3f} s, {clean.iterations} iterations")
         print(f"  gtsam    chi2 {cost:.6f}  {their_cpu:.3f} s CPU {their_wall:.3f} s")
         for share in (0.1, 0.3, 0.6) if name != "manhattan" else ():
-            bad = with_false(graph, share, 7)
+            bad = with_false(graph, share, 20)
             solved = solve_graph(bad)
             kept, lost = int(solved.used[graph.edges :].sum()), int((~solved.used[: graph.edges]).sum())
             ratio = squares(replace(graph, pose=solved.graph.pose)) / clean.chi2

@@ -89,8 +89,8 @@ def map(  # noqa: A001  (the verb)
     robots
         Use these robots only, by key: `["1", "3"]` (all).
     method
-        How each robot maps: `ekf` for landmarks; of laser logs graph, particle, gated or icp (graph for several robots,
-        which alone makes one map of them; particle for one).
+        How each robot maps: `ekf` for landmarks; of laser logs graph (which alone closes loops and makes one map of
+        several robots), particle, gated or icp.
     weights
         How much each robot's map counts: constant, paper, diagonal, full, full-scaled or naive (full-scaled).
     share

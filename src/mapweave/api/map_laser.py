@@ -31,7 +31,7 @@ Job = tuple[Path | LaserLog, str, LaserSource, LaserConfig, int, float]
 class LaserMapConfig:
     """The table `[laser]` of a configuration file, for `map` and `localize`."""
 
-    laser: LaserConfig = LaserConfig()
+    laser: LaserConfig = LaserConfig(method="graph")
 
 
 def applies(log: Path) -> bool:
@@ -47,7 +47,7 @@ def map_logs(logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResul
     if before is not None:
         return _going_on(before, logs, options)
     held = _robots(logs, options, [])
-    cfg = _configured(options, team=len(held) > 1)
+    cfg = _configured(options)
     jobs = [(log, key, source, cfg, options.seed, options.share.get(key, 1.0)) for key, (log, source) in held.items()]
     maps = tuple(_told(made, options) for made in _worked(jobs, options))
     if cfg.method != "graph":
@@ -58,7 +58,7 @@ def map_logs(logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResul
 def _going_on(before: Path, logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResult:
     """The result in `before` with further logs: what one run of all logs would have given."""
     state = read_laser_states(before)
-    cfg = _configured(options, team=True)
+    cfg = _configured(options)
     if cfg.method != "graph":
         raise UsageError(f"--resume: goes on with --method graph, found {cfg.method}")
     held = _robots(logs, options, [m.robot for m in state.maps])
@@ -166,8 +166,8 @@ def first_part(log: LaserLog, share: float) -> LaserLog:
     return replace(log, scan_t=log.scan_t[:scans], scans=log.scans[:scans], odometry=rows)
 
 
-def _configured(options: MapOptions, *, team: bool) -> LaserConfig:
-    """What is asked for. A team whose method nobody names is mapped by graphs, which alone can be woven."""
+def _configured(options: MapOptions) -> LaserConfig:
+    """What is asked for. Where nobody names a method it is the graph, which alone closes loops and can be woven."""
     asked = options.laser
     given = {
         "method": options.method,
@@ -177,7 +177,7 @@ def _configured(options: MapOptions, *, team: bool) -> LaserConfig:
         "resample": asked.resample,
         "graph": {"loops": False if asked.no_loops else None, "hypotheses": asked.particles},
     }
-    beneath = {"laser": {"method": "graph"}} if team else None
+    beneath = {"laser": {"method": LaserMapConfig().laser.method}}
     cfg = load(LaserMapConfig, options.config, {"laser": given}, beneath).laser
     cfg.check()
     return cfg

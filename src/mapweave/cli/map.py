@@ -86,8 +86,8 @@ def map_logs(
     robots
         Use these robots only, as 1,2.
     method
-        How each robot maps its own surroundings; laser logs: graph, particle, gated or icp (one robot: particle, more:
-        graph, which alone makes one map of them).
+        How each robot maps its own surroundings; laser logs: graph (which alone closes loops and makes
+        one map of several), particle, gated or icp.
     weights
         How much each robot's map counts: constant, paper, diagonal, full, full-scaled or naive (full-scaled).
     share

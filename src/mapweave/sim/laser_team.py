@@ -63,7 +63,7 @@ class LaserTeamSim:
     collisions: Int[np.ndarray, " M"] = field(init=False)
     walls: WallIndex = field(init=False)
     _touching: np.ndarray = field(init=False)
-    _wheels: "list[_Wheels]" = field(init=False)
+    _wheels: "list[Wheels]" = field(init=False)
 
     def __post_init__(self) -> None:
         self.walls = WallIndex.of(self.world.segments)
@@ -75,7 +75,7 @@ class LaserTeamSim:
         self.odometry = np.zeros((M, 3))
         self.collisions = np.zeros(M, dtype=np.int64)
         self._touching = np.zeros(M, dtype=bool)
-        self._wheels = [_Wheels(self.cfg.odometry, stream(self.seed, f"odometry {j}")) for j in range(M)]
+        self._wheels = [Wheels(self.cfg.odometry, stream(self.seed, f"odometry {j}")) for j in range(M)]
 
     @property
     def t(self) -> float:
@@ -132,7 +132,7 @@ def check_starts(walls: WallIndex, starts: Float[np.ndarray, "M 3"], radius: flo
                 raise DataError(f"robot{k + 1} and robot{j + 1} would start in each other")
 
 
-class _Wheels:
+class Wheels:
     """One robot's odometry errors along its way."""
 
     def __init__(self, cfg: OdometryNoise, rng: np.random.Generator) -> None:

@@ -139,5 +139,14 @@ def with_odometry_noise(cfg: LaserMissionConfig, factor: float) -> LaserMissionC
         wheels_turn_per_m=noise.wheels_turn_per_m * factor,
     )
     keyframes = replace(cfg.team.graph.keyframes, noise=noise)
-    team = replace(cfg.team, graph=replace(cfg.team.graph, keyframes=keyframes))
+    f, worse = cfg.team.front_end, max(1.0, factor)
+    front_end = replace(
+        f,
+        sd_xy=f.sd_xy * worse,
+        sd_xy_per_m=f.sd_xy_per_m * worse,
+        sd_turn=f.sd_turn * worse,
+        sd_turn_per_m=f.sd_turn_per_m * worse,
+        sd_turn_per_rad=f.sd_turn_per_rad * worse,
+    )
+    team = replace(cfg.team, front_end=front_end, graph=replace(cfg.team.graph, keyframes=keyframes))
     return replace(cfg, robots=replace(cfg.robots, odometry=odometry), team=team)

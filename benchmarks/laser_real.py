@@ -1,0 +1,36 @@
+"""The Intel log by every method: error on its known relations, of all and of those between exact stamps, CPU seconds.
+
+MAPWEAVE_DATA=.. python benchmarks/laser_real.py [--seeds 3]
+"""
+
+import argparse
+import os
+import time
+from pathlib import Path
+
+from mapweave.evaluation.relations import exact_pairs, score_relations
+from mapweave.io.laser_logs import read_laser
+from mapweave.io.relations import read_relations
+from mapweave.laser.config import LaserConfig
+from mapweave.laser.mapping import map_laser
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=3, help="of the particle filter, which alone draws")
+    args = parser.parse_args()
+    folder = Path(os.environ["MAPWEAVE_DATA"]) / "carmen"
+    log, known = read_laser(folder / "intel.clf.gz"), read_relations(folder / "intel.relations.gz")
+    print("| method | seed | all relations | exact stamps | CPU |")
+    print("|---|---|---|---|---|")
+    for method, seed in (("graph", 0), *(("particle", s) for s in range(args.seeds)), ("gated", 0)):
+        begun = time.process_time()
+        made = map_laser(log, LaserConfig(method=method), seed)
+        spent = time.process_time() - begun
+        exact = known.select(exact_pairs(known, log.scan_t, made.scans.host))
+        every, sure = (score_relations(made.track, r).trans_mean for r in (known, exact))
+        print(f"| `{method}` | {seed} | {every:.4f} m | {sure:.4f} m | {spent:.1f} s |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
