@@ -12,7 +12,7 @@ from mapweave.core import se2
 from mapweave.core.errors import UsageError
 from mapweave.laser.config import LaserConfig
 from mapweave.live.laser_robot import LaserRobot
-from mapweave.live.laser_stream import LaserRecord
+from mapweave.live.laser_stream import LaserRecord, whole_log
 from mapweave.live.messages import Closed, decode
 from mapweave.live.store import Store
 from mapweave.live.transport import Network
@@ -69,9 +69,8 @@ def record(path, name):
     with Store(path, f"robot {name} of team team") as store:
         kept = [decode(payload) for _, payload in store.get(name, 0, 1 << 30)]
     made = LaserRecord(kept[0])
-    for message in kept[1:]:
-        made.add(message)
-    return made.log, kept[-1]
+    parts = [made.add(message) for message in kept[1:]]
+    return whole_log(kept[0], [part for part in parts if part is not None]), kept[-1]
 
 
 def same_scans(log, simulated):
