@@ -121,11 +121,11 @@ def test_the_command_prints_both_tables_and_writes_the_report(tmp_path, capsys):
 def test_identities_are_found_in_98_of_100_trials_with_six_in_common_and_hardly_ever_wrongly_believed():
     """Seeds of its own. Six in common and all six needed: what chance explains as well is a refusal."""
     for row in identity_trials(100, 7, (0, 2, 6, 8)):
-        assert row.wrong <= 1
+        assert row.wrong == 0
         assert row.right + row.wrong + row.refused == 100
         if row.common >= 6:
             assert row.found >= 98
-            assert row.right >= (80 if row.common == 6 else 98)
+            assert row.right >= (72 if row.common == 6 else 98)
         else:
             assert row.refused >= 95
             assert row.reason == "too few agree"
@@ -136,8 +136,8 @@ def test_what_believing_more_would_cost_is_counted_from_the_evidence():
         return IdentityTrials(True, common, 4, 4, 0, 0, 4, "", right, wrong)
 
     rows = (row(0, (), (0.5, -2.0)), row(6, (3.0, 2.0, 1.0, -1.0), ()))
-    assert price(rows, 6, 0.75) == Price(pytest.approx(np.e), 0, 8)
-    assert price(rows, 6, 0.98) == Price(pytest.approx(np.exp(-1.0)), 1, 8)
+    assert price(rows, 6, 0.75) == Price(float(np.exp(1.0)), 0, 8)
+    assert price(rows, 6, 0.98) == Price(float(np.exp(-1.0)), 1, 8)
     assert "1 of 8 pairs are believed wrongly" in price_text(rows)
     assert price((row(6, (3.0,), ()),), 6, 0.5) is None
     assert "in 3 of 4 trials" in price_text((row(6, (3.0,), ()),))

@@ -32,7 +32,7 @@ class IdentityConfig:
     """
 
     links: int = 6  # landmarks that must agree before a match is believed
-    chance: float = 2.0  # how much likelier than chance, all ways to pair as many landmarks counted
+    chance: float = 5.0  # how much likelier than chance, all ways to pair as many landmarks counted
     odds: float = 5.0  # how much likelier than any other alignment
     loose: float = 0.05  # probability that maps err by noise and scale too, before they are compared
     tight: float = 0.1  # share of noise and scale that is left where they do not

@@ -56,7 +56,7 @@ centimetres {loose_left:.0f} % (medians).
 The paper presumes that common landmarks are known. Without names, with six in common or more, the alignment is right in
 {found} of {trials} trials at least and believed in {believed}: where noise hides one of six, five are left and it is
 refused, or they fit no better than six would by chance: counting all ways to pair landmarks, a match is believed from
-odds of 2 on. Told nothing of how good the maps are, matching takes them for maps of real robots, and believes {chance}
+odds of 5 on. Told nothing of how good the maps are, matching takes them for maps of real robots, and believes {chance}
 of {few} pairs wrongly that share under six. To believe 98 of 100 with six in common {price}.
 
 Weights do pay when maps share more than two landmarks and differ in quality: see the table of unequal maps.
