@@ -38,7 +38,7 @@ class KidnapConfig:
     bin_sightings: int = 6  # in one, at least
     bin_share: float = 0.4  # of them that must agree
     bad_bins: int = 2  # that do not, from which a robot is looked at
-    bent: float = 0.2  # [m] by which its filtered way differs from its wheels within six seconds, from which it is
+    bent: float = 0.2  # [m] by which its way differs within six seconds from its wheels as calibrated, from which it is
     window: float = 8.0  # [s] of a log that is placed on its own,
     run: int = 3  # and how many of them follow from each other on either side of a cut;
     long_window: float = 30.0  # [s] of longer ones, for robots that see little,
@@ -206,7 +206,7 @@ def _suspects(
             continue
         restless = sum("at no fixed place" in w and not w.startswith("barcode:") for w in m.warnings)
         n = _bad_bins(m, fusion, logs, cfg, placing)
-        if n >= cfg.bad_bins or restless or _bent(m.track, log, smoothing) > cfg.bent:
+        if n >= cfg.bad_bins or restless or _bent(m.track, log, _calibrated(smoothing, m)) > cfg.bent:
             bad[m.robot] = n
     return sorted(bad, key=lambda robot: (-bad[robot], in_order(robot)))
 
