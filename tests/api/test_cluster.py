@@ -32,7 +32,7 @@ def test_landmark_logs_on_a_cluster_give_the_same_bytes(cluster, tmp_path):
     mapweave.simulate_landmarks(tmp_path / "team", robots=3, landmarks=10, minutes=0.5, seed=4)
     for name, more in (("here", ()), ("there", ("--cluster", cluster.scheduler_address))):
         code, _, err = run("map", tmp_path / "team", "--out", tmp_path / name, *more)
-        assert (code, err) == (0, "")
+        assert code == 0, err
     assert files(tmp_path / "here") == files(tmp_path / "there")
     with ThreadPoolExecutor(2) as pool:
         mapweave.map(tmp_path / "team", tmp_path / "threads", executor=pool)
@@ -42,9 +42,9 @@ def test_landmark_logs_on_a_cluster_give_the_same_bytes(cluster, tmp_path):
 def test_laser_logs_on_a_cluster_give_the_same_bytes(cluster, tmp_path):
     logs = []
     for k in (1, 2):
-        mapweave.simulate_laser("corridor", tmp_path / f"{k}.mcap", seed=k)
+        assert run("simulate", "corridor", "--out", tmp_path / f"{k}.mcap", "--seed", k)[0] == 0
         logs.append(tmp_path / f"{k}.mcap")
-    share = {"1": 0.08, "2": 0.08}
+    share = {"1": 0.05, "2": 0.05}
     mapweave.map(logs, tmp_path / "here", share=share)
     mapweave.map(logs, tmp_path / "there", share=share, cluster=cluster.scheduler_address)
     assert files(tmp_path / "here") == files(tmp_path / "there")
@@ -56,8 +56,8 @@ def test_an_address_where_no_scheduler_answers_is_one_error(address, tmp_path, m
     mapweave.simulate_landmarks(tmp_path / "team", robots=2, landmarks=8, minutes=0.1, seed=4)
     code, _, err = run("map", tmp_path / "team", "--out", tmp_path / "out", "--cluster", address)
     assert code == 2
-    assert err.count("\n") == 1
-    assert f"--cluster {address}: no Dask scheduler answers there" in err
+    assert f"--cluster {address}: no Dask scheduler answers there" in err.splitlines()[-1]
+    assert "Traceback" not in err
     assert not (tmp_path / "out").exists()
 
 
