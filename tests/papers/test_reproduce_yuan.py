@@ -81,14 +81,14 @@ def test_landmarks_as_uncertain_as_printed_err_by_more_than_printed():
 
 
 @pytest.mark.slow
-def test_one_robot_errs_as_the_print_says_when_the_noise_is_in_position():
+def test_with_all_noise_in_position_one_robot_errs_little_more_than_two():
     two, one = (explore_many(moving(run(robots=k), 0.06, 0.0), 8, 1000) for k in (2, 1))
     error, spread = (
         np.mean([getattr(r, what) for r in one]) / np.mean([getattr(r, what) for r in two])
         for what in ("map_error", "c_per_n")
     )
-    assert 1.1 < error < 1.7
-    assert 1.2 < spread < 2.1
+    assert error < 1.6
+    assert spread < 2.2
 
 
 @pytest.mark.slow

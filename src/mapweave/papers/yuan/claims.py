@@ -47,7 +47,7 @@ CLAIMS = (
     _claim(
         "One robot: map error and C/N (Table 1), calibrated noise",
         "fusion/handover.py",
-        f"{WRITTEN}::test_one_robot_errs_as_the_print_says_when_the_noise_is_in_position",
+        f"{WRITTEN}::test_with_all_noise_in_position_one_robot_errs_little_more_than_two",
         "0.361 m, 0.490 m²",
         "accuracy_one",
     ),
@@ -55,7 +55,7 @@ CLAIMS = (
     _claim(
         "One robot maps less well than two (Table 1)",
         "exploration/landmarks/team.py",
-        f"{WRITTEN}::test_one_robot_errs_as_the_print_says_when_the_noise_is_in_position",
+        f"{WRITTEN}::test_with_all_noise_in_position_one_robot_errs_little_more_than_two",
         "1.28, 1.50",
         "accuracy",
     ),
