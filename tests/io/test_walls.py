@@ -274,6 +274,16 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused(tmp_path):
         read_landmark_logs(tmp_path / "set.zip")
 
 
+def test_a_text_that_memory_does_not_hold_is_refused_with_its_size(tmp_path, monkeypatch):
+    def none_left(*_):
+        raise MemoryError
+
+    monkeypatch.setattr("mapweave.io.files.TextLog._unpacked", none_left)
+    (tmp_path / "log.gz").write_bytes(gzip.compress(b"FLASER 0\n"))
+    with pytest.raises(ReaderError, match=r"log\.gz: \d+ bytes hold more text than there is memory for"):
+        read_laser(tmp_path / "log.gz", "1")
+
+
 def test_a_recording_with_a_chunk_that_unpacks_to_gigabytes_is_refused(tmp_path):
     zeros = bytes(LARGEST_CHUNK + 1)
     packed = zstd.compress(zeros)

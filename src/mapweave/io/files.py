@@ -28,13 +28,16 @@ class TextLog:
         except OSError as error:
             raise ReaderError(path, f"cannot be read: {error.strerror}") from None
         self.log_hash = hashlib.sha256(raw).hexdigest()
-        data = self._unpacked(raw) if raw[:2] == _GZIP else raw
-        if b"\0" in data[:4096]:
-            raise ReaderError(path, "expected a text log, found binary data")
-        self.text = data.decode("utf-8", errors="replace")
+        try:
+            data = self._unpacked(raw) if raw[:2] == _GZIP else raw
+            if b"\0" in data[:4096]:
+                raise ReaderError(path, "expected a text log, found binary data")
+            self.text = data.decode("utf-8", errors="replace")
+        except MemoryError:
+            raise ReaderError(path, f"{len(raw)} bytes hold more text than there is memory for") from None
         self.complete = self.text.endswith("\n")
 
-    def _unpacked(self, raw: bytes) -> bytes:
+    def _unpacked(self, raw: bytes) -> bytes | bytearray:
         engine, out, size = zlib.decompressobj(wbits=31), bytearray(), len(raw)
         most = max(LARGEST_SMALL, LARGEST_RATIO * size)
         try:
@@ -51,9 +54,10 @@ class TextLog:
                 engine = zlib.decompressobj(wbits=31)
         except zlib.error:
             # One damaged byte spoils the rest of a block: read on in small steps to keep what stands before it.
-            out = bytearray(_as_far_as_possible(self.path, most))
+            out.clear()  # room for the second try
+            out = _as_far_as_possible(self.path, most)
             self.truncated = f"the gzip stream is damaged after {len(out)} bytes of text"
-        return bytes(out)
+        return out
 
     def lines(self) -> Iterator[tuple[int, str]]:
         """Line numbers from 1 and lines without their ends."""
@@ -65,7 +69,7 @@ class TextLog:
         return [w for w in words if w and not w[0].startswith("#")][:n]
 
 
-def _as_far_as_possible(path: Path, most: int) -> bytes:
+def _as_far_as_possible(path: Path, most: int) -> bytearray:
     out = bytearray()
     try:
         with gzip.open(path) as stream:
@@ -73,7 +77,7 @@ def _as_far_as_possible(path: Path, most: int) -> bytes:
                 out += piece
     except (OSError, EOFError, zlib.error):
         pass
-    return bytes(out)
+    return out
 
 
 # What a damaged zip file makes the library say.
