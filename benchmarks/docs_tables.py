@@ -44,6 +44,12 @@ def reproduce(paper: str) -> tuple[str, ...]:
 TABLES = (
     Table("team smoothing", "docs/landmark-mapping.md", bench("team_smoothing", "--page", "{page}"), "page"),
     Table("mutants", "docs/contributing.md", bench("mutants", "--quick", "--n", "12", "--page"), "page"),
+    Table(
+        "merge trials",
+        "docs/laser-teams.md",
+        bench("merge_trials", "--trials", "78", "--seed", "20000", "--pictures", "--page", "{page}"),
+        "page",
+    ),
     Table("live", "docs/live.md", bench("live")),
     Table("swarm of 1,000", "docs/locate.md", bench("swarm")),
     Table("swarm of 10,000", "docs/locate.md", bench("swarm")),

@@ -54,6 +54,11 @@ def test_a_table_is_written_with_its_date_and_then_known(docs, tmp_path):
     assert docs_figures.bare(docs_figures.on_page(SPEED, tmp_path)) == text
 
 
+def test_marks_without_anything_between_wait_for_a_measurement(docs, tmp_path):
+    docs.write_text("<!-- speed: begin -->\n<!-- speed: end -->\n")
+    assert told(tmp_path) == []
+
+
 def test_a_figure_changed_by_hand_a_lost_mark_and_a_stray_one_are_told(docs, tmp_path):
     record = docs_figures.Record("speed", "docs/a.md", SPEED.told, "2026-11-22", "abc1234", "| a |\n|---|\n| 2.5 |")
     docs_figures.write(record, tmp_path)
