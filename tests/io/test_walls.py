@@ -28,6 +28,7 @@ from mapweave.io.ros_map import read_ros_map
 from mapweave.io.salvage import LARGEST_CHUNK, zstd
 from mapweave.io.sightings import read_sightings, read_swarm_truth
 from mapweave.io.team_map import read_members, read_metrics
+from mapweave.io.tum import read_tum
 from mapweave.laser.laser_map import GridMap
 
 from . import mrclam_folder
@@ -191,6 +192,12 @@ def test_a_barcode_beyond_whole_numbers_is_told_with_its_line(tmp_path, code):
     (tmp_path / "Robot1_Measurement.dat").write_text(f"0.0 72 1.0 0.1\n1.0 {code} 1.0 0.1\n")
     with pytest.raises(ReaderError, match=r"Robot1_Measurement\.dat:2: expected a whole number for barcode"):
         list(read_landmark_logs(tmp_path))
+
+
+def test_a_trajectory_with_numbers_whose_squares_are_none_is_refused(tmp_path):
+    (tmp_path / "t.tum").write_text("0 1 1 0 0 0 0 1\n1 1 1 0 0 0 1e308 1\n")
+    with pytest.raises(ReaderError, match=r"t\.tum:2: expected numbers under 1e\+100, found 1e\+308"):
+        read_tum(tmp_path / "t.tum")
 
 
 def test_a_direction_of_any_length_is_a_direction(tmp_path):

@@ -11,6 +11,8 @@ from .table import open_text, write_rows
 
 COVARIANCE_HEAD = "t,xx,xy,yy,xt,yt,tt"
 
+LARGEST = 1e100  # whose square is a number yet
+
 
 def read_tum(path: Path, frame: str = "map") -> Track:
     """The trajectory in `path`, seen from above, sorted; of equal stamps the last is kept.
@@ -32,6 +34,8 @@ def read_tum(path: Path, frame: str = "map") -> Track:
             raise ReaderError(path, f"expected numbers `t x y z qx qy qz qw`, found {line.strip()!r}", number) from None
         if len(row) != 8 or not np.isfinite(row).all():
             raise ReaderError(path, f"expected 8 finite numbers `t x y z qx qy qz qw`, found {len(row)}", number)
+        if max(map(abs, row)) > LARGEST:
+            raise ReaderError(path, f"expected numbers under {LARGEST:g}, found {max(map(abs, row)):g}", number)
         rows.append(row)
     if not rows:
         raise ReaderError(path, "expected a trajectory, found no poses")
