@@ -92,6 +92,7 @@ def test_ten_random_stops_give_the_bytes_of_one_run(tmp_path):
 
 def data_of(result, folder):
     """The files that hold what was found, less the metrics, which tell times; pictures and page follow from them."""
+    folder.mkdir()
     write_laser_data(folder, result)
     files = {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
     assert files.pop("metrics.json")
