@@ -5,7 +5,7 @@ key that has moved is named in the `MOVED` of the outermost class (old: new, dot
 """
 
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, dataclass_transform
 
@@ -52,7 +52,8 @@ def load(
 ) -> T:
     """`cls` from a TOML file (or its defaults) with `overrides` (nested; None means not given) on top.
 
-    beneath: what holds where neither says anything, in place of the defaults of `cls`.
+    beneath: what holds where neither says anything, in place of the defaults of `cls`. A table of which some keys are
+    given has for the others what it has in `cls`, be that other than the defaults of the table's own type.
     """
     values: dict[str, Any] = {}
     if path is not None:
@@ -64,7 +65,8 @@ def load(
             raise ConfigError(_with_line(path, str(error))) from None
         except UnicodeDecodeError as error:
             raise ConfigError(f"{path}: {error}") from None
-    return build(cls, _merge(_merge(beneath or {}, values), overrides or {}), str(path) if path else "options")
+    given = _merge(_merge(beneath or {}, values), overrides or {})
+    return build(cls, _upon(cls(), given), str(path) if path else "options")
 
 
 def expect_positive(cfg: object, where: str, *names: str) -> None:
@@ -99,6 +101,15 @@ def _with_line(path: Path, message: str) -> str:
     what, _, where = message.rpartition(" (at line ")
     line = where.split(",")[0]
     return f"{path}:{line}: {what}" if line.isdecimal() else f"{path}: {message}"
+
+
+def _upon(default: Any, given: dict[str, Any]) -> dict[str, Any]:
+    """`given`, and the fields of `default` of which it says nothing."""
+    out = {f.name: getattr(default, f.name) for f in fields(default)}
+    for key, value in given.items():
+        inner = out.get(key)
+        out[key] = _upon(inner, value) if isinstance(value, dict) and is_dataclass(inner) else value
+    return out
 
 
 def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:

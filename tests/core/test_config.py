@@ -1,0 +1,47 @@
+"""A table of which some keys are given keeps what the rest of it is set to where it is used."""
+
+from dataclasses import field, fields, is_dataclass
+
+import pytest
+
+from mapweave.api.map_landmarks import LandmarkMapConfig
+from mapweave.api.map_laser import LaserMapConfig
+from mapweave.core.config import config, load
+from mapweave.core.errors import ConfigError
+from mapweave.exploration.landmarks.config import ExploreConfig
+from mapweave.exploration.laser.config import LaserTeamConfig
+
+
+@config
+class Inner:
+    near: float = 1.0
+    far: float = 2.0
+
+
+@config
+class Outer:
+    inner: Inner = field(default_factory=lambda: Inner(far=9.0))
+    name: str | None = "n"
+
+
+def test_what_a_file_says_of_a_table_leaves_the_rest_of_it_as_it_was(tmp_path):
+    path = tmp_path / "c.toml"
+    path.write_text("[inner]\nnear = 3.0\n")
+    assert load(Outer, path) == Outer(inner=Inner(near=3.0, far=9.0))
+    assert load(Outer, path, {"inner": {"near": None, "far": 4.0}}) == Outer(inner=Inner(near=3.0, far=4.0))
+    assert load(Outer, None, None, {"inner": {"near": 5.0}}) == Outer(inner=Inner(near=5.0, far=9.0))
+    assert load(Outer, path, None, {"inner": {"near": 5.0}}) == Outer(inner=Inner(near=3.0, far=9.0))
+    path.write_text("[inner]\nnearer = 3.0\n")
+    with pytest.raises(ConfigError, match=r"inner\.nearer: unknown key"):
+        load(Outer, path)
+
+
+def tables(cfg):
+    """Every table of a configuration named, no key of any given."""
+    parts = {f.name: getattr(cfg, f.name) for f in fields(cfg)}
+    return {name: tables(part) for name, part in parts.items() if is_dataclass(part)}
+
+
+@pytest.mark.parametrize("cls", [LaserMapConfig, LandmarkMapConfig, ExploreConfig, LaserTeamConfig])
+def test_naming_every_table_changes_nothing(cls):
+    assert load(cls, None, tables(cls())) == cls()
