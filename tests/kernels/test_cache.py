@@ -82,3 +82,33 @@ def test_a_folder_that_cannot_hold_an_entry_costs_the_entry_alone(house):
     assert (value, hits) == (4.0, 0)
     assert "not kept" in said
     assert "Traceback" not in said
+
+
+REFINED = """
+import hashlib
+import numpy as np
+from mapweave.kernels.laser.refine import refine
+
+rng = np.random.default_rng(1)
+pool = rng.uniform(0.0, 3.2, 4 * 1024).astype(np.float32)
+table = rng.integers(0, 4, (6, 4)).astype(np.int32)
+poses = np.column_stack([rng.uniform(1.0, 2.0, (60, 2)), rng.uniform(-3.0, 3.0, 60)])
+points = np.column_stack([rng.uniform(-1.0, 1.0, (50, 2)), rng.uniform(0.0, 1.0, 50)])
+normals = np.column_stack([np.cos(points[:, 0]), np.sin(points[:, 0])])
+grid = pool, table, 2, np.zeros(2), 0.1, rng.integers(0, 6, 60).astype(np.int32)
+out = refine(*grid, poses, points, normals, 0.5, 1.0, 1e3, 0.3, 0.1, 50.0 * np.eye(3), 4)
+print(hashlib.sha256(out.tobytes()).hexdigest(), sum(refine.stats.cache_hits.values()))
+"""
+
+
+@pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="nothing is compiled here")
+def test_a_kernel_just_compiled_gives_the_bytes_of_the_one_on_disk(tmp_path):
+    environ = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_DISABLE_JIT": "0"}
+
+    def ask():
+        command = [sys.executable, "-c", REFINED]
+        return subprocess.run(command, env=environ, check=True, capture_output=True, text=True).stdout.split()  # noqa: S603
+
+    (fresh, none), (kept, hits) = ask(), ask()
+    assert (none, hits) == ("0", "1")
+    assert fresh == kept
