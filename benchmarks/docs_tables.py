@@ -47,7 +47,7 @@ TABLES = (
     Table(
         "merge trials",
         "docs/laser-teams.md",
-        bench("merge_trials", "--trials", "78", "--seed", "20000", "--pictures", "--page", "{page}"),
+        bench("merge_trials", "--trials", "200", "--seed", "20000", "--pictures", "--page", "{page}"),
         "page",
     ),
     Table("live", "docs/live.md", bench("live")),
