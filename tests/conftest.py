@@ -1,6 +1,8 @@
 """What all tests share: runtime shape checks, the real logs, which tests are run."""
 
 import os
+import signal
+import threading
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -22,6 +24,10 @@ def checked_rooms() -> list[str]:
     rooms = Path(house.submodule_search_locations[0]).glob("*/__init__.py")
     return sorted(room.parent.name for room in rooms if room.parent.name not in UNCHECKED)
 
+
+# A shell has those it begins in the background ignore Ctrl-C; tests that press it expect that it is heard.
+if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 if os.environ.get("MAPWEAVE_TYPECHECK", "1") == "1":
     install_import_hook([f"mapweave.{room}" for room in checked_rooms()], f"{typecheck.__name__}.checked")

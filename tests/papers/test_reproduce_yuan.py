@@ -91,7 +91,7 @@ def test_with_all_noise_in_position_one_robot_errs_little_more_than_two():
     assert spread < 2.2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_nearest_neighbours_make_an_honest_map_and_unsure_ones_most_of_the_wrong_matches():
     plain, sure = (explore_many(m(run(association="nn")), 10, 0) for m in (plain_neighbour, lambda m: m))
     assert sum(r.misassociations for r in sure) < 0.5 * sum(r.misassociations for r in plain)
