@@ -28,18 +28,18 @@ PLACE = {  # column and row on the sheet; a room imports from rows below its own
     "cli": (6, 0),
     "api": (4, 1),
     "papers": (8, 1),
-    "report": (6, 2),
-    "viewer": (10, 2),
-    "evaluation": (2, 3),
-    "exploration": (8, 3),
-    "live": (4, 4),
+    "report": (5.9, 2),
+    "viewer": (9.5, 2),
+    "live": (2, 3),
+    "evaluation": (10.3, 4),
+    "exploration": (6.65, 4),
     "io": (2, 5),
-    "fusion": (8, 5),
-    "sim": (4, 6),
-    "team": (10, 6),
-    "swarm": (2, 7),
-    "landmarks": (6, 7),
-    "laser": (10, 7),
+    "sim": (6, 5),
+    "team": (4.5, 6),
+    "fusion": (4.5, 7),
+    "swarm": (2, 8),
+    "landmarks": (6, 8),
+    "laser": (10, 8),
 }
 ESTIMATORS = ("landmarks", "laser", "swarm", "fusion", "team", "exploration")
 EVENT_RECORDS = ("records", "landmark_log", "laser_log", "bearings")  # of core
@@ -99,9 +99,9 @@ def draw(path: Path) -> None:
     size = rooms()
     high, step, wide = 0.86, 1.32, 12.0
     last = max(row for _, row in PLACE.values())
-    spot = {room: (float(x), -row * step, 3.5) for room, (x, row) in PLACE.items()}  # centre x and y, width
+    spot = {room: (float(x), -row * step, 3.2) for room, (x, row) in PLACE.items()}  # centre x and y, width
     spot |= {room: (wide / 2, -(last + 0.95 + 0.75 * k) * step, wide - 0.5) for k, room in enumerate(GROUND)}
-    with figure(path, width=9.6, height=11.8) as (_, ax):
+    with figure(path, width=9.6, height=13.0) as (_, ax):
         for a, b in needed(imports()):
             (xa, ya, wide_a), (xb, yb, wide_b) = spot[a], spot[b]
             side = 1 if xb > xa else -1
@@ -121,7 +121,7 @@ def draw(path: Path) -> None:
             ax.text(
                 right - 0.12, y + 0.25, f"{lines / 1000:.1f}k lines", ha="right", va="center", fontsize=7, color=INK
             )
-            says = fill(doc.replace("`", "").rstrip("."), 150 if room in GROUND else 42, max_lines=3)
+            says = fill(doc.replace("`", "").rstrip("."), 150 if room in GROUND else 40, max_lines=3)
             ax.text(left + 0.12, y + 0.06, says, va="top", fontsize=7, linespacing=1.15)
         ax.set_xlim(0, wide)
         ax.set_ylim(min(y for _, y, _ in spot.values()) - 0.6, 0.6)
