@@ -132,6 +132,19 @@ def test_the_thread_weaves_what_it_hears_and_ends_when_told(tmp_path):
     assert weaver.newest.tiles
 
 
+def test_what_the_store_does_not_hold_is_waited_for_at_rest(tmp_path):
+    with Store(tmp_path / "s.sqlite", "a map") as store:
+        store.put([("r1", 0, payloads()["r1"][0])])
+        weaver = LaserWeaver(store, CFG, every=0.1)
+        weaver.start()
+        weaver.hear({"r1": 50})
+        begin = time.process_time()
+        time.sleep(1.0)
+        assert time.process_time() - begin < 0.5
+        weaver.stop()
+    assert weaver.newest is None
+
+
 def grid(rows=150, cols=300, origin=(-1.0, -3.2)):
     hits = np.zeros((rows, cols), np.int32)
     passes = np.ones((rows, cols), np.int32)

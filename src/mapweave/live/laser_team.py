@@ -183,7 +183,10 @@ def _decisions(names: Sequence[str], woven: Woven, placed: Mapping[str, Placed])
 
 
 class LaserWeaver:
-    """The thread in which a laser team is followed. newest: the last woven map, None before the first."""
+    """The thread in which a laser team is followed.
+
+    newest: the last woven map, None before the first; failed: why the last weaving gave none, empty when it did.
+    """
 
     def __init__(self, store: Store, cfg: LaserConfig, every: float, starts: Starts = nobody) -> None:
         self.newest: WovenTeam | None = None
@@ -225,18 +228,23 @@ class LaserWeaver:
                     heard = dict(self._heard)
             try:
                 if heard != followed:
+                    before = self._worked_in()
                     left = self._team.follow(heard)
-                    fresh = True
-                    followed = heard if not left else {"": -1}
+                    more = self._worked_in() > before
+                    fresh = fresh or more
+                    followed = {"": -1} if left and more else heard  # what is not in the store yet is waited for
                 now = time.monotonic()
                 if fresh and now >= due:
                     behind = sum(max(n - self._done(name), 0) for name, n in heard.items())
                     self.newest = self._team.weave(behind) or self.newest
-                    fresh = False
+                    self.failed, fresh = "", False
                     due = time.monotonic() + max(self._every, RESTED * (time.monotonic() - now))
-            except MapweaveError as error:
-                self.failed = str(error)
-                return
+            except (MapweaveError, np.linalg.LinAlgError) as error:
+                self.failed, fresh = str(error), False
+                followed, due = heard, time.monotonic() + self._every
+
+    def _worked_in(self) -> int:
+        return sum(robot.next for robot in self._team.robots.values())
 
     def _done(self, name: str) -> int:
         robot = self._team.robots.get(name)
