@@ -268,7 +268,7 @@ def test_the_intel_log_cut_in_three_is_one_map_as_exact_as_that_of_one_robot(dat
         assert np.median(near[near < 0.3]) < 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.data
 def test_logs_of_different_buildings_are_not_merged_and_the_reasons_are_told(data):
     logs = [read_laser(data / name) for name in ("carmen/loop5.log.gz", "urg04lx/exp1.dat.gz", "carmen/intel.clf.gz")]

@@ -96,7 +96,7 @@ def test_coverage_and_loops_beat_the_papers_planner():
     assert mean(alone, "map_error") <= 0.48
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_laps_planned_together_are_shorter_than_each_robots_own_and_as_sure():
     (joint,) = runs_of([mission("joint")], 12)
     assert all(r.finished for r in joint)
