@@ -117,7 +117,7 @@ def _map_read(
     fusion = replace(fusion, warnings=(*fusion.warnings, *told, *rooms))
     watch.lap("fuse")
     run = None
-    known = _calibration(read, options)
+    known = known_calibration(read, options)
     if looked is not None:
         at = [g.at(looked) for g in grown]
         run = smooth_online(cut.main, at, cfg.fuse, cfg.smoothing, cfg.online, known, looked, options.on_progress)
@@ -134,7 +134,8 @@ def _every(cfg: LandmarkMapConfig, options: MapOptions) -> tuple[float | None, f
     return options.fuse_every, cfg.online.fuse_every if options.online else None
 
 
-def _calibration(logs: Sequence[LandmarkLog], options: MapOptions) -> dict[str, dict[str, tuple[float, float]]]:
+def known_calibration(logs: Sequence[LandmarkLog], options: MapOptions) -> dict[str, dict[str, tuple[float, float]]]:
+    """What `--calibration` says of the robots of `logs`; raises UsageError where it names another."""
     known = {} if options.calibration is None else read_calibration(options.calibration)
     names = {log.robot for log in logs}
     for robot in known:

@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +20,13 @@ from ..fusion.config import FuseConfig
 from ..fusion.join import fuse
 from ..fusion.result import Fusion
 from ..io.directory import write_json
+from ..io.kept import parts
 from ..io.laser_logs import read_laser
 from ..io.laser_map import NAME, write_grid, write_laser_map
 from ..io.local_map import write_local_map
 from ..io.mixed_logs import LaserOf, MixedLogs, is_mixed, read_mixed_landmarks, sorted_logs
 from ..io.ros_map import write_ros_map
 from ..io.team_map import (
-    read_calibration,
     told_gaps,
     write_calibration,
     write_landmark_arrays,
@@ -50,6 +51,7 @@ from ..team.mixed import MixedMap, Scanned, map_mixed, regained
 from ..team.relative_frame import PlacingConfig
 from ..team.team_map import TeamMap
 from .evaluate import Evaluation, judged
+from .map_landmarks import known_calibration
 from .map_laser import first_part, source_of
 from .map_options import MapOptions
 from .team import Watch, team_maps
@@ -86,7 +88,8 @@ class MixedResult(ResultBase):
 
     def headline(self) -> Rows:
         where = {robot: k for k, team in enumerate(self.maps, 1) for robot in team.robots}
-        rows = [(robot_key(r), kind, where.get(r)) for r, kind in sorted(self.story.kinds.items(), key=_in_order)]
+        kinds = self.story.kinds
+        rows = [(robot_key(r), kinds[r], where.get(r)) for r in sorted(kinds, key=in_order)]
         return ("robot", "carries", "component"), rows
 
     def draw(self, target: Target) -> None:
@@ -119,13 +122,13 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     found = sorted_logs(logs, source_of(options))
     read = read_mixed_landmarks(found)
     read, found = _wanted(read, found, options)
-    known = _calibration(read, options)
+    known = known_calibration(read, options)
     watch.lap("read")
     scans, lasers = _lasers(found.lasers, cfg.laser, options)
     apart = _apart(read, scans)
     read = [log.share(options.share.get(robot_key(log.robot), 1.0)) for log in read]
     read = [sifted(without_impossible(log, cfg.ekf), cfg.ekf, cfg.sift) for log in read]
-    seeing = [log for log in read if log.robot not in apart and _sees_landmarks(log)]
+    seeing = [x for x in read if x.robot not in apart and any(not n.startswith("robot") for n in x.sightings.counts())]
     cut = _cut(seeing, *_filtered(seeing, cfg, options), cfg, options.seed)
     local, fusion = cut.local, cut.fusion
     watch.lap("estimate")
@@ -208,16 +211,6 @@ def _wanted(read: list[LandmarkLog], found: MixedLogs, options: MapOptions) -> t
     return [log for log in read if log.robot in chosen], replace(found, lasers=lasers)
 
 
-def _calibration(logs: Sequence[LandmarkLog], options: MapOptions) -> dict[str, dict[str, tuple[float, float]]]:
-    known = {} if options.calibration is None else read_calibration(options.calibration)
-    names = {log.robot for log in logs}
-    for robot in known:
-        if robot not in names:
-            there = ", ".join(sorted(map(robot_key, names), key=in_order))
-            raise UsageError(f"--calibration {options.calibration}: no robot {robot_key(robot)}; there are {there}")
-    return known
-
-
 def _lasers(
     found: Mapping[str, LaserOf], cfg: LaserConfig, options: MapOptions
 ) -> tuple[dict[str, LaserLog], dict[str, LaserMap]]:
@@ -255,30 +248,16 @@ def _apart(read: Sequence[LandmarkLog], scans: Mapping[str, LaserLog]) -> dict[s
     return out
 
 
-def _sees_landmarks(log: LandmarkLog) -> bool:
-    return any(not name.startswith("robot") for name in log.sightings.counts())
-
-
 def _cut(logs: Sequence[LandmarkLog], local: Sequence[LocalMap], fusion: Fusion, cfg: MixedMapConfig, seed: int) -> Cut:
     """The team with the logs of kidnapped robots cut."""
-
-    def mapper(log: LandmarkLog) -> LocalMap:
-        return local_map(log, cfg.ekf, seed)
-
-    def join(maps: Sequence[LocalMap]) -> Fusion:
-        return fuse(maps, cfg.fuse)
-
+    mapper, join = partial(local_map, cfg=cfg.ekf, seed=seed), partial(fuse, cfg=cfg.fuse)
     return cut_kidnapped(logs, local, fusion, cfg.smoothing, cfg.placing, cfg.kidnap, mapper, join)
 
 
 def _filtered(seeing: Sequence[LandmarkLog], cfg: MixedMapConfig, options: MapOptions) -> tuple[list[LocalMap], Fusion]:
-    local = []
-    n = len(seeing)
-    with worker_pool(options.jobs, n, options.executor) as pool:
-        spread = map if pool is None else pool.map
-        for k, made in enumerate(spread(local_map, seeing, [cfg.ekf] * n, [options.seed] * n)):
-            local.append(made)
-            options.on_progress("local maps", k + 1, n)
+    jobs = [(log, cfg.ekf, options.seed) for log in seeing]
+    with worker_pool(options.jobs, len(jobs), options.executor) as pool:
+        local = parts(local_map, jobs, pool, "local maps", options.on_progress)
     return local, fuse(local, cfg.fuse)
 
 
@@ -419,7 +398,3 @@ def _write_data(folder: Path, result: MixedResult) -> None:
         write_laser_map(folder / "local" / robot_name(made.robot), made)
     found = {robot: known for s in result.story.map.components for robot, known in s.calibration.items()}
     write_calibration(folder / "calibration.json", found, result.story.map.components[0].prior)
-
-
-def _in_order(item: tuple[str, str]) -> Any:
-    return in_order(item[0])

@@ -80,7 +80,7 @@ def _as_far_as_possible(path: Path, most: int) -> bytearray:
     return out
 
 
-# What a damaged zip file makes the library say.
+# What a damaged zip file makes the library say: NotImplementedError is a flipped compression method, and so on.
 DAMAGE = (
     *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, ValueError, KeyError),
     *(NotImplementedError, RuntimeError, OverflowError, struct.error),

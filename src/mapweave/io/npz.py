@@ -17,6 +17,7 @@ from .table import told_path
 
 LARGEST = 1_000_000_000  # [bytes] of all arrays of a file together
 KINDS = {"any": "fiubU", "number": "fiu", "maybe": "fiu", "whole": "iu", "text": "U"}
+# What a damaged archive makes the libraries say: NotImplementedError is a flipped compression method, and so on.
 DAMAGE = (
     *(ValueError, KeyError, EOFError, TypeError, OverflowError, NotImplementedError, RuntimeError, SyntaxError),
     *(zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error),
