@@ -167,6 +167,7 @@ class Node:
         self.where = f"{namespace.replace('/', '%')}/{name}"
         self.held = [self.token("NN", "")]
         self.gids, self.counts, self.out = {}, {}, {}
+        self.watch = {}
 
     def token(self, kind, rest):
         key = f"@ros2_lv/{self.domain}/{self.session.info.zid()}/0/{self.entities}/{kind}/%/{self.where}{rest}"
@@ -190,7 +191,12 @@ class Node:
             publisher_detection=kept,
             sample_miss_detection=beat if kept else None,
         )
+        self.watch[name] = self.session.declare_publisher(key)  # what is advanced cannot tell who listens
         self.gids[name], self.counts[name] = os.urandom(16), 0
+
+    def is_heard(self, *names):
+        """Whether somebody listens to each of these topics: only then does a first message reach them."""
+        return all(self.watch[name].matching_status.matching for name in names)
 
     def say(self, name, payload, *, as_before=False):
         self.counts[name] += 1
@@ -235,7 +241,13 @@ class RosDrive:
         still = (1.0, f"{space}/base_link", f"{space}/laser", mount)
         self.node.say("/tf_static", transforms(still))
 
+    def wait_for_a_listener(self):
+        """Declarations take their time through a router; what is said before they came is heard by nobody."""
+        wheels = "/tf" if self.by_tf else f"/{self.space}/odom"
+        wait_for(lambda: self.node.is_heard(f"/{self.space}/scan", wheels))
+
     def play(self, rate, stop=None):
+        self.wait_for_a_listener()
         rows = [(t, "odometry", k) for k, t in enumerate(self.log.odometry.t.tolist())]
         rows += [(t, "scan", k) for k, t in enumerate(self.log.scan_t.tolist())]
         rows.sort()

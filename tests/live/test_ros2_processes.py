@@ -210,6 +210,7 @@ def test_nonsense_in_the_graph_is_told_in_a_line_each_and_the_drive_is_as_withou
     stop, said = threading.Event(), []
     thread = follows("r1", at, tmp_path, stop, said)
     wait_for(lambda: any("hears /tb1/scan" in words for words in said))
+    one.wait_for_a_listener()
     one.node.say("/tb1/scan", b"\x00\x01\x00\x00nonsense")
     one.node.say("/tb1/scan", bytes(2 << 20))
     one.node.say("/tb1/odom", b"")
@@ -251,6 +252,7 @@ def test_a_robot_started_again_goes_on_where_its_history_ends(ros, tmp_path):
     )
     thread = follows("r1", at, tmp_path, stop, said)
     wait_for(lambda: any("hears /tb1/scan" in words for words in said))
+    one.wait_for_a_listener()
     for row in rows:
         one.tell(*row)
         time.sleep(0.005)
@@ -271,6 +273,7 @@ def test_a_robot_started_again_goes_on_where_its_history_ends(ros, tmp_path):
     again = threading.Event()
     thread = follows("r1", at, tmp_path, again, said)
     wait_for(lambda: sum("hears /tb1/scan" in words for words in said) == 2)
+    one.wait_for_a_listener()
     for row in rows:
         one.tell(*row)
         time.sleep(0.005)
@@ -348,6 +351,7 @@ def test_when_the_router_goes_and_comes_back_the_drive_goes_on(tmp_path):
         one = RosDrive(session, "tb1", made.log, MOUNT)
         thread = follows("r1", at, tmp_path, stop, said)
         wait_for(lambda: any("hears /tb1/scan" in words for words in said))
+        one.wait_for_a_listener()
         one.tell(999.5, "odometry", 0)
         router.close()
         time.sleep(0.5)

@@ -242,11 +242,11 @@ class RosFeed:
         self.robot = found
         wheels = found.odometry.name if found.odometry else "tf, if that tells any"
         beside = f"; not heard: {', '.join(found.beside)}" if found.beside else ""
-        self._once(f"hears {found.scan.name}, odometry from {wheels}{beside}")
         self.member = Member(self._session, self.asked.domain, f"/{found.name}", node_name(self.asked.name))
         self.member.declare("NN")
         self._last = now
         self._heard_topics(found.topics)
+        self._once(f"hears {found.scan.name}, odometry from {wheels}{beside}")
 
     def _heard_topics(self, topics: Sequence[Topic]) -> None:
         assert self.member is not None  # noqa: S101  (chosen)
