@@ -18,9 +18,10 @@ from mapweave.landmarks.mapping import local_map
 from mapweave.laser.config import LaserConfig
 from mapweave.laser.mapping import map_laser
 from mapweave.team.config import SmoothingConfig
-from mapweave.team.mixed import Scanned, map_mixed
+from mapweave.team.mixed import map_mixed
 from mapweave.team.relative_frame import PlacingConfig
 from mapweave.team.team_map import TeamMap
+from mapweave.team.walls import Scanned
 
 
 @dataclass(frozen=True)

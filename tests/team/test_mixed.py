@@ -7,13 +7,16 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.landmark_log import NOTHING_SEEN, LandmarkLog
-from mapweave.laser.closures import Closure
+from mapweave.laser.config import LaserConfig
 from mapweave.solve import Factor
+from mapweave.team.bodies import Body, moved_track
 from mapweave.team.config import SmoothingConfig
 from mapweave.team.mixed import regained
+from mapweave.team.placing import Layout
 from mapweave.team.problem import team_problem
 from mapweave.team.relative_frame import PlacingConfig
 from mapweave.team.scan_factors import Crossing
+from mapweave.team.walls import CommonWalls, Scanned, common_walls, in_line
 
 from .mixed_teams import mixed
 
@@ -55,6 +58,67 @@ def test_everybody_is_in_one_frame_and_knows_how_well(one_room):
     assert set(made.components[0].used) == {"landmark", "robot", "scan"}
     found = nees(w, made, made.components[0].map.robots)
     assert all(n < 3.0 for n in found.values()), found
+
+
+LASER = LaserConfig(method="graph", feature="none")
+
+
+def test_lasers_that_saw_the_same_walls_lie_by_them_and_not_by_sightings_alone(one_room):
+    w, loose = one_room
+    made = w.map(laser=LASER)
+    assert [merge.merged for merge in made.merges] == [True]
+    assert made.paths == ()
+    assert made.components[0].used["crossing"] >= 3
+    apart, woven = ways_apart(w, loose), ways_apart(w, made)
+    assert woven < 0.05 < apart
+    assert woven < 0.5 * apart
+    found = nees(w, made, ("robot1", "robot2"))
+    assert all(n < 3.0 for n in found.values()), found
+
+
+def ways_apart(w, made):
+    """RMS error [m] of the ways of both lasers after one alignment of the two together."""
+    tracks = [made.components[0].map.tracks[robot] for robot in ("robot1", "robot2")]
+    true = [w.truth.robots[robot].track for robot in ("robot1", "robot2")]
+    p = np.concatenate([track.pose[:, :2] for track in tracks])
+    q = np.concatenate([se2.interpolate(a.t, b.t, b.pose)[:, :2] for a, b in zip(tracks, true, strict=True)])
+    return float(np.sqrt(np.square(se2.act(se2.align(p, q), p) - q).sum(axis=1).mean()))
+
+
+def test_lasers_that_nobody_saw_are_tied_by_the_walls_that_both_saw(one_room):
+    w, _ = one_room
+    own, right = w.scanned, true_relation(w)
+    second = Scanned(own["robot2"].graph.moved(right), moved_track(own["robot2"].track, right))
+    walls = CommonWalls({"robot1": own["robot1"], "robot2": second}, (("robot1", "robot2"),))
+    bodies = (Body({"robot1": own["robot1"].track}, {}), Body({"robot2": own["robot2"].track}, {}))
+    layout = in_line(Layout(bodies, (), ()), walls)
+    assert [(tie.a, tie.b, tie.walls) for tie in layout.ties] == [(("robot1",), ("robot2",), True)]
+    (body,) = layout.bodies
+    assert set(body.robots) == {"robot1", "robot2"}
+    np.testing.assert_allclose(body.tracks["robot2"].pose[:, :2], second.track.pose[:, :2], atol=1e-9)
+
+
+def test_walls_that_fit_far_from_where_sightings_put_a_robot_are_not_believed(one_room):
+    w, _ = one_room
+    graphs = w.scanned
+    moved = moved_track(graphs["robot2"].track, se2.compose(true_relation(w), np.array([0.5, 0.0, 0.0])))
+    bodies = [Body({"robot1": graphs["robot1"].track, "robot2": moved}, {})]
+    for sure, merged in ((0.6, True), (0.1, False)):
+        walls = common_walls(bodies, graphs, LASER, PlacingConfig(sure_xy=sure))
+        assert [m.merged for m in walls.merges] == [merged]
+        assert walls.together("robot1", "robot2") == merged
+        assert ("from where sightings of the team place them" in walls.merges[0].reason) != merged
+        assert bool(walls.crossings) == merged
+
+
+def true_relation(w):
+    """Where the frame of robot 2's map lies in that of robot 1's, from the truth at their first stamps."""
+    starts = []
+    for robot in ("robot1", "robot2"):
+        track, true = w.scanned[robot].track, w.truth.robots[robot].track
+        here = se2.interpolate(track.t[:1], true.t, true.pose)[0]
+        starts.append(se2.compose(here, se2.inverse(track.pose[0])))
+    return se2.between(*starts)
 
 
 def test_every_pose_has_a_covariance_that_can_be(one_room):
@@ -138,11 +202,7 @@ def test_all_derivatives_are_those_of_differences(one_room):
     team = made.components[0].map
     graphs = {robot: s.graph for robot, s in w.scanned.items()}
     rng = np.random.default_rng(0)
-    z, fit = np.array([0.3, -0.2, 0.5]), {"innovation": np.zeros(3), "share": 0.9, "nis": 1.0}
-    closure = Closure(
-        (0, 1), 3, 5, accepted=True, reason="", measured=z, information=np.diag([30.0, 20.0, 90.0]), **fit
-    )
-    crossings = [Crossing("robot1", "robot2", closure)]
+    crossings = [Crossing("robot1", "robot2", 3, 5, np.array([0.3, -0.2, 0.5]), np.diag([30.0, 20.0, 90.0]))]
     problem = team_problem(w.logs, team.landmarks, team.tracks, {}, {}, SmoothingConfig(), graphs, crossings)
     x = problem.problem.x0 + rng.normal(0, 0.02, len(problem.problem.x0))
     kinds = set()

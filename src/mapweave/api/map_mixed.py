@@ -47,9 +47,10 @@ from ..report.result import ResultBase, Rows
 from ..report.style import Target
 from ..team.config import SmoothingConfig
 from ..team.kidnapped import Cut, KidnapConfig, cut_kidnapped, with_stretches
-from ..team.mixed import MixedMap, Scanned, map_mixed, regained
+from ..team.mixed import MixedMap, map_mixed, regained
 from ..team.relative_frame import PlacingConfig
 from ..team.team_map import TeamMap
+from ..team.walls import Scanned
 from .evaluate import Evaluation, judged
 from .map_landmarks import known_calibration
 from .map_laser import first_part, source_of
@@ -151,6 +152,7 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
         known,
         [robot for robot in scanned if robot not in apart],
         refine=options.refine,
+        laser=None if options.laser.no_merge else cfg.laser,
     )
     options.on_progress("whole team", 1, 1)
     watch.lap("smooth")
@@ -336,6 +338,7 @@ def _metrics(made: MixedMap, kinds: Mapping[str, str], warnings: Sequence[str], 
                 "b": [robot_key(r) for r in tie.b],
                 "agree": tie.agree,
                 "of": tie.of,
+                "walls": tie.walls,
                 "clock": tie.clock,
             }
             for tie in made.layout.ties
@@ -359,7 +362,7 @@ def _metrics(made: MixedMap, kinds: Mapping[str, str], warnings: Sequence[str], 
             for s in made.components
         ],
         "left_out": told_gaps([s.map for s in made.components]),
-        "fusion": [],
+        "fusion": [merge.row() for merge in made.merges],
         "warnings": list(warnings),
     }
 

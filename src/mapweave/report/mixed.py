@@ -16,6 +16,7 @@ from .laser_figures import draw_occupancy, walls
 from .scene import Scene, landmark_points
 from .style import Target, as_map, colour, figure
 from .team_figures import legend_beside, thinned
+from .woven import told_merge
 
 MANY = 40  # landmarks from which names would cover the map
 
@@ -39,9 +40,11 @@ class MixedStory:
 def words(story: MixedStory) -> list[str]:
     """How the robots hang together, in sentences."""
     out = [
-        f"{_names(tie.a)} and {_names(tie.b)} were tied by {tie.agree} of {tie.of} sightings"
+        f"{_names(tie.a)} and {_names(tie.b)} were tied by "
+        + ("walls that both saw" if tie.walls else f"{tie.agree} of {tie.of} sightings")
         for tie in story.map.layout.ties
     ]
+    out += [f"walls: {told_merge(merge)}" for merge in story.map.merges]
     out += [
         f"the clock of robot {robot_key(robot)} was found {clock.ahead:+.3f} ± {clock.sd:.3f} s ahead"
         for robot, clock in story.map.clocks.items()

@@ -9,8 +9,9 @@ import numpy as np
 
 from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order, robot_key
-from ..core.records import Track
 from ..landmarks.landmark_map import LandmarkMap
+from ..laser.config import LaserConfig
+from ..laser.merge import Merge
 from ..laser.robot_graph import RobotGraph
 from .bodies import Body, Labels
 from .clocks import COARSE, Clock, clock_of
@@ -21,18 +22,11 @@ from .relative_frame import Glances, PlacingConfig, point_seen
 from .robot_part import all_seen
 from .smooth import Calibration, Smoothed, smooth
 from .team_map import TeamMap
+from .walls import CommonWalls, Scanned, common_walls, in_line
 
 SOFTEN = (8.0, 3.0)  # kernels are so many times as wide before the end: a layout is good to decimetres
 UNSURE = 1.0  # [m] sd of a landmark that bearings alone place, when the smoothing begins
 LEAST = 3  # sightings between two robots that hang together by them
-
-
-@dataclass(frozen=True, slots=True)
-class Scanned:
-    """One laser robot's own map: its keyframes, and its poses at every stamp, in its own frame and by its clock."""
-
-    graph: RobotGraph
-    track: Track
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,13 +45,14 @@ class Path:
 class MixedMap:
     """components: the largest first; layout: how their frames were found; paths: how laser robots hang together.
 
-    clocks: of robots whose logs were found to be ahead of the others.
+    clocks: of robots whose logs were found to be ahead of the others; merges: decisions on walls that lasers share.
     """
 
     components: tuple[Smoothed, ...]
     layout: Layout
     paths: tuple[Path, ...]
     clocks: Mapping[str, Clock]
+    merges: tuple[Merge, ...] = ()
 
 
 def map_mixed(
@@ -71,19 +66,26 @@ def map_mixed(
     own_clocks: Sequence[str] = (),
     *,
     refine: bool = True,
+    laser: LaserConfig | None = None,
 ) -> MixedMap:
     """The map of a team from all that its robots saw.
 
     logs: what each robot drove and saw, one a robot, empty where it did neither; scanned: robots with a laser; mapped:
     what filters made of the robots that saw landmarks with their ranges; own_clocks: robots whose laser logs may have a
-    clock of their own.
+    clock of their own; laser: how maps of laser robots are woven by walls that they both saw; None: they are not.
     """
     by = {log.robot: log for log in logs}
     bodies = [_body(team) for team in mapped if len(team.landmarks)]
     bodies += [Body({robot: s.track}, {}, own_clock=robot in own_clocks) for robot, s in scanned.items()]
     held = {robot for body in bodies for robot in body.robots}
     loose = [log for log in logs if log.robot not in held]
-    layout = lay_out(bodies, loose, by, labels, placing, smoothing)
+    layout, walls = lay_out(bodies, loose, by, labels, placing, smoothing), CommonWalls(scanned)
+    if laser is not None:
+        walls = common_walls(layout.bodies, scanned, laser, placing)
+        layout = in_line(layout, walls)
+        left = [log for log in loose if log.robot in layout.lost]
+        if left and len(walls.parts):
+            layout = _further(layout, lay_out(layout.bodies, left, by, labels, placing, smoothing))
     spread = {name: _variance(team.landmarks, k) for team in mapped for k, name in enumerate(team.landmarks.ids)}
     components = []
     clocks = {robot: Clock(layout.clocks.get(robot, 0.0), COARSE) for robot in layout.clocks}
@@ -96,9 +98,11 @@ def map_mixed(
             continue
         for _ in range(placing.clock_rounds):
             graphs = {
-                robot: _on_time(scanned[robot].graph, clocks.get(robot)) for robot in team.robots if robot in scanned
+                robot: _on_time(walls.scanned[robot].graph, clocks.get(robot))
+                for robot in team.robots
+                if robot in scanned
             }
-            done = smooth(team, mine, labels, smoothing, calibration, graphs, (), SOFTEN)
+            done = smooth(team, mine, labels, smoothing, calibration, graphs, walls.crossings, SOFTEN)
             wrong = {} if len(team.robots) < 2 else _late(done.map, own_clocks, by, labels, placing, clocks)
             if not wrong:
                 break
@@ -106,7 +110,12 @@ def map_mixed(
         loosely = [robot for robot in done.map.tracks if robot not in held and by[robot].odometry is None]
         cut, told = fixed_stretches(done.map, loosely, by, labels, placing)
         components.append(replace(done, map=cut, notes=(*done.notes, *told)))
-    return MixedMap(tuple(components), layout, _paths(components, scanned, by), clocks)
+    return MixedMap(tuple(components), layout, _paths(components, walls, by), clocks, walls.merges)
+
+
+def _further(before: Layout, after: Layout) -> Layout:
+    """The later layout with what was told of the one before."""
+    return replace(after, ties=(*before.ties, *after.ties), clocks={**before.clocks, **after.clocks})
 
 
 def regained(
@@ -258,20 +267,18 @@ def _team(body: Body, variance: Mapping[str, float], logs: Mapping[str, Landmark
     )
 
 
-def _paths(
-    components: Sequence[Smoothed], scanned: Mapping[str, Scanned], logs: Mapping[str, LandmarkLog]
-) -> tuple[Path, ...]:
-    """For every two laser robots of a component, the robots through whose sightings they hang together."""
+def _paths(components: Sequence[Smoothed], walls: CommonWalls, logs: Mapping[str, LandmarkLog]) -> tuple[Path, ...]:
+    """For every two laser robots of a component that no walls tie, through whose sightings they hang together."""
     out = []
     for component in components:
         robots = component.map.robots
         n = {(a, b): _between(logs[a], b) + _between(logs[b], a) for a in robots for b in robots if a != b}
         seen = {a: {name for name, by in component.map.members.items() if a in by} for a in robots}
         beside = {a: [b for b in robots if a != b and (n[a, b] >= LEAST or len(seen[a] & seen[b]) > 1)] for a in robots}
-        lasers = [robot for robot in robots if robot in scanned]
+        lasers = [robot for robot in robots if robot in walls.scanned]
         for i, a in enumerate(lasers):
             for b in lasers[i + 1 :]:
-                way = _way(a, b, beside)
+                way = () if walls.together(a, b) else _way(a, b, beside)
                 if len(way) > 1:
                     shared = tuple(len(seen[p] & seen[q]) for p, q in pairwise(way))
                     out.append(Path(way, tuple(n[p, q] for p, q in pairwise(way)), shared))

@@ -26,13 +26,17 @@ NEAR, NEAR_SHARE = 0.5, 0.3  # [m], [m per s or m]: how far places of one loose 
 
 @dataclass(frozen=True, slots=True)
 class Tie:
-    """Two bodies became one. agree of `of` sightings said so; clock: [s] that b's was found ahead."""
+    """Two bodies became one. agree of `of` sightings said so; clock: [s] by which b's was found ahead.
+
+    walls: it was not sightings that said so, but walls that both saw.
+    """
 
     a: tuple[str, ...]
     b: tuple[str, ...]
     agree: int
     of: int
     clock: float = 0.0
+    walls: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..laser.closures import Closure
 from ..laser.graph_problem import edge_factor
 from ..laser.pose_graph import PoseGraph
 from ..laser.robot_graph import RobotGraph
@@ -16,11 +15,17 @@ from .robot_part import RobotPart
 
 @dataclass(frozen=True, slots=True)
 class Crossing:
-    """Keyframe `closure.second` of robot `b` as seen from keyframe `closure.first` of robot `a`."""
+    """Keyframe `second` of robot `b` at `measured` (3,) as seen from keyframe `first` of robot `a`.
+
+    information: (3, 3) in the later one's frame.
+    """
 
     a: str
     b: str
-    closure: Closure
+    first: int
+    second: int
+    measured: Float[np.ndarray, "3"]
+    information: Float[np.ndarray, "3 3"]
 
 
 def scan_factor(part: RobotPart, graph: RobotGraph) -> Factor:
@@ -36,10 +41,9 @@ def scan_factor(part: RobotPart, graph: RobotGraph) -> Factor:
 
 def crossing_factor(a: RobotPart, b: RobotPart, crossings: list[Crossing], outlier: float) -> Factor:
     """Keyframes of two robots that were matched."""
-    found = [crossing.closure for crossing in crossings]
-    pairs = [(c.first, c.second) for c in found]
+    pairs = [(c.first, c.second) for c in crossings]
     n = 1 + max(max(pair) for pair in pairs)
-    graph = PoseGraph.of(np.zeros((n, 3)), pairs, [c.measured for c in found], [c.information for c in found])
+    graph = PoseGraph.of(np.zeros((n, 3)), pairs, [c.measured for c in crossings], [c.information for c in crossings])
     return _edges(graph, a, b, Cauchy(outlier))
 
 

@@ -1,0 +1,178 @@
+"""What lasers of different robots saw in common: their maps woven, and the layout of the team brought in line with it.
+
+Sightings come first: they say where a map is looked for in another, and overrule walls that fit far from there.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..core import se2
+from ..core.names import in_order
+from ..core.records import Track
+from ..laser.config import LaserConfig
+from ..laser.merge import Merge, merge_maps
+from ..laser.merge_search import Start
+from ..laser.robot_graph import RobotGraph
+from ..laser.scan_odometry import blended
+from ..laser.weave import Woven, keyframe_map, weave
+from .bodies import Body, moved_track
+from .placing import Layout, Tie
+from .relative_frame import PlacingConfig
+from .scan_factors import Crossing
+
+LEVER = 2.0  # times as far as a tie may be off where robots meet, frames may be off where they begin
+SURELY = 3.0  # standard deviations
+
+
+@dataclass(frozen=True, slots=True)
+class Scanned:
+    """One laser robot's own map: its keyframes, and its poses at every stamp, in its own frame and by its clock."""
+
+    graph: RobotGraph
+    track: Track
+
+
+@dataclass(frozen=True, slots=True)
+class CommonWalls:
+    """scanned: every laser robot's map, those that hang together by walls in one frame and bent to each other; parts:
+    which do; crossings: their keyframes to each other; merges: every pair tried, with the decision and its reason.
+    """
+
+    scanned: Mapping[str, Scanned]
+    parts: tuple[tuple[str, ...], ...] = ()
+    crossings: tuple[Crossing, ...] = ()
+    merges: tuple[Merge, ...] = ()
+
+    def together(self, a: str, b: str) -> bool:
+        """Whether walls that both saw tie these two robots."""
+        return any(a in part and b in part for part in self.parts)
+
+
+def common_walls(
+    bodies: Sequence[Body], scanned: Mapping[str, Scanned], cfg: LaserConfig, placing: PlacingConfig
+) -> CommonWalls:
+    """The maps of all laser robots woven; in a body, where sightings tie them, near the place that those say.
+
+    Walls of robots that sightings tie are not believed where they fit beyond three standard deviations of the loosest
+    tie that is taken for sure.
+    """
+    robots = sorted(scanned, key=in_order)
+    if len(robots) < 2:
+        return CommonWalls(scanned)
+    graphs = [scanned[robot].graph for robot in robots]
+    known = _near_the_layout(bodies, scanned, robots, cfg, placing)
+    woven = weave(graphs, cfg.merge, last=cfg.graph.joint, known=known)
+    members = [tuple(robots[k] for k in np.flatnonzero(woven.component == c)) for c in np.unique(woven.component)]
+    parts = tuple(part for part in members if len(part) > 1)
+    bent = {
+        robot: _bent(scanned[robot], pose) if any(robot in part for part in parts) else scanned[robot]
+        for robot, pose in zip(robots, woven.pose, strict=True)
+    }
+    return CommonWalls(bent, parts, _crossings(robots, graphs, woven), woven.merges)
+
+
+def in_line(layout: Layout, walls: CommonWalls) -> Layout:
+    """The layout with robots where their woven maps lie, and bodies tied that nothing but walls ties."""
+    bodies, ties = list(layout.bodies), list(layout.ties)
+    for part in walls.parts:
+        holding = [k for k, body in enumerate(bodies) if set(part) & set(body.robots)]
+        first, *others = holding
+        for k in others:
+            T = se2.compose(_place_of(part, bodies[first], walls), se2.inverse(_place_of(part, bodies[k], walls)))
+            ties.append(Tie(bodies[first].robots, bodies[k].robots, 0, 0, walls=True))
+            bodies[first] = bodies[first].joined(bodies[k].moved(np.asarray(T)))
+        T = _place_of(part, bodies[first], walls)
+        tracks = dict(bodies[first].tracks)
+        for robot in part:
+            tracks[robot] = replace(moved_track(walls.scanned[robot].track, T), t=tracks[robot].t)
+        bodies[first] = replace(bodies[first], tracks=tracks)
+        bodies = [body for k, body in enumerate(bodies) if k not in others]
+    return replace(layout, bodies=tuple(bodies), ties=tuple(ties))
+
+
+def _place_of(part: Sequence[str], body: Body, walls: CommonWalls) -> np.ndarray:
+    """Where the frame of a part lies in a body: as its robots' ways there say together, each pose counting the same."""
+    robots = [robot for robot in part if robot in body.tracks]
+    there = np.concatenate([body.tracks[robot].pose for robot in robots])
+    here = np.concatenate([walls.scanned[robot].track.pose for robot in robots])
+    turn = there[:, 2] - here[:, 2]
+    theta = float(np.arctan2(np.sin(turn).mean(), np.cos(turn).mean()))
+    shift = there[:, :2].mean(axis=0) - se2.rotation(theta) @ here[:, :2].mean(axis=0)
+    return np.array([*shift, theta])
+
+
+def _near_the_layout(
+    bodies: Sequence[Body],
+    scanned: Mapping[str, Scanned],
+    robots: Sequence[str],
+    cfg: LaserConfig,
+    placing: PlacingConfig,
+) -> dict[tuple[int, int], Merge]:
+    """What is decided on laser robots of one body, by their places among `robots`, until walls tie them all."""
+    sd = np.array([LEVER * placing.sure_xy, LEVER * placing.sure_xy, placing.sure_theta])
+    out: dict[tuple[int, int], Merge] = {}
+    for body in bodies:
+        mine = [k for k, robot in enumerate(robots) if robot in body.tracks]
+        group = {k: k for k in mine}
+        maps = {k: keyframe_map(scanned[robots[k]].graph) for k in mine} if len(mine) > 1 else {}
+        for j in mine:
+            for i in mine[: mine.index(j)]:
+                if group[i] == group[j]:
+                    continue
+                start = Start(
+                    np.asarray(se2.between(*(_frame(scanned[robots[k]], robots[k], body) for k in (i, j)))), sd
+                )
+                found = merge_maps(maps[i], maps[j], cfg.merge, start)
+                if found.transform is not None:
+                    found = _unless_far(found, start, scanned[robots[j]].track, placing)
+                out[i, j] = found
+                if found.merged:
+                    group = {k: group[i] if g == group[j] else g for k, g in group.items()}
+    return out
+
+
+def _frame(own: Scanned, robot: str, body: Body) -> np.ndarray:
+    """Where the frame of a robot's own map lies in a body that holds its track as it is."""
+    return np.asarray(se2.compose(body.tracks[robot].pose[0], se2.inverse(own.track.pose[0])))
+
+
+def _unless_far(found: Merge, start: Start, track: Track, placing: PlacingConfig) -> Merge:
+    """The merge; refused where walls put the second robot's way elsewhere than sightings of the team do."""
+    assert found.transform is not None  # noqa: S101  (merged)
+    ways = [se2.act(T, track.pose[:, :2]) for T in (start.transform, found.transform)]
+    away = float(np.hypot(*(ways[1] - ways[0]).T).mean())
+    if away <= SURELY * np.sqrt(2.0) * placing.sure_xy:
+        return found
+    reason = f"their walls fit {away:.1f} m from where sightings of the team place them"
+    return replace(found, merged=False, transform=None, covariance=None, reason=reason)
+
+
+def _bent(own: Scanned, pose: np.ndarray) -> Scanned:
+    """The robot's map with its keyframes at `pose`, its way between them as it was."""
+    graph, track = own.graph, own.track
+    rows = np.searchsorted(track.t, graph.t)
+    moved = se2.compose(pose, se2.between(graph.pose, track.pose[rows]))
+    return Scanned(replace(graph, pose=pose), Track(track.t, blended(track.pose, rows, moved), track.cov))
+
+
+def _crossings(robots: Sequence[str], graphs: Sequence[RobotGraph], woven: Woven) -> tuple[Crossing, ...]:
+    """The ties between robots that the joint graph holds, with the ways that the woven map has."""
+    offset = np.concatenate([[0], np.cumsum([len(g) for g in graphs])]).astype(int)
+    within = sum(g.graph().edges for g in graphs)
+    pose, joint = np.concatenate(woven.pose), woven.joint.graph
+    rows = np.flatnonzero(woven.joint.used & (np.arange(joint.edges) >= within))
+    owner = np.searchsorted(offset, [joint.first[rows], joint.second[rows]], side="right") - 1
+    way = se2.between(pose[joint.first[rows]], pose[joint.second[rows]])
+    return tuple(
+        Crossing(
+            robots[a],
+            robots[b],
+            int(joint.first[k] - offset[a]),
+            int(joint.second[k] - offset[b]),
+            np.asarray(z),
+            joint.information[k],
+        )
+        for k, a, b, z in zip(rows.tolist(), *owner.tolist(), way, strict=True)
+    )
