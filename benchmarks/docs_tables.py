@@ -65,6 +65,7 @@ TABLES = (
     Table("swarm times", SWARM, bench("swarm")),
     Table("hamatani claims", SWARM, reproduce("hamatani"), "claims.md"),
     Table("intel relations", LASER, bench("laser")),
+    Table("laps of a hall", LASER, bench("laser_laps"), "stdout"),
     Table("simulated ring", LASER, bench("corridor")),
     Table("hara claims", LASER, reproduce("hara"), "claims.md"),
     Table("laser exploration", EXPLORE, bench("exploration_laser", "--seeds", "2")),

@@ -125,7 +125,7 @@ def test_a_result_of_another_version_is_refused(sessions, logs, tmp_path):
     folder = spoiled(sessions, tmp_path)
     index = folder / "state" / "state.json"
     index.write_text(json.dumps({**json.loads(index.read_text()), "state": 99, "version": "7.0"}))
-    assert "expected state of version 2, found 99, which mapweave 7.0 wrote" in refused(folder, logs)
+    assert "expected state of version 3, found 99, which mapweave 7.0 wrote" in refused(folder, logs)
 
 
 def test_a_result_of_landmarks_one_without_graphs_and_no_result_are_refused(logs, tmp_path):
@@ -150,7 +150,7 @@ def test_a_damaged_result_is_refused_by_the_file_that_is_damaged(sessions, logs,
         path.unlink()
     else:
         path.write_bytes(
-            (folder / "grid.npz").read_bytes() if path.suffix == ".npz" else b'{"state": 2, "robots": [3]}'
+            (folder / "grid.npz").read_bytes() if path.suffix == ".npz" else b'{"state": 3, "robots": [3]}'
         )
     told = refused(folder, logs)
     assert path.name in told or (how == "gone" and name == "state/state.json")

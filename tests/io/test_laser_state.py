@@ -78,7 +78,7 @@ def test_a_map_without_a_graph_keeps_no_state(tmp_path):
 @pytest.mark.parametrize(
     ("told", "why"),
     [
-        ({"state": 1}, "expected state of version 2, found 1"),
+        ({"state": 1}, "expected state of version 3, found 1"),
         ({"robots": []}, "expected the names of its robots"),
         ({"robots": ["../../other"]}, "expected names of robots, found '../../other'"),
         ({"starts": {"2": [1, 2]}}, "expected starts of robots as lists of 3 or 4 numbers"),

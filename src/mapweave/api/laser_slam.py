@@ -30,6 +30,9 @@ class LaserSlam:
     result, `result.maps[0].calibration`) it is used at once; without one the poses come from geometry, intensities are
     kept, and `result` calibrates them and works through the scans once more where `map` would have used them.
 
+    Laps over laps: where the map knows a place well the graph grows no further, and without light the scans made there
+    are not kept: the time a scan takes and the memory stay, but for the poses themselves.
+
     Parameters
     ----------
     config
@@ -126,6 +129,8 @@ class LaserSlam:
             sensor_pose=sensor_pose,
         )
         self._session.push(event)
+        if intensities is None or self._calibrated:  # else calibrating them needs every scan
+            self._stream.forget(self._session.unneeded)
         self._spent += perf_counter() - began
         return self._session.now
 

@@ -10,6 +10,21 @@ from jaxtyping import Float
 from .records import Event, OdometryPoses, Scan, Track, frozen
 
 
+class ScanDigest:
+    """A digest of stamps and ranges of scans as they come. `add` changes it; told: of those so far."""
+
+    def __init__(self) -> None:
+        self._sha = hashlib.sha256()
+
+    def add(self, t: float, scan: Scan) -> None:
+        self._sha.update(np.float64(t).tobytes())
+        self._sha.update(np.ascontiguousarray(np.where(scan.hit, scan.ranges, 0.0), dtype=float).tobytes())
+
+    @property
+    def told(self) -> str:
+        return self._sha.hexdigest()
+
+
 @dataclass(frozen=True, slots=True)
 class LaserLog:
     """Scans and odometry of one robot, both in time order.
@@ -19,7 +34,7 @@ class LaserLog:
     last in the file), or None. `odometry_from` says what it was made of: "poses", "tf", "ticks" or "none". Every scan
     of a log with odometry carries its own `Scan.odometry`; those need not be repeated in `odometry`.
     Either all scans have intensities or none: a constant intensity tells nothing, so the reader leaves it out and
-    says so in `warnings`.
+    says so in `warnings`. told_hash: `scan_hash` of all scans where some are here without their ranges, else empty.
     """
 
     robot: str
@@ -31,6 +46,7 @@ class LaserLog:
     dropped: dict[str, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     log_hash: str = ""
+    told_hash: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scan_t", frozen(self.scan_t))
@@ -41,10 +57,12 @@ class LaserLog:
 
     def scan_hash(self, first: int | None = None) -> str:
         """A digest of the stamps and ranges of the first scans (all): equal for logs that hold the same scans."""
-        digest = hashlib.sha256(np.ascontiguousarray(self.scan_t[:first]).tobytes())
-        for scan in self.scans[:first]:
-            digest.update(np.ascontiguousarray(np.where(scan.hit, scan.ranges, 0.0), dtype=float).tobytes())
-        return digest.hexdigest()
+        if self.told_hash and (first is None or first == len(self.scans)):
+            return self.told_hash
+        digest = ScanDigest()
+        for t, scan in zip(self.scan_t[:first].tolist(), self.scans[:first], strict=True):
+            digest.add(t, scan)
+        return digest.told
 
     def stamps(self) -> Float[np.ndarray, " n"]:
         """Every odometry and every scan stamp once, ascending: where a trajectory has to give a pose."""

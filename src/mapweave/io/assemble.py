@@ -70,7 +70,10 @@ FEW = 0.05  # share of scans without intensities that are dropped rather than al
 
 @dataclass(frozen=True, slots=True)
 class RawScan:
-    """A scan as the file has it: ranges may be NaN, infinite, zero or beyond the limits, which count as no return."""
+    """A scan as the file has it: ranges may be NaN, infinite, zero or beyond the limits, which count as no return.
+
+    kept: whether the ranges are here at all; of a scan without them nothing is told.
+    """
 
     t: float
     ranges: np.ndarray
@@ -82,6 +85,7 @@ class RawScan:
     T_robot_sensor: Float[np.ndarray, "3"] = field(default_factory=lambda: se2.IDENTITY)
     host: str = ""
     odometry: Float[np.ndarray, "3"] | None = None
+    kept: bool = True
 
 
 @dataclass(slots=True)
@@ -186,13 +190,14 @@ class RawLog:
         return scans
 
     def _tell_beams(self, scans: list[RawScan]) -> None:
+        every, scans = len(scans), [raw for raw in scans if raw.kept]
         counts = Counter(len(raw.ranges) for raw in scans)
         if len(counts) > 1:
             told = ", ".join(f"{n} beams in {k} scans" for n, k in counts.most_common())
             self.warnings.append(f"the beam count changes: {told}")
         empty = sum(not _hit(raw).any() for raw in scans)
         if empty:
-            self.warnings.append(f"{empty} of {len(scans)} scans have no return at all: odometry carries over them")
+            self.warnings.append(f"{empty} of {every} scans have no return at all: odometry carries over them")
         if nan := sum(int(np.isnan(raw.ranges).sum()) for raw in scans):
             self.warnings.append(f"{nan} ranges are not a number: read as no return")
 

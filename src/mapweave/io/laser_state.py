@@ -19,7 +19,7 @@ from .npz import Spec, read_npz, write_arrays
 from .robot_graph import NAME as GRAPH
 from .robot_graph import read_robot_graph
 
-VERSION = 2
+VERSION = 3
 INDEX = "state.json"
 WORDS = ("robot", "method", "feature", "frame", "odometry", "source", "log_hash", "called", "scan_hash")
 WANTED: dict[str, Spec] = {

@@ -8,13 +8,14 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.errors import DataError
-from ..core.laser_log import LaserLog
+from ..core.laser_log import LaserLog, ScanDigest
 from ..core.records import Event, Scan, frozen
 from .assemble import RawLog, RawScan, is_sound, scan_of
 from .laser_arrays import beam_spacing
 
 Numbers = np.ndarray | Sequence[object]  # what becomes an array of numbers, or is refused
 NOWHERE = (0.0, 0.0, 0.0)
+NO_RANGES = frozen(np.zeros(0))
 
 
 class LaserStream:
@@ -29,6 +30,7 @@ class LaserStream:
         self.robot, self.source = robot, source
         self._raw: list[RawScan] = []
         self._digest = hashlib.sha256()
+        self._scans = ScanDigest()
 
     def __len__(self) -> int:
         return len(self._raw)
@@ -74,12 +76,19 @@ class LaserStream:
         self._raw.append(raw)
         for part in (np.array([t, first, step]), r, light, pose):
             self._digest.update(b"-" if part is None else part.tobytes())
-        return Event(raw.t, self.robot, _with_odometry(raw))
+        scan = _with_odometry(raw)
+        self._scans.add(raw.t, scan)
+        return Event(raw.t, self.robot, scan)
+
+    def forget(self, rows: range) -> None:
+        """The ranges of these scans are not kept: the log has the scans without them and says of which it was made."""
+        for row in rows:
+            self._raw[row] = replace(self._raw[row], ranges=NO_RANGES, intensities=None, kept=False)
 
     def log(self) -> LaserLog:
         """Everything so far as a log; raises DataError when nothing came."""
         raw = RawLog(self.robot, self.source, self._digest.hexdigest(), list(self._raw), odometry_from="poses")
-        return raw.finish()
+        return replace(raw.finish(), told_hash=self._scans.told)
 
     def _check_order(self, raw: RawScan, where: str) -> None:
         if not self._raw:

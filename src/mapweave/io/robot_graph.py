@@ -7,6 +7,7 @@ import numpy as np
 from ..core.errors import ReaderError
 from ..laser.beam import IntensityCalibration
 from ..laser.closures import Closure
+from ..laser.revisits import Revisits
 from ..laser.robot_graph import RobotGraph
 from .npz import read_arrays, write_arrays
 
@@ -26,6 +27,7 @@ def write_robot_graph(path: Path, graph: RobotGraph) -> None:
         **{_key(name): getattr(graph, name) for name in ARRAYS},
         **{name: np.asarray(a, np.float32) for name in THIN if (a := getattr(graph, name)) is not None},
         **_closures(graph.closures),
+        **_revisits(graph.revisits),
     }
     if calibration is not None:
         held |= {
@@ -107,8 +109,34 @@ def _made(held: dict[str, np.ndarray]) -> RobotGraph:
         calibration=light,
         source=source,
         log_hash=log_hash,
+        revisits=_read_revisits(held, n),
         **{name: held[_key(name)] for name in ARRAYS},
     )
+
+
+def _revisits(revisits: Revisits) -> dict[str, np.ndarray]:
+    """Nothing where there are none."""
+    if not len(revisits):
+        return {}
+    return {
+        "revisit_t": revisits.t,
+        "revisit_at": revisits.at,
+        "revisit_step": revisits.step,
+        "revisit_cov": revisits.cov,
+        "revisit_closures": np.array(revisits.closures),
+    }
+
+
+def _read_revisits(held: dict[str, np.ndarray], n: int) -> Revisits:
+    if "revisit_t" not in held:
+        return Revisits()
+    t, at, step, cov = (held[f"revisit_{name}"] for name in ("t", "at", "step", "cov"))
+    v = len(t)
+    if t.shape != (v,) or at.shape != (v,) or step.shape != (v, 3) or cov.shape != (v, 3, 3):
+        raise ValueError("the revisits' arrays do not fit each other")
+    if at.dtype.kind != "i" or (v and not 0 <= at.min() <= at.max() < n) or (np.diff(t) < 0).any():
+        raise ValueError("revisits hang on keyframes that are not there, or are not in order of time")
+    return Revisits(t, at, step, cov, int(held["revisit_closures"]))
 
 
 def _closures(closures: tuple[Closure, ...]) -> dict[str, np.ndarray]:

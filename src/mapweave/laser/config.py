@@ -10,6 +10,7 @@ from .icp import IcpConfig
 from .joint_pass import JointConfig
 from .keyframe_graph import KeyframeGraphConfig
 from .keyframes import KeyframeConfig
+from .known_places import KnownPlacesConfig
 from .merge_search import MergeConfig
 from .moving import MovingConfig
 from .occupancy_mapper import LayingConfig
@@ -72,6 +73,7 @@ class GraphConfig:
     )
     lineage: StepNoise = StepNoise(wheels_xy=0.015, drift_xy=0.005, drift_turn=0.001)
     loop_search: SubmapLoopConfig = SubmapLoopConfig()
+    known_places: KnownPlacesConfig = KnownPlacesConfig()
     joint: JointConfig = JointConfig()
 
 

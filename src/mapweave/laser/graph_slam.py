@@ -17,14 +17,19 @@ from ..core.workers import Progress, no_progress
 from . import particle_slam
 from .beam import STEERING, Beams, IntensityCalibration, beams
 from .config import LaserConfig
-from .joint_pass import joint_pass, lay_scans, scan_cloud
+from .joint_pass import joint_pass, lay_scans, neighbours, scan_cloud
 from .keyframe_graph import KeyframeGraph
 from .keyframes import Keyframe, KeyframeMaker, KeyframeOdometry
+from .known_places import KnownPlaces
 from .particle_slam import ParticleState
 from .robot_graph import RobotGraph
 from .scan_odometry import PoseEstimate, ScanInfo, blended
 from .step_noise import carried
 from .submap_loops import SubmapLoops
+
+_NONE = np.zeros(0)
+GONE = Beams(np.zeros((0, 2)), _NONE, _NONE, np.zeros((0, 2)), _NONE, _NONE, _NONE, *2 * [np.zeros(0, np.int64)])
+"""The returns of a scan that nothing needs."""
 
 
 @dataclass(slots=True)
@@ -32,8 +37,10 @@ class GraphState:
     """One robot's graph as it grows; `step` changes it.
 
     odometry: scan odometry, or particles: the filter that finds the way where light tells places apart; graph: the
-    keyframes so far (of particles: none before the best lineage is known). Of every scan: stamps t, scans their
-    returns, sensors where the scanner stood, lines what walls tell of its pose; keyframes: which scan each is.
+    keyframes so far (of particles: none before the best lineage is known); known: what left it. Of every scan: stamps
+    t, scans their returns (`GONE` where the map does without them), sensors where the scanner stood, lines what walls
+    tell of its pose; keyframes, revisits: which scan each is; unneeded: the scans whose returns went in the last step,
+    all of them before scan `gone`.
     """
 
     robot: str
@@ -41,6 +48,7 @@ class GraphState:
     particles: ParticleState | None
     graph: KeyframeGraph
     loops: SubmapLoops
+    known: KnownPlaces
     feature: str
     calibration: IntensityCalibration | None
     t: list[float] = field(default_factory=list)
@@ -48,6 +56,9 @@ class GraphState:
     sensors: list[np.ndarray] = field(default_factory=list)
     lines: list[np.ndarray] = field(default_factory=list)
     keyframes: list[int] = field(default_factory=list)
+    revisits: list[int] = field(default_factory=list)
+    unneeded: range = range(0)
+    gone: int = 0
 
 
 class GraphEstimate(NamedTuple):
@@ -78,6 +89,7 @@ def init(
         particles,
         KeyframeGraph(g.keyframe_graph, np.zeros((1, 3))),
         SubmapLoops(g.loop_search, light=feature in STEERING),
+        KnownPlaces(g.known_places),
         feature,
         calibration,
     )
@@ -99,7 +111,9 @@ def step(
         state.lines.append(state.particles.odometry.lines)
         return state, info
     info = state.odometry.advance(scan, b)
-    _grow(state, cfg, len(state.scans) - 1, state.odometry.keyframe(event.t, b))
+    state.unneeded = _grow(state, cfg, len(state.scans) - 1, state.odometry.keyframe(event.t, b))
+    for row in state.unneeded:
+        state.scans[row] = GONE
     return state, info
 
 
@@ -126,24 +140,55 @@ def so_far(state: GraphState, cfg: LaserConfig, *, covariances: bool = True) -> 
     n = len(grown.keyframes)
     cov = cfg.graph.unsure * grown.graph.covariances() if covariances else np.full((n, 3, 3), np.nan)
     sensors = np.array(state.sensors).reshape(-1, 2)
-    return _robot_graph(grown, grown.graph.pose, cov, sensors[grown.keyframes])
+    return _robot_graph(grown, grown.graph.pose, cov, sensors[grown.keyframes], cfg.graph.unsure)
 
 
 def _filtering(cfg: LaserConfig) -> LaserConfig:
     return replace(cfg, particles=cfg.graph.hypotheses)
 
 
-def _grow(state: GraphState, cfg: LaserConfig, row: int, keyframe: Keyframe | None) -> None:
-    """The graph has the keyframe, made at scan `row`, if there is one, and the loops found from it."""
+def _grow(state: GraphState, cfg: LaserConfig, row: int, keyframe: Keyframe | None) -> range:
+    """The graph has the keyframe, made at scan `row`, if there is one, and the loops found from it.
+
+    Where it lies in a place known well earlier keyframes may leave: then the scans are returned that none needs.
+    """
     if keyframe is None:
-        return
+        return range(0)
     state.keyframes.append(row)
     number = state.graph.add(keyframe)
-    if cfg.graph.loops:
-        state.loops.offer(number)
-        if state.graph.due or state.graph.grown:
-            state.graph.solve()
-        state.loops.step(state.graph)
+    if not cfg.graph.loops:
+        return range(0)
+    asked = state.loops.offer(number)
+    if state.graph.due or state.graph.grown:
+        state.graph.solve()
+    state.loops.step(state.graph)
+    if not asked:
+        return range(0)
+    queried = cfg.graph.loop_search.submap.query_before
+    left = state.known.step(state.graph, number, queried, lambda i, k: _laid(state, cfg, i, k))
+    if left is None:
+        return range(0)
+    state.loops.forget(left.first)
+    rows = state.keyframes
+    unneeded = range(max(rows[left.first - 1] + 1, state.gone), rows[left.last + 1])
+    state.gone = unneeded.stop
+    state.revisits += rows[left.first : left.last + 1]
+    del rows[left.first : left.last + 1]
+    return unneeded
+
+
+def _laid(state: GraphState, cfg: LaserConfig, first: int, last: int) -> Float[np.ndarray, "c 3"]:
+    """Keyframes `first` to `last` matched against those before them that stand around."""
+    graph, joint = state.graph, cfg.graph.joint
+    rows, own = np.array(state.keyframes), np.arange(first, last + 1)
+    pose, old = graph.pose[own], graph.pose[:first]
+    near = np.unique(neighbours(pose, old, joint.scan_around, joint))
+    near = near[near >= 0]
+    old_cloud, cloud = (
+        scan_cloud([graph.nodes[k].beams for k in at], np.array([state.sensors[k] for k in rows[at]]), most)
+        for at, most in ((near, joint.beams), (own, joint.scan_beams))
+    )
+    return lay_scans(pose, cloud, old[near], old_cloud, np.full(len(own), -1, np.int64), joint)
 
 
 def _whole(state: GraphState, cfg: LaserConfig, on_progress: Progress) -> tuple[Float[np.ndarray, "m 3"], GraphState]:
@@ -165,7 +210,9 @@ def _along_lineage(
         state,
         graph=KeyframeGraph(cfg.graph.keyframe_graph, np.zeros((1, 3))),
         loops=SubmapLoops(cfg.graph.loop_search, light=True),
+        known=KnownPlaces(cfg.graph.known_places),
         keyframes=[],
+        revisits=[],
     )
     maker = KeyframeMaker(0, replace(cfg.graph.keyframe_graph.keyframes, noise=cfg.graph.lineage))
     before = poses[0]
@@ -192,13 +239,18 @@ def finalise(state: GraphState, cfg: LaserConfig, on_progress: Progress = no_pro
         cloud = scan_cloud([state.scans[k] for k in rows], sensors[rows], joint.beams)
         pose = joint_pass(steps, cloud, joint, closed)
         on_progress("last pass", 1, 2)
-    poses = blended(local, rows, pose)
+    robot = _robot_graph(grown, pose, cov, sensors[rows], cfg.graph.unsure)
+    at = np.concatenate([rows, np.array(grown.revisits, np.int64)])
+    order = np.argsort(at, kind="stable")
+    poses = blended(local, at[order], np.concatenate([pose, robot.revisits.poses(pose)])[order])
     if cfg.graph.last_pass:
         own = np.full(len(local), -1, np.int64)
         own[rows] = np.arange(len(rows))
-        poses = lay_scans(poses, scan_cloud(state.scans, sensors, joint.scan_beams), pose, cloud, own, joint)
+        there = np.flatnonzero([scan is not GONE for scan in state.scans])
+        scans = scan_cloud([state.scans[k] for k in there], sensors[there], joint.scan_beams)
+        poses[there] = lay_scans(poses[there], scans, pose, cloud, own[there], joint)
         on_progress("last pass", 2, 2)
-    return GraphEstimate(poses, _robot_graph(grown, pose, cov, sensors[rows]))
+    return GraphEstimate(poses, robot)
 
 
 def _robot_graph(
@@ -206,8 +258,9 @@ def _robot_graph(
     pose: Float[np.ndarray, "n 3"],
     cov: Float[np.ndarray, "n 3 3"],
     sensors: Float[np.ndarray, "n 2"],
+    unsure: float,
 ) -> RobotGraph:
-    nodes = state.graph.nodes
+    nodes, revisits = state.graph.nodes, state.known.revisits
     steps, _ = state.graph.edges()
     start = np.concatenate([[0], np.cumsum([len(node.beams.q) for node in nodes])])
     return RobotGraph(
@@ -227,4 +280,5 @@ def _robot_graph(
         sensor=sensors,
         feature=state.feature,
         calibration=state.calibration,
+        revisits=replace(revisits, cov=unsure * revisits.cov),
     )

@@ -62,7 +62,7 @@ class KeyframeGraph:
             before = np.zeros((3, 3)) if of[-1] < self.known else self._since[of[-1]]
             since = carried(before, new.step) + new.cov
         of.append(len(self.nodes))
-        self.nodes.append(new)
+        self.nodes.append(new._replace(number=len(of) - 1))
         self._since.append(since)
         self.pose = np.concatenate([self.pose, np.asarray(pose)[None]])
         self.robot, self.path = np.append(self.robot, new.robot), np.append(self.path, new.path)
@@ -109,6 +109,38 @@ class KeyframeGraph:
             return C
         C = carried(se2.turned_covariance(-self.pose[a, 2], C), se2.between(self.pose[a], self.pose[i]))
         return np.asarray(se2.turned_covariance(self.pose[i, 2], C + self._since[i]))
+
+    def prepare(self, keyframes: list[int]) -> None:
+        """What `relative` and `marginal` need of these solved keyframes is worked out in one go."""
+        if self.solved is not None:
+            self.solved.prepare(keyframes)
+
+    def leave(self, first: int, last: int) -> int:
+        """Keyframes `first` to `last` leave, with their closures, of which the number is returned.
+
+        The step to the keyframe after them is theirs and its own one after the other; those after them are numbered
+        anew. The graph is of one robot, keyframe 0 stays, and so does the last; it has to be solved again.
+        """
+        after = self.nodes[last + 1]
+        step, cov = np.zeros(3), np.zeros((3, 3))
+        for node in self.nodes[first : last + 2]:
+            step, cov = np.asarray(se2.compose(step, node.step)), carried(cov, node.step) + node.cov
+        rest = [after._replace(step=step, cov=cov), *self.nodes[last + 2 :]]
+        self.nodes = self.nodes[:first] + [node._replace(number=first + k) for k, node in enumerate(rest)]
+        self.of = [list(range(len(self.nodes)))]
+        kept = np.delete(np.arange(len(self.pose)), np.arange(first, last + 1))
+        self.pose, self.robot, self.path = self.pose[kept], self.robot[kept], self.path[kept]
+        self._since = [self._since[k] for k in kept.tolist()]
+        number = np.searchsorted(kept, np.arange(kept[-1] + 1)).tolist()
+        leaving = range(first, last + 1)
+        before = len(self.closures)
+        self.closures = [
+            replace(c, first=number[c.first], second=number[c.second])
+            for c in self.closures
+            if c.first not in leaving and c.second not in leaving
+        ]
+        self.solved, self.due = None, True
+        return before - len(self.closures)
 
     def place(self, k: int) -> Place:
         """Keyframe `k` and those its robot made before and after it, in its frame."""

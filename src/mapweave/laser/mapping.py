@@ -144,10 +144,11 @@ def map_session(
     result = finish(clean, session.cfg, feature, poses, session.infos, graph)
     disagreement = wheels_disagree(result.track, result.dead_reckoning, session.cfg.wheels)
     moved = {"return of something that moves": session.moving.count} if session.moving.count else {}
+    left = {} if graph is None else left_graph(graph)
     result = replace(
         result,
         scan_hash=log.scan_hash(),
-        dropped={**result.dropped, **moved},
+        dropped={**result.dropped, **moved, **left},
         warnings=(*result.warnings, *disagreement),
     )
     timing = {
@@ -157,6 +158,16 @@ def map_session(
         "ms_per_scan": 1e3 * spent["estimate"] / len(log.scans),
     }
     return replace(result, timing=timing)
+
+
+def left_graph(graph: RobotGraph) -> dict[str, int]:
+    """What is not in the graph because the map knows its place well, counted; nothing where all is."""
+    if not len(graph.revisits):
+        return {}
+    return {
+        "keyframe in a place known well": len(graph.revisits),
+        "closure of such a keyframe": graph.revisits.closures,
+    }
 
 
 def wheels_disagree(track: Track, dead: Track | None, cfg: WheelCheck) -> tuple[str, ...]:
@@ -187,13 +198,14 @@ def wheels_disagree(track: Track, dead: Track | None, cfg: WheelCheck) -> tuple[
 
 
 def between_keyframes(t: Float[np.ndarray, " n"], graph: RobotGraph) -> Float[np.ndarray, "n 3 3"]:
-    """Covariances at stamps `t`: those of the keyframes before and after, mixed by time."""
-    after = np.clip(np.searchsorted(graph.t, t, side="right"), 1, max(len(graph) - 1, 1))
-    after = np.minimum(after, len(graph) - 1)
+    """Covariances at stamps `t`: those of the keyframes or revisits before and after, mixed by time."""
+    at, _, cov = graph.way()
+    after = np.clip(np.searchsorted(at, t, side="right"), 1, max(len(at) - 1, 1))
+    after = np.minimum(after, len(at) - 1)
     before = np.maximum(after - 1, 0)
-    span = np.maximum(graph.t[after] - graph.t[before], 1e-9)
-    share = np.clip((t - graph.t[before]) / span, 0.0, 1.0)[:, None, None]
-    return np.asarray((1.0 - share) * graph.cov[before] + share * graph.cov[after])
+    span = np.maximum(at[after] - at[before], 1e-9)
+    share = np.clip((t - at[before]) / span, 0.0, 1.0)[:, None, None]
+    return np.asarray((1.0 - share) * cov[before] + share * cov[after])
 
 
 def _information(infos: list[ScanInfo]) -> np.ndarray | None:

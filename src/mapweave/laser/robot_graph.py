@@ -1,6 +1,6 @@
 """What graph mapping knows of one robot: keyframes with their returns, steps, closures; enough to go on or to merge."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -10,6 +10,7 @@ from ..core.records import frozen
 from .beam import IntensityCalibration
 from .closures import Closure
 from .pose_graph import PoseGraph
+from .revisits import Revisits
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +24,8 @@ class RobotGraph:
 
     Returns of keyframe i are the rows start[i]:start[i + 1] (start: (n + 1,)) of points (m, 2) [m], normals (m, 2) and
     q (m,), in the keyframe's robot frame; q is None where light was not used. lined: (m,) where three or more beams
-    made the normal. sensor: (n, 2) where the scanner stood on the robot [m].
+    made the normal. sensor: (n, 2) where the scanner stood on the robot [m]. revisits: where the robot was in places
+    known well, between these keyframes.
     """
 
     robot: str
@@ -44,6 +46,7 @@ class RobotGraph:
     calibration: IntensityCalibration | None = None
     source: str = ""
     log_hash: str = ""
+    revisits: Revisits = field(default_factory=Revisits)
 
     def __post_init__(self) -> None:
         for name in ("t", "pose", "cov", "path", "step", "step_information", "points", "normals", "sensor"):
@@ -73,6 +76,14 @@ class RobotGraph:
         """The same graph seen from a frame in which its own origin is `shift`."""
         cov = se2.turned_covariance(shift[2], self.cov)
         return replace(self, pose=np.asarray(se2.compose(shift, self.pose)), cov=cov)
+
+    def way(self) -> tuple[Float[np.ndarray, " w"], Float[np.ndarray, "w 3"], Float[np.ndarray, "w 3 3"]]:
+        """Stamps, poses and covariances of keyframes and revisits, in order of time."""
+        t = np.concatenate([self.t, self.revisits.t])
+        order = np.argsort(t, kind="stable")
+        pose = np.concatenate([self.pose, self.revisits.poses(self.pose)])
+        cov = np.concatenate([self.cov, self.revisits.covariances(self.pose, self.cov)])
+        return t[order], pose[order], cov[order]
 
     def steps(self) -> PoseGraph:
         """The keyframes with the edges of scan odometry."""

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.records import Event, Scan
+from ..core.records import Event, Scan, frozen
 from ..core.run import Runner
 from ..core.workers import Progress, no_progress
 from ..kernels._jit import set_threads
@@ -33,6 +33,7 @@ class Feature:
 
 
 GEOMETRY = Feature("none", None)
+NO_RANGES, NO_HITS = frozen(np.zeros(0)), frozen(np.zeros(0), np.bool_)
 
 
 class _Begun:
@@ -68,7 +69,8 @@ class LaserSession:
     """The estimate of one robot while its scans come. `push` changes it; everything else leaves it as it is.
 
     Poses are in the frame of the first scan. infos: what became of every scan; scans: each without the returns of
-    things that move, which `moving` counts. One session belongs to one thread.
+    things that move, which `moving` counts, and without ranges where the graph does without them. One session belongs
+    to one thread.
     """
 
     def __init__(self, robot: str, cfg: LaserConfig, seed: int = 0, feature: Feature = GEOMETRY) -> None:
@@ -92,6 +94,8 @@ class LaserSession:
         info: ScanInfo = self._runner.push(replace(event, record=scan)).info
         self.scans.append(scan)
         self.infos.append(info)
+        for row in self.unneeded:
+            self.scans[row] = replace(self.scans[row], ranges=NO_RANGES, hit=NO_HITS, intensities=None)
         local = self._local()
         self._moved, self._last = se2.between(self._last, local), local
         self._odometry = record.odometry
@@ -113,6 +117,12 @@ class LaserSession:
         if isinstance(state, IcpState):
             return np.array(state.poses[-1])
         return np.array(state.local if isinstance(state, KeyframeOdometry) else state.odometry.pose)
+
+    @property
+    def unneeded(self) -> range:
+        """The scans whose ranges no map will need, as of the last push: their places are known well."""
+        state = self._state()
+        return state.unneeded if isinstance(state, GraphState) else range(0)
 
     @property
     def now(self) -> PoseEstimate:

@@ -49,11 +49,19 @@ class SubmapLoops:
     light: bool = False  # whether brightness takes part
     _submaps: dict[int, Submap] = field(default_factory=dict)
     _untried: list[int] = field(default_factory=list)
+    _came: int = 0
 
-    def offer(self, i: int) -> None:
-        """Keyframe `i` has come."""
-        if i and i % self.cfg.every == 0:
+    def offer(self, i: int) -> bool:
+        """Keyframe `i` has come; whether it is to be searched for."""
+        asked = self._came > 0 and self._came % self.cfg.every == 0
+        self._came += 1
+        if asked:
             self._untried.append(i)
+        return asked
+
+    def forget(self, first: int) -> None:
+        """Keyframes from number `first` on are others now: submaps around them are made anew."""
+        self._submaps = {k: submap for k, submap in self._submaps.items() if k < first}
 
     def step(self, graph: KeyframeGraph) -> None:
         """Keyframes that wait are searched for; what is found stands in `graph`."""

@@ -158,13 +158,14 @@ def _component(
 def _track(made: LaserMap, pose: Float[np.ndarray, "n 3"], cov: Float[np.ndarray, "n 3 3"]) -> Track:
     """The robot's way where its keyframes stand at `pose`: between them as in its own map."""
     graph, own = _graph(made), made.track
-    rows = np.searchsorted(own.t, graph.t)
-    moved = se2.compose(pose, se2.between(graph.pose, own.pose[rows]))
     placed = RobotGraph(
         **{name: getattr(graph, name) for name in RobotGraph.__slots__ if name not in {"pose", "cov"}},
         pose=pose,
         cov=cov,
     )
+    t, before, _ = graph.way()
+    rows = np.searchsorted(own.t, t)
+    moved = se2.compose(placed.way()[1], se2.between(before, own.pose[rows]))
     return Track(own.t, blended(own.pose, rows, moved), between_keyframes(own.t, placed), FRAME)
 
 

@@ -1,0 +1,122 @@
+"""Laps over laps: keyframes made where the map knows the place well leave the graph again.
+
+A graph of every keyframe grows with the way. Where the map holds many keyframes that look the same way, one more tells
+nothing new: the robot is found in the map, and the keyframes between two such findings leave. What they told is given
+up, never counted elsewhere: the graph knows less than it could and nothing that it should not. How the robot went stays
+as poses that hang on keyframes of the map (`Revisits`).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core import se2
+from ..core.config import config
+from .keyframe_graph import KeyframeGraph
+from .revisits import Revisits
+
+
+@config
+class KnownPlacesConfig:
+    """When a place is known so well that further keyframes there leave the graph."""
+
+    enough: int = 24  # keyframes of the map near one that look the same way, from earlier visits; 0: none ever leaves
+    near: float = 1.0  # [m] from it and
+    turn: float = 0.8  # [rad] in heading
+    far: float = 10.0  # [m] driven since the earlier visit at least
+
+
+Laying = Callable[[int, int], Float[np.ndarray, "c 3"]]
+"""The poses of solved keyframes, the first to the last, matched once more against those before them."""
+
+
+class Left(NamedTuple):
+    """Keyframes `first` to `last`, as they were numbered, are in the graph no more."""
+
+    first: int
+    last: int
+
+
+@dataclass(slots=True)
+class KnownPlaces:
+    """What is known of one robot's graph. `step` changes it and the graph.
+
+    Keyframes up to number `settled` are the map and stay. Those after it up to `checked` lie in places known well: only
+    the last of them are there, which the next search looks for. closures: how many left with their keyframes.
+    """
+
+    cfg: KnownPlacesConfig
+    settled: int = -1
+    checked: int = -1
+    closures: int = 0
+    _t: list[float] = field(default_factory=list)
+    _at: list[int] = field(default_factory=list)
+    _step: list[Float[np.ndarray, "3"]] = field(default_factory=list)
+    _cov: list[Float[np.ndarray, "3 3"]] = field(default_factory=list)
+
+    @property
+    def revisits(self) -> Revisits:
+        """The poses of the keyframes that left."""
+        shape = len(self._t)
+        return Revisits(
+            np.array(self._t),
+            np.array(self._at, np.int64),
+            np.array(self._step).reshape(shape, 3),
+            np.array(self._cov).reshape(shape, 3, 3),
+            self.closures,
+        )
+
+    def step(self, graph: KeyframeGraph, i: int, queried: int, lay: Laying) -> Left | None:
+        """Keyframe `i`, the graph's last one, was searched for, with the `queried` before it; which keyframes left.
+
+        When the map knows the places of all keyframes since the last search and one of the map's own was found again
+        here, those between the map and the `queried` leave, each as it is laid on the map. Else all stay for good.
+        """
+        if not self.cfg.enough:
+            return None
+        if not all(self._known(graph, k) for k in range(self.checked + 1, i + 1)):
+            self.settled = self.checked = i
+            return None
+        if not any(c.accepted and c.second == i and c.first <= self.settled for c in graph.closures[::-1]):
+            return None
+        first, last = self.settled + 1, i - queried - 1
+        self.checked = i
+        if first > last:
+            return None
+        if graph.due or graph.known <= last:
+            graph.solve()
+        self._keep(graph, first, last, lay(first, last))
+        self.closures += graph.leave(first, last)
+        self.checked -= last - first + 1
+        graph.solve()
+        return Left(first, last)
+
+    def _keep(self, graph: KeyframeGraph, first: int, last: int, laid: Float[np.ndarray, "c 3"]) -> None:
+        """Keyframes that are to leave hang on the nearest of the map, where they were laid."""
+        near = [self._nearest(graph, i) for i in range(first, last + 1)]
+        graph.prepare([*near, *range(first, last + 1)])
+        for k, i in zip(near, range(first, last + 1), strict=True):
+            cov = graph.relative(k, i)
+            assert cov is not None  # noqa: S101  (both are solved)
+            self._t.append(graph.nodes[i].t)
+            self._at.append(k)
+            self._step.append(np.asarray(se2.between(graph.pose[k], laid[i - first])))
+            self._cov.append(cov)
+
+    def _known(self, graph: KeyframeGraph, i: int) -> bool:
+        """Whether the map knows the place of keyframe `i` well."""
+        c, n = self.cfg, self.settled + 1
+        d = graph.pose[:n] - graph.pose[i]
+        near = (np.hypot(d[:, 0], d[:, 1]) < c.near) & (np.abs(se2.wrap_angle(d[:, 2])) < c.turn)
+        near &= graph.path[:n] < graph.path[i] - c.far
+        return int(near.sum()) >= c.enough
+
+    def _nearest(self, graph: KeyframeGraph, i: int) -> int:
+        """The keyframe of the map that lies nearest to keyframe `i`, looking about the same way if any does."""
+        n = self.settled + 1
+        d = graph.pose[:n] - graph.pose[i]
+        away = np.hypot(d[:, 0], d[:, 1]) + np.where(np.abs(se2.wrap_angle(d[:, 2])) < self.cfg.turn, 0.0, 1e3)
+        return int(np.argmin(away))
