@@ -135,6 +135,24 @@ def test_gross_outliers_are_left_out_when_asked_for():
     assert robust.chi2 / robust.dof < 1.2
 
 
+def test_the_verdict_of_moving_robots_is_configured_as_that_of_standing_ones(tmp_path):
+    swarm, known = made(0, robots=16, steps=15, outliers=0.05)
+    anchors = {swarm.table.ids[k]: p for k, p in known.items()}
+
+    def asked(**verdict):
+        path = tmp_path / "verdict.toml"
+        path.write_text("[swarm.verdict]\n" + "".join(f"{key} = {value}\n" for key, value in verdict.items()))
+        return mapweave.locate(swarm.table, anchors=anchors, method="robust", config=path)
+
+    usual = asked()
+    assert usual.reliable, usual.warnings
+    strict = asked(too_many=0.02)
+    assert not strict.reliable
+    assert any("too many" in text for text in strict.warnings)
+    assert np.array_equal(strict.track.tracks[5].position, usual.track.tracks[5].position)
+    assert not asked(doubt=0.9999).reliable
+
+
 def test_one_anchor_does_not_hold_the_scale_of_moving_robots():
     swarm, known = made(0, robots=9, steps=5)
     with pytest.raises(DataError, match="two anchors"):

@@ -12,7 +12,6 @@ from ..core.bearings import BearingTable
 from ..core.config import config as configuration
 from ..core.config import load
 from ..core.errors import DataError, UsageError
-from ..core.gaussian import chi2_quantile
 from ..core.records import Odometry
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..evaluation.swarm import StandingScore, score_moving, score_standing, scored_robots, true_places
@@ -28,6 +27,7 @@ from ..swarm.moving.result import SwarmTrack, TrackConfig
 from ..swarm.moving.smooth import smooth
 from ..swarm.network import Network
 from ..swarm.result import SwarmEstimate
+from ..swarm.verdict import chi2_warnings
 from .located import Located, Settings, standing_swarm
 from .moving_result import Moved
 from .swarm_input import Place, SwarmInput, is_team_log, prepare, read_truth
@@ -235,8 +235,8 @@ def _score(net: Network, estimate: SwarmEstimate, truth: SwarmTruth, *, bound: b
 def _stood_still(given: SwarmInput, settings: Settings, *, covariance: bool | None) -> Located | None:
     """The answer for robots that stand still, when the stamped sightings agree that they do."""
     located = _stand(given, settings, None, covariance=covariance)
-    enough = located.estimate.dof > 0 and located.estimate.chi2 <= chi2_quantile(0.999, float(located.estimate.dof))
-    return located if enough else None
+    e = located.estimate
+    return None if chi2_warnings(e.chi2, e.dof, settings.swarm.verdict) else located
 
 
 def _move(given: SwarmInput, settings: Settings, motion: TrackConfig | None, *, filtered: bool) -> Moved:

@@ -16,7 +16,7 @@ from ..report.swarm import MovedStory, write_moved_report
 from ..report.swarm_figures import tracks_figure
 from ..swarm.moving.result import SwarmTrack
 from ..swarm.result import Status
-from ..swarm.verdict import chi2_warnings
+from ..swarm.verdict import chi2_warnings, share_warnings
 from .located import NO_SCORE, Settings, counts, dropped_lines, head, sigma_text, write_rest
 from .swarm_input import SwarmInput
 
@@ -33,8 +33,17 @@ class Moved(ResultBase):
 
     @property
     def reliable(self) -> bool:
-        """Whether the smoothing converged and sightings are left over that agree with it."""
-        return self.track.converged and not chi2_warnings(self.track.chi2, self.track.dof)
+        """Whether the smoothing converged, and enough sightings agree with it as `[swarm.verdict]` asks."""
+        return self.track.converged and not self._doubts()
+
+    def _doubts(self) -> list[str]:
+        t, verdict = self.track, self.settings.swarm.verdict
+        doubts = share_warnings(t.outlier, verdict)
+        misfit = chi2_warnings(t.chi2, t.dof, verdict)
+        if misfit and t.dof > 0:
+            ratio = t.chi2 / t.dof
+            misfit = [f"residuals are {ratio:.3g} times what sigma and the motion model say: covariances are too small"]
+        return doubts + misfit
 
     @property
     def not_localisable(self) -> tuple[str, ...]:
@@ -46,13 +55,8 @@ class Moved(ResultBase):
         warnings = [*self.given.warnings, *self.track.warnings]
         if not self.track.converged:
             warnings.append("the smoothing did not converge")
-        elif self.track.dof <= 0:
-            warnings += chi2_warnings(self.track.chi2, self.track.dof)
-        elif not self.reliable:
-            ratio = self.track.chi2 / max(self.track.dof, 1)
-            warnings.append(
-                f"residuals are {ratio:.3g} times what sigma and the motion model say: covariances are too small"
-            )
+        else:
+            warnings += self._doubts()
         return tuple(warnings)
 
     @property

@@ -10,14 +10,23 @@ from .network import Network
 
 def trust_warnings(net: Network, outlier: np.ndarray, cfg: VerdictConfig = VERDICT) -> list[str]:
     """What stands against trusting which sightings were called wrong."""
+    beyond = share_warnings(outlier, cfg)
+    if beyond:
+        return beyond
     share = float(outlier.mean())
     share_text = f"{100 * share:.0f} % of the sightings were called wrong"
-    if share > cfg.too_many:
-        return [f"{share_text}: too many to say which ones"]
     single = 2 * len(mutual_pairs(net)[0]) < 0.5 * len(net.observer)
     if share > cfg.many and single:
         return [f"{share_text}; where robots are not sighted from both ends the rest cannot be told from them"]
     return []
+
+
+def share_warnings(outlier: np.ndarray, cfg: VerdictConfig = VERDICT) -> list[str]:
+    """What stands against telling wrong sightings from right ones where so many are called wrong."""
+    share = float(outlier.mean()) if len(outlier) else 0.0
+    if share <= cfg.too_many:
+        return []
+    return [f"{100 * share:.0f} % of the sightings were called wrong: too many to say which ones"]
 
 
 def fallen_warnings(net: Network, rows: np.ndarray) -> list[str]:
