@@ -7,7 +7,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from jaxtyping import install_import_hook
 
 from . import typecheck
 
@@ -30,7 +29,7 @@ if threading.current_thread() is threading.main_thread() and signal.getsignal(si
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 if os.environ.get("MAPWEAVE_TYPECHECK", "1") == "1":
-    install_import_hook([f"mapweave.{room}" for room in checked_rooms()], f"{typecheck.__name__}.checked")
+    typecheck.install([f"mapweave.{room}" for room in checked_rooms()])
 
 
 def pytest_addoption(parser):
@@ -47,6 +46,14 @@ def pytest_collection_modifyitems(config, items):
     if out:
         config.hook.pytest_deselected(items=out)
         items[:] = [item for item in items if item not in set(out)]
+
+
+def pytest_fixture_setup():
+    typecheck.begin()
+
+
+def pytest_runtest_call():
+    typecheck.begin()
 
 
 @pytest.fixture(scope="session")
