@@ -4,7 +4,8 @@
 
 Every format runs in a process of its own that may take 1 GB beyond what it starts with; an input that takes over 20 s,
 more memory, warns, leaves numbers that are not finite in a result, or raises anything but a MapweaveError is shrunk and
-kept. Prints the number of inputs and every finding; exit status 1 when there is one.
+kept. Prints the number of inputs, how many a second of processor time, and every finding; exit status 1 when there is
+one.
 """
 
 import argparse
@@ -18,6 +19,7 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +32,7 @@ from fuzz_mutations import mutate, smaller
 from mapweave.core.errors import MapweaveError
 
 MEMORY, TIME = 1 << 30, 20.0  # [bytes], [s]
+TOLD_EVERY = 100  # inputs
 Files = dict[str, bytes]
 
 
@@ -37,21 +40,26 @@ class TooLongError(Exception):
     """The reader took longer than TIME."""
 
 
-def put(folder: Path, files: Files) -> None:
-    shutil.rmtree(folder, ignore_errors=True)
+def put(folder: Path, files: Files, before: Files | None = None) -> None:
+    """`files` and nothing else lie in `folder`, which holds `before` or, where that is not told, anything."""
+    if before is None or before.keys() != files.keys():
+        shutil.rmtree(folder, ignore_errors=True)
+        before = {}
     for name, data in files.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
+        if before.get(name) != data:
+            path = folder / name
+            if name not in before:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
 
 
-def verdict(read: Callable[[Path], object], folder: Path, files: Files) -> str:
+def stop(*_: object) -> None:
+    raise TooLongError
+
+
+def verdict(read: Callable[[Path], object], folder: Path, files: Files, before: Files | None = None) -> str:
     """Empty when all is well, else what went wrong and where."""
-    put(folder, files)
-
-    def stop(*_: object) -> None:
-        raise TooLongError
-
+    put(folder, files, before)
     signal.signal(signal.SIGALRM, stop)
     resource.setrlimit(resource.RLIMIT_AS, (address_space() + MEMORY, resource.RLIM_INFINITY))
     signal.setitimer(signal.ITIMER_REAL, TIME)
@@ -90,32 +98,30 @@ def shrunk(read: Callable[[Path], object], folder: Path, files: Files, told: str
     return files
 
 
-def worked(name: str, seed: int, inputs: int, seconds: float, keep: Path, pipe: object) -> None:
-    """Sends ("input", bytes so far) before and ("found", what, where) after; ends with ("done", how many)."""
-    work = Path(tempfile.mkdtemp(prefix=f"fuzz-{name}-"))
-    try:
-        read, seeds = fuzz_formats.FORMATS[name]
-        held = seeds(work / "seeds")
-        for files in held:
-            if told := verdict(read, work / "in", files):
-                pipe.send(("found", f"as it is: {told}", ""))
-        rng = np.random.default_rng([seed, *name.encode()])
-        start, seen, k = time.monotonic(), set(), 0
-        while k < inputs and time.monotonic() - start < seconds:
-            files = mutate(held[int(rng.integers(len(held)))], rng)
-            k += 1
-            told = verdict(read, work / "in", files)
-            place = told.split(": ")[0]
-            if told and place not in seen:
-                seen.add(place)
-                files = shrunk(read, work / "in", files, told)
-                where = keep / f"{name}-{len(seen)}"
-                put(where, files)
-                pipe.send(("found", told, str(where)))
+def worked(name: str, seed: int, inputs: int, seconds: float, keep: Path, work: Path, pipe: object) -> None:
+    """Sends ("input", how many) now and then and ("found", what, where); ends with ("done", how many, seconds)."""
+    read, seeds = fuzz_formats.FORMATS[name]
+    held = seeds(work / "seeds")
+    for files in held:
+        if told := verdict(read, work / "in", files):
+            pipe.send(("found", f"as it is: {told}", ""))
+    rng = np.random.default_rng([seed, *name.encode()])
+    start, seen, k, used, before = time.monotonic(), set(), 0, time.process_time(), None
+    while k < inputs and time.monotonic() - start < seconds:
+        files = mutate(held[int(rng.integers(len(held)))], rng)
+        k += 1
+        told = verdict(read, work / "in", files, before)
+        before = files
+        place = told.split(": ")[0]
+        if told and place not in seen:
+            seen.add(place)
+            files = shrunk(read, work / "in", files, told)
+            where, before = keep / f"{name}-{len(seen)}", None
+            put(where, files)
+            pipe.send(("found", told, str(where)))
+        if k % TOLD_EVERY == 0:
             pipe.send(("input", k, ""))
-        pipe.send(("done", k, ""))
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
+    pipe.send(("done", k, f"{time.process_time() - used:.3f}"))
 
 
 def address_space() -> int:
@@ -123,25 +129,40 @@ def address_space() -> int:
     return pages * resource.getpagesize()
 
 
-def run(name: str, seed: int, inputs: int, seconds: float, keep: Path) -> tuple[int, list[tuple[str, str]]]:
-    """How many inputs format `name` was given, and what was found with where it is kept."""
+@dataclass(frozen=True)
+class Outcome:
+    """Of one format: how many inputs, in how many seconds of processor time, and what was found with where it lies."""
+
+    done: int
+    seconds: float
+    found: list[tuple[str, str]]
+
+
+def run(name: str, seed: int, inputs: int, seconds: float, keep: Path) -> Outcome:
     context = multiprocessing.get_context("fork")
     ours, theirs = context.Pipe(duplex=False)
-    child = context.Process(target=worked, args=(name, seed, inputs, seconds, keep, theirs))
+    memory = Path("/dev/shm")  # noqa: S108  (a folder of our own is made there)
+    work = Path(tempfile.mkdtemp(prefix=f"fuzz-{name}-", dir=memory if memory.is_dir() else None))
+    child = context.Process(target=worked, args=(name, seed, inputs, seconds, keep, work, theirs))
     child.start()
     theirs.close()
-    done, found = 0, []
-    for kind, what, where in received(ours):
-        if kind == "found":
-            found.append((what, where))
+    done, used, found = 0, 0.0, []
+    try:
+        for kind, what, where in received(ours):
+            if kind == "found":
+                found.append((what, where))
+            else:
+                done = int(what)
+                if kind == "done":
+                    used = float(where)
+                    break
         else:
-            done = int(what)
-            if kind == "done":
-                break
-    else:
-        found.append((f"the process died after {done} inputs", ""))
-    child.join()
-    return done, found
+            shutil.copytree(work / "in", keep / f"{name}-fatal", dirs_exist_ok=True)
+            found.append((f"the process died after {done} inputs", str(keep / f"{name}-fatal")))
+    finally:
+        child.join()
+        shutil.rmtree(work, ignore_errors=True)
+    return Outcome(done, used, found)
 
 
 def received(pipe: object) -> Iterator[tuple[str, object, str]]:
@@ -160,17 +181,19 @@ def main() -> None:
     parser.add_argument("--format", action="append", choices=sorted(fuzz_formats.FORMATS))
     parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "mapweave-fuzz")
     given = parser.parse_args()
+    fuzz_formats.compile_messages_once()
     names = given.format or sorted(fuzz_formats.FORMATS)
     seconds = np.inf if given.seconds is None else given.seconds / len(names)
     inputs = given.inputs or (10**12 if given.seconds else 200)
-    total, wrong = 0, 0
+    total, used, wrong = 0, 0.0, 0
     for name in names:
-        done, found = run(name, given.seed, inputs, seconds, given.keep)
-        total, wrong = total + done, wrong + len(found)
-        print(f"{name}: {done} inputs, {len(found)} findings", flush=True)
-        for what, where in found:
+        made = run(name, given.seed, inputs, seconds, given.keep)
+        total, used, wrong = total + made.done, used + made.seconds, wrong + len(made.found)
+        rate = f"{made.done / max(made.seconds, 1e-3):.0f} a second"
+        print(f"{name}: {made.done} inputs, {rate}, {len(made.found)} findings", flush=True)
+        for what, where in made.found:
             print(f"  {what}  {where}", flush=True)
-    print(f"{total} inputs over {len(names)} formats, {wrong} findings")
+    print(f"{total} inputs over {len(names)} formats in {used:.0f} s of processor time, {wrong} findings")
     sys.exit(1 if wrong else 0)
 
 

@@ -4,6 +4,7 @@ import dataclasses
 import gzip
 import json
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +38,7 @@ from mapweave.team.team_map import TeamMap
 
 Files = dict[str, bytes]
 Reader = Callable[[Path], object]
+KEPT = 2000  # message definitions
 MAY_BE_NAN = {"sigma", "heading", "n_eff", "intensities", "range_max", "residual_by_range"}
 
 
@@ -74,6 +76,46 @@ def one(folder: Path) -> Path:
 def track(n: int = 6) -> Track:
     t = np.arange(float(n))
     return Track(t, np.column_stack([0.3 * t, 0.1 * t, 0.05 * t]), np.tile(0.01 * np.eye(3), (n, 1, 1)))
+
+
+def compile_messages_once() -> None:
+    """What the bag library makes of message definitions, anew for every recording it opens, is kept by its text."""
+    from rosbags.highlevel import anyreader
+    from rosbags.serde import utils
+    from rosbags.typesys import store
+
+    from mapweave.io import bag
+
+    made: dict[str, dict[str, object]] = {}
+
+    def run(text: str, names: dict[str, object]) -> None:
+        if text not in made:
+            whole = dict(names)
+            exec(text, whole)  # noqa: S102  (as the library does)
+            if len(made) > KEPT:
+                made.clear()
+            made[text] = whole
+        names.update(made[text])
+
+    for module in (utils, store):
+        module.exec = run  # type: ignore[attr-defined]
+
+    definitions: dict[tuple[str, frozenset], object] = {}
+    build = store.Typestore.get_msgdef
+
+    def definition(self: store.Typestore, name: str) -> object:
+        if name not in self.cache:
+            key = name, frozenset(self.types.items())
+            if key not in definitions:
+                if len(definitions) > KEPT:
+                    definitions.clear()
+                definitions[key] = build(self, name)
+            self.cache[name] = definitions[key]
+        return self.cache[name]
+
+    store.Typestore.get_msgdef = definition
+    parse = lru_cache(KEPT)(anyreader.get_types_from_msg)
+    anyreader.get_types_from_msg = bag.get_types_from_msg = parse
 
 
 # ---- landmark logs
@@ -132,28 +174,26 @@ def csv_folder() -> Files:
 
 def carmen() -> Files:
     rows = []
-    for k in range(12):
+    for k in range(4):
         x = 0.1 * k
-        ranges = " ".join(f"{2 + 0.01 * (k + b):.2f}" for b in range(36))
+        ranges = " ".join(f"{2 + 0.01 * (k + b):.2f}" for b in range(8))
         rows.append(f"ODOM {x} 0 0.01 0.1 0 0 {k}.0 host {k}.0")
-        rows.append(f"FLASER 36 {ranges} {x + 0.1} 0 0.01 {x} 0 0.01 {k}.5 host {k}.5")
-        light = " ".join(str(100 + b) for b in range(36))
+        rows.append(f"FLASER 8 {ranges} {x + 0.1} 0 0.01 {x} 0 0.01 {k}.5 host {k}.5")
+        light = " ".join(str(100 + b) for b in range(8))
         rows.append(
-            f"ROBOTLASER1 0 -1.57 3.14 0.0897 80 0.01 0 36 {ranges} 36 {light} {x} 0 0 {x} 0 0 0 0 0 0 0 {k}.6 h {k}"
+            f"ROBOTLASER1 0 -1.57 3.14 0.448 80 0.01 0 8 {ranges} 8 {light} {x} 0 0 {x} 0 0 0 0 0 0 0 {k}.6 h {k}"
         )
     return {"log.clf": "\n".join(rows).encode() + b"\n"}
 
 
 def stampless() -> Files:
-    rows = [
-        f"Odometry {0.1 * k} 0 0\nLaser 36 " + " ".join(f"{2 + 0.01 * b:.2f}" for b in range(36)) for k in range(10)
-    ]
+    rows = [f"Odometry {0.1 * k} 0 0\nLaser 8 " + " ".join(f"{2 + 0.01 * b:.2f}" for b in range(8)) for k in range(4)]
     return {"log.log": "\n".join(rows).encode() + b"\n"}
 
 
 def wheel_ticks() -> Files:
     ranges = " ".join(str(900 + b) for b in range(120))
-    rows = [f"{100_000 * k} 0 {50 * k} {52 * k} {'0 ' * 20}{ranges} 0" for k in range(8)]
+    rows = [f"{100_000 * k} 0 {50 * k} {52 * k} {'0 ' * 20}{ranges} 0" for k in range(3)]
     return {"exp.dat": "\n".join(rows).encode() + b"\n"}
 
 

@@ -11,10 +11,13 @@ import numpy as np
 
 Files = dict[str, bytes]
 EVIL = (
-    *("1e308", "-1e308", "1e999", "nan", "-inf", "0", "-0", "-1", "1e-320", "0.5", "2147483648", "9" * 25, "9" * 5000),
-    *("", " ", "x", "0x10", "1_0", "\u0661", '"', "'", "#", "a,b", "[" * 10_000, "w" * 200_000, "\x00", "\x1b[31m"),
+    *("1e308", "-1e308", "1e999", "nan", "-inf", "0", "-0", "-1", "1e-320", "0.5", "2147483648", "9" * 25),
+    *("", " ", "x", "0x10", "1_0", "\u0661", '"', "'", "#", "a,b", "\x00", "\x1b[31m"),
     *("../../x", "<script>alert(1)</script>", "$\\frac{", "robot1", "NaN", "null", "true", "1" + "0" * 400, "-5e18"),
 )
+ENDLESS = ("9" * 5000, "[" * 10_000, "w" * 200_000)
+RARE = 0.004  # share of the damage that makes something large, which takes long to write and to read
+BOMB = 300_000_000  # bytes that an archive unpacks to
 LARGEST = 1 << 22  # letters of a text that was blown up
 NODES = (None, True, -1, 0, 1e308, float("nan"), 10**30, "", "x", "../x", [], {}, [[]], {"a": 1}, [1, "b", None])
 SIZES = (0, 1, 0x7F, 0xFF, 0x7FFFFFFF, 0xFFFFFFFF, 0xFFFFFFF0, 0x40000000)
@@ -92,9 +95,9 @@ def _text(data: bytes, rng: np.random.Generator) -> bytes:
             k = int(rng.integers(len(lines)))
             lines[k] = _fields(lines[k], rng)
     elif how == 8:
-        lines[k] = (lines[k] * int(rng.integers(2, 3000)))[:LARGEST]
+        lines[k] = (lines[k] * int(rng.integers(2, 3000 if rng.random() < RARE * 10 else 40)))[:LARGEST]
     else:
-        lines = [EVIL[int(rng.integers(len(EVIL)))] if rng.random() < 0.1 else line for line in lines]
+        lines = [_evil(rng) if rng.random() < 0.1 else line for line in lines]
     text = ("\r\n" if rng.random() < 0.1 else "\n").join(lines)
     text = text[:LARGEST]
     return (b"\xef\xbb\xbf" if rng.random() < 0.05 else b"") + text.encode("utf-8", "replace")
@@ -104,7 +107,7 @@ def _fields(line: str, rng: np.random.Generator) -> str:
     mark = "," if "," in line else "\t" if "\t" in line else " "
     words = line.split(mark)
     k = int(rng.integers(len(words)))
-    evil = EVIL[int(rng.integers(len(EVIL)))]
+    evil = _evil(rng)
     how = int(rng.integers(5))
     if how == 0:
         del words[k]
@@ -113,6 +116,11 @@ def _fields(line: str, rng: np.random.Generator) -> str:
     else:
         words[k] = evil
     return mark.join(words)
+
+
+def _evil(rng: np.random.Generator) -> str:
+    words = ENDLESS if rng.random() < 2 * RARE else EVIL
+    return words[int(rng.integers(len(words)))]
 
 
 def _json(data: bytes, rng: np.random.Generator) -> bytes:
@@ -146,8 +154,8 @@ def _gzip(data: bytes, rng: np.random.Generator) -> bytes:
         text = gzip.decompress(data)
     except (OSError, EOFError, ValueError, zlib.error):
         return _bytes(data, rng)
-    if rng.random() < 0.02:
-        return gzip.compress(text + bytes(b"0 " * 150_000_000), 1)
+    if rng.random() < RARE / 4:
+        return gzip.compress(text + bytes(b"0 " * (BOMB // 2)), 1)
     return gzip.compress(_text(text, rng), 1)
 
 
@@ -192,10 +200,10 @@ def _array(data: bytes, rng: np.random.Generator) -> bytes:
         fields = {"descr": np.lib.format.dtype_to_descr(values.dtype), "fortran_order": False, "shape": shape}
         np.lib.format.write_array_header_1_0(out, fields)
         return out.getvalue() + data[128:]
-    if how == 1 and rng.random() < 0.05:
-        fields = {"descr": "<f8", "fortran_order": False, "shape": (300_000_000,)}
+    if how == 1 and rng.random() < RARE / 2:
+        fields = {"descr": "<f8", "fortran_order": False, "shape": (BOMB,)}
         np.lib.format.write_array_header_1_0(out, fields)
-        return out.getvalue() + bytes(300_000_000)
+        return out.getvalue() + bytes(BOMB)
     if how == 2:
         values = values.ravel()[: int(rng.integers(values.size + 1))]
     elif how == 3:
