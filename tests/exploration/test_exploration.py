@@ -37,6 +37,8 @@ from mapweave.fusion.handover import Handover, hand_over
 from mapweave.landmarks.landmark_map import Submap, known_starts
 from mapweave.landmarks.submap_slam import SubmapConfig
 
+from .fresh import workers
+
 
 def mission(planner="paper", association="known", until="landmarks", noise=CALIBRATED, **more):
     own = {k: more.pop(k) for k in ("robots", "kills", "drop") if k in more}
@@ -53,15 +55,17 @@ def mean(runs, name):
 
 
 def runs_of(what, runs, initializer=None, seed=0):
-    """Scores of many runs from fresh processes, where the tests' shape checks are off: they cost minutes here."""
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn"), initializer=initializer) as workers:
-        return [explore_many(m, runs, seed, workers) for m in what]
+    """Scores of many runs from fresh processes, where the tests' shape checks are off."""
+    if initializer is None:
+        return [explore_many(m, runs, seed, workers()) for m in what]
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn"), initializer=initializer) as own:
+        return [explore_many(m, runs, seed, own) for m in what]
 
 
 @pytest.mark.slow
 @pytest.mark.eq("Yuan09:20", "Yuan09:21")
 def test_the_papers_planner_finishes_every_run_within_its_figures():
-    two, one = runs_of([mission(), mission(robots=1)], 30)
+    two, one = runs_of([mission(), mission(robots=1)], 12)
     assert all(r.finished for r in two + one)
     assert mean(two, "steps") <= 330
     assert mean(two, "map_error") <= 0.40
@@ -85,7 +89,7 @@ def test_without_the_escape_no_run_ends():
 
 @pytest.mark.slow
 def test_coverage_and_loops_beat_the_papers_planner():
-    cover, loop, alone = runs_of([mission("coverage"), mission("loop"), mission("loop", robots=1)], 30)
+    cover, loop, alone = runs_of([mission("coverage"), mission("loop"), mission("loop", robots=1)], 12)
     assert all(r.finished for r in cover + loop)
     assert mean(cover, "steps") <= 205
     assert max(r.steps for r in cover) <= 260
@@ -120,7 +124,7 @@ def count_twice():
 
 @pytest.mark.slow
 def test_the_map_is_consistent_and_counting_twice_is_noticed():
-    (honest,) = runs_of([mission(until=200)], 50)
+    (honest,) = runs_of([mission(until=200)], 24)
     assert 0.90 <= mean(honest, "nees_per_dof") <= 1.15
     (doubled,) = runs_of([mission(until=200)], 8, initializer=count_twice)
     assert mean(doubled, "nees_per_dof") > 1.3
@@ -128,13 +132,13 @@ def test_the_map_is_consistent_and_counting_twice_is_noticed():
 
 @pytest.mark.slow
 def test_with_the_printed_noise_robots_that_get_lost_find_back():
-    (runs,) = runs_of([mission(noise=1.0, max_steps=1000)], 30)
+    (runs,) = runs_of([mission(noise=1.0, max_steps=1000)], 12)
     assert sum(r.finished for r in runs) >= 0.95 * len(runs)
 
 
 @pytest.mark.slow
 def test_a_robot_that_dies_leaves_no_landmark_missed_and_an_honest_map():
-    (runs,) = runs_of([mission("coverage", kills={1: 100})], 30)
+    (runs,) = runs_of([mission("coverage", kills={1: 100})], 12)
     assert sum(r.finished for r in runs) >= 0.95 * len(runs)
     assert all(r.missed == 0 for r in runs if r.finished)
     assert mean(runs, "nees_per_dof") <= 1.3
@@ -143,7 +147,7 @@ def test_a_robot_that_dies_leaves_no_landmark_missed_and_an_honest_map():
 @pytest.mark.slow
 @pytest.mark.parametrize("planner", ["coverage", "loop"])
 def test_a_map_of_unknown_landmarks_is_as_honest_as_one_of_known(planner):
-    known, unknown = runs_of([mission(planner), mission(planner, "jcbb")], 20)
+    known, unknown = runs_of([mission(planner), mission(planner, "jcbb")], 10)
     assert all(r.finished for r in unknown)
     assert mean(unknown, "nees_per_dof") <= 1.2
     assert max(r.nees_per_dof for r in unknown) <= 3
@@ -177,7 +181,7 @@ def test_close_landmarks_exchanged_and_a_lone_pair_far_off_leave_the_map_honest(
 
 @pytest.mark.slow
 def test_one_of_four_dead_at_a_third_leaves_every_map_honest():
-    (runs,) = runs_of([mission("loop", robots=4, kills={1: 33})], 30)
+    (runs,) = runs_of([mission("loop", robots=4, kills={1: 33})], 12)
     assert all(r.finished for r in runs)
     assert all(r.missed == 0 for r in runs)
     assert mean(runs, "nees_per_dof") <= 1.3

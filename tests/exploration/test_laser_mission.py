@@ -2,8 +2,6 @@
 
 import csv
 import json
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 
 import numpy as np
 import pytest
@@ -13,6 +11,8 @@ from mapweave.core.errors import ConfigError, DataError, EstimateError, ReaderEr
 from mapweave.exploration.laser.experiment import LaserMission, explore_laser_once, start
 from mapweave.exploration.laser.scenario import find_laser_scenario
 from mapweave.io.laser_logs import read_laser
+
+from .fresh import workers
 
 # Two rooms of 6 x 5 m and a door of 1 m; in the right one a cell whose entrance is too narrow.
 ROOMS = """
@@ -37,9 +37,8 @@ def rooms(tmp_path):
 
 
 def in_a_fresh_process(function, *arguments):
-    """Where the tests' shape checks are off: they cost minutes here."""
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as worker:
-        return worker.submit(function, *arguments).result()
+    """Where the tests' shape checks are off."""
+    return workers().submit(function, *arguments).result()
 
 
 def whole_office(area, robots, seed):
