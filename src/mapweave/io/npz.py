@@ -110,9 +110,17 @@ def _array(
     if len(data) < size:
         raise _WrongError(f"{size} bytes promised, found {len(data)}")
     values = np.frombuffer(data, dtype).reshape(shape, order="F" if columns_first else "C")
+    if dtype.kind == "U" and not _is_text(values):
+        raise _WrongError("expected text, found what is no letter")
     if spec is not None and spec[0] == "number" and not np.isfinite(values).all():
         raise _WrongError("expected finite numbers")
     return values
+
+
+def _is_text(values: np.ndarray) -> bool:
+    """Whether every letter of `values` is one that a file can be written with."""
+    letters = np.ascontiguousarray(values).view(f"{values.dtype.byteorder}u4")
+    return bool(((letters < 0xD800) | ((letters > 0xDFFF) & (letters <= 0x10FFFF))).all())
 
 
 def _check_type(dtype: np.dtype[Any], shape: tuple[int, ...], spec: Spec | None, sizes: dict[str, int]) -> None:
