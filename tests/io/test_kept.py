@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -125,13 +124,31 @@ def test_old_parts_that_nobody_came_back_for_are_removed(store):
     assert not old.exists()
 
 
-def exploring(out, cache):
+AT_ONCE = "import mapweave.io.kept as kept; kept.LEAST = 0.0\n"
+WAITS_AFTER_THREE = """
+import sys
+
+write, written = kept._Keeper._write, []
+
+
+def wait_after_three(self, name, value):
+    write(self, name, value)
+    written.append(name)
+    if len(written) == 3:
+        print("three are kept", flush=True)
+        sys.stdin.readline()
+
+
+kept._Keeper._write = wait_after_three
+"""
+
+
+def exploring(out, cache, *, waits=False):
     words = ["explore", "yuan", "--runs", "8", "--until", "3", "--out", str(out)]
-    code = f"import mapweave.io.kept as kept; kept.LEAST = 0.0\nfrom mapweave.cli import main; main({words!r})"
+    code = AT_ONCE + WAITS_AFTER_THREE * waits + f"from mapweave.cli import main; main({words!r})"
     env = {**os.environ, "MAPWEAVE_CACHE_DIR": str(cache)}
-    return subprocess.Popen(  # noqa: S603
-        [sys.executable, "-c", code], env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    return subprocess.Popen([sys.executable, "-c", code], env=env, text=True, **pipes)  # noqa: S603
 
 
 def told_of(out):
@@ -154,10 +171,8 @@ def undisturbed(tmp_path_factory):
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
 def test_runs_that_were_killed_or_interrupted_go_on_to_the_same_result(tmp_path, how, undisturbed):
     cache = tmp_path / "cache" / "parts"
-    going = exploring(tmp_path / "out", tmp_path / "cache")
-    until = time.monotonic() + 60
-    while time.monotonic() < until and len(list(cache.glob("[!.]*"))) < 3:
-        time.sleep(0.002)
+    going = exploring(tmp_path / "out", tmp_path / "cache", waits=True)
+    assert going.stdout.readline() == "three are kept\n"
     going.send_signal(how)
     _, err = going.communicate(timeout=60)
     assert not (tmp_path / "out").exists()
@@ -165,7 +180,7 @@ def test_runs_that_were_killed_or_interrupted_go_on_to_the_same_result(tmp_path,
         assert going.returncode == 130
         assert err.startswith("mapweave: interrupted; ")
         assert err.endswith(" finished parts are kept: the same command goes on from there\n")
-    assert len(list(cache.glob("[!.]*"))) >= 3
+    assert len(list(cache.glob("[!.]*"))) == 3
     again = exploring(tmp_path / "out", tmp_path / "cache")
     assert again.communicate(timeout=120)[1] == "going on with the finished parts of a run that was stopped\n"
     assert list(cache.iterdir()) == []
