@@ -388,6 +388,19 @@ def test_a_row_that_announces_no_count_of_ranges_is_told(tmp_path, said):
         read_laser(tmp_path / "a.log")
 
 
+@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
+def test_a_message_type_that_no_program_can_be_made_of_is_damage(tmp_path, suffix):
+    path = usual(tmp_path / f"a{suffix}", n=3).write()
+    whole = path.read_bytes()
+    assert b"MSG: std_msgs/" in whole
+    path.write_bytes(whole.replace(b"MSG: std_msgs/", b"MSG: 3td_msgs/"))
+    if suffix == ".mcap":  # ROS 2 types of that name are known
+        assert len(read_laser(path).scans) == 3
+        return
+    with pytest.raises(DataError, match="no laser scan in it"):
+        read_laser(path)
+
+
 def test_an_error_is_one_line_whatever_the_file_is_called():
     assert "\n" not in str(ReaderError("a\nb", "expected\nmuch"))
     assert isinstance(ReaderError("a", "b"), MapweaveError)

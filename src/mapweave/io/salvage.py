@@ -34,7 +34,7 @@ LARGEST_CHUNK, LARGEST_RATIO = 1 << 28, 200  # [bytes] unpacked; bytes unpacked 
 DAMAGE = (
     *(OSError, ValueError, LookupError, TypeError, AttributeError, AssertionError, ArithmeticError, EOFError),
     *(RuntimeError, MemoryError, struct.error, zlib.error, apsw.Error, sqlite3.Error, LZ4BlockError, zstd.ZstdError),
-    *(AnyReaderError, Bag1Error, Bag2Error, SerdeError, TypesysError),
+    *(AnyReaderError, Bag1Error, Bag2Error, SerdeError, TypesysError, SyntaxError),
 )
 
 
