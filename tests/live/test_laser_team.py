@@ -13,7 +13,7 @@ from mapweave.api.simulate_laser import simulate_laser
 from mapweave.core.errors import UsageError
 from mapweave.laser.config import LaserConfig
 from mapweave.live.laser_robot import LaserRobot
-from mapweave.live.laser_stream import LaserRecord, beams_of, messages_of_laser, scan_of, squeeze, stretch, whole_log
+from mapweave.live.laser_stream import LaserRecord, beams_of, messages_of_laser, scan_of, whole_log
 from mapweave.live.messages import LARGEST, RefusedError, Rows, Scans, decode, encode
 from mapweave.live.sources import open_source
 from mapweave.sim.corridor import CorridorConfig
@@ -56,40 +56,6 @@ def test_a_laser_log_is_the_same_to_the_bit_once_told(period):
             )  # fmt: skip
         if log.odometry is not None:
             assert got.odometry.pose.tobytes() == log.odometry.pose.tobytes()
-
-
-@pytest.mark.parametrize(
-    ("values", "kind"),
-    [
-        (np.array([1.234, -5.0, 0.0]), b"m"),
-        (np.float32([1.1, 2.2, 3.3]).astype(float), b"f"),
-        (np.array([1 / 3, 2.0]), b"d"),
-        (np.array([1e12, 0.001]), b"d"),
-        (np.zeros(0), b"m"),
-    ],
-)
-def test_numbers_are_told_as_short_as_they_allow_and_to_the_bit(values, kind):
-    data = squeeze(values)
-    assert data[:1] == kind
-    assert stretch(data, len(values)).tobytes() == values.tobytes()
-
-
-@pytest.mark.parametrize(
-    ("data", "n"),
-    [
-        (b"", 1),
-        (b"x123", 1),
-        (b"dnothing packed", 1),
-        (squeeze(np.ones(3)), 4),
-        (squeeze(np.ones(3)), 2),
-        (squeeze(np.zeros(1_000_000)), 10),
-        (squeeze(np.array([np.inf])), 1),
-        (squeeze(np.ones(3))[:-4], 3),
-    ],
-)
-def test_columns_that_are_not_what_they_say_are_refused(data, n):
-    with pytest.raises(RefusedError, match="malformed"):
-        stretch(data, n)
 
 
 def test_scans_that_contradict_what_was_announced_are_refused():

@@ -9,7 +9,7 @@ from mapweave.landmarks.growing import growing_maps
 from mapweave.live.columns import pack, pack_triangle, unpack, unpack_triangle
 from mapweave.live.landmark_robot import LandmarkRobot
 from mapweave.live.landmark_stream import LandmarkRecord
-from mapweave.live.messages import LARGEST, Closed, RefusedError, Rows, Snapshot, Status, decode, encode
+from mapweave.live.messages import LARGEST, PROTOCOL, Closed, RefusedError, Rows, Snapshot, Status, decode, encode
 
 from .teams import messages, team
 
@@ -72,7 +72,7 @@ def test_a_sound_message_is_taken(kind):
 @pytest.mark.parametrize(
     ("kind", "change", "reason"),
     [
-        ("rows", {"v": 2}, "version"),
+        ("rows", {"v": PROTOCOL - 1}, "version"),
         ("rows", {"v": "new"}, "malformed"),
         ("rows", {"seq": 0}, "malformed"),
         ("rows", {"drive": b"123"}, "malformed"),

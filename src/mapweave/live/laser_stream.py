@@ -1,6 +1,5 @@
 """A laser log as numbered messages, and numbered messages as a laser log: the same scans, to the bit."""
 
-import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,10 +11,10 @@ from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
 from .columns import pack, unpack
 from .messages import LARGEST, Beams, Closed, Header, Numbered, RefusedError, Scans
+from .squeezed import squeeze, stretch
 
 MOST_BEAMS = 100_000  # of one scan
 MOST_BYTES = LARGEST // 2  # of the scans in one message; a packet of more is split
-MILLIMETRES = 1000.0
 
 
 def messages_of_laser(log: LaserLog, robot: str, run: str, period: float) -> Iterator[tuple[float, Numbered]]:
@@ -84,9 +83,9 @@ def scan_of(beams: Beams) -> Scan:
     if not 0 <= n <= MOST_BEAMS or len(hit) != 8 * ((n + 7) // 8):
         raise RefusedError("malformed", f"{n} beams, {len(hit)} marks of returns")
     return Scan(
-        frozen(stretch(beams.ranges, n)),
+        stretch(beams.ranges, n),
         frozen(hit[:n], dtype=bool),
-        None if beams.light is None else frozen(stretch(beams.light, n)),
+        None if beams.light is None else stretch(beams.light, n),
         beams.angle_min,
         beams.angle_increment,
         beams.range_max,
@@ -94,41 +93,6 @@ def scan_of(beams: Beams) -> Scan:
         beams.host,
         None if beams.odometry is None else frozen(beams.odometry),
     )
-
-
-def squeeze(values: Float[np.ndarray, " n"]) -> bytes:
-    """The numbers to the bit, as short as they allow: a letter for how they are told, then a zlib stream of it.
-
-    m: whole thousandths as int32; f: float32; d: float64; all little-endian.
-    """
-    whole = np.rint(values * MILLIMETRES)
-    if (np.abs(whole) < 2**31).all() and np.array_equal(whole / MILLIMETRES, values):
-        kind, data = b"m", whole.astype("<i4").tobytes()
-    elif np.array_equal(values.astype("<f4").astype(float), values):
-        kind, data = b"f", values.astype("<f4").tobytes()
-    else:
-        kind, data = b"d", values.astype("<f8").tobytes()
-    return kind + zlib.compress(data, 6)
-
-
-def stretch(data: bytes, n: int) -> Float[np.ndarray, " n"]:
-    """The n numbers of `squeeze`; raises RefusedError when they are not n or not finite."""
-    kinds = {b"m": "<i4", b"f": "<f4", b"d": "<f8"}
-    kind = kinds.get(data[:1])
-    if kind is None:
-        raise RefusedError("malformed", "a column of no known kind")
-    expected = n * np.dtype(kind).itemsize
-    try:
-        stream = zlib.decompressobj()
-        raw = stream.decompress(data[1:], expected + 1)
-    except zlib.error as error:
-        raise RefusedError("malformed", f"a column that cannot be unpacked: {error}") from None
-    if len(raw) != expected or stream.unconsumed_tail or not stream.eof:
-        raise RefusedError("malformed", f"a column that does not hold {n} numbers")
-    values = np.frombuffer(raw, kind).astype(float)
-    if not np.isfinite(values).all():
-        raise RefusedError("malformed", "a number that is not finite")
-    return values / MILLIMETRES if kind == "<i4" else values
 
 
 @dataclass(slots=True)

@@ -14,7 +14,7 @@ import msgspec
 from ..core.errors import DataError
 from .tile_bytes import SIDE, is_tile
 
-PROTOCOL = 1
+PROTOCOL = 2
 LARGEST = 1 << 20  # bytes of a message: beyond, it is refused unread
 LONGEST_NAME = 64
 MOST_LEVELS = 16  # of tiles
@@ -64,7 +64,7 @@ class Rows(_Message, tag="rows", frozen=True):
 
 
 class Beams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One scan of n beams. ranges, light: numbers as `laser_stream.squeeze` packs them; hit: a bit a beam, the first
+    """One scan of n beams. ranges, light: numbers as `squeezed.squeeze` packs them; hit: a bit a beam, the first
     the highest of its byte; mount: `T_robot_sensor`; odometry: `T_odom_robot` at `t`.
     """
 
