@@ -49,7 +49,6 @@ def test_fifty_robots_stand_on_the_page_and_words_stay_words(tmp_path):
         end = time.monotonic() + 60
         while not board.readers and time.monotonic() < end:
             time.sleep(0.1)
-        time.sleep(0.5)
     page = browser.communicate(timeout=60)[0]  # drawn once nothing is under way any more
     rows = re.findall(r"<tr.*?</tr>", page.split('id="robots"')[1].split("</tbody>")[0])
     assert len(rows) == 50
@@ -97,29 +96,59 @@ def test_a_square_of_the_map_is_named_in_an_event_and_fetched_on_its_own():
                 urllib.request.urlopen(f"{address}tile/{gone}", timeout=10)  # noqa: S310
 
 
+WALL, FREE = (0x24, 0x29, 0x2F), (255, 255, 255)
+
+
+def browse(folder):
+    """The command that takes a picture of a page."""
+    return [
+        BROWSER, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder}", "--window-size=1000,500",
+        "--virtual-time-budget=3000", f"--screenshot={folder / 'page.png'}",
+    ]  # fmt: skip
+
+
+def drawn_in(path, colour):
+    """Where the picture has that colour; the panel beside the map left out."""
+    return (np.rint(255 * plt.imread(path)[:, :520, :3]).astype(int) == colour).all(axis=2)
+
+
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium here: the page is not opened in a browser")
 def test_walls_are_drawn_dark_and_free_floor_bright(tmp_path):
     board = Board()
     board.take(state(1))
     board.take_tile(square(255))
     board.take_tile(square(1, i=-1))
-    command = [
-        BROWSER, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}", "--window-size=1000,500",
-        "--virtual-time-budget=3000", f"--screenshot={tmp_path / 'page.png'}",
-    ]  # fmt: skip
     with served(board, "127.0.0.1", 0) as address:
-        browser = subprocess.Popen([*command, address], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # noqa: S603
+        browser = subprocess.Popen([*browse(tmp_path), address], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # noqa: S603
         end = time.monotonic() + 60
         while not board.fetched >= 2 and time.monotonic() < end:
             time.sleep(0.1)
-        time.sleep(0.5)
     browser.wait(60)
-    picture = (
-        np.rint(255 * plt.imread(tmp_path / "page.png")[:, :520, :3]).astype(int).reshape(-1, 3)
-    )  # the panel left out
-    wall, free = (int((picture == colour).all(axis=1).sum()) for colour in ((0x24, 0x29, 0x2F), (255, 255, 255)))
+    wall, free = (int(drawn_in(tmp_path / "page.png", colour).sum()) for colour in (WALL, FREE))
     assert wall > 10_000
     assert abs(wall - free) < 0.2 * wall
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium here: the page is not opened in a browser")
+def test_what_was_seen_fills_the_page_wherever_it_lies_in_its_square(tmp_path):
+    board = Board()
+    told = state(1)
+    told = msgspec.structs.replace(
+        told, landmarks=[], robots=[msgspec.structs.replace(told.robots[0], pose=(1.6, 1.6, 0.0))]
+    )
+    board.take(told)
+    cells = np.zeros((SIDE, SIDE), np.uint8)
+    cells[20:44, 20:44] = 255  # a fifth of the side of the square
+    board.take_tile(msgspec.structs.replace(square(0), cells=pack(cells)))
+    with served(board, "127.0.0.1", 0) as address:
+        browser = subprocess.Popen([*browse(tmp_path), address], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # noqa: S603
+        end = time.monotonic() + 60
+        while not board.fetched and time.monotonic() < end:
+            time.sleep(0.1)
+    browser.wait(60)
+    wall = drawn_in(tmp_path / "page.png", WALL)
+    high = np.flatnonzero(wall.any(axis=1))
+    assert np.ptp(high) > 0.75 * len(wall)
 
 
 def test_anything_but_the_page_is_not_found_and_the_page_may_ask_nobody_else():
