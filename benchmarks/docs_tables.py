@@ -50,7 +50,7 @@ TABLES = (
         bench("merge_trials", "--trials", "200", "--seed", "20000", "--pictures", "--page", "{page}"),
         "page",
     ),
-    Table("live", "docs/live.md", bench("live")),
+    Table("live", "docs/live.md", bench("live", "--out", "docs/images"), "stdout"),
     Table("swarm of 1,000", "docs/locate.md", bench("swarm")),
     Table("swarm of 10,000", "docs/locate.md", bench("swarm")),
     Table("angulation", "docs/locate.md", bench("swarm_real")),

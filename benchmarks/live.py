@@ -1,27 +1,39 @@
 """Load of one map process: N robots tell it their logs at real time and faster; what it costs and how late it is.
 
-    python benchmarks/live.py [--sensor landmarks|laser] [--robots 1,5,20] [--rates 1,10] [--seconds 20]
+    python benchmarks/live.py [--cases laser:1,5,20,50:1/landmarks:20:4] [--seconds 40] [--out DIR]
 
-The map process is a process of its own; all robots are sessions of this one, which tells what real robots would (rows
-or scans, statuses, snapshots, computed beforehand), so that only the map process's work is measured. Latency: from
-putting a message on the network until the map process has put it in its place and given it to its disk.
+A case is a sensor, numbers of robots, and the rate: seconds of driving in one second. The map process is a process of
+its own; all robots are sessions of this one, which tells what real robots would (rows or scans, statuses, snapshots,
+computed beforehand, so that only the map process's work is measured). Robots of an office drive rounds from one dock,
+which the map process is told; at the end of a log they begin the next round. Printed is a table; with `--out` figures
+and curves of all cases are written too.
+
+Heard: from putting a message on the network until it is in its place in the map process's store. In the map: until the
+process has told a map that holds it. Processor and memory are those of the map process, all its threads.
 """
 
 import argparse
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
+from mapweave.api.weave_laser import starts_among
+from mapweave.core import se2
+from mapweave.core.laser_log import LaserLog
+from mapweave.core.records import Track
+from mapweave.core.workers import keep_one_blas_thread
 from mapweave.landmarks.config import EkfSlamConfig
 from mapweave.live import inbox as inboxes
 from mapweave.live.landmark_robot import LandmarkRobot
@@ -29,11 +41,18 @@ from mapweave.live.map_process import MapProcess
 from mapweave.live.messages import Header, Message, Status, encode
 from mapweave.live.sources import messages, open_source
 from mapweave.live.store import Store
+from mapweave.live.tile_bytes import SIDE
 from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, put, session
+from mapweave.sim.laser import drive
+from mapweave.sim.office import OfficeConfig, office_route, office_world
 
-WAYS = {"landmarks": 5, "laser": 2}  # simulated logs; further robots tell them again under their own names
+CASES = "landmarks:1,5,20,50:1/laser:1,5,20,50:1/laser:20:4"
+WAYS = {"landmarks": 5, "laser": 6}  # simulated logs; further robots tell them again under their own names
 PERIOD = 1.0
+EXPECTED = {"p99_s": 2.0, "kB_a_robot_minute": 1000.0}
+STYLE = {"landmarks": "o--", "laser": "s-"}
+Row = dict[str, float | str | list]
 
 
 @dataclass
@@ -45,9 +64,36 @@ class Told:
     message: Message
 
 
+@cache
+def one_round(k: int) -> tuple[LaserLog, np.ndarray]:
+    """Robot k's round through the office, and how the end of it is seen from its beginning."""
+    made = drive(office_world(OfficeConfig(), 0), office_route(OfficeConfig(), k), OfficeConfig().drive, k)
+    return replace(made.log, robot=f"robot{k}"), se2.between(made.truth.pose[-1], made.truth.pose[0])
+
+
+def rounds(k: int, seconds: float) -> LaserLog:
+    """As many rounds as `seconds` take, one after the other; the odometry goes on from round to round."""
+    log, back = one_round(k)
+    lasts = log.odometry.t[-1] - log.odometry.t[0] + 0.2
+    scans, scan_t, odo_t, odo = [], [], [], []
+    origin, shift = np.zeros(3), 0.0
+    while shift < seconds:
+        first = log.odometry.pose[0]
+        moved = np.asarray(se2.compose(origin, se2.between(first, log.odometry.pose)))
+        for t, scan in zip(log.scan_t, log.scans, strict=True):
+            pose = np.asarray(se2.compose(origin, se2.between(first, scan.odometry)))
+            scans.append(replace(scan, odometry=pose))
+            scan_t.append(t + shift)
+        odo_t.append(log.odometry.t + shift)
+        odo.append(moved)
+        origin, shift = np.asarray(se2.compose(moved[-1], back)), shift + lasts
+    track = Track(np.concatenate(odo_t), np.concatenate(odo), frame="odom")
+    return replace(log, scan_t=np.array(scan_t), scans=tuple(scans), odometry=track)
+
+
 def prepared(sensor: str, k: int, seconds: float, rate: float) -> list[Told]:
     """What robot k of the simulated team tells in `seconds` by the clock, `rate` times as fast as it drove."""
-    log = open_source(f"sim:{'office' if sensor == 'laser' else 'landmarks'}", f"r{k}", None)
+    log = rounds(k, seconds * rate) if sensor == "laser" else open_source("sim:landmarks", f"r{k}", None)
     out, robot, begin = [], None, None
     told_snapshot = 0.0
     for t, message in messages(log, f"r{k}", "run", PERIOD):
@@ -79,13 +125,20 @@ def renamed(message: Message, name: str, number: int) -> bytes:
     )
 
 
-def measured(sensor: str, robots: int, rate: float, seconds: float) -> dict[str, float]:
-    """One run of `robots` robots."""
-    base = [prepared(sensor, k, seconds, rate) for k in range(1, WAYS[sensor] + 1)]
+def measured(sensor: str, robots: int, rate: float, seconds: float) -> Row:
+    """One run of `robots` robots, which begin within a second of each other as real ones would."""
+    ways = min(robots, WAYS[sensor])
+    base = [prepared(sensor, k, seconds, rate) for k in range(1, ways + 1)]
     every = [
-        (told.at, f"r{k}", told.topic, renamed(told.message, f"r{k}", k), getattr(told.message, "seq", None))
+        (
+            told.at + (k % 10) / 10,
+            f"r{k}",
+            told.topic,
+            renamed(told.message, f"r{k}", k),
+            getattr(told.message, "seq", None),
+        )
         for k in range(1, robots + 1)
-        for told in base[(k - 1) % len(base)]
+        for told in base[(k - 1) % ways]
     ]
     every.sort(key=lambda one: one[0])
     with socket.socket() as s:
@@ -93,29 +146,53 @@ def measured(sensor: str, robots: int, rate: float, seconds: float) -> dict[str,
         at = f"tcp/127.0.0.1:{s.getsockname()[1]}"
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, __file__, "--mapping", folder, "--at", at]
-        mapping = subprocess.Popen(command, env={**os.environ, "OMP_NUM_THREADS": "1"})
+        mapping = subprocess.Popen(command, env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"})
         while not Path(folder, "ready").exists():
+            if mapping.poll() is not None:
+                raise SystemExit("the map process did not begin")
             time.sleep(0.1)
         sent = told_by_all(every, robots, at)
-        time.sleep(2.0)
+        time.sleep(3.0)
         mapping.terminate()
-        _, _, usage = os.wait4(mapping.pid, 0)
-        before = json.loads(Path(folder, "ready").read_text())["cpu"]
+        mapping.wait()
         found = json.loads(Path(folder, "placed.json").read_text())
-        placed = {(r, s): t for r, s, t in found["placed"]}
-    late = np.array([placed[key] - t for key, t in sent.items() if key in placed])
+    heard = {(r, s): t for r, s, t in found["placed"]}
+    mapped = in_the_map(found["mapped"], sent)
+    late = np.array([heard[key] - t for key, t in sent.items() if key in heard])
+    shown = np.array([mapped[key] - t for key, t in sent.items() if key in mapped])
+    minutes = robots * seconds * rate / 60
     size = sum(len(payload) for *_, payload, _ in every)
     return {
+        "sensor": sensor,
         "robots": robots,
         "rate": rate,
-        "messages": len(every),
+        "seconds": seconds,
         "lost": len(sent) - len(late),
-        "p50_ms": 1e3 * float(np.median(late)),
-        "p99_ms": 1e3 * float(np.quantile(late, 0.99)),
-        "kB_a_robot_minute": size / robots / seconds * 60 / rate / 1e3,
-        "cpu_share": (usage.ru_utime + usage.ru_stime - before) / seconds,
+        "not_shown": len(sent) - len(shown),
+        "heard_p50_s": float(np.median(late)),
+        "heard_p99_s": float(np.quantile(late, 0.99)),
+        "p50_s": float(np.median(shown)) if len(shown) else float("nan"),
+        "p99_s": float(np.quantile(shown, 0.99)) if len(shown) else float("nan"),
+        "kB_a_robot_minute": size / minutes / 1e3,
+        "cpu_s_a_robot_minute": found["cpu"] / minutes,
+        "cores": found["cpu"] / seconds,
         "memory_MB": found["memory_kB"] / 1024,
+        "tied": found["tied"],
+        "load_before": os.getloadavg()[2],
+        "over_time": found["over_time"],
     }
+
+
+def in_the_map(mapped: list, sent: dict[tuple[str, int], float]) -> dict[tuple[str, int], float]:
+    """When each message was first in a map that was told."""
+    out: dict[tuple[str, int], float] = {}
+    begun: dict[str, int] = {}
+    for robot, until, t in mapped:
+        for seq in range(begun.get(robot, 0), until):
+            if (robot, seq) in sent:
+                out[robot, seq] = t
+        begun[robot] = max(until, begun.get(robot, 0))
+    return out
 
 
 def told_by_all(every: list, robots: int, at: str) -> dict[tuple[str, int], float]:
@@ -156,44 +233,149 @@ class Timed(inboxes.Inbox):
         self.fresh = []
 
 
+class TimedMap(MapProcess):
+    """A map process that notes what was in each map it told, and how it grew."""
+
+    def __init__(self, *args) -> None:
+        super().__init__(*args)
+        self.mapped: list[tuple[str, int, float]] = []
+        self.over_time: list[tuple[float, float, float, float]] = []
+        self.begin = time.monotonic()
+
+    def _tell_corrections(self) -> None:
+        super()._tell_corrections()
+        now = time.time()
+        worked = self._woven.worked if self._woven is not None else {r: n + 1 for r, n in self.shared.used.items()}
+        self.mapped += [(robot, until, now) for robot, until in worked.items()]
+
+    def tell_state(self) -> None:
+        super().tell_state()
+        squares = sum(key[1] == 0 for key in self.shared.tiles)
+        area = squares * (SIDE * self.shared.resolution) ** 2
+        self.over_time.append((time.monotonic() - self.begin, time.process_time(), memory("VmRSS"), area))
+
+
+def memory(which: str) -> float:
+    """[kB] of this process alone, other than what getrusage tells."""
+    return int(Path("/proc/self/status").read_text().split(f"{which}:")[1].split()[0])
+
+
 def mapping(folder: Path, at: str) -> None:
     """The map process under load, until it is terminated."""
-    import signal
-
+    keep_one_blas_thread()
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    warmed()
     with Store(folder / "map.sqlite", "a map of team") as store, session(Network(listen=(at,))) as opened:
         inbox = Timed(store)
-        process = MapProcess("map", opened, Topics("team"), store, inbox, lambda _: None)
+        process = TimedMap("map", opened, Topics("team"), store, inbox, lambda _: None)
+        process.starts = lambda names: starts_among(names, dict.fromkeys(names, (0.0, 0.0, 0.0)))
         process.join()
-        (folder / "coming").write_text(json.dumps({"cpu": time.process_time()}))
+        before = time.process_time()
+        (folder / "coming").write_text("")
         (folder / "coming").rename(folder / "ready")
         process.run(stop, 2.0, lambda _: False)
-    status = Path("/proc/self/status").read_text()  # of this process alone, other than what getrusage tells
-    peak = int(status.split("VmHWM:")[1].split()[0])
-    (folder / "placed.json").write_text(json.dumps({"placed": inbox.placed, "memory_kB": peak}))
+        cpu = time.process_time() - before
+    largest = [p.component for p in process.shared.placed.values()]
+    told = {
+        "placed": inbox.placed,
+        "mapped": process.mapped,
+        "cpu": cpu,
+        "memory_kB": memory("VmHWM"),
+        "tied": largest.count(1),
+        "over_time": process.over_time,
+    }
+    (folder / "placed.json").write_text(json.dumps(told))
+
+
+def warmed() -> None:
+    """Kernels are there: what a first run compiles is no part of the load."""
+    from mapweave.laser.config import LaserConfig
+    from mapweave.live.laser_team import LaserTeam, nobody
+
+    with tempfile.TemporaryDirectory() as folder, Store(Path(folder, "s"), "a map") as store:
+        made = [prepared("laser", k, 25.0, 1.0) for k in (1, 2)]
+        for k, told in enumerate(made, 1):
+            logged = [t.message for t in told if t.topic == "log"]
+            store.put([(f"r{k}", m.seq, renamed(m, f"r{k}", k)) for m in logged])
+        team = LaserTeam(store, LaserConfig(method="graph", threads=1), nobody)
+        while team.follow({f"r{k}": 20 for k in (1, 2)}):
+            pass
+        trial = team.trial()
+        if trial is not None:
+            team.search.decided(trial, trial.run())
+        if team.weave():
+            team.draw({})
+
+
+def table(rows: list[Row]) -> str:
+    """Markdown."""
+    head = ["robots", "sensor", "rate", "heard, p99", "in the map, p50", "p99", "a robot-minute"]
+    head += ["processor a robot-minute", "cores", "memory"]
+    lines = [
+        f"| {r['robots']} | {r['sensor']} | {r['rate']:g} | {1e3 * r['heard_p99_s']:.0f} ms | {r['p50_s']:.2f} s |"
+        f" {r['p99_s']:.2f} s | {r['kB_a_robot_minute']:.0f} kB | {r['cpu_s_a_robot_minute']:.2f} s |"
+        f" {r['cores']:.2f} | {r['memory_MB']:.0f} MB |"
+        for r in rows
+    ]
+    return "\n".join([f"| {' | '.join(head)} |", "|---" * len(head) + "|", *lines])
+
+
+def drawn(rows: list[Row], path: Path) -> None:
+    """Curves over the number of robots at real time, and memory beside the area over time."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(2, 3, figsize=(11, 6), layout="constrained")
+    wanted = (
+        ("p99_s", "in the map, p99 [s]"),
+        ("kB_a_robot_minute", "told a robot-minute [kB]"),
+        ("cores", "processor [cores]"),
+        ("memory_MB", "memory [MB]"),
+    )
+    for axis, (name, label) in zip(axes.flat, wanted, strict=False):
+        for sensor in WAYS:
+            at = [r for r in rows if r["sensor"] == sensor and r["rate"] == 1.0]
+            axis.plot([r["robots"] for r in at], [r[name] for r in at], STYLE[sensor], label=sensor)
+        if name in EXPECTED:
+            axis.axhline(EXPECTED[name], color="0.6", lw=1)
+        axis.set(xlabel="robots", ylabel=label, ylim=(0, None))
+    axes[0, 0].legend(frameon=False)
+    for r in (r for r in rows if r["sensor"] == "laser" and r["over_time"]):
+        t, _, kB, area = np.array(r["over_time"]).T
+        label = f"{r['robots']} robots, {r['rate']:g} times"
+        axes[1, 1].plot(t * r["rate"] / 60, kB / 1024, label=label)
+        axes[1, 2].plot(t * r["rate"] / 60, area, label=label)
+    axes[1, 1].set(xlabel="minutes driven", ylabel="memory [MB]", ylim=(0, None))
+    axes[1, 2].set(xlabel="minutes driven", ylabel="squares drawn [m²]", ylim=(0, None))
+    axes[1, 1].legend(frameon=False, fontsize=7)
+    figure.savefig(path, dpi=110)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--sensor", default="landmarks", choices=sorted(WAYS))
-    parser.add_argument("--robots", default="1,5,20")
-    parser.add_argument("--rates", default="1")
-    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--cases", default=CASES)
+    parser.add_argument("--seconds", type=float, default=40.0)
+    parser.add_argument("--out", type=Path)
     parser.add_argument("--mapping", type=Path)
     parser.add_argument("--at", default="")
     given = parser.parse_args()
     if given.mapping is not None:
         mapping(given.mapping, given.at)
         return
-    head = True
-    for rate in map(float, given.rates.split(",")):
-        for robots in map(int, given.robots.split(",")):
-            row = measured(given.sensor, robots, rate, given.seconds)
-            if head:
-                print("  ".join(f"{name:>17}" for name in row))
-            head = False
-            print("  ".join(f"{value:17.4g}" for value in row.values()), flush=True)
+    rows = []
+    for case in given.cases.split("/"):
+        sensor, numbers, rate = case.split(":")
+        for robots in map(int, numbers.split(",")):
+            rows.append(measured(sensor, robots, float(rate), given.seconds))
+            told = {name: value for name, value in rows[-1].items() if name != "over_time"}
+            print(json.dumps(told), file=sys.stderr, flush=True)
+    print(table(rows))
+    if given.out is not None:
+        (given.out / "live-load.json").write_text(json.dumps(rows, indent=1) + "\n")
+        drawn(rows, given.out / "live-load.png")
 
 
 if __name__ == "__main__":

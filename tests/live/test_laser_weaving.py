@@ -10,18 +10,23 @@ import pytest
 
 from mapweave.api.weave_laser import starts_among
 from mapweave.core import se2
-from mapweave.laser import weave
 from mapweave.laser.config import LaserConfig
-from mapweave.laser.laser_map import GridMap
-from mapweave.laser.merge import merge_maps
+from mapweave.laser.merge import Merge, merge_maps
+from mapweave.laser.occupancy_mapper import Returns, render_returns
+from mapweave.laser.session import LaserSession
+from mapweave.live import pair_search
+from mapweave.live.canvas import Canvas, Seen
+from mapweave.live.driven import DrivenSession
 from mapweave.live.laser_stream import messages_of_laser
-from mapweave.live.laser_team import LaserTeam, LaserWeaver, WovenTeam, nobody
+from mapweave.live.laser_team import LaserTeam, WovenTeam, nobody
+from mapweave.live.laser_weaver import LaserWeaver
 from mapweave.live.messages import Tile, decode, encode
+from mapweave.live.pair_search import PairSearch, PairTrial
 from mapweave.live.placed import Placed
 from mapweave.live.shared_map import SharedMap
 from mapweave.live.store import Store
 from mapweave.live.tile_bytes import SIDE, is_tile, pack
-from mapweave.live.tiles import COARSER, LEVELS, tiles_of
+from mapweave.live.tiles import COARSER, LEVELS
 from mapweave.sim.laser import drive
 from mapweave.sim.office import OfficeConfig, office_route, office_world
 
@@ -58,6 +63,17 @@ def docked(names):
     return starts_among(names, dict.fromkeys(names, (0.0, 0.0, 0.0)))
 
 
+def woven(team):
+    """The map with every decision that is wanted now."""
+    while (trial := team.trial()) is not None:
+        team.search.decided(trial, trial.run())
+    assert team.weave()
+    while True:
+        drawn = team.draw({})
+        if not team.unlaid:
+            return drawn
+
+
 def apart(team, woven):
     """The second robot seen from the first, less the truth; and the sum of both told covariances."""
     poses, true, told = [], [], np.zeros((3, 3))
@@ -79,11 +95,12 @@ def test_robots_are_one_map_while_they_drive_and_stand_where_they_are_in_it(tmp_
         for share, least in ((0.6, 0.4), (1.0, 0.1)):  # half way one of them is in a corridor, and says so
             while team.follow({name: round(share * n) for name, n in heard.items()}):
                 pass
-            woven = team.weave(0)
-            assert {name: p.component for name, p in woven.placed.items()} == {"r1": 1, "r2": 1}
-            assert len(woven.decisions) == 1
-            assert woven.decisions[0].startswith("r1 and r2: merged on")
-            off, told = apart(team, woven)
+            drawn = woven(team)
+            assert {name: p.component for name, p in drawn.placed.items()} == {"r1": 1, "r2": 1}
+            assert len(drawn.decisions) == 1
+            assert drawn.decisions[0].startswith("r1 and r2: merged on")
+            assert drawn.worked == {name: round(share * n) for name, n in heard.items()}
+            off, told = apart(team, drawn)
             assert np.hypot(*off[:2]) < least
             assert np.hypot(*off[:2]) < 3.5 * np.sqrt(told[0, 0] + told[1, 1])
             assert np.sqrt(told[0, 0] + told[1, 1]) < 0.3
@@ -91,7 +108,7 @@ def test_robots_are_one_map_while_they_drive_and_stand_where_they_are_in_it(tmp_
 
 def test_what_was_decided_on_a_pair_stands_until_the_maps_have_grown(tmp_path, monkeypatch):
     searched = []
-    monkeypatch.setattr(weave, "merge_maps", lambda *a: searched.append(1) or merge_maps(*a))
+    monkeypatch.setattr(pair_search, "merge_maps", lambda *a: searched.append(1) or merge_maps(*a))
     store, heard = filled(tmp_path / "s.sqlite")
     with store:
         team = LaserTeam(store, CFG, docked)
@@ -99,10 +116,10 @@ def test_what_was_decided_on_a_pair_stands_until_the_maps_have_grown(tmp_path, m
             now = {name: round(share * n) for name, n in heard.items()}
             while team.follow(now):
                 pass
-            woven = team.weave(0)
+            drawn = woven(team)
             assert len(searched) == expected
-            assert woven.placed["r2"].component == 1
-    assert woven.number == 3
+            assert drawn.placed["r2"].component == 1
+    assert drawn.number == 3
 
 
 def test_a_gap_in_the_store_is_waited_for(tmp_path):
@@ -145,29 +162,82 @@ def test_what_the_store_does_not_hold_is_waited_for_at_rest(tmp_path):
     assert weaver.newest is None
 
 
-def grid(rows=150, cols=300, origin=(-1.0, -3.2)):
-    hits = np.zeros((rows, cols), np.int32)
-    passes = np.ones((rows, cols), np.int32)
-    passes[:, :5] = 0
-    hits[40, 50] = 30
-    none = np.zeros((rows, cols))
-    return GridMap(0.05, np.array(origin), hits, passes, np.zeros((rows, cols, 2)), none, none)
+def scans(n=12, beams=40):
+    """What was seen around a loop, and where from."""
+    rng = np.random.default_rng(4)
+    angle = 2 * np.pi * np.arange(n) / n
+    poses = np.column_stack([9 * np.cos(angle) - 3, 5 * np.sin(angle) + 1, angle])
+    return poses, [Seen(rng.uniform(-8, 8, (beams, 2)), np.array([0.1, 0.05])) for _ in range(n)]
 
 
-def test_a_wall_is_seen_on_every_level_at_its_place():
-    tiles = tiles_of(grid(), 2)
-    wall = np.array([-1.0, -3.2]) + 0.05 * (np.array([50, 40]) + 0.5)
+def unpacked(data):
+    return np.frombuffer(zlib.decompress(data), np.uint8).reshape(SIDE, SIDE)
+
+
+def test_squares_hold_the_map_of_all_keyframes_wherever_they_were_before():
+    poses, seen = scans()
+    canvas = Canvas(0.05)
+    shaken = poses + np.random.default_rng(1).normal(0, 0.3, poses.shape)
+    assert canvas.update({"r1": shaken[:7]}, lambda _, k: seen[k], 100) == 0
+    canvas.draw()
+    assert canvas.update({"r1": poses}, lambda _, k: seen[k], 4) == 8
+    for left in (4, 0, 0):
+        assert canvas.update({"r1": poses}, lambda _, k: seen[k], 4) == left
+    drawn = canvas.draw()
+    mapped = render_returns(
+        [Returns(s.points, np.zeros((0, 2)), s.sensor, np.zeros((len(s.points), 2))) for s in seen], poses, 0.05, "map"
+    )
+    grid = np.where(mapped.hits + mapped.passes > 0, 1 + np.rint(254 * mapped.occupancy()), 0).astype(np.uint8)
+    column, row = np.rint(mapped.origin / 0.05).astype(int)
+    below = 2000  # cells, a multiple of the squares' sides on all levels
     for level in range(LEVELS):
-        side = 0.05 * COARSER**level
-        column, row = np.floor(wall / side).astype(int)
-        data = tiles[2, level, column // SIDE, row // SIDE]
-        assert is_tile(data)
-        cells = np.frombuffer(zlib.decompress(data), np.uint8).reshape(SIDE, SIDE)
-        assert cells[row % SIDE, column % SIDE] > 240
-        assert (cells > 240).sum() == 1
-    assert {key[0] for key in tiles} == {2}
-    finest = sum((np.frombuffer(zlib.decompress(d), np.uint8) > 0).sum() for k, d in tiles.items() if not k[1])
-    assert finest == 150 * 295
+        side = SIDE * COARSER**level
+        origin = -side * (below // side + 1)
+        whole = np.zeros((2 * -origin, 2 * -origin), np.uint8)
+        whole[row - origin :, column - origin :][: grid.shape[0], : grid.shape[1]] = grid
+        n = COARSER**level
+        whole = whole.reshape(len(whole) // n, n, -1, n).max(axis=(1, 3))
+        squares = {}
+        for j in range(len(whole) // SIDE):
+            for i in range(len(whole) // SIDE):
+                cells = whole[SIDE * j : SIDE * (j + 1), SIDE * i : SIDE * (i + 1)]
+                if cells.any():
+                    squares[level, i + origin // side, j + origin // side] = cells
+        assert {key for key in drawn if key[0] == level} == squares.keys()
+        for key, cells in squares.items():
+            np.testing.assert_array_equal(unpacked(drawn[key]), cells)
+
+
+def test_only_what_moved_by_half_a_cell_is_laid_anew():
+    poses, seen = scans()
+    asked = []
+
+    def saw(_, k):
+        asked.append(k)
+        return seen[k]
+
+    canvas = Canvas(0.05)
+    canvas.update({"r1": poses}, saw, 100)
+    moved = poses.copy()
+    moved[:, 0] += 0.024
+    moved[3, 1] += 0.03
+    moved[5, 2] += 0.01 + 2 * np.pi
+    del asked[:]
+    canvas.update({"r1": moved}, saw, 100)
+    assert sorted(asked) == [3, 5]
+    del asked[:]
+    grown = np.concatenate([moved + 1.0, poses[:1]])
+    assert canvas.update({"r1": grown}, lambda r, k: saw(r, k % 12), 2) == 11
+    assert asked == [0, 11]  # the new one, then the latest of those that moved
+
+
+def test_a_square_that_nothing_is_in_any_more_goes():
+    canvas = Canvas(0.05)
+    seen = Seen(np.array([[0.5, 0.0]]), np.zeros(2))
+    canvas.update({"r1": np.array([[1.0, 1.0, 0.0]])}, lambda *_: seen, 10)
+    assert {key[1:] for key in canvas.draw()} == {(0, 0)}
+    canvas.update({"r1": np.array([[-1.0, 1.0, np.pi]])}, lambda *_: seen, 10)
+    assert {key[1:] for key in canvas.draw()} == {(-1, 0)}
 
 
 @pytest.mark.parametrize(
@@ -197,3 +267,46 @@ def test_a_woven_robots_covariance_is_that_of_its_keyframe_alone():
     pose, P = placed.carry(np.zeros(3), 100 * np.eye(3))
     np.testing.assert_allclose(pose, [1.0, 2.0, 0.5])
     np.testing.assert_allclose(P, cov)
+
+
+def decided(a, b, size, *, merged):
+    trial = PairTrial(a, b, (np.zeros((size // 2, 3)), np.zeros((size - size // 2, 3))), ([], []), CFG.merge, None)
+    return trial, Merge(a, b, merged=merged, reason="")
+
+
+def test_pairs_are_searched_for_where_a_tie_is_missing_and_where_maps_have_grown():
+    search = PairSearch()
+    assert search.next({"r1": 9}) is None
+    sizes = {"r1": 10, "r2": 30, "r3": 20, "r4": 40}
+    order = []
+    while (pair := search.next(sizes)) is not None:
+        order.append(pair)
+        search.decided(*decided(*pair, sizes[pair[0]] + sizes[pair[1]], merged=pair in {("r2", "r4"), ("r3", "r4")}))
+    # r2 and r3 hang together by r4; r1, which nothing ties, was tried on all
+    assert order == [("r2", "r4"), ("r3", "r4"), ("r1", "r4"), ("r1", "r2"), ("r1", "r3")]
+    assert search.next({**sizes, "r1": 20}) == ("r1", "r2")  # a quarter more; and so has r1 with r3
+    assert search.next({**sizes, "r4": 60}) == ("r2", "r4")  # a tie is looked at again with more of both
+    assert search.next({**sizes, "r3": 35}) == ("r3", "r4")
+    known = search.known(["r1", "r2", "r3", "r4"])
+    assert len(known) == 6
+    assert [pair for pair, merge in known.items() if merge.merged] == [(1, 3), (2, 3)]
+    assert known[1, 2].reason == "not tried on each other yet"
+
+
+def test_a_driven_estimate_is_that_of_the_whole_log_and_keeps_returns_of_keyframes_alone():
+    log = drives()[0].log
+    whole, driven = LaserSession(log.robot, CFG), DrivenSession(log.robot, CFG)
+    for event in list(log.events())[:900]:
+        whole.push(event)
+        driven.push(event)
+    assert driven.now.pose.tobytes() == whole.now.pose.tobytes()
+    assert driven.now.cov.tobytes() == whole.now.cov.tobytes()
+    a, b = driven.graph(covariances=False), whole.graph(covariances=False)
+    assert a.points.tobytes() == b.points.tobytes()
+    bare = driven.bare_graph("r1")
+    assert len(bare) == len(a) > 10
+    assert bare.step.tobytes() == a.step.tobytes()
+    held = [b.s.size for b in driven._state().scans]
+    assert sum(size > 0 for size in held) <= 1  # of the newest scan
+    assert not driven.scans
+    assert sum(b.s.size for b in whole._state().scans) > 0

@@ -5,7 +5,7 @@ import numpy as np
 from ..laser.config import LaserConfig
 from ..laser.laser_map import GridMap
 from ..laser.occupancy_mapper import render_keyframes
-from ..laser.session import LaserSession
+from .driven import DrivenSession
 from .laser_stream import LaserRecord
 from .messages import Header, Numbered, Snapshot
 
@@ -24,7 +24,7 @@ class LaserRobot:
         self.odometry: np.ndarray | None = None
         self.last = 0
         self._cfg = cfg
-        self._session = LaserSession(header.log_robot, cfg, seed)
+        self._session = DrivenSession(header.log_robot, cfg, seed)
 
     def add(self, message: Numbered) -> None:
         """The estimate with the scans of `message`."""

@@ -1,39 +1,37 @@
 """Laser robots followed while they drive: an estimate of each from what it told, woven into one map again and again.
 
-All of it runs in a thread of its own, so that nobody waits for it: messages are taken from the store, in order, up to
-where there is no gap, and the newest woven map stands in `newest`.
+What costs as much as a scan (following, laying a keyframe into the map) is told apart from what costs as much as the
+team: trying two maps on each other, and solving the graph of all. Between two solutions the map goes on: new keyframes
+stand where their steps put them, beside those of their robot that were woven last.
 """
 
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from threading import Condition, Thread
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Float
 
 from ..core import se2
-from ..core.errors import MapweaveError
 from ..laser.config import LaserConfig
 from ..laser.joint_pass import JointConfig
 from ..laser.merge import Merge
 from ..laser.merge_search import Start
-from ..laser.occupancy_mapper import keyframe_returns, render_returns
 from ..laser.robot_graph import RobotGraph
-from ..laser.session import LaserSession
 from ..laser.weave import Woven, weave
+from .canvas import Canvas, Seen
+from .driven import DrivenSession
 from .laser_stream import LaserRecord
 from .messages import Header, Scans, decode
+from .pair_search import UNTRIED, PairSearch, PairTrial, between
 from .placed import ALONE, Placed
 from .store import Store
-from .tiles import TileKey, tiles_of
+from .tiles import TileKey
 
 AT_ONCE = 50  # messages worked in before another robot has its turn
-GROWN = 1.25  # a pair is tried again when the maps of both together have so many times the keyframes they had
 LEAST_KEYFRAMES = 3  # of a robot to be woven
 UNTOUCHED = JointConfig(widths=())  # keyframes stay as the joint graph has them: the last pass is left to the end
-RESTED = 3.0  # the time from weaving to weaving is at least so many times what weaving takes
-PATIENCE = 0.5  # [s] until it is looked again whether to end
-
+MOST_TOLD = 60  # pairs of robots
+LAID_AT_ONCE = 300  # keyframes laid into the map at most each time it is drawn
 
 Starts = Callable[[Sequence[str]], Mapping[int, Start]]
 
@@ -47,8 +45,8 @@ def nobody(robots: Sequence[str]) -> Mapping[int, Start]:  # noqa: ARG001
 class WovenTeam:
     """How laser robots hang together, by their names in the team.
 
-    placed: where each one's frame stands; decisions: in words; tiles: the map, drawn; behind: messages that were heard
-    and are not worked in yet; number: counts the weavings.
+    placed: where each one's frame stands; decisions: in words; tiles: the map, drawn; worked: robot -> its first
+    message that is not in them; behind: messages that were heard and are not; number: counts the solutions.
     """
 
     placed: Mapping[str, Placed]
@@ -56,36 +54,41 @@ class WovenTeam:
     tiles: Mapping[TileKey, bytes]
     behind: int
     number: int
+    worked: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
 class _Robot:
     record: LaserRecord
-    session: LaserSession
+    session: DrivenSession
     next: int = 1
 
-
-@dataclass(slots=True)
-class _Tried:
-    """What was decided on a pair when both had so many keyframes together."""
-
-    merge: Merge
-    keyframes: int
+    @property
+    def size(self) -> int:
+        """Keyframes."""
+        graph = self.session.keyframes
+        return 0 if graph is None else len(graph)
 
 
 @dataclass(slots=True)
 class LaserTeam:
     """The estimates of all laser robots of a team; everything here is the business of one thread.
 
-    starts: for robots in an order, by place, where their frames are said to lie in that of the first.
+    starts: for robots in an order, by place, where their frames are said to lie in that of the first. woven: how often
+    the graph of all was solved.
     """
 
     store: Store
     cfg: LaserConfig
     starts: Starts
     robots: dict[str, _Robot] = field(default_factory=dict)
-    tried: dict[tuple[str, str], _Tried] = field(default_factory=dict)
+    search: PairSearch = field(default_factory=PairSearch)
     woven: int = 0
+    unlaid: int = 0
+    _placed: dict[str, Placed] = field(default_factory=dict)
+    _poses: dict[str, Float[np.ndarray, "n 3"]] = field(default_factory=dict)  # of keyframes as they were woven last
+    _decisions: list[str] = field(default_factory=list)
+    _canvases: list[Canvas] = field(default_factory=list)
 
     def follow(self, heard: Mapping[str, int]) -> int:
         """Work in a few messages of each robot; how many are left. heard: robot -> its first number missing."""
@@ -113,39 +116,95 @@ class LaserTeam:
             header = decode(first[0][1]) if first else None
             if not isinstance(header, Header):
                 return None
-            self.robots[name] = _Robot(LaserRecord(header), LaserSession(header.log_robot, self.cfg))
+            self.robots[name] = _Robot(LaserRecord(header), DrivenSession(header.log_robot, self.cfg))
         return self.robots[name]
 
-    def weave(self, behind: int) -> WovenTeam | None:
-        """One map of all robots that can be tied together by now; None before there is any."""
-        graphs: dict[str, RobotGraph] = {}
-        for name, robot in sorted(self.robots.items()):
-            graph = robot.session.graph(covariances=False)
-            if graph is not None and len(graph) >= LEAST_KEYFRAMES:
-                graphs[name] = replace(graph.stored(), robot=name)
-        if not graphs:
+    def _sizes(self) -> dict[str, int]:
+        """Keyframes of each robot that has enough of them to be woven."""
+        return {name: robot.size for name, robot in sorted(self.robots.items()) if robot.size >= LEAST_KEYFRAMES}
+
+    def trial(self) -> PairTrial | None:
+        """The two maps to be tried on each other next; None when no decision is wanted."""
+        sizes = self._sizes()
+        pair = self.search.next(sizes)
+        if pair is None:
             return None
+        names = list(sizes)
+        start = between(self.starts(names), names.index(pair[0]), names.index(pair[1]))
+        graphs = [graph for name in pair if (graph := self.robots[name].session.keyframes) is not None]
+        a, b = (np.array(graph.pose) for graph in graphs)
+        of_a, of_b = ([node.beams.s for node in graph.nodes] for graph in graphs)
+        return PairTrial(*pair, (a, b), (of_a, of_b), self.cfg.merge, start)
+
+    def weave(self) -> bool:
+        """The graph of all robots solved by what is decided on pairs so far; whether there is any robot."""
+        graphs: dict[str, RobotGraph] = {}
+        for name in self._sizes():
+            graph = self.robots[name].session.bare_graph(name)
+            if graph is not None:
+                graphs[name] = graph
+        if not graphs:
+            return False
         names, parts = list(graphs), list(graphs.values())
-        known = {
-            (i, j): tried.merge
-            for i, a in enumerate(names)
-            for j, b in enumerate(names)
-            if (tried := self.tried.get((a, b))) is not None
-            and len(graphs[a]) + len(graphs[b]) < GROWN * tried.keyframes
-        }
-        woven = weave(parts, self.cfg.merge, self.starts(names), known=known, last=UNTOUCHED)
-        for merge in woven.merges:
-            if (names.index(merge.a), names.index(merge.b)) not in known:
-                self.tried[merge.a, merge.b] = _Tried(merge, len(graphs[merge.a]) + len(graphs[merge.b]))
+        woven = weave(parts, self.cfg.merge, known=self.search.known(names), last=UNTOUCHED)
         self.woven += 1
-        placed = _placed(names, parts, woven, self.cfg.graph.unsure)
+        self._placed = _placed(names, parts, woven, self.cfg.graph.unsure)
+        self._poses = dict(zip(names, woven.pose, strict=True))
+        self._decisions = _decisions(names, woven.merges, self._placed)
+        return True
+
+    def draw(self, heard: Mapping[str, int]) -> WovenTeam:
+        """The map as it stands, with everything that was worked in; at most `LAID_AT_ONCE` keyframes are laid anew.
+
+        unlaid: how many are left for the next time.
+        """
+        parts: dict[int, dict[str, Float[np.ndarray, "n 3"]]] = {}
+        self._place_new()
+        for name, placed in self._placed.items():
+            parts.setdefault(placed.component, {})[name] = self._now(name)
+        self._canvases, before = [], self._canvases
         tiles: dict[TileKey, bytes] = {}
-        for part in sorted({p.component for p in placed.values()}):
-            members = [k for k, name in enumerate(names) if placed[name].component == part]
-            laid = [scan for k in members for scan in keyframe_returns(parts[k], lit=False)]
-            grid = render_returns(laid, np.concatenate([woven.pose[k] for k in members]), self.cfg.resolution, "map")
-            tiles.update(tiles_of(grid, part))
-        return WovenTeam(placed, _decisions(names, woven, placed), tiles, behind, self.woven)
+        self.unlaid = 0
+        for part, poses in sorted(parts.items()):
+            canvas = _kept(before, poses.keys()) or Canvas(self.cfg.resolution)
+            self.unlaid += canvas.update(poses, self._seen, LAID_AT_ONCE)
+            self._canvases.append(canvas)
+            tiles |= {(part, *key): cells for key, cells in canvas.draw().items()}
+        worked = {name: robot.next for name, robot in self.robots.items()}
+        behind = sum(max(n - worked.get(name, 0), 0) for name, n in heard.items())
+        return WovenTeam(dict(self._placed), list(self._decisions), tiles, behind, self.woven, worked)
+
+    def _place_new(self) -> None:
+        """Robots that were not woven yet stand in parts of their own."""
+        for name, robot in sorted(self.robots.items()):
+            if name not in self._placed and robot.size:
+                last = max((p.component for p in self._placed.values()), default=0)
+                self._placed[name] = Placed(last + 1, *ALONE)
+
+    def _now(self, name: str) -> Float[np.ndarray, "n 3"]:
+        """The poses of all keyframes in the map of their part: as woven, those since beside the last of these."""
+        graph, known = self.robots[name].session.keyframes, self._poses.get(name)
+        assert graph is not None  # noqa: S101  (it has a place)
+        if known is None:
+            return np.array(graph.pose)
+        last = len(known) - 1
+        since = se2.compose(known[-1], se2.between(graph.pose[last], graph.pose[last + 1 :]))
+        return np.concatenate([known, np.asarray(since).reshape(-1, 3)])
+
+    def _seen(self, name: str, k: int) -> Seen:
+        session = self.robots[name].session
+        graph = session.keyframes
+        assert graph is not None  # noqa: S101  (it has a place)
+        return Seen(graph.nodes[k].beams.s, session.sensor(k))
+
+
+def _kept(canvases: list[Canvas], robots: Iterable[str]) -> Canvas | None:
+    """The canvas with the most keyframes of `robots` alone, taken out of `canvases`."""
+    fit = [c for c in canvases if c.laid.keys() <= set(robots)]
+    best = max(fit, key=lambda c: sum(map(len, c.laid.values())), default=None)
+    if best is not None:
+        canvases.remove(best)
+    return best
 
 
 def _placed(names: Sequence[str], graphs: Sequence[RobotGraph], woven: Woven, unsure: float) -> dict[str, Placed]:
@@ -174,78 +233,19 @@ def _placed(names: Sequence[str], graphs: Sequence[RobotGraph], woven: Woven, un
     return out
 
 
-def _decisions(names: Sequence[str], woven: Woven, placed: Mapping[str, Placed]) -> list[str]:
-    told = [f"{m.a} and {m.b}: {m.reason if m.merged else f'not merged, {m.reason}'}" for m in woven.merges]
+def _decisions(names: Sequence[str], merges: Sequence[Merge], placed: Mapping[str, Placed]) -> list[str]:
+    """What was decided on pairs; of more than `MOST_TOLD` those that hang together."""
+    tried = [m for m in merges if m.reason != UNTRIED]
+    tied = [m for m in tried if m.merged]
+    told = [
+        f"{m.a} and {m.b}: {m.reason if m.merged else f'not merged, {m.reason}'}"
+        for m in (tried if len(tried) <= MOST_TOLD else tied)
+    ]
+    if len(tried) > MOST_TOLD:
+        told.append(f"{len(tried) - len(tied)} pairs not merged")
+    if len(tried) < len(merges):
+        told.append(f"{len(merges) - len(tried)} pairs {UNTRIED}")
     parts = len({p.component for p in placed.values()})
     if len(names) == 1:
         return [f"{names[0]}: the only one so far"]
     return told if parts == 1 else [*told, f"{parts} parts that nothing ties"]
-
-
-class LaserWeaver:
-    """The thread in which a laser team is followed.
-
-    newest: the last woven map, None before the first; failed: why the last weaving gave none, empty when it did.
-    """
-
-    def __init__(self, store: Store, cfg: LaserConfig, every: float, starts: Starts = nobody) -> None:
-        self.newest: WovenTeam | None = None
-        self.failed = ""
-        self._team = LaserTeam(store, replace(cfg, method="graph", threads=1), starts)
-        self._every = every
-        self._heard: dict[str, int] = {}
-        self._changed = Condition()
-        self._ended = False
-        self._thread = Thread(target=self._run, name="weaver", daemon=True)
-
-    def start(self) -> None:
-        self._thread.start()
-
-    def hear(self, heard: Mapping[str, int]) -> None:
-        """Robot -> the first number missing: all before it is to be worked in."""
-        with self._changed:
-            if dict(heard) != self._heard:
-                self._heard = dict(heard)
-                self._changed.notify()
-
-    def stop(self) -> None:
-        """No more is worked in; what is under way ends first."""
-        with self._changed:
-            self._ended = True
-            self._changed.notify()
-        if self._thread.is_alive():
-            self._thread.join()
-
-    def _run(self) -> None:
-        due, fresh, followed = 0.0, False, {"": -1}
-        while True:
-            with self._changed:
-                if self._ended:
-                    return
-                heard = dict(self._heard)
-                if heard == followed:
-                    self._changed.wait(max(PATIENCE if not fresh else min(PATIENCE, due - time.monotonic()), 0.01))
-                    heard = dict(self._heard)
-            try:
-                if heard != followed:
-                    before = self._worked_in()
-                    left = self._team.follow(heard)
-                    more = self._worked_in() > before
-                    fresh = fresh or more
-                    followed = {"": -1} if left and more else heard  # what is not in the store yet is waited for
-                now = time.monotonic()
-                if fresh and now >= due:
-                    behind = sum(max(n - self._done(name), 0) for name, n in heard.items())
-                    self.newest = self._team.weave(behind) or self.newest
-                    self.failed, fresh = "", False
-                    due = time.monotonic() + max(self._every, RESTED * (time.monotonic() - now))
-            except (MapweaveError, np.linalg.LinAlgError) as error:
-                self.failed, fresh = str(error), False
-                followed, due = heard, time.monotonic() + self._every
-
-    def _worked_in(self) -> int:
-        return sum(robot.next for robot in self._team.robots.values())
-
-    def _done(self, name: str) -> int:
-        robot = self._team.robots.get(name)
-        return 0 if robot is None else robot.next

@@ -14,7 +14,8 @@ from ..laser.config import LaserConfig
 from .clocks import ClockOffset
 from .columns import listed, square, triangle
 from .inbox import Inbox, Ledger
-from .laser_team import LaserWeaver, Starts, WovenTeam, nobody
+from .laser_team import Starts, WovenTeam, nobody
+from .laser_weaver import LaserWeaver
 from .messages import LARGEST, MapState, Numbers, RefusedError, RobotState, count, decode, encode
 from .shared_map import SharedMap
 from .store import Store
