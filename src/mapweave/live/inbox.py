@@ -190,7 +190,8 @@ class Inbox:
         message = decode(payload)
         if isinstance(message, Header):
             self._expect_room_for(ledger, message)
-            ledger.record = LandmarkRecord.begin(message) if message.sensor == "landmarks" else LaserRecord(message)
+            landmarks = message.sensor == "landmarks"
+            ledger.record = LandmarkRecord.begin(message, keep=False) if landmarks else LaserRecord(message)
         elif ledger.record is None or not isinstance(message, Rows | Scans | Closed):
             raise RefusedError("malformed", f"a {type(message).__name__} in a history without a header")
         else:
@@ -250,8 +251,14 @@ class Inbox:
         """What `robot` told up to its first gap; None of one that told no header yet."""
         ledger = self.ledgers[robot]
         record = ledger.record
-        if not isinstance(record, LaserRecord):
-            return None if record is None else record.log
+        if record is None:
+            return None
+        if isinstance(record, LandmarkRecord):
+            rows = LandmarkRecord.begin(record.header)
+            for message in self._told(ledger):
+                if isinstance(message, Rows):
+                    rows.add(message)
+            return rows.log
         again = LaserRecord(record.header)
         parts = (again.add(message) for message in self._told(ledger) if isinstance(message, Scans))
         return whole_log(record.header, (part for part in parts if part is not None))

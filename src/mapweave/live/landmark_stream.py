@@ -70,20 +70,24 @@ class Part:
 
 @dataclass(slots=True)
 class LandmarkRecord:
-    """What a robot has told so far, put together in the order of its numbers."""
+    """What a robot has told so far, put together in the order of its numbers.
+
+    keep: whether its rows are kept here, in `parts`; without, they are checked alone.
+    """
 
     header: Header
     names: list[str]
+    keep: bool = True
     parts: list[Part] = field(default_factory=list)
     closed: bool = False
     _driven: float = -np.inf
     _seen: float = -np.inf
 
     @classmethod
-    def begin(cls, header: Header) -> "LandmarkRecord":
+    def begin(cls, header: Header, *, keep: bool = True) -> "LandmarkRecord":
         if not header.log_robot.removeprefix("robot").isdecimal():
             raise RefusedError("malformed", f"expected robotK as the robot of a landmark log, found {header.log_robot}")
-        return cls(header, list(header.names))
+        return cls(header, list(header.names), keep)
 
     def add(self, message: Numbered) -> Part | None:
         """Its rows, put after all others; raises RefusedError when they can't be those of this robot."""
@@ -109,7 +113,8 @@ class LandmarkRecord:
         self._driven = float(drive[0, -1]) if drive.shape[1] else self._driven
         self._seen = float(seen[0, -1]) if seen.shape[1] else self._seen
         part = Part(drive, seen, what)
-        self.parts.append(part)
+        if self.keep:
+            self.parts.append(part)
         return part
 
     @staticmethod
