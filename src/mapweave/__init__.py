@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from .api.live import live_map as live_map
     from .api.live import live_robot as live_robot
     from .api.live_keys import live_keys as live_keys
+    from .api.live_robots import live_robots as live_robots
     from .api.live_ros2 import RosOptions as RosOptions
     from .api.live_view import live_view as live_view
     from .api.localize import LocalizeResult as LocalizeResult
@@ -116,6 +117,7 @@ _HOMES: dict[str, str] = {
     "live_keys": "api.live_keys",
     "live_map": "api.live",
     "live_robot": "api.live",
+    "live_robots": "api.live_robots",
     "live_view": "api.live_view",
     # estimators fed by hand
     "LandmarkSlam": "api.landmark_slam",
@@ -235,6 +237,7 @@ __all__ = (
     "live_keys",
     "live_map",
     "live_robot",
+    "live_robots",
     "live_view",
     "localize",
     "locate",

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mapweave.api.live import live_robot
+from mapweave.api.live_robots import live_robots
 from mapweave.api.live_ros2 import RosOptions
 from mapweave.core import se2
 from mapweave.core.errors import UsageError
@@ -64,6 +65,12 @@ def joins(fleet, name, *words):
     return fleet.start(name, "robot", "--name", name, "--source", "ros2", "--connect", fleet.at, *words)
 
 
+def all_heard(one, said, times=1):
+    """Everything `one` has told was heard: so was what it said last, which is refused and told of."""
+    one.node.say(f"/{one.space}/scan", b"")
+    wait_for(lambda: sum("refused: malformed" in words for words in said) >= times)
+
+
 def record(path, name):
     """What a robot's history holds, as one log, and its last message."""
     with Store(path, f"robot {name} of team team") as store:
@@ -82,6 +89,48 @@ def same_scans(log, simulated):
         np.testing.assert_array_equal(ours.intensities, driven.intensities)
         np.testing.assert_allclose(ours.odometry, driven.odometry, atol=1e-12)
         np.testing.assert_allclose(ours.T_robot_sensor, MOUNT, atol=1e-6)
+
+
+def test_one_process_drives_several_robots_each_with_a_history_of_its_own(fleet, ros):
+    session = ros[1]
+    made = {"tb1": drive(1), "tb2": drive(2)}
+    ones = [RosDrive(session, name, d.log, MOUNT) for name, d in made.items()]
+    joins(fleet, "r1,r2", "--pattern", "tb1,*2")
+    playing = [threading.Thread(target=one.play, args=(8.0,)) for one in ones]
+    for thread in playing:
+        thread.start()
+    for thread in playing:
+        thread.join()
+    for one in ones:
+        one.node.say(f"/{one.space}/scan", b"")
+    for name in ("r1", "r2"):
+        fleet.hears("r1,r2", f"{name}: refused: malformed")
+    fleet.interrupt("r1,r2")
+    assert fleet.wait("r1,r2") == 0, fleet.said("r1,r2")
+    for name, d in zip(("r1", "r2"), made.values(), strict=True):
+        log, end = record(fleet.folder / f"mapweave-live/team-{name}.sqlite", name)
+        same_scans(log, d.log)
+        assert isinstance(end, Closed)
+        assert f"{name}: {end.seq + 1} messages" in fleet.said("r1,r2")
+
+
+def test_where_one_of_several_robots_cannot_be_driven_the_others_end_too(ros, tmp_path, monkeypatch):
+    at, session = ros
+    monkeypatch.chdir(tmp_path)
+    log = drive(1).log
+    ones = [RosDrive(session, name, log, MOUNT) for name in ("tb1", "tb2")]
+    network = Network(connect=(at,))
+    with pytest.raises(UsageError, match="--pattern: which robot is r2\\? There are tb1, tb2"):
+        live_robots(["r1", "r2"], ["tb1", "tb*"], network=network, say=lambda _: None)
+    for arguments, words in (
+        ((["r1", "r1"],), "--name: r1 comes twice"),
+        ((["r1", "r2"], ["tb1"]), "--pattern: expected one a robot, 2, found 1"),
+    ):
+        with pytest.raises(UsageError, match=words):
+            live_robots(*arguments, network=network)
+    with pytest.raises(UsageError, match="--listen: of one robot"):
+        live_robots(["r1", "r2"], network=Network(listen=(at,)))
+    assert len(ones) == 2
 
 
 @pytest.mark.slow
@@ -107,6 +156,7 @@ def test_two_ros_robots_make_one_map_and_the_graph_gets_maps_poses_and_transform
     wait_for(lambda: rviz.heard["/tb1/pose"] and read_pose(rviz.heard["/tb1/pose"][-1][0])[0] > last - 1.5)
     rviz.hear("/tb1/map", GRID, latched=True)  # told before: kept for those that come late
     wait_for(lambda: rviz.heard["/tb1/map"])
+    wait_for(lambda: {edge[2] for edge in shared_edges(rviz)} == {"tb1/map", "tb2/map"})
     tokens = rviz.graph()
     for name in ("r1", "r2"):
         fleet.interrupt(name)
@@ -164,6 +214,11 @@ def estimated(path, name, t):
     raise AssertionError(t)
 
 
+def shared_edges(rviz):
+    """What /tf said of frames in the team's map."""
+    return [one for data, _ in rviz.heard["/tf"] for one in read_transforms(data) if one[1].startswith("team_map")]
+
+
 def _shows_poses_and_transforms(rviz, made, store):
     t, frame, pose, cov = read_pose(rviz.heard["/tb1/pose"][-1][0])
     assert frame == "tb1/map"
@@ -218,9 +273,9 @@ def test_nonsense_in_the_graph_is_told_in_a_line_each_and_the_drive_is_as_withou
     one.node.out["/tb1/scan"].put(one.scan(0))
     one.node.say("/tb1/scan", scan(999.5, "camera", [1.0, 2.0], 0.0, 0.1, 10.0))
     one.play(4.0)
-    one.node.say("/tb1/scan", scan(500.0, "tb1/laser", [1.0, 2.0], 0.0, 0.1, 10.0))  # the clock was set back
     one.node.counts["/tb1/scan"] -= 1
     one.node.say("/tb1/scan", one.scan(0))  # told twice
+    one.node.say("/tb1/scan", scan(500.0, "tb1/laser", [1.0, 2.0], 0.0, 0.1, 10.0))  # the clock was set back
     wait_for(lambda: any("refused: clock" in words for words in said))
     stop.set()
     thread.join(60)
@@ -256,7 +311,7 @@ def test_a_robot_started_again_goes_on_where_its_history_ends(ros, tmp_path):
     for row in rows:
         one.tell(*row)
         time.sleep(0.005)
-    time.sleep(1.0)
+    all_heard(one, said)
     stop.set()
     thread.join(60)
     with pytest.raises(UsageError, match="this drive has ended; --fresh begins a new one"):
@@ -277,7 +332,7 @@ def test_a_robot_started_again_goes_on_where_its_history_ends(ros, tmp_path):
     for row in rows:
         one.tell(*row)
         time.sleep(0.005)
-    time.sleep(1.0)
+    all_heard(one, said, 2)
     again.set()
     thread.join(60)
     log, end = record(tmp_path / "r1.sqlite", "r1")
@@ -314,6 +369,7 @@ def test_with_listen_it_is_the_router_and_what_others_publish_as_map_stays_their
         wait_for(lambda: any("hears /tb1/scan" in words for words in said))
         one.play(4.0)
         wait_for(lambda: rviz.heard["/tb1/mapweave/map"])
+        all_heard(one, said)
         tokens = rviz.graph()
         stop.set()
         thread.join(60)
@@ -336,7 +392,7 @@ def test_a_graph_without_type_hashes_is_answered_without_them(ros, tmp_path):
     wait_for(lambda: any("hears /tb1/scan" in words for words in said))
     one.play(2.0)
     wait_for(lambda: rviz.heard["/tb1/map"])
-    time.sleep(3.0)  # for the last scan, which waits for the transform after it
+    all_heard(one, said)
     stop.set()
     thread.join(60)
     same_scans(record(tmp_path / "r1.sqlite", "r1")[0], made.log)
@@ -354,13 +410,10 @@ def test_when_the_router_goes_and_comes_back_the_drive_goes_on(tmp_path):
         one.wait_for_a_listener()
         one.tell(999.5, "odometry", 0)
         router.close()
-        time.sleep(0.5)
+        wait_for(lambda: not one.node.is_heard("/tb1/scan"))
         router = open_session(at, "router")
-        listens = "/mapweave_r1/%tb1%scan"
-        wait_for(lambda: any(listens in words for words in Node(session, "look").graph()))
-        time.sleep(1.0)
         one.play(4.0)
-        time.sleep(1.0)
+        all_heard(one, said)
         stop.set()
         thread.join(60)
     router.close()

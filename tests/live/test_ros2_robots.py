@@ -45,6 +45,10 @@ def test_topics_of_one_namespace_are_one_robot():
     ]
     assert [t.name for t in robots[1].tf] == ["/tb2/tf", "/tf", "/tf_static"]
     assert robots[1].beside == ("/tb2/odometry/filtered",)
+    (robot,) = graph(("/tb1/rear/scan", cdr.SCAN), ("/tb1/scan", cdr.SCAN), ("/tb1/odom", cdr.ODOMETRY)).robots()
+    assert robot.scan.name == "/tb1/scan"
+    assert [t.name for t in robot.scanners] == ["/tb1/rear/scan"]
+    assert robot.beside == ()
 
 
 def test_a_robot_without_a_namespace_does_not_take_the_odometry_of_another():
@@ -121,6 +125,31 @@ def test_a_scan_gets_the_odometry_of_its_own_stamp_and_its_place_on_the_robot():
     assert placed.ranges.tolist() == [1.0, 2.0, 10.0, 10.0, 10.0, 3.0]
     assert rows == []  # those of the message before
     assert not made.refused
+
+
+def test_scans_of_two_scanners_come_in_the_order_of_their_stamps():
+    made = fed(Assembly(), mounted(), (cdr.TF, ros_peer.transforms((1.0, "base", "back", (-0.2, 0.0, math.pi)))))
+    for t in (9.0, 10.0, 11.0, 12.0):
+        fed(made, odometry(t))
+
+    def hears(t, scanner):
+        made.scan(cdr.decode(scan(t, scanner)[1], cdr.SCAN), scanner)
+
+    def told():
+        return [(t, round(float(s.T_robot_sensor[0]), 3)) for t, s in made.ready()[0]]
+
+    hears(9.1, "laser")
+    hears(9.3, "laser")
+    hears(9.2, "back")
+    assert told() == [(9.1, 0.2), (9.2, -0.2)]  # before 9.3 the other may have told of 9.25
+    hears(9.4, "back")
+    hears(9.5, "back")
+    assert told() == [(9.3, 0.2)]
+    hears(9.45, "laser")
+    hears(9.45 + PATIENCE + 0.1, "back")  # what is silent for so long is not waited for
+    assert told() == [(9.4, -0.2), (9.45, 0.2), (9.5, -0.2)]
+    hears(9.48, "laser")
+    assert made.refused == {"late": 1}
 
 
 def test_a_scanner_upside_down_sees_its_beams_the_other_way():

@@ -132,7 +132,7 @@ def live_robot(
             told, heard = drive_ros2(name, options, store, run, period, linger, settings, network, stop, say, wall)
             return LiveRobot(name, told, heard)
     if ros is not None:
-        raise UsageError(f"--domain, --pattern, --graph, --sensor-pose: of --source {ROS2} alone")
+        raise UsageError(f"--domain, --pattern, --graph, --sensor-pose, --all-scanners: of --source {ROS2} alone")
     log = open_source(str(source), name, robot, seed)
     with Store(path, f"robot {name} of team {network.team}") as store:
         if fresh:

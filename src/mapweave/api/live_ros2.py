@@ -34,13 +34,14 @@ class RosOptions:
     """Which robot of which graph. domain: ROS_DOMAIN_ID; pattern: of the robot's namespace, as `tb*`.
 
     graph: where the graph's router is, when it is another than the team's `connect`; sensor_pose: where the scanner
-    stands on the robot [m, m, rad], when tf does not tell.
+    stands on the robot [m, m, rad], when tf does not tell; all_scanners: the scans of all that the robot has.
     """
 
     domain: int = 0
     pattern: str | None = None
     graph: str | None = None
     sensor_pose: tuple[float, float, float] | None = None
+    all_scanners: bool = False
 
     def check(self, network: Network) -> None:
         """Raises UsageError for what cannot be."""
@@ -78,8 +79,10 @@ def drive_ros2(
         team = graph if options.graph is None else open_ones.enter_context(session(network))
         process = RobotProcess(name, team, topics, store, say, wall)
         process.join()
-        feed = RosFeed(graph, Chosen(name, run, period, options.domain, options.pattern, options.sensor_pose), say)
-        view = RosView(graph, feed, say)
+        o = options
+        asked = Chosen(name, run, period, o.domain, o.pattern, o.sensor_pose, o.all_scanners)
+        feed = RosFeed(graph, asked, say)
+        view = RosView(graph, feed, process.listeners, network.team, say)
         say(
             f"{name}: domain {options.domain} at {', '.join(mine.connect or mine.listen)}, team {network.team}, "
             f"history in {store.path}"

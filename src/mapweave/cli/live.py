@@ -3,6 +3,7 @@
 import signal
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from threading import Event, current_thread, main_thread
@@ -18,6 +19,36 @@ if TYPE_CHECKING:
     from ..live.transport import Network
 
 app = App(name="live", help="A team that drives now, over a real network.", help_format="plaintext")
+Endpoints = Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class Link:
+    """How a process reaches the others of its team.
+
+    Parameters
+    ----------
+    team
+        The team's name: teams of different names do not hear each other.
+    connect
+        Where others listen, as tcp/host:port; without it those on one network find each other (--source ros2
+        takes tcp/localhost:7447).
+    listen
+        Where to listen, as tcp/host:port; messages are passed on between those that connect.
+    tls
+        The folder of this process's certificate, as mapweave live keys makes them.
+    lease
+        Seconds without a sign of life until the other counts as gone; more than a message takes there and back.
+    """
+
+    team: str = "team"
+    connect: Endpoints = None
+    listen: Endpoints = None
+    tls: Path | None = None
+    lease: float = 3.0
+
+
 NEEDS = {"zenoh": "eclipse-zenoh", "msgspec": "msgspec", "cryptography": "cryptography"}
 
 
@@ -38,18 +69,15 @@ def robot(
     pattern: str | None = None,
     graph: str | None = None,
     sensor_pose: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
-    team: str = "team",
-    connect: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
-    listen: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
-    tls: Path | None = None,
-    lease: float = 3.0,
+    all_scanners: Annotated[bool, Parameter(negative="")] = False,
+    link: Link | None = None,
 ) -> None:
-    """Drive one robot: estimate as `mapweave map` does, keep a history, tell the team. Ctrl-C ends it.
+    """Drive a robot: estimate as `mapweave map` does, keep a history, tell the team. Ctrl-C ends it.
 
     Parameters
     ----------
     name
-        What the team calls it.
+        What the team calls it; of ros2 also several, as r1,r2.
     source
         An MRCLAM data set (folder or zip), a folder with odometry.csv and sightings.csv, a laser log, sim:landmarks or
         sim:office; or ros2: a robot that drives now, whose ROS 2 runs rmw_zenoh, until Ctrl-C.
@@ -72,46 +100,58 @@ def robot(
     domain
         Of ros2: the graph's ROS_DOMAIN_ID (0).
     pattern
-        Of ros2: the robot's namespace, which may hold * and ? (the one called --name, or the only one).
+        Of ros2: the robot's namespace, which may hold * and ? (the one called --name, or the only one); of several
+        robots one each, as tb1,tb2.
     graph
         Of ros2: where the graph's router is, when --connect is the team's and another; needed with --tls.
     sensor_pose
         Of ros2: where the scanner stands on the robot, as x,y,theta [m, m, rad], when tf does not tell.
-    team
-        The team's name: teams of different names do not hear each other.
-    connect
-        Where others listen, as tcp/host:port; without it those on one network find each other, and ros2 takes
-        tcp/localhost:7447.
-    listen
-        Where to listen, as tcp/host:port; messages are passed on between those that connect.
-    tls
-        The folder of this process's certificate, as mapweave live keys makes them.
-    lease
-        Seconds without a sign of life until the other counts as gone; more than a message takes there and back.
+    all_scanners
+        Of ros2: hear every scanner of the robot, not the first alone.
     """
     _expect_extra()
-    from ..api.live import live_robot
+    from ..api.live import ROS2, live_robot
+    from ..api.live_robots import live_robots
 
-    network = _network(team, connect, listen, tls, lease)
-    asked = _ros(domain, pattern, graph, sensor_pose)
+    network = _network(link)
+    asked = _ros(domain, pattern, graph, sensor_pose, all_scanners=all_scanners)
+    several = _names(name, "--name") if "," in name and source == ROS2 else []
+    if several and not (robot is None and history is None and rate == 1.0):
+        raise UsageError("--robot, --history, --rate: of a single robot")
     with _until_interrupted() as stop:
-        done = live_robot(
-            name,
-            source,
-            robot=robot,
-            rate=rate,
-            period=period,
-            history=history,
-            fresh=fresh,
-            linger=linger,
-            seed=seed,
-            config=config,
-            ros=asked,
-            network=network,
-            stop=stop,
-            say=say,
-        )
-    say(f"{done.name}: {done.messages} messages, {done.heard_by} map processes have all of them")
+        if several:
+            all_done = live_robots(
+                several,
+                None if pattern is None else _names(pattern, "--pattern"),
+                period=period,
+                fresh=fresh,
+                linger=linger,
+                config=config,
+                ros=asked,
+                network=network,
+                stop=stop,
+                say=say,
+            )
+        else:
+            done = live_robot(
+                name,
+                source,
+                robot=robot,
+                rate=rate,
+                period=period,
+                history=history,
+                fresh=fresh,
+                linger=linger,
+                seed=seed,
+                config=config,
+                ros=asked,
+                network=network,
+                stop=stop,
+                say=say,
+            )
+            all_done = [done]
+    for done in all_done:
+        say(f"{done.name}: {done.messages} messages, {done.heard_by} map processes have all of them")
 
 
 @app.command(name="map")
@@ -127,11 +167,7 @@ def map_team(
     config: Path | None = None,
     seed: int = 0,
     force: Annotated[bool, Parameter(negative="")] = False,
-    team: str = "team",
-    connect: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
-    listen: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
-    tls: Path | None = None,
-    lease: float = 3.0,
+    link: Link | None = None,
 ) -> None:
     """Make the shared map of a team that drives; any number of such processes may run, anywhere.
 
@@ -161,29 +197,17 @@ def map_team(
         As for map.
     force
         Write into the folder even when something other than a result stands there.
-    team
-        The team's name: teams of different names do not hear each other.
-    connect
-        Where others listen, as tcp/host:port; without it those on one network find each other.
-    listen
-        Where to listen, as tcp/host:port; messages are passed on between those that connect.
-    tls
-        The folder of this process's certificate, as mapweave live keys makes them.
-    lease
-        Seconds without a sign of life until the other counts as gone; more than a message takes there and back.
     """
     _expect_extra()
-    from dataclasses import replace
-
     from ..api.live import live_map
     from ..api.map_options import parse_starts
     from .live_door import LOG_LEVELS, watched
 
     names = None if robots is None else _names(robots, "--robots")
-    network = _network(team, connect, listen, tls, lease)
+    network = _network(link)
     with _until_interrupted() as stop, ExitStack() as door:
         counts = None
-        if tls is not None:
+        if network.tls is not None:
             counts = door.enter_context(watched())
             network = replace(network, log_levels=LOG_LEVELS)
         result = live_map(
@@ -212,11 +236,7 @@ def view(
     port: int = 8642,
     host: str = "127.0.0.1",
     browser: bool = False,
-    team: str = "team",
-    connect: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
-    listen: Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)] = None,
-    tls: Path | None = None,
-    lease: float = 3.0,
+    link: Link | None = None,
 ) -> None:
     """Show the shared map in a browser: robots, who is there, what was decided. Ctrl-C ends it.
 
@@ -228,21 +248,11 @@ def view(
         The address it is served on; 127.0.0.1 is this machine alone.
     browser
         Open it in a browser.
-    team
-        The team's name.
-    connect
-        Where others listen, as tcp/host:port; without it those on one network find each other.
-    listen
-        Where to listen, as tcp/host:port; messages are passed on between those that connect.
-    tls
-        The folder of this process's certificate, as mapweave live keys makes them.
-    lease
-        Seconds without a sign of life until the other counts as gone; more than a message takes there and back.
     """
     _expect_extra()
     from ..api.live_view import live_view
 
-    network = _network(team, connect, listen, tls, lease)
+    network = _network(link)
     with _until_interrupted() as stop:
         live_view(port=port, host=host, browser=browser, network=network, stop=stop, say=say)
 
@@ -325,17 +335,20 @@ def _names(words: str, option: str) -> list[str]:
     return names
 
 
-def _network(
-    team: str, connect: list[str] | None, listen: list[str] | None, tls: Path | None, lease: float
-) -> "Network":
+def _network(link: Link | None) -> "Network":
     from ..live.transport import Network, endpoints
 
-    return Network(endpoints(connect, "--connect"), endpoints(listen, "--listen"), tls, team, lease)
+    link = link or Link()
+    return Network(
+        endpoints(link.connect, "--connect"), endpoints(link.listen, "--listen"), link.tls, link.team, link.lease
+    )
 
 
-def _ros(domain: int | None, pattern: str | None, graph: str | None, place: str | None) -> "RosOptions | None":
+def _ros(
+    domain: int | None, pattern: str | None, graph: str | None, place: str | None, *, all_scanners: bool
+) -> "RosOptions | None":
     """What was asked of a ROS graph; None when nothing was."""
-    if all(word is None for word in (domain, pattern, graph, place)):
+    if all(word is None for word in (domain, pattern, graph, place)) and not all_scanners:
         return None
     from ..api.live_ros2 import RosOptions
     from ..live.transport import endpoints
@@ -346,7 +359,7 @@ def _ros(domain: int | None, pattern: str | None, graph: str | None, place: str 
     if place is not None:
         x, y, theta = numbers(place, 3, "--sensor-pose")
         pose = (x, y, theta)
-    return RosOptions(domain or 0, pattern, where, pose)
+    return RosOptions(domain or 0, pattern, where, pose, all_scanners)
 
 
 def _expect_extra() -> None:

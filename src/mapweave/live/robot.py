@@ -57,12 +57,25 @@ class Pace:
 
 @dataclass(slots=True)
 class Listeners:
-    """Map processes that are there, and how many messages each has of this robot."""
+    """Map processes that are there, and how many messages each has of this robot.
+
+    part: of each map process's map in which this robot stands, 1 the largest, 0 none; corrections: where its frame is
+    in that.
+    """
 
     there: set[str] = field(default_factory=set)
     have: dict[str, int] = field(default_factory=dict)
     ever: bool = False
-    correction: Correction | None = None
+    part: dict[str, int] = field(default_factory=dict)
+    corrections: dict[str, Correction] = field(default_factory=dict)
+
+    @property
+    def shared(self) -> tuple[int, Correction] | None:
+        """The robot's part and where its frame is in that, as the first map process that is there has it."""
+        for name in sorted(self.there):
+            if (part := self.part.get(name, 0)) and (correction := self.corrections.get(name)) is not None:
+                return part, correction
+        return None
 
     def all_have(self, n: int) -> bool:
         """Whether everybody there has the first `n` messages; of those who went, when nobody is there."""
@@ -306,8 +319,9 @@ class RobotProcess:
         except RefusedError:
             return
         if isinstance(state, MapState) and state.map == self._topics.map_of(str(sample.key_expr)):
-            mine = [robot.have for robot in state.robots if robot.robot == self.name]
-            self.listeners.have[state.map] = mine[0] if mine else 0
+            mine = next((robot for robot in state.robots if robot.robot == self.name), None)
+            self.listeners.have[state.map] = 0 if mine is None else mine.have
+            self.listeners.part[state.map] = 0 if mine is None else mine.component
             self.listeners.ever = True  # a liveliness token may be long in coming over a slow link
 
     def _hear_correction(self, sample: zenoh.Sample) -> None:
@@ -315,8 +329,9 @@ class RobotProcess:
             message = decode(sample.payload.to_bytes())
         except RefusedError:
             return
-        if isinstance(message, Correction) and message.robot == self.name:
-            self.listeners.correction = message
+        named = self._topics.map_of(str(sample.key_expr))
+        if isinstance(message, Correction) and (message.robot, message.map) == (self.name, named):
+            self.listeners.corrections[named] = message
 
     def _map_there(self, sample: zenoh.Sample) -> None:
         name = self._topics.map_of(str(sample.key_expr))

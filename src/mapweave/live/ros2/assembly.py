@@ -66,7 +66,9 @@ class Assembly:
         self._given = None if sensor_pose is None else frozen(sensor_pose)
         self._tf = Transforms()
         self._places: dict[str, tuple[np.ndarray, bool]] = {}
-        self._clocks = {"scan": Clock("a scan"), "odometry": Clock("odometry")}
+        self._wheels_clock = Clock("odometry")
+        self._scanners: dict[str, Clock] = {}
+        self._told_until: float | None = None  # [s] stamp of the last scan that was told
         self._waiting: deque[tuple[RawScan, str]] = deque()
         self._undecided: deque[tuple[float, tuple[float, float, float], tuple[str, str]]] = deque(maxlen=UNDECIDED)
         self._rows: list[Row] = []
@@ -75,7 +77,7 @@ class Assembly:
 
     def resume(self, scan: float | None, odometry: float | None, *, light: bool | None) -> None:
         """Stamps [s] that were told already: only later ones are used; light: whether scans had intensities."""
-        self._clocks["scan"].last, self._clocks["odometry"].last, self._light = scan, odometry, light
+        self._told_until, self._wheels_clock.last, self._light = scan, odometry, light
 
     def refuse(self, error: RefusedError) -> None:
         """Counted; the first of each reason is kept in words."""
@@ -129,7 +131,7 @@ class Assembly:
 
     def _row(self, t: float, pose: tuple[float, float, float], edge: tuple[str, str]) -> None:
         try:
-            self._clocks["odometry"].take(t)
+            self._wheels_clock.take(t)
         except RefusedError as error:
             self.refuse(error)
             return
@@ -138,20 +140,29 @@ class Assembly:
         self._rows.append(self.latest)
         self._fresh.append(self.latest)
 
-    def scan(self, message: Any) -> None:
-        """One LaserScan."""
+    def scan(self, message: Any, scanner: str = "") -> None:
+        """One LaserScan of one of the robot's scanners."""
         try:
             raw = self._raw(message)
-            self._clocks["scan"].take(raw.t)
+            self._take_stamp(raw.t, scanner)
         except RefusedError as error:
             self.refuse(error)
             return
         name = frame(message.header.frame_id)
         self.sensor_frame = self.sensor_frame or name
-        self._waiting.append((raw, name))
+        after = next((k for k in range(len(self._waiting), 0, -1) if self._waiting[k - 1][0].t <= raw.t), 0)
+        self._waiting.insert(after, (raw, name))
         if len(self._waiting) > MOST_WAITING:
             self._waiting.popleft()
             self.refuse(RefusedError("late", "scans that nothing placed"))
+
+    def _take_stamp(self, t: float, scanner: str) -> None:
+        """Raises RefusedError for one that is not after the scanner's last, and for one before what was told."""
+        self._scanners.setdefault(scanner, Clock("a scan", self._told_until)).take(t)
+        if self._told_until is not None and t < self._told_until:
+            raise RefusedError(
+                "late", f"a scan {self._told_until - t:.3g} s before one of another scanner that was told"
+            )
 
     def _raw(self, message: Any) -> RawScan:
         """Raises RefusedError when its numbers do not make a scan."""
@@ -183,17 +194,23 @@ class Assembly:
         while self._waiting:
             raw, name = self._waiting[0]
             placed = self._placed(raw, name)
-            late = all_of_them or (self._clocks["scan"].last or 0.0) - raw.t > PATIENCE
-            if isinstance(placed, RefusedError) and not late:
+            newest = max((clock.last or 0.0) for clock in self._scanners.values())
+            late = all_of_them or newest - raw.t > PATIENCE
+            if not late and (isinstance(placed, RefusedError) or self._earlier_may_come(raw.t)):
                 break
             self._waiting.popleft()
             if isinstance(placed, RefusedError):
                 self.refuse(placed)
             elif placed is not None:
+                self._told_until = raw.t
                 out.append((raw.t, placed))
         self._forget()
         rows, self._fresh = self._fresh, []
         return out, rows
+
+    def _earlier_may_come(self, t: float) -> bool:
+        """Whether a scanner has told nothing as late as `t` yet."""
+        return any((clock.last or 0.0) < t for clock in self._scanners.values())
 
     def _placed(self, raw: RawScan, name: str) -> Scan | RefusedError | None:
         """The scan; what it lacks yet; None when it will always lack it, which is counted."""
@@ -236,7 +253,7 @@ class Assembly:
             if not base and self.wheels == NO_ODOMETRY:
                 base = self._tf.chain(name)[-1]
             found = self._tf.sensor_pose(base, name) if base else None
-            if found is None and self._given is not None:
+            if found is None and self._given is not None and name == self.sensor_frame:
                 found = self._given, False
             if found is None:
                 return None

@@ -32,7 +32,10 @@ Heard = tuple[Topic, bytes, bytes | None]
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """What the feed is asked for. pattern: of the robot's namespace; period: [s] of scans in one message."""
+    """What the feed is asked for. pattern: of the robot's namespace; period: [s] of scans in one message.
+
+    all_scanners: the scans of all that the robot has, not of the first alone.
+    """
 
     name: str
     run: str
@@ -40,6 +43,7 @@ class Chosen:
     domain: int = 0
     pattern: str | None = None
     sensor_pose: tuple[float, float, float] | None = None
+    all_scanners: bool = False
 
 
 @dataclass(slots=True)
@@ -203,7 +207,7 @@ class RosFeed:
             return
         if topic.kind == SCAN:
             self._last = time.monotonic()
-            self.assembly.scan(message)
+            self.assembly.scan(message, topic.name)
         elif topic.kind == ODOMETRY:
             self.assembly.odometry(message)
         else:
@@ -241,12 +245,15 @@ class RosFeed:
             return
         self.robot = found
         wheels = found.odometry.name if found.odometry else "tf, if that tells any"
-        beside = f"; not heard: {', '.join(found.beside)}" if found.beside else ""
+        scanners = found.scanners if self.asked.all_scanners else ()
+        left = [*([] if scanners else [t.name for t in found.scanners]), *found.beside]
+        beside = f"; not heard: {', '.join(left)}" if left else ""
         self.member = Member(self._session, self.asked.domain, f"/{found.name}", node_name(self.asked.name))
         self.member.declare("NN")
         self._last = now
-        self._heard_topics(found.topics)
-        self._once(f"hears {found.scan.name}, odometry from {wheels}{beside}")
+        self._heard_topics((*found.topics, *scanners))
+        scans = " and ".join(topic.name for topic in (found.scan, *scanners))
+        self._once(f"hears {scans}, odometry from {wheels}{beside}")
 
     def _heard_topics(self, topics: Sequence[Topic]) -> None:
         assert self.member is not None  # noqa: S101  (chosen)

@@ -15,13 +15,15 @@ Place = tuple[str, ...]  # namespaces, the outermost first
 class RosRobot:
     """One robot of a graph. name: its namespace without slashes around, empty where there is none.
 
-    tf, tf_static: topics of transforms, its own before those of all. beside: topics of the same kinds not heard.
+    tf, tf_static: topics of transforms, its own before those of all; scanners: its other scans; beside: other odometry,
+    which is not heard.
     """
 
     name: str
     scan: Topic
     odometry: Topic | None
     tf: tuple[Topic, ...]
+    scanners: tuple[Topic, ...] = ()
     beside: tuple[str, ...] = ()
 
     @property
@@ -89,8 +91,8 @@ class Graph:
         wheels = _best(mine, "odom")
         own = [t for t in tf if place and _within(_place(t), place)]
         shared = [t for t in tf if not _place(t)]
-        beside = [t.name for t in (*more, *wheels[1:])]
-        return RosRobot(name, scan, wheels[0] if wheels else None, (*own, *shared), tuple(beside))
+        beside = tuple(t.name for t in wheels[1:])
+        return RosRobot(name, scan, wheels[0] if wheels else None, (*own, *shared), tuple(more), beside)
 
 
 def chosen(robots: Sequence[RosRobot], name: str, pattern: str | None) -> RosRobot | None:

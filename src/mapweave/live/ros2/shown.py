@@ -1,4 +1,4 @@
-"""What a ROS graph gets back: the robot's map, its pose with covariance, and where its odometry frame lies in the map.
+"""What a ROS graph gets back: the robot's map, its pose with covariance, and where its frames lie.
 
 `map` is kept for those that subscribe later (transient local); it is drawn anew no more often than it costs.
 """
@@ -18,6 +18,7 @@ from ...io.mcap import header_message, message_type, nanoseconds, pose_message, 
 from ...io.ros_map import FREE_BELOW, OCCUPIED_ABOVE
 from ...laser.laser_map import GridMap
 from ..laser_robot import LaserRobot
+from ..robot import Listeners
 from .cdr import GRID, POSE, TF, encode, type_hash
 from .feed import Member, RosFeed
 from .wire import NO_HASH, PUBLISHER, Attachment, Entity, Qos, Topic
@@ -50,8 +51,9 @@ class Publisher:
 class RosView:
     """Publishers of one robot's estimate. `show` is called after all that came was worked in."""
 
-    def __init__(self, session: zenoh.Session, feed: RosFeed, say: Say) -> None:
+    def __init__(self, session: zenoh.Session, feed: RosFeed, listeners: Listeners, team: str, say: Say) -> None:
         self._session, self._feed, self._say = session, feed, say
+        self._listeners, self._team = listeners, team
         self._map: Publisher | None = None
         self._pose: Publisher | None = None
         self._tf: Publisher | None = None
@@ -83,6 +85,10 @@ class RosView:
         """The frame of the map: `map`, of a robot with a namespace `NAMESPACE/map`."""
         name = self._feed.robot.name if self._feed.robot else ""
         return f"{name}/map" if name else "map"
+
+    def shared_frame(self, part: int) -> str:
+        """The frame of the team's map: `TEAM_map`; of its smaller parts `TEAM_map_2` and so on."""
+        return f"{self._team}_map" + (f"_{part}" if part > 1 else "")
 
     def _declare(self, member: Member) -> None:
         robot = self._feed.robot
@@ -125,7 +131,10 @@ class RosView:
             self._pose.put(pose_of(nanoseconds(driving.t or 0.0), self.frame, np.array(pose), np.array(triangle)))
 
     def _tell_transform(self, driving: LaserRobot) -> None:
-        """`T_map_odom` at the latest odometry; of a robot without any `T_map_robot` at the latest scan."""
+        """`T_map_odom` at the latest odometry; of a robot without any `T_map_robot` at the latest scan.
+
+        Where a map process has the robot in its map, `T_shared_map` too: so all robots of the team are in one frame.
+        """
         a = self._feed.assembly
         pose, wheels = np.array(driving.status()[0]), driving.odometry
         if self._tf is None or not a.base_frame:
@@ -137,8 +146,13 @@ class RosView:
                 return
             pose = np.asarray(se2.compose(pose, se2.inverse(wheels)))
             child, t = a.odom_frame, a.latest[0]
-        edge = transform_message(nanoseconds(t), self.frame, child, pose)
-        self._tf.put(message_type(TF)(transforms=[edge]))
+        edges = [transform_message(nanoseconds(t), self.frame, child, pose)]
+        if (shared := self._listeners.shared) is not None:
+            part, correction = shared
+            edges.append(
+                transform_message(nanoseconds(t), self.shared_frame(part), self.frame, np.array(correction.pose))
+            )
+        self._tf.put(message_type(TF)(transforms=edges))
 
     def _tell_map(self, driving: LaserRobot) -> None:
         grid = driving.map()
