@@ -20,6 +20,11 @@ window.addEventListener("load", () => setTimeout(() => {
   const canvas = document.querySelector(".scene canvas");
   const pixels = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
   const before = pixels.filter((v, i) => i % 4 === 3 && v > 0).length;
+  const names = [], draws = CanvasRenderingContext2D.prototype.fillText;
+  CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+    if (/^(a.|7)$/.test(text)) names.push([x, y, this.measureText(text).width]);
+    draws.call(this, text, x, y);
+  };
   canvas.focus();
   canvas.dispatchEvent(new KeyboardEvent("keydown", {key: "+"}));
   const box = canvas.getBoundingClientRect();
@@ -27,11 +32,25 @@ window.addEventListener("load", () => setTimeout(() => {
     if (!document.querySelector(".tip").textContent.includes("landmark"))
       canvas.dispatchEvent(new PointerEvent("pointermove", {clientX: box.left + x, clientY: box.top + y}));
   document.querySelectorAll(".bar input[type=checkbox]").forEach((box) => box.click());
+  document.querySelectorAll(".bar input[type=checkbox]").forEach((box) => box.click());
+  const opaque = () => {
+    const copy = document.createElement("canvas");
+    [copy.width, copy.height] = [canvas.width, canvas.height];
+    copy.getContext("2d").drawImage(canvas, 0, 0);
+    const all = copy.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+    return all.filter((v, i) => i % 4 === 3 && v === 255).length;
+  };
+  names.length = 0;
+  document.querySelector(".bar button[title='all of it']").click();
+  const written = names.slice(), whole = opaque();
   const slider = document.querySelector(".bar input[type=range]");
   slider.value = 500;
   slider.dispatchEvent(new Event("input"));
   document.documentElement.dataset.seen = JSON.stringify({
-    errors: window.errors, ink: before, tip: document.querySelector(".tip").textContent,
+    errors: window.errors, ink: before, whole: whole, half: opaque(), written: written.length,
+    apart: written.every(([x, y], i) => written.every(([u, v, w], k) => k === i || Math.abs(v - y) > 9 || x > u + w
+      || u > x)),
+    tip: document.querySelector(".tip").textContent,
     wide: document.documentElement.scrollWidth - window.innerWidth,
     time: document.querySelector(".bar output").textContent,
     layers: [...document.querySelectorAll(".bar label")].map((label) => label.textContent),
@@ -47,7 +66,8 @@ def team() -> Scene:
     known[5:35, 5:55] = True
     occupied = np.zeros_like(known)
     occupied[5, 5:55] = True
-    scene.grid("walls", known, occupied, (-1.0, 5.0, -1.0, 3.0))
+    since = np.tile(np.linspace(100.0, 140.0, 60), (40, 1))
+    scene.grid("walls", known, occupied, (-1.0, 5.0, -1.0, 3.0), np.where(known, since, np.nan))
     t = np.linspace(100.0, 140.0, 50)
     pose = np.column_stack([np.linspace(0, 4, 50), np.sin(t / 5), np.zeros(50)])
     scene.track("robot 1", "robot <1>", Track(t, pose, np.tile(0.01 * np.eye(3), (50, 1, 1))), "#0072B2")
@@ -55,6 +75,8 @@ def team() -> Scene:
     scene.points(
         "landmarks", ["7", "</script>"], at, "#888888", ["landmark 7", "landmark x"], np.tile(np.eye(2), (2, 1, 1))
     )
+    scene.points("anchors", [f"a{k}" for k in range(9)], np.tile([[2.0, 1.0]], (9, 1)), "#000000", shape="triangle")
+    scene.path("truth", np.array([[0.0, 0.0], [4.0, 0.0]]), "#000000")
     scene.lines("closures", np.array([[0.0, 0.0, 1.0, 2.0]]), "#009E73", ["accepted"])
     return scene
 
@@ -150,5 +172,8 @@ def test_the_map_lives_in_a_browser(tmp_path, width, dark):
     assert seen["wide"] <= 0
     assert seen["tip"].startswith("landmark")
     assert seen["time"] == "20 s"
-    assert seen["layers"] == ["walls", "closures", "robot 1", "landmarks"]
+    assert seen["layers"] == ["walls", "closures", "robot 1", "truth", "landmarks", "anchors"]
+    assert 0.3 * seen["whole"] < seen["half"] < 0.7 * seen["whole"], "half of the map is known at half of the time"
+    assert 2 <= seen["written"] < 10, "some names are left to pointing"
+    assert seen["apart"]
     assert seen["still"] == 0

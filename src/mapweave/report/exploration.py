@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Polygon
@@ -12,9 +13,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from ..exploration.landmarks.experiment import LandmarkRecord
 from ..exploration.landmarks.result import ExploreResult
-from ..kernels.exploration.objective import mark_half_disc
-from ..kernels.walls.segments import Raster, Sector
-from ..kernels.walls.sight import mark_in_sight
+from .exploration_scene import first_seen, landmark_scene
 from .html import Page
 from .style import MUTED, SEQUENTIAL, TRUTH, Target, as_map, colour, draw_ellipse, figure, marker
 
@@ -27,7 +26,8 @@ def write_exploration(folder: Path, result: ExploreResult) -> None:
     first = result.first
     draw_map(folder / "figures" / "map.png", first)
     draw_progress(folder / "figures" / "progress.png", first, result)
-    draw_explored(folder / "figures" / "explored.png", first, result)
+    seen_at = first_seen(first, result.mission.cfg)
+    draw_explored(folder / "figures" / "explored.png", first, seen_at, result.mission.cfg.mission.cell)
     draw_animation(folder / "figures" / "first_run.gif", first)
     s, m = result.averages(), result.mission
     noise = "as configured" if result.noise is None else f"{result.noise:g} of the printed"
@@ -46,9 +46,10 @@ def write_exploration(folder: Path, result: ExploreResult) -> None:
         ]
     )
     page.section("The first run")
-    page.figure(folder / "figures" / "map.png", "Map, trajectories and submap borders of the first run")
+    scene = landmark_scene(first, seen_at, m.cfg.mission.cell)
+    told = "What was seen when, where the robots truly were, and the map; figures/map.png has the submaps' borders."
+    page.scene(scene, told, folder / "figures" / "map.png")
     page.figure(folder / "figures" / "explored.png", "When each cell was first seen; lines: the frontier at quarters")
-    page.figure(folder / "figures" / "first_run.gif", "The first run, from start to end")
     page.figure(folder / "figures" / "progress.png", "Explored share of the field; steps and errors of all runs")
     page.section("Every run")
     head = ["run", "seed", "finished", "steps", "map error [m]", "C/N [m²]", "NEES/dof", "duplicates", "missed"]
@@ -108,29 +109,18 @@ def draw_map(path: Target, run: LandmarkRecord) -> None:
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4)
 
 
-def draw_explored(path: Path, run: LandmarkRecord, result: ExploreResult) -> None:
-    """The step at which each cell was first seen, and the frontier at each quarter of the run."""
-    cfg = result.mission.cfg
+def draw_explored(path: Path, run: LandmarkRecord, first: Float[np.ndarray, "rows columns"], cell: float) -> None:
+    """The step at which each cell was `first` seen, and the frontier at each quarter of the run."""
     width, height = run.world.upper - run.world.lower
-    shape = (int(np.ceil(height / cfg.mission.cell)), int(np.ceil(width / cfg.mission.cell)))
-    seen, first = np.zeros(shape, dtype=bool), np.full(shape, np.nan)
-    sector, raster = Sector(cfg.submap.reach, cfg.submap.half_angle), Raster(run.world.lower, cfg.mission.cell)
-    for moment in (run.first_look, *run.moments):
-        for pose in moment.poses:
-            if run.floor is None:
-                mark_half_disc(seen, pose, sector, raster)
-            else:
-                walls = run.floor.walls.segments
-                mark_in_sight(seen, pose, sector, raster, walls)
-        first[seen & np.isnan(first)] = moment.step
+    shape = first.shape
     with figure(path, 8.0, min(7.2 * float(height / width), TALLEST) + 0.4) as (fig, ax):
         _field(ax, run)
-        (x0, y0), (x1, y1) = run.world.lower, run.world.lower + cfg.mission.cell * np.array(shape[::-1])
+        (x0, y0), (x1, y1) = run.world.lower, run.world.lower + cell * np.array(shape[::-1])
         image = ax.imshow(first, origin="lower", extent=(x0, x1, y0, y1), cmap=SEQUENTIAL, interpolation="nearest")
         quarters = [0.25 * k * max(len(run.moments), 1) for k in (1, 2, 3)]
         filled = np.where(np.isnan(first), len(run.moments) + 1.0, first)
         if filled.min() < filled.max():
-            centres = [lo + cfg.mission.cell * (np.arange(n) + 0.5) for lo, n in ((x0, shape[1]), (y0, shape[0]))]
+            centres = [lo + cell * (np.arange(n) + 0.5) for lo, n in ((x0, shape[1]), (y0, shape[0]))]
             ax.contour(*centres, filled, levels=sorted(set(quarters)), colors="white", linewidths=1.0)
         fig.colorbar(image, ax=ax, label="first seen at step", shrink=0.85)
         ax.grid(visible=False)

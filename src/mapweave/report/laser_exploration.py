@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from ..exploration.laser.result import LaserExploreResult, refusals
+from .exploration_scene import laser_exploration_scene
 from .html import Page
 from .laser_exploration_figures import (
     draw_animation,
@@ -40,13 +41,13 @@ def write_laser_exploration(folder: Path, result: LaserExploreResult) -> None:
             page.text(f"{name} was stopped by a wall or another robot {count} times in the first run", warn=True)
     page.section("The first run")
     draw_map(figures / "map.png", first)
-    page.figure(figures / "map.png", "The merged map over the true walls, and where the robots drove")
+    told = "The merged map as it came to be known, and where the robots drove; each cell as it was in the end."
+    page.scene(laser_exploration_scene(first), told, figures / "map.png")
     draw_stages(figures / "stages.png", first)
     page.figure(figures / "stages.png", "The map at each quarter of the run, with its frontiers and the robots")
     draw_explored(figures / "explored.png", first)
     page.figure(figures / "explored.png", "When each place a robot can reach was first known to be free")
     draw_animation(figures / "first_run.gif", first)
-    page.figure(figures / "first_run.gif", "The first run, from start to end")
     draw_progress(figures / "progress.png", first)
     page.figure(
         figures / "progress.png", "Share of the reachable area mapped; errors of the robots' places as they drove"

@@ -38,7 +38,8 @@ def write_localisation_report(folder: Path, found: Localisation, grid: GridMap, 
     walls(scene, grid)
     for shade, (layer, rows) in zip((1, 0), ways.items(), strict=True):
         cov = None if found.track.cov is None else found.track.cov[rows]
-        scene.track(layer, layer, Track(t[rows], found.track.pose[rows], cov), colour(shade))
+        way = Track(t[rows], found.track.pose[rows], cov)
+        scene.track(layer, layer, way, colour(shade), leaves=shade == 1)
     page.scene(scene, "The finished map and the robot in it.", where)
     _draw_scans(scans, found)
     page.figure(scans, "How much of every scan the map explains, and how many hypotheses still count.")

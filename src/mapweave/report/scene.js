@@ -1,6 +1,7 @@
 "use strict";
 /* The map of a page: drag to move, wheel or + and - to zoom, point at a thing to read what it is, slide through time.
    Every <figure class="scene"> holds its data as JSON; without scripts its picture stays. */
+const MOST_NAMES = 600; // in view, beyond which none is written
 for (const figure of document.querySelectorAll("figure.scene")) showScene(figure);
 
 function showScene(figure) {
@@ -27,10 +28,28 @@ function showScene(figure) {
   const begin = Math.min(...times), end = Math.max(...times);
   let now = end, playing = 0;
   let scale = 1, centre = [0, 0];
-  const ground = new Image();
-  if (data.grid) {
-    ground.onload = draw;
-    ground.src = data.grid.png;
+  const ground = document.createElement("canvas");
+  let cells = null, since = null; // pixels of the grid; when each became known
+  if (data.grid)
+    Promise.all([pixelsOf(data.grid.png), data.grid.since && pixelsOf(data.grid.since)]).then(([all, when]) => {
+      [cells, since] = [all, when];
+      [ground.width, ground.height] = [all.width, all.height];
+      paint();
+      draw();
+    });
+
+  // the grid as it was known at the time shown, in the page's colours
+  function paint() {
+    if (!cells) return;
+    const shown = new ImageData(new Uint8ClampedArray(cells.data), cells.width, cells.height), to = shown.data;
+    if (dark.matches)
+      for (let i = 0; i < to.length; i += 4)
+        if (to[i + 3] === 255) for (let k = i; k < i + 3; k++) to[k] = 36 + 0.72 * (255 - to[k]);
+    if (since && now < end) {
+      const level = (data.grid.levels * (now - data.grid.begin)) / Math.max(data.grid.end - data.grid.begin, 1e-9);
+      for (let i = 0; i < to.length; i += 4) if (since.data[i] > level) to[i + 3] = 0;
+    }
+    ground.getContext("2d").putImageData(shown, 0, 0);
   }
 
   function fit() {
@@ -64,17 +83,47 @@ function showScene(figure) {
     context.clearRect(0, 0, w, h);
     const ink = style().getPropertyValue("--fg").trim(), line = style().getPropertyValue("--line").trim();
     drawGraticule(w, h, ink, line);
-    if (data.grid && ground.complete && !hidden.has(data.grid.layer)) {
+    if (cells && !hidden.has(data.grid.layer)) {
       const [x0, x1, y0, y1] = data.grid.extent;
       context.imageSmoothingEnabled = scale * data.grid.cell < 1.5;
-      context.filter = dark.matches ? "invert(0.86)" : "none";
       context.drawImage(ground, toX(x0), toY(y1), (x1 - x0) * scale, (y1 - y0) * scale);
-      context.filter = "none";
     }
-    for (const lines of data.lines) if (!hidden.has(lines.layer)) drawLines(lines);
-    for (const track of data.tracks) if (!hidden.has(track.layer)) drawTrack(track);
-    for (const points of data.points) if (!hidden.has(points.layer)) drawPoints(points, ink);
-    for (const track of data.tracks) if (!hidden.has(track.layer)) drawRobot(track, ink);
+    written = [];
+    const seen = (things) => things.filter((thing) => !hidden.has(thing.layer));
+    for (const lines of seen(data.lines)) drawLines(lines, ink);
+    for (const track of seen(data.tracks)) drawTrack(track, ink);
+    for (const points of seen(data.points)) drawPoints(points, ink);
+    for (const track of seen(data.tracks)) drawRobot(track, ink);
+    context.font = "11px system-ui, sans-serif";
+    context.fillStyle = ink;
+    for (const track of seen(data.tracks)) if (track.named) nameRobot(track);
+    for (const points of seen(data.points)) namePoints(points, w, h);
+  }
+  const tint = (colour, ink) => (colour === "#000000" ? ink : colour);
+
+  // a name beside what it names, where it covers no other; where there is no such place it is left to pointing
+  let written = [];
+  function write(text, x, y) {
+    const wide = context.measureText(text).width, tall = 11;
+    for (const [left, top] of [[x + 6, y - 15], [x + 6, y + 4], [x - 6 - wide, y - 15], [x - 6 - wide, y + 4]]) {
+      if (written.some(([l, t, r, b]) => left < r && l < left + wide && top < b && t < top + tall)) continue;
+      written.push([left - 3, top - 1, left + wide + 3, top + tall + 1]);
+      context.fillText(text, left, top + tall - 1);
+      return;
+    }
+  }
+  function nameRobot(track) {
+    const i = upTo(track) - 1;
+    if (i >= 0) write(track.name, toX(track.x[i]), toY(track.y[i]));
+  }
+  function namePoints(points, w, h) {
+    if (!points.named) return;
+    const inside = [];
+    for (let i = 0; i < points.x.length; i++) {
+      const x = toX(points.x[i]), y = toY(points.y[i]);
+      if (x > 0 && x < w && y > 0 && y < h) inside.push([points.names[i], x, y]);
+    }
+    if (inside.length <= MOST_NAMES) for (const one of inside) write(...one);
   }
 
   function drawGraticule(w, h, ink, line) {
@@ -98,12 +147,13 @@ function showScene(figure) {
     }
     context.stroke();
     context.globalAlpha = 1;
-    context.fillText("x, y in m", w - 58, 13);
+    context.fillText(data.axes, w - context.measureText(data.axes).width - 6, 13);
   }
 
-  function drawLines(lines) {
-    context.strokeStyle = lines.colour;
+  function drawLines(lines, ink) {
+    context.strokeStyle = tint(lines.colour, ink);
     context.lineWidth = 1.2;
+    context.globalAlpha = lines.texts.length ? 1 : 0.6;
     context.setLineDash(lines.dashed ? [4, 3] : []);
     context.beginPath();
     for (const [ax, ay, bx, by] of lines.segments) {
@@ -112,13 +162,14 @@ function showScene(figure) {
     }
     context.stroke();
     context.setLineDash([]);
+    context.globalAlpha = 1;
   }
 
-  function drawTrack(track) {
-    const reached = upTo(track);
-    context.strokeStyle = track.colour;
+  function drawTrack(track, ink) {
+    const reached = track.t.length ? upTo(track) : track.x.length;
+    context.strokeStyle = tint(track.colour, ink);
     context.lineWidth = 1.6;
-    for (const [from, to, alpha] of [[0, reached, 1], [Math.max(0, reached - 1), track.t.length, 0.22]]) {
+    for (const [from, to, alpha] of [[0, reached, 1], [Math.max(0, reached - 1), track.x.length, 0.22]]) {
       context.globalAlpha = alpha;
       context.beginPath();
       for (let i = from; i < to; i++) {
@@ -132,20 +183,22 @@ function showScene(figure) {
 
   function drawRobot(track, ink) {
     const i = upTo(track) - 1;
-    if (i < 0) return;
+    if (i < 0 || (track.leaves && i === track.t.length - 1 && now > track.t[i])) return;
     const x = toX(track.x[i]), y = toY(track.y[i]);
     if (track.ellipses) ellipse(x, y, track.ellipses[i], track.colour);
     context.save();
     context.translate(x, y);
-    context.rotate(-track.theta[i]);
-    context.fillStyle = track.colour;
+    context.fillStyle = tint(track.colour, ink);
     context.strokeStyle = ink;
     context.lineWidth = 1;
     context.beginPath();
-    context.moveTo(9, 0);
-    context.lineTo(-6, 5.5);
-    context.lineTo(-6, -5.5);
-    context.closePath();
+    if (track.theta) {
+      context.rotate(-track.theta[i]);
+      context.moveTo(9, 0);
+      context.lineTo(-6, 5.5);
+      context.lineTo(-6, -5.5);
+      context.closePath();
+    } else context.arc(0, 0, 5, 0, 2 * Math.PI);
     context.fill();
     context.stroke();
     context.restore();
@@ -160,19 +213,30 @@ function showScene(figure) {
   }
 
   function drawPoints(points, ink) {
-    const named = points.named && points.x.length * 900 < canvas.clientWidth * canvas.clientHeight * Math.max(1, scale / start);
-    context.font = "11px system-ui, sans-serif";
+    const colour = tint(points.colour, ink), r = points.x.length > 2000 ? 1.5 : 3;
+    context.fillStyle = context.strokeStyle = colour;
     for (let i = 0; i < points.x.length; i++) {
       const x = toX(points.x[i]), y = toY(points.y[i]);
-      if (points.ellipses) ellipse(x, y, points.ellipses[i], points.colour);
-      context.fillStyle = points.colour;
+      if (points.ellipses) ellipse(x, y, points.ellipses[i], colour);
+      context.lineWidth = 1.5;
       context.beginPath();
-      context.arc(x, y, 3, 0, 2 * Math.PI);
-      context.fill();
-      if (named) {
-        context.fillStyle = ink;
-        context.fillText(points.names[i], x + 6, y - 5);
-      }
+      if (points.shape === "triangle") {
+        context.moveTo(x, y - 6);
+        context.lineTo(x + 5, y + 4);
+        context.lineTo(x - 5, y + 4);
+      } else if (points.shape === "cross") {
+        for (const k of [-1, 1]) {
+          context.moveTo(x - 4, y - 4 * k);
+          context.lineTo(x + 4, y + 4 * k);
+        }
+      } else if (points.shape === "star") {
+        for (let k = 0; k < 10; k++) {
+          const far = k % 2 ? 2.2 : 5.5, angle = (k * Math.PI) / 5;
+          context.lineTo(x + far * Math.sin(angle), y - far * Math.cos(angle));
+        }
+      } else context.arc(x, y, points.shape === "ring" ? 5 : r, 0, 2 * Math.PI);
+      if (points.shape === "ring" || points.shape === "cross") context.stroke();
+      else context.fill();
     }
   }
 
@@ -187,7 +251,7 @@ function showScene(figure) {
     };
     for (const points of data.points)
       if (!hidden.has(points.layer))
-        for (let i = 0; i < points.x.length; i++) consider(points.x[i], points.y[i], () => points.texts[i]);
+        for (let i = 0; i < points.x.length; i++) consider(points.x[i], points.y[i], () => pointText(points, i));
     if (!best)
       for (const track of data.tracks)
         if (!hidden.has(track.layer))
@@ -195,14 +259,24 @@ function showScene(figure) {
             consider(track.x[i], track.y[i], () => poseText(track, i));
     if (!best)
       for (const lines of data.lines)
-        if (!hidden.has(lines.layer))
+        if (!hidden.has(lines.layer) && lines.texts.length)
           lines.segments.forEach(([ax, ay, bx, by], i) => consider((ax + bx) / 2, (ay + by) / 2, () => lines.texts[i]));
     return best && best();
+  }
+  function pointText(points, i) {
+    if (points.texts.length) return points.texts[i];
+    const sd = points.sd && points.sd[i] !== null ? `\nsd ${metres(points.sd[i])}` : "";
+    return `${points.names[i]} (${points.layer})\n${data.axes.slice(0, 4)} = ${points.x[i].toFixed(3)}, ${points.y[i].toFixed(3)}${sd}`;
   }
   function poseText(track, i) {
     const sure = track.ellipses ? `\n95 % within ${metres(track.ellipses[i][0])} × ${metres(track.ellipses[i][1])}` : "";
     const at = `(${track.x[i].toFixed(2)}, ${track.y[i].toFixed(2)}) m`;
-    return `${track.name}, ${(track.t[i] - begin).toFixed(1)} s\n${at}, ${((track.theta[i] * 180) / Math.PI).toFixed(0)}°${sure}`;
+    const heading = track.theta ? `, ${((track.theta[i] * 180) / Math.PI).toFixed(0)}°` : "";
+    const notes = track.notes ? `\n${track.notes}` : "";
+    return `${track.name}, ${when(track.t[i])}\n${at}${heading}${sure}${notes}`;
+  }
+  function when(t) {
+    return data.clock === "s" ? `${(t - begin).toFixed(1)} s` : `${data.clock} ${t.toFixed(0)}`;
   }
 
   function zoom(factor, px = canvas.clientWidth / 2, py = canvas.clientHeight / 2) {
@@ -224,8 +298,9 @@ function showScene(figure) {
       const text = nearest(...here);
       tip.textContent = text || "";
       tip.style.display = text ? "block" : "none";
-      tip.style.left = `${Math.min(here[0] + 14, canvas.clientWidth - 150)}px`;
-      tip.style.top = `${here[1] + 14}px`;
+      tip.style.left = `${Math.max(0, Math.min(here[0] + 14, canvas.clientWidth - tip.offsetWidth - 2))}px`;
+      const under = here[1] + 14 + tip.offsetHeight <= canvas.clientHeight;
+      tip.style.top = `${under ? here[1] + 14 : Math.max(0, here[1] - 10 - tip.offsetHeight)}px`;
       return;
     }
     if (held.size === 2) {
@@ -277,10 +352,11 @@ function showScene(figure) {
   button("+", "closer", () => zoom(1.4));
   button("−", "farther", () => zoom(1 / 1.4));
   button("⤢", "all of it", reset);
-  const layers = [...new Map([
-    ...(data.grid ? [[data.grid.layer, ""]] : []),
-    ...[...data.lines, ...data.tracks, ...data.points].map((thing) => [thing.layer, thing.colour]),
-  ])];
+  const layers = new Map(data.grid ? [[data.grid.layer, ""]] : []);
+  for (const { layer, colour } of [...data.lines, ...data.tracks, ...data.points])
+    layers.set(layer, (layers.get(layer) ?? colour) === colour ? colour : "");
+  for (const track of data.tracks)
+    track.named = track.t.length && data.tracks.some((other) => other !== track && other.layer === track.layer);
   for (const [layer, colour] of layers) {
     const label = document.createElement("label"), box = document.createElement("input");
     box.type = "checkbox";
@@ -291,8 +367,8 @@ function showScene(figure) {
       draw();
     });
     const mark = document.createElement("i");
-    if (colour) mark.style.background = colour;
-    label.append(box, mark, layer);
+    mark.style.background = colour === "#000000" ? "var(--fg)" : colour;
+    label.append(box, ...(colour ? [mark] : []), layer);
     bar.append(label);
   }
   if (end > begin) {
@@ -302,11 +378,16 @@ function showScene(figure) {
     slider.max = 1000;
     slider.value = 1000;
     slider.setAttribute("aria-label", "time");
-    const tell = () => (shown.textContent = `${(now - begin).toFixed(0)} s`);
-    slider.addEventListener("input", () => {
-      now = begin + ((end - begin) * slider.value) / 1000;
+    const tell = () =>
+      (shown.textContent = data.clock === "s" ? `${(now - begin).toFixed(0)} s` : `${data.clock} ${now.toFixed(0)}`);
+    const show = () => {
+      if (since) paint();
       tell();
       draw();
+    };
+    slider.addEventListener("input", () => {
+      now = slider.value === slider.max ? end : begin + ((end - begin) * slider.value) / 1000;
+      show();
     });
     const play = button("▶", "play", () => {
       playing = playing ? 0 : performance.now();
@@ -318,8 +399,7 @@ function showScene(figure) {
         now = Math.min(end, now + ((end - begin) * (time - last)) / 12000);
         last = time;
         slider.value = (1000 * (now - begin)) / (end - begin);
-        tell();
-        draw();
+        show();
         if (now < end) requestAnimationFrame(tick);
         else {
           playing = 0;
@@ -341,8 +421,20 @@ function showScene(figure) {
     if (Math.abs(zoomed - 1) > 1e-9) centre = kept;
     draw();
   }).observe(canvas);
-  dark.addEventListener("change", draw);
+  dark.addEventListener("change", () => {
+    paint();
+    draw();
+  });
   window.addEventListener("beforeprint", draw);
+}
+async function pixelsOf(png) {
+  const image = new Image();
+  image.src = png;
+  await image.decode();
+  const sheet = document.createElement("canvas");
+  [sheet.width, sheet.height] = [image.naturalWidth, image.naturalHeight];
+  sheet.getContext("2d").drawImage(image, 0, 0);
+  return sheet.getContext("2d").getImageData(0, 0, sheet.width, sheet.height);
 }
 function number(value, step) {
   return value.toFixed(Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));

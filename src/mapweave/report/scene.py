@@ -11,7 +11,7 @@ from functools import cache
 from html import escape
 from importlib.resources import files
 from io import BytesIO
-from typing import cast
+from typing import Literal, cast
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -26,18 +26,26 @@ from .style import LANDMARK
 
 MOST_POSES = 800  # of a trajectory: enough to draw it and to point at
 MOST_CELLS = 1600  # along the longer side of a grid: finer cells are joined, a wall stays a wall
+MOST_CORNERS = 4000  # of a path that nobody drives
 INK, PAPER = (27, 31, 36, 255), (255, 255, 255, 255)
+LEVELS = 254  # steps of time in which cells become known; one more is never
+
+
+Shape = Literal["dot", "ring", "star", "cross", "triangle"]
 
 
 @dataclass(slots=True)
 class Scene:
     """What is drawn in one frame [m], in layers that can be switched off; `label` says what it is to who cannot see.
 
-    Later points stand on earlier ones; robots on all.
+    Later points stand on earlier ones; robots on all. axes: what the picture's corner says of its axes; clock: unit of
+    the tracks' stamps. What is drawn black is drawn white on a dark page.
     """
 
     label: str
     hidden: list[str] = field(default_factory=list)
+    axes: str = "x, y in m"
+    clock: str = "s"
     _grid: dict[str, object] | None = None
     _tracks: list[dict[str, object]] = field(default_factory=list)
     _points: list[dict[str, object]] = field(default_factory=list)
@@ -46,24 +54,47 @@ class Scene:
 
     def grid(
         self, layer: str, known: Bool[np.ndarray, "rows columns"], occupied: Bool[np.ndarray, "rows columns"],
-        extent: tuple[float, float, float, float],
+        extent: tuple[float, float, float, float], known_at: Float[np.ndarray, "rows columns"] | None = None,
+        paper: tuple[int, int, int, int] = PAPER,
     ) -> None:  # fmt: skip
-        """An occupancy grid, row 0 at the lowest y; extent: x0, x1, y0, y1 [m]."""
+        """An occupancy grid, row 0 at the lowest y; extent: x0, x1, y0, y1 [m]; paper: colour of what is free.
+
+        known_at: when each known cell came to be so, on the tracks' clock; cells of no time (NaN) show at its end.
+        """
         join = max(1, -(-max(known.shape) // MOST_CELLS))
         known, occupied = _joined(known, join), _joined(occupied, join)
         pixels = np.zeros((*known.shape, 4), np.uint8)
-        pixels[known] = PAPER
+        pixels[known] = paper
         pixels[occupied] = INK
-        file = BytesIO()
-        Image.fromarray(pixels[::-1]).quantize(4).save(file, "PNG", optimize=True)
-        png = "data:image/png;base64," + base64.b64encode(file.getvalue()).decode("ascii")
         x0, x1, y0, y1 = extent
         cell = (x1 - x0) / max(known.shape[1], 1)
+        png = _png(Image.fromarray(pixels[::-1]).quantize(4))
         self._grid = {"layer": layer, "png": png, "extent": list(extent), "cell": cell}
+        if known_at is not None and np.isfinite(known_at).any():
+            begin, end = float(np.nanmin(known_at)), float(np.nanmax(known_at))
+            level = np.ceil(LEVELS * (known_at - begin) / max(end - begin, 1e-9))
+            earliest = _earliest(np.where(np.isfinite(known_at), level, LEVELS), join).astype(np.uint8)
+            self._grid |= {"since": _png(Image.fromarray(earliest[::-1])), "begin": begin, "end": end, "levels": LEVELS}
         self._corners.append(np.array([[x0, y0], [x1, y1]]))
 
-    def track(self, layer: str, name: str, track: Track, colour: str) -> None:
-        """Where a robot was when; with covariances, its 95 % ellipse at the time shown."""
+    def path(self, layer: str, at: Float[np.ndarray, "n 2"], colour: str) -> None:
+        """A line through `at` that no robot drives along: always there, whatever the time shown."""
+        if len(at):
+            at = at[np.unique(np.linspace(0, len(at) - 1, min(len(at), MOST_CORNERS)).astype(int))]
+            self._tracks.append(
+                {"layer": layer, "name": "", "colour": colour, "t": [], "x": _short(at[:, 0]), "y": _short(at[:, 1])}
+            )
+            self._corners.append(at)
+
+    def track(
+        self, layer: str, name: str, track: Track, colour: str, *, heads: bool = True, leaves: bool = False,
+        notes: str = "",
+    ) -> None:  # fmt: skip
+        """Where a robot was when; with covariances, its 95 % ellipse at the time shown.
+
+        heads: whether its heading is known; leaves: whether it is gone after its last pose; notes: what pointing at it
+        tells besides.
+        """
         n = len(track.t)
         if n == 0:
             return
@@ -71,28 +102,43 @@ class Scene:
         pose = track.pose[at]
         self._tracks.append({
             "layer": layer, "name": name, "colour": colour, "t": _short(track.t[at], 2),
-            "x": _short(pose[:, 0]), "y": _short(pose[:, 1]), "theta": _short(pose[:, 2]),
+            "x": _short(pose[:, 0]), "y": _short(pose[:, 1]), "theta": _short(pose[:, 2]) if heads else None,
+            "leaves": leaves, "notes": notes,
             "ellipses": None if track.cov is None else [_ellipse(c[:2, :2]) for c in track.cov[at]],
         })  # fmt: skip
         self._corners.append(pose[:, :2])
 
     def points(
-        self, layer: str, names: Sequence[str], at: Float[np.ndarray, "n 2"], colour: str, texts: Sequence[str],
-        cov: Float[np.ndarray, "n 2 2"] | None = None, *, named: bool = True,
+        self, layer: str, names: Sequence[str], at: Float[np.ndarray, "n 2"], colour: str, texts: Sequence[str] = (),
+        cov: Float[np.ndarray, "n 2 2"] | None = None, *, named: bool = True, shape: Shape = "dot", stray: bool = False,
+        sd: Float[np.ndarray, " n"] | None = None,
     ) -> None:  # fmt: skip
-        """Landmarks, robots or surveyed places; cov: for 95 % ellipses; texts: what pointing at one tells."""
+        """Landmarks, robots or surveyed places; cov: for 95 % ellipses; texts: what pointing at one tells.
+
+        Without texts it tells name, place and `sd` [m], where that is known. stray: they may lie anywhere, and what is
+        shown at first need not hold them.
+        """
         if len(at) == 0:
             return
         self._points.append({
             "layer": layer, "names": list(names), "x": _short(at[:, 0], 4), "y": _short(at[:, 1], 4), "colour": colour,
-            "texts": list(texts), "named": named, "ellipses": None if cov is None else [_ellipse(c) for c in cov],
+            "texts": list(texts), "named": named, "shape": shape,
+            "sd": None if sd is None else [round(float(v), 4) if np.isfinite(v) else None for v in sd],
+            "ellipses": None if cov is None else [_ellipse(c) for c in cov],
         })  # fmt: skip
-        self._corners.append(at)
+        if not stray:
+            self._corners.append(at)
 
     def lines(
-        self, layer: str, ends: Float[np.ndarray, "n 4"], colour: str, texts: Sequence[str], *, dashed: bool = False
+        self,
+        layer: str,
+        ends: Float[np.ndarray, "n 4"],
+        colour: str,
+        texts: Sequence[str] = (),
+        *,
+        dashed: bool = False,
     ) -> None:
-        """Segments x0, y0, x1, y1: closures, sightings."""
+        """Segments x0, y0, x1, y1: closures, sightings; texts: what pointing at their middles tells, if anything."""
         if len(ends) == 0:
             return
         segments = [_short(row) for row in ends]
@@ -110,8 +156,9 @@ class Scene:
         corners = np.concatenate(self._corners) if self._corners else np.zeros((1, 2))
         low, high = corners.min(axis=0), corners.max(axis=0)
         return {
-            "label": self.label, "hidden": self.hidden, "extent": _short(np.array([low[0], high[0], low[1], high[1]])),
-            "grid": self._grid, "tracks": self._tracks, "points": self._points, "lines": self._lines,
+            "label": self.label, "hidden": self.hidden, "axes": self.axes, "clock": self.clock,
+            "extent": _short(np.array([low[0], high[0], low[1], high[1]])), "grid": self._grid,
+            "tracks": self._tracks, "points": self._points, "lines": self._lines,
         }  # fmt: skip
 
     def html(self, caption: str, still: str = "") -> str:
@@ -141,6 +188,22 @@ def landmark_points(scene: Scene, team: TeamMap, landmarks: LandmarkMap) -> None
 def script() -> str:
     """What makes a page's scenes move."""
     return (files(__package__) / "scene.js").read_text(encoding="utf-8")
+
+
+def _png(image: Image.Image) -> str:
+    file = BytesIO()
+    image.save(file, "PNG", optimize=True)
+    return "data:image/png;base64," + base64.b64encode(file.getvalue()).decode("ascii")
+
+
+def _earliest(level: Float[np.ndarray, "rows columns"], join: int) -> Float[np.ndarray, "fewer narrower"]:
+    """The least of every square of `join` x `join` cells."""
+    if join == 1:
+        return level
+    rows, columns = (-(-size // join) for size in level.shape)
+    full = np.full((rows * join, columns * join), float(LEVELS))
+    full[: level.shape[0], : level.shape[1]] = level
+    return cast("np.ndarray", full.reshape(rows, join, columns, join).min(axis=(1, 3)))
 
 
 def _joined(cells: Bool[np.ndarray, "rows columns"], join: int) -> Bool[np.ndarray, "fewer narrower"]:

@@ -8,9 +8,11 @@ from matplotlib.collections import LineCollection
 
 from ..laser.robust_graph import SolvedGraph
 from .html import Page
+from .scene import Scene
 from .style import MUTED, Target, as_map, colour, figure
 
 MOST_ROWS = 200  # of dropped edges the page lists
+MOST_EDGES = 4000  # of a kind in the page's map
 
 
 def write_solve_report(
@@ -34,7 +36,8 @@ def write_solve_report(
         page.text(line, warn=not solved.converged)
     where, squares = folder / "figures" / "graph.png", folder / "figures" / "edges.png"
     draw_graph(where, before, solved)
-    page.figure(where, "The solved poses and the edges between poses that do not follow each other.")
+    told = "The solved poses and the edges between poses that do not follow each other."
+    page.scene(graph_scene(before, solved, ids), told, where)
     if solved.graph.edges:
         _draw_squares(squares, solved)
         page.figure(squares, "Squared residual of every edge in standard deviations, and what chance alone would give.")
@@ -47,6 +50,34 @@ def write_solve_report(
         if len(solved.dropped) > MOST_ROWS:
             page.text(f"and {len(solved.dropped) - MOST_ROWS} more, listed in closures.csv")
     page.write(folder / "report.html")
+
+
+def graph_scene(before: np.ndarray, solved: SolvedGraph, ids: Sequence[int]) -> Scene:
+    """The solved poses to move about in, the edges used and dropped, and where the solve began."""
+    graph = solved.graph
+    scene = Scene("Pose graph", hidden=["where the solve began"])
+    scene.path("where the solve began", before[:, :2], MUTED)
+    pose = graph.pose[:, :2]
+    step = np.abs(graph.second - graph.first) == 1
+    reasons = {d.edge: f"\n{d.reason}" for d in solved.dropped}
+    for layer, rows, tint in (
+        ("steps", step & solved.used, colour(0)),
+        ("closures", ~step & solved.used, colour(2)),
+        ("dropped", ~solved.used, colour(5)),
+    ):
+        every = np.flatnonzero(rows)
+        shown = every[np.unique(np.linspace(0, len(every) - 1, min(len(every), MOST_EDGES)).astype(int))]
+        left = f" ({len(shown):,} of {len(every):,})" if len(shown) < len(every) else ""
+        first, second = graph.first[shown], graph.second[shown]
+        told = [
+            f"edge {e}: {ids[i]} to {ids[j]}\nsquared residual {solved.nis[e]:.3g} sd²{reasons.get(e, '')}"
+            for e, i, j in zip(shown.tolist(), first.tolist(), second.tolist(), strict=True)
+        ]
+        ends = np.concatenate([pose[first], pose[second]], axis=1)
+        scene.lines(layer + left, ends, tint, () if layer == "steps" else told, dashed=layer == "dropped")
+    held = list(solved.fixed)
+    scene.points("held", [str(ids[i]) for i in held], pose[held], colour(1), shape="triangle")
+    return scene
 
 
 def draw_graph(path: Target, before: np.ndarray, solved: SolvedGraph) -> None:

@@ -22,6 +22,7 @@ from .swarm_figures import (
     track_errors_figure,
     tracks_figure,
 )
+from .swarm_scene import moved_scene, network_scenes
 
 ROWS = 40  # robots listed on the page
 
@@ -58,8 +59,11 @@ def write_network_report(out: Path, story: NetworkStory, lines: Sequence[str], m
         page.text(f"There are too few anchors to fix everything. The shape is found; {estimate.gauge}.", warn=True)
     page.section("The network")
     scale = network_figure(figures / "network.png", net, estimate, story.truth)
-    larger = f", drawn {scale:g} times larger than they are" if scale != 1.0 else ""
-    page.figure(figures / "network.png", f"Robots as located; 95 % regions{larger}. {MUTED_NOTE}")
+    larger = f" figures/network.png draws them {scale:g} times larger." if scale != 1.0 else ""
+    front, *sides = network_scenes(net, estimate, story.truth)
+    page.scene(front, f"Robots as located, with 95 % ellipses.{larger} {MUTED_NOTE}", figures / "network.png")
+    for side in sides:
+        page.scene(side, "The same from the side.")
     if estimate.gauge and story.truth is not None and story.aligned is not None:
         shape_figure(figures / "shape.png", net, estimate, story.aligned, story.truth)
         page.figure(figures / "shape.png", "The shape as answered, and fitted to the truth.")
@@ -105,7 +109,8 @@ def write_moved_report(out: Path, story: MovedStory, lines: Sequence[str], metri
     if story.track.gauge:
         page.text(f"There are too few anchors to fix everything: {story.track.gauge}.", warn=True)
     tracks_figure(figures / "tracks.png", story.ids, story.track, story.anchors, truth)
-    page.figure(figures / "tracks.png", "Every robot's way, smoothed over all sightings.")
+    scene = moved_scene(story.ids, story.track, story.anchors, truth)
+    page.scene(scene, "Every robot's way, smoothed over all sightings.", figures / "tracks.png")
     if truth and not story.track.gauge:
         track_errors_figure(figures / "errors.png", story.track, truth, story.anchors)
         page.figure(figures / "errors.png", "Errors against the truth, and what was promised.")

@@ -1,0 +1,125 @@
+"""The maps on the pages of swarms, pose graphs and explorations hold what the result holds, through time."""
+
+import base64
+import json
+import re
+from io import BytesIO
+from itertools import permutations
+
+import numpy as np
+from PIL import Image
+
+import mapweave
+from mapweave.core.names import robot_key
+from mapweave.io.table import read_table
+from mapweave.report.exploration_scene import laser_exploration_scene
+from mapweave.report.scene import LEVELS
+
+ROOMS = (
+    'sensor = "laser"\nwalls = [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]\nstarts = [[1.5, 2.0, 0.0]]\n'
+)
+
+
+def scenes(folder):
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    return [json.loads(held) for held in re.findall(r'<script type="application/json">(.*?)</script>', text, re.DOTALL)]
+
+
+def layers(scene):
+    return {one["layer"]: one for one in [*scene["lines"], *scene["points"], *scene["tracks"]]}
+
+
+def sightings(path, steps, lost=""):
+    rng = np.random.default_rng(5)
+    start = {name: rng.normal(0, 8, 2) for name in "abcde"}
+    speed = {name: rng.normal(0, 0.3, 2) * (name not in "ab") for name in start}
+    rows = []
+    for k in range(steps):
+        at = {name: start[name] + k * speed[name] for name in start}
+        for i, j in permutations(at, 2):
+            dx, dy = at[j] - at[i]
+            rows.append(f"{k},{i},{j},{np.arctan2(dy, dx) + rng.normal(0, 0.005):.9f}")
+        if lost:
+            rows.append(f"{k},a,{lost},0.3")
+    path.write_text("\n".join(["t,observer,target,bearing", *rows]) + "\n")
+    return {name: tuple(start[name]) for name in "ab"}
+
+
+def test_robots_that_stand_are_on_the_page_where_they_were_located(tmp_path):
+    anchors = sightings(tmp_path / "s.csv", 1, lost="far")
+    mapweave.locate(tmp_path / "s.csv", tmp_path / "out", anchors=anchors, sigma=0.01)
+    (scene,) = scenes(tmp_path / "out")
+    found = layers(scene)
+    rows = read_table(tmp_path / "out" / "positions.csv").columns
+    at = dict(zip(rows["id"], zip(rows["x"], rows["y"], strict=True), strict=True))
+    assert found["located"]["names"] == ["c", "d", "e"]
+    assert found["anchors"]["names"] == ["a", "b"]
+    assert found["cannot be located, drawn at a guess"]["names"] == ["far"]
+    for name, x, y in zip("cde", found["located"]["x"], found["located"]["y"], strict=True):
+        assert np.allclose((x, y), [float(v) for v in at[name]], atol=1e-3)
+    assert len(found["sightings"]["segments"]) == 20
+    assert len(found["located"]["ellipses"]) == 3
+    low, high = scene["extent"][0], scene["extent"][1]
+    assert low >= min(float(at[n][0]) for n in "abcde") - 1e-3
+    assert high <= max(float(at[n][0]) for n in "abcde") + 1e-3
+
+
+def test_robots_that_move_are_on_the_page_through_time(tmp_path):
+    anchors = sightings(tmp_path / "s.csv", 12)
+    mapweave.locate(tmp_path / "s.csv", tmp_path / "out", anchors=anchors, sigma=0.01)
+    (scene,) = scenes(tmp_path / "out")
+    ways = {track["name"]: track for track in scene["tracks"]}
+    assert set(ways) == set("cde")
+    assert layers(scene)["standing still"]["names"] == ["a", "b"]
+    for track in ways.values():
+        assert (track["t"][0], track["t"][-1]) == (0.0, 11.0)
+        assert track["theta"] is None
+        assert len(track["ellipses"]) == len(track["t"])
+
+
+def test_a_pose_graph_on_the_page_has_its_edges_by_kind(tmp_path):
+    rows = [f"VERTEX_SE2 {k} {min(k, 3)} {max(k - 3, 0)} 0" for k in range(6)]
+    rows += [f"EDGE_SE2 {k} {k + 1} {int(k < 3)} {int(k >= 3)} 0 100 0 0 100 0 100" for k in range(5)]
+    rows += ["EDGE_SE2 0 5 3 2 0 100 0 0 100 0 100", "EDGE_SE2 0 4 9 9 1 100 0 0 100 0 100"]
+    (tmp_path / "g.g2o").write_text("\n".join(rows) + "\n")
+    mapweave.solve_pose_graph(tmp_path / "g.g2o", tmp_path / "out", robust=True)
+    (scene,) = scenes(tmp_path / "out")
+    found = layers(scene)
+    assert {name: len(found[name]["segments"]) for name in ("steps", "closures", "dropped")} == {
+        "steps": 5,
+        "closures": 1,
+        "dropped": 1,
+    }
+    assert found["dropped"]["texts"][0].startswith("edge 6: 0 to 4")
+    assert found["dropped"]["dashed"]
+
+
+def test_an_exploration_on_the_page_shows_what_was_seen_when(tmp_path):
+    result = mapweave.explore("yuan", tmp_path / "out", planner="coverage", until=9, association="known")
+    (scene,) = scenes(tmp_path / "out")
+    assert [track["name"].split(",")[0] for track in scene["tracks"]] == list(result.first.robots)
+    assert scene["clock"] == "step"
+    assert scene["tracks"][0]["t"][-1] == 9
+    grid = scene["grid"]
+    since = np.asarray(Image.open(BytesIO(base64.b64decode(grid["since"].split(",")[1]))))
+    cells = np.asarray(Image.open(BytesIO(base64.b64decode(grid["png"].split(",")[1]))).convert("RGBA"))
+    seen = cells[..., 3] > 0
+    assert since.shape == seen.shape
+    shares = [(since[seen] <= LEVELS * k / 4).mean() for k in range(5)]
+    assert shares == sorted(shares)
+    assert 0 < shares[0] < shares[2] < 1
+    assert shares[-1] == 1.0
+    assert layers(scene)["mapped landmarks"]["names"] == list(result.first.map.landmarks.ids)
+    assert {robot_key(name) for name in result.first.robots} == {"1", "2"}
+
+
+def test_a_laser_exploration_on_the_page_shows_the_map_as_it_came_about(tmp_path):
+    (tmp_path / "rooms.toml").write_text(ROOMS)
+    run = mapweave.explore(str(tmp_path / "rooms.toml"), until=6).first
+    scene = json.loads(json.dumps(laser_exploration_scene(run).data()))
+    (driven,) = (track for track in scene["tracks"] if track["t"])
+    assert driven["name"] == run.robots[0]
+    assert np.allclose(driven["x"][-1], run.tracks[0].pose[-1, 0], atol=1e-3)
+    assert len(next(line for line in scene["lines"] if line["layer"] == "true walls")["segments"]) == 4
+    cells = np.asarray(Image.open(BytesIO(base64.b64decode(scene["grid"]["png"].split(",")[1]))).convert("RGBA"))
+    assert ((cells[::-1, :, 3] > 0) == ~run.map.unknown).all()
