@@ -1,12 +1,13 @@
 """What the documentation tells people to type is what the command line takes, and tests it names are there."""
 
+import json
 import re
 import shlex
 from pathlib import Path
 
 import pytest
 
-from mapweave.cli import make_app
+from mapweave.cli import _run, make_app
 
 TOP = Path(__file__).parent.parent
 PAGES = sorted([*TOP.glob("docs/**/*.md"), TOP / "README.md"])
@@ -47,6 +48,16 @@ def test_tests_that_a_page_names_are_there(page):
         if not path.exists() or (name and f"def {name}(" not in path.read_text(encoding="utf-8")):
             missing.append(f"{file}::{name}")
     assert not missing
+
+
+def test_the_first_example_of_swarms_locates_every_robot_as_printed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    simulate, locate = (shlex.split(line)[1:] for line in commands(TOP / "docs" / "locate.md")[:2])
+    assert _run(simulate) == _run(locate) == 0
+    told = json.loads((tmp_path / locate[locate.index("--out") + 1] / "metrics.json").read_text())
+    assert told["reliable"]
+    assert told["rmse"] < 0.3
+    assert 0.5 < told["nees_per_dof"] < 2.0
 
 
 def test_there_are_commands_to_try():
