@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from mapweave.cli import main, terminal
+from mapweave.cli import _run, main, terminal
 from mapweave.cli.terminal import Stage, progress
 from mapweave.kernels.compiling import tell_compiled, tell_compiling
 
@@ -194,3 +194,16 @@ def test_a_kernel_that_is_kept_is_not_compiled_again(tmp_path):
     words = [sys.executable, "-c", code, str(tmp_path)]
     told = [subprocess.run(words, env=env, capture_output=True, text=True, check=True).stdout for _ in range(2)]  # noqa: S603
     assert told == ["[True, False]\n", "[]\n"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["locate", "s.csv"], "mapweave: locate: --out is missing; mapweave locate --help tells what it is\n"),
+        (["simulate", "swarm"], "mapweave: simulate swarm: --out is missing; "),
+        (["locate", "--out", "x"], "mapweave: locate: SIGHTINGS is missing; "),
+    ],
+)
+def test_what_a_command_was_not_given_is_named(capsys, words, told):
+    assert _run(words) == 2
+    assert capsys.readouterr().err.startswith(told)

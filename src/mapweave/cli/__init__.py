@@ -111,6 +111,16 @@ def _run(tokens: list[str], interruption: Interruption | None = None) -> int:
     return 0
 
 
+def _missing(error: BaseException) -> str:
+    """What a command was not given, "" where that is not what is wrong."""
+    from cyclopts import MissingArgumentError
+
+    if not isinstance(error, MissingArgumentError) or error.argument is None:
+        return ""
+    command = " ".join(error.command_chain or ())
+    return f"{command}: {error.argument.name} is missing; mapweave {command} --help tells what it is"
+
+
 def _failed(error: BaseException, *, asked: bool = False) -> int:
     """The exit status, the reason told in one line, and what the error's notes add; asked: Ctrl-C was pressed."""
     notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
@@ -123,5 +133,5 @@ def _failed(error: BaseException, *, asked: bool = False) -> int:
     if isinstance(error, OSError):
         warn(f"{error.filename}: {error.strerror}{notes}")
         return 1
-    warn(f"{error}{notes}")
+    warn(f"{_missing(error) or error}{notes}")
     return int(getattr(error, "exit_code", 2))  # what cannot be parsed is bad usage
