@@ -135,7 +135,8 @@ def team_lines(score: TeamScore) -> list[str]:
     for name, r in score.robots.items():
         ate = f"ATE {_figure(r.ate)} m over {r.n} poses ({r.truth})" if r.truth else "no true trajectory"
         ate += f", {r.left_out} where it is left out do not count" if r.left_out else ""
-        out.append(f"robot {robot_key(name)}: {ate}, own map {_figure(r.single_map_rmse)} m")
+        own = "" if r.single_map_rmse is None else f", own map {_figure(r.single_map_rmse)} m"
+        out.append(f"robot {robot_key(name)}: {ate}{own}")
     return out
 
 

@@ -43,7 +43,10 @@ def solve_velocity(
     """Timeline, solution and where each knot's position and velocity stand in it."""
     present = set(table.observer.tolist()) | set(table.target.tolist())
     if len(set(anchors) & present) < 2:
-        raise DataError(f"moving robots without odometry need two anchors that are seen, found {len(anchors)}")
+        raise DataError(
+            "robots that move, with bearings in common axes, need two anchors that are seen, found "
+            f"{len(set(anchors) & present)}"
+        )
     d = table.dim
     line = timeline(table, set(anchors), cfg.merge)
     index = np.arange(2 * d * len(line)).reshape(len(line), 2 * d)
