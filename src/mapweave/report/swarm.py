@@ -22,7 +22,7 @@ from .swarm_figures import (
     track_errors_figure,
     tracks_figure,
 )
-from .swarm_scene import moved_scene, network_scenes
+from .swarm_scene import moved_scene, network_scenes, told_network
 
 ROWS = 40  # robots listed on the page
 
@@ -59,9 +59,8 @@ def write_network_report(out: Path, story: NetworkStory, lines: Sequence[str], m
         page.text(f"There are too few anchors to fix everything. The shape is found; {estimate.gauge}.", warn=True)
     page.section("The network")
     scale = network_figure(figures / "network.png", net, estimate, story.truth)
-    larger = f" figures/network.png draws them {scale:g} times larger." if scale != 1.0 else ""
     front, *sides = network_scenes(net, estimate, story.truth)
-    page.scene(front, f"Robots as located, with 95 % ellipses.{larger} {MUTED_NOTE}", figures / "network.png")
+    page.scene(front, f"{told_network(net, scale)} {MUTED_NOTE}", figures / "network.png")
     for side in sides:
         page.scene(side, "The same from the side.")
     if estimate.gauge and story.truth is not None and story.aligned is not None:

@@ -23,6 +23,14 @@ def network_scenes(net: Network, estimate: SwarmEstimate, truth: Float[np.ndarra
     return [_network(net, estimate, truth, plane) for plane in PLANES[net.dim]]
 
 
+def told_network(net: Network, scale: float) -> str:
+    """What the first of `network_scenes` shows; scale: how many times larger the picture beside draws ellipses."""
+    if len(net) > SOME:
+        return "Robots as located, without their ellipses and sightings: there are too many."
+    larger = f" figures/network.png draws them {scale:g} times larger." if scale != 1.0 else ""
+    return f"Robots as located, with 95 % ellipses.{larger}"
+
+
 def _network(net: Network, estimate: SwarmEstimate, truth: Float[np.ndarray, "n d"] | None, plane: str) -> Scene:
     unit = "scale is free" if "scale free" in estimate.gauge else "in m"
     scene = Scene("Robots as located", hidden=["sightings left out"], axes=f"{plane} {unit}")
