@@ -7,13 +7,36 @@ from io import BytesIO
 from itertools import permutations
 
 import numpy as np
+import pytest
 from PIL import Image
 
 import mapweave
 from mapweave.core.names import robot_key
 from mapweave.io.table import read_table
 from mapweave.report.exploration_scene import laser_exploration_scene
+from mapweave.report.html import Page
 from mapweave.report.scene import LEVELS
+
+from .browser import CHROMIUM, seen_in_browser
+
+WATCH = """<script>
+window.errors = [];
+window.addEventListener("error", (event) => window.errors.push(event.message));
+window.addEventListener("load", () => setTimeout(() => {
+  const ink = [...document.querySelectorAll(".scene canvas")].map((canvas) =>
+    canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data
+      .filter((v, i) => i % 4 === 3 && v > 0).length);
+  const times = [...document.querySelectorAll(".bar input[type=range]")];
+  for (const slider of times) {
+    slider.value = 300;
+    slider.dispatchEvent(new Event("input"));
+  }
+  document.documentElement.dataset.seen = JSON.stringify({
+    errors: window.errors, ink: ink, wide: document.documentElement.scrollWidth - window.innerWidth,
+    sliders: times.length, told: [...document.querySelectorAll(".bar output")].map((one) => one.textContent),
+  });
+}, 300));
+</script>"""
 
 ROOMS = (
     'sensor = "laser"\nwalls = [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]\nstarts = [[1.5, 2.0, 0.0]]\n'
@@ -45,12 +68,43 @@ def sightings(path, steps, lost=""):
     return {name: tuple(start[name]) for name in "ab"}
 
 
-def test_robots_that_stand_are_on_the_page_where_they_were_located(tmp_path):
-    anchors = sightings(tmp_path / "s.csv", 1, lost="far")
-    mapweave.locate(tmp_path / "s.csv", tmp_path / "out", anchors=anchors, sigma=0.01)
-    (scene,) = scenes(tmp_path / "out")
+@pytest.fixture(scope="module")
+def located(tmp_path_factory):
+    home = tmp_path_factory.mktemp("located")
+    anchors = sightings(home / "s.csv", 1, lost="far")
+    mapweave.locate(home / "s.csv", home / "out", anchors=anchors, sigma=0.01)
+    return home / "out"
+
+
+@pytest.fixture(scope="module")
+def moved(tmp_path_factory):
+    home = tmp_path_factory.mktemp("moved")
+    anchors = sightings(home / "s.csv", 12)
+    mapweave.locate(home / "s.csv", home / "out", anchors=anchors, sigma=0.01)
+    return home / "out"
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory):
+    home = tmp_path_factory.mktemp("solved")
+    rows = [f"VERTEX_SE2 {k} {min(k, 3)} {max(k - 3, 0)} 0" for k in range(6)]
+    rows += [f"EDGE_SE2 {k} {k + 1} {int(k < 3)} {int(k >= 3)} 0 100 0 0 100 0 100" for k in range(5)]
+    rows += ["EDGE_SE2 0 5 3 2 0 100 0 0 100 0 100", "EDGE_SE2 0 4 9 9 1 100 0 0 100 0 100"]
+    (home / "g.g2o").write_text("\n".join(rows) + "\n")
+    mapweave.solve_pose_graph(home / "g.g2o", home / "out", robust=True)
+    return home / "out"
+
+
+@pytest.fixture(scope="module")
+def explored(tmp_path_factory):
+    out = tmp_path_factory.mktemp("explored") / "out"
+    return out, mapweave.explore("yuan", out, planner="coverage", until=9, association="known")
+
+
+def test_robots_that_stand_are_on_the_page_where_they_were_located(located):
+    (scene,) = scenes(located)
     found = layers(scene)
-    rows = read_table(tmp_path / "out" / "positions.csv").columns
+    rows = read_table(located / "positions.csv").columns
     at = dict(zip(rows["id"], zip(rows["x"], rows["y"], strict=True), strict=True))
     assert found["located"]["names"] == ["c", "d", "e"]
     assert found["anchors"]["names"] == ["a", "b"]
@@ -64,10 +118,8 @@ def test_robots_that_stand_are_on_the_page_where_they_were_located(tmp_path):
     assert high <= max(float(at[n][0]) for n in "abcde") + 1e-3
 
 
-def test_robots_that_move_are_on_the_page_through_time(tmp_path):
-    anchors = sightings(tmp_path / "s.csv", 12)
-    mapweave.locate(tmp_path / "s.csv", tmp_path / "out", anchors=anchors, sigma=0.01)
-    (scene,) = scenes(tmp_path / "out")
+def test_robots_that_move_are_on_the_page_through_time(moved):
+    (scene,) = scenes(moved)
     ways = {track["name"]: track for track in scene["tracks"]}
     assert set(ways) == set("cde")
     assert layers(scene)["standing still"]["names"] == ["a", "b"]
@@ -77,13 +129,8 @@ def test_robots_that_move_are_on_the_page_through_time(tmp_path):
         assert len(track["ellipses"]) == len(track["t"])
 
 
-def test_a_pose_graph_on_the_page_has_its_edges_by_kind(tmp_path):
-    rows = [f"VERTEX_SE2 {k} {min(k, 3)} {max(k - 3, 0)} 0" for k in range(6)]
-    rows += [f"EDGE_SE2 {k} {k + 1} {int(k < 3)} {int(k >= 3)} 0 100 0 0 100 0 100" for k in range(5)]
-    rows += ["EDGE_SE2 0 5 3 2 0 100 0 0 100 0 100", "EDGE_SE2 0 4 9 9 1 100 0 0 100 0 100"]
-    (tmp_path / "g.g2o").write_text("\n".join(rows) + "\n")
-    mapweave.solve_pose_graph(tmp_path / "g.g2o", tmp_path / "out", robust=True)
-    (scene,) = scenes(tmp_path / "out")
+def test_a_pose_graph_on_the_page_has_its_edges_by_kind(solved):
+    (scene,) = scenes(solved)
     found = layers(scene)
     assert {name: len(found[name]["segments"]) for name in ("steps", "closures", "dropped")} == {
         "steps": 5,
@@ -94,9 +141,9 @@ def test_a_pose_graph_on_the_page_has_its_edges_by_kind(tmp_path):
     assert found["dropped"]["dashed"]
 
 
-def test_an_exploration_on_the_page_shows_what_was_seen_when(tmp_path):
-    result = mapweave.explore("yuan", tmp_path / "out", planner="coverage", until=9, association="known")
-    (scene,) = scenes(tmp_path / "out")
+def test_an_exploration_on_the_page_shows_what_was_seen_when(explored):
+    out, result = explored
+    (scene,) = scenes(out)
     assert [track["name"].split(",")[0] for track in scene["tracks"]] == list(result.first.robots)
     assert scene["clock"] == "step"
     assert scene["tracks"][0]["t"][-1] == 9
@@ -123,3 +170,19 @@ def test_a_laser_exploration_on_the_page_shows_the_map_as_it_came_about(tmp_path
     assert len(next(line for line in scene["lines"] if line["layer"] == "true walls")["segments"]) == 4
     cells = np.asarray(Image.open(BytesIO(base64.b64decode(scene["grid"]["png"].split(",")[1]))).convert("RGBA"))
     assert ((cells[::-1, :, 3] > 0) == ~run.map.unknown).all()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+def test_the_maps_of_every_job_live_in_a_narrow_dark_browser(tmp_path, located, moved, solved, explored):
+    page = Page("Jobs")
+    for folder in (located, moved, solved, explored[0]):
+        text = (folder / "report.html").read_text(encoding="utf-8")
+        page.parts += re.findall(r'<figure class="scene">.*?</figure>', text, re.DOTALL)
+        page.scenes += 1
+    seen = seen_in_browser(page.html().replace("<head>", "<head>" + WATCH), tmp_path, 500, dark=True)
+    assert seen["errors"] == []
+    assert len(seen["ink"]) == 4
+    assert min(seen["ink"]) > 500
+    assert seen["wide"] <= 0
+    assert seen["told"] == ["3 s", "step 3"]

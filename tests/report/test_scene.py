@@ -2,8 +2,6 @@
 
 import json
 import re
-import shutil
-import subprocess
 
 import numpy as np
 import pytest
@@ -12,7 +10,8 @@ from mapweave.core.records import Track
 from mapweave.report.html import Page
 from mapweave.report.scene import MOST_CELLS, MOST_POSES, Scene
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+from .browser import CHROMIUM, seen_in_browser
+
 WATCH = """<script>
 window.errors = [];
 window.addEventListener("error", (event) => window.errors.push(event.message));
@@ -144,29 +143,7 @@ def test_an_empty_scene_is_left_out():
 def test_the_map_lives_in_a_browser(tmp_path, width, dark):
     page = Page("Hall")
     page.scene(team(), "a hall")
-    (tmp_path / "page.html").write_text(page.html().replace("<head>", "<head>" + WATCH))
-    command = [
-        CHROMIUM,
-        "--headless",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--disable-background-networking",
-        "--no-first-run",
-    ]
-    command += [
-        "--disable-sync",
-        f"--user-data-dir={tmp_path / 'user'}",
-        f"--window-size={width},900",
-        "--enable-logging=stderr",
-    ]
-    command += ["--force-dark-mode"] * dark + [
-        "--virtual-time-budget=4000",
-        "--dump-dom",
-        (tmp_path / "page.html").as_uri(),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)  # noqa: S603
-    assert "CONSOLE" not in done.stderr
-    seen = json.loads(re.search(r'data-seen="([^"]*)"', done.stdout)[1].replace("&quot;", '"'))
+    seen = seen_in_browser(page.html().replace("<head>", "<head>" + WATCH), tmp_path, width, dark=dark)
     assert seen["errors"] == []
     assert seen["ink"] > 1000
     assert seen["wide"] <= 0
