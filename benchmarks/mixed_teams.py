@@ -1,10 +1,14 @@
 """Simulated teams with wrong sightings and unknown calibration, and mixed teams, beside the same teams at their best.
 
-    python benchmarks/mixed_teams.py [--robots 2,5] [--minutes 5] [--seeds 1] [--outliers 0.3] [--mixed] [--json FILE]
+    python benchmarks/mixed_teams.py [--robots 2,5] [--minutes 5] [--seeds 1] [--first 0] [--outliers 0.3] [--mixed] [--json FILE]
 
 Camera teams: each is mapped with a share of sightings mislabelled or wrong by metres and calibrations drawn from a wide
 range that nobody tells, and once more without wrong sightings and with the true calibration held. Printed: mean ATE of
-both [m] and their ratio, landmark RMSE [m], and the share of poses and landmarks inside their own 3 sigma. With
+both [m] and their ratio, landmark RMSE [m], and the share of poses and landmarks inside their own 3 sigma. Where every
+wheel and every camera may read long or short, no data tell the size of the map better than what is assumed of cameras
+beforehand: `size` is by how much it came out too large, `size_sd` what the priors of cameras and wheels leave open,
+`same_size` the ratio with both maps brought to their true size. `told` is the ratio with wrong sightings and the true
+calibration held. With
 `--mixed`: two lasers, two cameras and one robot with bearings alone beside the same team in which everybody carries
 everything: landmark RMSE, distance of occupied cells from the true walls, and both ratios.
 """
@@ -12,6 +16,7 @@ everything: landmark RMSE, distance of occupied cells from the true walls, and b
 import argparse
 import json
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,10 +28,12 @@ from mapweave.core.walls import Walls
 from mapweave.evaluation.consistency import mean_or_none
 from mapweave.evaluation.team import TeamScore, score_team
 from mapweave.io.table import read_table
+from mapweave.team.config import CalibrationPrior
 from mapweave.team.team_map import TeamMap
 
 INSIDE = 11.83  # chi-square, 2 degrees of freedom, of 3 sigma (0.27 %)
 SURE = 0.65  # occupancy from which a cell is wall
+PRIOR = CalibrationPrior()
 Row = dict[str, float | int | None]
 
 
@@ -58,6 +65,23 @@ def inside(team: TeamMap, score: TeamScore, truth: TeamTruth) -> tuple[float, fl
     return float((np.concatenate(poses) < INSIDE).mean()), float((np.array(marks) < INSIDE).mean())
 
 
+def sized(team: TeamMap, truth: TeamTruth) -> tuple[TeamMap, float]:
+    """The map brought to the size of the truth, and by what share it was too large."""
+    known = dict(zip(truth.survey.ids, truth.survey.xy, strict=True))
+    here = [k for k, name in enumerate(team.landmarks.ids) if name in known]
+    p, q = team.landmarks.mean[here], np.array([known[team.landmarks.ids[k]] for k in here])
+    T = se2.align(p, q)
+    a, b = se2.act(T, p) - q.mean(axis=0), q - q.mean(axis=0)
+    by = float((a * b).sum() / np.square(a).sum())
+    m, lengths = team.landmarks, np.array([by, by, 1.0])
+    tracks = {robot: replace(track, pose=track.pose * lengths) for robot, track in team.tracks.items()}
+    return replace(team, landmarks=replace(m, mean=by * m.mean), tracks=tracks), 1.0 / by - 1.0
+
+
+def ate(score: TeamScore) -> float:
+    return mean_or_none([r.ate for r in score.robots.values()])
+
+
 def cameras(robots: int, minutes: float, outliers: float, seed: int) -> Row:
     """One camera team at its worst and at its best."""
     world = {"lasers": 0, "cameras": robots, "bearings": 0, "minutes": minutes, "calibration": "random", "seed": seed}
@@ -67,17 +91,22 @@ def cameras(robots: int, minutes: float, outliers: float, seed: int) -> Row:
         mapweave.simulate_team(good, **world)
         truth = read_team_truth([good], [f"robot{k + 1}" for k in range(robots)])
         rough = mapweave.map(bad)
-        best = mapweave.map(good, calibration=good / "truth" / "calibration.json")
+        known = good / "truth" / "calibration.json"
+        best, told = mapweave.map(good, calibration=known), mapweave.map(bad, calibration=known)
     a, b = scored(rough.maps, truth), scored(best.maps, truth)
     poses, marks = inside(rough.maps[0], a, truth)
-    ate = [mean_or_none([r.ate for r in s.robots.values()]) for s in (a, b)]
+    (same, size), (same_best, _) = (sized(m.maps[0], truth) for m in (rough, best))
     return {
         "robots": robots,
         "seed": seed,
         "tied": len(rough.maps[0].robots),
-        "ate": ate[0],
-        "ate_best": ate[1],
-        "ratio": ate[0] / ate[1],
+        "ate": ate(a),
+        "ate_best": ate(b),
+        "ratio": ate(a) / ate(b),
+        "same_size": ate(scored((same,), truth)) / ate(scored((same_best,), truth)),
+        "told": ate(scored(told.maps, truth)) / ate(b),
+        "size": size,
+        "size_sd": float((robots * (PRIOR.range_scale_sd**-2 + PRIOR.speed_scale_sd**-2)) ** -0.5),
         "landmarks": a.landmarks.rmse,
         "landmarks_best": b.landmarks.rmse,
         "poses_inside": poses,
@@ -108,7 +137,7 @@ def mixed(minutes: float, seed: int) -> Row:
             told[f"{name}_tied"] = len(result.maps[0].robots)
             told[f"{name}_landmarks"] = score.landmarks.rmse
             told[f"{name}_walls"] = walls_off(result, score, home)
-            told[f"{name}_ate"] = mean_or_none([r.ate for r in score.robots.values()])
+            told[f"{name}_ate"] = ate(score)
     told["landmark_ratio"] = told["mixed_landmarks"] / told["all_landmarks"]
     told["wall_ratio"] = told["mixed_walls"] / told["all_walls"]
     return told
@@ -119,12 +148,13 @@ def main() -> None:
     parser.add_argument("--robots", default="2,5")
     parser.add_argument("--minutes", type=float, default=5.0)
     parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--outliers", type=float, default=0.3)
     parser.add_argument("--mixed", action="store_true")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     rows = []
-    for seed in range(args.seeds):
+    for seed in range(args.first, args.first + args.seeds):
         if args.mixed:
             rows.append(mixed(args.minutes, seed))
             print_row(rows[-1])

@@ -30,6 +30,7 @@ class SiftConfig:
     least: int = 3  # others in the window, from which a sighting is judged
     support: float = 0.5  # share of them that must agree with it
     enough: int = 2  # that must agree, in a log that is sifted
+    few: int = 6  # sightings left of a landmark, below which it may be another one that was misread now and then
     dirty: float = 0.08  # share of the sightings judged that are contradicted, from which the log is sifted
 
 
@@ -53,7 +54,9 @@ def sifted(log: LandmarkLog, ekf: EkfSlamConfig, cfg: SiftConfig | None = None) 
     """The log without the sightings that its others contradict, where those are many; they are counted and told.
 
     A log with few of them, or without odometry, comes back as it is. In one with many, a sighting that hardly another
-    bears out goes too: wrong labels scatter over all names, and most have nothing near that could contradict them.
+    bears out goes too: wrong labels scatter over all names, and most have nothing near that could contradict them. So
+    do the few left of a name that lie where another landmark was seen: misreadings of one that was looked at for long
+    bear each other out.
     """
     cfg = cfg or SiftConfig()
     if log.odometry is None or not len(log.sightings):
@@ -64,6 +67,7 @@ def sifted(log: LandmarkLog, ekf: EkfSlamConfig, cfg: SiftConfig | None = None) 
     if wrong.sum() <= cfg.dirty * max(int(judged.sum()), 1):
         return log
     keep = found.borne_out(cfg)
+    keep &= ~_misread(log.sightings, keep, log.odometry, ekf, cfg)
     gone = int((~keep).sum())
     told = f"{gone} of {len(keep)} sightings contradict those of the same name moments before and after: left out"
     return replace(
@@ -76,30 +80,67 @@ def sifted(log: LandmarkLog, ekf: EkfSlamConfig, cfg: SiftConfig | None = None) 
 
 def witnesses(seen: SightingTable, wheels: Odometry, ekf: EkfSlamConfig, cfg: SiftConfig) -> Witnesses:
     """Which sightings bear each other out along the way that `wheels` tell."""
-    pose, way, turned = _driven(seen.t, wheels, ekf)
-    bearing = pose[:, 2] + seen.bearing
-    place = pose[:, :2] + seen.range[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
+    driven = _Driven.of(seen, wheels, ekf)
     of, agree = np.zeros(len(seen), np.int64), np.zeros(len(seen), np.int64)
     for k, name in enumerate(seen.ids):
         rows = np.flatnonzero(seen.what == k)
         moving = 0.0 if is_landmark(name) else cfg.moving
         for apart in range(1, len(rows)):
             a, b = rows[:-apart], rows[apart:]
-            dt = seen.t[b] - seen.t[a]
-            near = dt <= cfg.window
-            if not near.any():
+            if (seen.t[b] - seen.t[a]).min() > cfg.window:
                 break
-            a, b, dt = a[near], b[near], dt[near]
-            angle = turned[b] - turned[a]
-            near = angle <= cfg.turned
-            a, b, dt, angle = a[near], b[near], dt[near], angle[near]
-            r = np.minimum(seen.range[a], seen.range[b])
-            most = cfg.floor + (cfg.share + cfg.turn_error * angle) * r + cfg.drift * (way[b] - way[a]) + moving * dt
-            fits = np.hypot(*(place[a] - place[b]).T) <= most
+            compared, fits = driven.compared(a, b, moving, cfg)
             for end in (a, b):
-                np.add.at(of, end, 1)
-                np.add.at(agree, end, fits)
+                np.add.at(of, end[compared], 1)
+                np.add.at(agree, end[compared & fits], 1)
     return Witnesses(of, agree)
+
+
+def _misread(
+    seen: SightingTable, keep: Bool[np.ndarray, " n"], wheels: Odometry, ekf: EkfSlamConfig, cfg: SiftConfig
+) -> Bool[np.ndarray, " n"]:
+    """The kept sightings of names of which few are kept, where most of those lie at another landmark's place."""
+    driven = _Driven.of(seen, wheels, ekf)
+    n, kept = (np.bincount(seen.what[rows], minlength=len(seen.ids)) for rows in (np.ones(len(keep), bool), keep))
+    stands = np.array([is_landmark(name) for name in seen.ids])
+    out = np.zeros(len(seen), bool)
+    for k in np.flatnonzero(stands & (kept > 0) & (kept < cfg.few) & (2 * kept < n)).tolist():
+        mine = np.flatnonzero(keep & (seen.what == k))
+        others = np.flatnonzero(keep & stands[seen.what] & (seen.what != k))
+        a, b = np.repeat(mine, len(others)), np.tile(others, len(mine))
+        compared, fits = driven.compared(a, b, 0.0, cfg)
+        elsewhere = np.bincount(a[compared & fits], minlength=len(seen))[mine] >= cfg.enough
+        out[mine] = 2 * elsewhere.sum() > len(mine)
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class _Driven:
+    """Sightings carried into one frame by the wheels. place: (n, 2); way: (n,) [m], angle: (n,) [rad] driven until then."""
+
+    t: Float[np.ndarray, " n"]
+    range: Float[np.ndarray, " n"]
+    place: Float[np.ndarray, "n 2"]
+    way: Float[np.ndarray, " n"]
+    angle: Float[np.ndarray, " n"]
+
+    @classmethod
+    def of(cls, seen: SightingTable, wheels: Odometry, ekf: EkfSlamConfig) -> "_Driven":
+        pose, way, angle = _driven(seen.t, wheels, ekf)
+        bearing = pose[:, 2] + seen.bearing
+        place = pose[:, :2] + seen.range[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
+        return cls(seen.t, seen.range, place, way, angle)
+
+    def compared(
+        self, a: Int[np.ndarray, " p"], b: Int[np.ndarray, " p"], moving: float, cfg: SiftConfig
+    ) -> tuple[Bool[np.ndarray, " p"], Bool[np.ndarray, " p"]]:
+        """Which pairs of rows are near enough in time to be compared, and which of all lie at one place."""
+        dt, angle = np.abs(self.t[b] - self.t[a]), np.abs(self.angle[b] - self.angle[a])
+        r = np.minimum(self.range[a], self.range[b])
+        most = cfg.floor + (cfg.share + cfg.turn_error * angle) * r
+        most += cfg.drift * np.abs(self.way[b] - self.way[a]) + moving * dt
+        fits = np.hypot(*(self.place[a] - self.place[b]).T) <= most
+        return (dt <= cfg.window) & (angle <= cfg.turned), fits
 
 
 def _driven(

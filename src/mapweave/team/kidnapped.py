@@ -48,7 +48,7 @@ class KidnapConfig:
     fits_share: float = 0.3  # and as a share of the way and of the angle
     carried: float = 0.8  # [m] by which it does where the robot was carried, or
     carried_turn: float = 1.2  # [rad] its heading,
-    carried_share: float = 0.25  # both beyond that share of way and angle
+    carried_share: float = 0.25  # both beyond that share of all the way and angle driven in between
     landmarks: int = 4  # of a map against which a robot is placed
     most: int = 5  # robots, one after the other
 
@@ -298,7 +298,7 @@ def _jumps(
         out = []
         for before, after in pairwise(_runs(windows, carrier, least, cfg)):
             i, j = before[-1], after[0]
-            if not _follows(windows, i, j, carrier, cfg.carried, cfg.carried_turn, cfg.carried_share):
+            if _carried(windows, i, j, carrier, cfg):
                 out.append(_moment(windows, i, j, carrier, placing))
         if out:
             return tuple(out)
@@ -326,18 +326,36 @@ def _runs(windows: Windows, carrier: Track, least: int, cfg: KidnapConfig) -> li
 
 def _follows(windows: Windows, i: int, j: int, carrier: Track, floor: float, turn: float, share: float) -> bool:
     """Whether window j lies where the wheels lead from window i, give or take."""
-    base = se2.interpolate(windows.t[[i, j]], carrier.t, carrier.pose)
-    said = se2.between(base[0], base[1])
-    miss = se2.between(se2.compose(windows.place[i], said), windows.place[j])
-    way, angle = float(np.hypot(said[0], said[1])), _turned(carrier, windows.t[i], windows.t[j])
-    near = float(np.hypot(miss[0], miss[1])) < floor + share * way
+    said, miss = _missed(windows, i, j, carrier)
+    angle = _driven(carrier, windows.t[i], windows.t[j])[1]
+    near = float(np.hypot(miss[0], miss[1])) < floor + share * float(np.hypot(said[0], said[1]))
     return near and abs(float(miss[2])) < turn + share * angle
 
 
-def _turned(carrier: Track, begin: float, end: float) -> float:
-    """The angle [rad] turned through, to and fro."""
-    inside = carrier.pose[(carrier.t >= begin) & (carrier.t <= end), 2]
-    return float(np.abs(se2.wrap_angle(np.diff(inside))).sum())
+def _carried(windows: Windows, i: int, j: int, carrier: Track, cfg: KidnapConfig) -> bool:
+    """Whether window j lies where no wheels lead from window i, however far off their scales may be.
+
+    What they may err by grows with all that was driven in between, to and fro, and sideways with the angle too, half
+    the way on average after the turn: over minutes without a place they tell nothing.
+    """
+    miss = _missed(windows, i, j, carrier)[1]
+    way, angle = _driven(carrier, windows.t[i], windows.t[j])
+    away = float(np.hypot(miss[0], miss[1])) >= cfg.carried + cfg.carried_share * way * (1.0 + 0.5 * angle)
+    return away or abs(float(miss[2])) >= cfg.carried_turn + cfg.carried_share * angle
+
+
+def _missed(windows: Windows, i: int, j: int, carrier: Track) -> tuple[np.ndarray, np.ndarray]:
+    """The way that the wheels tell from window i to window j, and where j lies as seen from its end."""
+    base = se2.interpolate(windows.t[[i, j]], carrier.t, carrier.pose)
+    said = se2.between(base[0], base[1])
+    return said, se2.between(se2.compose(windows.place[i], said), windows.place[j])
+
+
+def _driven(carrier: Track, begin: float, end: float) -> tuple[float, float]:
+    """The way [m] and the angle [rad] that wheels tell, to and fro."""
+    inside = carrier.pose[(carrier.t >= begin) & (carrier.t <= end)]
+    way = np.hypot(*np.diff(inside[:, :2], axis=0).T)
+    return float(way.sum()), float(np.abs(se2.wrap_angle(np.diff(inside[:, 2]))).sum())
 
 
 def _moment(windows: Windows, i: int, j: int, carrier: Track, placing: PlacingConfig) -> float:
