@@ -1,6 +1,7 @@
 """Simulated teams with wrong sightings and unknown calibration, and mixed teams, beside the same teams at their best.
 
-    python benchmarks/mixed_teams.py [--robots 2,5] [--minutes 5] [--seeds 1] [--first 0] [--outliers 0.3] [--mixed] [--json FILE]
+    python benchmarks/mixed_teams.py [--robots 2,5] [--minutes 5] [--seeds 1] [--first 0] [--outliers 0.3] [--mixed]
+        [--json FILE]
 
 Camera teams: each is mapped with a share of sightings mislabelled or wrong by metres and calibrations drawn from a wide
 range that nobody tells, and once more without wrong sightings and with the true calibration held. Printed: mean ATE of
