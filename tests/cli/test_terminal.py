@@ -207,3 +207,12 @@ def test_a_kernel_that_is_kept_is_not_compiled_again(tmp_path):
 def test_what_a_command_was_not_given_is_named(capsys, words, told):
     assert _run(words) == 2
     assert capsys.readouterr().err.startswith(told)
+
+
+@pytest.mark.parametrize("command", [["locate"], ["map"], ["simulate", "corridor"]])
+def test_sentences_of_the_help_end_where_the_terminal_does(capsys, monkeypatch, command):
+    monkeypatch.setenv("COLUMNS", "3000")
+    assert _run([*command, "--help"]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("│")]
+    assert lines
+    assert [line for line in lines if not re.match(r"│ (\* )? *(-|[A-Z]{3})", line)] == []

@@ -7,6 +7,7 @@ from io import TextIOWrapper
 from typing import TYPE_CHECKING
 
 from ..core.version import __version__
+from .help_text import FlowingHelp
 from .terminal import Interruption, warn
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ def make_app() -> "App":
         help="One map, with honest uncertainty, from the logs of many robots.",
         version=f"mapweave {__version__}",
         version_flags=["--version"],
+        help_formatter=FlowingHelp(),
         help_format="plaintext",  # Markdown costs a tenth of a second to import
     )
     for name, (where, told) in COMMANDS.items():
