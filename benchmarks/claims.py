@@ -24,7 +24,7 @@ def main() -> None:
     if known is None:
         ask.error(f"{name}: no table of claims in docs_tables.py")
     today, commit = f"{datetime.now(UTC):%Y-%m-%d}", docs_figures.git("rev-parse", "--short", "HEAD")
-    docs_figures.write(docs_figures.Record(known.name, name, known.told, today, commit, table))
+    docs_figures.write(docs_figures.Record(known.name, name, known.told, today, commit, table, run=True))
 
 
 if __name__ == "__main__":

@@ -5,7 +5,9 @@
 Without options every table is measured anew: hours. `--only` measures one. `--check` says which tables of the pages
 are not those of `docs/figures/NAME.json`, exit status 1 where there is one. `--adopt` takes a table as it stands on its
 page, with the date of the commit that put it there (of today where none did): for figures that their command prints for
-people, and for tables that were measured before. The tables are listed in `docs_tables.py`.
+people, and for tables that were measured before. The tables are listed in `docs_tables.py`; numbers in sentences that
+name a table (`docs_prose.py`) follow it. Every record says whether its command was run at its commit (`run`) or the
+table was taken as it stood.
 """
 
 import argparse
@@ -19,6 +21,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from docs_prose import renew, stale_prose
 from docs_tables import CHECKED_ELSEWHERE, PYTHON, TABLES, Table
 
 TOP = Path(__file__).resolve().parents[1]
@@ -36,6 +39,7 @@ class Record:
     date: str
     commit: str
     table: str
+    run: bool = False  # whether the command was run at that commit; else the table was taken as it stood on the page
 
     @property
     def text(self) -> str:
@@ -68,6 +72,9 @@ def write(record: Record, top: Path = TOP) -> None:
     kept(record.name, top).parent.mkdir(exist_ok=True)
     held = {name: getattr(record, name) for name in Record.__slots__}
     kept(record.name, top).write_text(json.dumps(held, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    renew(top, record.name, record.table)
+    if not record.page:
+        return
     path = top / record.page
     begin, end = f"<!-- {record.name}: begin -->\n", f"<!-- {record.name}: end -->"
     before, _, rest = path.read_text(encoding="utf-8").partition(begin)
@@ -79,7 +86,8 @@ def stale(top: Path = TOP, tables: tuple[Table, ...] = TABLES) -> list[str]:
     """Of every table that is not what was measured, and of every mark or record that belongs to none, a sentence."""
     out = []
     for table in tables:
-        text, record = on_page(table, top), read_record(table.name, top)
+        record = read_record(table.name, top)
+        text = on_page(table, top) if table.page else record.text if record else ""
         if text is None:
             out.append(f"{table.page}: no marks <!-- {table.name}: begin --> and <!-- {table.name}: end -->")
         elif record is None and not text.strip():
@@ -99,7 +107,7 @@ def stale(top: Path = TOP, tables: tuple[Table, ...] = TABLES) -> list[str]:
         ]
     files = {kept(name, top) for name in known}
     out += [f"{p.relative_to(top)}: of no table" for p in sorted(top.glob("docs/figures/*.json")) if p not in files]
-    return out
+    return out + stale_prose(top, lambda name: record.table if (record := read_record(name, top)) else None)
 
 
 def git(*words: str) -> str:
@@ -109,6 +117,8 @@ def git(*words: str) -> str:
 
 def adopt(table: Table) -> None:
     """The table as it stands, with the date and commit of its youngest line."""
+    if not table.page:
+        sys.exit(f"{table.name}: stands on no page, so it can only be measured")
     text = on_page(table)
     if text is None:
         sys.exit(f"{table.page}: no marks for {table.name!r}")
@@ -151,7 +161,7 @@ def measure(table: Table) -> None:
         else:
             text = (Path(folder) / "out" / table.written).read_text(encoding="utf-8").strip()
     today = f"{datetime.now(UTC):%Y-%m-%d}"
-    write(Record(table.name, table.page, table.told, today, git("rev-parse", "--short", "HEAD"), text))
+    write(Record(table.name, table.page, table.told, today, git("rev-parse", "--short", "HEAD"), text, run=True))
 
 
 def main() -> None:
@@ -166,7 +176,8 @@ def main() -> None:
     if asked.list:
         for table in TABLES:
             record = read_record(table.name)
-            print(f"{table.name:20s} {record.date if record else '':10s} {table.page}: {table.told}")
+            how = "" if record is None else "run" if record.run else "taken"
+            print(f"{table.name:20s} {record.date if record else '':10s} {how:5s} {table.page}: {table.told}")
     elif asked.check:
         wrong = stale()
         print("\n".join(wrong))

@@ -15,7 +15,7 @@ CHECKED_ELSEWHERE = {"walks"}  # marks of what is no measurement
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """One table. written: how the command gives it.
+    """One table. page: "" of one whose numbers stand in sentences alone. written: how the command gives it.
 
     stdout: as the Markdown table that it prints; page: into the page itself, between the marks; a file's name: as that
     file in {out}; reader: as figures for people, which whoever runs it puts on the page.
@@ -51,11 +51,27 @@ TABLES = (
         "page",
     ),
     Table("live", "docs/live.md", bench("live", "--out", "docs/images"), "stdout"),
+    Table(
+        "two in one office",
+        "",
+        bench("laser_consistency", "--worlds", "pairs", "--runs", "10", "--seed", "300"),
+        "stdout",
+    ),
+    Table("pose graphs", "docs/laser.md", bench("solve"), "stdout"),
+    Table("starts searched", "docs/laser.md", bench("localize_trust", "--starts", "40"), "stdout"),
+    Table(
+        "wrong sightings",
+        "docs/methods/team-smoothing.md",
+        bench("mixed_teams", "--robots", "2", "--seeds", "4"),
+        "stdout",
+    ),
     Table("swarm of 1,000", "docs/locate.md", bench("swarm")),
     Table("swarm of 10,000", "docs/locate.md", bench("swarm")),
-    Table("angulation", "docs/locate.md", bench("swarm_real")),
-    Table("ekf slam", "docs/methods/ekf-slam.md", bench("real_sets")),
-    Table("joining", "docs/methods/joining.md", bench("real_sets")),
+    Table("angulation", "docs/locate.md", bench("swarm_real", "--table", "angulation"), "stdout"),
+    Table("bearings of set 6", "", bench("swarm_real", "--table", "drive"), "stdout"),
+    Table("joining", "docs/methods/joining.md", bench("real_sets", "--table", "whole"), "stdout"),
+    Table("unequal maps", "docs/methods/joining.md", bench("real_sets", "--table", "unequal"), "stdout"),
+    Table("without names", "docs/methods/joining.md", bench("real_sets", "--table", "names"), "stdout"),
     Table("kojima asserted", FUSION, (PYTHON, "-m", "pytest", "tests/fusion", "tests/papers")),
     Table("kojima set-up", FUSION, reproduce("kojima")),
     Table("kojima unequal maps", FUSION, reproduce("kojima")),
@@ -64,7 +80,7 @@ TABLES = (
     Table("swarm grid", SWARM, bench("swarm")),
     Table("swarm times", SWARM, bench("swarm")),
     Table("hamatani claims", SWARM, reproduce("hamatani"), "claims.md"),
-    Table("intel relations", LASER, bench("laser")),
+    Table("intel relations", LASER, bench("laser_real"), "stdout"),
     Table("laps of a hall", LASER, bench("laser_laps"), "stdout"),
     Table("simulated ring", LASER, bench("corridor")),
     Table("hara claims", LASER, reproduce("hara"), "claims.md"),

@@ -120,7 +120,11 @@ def pairs(seeds: range) -> None:
             flush=True,
         )
     mean = np.mean(rows, axis=0)
-    print(f"pairs: mean NEES woven {mean[0]:.2f}, alone {mean[1]:.2f}, between robots {mean[2]:.2f}")
+    least, most = np.min(rows, axis=0), np.max(rows, axis=0)
+    print("| NEES per degree of freedom | mean | least | largest |")
+    print("|---|---|---|---|")
+    for k, name in enumerate(("in the common frame", "a single log", "between robots")):
+        print(f"| {name} | {mean[k]:.2f} | {least[k]:.2f} | {most[k]:.2f} |")
 
 
 def main() -> None:

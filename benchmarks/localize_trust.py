@@ -11,6 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from mapweave.papers.hara.starts import SCANS, starts_table, try_starts
+from mapweave.papers.reproduction import markdown
 
 
 def main() -> None:
@@ -21,9 +22,7 @@ def main() -> None:
     ask.add_argument("--json", type=Path)
     asked = ask.parse_args()
     starts = try_starts(asked.starts, asked.seed, asked.scans)
-    head, rows = starts_table(starts)
-    for row in (head, *rows):
-        print("".join(f"{v!s:<18}" for v in row))
+    print(markdown(*starts_table(starts)))
     if asked.json:
         asked.json.write_text(json.dumps([asdict(s) for s in starts], indent=1))
 

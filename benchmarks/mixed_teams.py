@@ -163,6 +163,9 @@ def main() -> None:
             for robots in map(int, args.robots.split(",")):
                 rows.append(cameras(robots, args.minutes, args.outliers, seed))
                 print_row(rows[-1])
+    print(f"| {' | '.join(name.replace('_', ' ') for name in rows[0])} |\n|{'---|' * len(rows[0])}")
+    for row in rows:
+        print(f"| {' | '.join(f'{v:.3f}' if isinstance(v, float) else str(v) for v in row.values())} |")
     if args.json:
         args.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 

@@ -1,6 +1,6 @@
 """Fused landmark maps of the real teams against their surveys: every weighting, whole logs and unequal ones.
 
-    MAPWEAVE_DATA=... python benchmarks/real_sets.py [--sets 1,3,4,6] [--json FILE]
+    MAPWEAVE_DATA=... python benchmarks/real_sets.py [--sets 1,3,4,6] [--table whole] [--json FILE]
 
 First table: landmark RMSE [m] after one rigid alignment and NEES per degree of freedom, whole logs. Second: robots
 are given 100, 50, 25, 12 and 6 % of the time, rotated through all roles (those without odometry left out). Third:
@@ -31,8 +31,6 @@ from mapweave.landmarks.mapping import local_map
 
 WEIGHTS = ("naive", "constant", "paper", "diagonal", "full", "full-scaled")
 SHARES = (1.0, 0.5, 0.25, 0.12, 0.06)
-LIMITS = {"1": 0.045, "3": 0.048, "4": 0.042, "6": 0.045}
-OPEN_GOALS = {"1": 0.033, "3": 0.036, "4": 0.029, "6": 0.030}
 
 
 def load(folder, name):
@@ -110,56 +108,65 @@ def exchanged(maps, rng, cases=12):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=os.environ.get("MAPWEAVE_DATA"))
+    parser.add_argument("--data", type=Path, default=Path(os.environ.get("MAPWEAVE_DATA", "data")))
     parser.add_argument("--sets", default="1,3,4,6")
+    parser.add_argument("--table", choices=("whole", "unequal", "names"), help="this one alone")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    if args.data is None:
-        parser.error("say where the real logs are: --data or MAPWEAVE_DATA")
     machine = {name: version(name) for name in ("mapweave", "numpy", "scipy")}
     machine |= {"python": platform.python_version(), "cores": os.cpu_count(), "processor": platform.machine()}
     print(json.dumps(machine))
     table, turns, pairs, swaps = [], [], [], []
     rng = np.random.default_rng(0)
     for name in args.sets.split(","):
-        logs, survey = load(Path(args.data), name)
-        maps = [local_map(log) for log in logs]
-        table.append(whole(name, maps, survey))
-        turns += unequal(name, logs, survey)
-        pairs.append(nameless(maps))
-        swaps.append(exchanged(maps, rng))
-    print_whole(table)
-    ratios = print_unequal(turns)
-    total = {key: sum(p[key] for p in pairs) for key in ("pairs", "all_right", "accepted_wrong")}
-    seconds = np.mean([p["seconds"] for p in pairs])
-    print(f"\nidentities: {total['all_right']} of {total['pairs']} pairs all right, {seconds:.2f} s a pair")
-    print(f"exchanged labels: {sum(s['found'] for s in swaps)} of {sum(s['cases'] for s in swaps)} found and put back")
+        logs, survey = load(args.data, name)
+        if args.table in {None, "unequal"}:
+            turns += unequal(name, logs, survey)
+        maps = [] if args.table == "unequal" else [local_map(log) for log in logs]
+        if args.table in {None, "whole"}:
+            table.append(whole(name, maps, survey))
+        if args.table in {None, "names"}:
+            pairs.append(nameless(maps))
+            swaps.append(exchanged(maps, rng))
+    if table:
+        print_whole(table)
+    if turns:
+        print_unequal(turns)
+    if pairs:
+        print_names(pairs, swaps)
     if args.json:
-        out = {"machine": machine, "whole": table, "unequal": turns, "ratios": ratios, "identities": pairs}
-        out |= {"exchanged": swaps}
+        out = {"machine": machine, "whole": table, "unequal": turns, "identities": pairs, "exchanged": swaps}
         args.json.write_text(json.dumps(out, indent=1) + "\n", encoding="utf-8")
 
 
 def print_whole(table):
     columns = [*WEIGHTS, "with robot sightings"]
-    print("set  single  " + "  ".join(f"{c:>15}" for c in columns) + "   limit  open goal")
+    print(f"| set | mean single | {' | '.join(columns)} | NEES of full-scaled |")
+    print(f"|---|---{'|---' * len(columns)}|---|")
     for row in table:
-        cells = "  ".join(f"{row[c]['rmse']:.4f} ({row[c]['nees_per_dof']:6.2f})" for c in columns)
-        limit, goal = LIMITS.get(row["set"], float("nan")), OPEN_GOALS.get(row["set"], float("nan"))
-        print(f"{row['set']:>3}  {row['mean_single']:.4f}  {cells}   {limit:.3f}  {goal:.3f}")
-    nees = np.mean([row["full-scaled"]["nees_per_dof"] for row in table])
-    seconds = np.mean([row["full-scaled"]["seconds"] for row in table])
-    print(f"full-scaled: mean NEES per degree of freedom {nees:.2f}, {seconds:.3f} s a join")
+        name = "1 (11 and 17 exchanged back)" if row["set"] == "1" else row["set"]
+        cells = " | ".join(f"{row[c]['rmse']:.3f}" for c in columns)
+        print(f"| {name} | {row['mean_single']:.3f} | {cells} | {row['full-scaled']['nees_per_dof']:.2f} |")
 
 
 def print_unequal(turns):
-    columns = ["single", *WEIGHTS]
-    mean = {c: float(np.mean([row[c] for row in turns])) for c in columns}
-    print(f"\nunequal maps, mean of {len(turns)} cases")
-    print("  ".join(f"{c} {mean[c]:.4f}" for c in columns))
-    ratios = {"to_naive": mean["full-scaled"] / mean["naive"], "to_diagonal": mean["full-scaled"] / mean["diagonal"]}
-    print(f"full-scaled: {ratios['to_naive']:.3f} x naive, {ratios['to_diagonal']:.3f} x diagonal")
-    return ratios
+    print("| weights | mean of " + str(len(turns)) + " cases [m] |")
+    print("|---|---|")
+    for column in ("single", *WEIGHTS):
+        print(f"| {column} | {np.mean([row[column] for row in turns]):.3f} |")
+
+
+def print_names(pairs, swaps):
+    total = {key: sum(p[key] for p in pairs) for key in ("pairs", "all_right", "accepted_wrong")}
+    seconds = np.mean([p["seconds"] for p in pairs])
+    print("| what | tried | right | believed wrongly | seconds each |")
+    print("|---|---|---|---|---|")
+    print(
+        f"| two maps without names | {total['pairs']} | {total['all_right']} | {total['accepted_wrong']} | "
+        f"{seconds:.1f} |"
+    )
+    found, cases = sum(s["found"] for s in swaps), sum(s["cases"] for s in swaps)
+    print(f"| two labels exchanged in one robot | {cases} | {found} | | |")
 
 
 if __name__ == "__main__":

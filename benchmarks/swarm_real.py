@@ -1,10 +1,13 @@
 """Real bearings: Roh's angulation data, and what the robots of MRCLAM set 6 saw of each other.
 
-`python benchmarks/swarm_real.py DATA [--json FILE]`, DATA being the folder with `bearings/` and `mrclam/`.
+    MAPWEAVE_DATA=... python benchmarks/swarm_real.py [--table angulation|drive] [--json FILE]
+
+MAPWEAVE_DATA is the folder with `bearings/` and `mrclam/`.
 """
 
 import argparse
 import json
+import os
 import time
 from pathlib import Path
 
@@ -39,9 +42,9 @@ def angulation(folder: Path) -> dict:
     one = np.median(bearings, axis=1, keepdims=True)
     sigma = np.radians(out["scatter_deg"])
     cases = {
-        "all readings, heading as said, sigma their scatter": (bearings, sigma, HEADING),
-        "medians, heading as said, sigma from residuals": (one, None, HEADING),
-        "medians, heading found, sigma from residuals": (one, None, None),
+        "all 800 readings, heading as written down, sigma their scatter": (bearings, sigma, HEADING),
+        "medians, heading as written down, sigma from the residuals": (one, None, HEADING),
+        "medians, heading found, sigma from the residuals": (one, None, None),
     }
     for name, (z, noise, heading) in cases.items():
         fitted = noise
@@ -132,32 +135,54 @@ def _left(p, q, *, scale: bool):
     return float(np.sqrt(np.mean(np.sum((s * p @ R.T + t - q) ** 2, axis=1)))), s
 
 
+def print_angulation(roh: dict) -> None:
+    print("| | sigma | RMSE | promised | NEES / dof | |")
+    print("|---|---|---|---|---|---|")
+    for name, c in roh["cases"].items():
+        trust = "trusted" if c["reliable"] else "called unreliable"
+        nees = c["nees_per_dof"]
+        errors = f"{c['rmse']:.3f} m | {c['promised']:.3f} m | {nees:,.{0 if nees > 100 else 2}f}"
+        print(f"| {name} | {c['sigma_deg']:.2f}° | {errors} | {trust} |")
+
+
+def print_drive(six: dict) -> None:
+    rows = (
+        ("sightings", f"{six['sightings']:,}"),
+        ("seconds", f"{six['seconds']:.0f}"),
+        ("RMSE [m], one rigid frame", f"{six['rmse']:.2f}"),
+        ("RMSE [m], scale taken out too", f"{six['rmse_after_scale']:.2f}"),
+        ("scale", f"{six['scale']:.2f}"),
+        ("RMSE [m] of odometry alone", f"{six['odometry_alone']:.1f}"),
+        ("pairs that see each other in a second, at most", six["most_pairs_in_a_second"]),
+        ("pairs that would tell the shape at once", six["pairs_needed_at_once"]),
+        ("sightings left out [%]", f"{100 * six['outliers'] / six['sightings']:.0f}"),
+    )
+    print("| what | |\n|---|---|")
+    for name, value in rows:
+        print(f"| {name} | {value} |")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data", type=Path)
+    parser.add_argument("--data", type=Path, default=os.environ.get("MAPWEAVE_DATA"))
+    parser.add_argument("--table", choices=("angulation", "drive"), help="this one alone")
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
-    roh = angulation(asked.data / "bearings" / "roh_angulation")
-    print(
-        f"Roh: biases {roh['bias_rms_deg']:.2f} deg rms, {roh['bias_largest_deg']:.1f} largest; scatter "
-        f"{roh['scatter_deg']:.2f} deg, correlation of neighbouring readings {roh['correlation_of_neighbours']:.2f}"
-    )
-    for name, c in roh["cases"].items():
-        trust = "trusted" if c["reliable"] else "not trusted"
+    if asked.data is None:
+        parser.error("say where the real logs are: --data or MAPWEAVE_DATA")
+    found: dict[str, dict] = {}
+    if asked.table != "drive":
+        roh = found["roh_angulation"] = angulation(asked.data / "bearings" / "roh_angulation")
         print(
-            f"  {name:52s} sigma {c['sigma_deg']:5.2f} deg  RMSE {c['rmse']:.3f} m  promised {c['promised']:.3f} m  "
-            f"NEES/dof {c['nees_per_dof']:7.2f}  {trust}"
+            f"Roh: biases {roh['bias_rms_deg']:.2f} deg rms, {roh['bias_largest_deg']:.1f} largest; scatter "
+            f"{roh['scatter_deg']:.2f} deg, correlation of neighbouring readings {roh['correlation_of_neighbours']:.2f}"
         )
-    six = team(asked.data / "mrclam" / "MRCLAM_Dataset6.zip")
-    print(
-        f"MRCLAM 6: {six['sightings']} sightings in {six['seconds']:.0f} s: RMSE {six['rmse']:.3f} m in one rigid "
-        f"frame, {six['rmse_after_scale']:.3f} m with scale {six['scale']:.3f} taken out; odometry alone "
-        f"{six['odometry_alone']:.2f} m; at most {six['most_pairs_in_a_second']} pairs in a second, "
-        f"{six['pairs_needed_at_once']} would be needed to do without odometry; {six['outliers']} outliers; "
-        f"{six['took_s']:.0f} s"
-    )
+        print_angulation(roh)
+    if asked.table != "angulation":
+        found["mrclam6"] = team(asked.data / "mrclam" / "MRCLAM_Dataset6.zip")
+        print_drive(found["mrclam6"])
     if asked.json:
-        asked.json.write_text(json.dumps({"roh_angulation": roh, "mrclam6": six}, indent=1) + "\n", encoding="utf-8")
+        asked.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

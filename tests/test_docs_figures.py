@@ -9,6 +9,7 @@ TOP = Path(__file__).parent.parent
 sys.path.insert(0, str(TOP / "benchmarks"))
 
 import docs_figures  # noqa: E402
+import docs_prose  # noqa: E402
 from docs_tables import TABLES, Table  # noqa: E402
 
 
@@ -70,3 +71,67 @@ def test_a_figure_changed_by_hand_a_lost_mark_and_a_stray_one_are_told(docs, tmp
     assert second == "docs/a.md: 'other' is not in docs_tables.py"
     other = Table("other", "docs/a.md", ("python",))
     assert told(tmp_path, other)[-1] == "docs/figures/speed.json: of no table"
+
+
+HELD = """| set |  | error [m] |
+|---|---|---|
+| 1 | filters | 0.0271 |
+| 1 | `smoothed` | 0.0202 of 1,524 |
+| 2 | | 0.5 |
+| 20 | | 0.7 |"""
+
+
+def held(name):
+    return HELD if name == "speed" else None
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        ("1 filters, error [m]", 0.0271),
+        ("1 smoothed, error [m]", 0.0202),
+        ("1 smoothed, error [m]#2", 1524.0),
+        ("1 filters, error [m] x 1000", 27.1),
+        ("1 filters, 3", 0.0271),
+        ("2, 3", 0.5),
+    ],
+)
+def test_a_number_is_found_in_its_table(place, value):
+    assert docs_prose.look_up(HELD, place) == pytest.approx(value)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("<!-- figure: speed[1 filters, error [m]] -->0.027 m", None),
+        ("<!-- figure: speed[1 filters, error [m]] -->0.0271.", None),
+        ("<!-- figure: speed[1 smoothed, error [m]#2] -->1,524", None),
+        ("<!-- figure: speed[1 filters, error [m]] -->0.028", "the page says 0.028, the table 0.0271"),
+        ("<!-- figure: speed[1 filters, error [m]] -->about", "the page says nothing"),
+        ("<!-- figure: speed[1, error [m]] -->0.027", "2 rows begin with '1'"),
+        ("<!-- figure: speed[1 filters, time] -->0.027", "no column 'time'"),
+        ("<!-- figure: speed[1 filters, error [m]#2] -->0.027", "no number 2"),
+        ("as good as\n<!-- figure: speed[1 filters, error [m]] -->0.0271", "begins its line"),
+        ("<!-- figure: sped[1 filters, error [m]] -->0.027", "no such table"),
+    ],
+)
+def test_a_number_in_a_sentence_that_its_table_does_not_hold_is_told(docs, tmp_path, text, told):
+    docs.write_text(f"It is {text}\n")
+    wrong = docs_prose.stale_prose(tmp_path, held)
+    assert len(wrong) == (told is not None)
+    if told:
+        assert wrong[0].startswith("docs/a.md: ")
+        assert told in wrong[0]
+
+
+def test_sentences_follow_a_table_that_is_measured_again(docs, tmp_path):
+    (tmp_path / "README.md").write_text(
+        "It errs by <!-- figure: speed[1, b] -->0.50 m of <!-- figure: other[1, b] -->9.\n"
+    )
+    record = docs_figures.Record(
+        "speed", "docs/a.md", SPEED.told, "2026-11-22", "abc1234", "| a | b |\n|---|---|\n| 1 | 0.731 |"
+    )
+    docs_figures.write(record, tmp_path)
+    assert (tmp_path / "README.md").read_text().startswith("It errs by <!-- figure: speed[1, b] -->0.73 m of ")
+    assert "-->9." in (tmp_path / "README.md").read_text()
+    assert [line for line in told(tmp_path) if "speed" in line] == []

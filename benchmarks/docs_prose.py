@@ -1,0 +1,98 @@
+"""Numbers in sentences of the documentation that a measured table holds.
+
+`<!-- figure: TABLE[ROW, COLUMN] -->0.034` says that 0.034 is what the table TABLE has in that cell, rounded as it is
+written. ROW: what the row's cells begin with, joined by spaces, marks of emphasis and code left out. COLUMN: the head
+of the column, or its number; `COLUMN#2` is the second number of a cell, `COLUMN x 100` the number times 100.
+"""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+NUMBER = r"-?\d[\d,]*(?:\.\d+)?"
+FIGURE = re.compile(rf"(?<!`)(<!-- figure: ([^\[\]\n]+)\[((?:[^\[\]\n]|\[[^\]\n]*\])*)\] -->)({NUMBER})?")
+BROKEN = re.compile(r"^[ >*-]*(<!-- figure: [^\n]*?-->)", re.MULTILINE)  # Markdown takes such a line for markup alone
+PLACE = re.compile(r"^(.*), ([^,]+?)(?:#(\d+))?(?: x (\d+))?$")
+Held = Callable[[str], str | None]  # the text of a table, None where there is none
+
+
+def pages(top: Path) -> list[Path]:
+    return [top / "README.md"] * (top / "README.md").exists() + sorted(top.glob("docs/**/*.md"))
+
+
+def look_up(text: str, place: str) -> float:
+    """The number at `ROW, COLUMN[#K][ x FACTOR]` of a Markdown table; LookupError says what is not there."""
+    parts = PLACE.match(place)
+    if parts is None:
+        raise LookupError(f"[{place}] is not [ROW, COLUMN]")
+    row, column, which, factor = parts.groups()
+    head, _, *rows = [_cells(line) for line in text.splitlines() if line.startswith("|")]
+    at = head.index(column) if column in head else int(column) - 1 if column.isdigit() else len(head)
+    if not 0 <= at < len(head):
+        raise LookupError(f"no column {column!r}")
+    found = [cells for cells in rows if " ".join(" ".join(cells).split()).startswith(row)]
+    if len(found) > 1:  # whole cells before parts of one
+        found = [c for c in found if any(" ".join(" ".join(c[: k + 1]).split()) == row for k in range(len(c)))] or found
+    if len(found) != 1:
+        raise LookupError(f"{len(found)} rows begin with {row!r}")
+    numbers = re.findall(NUMBER, found[0][at])
+    if len(numbers) < int(which or 1):
+        raise LookupError(f"no number {which or 1} in {found[0][at]!r}")
+    return float(numbers[int(which or 1) - 1].replace(",", "")) * float(factor or 1)
+
+
+def written(value: float, like: str) -> str:
+    """`value` with the digits and the commas of `like`."""
+    digits = len(like.partition(".")[2])
+    return f"{value:,.{digits}f}" if "," in like else f"{value:.{digits}f}"
+
+
+def agrees(value: float, shown: str) -> bool:
+    """Whether `shown` is `value` rounded to its digits, half up or down."""
+    digits = len(shown.partition(".")[2])
+    return abs(value - float(shown.replace(",", ""))) <= 0.5 * 10.0**-digits * (1 + 1e-9)
+
+
+def stale_prose(top: Path, held: Held) -> list[str]:
+    """Of every number in a sentence that its table does not hold, a sentence."""
+    out = []
+    for page in pages(top):
+        said = page.read_text(encoding="utf-8")
+        out += [
+            f"{page.relative_to(top)}: {m[1]} begins its line, which ends the paragraph" for m in BROKEN.finditer(said)
+        ]
+        for _, table, place, shown in FIGURE.findall(said):
+            where = f"{page.relative_to(top)}: {table}[{place}]"
+            text = held(table)
+            if text is None:
+                out.append(f"{where}: no such table was measured")
+                continue
+            try:
+                value = look_up(text, place)
+            except LookupError as error:
+                out.append(f"{where}: {error}")
+                continue
+            if not shown or not agrees(value, shown):
+                out.append(f"{where}: the page says {shown or 'nothing'}, the table {value:g}")
+    return out
+
+
+def renew(top: Path, table: str, text: str) -> None:
+    """Every sentence with a number of `table` says what `text` holds now."""
+
+    def said(match: re.Match[str]) -> str:
+        mark, name, place, shown = match.groups()
+        if name != table or not shown:
+            return match[0]
+        value = look_up(text, place)
+        return match[0] if agrees(value, shown) else mark + written(value, shown)
+
+    for page in pages(top):
+        before = page.read_text(encoding="utf-8")
+        after = FIGURE.sub(said, before)
+        if after != before:
+            page.write_text(after, encoding="utf-8")
+
+
+def _cells(line: str) -> list[str]:
+    return [re.sub(r"[*`_]", "", cell).strip() for cell in line.strip().strip("|").split("|")]
