@@ -65,7 +65,7 @@ class Bench:
         source = (self.tree / "src" / "mapweave" / mutant.path).read_bytes()
         seconds = 0.0
         in_kernel = mutant.path.startswith("kernels/")
-        for tests, compiled in ((area.first, not in_kernel), (area.then, True)):
+        for tests, compiled in ((area.first, area.compiled or not in_kernel), (area.then, True)):
             if not tests or (words.quick and tests is area.then):
                 continue
             usual, ordered = self._usual(tests, compiled=compiled)
