@@ -55,8 +55,8 @@ class LaserStream:
         where = f"scan at {t!r} s"
         r, direction = _array(ranges, "ranges", where), _array(angles, "angles", where)
         light = None if intensities is None else _array(intensities, "intensities", where)
-        pose = None if odometry is None else _array(odometry, "odometry", where)
-        mount = _array(sensor_pose, "sensor_pose", where)
+        pose = None if odometry is None else frozen(_array(odometry, "odometry", where))
+        mount = self._mounted(_array(sensor_pose, "sensor_pose", where))
         if len(direction) < 2 or r.shape != direction.shape:
             raise DataError(
                 f"{where}: expected as many ranges as angles, 2 or more, found {len(r)} and {len(direction)}"
@@ -89,6 +89,11 @@ class LaserStream:
         """Everything so far as a log; raises DataError when nothing came."""
         raw = RawLog(self.robot, self.source, self._digest.hexdigest(), list(self._raw), odometry_from="poses")
         return replace(raw.finish(), told_hash=self._scans.told)
+
+    def _mounted(self, pose: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """The same array as of the scan before where it is the same pose: most scanners stay where they are."""
+        last = self._raw[-1].T_robot_sensor if self._raw else None
+        return last if last is not None and last.tobytes() == pose.tobytes() else frozen(pose)
 
     def _check_order(self, raw: RawScan, where: str) -> None:
         if not self._raw:

@@ -105,7 +105,9 @@ def step(
     b = beams(scan, state.feature, state.calibration, cfg.beam)
     state.t.append(event.t)
     state.scans.append(b)
-    state.sensors.append(np.array(scan.T_robot_sensor[:2], float))
+    mounted = np.array(scan.T_robot_sensor[:2], float)
+    same = bool(state.sensors) and state.sensors[-1].tobytes() == mounted.tobytes()
+    state.sensors.append(state.sensors[-1] if same else mounted)
     if state.particles is not None:
         state.particles, info = particle_slam.step(state.particles, event, _filtering(cfg), rng)
         state.lines.append(state.particles.odometry.lines)
