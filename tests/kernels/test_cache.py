@@ -90,9 +90,9 @@ import numpy as np
 from mapweave.kernels.laser.refine import refine
 
 rng = np.random.default_rng(1)
-pool = rng.uniform(0.0, 3.2, 4 * 1024).astype(np.float32)
+pool = rng.uniform(0.0, 1.6, 4 * 256).astype(np.float32)
 table = rng.integers(0, 4, (6, 4)).astype(np.int32)
-poses = np.column_stack([rng.uniform(1.0, 2.0, (60, 2)), rng.uniform(-3.0, 3.0, 60)])
+poses = np.column_stack([rng.uniform(0.5, 1.0, (60, 2)), rng.uniform(-3.0, 3.0, 60)])
 points = np.column_stack([rng.uniform(-1.0, 1.0, (50, 2)), rng.uniform(0.0, 1.0, 50)])
 normals = np.column_stack([np.cos(points[:, 0]), np.sin(points[:, 0])])
 grid = pool, table, 2, np.zeros(2), 0.1, rng.integers(0, 6, 60).astype(np.int32)

@@ -1,5 +1,8 @@
 """The grid maps of many particles: one pool of tiles, shared until written to."""
 
+import mmap
+import sys
+
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -8,7 +11,16 @@ from ..kernels.laser import tiles
 
 Rows = Int[np.ndarray, " p"]
 Poses = Float[np.ndarray, "p 3"]
-MARGIN = 1  # tiles kept empty around what is written, so that a clamped search finds nothing
+NOTHING = np.zeros(0, np.float32)
+BLOCK = 2  # tiles along a block: the table grows by blocks
+MARGIN = 1  # blocks kept empty around what is written, so that a clamped search finds nothing
+
+
+def growing_memory(size: int) -> mmap.mmap | None:
+    """Zeros that can grow in place, without a copy beside them; None where the system has no such memory."""
+    if sys.platform == "linux":
+        return mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    return None
 
 
 @config
@@ -25,12 +37,15 @@ class ParticleGrid:
     def __init__(self, maps: int, cfg: CellConfig) -> None:
         self.cfg = cfg
         self.tile = cfg.size * tiles.CELLS
-        self.corner = np.array([-8, -8])  # tile coordinates of the table's lower left corner
-        self.shape = np.array([16, 16])  # tiles along y, x
-        self.table = np.zeros((maps, 256), np.int32)
+        self.corner = np.array([-8, -8]) * BLOCK  # tile coordinates of the table's lower left corner
+        self.shape = np.array([16, 16]) * BLOCK  # tiles along y, x
+        self.table = np.zeros((maps, int(self.shape.prod())), np.int32)
         self.used = np.zeros((maps, 64), np.int32)
         self.n_used = np.zeros(maps, np.int64)
-        self.pool = np.tile(np.array([tiles.FAR, tiles.FAR, 0.0, 0.0], np.float32), tiles.CELLS**2)
+        self._memory = growing_memory(tiles.FLOATS * 4)
+        self.pool = NOTHING
+        self._more_memory(tiles.FLOATS * 4)
+        self.pool[:] = np.tile(np.array([tiles.FAR, tiles.FAR, 0.0, 0.0], np.float32), tiles.CELLS**2)
         self.refs, self.free, self.n_free = np.ones(1, np.int32), np.zeros(1, np.int32), 0
         self.jobs = np.empty((1, 2), np.int32)
         self._allocate(max(64, maps))
@@ -60,7 +75,17 @@ class ParticleGrid:
         out = np.empty((len(poses), len(points)), np.float32)
         c = self.cfg
         tiles.score(
-            self.pool, self.table, int(self.shape[1]), self.origin, c.size, rows, poses, points, c.alpha, c.cap, out
+            self.pool,
+            self.table,
+            int(self.shape[1]),
+            self.origin,
+            c.size,
+            rows,
+            poses,
+            points,
+            c.alpha,
+            c.cap,
+            out,
         )
         return out
 
@@ -115,22 +140,42 @@ class ParticleGrid:
         """`more` free tiles; what is not written to yet costs no memory."""
         old = len(self.refs)
         total = old + more
-        pool, jobs = np.empty(total * tiles.FLOATS, np.float32), np.empty((total, 2), np.int32)
-        pool[: old * tiles.FLOATS], jobs[:old] = self.pool, self.jobs
+        self._more_memory(total * tiles.FLOATS * 4)
+        jobs = np.empty((total, 2), np.int32)
+        jobs[:old] = self.jobs
         free = np.arange(total - 1, old - 1, -1, dtype=np.int32)  # the lowest is handed out first
         self.free = np.concatenate([free, self.free[: self.n_free], np.zeros(old - self.n_free, np.int32)])
         self.refs = np.concatenate([self.refs, np.zeros(more, np.int32)])
-        self.pool, self.jobs, self.n_free = pool, jobs, self.n_free + more
+        self.jobs, self.n_free = jobs, self.n_free + more
+
+    def _more_memory(self, size: int) -> None:
+        """The pool has `size` bytes, what was in it before among them; those not written to yet take no memory."""
+        if self._memory is None:
+            pool = np.zeros(size // 4, np.float32)
+            pool[: len(self.pool)] = self.pool
+            self.pool = pool
+            return
+        self.pool = NOTHING
+        try:
+            self._memory.resize(size)
+        except BufferError:  # somebody looks at the pool
+            memory = growing_memory(size)
+            assert memory is not None  # noqa: S101  (there is one already)
+            memory[: len(self._memory)] = self._memory[:]
+            self._memory = memory
+        self.pool = np.frombuffer(self._memory, np.float32)
 
     def _cover(self, low: np.ndarray, high: np.ndarray) -> None:
         """The table reaches from `low` to `high` [m] with a margin of empty tiles."""
-        first = np.floor(low / self.tile).astype(int) - MARGIN
-        last = np.floor(high / self.tile).astype(int) + MARGIN
-        end = self.corner + self.shape[::-1]
-        if (first >= self.corner).all() and (last < end).all():
+        block = self.tile * BLOCK
+        first = np.floor(low / block).astype(int) - MARGIN
+        last = np.floor(high / block).astype(int) + MARGIN
+        old = self.corner // BLOCK
+        end = old + self.shape[::-1] // BLOCK
+        if (first >= old).all() and (last < end).all():
             return
-        corner = np.where(first < self.corner, first - 8, self.corner)
-        shape = (np.where(last >= end, last + 9, end) - corner)[::-1]
+        corner = np.where(first < old, first - 8, old) * BLOCK
+        shape = (np.where(last >= end, last + 9, end) * BLOCK - corner)[::-1]
         table = np.zeros((len(self.table), *shape), np.int32)
         y, x = (self.corner - corner)[::-1]
         h, w = self.shape

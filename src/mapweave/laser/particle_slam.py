@@ -24,7 +24,8 @@ class ParticleState:
     """P particles. `step` changes it in place: the maps are too large to copy.
 
     poses: (P, 3) in `local_k`; log_weight: (P,) since the last resampling; total: (P,) accumulated log-likelihood,
-    inherited; history: for every update the odometry's row, poses (P, 3) and ancestors (P,).
+    inherited; history: for every update the odometry's row, the poses (k, 3) that a particle of today descends from and
+    the ancestor (k,) of each among those of the update before; the last has all P.
     """
 
     odometry: ScanOdometry
@@ -85,6 +86,8 @@ def step(
     n_eff, ancestors = _resampled(state, cfg, rng)
     state.maps.insert(np.arange(len(state.poses)), state.poses, points, weights)
     state.history.append((row, state.poses, ancestors))
+    if (ancestors != np.arange(len(ancestors))).any():
+        state.history[:] = living(state.history)
     many = len(state.poses) > 1  # a single hypothesis has no weight to tell of
     resampled = many and bool((state.log_weight == 0).all())
     n_eff = n_eff if many else np.nan
@@ -114,6 +117,24 @@ def current(state: ParticleState) -> PoseEstimate:
     off[:, 2] = se2.wrap_angle(off[:, 2])
     w, _ = effective(state.log_weight)
     return PoseEstimate(np.array(best), np.asarray((off * (w / w.sum())[:, None]).T @ off))
+
+
+Lineages = list[tuple[int, np.ndarray, np.ndarray]]
+
+
+def living(history: Lineages) -> Lineages:
+    """The same updates without the poses that no particle of the last one descends from."""
+    if not history:
+        return []
+    out = [history[-1]]
+    for row, poses, ancestors in reversed(history[:-1]):
+        kept, at = np.unique(out[-1][2], return_inverse=True)
+        out[-1] = (*out[-1][:2], at.astype(np.int32))
+        if len(kept) == len(poses):  # all live on, and so do those before them
+            out += reversed(history[: len(history) - len(out)])
+            break
+        out.append((row, poses[kept], ancestors[kept]))
+    return out[::-1]
 
 
 def as_points(b: Beams) -> Float[np.ndarray, "n 3"]:

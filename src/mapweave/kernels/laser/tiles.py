@@ -1,7 +1,7 @@
 """Many grid maps in one pool of tiles: shared between particles, copied when written to.
 
-A tile is 16 x 16 cells of float32 (mean x [m], mean y [m], mean q, weight W). `pool` is flat: tile k holds
-`pool[1024 k : 1024 (k + 1)]`, row-major cells. Tile 0 is empty and never written: its points lie 1000 km away, so a
+A tile is 8 x 8 cells of float32 (mean x [m], mean y [m], mean q, weight W). `pool` is flat: tile k holds
+`pool[256 k : 256 (k + 1)]`, row-major cells. Tile 0 is empty and never written: its points lie 1000 km away, so a
 search needs no test for emptiness. `table[row, key]` names the tile of one map at tile coordinates
 `key = ty * width + tx`; `refs[k]` counts the entries that name tile k. All indices are clamped into the table.
 """
@@ -13,7 +13,7 @@ import numpy as np
 from .._jit import kernel, parallel_kernel, prange
 
 FAR = 1e6  # [m]
-CELLS = 16  # cells along a tile
+CELLS = 8  # cells along a tile
 FLOATS = CELLS * CELLS * 4  # in a tile
 
 
@@ -68,12 +68,12 @@ def score(
             best = most
             for dy in range(3):
                 jy = iy + np.uint64(dy) - np.uint64(1)
-                along = (jy >> np.uint64(4)) * np.uint64(width)
-                inside = (jy & np.uint64(15)) << np.uint64(6)
+                along = (jy >> np.uint64(3)) * np.uint64(width)
+                inside = (jy & np.uint64(7)) << np.uint64(5)
                 for dx in range(3):
                     jx = ix + np.uint64(dx) - np.uint64(1)
-                    tile = np.uint64(row[along + (jx >> np.uint64(4))])
-                    k = (tile << np.uint64(10)) + inside + ((jx & np.uint64(15)) << np.uint64(2))
+                    tile = np.uint64(row[along + (jx >> np.uint64(3))])
+                    k = (tile << np.uint64(8)) + inside + ((jx & np.uint64(7)) << np.uint64(2))
                     ex, ey, eq = pool[k] - wx, pool[k + np.uint64(1)] - wy, pool[k + np.uint64(2)] - q
                     best = min(best, ex * ex + ey * ey + a * (eq * eq))
             out[p, i] = best
@@ -113,7 +113,7 @@ def touch(
         last = -1
         for i in range(n):
             ix, iy = cell_index(x[i], ox, per_metre, cx), cell_index(y[i], oy, per_metre, cy)
-            key = (iy >> 4) * width + (ix >> 4)
+            key = (iy >> 3) * width + (ix >> 3)
             if key == last:
                 continue
             last = key
@@ -174,8 +174,8 @@ def insert(
         world_points(poses[p], points, x, y)
         for i in range(n):
             ix, iy = cell_index(x[i], ox, per_metre, cx), cell_index(y[i], oy, per_metre, cy)
-            tile = np.int64(table[r, (iy >> 4) * width + (ix >> 4)])
-            k = (tile << 10) + ((iy & 15) << 6) + ((ix & 15) << 2)
+            tile = np.int64(table[r, (iy >> 3) * width + (ix >> 3)])
+            k = (tile << 8) + ((iy & 7) << 5) + ((ix & 7) << 2)
             W, w = pool[k + 3], weights[i]
             if W == 0.0:
                 pool[k], pool[k + 1], pool[k + 2], pool[k + 3] = x[i], y[i], points[i, 2], w
