@@ -1,7 +1,6 @@
 """Simulated teams with wrong sightings and unknown calibration, and mixed teams, beside the same teams at their best.
 
     python benchmarks/mixed_teams.py [--robots 2,5] [--minutes 5] [--seeds 1] [--first 0] [--outliers 0.3] [--mixed]
-        [--json FILE]
 
 Camera teams: each is mapped with a share of sightings mislabelled or wrong by metres and calibrations drawn from a wide
 range that nobody tells, and once more without wrong sightings and with the true calibration held. Printed: mean ATE of
@@ -11,7 +10,8 @@ beforehand: `size` is by how much it came out too large, `size_sd` what the prio
 `same_size` the ratio with both maps brought to their true size. `told` is the ratio with wrong sightings and the true
 calibration held. With
 `--mixed`: two lasers, two cameras and one robot with bearings alone beside the same team in which everybody carries
-everything: landmark RMSE, distance of occupied cells from the true walls, and both ratios.
+everything: landmark RMSE, distance of occupied cells from the true walls, both ratios, NEES per degree of freedom
+of landmarks and of the robots' places.
 """
 
 import argparse
@@ -42,11 +42,11 @@ def scored(maps: tuple[TeamMap, ...], truth: TeamTruth) -> TeamScore:
     return score_team(maps, {}, truth.survey, truth.robots)
 
 
-def inside(team: TeamMap, score: TeamScore, truth: TeamTruth) -> tuple[float, float]:
-    """Shares of poses, thinned to one a second, and of landmarks that lie inside their own 3 sigma."""
-    T, poses = score.alignment, []
+def nees(team: TeamMap, score: TeamScore, truth: TeamTruth) -> list[np.ndarray]:
+    """NEES of the places of each robot's poses, thinned to one a second, 2 degrees of freedom."""
+    T, out = score.alignment, []
     if T is None:
-        return float("nan"), float("nan")
+        return [np.full(1, np.nan)]
     R = se2.rotation(float(T[2]))
     for robot, track in team.tracks.items():
         true = truth.robots[robot].track
@@ -55,7 +55,17 @@ def inside(team: TeamMap, score: TeamScore, truth: TeamTruth) -> tuple[float, fl
         at = at[(track.t[at] >= true.t[0]) & (track.t[at] <= true.t[-1])]
         e = (se2.compose(T, track.pose[at]) - se2.interpolate(track.t[at], true.t, true.pose))[:, :2]
         P = R @ track.cov[at][:, :2, :2] @ R.T
-        poses.append(np.einsum("ni,nij,nj->n", e, np.linalg.inv(P), e))
+        out.append(np.einsum("ni,nij,nj->n", e, np.linalg.inv(P), e))
+    return out
+
+
+def inside(team: TeamMap, score: TeamScore, truth: TeamTruth) -> tuple[float, float]:
+    """Shares of poses, thinned to one a second, and of landmarks that lie inside their own 3 sigma."""
+    T = score.alignment
+    if T is None:
+        return float("nan"), float("nan")
+    R = se2.rotation(float(T[2]))
+    poses = nees(team, score, truth)
     known = dict(zip(truth.survey.ids, truth.survey.xy, strict=True))
     marks = []
     for k, name in enumerate(team.landmarks.ids):
@@ -136,6 +146,8 @@ def mixed(minutes: float, seed: int) -> Row:
             result = mapweave.map(home)
             score = scored(result.maps, truth)
             told[f"{name}_tied"] = len(result.maps[0].robots)
+            told[f"{name}_nees"] = score.landmarks.nees_per_dof
+            told[f"{name}_pose_nees"] = mean_or_none([float(q.mean()) / 2 for q in nees(result.maps[0], score, truth)])
             told[f"{name}_landmarks"] = score.landmarks.rmse
             told[f"{name}_walls"] = walls_off(result, score, home)
             told[f"{name}_ate"] = ate(score)
@@ -163,9 +175,6 @@ def main() -> None:
             for robots in map(int, args.robots.split(",")):
                 rows.append(cameras(robots, args.minutes, args.outliers, seed))
                 print_row(rows[-1])
-    print(f"| {' | '.join(name.replace('_', ' ') for name in rows[0])} |\n|{'---|' * len(rows[0])}")
-    for row in rows:
-        print(f"| {' | '.join(f'{v:.3f}' if isinstance(v, float) else str(v) for v in row.values())} |")
     if args.json:
         args.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 

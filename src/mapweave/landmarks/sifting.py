@@ -116,7 +116,7 @@ def _misread(
 
 @dataclass(frozen=True, slots=True)
 class _Driven:
-    """Sightings carried into one frame by the wheels. place: (n, 2); way, angle: (n,) [m], [rad] driven until then."""
+    """Sightings carried into one frame by the wheels: place [m]; way [m] and angle [rad] driven until then."""
 
     t: Float[np.ndarray, " n"]
     range: Float[np.ndarray, " n"]

@@ -45,22 +45,23 @@ def team_covariance(
 
     The map's origin is one robot's first pose, whose own errors would stand in every covariance; so all of them are
     taken off the motions of the landmarks as a whole (Baarda's S-transformation). Landmarks and calibration are
-    sandwiches. With fewer than `FEW` groups for each of these variables a sandwich is too sure of itself: landmarks
-    keep the shape of `before`, (2n, 2n), their covariance when the smoothing began, and are no surer in all. A pose has
-    too few groups of its own for a sandwich: it has the model's covariance, times how much more its robot's sightings
-    within a few seconds pull together than if they were independent. Raises SingularError where the problem leaves
-    something free.
+    sandwiches. A pose has too few groups of its own for one: it has the model's covariance, times how much more its
+    robot's sightings (where it made none, those of it) within a few seconds pull together than if they were
+    independent. So have landmarks and calibration, with the mean factor of those who saw landmarks, where there are
+    fewer than `FEW` groups for each of these variables, from which a sandwich would be too sure of itself. before:
+    (2n, 2n), the landmarks' covariance when the smoothing began, which says how well the size of a map is known that
+    nothing but ranges tells. Raises SingularError where the problem leaves something free.
     """
     known = _Known.of(team, solution, cfg.cluster)
     hubs = np.arange(team.landmark_start, len(solution.x))
     m = 2 * len(team.landmarks)
-    moved = known.moved(hubs)
-    S = symmetrise(moved.T @ moved)
-    if known.scores.shape[0] - known.priors < FEW * np.count_nonzero(solution.free >= team.landmark_start):
-        shape = known.shape(before)
-        S[:m, :m] = shape * max(1.0, float(np.trace(S[:m, :m]) / max(np.trace(shape), TINY)))
-    floor = np.diag([cfg.position_floor**2, cfg.position_floor**2, cfg.heading_floor**2])
     factors = [_correlation(team, k, solution.x, cfg.memory) for k in range(len(team.parts))]
+    if known.scores.shape[0] - known.priors < FEW * np.count_nonzero(solution.free >= team.landmark_start):
+        S = _mean_factor(team, factors) * known.model()
+    else:
+        moved = known.moved(hubs)
+        S = symmetrise(moved.T @ moved)
+    floor = np.diag([cfg.position_floor**2, cfg.position_floor**2, cfg.heading_floor**2])
     poses = [f * model + floor for f, model in zip(factors, known.pose_blocks(), strict=True)]
     deviations = np.sqrt(np.maximum(np.diag(S)[m:], 0.0)).reshape(-1, len(PARAMETERS))
     landmarks = S[:m, :m] + cfg.position_floor**2 * np.eye(m)
@@ -123,11 +124,14 @@ class _Known:
         scores = sp.csr_matrix(sp.vstack([_scores(team, solution.x, length), known]))[:, solution.free]
         return cls(team, solution.information, position, solution.free, scores, known.shape[0], motions, taken)
 
-    def shape(self, cov: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-        """The landmarks' covariance `cov`, their motions as a whole taken off."""
-        m = len(cov)
-        A = np.eye(m) - self.motions[self.team.landmark_columns] @ self.taken[:, :m]
-        return symmetrise(A @ cov @ A.T)
+    def model(self) -> Float[np.ndarray, "h h"]:
+        """The model's covariance of landmarks and calibration, their motions as a whole taken off."""
+        free = np.flatnonzero(self.free >= self.team.landmark_start)
+        P = np.zeros((self.taken.shape[1], self.taken.shape[1]))
+        at = self.free[free] - self.team.landmark_start
+        P[np.ix_(at, at)] = self.information.covariance(free)
+        A = np.eye(len(P)) - self.motions[self.team.landmark_start :] @ self.taken
+        return symmetrise(A @ P @ A.T)
 
     def moved(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "groups k"]:
         """How far the errors of each group and of each prior move the entries `index` of x.
@@ -225,19 +229,36 @@ def _pulls(term: Factor, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "p d"]
     return np.asarray((np.sqrt(term.weights(x))[:, None, None] * J).reshape(-1, J.shape[2]))
 
 
+def _mean_factor(team: TeamProblem, factors: Sequence[float]) -> float:
+    """The mean of the robots' factors, each as often as it saw landmarks."""
+    seen = np.zeros(len(factors))
+    for term, origin in zip(team.factors, team.origins, strict=True):
+        if origin is not None and term.name == "landmark":
+            seen[origin.robot] += len(term.columns)
+    return float(np.average(factors, weights=seen)) if seen.any() else float(np.max(factors))
+
+
 def _correlation(team: TeamProblem, robot: int, x: Float[np.ndarray, " n"], length: float) -> float:
-    """How much more a robot's sightings of one landmark within `length` [s] pull together than if independent; >= 1."""
+    """How much more a robot's sightings of one landmark within `length` [s] pull together than if independent; >= 1.
+
+    Of a robot that saw no landmark, the others' sightings of it.
+    """
+    part = team.parts[robot]
+    own = [(t, o) for t, o in zip(team.factors, team.origins, strict=True) if o is not None and o.robot == robot]
+    first, last = team.landmark_start, team.landmark_start + 2 * len(team.landmarks)
+    found = [pair for pair in own if first <= pair[0].columns[0, 3] < last]
+    if not found:
+        first, last = part.start, part.start + 3 * len(part.instants.t)
+        found = [
+            (t, o)
+            for t, o in zip(team.factors, team.origins, strict=True)
+            if o is not None and o.robot != robot and first <= t.columns[0, 3] < last
+        ]
     together = alone = 0.0
-    first = team.landmark_start
-    for term, origin in zip(team.problem.terms, team.origins, strict=True):
-        if origin is None or origin.robot != robot:
-            continue
-        seen = (term.columns >= first) & (term.columns < first + 2 * len(team.landmarks))
-        if seen.any():
-            column = int(np.flatnonzero(seen[0])[0])
-            g = term.normal(x)[1][:, column : column + 2]
-            key = np.stack([origin.t // length, term.columns[:, column]], axis=-1)
-            group = np.unique(key, axis=0, return_inverse=True)[1].ravel()
-            together += sum(float(np.square(np.bincount(group, weights=g[:, k])).sum()) for k in (0, 1))
-            alone += float(np.square(g).sum())
+    for term, origin in found:
+        g = term.normal(x)[1][:, 3:5]
+        what = np.zeros(len(g), int) if first == part.start else term.columns[:, 3]
+        group = np.unique(np.stack([origin.t // length, what], axis=-1), axis=0, return_inverse=True)[1].ravel()
+        together += sum(float(np.square(np.bincount(group, weights=g[:, k])).sum()) for k in (0, 1))
+        alone += float(np.square(g).sum())
     return max(1.0, together / alone) if alone > 0 else 1.0
