@@ -4,7 +4,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import ClassVar, cast
 
 from ..io.directory import write_json
 from ..report.html import Page
@@ -54,14 +54,15 @@ class Claim:
 
 
 class Reproduction(ResultBase):
-    """Base of what `reproduce` gives. A subclass has `metrics` too."""
+    """Base of what `reproduce` gives. A subclass has `metrics` too.
+
+    title: head of the page, who and when; claims: the paper's statements; quick: fewer draws were asked for.
+    """
 
     __slots__ = ()
-
-    @property
-    @abstractmethod
-    def title(self) -> str:
-        """Head of the page: who, when."""
+    title: ClassVar[str]
+    claims: ClassVar[tuple[Claim, ...]]
+    quick: bool
 
     @property
     @abstractmethod
@@ -69,9 +70,9 @@ class Reproduction(ResultBase):
         """One line: what was run, how often."""
 
     @property
-    @abstractmethod
     def form(self) -> str:
         """What was added to the command: " --quick", or nothing."""
+        return " --quick" if self.quick else ""
 
     @property
     def warning(self) -> str:
@@ -85,11 +86,6 @@ class Reproduction(ResultBase):
     @abstractmethod
     def differences(self) -> tuple[str, ...]:
         """What differs from the print, and why, in sentences."""
-
-    @property
-    @abstractmethod
-    def claims(self) -> tuple[Claim, ...]:
-        """The paper's statements."""
 
     @abstractmethod
     def measured(self) -> Mapping[str, str]:

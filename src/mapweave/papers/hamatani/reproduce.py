@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -87,6 +87,9 @@ place to linearise at, and the linear start mends that; the scale then stays tha
 @dataclass(frozen=True, slots=True, repr=False)
 class HamataniReproduction(Reproduction):
     """Everything measured: cells with nothing known and with two robots known, and the drift of scale."""
+
+    title: ClassVar[str] = "Hamatani, Nakamura, Naruse"
+    claims: ClassVar[tuple[Claim, ...]] = CLAIMS
 
     seed: int
     quick: bool
@@ -226,20 +229,8 @@ class HamataniReproduction(Reproduction):
         )
 
     @property
-    def title(self) -> str:
-        return "Hamatani, Nakamura, Naruse"
-
-    @property
     def lead(self) -> str:
         return f"five robots that see each other, an EKF without prediction over 200 sets, {self.trials} trials a cell"
-
-    @property
-    def form(self) -> str:
-        return " --quick" if self.quick else ""
-
-    @property
-    def claims(self) -> tuple[Claim, ...]:
-        return CLAIMS
 
     def measured(self) -> dict[str, str]:
         def cells(table: int, guesses: tuple[float, ...]) -> str:

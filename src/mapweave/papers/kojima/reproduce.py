@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -66,6 +66,9 @@ Weights do pay when maps share more than two landmarks and differ in quality: se
 @dataclass(frozen=True, slots=True, repr=False)
 class KojimaReproduction(Measured, Reproduction):
     """What was measured, as tables, figures, sentences and claims."""
+
+    title: ClassVar[str] = "Kojima, Okawa, Namerikawa (2012)"
+    claims: ClassVar[tuple[Claim, ...]] = CLAIMS
 
     def differences(self) -> tuple[str, ...]:
         """What differs from the print, and why, in sentences."""
@@ -174,14 +177,6 @@ class KojimaReproduction(Measured, Reproduction):
         )
 
     @property
-    def title(self) -> str:
-        return "Kojima, Okawa, Namerikawa (2012)"
-
-    @property
-    def form(self) -> str:
-        return " --quick" if self.quick else ""
-
-    @property
     def lead(self) -> str:
         return f"two robots, EKF-SLAM each, 700 merges, {self.seeds} simulated worlds"
 
@@ -191,10 +186,6 @@ class KojimaReproduction(Measured, Reproduction):
             "The covariances of this experiment count the same maps 700 times, as the paper does. They are kept to be "
             "compared with the print and are overconfident; fusing in this package uses every map once."
         )
-
-    @property
-    def claims(self) -> tuple[Claim, ...]:
-        return CLAIMS
 
     def measured(self) -> dict[str, str]:
         plain, proposed = self.run("prior", "constant"), self.run("prior", "paper")

@@ -4,7 +4,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -61,6 +61,9 @@ out accuracy or the distance to the others: see the table.
 @dataclass(frozen=True, slots=True, repr=False)
 class YuanReproduction(Reproduction):
     """Everything measured; pictures: the first run of two robots and of one, as in the paper's Figs. 1 and 2."""
+
+    title: ClassVar[str] = "Yuan, Huang, Tao, Xi (2009), reproduced"
+    claims: ClassVar[tuple[Claim, ...]] = CLAIMS
 
     seed: int
     quick: bool
@@ -139,21 +142,9 @@ class YuanReproduction(Reproduction):
         return head, rows
 
     @property
-    def title(self) -> str:
-        return "Yuan, Huang, Tao, Xi (2009), reproduced"
-
-    @property
     def lead(self) -> str:
         runs = len(self.outcomes[0].runs)
         return f"100 m x 80 m with 29 landmarks, a new layout a run, {runs} runs a row unless its seeds say otherwise"
-
-    @property
-    def form(self) -> str:
-        return " --quick" if self.quick else ""
-
-    @property
-    def claims(self) -> tuple[Claim, ...]:
-        return CLAIMS
 
     def sections(self) -> tuple[Section, ...]:
         two, one = self.pictures
