@@ -10,7 +10,15 @@ from mapweave.core import se2
 from mapweave.core.errors import UsageError
 from mapweave.papers.kojima.claims import CLAIMS
 from mapweave.papers.kojima.experiments import honesty, merge_online, unequal
-from mapweave.papers.kojima.identity_trials import IdentityTrials, Price, draw_pair, identity_trials, price, price_text
+from mapweave.papers.kojima.identity_trials import (
+    IdentityTrials,
+    Price,
+    draw_pair,
+    identity_trials,
+    most_without_wrong,
+    price,
+    price_text,
+)
 from mapweave.papers.kojima.reproduce import reproduce_kojima
 from mapweave.papers.kojima.world import KojimaConfig, draw_worlds, run_filters
 
@@ -139,6 +147,8 @@ def test_what_believing_more_would_cost_is_counted_from_the_evidence():
     assert price(rows, 6, 0.75) == Price(float(np.exp(1.0)), 0, 8)
     assert price(rows, 6, 0.98) == Price(float(np.exp(-1.0)), 1, 8)
     assert "1 of 8 pairs are believed wrongly" in price_text(rows)
+    assert most_without_wrong(rows, 6) == (pytest.approx(np.exp(0.5)), 3)
+    assert "beyond odds of 1.6 none of these pairs is matched wrongly, and 3 of 4 rightly" in price_text(rows)
     assert price((row(6, (3.0,), ()),), 6, 0.5) is None
     assert "in 3 of 4 trials" in price_text((row(6, (3.0,), ()),))
 

@@ -58,14 +58,26 @@ def price(rows: tuple[IdentityTrials, ...], common: int, share: float) -> Price 
     return Price(float(np.exp(least)), wrong, sum(t.trials for t in rows))
 
 
+def most_without_wrong(rows: tuple[IdentityTrials, ...], common: int) -> tuple[float, int]:
+    """Odds of the strongest wrong match of all `rows`, and how many right ones with `common` in common are stronger."""
+    strongest = max((e for t in rows for e in t.evidence_wrong), default=-np.inf)
+    asked = next(t for t in rows if t.common == common)
+    return float(np.exp(strongest)), sum(e > strongest for e in asked.evidence_right)
+
+
 def price_text(rows: tuple[IdentityTrials, ...]) -> str:
-    """What believing 98 of 100 with six in common costs, in words that end a sentence."""
+    """What believing 98 of 100 with six in common costs, and the most at no cost, in words that end a sentence."""
     asked = next(t for t in rows if t.common == 6)
+    odds, most = most_without_wrong(rows, 6)
+    where = f"beyond odds of {odds:.2g}" if odds > 0 else "at any odds"
+    bound = f"{where} none of these pairs is matched wrongly, and {most} of {asked.trials} rightly"
     cost = price(rows, 6, 0.98)
     if cost is None:
         none = asked.trials - len(asked.evidence_right)
-        return f"is beyond any odds: in {none} of {asked.trials} trials fewer than six fit, or others as well"
-    return f"odds of {cost.odds:.2g} would have to do, at which {cost.wrong} of {cost.of} pairs are believed wrongly"
+        why = f"is beyond any odds: in {none} of {asked.trials} trials fewer than six fit, or others as well"
+    else:
+        why = f"odds of {cost.odds:.2g} would have to do, at which {cost.wrong} of {cost.of} pairs are believed wrongly"
+    return f"{why}; {bound}"
 
 
 def draw_pair(
