@@ -3,12 +3,14 @@
 `python benchmarks/swarm_trust.py [--draws 20] [--seed 1000] [--json FILE]`
 
 Wrong is an answer whose NEES per degree of freedom exceeds twice its 99.9 % limit, or whose root mean square error
-exceeds three times the bound (of the true inliers, at the truth).
+exceeds three times the bound (of the true inliers, at the truth). The cases that trust a wrong answer or doubt a right
+one are told as they come (on stderr); the table counts all of them by kind.
 """
 
 import argparse
 import itertools
 import json
+import sys
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -16,12 +18,14 @@ import numpy as np
 
 from mapweave.core.errors import DataError
 from mapweave.core.gaussian import chi2_quantile
+from mapweave.papers.reproduction import markdown
 from mapweave.sim.swarm import SwarmScene, simulate_swarm
 from mapweave.swarm.config import Method, SwarmConfig
 from mapweave.swarm.locate import locate
 from mapweave.swarm.network import Network
 
 LAYOUTS, VISIBILITIES = ("grid", "random", "clusters"), ("directed", "mutual", "single")
+SEEN = {"directed": "nearest neighbours", "mutual": "from both ends", "single": "from one end"}
 WILD = 5.0  # standard deviations from which a sighting is an outlier
 
 
@@ -97,6 +101,23 @@ def tried(case: str, scene: SwarmScene, method: Method, seeds: range) -> Tally:
     return tally
 
 
+FIELDS = ("trusted_right", "trusted_wrong", "unsure_right", "unsure_wrong", "refused")
+KINDS = ("outliers", "no axis", "robust", "deg")  # what a case's name ends in
+
+
+def table(rows: list[Tally]) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
+    """Head and rows: verdicts by method and by whether robots are seen from both ends, and all of them."""
+    told = ("5 % outliers, robust", "no outliers, no axes, batch", "no outliers, robust", "no outliers, batch")
+    head = ("sightings", "of a pair", *(f.replace("_", ", ") for f in FIELDS))
+    out: list[tuple[object, ...]] = []
+    for kind, name in zip(KINDS, told, strict=True):
+        for seen in VISIBILITIES:
+            mine = [r for r in rows if r.case.endswith(kind) and f" {seen} " in r.case]
+            if mine:
+                out.append((name, SEEN[seen], *(sum(getattr(r, f) for r in mine) for f in FIELDS)))
+    return head, [*out, ("all", "", *(sum(getattr(r, f) for r in rows) for f in FIELDS))]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--draws", type=int, default=20)
@@ -113,10 +134,10 @@ def main() -> None:
                 print(
                     f"{name:44s} trusted {row.trusted_right} right {row.trusted_wrong} wrong, "
                     f"unsure {row.unsure_right} right {row.unsure_wrong} wrong; worst {row.worst:.3g} {row.seeds}",
+                    file=sys.stderr,
                     flush=True,
                 )
-    fields = ("trusted_right", "trusted_wrong", "unsure_right", "unsure_wrong", "refused")
-    print(len(rows), "cases:", ", ".join(f"{f} {sum(getattr(r, f) for r in rows)}" for f in fields))
+    print(markdown(*table(rows)), end="")
     if args.json:
         args.json.write_text(json.dumps([asdict(r) for r in rows], indent=1))
 

@@ -54,8 +54,8 @@ CLAIMS = (
     ),
     Claim(
         "Intensity tells places apart where geometry does not",
-        "laser/particle_slam.py",
-        f"{STATEMENTS}::test_our_filter_with_intensity_errs_a_fraction_of_geometry_and_of_odometry",
+        "papers/hara/light_edges.py",
+        f"{STATEMENTS}::test_intensity_errs_a_seventh_of_the_best_geometry_and_of_the_least_that_geometry_can",
         "not measured",
         "geometry",
         "{drives} drives",

@@ -20,13 +20,19 @@ PRINTED = LaserConfig(feature="raw", filter=PAPER_FILTER, likelihood="paper", re
 # without light that were tried the one that errs least on wheels that are good over a step.
 WHEELS_PROPOSE = replace(PAPER_FILTER, refine_iterations=3)
 
+GRAPH = LaserConfig(method="graph")
+WHEELS_KNOWN = replace(GRAPH, feature="none", front_end=WHEELS)  # told how good the wheels are; no light
+
 
 class Method(NamedTuple):
-    """figure: of the paper, where it shows one."""
+    """figure: of the paper, where it shows one; rims: whether the poses found are then moved until walls and rims of
+    light are seen in one place each.
+    """
 
     name: str
     figure: str
     cfg: LaserConfig | None  # None: odometry alone
+    rims: bool = False
 
 
 def methods(particles: int) -> tuple[Method, ...]:
@@ -47,6 +53,10 @@ def methods(particles: int) -> tuple[Method, ...]:
             f"our RBPF-{particles}, geometry, wheels propose", "", replace(ours, feature="none", filter=WHEELS_PROPOSE)
         ),
         Method(f"our RBPF-{particles}, intensity", "Fig. 7, ours", ours),
+        Method("our graph, geometry", "", replace(GRAPH, feature="none")),
+        Method("our graph, geometry, wheels known", "", WHEELS_KNOWN),
+        Method("our graph, intensity", "", GRAPH),
+        Method("our graph, intensity, rims", "", GRAPH, rims=True),
     )
 
 

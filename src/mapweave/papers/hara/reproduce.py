@@ -3,7 +3,7 @@
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +19,7 @@ from ..reproduction import Claim, Drawing, Reproduction, Section, sentences
 from . import figures
 from .along import AlongRow, try_along
 from .alpha import AlphaCurve, alpha_curve
+from .bounds import Bounds, try_bounds
 from .claims import CLAIMS
 from .experiments import Picture, compare
 from .gate import GateRow, try_gate
@@ -38,7 +39,13 @@ Without intensity our filter's default errs by {default:.2f} m on this ring, the
 moves come from matching, which trusts wheels little, for logs whose wheels deserve no more. Along a flush wall matching
 sees nothing: in straight stretches of 10 m it errs by {along:.2f} m, up to {most:.2f} m in a drive, where wheels err by
 {wheels:.2f} m. Where wheels propose, as they should when they are good over a step, our filter errs by
-{proposed:.2f} m. Shares of geometry are of the best geometry in the table.
+{proposed:.2f} m, and our graph, told how good wheels are, by {graph:.2f} m. Shares of geometry are of the best geometry
+in the table.
+
+No estimator on geometry can err by less than {floor:.2f} m here, root mean square over many drives: where only flush
+walls are in sight wheels alone tell the way, and what their noise leaves is the bound, with all else granted.
+Intensity errs by {light:.3f} m, {share:.2f} x that bound: our graph, and then the rims of posters and doors as
+landmarks, between two beams each. What rims and walls tell by their own noise would allow {ideal:.3f} m.
 
 Matching starts from odometry and takes pairs up to 0.4 m, at last 0.1 m, apart; it then hardly leaves where odometry
 says, and the gate finds little to refuse. The paper does not print how it keeps wrong pairs out. Where pairs may lie
@@ -57,6 +64,9 @@ class HaraReproduction(Reproduction):
     starts: localised with intensity and without.
     """
 
+    title: ClassVar[str] = "Hara, Kawata, Ohya, Yuta (2007)"
+    claims: ClassVar[tuple[Claim, ...]] = CLAIMS
+
     seed: int
     quick: bool
     particles: int
@@ -65,6 +75,7 @@ class HaraReproduction(Reproduction):
     pictures: tuple[Picture, ...]
     gate: tuple[GateRow, ...]
     along: tuple[AlongRow, ...]
+    bounds: Bounds
     alpha: AlphaCurve
     starts: tuple[Start, ...]
     timing: dict[str, float]
@@ -111,6 +122,16 @@ class HaraReproduction(Reproduction):
         head = ("what tells how far", "error in 10 m [m]", "worst drive")
         return head, [(r.name, f"{r.error.mean():.3f}", f"{r.error.max():.3f}") for r in self.along]
 
+    def bounds_table(self) -> Rows:
+        """Head and rows: least root mean square error [m] that can be had, and that of the best method."""
+        head = ("from", "least possible [m]", "best here, root mean square", "method")
+        names = ("geometry", "intensity")
+        rows: list[tuple[object, ...]] = []
+        for name, least in zip(names, (self.bounds.geometry, self.bounds.light), strict=True):
+            best, error = self.best(name, squared=True)
+            rows.append((f"{name} and wheels", f"{_rms(least):.3f}", f"{error:.3f}", best))
+        return head, rows
+
     def sections(self) -> tuple[Section, ...]:
         paper, rest = ([p for p in self.pictures if bool(p.figure) == shown] for shown in (True, False))
         widths = [r.farthest for r in self.gate if r.name == "Intensity-ICP"]
@@ -146,6 +167,7 @@ class HaraReproduction(Reproduction):
                 ),
             ),
             Section("Along flush walls: who knows how far the robot went", *self.along_table()),
+            Section("How little can be known", *self.bounds_table()),
             Section(
                 "What a difference in intensity should count (Intensity-ICP)",
                 *self.alpha_table(),
@@ -167,29 +189,21 @@ class HaraReproduction(Reproduction):
         )
 
     @property
-    def title(self) -> str:
-        return "Hara, Kawata, Ohya, Yuta (2007)"
-
-    @property
-    def form(self) -> str:
-        return " --quick" if self.quick else ""
-
-    @property
     def lead(self) -> str:
         return f"maps of a 200 m loop from scans with received light intensity, {self.errors.shape[1]} simulated drives"
-
-    @property
-    def claims(self) -> tuple[Claim, ...]:
-        return CLAIMS
 
     def error(self, name: str) -> float:
         """Mean ATE [m] of the method whose name, the number of particles left out, is `name`."""
         names = [m.name.replace(f"RBPF-{self.particles}", "RBPF") for m in self.methods]
         return float(self.errors[names.index(name)].mean())
 
-    def best_geometry(self) -> tuple[str, float]:
-        """The method without intensity that errs least, and its mean ATE [m]."""
-        known = [(m.name, float(e.mean())) for m, e in zip(self.methods, self.errors, strict=True) if "geom" in m.name]
+    def best(self, what: str, *, squared: bool = False) -> tuple[str, float]:
+        """The method that errs least of those whose name tells `what`: its name, and its mean or rms ATE [m]."""
+        known = [
+            (m.name, _rms(e) if squared else float(e.mean()))
+            for m, e in zip(self.methods, self.errors, strict=True)
+            if what in m.name
+        ]
         return min(known, key=lambda pair: pair[1])
 
     def _refusals(self) -> tuple[int, int]:
@@ -200,7 +214,8 @@ class HaraReproduction(Reproduction):
     def measured(self) -> dict[str, str]:
         alone, gated = self.gate[-2], self.gate[-1]
         outside, rightly = self._refusals()
-        name, geometry = self.best_geometry()
+        name, geometry = self.best("geometry")
+        most, light_error = self.best("intensity")
         ours = self.error("our RBPF, intensity")
         raw, bare = (self.error(f"paper's RBPF, {what}") for what in ("raw intensity", "geometry"))
         found, tried = self.alpha.found, self.alpha.ate.mean(axis=1)
@@ -220,7 +235,10 @@ class HaraReproduction(Reproduction):
             ),
             "printed": (f"{raw:.2f} m; on geometry {bare:.2f} m"),
             "ours": f"{ours:.3f} m",
-            "geometry": f"{ours / geometry:.2f} x the best geometry ({name}, {geometry:.2f} m)",
+            "geometry": (
+                f"{light_error:.3f} m ({most}): {light_error / geometry:.2f} x the best geometry ({name}, "
+                f"{geometry:.2f} m), of which none can err less than {_rms(self.bounds.geometry):.2f} m"
+            ),
             "alpha": (
                 f"{found.min():.2f} to {found.max():.2f} found from the log: {self.alpha.at_found.mean():.2f} m; "
                 f"best of {len(tried)} tried {tried.min():.2f} m, worst {tried.max():.2f} m"
@@ -229,11 +247,17 @@ class HaraReproduction(Reproduction):
 
     def differences(self) -> tuple[str, ...]:
         outside, rightly = self._refusals()
+        floor, light = _rms(self.bounds.geometry), self.best("intensity", squared=True)[1]
         return sentences(
             WHY,
             default=self.error("our RBPF, geometry"),
             literal=self.error("paper's RBPF, geometry"),
             proposed=self.error("our RBPF, geometry, wheels propose"),
+            graph=self.error("our graph, geometry, wheels known"),
+            floor=floor,
+            light=light,
+            share=light / floor if floor > 0 else float("nan"),
+            ideal=_rms(self.bounds.light),
             along=float(self.along[1].error.mean()),
             most=float(self.along[1].error.max()),
             wheels=float(self.along[0].error.mean()),
@@ -280,6 +304,7 @@ class HaraReproduction(Reproduction):
             "methods": rows,
             "gate": gate,
             "along_walls": [{"method": r.name, "error_in_10_m": r.error} for r in self.along],
+            "bounds": {"geometry": self.bounds.geometry, "intensity": self.bounds.light},
             "alpha": {
                 "alphas": list(self.alpha.alphas),
                 "ate": self.alpha.ate,
@@ -291,6 +316,10 @@ class HaraReproduction(Reproduction):
             "claims": self.measured(),
             "timing": self.timing,
         }
+
+
+def _rms(errors: Float[np.ndarray, " s"]) -> float:
+    return float(np.sqrt(np.mean(np.square(errors))))
 
 
 @one_blas_thread()
@@ -319,10 +348,13 @@ def reproduce_hara(
     hard = None if loop is None else HardConfig(corridor=replace(loop, drive=HardConfig().corridor.drive))
     gate = part(try_gate, drives, hard, on_progress=on_progress)
     along = part(try_along, drives, loop)
+    bounds = part(try_bounds, drives, loop, on_progress=on_progress)
     alpha = part(alpha_curve, drives, loop, on_progress=on_progress)
     starts = part(try_starts, 6 if quick else 100, seed, SCANS, loop, on_progress=on_progress)
     timing = {"all": perf_counter() - begun}
-    result = HaraReproduction(seed, quick, particles, chosen, errors, pictures, gate, along, alpha, starts, timing)
+    result = HaraReproduction(
+        seed, quick, particles, chosen, errors, pictures, gate, along, bounds, alpha, starts, timing
+    )
     if out is not None:
         result.write(out, force=force)
     return result
