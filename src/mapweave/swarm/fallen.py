@@ -3,7 +3,7 @@
 A wrong sighting between neighbours is escaped by shrinking the distance between them: across a short distance any
 direction fits, and its residual is small. Without it the two stand where their other sightings put them. Where these
 then fit better by more than a sighting called wrong costs, and the one left out misses, it was wrong; where they fit
-better by half of that, both stories are as likely and neither may be trusted.
+better by less, but by so much that it is wrong with a probability worth telling, neither story may be trusted.
 """
 
 from dataclasses import dataclass, replace
@@ -25,7 +25,8 @@ PROMISE = 0.4  # of the limit: what the linear model must promise for a sighting
 UNCHECKED = 0.8  # share of its direction that a sighting alone tells, from which on nothing checks it
 NEAR_MISS = 70.0  # of the limit, squared: 30 standard deviations, up to which a sighting called wrong is tried again
 SWAPS = 2  # sightings let go at most for one that is taken in
-UNDECIDED = 0.5  # of the limit: a gain from which on a sighting may as well be wrong
+UNDECIDED = 0.5  # of the limit: a loss up to which a sighting called wrong may as well be right
+LIKELY = 0.015  # probability of being wrong from which on a sighting may as well be
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +47,10 @@ def fallen_together(
     """
     wrong: list[int] = []
     undecided: list[int] = []
+    least = worth_telling(net, inlier)
     for row in _promising(net, inlier, found, limit):
         gain, miss = _left_out(net, inlier, found.position, row, cfg)
-        if miss > limit and gain > UNDECIDED * limit:
+        if miss > limit and gain > min(limit, least[row]):
             (wrong if gain > limit else undecided).append(row)
     for row in _near_misses(net, inlier, found, limit):
         gain, others = _taken_in(net, inlier, found.position, row, limit, cfg)
@@ -57,6 +59,20 @@ def fallen_together(
         elif gain > -UNDECIDED * limit:
             undecided += others
     return Fallen(np.array(wrong, dtype=np.intp), np.array(undecided, dtype=np.intp))
+
+
+def worth_telling(net: Network, inlier: Bool[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    """(m,) what the chi-square of all others must lose without a sighting for it to be wrong with probability LIKELY.
+
+    Bayes' rule: a wrong sighting points anywhere, a right one is normal about the truth, and sightings are wrong as
+    often as they were found to be (half of one more, so that none found is not none).
+    """
+    wrong, every = float(np.count_nonzero(~inlier)), len(inlier)
+    share = (wrong + 0.5) / (every + 1.0)
+    sigma = np.maximum(net.sigma, 1e-9)
+    density = np.log(np.sqrt(2.0 * np.pi) / sigma) if net.dim == 2 else np.log(2.0 / sigma**2)
+    odds = np.log(LIKELY / (1.0 - LIKELY)) - np.log(share / (1.0 - share))
+    return np.asarray(2.0 * np.maximum(density + odds, 0.0))
 
 
 def _near_misses(net: Network, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, limit: float) -> list[int]:
