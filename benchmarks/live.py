@@ -1,6 +1,6 @@
 """Load of one map process: N robots tell it their logs at real time and faster; what it costs and how late it is.
 
-    python benchmarks/live.py [--cases laser:1,5,20,50:1/laser:10:8] [--seconds 30] [--out DIR]
+    python benchmarks/live.py [--cases laser:1,5,20,50:1/laser:10:4] [--seconds 30] [--out DIR]
 
 A case is a sensor, numbers of robots, and the rate: seconds of driving in one second. The map process is a process of
 its own; all robots are sessions of this one, which tells what real robots would (rows or scans, statuses, snapshots,
@@ -47,7 +47,7 @@ from mapweave.live.transport import Network, put, session
 from mapweave.sim.laser import drive
 from mapweave.sim.office import OfficeConfig, office_route, office_world
 
-CASES = "landmarks:1,5,20,50:1/laser:1,5,20,50:1/laser:10:8"
+CASES = "laser:1,5,20,50:1/laser:10:4/landmarks:1,50:1"
 WAYS = {"landmarks": 5, "laser": 6}  # simulated logs; further robots tell them again under their own names
 PERIOD = 1.0
 EXPECTED = {"p99_s": 2.0, "kB_a_robot_minute": 1000.0}

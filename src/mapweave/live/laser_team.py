@@ -27,11 +27,11 @@ from .placed import ALONE, Placed
 from .store import Store
 from .tiles import TileKey
 
-AT_ONCE = 50  # messages worked in before another robot has its turn
+AT_ONCE = 50  # messages of all robots worked in at once, of each robot one at least
 LEAST_KEYFRAMES = 3  # of a robot to be woven
 UNTOUCHED = JointConfig(widths=())  # keyframes stay as the joint graph has them: the last pass is left to the end
 MOST_TOLD = 60  # pairs of robots
-LAID_AT_ONCE = 300  # keyframes laid into the map at most each time it is drawn
+LAID_AT_ONCE = 100  # keyframes laid into the map at most each time it is drawn
 
 Starts = Callable[[Sequence[str]], Mapping[int, Start]]
 
@@ -92,12 +92,12 @@ class LaserTeam:
 
     def follow(self, heard: Mapping[str, int]) -> int:
         """Work in a few messages of each robot; how many are left. heard: robot -> its first number missing."""
-        left = 0
+        left, most = 0, max(1, AT_ONCE // max(len(heard), 1))
         for name, end in heard.items():
             robot = self._robot(name)
             if robot is None:
                 continue
-            until = min(end, robot.next + AT_ONCE)
+            until = min(end, robot.next + most)
             for seq, payload in self.store.get(name, robot.next, until - 1):
                 if seq != robot.next:  # a full disk: the rest is not in the store yet
                     break

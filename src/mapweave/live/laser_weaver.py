@@ -19,6 +19,7 @@ from .store import Store
 RESTED = 3.0  # the time from solving to solving, and from drawing to drawing, is at least so many times what it takes
 SEARCHED = 1.0  # the time without a search is at least so many times what the search before took
 DRAW_EVERY = 0.5  # [s]
+OVERDUE = 8.0  # [s] that solving and searching are put off for messages that wait
 PATIENCE = 0.5  # [s] until it is looked again whether to end
 
 
@@ -71,6 +72,7 @@ class LaserWeaver:
     def _run(self) -> None:
         followed = {"": -1}
         unsolved = undrawn = False  # whether there is anything that the last solution, the last map lack
+        waiting = 0  # messages that were heard and are not worked in
         while True:
             heard = self._next(followed, waiting=unsolved or undrawn)
             if heard is None:
@@ -78,13 +80,14 @@ class LaserWeaver:
             try:
                 if heard != followed:
                     before = self._worked_in()
-                    left = self._team.follow(heard)
+                    waiting = left = self._team.follow(heard)
                     more = self._worked_in() > before
                     unsolved, undrawn = unsolved or more, undrawn or more
                     followed = {"": -1} if left and more else heard  # what is not in the store yet is waited for
                 unsolved |= self._searched()
                 now = time.monotonic()
-                if unsolved and now >= self._weave_due:
+                late = OVERDUE if waiting > len(heard) else 0.0  # what is new goes first
+                if unsolved and now >= self._weave_due + late:
                     undrawn |= self._team.weave()
                     self.failed, unsolved = "", False
                     self._weave_due = _rested(now, self._every)
@@ -94,7 +97,8 @@ class LaserWeaver:
                     self.newest = drawn if drawn.placed else self.newest
                     undrawn = self._team.unlaid > 0
                     self._draw_due = _rested(now, DRAW_EVERY)
-                self._search()
+                if time.monotonic() >= self._search_due + late:
+                    self._search()
             except (MapweaveError, np.linalg.LinAlgError) as error:
                 self.failed, unsolved = str(error), False
                 followed, self._weave_due = heard, time.monotonic() + self._every
@@ -109,7 +113,7 @@ class LaserWeaver:
 
     def _search(self) -> None:
         """Two maps that are to be tried on each other are, beside everything else, and one pair at a time."""
-        if self._trial is not None or time.monotonic() < self._search_due:
+        if self._trial is not None:
             return
         trial = self._team.trial()
         if trial is not None:

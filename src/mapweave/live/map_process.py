@@ -1,5 +1,6 @@
 """A map process: it hears every robot, keeps what it heard, asks for what is missing and tells the shared map."""
 
+import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -24,6 +25,7 @@ from .transport import SETTLE, ask, ask_parameters, put, there_is
 
 WAITING = 20_000  # messages not worked in yet: beyond, they are let go and asked for later
 TICK = 0.05  # [s]
+SWITCH = 0.0005  # [s] between threads: who follows robots comes back from each kernel to one who searches
 STATE_EVERY = 1.0  # [s]
 CLOCK_EVERY = 5.0  # [s]
 MOST_ANSWERS = 500
@@ -98,9 +100,12 @@ class MapProcess:
 
     def run(self, stop: Event, every: float, until: Callable[[Inbox], bool]) -> None:
         """Until `stop`, or until `until` holds; the shared map is fused anew every `every` [s] where there is news."""
+        before = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH)
         try:
             self._hear_until(stop, every, until)
         finally:
+            sys.setswitchinterval(before)
             if self._weaver is not None:
                 self._weaver.stop()
 
