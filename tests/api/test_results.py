@@ -1,11 +1,13 @@
 """Every verb's result has one face: metrics, summary, files, a page's head, the main picture."""
 
 import json
+import re
 
 import pytest
 from matplotlib.figure import Figure
 
 import mapweave
+from mapweave.report.files import HOLDS
 
 HEAD = 8_000  # bytes of a page's head, however large the result
 
@@ -159,6 +161,9 @@ def test_a_result_writes_its_folder_whole_and_its_metrics_are_those_of_the_file(
     if file != "simulation.json":
         page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
         assert '<figure class="scene">' in page or kept_figures(made)
+        named = re.findall(r'<td><a href="([^"]+)">', page)
+        assert {name.rstrip("/") for name in named} == {p.name for p in (tmp_path / "out").iterdir()} - {"report.html"}
+        assert kept_figures(made) or {name.rstrip("/") for name in named} <= set(HOLDS)
 
 
 def kept_figures(made):

@@ -13,6 +13,7 @@ from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.directory import check_target, result_directory
 from ..io.kept import kept_parts
 from ..io.table import Columns
+from ..report.files import list_files
 from .cluster import cluster_executor
 from .map_options import LaserOptions, MapOptions, MapResult
 
@@ -189,6 +190,7 @@ def map(  # noqa: A001  (the verb)
                 from ..io.result_mcap import write_result_mcaps  # noqa: PLC0415  (only who asks for it waits for it)
 
                 write_result_mcaps(work)
+            list_files(work)
     return result
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from ..core.version import __version__
 from .scene import Scene, script
 
+LONGEST_NUMBER = 24  # letters of a cell, beyond which it is a sentence
 _CSS = """
 :root{color-scheme:light dark;--fg:#1b1f24;--bg:#fff;--line:#d9dde2;--soft:#f4f6f8;--accent:#0072B2;--warn:#b25400}
 @media (prefers-color-scheme:dark){:root{--fg:#e6e8eb;--bg:#14171a;--line:#343a41;--soft:#1d2126;--accent:#56B4E9;--warn:#E69F00}}
@@ -17,8 +18,9 @@ font:15px/1.5 system-ui,sans-serif}h1{font-size:1.6rem;margin:0}h2{font-size:1.1
 border-bottom:1px solid var(--line);padding-bottom:.3rem}p.lead{margin:.3rem 0 1rem;opacity:.85}
 table{border-collapse:collapse;margin:.5rem 0;font-variant-numeric:tabular-nums;display:block;overflow-x:auto}
 th,td{padding:.25rem .7rem;border-bottom:1px solid var(--line);text-align:right;white-space:nowrap}
-th:first-child,td:first-child{text-align:left}td.text{text-align:left;white-space:normal;min-width:14rem}th{background:var(--soft);font-weight:600}
+th:first-child,td:first-child{text-align:left}th.text{text-align:left}td.text{text-align:left;white-space:normal;min-width:14rem}th{background:var(--soft);font-weight:600}
 figure{margin:1rem 0}figure img{max-width:100%;height:auto;background:#fff;border:1px solid var(--line);border-radius:6px}
+@media screen and (prefers-color-scheme:dark){figure img{filter:invert(.9) hue-rotate(180deg)}}
 figcaption{font-size:.88rem;opacity:.8;margin-top:.25rem}.cards{display:flex;flex-wrap:wrap;gap:.75rem}
 .card{background:var(--soft);border-radius:8px;padding:.6rem .9rem;min-width:9rem}.card b{display:block;font-size:1.25rem}
 .scene .view{position:relative}.scene canvas{display:block;width:100%;height:min(70vh,34rem);border:1px solid var(--line);border-radius:6px;
@@ -29,7 +31,7 @@ background:var(--fg);color:var(--bg)}.scene .bar{display:flex;flex-wrap:wrap;ali
 .scene .bar button{min-width:2rem;font:inherit;color:inherit;background:var(--soft);border:1px solid var(--line);border-radius:6px}
 .scene .bar input[type=range]{flex:1;min-width:8rem}.scene figcaption span{opacity:.8}
 @media (max-width:40rem){body{padding:1rem .75rem}.card{flex:1}}@media print{.scene .bar{display:none}}
-.warn{color:var(--warn)}footer{margin-top:3rem;font-size:.82rem;opacity:.7}
+a{color:var(--accent)}.warn{color:var(--warn)}footer{margin-top:3rem;font-size:.82rem;opacity:.7}
 """
 
 
@@ -54,9 +56,14 @@ class Page:
         self.parts.append(f'<div class="cards">{inner}</div>')
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-        """Numbers stand right, sentences left."""
-        top = "".join(f"<th>{escape(h)}</th>" for h in head)
-        body = "".join("<tr>" + "".join(_cell(v) for v in row) + "</tr>" for row in rows)
+        """Numbers stand right, columns with a sentence in them left."""
+        cells = [[_shown(value) for value in row] for row in rows]
+        words = {k for row in cells for k, text in enumerate(row) if len(text) > LONGEST_NUMBER}
+        top = "".join(f"<th{_class(k in words)}>{escape(h)}</th>" for k, h in enumerate(head))
+        body = "".join(
+            f"<tr>{''.join(f'<td{_class(k in words)}>{escape(text)}</td>' for k, text in enumerate(row))}</tr>"
+            for row in cells
+        )
         self.parts.append(f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>")
 
     def figure(self, png: Path, caption: str) -> None:
@@ -104,6 +111,9 @@ def _inside(image: Path) -> str:
     return f"data:image/{image.suffix[1:]};base64,{base64.b64encode(image.read_bytes()).decode('ascii')}"
 
 
-def _cell(value: object) -> str:
-    text = "–" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
-    return f'<td class="text">{escape(text)}</td>' if len(text) > 24 else f"<td>{escape(text)}</td>"
+def _shown(value: object) -> str:
+    return "–" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _class(words: bool) -> str:  # noqa: FBT001
+    return ' class="text"' if words else ""

@@ -75,7 +75,11 @@ def _robot(page: Page, folder: Path, made: LaserMap, truth: Track | None) -> Non
     others = {} if made.dead_reckoning is None else {"odometry alone": made.dead_reckoning}
     others |= {} if seen is None else {"truth": seen}
     scene = laser_scene(made.grid, {made.robot: made.track}, {made.robot: colour(0)}, others=others)
-    page.scene(scene, "Occupied cells dark, free ones white, unknown ones open.", figures / f"{name}_map.png")
+    page.scene(
+        scene,
+        "Walls stand out, known free ground is plain, over unknown ground the grid lines go on.",
+        figures / f"{name}_map.png",
+    )
     light = folder / "local" / name / "intensity.png"
     draw_intensity(light, made.grid, made.feature, f"robot {made.robot}")
     if made.feature != "none":

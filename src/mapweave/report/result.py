@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
 
 from ..io.directory import result_directory
+from .files import list_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -58,6 +59,7 @@ class ResultBase(ABC):
         """
         with result_directory(Path(folder), force=force) as work:
             self.write_into(work)
+            list_files(work)
 
     def plot(self) -> "Figure":
         """The main picture as a Matplotlib figure."""

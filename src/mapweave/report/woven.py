@@ -95,7 +95,11 @@ def _component(page: Page, folder: Path, made: WovenMap, k: int, truth: Mapping[
     seen = [robot for robot in made.robots if robot in truth]
     others = {f"truth of {robot_name(r)}": t for r, t in zip(seen, truths_in(made, truth), strict=False)}
     scene = laser_scene(made.grid, made.tracks, colours, made.closures, others)
-    page.scene(scene, "Occupied cells dark, free ones white, unknown ones open.", figures / f"component{k}_map.png")
+    page.scene(
+        scene,
+        "Walls stand out, known free ground is plain, over unknown ground the grid lines go on.",
+        figures / f"component{k}_map.png",
+    )
     draw_closures(figures / f"component{k}_closures.png", made)
     page.figure(
         figures / f"component{k}_closures.png",
