@@ -240,6 +240,7 @@ def test_covariances_of_a_solved_graph_are_those_of_the_dense_inverse():
     for k, block in enumerate(solved.covariances()):
         at = 3 * k + np.arange(3)
         np.testing.assert_allclose(block, P[np.ix_(at, at)], rtol=1e-4, atol=1e-9)
+        np.testing.assert_allclose(solved.marginal(k), block, rtol=1e-6, atol=1e-12)
     at = np.concatenate([3 + np.arange(3), 12 + np.arange(3)])
 
     def between(v):

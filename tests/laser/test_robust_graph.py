@@ -5,10 +5,12 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
+from scipy import stats
 
 from mapweave.core import se2
 from mapweave.core.errors import DataError
 from mapweave.io.g2o import read_g2o
+from mapweave.laser import robust_graph
 from mapweave.laser.left_out import left_out_squares
 from mapweave.laser.pose_graph import PoseGraph
 from mapweave.laser.robust_graph import FADED, Prior, RobustGraphConfig, connected, solve_graph, truncated_weights
@@ -118,6 +120,42 @@ def test_what_an_edge_counts_is_the_weight_of_least_cost_with_what_dropping_it_c
     assert (np.diff(found) <= 0).all()
     assert found[0] == 1.0
     assert found[-1] == FADED
+    high = (control + 1.0) / control * gate
+    assert truncated_weights(np.array([high * (1 - 1e-12)]), gate, control)[0] >= FADED
+
+
+def test_without_a_search_for_contradictions_a_graph_is_solved_once():
+    _, graph = laps(np.random.default_rng(1), n=24, closures=6)
+    plain = solve_graph(graph, PLAIN)
+    assert plain.iterations == plain.solution.iterations
+    assert plain.rounds == 0
+    searched = solve_graph(graph)
+    assert searched.iterations > searched.solution.iterations
+
+
+@pytest.mark.parametrize(
+    ("edges", "scatter", "share", "dropped"),
+    [
+        (40, 1.0, 1.02, True),
+        (40, 1.0, 0.98, False),
+        (40, 3.0, 1.02, True),  # edges that scatter more than they say are no excuse
+        (40, 0.05, 0.52, True),  # where they scatter less, less is a contradiction
+        (40, 0.05, 0.48, False),
+        (40, 1e-4, 0.12, True),
+        (40, 1e-4, 0.08, False),  # to a tenth of what they say of themselves
+        (20, 0.05, 0.52, False),  # too few to tell how they scatter
+    ],
+)
+def test_the_edge_that_contradicts_all_others_most_is_dropped_beyond_what_chance_gives(
+    monkeypatch, edges, scatter, share, dropped
+):
+    _, graph = laps(np.random.default_rng(1), n=12, closures=edges)
+    solved = solve_graph(graph, PLAIN)
+    asked = np.arange(graph.edges) >= 11
+    nis = np.full(edges, scatter * stats.chi2.ppf(0.5, 3))
+    nis[7] = share * stats.chi2.ppf(1 - 1e-3 / edges, 3)
+    monkeypatch.setattr(robust_graph, "left_out_squares", lambda *_: nis)
+    assert robust_graph._worst(graph, solved.solution, asked) == (11 + 7 if dropped else None)
 
 
 def test_how_far_an_edge_lies_from_the_solution_without_it_is_what_solving_without_it_says():
