@@ -378,6 +378,18 @@ def test_clean_logs_are_smoothed_to_the_truth_with_their_calibration():
         assert np.abs(se2.between(truth, result.map.tracks[robot].pose)).max() < 0.02
 
 
+@pytest.mark.parametrize(("kinds", "refused"), [((), True), (("scan",), True), (("scan", "landmark"), False)])
+def test_a_team_tied_by_scans_alone_keeps_the_map_of_the_filters(monkeypatch, kinds, refused):
+    logs, landmarks, tracks = logs_and_map()
+    monkeypatch.setattr(
+        "mapweave.team.smooth.team_problem",
+        lambda *told: replace(team_problem(*told), used=dict.fromkeys(kinds, 9)),
+    )
+    made = smooth(TeamMap(("robot1", "robot2"), landmarks, tracks, {}, {}), logs, {}, CFG)
+    assert (made.refused == "nobody saw a landmark of the map or another robot") is refused
+    assert (made.map.landmarks is landmarks) is refused
+
+
 def test_a_parameter_is_observed_where_the_data_told_clearly_more_than_was_known():
     prior = {"lag": (0.15, 0.1)}
     assert is_observed("lag", 0.05, prior)
