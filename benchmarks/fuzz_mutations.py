@@ -210,13 +210,14 @@ def _array(data: bytes, rng: np.random.Generator) -> bytes:
         values = np.repeat(values[None], 2, axis=0)
     elif how == 4:
         kind = rng.choice(["U5", "c16", "?", "i1", "S3", "M8[s]", "f2", "u8"])
-        values = np.zeros(values.shape, kind) if values.dtype.kind == "U" else _cast(values, kind)
+        values = _cast(values, kind) if values.dtype.kind in "fiub" else np.zeros(values.shape, kind)
     elif how == 5:
         return _bytes(data, rng)
     elif values.size and values.dtype.kind in "fiu":
         values = values.copy()
         at = np.unravel_index(int(rng.integers(values.size)), values.shape)
-        kinds = [1e308, -1e308, np.nan, np.inf, 0.0, -1.0] if values.dtype.kind == "f" else [0, 1, 2**31 - 1]
+        whole = values.dtype.kind != "f"
+        kinds = [0, 1, np.iinfo(values.dtype).max] if whole else [1e308, -1e308, np.nan, np.inf, 0.0, -1.0]
         with np.errstate(all="ignore"):
             values[at] = kinds[int(rng.integers(len(kinds)))]
     else:
