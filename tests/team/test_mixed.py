@@ -92,7 +92,7 @@ def test_lasers_that_nobody_saw_are_tied_by_the_walls_that_both_saw(one_room):
     walls = CommonWalls({"robot1": own["robot1"], "robot2": second}, (("robot1", "robot2"),))
     bodies = (Body({"robot1": own["robot1"].track}, {}), Body({"robot2": own["robot2"].track}, {}))
     layout = in_line(Layout(bodies, (), ()), walls)
-    assert [(tie.a, tie.b, tie.walls) for tie in layout.ties] == [(("robot1",), ("robot2",), True)]
+    assert [(tie.a, tie.b, tie.by) for tie in layout.ties] == [(("robot1",), ("robot2",), "walls")]
     (body,) = layout.bodies
     assert set(body.robots) == {"robot1", "robot2"}
     np.testing.assert_allclose(body.tracks["robot2"].pose[:, :2], second.track.pose[:, :2], atol=1e-9)

@@ -58,6 +58,7 @@ def map(  # noqa: A001  (the verb)
     refine: bool = True,
     online: bool = False,
     calibration: Path | str | None = None,
+    survey: Path | str | None = None,
     laser: LaserOptions | None = None,
     mcap: bool = False,
     force: bool = False,
@@ -97,8 +98,8 @@ def map(  # noqa: A001  (the verb)
     share
         Robot key -> first share of its time span that is used, in (0, 1] (1).
     start
-        Robot key -> its first pose in the map [m, m, rad], where that is known; of laser logs the standard deviation
-        of its place [m] may follow, and the scans may overrule it.
+        Robot key -> its first pose in the map [m, m, rad], where that is known; of laser logs and mixed teams the
+        standard deviation of its place [m] may follow, and what was seen may overrule it.
     truth
         What `evaluate` takes; used for scoring alone, after the estimate.
     config
@@ -117,6 +118,8 @@ def map(  # noqa: A001  (the verb)
         behind (False). Landmark logs alone.
     calibration
         What is known of the robots beforehand, as `calibration.json` holds it; no sd, or 0, holds a value (nothing).
+    survey
+        Landmarks whose places are known: `id,x,y` or `id,x,y,sd` [m]; their frame is the map's (none).
     laser
         Options for laser logs alone.
     mcap
@@ -166,6 +169,7 @@ def map(  # noqa: A001  (the verb)
         refine=refine,
         online=online,
         calibration=None if calibration is None else Path(calibration),
+        survey=None if survey is None else Path(survey),
         laser=laser or LaserOptions(),
         executor=executor,
         on_progress=on_progress,
@@ -211,6 +215,8 @@ def _of_logs(logs: Sequence[Path | str | LaserLog], options: MapOptions) -> MapR
         raise UsageError(f"{', '.join(given)}: only for laser logs, found {paths[0]}")
     if options.start_sd and mapper.__name__ != LASER:
         raise UsageError(f"--start: expected x,y,theta, found a sigma too: only for laser logs, found {paths[0]}")
+    if options.survey is not None and mapper.__name__ == LASER:
+        raise UsageError(f"--survey: only for landmarks, found {paths[0]}")
     return mapper.map_logs(paths, options)
 
 

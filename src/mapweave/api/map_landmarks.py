@@ -15,6 +15,7 @@ from ..fusion.join import fuse
 from ..fusion.result import Fusion, tie_by_starts
 from ..io.kept import parts
 from ..io.landmark_logs import is_landmark_log, landmark_logs_of, read_landmark_logs
+from ..io.points import read_points
 from ..io.table import Columns
 from ..io.team_map import read_calibration
 from ..landmarks.config import EkfSlamConfig
@@ -25,6 +26,7 @@ from ..landmarks.sifting import SiftConfig, sifted
 from ..team.config import SmoothingConfig
 from ..team.further_rooms import with_further_rooms
 from ..team.kidnapped import KidnapConfig, cut_kidnapped, with_stretches
+from ..team.known import Known, framed
 from ..team.mixed import SOFTEN, regained
 from ..team.online_config import OnlineConfig
 from ..team.online_run import OnlineMap, OnlineRun
@@ -170,18 +172,23 @@ def _smoothed(
     """Every component, smoothed as a whole; the largest from where `run`, if there was one, had it."""
     out = []
     maps, back = regained(maps, logs, fusion.labels, cfg, PlacingConfig())
+    points = {} if options.survey is None else read_points(options.survey)
+    places = Known.of({}, {}, points, [log.robot for log in logs], cfg.known)
+    maps = tuple(framed(team, places) for team in maps)
     for k, team in enumerate(maps):
         options.on_progress("smoothing", k, len(maps))
         carried = any(log.cuts for log in logs if log.robot in team.robots)
         far = SOFTEN if carried or (back and k == 0) else ()
         start = team if run is None or k else closing_start(run, team)
         began = perf_counter()
-        done = smooth(start, logs, fusion.labels, cfg, known, soften=far)
+        start = framed(start, places)
+        done = smooth(start, logs, fusion.labels, cfg, known, soften=far, known=places)
         if done.refused and start is not team:
-            done = smooth(team, logs, fusion.labels, cfg, known, soften=far)
+            done = smooth(team, logs, fusion.labels, cfg, known, soften=far, known=places)
+        told = (*(back if k == 0 else ()), *places.contradicted(done.map, cfg.known))
         if run is not None and k == 0:
             run = closed(run, start, done, perf_counter() - began)
-        out.append(replace(done, notes=back) if k == 0 else done)
+        out.append(replace(done, notes=told))
     options.on_progress("smoothing", len(maps), len(maps))
     return tuple(out), run
 

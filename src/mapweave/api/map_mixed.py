@@ -14,7 +14,6 @@ from ..core.errors import DataError, UsageError
 from ..core.landmark_log import LandmarkLog
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key, robot_name
-from ..core.version import __version__
 from ..core.workers import worker_pool
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse
@@ -25,9 +24,9 @@ from ..io.laser_logs import read_laser
 from ..io.laser_map import NAME, write_grid, write_laser_map
 from ..io.local_map import write_local_map
 from ..io.mixed_logs import LaserOf, MixedLogs, is_mixed, read_mixed_landmarks, sorted_logs
+from ..io.points import read_points
 from ..io.ros_map import write_ros_map
 from ..io.team_map import (
-    told_gaps,
     write_calibration,
     write_landmark_arrays,
     write_landmarks,
@@ -47,6 +46,7 @@ from ..report.result import ResultBase, Rows
 from ..report.style import Target
 from ..team.config import SmoothingConfig
 from ..team.kidnapped import Cut, KidnapConfig, cut_kidnapped, with_stretches
+from ..team.known import Known
 from ..team.mixed import MixedMap, map_mixed, regained
 from ..team.relative_frame import PlacingConfig
 from ..team.team_map import TeamMap
@@ -55,6 +55,7 @@ from .evaluate import Evaluation, judged
 from .map_landmarks import known_calibration
 from .map_laser import first_part, source_of
 from .map_options import MapOptions
+from .mixed_told import carries, mixed_metrics, warnings_of
 from .team import Watch, team_maps
 
 METHODS = ("graph",)
@@ -123,7 +124,7 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     found = sorted_logs(logs, source_of(options))
     read = read_mixed_landmarks(found)
     read, found = _wanted(read, found, options)
-    known = known_calibration(read, options)
+    known, places = known_calibration(read, options), _places(read, cfg, options)
     watch.lap("read")
     scans, lasers = _lasers(found.lasers, cfg.laser, options)
     apart = _apart(read, scans)
@@ -153,14 +154,15 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
         [robot for robot in scanned if robot not in apart],
         refine=options.refine,
         laser=None if options.laser.no_merge else cfg.laser,
+        known=places,
     )
     options.on_progress("whole team", 1, 1)
     watch.lap("smooth")
     grids = tuple(_grid(s.map, scans, made, cfg.laser) for s in made.components)
     watch.lap("grid")
     carried = [f"robot {robot_key(m.robot)}: {w}" for m in local for w in m.warnings if cut_of[m.robot].cuts]
-    warnings = (*carried, *lost, *back, *_warnings(read, lasers, fusion if local else None, made, apart))
-    kinds = {log.robot: _carries(log, scanned) for log in read}
+    warnings = (*carried, *lost, *back, *warnings_of(read, lasers, fusion if local else None, made, apart))
+    kinds = {log.robot: carries(log, scanned) for log in read}
     story = MixedStory(f"One map from {', '.join(p.name for p in logs)}", made, grids, kinds, (), warnings)
     result = MixedResult(
         maps=tuple(s.map for s in made.components),
@@ -168,11 +170,23 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
         local=tuple(local),
         lasers=tuple(lasers.values()),
         story=story,
-        metrics=_metrics(made, kinds, warnings, options.seed),
+        metrics=mixed_metrics(made, kinds, warnings, options.seed),
     )
     result = _scored(result, options)
     watch.lap("evaluate")
     return replace(result, metrics={**result.metrics, "timing": {k: round(v, 4) for k, v in watch.seconds.items()}})
+
+
+def _places(read: Sequence[LandmarkLog], cfg: MixedMapConfig, options: MapOptions) -> Known:
+    """What `--start` and `--survey` say of places; raises UsageError for a robot that is not there."""
+    names = [log.robot for log in read]
+    for key in options.start:
+        if robot_name(key) not in names:
+            raise UsageError(f"--start: no robot {key}; there are {', '.join(map(robot_key, names))}")
+    starts = {robot_name(key): pose for key, pose in options.start.items()}
+    sd = {robot_name(key): value for key, value in options.start_sd.items()}
+    points = {} if options.survey is None else read_points(options.survey)
+    return Known.of(starts, sd, points, names, cfg.smoothing.known)
 
 
 def _configured(options: MapOptions) -> MixedMapConfig:
@@ -181,7 +195,6 @@ def _configured(options: MapOptions) -> MixedMapConfig:
     idle = {
         "--fuse-every": options.fuse_every,
         "--online": options.online,
-        "--start": options.start,
         "--likelihood": options.laser.likelihood,
     }
     idle["--resample"] = options.laser.resample
@@ -278,93 +291,6 @@ def _grid(team: TeamMap, scans: Mapping[str, LaserLog], made: MixedMap, cfg: Las
     if not seen:
         return None
     return render(seen, np.concatenate(poses), np.array(sensors), cfg.resolution, "map")
-
-
-def _carries(log: LandmarkLog, scanned: Mapping[str, Scanned]) -> str:
-    """What a robot's logs hold, in words."""
-    things = ["laser"] if log.robot in scanned else []
-    if log.odometry is not None:
-        things.append("wheels")
-    if len(log.sightings):
-        things.append("camera")
-    if len(log.bearings):
-        things.append("bearings")
-    return ", ".join(things) or "nothing"
-
-
-def _warnings(
-    read: Sequence[LandmarkLog],
-    lasers: Mapping[str, LaserMap],
-    fusion: Fusion | None,
-    made: MixedMap,
-    apart: Mapping[str, float],
-) -> tuple[str, ...]:
-    out = [] if fusion is None else list(fusion.warnings)
-    for log in read:
-        idle = log.robot in lasers
-        out += [f"robot {robot_key(log.robot)}: {w}" for w in log.warnings if not (idle and w == "it saw nothing")]
-    out += [f"robot {robot_key(robot)}: {w}" for robot, m in lasers.items() for w in m.warnings]
-    for robot, gap in apart.items():
-        out.append(
-            f"robot {robot_key(robot)}: its clock has nothing in common with the others': {gap:.0f} s lie between "
-            "their stamps and its own; it stays apart"
-        )
-    for robot in made.layout.lost:
-        out.append(f"robot {robot_key(robot)}: nothing that it saw, and nobody who saw it, tells where it was")
-    for component in made.components[1:]:
-        keys = ", ".join(map(robot_key, component.map.robots))
-        out.append(f"robot {keys}: not tied to the largest map: too few sightings that agree")
-    for component in made.components:
-        out += component.warnings
-    return tuple(out)
-
-
-def _metrics(made: MixedMap, kinds: Mapping[str, str], warnings: Sequence[str], seed: int) -> dict[str, Any]:
-    return {
-        "version": __version__,
-        "seed": seed,
-        "robots": {
-            robot_key(r): {
-                "carries": kind,
-                "clock": {"ahead": made.clocks[r].ahead, "sd": made.clocks[r].sd} if r in made.clocks else None,
-            }
-            for r, kind in kinds.items()
-        },
-        "components": [[robot_key(r) for r in s.map.robots] for s in made.components],
-        "lost": [robot_key(r) for r in made.layout.lost],
-        "ties": [
-            {
-                "a": [robot_key(r) for r in tie.a],
-                "b": [robot_key(r) for r in tie.b],
-                "agree": tie.agree,
-                "of": tie.of,
-                "walls": tie.walls,
-                "clock": tie.clock,
-            }
-            for tie in made.layout.ties
-        ],
-        "through": [
-            {
-                "robots": [robot_key(r) for r in path.robots],
-                "sightings": list(path.sightings),
-                "landmarks": list(path.landmarks),
-            }
-            for path in made.paths
-        ],
-        "refined": [
-            {
-                "status": s.status,
-                "iterations": s.iterations,
-                "poses": s.poses,
-                "factors": dict(s.used),
-                "refused": s.refused or None,
-            }
-            for s in made.components
-        ],
-        "left_out": told_gaps([s.map for s in made.components]),
-        "fusion": [merge.row() for merge in made.merges],
-        "warnings": list(warnings),
-    }
 
 
 def _scored(result: MixedResult, options: MapOptions) -> MixedResult:

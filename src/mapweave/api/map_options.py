@@ -44,8 +44,8 @@ class MapOptions:
     """What `map` was asked for. Robots are called by their key: `"2"` is robot 2.
 
     share: robot -> first part of its time span, in (0, 1]; start: robot -> its first pose in the map [m, m, rad];
-    start_sd: robot -> standard deviation of that place [m], where it is told (laser logs alone); executor: where robots
-    are worked on; None: here, or in `jobs` processes.
+    start_sd: robot -> standard deviation of that place [m], where it is told (laser logs and mixed teams); survey: a
+    file of landmarks whose places are known; executor: where robots are worked on; None: here, or in `jobs` processes.
     """
 
     robots: tuple[str, ...] | None = None
@@ -62,6 +62,7 @@ class MapOptions:
     refine: bool = True
     online: bool = False
     calibration: Path | None = None
+    survey: Path | None = None
     laser: LaserOptions = field(default_factory=LaserOptions)
     executor: Executor | None = None
     on_progress: Progress = no_progress

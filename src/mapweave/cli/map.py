@@ -71,6 +71,7 @@ def map_logs(
     refine: bool = True,
     online: Annotated[bool, Parameter(negative="")] = False,
     calibration: Path | None = None,
+    survey: Path | None = None,
     laser: Laser | None = None,
     mcap: Annotated[bool, Parameter(negative="")] = False,
     force: Annotated[bool, Parameter(negative="")] = False,
@@ -93,8 +94,8 @@ def map_logs(
     share
         Use the first share of a robot's time span only, as 1:1.0,2:0.5.
     start
-        Where a robot starts in the map if that is known, as robot2=x,y,theta in metres and radians; of laser logs also
-        robot2=x,y,theta,sigma with the metres it may be off.
+        Where a robot starts in the map if that is known, as robot2=x,y,theta in metres and radians; of laser logs and
+        mixed teams also robot2=x,y,theta,sigma with the metres it may be off.
     truth
         Score the result against this when it is done; no estimator ever sees it.
     config
@@ -113,6 +114,8 @@ def map_logs(
         Smooth already while the logs play (landmark logs): what each step took and how far the map was behind is told.
     calibration
         What is known of the robots beforehand, as calibration.json holds it; a value without sd is held.
+    survey
+        Landmarks whose places are known, as id,x,y or id,x,y,sd in metres; their frame becomes the map's.
     mcap
         Also write result.mcap: map, ways, landmarks and walls as messages for RViz and Foxglove.
     force
@@ -140,6 +143,7 @@ def map_logs(
             refine=refine,
             online=online,
             calibration=calibration,
+            survey=survey,
             laser=_laser(laser),
             mcap=mcap,
             force=force,

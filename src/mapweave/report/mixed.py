@@ -18,6 +18,7 @@ from .style import Target, as_map, colour, figure
 from .team_figures import legend_beside, thinned
 from .woven import told_merge
 
+BY = {"walls": "walls that both saw", "known": "where they are known to be"}
 MANY = 40  # landmarks from which names would cover the map
 
 
@@ -40,8 +41,7 @@ class MixedStory:
 def words(story: MixedStory) -> list[str]:
     """How the robots hang together, in sentences."""
     out = [
-        f"{_names(tie.a)} and {_names(tie.b)} were tied by "
-        + ("walls that both saw" if tie.walls else f"{tie.agree} of {tie.of} sightings")
+        f"{_names(tie.a)} and {_names(tie.b)} were tied by {BY.get(tie.by, f'{tie.agree} of {tie.of} sightings')}"
         for tie in story.map.layout.ties
     ]
     out += [f"walls: {told_merge(merge)}" for merge in story.map.merges]

@@ -55,12 +55,23 @@ class CalibrationPrior:
 
 
 @config
+class KnownConfig:
+    """How well places are known where nobody says how well."""
+
+    start: float = 0.05  # [m] standard deviation of where a robot began
+    heading: float = 0.05  # [rad] of its heading there
+    surveyed: float = 0.02  # [m] of a surveyed point
+    outlier: float = 2.5  # standard deviations from which a known place counts less: surveys exchange labels
+
+
+@config
 class SmoothingConfig:
     """The table `[smoothing]` of a landmark configuration."""
 
     motion: MotionNoise = field(default_factory=MotionNoise)
     camera: CameraNoise = field(default_factory=CameraNoise)
     calibration: CalibrationPrior = field(default_factory=CalibrationPrior)
+    known: KnownConfig = field(default_factory=KnownConfig)
     robot_sightings: bool = True  # whether sightings of other robots tie trajectories
     longest_step: float = 2.0  # [s] between two poses that are estimated
     shortest_step: float = 0.5  # [s] between two poses that are estimated; sightings between go by the nearest

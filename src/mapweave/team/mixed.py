@@ -17,6 +17,7 @@ from .bodies import Body, Labels
 from .clocks import COARSE, Clock, clock_of
 from .config import SmoothingConfig
 from .fixed_stretches import fixed_stretches
+from .known import Known, tied_by_known
 from .placing import Layout, agreeing, lay_out
 from .relative_frame import Glances, PlacingConfig, point_seen
 from .robot_part import all_seen
@@ -67,19 +68,23 @@ def map_mixed(
     *,
     refine: bool = True,
     laser: LaserConfig | None = None,
+    known: Known | None = None,
 ) -> MixedMap:
     """The map of a team from all that its robots saw.
 
     logs: what each robot drove and saw, one a robot, empty where it did neither; scanned: robots with a laser; mapped:
     what filters made of the robots that saw landmarks with their ranges; own_clocks: robots whose laser logs may have a
     clock of their own; laser: how maps of laser robots are woven by walls that they both saw; None: they are not.
+    known: places known beforehand, whose frame becomes the map's.
     """
     by = {log.robot: log for log in logs}
     bodies = [_body(team) for team in mapped if len(team.landmarks)]
     bodies += [Body({robot: s.track}, {}, own_clock=robot in own_clocks) for robot, s in scanned.items()]
     held = {robot for body in bodies for robot in body.robots}
     loose = [log for log in logs if log.robot not in held]
-    layout, walls = lay_out(bodies, loose, by, labels, placing, smoothing), CommonWalls(scanned)
+    known = known or Known()
+    layout = tied_by_known(lay_out(bodies, loose, by, labels, placing, smoothing), by, known, smoothing)
+    walls = CommonWalls(scanned)
     if laser is not None:
         walls = common_walls(layout.bodies, scanned, laser, placing)
         layout = in_line(layout, walls)
@@ -102,14 +107,15 @@ def map_mixed(
                 for robot in team.robots
                 if robot in scanned
             }
-            done = smooth(team, mine, labels, smoothing, calibration, graphs, walls.crossings, SOFTEN)
+            done = smooth(team, mine, labels, smoothing, calibration, graphs, walls.crossings, SOFTEN, known)
             wrong = {} if len(team.robots) < 2 else _late(done.map, own_clocks, by, labels, placing, clocks)
             if not wrong:
                 break
             team = _with_clocks(team, wrong)
         loosely = [robot for robot in done.map.tracks if robot not in held and by[robot].odometry is None]
         cut, told = fixed_stretches(done.map, loosely, by, labels, placing)
-        components.append(replace(done, map=cut, notes=(*done.notes, *told)))
+        against = known.contradicted(done.map, smoothing.known)
+        components.append(replace(done, map=cut, notes=(*done.notes, *told, *against)))
     return MixedMap(tuple(components), layout, _paths(components, walls, by), clocks, walls.merges)
 
 

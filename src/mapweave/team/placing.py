@@ -6,6 +6,7 @@ wheels are good, and its track is bent through the places found.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -28,7 +29,7 @@ NEAR, NEAR_SHARE = 0.5, 0.3  # [m], [m per s or m]: how far places of one loose 
 class Tie:
     """Two bodies became one. agree of `of` sightings said so; clock: [s] by which b's was found ahead.
 
-    walls: it was not sightings that said so, but walls that both saw.
+    by: what said so: sightings, walls that both saw, or where they are known to be.
     """
 
     a: tuple[str, ...]
@@ -36,7 +37,7 @@ class Tie:
     agree: int
     of: int
     clock: float = 0.0
-    walls: bool = False
+    by: Literal["sightings", "walls", "known"] = "sightings"
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,7 @@ from .commanded_motion import CommandedMotion
 from .config import CalibrationPrior, SmoothingConfig
 from .factors import sighting_factors, step_factor
 from .instants import Instants, instants_of, keyframe_instants
+from .known import Known
 from .robot_part import LAG, PARAMETERS, RANGE, SPEED, TURN, RobotPart
 from .scan_factors import Crossing, crossing_factor, scan_factor
 
@@ -89,6 +90,7 @@ def team_problem(
     scans: Mapping[str, RobotGraph] | None = None,
     crossings: Sequence[Crossing] = (),
     instants: Mapping[str, Instants] | None = None,
+    known: Known | None = None,
 ) -> TeamProblem:
     """The problem of all `logs` (in order; the first robot's first pose is the gauge), started at a fused map.
 
@@ -97,7 +99,8 @@ def team_problem(
 
     landmarks, tracks: where to start, in one frame; labels[robot]: own landmark name -> name in the map;
     calibration[robot]: parameter -> (mean, standard deviation) known beforehand, in place of the prior of `cfg`;
-    instants: when poses are estimated, where that is not left to the sightings.
+    instants: when poses are estimated, where that is not left to the sightings; known: places known beforehand, in the
+    frame of `landmarks` and `tracks`, which holds that frame in place of a first pose where it can.
     """
     names = [log.robot for log in logs]
     scans = scans or {}
@@ -148,7 +151,13 @@ def team_problem(
         terms.append(term)
         origins.append(None)
         used[term.name] = used.get(term.name, 0) + len(term.columns)
-    for part in _first_of_groups(parts, terms, len(x0)):
+    places = known.factors(parts, where, cfg.known) if known else []
+    terms += places
+    origins += [None] * len(places)
+    framed = np.concatenate([np.zeros(0, int), *(term.columns[:, 0] for term in places)]).astype(int)
+    if known is None or not known.holds(names, landmarks.ids):
+        framed = framed[:0]
+    for part in _first_of_groups(parts, terms, len(x0), framed):
         fixed[part.start : part.start + 3] = True
     terms += _priors(parts, prior, x0, landmark_start + np.arange(2 * len(landmarks)))
     origins += [None] * (len(terms) - len(origins))
@@ -168,15 +177,20 @@ def _scan_terms(parts: Sequence[RobotPart], crossings: Sequence[Crossing], cfg: 
     return terms + [crossing_factor(by[a], by[b], found, cfg.motion.outlier) for (a, b), found in pairs.items()]
 
 
-def _first_of_groups(parts: Sequence[RobotPart], terms: Sequence[Factor], n: int) -> list[RobotPart]:
-    """The first robot of all, and the first of every group that no sighting ties to it: their starts are the frame."""
+def _first_of_groups(
+    parts: Sequence[RobotPart], terms: Sequence[Factor], n: int, framed: Int[np.ndarray, " f"]
+) -> list[RobotPart]:
+    """The first robot of all, and the first of every group that no sighting ties to it: their starts are the frame.
+
+    framed: entries of x that are known in a frame of their own; their groups need none.
+    """
     row = np.concatenate([np.repeat(term.columns[:, 0], term.columns.shape[1]) for term in terms])
     column = np.concatenate([term.columns.ravel() for term in terms])
     group = connected_components(sp.csr_array((np.ones(len(row)), (row, column)), shape=(n, n)), directed=False)[1]
     first: dict[int, RobotPart] = {}
     for part in parts:
         first.setdefault(int(group[part.start]), part)
-    return list(first.values())
+    return [part for k, part in first.items() if k not in set(group[framed].tolist())]
 
 
 def seen_when(logs: Sequence[LandmarkLog], names: Sequence[str]) -> dict[str, Float[np.ndarray, " s"]]:

@@ -16,6 +16,7 @@ from ..solve import SingularError, Solution, Status
 from .commanded_motion import LAG, TURN
 from .config import SmoothingConfig
 from .covariance import TeamCovariance, team_covariance
+from .known import Known
 from .problem import TeamProblem, team_problem
 from .robot_part import PARAMETERS, RobotPart
 from .scan_factors import Crossing
@@ -59,13 +60,15 @@ def smooth(
     scans: Mapping[str, RobotGraph] | None = None,
     crossings: Sequence[Crossing] = (),
     soften: Sequence[float] = (),
+    known: Known | None = None,
 ) -> Smoothed:
     """`team` with all of `logs` (those of its robots) worked into one least-squares problem, started at the filters'.
 
     labels[robot]: own landmark name -> name in the map. calibration: what is known beforehand of some robots, in place
     of the prior; a standard deviation of 0 holds a value. scans[robot]: the keyframes of a robot with a laser;
     crossings: those of two robots that were matched. soften: before the end, every kernel is so many times as wide, one
-    after the other, for starts that are far off. Poses stand at every odometry and sighting stamp. Where the
+    after the other, for starts that are far off; known: places known beforehand, in the map's frame. Poses stand at
+    every odometry and sighting stamp. Where the
     problem has no minimum near the start, the map stays as it was and `refused` says why. Where nobody has wheels or a
     laser the map is larger than the filters' by what maps made of ranges alone fall short (`bare_range_scale`).
     """
@@ -84,7 +87,9 @@ def smooth(
         bare = cfg.calibration.bare_range_scale
         cfg = replace(cfg, calibration=replace(cfg.calibration, range_scale=bare))
         start = _enlarged(team, 1.0 / bare)
-    problem = team_problem(chosen, start.landmarks, start.tracks, labels, calibration or {}, cfg, scans, crossings)
+    problem = team_problem(
+        chosen, start.landmarks, start.tracks, labels, calibration or {}, cfg, scans, crossings, known=known
+    )
     if not set(problem.used) - {"scan"}:
         return _kept(team, cfg, "nobody saw a landmark of the map or another robot", problem)
     x = None

@@ -81,7 +81,7 @@ def in_line(layout: Layout, walls: CommonWalls) -> Layout:
         first, *others = holding
         for k in others:
             T = se2.compose(_place_of(part, bodies[first], walls), se2.inverse(_place_of(part, bodies[k], walls)))
-            ties.append(Tie(bodies[first].robots, bodies[k].robots, 0, 0, walls=True))
+            ties.append(Tie(bodies[first].robots, bodies[k].robots, 0, 0, by="walls"))
             bodies[first] = bodies[first].joined(bodies[k].moved(np.asarray(T)))
         T = _place_of(part, bodies[first], walls)
         tracks = dict(bodies[first].tracks)

@@ -1,0 +1,100 @@
+"""What is told of a mixed team: what each robot carries, warnings, and `metrics.json`."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ..core.landmark_log import LandmarkLog
+from ..core.names import robot_key
+from ..core.version import __version__
+from ..fusion.result import Fusion
+from ..io.team_map import told_gaps
+from ..laser.laser_map import LaserMap
+from ..team.mixed import MixedMap
+from ..team.walls import Scanned
+
+
+def carries(log: LandmarkLog, scanned: Mapping[str, Scanned]) -> str:
+    """What a robot's logs hold, in words."""
+    things = ["laser"] if log.robot in scanned else []
+    if log.odometry is not None:
+        things.append("wheels")
+    if len(log.sightings):
+        things.append("camera")
+    if len(log.bearings):
+        things.append("bearings")
+    return ", ".join(things) or "nothing"
+
+
+def warnings_of(
+    read: Sequence[LandmarkLog],
+    lasers: Mapping[str, LaserMap],
+    fusion: Fusion | None,
+    made: MixedMap,
+    apart: Mapping[str, float],
+) -> tuple[str, ...]:
+    out = [] if fusion is None else list(fusion.warnings)
+    for log in read:
+        idle = log.robot in lasers
+        out += [f"robot {robot_key(log.robot)}: {w}" for w in log.warnings if not (idle and w == "it saw nothing")]
+    out += [f"robot {robot_key(robot)}: {w}" for robot, m in lasers.items() for w in m.warnings]
+    for robot, gap in apart.items():
+        out.append(
+            f"robot {robot_key(robot)}: its clock has nothing in common with the others': {gap:.0f} s lie between "
+            "their stamps and its own; it stays apart"
+        )
+    for robot in made.layout.lost:
+        out.append(f"robot {robot_key(robot)}: nothing that it saw, and nobody who saw it, tells where it was")
+    for component in made.components[1:]:
+        keys = ", ".join(map(robot_key, component.map.robots))
+        out.append(f"robot {keys}: not tied to the largest map: too few sightings that agree")
+    for component in made.components:
+        out += component.warnings
+    return tuple(out)
+
+
+def mixed_metrics(made: MixedMap, kinds: Mapping[str, str], warnings: Sequence[str], seed: int) -> dict[str, Any]:
+    return {
+        "version": __version__,
+        "seed": seed,
+        "robots": {
+            robot_key(r): {
+                "carries": kind,
+                "clock": {"ahead": made.clocks[r].ahead, "sd": made.clocks[r].sd} if r in made.clocks else None,
+            }
+            for r, kind in kinds.items()
+        },
+        "components": [[robot_key(r) for r in s.map.robots] for s in made.components],
+        "lost": [robot_key(r) for r in made.layout.lost],
+        "ties": [
+            {
+                "a": [robot_key(r) for r in tie.a],
+                "b": [robot_key(r) for r in tie.b],
+                "agree": tie.agree,
+                "of": tie.of,
+                "by": tie.by,
+                "clock": tie.clock,
+            }
+            for tie in made.layout.ties
+        ],
+        "through": [
+            {
+                "robots": [robot_key(r) for r in path.robots],
+                "sightings": list(path.sightings),
+                "landmarks": list(path.landmarks),
+            }
+            for path in made.paths
+        ],
+        "refined": [
+            {
+                "status": s.status,
+                "iterations": s.iterations,
+                "poses": s.poses,
+                "factors": dict(s.used),
+                "refused": s.refused or None,
+            }
+            for s in made.components
+        ],
+        "left_out": told_gaps([s.map for s in made.components]),
+        "fusion": [merge.row() for merge in made.merges],
+        "warnings": list(warnings),
+    }
