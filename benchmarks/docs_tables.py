@@ -58,7 +58,7 @@ TABLES = (
         "stdout",
     ),
     Table("pose graphs", "docs/laser.md", bench("solve"), "stdout"),
-    Table("starts searched", "docs/laser.md", bench("localize_trust", "--starts", "40"), "stdout"),
+    Table("starts searched", "docs/laser.md", bench("localize_trust"), "stdout"),
     Table(
         "wrong sightings",
         "docs/methods/team-smoothing.md",
@@ -84,7 +84,6 @@ TABLES = (
     Table("intel relations", LASER, bench("laser_real"), "stdout"),
     Table("laps of a hall", LASER, bench("laser_laps"), "stdout"),
     Table("simulated ring", LASER, bench("corridor")),
-    Table("localisation starts", LASER, bench("localize_trust"), "stdout"),
     Table("hara claims", LASER, reproduce("hara"), "claims.md"),
     Table("laser exploration", EXPLORE, bench("exploration_laser", "--seeds", "2")),
     Table("yuan", EXPLORE, reproduce("yuan")),
