@@ -160,6 +160,8 @@ def measure(table: Table) -> None:
             text = bare(on_page(table) or "")
         else:
             text = (Path(folder) / "out" / table.written).read_text(encoding="utf-8").strip()
+    if not text:
+        sys.exit(f"{table.name}: {table.told} gave no table; the old one stands")
     today = f"{datetime.now(UTC):%Y-%m-%d}"
     write(Record(table.name, table.page, table.told, today, git("rev-parse", "--short", "HEAD"), text, run=True))
 

@@ -175,8 +175,16 @@ def main() -> None:
             for robots in map(int, args.robots.split(",")):
                 rows.append(cameras(robots, args.minutes, args.outliers, seed))
                 print_row(rows[-1])
+    print_table(rows)
     if args.json:
         args.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+
+
+def print_table(rows: list[Row]) -> None:
+    """All rows once more, as Markdown."""
+    print(f"| {' | '.join(name.replace('_', ' ') for name in rows[0])} |\n|{'---|' * len(rows[0])}")
+    for row in rows:
+        print(f"| {' | '.join(f'{v:.3f}' if isinstance(v, float) else str(v) for v in row.values())} |")
 
 
 def print_row(row: Row) -> None:
