@@ -133,6 +133,11 @@ def test_a_damaged_result_is_one_clear_error(tmp_path, capsys):
     network = tmp_path / "out" / "network.npz"
     with pytest.raises(ReaderError, match=r"network\.npz: expected pairs of 3 robots"):
         read_network(network, 3)
+    with np.load(network) as saved:
+        held = dict(saved)
+    np.savez(network, **{**held, "column": np.full(len(held["column"]), np.inf, np.float16)})
+    with pytest.raises(ReaderError, match=r"network\.npz: column: expected values whole, found float16"):
+        read_network(network, 9)
     network.write_bytes(b"PK damaged")
     with pytest.raises(ReaderError, match=r"network\.npz"):
         read_network(network, 9)

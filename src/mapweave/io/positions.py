@@ -12,13 +12,21 @@ from jaxtyping import Bool, Float, Int
 from ..core.errors import ReaderError
 from ..swarm.moving.result import RobotTrajectory
 from ..swarm.result import JointInformation
-from .npz import read_arrays, write_npz
+from .npz import Spec, read_npz, write_npz
 from .table import Table, read_table, write_table
 
 ORDER = {2: ((0, 0), (0, 1), (1, 1)), 3: ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))}
 NAMES = {2: ("var_x", "cov_xy", "var_y"), 3: ("var_x", "cov_xy", "var_y", "cov_xz", "cov_yz", "var_z")}
 # No file of some systems may be called like these, whatever follows a dot.
 DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{k}" for port in ("com", "lpt") for k in range(1, 10))}
+# Arrays of the joint information in `network.npz`, as `read_npz` takes them.
+INFORMATION: dict[str, Spec] = {
+    "row": ("whole", ("values",)),
+    "column": ("whole", ("values",)),
+    "value": ("number", ("values",)),
+    "held": ("any", ("scalars",)),
+    "width": ("whole", ()),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,15 +139,13 @@ def write_network(path: Path, pairs: Int[np.ndarray, "m 2"], information: JointI
 def read_network(path: Path, n: int) -> tuple[Int[np.ndarray, "m 2"], JointInformation | None]:
     """What `write_network` wrote of n robots; raises ReaderError where it is damaged or of other robots."""
     try:
-        held = read_arrays(path, "the network that locate writes")
-        pairs = np.asarray(held["pairs"], dtype=np.int64).reshape(-1, 2)
+        held = read_npz(path, {"pairs": ("whole", ("pairs", 2))}, INFORMATION, "the network that locate writes")
+        pairs = np.asarray(held["pairs"], dtype=np.int64)
         if len(pairs) and not 0 <= pairs.min() <= pairs.max() < n:
             raise ReaderError(path, f"expected pairs of {n} robots, found number {pairs.max()}")
         if "value" not in held:
             return pairs, None
         width = int(held["width"])
-        if not np.isfinite(held["value"]).all():
-            raise ReaderError(path, "expected finite information")
         lower = sp.coo_matrix((held["value"], (held["row"], held["column"])), shape=(n * width, n * width))
         known = np.asarray(held["held"], dtype=bool)
         if len(known) != n * width:
