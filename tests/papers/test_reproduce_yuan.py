@@ -80,7 +80,7 @@ def test_landmarks_as_uncertain_as_printed_err_by_more_than_printed():
         assert PRINTED[robots][3] < 0.75 * implied_error(PRINTED[robots][4])
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_with_all_noise_in_position_one_robot_errs_little_more_than_two():
     two, one = (explore_many(moving(run(robots=k), 0.06, 0.0), 8, 1000) for k in (2, 1))
     error, spread = (
