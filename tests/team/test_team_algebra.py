@@ -147,20 +147,25 @@ def test_landmarks_have_the_sandwich_of_the_dense_inverse(solved):
     np.testing.assert_allclose(moved.T @ moved, wanted[np.ix_(hubs, hubs)], rtol=1e-3, atol=1e-9)
 
 
-def test_few_groups_keep_the_shape_of_the_map_before_and_many_tell_their_own(solved):
+def test_with_few_groups_landmarks_have_the_models_covariance_times_how_much_sightings_hang_together(solved):
     team, solution = solved
-    before = np.diag(np.linspace(1.0, 3.0, 10)) * 1e-2
-    floor = CFG.position_floor**2 * np.eye(10)
-    few = team_covariance(team, solution, CFG, before).landmarks - floor
-    T = frame_of_the_body(team, solution.x)[np.ix_(team.landmark_columns, team.landmark_columns)]
-    shape = T @ before @ T.T
-    share = np.trace(few) / np.trace(shape)
-    assert share >= 1 - 1e-9
-    np.testing.assert_allclose(few, share * shape, atol=1e-12)
-    tiny = team_covariance(team, solution, CFG, 1e-6 * before).landmarks - floor
-    known = _Known.of(team, solution, CFG.cluster)
-    sandwich = known.moved(team.landmark_columns)
-    assert np.trace(tiny) == pytest.approx(np.square(sandwich).sum(), rel=1e-3)
+    x, free = solution.x, solution.free
+    inverse = np.zeros((len(x), len(x)))
+    inverse[np.ix_(free, free)] = np.linalg.inv(dense_information(team, x, free))
+    T = frame_of_the_body(team, x)
+    at = np.ix_(team.landmark_columns, team.landmark_columns)
+    cov = team_covariance(team, solution, CFG, np.eye(10))
+    seen = [
+        sum(
+            len(t.columns)
+            for t, o in zip(team.factors, team.origins, strict=True)
+            if o is not None and o.robot == k and t.name == "landmark"
+        )
+        for k in range(len(team.parts))
+    ]
+    factor = np.average(cov.inflation, weights=seen)
+    few = cov.landmarks - CFG.position_floor**2 * np.eye(10)
+    np.testing.assert_allclose(few, factor * (T @ inverse @ T.T)[at], rtol=1e-3, atol=1e-9)
 
 
 def test_a_robots_covariances_have_their_floor_and_its_own_factor(solved):
