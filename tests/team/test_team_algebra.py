@@ -388,7 +388,7 @@ def test_a_team_tied_by_scans_alone_keeps_the_map_of_the_filters(monkeypatch, ki
     logs, landmarks, tracks = logs_and_map()
     monkeypatch.setattr(
         "mapweave.team.smooth.team_problem",
-        lambda *told: replace(team_problem(*told), used=dict.fromkeys(kinds, 9)),
+        lambda *told, **more: replace(team_problem(*told, **more), used=dict.fromkeys(kinds, 9)),
     )
     made = smooth(TeamMap(("robot1", "robot2"), landmarks, tracks, {}, {}), logs, {}, CFG)
     assert (made.refused == "nobody saw a landmark of the map or another robot") is refused
