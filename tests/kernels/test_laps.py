@@ -79,7 +79,8 @@ def test_odometrys_information_is_the_inverse_of_the_covariance_that_adds_up_on_
 
 
 @pytest.mark.kernel
-def test_landmark_errors_are_those_of_the_dense_information_matrix():
+@pytest.mark.parametrize(("known_until", "margin", "look"), [(24, 0.0, 4), (9, 1.0, 4), (24, 0.0, 1), (0, 0.7, 2)])
+def test_landmark_errors_are_those_of_the_dense_information_matrix(known_until, margin, look):
     cfg = SubmapConfig()
     track, every = drive(24), 4
     marks = np.array([[-8.0, 5.0], [7.0, 5.0], [0.0, -6.0], [-200.0, 0.0]])
@@ -88,16 +89,20 @@ def test_landmark_errors_are_those_of_the_dense_information_matrix():
     n = len(S)
     dense = np.zeros((n + 6, n + 6))
     dense[:n, :n] = S
-    W = np.linalg.inv(cfg.R) * every
+    W = np.linalg.inv(cfg.R) * look
     for k in range(3):
         for j in range(2):
-            for i in range(7):
-                pose = track[j, i * every]
+            looks = range(0 if look == 4 else -2, 4 if look == 4 else 2, look)
+            for i, t in [(node, 4 * node + k) for node in range(7) for k in looks if 0 <= 4 * node + k <= 24]:
+                pose = track[j, t]
                 d = marks[k] - pose[:2]
-                if np.hypot(*d) > cfg.reach or d @ [np.cos(pose[2]), np.sin(pose[2])] < 0:
+                reach = cfg.reach - (margin if t > known_until else 0.0)
+                if np.hypot(*d) > reach or d @ [np.cos(pose[2]), np.sin(pose[2])] < 0:
                     continue
                 near = np.zeros((2, 5))
                 sight_jacobian(pose, marks[k], near)
+                lever = pose[:2] - track[j, i * every, :2]
+                near[:, 2] += near[:, :2] @ [-lever[1], lever[0]]  # turning the pose turns the way on from it
                 H = np.zeros((2, n + 6))
                 if i:
                     b = 3 * poses.index((j, i))
@@ -105,7 +110,7 @@ def test_landmark_errors_are_those_of_the_dense_information_matrix():
                 H[:, n + 2 * k : n + 2 * k + 2] = near[:, 3:]
                 dense += H.T @ W @ H
     P = np.linalg.inv(dense)
-    sensor = LandmarkSensor(Sector(cfg.reach, cfg.half_angle), cfg.R, 2.0)
+    sensor = LandmarkSensor(Sector(cfg.reach, cfg.half_angle), cfg.R, 0.01, known_until, margin, look)
     add_landmark_information(S, track, every, marks, 1.0, sensor)
     assert np.allclose(np.linalg.inv(S), P[:n, :n])
     errors = landmark_errors(np.linalg.inv(S), track, every, marks, sensor)
@@ -120,7 +125,7 @@ def test_a_landmark_that_a_robot_drives_over_is_known_from_elsewhere():
     track, every = drive(24), 4
     under = track[0, 8, :2].copy()
     S = odometry_information(track, every, cfg.Q)
-    sensor = LandmarkSensor(Sector(cfg.reach, cfg.half_angle), cfg.R, 2.0)
+    sensor = LandmarkSensor(Sector(cfg.reach, cfg.half_angle), cfg.R, 2.0, 24, 0.0, 2)
     add_landmark_information(S, track, every, under[None], 1.0, sensor)
     errors = landmark_errors(np.linalg.inv(S), track, every, np.array([under, under + 1e-9]), sensor)
     assert np.isfinite(S).all()

@@ -21,27 +21,6 @@ class SteeringConfig:
 
 
 @config
-class CoverageConfig:
-    """Planner `coverage`: discs over what is unexplored, shared out as balanced tours."""
-
-    radius: float = 10.0  # [m] of a disc: two thirds of the reach, so that passing its middle shows all of it
-    replan_every: int = 4  # [steps] between plans: two seconds, in which a robot sees what changes its tour
-    gain_weight: float = 0.12  # [m] that a newly seen cell is worth: a course over new ground may be a little longer
-    turn_cost: float = 2.0  # [m/rad] that turning towards the first disc counts as: half a turn takes about 4 s
-    balance: float = 0.3  # what the sum of all tours weighs beside the longest, those of `loop` too
-
-
-@config
-class LoopConfig:
-    """Planner `loop`: a closed tour for each robot, then `coverage`."""
-
-    radius: float = 13.0  # [m] of a disc: larger than for `coverage`, so that fewer are left and a lap closes in time
-    rate: float = 19.5  # [m^2] of field a robot and step: how long it goes on to close loops
-    rate_alone: float = 17.0  # [m^2] the same for one robot, whose lap is longer
-    arrived: float = 4.0  # [m] from a place of the tour at which it is reached: what lies there is in view by then
-
-
-@config
 class LapSearchConfig:
     """How planner `joint` searches its laps and judges them."""
 
@@ -62,7 +41,41 @@ class LapSearchConfig:
     rough_layouts: int = 8  # of landmarks on which the map's error of first plans is judged
     layouts: int = 24  # the same of the finalists: on 8 the best plan is the one that suits just these
     fine_layouts: int = 96  # the same of the chosen one
+    looks: int = 1  # that are counted for each of those poses, evenly spread around it
+    sight_margin: float = 0.0  # [m] of the reach in which landmarks are not counted on to be seen
+    revisits: float = 0.3  # of the changes tried under way that send a robot by a known landmark
+    layouts_by_now: int = 4  # on which a plan is judged under way, when most landmarks are known
+    tries_by_now: int = 120  # changes tried under way: a tenth of a second
     least_range: float = 2.0  # [m], sightings from nearer are not counted on to tell more
+
+
+@config
+class CoverageConfig:
+    """Planner `coverage`: discs over what is unexplored, shared out as balanced tours."""
+
+    radius: float = 10.0  # [m] of a disc: two thirds of the reach, so that passing its middle shows all of it
+    replan_every: int = 4  # [steps] between plans: two seconds, in which a robot sees what changes its tour
+    gain_weight: float = 0.12  # [m] that a newly seen cell is worth: a course over new ground may be a little longer
+    rate: float = 22.0  # [m^2] of field a robot and step: how long the tours of an open field take
+    rate_alone: float = 19.0  # [m^2] the same for one robot
+    error_weight: float = 70.0  # [steps/m] that expected map error is worth
+    revise_from: int = 40  # [steps] before which too little is known to change tours for
+    revise_every: int = 10  # [steps] between changes: a robot has seen new ground as deep as half its reach by then
+    sure_margin: float = 0.7  # [m] by which a cell must be within the reach to count as seen when tours are changed
+    tour_radius: float = 13.0  # [m] of a disc of the first tours, which are improved as laps are
+    search: LapSearchConfig = LapSearchConfig(looks=4, sight_margin=0.7)
+    turn_cost: float = 2.0  # [m/rad] that turning towards the first disc counts as: half a turn takes about 4 s
+    balance: float = 0.3  # what the sum of all tours weighs beside the longest, those of `loop` too
+
+
+@config
+class LoopConfig:
+    """Planner `loop`: a closed tour for each robot, then `coverage`."""
+
+    radius: float = 13.0  # [m] of a disc: larger than for `coverage`, so that fewer are left and a lap closes in time
+    rate: float = 19.5  # [m^2] of field a robot and step: how long it goes on to close loops
+    rate_alone: float = 17.0  # [m^2] the same for one robot, whose lap is longer
+    arrived: float = 4.0  # [m] from a place of the tour at which it is reached: what lies there is in view by then
 
 
 @config

@@ -1,4 +1,8 @@
-"""Discs over everything unexplored, shared out as balanced tours and planned anew every few steps."""
+"""Discs over everything unexplored, shared out as balanced tours and planned anew every few steps.
+
+In an open field the first tours are improved as laps are: a robot that comes by known ground at the right time closes
+a loop, which shortest tours do only by chance.
+"""
 
 import numpy as np
 from jaxtyping import Float
@@ -9,10 +13,56 @@ from ...kernels.exploration.tours import balanced_tours, greedy_cover
 from . import among_walls
 from .belief import LandmarkBelief
 from .config import ExploreConfig
+from .lap_following import begin, follow, lap_steps, lap_task, revise
+from .lap_search import improve_tours
 from .steering import ahead, given_up, nearest_unexplored, new_cells, next_target, offered, steer
 
 
 def choose(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig) -> Float[np.ndarray, "r 2"]:
+    """Each live robot follows its tour in an open field; elsewhere, and afterwards, what is left is covered.
+
+    Asks the run to go on until the tours' time is over: their ends close loops.
+    """
+    memory = belief.memory
+    if "tour_steps" not in memory:
+        memory["tour_steps"] = lap_steps(belief, cfg.coverage, cfg.joint.most_robot_steps)
+        if memory["tour_steps"]:
+            begin_tours(belief, poses, cfg)
+    if not memory["tour_steps"]:
+        return cover(belief, poses, cfg)
+    memory["go_on_until"] = memory["tour_steps"]
+    revise(belief, poses, cfg.coverage)
+    out = np.zeros((len(belief.robots), 2))
+    rest = None
+    for j in map(int, np.flatnonzero(belief.alive)):
+        goal = follow(belief, j, poses[j], cfg) if belief.step < memory["laps_end"] else None
+        if goal is not None:
+            out[j] = steer(belief, poses[j], goal, cfg)
+            continue
+        rest = cover(belief, poses, cfg) if rest is None else rest
+        out[j] = rest[j]
+    return out
+
+
+def begin_tours(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> None:
+    """Balanced tours over discs on the whole field, improved, are the laps from now on."""
+    live = np.flatnonzero(belief.alive)
+    every = np.argwhere(np.ones_like(belief.explored.fused))
+    chosen = discs(belief, belief.explored.centres(every), cfg.coverage.tour_radius)
+    tours, counts = balanced_tours(
+        approach_cost(poses[live], chosen, cfg.coverage.turn_cost),
+        np.linalg.norm(chosen[:, None] - chosen[None], axis=-1),
+        np.zeros((len(live), len(chosen))),
+        cfg.coverage.balance,
+    )
+    places: list[tuple[tuple[float, float], ...]] = [()] * len(belief.robots)
+    for k, j in enumerate(live):
+        places[j] = tuple((float(x), float(y)) for x, y in chosen[tours[k, : counts[k]]])
+    task = lap_task(belief, poses, belief.memory["tour_steps"], cfg.coverage, cfg)
+    begin(belief, task, improve_tours(task, tuple(places)))
+
+
+def cover(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig) -> Float[np.ndarray, "r 2"]:
     """Every live robot heads for the first disc of its tour, on a course that shows it new ground on the way."""
     memory = belief.memory
     live = np.flatnonzero(belief.alive)

@@ -106,7 +106,8 @@ def explore_once(mission: LandmarkMission, seed: int, run: int = 0) -> tuple[Lan
 @cache
 def _compile(planner: str, association: str, *, walled: bool) -> None:
     """Has a built-in planner take a few steps, once a process, so that decisions are timed and not compilation."""
-    if planner not in PLANNERS or planner == "joint":  # whose search before the first step is no compilation
+    searching = planner == "joint" or (planner == "coverage" and not walled)  # before the first step: no compilation
+    if planner not in PLANNERS or searching:
         return
     walls = ((0.0, 4.0, 0.0, 12.0),) if walled else None
     scenario = ScenarioConfig(

@@ -1,134 +1,70 @@
 """Laps for a whole team, searched so that the field is seen soon and the map is expected to be sure.
 
-A plan is judged by driving it without noise. Its cost, in steps, is when the last landmark is expected to be seen, and
-`error_weight` times the error that the landmarks are expected to have by then, from the information in odometry and
-in landmarks of the expected density. That error is small where robots end at ground that one of them saw early.
+Plans are changed a place at a time and judged by `LapJudge`: before the first step for any layout of landmarks, under
+way for the landmarks known by then.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy.linalg import lapack
+from jaxtyping import Float
 
-from ...kernels.exploration.laps import (
-    LandmarkSensor,
-    LapRules,
-    add_landmark_information,
-    drive_laps,
-    landmark_errors,
-    odometry_information,
-    seen_shares,
-)
-from ...kernels.walls.segments import Raster, Sector
-from ...landmarks.submap_slam import SubmapConfig
-from .config import LapSearchConfig
+from .lap_judge import LapJudge, LapTask, Past, Plan
 
-Plan = tuple[Float[np.ndarray, "r k 2"], Int[np.ndarray, " r"]]
-HOPELESS = ((8, 0.85), (24, 0.92))  # after so many layouts a plan is given up whose error, times this, is too much
-MEAN_OF_RMS = 0.886  # mean distance over its root mean square, for a round Gaussian
-
-
-@dataclass(frozen=True)
-class LapTask:
-    """What a plan is for. steps: when the laps should be done; density: expected landmarks a square metre."""
-
-    lower: tuple[float, float]
-    upper: tuple[float, float]
-    starts: tuple[tuple[float, float, float], ...]
-    controls: tuple[tuple[float, float], ...]
-    submap: SubmapConfig
-    steps: int
-    density: float
-    error_weight: float  # steps a metre
-    search: LapSearchConfig
-    heading_cost: float  # [m/rad], as `steering` has it
+Laps = tuple[Float[np.ndarray, "_ 2"], ...]  # the places that each robot should pass in turn
 
 
 @lru_cache(maxsize=8)
-def find_laps(task: LapTask) -> tuple[tuple[np.ndarray, ...], int]:
-    """The places (k, 2) [m] that each robot should pass in turn, and the step at which they show nothing new any more.
+def find_laps(task: LapTask) -> tuple[Laps, int]:
+    """The laps for a task that begins, and the step at which they show nothing new any more.
 
     The same for the same task; the step is no sooner than the task's.
     """
     rng, search = np.random.default_rng(0), task.search
-    rough, judge, fine = (_Judge(task, n) for n in (search.rough_layouts, search.layouts, search.fine_layouts))
+    rough, judge, fine = (LapJudge(task, n) for n in (search.rough_layouts, search.layouts, search.fine_layouts))
     first = sorted(_first_plans(task), key=rough)[: search.first_plans]
     begun = sorted((_improve(plan, rough, search.tries // 4, rng) for plan in first), key=lambda b: b[0])
     better = [_improve(plan, judge, search.tries, rng) for _, plan in begun[: search.finalists]]
     best = min(better, key=lambda b: b[0])[1]
     _, plan = _improve(best, fine, round(search.fine_share * search.tries), rng, search.fine_heat)
-    share = fine.shares(fine.drive(plan))
-    end = max(task.steps, int(np.argmax(share >= share[-1])))
-    return tuple(w[:n].copy() for w, n in zip(*plan, strict=True)), end
+    return _laps(plan), _end(plan, fine)
 
 
-class _Judge:
-    """The cost of a plan, in steps; the map's error is that over `layouts` of landmarks, drawn once."""
-
-    def __init__(self, task: LapTask, layouts: int) -> None:
-        self.task = task
-        self.lower, self.upper = np.array(task.lower), np.array(task.upper)
-        self.starts, self.controls = np.array(task.starts), np.array(task.controls)
-        nx, ny = np.ceil((self.upper - self.lower) / task.search.coarse_cell - 1e-9).astype(int)
-        self.nothing = np.zeros((ny, nx), dtype=bool)
-        self.landmarks = max(1, round(task.density * float(np.prod(self.upper - self.lower))))
-        rng = np.random.default_rng(1)
-        self.layouts = rng.uniform(self.lower, self.upper, size=(layouts, self.landmarks, 2))
-
-    def __call__(self, plan: Plan, enough: float = np.inf) -> float:
-        """Its cost, or something above `enough` when that is sure to be exceeded."""
-        t = self.task
-        track = self.drive(plan)
-        share = self.shares(track)
-        missed = self.landmarks * (1.0 - share[-1])
-        cost = float(t.steps + (1.0 - share[t.steps :] ** self.landmarks).sum() + t.search.missed_cost * missed)
-        if cost > enough:
-            return cost
-        judged = track[:, : t.steps // t.search.pose_stride * t.search.pose_stride + 1]
-        left = (enough - cost) / t.error_weight if t.error_weight else np.inf
-        return cost + t.error_weight * self.error(judged, left)
-
-    def drive(self, plan: Plan) -> np.ndarray:
-        """Poses (M, n, 3) of a drive without noise, a little longer than the task."""
-        t = self.task
-        rules = LapRules(self.controls, t.submap.period, self.lower, self.upper, t.search.arrived, t.heading_cost)
-        return drive_laps(*plan, self.starts, rules, t.steps + t.search.tail_steps)
-
-    def shares(self, track: np.ndarray) -> np.ndarray:
-        """What share of the field is seen by each step of `track`."""
-        s, search = self.task.submap, self.task.search
-        sector = Sector(s.reach - search.reach_margin, s.half_angle)
-        return seen_shares(track, self.nothing, sector, Raster(self.lower, search.coarse_cell))
-
-    def error(self, track: np.ndarray, enough: float = np.inf) -> float:
-        """Mean error [m] expected of the landmarks along `track` (M, n, 3), over the layouts.
-
-        Of a plan whose first layouts make it very probable that this is above `enough`, theirs alone, above it too.
-        """
-        s, every = self.task.submap, self.task.search.pose_stride
-        sensor = LandmarkSensor(Sector(s.reach, s.half_angle), s.R, self.task.search.least_range)
-        track = np.ascontiguousarray(track)
-        odometry = odometry_information(track, every, s.Q)
-        limits = dict(HOPELESS)
-        total = 0.0  # of landmarks seen: those missed are dear already
-        for k, marks in enumerate(self.layouts):
-            S = odometry.copy()
-            add_landmark_information(S, track, every, marks, 1.0, sensor)
-            total += MEAN_OF_RMS * float(np.nanmean(landmark_errors(_inverse(S), track, every, marks, sensor)))
-            if total / (k + 1) * limits.get(k + 1, 0.0) > enough:
-                return total / (k + 1)
-        return total / len(self.layouts)
+@lru_cache(maxsize=8)
+def improve_tours(task: LapTask, tours: tuple[tuple[tuple[float, float], ...], ...]) -> tuple[Laps, int]:
+    """Tours of places [m] made laps for a task that begins, and the step at which they show nothing new any more."""
+    judge = LapJudge(task, task.search.layouts)
+    plan = _plan([np.array(tour).reshape(-1, 2) for tour in tours], task.search.most_places)
+    _, plan = _improve(plan, judge, task.search.tries, np.random.default_rng(0))
+    return _laps(plan), _end(plan, judge)
 
 
-def _inverse(S: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Of a positive definite S: half the work of a general inverse."""
-    L, failed = lapack.dpotrf(S.T, lower=1)
-    if failed:
-        return np.linalg.inv(S)
-    P, _ = lapack.dpotri(L, lower=1, overwrite_c=1)
-    return np.asarray(np.tril(P) + np.tril(P, -1).T)
+def revise_laps(task: LapTask, past: Past, laps: Laps) -> tuple[Laps, int]:
+    """What is left of `laps`, changed for what is known by now, and the step at which they show nothing new."""
+    search = task.search
+    judge = LapJudge(task, search.layouts_by_now, past)
+    rng = np.random.default_rng(judge.step)
+    _, plan = _improve(_plan(laps, search.most_places), judge, search.tries_by_now, rng)
+    return _laps(plan), _end(plan, judge)
+
+
+def _plan(laps: Laps | list[np.ndarray], most: int) -> Plan:
+    """With room for `most` places a lap, or as many as there are."""
+    counts = np.array([len(lap) for lap in laps], dtype=np.int64)
+    ways = np.zeros((len(laps), max(most, int(counts.max())), 2))
+    for j, lap in enumerate(laps):
+        ways[j, : counts[j]] = lap
+    return ways, counts
+
+
+def _laps(plan: Plan) -> Laps:
+    return tuple(w[:n].copy() for w, n in zip(*plan, strict=True))
+
+
+def _end(plan: Plan, judge: LapJudge) -> int:
+    share = judge.shares(judge.drive(plan))
+    last = int(np.argmax(share >= share[-1]))
+    return int(max(judge.task.steps, judge.step + last))
 
 
 def _first_plans(task: LapTask) -> list[Plan]:
@@ -163,13 +99,17 @@ def _on_the_ring(lower: np.ndarray, upper: np.ndarray, begin: float, turn: float
     return list(middle + out / np.max(np.abs(out) / half, axis=1, keepdims=True))
 
 
-def _improve(plan: Plan, judge: _Judge, tries: int, rng: np.random.Generator, heat: float = 1.0) -> tuple[float, Plan]:
+def _improve(
+    plan: Plan, judge: LapJudge, tries: int, rng: np.random.Generator, heat: float = 1.0
+) -> tuple[float, Plan]:
     """The best plan met on a walk of small changes that cools down, and its cost. heat: with which it begins."""
     now = best = judge(plan)
     best_plan = plan
-    for k in range(tries):
+    for k in range(tries if len(judge.movers) else 0):
         left = heat * (1.0 - k / tries)
-        other = _changed(plan, judge.lower, judge.upper, 1.0 + 8.0 * left, rng)
+        size = 1.0 + 8.0 * left
+        back = rng.random() < judge.task.search.revisits if len(judge.past.marks) else False
+        other = _revisiting(plan, judge, size, rng) if back else _changed(plan, judge, size, rng)
         bound = now - 2.0 * left * np.log(rng.random())
         cost = judge(other, bound)
         if cost < bound:
@@ -179,10 +119,11 @@ def _improve(plan: Plan, judge: _Judge, tries: int, rng: np.random.Generator, he
     return best, best_plan
 
 
-def _changed(plan: Plan, lower: np.ndarray, upper: np.ndarray, size: float, rng: np.random.Generator) -> Plan:
+def _changed(plan: Plan, judge: LapJudge, size: float, rng: np.random.Generator) -> Plan:
     """One place of one robot moved by about `size` [m], left out or put in, or a stretch of its lap turned round."""
     ways, counts = plan[0].copy(), plan[1].copy()
-    j = int(rng.integers(len(counts)))
+    lower, upper = judge.lower, judge.upper
+    j = int(judge.movers[rng.integers(len(judge.movers))])
     way, n, what = ways[j], int(counts[j]), rng.random()
     if what < 0.7 and n:
         k = int(rng.integers(n))
@@ -194,10 +135,38 @@ def _changed(plan: Plan, lower: np.ndarray, upper: np.ndarray, size: float, rng:
     elif what < 0.9 and n < len(way):
         k = int(rng.integers(n + 1))
         middle = 0.5 * (way[max(k - 1, 0)] + way[min(k, n - 1)]) if n else 0.5 * (lower + upper)
-        way[k + 1 : n + 1] = way[k:n].copy()
-        way[k] = np.clip(middle + size * rng.normal(size=2), lower, upper)
-        counts[j] = n + 1
+        _put_in(ways, counts, j, k, np.clip(middle + size * rng.normal(size=2), lower, upper))
     elif n > 1:
         a, b = np.sort(rng.integers(0, n, size=2))
         way[a : b + 1] = way[a : b + 1][::-1].copy()
     return ways, counts
+
+
+def _revisiting(plan: Plan, judge: LapJudge, size: float, rng: np.random.Generator) -> Plan:
+    """One robot sent by a known landmark: instead of one of its places, where the detour is least, or anywhere."""
+    ways, counts = plan[0].copy(), plan[1].copy()
+    j, marks = int(judge.movers[rng.integers(len(judge.movers))]), judge.past.marks
+    way, n, what = ways[j], int(counts[j]), rng.random()
+    place = np.clip(marks[rng.integers(len(marks))] + size * rng.normal(size=2), judge.lower, judge.upper)
+    if n and (n == len(way) or what < 0.5):
+        way[rng.integers(n)] = place
+    else:
+        k = _least_detour(judge.here[j, :2], way[:n], place) if what < 0.75 else int(rng.integers(n + 1))
+        _put_in(ways, counts, j, k, place)
+    return ways, counts
+
+
+def _put_in(ways: np.ndarray, counts: np.ndarray, j: int, k: int, place: np.ndarray) -> None:
+    """`place` becomes the k-th of robot j, in place."""
+    way, n = ways[j], int(counts[j])
+    way[k + 1 : n + 1] = way[k:n].copy()
+    way[k] = place
+    counts[j] = n + 1
+
+
+def _least_detour(here: np.ndarray, way: Float[np.ndarray, "n 2"], place: np.ndarray) -> int:
+    """Before which place of `way` a detour to `place` is shortest; n where it is best put last."""
+    stops = np.vstack([here, way])
+    far = np.hypot(*(stops - place).T)
+    added: np.ndarray = np.append(far[:-1] + far[1:] - np.hypot(*np.diff(stops, axis=0).T), far[-1])
+    return int(np.argmin(added))

@@ -33,7 +33,7 @@ def choose(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: Explore
         else:
             idle.append(j)
     if idle:
-        rest = coverage.choose(belief, poses, cfg)
+        rest = coverage.cover(belief, poses, cfg)
         for j in idle:
             out[j] = rest[j]
     return out

@@ -25,11 +25,18 @@ class LapRules(NamedTuple):
 
 
 class LandmarkSensor(NamedTuple):
-    """R: (2, 2) noise of range [m] and bearing [rad]; nearer sightings than `least_range` [m] tell no more."""
+    """R: (2, 2) noise of range [m] and bearing [rad]; nearer sightings than `least_range` [m] tell no more.
+
+    After step `known_until`, in what is planned only, `margin` [m] of the reach is not counted on. look_every: [steps]
+    between the looks counted, each for as many: a divisor of the steps between two poses.
+    """
 
     sector: Sector
     R: np.ndarray
     least_range: float
+    known_until: int
+    margin: float
+    look_every: int
 
 
 @kernel
@@ -126,6 +133,19 @@ def odometry_information(track: np.ndarray, every: int, Q: np.ndarray) -> np.nda
 
 
 @kernel
+def _directions(dx: float, dy: float, r: float) -> tuple[float, float, float, float]:
+    """By how much range and bearing to a point at (dx, dy), `r` away, change as it moves along x and y."""
+    return dx / r, dy / r, -(dy / r) / r, (dx / r) / r
+
+
+@kernel
+def _in_view(p: np.ndarray, dx: float, dy: float, reach: float, cos_half: float) -> bool:
+    """Whether the point at (dx, dy) from pose p is seen from there."""
+    r = np.hypot(dx, dy)
+    return bool(r <= reach and dx * np.cos(p[2]) + dy * np.sin(p[2]) >= cos_half * r)
+
+
+@kernel
 def _sightings(
     track: np.ndarray,
     every: int,
@@ -135,37 +155,51 @@ def _sightings(
     C: np.ndarray,
     nodes: np.ndarray,
 ) -> tuple[int, float, float, float]:
-    """Fills nodes (which poses see `point`), B (k, 3, 2) and C (k, 3, 3); k and the point's own information."""
+    """Fills nodes (which poses see `point`), B (k, 3, 2) and C (k, 3, 3); k and the point's own information.
+
+    A look from between two poses is one of the nearer, displaced as the drive was.
+    """
     M, n = track.shape[0], (track.shape[1] - 1) // every
     k, a00, a01, a11 = 0, 0.0, 0.0, 0.0
-    reach, least_range = sensor.sector.reach, sensor.least_range
+    least_range, look = sensor.least_range, min(sensor.look_every, every)
     cos_half = np.cos(sensor.sector.half_angle)
-    wr, wb = every / sensor.R[0, 0], every / sensor.R[1, 1]
+    wr, wb = look / sensor.R[0, 0], look / sensor.R[1, 1]
+    h = np.zeros((2, 3))
     for j in range(M):
         for i in range(n + 1):
-            p = track[j, i * every]
-            dx, dy = point[0] - p[0], point[1] - p[1]
-            r = np.hypot(dx, dy)
-            if r > reach or dx * np.cos(p[2]) + dy * np.sin(p[2]) < cos_half * r:
-                continue
-            if i > 0 and np.array_equal(p, track[j, (i - 1) * every]):
-                continue
-            r = max(r, least_range)
-            ux, uy = dx / r, dy / r
-            gx, gy = -uy / r, ux / r
-            a00 += wr * ux * ux + wb * gx * gx
-            a01 += wr * ux * uy + wb * gx * gy
-            a11 += wr * uy * uy + wb * gy * gy
-            if i == 0:
-                continue
-            nodes[k] = j * n + i - 1
-            h = np.array([[-ux, -uy, 0.0], [-gx, -gy, -1.0]])
-            for a in range(3):
-                B[k, a, 0] = wr * h[0, a] * ux + wb * h[1, a] * gx
-                B[k, a, 1] = wr * h[0, a] * uy + wb * h[1, a] * gy
-                for b in range(3):
-                    C[k, a, b] = wr * h[0, a] * h[0, b] + wb * h[1, a] * h[1, b]
-            k += 1
+            node = track[j, i * every]
+            seen = False
+            begin = i * every - every // look // 2 * look
+            first = begin if i > 0 else 0
+            for t in range(first, min(n * every + 1, begin + every), look):
+                p = track[j, t]
+                dx, dy = point[0] - p[0], point[1] - p[1]
+                r = np.hypot(dx, dy)
+                reach = sensor.sector.reach - (sensor.margin if t > sensor.known_until else 0.0)
+                still = t >= look and np.array_equal(p, track[j, t - look])
+                if still or not _in_view(p, dx, dy, reach, cos_half):
+                    continue
+                ux, uy, gx, gy = _directions(dx, dy, max(r, least_range))
+                a00 += wr * ux * ux + wb * gx * gx
+                a01 += wr * ux * uy + wb * gx * gy
+                a11 += wr * uy * uy + wb * gy * gy
+                if i == 0:
+                    continue
+                if not seen:
+                    B[k] = 0.0
+                    C[k] = 0.0
+                    nodes[k] = j * n + i - 1
+                    seen = True
+                lx, ly = p[0] - node[0], p[1] - node[1]
+                h[0, 0], h[0, 1], h[0, 2] = -ux, -uy, ux * ly - uy * lx
+                h[1, 0], h[1, 1], h[1, 2] = -gx, -gy, gx * ly - gy * lx - 1.0
+                for a in range(3):
+                    B[k, a, 0] += wr * h[0, a] * ux + wb * h[1, a] * gx
+                    B[k, a, 1] += wr * h[0, a] * uy + wb * h[1, a] * gy
+                    for b in range(3):
+                        C[k, a, b] += wr * h[0, a] * h[0, b] + wb * h[1, a] * h[1, b]
+            if seen:
+                k += 1
     return k, a00, a01, a11
 
 
