@@ -310,3 +310,19 @@ def test_a_driven_estimate_is_that_of_the_whole_log_and_keeps_returns_of_keyfram
     assert sum(size > 0 for size in held) <= 1  # of the newest scan
     assert not driven.scans
     assert sum(b.s.size for b in whole._state().scans) > 0
+
+
+def test_keyframes_of_a_driven_estimate_keep_their_numbers_where_a_place_is_known_well():
+    log = drives()[0].log
+    eager = replace(CFG.graph.known_places, enough=1, near=50.0, turn=4.0, far=0.0)
+    cfg = replace(CFG, graph=replace(CFG.graph, known_places=eager))
+    driven = DrivenSession(log.robot, cfg)
+    stamps = []
+    for event in list(log.events())[:900]:
+        driven.push(event)
+        graph = driven.keyframes
+        if graph is not None:
+            now = [node.t for node in graph.nodes]
+            assert now[: len(stamps)] == stamps
+            stamps = now
+    assert len(stamps) > 10

@@ -1,5 +1,7 @@
 """The estimate of a laser robot that drives on and on: what is needed to go on and to draw its map, and no more."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
@@ -18,11 +20,13 @@ NO_POINTS = np.zeros((0, 2))
 class DrivenSession(LaserSession):
     """The estimate of `map --method graph` by geometry, of which only keyframes keep their returns.
 
-    It is the same estimate scan by scan; what it does not serve for is `finalise`, which lays every scan.
+    It is the same estimate scan by scan, but that no keyframe ever leaves the graph: others, who weave and draw them,
+    know keyframes by their numbers. What it does not serve for is `finalise`, which lays every scan.
     """
 
     def __init__(self, robot: str, cfg: LaserConfig, seed: int = 0) -> None:
-        super().__init__(robot, cfg, seed)
+        staying = replace(cfg.graph, known_places=replace(cfg.graph.known_places, enough=0))
+        super().__init__(robot, replace(cfg, graph=staying), seed)
         self._kept = 0  # scans before this one are let go, but for keyframes
         self._lean = 0  # keyframes before this one hold no more of their returns than is asked for
 
