@@ -5,6 +5,7 @@ import io
 import json
 import os
 import resource
+import sqlite3
 import struct
 import subprocess
 import sys
@@ -398,6 +399,22 @@ def test_a_message_type_that_no_program_can_be_made_of_is_damage(tmp_path, suffi
         assert len(read_laser(path).scans) == 3
         return
     with pytest.raises(DataError, match="no laser scan in it"):
+        read_laser(path)
+
+
+@pytest.mark.parametrize("column", ["name", "type"])
+def test_a_topic_without_a_name_or_type_in_a_database_is_left_out(tmp_path, column):
+    path = usual(tmp_path / "a.db3", n=3).write()
+    whole = sqlite3.connect(path)
+    whole.execute("PRAGMA writable_schema = 1")
+    whole.execute("UPDATE sqlite_master SET sql = replace(sql, ' NOT NULL', '') WHERE name = 'topics'")
+    whole.commit()
+    whole.close()
+    again = sqlite3.connect(path)
+    again.execute(f"UPDATE topics SET {column} = NULL WHERE name LIKE '/scan%'")  # noqa: S608  (our own words)
+    again.commit()
+    again.close()
+    with pytest.raises(MapweaveError, match=r"a\.db3"):
         read_laser(path)
 
 

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
@@ -102,7 +102,7 @@ def open_bag(path: Path, kinds_read: Collection[str]) -> Bag:
         check_chunks(part)
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            kinds = {c.topic: c.msgtype for c in reader.connections}
+            kinds = _named({c.topic: c.msgtype for c in reader.connections})
             counts: Counter[str] = Counter()
             for c in reader.connections:
                 counts[c.topic] += c.msgcount
@@ -115,8 +115,13 @@ def open_bag(path: Path, kinds_read: Collection[str]) -> Bag:
             raise ReaderError(path, f"not a readable ROS recording: {_short(error)}") from None
         lost = f"cut short or damaged ({_short(error)}): {len(found.messages)} messages could be read"
         counts = Counter(topic for topic, _, _ in found.messages)
-        return Bag(path, found.kinds, dict(counts), lost, _salvaged=found)
+        return Bag(path, _named(found.kinds), dict(counts), lost, _salvaged=found)
     return Bag(path, kinds, dict(counts), "")
+
+
+def _named(kinds: Mapping[Any, Any]) -> dict[str, str]:
+    """Types by topic; a damaged database may hold something else in place of a name, and that is left out."""
+    return {topic: kind for topic, kind in kinds.items() if isinstance(topic, str) and isinstance(kind, str)}
 
 
 def _check(message: Any, kind: str) -> None:
