@@ -63,7 +63,7 @@ class CoverageConfig:
     revise_every: int = 10  # [steps] between changes: a robot has seen new ground as deep as half its reach by then
     sure_margin: float = 0.7  # [m] by which a cell must be within the reach to count as seen when tours are changed
     tour_radius: float = 13.0  # [m] of a disc of the first tours, which are improved as laps are
-    search: LapSearchConfig = LapSearchConfig(looks=4, sight_margin=0.7)
+    search: LapSearchConfig = LapSearchConfig(looks=4, sight_margin=0.7)  # with looks every third step of a lap
     turn_cost: float = 2.0  # [m/rad] that turning towards the first disc counts as: half a turn takes about 4 s
     balance: float = 0.3  # what the sum of all tours weighs beside the longest, those of `loop` too
 
