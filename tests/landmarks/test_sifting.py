@@ -10,7 +10,8 @@ import pytest
 
 import mapweave
 from mapweave.api.evaluate_team import read_team_truth
-from mapweave.core.landmark_log import LandmarkLog
+from mapweave.core.landmark_log import LandmarkLog, SightingTable
+from mapweave.core.records import Odometry
 from mapweave.evaluation.consistency import mean_or_none
 from mapweave.evaluation.team import score_team
 from mapweave.io.landmark_logs import read_landmark_logs
@@ -40,6 +41,28 @@ def test_wrong_sightings_go_and_right_ones_stay():
         assert len(right) < 0.75 * len(rows(dirty))
         assert len(left & right) > 0.97 * len(right)
         assert len(left & right) > 0.94 * len(left)
+
+
+@pytest.mark.parametrize("looked_at", ["robot2", "L1"])
+def test_a_name_read_a_few_times_off_another_is_kept_where_it_truly_stands_alone(looked_at):
+    rng = np.random.default_rng(4)
+    seen = [(0.2 * k, looked_at, 5.0, 0.3) for k in range(50)]
+    seen += [(t, "L2", 5.0, 0.3) for t in (4.0, 4.4, 4.8)]  # what was looked at, misread
+    seen += [(40.0 + 0.2 * k, "L2", 3.0, -1.0) for k in range(8)]
+    scattered = rng.uniform((1, -3), (9, 3), (30, 2))
+    seen += [(10.0 + k, "L2", *z) for k, z in enumerate(scattered.tolist())]
+    seen.sort()
+    t, names, ranges, bearings = zip(*seen, strict=True)
+    ids = (looked_at, "L2")
+    table = SightingTable(
+        np.array(t), np.array([ids.index(n) for n in names]), np.array(ranges), np.array(bearings), ids
+    )
+    still = Odometry(np.arange(0.0, 50.0, 0.5), np.zeros(100), np.zeros(100))
+    kept = sifted(LandmarkLog("robot1", still, table), EKF).sightings
+    l2 = kept.select(kept.what == 1)
+    assert len(kept) - len(l2) == 50
+    np.testing.assert_array_equal(l2.range, np.full(8, 3.0))
+    assert (l2.t >= 40.0).all()
 
 
 def test_what_is_left_out_is_counted_and_told():

@@ -30,7 +30,7 @@ class SiftConfig:
     least: int = 3  # others in the window, from which a sighting is judged
     support: float = 0.5  # share of them that must agree with it
     enough: int = 2  # that must agree, in a log that is sifted
-    few: int = 6  # sightings left of a landmark, below which it may be another one that was misread now and then
+    few: int = 6  # sightings in a row left of a landmark, below which it may be another one that was misread
     dirty: float = 0.08  # share of the sightings judged that are contradicted, from which the log is sifted
 
 
@@ -55,8 +55,8 @@ def sifted(log: LandmarkLog, ekf: EkfSlamConfig, cfg: SiftConfig | None = None) 
 
     A log with few of them, or without odometry, comes back as it is. In one with many, a sighting that hardly another
     bears out goes too: wrong labels scatter over all names, and most have nothing near that could contradict them. So
-    do the few left of a name that lie where another landmark was seen: misreadings of one that was looked at for long
-    bear each other out.
+    do few in a row of a name mostly contradicted that lie where another, or a robot, was seen: misreadings of one that
+    was looked at for long bear each other out.
     """
     cfg = cfg or SiftConfig()
     if log.odometry is None or not len(log.sightings):
@@ -99,18 +99,22 @@ def witnesses(seen: SightingTable, wheels: Odometry, ekf: EkfSlamConfig, cfg: Si
 def _misread(
     seen: SightingTable, keep: Bool[np.ndarray, " n"], wheels: Odometry, ekf: EkfSlamConfig, cfg: SiftConfig
 ) -> Bool[np.ndarray, " n"]:
-    """The kept sightings of names of which few are kept, where most of those lie at another landmark's place."""
+    """Of names that lose most, the kept sightings that are few in a row and mostly lie where another was seen."""
     driven = _Driven.of(seen, wheels, ekf)
     n, kept = (np.bincount(seen.what[rows], minlength=len(seen.ids)) for rows in (np.ones(len(keep), bool), keep))
     stands = np.array([is_landmark(name) for name in seen.ids])
     out = np.zeros(len(seen), bool)
-    for k in np.flatnonzero(stands & (kept > 0) & (kept < cfg.few) & (2 * kept < n)).tolist():
+    for k in np.flatnonzero(stands & (kept > 0) & (2 * kept < n)).tolist():
         mine = np.flatnonzero(keep & (seen.what == k))
-        others = np.flatnonzero(keep & stands[seen.what] & (seen.what != k))
-        a, b = np.repeat(mine, len(others)), np.tile(others, len(mine))
-        compared, fits = driven.compared(a, b, 0.0, cfg)
-        elsewhere = np.bincount(a[compared & fits], minlength=len(seen))[mine] >= cfg.enough
-        out[mine] = 2 * elsewhere.sum() > len(mine)
+        others = np.flatnonzero(keep & (seen.what != k))
+        for row in np.split(mine, np.flatnonzero(np.diff(seen.t[mine]) > cfg.window) + 1):
+            if len(row) >= cfg.few:
+                continue
+            a, b = np.repeat(row, len(others)), np.tile(others, len(row))
+            moving = np.where(stands[seen.what[b]], 0.0, cfg.moving)
+            compared, fits = driven.compared(a, b, moving, cfg)
+            elsewhere = np.bincount(a[compared & fits], minlength=len(seen))[row] >= cfg.enough
+            out[row] = 2 * elsewhere.sum() > len(row)
     return out
 
 
@@ -132,7 +136,11 @@ class _Driven:
         return cls(seen.t, seen.range, place, way, angle)
 
     def compared(
-        self, a: Int[np.ndarray, " p"], b: Int[np.ndarray, " p"], moving: float, cfg: SiftConfig
+        self,
+        a: Int[np.ndarray, " p"],
+        b: Int[np.ndarray, " p"],
+        moving: float | Float[np.ndarray, " p"],
+        cfg: SiftConfig,
     ) -> tuple[Bool[np.ndarray, " p"], Bool[np.ndarray, " p"]]:
         """Which pairs of rows are near enough in time to be compared, and which of all lie at one place."""
         dt, angle = np.abs(self.t[b] - self.t[a]), np.abs(self.angle[b] - self.angle[a])
