@@ -22,10 +22,11 @@ from .browser import CHROMIUM, seen_in_browser
 WATCH = """<script>
 window.errors = [];
 window.addEventListener("error", (event) => window.errors.push(event.message));
-window.addEventListener("load", () => setTimeout(() => {
+const drawn = (tries) => {
   const ink = [...document.querySelectorAll(".scene canvas")].map((canvas) =>
-    canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data
+    canvas.getContext("2d").getImageData(0, 0, canvas.width || 1, canvas.height || 1).data
       .filter((v, i) => i % 4 === 3 && v > 0).length);
+  if (Math.min(...ink) === 0 && tries > 0) return setTimeout(() => drawn(tries - 1), 50);
   const times = [...document.querySelectorAll(".bar input[type=range]")];
   for (const slider of times) {
     slider.value = 300;
@@ -35,7 +36,8 @@ window.addEventListener("load", () => setTimeout(() => {
     errors: window.errors, ink: ink, wide: document.documentElement.scrollWidth - window.innerWidth,
     sliders: times.length, told: [...document.querySelectorAll(".bar output")].map((one) => one.textContent),
   });
-}, 300));
+};
+window.addEventListener("load", () => setTimeout(() => drawn(50), 300));
 </script>"""
 
 ROOMS = (

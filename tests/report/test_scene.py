@@ -15,10 +15,11 @@ from .browser import CHROMIUM, seen_in_browser
 WATCH = """<script>
 window.errors = [];
 window.addEventListener("error", (event) => window.errors.push(event.message));
-window.addEventListener("load", () => setTimeout(() => {
+const drawn = (tries) => {
   const canvas = document.querySelector(".scene canvas");
-  const pixels = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+  const pixels = canvas.getContext("2d").getImageData(0, 0, canvas.width || 1, canvas.height || 1).data;
   const before = pixels.filter((v, i) => i % 4 === 3 && v > 0).length;
+  if (before === 0 && tries > 0) return setTimeout(() => drawn(tries - 1), 50);
   const names = [], draws = CanvasRenderingContext2D.prototype.fillText;
   CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
     if (/^(a.|7)$/.test(text)) names.push([x, y, this.measureText(text).width]);
@@ -55,7 +56,8 @@ window.addEventListener("load", () => setTimeout(() => {
     layers: [...document.querySelectorAll(".bar label")].map((label) => label.textContent),
     still: document.querySelectorAll(".still").length,
   });
-}, 300));
+};
+window.addEventListener("load", () => setTimeout(() => drawn(50), 300));
 </script>"""
 
 

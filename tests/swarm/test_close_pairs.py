@@ -64,13 +64,14 @@ def test_across_a_distance_that_is_not_known_the_deviation_is_that_of_the_distan
     assert any("a pair of robots" in w for w in estimate.warnings)
 
 
-@pytest.mark.parametrize("seed", [1008, 1011])
-def test_a_wrong_sighting_that_two_robots_escape_by_falling_together_is_found(seed):
+@pytest.mark.parametrize(("seed", "sure"), [(1008, True), (1011, False)])
+def test_a_wrong_sighting_that_two_robots_escape_by_falling_together_is_found(seed, sure):
     net, truth = simulated(seed, robots=64, sigma=5.0, visibility="single", outliers=0.05)
     estimate = locate(net, SwarmConfig(method="robust"))
     found, most = nees(estimate, truth)
     assert found < most
-    assert estimate.reliable
+    assert estimate.reliable == sure
+    assert any("may as well be wrong" in w for w in estimate.warnings) != sure
 
 
 def test_where_right_and_wrong_explain_the_sightings_alike_the_answer_is_doubted_and_the_pair_named():
