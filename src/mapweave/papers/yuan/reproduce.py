@@ -27,7 +27,7 @@ TITLES = {
     "turning": "One robot beside two: other splits of the noise (calibrated: 0.015 m and 0.0025 rad a step)",
     "ablation": "The objective taken apart (two robots, known identities, calibrated noise unless said)",
     "seen": "Beyond the paper (two robots and known identities unless said)",
-    "unseen": "The same on seeds that nothing was chosen on (loop and joint: on seeds from 1000 on, coverage: 0 to 29)",
+    "unseen": "The same on seeds that nothing was chosen on (that was on seeds from 1000 on; of coverage also 0 to 29)",
     "stability": "Constants of the planners 1 % lower and higher",
 }
 WHY = """
