@@ -102,13 +102,22 @@ def test_walls_that_fit_far_from_where_sightings_put_a_robot_are_not_believed(on
     w, _ = one_room
     graphs = w.scanned
     moved = moved_track(graphs["robot2"].track, se2.compose(true_relation(w), np.array([0.5, 0.0, 0.0])))
-    bodies = [Body({"robot1": graphs["robot1"].track, "robot2": moved}, {})]
+    layout = Layout((Body({"robot1": graphs["robot1"].track, "robot2": moved}, {}),), (), ())
     for sure, merged in ((0.6, True), (0.1, False)):
-        walls = common_walls(bodies, graphs, LASER, PlacingConfig(sure_xy=sure))
+        walls = common_walls(layout, graphs, LASER, PlacingConfig(sure_xy=sure))
         assert [m.merged for m in walls.merges] == [merged]
         assert walls.together("robot1", "robot2") == merged
         assert ("from where sightings of the team place them" in walls.merges[0].reason) != merged
         assert bool(walls.crossings) == merged
+
+
+def test_robots_with_lasers_and_cameras_are_tied_by_walls_too():
+    w = mixed(31, lasers=2, cameras=0, bearings=0, minutes=2.0, everything=True)
+    made = w.map(laser=LASER)
+    assert made.components[0].map.robots == ("robot1", "robot2")
+    assert [merge.merged for merge in made.merges] == [True]
+    assert made.components[0].used["crossing"] >= 3
+    assert ways_apart(w, made) < 0.06
 
 
 def true_relation(w):

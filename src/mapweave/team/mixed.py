@@ -86,7 +86,7 @@ def map_mixed(
     layout = tied_by_known(lay_out(bodies, loose, by, labels, placing, smoothing), by, known, smoothing)
     walls = CommonWalls(scanned)
     if laser is not None:
-        walls = common_walls(layout.bodies, scanned, laser, placing)
+        walls = common_walls(layout, scanned, laser, placing)
         layout = in_line(layout, walls)
         left = [log for log in loose if log.robot in layout.lost]
         if left and len(walls.parts):

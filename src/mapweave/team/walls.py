@@ -24,6 +24,7 @@ from .scan_factors import Crossing
 
 LEVER = 2.0  # times as far as a tie may be off where robots meet, frames may be off where they begin
 SURELY = 3.0  # standard deviations
+NEAR = 0.01  # [s] by which a stamp may lie outside a track
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +52,7 @@ class CommonWalls:
 
 
 def common_walls(
-    bodies: Sequence[Body], scanned: Mapping[str, Scanned], cfg: LaserConfig, placing: PlacingConfig
+    layout: Layout, scanned: Mapping[str, Scanned], cfg: LaserConfig, placing: PlacingConfig
 ) -> CommonWalls:
     """The maps of all laser robots woven; in a body, where sightings tie them, near the place that those say.
 
@@ -62,7 +63,7 @@ def common_walls(
     if len(robots) < 2:
         return CommonWalls(scanned)
     graphs = [scanned[robot].graph for robot in robots]
-    known = _near_the_layout(bodies, scanned, robots, cfg, placing)
+    known = _near_the_layout(layout, scanned, robots, cfg, placing)
     woven = weave(graphs, cfg.merge, last=cfg.graph.joint, known=known)
     members = [tuple(robots[k] for k in np.flatnonzero(woven.component == c)) for c in np.unique(woven.component)]
     parts = tuple(part for part in members if len(part) > 1)
@@ -80,23 +81,37 @@ def in_line(layout: Layout, walls: CommonWalls) -> Layout:
         holding = [k for k, body in enumerate(bodies) if set(part) & set(body.robots)]
         first, *others = holding
         for k in others:
-            T = se2.compose(_place_of(part, bodies[first], walls), se2.inverse(_place_of(part, bodies[k], walls)))
+            there, here = (_place_of(part, bodies[n], walls, layout) for n in (first, k))
+            T = se2.compose(there, se2.inverse(here))
             ties.append(Tie(bodies[first].robots, bodies[k].robots, 0, 0, by="walls"))
             bodies[first] = bodies[first].joined(bodies[k].moved(np.asarray(T)))
-        T = _place_of(part, bodies[first], walls)
+        T = _place_of(part, bodies[first], walls, layout)
         tracks = dict(bodies[first].tracks)
         for robot in part:
-            tracks[robot] = replace(moved_track(walls.scanned[robot].track, T), t=tracks[robot].t)
+            bent = moved_track(walls.scanned[robot].track, T)
+            if len(bent.t) == len(tracks[robot].t):  # else it is the way of the robot's wheels and camera, which stays
+                tracks[robot] = replace(bent, t=tracks[robot].t)
         bodies[first] = replace(bodies[first], tracks=tracks)
         bodies = [body for k, body in enumerate(bodies) if k not in others]
     return replace(layout, bodies=tuple(bodies), ties=tuple(ties))
 
 
-def _place_of(part: Sequence[str], body: Body, walls: CommonWalls) -> np.ndarray:
+def _place_of(part: Sequence[str], body: Body, walls: CommonWalls, layout: Layout) -> np.ndarray:
     """Where the frame of a part lies in a body: as its robots' ways there say together, each pose counting the same."""
-    robots = [robot for robot in part if robot in body.tracks]
-    there = np.concatenate([body.tracks[robot].pose for robot in robots])
-    here = np.concatenate([walls.scanned[robot].track.pose for robot in robots])
+    return _frame({robot: walls.scanned[robot] for robot in part if robot in body.tracks}, body, layout)
+
+
+def _frame(own: Mapping[str, Scanned], body: Body, layout: Layout) -> np.ndarray:
+    """Where the frame that robots' own maps are in lies in a body, by the ways that they have in both."""
+    ways = []
+    for robot, scanned in own.items():
+        track, t = body.tracks[robot], scanned.track.t - layout.clocks.get(robot, 0.0)
+        both = (t >= track.t[0] - NEAR) & (t <= track.t[-1] + NEAR)
+        if both.any():
+            ways.append((se2.interpolate(t[both], track.t, track.pose), scanned.track.pose[both]))
+        else:
+            ways.append((track.pose[:1], scanned.track.pose[:1]))
+    there, here = (np.concatenate(side) for side in zip(*ways, strict=True))
     turn = there[:, 2] - here[:, 2]
     theta = float(np.arctan2(np.sin(turn).mean(), np.cos(turn).mean()))
     shift = there[:, :2].mean(axis=0) - se2.rotation(theta) @ here[:, :2].mean(axis=0)
@@ -104,7 +119,7 @@ def _place_of(part: Sequence[str], body: Body, walls: CommonWalls) -> np.ndarray
 
 
 def _near_the_layout(
-    bodies: Sequence[Body],
+    layout: Layout,
     scanned: Mapping[str, Scanned],
     robots: Sequence[str],
     cfg: LaserConfig,
@@ -113,7 +128,7 @@ def _near_the_layout(
     """What is decided on laser robots of one body, by their places among `robots`, until walls tie them all."""
     sd = np.array([LEVER * placing.sure_xy, LEVER * placing.sure_xy, placing.sure_theta])
     out: dict[tuple[int, int], Merge] = {}
-    for body in bodies:
+    for body in layout.bodies:
         mine = [k for k, robot in enumerate(robots) if robot in body.tracks]
         group = {k: k for k in mine}
         maps = {k: keyframe_map(scanned[robots[k]].graph) for k in mine} if len(mine) > 1 else {}
@@ -122,7 +137,8 @@ def _near_the_layout(
                 if group[i] == group[j]:
                     continue
                 start = Start(
-                    np.asarray(se2.between(*(_frame(scanned[robots[k]], robots[k], body) for k in (i, j)))), sd
+                    np.asarray(se2.between(*(_frame({robots[k]: scanned[robots[k]]}, body, layout) for k in (i, j)))),
+                    sd,
                 )
                 found = merge_maps(maps[i], maps[j], cfg.merge, start)
                 if found.transform is not None:
@@ -131,11 +147,6 @@ def _near_the_layout(
                 if found.merged:
                     group = {k: group[i] if g == group[j] else g for k, g in group.items()}
     return out
-
-
-def _frame(own: Scanned, robot: str, body: Body) -> np.ndarray:
-    """Where the frame of a robot's own map lies in a body that holds its track as it is."""
-    return np.asarray(se2.compose(body.tracks[robot].pose[0], se2.inverse(own.track.pose[0])))
 
 
 def _unless_far(found: Merge, start: Start, track: Track, placing: PlacingConfig) -> Merge:
