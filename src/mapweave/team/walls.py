@@ -106,6 +106,9 @@ def _frame(own: Mapping[str, Scanned], body: Body, layout: Layout) -> np.ndarray
     ways = []
     for robot, scanned in own.items():
         track, t = body.tracks[robot], scanned.track.t - layout.clocks.get(robot, 0.0)
+        if not len(track.t):
+            ways.append((scanned.track.pose[:1], scanned.track.pose[:1]))
+            continue
         both = (t >= track.t[0] - NEAR) & (t <= track.t[-1] + NEAR)
         if both.any():
             ways.append((se2.interpolate(t[both], track.t, track.pose), scanned.track.pose[both]))
