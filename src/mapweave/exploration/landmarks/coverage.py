@@ -13,7 +13,7 @@ from ...kernels.exploration.tours import balanced_tours, greedy_cover
 from . import among_walls
 from .belief import LandmarkBelief
 from .config import ExploreConfig
-from .lap_following import begin, follow, lap_steps, lap_task, revise
+from .lap_following import begin, drive, follow, lap_steps, lap_task, revise
 from .lap_search import improve_tours
 from .steering import ahead, given_up, nearest_unexplored, new_cells, next_target, offered, steer
 
@@ -32,16 +32,11 @@ def choose(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: Explore
         return cover(belief, poses, cfg)
     memory["go_on_until"] = memory["tour_steps"]
     revise(belief, poses, cfg.coverage)
-    out = np.zeros((len(belief.robots), 2))
-    rest = None
-    for j in map(int, np.flatnonzero(belief.alive)):
-        goal = follow(belief, j, poses[j], cfg) if belief.step < memory["laps_end"] else None
-        if goal is not None:
-            out[j] = steer(belief, poses[j], goal, cfg)
-            continue
-        rest = cover(belief, poses, cfg) if rest is None else rest
-        out[j] = rest[j]
-    return out
+
+    def goal(j: int) -> np.ndarray | None:
+        return follow(belief, j, poses[j], cfg) if belief.step < memory["laps_end"] else None
+
+    return drive(belief, poses, cfg, goal, lambda: cover(belief, poses, cfg))
 
 
 def begin_tours(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> None:

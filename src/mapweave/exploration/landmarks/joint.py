@@ -12,9 +12,8 @@ from jaxtyping import Float
 from . import coverage, loop
 from .belief import Explored, LandmarkBelief
 from .config import ExploreConfig
-from .lap_following import begin, follow, lap_steps, lap_task, mark_sure
+from .lap_following import begin, drive, follow, lap_steps, lap_task, mark_sure
 from .lap_search import find_laps
-from .steering import steer
 
 
 def choose(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig) -> Float[np.ndarray, "r 2"]:
@@ -33,17 +32,14 @@ def choose(belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: Explore
         return loop.choose(belief, poses, cfg)
     memory["go_on_until"] = memory["lap_steps"]
     _note(belief, poses, cfg)
-    out = np.zeros((len(belief.robots), 2))
     seen_by = [bool(belief.explored.known_to(j).all()) for j in range(len(belief.robots))]
-    rest = None
-    for j in map(int, np.flatnonzero(belief.alive)):
-        goal = _next(belief, j, poses[j], cfg, seen=seen_by[j])
-        if goal is not None:
-            out[j] = steer(belief, poses[j], goal, cfg)
-            continue
-        rest = _repair(belief, poses, cfg) if rest is None else rest
-        out[j] = rest[j]
-    return out
+    return drive(
+        belief,
+        poses,
+        cfg,
+        lambda j: _next(belief, j, poses[j], cfg, seen=seen_by[j]),
+        lambda: _repair(belief, poses, cfg),
+    )
 
 
 def _note(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> None:

@@ -4,6 +4,8 @@ What was seen, where the landmarks lie and where the robots have been replaces w
 would close on ground without landmarks is led by ones that the map holds.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -14,6 +16,7 @@ from .belief import LandmarkBelief
 from .config import CoverageConfig, ExploreConfig, JointConfig
 from .lap_judge import LapTask, Past
 from .lap_search import Laps, revise_laps
+from .steering import steer
 
 SAME = 3.0  # [m] within which a submap's landmark is taken for one that is known already, in planning only
 
@@ -53,6 +56,28 @@ def begin(belief: LandmarkBelief, task: LapTask, found: tuple[Laps, int]) -> Non
     """`found` are the laps from now on."""
     laps, end = found
     belief.memory.update(task=task, found=laps, laps=[list(lap) for lap in laps], laps_end=end)
+
+
+def drive(
+    belief: LandmarkBelief,
+    poses: Float[np.ndarray, "r 3"],
+    cfg: ExploreConfig,
+    goal: Callable[[int], np.ndarray | None],
+    rest: Callable[[], np.ndarray],
+) -> Float[np.ndarray, "r 2"]:
+    """Commands of all robots: each live one steers to its goal; one that has none does what `rest` says of all.
+
+    `rest` is asked once at most, and not where every robot has a goal.
+    """
+    out, others = np.zeros((len(belief.robots), 2)), None
+    for j in map(int, np.flatnonzero(belief.alive)):
+        to = goal(j)
+        if to is not None:
+            out[j] = steer(belief, poses[j], to, cfg)
+            continue
+        others = rest() if others is None else others
+        out[j] = others[j]
+    return out
 
 
 def mark_sure(belief: LandmarkBelief, poses: np.ndarray, margin: float, cells: Bool[np.ndarray, "ny nx"]) -> None:
