@@ -153,8 +153,6 @@ class TeamResult(ResultBase):
 
     def write_into(self, folder: Path) -> None:
         """Everything into `folder`, `metrics.json` last."""
-        # DROP
-
         write_team(folder, self.story, self.metrics)
 
     def lines(self) -> list[str]:
