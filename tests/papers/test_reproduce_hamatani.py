@@ -63,6 +63,7 @@ def test_the_tables_of_the_paper_come_out_and_the_row_that_does_not_is_named(wri
     assert page.count("<figure>") == 3
     assert sorted(p.name for p in (out / "figures").iterdir()) == ["drift.png", "final.png", "initial.png"]
     assert len((out / "claims.md").read_text().splitlines()) == 2 + len(CLAIMS)
+    assert {p.stem for p in (out / "tables").iterdir()} == {"table1", "table2", "table3", "drift", "beyond"}
 
 
 @pytest.mark.long

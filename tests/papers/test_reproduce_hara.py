@@ -43,6 +43,7 @@ def test_every_method_of_the_paper_is_compared_and_drawn(reproduction):
     assert (out / "figures" / "maps.png").stat().st_size > 10_000
     assert "Claim by claim" in (out / "report.html").read_text()
     assert len((out / "claims.md").read_text().splitlines()) == 2 + len(result.claims)
+    assert {p.stem for p in (out / "tables").iterdir()} == {"methods", "gate", "walls", "bounds", "alpha", "starts"}
 
 
 def test_no_trusted_start_is_wrong_and_light_tells_what_walls_cannot(reproduction):

@@ -11,13 +11,16 @@ from mapweave.core.errors import UsageError
 from mapweave.papers.kojima.claims import CLAIMS
 from mapweave.papers.kojima.experiments import honesty, merge_online, unequal
 from mapweave.papers.kojima.identity_trials import (
+    EXACT,
     IdentityTrials,
     Price,
     draw_pair,
     identity_trials,
     most_without_wrong,
+    oracle,
     price,
     price_text,
+    true_evidence,
 )
 from mapweave.papers.kojima.reproduce import reproduce_kojima
 from mapweave.papers.kojima.world import KojimaConfig, draw_worlds, run_filters
@@ -117,6 +120,8 @@ def test_the_command_prints_both_tables_and_writes_the_report(tmp_path, capsys):
     assert page.count("<figure>") == 6
     drawn = {p.name for p in (out / "figures").iterdir()}
     assert drawn == {"local1.png", "local2.png", "global.png", "errors.png", "trace.png", "unequal.png"}
+    written = {f.stem for f in (out / "tables").iterdir()}
+    assert written == {"local", "global", "table2", "trace", "settling", "honesty", "unequal", "identities"}
     closing = (out / "claims.md").read_text().splitlines()
     assert len(closing) == 2 + len(CLAIMS)
     assert all(line.count(" | ") == 6 for line in closing[2:])
@@ -134,6 +139,7 @@ def test_identities_are_found_in_98_of_100_trials_with_six_in_common_and_hardly_
         if row.common >= 6:
             assert row.found >= 98
             assert row.right >= (72 if row.common == 6 else 98)
+            assert row.right >= oracle((row,), row.common) - 2
         else:
             assert row.refused >= 95
             assert row.reason == "too few agree"
@@ -151,6 +157,22 @@ def test_what_believing_more_would_cost_is_counted_from_the_evidence():
     assert "beyond odds of 1.6 none of these pairs is matched wrongly, and 3 of 4 rightly" in price_text(rows)
     assert price((row(6, (3.0,), ()),), 6, 0.5) is None
     assert "in 3 of 4 trials" in price_text((row(6, (3.0,), ()),))
+
+
+def test_with_six_in_common_the_true_links_themselves_are_no_evidence_in_one_trial_of_ten_and_with_eight_they_are():
+    """Their odds against chance, worked out with the true alignment and the true noise."""
+    odds = {6: [], 8: []}
+    for common, told in odds.items():
+        for trial in range(60):
+            source, target, T, links = draw_pair(common, np.random.default_rng([11, common, trial]))
+            told.append(true_evidence(source, target, T, links, EXACT))
+    six, eight = (np.array(odds[k]) for k in (6, 8))
+    assert 0.75 <= np.mean(six >= np.log(5)) <= 0.93
+    assert np.mean(six >= 0) <= 0.97
+    assert np.mean(eight >= np.log(5)) >= 0.98
+    row = IdentityTrials(True, 6, 60, 0, 0, 0, 0, "", evidence_true=tuple(six))
+    assert oracle((row,), 6) == np.count_nonzero(six >= np.log(5))
+    assert oracle((row,), 6, 1.0) == np.count_nonzero(six >= 0)
 
 
 def test_trials_without_names_are_drawn_as_said():

@@ -40,6 +40,10 @@ def test_the_tables_hold_the_papers_figures_and_every_case_ours(told):
     assert len(metrics["cases"]) == len(cases())
     assert {f.name for f in (out / "figures").iterdir()} == {"one.png", "two.png", "planners.png", "ablation.png"}
     assert len((out / "claims.md").read_text().splitlines()) == 2 + len(result.claims)
+    tables = {f.stem: f.read_text().splitlines() for f in (out / "tables").iterdir()}
+    assert set(tables) == {*TITLES, "area", "goals"}
+    assert tables["table1"][2].startswith("| two robots, paper |  | 30/30 | 208 / 371 / 296 | 0.282 |")
+    assert all(len(tables[group]) == 2 + len(result.table(group)) for group in TITLES)
     assert all(len(row) == len(HEAD) for group in TITLES for row in result.table(group))
 
 

@@ -13,6 +13,7 @@ from ..report.style import Target
 
 CLAIMS_HEAD = ("claim of the paper", "in the code", "held by", "printed", "here", "over", "command")
 CLAIMS_FILE = "claims.md"
+TABLES_FOLDER = "tables"
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,13 +27,17 @@ class Drawing:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A heading with a table (none where `head` is empty), sentences before it and figures after it."""
+    """A heading with a table (none where `head` is empty), sentences before it and figures after it.
+
+    file: the table's own in Markdown, under `tables/` and without its ending.
+    """
 
     title: str
     head: Sequence[str] = ()
     rows: Sequence[Sequence[object]] = ()
     drawings: Sequence[Drawing] = ()
     text: str = ""
+    file: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +113,7 @@ class Reproduction(ResultBase):
         return [f"{self.title}: {self.lead}", *self.differences()]
 
     def write_into(self, folder: Path) -> None:
-        """`report.html`, `figures/*.png`, `metrics.json`, and the closing table in Markdown."""
+        """`report.html`, `figures/*.png`, `metrics.json`; every table, and the closing one, in Markdown."""
         page = Page(self.title, self.lead)
         if self.warning:
             page.text(self.warning, warn=True)
@@ -127,8 +132,16 @@ class Reproduction(ResultBase):
         page.section("Claim by claim")
         page.table(*self.claims_table())
         page.write(folder / "report.html")
-        (folder / CLAIMS_FILE).write_text(markdown(*self.claims_table()), encoding="utf-8")
+        self._write_tables(folder)
         write_json(folder / "metrics.json", cast("HasMetrics", self).metrics)
+
+    def _write_tables(self, folder: Path) -> None:
+        (folder / TABLES_FOLDER).mkdir(exist_ok=True)
+        for section in self.sections():
+            if section.head:
+                text = markdown(section.head, section.rows)
+                (folder / TABLES_FOLDER / f"{section.file}.md").write_text(text, encoding="utf-8")
+        (folder / CLAIMS_FILE).write_text(markdown(*self.claims_table()), encoding="utf-8")
 
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
@@ -144,4 +157,4 @@ def sentences(text: str, **figures: object) -> tuple[str, ...]:
 
 
 def _row(cells: Sequence[object]) -> str:
-    return "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
+    return "| " + " | ".join("" if cell is None else str(cell).replace("|", "\\|") for cell in cells) + " |"

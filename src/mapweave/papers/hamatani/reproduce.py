@@ -191,7 +191,10 @@ class HamataniReproduction(Reproduction):
 
     def sections(self) -> tuple[Section, ...]:
         p = self.example
-        tables = tuple(Section(TITLES[k], *self.table(k), text=self.settings() if k == 1 else "") for k in PRINTED)
+        tables = tuple(
+            Section(TITLES[k], *self.table(k), text=self.settings() if k == 1 else "", file=f"table{k}")
+            for k in PRINTED
+        )
         after = (
             "After 200 updates. Left, nothing known: the shape is right, place and scale are not; the dashed outline "
             "is the truth brought onto it by place and scale alone. Right, robots 1 and 2 known: from this guess the "
@@ -210,6 +213,7 @@ class HamataniReproduction(Reproduction):
                         lambda target: figures.draw_drift(target, p),
                     ),
                 ),
+                file="drift",
             ),
             Section(
                 "Figs. 3 and 4: guesses of 25 m², bearings of 0.1 deg²",
@@ -225,6 +229,7 @@ class HamataniReproduction(Reproduction):
             Section(
                 f"The paper's future work: other places, more robots, space ({len(self.beyond[0].rmse)} draws a row)",
                 *self.beyond_table(),
+                file="beyond",
             ),
         )
 

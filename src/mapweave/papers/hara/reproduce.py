@@ -154,6 +154,7 @@ class HaraReproduction(Reproduction):
                         lambda target: figures.draw_maps(target, rest),
                     ),
                 ),
+                file="methods",
             ),
             Section(
                 "Figs. 5 and 6 where matching fails: flush walls, glass, sparse returns, quick turns, passers-by",
@@ -165,9 +166,10 @@ class HaraReproduction(Reproduction):
                         lambda target: figures.draw_gate(target, widths, alone, gated, float(self.gate[0].ate.mean())),
                     ),
                 ),
+                file="gate",
             ),
-            Section("Along flush walls: who knows how far the robot went", *self.along_table()),
-            Section("How little can be known", *self.bounds_table()),
+            Section("Along flush walls: who knows how far the robot went", *self.along_table(), file="walls"),
+            Section("How little can be known", *self.bounds_table(), file="bounds"),
             Section(
                 "What a difference in intensity should count (Intensity-ICP)",
                 *self.alpha_table(),
@@ -180,11 +182,13 @@ class HaraReproduction(Reproduction):
                         ),
                     ),
                 ),
+                file="alpha",
             ),
             Section(
                 f"Where am I: {1 + max((s.start for s in self.starts), default=-1)} logs of unknown start in a "
                 "finished map",
                 *starts_table(self.starts),
+                file="starts",
             ),
         )
 

@@ -6,6 +6,8 @@ import numpy as np
 
 from ...core import se2
 from ...core.workers import Progress, no_progress
+from ...fusion.alignment import joint_fit
+from ...fusion.evidence import log_correspondences, log_evidence, spread_area
 from ...fusion.identities import IdentityConfig, match_maps
 from ...landmarks.landmark_map import LandmarkMap
 
@@ -33,6 +35,7 @@ class IdentityTrials:
     reason: str
     evidence_right: tuple[float, ...] = ()
     evidence_wrong: tuple[float, ...] = ()
+    evidence_true: tuple[float, ...] = ()  # of the true links, of all trials with more than two in common
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +66,26 @@ def most_without_wrong(rows: tuple[IdentityTrials, ...], common: int) -> tuple[f
     strongest = max((e for t in rows for e in t.evidence_wrong), default=-np.inf)
     asked = next(t for t in rows if t.common == common)
     return float(np.exp(strongest)), sum(e > strongest for e in asked.evidence_right)
+
+
+def oracle(rows: tuple[IdentityTrials, ...], common: int, odds: float = EXACT.chance) -> int:
+    """In how many trials even the true links, all of them and no other, have odds against chance of `odds` or more.
+
+    No test that believes at these odds believes more of them: more evidence than the true links is evidence for others.
+    """
+    asked = next(t for t in rows if t.common == common)
+    return sum(bool(e >= np.log(odds)) for e in asked.evidence_true)
+
+
+def true_evidence(
+    source: LandmarkMap, target: LandmarkMap, T: np.ndarray, links: set[tuple[int, int]], cfg: IdentityConfig
+) -> float:
+    """Logarithm of the odds for the true links against chance, T the true alignment."""
+    true = np.array(sorted(links), dtype=np.intp)
+    fit = joint_fit(source, target, true, T, cfg.noise, cfg.scale_sigma)
+    area = min(spread_area(source), spread_area(target))
+    known = log_evidence(source, target, true, fit, area, cfg.noise, cfg.scale_sigma)
+    return known - log_correspondences(len(true), len(source), len(target))
 
 
 def price_text(rows: tuple[IdentityTrials, ...]) -> str:
@@ -112,12 +135,14 @@ def identity_trials(
         found = right = wrong = 0
         reasons: dict[str, int] = {}
         evidence: dict[bool, list[float]] = {True: [], False: []}
+        true: list[float] = []
         for trial in range(trials):
-            source, target, T, _ = draw_pair(common, np.random.default_rng([seed, common, trial]))
+            source, target, T, links = draw_pair(common, np.random.default_rng([seed, common, trial]))
             match = match_maps(source, target, cfg)
             off = se2.act(match.T_target_source, source.mean) - se2.act(T, source.mean)
             ok = bool(np.hypot(off[:, 0], off[:, 1]).max() < RIGHT)
             found += ok
+            true += [true_evidence(source, target, T, links, EXACT)] if common > 2 else []
             right += match.accepted and ok
             wrong += match.accepted and not ok
             kind = "" if match.accepted else _kind(match.reason)
@@ -127,7 +152,7 @@ def identity_trials(
                 reasons[kind] = reasons.get(kind, 0) + 1
         most = max(reasons, key=lambda kind: reasons[kind]) if reasons else ""
         refused = trials - right - wrong
-        scores = tuple(evidence[True]), tuple(evidence[False])
+        scores = tuple(evidence[True]), tuple(evidence[False]), tuple(true)
         out.append(IdentityTrials(told, common, trials, found, right, wrong, refused, most, *scores))
     return tuple(out)
 

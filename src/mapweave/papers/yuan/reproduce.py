@@ -170,17 +170,18 @@ class YuanReproduction(Reproduction):
             Drawing("one.png", "Fig. 2: one robot, calibrated noise, the first run.", lambda t: draw_map(t, one)),
         )
         tables = {
-            group: Section(title, HEAD, self.table(group), drawn.get(group, ())) for group, title in TITLES.items()
+            group: Section(title, HEAD, self.table(group), drawn.get(group, ()), file=group)
+            for group, title in TITLES.items()
         }
         return (
             tables["table1"],
             Section("Figs. 1 and 2", drawings=runs),
             tables["turning"],
             tables["ablation"],
-            Section("The area term, like for like", *self.like_for_like()),
+            Section("The area term, like for like", *self.like_for_like(), file="area"),
             tables["seen"],
             tables["unseen"],
-            Section("Goals on seeds that nothing was chosen on", *self.goals()),
+            Section("Goals on seeds that nothing was chosen on", *self.goals(), file="goals"),
             tables["stability"],
         )
 
