@@ -1,11 +1,16 @@
 """The local map and the match against it."""
 
+import mmap
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from mapweave.core import se2
+from mapweave.core.errors import ConfigError
 from mapweave.core.records import Scan
-from mapweave.kernels.laser.local_map import FAR, add_points, align_scan, fit_lines, solve3
+from mapweave.kernels.laser.local_map import add_points, align_scan, fit_lines, solve3
 from mapweave.laser.beam import BeamConfig, beams
 from mapweave.laser.scan_matching import FrontEnd, FrontEndConfig, allowed_sd
 
@@ -50,7 +55,6 @@ def test_a_turn_odometry_missed_is_found_by_the_wide_search():
 def test_what_is_taken_out_of_the_map_leaves_no_trace():
     rng = np.random.default_rng(0)
     sums, lines = np.zeros((64, 64, 9), np.float32), np.zeros((64, 64, 6), np.float32)
-    lines[..., 0] = FAR
     a, b = rng.uniform(-3, 3, (2, 40, 2))
     normals, q = np.tile([1.0, 0.0], (40, 1)), rng.random(40)
     add_points(sums, 0.1, a, normals, q, 1.0)
@@ -60,14 +64,13 @@ def test_what_is_taken_out_of_the_map_leaves_no_trace():
     fit_lines(sums, lines, 0.1, b)
     add_points(sums, 0.1, b, normals, q, -1.0)
     fit_lines(sums, lines, 0.1, b)
-    held = alone[..., 0] < FAR
-    assert np.array_equal(held, lines[..., 0] < FAR)
+    held = alone.any(axis=2)
+    assert np.array_equal(held, lines.any(axis=2))
     assert np.allclose(lines[held][:, [0, 1, 4]], alone[held][:, [0, 1, 4]], atol=1e-5)
 
 
 def test_the_information_of_a_match_is_small_along_a_corridor_and_large_across():
     sums, lines = np.zeros((256, 256, 9), np.float32), np.zeros((256, 256, 6), np.float32)
-    lines[..., 0] = FAR
     x = np.arange(-4, 4, 0.04)
     wall = np.column_stack([np.concatenate([x, x]), np.repeat([-1.0, 1.0], len(x)) + 1e-3])
     normal = np.column_stack([np.zeros(2 * len(x)), -np.sign(wall[:, 1])])
@@ -115,3 +118,21 @@ def test_what_a_step_may_err_grows_with_the_way_and_with_the_turning_either_way_
     assert (ahead > 0).all()
     assert spun[2] > 0
     np.testing.assert_allclose(allowed_sd(np.array([-0.3, 0.4, -0.2]), c), still + 0.5 * ahead + 0.2 * spun)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads how much memory is resident from /proc")
+def test_a_local_map_takes_memory_only_where_something_was_seen():
+    def resident():
+        return int(Path("/proc/self/statm").read_text().split()[1]) * mmap.PAGESIZE
+
+    FrontEnd(FrontEndConfig()).insert(seen([0, 0, 0]), np.zeros(3))  # what the first one ever brings
+    before = resident()
+    fe = FrontEnd(FrontEndConfig())
+    fe.insert(seen([0, 0, 0]), np.zeros(3))
+    whole = sum(level.nbytes for level in (*fe.sums, *fe.lines))
+    assert resident() - before < 0.1 * whole
+
+
+def test_cells_without_a_line_cannot_be_asked_to_agree():
+    with pytest.raises(ConfigError, match=r"front_end\.agree: expected above 0, found 0"):
+        FrontEnd(FrontEndConfig(agree=0.0))

@@ -3,6 +3,8 @@
 The local map holds the last keyframes only, so it bends with the drift and never shows a wall twice.
 """
 
+import math
+import mmap
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -12,7 +14,7 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.config import config
 from ..core.errors import ConfigError
-from ..kernels.laser.local_map import FAR, add_points, align_scan, count_matches, fit_lines
+from ..kernels.laser.local_map import add_points, align_scan, count_matches, fit_lines
 from .beam import Beams
 
 
@@ -74,10 +76,10 @@ class FrontEnd:
         self.tangent = cfg.tangent if tangent is None else tangent
         if cfg.size < 8 or cfg.size & (cfg.size - 1):
             raise ConfigError(f"front_end.size: expected a power of two from 8 on, found {cfg.size}")
-        self.sums = [np.zeros((cfg.size, cfg.size, 9), np.float32) for _ in range(2)]
-        self.lines = [np.zeros((cfg.size, cfg.size, 6), np.float32) for _ in range(2)]
-        for level in self.lines:
-            level[..., 0] = FAR
+        if not cfg.agree > 0:
+            raise ConfigError(f"front_end.agree: expected above 0, found {cfg.agree}")
+        self.sums = [_untouched((cfg.size, cfg.size, 9)) for _ in range(2)]
+        self.lines = [_untouched((cfg.size, cfg.size, 6)) for _ in range(2)]
         self.fine, self.coarse = self.lines
         self.keyframes: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         self.last_keyframe: np.ndarray | None = None
@@ -198,3 +200,14 @@ class FrontEnd:
 
     def _count(self, grid: np.ndarray, cell: float, b: Beams, pose: np.ndarray, reach: float) -> int:
         return count_matches(grid, cell, b.s, b.normal, b.q, self.cfg.alpha, self.cfg.agree, pose, reach)
+
+
+def _untouched(shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
+    """Zeros as float32 that take memory where they are written, page by page.
+
+    NumPy asks for huge pages, of which a few walls touch nearly all.
+    """
+    pages = mmap.mmap(-1, 4 * math.prod(shape))
+    if hasattr(mmap, "MADV_NOHUGEPAGE"):  # Linux
+        pages.madvise(mmap.MADV_NOHUGEPAGE)
+    return np.frombuffer(pages, np.float32).reshape(shape)

@@ -2,8 +2,9 @@
 
 `sums` is float32 (size, size, 9), size a power of two: number of points, their summed offset from the cell's lower
 left corner [m] (x, y), their summed offset products (xx, xy, yy), summed beam normals (x, y) and summed feature.
-`lines` is float32 (size, size, 6), what matching reads: the cell's mean offset (x, y) (far away where the cell is
-empty), the normal of the line through the 3x3 cells around it (x, y), mean feature, and how line-like it is (0 to 1).
+`lines` is float32 (size, size, 6), what matching reads: the cell's mean offset (x, y), the normal of the line through
+the 3x3 cells around it (x, y; zero where there is none), mean feature, and how line-like it is (0 to 1). An empty cell
+is all zeros in both, so that a map begins as zeros of which no memory is touched before something is seen there.
 Cell (ix, iy) of the plane lives at (iy mod size, ix mod size); the map must be smaller than the whole grid.
 """
 
@@ -12,8 +13,6 @@ import math
 import numpy as np
 
 from .._jit import kernel
-
-FAR = 1e6  # [m]
 
 
 @kernel
@@ -62,7 +61,8 @@ def fit_line(sums: np.ndarray, lines: np.ndarray, cell: float, ix: int, iy: int)
     mask = sums.shape[0] - 1
     n = sums[iy, ix, 0]
     if n < 0.5:
-        lines[iy, ix, 0] = FAR
+        for column in range(6):
+            lines[iy, ix, column] = 0.0
         return
     m = sx = sy = sxx = sxy = syy = tx = ty = 0.0
     for a in range(-1, 2):
@@ -102,7 +102,8 @@ def nearest_cell(
 ) -> tuple[float, float, float, float, float, float]:
     """Of the 3x3 cells around (wx, wy) the one of least D whose normal agrees: (D, dx, dy, normal x, y, line-like).
 
-    dx, dy: the point seen from the cell's mean [m]; D is infinite when none agrees.
+    dx, dy: the point seen from the cell's mean [m]; agree: above 0, so that a cell without a line never does. D is
+    infinite when none agrees.
     """
     mask = lines.shape[0] - 1
     fx, fy = math.floor(wx / cell), math.floor(wy / cell)
