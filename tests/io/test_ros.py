@@ -27,6 +27,18 @@ def test_each_format_gives_scans_with_intensities_odometry_and_the_sensor_pose_f
     assert np.allclose(scan.odometry, [0.75, 0, 0])
 
 
+@pytest.mark.parametrize("broken", [np.nan, np.inf, 1e200])
+def test_a_transform_whose_numbers_are_none_is_left_out_and_counted(tmp_path, broken):
+    out = Recording(tmp_path / "a.db3")
+    for k in range(5):
+        out.tf(5 + 0.1 * k, "odom", "base_link", x=0.2 * k)
+        out.tf(5 + 0.1 * k, "base_link", "laser", x=broken if k == 2 else 0.1)
+        out.scan(5 + 0.1 * k, wall(k))
+    log = read_laser(out.write())
+    assert log.dropped["transform that is not finite"] == 1
+    assert np.allclose(log.scans[4].T_robot_sensor, [0.1, 0, 0])
+
+
 @pytest.mark.parametrize("name", FORMATS)
 def test_without_odometry_messages_the_odometry_comes_from_tf(tmp_path, name):
     out = Recording(tmp_path / name)

@@ -63,6 +63,8 @@ def read_ros(
             raw.odometry_from = "poses"
     if bag.skipped:
         raw.dropped["message that cannot be unpacked"] += bag.skipped
+    if tf.refused:
+        raw.dropped["transform that is not finite"] += tf.refused
     sensor = next((frame(m.header.frame_id) for _, topic, m in messages if topic == chosen.scans[0]), "")
     edge = tf.odometry_edge(sensor)
     if not raw.odometry and edge is not None and (wheels is None or by_tf):

@@ -8,20 +8,27 @@ import numpy as np
 
 from ..core.se2 import heading_of_quaternion, is_upside_down
 
+FARTHEST = 1e9  # [m]
+LARGEST_TURN = 2.0  # a number of a unit quaternion, with room for careless rounding
 Edge = tuple[str, str]  # parent, child
 Rigid = tuple[np.ndarray, np.ndarray]  # translation (3,), quaternion x y z w (4,)
 
 
 @dataclass(slots=True)
 class Transforms:
-    """Every transform seen, by edge, as (time [s], translation and rotation)."""
+    """Every transform seen, by edge, as (time [s], translation and rotation); refused: those whose numbers are none."""
 
     seen: dict[Edge, list[tuple[float, Rigid]]] = field(default_factory=dict)
+    refused: int = 0
 
     def add(self, t: float, message: Any) -> None:
-        """One TransformStamped."""
+        """One TransformStamped; one that holds NaN, infinity or absurd numbers is refused."""
         edge = frame(message.header.frame_id), frame(message.child_frame_id)
-        self.seen.setdefault(edge, []).append((t, rigid(message.transform.translation, message.transform.rotation)))
+        told = rigid(message.transform.translation, message.transform.rotation)
+        if (np.abs(told[0]) < FARTHEST).all() and (np.abs(told[1]) < LARGEST_TURN).all():
+            self.seen.setdefault(edge, []).append((t, told))
+        else:
+            self.refused += 1
 
     def parent(self, child: str) -> str | None:
         return next((p for p, c in self.seen if c == child), None)
