@@ -26,6 +26,7 @@ def some_map(robot="robot2", *, cov=True) -> LocalMap:
         dropped={"misread barcode": 2},
         calibration={"lag": (0.21, 0.01)},
         warnings=("take care",),
+        first_seen={"9": 12.5},
     )
 
 
@@ -45,6 +46,7 @@ def test_a_local_map_is_read_back_as_it_was_written(tmp_path, cov):
     for name in ("robot", "sightings", "odometry", "source", "log_hash", "nis_median", "down_weighted", "dropped"):
         assert getattr(after, name) == getattr(before, name)
     assert (after.calibration, after.warnings) == (before.calibration, before.warnings)
+    assert after.first_seen == before.first_seen
 
 
 def test_the_same_map_is_the_same_bytes(tmp_path):

@@ -44,10 +44,17 @@ const drawn = (tries) => {
   document.querySelector(".bar button[title='all of it']").click();
   const written = names.slice(), whole = opaque();
   const slider = document.querySelector(".bar input[type=range]");
+  const landmarks = () => {
+    names.length = 0;
+    slider.dispatchEvent(new Event("input"));
+    return names.length - written.length;
+  };
+  slider.value = 800;
+  const later = landmarks();
   slider.value = 500;
-  slider.dispatchEvent(new Event("input"));
+  const fewer = landmarks();
   document.documentElement.dataset.seen = JSON.stringify({
-    errors: window.errors, ink: before, whole: whole, half: opaque(), written: written.length,
+    errors: window.errors, ink: before, whole: whole, half: opaque(), written: written.length, fewer: [later, fewer],
     apart: written.every(([x, y], i) => written.every(([u, v, w], k) => k === i || Math.abs(v - y) > 9 || x > u + w
       || u > x)),
     tip: document.querySelector(".tip").textContent,
@@ -74,8 +81,9 @@ def team() -> Scene:
     scene.track("robot 1", "robot <1>", Track(t, pose, np.tile(0.01 * np.eye(3), (50, 1, 1))), "#0072B2")
     at = np.array([[1.0, 2.0], [3.0, 0.5]])
     scene.points(
-        "landmarks", ["7", "</script>"], at, "#888888", ["landmark 7", "landmark x"], np.tile(np.eye(2), (2, 1, 1))
-    )
+        "landmarks", ["7", "</script>"], at, "#888888", ["landmark 7", "landmark x"], np.tile(np.eye(2), (2, 1, 1)),
+        since=[130.0, None],
+    )  # fmt: skip
     scene.points("anchors", [f"a{k}" for k in range(9)], np.tile([[2.0, 1.0]], (9, 1)), "#000000", shape="triangle")
     scene.path("truth", np.array([[0.0, 0.0], [4.0, 0.0]]), "#000000")
     scene.lines("closures", np.array([[0.0, 0.0, 1.0, 2.0]]), "#009E73", ["accepted"])
@@ -155,4 +163,5 @@ def test_the_map_lives_in_a_browser(tmp_path, width, dark):
     assert 0.3 * seen["whole"] < seen["half"] < 0.7 * seen["whole"], "half of the map is known at half of the time"
     assert 2 <= seen["written"] < 10, "some names are left to pointing"
     assert seen["apart"]
+    assert seen["fewer"] == [0, -1], "what is not known yet is not named"
     assert seen["still"] == 0

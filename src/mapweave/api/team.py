@@ -290,7 +290,12 @@ def _team_map(component: Component, by: Mapping[str, LocalMap], factor: Mapping[
         name: sum(by[r].sightings.get(fusion.own_name(r, name), 0) for r in robots)
         for name, robots in component.members.items()
     }
-    return TeamMap(component.robots, component.map, tracks, component.members, seen)
+    first: dict[str, float] = {}
+    for name, robots in component.members.items():
+        known = [t for r in robots if (t := by[r].first_seen.get(fusion.own_name(r, name))) is not None]
+        if known:
+            first[name] = min(known)
+    return TeamMap(component.robots, component.map, tracks, component.members, seen, first_seen=first)
 
 
 def _robot(m: LocalMap, fusion: Fusion) -> dict[str, Any]:

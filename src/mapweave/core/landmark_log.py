@@ -45,6 +45,11 @@ class SightingTable:
         n = np.bincount(self.what, minlength=len(self.ids))
         return {name: int(k) for name, k in zip(self.ids, n, strict=True) if k}
 
+    def first(self) -> dict[str, float]:
+        """When each id was sighted first [s], ids never sighted left out."""
+        what, row = np.unique(self.what, return_index=True)
+        return {self.ids[k]: float(t) for k, t in zip(what.tolist(), self.t[row].tolist(), strict=True)}
+
 
 NOTHING_SEEN = SightingTable(np.zeros(0), np.zeros(0, np.int64), np.zeros(0), np.zeros(0), ())
 

@@ -62,6 +62,7 @@ def read_local_map(folder: Path) -> LocalMap:
         dropped=held.counts("dropped"),
         calibration=held.calibration(),
         warnings=held.sentences("warnings"),
+        first_seen=held.stamps("first_seen", ids),
     )
 
 
@@ -103,6 +104,13 @@ class _Told:
         if not isinstance(value, dict) or not all(key.isprintable() and _is_count(n) for key, n in value.items()):
             raise self._wrong(name, "names with whole numbers", value)
         return dict(value)
+
+    def stamps(self, name: str, known: tuple[str, ...]) -> dict[str, float]:
+        """Landmark -> seconds; empty where an older file does not tell."""
+        value = self.values.get(name, {})
+        if not isinstance(value, dict) or not all(key in known and _is_number(t) for key, t in value.items()):
+            raise self._wrong(name, "landmarks with seconds", value)
+        return {key: float(t) for key, t in value.items()}
 
     def sentences(self, name: str) -> tuple[str, ...]:
         value = self.values.get(name)
@@ -147,6 +155,7 @@ def write_local_map(folder: Path, local: LocalMap) -> None:
         "warnings": list(local.warnings),
         "calibration": {name: {"value": v, "sd": sd} for name, (v, sd) in local.calibration.items()},
         "landmarks": {name: local.sightings.get(name, 0) for name in submap.ids},
+        "first_seen": {name: local.first_seen[name] for name in submap.ids if name in local.first_seen},
         "robot_sightings": {name: seen.target.count(name) for name in sorted(set(seen.target))},
         "poses": len(track.t),
     }

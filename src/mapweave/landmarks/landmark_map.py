@@ -91,8 +91,9 @@ NO_ROBOT_SIGHTINGS = RobotSightings(np.zeros(0), (), np.zeros(0), np.zeros(0))
 class LocalMap:
     """One robot's own map in `local_k` (its first pose), as an estimator leaves it and `fuse` takes it.
 
-    `sightings` counts those each landmark was made of; `calibration` holds the sensor parameters estimated, by
-    name, as (value, standard deviation); `log_hash` tells two runs over the same log from two logs.
+    `sightings` counts those each landmark was made of, `first_seen` holds the stamp [s] of the first of them;
+    `calibration` holds the sensor parameters estimated, by name, as (value, standard deviation); `log_hash` tells two
+    runs over the same log from two logs.
     """
 
     robot: str
@@ -108,6 +109,7 @@ class LocalMap:
     dropped: Mapping[str, int] = field(default_factory=dict)
     calibration: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    first_seen: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -139,6 +139,7 @@ def _result(
         dropped=dropped,
         calibration=_calibration(done, cfg),
         warnings=tuple(warnings),
+        first_seen={name: t for name, t in done.seen.first().items() if name in counts},
     )
 
 

@@ -72,6 +72,9 @@ function showScene(figure) {
     return low;
   };
 
+  // whether a landmark was known at the time shown
+  const known = (points, i) => now >= end || !points.since || points.since[i] === null || points.since[i] <= now;
+
   function draw() {
     const density = window.devicePixelRatio || 1;
     const { clientWidth: w, clientHeight: h } = canvas;
@@ -121,7 +124,7 @@ function showScene(figure) {
     const inside = [];
     for (let i = 0; i < points.x.length; i++) {
       const x = toX(points.x[i]), y = toY(points.y[i]);
-      if (x > 0 && x < w && y > 0 && y < h) inside.push([points.names[i], x, y]);
+      if (known(points, i) && x > 0 && x < w && y > 0 && y < h) inside.push([points.names[i], x, y]);
     }
     if (inside.length <= MOST_NAMES) for (const one of inside) write(...one);
   }
@@ -216,6 +219,7 @@ function showScene(figure) {
     const colour = tint(points.colour, ink), r = points.x.length > 2000 ? 1.5 : 3;
     context.fillStyle = context.strokeStyle = colour;
     for (let i = 0; i < points.x.length; i++) {
+      if (!known(points, i)) continue;
       const x = toX(points.x[i]), y = toY(points.y[i]);
       if (points.ellipses) ellipse(x, y, points.ellipses[i], colour);
       context.lineWidth = 1.5;
@@ -251,7 +255,8 @@ function showScene(figure) {
     };
     for (const points of data.points)
       if (!hidden.has(points.layer))
-        for (let i = 0; i < points.x.length; i++) consider(points.x[i], points.y[i], () => pointText(points, i));
+        for (let i = 0; i < points.x.length; i++)
+          if (known(points, i)) consider(points.x[i], points.y[i], () => pointText(points, i));
     if (!best)
       for (const track of data.tracks)
         if (!hidden.has(track.layer))

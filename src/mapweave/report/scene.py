@@ -111,12 +111,13 @@ class Scene:
     def points(
         self, layer: str, names: Sequence[str], at: Float[np.ndarray, "n 2"], colour: str, texts: Sequence[str] = (),
         cov: Float[np.ndarray, "n 2 2"] | None = None, *, named: bool = True, shape: Shape = "dot", stray: bool = False,
-        sd: Float[np.ndarray, " n"] | None = None,
+        sd: Float[np.ndarray, " n"] | None = None, since: Sequence[float | None] = (),
     ) -> None:  # fmt: skip
         """Landmarks, robots or surveyed places; cov: for 95 % ellipses; texts: what pointing at one tells.
 
         Without texts it tells name, place and `sd` [m], where that is known. stray: they may lie anywhere, and what is
-        shown at first need not hold them.
+        shown at first need not hold them. since: when each came to be known, on the tracks' clock; all from the
+        beginning where nothing is told, and those of None.
         """
         if len(at) == 0:
             return
@@ -125,6 +126,7 @@ class Scene:
             "texts": list(texts), "named": named, "shape": shape,
             "sd": None if sd is None else [round(float(v), 4) if np.isfinite(v) else None for v in sd],
             "ellipses": None if cov is None else [_ellipse(c) for c in cov],
+            "since": [None if t is None else round(float(t), 2) for t in since] or None,
         })  # fmt: skip
         if not stray:
             self._corners.append(at)
@@ -172,7 +174,7 @@ class Scene:
 
 
 def landmark_points(scene: Scene, team: TeamMap, landmarks: LandmarkMap) -> None:
-    """The layer of `landmarks` of `team`, each with its ellipse, and who saw it how often."""
+    """The layer of `landmarks` of `team`, each with its ellipse, who saw it how often, from when it was first seen."""
     n = len(landmarks)
     blocks = landmarks.cov.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
     texts = []
@@ -181,7 +183,8 @@ def landmark_points(scene: Scene, team: TeamMap, landmarks: LandmarkMap) -> None
         seen = f"\nseen {team.sightings[name]} times by {who}" if who and name in team.sightings else ""
         sd = 100 * np.sqrt(np.trace(cov) / 2)
         texts.append(f"landmark {name}\n({x:.3f}, {y:.3f}) m\nsd {sd:.1f} cm an axis{seen}")
-    scene.points("landmarks", landmarks.ids, landmarks.mean, LANDMARK, texts, blocks)
+    since = [team.first_seen.get(name) for name in landmarks.ids]
+    scene.points("landmarks", landmarks.ids, landmarks.mean, LANDMARK, texts, blocks, since=since)
 
 
 @cache

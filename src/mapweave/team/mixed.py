@@ -259,17 +259,23 @@ def _team(body: Body, variance: Mapping[str, float], logs: Mapping[str, Landmark
     cov = np.diag(np.repeat([variance.get(name, UNSURE**2) for name in ids], 2)) if ids else np.zeros((0, 0))
     robots = tuple(sorted(body.robots, key=in_order))
     counts: dict[str, dict[str, int]] = {name: {} for name in ids}
+    first: dict[str, float] = {}
     for robot in robots:
         table, names = all_seen(logs[robot]), labels.get(robot, {})
         for own, n in table.counts().items():
             if names.get(own, own) in counts:
                 counts[names.get(own, own)][robot] = n
+        for own, t in table.first().items():
+            name = names.get(own, own)
+            if name in counts:
+                first[name] = min(t, first.get(name, t))
     return TeamMap(
         robots,
         LandmarkMap(ids, mean, cov),
         {robot: body.tracks[robot] for robot in robots},
         {name: tuple(seen) for name, seen in counts.items()},
         {name: sum(seen.values()) for name, seen in counts.items()},
+        first_seen=first,
     )
 
 
