@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.walls import Walls, walls_of_raster
+from mapweave.kernels.walls.segments import distance_of_moves
 
 RNG = np.random.default_rng(5)
 SEGMENTS = RNG.uniform(-6, 6, (14, 4))
@@ -36,7 +37,7 @@ def test_a_move_touches_a_wall_exactly_when_the_lines_meet():
     a, b = RNG.uniform(-6, 6, (2, 60, 2))
     want = [any(dense_touch(p, q, s) for s in SEGMENTS) for p, q in zip(a, b, strict=True)]
     assert 0 < sum(want) < 60
-    np.testing.assert_array_equal(Walls.of(SEGMENTS).crosses(a, b), want)
+    np.testing.assert_array_equal(distance_of_moves(a, b, SEGMENTS) == 0, want)
 
 
 @pytest.mark.kernel
@@ -53,8 +54,8 @@ def test_a_move_touches_a_wall_exactly_when_the_lines_meet():
     ],
 )
 def test_ends_and_parallel_moves_count_as_touching(a, b, touches):
-    walls = Walls.of(np.array([[2.0, -1.0, 2.0, 2.0]]))
-    assert walls.crosses(np.array([a], float), np.array([b], float)).tolist() == [touches]
+    wall = np.array([[2.0, -1.0, 2.0, 2.0]])
+    assert (distance_of_moves(np.array([a], float), np.array([b], float), wall) == 0).tolist() == [touches]
 
 
 @pytest.mark.kernel

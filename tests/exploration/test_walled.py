@@ -207,7 +207,8 @@ def test_offered_controls_keep_clear_and_facing_a_wall_the_robot_turns_on_the_sp
         controls, poses = offered(view, pose, KNOWN)
         assert len(controls) > 0
         np.testing.assert_allclose(poses, move(pose, controls, 0.5))
-        assert walls.clearance_of_moves(np.tile(pose[:2], (len(poses), 1)), poses[:, :2]).min() >= room - 1e-9
+        here = np.tile(pose[:2], (len(poses), 1))
+        assert distance_of_moves(here, poses[:, :2].copy(), walls.segments).min() >= room - 1e-9
     facing = np.array([19.4, 5.0, 0.0])
     controls, _ = offered(view, facing, KNOWN)
     assert (controls[:, 0] == 0.0).all()

@@ -49,6 +49,13 @@ def test_the_gradient_of_the_squared_spatial_residual_is_exact_also_far_from_the
         np.testing.assert_allclose(gradient[:, k], (square(q + shift) - square(q - shift)) / (2 * STEP), atol=1e-4)
 
 
+def exp_map(u, e):
+    """The unit vector reached from `u` by turning along `e` [rad], coordinates in `tangent_basis(u)`."""
+    t = np.einsum("mkc,mc->mk", bearing.tangent_basis(u), e)
+    theta = np.linalg.norm(t, axis=1)
+    return np.cos(theta)[:, None] * u + np.sinc(theta / np.pi)[:, None] * t
+
+
 def test_log_and_exp_on_the_sphere_undo_each_other_at_the_poles_too():
     u = np.vstack([RNG.normal(size=(50, 3)), np.eye(3), -np.eye(3)])
     u /= np.linalg.norm(u, axis=1, keepdims=True)
@@ -57,7 +64,7 @@ def test_log_and_exp_on_the_sphere_undo_each_other_at_the_poles_too():
     B = bearing.tangent_basis(u)
     np.testing.assert_allclose(np.einsum("mki,mkj->mij", B, B), np.broadcast_to(np.eye(2), (len(u), 2, 2)), atol=1e-12)
     np.testing.assert_allclose(np.einsum("mki,mk->mi", B, u), 0, atol=1e-12)
-    back = np.einsum("mkc,mk->mc", B, bearing.log_map(u, bearing.exp_map(u, e)))
+    back = np.einsum("mkc,mk->mc", B, bearing.log_map(u, exp_map(u, e)))
     np.testing.assert_allclose(back, e, atol=1e-9)
 
 

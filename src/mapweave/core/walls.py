@@ -7,13 +7,11 @@ from jaxtyping import Bool, Float, Int
 
 from ..kernels.walls.segments import (
     Raster,
-    distance_of_moves,
     distance_to_walls,
     enclosed,
     enclosed_cells,
     free_share,
     mark_near,
-    moves_that_touch,
 )
 from ..kernels.walls.wall_grid import WallBuckets, cast_in_grid, drive_discs, fill_buckets, touches_wall
 from . import se2
@@ -53,14 +51,6 @@ class Walls:
         if not self.solid:
             return np.zeros(len(points), dtype=bool)
         return np.asarray(enclosed(frozen(points), self.segments))
-
-    def crosses(self, a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-        """Which straight moves a -> b touch a wall line."""
-        return np.asarray(moves_that_touch(frozen(a), frozen(b), self.segments))
-
-    def clearance_of_moves(self, a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-        """Least distance [m] to a wall line along each straight move a -> b; 0 where they meet."""
-        return np.asarray(distance_of_moves(frozen(a), frozen(b), self.segments))
 
     def free_share(self, a: Float[np.ndarray, "2"], b: Float[np.ndarray, "2"], radius: float) -> float:
         """How much (0 to 1) of the move a -> b a disc of `radius` [m] makes before it would touch a wall."""

@@ -54,14 +54,6 @@ def shape_covariance(mean: Float[np.ndarray, "n 2"], cov: Float[np.ndarray, "m m
     return symmetrise(A @ cov @ A.T)
 
 
-def nis_median_per_dof(nis: Float[np.ndarray, " n"], dof: Float[np.ndarray, " n"]) -> float | None:
-    """Median of NIS over its expected median: 1 for an honest filter, above for an overconfident one."""
-    if not len(nis):
-        return None
-    expected = dof * (1 - 2 / (9 * dof)) ** 3  # Wilson and Hilferty's median of chi-square
-    return float(np.median(nis / expected))
-
-
 def mean_or_none(values: Sequence[float | None]) -> float | None:
     """The mean of the values that exist."""
     there = [v for v in values if v is not None]

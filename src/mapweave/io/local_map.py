@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import ReaderError
-from ..core.names import in_order
 from ..core.records import Track
 from ..landmarks.landmark_map import LocalMap, RobotSightings, Submap
 from .directory import read_json, write_json
@@ -64,14 +63,6 @@ def read_local_map(folder: Path) -> LocalMap:
         warnings=held.sentences("warnings"),
         first_seen=held.stamps("first_seen", ids),
     )
-
-
-def read_local_maps(result: Path) -> tuple[LocalMap, ...]:
-    """The landmark maps under `result/local/`, in order of robot number; raises ReaderError when there are none."""
-    folders = [p.parent for p in (result / "local").glob("*/local_map.json")]
-    if not folders:
-        raise ReaderError(result, "expected local/robotK/local_map.json, found none")
-    return tuple(read_local_map(p) for p in sorted(folders, key=lambda p: in_order(p.name)))
 
 
 @dataclass(frozen=True, slots=True)

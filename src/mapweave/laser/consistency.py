@@ -65,13 +65,6 @@ def cycle_squares(
     return np.asarray(squares + squares.T)
 
 
-def consistent_set(squares: Float[np.ndarray, "n n"], gate: float = GATE) -> Clique:
-    """The largest set of closures whose cycles are all within `gate` [sd^2]; of equal ones always the same."""
-    near = np.asarray(squares <= gate)
-    np.fill_diagonal(near, val=False)
-    return largest_clique(near)
-
-
 def largest_clique(adjacent: Bool[np.ndarray, "n n"], most_nodes: int = MOST_NODES) -> Clique:
     """The largest set of nodes all tied to each other, by branch and bound with greedy colouring as the bound.
 

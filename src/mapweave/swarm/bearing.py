@@ -75,11 +75,3 @@ def sphere_jacobian(p_i: Float[np.ndarray, "m 3"], p_j: Float[np.ndarray, "m 3"]
     """Derivative [rad/m] of the predicted direction by `p_j` in its own tangent plane; by `p_i` the negative."""
     u, r = predict(p_i, p_j)
     return np.asarray(tangent_basis(u).swapaxes(1, 2) / r[:, None, None])
-
-
-def exp_map(u: Float[np.ndarray, "m 3"], e: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 3"]:
-    """The unit vector reached from `u` by turning along `e` [rad], coordinates in `tangent_basis(u)`."""
-    t = np.einsum("mkc,mc->mk", tangent_basis(u), e)
-    theta = np.sqrt(np.einsum("mk,mk->m", t, t))
-    out = np.cos(theta)[:, None] * u + np.sinc(theta / np.pi)[:, None] * t
-    return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))

@@ -97,18 +97,6 @@ def touches(ax: float, ay: float, bx: float, by: float, segments: np.ndarray, k:
 
 
 @kernel
-def moves_that_touch(a: np.ndarray, b: np.ndarray, segments: np.ndarray) -> np.ndarray:
-    """Which of the straight moves a (n, 2) -> b (n, 2) meet a wall."""
-    out = np.zeros(a.shape[0], dtype=np.bool_)
-    for i in range(a.shape[0]):
-        for k in range(segments.shape[0]):
-            if touches(a[i, 0], a[i, 1], b[i, 0], b[i, 1], segments, k):
-                out[i] = True
-                break
-    return out
-
-
-@kernel
 def enclosed(points: np.ndarray, segments: np.ndarray) -> np.ndarray:
     """Which of `points` (n, 2) an odd number of segments lies right of: those inside, where segments close up."""
     out = np.zeros(points.shape[0], dtype=np.bool_)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from .beyond import CASES, Beyond, beyond
 from .claims import CLAIMS
 from .experiments import LAYOUT, UPDATES, VARIANCES, Case, Cell, measure, run_filter, side_error, sightings
 
-Quantity = Literal["side", "angle"]
 PRINTED: dict[int, dict[tuple[float, float], float]] = {  # by table: (variance of guess, of bearings) -> error
     1: {
         (0, 0.01): 6.6921,

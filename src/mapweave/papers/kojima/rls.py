@@ -37,18 +37,6 @@ def repeat(layout: RelativeLayout, prior: Estimate, measurements: Sequence[Measu
     return prior
 
 
-def repeat_stationary(layout: RelativeLayout, prior: Estimate, m: Measurement, repeats: int) -> Estimate:
-    """`prior` after the same measurement `repeats` times with H held at the prior's mean, as the theorems assume."""
-    e0, H = m.linearise(layout, prior.x)
-    columns = m.columns(layout)
-    start = prior.x
-    for _ in range(repeats):
-        moved = (prior.x - start)[..., columns]
-        e = e0 - (H @ moved[..., None])[..., 0]
-        prior = _correct(layout, prior, np.asarray(e), H, m.R, columns)
-    return prior
-
-
 def _correct(
     layout: RelativeLayout,
     prior: Estimate,
