@@ -17,9 +17,10 @@ from ..core.workers import Progress, no_progress, worker_pool
 from ..io.tum import read_tum
 from ..laser.config import LaserConfig
 from ..laser.laser_map import LaserMap
+from ..laser.merge import Merge
 from ..laser.merge_search import Start
 from ..laser.weave import weave
-from ..laser.woven_map import woven_maps
+from ..laser.woven_map import WovenMap, own_map, woven_maps
 from .evaluate import judged
 from .laser_result import LaserResult, laser_metrics, write_laser_data
 
@@ -67,21 +68,30 @@ def woven_result(
     began = perf_counter()
     if len(made) > 1:
         on_progress("weave", 0, 1)
-    graphs = [m.graph for m in made if m.graph is not None]
-    pairs = len(graphs) * (len(graphs) - 1) // 2 if merge else 0
+    pairs = len(made) * (len(made) - 1) // 2 if merge else 0
     with worker_pool(jobs, pairs, executor if pairs > 1 else None) as pool:
-        woven = weave(graphs, cfg.merge, told, merge=merge, last=cfg.graph.joint, executor=pool)
-    components = woven_maps(made, woven, cfg.resolution, cfg.graph.unsure)
+        components, merges = _woven(made, cfg, told, pool, merge=merge)
     if len(made) > 1:
         on_progress("weave", 1, 1)
     timing = {"weave": perf_counter() - began} if len(made) > 1 else {}
-    metrics = laser_metrics(made, seed, components, woven.merges, timing)
+    metrics = laser_metrics(made, seed, components, merges, timing)
     if warnings:
         metrics["warnings"] = list(warnings)
     result = LaserResult(
-        tuple(made), metrics, components=components, merges=woven.merges, starts=starts or {}, notes=tuple(notes)
+        tuple(made), metrics, components=components, merges=merges, starts=starts or {}, notes=tuple(notes)
     )
     return scored(result, truth)
+
+
+def _woven(
+    maps: Sequence[LaserMap], cfg: LaserConfig, starts: Mapping[int, Start], executor: Executor | None, *, merge: bool
+) -> tuple[tuple[WovenMap, ...], tuple[Merge, ...]]:
+    """The components of the maps, and every pair tried; a robot that is the only one keeps its map as it is."""
+    if len(maps) == 1:
+        return (own_map(maps[0]),), ()
+    graphs = [m.graph for m in maps if m.graph is not None]
+    woven = weave(graphs, cfg.merge, starts, merge=merge, last=cfg.graph.joint, executor=executor)
+    return woven_maps(maps, woven, cfg.resolution, cfg.graph.unsure), woven.merges
 
 
 def _storable(made: LaserMap, *, alone: bool) -> LaserMap:

@@ -90,6 +90,13 @@ def woven_maps(maps: Sequence[LaserMap], woven: Woven, resolution: float, unsure
     )
 
 
+def own_map(made: LaserMap) -> WovenMap:
+    """The component of a robot of which there is no other: its map as it is."""
+    graph = _graph(made)
+    rows = _rows([graph], [graph.pose], np.array([0, len(graph)]), (), {}, {made.robot: 0})
+    return _alone(made, rows.get(0, ()))
+
+
 def _graph(made: LaserMap) -> RobotGraph:
     assert made.graph is not None  # noqa: S101  (only the graph method is woven)
     return made.graph
