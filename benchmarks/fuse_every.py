@@ -20,7 +20,7 @@ from mapweave.fusion.join import fuse
 from mapweave.fusion.online import OnlineFuser
 from mapweave.io.landmark_logs import read_landmark_logs
 from mapweave.landmarks.config import EkfSlamConfig
-from mapweave.landmarks.growing import grow
+from mapweave.landmarks.mapping import grow
 
 
 def run(logs: list, updates: int) -> tuple[float, float, int, float]:

@@ -13,8 +13,8 @@ from mapweave.api.simulate_landmarks import simulate_landmarks
 from mapweave.core import se2
 from mapweave.core.errors import ConfigError
 from mapweave.fusion.config import FuseConfig
+from mapweave.fusion.initial_frames import PlaceTest, same_place
 from mapweave.fusion.join import fuse
-from mapweave.fusion.same_place import PlaceTest, same_place
 from mapweave.io.directory import result_directory
 from mapweave.landmarks.landmark_map import LandmarkMap
 

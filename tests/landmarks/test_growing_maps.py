@@ -7,8 +7,7 @@ import pytest
 
 from mapweave.landmarks import ekf_slam
 from mapweave.landmarks.config import EkfSlamConfig
-from mapweave.landmarks.growing import grow, growing_maps
-from mapweave.landmarks.mapping import local_map
+from mapweave.landmarks.mapping import grow, local_map
 
 from .robot_worlds import drive
 
@@ -31,7 +30,7 @@ def test_a_map_on_the_way_is_the_map_of_the_log_until_then(odometry):
     log, _ = drive(21, 40.0)
     seen = replace(log.sightings, ids=("robot2", *log.sightings.ids[1:]))
     log = replace(log, sightings=seen, odometry=log.odometry if odometry else None)
-    maps = list(growing_maps(log, EkfSlamConfig(), TIMES))
+    maps = grow(log, EkfSlamConfig(), TIMES, tracks=True).maps
     assert len(maps) == len(TIMES)
     assert maps[0] is None
     assert maps[1] is None  # driven, and nothing seen often enough
@@ -92,7 +91,7 @@ def test_a_landmark_that_moves_is_left_out_of_every_map_that_knows_it():
     distance[moving] = rng.uniform(0.5, 5.0, moving.sum())
     log = replace(log, sightings=replace(s, bearing=bearing, range=distance))
     name = s.ids[s.what[0]]
-    *_, last = growing_maps(log, EkfSlamConfig(agree=1), [1030.0, 1060.0])
+    *_, last = grow(log, EkfSlamConfig(agree=1), [1030.0, 1060.0], tracks=True).maps
     assert name not in last.submap.ids
     assert len(last.submap.ids) >= 3
     assert last.submap.cov.shape == (3 + 2 * len(last.submap.ids),) * 2

@@ -10,12 +10,10 @@ from mapweave.core.records import Scan
 from mapweave.laser.beam import BeamConfig, beams
 from mapweave.laser.closures import ClosureConfig, Matched, Matcher, Place
 from mapweave.laser.config import ALL_ROUND
-from mapweave.laser.graph_problem import Solved, problem
 from mapweave.laser.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
-from mapweave.laser.keyframes import Keyframe
+from mapweave.laser.keyframes import Keyframe, believed, carried
 from mapweave.laser.place_search import Hit, Places
-from mapweave.laser.pose_graph import PoseGraph
-from mapweave.laser.step_noise import believed, carried
+from mapweave.laser.pose_graph import PoseGraph, Solved, problem
 from mapweave.laser.submap_loops import SubmapLoopConfig, SubmapLoops
 from mapweave.laser.team import LoopSearch
 

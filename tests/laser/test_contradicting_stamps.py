@@ -5,8 +5,7 @@ import numpy as np
 from mapweave.core.laser_log import LaserLog
 from mapweave.core.records import Track
 from mapweave.laser.config import LaserConfig
-from mapweave.laser.contradicting_stamps import TOGETHER, of_one_moment
-from mapweave.laser.mapping import map_laser
+from mapweave.laser.mapping import TOGETHER, map_laser, of_one_moment
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 
 

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from mapweave.laser.graph_problem import edge_factor
-from mapweave.laser.pose_edges import PoseEdges
-from mapweave.laser.pose_graph import PoseGraph
+from mapweave.laser.pose_graph import PoseEdges, PoseGraph, edge_factor
 from mapweave.solve import Cauchy
 
 

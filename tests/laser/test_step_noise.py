@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapweave.laser.step_noise import StepNoise, believed, step_covariance, wheel_noise
+from mapweave.laser.keyframes import StepNoise, believed, step_covariance, wheel_noise
 
 NOISE = StepNoise()
 

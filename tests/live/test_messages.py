@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mapweave.landmarks.config import EkfSlamConfig
-from mapweave.landmarks.growing import growing_maps
+from mapweave.landmarks.mapping import grow
 from mapweave.live.columns import pack, pack_triangle, unpack, unpack_triangle
 from mapweave.live.landmark_robot import LandmarkRobot
 from mapweave.live.landmark_stream import LandmarkRecord
@@ -40,7 +40,7 @@ def test_a_robot_told_message_by_message_has_the_map_that_its_whole_log_gives():
     robot = LandmarkRobot(first, cfg)
     for message in [first, *rest]:
         robot.add(message)
-    whole = growing_maps(log, cfg, [log.span[1]])[0].submap
+    whole = grow(log, cfg, [log.span[1]]).maps[0].submap
     assert robot.submap.ids == whole.ids
     np.testing.assert_array_equal(robot.submap.mean, whole.mean)
     np.testing.assert_array_equal(robot.submap.cov, whole.cov)

@@ -12,9 +12,8 @@ from mapweave.core.workers import no_progress
 from mapweave.evaluation.team import score_team
 from mapweave.fusion.config import FuseConfig
 from mapweave.landmarks.config import EkfSlamConfig
-from mapweave.landmarks.growing import grow
-from mapweave.team.config import SmoothingConfig
-from mapweave.team.online_config import OnlineConfig
+from mapweave.landmarks.mapping import grow
+from mapweave.team.config import OnlineConfig, SmoothingConfig
 from mapweave.team.smooth import smooth
 
 from .teams import world

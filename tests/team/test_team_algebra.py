@@ -12,9 +12,8 @@ from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.team.commanded_motion import CommandedMotion, random_walk
 from mapweave.team.config import CalibrationPrior, MotionNoise, SmoothingConfig
 from mapweave.team.covariance import MOST_CORRECTED, _correlation, _Known, _motions, _priors, _scores, team_covariance
-from mapweave.team.instants import Instants, instants_of
 from mapweave.team.problem import HELD_TOGETHER, team_problem
-from mapweave.team.robot_part import PARAMETERS
+from mapweave.team.robot_part import PARAMETERS, Instants, instants_of
 from mapweave.team.smooth import _dense, is_observed, smooth
 from mapweave.team.team_map import TeamMap
 

@@ -10,10 +10,9 @@ from ..core.names import robot_name
 from ..core.records import Track
 from ..core.version import __version__
 from ..io.directory import write_json
-from ..io.laser_map import write_laser_map
+from ..io.laser_map import write_closure_rows, write_laser_map, write_woven_map, write_woven_tracks
 from ..io.laser_state import write_laser_states
 from ..io.tum import write_track_covariance, write_tum
-from ..io.woven_map import write_closure_rows, write_woven_map, write_woven_tracks
 from ..laser.laser_map import LaserMap
 from ..laser.merge import Merge
 from ..laser.woven_map import WovenMap

@@ -19,16 +19,14 @@ from ..io.points import read_points
 from ..io.table import Columns
 from ..io.team_map import read_calibration
 from ..landmarks.config import EkfSlamConfig
-from ..landmarks.growing import Growth, grow
 from ..landmarks.landmark_map import LocalMap
-from ..landmarks.mapping import without_impossible
+from ..landmarks.mapping import Growth, grow, without_impossible
 from ..landmarks.sifting import SiftConfig, sifted
-from ..team.config import SmoothingConfig
+from ..team.config import OnlineConfig, SmoothingConfig
 from ..team.further_rooms import with_further_rooms
 from ..team.kidnapped import KidnapConfig, cut_kidnapped, with_stretches
 from ..team.known import Known, framed
 from ..team.mixed import SOFTEN, regained
-from ..team.online_config import OnlineConfig
 from ..team.online_run import OnlineMap, OnlineRun
 from ..team.relative_frame import PlacingConfig
 from ..team.smooth import Smoothed, smooth
@@ -114,8 +112,10 @@ def _map_read(
     starts = {robot_name(key): pose for key, pose in options.start.items()}
     fusion = tie_by_starts(fusion, starts, cfg.fuse.start_tolerance)
     maps, stretches, told = with_stretches(team_maps(local, fusion), cut, cfg.smoothing, placing)
-    first, rooms = with_further_rooms(maps[0], local, cut.main, placing, made.mapper, made.join, team_maps)
-    maps = (first, *maps[1:])
+    rooms: tuple[str, ...] = ()
+    if any(log.odometry is None for log in cut.main):
+        first, rooms = with_further_rooms(maps[0], local, cut.main, placing, made.mapper, made.join, team_maps)
+        maps = (first, *maps[1:])
     fusion = replace(fusion, warnings=(*fusion.warnings, *told, *rooms))
     watch.lap("fuse")
     run = None
@@ -172,20 +172,20 @@ def _smoothed(
     """Every component, smoothed as a whole; the largest from where `run`, if there was one, had it."""
     out = []
     maps, back = regained(maps, logs, fusion.labels, cfg, PlacingConfig())
-    points = {} if options.survey is None else read_points(options.survey)
-    places = Known.of({}, {}, points, [log.robot for log in logs], cfg.known)
-    maps = tuple(framed(team, places) for team in maps)
+    places = None if options.survey is None else Known.of({}, {}, read_points(options.survey), (), cfg.known)
+    if places is not None:
+        maps = tuple(framed(team, places) for team in maps)
     for k, team in enumerate(maps):
         options.on_progress("smoothing", k, len(maps))
         carried = any(log.cuts for log in logs if log.robot in team.robots)
         far = SOFTEN if carried or (back and k == 0) else ()
         start = team if run is None or k else closing_start(run, team)
         began = perf_counter()
-        start = framed(start, places)
+        start = start if places is None else framed(start, places)
         done = smooth(start, logs, fusion.labels, cfg, known, soften=far, known=places)
         if done.refused and start is not team:
             done = smooth(team, logs, fusion.labels, cfg, known, soften=far, known=places)
-        told = (*(back if k == 0 else ()), *places.contradicted(done.map, cfg.known))
+        told = (*(back if k == 0 else ()), *(() if places is None else places.contradicted(done.map, cfg.known)))
         if run is not None and k == 0:
             run = closed(run, start, done, perf_counter() - began)
         out.append(replace(done, notes=told))

@@ -12,7 +12,7 @@ from ..evaluation.landmarks import GrowthPoint, growth_point
 from ..fusion.config import FuseConfig
 from ..fusion.online import OnlineFuser
 from ..fusion.result import Fusion
-from ..landmarks.growing import Growth
+from ..landmarks.mapping import Growth
 from ..team.online_run import OnlineMap, OnlineRun
 
 

@@ -12,12 +12,11 @@ from ..core.records import Track
 from ..core.workers import Progress
 from ..fusion.config import FuseConfig
 from ..fusion.online import OnlineFuser
-from ..landmarks.growing import Growth
 from ..landmarks.landmark_map import LandmarkMap
+from ..landmarks.mapping import Growth
 from ..solve import SingularError
-from ..team.config import SmoothingConfig
+from ..team.config import OnlineConfig, SmoothingConfig
 from ..team.online import OnlineTeam, StepTold
-from ..team.online_config import OnlineConfig
 from ..team.online_run import OnlineMap, OnlineRun
 from ..team.smooth import Smoothed
 from ..team.team_map import TeamMap

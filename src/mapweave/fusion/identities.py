@@ -16,8 +16,7 @@ from scipy.optimize import linear_sum_assignment
 from ..core import se2
 from ..core.config import config
 from ..landmarks.landmark_map import LandmarkMap
-from .alignment import JointFit, joint_fit
-from .evidence import log_correspondences, log_evidence, spread_area
+from .alignment import JointFit, joint_fit, log_correspondences, log_evidence, spread_area
 
 CHUNK = 2_000_000  # distances held at once
 

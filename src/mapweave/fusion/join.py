@@ -12,11 +12,10 @@ from .config import FuseConfig
 from .consensus import Outlier, find_exchanged, find_outliers, inflated, relabelled, widened
 from .full_covariance import join
 from .identities import identify
-from .initial_frames import arrange, as_cluster
+from .initial_frames import ENOUGH, PlaceTest, arrange, as_cluster
 from .relative import RelativeConfig, fuse_relative
 from .result import Component, Decision, Fusion
 from .robot_sightings import FrameSightings, frame_sightings, sighting_factor
-from .same_place import ENOUGH, PlaceTest
 
 
 def fuse(

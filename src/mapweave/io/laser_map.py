@@ -1,4 +1,4 @@
-"""One laser robot's own map as files: for ROS, for people, for other solvers, for `localize`.
+"""One laser robot's own map as files, and that of a woven component: for ROS, for people, for solvers, for `localize`.
 
 `grid.npz` holds all that cells do, `scans.csv` what every scan did to the estimate.
 """
@@ -9,15 +9,18 @@ import numpy as np
 
 from ..core import se2
 from ..core.errors import ReaderError
+from ..core.names import robot_name
 from ..laser.laser_map import GridMap, IntensityCalibration, LaserMap, ScanRecords
 from ..laser.pose_graph import PoseGraph
 from ..laser.robot_graph import RobotGraph
+from ..laser.woven_map import ClosureRow, WovenMap
 from .g2o import write_g2o
 from .npz import Spec, read_npz, write_arrays
 from .robot_graph import NAME as GRAPH
 from .robot_graph import write_robot_graph
 from .ros_map import write_ros_map
 from .table import write_table
+from .tum import write_track_covariance, write_tum
 
 NAME = "grid.npz"
 LARGEST_VALUE = 1e30  # cells are kept as 32-bit numbers
@@ -175,3 +178,32 @@ def write_calibration(path: Path, calibration: IntensityCalibration) -> None:
     rows = np.column_stack([calibration.knots, gain, np.exp(gain), residual]).tolist()
     number = ["{:.4f}".format, *["{:.6f}".format] * 3]
     write_table(path, ("range", "log_gain", "gain", "residual"), rows, number)
+
+
+def write_woven_map(folder: Path, made: WovenMap) -> None:
+    """`folder` holds map.pgm, map.yaml, grid.npz, pose_graph.g2o of all keyframes, closures.csv and trajectories."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_ros_map(folder, made.grid)
+    write_grid(folder / NAME, made.grid, made.calibration, made.feature)
+    write_g2o(folder / "pose_graph.g2o", made.graph)
+    write_closure_rows(folder / "closures.csv", made.closures)
+    if made.calibration is not None:
+        write_calibration(folder / "calibration.csv", made.calibration)
+    write_woven_tracks(folder, made)
+
+
+def write_woven_tracks(folder: Path, made: WovenMap) -> None:
+    """`folder/trajectories` holds every robot's way in the component's frame, and its covariances."""
+    for robot, track in made.tracks.items():
+        write_tum(folder / "trajectories" / f"{robot_name(robot)}.tum", track)
+        write_track_covariance(folder / "trajectories" / f"{robot_name(robot)}.cov.csv", track)
+
+
+def write_closure_rows(path: Path, closures: tuple[ClosureRow, ...]) -> None:
+    """`path` holds every closure tried: x, y, theta is the pose of b in a, stamps are those of keyframes."""
+    rows = []
+    for c in closures:
+        a, b = (f"{stamp:.6f}" for stamp in (c.stamp_a, c.stamp_b))
+        fit = [c.score, c.second, c.share, c.nis]
+        rows.append([c.robot_a, a, c.robot_b, b, *c.measured.tolist(), *fit, int(c.accepted), c.reason])
+    write_table(path, CLOSURES, rows)

@@ -7,8 +7,7 @@ import numpy as np
 from ..core.errors import ReaderError
 from ..laser.beam import IntensityCalibration
 from ..laser.closures import Closure
-from ..laser.revisits import Revisits
-from ..laser.robot_graph import RobotGraph
+from ..laser.robot_graph import Revisits, RobotGraph
 from .npz import read_arrays, write_arrays
 
 NAME = "robot_graph.npz"

@@ -1,21 +1,26 @@
-"""One robot's log becomes its local map: all of it through EKF-SLAM, and what there is to say about the result."""
+"""One robot's log becomes its local map: all of it through EKF-SLAM, and what there is to say about the result.
 
-from collections.abc import Sequence
-from dataclasses import replace
+Maps on the way, as they stood at each of several times, come from the same pass: what the filter knew is kept at those
+times and made a map afterwards, from sums that grow with the rows.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from ..core.landmark_log import LandmarkLog, SightingTable
-from ..core.records import Odometry
-from ..kernels.landmarks.ekf_state import HEAD, POSE
+from ..core.records import Odometry, Track
+from ..kernels.landmarks.ekf_state import HEAD, POSE, RANGE_SCALE
 from . import ekf_slam
 from .config import EkfSlamConfig
 from .ekf_replay import Played, play
 from .landmark_map import LocalMap, RobotSightings
-from .without_odometry import Known, play_in_pieces
+from .without_odometry import Known, parts, play_in_pieces
 
 CALIBRATION = ("speed_scale", "turn_scale", "lag", "bearing_bias", "range_scale")
+OLDER = 0.2  # share of new rows in a piece of map from which a robot without odometry is mapped anew
 
 
 def local_map(log: LandmarkLog, cfg: EkfSlamConfig | None = None, seed: int = 0) -> LocalMap:  # noqa: ARG001
@@ -150,3 +155,92 @@ def _calibration(done: Played, cfg: EkfSlamConfig) -> dict[str, tuple[float, flo
     prior = (cfg.speed_scale_sd, cfg.turn_scale_sd, cfg.lag_sd, cfg.bearing_bias_sd, cfg.range_scale_sd)
     sd = np.sqrt(np.maximum(np.diag(done.P)[POSE:HEAD], 0.0))
     return {name: (float(done.x[POSE + k]), float(sd[k])) for k, name in enumerate(CALIBRATION) if prior[k] > 0}
+
+
+@dataclass(frozen=True, slots=True)
+class Growth:
+    """whole: the map of all rows; maps: the map at each of `times` [s], None while there was no landmark.
+
+    filtered: the filter's poses, each as it was at its time, where the robot has wheels.
+    """
+
+    whole: LocalMap
+    times: tuple[float, ...]
+    maps: tuple[LocalMap | None, ...]
+    filtered: Track
+
+    def at(self, times: Sequence[float]) -> "Growth":
+        """The maps at these times alone, which are among all."""
+        index = {t: k for k, t in enumerate(self.times)}
+        return replace(self, times=tuple(times), maps=tuple(self.maps[index[t]] for t in times))
+
+
+def grow(log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float], *, tracks: bool = False) -> Growth:
+    """The map of `log` as `local_map` gives it, and those on the way to it at `times` [s], ascending.
+
+    On the way past poses are not corrected, and a landmark without a fixed place is left out of the map, not of the
+    filter. tracks: whether those maps hold all poses until then, or the latest alone.
+    """
+    whole, first = map_of(log, cfg, times)
+    cfg = config_for(log, cfg)
+    log = without_impossible(log, cfg)
+    if cfg.odometry:
+        return Growth(whole, tuple(times), tuple(_on_the_way(log, first, cfg, tracks=tracks)), first.filtered)
+    return Growth(whole, tuple(times), tuple(_by_pieces(log, cfg, times)), first.filtered)
+
+
+def _on_the_way(log: LandmarkLog, played: Played, cfg: EkfSlamConfig, *, tracks: bool) -> Iterator[LocalMap | None]:
+    seen, track = log.sightings, played.filtered
+    judged, down, counts = (np.zeros(len(seen.ids), np.int64) for _ in range(3))
+    robots = robot_sightings(log)
+    done = 0
+    for taken in played.taken:
+        what, weight = seen.what[done : taken.seen], played.weight[done : taken.seen]
+        known = np.isfinite(weight)
+        n = len(seen.ids)
+        counts += np.bincount(what, minlength=n)
+        judged += np.bincount(what[known], minlength=n)
+        down += np.bincount(what[known & (weight < 1.0)], minlength=n)
+        done = taken.seen
+        if taken.state is None:
+            yield None
+            continue
+        submap, moving = taken.state.submap, restless(seen.ids, judged, down, cfg)
+        if moving in submap.ids:
+            keep = np.array([name != moving for name in submap.ids])
+            rows = np.concatenate([[True] * POSE, np.repeat(keep, 2)])
+            ids = tuple(name for name in submap.ids if name != moving)
+            submap = replace(submap, ids=ids, mean=submap.mean[keep], cov=submap.cov[np.ix_(rows, rows)])
+        if not submap.ids:
+            yield None
+            continue
+        scale = np.array([taken.state.x[RANGE_SCALE], taken.state.x[RANGE_SCALE], 1.0])
+        poses = slice(0 if tracks else max(taken.tracked - 1, 0), taken.tracked)
+        cov = None if track.cov is None else track.cov[poses] * np.outer(scale, scale)
+        met = int(np.searchsorted(robots.t, seen.t[done - 1], side="right")) if done else 0
+        index = {name: k for k, name in enumerate(seen.ids)}
+        yield LocalMap(
+            robot=log.robot,
+            submap=submap,
+            track=Track(track.t[poses], track.pose[poses] * scale, cov, track.frame),
+            sightings={name: int(counts[index[name]]) for name in submap.ids},
+            robot_sightings=RobotSightings(
+                robots.t[:met], robots.target[:met], robots.range[:met], robots.bearing[:met]
+            ),
+            source=log.source,
+            log_hash=log.log_hash,
+        )
+
+
+def _by_pieces(log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float]) -> Iterator[LocalMap | None]:
+    """Of a robot without odometry: pieces that ended are never played again, and the last only when it has grown."""
+    known: Known = {}
+    last, rows, pieces = None, 0, 0
+    for t in times:
+        cut = log.until(t)
+        now = parts(cut.sightings, cfg.piece_gap)
+        if now and (len(now) > pieces or len(now[-1]) >= (1 + OLDER) * rows):
+            m, _ = map_of(cut, cfg, known=known)
+            last = m if len(m.submap.ids) else None
+            rows, pieces = len(now[-1]), len(now)
+        yield last

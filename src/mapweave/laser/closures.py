@@ -11,8 +11,8 @@ from ..core.config import config
 from ..core.gaussian import mahalanobis2, symmetrise
 from ..kernels.laser.local_map import count_matches
 from .beam import Beams
+from .keyframes import believed
 from .scan_matching import FrontEnd, FrontEndConfig
-from .step_noise import believed
 
 
 @config

@@ -9,14 +9,13 @@ from .beam import FEATURES, BeamConfig, CalibrationConfig
 from .icp import IcpConfig
 from .joint_pass import JointConfig
 from .keyframe_graph import KeyframeGraphConfig
-from .keyframes import KeyframeConfig
+from .keyframes import KeyframeConfig, StepNoise
 from .known_places import KnownPlacesConfig
 from .merge_search import MergeConfig
 from .moving import MovingConfig
 from .occupancy_mapper import LayingConfig
 from .particle_grid import CellConfig
 from .scan_matching import FrontEndConfig
-from .step_noise import StepNoise
 from .submap_loops import SubmapLoopConfig
 
 METHODS = ("particle", "graph", "gated", "icp")

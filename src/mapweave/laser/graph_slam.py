@@ -19,12 +19,11 @@ from .beam import STEERING, Beams, IntensityCalibration, beams
 from .config import LaserConfig
 from .joint_pass import joint_pass, lay_scans, neighbours, scan_cloud
 from .keyframe_graph import KeyframeGraph
-from .keyframes import Keyframe, KeyframeMaker, KeyframeOdometry
+from .keyframes import Keyframe, KeyframeMaker, KeyframeOdometry, carried
 from .known_places import KnownPlaces
 from .particle_slam import ParticleState
 from .robot_graph import RobotGraph
 from .scan_odometry import PoseEstimate, ScanInfo, blended
-from .step_noise import carried
 from .submap_loops import SubmapLoops
 
 _NONE = np.zeros(0)

@@ -17,8 +17,7 @@ from ..core.records import frozen
 from ..kernels.laser.joint_scans import beams_by_direction, match_pairs, refine_poses
 from ..solve import Factor, Information, Pattern, Problem, SingularError, wrapping
 from .beam import Beams
-from .graph_problem import edge_factor
-from .pose_graph import PoseGraph
+from .pose_graph import PoseGraph, edge_factor
 from .robot_graph import RobotGraph
 
 HELD = 1e-4  # [m, rad] sd of the first keyframe, which the frame hangs on

@@ -9,10 +9,8 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.config import config
 from .closures import Closure, ClosureConfig, Matched, Place
-from .graph_problem import Solved, edge_factor, problem
-from .keyframes import Keyframe, KeyframeConfig
-from .pose_graph import PoseGraph
-from .step_noise import carried
+from .keyframes import Keyframe, KeyframeConfig, carried
+from .pose_graph import PoseGraph, Solved, edge_factor, problem
 
 EXACT = 1e-4  # [m, rad] sd of the start that `map` hangs on
 

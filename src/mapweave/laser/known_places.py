@@ -16,7 +16,7 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.config import config
 from .keyframe_graph import KeyframeGraph
-from .revisits import Revisits
+from .robot_graph import Revisits
 
 
 @config

@@ -1,11 +1,16 @@
-"""A laser log becomes a map: features chosen, estimator run, poses filled in at every stamp, grid laid."""
+"""A laser log becomes a map: features chosen, estimator run, poses filled in at every stamp, grid laid.
+
+Copies of one recording that were merged, and loggers that were held up and wrote all they had at once, give rows of
+nearly one stamp and poses decimetres apart. Which of them was there at that time nobody can say; their middle is least
+wrong.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..core import se2
 from ..core.errors import DataError
@@ -14,12 +19,16 @@ from ..core.records import Track
 from ..core.workers import Progress, no_progress
 from .beam import STEERING, IntensityCalibration, beams, calibrate, raw_scale
 from .config import LaserConfig, WheelCheck
-from .contradicting_stamps import TOGETHER, of_one_moment
 from .laser_map import LaserMap, ScanRecords
 from .occupancy_mapper import render
 from .robot_graph import RobotGraph
 from .scan_odometry import ScanInfo, blended
 from .session import Feature, LaserSession
+
+TOGETHER = 0.002  # [s] within which a robot hardly moves: rows nearer in time are of one moment
+APART = 0.02  # [m] and
+TURNED = 0.05  # [rad]: what differs by more than either contradicts
+SCAN_COUNTS = 2  # rows of odometry that a scan's pose, which was matched, outweighs
 
 
 def choose_feature(log: LaserLog, cfg: LaserConfig) -> Feature:
@@ -244,3 +253,24 @@ def _tracks(log: LaserLog, poses: np.ndarray, frame: str) -> tuple[Track, Track 
         return *tracks, ()
     near = f"{int(middle.sum())} poses have stamps within {1e3 * TOGETHER:g} ms of others and lie elsewhere"
     return *tracks, (f"{near}: stamps in the log are wrong; the trajectory gives the middle of such poses",)
+
+
+def of_one_moment(
+    t: Float[np.ndarray, " n"], pose: Float[np.ndarray, "n 3"], scan: Bool[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+    """The poses, those of one moment that contradict each other at their middle, and which these are.
+
+    t: ascending [s]; scan: which poses are those of scans. The middle is the median over x, y and heading of the rows
+    within `TOGETHER`, seen from the row itself.
+    """
+    first = np.searchsorted(t, t - TOGETHER, side="left")
+    end = np.searchsorted(t, t + TOGETHER, side="right")
+    out, moved = np.array(pose), np.zeros(len(t), dtype=bool)
+    for k in np.flatnonzero(end - first > 1).tolist():
+        rows = slice(first[k], end[k])
+        seen = se2.between(pose[k], pose[rows])
+        if (np.hypot(seen[:, 0], seen[:, 1]) <= APART).all() and (np.abs(seen[:, 2]) <= TURNED).all():
+            continue
+        middle = np.median(np.repeat(seen, np.where(scan[rows], SCAN_COUNTS, 1), axis=0), axis=0)
+        out[k], moved[k] = se2.compose(pose[k], middle), True
+    return out, moved

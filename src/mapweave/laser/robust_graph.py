@@ -20,8 +20,7 @@ from ..core.records import frozen
 from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, Status, Term, minimise, wrapping
 from ..solve.problem import Kernel
 from .left_out import left_out_squares, without_it
-from .pose_edges import PoseEdges
-from .pose_graph import PoseGraph
+from .pose_graph import PoseEdges, PoseGraph
 
 REVISIONS = 60  # solves at most, while edges that were dropped fit again or ones that are believed do not
 CHANCE = 1e-3  # that one edge of a graph without false ones lies so far from the others

@@ -5,9 +5,8 @@ it ended; `Information` is the factorised information matrix, whose inverse is t
 takes `gauss_newton`.
 """
 
-from .dense import DenseSolution, gauss_newton
 from .information import Information, Pattern, SingularError
-from .optimise import Solution, SolveConfig, Status, minimise
+from .optimise import DenseSolution, Solution, SolveConfig, Status, gauss_newton, minimise
 from .problem import Cauchy, Factor, GemanMcClure, Huber, Kernel, Problem, Term, wrapping
 
 __all__ = [

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..core.landmark_log import LandmarkLog
-from .bodies import Body, Labels, glances
-from .relative_frame import PlacingConfig, costs, sharpened
+from .relative_frame import Body, Labels, PlacingConfig, costs, glances, sharpened
 from .team_map import TeamMap
 
 REACH, COARSE = 0.6, 0.1  # [s] looked for either way, and the steps

@@ -16,8 +16,7 @@ from jaxtyping import Bool, Float
 from ..core.landmark_log import LandmarkLog
 from ..core.names import robot_key
 from ..core.records import Track
-from .bodies import Body, Labels, glances
-from .relative_frame import Glances, PlacingConfig, residuals
+from .relative_frame import Body, Glances, Labels, PlacingConfig, glances, residuals
 from .team_map import TeamMap
 
 LEAST = 2  # poses that make a way

@@ -19,8 +19,7 @@ from ..core.names import in_order, robot_key
 from ..core.records import Track
 from ..fusion.result import Fusion
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
-from .bodies import Body, glances, moved_track
-from .relative_frame import Glances, PlacingConfig, Relation, is_sure, relate
+from .relative_frame import Body, Glances, PlacingConfig, Relation, glances, is_sure, moved_track, relate
 from .team_map import TeamMap
 
 ANY_HEADING = 3.0  # [rad^2] variance of a heading from which a pose is a guess between pieces

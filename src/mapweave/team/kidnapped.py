@@ -19,11 +19,10 @@ from ..core.names import in_order, robot_key
 from ..core.records import Track
 from ..fusion.result import Fusion
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
-from .bodies import Body, Labels, glances
 from .commanded_motion import CommandedMotion
 from .config import SmoothingConfig
 from .placing import Windows, carried_by_wheels, placed_alone, placed_windows
-from .relative_frame import PlacingConfig, residuals
+from .relative_frame import Body, Labels, PlacingConfig, glances, residuals
 from .team_map import TeamMap
 
 Mapper = Callable[[LandmarkLog], LocalMap]

@@ -15,9 +15,9 @@ from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order, robot_key
 from ..core.records import Track
 from ..solve import Cauchy, Factor
-from .bodies import Body, moved_track
 from .config import KnownConfig, SmoothingConfig
 from .placing import Layout, Tie, carried_by_wheels
+from .relative_frame import Body, moved_track
 from .robot_part import RobotPart
 from .team_map import TeamMap
 

@@ -13,13 +13,12 @@ from ..landmarks.landmark_map import LandmarkMap
 from ..laser.config import LaserConfig
 from ..laser.merge import Merge
 from ..laser.robot_graph import RobotGraph
-from .bodies import Body, Labels
 from .clocks import COARSE, Clock, clock_of
 from .config import SmoothingConfig
 from .fixed_stretches import fixed_stretches
 from .known import Known, tied_by_known
 from .placing import Layout, agreeing, lay_out
-from .relative_frame import Glances, PlacingConfig, point_seen
+from .relative_frame import Body, Glances, Labels, PlacingConfig, point_seen
 from .robot_part import all_seen
 from .smooth import Calibration, Smoothed, smooth
 from .team_map import TeamMap

@@ -20,8 +20,7 @@ from ..core.records import Track
 from ..landmarks.landmark_map import LandmarkMap
 from ..laser.scan_odometry import blended
 from ..solve.chain import Gauss, Link, Passed, passed, solve
-from .config import SmoothingConfig
-from .online_config import OnlineConfig
+from .config import OnlineConfig, SmoothingConfig
 from .problem import prior_of
 from .robot_part import PARAMETERS
 from .stretch import Stretch, stretch_of

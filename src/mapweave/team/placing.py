@@ -16,10 +16,20 @@ from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order
 from ..core.records import Track
 from ..laser.scan_odometry import blended
-from .bodies import Body, Labels, glances
 from .commanded_motion import CommandedMotion
 from .config import SmoothingConfig
-from .relative_frame import Glances, PlacingConfig, Relation, is_sure, relate, residuals, sharpened
+from .relative_frame import (
+    Body,
+    Glances,
+    Labels,
+    PlacingConfig,
+    Relation,
+    glances,
+    is_sure,
+    relate,
+    residuals,
+    sharpened,
+)
 
 SAME = np.diag([0.05**2, 0.05**2, 0.02**2])  # covariance of a tie by the same robot's two tracks
 NEAR, NEAR_SHARE = 0.5, 0.3  # [m], [m per s or m]: how far places of one loose robot may contradict its wheels

@@ -21,9 +21,8 @@ from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, min
 from .commanded_motion import CommandedMotion
 from .config import CalibrationPrior, SmoothingConfig
 from .factors import sighting_factors, step_factor
-from .instants import Instants, instants_of, keyframe_instants
 from .known import Known
-from .robot_part import LAG, PARAMETERS, RANGE, SPEED, TURN, RobotPart
+from .robot_part import LAG, PARAMETERS, RANGE, SPEED, TURN, Instants, RobotPart, instants_of, keyframe_instants
 from .scan_factors import Crossing, crossing_factor, scan_factor
 
 HELD_TOGETHER = 0.001  # share of the size of a map that nothing but ranges tells: so firmly it is held

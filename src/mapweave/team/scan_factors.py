@@ -6,8 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..laser.graph_problem import edge_factor
-from ..laser.pose_graph import PoseGraph
+from ..laser.pose_graph import PoseGraph, edge_factor
 from ..laser.robot_graph import RobotGraph
 from ..solve import Cauchy, Factor
 from .robot_part import RobotPart

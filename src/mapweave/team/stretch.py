@@ -12,9 +12,8 @@ from ..landmarks.landmark_map import LandmarkMap
 from ..solve import Pattern, Problem
 from ..solve.chain import Link
 from .config import SmoothingConfig
-from .instants import instants_between
 from .problem import seen_when, team_problem
-from .robot_part import RobotPart
+from .robot_part import RobotPart, instants_between
 
 BEFORE = 3.0  # [s] of commands before a stretch: those in force when it begins, however late they act
 ANCHOR = 1e10  # information on the pose that is the frame

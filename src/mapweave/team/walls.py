@@ -17,9 +17,8 @@ from ..laser.merge_search import Start
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import blended
 from ..laser.weave import Woven, keyframe_map, weave
-from .bodies import Body, moved_track
 from .placing import Layout, Tie
-from .relative_frame import PlacingConfig
+from .relative_frame import Body, PlacingConfig, moved_track
 from .scan_factors import Crossing
 
 LEVER = 2.0  # times as far as a tie may be off where robots meet, frames may be off where they begin
