@@ -22,6 +22,7 @@ from mapweave.exploration.landmarks.steering import given_up, next_target, offer
 from mapweave.exploration.landmarks.team import Team
 from mapweave.exploration.planner_interface import find_planner
 from mapweave.io.mrclam import read_mrclam
+from mapweave.kernels.walls.segments import distance_of_moves
 from mapweave.landmarks.submap_slam import SubmapConfig, move
 
 from .fresh import workers

@@ -6,7 +6,7 @@ import numpy as np
 
 from .._jit import parallel_kernel, prange
 from .local_map import solve3
-from .tiles import CELLS, cell_index
+from .tiles import CELLS, cell_index, nearest_in_map
 
 
 @parallel_kernel
@@ -54,24 +54,11 @@ def refine(  # noqa: PLR0915  (one loop over the beams)
                 rx = c * points[i, 0] - s * points[i, 1]
                 ry = s * points[i, 0] + c * points[i, 1]
                 wx, wy, q = np.float32(tx + rx), np.float32(ty + ry), points[i, 2]
-                ix = np.uint64(cell_index(wx, ox, per_metre, cx))
-                iy = np.uint64(cell_index(wy, oy, per_metre, cy))
-                best, bk = most, np.int64(-1)
-                for dy in range(3):
-                    jy = iy + np.uint64(dy) - np.uint64(1)
-                    along = (jy >> np.uint64(3)) * np.uint64(width)
-                    inside = (jy & np.uint64(7)) << np.uint64(5)
-                    for dx in range(3):
-                        jx = ix + np.uint64(dx) - np.uint64(1)
-                        tile = np.uint64(row[along + (jx >> np.uint64(3))])
-                        k = (tile << np.uint64(8)) + inside + ((jx & np.uint64(7)) << np.uint64(2))
-                        ex, ey, eq = pool[k] - wx, pool[k + np.uint64(1)] - wy, pool[k + np.uint64(2)] - q
-                        d = ex * ex + ey * ey + a * (eq * eq)
-                        if d < best:
-                            best, bk = d, np.int64(k)
-                if bk < 0:
+                ix, iy = cell_index(wx, ox, per_metre, cx), cell_index(wy, oy, per_metre, cy)
+                _, k = nearest_in_map(pool, row, width, ix, iy, wx, wy, q, a, most)
+                if k < 0:
                     continue
-                dx_, dy_ = np.float64(wx - pool[np.uint64(bk)]), np.float64(wy - pool[np.uint64(bk) + np.uint64(1)])
+                dx_, dy_ = np.float64(wx - pool[k]), np.float64(wy - pool[k + 1])
                 mx = c * normals[i, 0] - s * normals[i, 1]
                 my = s * normals[i, 0] + c * normals[i, 1]
                 e = mx * dx_ + my * dy_

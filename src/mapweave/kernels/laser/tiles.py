@@ -1,7 +1,7 @@
 """Many grid maps in one pool of tiles: shared between particles, copied when written to.
 
-A tile is 8 x 8 cells of float32 (mean x [m], mean y [m], mean q, weight W). `pool` is flat: tile k holds
-`pool[256 k : 256 (k + 1)]`, row-major cells. Tile 0 is empty and never written: its points lie 1000 km away, so a
+A tile is `CELLS` x `CELLS` cells of float32 (mean x [m], mean y [m], mean q, weight W). `pool` is flat: tile k holds
+`pool[FLOATS k : FLOATS (k + 1)]`, row-major cells. Tile 0 is empty and never written: its points lie 1000 km away, so a
 search needs no test for emptiness. `table[row, key]` names the tile of one map at tile coordinates
 `key = ty * width + tx`; `refs[k]` counts the entries that name tile k. All indices are clamped into the table.
 """
@@ -13,7 +13,8 @@ import numpy as np
 from .._jit import kernel, parallel_kernel, prange
 
 FAR = 1e6  # [m]
-CELLS = 8  # cells along a tile
+SHIFT = 3  # 2 ** SHIFT cells along a tile
+CELLS, INSIDE = 1 << SHIFT, (1 << SHIFT) - 1
 FLOATS = CELLS * CELLS * 4  # in a tile
 
 
@@ -32,6 +33,32 @@ def cell_index(value: np.float32, origin: np.float32, per_metre: np.float32, cel
     """The cell along one axis, clamped so that its neighbours exist too."""
     k = int((value - origin) * per_metre)
     return min(max(k, 1), cells - 2)
+
+
+@kernel
+def nearest_in_map(
+    pool: np.ndarray, row: np.ndarray, width: int, ix: int, iy: int, x: np.float32, y: np.float32, q: np.float32,
+    alpha: np.float32, cap: np.float32,
+) -> tuple[np.float32, int]:  # fmt: skip
+    """Least D = ex^2 + ey^2 + alpha eq^2 of (x, y, q) over the 3x3 cells of one map around (ix, iy), below `cap`.
+
+    Also where in `pool` that cell stands; (`cap`, -1) where none is so near. row: that map's entries of the table.
+    """
+    one, two, shift, inside = np.uint64(1), np.uint64(2), np.uint64(SHIFT), np.uint64(INSIDE)
+    best, at = cap, np.int64(-1)
+    for dy in range(3):
+        jy = np.uint64(iy) + np.uint64(dy) - one
+        along = (jy >> shift) * np.uint64(width)
+        line = (jy & inside) << (shift + two)
+        for dx in range(3):
+            jx = np.uint64(ix) + np.uint64(dx) - one
+            tile = np.uint64(row[along + (jx >> shift)])
+            k = tile * np.uint64(FLOATS) + line + ((jx & inside) << two)
+            ex, ey, eq = pool[k] - x, pool[k + one] - y, pool[k + two] - q
+            d = ex * ex + ey * ey + alpha * (eq * eq)
+            if d < best:
+                best, at = d, np.int64(k)
+    return best, at
 
 
 @parallel_kernel
@@ -63,20 +90,8 @@ def score(
         world_points(poses[p], points, x, y)
         for i in range(n):
             wx, wy, q = x[i], y[i], points[i, 2]
-            ix = np.uint64(cell_index(wx, ox, per_metre, cx))
-            iy = np.uint64(cell_index(wy, oy, per_metre, cy))
-            best = most
-            for dy in range(3):
-                jy = iy + np.uint64(dy) - np.uint64(1)
-                along = (jy >> np.uint64(3)) * np.uint64(width)
-                inside = (jy & np.uint64(7)) << np.uint64(5)
-                for dx in range(3):
-                    jx = ix + np.uint64(dx) - np.uint64(1)
-                    tile = np.uint64(row[along + (jx >> np.uint64(3))])
-                    k = (tile << np.uint64(8)) + inside + ((jx & np.uint64(7)) << np.uint64(2))
-                    ex, ey, eq = pool[k] - wx, pool[k + np.uint64(1)] - wy, pool[k + np.uint64(2)] - q
-                    best = min(best, ex * ex + ey * ey + a * (eq * eq))
-            out[p, i] = best
+            ix, iy = cell_index(wx, ox, per_metre, cx), cell_index(wy, oy, per_metre, cy)
+            out[p, i], _ = nearest_in_map(pool, row, width, ix, iy, wx, wy, q, a, most)
 
 
 @kernel
@@ -113,7 +128,7 @@ def touch(
         last = -1
         for i in range(n):
             ix, iy = cell_index(x[i], ox, per_metre, cx), cell_index(y[i], oy, per_metre, cy)
-            key = (iy >> 3) * width + (ix >> 3)
+            key = (iy >> SHIFT) * width + (ix >> SHIFT)
             if key == last:
                 continue
             last = key
@@ -174,8 +189,8 @@ def insert(
         world_points(poses[p], points, x, y)
         for i in range(n):
             ix, iy = cell_index(x[i], ox, per_metre, cx), cell_index(y[i], oy, per_metre, cy)
-            tile = np.int64(table[r, (iy >> 3) * width + (ix >> 3)])
-            k = (tile << 8) + ((iy & 7) << 5) + ((ix & 7) << 2)
+            tile = np.int64(table[r, (iy >> SHIFT) * width + (ix >> SHIFT)])
+            k = tile * FLOATS + ((iy & INSIDE) * CELLS + (ix & INSIDE)) * 4
             W, w = pool[k + 3], weights[i]
             if W == 0.0:
                 pool[k], pool[k + 1], pool[k + 2], pool[k + 3] = x[i], y[i], points[i, 2], w
