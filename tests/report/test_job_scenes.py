@@ -158,7 +158,10 @@ def test_an_exploration_on_the_page_shows_what_was_seen_when(explored):
     assert shares == sorted(shares)
     assert 0 < shares[0] < shares[2] < 1
     assert shares[-1] == 1.0
-    assert layers(scene)["mapped landmarks"]["names"] == list(result.first.map.landmarks.ids)
+    mapped = layers(scene)["mapped landmarks"]
+    assert mapped["names"] == list(result.first.map.landmarks.ids)
+    known = [step for step in mapped["since"] if step is not None]
+    assert min(known) == 0 < max(known) <= 9
     assert {robot_key(name) for name in result.first.robots} == {"1", "2"}
 
 

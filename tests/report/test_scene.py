@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from mapweave.core.records import Track
 from mapweave.report.html import Page
@@ -62,6 +63,7 @@ const drawn = (tries) => {
     time: document.querySelector(".bar output").textContent,
     layers: [...document.querySelectorAll(".bar label")].map((label) => label.textContent),
     still: document.querySelectorAll(".still").length,
+    figure: document.querySelector("figure img").offsetWidth, column: document.querySelector(".wide").clientWidth,
   });
 };
 window.addEventListener("load", () => setTimeout(() => drawn(50), 300));
@@ -153,6 +155,8 @@ def test_an_empty_scene_is_left_out():
 def test_the_map_lives_in_a_browser(tmp_path, width, dark):
     page = Page("Hall")
     page.scene(team(), "a hall")
+    Image.new("L", (924, 300)).save(tmp_path / "f.png")
+    page.figure(tmp_path / "f.png", "a figure")
     seen = seen_in_browser(page.html().replace("<head>", "<head>" + WATCH), tmp_path, width, dark=dark)
     assert seen["errors"] == []
     assert seen["ink"] > 1000
@@ -165,3 +169,4 @@ def test_the_map_lives_in_a_browser(tmp_path, width, dark):
     assert seen["apart"]
     assert seen["fewer"] == [0, -1], "what is not known yet is not named"
     assert seen["still"] == 0
+    assert seen["figure"] == pytest.approx(min(924, max(0.8 * 924, seen["column"])), abs=2), "text stays readable"

@@ -1,8 +1,9 @@
 """How figures look: names as they are, logarithmic axes in plain numbers."""
 
+import numpy as np
 import pytest
 
-from mapweave.report.style import drawn, figure
+from mapweave.report.style import drawn, figure, name_points
 
 
 def labels(ax, axis):
@@ -35,3 +36,15 @@ def test_a_dollar_in_a_name_is_a_dollar():
     ax.figure.draw_without_rendering()
     assert ax.get_title(loc="left") == "robot $x"
     assert not ax.title.get_parse_math()
+
+
+@pytest.mark.parametrize(("apart", "some"), [(3.0, 21), (0.4, 7), (0.0, 4)])
+def test_names_of_points_cover_no_other_and_are_left_out_where_they_would(tmp_path, apart, some):
+    rng = np.random.default_rng(0)
+    places = np.vstack([apart * rng.normal(size=(20, 2)), [[-9, -9], [9, 9]]])
+    with figure(tmp_path / "a.png") as (_, ax):
+        ax.plot(*places.T, ".")
+        name_points(ax, [f"landmark {k}" for k in range(22)], places)
+    boxes = [text.get_window_extent() for text in ax.texts if text.get_visible()]
+    assert all(box.count_overlaps(boxes) == 1 for box in boxes)
+    assert some <= len(boxes) <= 22

@@ -34,7 +34,7 @@ def write_exploration(folder: Path, result: ExploreResult) -> None:
     page = Page(
         f"Exploration of {result.scenario}",
         f"{len(first.robots)} robots, planner {m.planner}, identities {m.cfg.submap.association}, motion noise "
-        f"{noise}, until {m.until}, seeds {result.seed} to {result.seed + s['runs'] - 1}",
+        f"{noise}, until {m.until}, {seeds_told(result.seed, s['runs'])}",
     )
     page.cards(
         [
@@ -50,7 +50,8 @@ def write_exploration(folder: Path, result: ExploreResult) -> None:
     told = "What was seen when, where the robots truly were, and the map; figures/map.png has the submaps' borders."
     page.scene(scene, told, folder / "figures" / "map.png")
     page.figure(folder / "figures" / "explored.png", "When each cell was first seen; lines: the frontier at quarters")
-    page.figure(folder / "figures" / "progress.png", "Explored share of the field; steps and errors of all runs")
+    every = "; steps and errors of all runs" if len(result.runs) > 1 else ""
+    page.figure(folder / "figures" / "progress.png", f"Explored share of the field{every}")
     page.section("Every run")
     head = ["run", "seed", "finished", "steps", "map error [m]", "C/N [m²]", "NEES/dof", "duplicates", "missed"]
     walled = first.floor is not None
@@ -87,6 +88,11 @@ def write_exploration(folder: Path, result: ExploreResult) -> None:
         "degree of freedom is 1 for an honest map; above 1 it is overconfident. The log folder replays with `map`."
     )
     page.write(folder / "report.html")
+
+
+def seeds_told(first: int, runs: int) -> str:
+    """What a page says of the seeds of its runs."""
+    return f"seed {first}" if runs == 1 else f"seeds {first} to {first + runs - 1}"
 
 
 def draw_map(path: Target, run: LandmarkRecord) -> None:
@@ -127,9 +133,11 @@ def draw_explored(path: Path, run: LandmarkRecord, first: Float[np.ndarray, "row
 
 
 def draw_progress(path: Path, run: LandmarkRecord, result: ExploreResult) -> None:
-    """Explored share against steps for the first run; steps against map error for all."""
-    with figure(path, 8.0, 3.2, ncols=2) as (_, axes):
-        ax = axes[0]
+    """Explored share against steps for the first run; steps against map error where there are several."""
+    pairs = [(r.steps, r.map_error) for r in result.runs if r.map_error is not None]
+    panels = 2 if len(pairs) > 1 else 1
+    with figure(path, 4.0 * panels + 1.0 * (panels == 1), 3.2, ncols=panels, squeeze=False) as (_, axes):
+        ax = axes[0, 0]
         ax.plot([m.step for m in run.moments], [100 * m.explored for m in run.moments], color=colour(0))
         handed = [(m.step, 100 * m.explored) for m in run.moments if m.handed_over]
         if handed:
@@ -137,10 +145,10 @@ def draw_progress(path: Path, run: LandmarkRecord, result: ExploreResult) -> Non
             ax.legend()
         ax.set(xlabel="step", ylabel="explored [%]", ylim=(0, 102))
         ax.set_title("First run")
-        ax = axes[1]
-        pairs = [(r.steps, r.map_error) for r in result.runs if r.map_error is not None]
-        if pairs:
-            ax.plot(*np.array(pairs).T, "o", color=colour(0), ms=4)
+        if panels == 1:
+            return
+        ax = axes[0, 1]
+        ax.plot(*np.array(pairs).T, "o", color=colour(0), ms=4)
         ax.set(xlabel="steps", ylabel="map error [m]")
         ax.set_ylim(bottom=0)
         ax.set_title("All runs")

@@ -63,7 +63,9 @@ def landmark_scene(run: LandmarkRecord, first: Float[np.ndarray, "rows columns"]
         told.append(
             f"landmark {name}, as mapped\n({x:.3f}, {y:.3f}) m\nsd {np.sqrt(np.trace(P) / 2):.3f} m an axis{off}"
         )
-    scene.points("mapped landmarks", marks.ids, marks.mean, MAPPED, told, cov, named=False)
+    cells = np.clip(((marks.mean - run.world.lower) / cell).astype(int), 0, [columns - 1, rows - 1])
+    since = [None if np.isnan(step) else float(step) for step in first[cells[:, 1], cells[:, 0]]]
+    scene.points("mapped landmarks", marks.ids, marks.mean, MAPPED, told, cov, named=False, since=since)
     return scene
 
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 
+from PIL import Image
+
 from ..core.version import __version__
 from .scene import Scene, script
 
@@ -29,8 +31,9 @@ touch-action:pan-y;cursor:grab}.scene canvas:active{cursor:grabbing}.scene canva
 background:var(--fg);color:var(--bg)}.scene .bar{display:flex;flex-wrap:wrap;align-items:center;gap:.3rem .9rem;margin:.4rem 0;font-size:.85rem}
 .scene .bar label{display:flex;align-items:center;gap:.3rem}.scene .bar i{width:.8rem;height:.25rem;border-radius:2px}
 .scene .bar button{min-width:2rem;font:inherit;color:inherit;background:var(--soft);border:1px solid var(--line);border-radius:6px}
-.scene .bar input[type=range]{flex:1;min-width:8rem}.scene figcaption span{opacity:.8}
-@media (max-width:40rem){body{padding:1rem .75rem}.card{flex:1}}@media print{.scene .bar{display:none}}
+.scene .bar input[type=range]{flex:1 1 12rem;min-width:8rem}.scene figcaption span{opacity:.8}
+@media (max-width:40rem){body{padding:1rem .75rem}.card{flex:1}.wide{overflow-x:auto}
+.wide img{max-width:none;width:min(var(--wide),max(100%,.8*var(--wide)))}}@media print{.scene .bar{display:none}}
 a{color:var(--accent)}.warn{color:var(--warn)}footer{margin-top:3rem;font-size:.82rem;opacity:.7}
 """
 
@@ -67,15 +70,12 @@ class Page:
         self.parts.append(f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>")
 
     def figure(self, png: Path, caption: str) -> None:
-        """A PNG or GIF, inside the page."""
-        alt = escape(caption, quote=True)
-        self.parts.append(
-            f'<figure><img alt="{alt}" src="{_inside(png)}"><figcaption>{escape(caption)}</figcaption></figure>'
-        )
+        """A PNG or GIF, inside the page; on a narrow screen it keeps a size at which it can be read, and moves sideways."""
+        self.parts.append(f"<figure>{_picture(png, caption)}<figcaption>{escape(caption)}</figcaption></figure>")
 
     def scene(self, scene: Scene, caption: str, png: Path | None = None) -> None:
         """A map to move about in; the picture shows where no script runs. Nothing of a scene that is empty."""
-        still = "" if png is None else f'<img alt="{escape(caption, quote=True)}" src="{_inside(png)}">'
+        still = "" if png is None else _picture(png, caption)
         if not scene.empty:
             self.scenes += 1
             self.parts.append(scene.html(caption, still))
@@ -104,6 +104,13 @@ class Page:
 
     def write(self, path: Path) -> None:
         path.write_text(self.html(), encoding="utf-8", errors="backslashreplace")
+
+
+def _picture(png: Path, caption: str) -> str:
+    with Image.open(png) as image:
+        wide, high = image.size
+    size = f'width="{wide}" height="{high}" style="--wide:{wide}px"'
+    return f'<div class="wide"><img alt="{escape(caption, quote=True)}" {size} src="{_inside(png)}"></div>'
 
 
 def _inside(image: Path) -> str:

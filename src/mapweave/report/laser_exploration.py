@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from ..exploration.laser.result import LaserExploreResult, refusals
+from .exploration import seeds_told
 from .exploration_scene import laser_exploration_scene
 from .html import Page
 from .laser_exploration_figures import (
@@ -23,7 +24,7 @@ def write_laser_exploration(folder: Path, result: LaserExploreResult) -> None:
     page = Page(
         f"Exploration of {result.scenario}",
         f"{len(first.robots)} robots with lasers, planner {m.planner}, odometry errors x {result.noise:g}, until "
-        f"{m.until}, seeds {result.seed} to {result.seed + s['runs'] - 1}",
+        f"{m.until}, {seeds_told(result.seed, s['runs'])}",
     )
     page.cards(
         [

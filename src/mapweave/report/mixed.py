@@ -14,7 +14,7 @@ from ..team.smooth import Smoothed, is_observed
 from .html import Page
 from .laser_figures import draw_occupancy, walls
 from .scene import Scene, landmark_points
-from .style import Target, as_map, colour, figure
+from .style import Target, as_map, colour, figure, name_points
 from .team_figures import legend_beside, thinned
 from .woven import told_merge
 
@@ -74,8 +74,7 @@ def draw_mixed(target: Target, story: MixedStory, k: int) -> str:
                 ax.plot(*way[0, :2], "o", color=shade, mfc="white", ms=6)
         ax.plot(*team.landmarks.mean.T, "*", color="#B25400", ms=7, ls="none", zorder=4)
         if len(team.landmarks) <= MANY:
-            for name, place in zip(team.landmarks.ids, team.landmarks.mean, strict=True):
-                ax.annotate(name, place, xytext=(3, 3), textcoords="offset points", fontsize=7)
+            name_points(ax, team.landmarks.ids, team.landmarks.mean, 7)
         as_map(ax, "One frame for walls, landmarks and robots")
         legend_beside(ax, 20)
     return (

@@ -17,7 +17,7 @@ from ..io.directory import result_file
 from . import style
 from .html import Page
 from .style import Target, colour, figure
-from .team_figures import FACTORS, INK, MANY, TeamStory, legend_beside, shape, thinned
+from .team_figures import FACTORS, MANY, TeamStory, legend_beside, shape, thinned
 
 MOST = 40  # errors drawn one by one
 
@@ -106,8 +106,8 @@ def landmark_errors(path: Path, story: TeamStory, score: TeamScore) -> str:
             P = aligned.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
             style.draw_ellipse(ax, p, P, style.colour(0), grow, zorder=2)
             ax.annotate("", p + grow * e, p, arrowprops={"arrowstyle": "-|>", "color": style.colour(5), "lw": 1.4})
-            if len(true) <= MANY:
-                ax.annotate(aligned.ids[i], p, xytext=(5, 4), textcoords="offset points", fontsize=8, color=INK)
+        if len(true) <= MANY:
+            style.name_points(ax, aligned.ids, true)
         ax.plot([], [], color=style.colour(5), label=f"error, {grow} times")
         ax.plot([], [], color=style.colour(0), label=f"95 % ellipse, {grow} times")
         style.as_map(ax, "The fused map beside the survey")

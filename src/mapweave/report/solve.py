@@ -116,6 +116,6 @@ def _draw_squares(path: Path, solved: SolvedGraph) -> None:
             ax.hist(np.clip(nis[~solved.used], edges[0], None), edges, color=colour(5), label="dropped")
         ax.axvline(3.0, color=colour(1), linestyle="--", label="what chance gives on average")
         ax.set_xscale("log")
-        ax.set_xlabel("squared residual [sd^2]")
+        ax.set_xlabel("squared residual [sd²]")
         ax.set_ylabel("edges")
         ax.legend()

@@ -1,10 +1,10 @@
 """How every figure looks: one palette for any colour vision, units on both axes, small files."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import matplotlib as mpl
 import numpy as np
@@ -13,9 +13,13 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
+from matplotlib.text import Annotation
 from matplotlib.ticker import FuncFormatter
 
 from ..core.gaussian import ellipse
+
+if TYPE_CHECKING:
+    from matplotlib.transforms import Bbox
 
 # Okabe and Ito's palette, told apart with any colour vision; black is kept for truth.
 PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442")
@@ -24,6 +28,13 @@ MUTED = "#9AA0A6"
 LANDMARK = "#7A8088"  # seen on white and on black
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 SEQUENTIAL = "cividis"
+DPI = 110
+INK = "#2B2F33"
+NAME = "name of a point"  # of texts that `figure` keeps apart
+BESIDE: Sequence[tuple[int, int, Literal["left", "center", "right"], Literal["bottom", "center", "top"]]] = (
+    (5, 4, "left", "bottom"), (5, -4, "left", "top"), (-5, 4, "right", "bottom"), (-5, -4, "right", "top"),
+    (0, 7, "center", "bottom"), (0, -7, "center", "top"), (8, 0, "left", "center"), (-8, 0, "right", "center"),
+)  # fmt: skip
 
 _RC: Any = {
     "font.size": 9,
@@ -66,16 +77,17 @@ Target = Path | Sheet
 def figure(path: Target, width: float = 7.0, height: float = 5.0, **layout: Any) -> Iterator[tuple[Figure, Any]]:
     """A figure of `width` x `height` inches and its axes (`layout`: as `Figure.subplots`); saved or left on a sheet."""
     with mpl.rc_context(_RC):
-        fig = Figure(figsize=(width, height), layout="constrained")
+        fig = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
         FigureCanvasAgg(fig)
         axes = fig.subplots(**layout)
         yield fig, axes
         _plain_log_ticks(fig)
+        _keep_names_apart(fig)
         if isinstance(path, Sheet):
             path.figure = fig
             return
         path.parent.mkdir(parents=True, exist_ok=True)
-        fig.savefig(path, dpi=110, metadata={"Software": None}, pil_kwargs={"optimize": True})
+        fig.savefig(path, dpi=DPI, metadata={"Software": None}, pil_kwargs={"optimize": True})
 
 
 def _plain_log_ticks(fig: Figure) -> None:
@@ -93,6 +105,33 @@ def _between_powers(value: float) -> str:
     """2 and 5 times a power of ten as they are written; nothing for others."""
     digit = round(value / 10 ** np.floor(np.log10(value)))
     return f"{value:g}" if digit in {2, 5} else ""
+
+
+def name_points(ax: Axes, names: Sequence[str], places: Float[np.ndarray, "n 2"], size: float = 8) -> None:
+    """Every name beside its point, where it covers no other in the finished figure; left out where there is no room."""
+    for name, (x, y) in zip(names, places, strict=True):
+        text = ax.annotate(
+            name, (x, y), (5, 4), textcoords="offset points", fontsize=size, color=INK, zorder=6, gid=NAME
+        )
+        text.set_in_layout(False)
+
+
+def _keep_names_apart(fig: Figure) -> None:
+    names = [t for ax in fig.axes for t in ax.texts if t.get_gid() == NAME and isinstance(t, Annotation)]
+    if len(names) < 2:
+        return
+    fig.draw_without_rendering()  # lays the axes out
+    taken: list[Bbox] = []
+    for text in names:
+        for x, y, across, along in BESIDE:
+            text.set(ha=across, va=along)
+            text.xyann = (x, y)
+            here = text.get_window_extent().padded(1)
+            if here.count_overlaps(taken) == 0:
+                taken.append(here)
+                break
+        else:
+            text.set_visible(False)
 
 
 def drawn(draw: Callable[[Sheet], object]) -> Figure:

@@ -13,7 +13,7 @@ from ..evaluation.swarm import squared_errors
 from ..swarm.moving.result import SwarmTrack
 from ..swarm.network import Network
 from ..swarm.result import SwarmEstimate
-from .style import PALETTE, SEQUENTIAL, TRUTH, Target, as_map, figure
+from .style import PALETTE, SEQUENTIAL, TRUTH, Target, as_map, figure, name_points
 
 FEW = 60  # robots up to which each is named
 SOME = 1500  # up to which each has its ellipse and each sighting its line
@@ -144,8 +144,9 @@ def tracks_figure(
             else:
                 ax.plot(one.position[:, 0], one.position[:, 1], color=colour, lw=1.3)
                 ax.plot(*one.position[-1, :2], "o", color=colour, ms=4)
-            if len(track.tracks) <= FEW:
-                ax.annotate(ids[k], one.position[-1, :2], textcoords="offset points", xytext=(4, 4), fontsize=7)
+        if len(track.tracks) <= FEW:
+            ends = np.array([one.position[-1, :2] for one in track.tracks.values()]).reshape(-1, 2)
+            name_points(ax, [ids[k] for k in track.tracks], ends, 7)
         ax.plot([], [], "^", color=TRUTH, ls="none", label="stands still")
         ax.plot([], [], "o-", color=BLUE, label="way, and where it ends")
         as_map(ax, "robots over time")
@@ -218,8 +219,7 @@ def _plane(
         p = np.where(lost[:, None], np.clip(p, low + edge, high - edge), p)
         ax.plot(p[lost, 0], p[lost, 1], "X", color=ORANGE, mec="#7A4A00", mew=0.5, ms=7, zorder=5, label=label)
     if n <= FEW:
-        for name, at in zip(net.ids, p, strict=True):
-            ax.annotate(name, at, textcoords="offset points", xytext=(5, 5), fontsize=8, zorder=6)
+        name_points(ax, net.ids, p)
     low, high = _limits(p, ~lost)
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(low[1], high[1])

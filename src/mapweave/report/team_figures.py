@@ -59,7 +59,6 @@ def thinned(track: Track, most: int = 3000) -> np.ndarray:
 
 
 FACTORS = (1, 2, 5, 10, 20, 50, 100)
-INK = "#2B2F33"
 MOST_PANELS = 12
 MANY = 40  # landmarks from which labels would cover the map
 CALIBRATION = (
@@ -143,7 +142,7 @@ def local_against_fused(path: Path, story: TeamStory) -> str:
                 ax.plot([q[0], end[0]], [q[1], end[1]], color=style.colour(k), lw=1.1, zorder=2)
                 ax.plot(*end, style.marker(k), color=style.colour(k), ms=3.5, mfc="white", mew=1.1, zorder=3)
             far = f", {100 * np.sqrt(np.mean(np.sum((placed - fused) ** 2, axis=1))):.1f} cm off" if len(placed) else ""
-            style.as_map(ax, f"robot {robot_key(robot)}: {len(own[robot])} landmarks{far}")
+            style.as_map(ax, f"robot {robot_key(robot)}\n{len(own[robot])} landmarks{far}")
     some = (
         f" Robots {robot_key(robots[0])} to {robot_key(robots[-1])} of {len(there)}."
         if len(robots) < len(there)
@@ -175,7 +174,7 @@ def uncertainty(path: Path, story: TeamStory) -> str:
                     ms=5,
                     label=f"robot {robot_key(m.robot)}",
                 )
-        ax.plot(range(len(names)), [fused[n] for n in names], "_", color=INK, ms=11, mew=2.2, label="fused")
+        ax.plot(range(len(names)), [fused[n] for n in names], "_", color=style.INK, ms=11, mew=2.2, label="fused")
         ax.set_yscale("log")
         ax.set_ylabel("standard deviation of position [m]")
         ax.set_xlabel("landmark")
@@ -229,11 +228,11 @@ def _draw_track(ax: Axes, story: TeamStory, team: TeamMap, robot: str) -> None:
 
 
 def _draw_landmarks(ax: Axes, landmarks: LandmarkMap, grow: float) -> None:
-    ax.plot(*landmarks.mean.T, ".", color=INK, ms=4, zorder=3)
-    for i, (name, p) in enumerate(zip(landmarks.ids, landmarks.mean, strict=True)):
-        style.draw_ellipse(ax, p, landmarks.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2], INK, grow, zorder=3)
-        if len(landmarks) <= MANY:
-            ax.annotate(name, p, xytext=(5, 4), textcoords="offset points", fontsize=8, color=INK, zorder=5)
+    ax.plot(*landmarks.mean.T, ".", color=style.INK, ms=4, zorder=3)
+    for i, p in enumerate(landmarks.mean):
+        style.draw_ellipse(ax, p, landmarks.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2], style.INK, grow, zorder=3)
+    if len(landmarks) <= MANY:
+        style.name_points(ax, landmarks.ids, landmarks.mean)
 
 
 def _deviations(landmarks: LandmarkMap) -> dict[str, float]:
