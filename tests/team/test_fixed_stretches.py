@@ -1,11 +1,14 @@
 """A robot without wheels has a pose only where sightings fix one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mapweave.core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from mapweave.core.records import Track
 from mapweave.landmarks.landmark_map import LandmarkMap
+from mapweave.team.config import MotionNoise
 from mapweave.team.fixed_stretches import fixed_stretches
 from mapweave.team.relative_frame import PlacingConfig
 from mapweave.team.team_map import TeamMap
@@ -30,7 +33,7 @@ def world(seen_by, off=0.0, ranged=()):
 
 
 def cut(team, logs):
-    return fixed_stretches(team, ["robot3"], logs, {}, PlacingConfig())
+    return fixed_stretches(team, ["robot3"], logs, {}, PlacingConfig(), MotionNoise())
 
 
 def test_where_two_saw_it_its_poses_stay():
@@ -61,3 +64,19 @@ def test_where_sightings_contradict_its_way_it_is_left_out_of_the_map():
     assert team.robots == ("robot1", "robot2")
     assert set(team.tracks) == {"robot1", "robot2"}
     assert told == ("robot 3: too few sightings fix where it was: it is left out",)
+
+
+@pytest.mark.parametrize("leap", [(0.3, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.8)])
+def test_poses_beside_a_leap_that_no_robot_makes_are_left_out(leap):
+    """A way that bearings allow may still be of another place than the robot's, if it takes a leap to get there."""
+    team, logs = world({"robot1": (0, 60), "robot2": (0, 60)})
+    track = team.tracks["robot3"]
+    pose = track.pose + np.where(np.abs(T - 30.0) < 0.3, 1.0, 0.0)[:, None] * np.array(leap)
+    made, told = cut(replace(team, tracks={**team.tracks, "robot3": Track(T, pose, track.cov)}), logs)
+    kept, window = made.tracks["robot3"].t, PlacingConfig().fixed_window
+    assert set(kept) == set(T[np.abs(T - 30.0) > window + 0.5 + 1e-9])
+    assert len(told) == 1
+    slow = track.pose + np.where(np.abs(T - 30.0) < 0.3, 0.3, 0.0)[:, None] * np.array(leap)
+    made, told = cut(replace(team, tracks={**team.tracks, "robot3": Track(T, slow, track.cov)}), logs)
+    assert len(made.tracks["robot3"].t) == len(T)
+    assert told == ()

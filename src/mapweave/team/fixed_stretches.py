@@ -2,7 +2,8 @@
 
 Between sightings nothing carries such a robot, and a bearing from one observer fixes no distance: what a least-squares
 problem then says is one of several answers, with the covariance of that one alone. A pose is kept only where, within a
-few seconds, sightings that agree with it come from enough directions.
+few seconds, sightings that agree with it come from enough directions, and where the way leads through it no faster
+than such a robot goes: answers of bearings that are met only by a leap are of the wrong place.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,13 +14,17 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..core import se2
 from ..core.landmark_log import LandmarkLog
 from ..core.names import robot_key
 from ..core.records import Track
+from .config import MotionNoise
 from .relative_frame import Body, Glances, Labels, PlacingConfig, glances, residuals
 from .team_map import TeamMap
 
 LEAST = 2  # poses that make a way
+SHORTEST = 0.2  # [s] over which a speed can be told
+LEAP = 4.0  # standard deviations of the speed and turn rate of a robot without odometry
 
 
 class _Seen(NamedTuple):
@@ -32,18 +37,26 @@ class _Seen(NamedTuple):
 
 
 def fixed_stretches(
-    team: TeamMap, robots: Sequence[str], logs: Mapping[str, LandmarkLog], labels: Labels, cfg: PlacingConfig
+    team: TeamMap,
+    robots: Sequence[str],
+    logs: Mapping[str, LandmarkLog],
+    labels: Labels,
+    cfg: PlacingConfig,
+    motion: MotionNoise,
 ) -> tuple[TeamMap, tuple[str, ...]]:
     """The map with the ways of `robots` cut to the poses that sightings fix, and a sentence for each that was cut.
 
     A pose is fixed where within `cfg.fixed_window` at least `cfg.lost_share` of the sightings agree with it, and those
     come from two others that saw it, or from three others that it saw or that saw it; a distance counts as one more.
-    A robot of which less than two poses are fixed is left out of the map.
+    No pose is that lies within `cfg.fixed_window` of a leap. A robot of which less than two poses are fixed is left
+    out of the map.
     """
     tracks, gaps, told = dict(team.tracks), dict(team.left_out), []
     for robot in robots:
         track = team.tracks[robot]
-        keep = _fixed(track, _partners(robot, team, logs, labels, cfg), cfg)
+        keep = _fixed(track, _partners(robot, team, logs, labels, cfg), cfg) & ~_near_leaps(
+            track, cfg.fixed_window, motion
+        )
         if keep.all():
             continue
         gone = int((~keep).sum())
@@ -97,3 +110,12 @@ def _fixed(track: Track, partners: list[_Seen], cfg: PlacingConfig) -> Bool[np.n
         distances += (good & s.ranged).any(axis=1)
     directions = (saw_it + distances >= 2) | (saw_it + seen_by_it + distances >= 3)
     return np.asarray(directions & (agreeing >= cfg.lost_share * all_of_them))
+
+
+def _near_leaps(track: Track, within: float, motion: MotionNoise) -> Bool[np.ndarray, " n"]:
+    """Which poses lie within so many seconds of two that the robot cannot have gone between."""
+    step, dt = se2.between(track.pose[:-1], track.pose[1:]), np.maximum(np.diff(track.t), SHORTEST)
+    fast = np.hypot(step[:, 0], step[:, 1]) > LEAP * motion.unknown_speed * dt
+    leap = np.flatnonzero(fast | (np.abs(step[:, 2]) > LEAP * motion.unknown_spin * dt))
+    near = (track.t[:, None] >= track.t[leap] - within) & (track.t[:, None] <= track.t[leap + 1] + within)
+    return np.asarray(near.any(axis=1))

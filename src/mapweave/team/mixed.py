@@ -112,7 +112,7 @@ def map_mixed(
                 break
             team = _with_clocks(team, wrong)
         loosely = [robot for robot in done.map.tracks if robot not in held and by[robot].odometry is None]
-        cut, told = fixed_stretches(done.map, loosely, by, labels, placing)
+        cut, told = fixed_stretches(done.map, loosely, by, labels, placing, smoothing.motion)
         against = known.contradicted(done.map, smoothing.known)
         components.append(replace(done, map=cut, notes=(*done.notes, *told, *against)))
     return MixedMap(tuple(components), layout, _paths(components, walls, by), clocks, walls.merges)
