@@ -141,9 +141,13 @@ def test_robots_without_a_common_axis_are_noticed_and_located_with_their_heading
 
 
 def test_robots_in_space_without_common_axes_are_refused(tmp_path):
-    made = mapweave.simulate_swarm(scene=SwarmScene(robots=27, dim=3, axis=False))
+    made = mapweave.simulate_swarm(scene=SwarmScene(robots=27, dim=3))
+    angle = np.random.default_rng(0).uniform(-np.pi, np.pi, 27)[made.table.observer]  # of each robot, about z
+    x, y, z = made.table.direction.T
+    c, s = np.cos(angle), np.sin(angle)
+    own = replace(made.table, direction=np.stack([c * x + s * y, c * y - s * x, z], axis=1))
     with pytest.raises(DataError, match="in space robots need common axes"):
-        mapweave.locate(replace(made.table, axis=True), anchors={"1": made.position[0][0]})
+        mapweave.locate(own, anchors={"1": made.position[0][0]})
 
 
 def test_a_network_in_which_nobody_is_held_says_so_and_still_draws_it(tmp_path):

@@ -52,7 +52,15 @@ def test_equal_seeds_give_equal_bytes(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "words", [["--mutual", "--single"], ["--sigma", "0.5"], ["--dim", "4"], ["--missing", "2"], ["--layout", "ring"]]
+    "words",
+    [
+        ["--mutual", "--single"],
+        ["--sigma", "0.5"],
+        ["--dim", "4"],
+        ["--missing", "2"],
+        ["--layout", "ring"],
+        ["--dim", "3", "--no-axis"],
+    ],
 )
 def test_bad_usage_ends_with_2_and_writes_nothing(tmp_path, words):
     code, out = simulate(tmp_path, *words)

@@ -145,7 +145,7 @@ def observe(
     scene: SwarmScene,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "m d"]:
-    """Noisy unit vectors along `pairs`, turned into the observer's frame when there is no common axis (about z)."""
+    """Noisy unit vectors along `pairs`, turned into the observer's frame when there is no common axis."""
     d = position[pairs[:, 1]] - position[pairs[:, 0]]
     u = d / np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-12)
     wild = rng.random(len(pairs)) < scene.outliers
@@ -164,8 +164,7 @@ def observe(
     if scene.axis:
         return np.asarray(u)
     c, s = np.cos(heading[pairs[:, 0]]), np.sin(heading[pairs[:, 0]])
-    turned = np.column_stack([c * u[:, 0] + s * u[:, 1], -s * u[:, 0] + c * u[:, 1]])
-    return turned if scene.dim == 2 else np.column_stack([turned, u[:, 2]])
+    return np.column_stack([c * u[:, 0] + s * u[:, 1], -s * u[:, 0] + c * u[:, 1]])
 
 
 def _drift(
@@ -255,5 +254,7 @@ def _check(scene: SwarmScene) -> None:
         raise UsageError("expected --k of 1 or more, --range above 0")
     if scene.steps < 1 or scene.interval <= 0.0:
         raise UsageError("expected --steps of 1 or more, --interval above 0")
+    if not scene.axis and scene.dim == 3:
+        raise UsageError("--no-axis: robots in space need common axes, without which nothing locates them")
     if scene.drive and scene.dim == 3:
         raise UsageError("--drive: robots on wheels stay in the plane; expected --dim 2")
