@@ -304,7 +304,9 @@ def warmed() -> None:
         trial = team.trial()
         if trial is not None:
             team.search.decided(trial, trial.run())
-        if team.weave():
+        weaving = team.weaving()
+        if weaving is not None:
+            team.take(weaving.run())
             team.draw({})
 
 

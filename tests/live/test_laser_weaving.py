@@ -11,12 +11,12 @@ import pytest
 from mapweave.api.weave_laser import starts_among
 from mapweave.core import se2
 from mapweave.laser.config import LaserConfig
-from mapweave.laser.merge import Merge, merge_maps
+from mapweave.laser.merge import MapClosure, Merge, merge_maps
 from mapweave.laser.occupancy_mapper import Returns, render_returns
 from mapweave.laser.session import LaserSession
 from mapweave.live import pair_search
-from mapweave.live.canvas import Canvas, Seen
-from mapweave.live.driven import DrivenSession
+from mapweave.live.canvas import Canvas, Standing
+from mapweave.live.driven import DrivenSession, Seen
 from mapweave.live.laser_stream import messages_of_laser
 from mapweave.live.laser_team import LaserTeam, WovenTeam, nobody
 from mapweave.live.laser_weaver import LaserWeaver
@@ -67,7 +67,7 @@ def woven(team):
     """The map with every decision that is wanted now."""
     while (trial := team.trial()) is not None:
         team.search.decided(trial, trial.run())
-    assert team.weave()
+    team.take(team.weaving().run())
     while True:
         drawn = team.draw({})
         if not team.unlaid:
@@ -170,6 +170,10 @@ def scans(n=12, beams=40):
     return poses, [Seen(rng.uniform(-8, 8, (beams, 2)), np.array([0.1, 0.05])) for _ in range(n)]
 
 
+def standing(poses, ids=None):
+    return {"r1": Standing(np.arange(len(poses)) if ids is None else np.asarray(ids), np.asarray(poses))}
+
+
 def unpacked(data):
     return np.frombuffer(zlib.decompress(data), np.uint8).reshape(SIDE, SIDE)
 
@@ -178,11 +182,11 @@ def test_squares_hold_the_map_of_all_keyframes_wherever_they_were_before():
     poses, seen = scans()
     canvas = Canvas(0.05)
     shaken = poses + np.random.default_rng(1).normal(0, 0.3, poses.shape)
-    assert canvas.update({"r1": shaken[:7]}, lambda _, k: seen[k], 100) == 0
+    assert canvas.update(standing(shaken[:7]), lambda _, k: seen[k], 100) == 0
     canvas.draw()
-    assert canvas.update({"r1": poses}, lambda _, k: seen[k], 4) == 8
+    assert canvas.update(standing(poses), lambda _, k: seen[k], 4) == 8
     for left in (4, 0, 0):
-        assert canvas.update({"r1": poses}, lambda _, k: seen[k], 4) == left
+        assert canvas.update(standing(poses), lambda _, k: seen[k], 4) == left
     drawn = canvas.draw()
     mapped = render_returns(
         [Returns(s.points, np.zeros((0, 2)), s.sensor, np.zeros((len(s.points), 2))) for s in seen], poses, 0.05, "map"
@@ -217,26 +221,26 @@ def test_only_what_moved_by_half_a_cell_is_laid_anew():
         return seen[k]
 
     canvas = Canvas(0.05)
-    canvas.update({"r1": poses}, saw, 100)
+    canvas.update(standing(poses), saw, 100)
     moved = poses.copy()
     moved[:, 0] += 0.024
     moved[3, 1] += 0.03
     moved[5, 2] += 0.01 + 2 * np.pi
     del asked[:]
-    canvas.update({"r1": moved}, saw, 100)
+    canvas.update(standing(moved), saw, 100)
     assert sorted(asked) == [3, 5]
     del asked[:]
     grown = np.concatenate([moved + 1.0, poses[:1]])
-    assert canvas.update({"r1": grown}, lambda r, k: saw(r, k % 12), 2) == 11
+    assert canvas.update(standing(grown), lambda r, k: saw(r, k % 12), 2) == 11
     assert asked == [0, 11]  # the new one, then the latest of those that moved
 
 
 def test_a_square_that_nothing_is_in_any_more_goes():
     canvas = Canvas(0.05)
     seen = Seen(np.array([[0.5, 0.0]]), np.zeros(2))
-    canvas.update({"r1": np.array([[1.0, 1.0, 0.0]])}, lambda *_: seen, 10)
+    canvas.update(standing(np.array([[1.0, 1.0, 0.0]])), lambda *_: seen, 10)
     assert {key[1:] for key in canvas.draw()} == {(0, 0)}
-    canvas.update({"r1": np.array([[-1.0, 1.0, np.pi]])}, lambda *_: seen, 10)
+    canvas.update(standing(np.array([[-1.0, 1.0, np.pi]])), lambda *_: seen, 10)
     assert {key[1:] for key in canvas.draw()} == {(-1, 0)}
 
 
@@ -270,7 +274,10 @@ def test_a_woven_robots_covariance_is_that_of_its_keyframe_alone():
 
 
 def decided(a, b, size, *, merged):
-    trial = PairTrial(a, b, (np.zeros((size // 2, 3)), np.zeros((size - size // 2, 3))), ([], []), CFG.merge, None)
+    half = (size // 2, size - size // 2)
+    trial = PairTrial(
+        a, b, tuple(np.zeros((n, 3)) for n in half), ([], []), tuple(map(np.arange, half)), CFG.merge, None
+    )
     return trial, Merge(a, b, merged=merged, reason="")
 
 
@@ -287,7 +294,7 @@ def test_pairs_are_searched_for_where_a_tie_is_missing_and_where_maps_have_grown
     assert search.next({**sizes, "r1": 20}) == ("r1", "r2")  # a quarter more; and so has r1 with r3
     assert search.next({**sizes, "r4": 60}) == ("r2", "r4")  # a tie is looked at again with more of both
     assert search.next({**sizes, "r3": 35}) == ("r3", "r4")
-    known = search.known(["r1", "r2", "r3", "r4"])
+    known = search.known({name: np.arange(n) for name, n in sizes.items()})
     assert len(known) == 6
     assert [pair for pair, merge in known.items() if merge.merged] == [(1, 3), (2, 3)]
     assert known[1, 2].reason == "not tried on each other yet"
@@ -312,17 +319,80 @@ def test_a_driven_estimate_is_that_of_the_whole_log_and_keeps_returns_of_keyfram
     assert sum(b.s.size for b in whole._state().scans) > 0
 
 
-def test_keyframes_of_a_driven_estimate_keep_their_numbers_where_a_place_is_known_well():
+def leaving(cfg, enough=1):
+    """Settings with which keyframes leave as soon as a place was found again."""
+    eager = replace(cfg.graph.known_places, enough=enough, near=50.0, turn=4.0, far=0.0)
+    return replace(cfg, graph=replace(cfg.graph, known_places=eager))
+
+
+def test_keyframes_of_a_driven_estimate_leave_as_those_of_a_log_and_are_known_by_their_scans():
     log = drives()[0].log
-    eager = replace(CFG.graph.known_places, enough=1, near=50.0, turn=4.0, far=0.0)
-    cfg = replace(CFG, graph=replace(CFG.graph, known_places=eager))
-    driven = DrivenSession(log.robot, cfg)
-    stamps = []
-    for event in list(log.events())[:900]:
+    cfg = leaving(CFG)
+    whole, driven = LaserSession(log.robot, cfg), DrivenSession(log.robot, cfg)
+    went, known = {}, {}
+    for event in log.events():
+        whole.push(event)
         driven.push(event)
-        graph = driven.keyframes
-        if graph is not None:
-            now = [node.t for node in graph.nodes]
-            assert now[: len(stamps)] == stamps
-            stamps = now
-    assert len(stamps) > 10
+        if driven.keyframes is None:
+            continue
+        went |= driven.left
+        for k, node in zip(driven.ids.tolist(), driven.keyframes.nodes, strict=True):
+            assert known.setdefault(k, node.t) == node.t
+        driven.left.clear()
+    a, b = driven.graph(covariances=False), whole.graph(covariances=False)
+    assert a.pose.tobytes() == b.pose.tobytes()
+    assert a.points.tobytes() == b.points.tobytes()
+    assert a.revisits.step.tobytes() == b.revisits.step.tobytes()
+    assert len(a.revisits) == len(went) > 5
+    assert known.keys() == {*went, *driven.ids.tolist()}
+    for k, seen in went.items():
+        scan = int(np.flatnonzero(log.scan_t == known[k])[0])
+        assert 0 < len(seen.points) <= log.scans[scan].hit.sum()
+        with pytest.raises(KeyError):
+            driven.seen(k)
+    assert driven.seen(int(driven.ids[-1])).points.tobytes() == driven.keyframes.nodes[-1].beams.s.tobytes()
+
+
+def test_a_team_whose_keyframes_leave_stays_one_map_of_those_that_stay(tmp_path):
+    store, heard = filled(tmp_path / "s.sqlite")
+    with store:
+        team = LaserTeam(store, leaving(CFG), docked)
+        for share in (0.6, 1.0):
+            while team.follow({name: round(share * n) for name, n in heard.items()}):
+                pass
+            drawn = woven(team)
+            assert {name: p.component for name, p in drawn.placed.items()} == {"r1": 1, "r2": 1}
+        afresh = Canvas(CFG.resolution)
+        for name, robot in team.robots.items():
+            assert not robot.session.left
+            afresh.update({name: team._canvases[0].laid[name]}, lambda _, k, at=robot: at.session.seen(k), 10_000)
+            np.testing.assert_array_equal(team._canvases[0].laid[name].ids, robot.session.ids)
+        assert {(1, *key): cells for key, cells in afresh.draw().items()} == drawn.tiles
+        assert sum(len(robot.session.graph(covariances=False).revisits) for robot in team.robots.values()) > 5
+
+
+def test_what_a_keyframe_laid_goes_with_it():
+    poses, seen = scans()
+    canvas, left = Canvas(0.05), Canvas(0.05)
+    canvas.update(standing(poses), lambda _, k: seen[k], 100)
+    stay = [0, 1, 2, 6, 7, 11]
+    assert canvas.update(standing(poses[stay], stay), lambda _, k: seen[k], 0) == 0
+    left.update(standing(poses[stay], stay), lambda _, k: seen[k], 100)
+    assert canvas.draw() == left.draw()
+
+
+def test_a_tie_counts_the_keyframes_that_are_there_and_goes_with_the_last_of_them():
+    search = PairSearch()
+    trial, merge = decided("r1", "r2", 20, merged=True)
+    ends = ((2, 3), (5, 3), (9, 8))
+    closures = tuple(
+        MapClosure(i, j, np.zeros(3), np.eye(3), 1.0, 0.0, 1.0, 0.0, accepted=k < 2, reason="")
+        for k, (i, j) in enumerate(ends)
+    )
+    search.decided(trial, replace(merge, closures=closures))
+    now = np.delete(np.arange(12), [3, 4, 5]), np.delete(np.arange(14), [0])
+    known = search.known({"r1": now[0], "r2": now[1]})[0, 1]
+    assert [(c.first, c.second, c.accepted) for c in known.closures] == [(2, 2, True), (6, 7, False)]
+    gone = search.known({"r1": np.arange(6, 12), "r2": now[1]})[0, 1]
+    assert not gone.merged
+    assert search.next({"r1": 6, "r2": 13}) == ("r1", "r2")

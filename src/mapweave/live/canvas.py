@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from ..core import se2
 from ..kernels.laser.sweep import lay_sweep
+from .driven import Seen
 from .tile_bytes import SIDE, pack
 from .tiles import COARSER, LEVELS, Cells, cells_of, coarser
 
@@ -18,23 +19,26 @@ NO_ENDS = np.zeros((0, 2))
 SquareKey = tuple[int, int, int]  # level, column and row
 
 
-class Seen(NamedTuple):
-    """points: (n, 2) returns and sensor: (2,) where they were seen from [m], in the robot's frame."""
+class Standing(NamedTuple):
+    """The keyframes of one robot. ids: (n,) what each is known by, growing; pose: (n, 3) of each."""
 
-    points: Float[np.ndarray, "n 2"]
-    sensor: Float[np.ndarray, "2"]
+    ids: Int[np.ndarray, " n"]
+    pose: Float[np.ndarray, "n 3"]
+
+
+NOTHING = Standing(np.zeros(0, np.int64), np.zeros((0, 3)))
 
 
 @dataclass(slots=True)
 class Canvas:
     """Counts of returns and beams in cells of `resolution` [m], kept for the squares in which anything was seen.
 
-    laid: robot -> where each of its keyframes lies now (n, 3), NaN before it is laid; packed: the squares of every
-    level as they were drawn last. What is taken out leaves no trace: counts are whole numbers.
+    laid: robot -> where each of its keyframes lies now, NaN before it is laid; packed: the squares of every level as
+    they were drawn last. What is taken out leaves no trace: counts are whole numbers.
     """
 
     resolution: float
-    laid: dict[str, Float[np.ndarray, "n 3"]] = field(default_factory=dict)
+    laid: dict[str, Standing] = field(default_factory=dict)
     packed: dict[SquareKey, bytes] = field(default_factory=dict)
     _counts: dict[tuple[int, int], Int[np.ndarray, "2 side side"]] = field(default_factory=dict)
     _cells: list[dict[tuple[int, int], Cells]] = field(default_factory=lambda: [{} for _ in range(LEVELS)])
@@ -42,23 +46,21 @@ class Canvas:
 
     def update(
         self,
-        poses: Mapping[str, Float[np.ndarray, "n 3"]],
+        standing: Mapping[str, Standing],
         seen: Callable[[str, int], Seen],
         most: int,
     ) -> int:
-        """Lay keyframes that are not where `poses` say, `most` of them; how many are left for another time.
+        """Lay keyframes that are not where `standing` says, `most` of them; how many are left for another time.
 
-        Those that were not laid yet come first, then those that moved, the latest ones before others. seen: what
-        keyframe number k of a robot saw, the same whenever it is asked.
+        Those that were not laid yet come first, then those that moved, the latest ones before others. What is not in
+        `standing` any more is taken out at once. seen: what the keyframe of that id saw, the same whenever it is asked,
+        of those that went too.
         """
         fresh: list[tuple[str, int]] = []
         moved: list[tuple[str, int]] = []
-        for robot, pose in poses.items():
-            old = self.laid.get(robot, np.zeros((0, 3)))
-            if len(old) < len(pose):
-                old = np.concatenate([old, np.full((len(pose) - len(old), 3), np.nan)])
-                self.laid[robot] = old
-            d = pose - old[: len(pose)]
+        for robot, (ids, pose) in standing.items():
+            old = self._aligned(robot, ids, seen)
+            d = pose - old
             new = np.isnan(d[:, 0])
             far = np.hypot(d[:, 0], d[:, 1]) > SHIFT * self.resolution
             turned = np.abs(se2.wrap_angle(np.where(new, 0.0, d[:, 2]))) > TURN
@@ -66,15 +68,30 @@ class Canvas:
             moved += [(robot, int(k)) for k in np.flatnonzero(far | turned)[::-1]]
         off = [*fresh, *moved]
         for robot, k in off[:most]:
-            self._lay(robot, k, poses[robot][k], seen(robot, k))
+            ids, pose = standing[robot]
+            self._lay(robot, k, pose[k], seen(robot, int(ids[k])))
         return max(len(off) - most, 0)
 
+    def _aligned(
+        self, robot: str, ids: Int[np.ndarray, " n"], seen: Callable[[str, int], Seen]
+    ) -> Float[np.ndarray, "n 3"]:
+        """Where keyframes `ids` lie, NaN where they do not yet; others of the robot are taken out."""
+        old = self.laid.get(robot, NOTHING)
+        if not np.array_equal(old.ids, ids):
+            pose = np.full((len(ids), 3), np.nan)
+            there = np.isin(old.ids, ids)
+            pose[np.searchsorted(ids, old.ids[there])] = old.pose[there]
+            for k in np.flatnonzero(~there & ~np.isnan(old.pose[:, 0])).tolist():
+                self._count(old.pose[k], seen(robot, int(old.ids[k])), -1)
+            self.laid[robot] = Standing(ids, pose)
+        return self.laid[robot].pose
+
     def _lay(self, robot: str, k: int, pose: Float[np.ndarray, "3"], seen: Seen) -> None:
-        before = self.laid[robot][k]
+        before = self.laid[robot].pose[k]
         if not np.isnan(before[0]):
             self._count(before, seen, -1)
         self._count(pose, seen, 1)
-        self.laid[robot][k] = pose
+        self.laid[robot].pose[k] = pose
 
     def draw(self) -> Mapping[SquareKey, bytes]:
         """The squares of every level, those that changed drawn anew."""

@@ -1,15 +1,18 @@
 """The estimate of a laser robot that drives on and on: what is needed to go on and to draw its map, and no more."""
 
-from dataclasses import replace
+from bisect import bisect_left
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..core.records import Event
 from ..laser.beam import Beams
 from ..laser.config import LaserConfig
 from ..laser.graph_slam import GraphState
 from ..laser.keyframe_graph import KeyframeGraph
+from ..laser.keyframes import Keyframe
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import ScanInfo
 from ..laser.session import LaserSession
@@ -17,42 +20,65 @@ from ..laser.session import LaserSession
 NO_POINTS = np.zeros((0, 2))
 
 
+class Seen(NamedTuple):
+    """points: (n, 2) returns and sensor: (2,) where they were seen from [m], in the robot's frame."""
+
+    points: Float[np.ndarray, "n 2"]
+    sensor: Float[np.ndarray, "2"]
+
+
 class DrivenSession(LaserSession):
     """The estimate of `map --method graph` by geometry, of which only keyframes keep their returns.
 
-    It is the same estimate scan by scan, but that no keyframe ever leaves the graph: others, who weave and draw them,
-    know keyframes by their numbers. What it does not serve for is `finalise`, which lays every scan.
+    It is the same estimate scan by scan; what it does not serve for is `finalise`, which lays every scan. Keyframes are
+    known to others by the number of their scan, which never changes, while in places known well they leave the graph
+    and the later ones move up. left: what those saw that left since `left` was emptied last.
     """
 
     def __init__(self, robot: str, cfg: LaserConfig, seed: int = 0) -> None:
-        staying = replace(cfg.graph, known_places=replace(cfg.graph.known_places, enough=0))
-        super().__init__(robot, replace(cfg, graph=staying), seed)
+        super().__init__(robot, cfg, seed)
+        self.left: dict[int, Seen] = {}
         self._kept = 0  # scans before this one are let go, but for keyframes
-        self._lean = 0  # keyframes before this one hold no more of their returns than is asked for
 
     def push(self, event: Event) -> ScanInfo | None:
         """As ever; what earlier scans brought and nothing asks for any more is let go."""
+        before = self._state()
+        nodes, gone = ([], 0) if before is None else (before.graph.nodes, len(before.revisits))
         info = super().push(event)
         state = self._state()
         if info is None or not isinstance(state, GraphState):
             return info
+        self._note_left(state, nodes, state.revisits[gone:])
         self.scans.clear()
         self.infos.clear()
+        del state.t[:-1], state.odometry.odometry.poses[:-1]
         newest = len(state.scans) - 1
         for k in range(self._kept, newest):
             state.scans[k] = NOTHING
         self._kept = newest
         nodes = state.graph.nodes
-        while self._lean < len(nodes) - 1:
-            nodes[self._lean] = nodes[self._lean]._replace(beams=_lean(nodes[self._lean].beams))
-            self._lean += 1
+        for k in range(len(nodes) - 2, -1, -1):
+            if nodes[k].beams.w is NOTHING.w:
+                break
+            nodes[k] = nodes[k]._replace(beams=_lean(nodes[k].beams))
         return info
+
+    @property
+    def unneeded(self) -> range:
+        """None: scans are not kept here."""
+        return range(0)
 
     @property
     def keyframes(self) -> KeyframeGraph | None:
         """The keyframes so far, as they were solved last; None before the first scan."""
         state = self._state()
         return state.graph if isinstance(state, GraphState) and len(state.graph) else None
+
+    @property
+    def ids(self) -> Int[np.ndarray, " n"]:
+        """Of each keyframe the number of its scan, which no other ever has; they grow."""
+        state = self._state()
+        return np.array(state.keyframes if isinstance(state, GraphState) else [], np.int64)
 
     def bare_graph(self, name: str) -> RobotGraph | None:
         """The keyframes as they were solved last, with steps and closures, without returns and covariances (NaN)."""
@@ -78,11 +104,22 @@ class DrivenSession(LaserSession):
             sensor=np.zeros((n, 2)),
         )
 
-    def sensor(self, keyframe: int) -> Float[np.ndarray, "2"]:
-        """Where the scanner stood on the robot [m] at a keyframe."""
+    def seen(self, keyframe: int) -> Seen:
+        """What the keyframe of this scan saw; raises KeyError when there is none in the graph nor in `left`."""
+        if keyframe in self.left:
+            return self.left[keyframe]
         state = self._state()
-        assert isinstance(state, GraphState)  # noqa: S101  (there is a keyframe)
-        return np.asarray(state.sensors[state.keyframes[keyframe]])
+        rows = state.keyframes if isinstance(state, GraphState) else []
+        k = bisect_left(rows, keyframe)
+        if not isinstance(state, GraphState) or rows[k : k + 1] != [keyframe]:
+            raise KeyError(keyframe)
+        return Seen(state.graph.nodes[k].beams.s, state.sensors[keyframe])
+
+    def _note_left(self, state: GraphState, nodes: Sequence[Keyframe], rows: Sequence[int]) -> None:
+        """Keyframes of scans `rows`, which stood in `nodes` one after the other, are in the graph no more."""
+        first = bisect_left(state.keyframes, rows[0]) if rows else 0
+        for row, node in zip(rows, nodes[first:], strict=False):
+            self.left[row] = Seen(node.beams.s, state.sensors[row])
 
 
 def _nothing() -> Beams:

@@ -38,6 +38,7 @@ class LaserRobot:
             self.odometry = part.scans[-1].odometry
         for event in part.events():
             self._session.push(event)
+            self._session.left.clear()
             self.t = event.t if self.t is None else max(self.t, event.t)
 
     def status(self) -> tuple[tuple[float, ...], tuple[float, ...], int]:

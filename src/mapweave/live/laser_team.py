@@ -9,28 +9,22 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float
 
 from ..core import se2
 from ..laser.config import LaserConfig
-from ..laser.joint_pass import JointConfig
-from ..laser.merge import Merge
 from ..laser.merge_search import Start
-from ..laser.robot_graph import RobotGraph
-from ..laser.weave import Woven, weave
-from .canvas import Canvas, Seen
+from .canvas import Canvas, Standing
 from .driven import DrivenSession
 from .laser_stream import LaserRecord
 from .messages import Header, Scans, decode
-from .pair_search import UNTRIED, PairSearch, PairTrial, between
+from .pair_search import PairSearch, PairTrial, between
 from .placed import ALONE, Placed
 from .store import Store
 from .tiles import TileKey
+from .weaving import Weaving, WovenGraphs
 
 AT_ONCE = 50  # messages of all robots worked in at once, of each robot one at least
 LEAST_KEYFRAMES = 3  # of a robot to be woven
-UNTOUCHED = JointConfig(widths=())  # keyframes stay as the joint graph has them: the last pass is left to the end
-MOST_TOLD = 60  # pairs of robots
 LAID_AT_ONCE = 100  # keyframes laid into the map at most each time it is drawn
 
 Starts = Callable[[Sequence[str]], Mapping[int, Start]]
@@ -86,7 +80,7 @@ class LaserTeam:
     woven: int = 0
     unlaid: int = 0
     _placed: dict[str, Placed] = field(default_factory=dict)
-    _poses: dict[str, Float[np.ndarray, "n 3"]] = field(default_factory=dict)  # of keyframes as they were woven last
+    _standing: dict[str, Standing] = field(default_factory=dict)  # as they were woven last
     _decisions: list[str] = field(default_factory=list)
     _canvases: list[Canvas] = field(default_factory=list)
 
@@ -131,45 +125,46 @@ class LaserTeam:
             return None
         names = list(sizes)
         start = between(self.starts(names), names.index(pair[0]), names.index(pair[1]))
-        graphs = [graph for name in pair if (graph := self.robots[name].session.keyframes) is not None]
+        sessions = [self.robots[name].session for name in pair]
+        graphs = [graph for session in sessions if (graph := session.keyframes) is not None]
         a, b = (np.array(graph.pose) for graph in graphs)
         of_a, of_b = ([node.beams.s for node in graph.nodes] for graph in graphs)
-        return PairTrial(*pair, (a, b), (of_a, of_b), self.cfg.merge, start)
+        ids_a, ids_b = (session.ids for session in sessions)
+        return PairTrial(*pair, (a, b), (of_a, of_b), (ids_a, ids_b), self.cfg.merge, start)
 
-    def weave(self) -> bool:
-        """The graph of all robots solved by what is decided on pairs so far; whether there is any robot."""
-        graphs: dict[str, RobotGraph] = {}
-        for name in self._sizes():
-            graph = self.robots[name].session.bare_graph(name)
-            if graph is not None:
-                graphs[name] = graph
-        if not graphs:
-            return False
-        names, parts = list(graphs), list(graphs.values())
-        woven = weave(parts, self.cfg.merge, known=self.search.known(names), last=UNTOUCHED)
+    def weaving(self) -> Weaving | None:
+        """All robots' graphs as they are, with what is decided on pairs so far; None before there is any robot."""
+        graphs = {name: self.robots[name].session.bare_graph(name) for name in self._sizes()}
+        there = [graph for graph in graphs.values() if graph is not None]
+        if not there:
+            return None
+        ids = {graph.robot: self.robots[graph.robot].session.ids for graph in there}
+        return Weaving(there, list(ids.values()), self.search.known(ids), self.cfg.merge, self.cfg.graph.unsure)
+
+    def take(self, woven: WovenGraphs) -> None:
+        """The robots stand as they were woven, be it that they went on since."""
         self.woven += 1
-        self._placed = _placed(names, parts, woven, self.cfg.graph.unsure)
-        self._poses = dict(zip(names, woven.pose, strict=True))
-        self._decisions = _decisions(names, woven.merges, self._placed)
-        return True
+        self._placed, self._standing, self._decisions = dict(woven.placed), woven.standing, woven.decisions
 
     def draw(self, heard: Mapping[str, int]) -> WovenTeam:
         """The map as it stands, with everything that was worked in; at most `LAID_AT_ONCE` keyframes are laid anew.
 
         unlaid: how many are left for the next time.
         """
-        parts: dict[int, dict[str, Float[np.ndarray, "n 3"]]] = {}
+        parts: dict[int, dict[str, Standing]] = {}
         self._place_new()
         for name, placed in self._placed.items():
             parts.setdefault(placed.component, {})[name] = self._now(name)
         self._canvases, before = [], self._canvases
         tiles: dict[TileKey, bytes] = {}
         self.unlaid = 0
-        for part, poses in sorted(parts.items()):
-            canvas = _kept(before, poses.keys()) or Canvas(self.cfg.resolution)
-            self.unlaid += canvas.update(poses, self._seen, LAID_AT_ONCE)
+        for part, standing in sorted(parts.items()):
+            canvas = _kept(before, standing.keys()) or Canvas(self.cfg.resolution)
+            self.unlaid += canvas.update(standing, lambda name, k: self.robots[name].session.seen(k), LAID_AT_ONCE)
             self._canvases.append(canvas)
             tiles |= {(part, *key): cells for key, cells in canvas.draw().items()}
+        for robot in self.robots.values():
+            robot.session.left.clear()
         worked = {name: robot.next for name, robot in self.robots.items()}
         behind = sum(max(n - worked.get(name, 0), 0) for name, n in heard.items())
         return WovenTeam(dict(self._placed), list(self._decisions), tiles, behind, self.woven, worked)
@@ -181,71 +176,24 @@ class LaserTeam:
                 last = max((p.component for p in self._placed.values()), default=0)
                 self._placed[name] = Placed(last + 1, *ALONE)
 
-    def _now(self, name: str) -> Float[np.ndarray, "n 3"]:
-        """The poses of all keyframes in the map of their part: as woven, those since beside the last of these."""
-        graph, known = self.robots[name].session.keyframes, self._poses.get(name)
+    def _now(self, name: str) -> Standing:
+        """All keyframes in the map of their part: as woven, those since beside the last of these."""
+        session, woven = self.robots[name].session, self._standing.get(name)
+        graph, ids = session.keyframes, session.ids
         assert graph is not None  # noqa: S101  (it has a place)
-        if known is None:
-            return np.array(graph.pose)
-        last = len(known) - 1
+        if woven is None:
+            return Standing(ids, np.array(graph.pose))
+        still = np.isin(woven.ids, ids)
+        known = woven.pose[still]  # the first keyframe never leaves
+        last = int(np.searchsorted(ids, woven.ids[still][-1]))
         since = se2.compose(known[-1], se2.between(graph.pose[last], graph.pose[last + 1 :]))
-        return np.concatenate([known, np.asarray(since).reshape(-1, 3)])
-
-    def _seen(self, name: str, k: int) -> Seen:
-        session = self.robots[name].session
-        graph = session.keyframes
-        assert graph is not None  # noqa: S101  (it has a place)
-        return Seen(graph.nodes[k].beams.s, session.sensor(k))
+        return Standing(ids, np.concatenate([known, np.asarray(since).reshape(-1, 3)]))
 
 
 def _kept(canvases: list[Canvas], robots: Iterable[str]) -> Canvas | None:
     """The canvas with the most keyframes of `robots` alone, taken out of `canvases`."""
     fit = [c for c in canvases if c.laid.keys() <= set(robots)]
-    best = max(fit, key=lambda c: sum(map(len, c.laid.values())), default=None)
+    best = max(fit, key=lambda c: sum(len(laid.ids) for laid in c.laid.values()), default=None)
     if best is not None:
         canvases.remove(best)
     return best
-
-
-def _placed(names: Sequence[str], graphs: Sequence[RobotGraph], woven: Woven, unsure: float) -> dict[str, Placed]:
-    """Where each robot's frame stands by its last keyframe, in the map of its part; the largest part is number 1.
-
-    unsure: times the graph's covariances are those told.
-    """
-    order = sorted(
-        set(woven.component.tolist()),
-        key=lambda c: (-int((woven.component == c).sum()), woven.component.tolist().index(c)),
-    )
-    part = {c: k for k, c in enumerate(order, 1)}
-    last = np.cumsum([len(g) for g in graphs]) - 1
-    cov = [unsure * woven.joint.solution.covariance(3 * i + np.arange(3)) for i in last.tolist()]
-    out = {}
-    for k, (name, graph) in enumerate(zip(names, graphs, strict=True)):
-        c = int(woven.component[k])
-        if (woven.component == c).sum() == 1:
-            out[name] = Placed(part[c], *ALONE)
-            continue
-        here = graph.pose[-1]
-        frame = np.asarray(se2.compose(woven.pose[k][-1], se2.inverse(here)))
-        lever = np.linalg.inv(se2.compose_jacobians(frame, here)[0])
-        turned = se2.turned_covariance(float(woven.pose[k][-1, 2] - woven.joint.graph.pose[last[k], 2]), cov[k])
-        out[name] = Placed(part[c], frame, lever @ turned @ lever.T, 1.0, own=False)
-    return out
-
-
-def _decisions(names: Sequence[str], merges: Sequence[Merge], placed: Mapping[str, Placed]) -> list[str]:
-    """What was decided on pairs; of more than `MOST_TOLD` those that hang together."""
-    tried = [m for m in merges if m.reason != UNTRIED]
-    tied = [m for m in tried if m.merged]
-    told = [
-        f"{m.a} and {m.b}: {m.reason if m.merged else f'not merged, {m.reason}'}"
-        for m in (tried if len(tried) <= MOST_TOLD else tied)
-    ]
-    if len(tried) > MOST_TOLD:
-        told.append(f"{len(tried) - len(tied)} pairs not merged")
-    if len(tried) < len(merges):
-        told.append(f"{len(merges) - len(tried)} pairs {UNTRIED}")
-    parts = len({p.component for p in placed.values()})
-    if len(names) == 1:
-        return [f"{names[0]}: the only one so far"]
-    return told if parts == 1 else [*told, f"{parts} parts that nothing ties"]

@@ -1,4 +1,8 @@
-"""The thread in which a laser team is followed, so that nobody waits for it; a second one searches for ties."""
+"""The thread in which a laser team is followed, so that nobody waits for it, and a second one that searches and solves.
+
+What costs as much as the team, trying two maps on each other and solving the graph of all, takes place in the second,
+one at a time: a scan that comes meanwhile is in the map all the same.
+"""
 
 import time
 from collections.abc import Mapping
@@ -15,6 +19,7 @@ from ..laser.merge import Merge
 from .laser_team import LaserTeam, Starts, WovenTeam, nobody
 from .pair_search import PairTrial
 from .store import Store
+from .weaving import WovenGraphs
 
 RESTED = 3.0  # the time from solving to solving, and from drawing to drawing, is at least so many times what it takes
 SEARCHED = 1.0  # the time without a search is at least so many times what the search before took
@@ -29,6 +34,13 @@ class _Searched(NamedTuple):
     trial: PairTrial
     begin: float
     merge: Future[Merge]
+
+
+class _Solving(NamedTuple):
+    """A solution under way since `begin` [s]."""
+
+    begin: float
+    woven: Future[WovenGraphs]
 
 
 class LaserWeaver:
@@ -46,8 +58,8 @@ class LaserWeaver:
         self._changed = Condition()
         self._ended = False
         self._thread = Thread(target=self._run, name="weaver", daemon=True)
-        self._searcher = ThreadPoolExecutor(1, thread_name_prefix="searcher")
-        self._trial: _Searched | None = None
+        self._beside = ThreadPoolExecutor(1, thread_name_prefix="beside")
+        self._work: _Searched | _Solving | None = None
         self._search_due = self._weave_due = self._draw_due = 0.0
 
     def start(self) -> None:
@@ -67,14 +79,14 @@ class LaserWeaver:
             self._changed.notify()
         if self._thread.is_alive():
             self._thread.join()
-        self._searcher.shutdown(cancel_futures=True)
+        self._beside.shutdown(cancel_futures=True)
 
     def _run(self) -> None:
         followed = {"": -1}
         unsolved = undrawn = False  # whether there is anything that the last solution, the last map lack
         waiting = 0  # messages that were heard and are not worked in
         while True:
-            heard = self._next(followed, waiting=unsolved or undrawn)
+            heard = self._next(followed, self._due(unsolved=unsolved, undrawn=undrawn))
             if heard is None:
                 return
             try:
@@ -84,59 +96,73 @@ class LaserWeaver:
                     more = self._worked_in() > before
                     unsolved, undrawn = unsolved or more, undrawn or more
                     followed = {"": -1} if left and more else heard  # what is not in the store yet is waited for
-                unsolved |= self._searched()
-                now = time.monotonic()
+                done = self._done()
+                unsolved |= done is _Searched
+                undrawn |= done is _Solving
                 late = OVERDUE if waiting > len(heard) else 0.0  # what is new goes first
-                if unsolved and now >= self._weave_due + late:
-                    undrawn |= self._team.weave()
-                    self.failed, unsolved = "", False
-                    self._weave_due = _rested(now, self._every)
                 now = time.monotonic()
+                if unsolved and self._work is None and now >= self._weave_due + late:
+                    unsolved = False
+                    self._solve()
                 if undrawn and now >= self._draw_due:
                     drawn = self._team.draw(heard)
                     self.newest = drawn if drawn.placed else self.newest
                     undrawn = self._team.unlaid > 0
                     self._draw_due = _rested(now, DRAW_EVERY)
-                if time.monotonic() >= self._search_due + late:
+                if self._work is None and time.monotonic() >= self._search_due + late:
                     self._search()
             except (MapweaveError, np.linalg.LinAlgError) as error:
-                self.failed, unsolved = str(error), False
-                followed, self._weave_due = heard, time.monotonic() + self._every
+                self.failed, followed = str(error), heard
 
-    def _next(self, followed: Mapping[str, int], *, waiting: bool) -> dict[str, int] | None:
+    def _due(self, *, unsolved: bool, undrawn: bool) -> float:
+        """When anything is to be done but for what is heard or ends meanwhile [s]."""
+        solve = self._weave_due if unsolved and self._work is None else np.inf
+        return float(min(solve, self._draw_due if undrawn else np.inf))
+
+    def _next(self, followed: Mapping[str, int], due: float) -> dict[str, int] | None:
         """What was heard by now, as soon as it is more than `followed` or something is due; None to end."""
         with self._changed:
-            if not self._ended and self._heard == followed:
-                due = min(self._weave_due, self._draw_due) if waiting else np.inf
+            ended = self._work is not None and self._work[-1].done()
+            if not self._ended and self._heard == followed and not ended:
                 self._changed.wait(max(min(PATIENCE, due - time.monotonic()), 0.01))
             return None if self._ended else dict(self._heard)
 
+    def _solve(self) -> None:
+        """The graph of all robots is solved, beside everything else."""
+        weaving = self._team.weaving()
+        if weaving is not None:
+            self._work = _Solving(time.monotonic(), self._beside.submit(weaving.run))
+            self._work.woven.add_done_callback(self._wake)
+
     def _search(self) -> None:
         """Two maps that are to be tried on each other are, beside everything else, and one pair at a time."""
-        if self._trial is not None:
-            return
         trial = self._team.trial()
         if trial is not None:
-            self._trial = _Searched(trial, time.monotonic(), self._searcher.submit(trial.run))
-            self._trial.merge.add_done_callback(self._wake)
+            self._work = _Searched(trial, time.monotonic(), self._beside.submit(trial.run))
+            self._work.merge.add_done_callback(self._wake)
 
     def _wake(self, done: object) -> None:  # noqa: ARG002
         with self._changed:
             self._changed.notify()
 
-    def _searched(self) -> bool:
-        """Whether a search has ended; what it came to stands from now on."""
-        if self._trial is None or not self._trial.merge.done():
-            return False
-        trial, begin, future = self._trial
-        self._trial = None
-        self._search_due = time.monotonic() + SEARCHED * (time.monotonic() - begin)
-        try:
-            merge = future.result()
-        except (MapweaveError, np.linalg.LinAlgError) as error:
-            merge = Merge(trial.a, trial.b, merged=False, reason=str(error))
-        self._team.search.decided(trial, merge)
-        return True
+    def _done(self) -> type | None:
+        """What has ended beside, if anything has: what it came to stands from now on."""
+        work = self._work
+        if work is None or not work[-1].done():
+            return None
+        self._work = None
+        if isinstance(work, _Searched):
+            self._search_due = time.monotonic() + SEARCHED * (time.monotonic() - work.begin)
+            try:
+                merge = work.merge.result()
+            except (MapweaveError, np.linalg.LinAlgError) as error:
+                merge = Merge(work.trial.a, work.trial.b, merged=False, reason=str(error))
+            self._team.search.decided(work.trial, merge)
+            return _Searched
+        self._weave_due = _rested(work.begin, self._every)
+        self._team.take(work.woven.result())
+        self.failed = ""
+        return _Solving
 
     def _worked_in(self) -> int:
         return sum(robot.next for robot in self._team.robots.values())

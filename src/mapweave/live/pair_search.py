@@ -1,30 +1,35 @@
 """Which two laser robots' maps are tried on each other next, and what was decided on those that were."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..core import se2
 from ..laser.map_overlap import KeyframeMap
-from ..laser.merge import Merge, merge_maps
+from ..laser.merge import MapClosure, Merge, merge_maps
 from ..laser.merge_search import MergeConfig, Start
 
 GROWN = 1.25  # a pair is tried again when the maps of both together have so many times the keyframes they had
 UNTRIED = "not tried on each other yet"
 
 Pair = tuple[str, str]
+Ids = tuple[Int[np.ndarray, " n"], Int[np.ndarray, " m"]]
 
 
 class PairTrial(NamedTuple):
-    """Two maps to be laid on each other. Running it takes seconds and touches nothing but its own numbers."""
+    """Two maps to be laid on each other. Running it takes seconds and touches nothing but its own numbers.
+
+    ids: what the keyframes of either are known by.
+    """
 
     a: str
     b: str
     poses: tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "m 3"]]
     points: tuple[Sequence[Float[np.ndarray, "_ 2"]], Sequence[Float[np.ndarray, "_ 2"]]]
+    ids: Ids
     cfg: MergeConfig
     start: Start | None
 
@@ -43,10 +48,11 @@ class PairTrial(NamedTuple):
 
 
 class Tried(NamedTuple):
-    """What was decided on a pair when both had so many keyframes together."""
+    """What was decided on a pair when both had so many keyframes together, known by `ids`."""
 
     merge: Merge
     keyframes: int
+    ids: Ids
 
 
 @dataclass(slots=True)
@@ -88,17 +94,43 @@ class PairSearch:
 
     def decided(self, trial: PairTrial, merge: Merge) -> None:
         """What the trial came to."""
-        self.tried[trial.a, trial.b] = Tried(merge, trial.keyframes)
+        self.tried[trial.a, trial.b] = Tried(merge, trial.keyframes, trial.ids)
 
-    def known(self, names: Sequence[str]) -> dict[tuple[int, int], Merge]:
-        """What stands on every pair of `names`, which are in order: by their places."""
-        number = {name: k for k, name in enumerate(names)}
-        return {
-            (number[a], number[b]): self.tried[a, b].merge
-            if (a, b) in self.tried
-            else Merge(a, b, merged=False, reason=UNTRIED)
-            for a, b in _pairs(names)
-        }
+    def known(self, ids: Mapping[str, Int[np.ndarray, " _"]]) -> dict[tuple[int, int], Merge]:
+        """What stands on every pair of these robots, by their places; closures count keyframes as they are now.
+
+        ids: robot -> what its keyframes are known by now. A tie of which every keyframe has left is forgotten.
+        """
+        out = {}
+        number = {name: k for k, name in enumerate(ids)}
+        for a, b in _pairs(list(ids)):
+            merge = None
+            if (before := self.tried.get((a, b))) is not None:
+                merge = _renumbered(before, (ids[a], ids[b]))
+                if merge is None:
+                    del self.tried[a, b]
+            out[number[a], number[b]] = merge or Merge(a, b, merged=False, reason=UNTRIED)
+        return out
+
+
+def _renumbered(tried: Tried, ids: Ids) -> Merge | None:
+    """The decision with closures of the keyframes that are still there; None when that leaves a tie without any."""
+    merge, held = tried.merge, list[MapClosure]()
+    for closure in merge.closures:
+        ends = [
+            _place(then, now, k) for then, now, k in zip(tried.ids, ids, (closure.first, closure.second), strict=True)
+        ]
+        if ends[0] is not None and ends[1] is not None:
+            held.append(replace(closure, first=ends[0], second=ends[1]))
+    if any(c.accepted for c in merge.closures) and not any(c.accepted for c in held):
+        return None
+    return replace(merge, closures=tuple(held))
+
+
+def _place(then: Int[np.ndarray, " n"], now: Int[np.ndarray, " m"], k: int) -> int | None:
+    """Which of the keyframes `now` number `k` of `then` is; None when it has left."""
+    at = int(np.searchsorted(now, then[k]))
+    return at if at < len(now) and now[at] == then[k] else None
 
 
 def between(starts: Mapping[int, Start], i: int, j: int) -> Start | None:

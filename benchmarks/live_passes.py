@@ -1,0 +1,224 @@
+"""What a map process of N laser robots does while they drive, without a network: processor time of its passes.
+
+    python benchmarks/live_passes.py [--robots 50] [--seconds 30] [--rate 1]
+
+The weaver of a map process runs on a clock of its own, which stands still but for what it computes and what it waits
+for, so that other work on the machine changes nothing: a message is there when this clock says so, and what takes place
+beside (solving the graph of all, searching for ties) does so as on a processor of its own. Printed are the times of
+each kind of pass, how late a message is in the map on that clock, and what memory came up.
+"""
+
+import argparse
+import cProfile
+import gc
+import pstats
+import tempfile
+import time
+from collections import defaultdict
+from concurrent.futures import Future
+from pathlib import Path
+
+import numpy as np
+
+from live import memory, prepared, renamed, warmed
+from mapweave.api.weave_laser import starts_among
+from mapweave.core.workers import keep_one_blas_thread
+from mapweave.laser.config import LaserConfig
+from mapweave.live import laser_weaver
+from mapweave.live.laser_weaver import LaserWeaver
+from mapweave.live.store import Store
+
+WAYS = 6
+
+
+class Clock:
+    """Processor time of this thread, and what was waited for [s]. aside: what is reckoned to another processor."""
+
+    def __init__(self) -> None:
+        self.waited = self.aside = 0.0
+        self.begin = time.thread_time()
+
+    def monotonic(self) -> float:
+        return time.thread_time() - self.begin + self.waited - self.aside
+
+
+class Beside:
+    """An executor whose work is done at once, and said to be done when another processor would have done it.
+
+    took: processor seconds of each piece of work by its kind.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock, self.free = clock, 0.0
+        self.took: dict[str, list[float]] = defaultdict(list)
+        self.ends: list[tuple[float, Future, object]] = []
+
+    def submit(self, work) -> Future:
+        at, begin, future = self.clock.monotonic(), time.thread_time(), Future()
+        try:
+            found = work()
+        except Exception as error:  # noqa: BLE001  (it is the future's)
+            found = error
+        took = time.thread_time() - begin
+        self.clock.aside += took
+        self.took[type(work.__self__).__name__].append(took)
+        self.free = max(at, self.free) + took
+        self.ends.append((self.free, future, found))
+        return future
+
+    def settle(self) -> None:
+        while self.ends and self.ends[0][0] <= self.clock.monotonic():
+            _, future, found = self.ends.pop(0)
+            future.set_exception(found) if isinstance(found, Exception) else future.set_result(found)
+
+    def shutdown(self, **_) -> None:
+        """Nothing is under way."""
+
+
+class Team(laser_weaver.LaserTeam):
+    """A team whose passes are timed: `took` is told of each its name and processor seconds."""
+
+    def follow(self, heard):
+        return self._timed("follow", super().follow, heard)
+
+    def trial(self):
+        return self._timed("trial", super().trial)
+
+    def weaving(self):
+        return self._timed("weaving", super().weaving)
+
+    def draw(self, heard):
+        out = self._timed("draw", super().draw, heard)
+        self.drawn(out)
+        return out
+
+    def _timed(self, name, work, *args):
+        begin = time.thread_time()
+        out = work(*args)
+        self.took[name].append(time.thread_time() - begin)
+        return out
+
+
+class Clocked(LaserWeaver):
+    """A weaver that hears messages when `clock` says they come: (second, robot, number), in order."""
+
+    def __init__(self, store, cfg, starts, clock, coming, payloads) -> None:
+        super().__init__(store, cfg, 2.0, starts)
+        self._team = Team(store, self._team.cfg, starts)
+        self._team.took, self._team.drawn = defaultdict(list), self._drawn
+        self._beside = Beside(clock)
+        self.clock, self.coming, self.payloads, self.put = clock, coming, payloads, 0
+        self.came: dict[str, int] = {}
+        self.late: list[float] = []
+        self.shown: dict[str, int] = {}
+        self.when: dict[tuple[str, int], float] = {}
+
+    @property
+    def team(self) -> Team:
+        return self._team
+
+    def run(self) -> dict[str, list[float]]:
+        """Until all is in the map; processor seconds of every pass by its kind."""
+        self._run()
+        return {**self._team.took, **self._beside.took}
+
+    def _drawn(self, out) -> None:
+        now = self.clock.monotonic()
+        for robot, until in out.worked.items():
+            for seq in range(self.shown.get(robot, 1), until):
+                self.late.append(now - self.when[robot, seq])
+            self.shown[robot] = until
+
+    def _next(self, followed, due):
+        self._arrived()
+        if self.came == followed and not self._ready():
+            if self.put == len(self.coming) and due == np.inf:
+                return None
+            coming = [self.coming[self.put][0]] if self.put < len(self.coming) else []
+            ends = [self._beside.ends[0][0]] if self._beside.ends else []
+            now = self.clock.monotonic()
+            self.clock.waited += max(min([due, now + laser_weaver.PATIENCE, *coming, *ends]) - now, 0.001)
+            self._arrived()
+        self._beside.settle()
+        return dict(self.came)
+
+    def _ready(self) -> bool:
+        return bool(self._beside.ends) and self._beside.ends[0][0] <= self.clock.monotonic()
+
+    def _arrived(self) -> None:
+        begin, batch = time.thread_time(), []
+        while self.put < len(self.coming) and self.coming[self.put][0] <= self.clock.monotonic():
+            at, robot, seq = self.coming[self.put]
+            batch.append((robot, seq, self.payloads[robot, seq]))
+            self.when[robot, seq] = at
+            self.came[robot] = seq + 1
+            self.put += 1
+        if batch:
+            self._team.store.put(batch)
+        self.clock.aside += time.thread_time() - begin
+
+
+def told(robots: int, seconds: float, rate: float):
+    """When each message comes, in order, and what it says."""
+    base = [prepared("laser", k, seconds, rate) for k in range(1, min(robots, WAYS) + 1)]
+    coming, payloads = [], {}
+    for k in range(1, robots + 1):
+        for one in base[(k - 1) % len(base)]:
+            if one.topic != "log":
+                continue
+            name = f"r{k}"
+            payloads[name, one.message.seq] = renamed(one.message, name, k)
+            coming.append((one.at + (k % 10) / 10, name, one.message.seq))
+    return sorted(coming), payloads
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--robots", type=int, default=50)
+    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--rate", type=float, default=1.0)
+    parser.add_argument("--apart", action="store_true", help="nobody says where the robots start from")
+    parser.add_argument("--profile", action="store_true", help="where the time goes, by function")
+    given = parser.parse_args()
+    keep_one_blas_thread()
+    warmed()
+    coming, payloads = told(given.robots, given.seconds, given.rate)
+    gc.collect()
+    before = memory("VmRSS")
+    clock = Clock()
+    laser_weaver.time = clock
+    with tempfile.TemporaryDirectory() as folder, Store(Path(folder, "s"), "a map") as store:
+
+        def starts(names):
+            return {} if given.apart else starts_among(names, dict.fromkeys(names, (0.0, 0.0, 0.0)))
+
+        weaver = Clocked(store, LaserConfig(), starts, clock, coming, payloads)
+        profile = cProfile.Profile() if given.profile else None
+        passes = weaver.run() if profile is None else profile.runcall(weaver.run)
+        grown = memory("VmRSS") - before
+        if profile is not None:
+            pstats.Stats(profile).sort_stats("tottime").print_stats(40)
+        tell(weaver, passes, given)
+        print(f"memory {grown / 1024:.0f} MB, {grown / 1024 / given.robots:.1f} MB a robot")
+
+
+def tell(weaver: Clocked, passes: dict[str, list[float]], given: argparse.Namespace) -> None:
+    """What it took."""
+    minutes = given.robots * given.seconds * given.rate / 60
+    print(f"{given.robots} robots, {given.seconds:g} s at {given.rate:g} times: {len(weaver.coming)} messages")
+    for name, times in passes.items():
+        took = np.array(times)
+        print(
+            f"{name:9} {len(took):5} times, {took.sum():6.2f} s, {took.sum() / minutes:.3f} s a robot-minute,"
+            f" p50 {np.median(took):.3f} p99 {np.quantile(took, 0.99):.3f} longest {took.max():.3f}"
+        )
+    late = np.array(weaver.late)
+    print(f"in the map: p50 {np.median(late):.2f} s, p99 {np.quantile(late, 0.99):.2f} s, most {late.max():.2f} s")
+    parts = [p.component for p in weaver.newest.placed.values()]
+    squares = sum(key[1] == 0 for key in weaver.newest.tiles)
+    keyframes = sum(robot.size for robot in weaver.team.robots.values())
+    print(f"tied: {parts.count(1)} of {len(parts)}; keyframes {keyframes}; squares {squares}")
+
+
+if __name__ == "__main__":
+    main()

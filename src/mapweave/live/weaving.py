@@ -1,0 +1,94 @@
+"""The graph of all laser robots of a team, solved by what is decided on pairs, beside everything else."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Int
+
+from ..core import se2
+from ..laser.joint_pass import JointConfig
+from ..laser.merge import Merge
+from ..laser.merge_search import MergeConfig
+from ..laser.robot_graph import RobotGraph
+from ..laser.weave import Woven, weave
+from .canvas import Standing
+from .pair_search import UNTRIED
+from .placed import ALONE, Placed
+
+UNTOUCHED = JointConfig(widths=())  # keyframes stay as the joint graph has them: the last pass is left to the end
+MOST_TOLD = 60  # pairs of robots
+
+
+class Weaving(NamedTuple):
+    """The robots' graphs, to be solved together. Running it touches nothing but its own numbers.
+
+    ids: what each robot's keyframes are known by; known: by two robots' places what was decided on them; unsure: times
+    the graph's covariances are those told.
+    """
+
+    graphs: Sequence[RobotGraph]
+    ids: Sequence[Int[np.ndarray, " _"]]
+    known: Mapping[tuple[int, int], Merge]
+    cfg: MergeConfig
+    unsure: float
+
+    def run(self) -> "WovenGraphs":
+        """The graph of all robots solved."""
+        woven = weave(self.graphs, self.cfg, known=self.known, last=UNTOUCHED)
+        names = [graph.robot for graph in self.graphs]
+        placed = _placed(names, self.graphs, woven, self.unsure)
+        standing = {name: Standing(*one) for name, *one in zip(names, self.ids, woven.pose, strict=True)}
+        return WovenGraphs(placed, standing, _decisions(names, woven.merges, placed))
+
+
+class WovenGraphs(NamedTuple):
+    """placed: where each robot's frame stands; standing: its keyframes in the map of their part; decisions: words."""
+
+    placed: dict[str, Placed]
+    standing: dict[str, Standing]
+    decisions: list[str]
+
+
+def _placed(names: Sequence[str], graphs: Sequence[RobotGraph], woven: Woven, unsure: float) -> dict[str, Placed]:
+    """Where each robot's frame stands by its last keyframe, in the map of its part; the largest part is number 1.
+
+    unsure: times the graph's covariances are those told.
+    """
+    order = sorted(
+        set(woven.component.tolist()),
+        key=lambda c: (-int((woven.component == c).sum()), woven.component.tolist().index(c)),
+    )
+    part = {c: k for k, c in enumerate(order, 1)}
+    last = np.cumsum([len(g) for g in graphs]) - 1
+    cov = [unsure * woven.joint.solution.covariance(3 * i + np.arange(3)) for i in last.tolist()]
+    out = {}
+    for k, (name, graph) in enumerate(zip(names, graphs, strict=True)):
+        c = int(woven.component[k])
+        if (woven.component == c).sum() == 1:
+            out[name] = Placed(part[c], *ALONE)
+            continue
+        here = graph.pose[-1]
+        frame = np.asarray(se2.compose(woven.pose[k][-1], se2.inverse(here)))
+        lever = np.linalg.inv(se2.compose_jacobians(frame, here)[0])
+        turned = se2.turned_covariance(float(woven.pose[k][-1, 2] - woven.joint.graph.pose[last[k], 2]), cov[k])
+        out[name] = Placed(part[c], frame, lever @ turned @ lever.T, 1.0, own=False)
+    return out
+
+
+def _decisions(names: Sequence[str], merges: Sequence[Merge], placed: Mapping[str, Placed]) -> list[str]:
+    """What was decided on pairs; of more than `MOST_TOLD` those that hang together."""
+    tried = [m for m in merges if m.reason != UNTRIED]
+    tied = [m for m in tried if m.merged]
+    told = [
+        f"{m.a} and {m.b}: {m.reason if m.merged else f'not merged, {m.reason}'}"
+        for m in (tried if len(tried) <= MOST_TOLD else tied)
+    ]
+    if len(tried) > MOST_TOLD:
+        told.append(f"{len(tried) - len(tied)} pairs not merged")
+    if len(tried) < len(merges):
+        told.append(f"{len(merges) - len(tried)} pairs {UNTRIED}")
+    parts = len({p.component for p in placed.values()})
+    if len(names) == 1:
+        return [f"{names[0]}: the only one so far"]
+    return told if parts == 1 else [*told, f"{parts} parts that nothing ties"]
