@@ -39,7 +39,7 @@ def cell_index(value: np.float32, origin: np.float32, per_metre: np.float32, cel
 def nearest_in_map(
     pool: np.ndarray, row: np.ndarray, width: int, ix: int, iy: int, x: np.float32, y: np.float32, q: np.float32,
     alpha: np.float32, cap: np.float32,
-) -> tuple[np.float32, int]:  # fmt: skip
+) -> tuple[np.float32, np.int64]:  # fmt: skip
     """Least D = ex^2 + ey^2 + alpha eq^2 of (x, y, q) over the 3x3 cells of one map around (ix, iy), below `cap`.
 
     Also where in `pool` that cell stands; (`cap`, -1) where none is so near. row: that map's entries of the table.

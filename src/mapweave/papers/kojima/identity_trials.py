@@ -6,8 +6,7 @@ import numpy as np
 
 from ...core import se2
 from ...core.workers import Progress, no_progress
-from ...fusion.alignment import joint_fit
-from ...fusion.evidence import log_correspondences, log_evidence, spread_area
+from ...fusion.alignment import joint_fit, log_correspondences, log_evidence, spread_area
 from ...fusion.identities import IdentityConfig, match_maps
 from ...landmarks.landmark_map import LandmarkMap
 
