@@ -70,3 +70,25 @@ def test_a_piece_that_shares_one_landmark_is_left_out():
     tied = tie([piece("abcde", 1), piece("efgh", 2)], CFG)
     assert tied.ids == tuple("abcde")
     assert list(tied.frames) == [0]
+
+
+def test_a_piece_whose_fit_runs_away_is_left_out():
+    """Two maps whose landmarks were mixed up: Gauss-Newton finds no minimum between them."""
+    shared = LandmarkMap(
+        ("6", "8", "7"), np.array([[3.21, -1.67], [3.09, -0.83], [3.62, -0.39]]), 0.002 * np.eye(6) + 0.015
+    )
+    bent = np.array(
+        [
+            [0.157, 0.274, -0.005, 0.201, -0.047, 0.318],
+            [0.274, 0.817, -0.149, 0.577, -0.271, 0.915],
+            [-0.005, -0.149, 0.086, -0.105, 0.106, -0.169],
+            [0.201, 0.577, -0.105, 0.411, -0.192, 0.651],
+            [-0.047, -0.271, 0.106, -0.192, 0.166, -0.301],
+            [0.318, 0.915, -0.169, 0.651, -0.301, 1.035],
+        ]
+    )
+    other = LandmarkMap(("6", "8", "7"), np.array([[4.24, -1.54], [2.97, 0.46], [4.66, 1.06]]), bent)
+    tied = tie([shared, other], EkfSlamConfig())
+    assert list(tied.frames) == [0]
+    assert np.isfinite(tied.cov).all()
+    np.testing.assert_allclose(tied.mean[list(tied.ids).index("6")], [3.21, -1.67])

@@ -103,7 +103,10 @@ def _adjust(
     places: dict[str, list[np.ndarray]],
     cfg: EkfSlamConfig,
 ) -> tuple[Tied, int, float]:
-    """Gauss-Newton over frames and landmarks; the tied map, the piece that fits worst and its chi-square per dof."""
+    """Gauss-Newton over frames and landmarks; the tied map, the piece that fits worst and its chi-square per dof.
+
+    Pieces that contradict each other so much that no minimum is found misfit infinitely.
+    """
     ids = tuple(sorted(places))
     where = {name: k for k, name in enumerate(ids)}
     order = list(frames)  # the root is first
@@ -130,8 +133,12 @@ def _adjust(
     solution = gauss_newton(normal, x0, max_iterations=STEPS, step_tolerance=STILL, held=held, retract=angles)
     found = {k: solution.x[3 * a : 3 * a + 3] for a, k in enumerate(order)}
     worst = int(np.argmax(misfits[1:])) + 1 if len(order) > 1 else 0
-    tied = Tied(root, found, ids, solution.x[first:].reshape(-1, 2), solution.covariance())
-    return tied, order[worst], float(misfits[worst])
+    misfit = float(misfits[worst])
+    try:
+        cov = solution.covariance()
+    except np.linalg.LinAlgError:
+        cov, misfit = np.full((size, size), np.inf), np.inf
+    return Tied(root, found, ids, solution.x[first:].reshape(-1, 2), cov), order[worst], misfit
 
 
 def _linearise(
