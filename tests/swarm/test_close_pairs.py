@@ -91,6 +91,16 @@ def test_a_wrong_sighting_that_a_right_one_was_given_up_for_is_found_by_believin
     assert not estimate.outlier[284]
 
 
+def test_of_two_sightings_of_a_pair_that_contradict_the_one_called_wrong_is_tried_in_the_place_of_the_other():
+    """Seed 1003: 11 sights 62 wrongly by 15 standard deviations and is believed, what 62 says of 11 is not."""
+    net, truth = simulated(1003, robots=64, sigma=2.0, layout="clusters", visibility="directed", outliers=0.05)
+    estimate = locate(net, SwarmConfig(method="robust"))
+    found, most = nees(estimate, truth)
+    assert found > most
+    assert not estimate.reliable
+    assert any("may as well be wrong" in w and "11-62" in w for w in estimate.warnings)
+
+
 def test_without_wrong_sightings_nothing_is_doubted():
     doubted = 0
     for seed in range(8):

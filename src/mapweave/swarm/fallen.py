@@ -197,6 +197,16 @@ def _left_out(
     return gain, float(factors.bearing_factor(part.whole).squares(x)[part.rows == row][0])
 
 
+def _against(net: Network, inlier: Bool[np.ndarray, " m"], row: int, limit: float) -> list[int]:
+    """The inliers of the same pair, the other way, that miss being opposite to `row` by more than `limit` allows."""
+    back = np.flatnonzero(inlier & (net.observer == net.target[row]) & (net.target == net.observer[row]))
+    u, v = -net.direction[row], net.direction[back]
+    cosine = v @ u
+    miss = np.arctan2(np.linalg.norm(v - cosine[:, None] * u, axis=1), cosine)
+    spread = net.sigma[row] ** 2 + net.sigma[back] ** 2
+    return [int(k) for k in back[miss**2 > limit * spread]]
+
+
 def _taken_in(
     net: Network,
     inlier: Bool[np.ndarray, " m"],
@@ -207,11 +217,12 @@ def _taken_in(
 ) -> tuple[float, list[int]]:
     """What the cost of all sightings near by, each cut off at `limit`, loses where `row` is believed; what then is not.
 
-    The sighting that misses most is let go until all that are left fit, or `row` itself is the one.
+    Those the other way that contradict it are let go first, since one of the two is wrong; then the sighting that
+    misses most, until all that are left fit or `row` itself is the one.
     """
     kept = inlier.copy()
-    kept[row] = True
-    let_go: list[int] = []
+    let_go = _against(net, kept, row, limit)
+    kept[row], kept[let_go] = True, False
     for _ in range(SWAPS + 1):
         part = _part(net, kept, position, row)
         if part is None:
