@@ -1,6 +1,7 @@
 """Loops within one log: the last keyframes searched in the submaps of where the robot was before."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -11,9 +12,10 @@ from ..core.gaussian import mahalanobis2, symmetrise
 from .closures import Matched
 from .keyframe_graph import KeyframeGraph
 from .place_search import Fit, PlaceConfig, Places, Window
-from .submaps import PlaceMatch, Query, Submap, SubmapConfig, locate, query_at, submap_around
+from .submaps import Clouds, Lights, PlaceMatch, Query, Submap, SubmapConfig, locate, query_at, submap_around
 
 NOTHING = np.zeros((3, 3))
+BUILT = 8
 
 
 @config
@@ -41,13 +43,31 @@ class SubmapLoopConfig:
     submap: SubmapConfig = SubmapConfig()
 
 
+class _Laid(NamedTuple):
+    """What a submap is made of: keyframes as they lay, the one in the middle, their returns and brightness."""
+
+    poses: Float[np.ndarray, "n 3"]
+    points: Clouds
+    anchor: int
+    q: Lights | None
+
+    def built(self, cfg: SubmapLoopConfig) -> Submap:
+        """The submap, the same whenever it is built."""
+        return submap_around(self.poses, self.points, self.anchor, self.q, cfg.submap, cfg.place)
+
+
 @dataclass(slots=True)
 class SubmapLoops:
-    """The submaps made so far of one robot's keyframes. `offer` and `step` change it."""
+    """The submaps of one robot's keyframes, each as it lay when it was first asked for. `offer` and `step` change it.
+
+    Only the `BUILT` that were searched last are kept as they are searched, which takes a hundred times the memory of
+    what they are made of; building one takes two milliseconds.
+    """
 
     cfg: SubmapLoopConfig
     light: bool = False  # whether brightness takes part
-    _submaps: dict[int, Submap] = field(default_factory=dict)
+    _laid: dict[int, _Laid] = field(default_factory=dict)
+    _built: dict[int, Submap] = field(default_factory=dict)
     _untried: list[int] = field(default_factory=list)
     _came: int = 0
 
@@ -61,7 +81,8 @@ class SubmapLoops:
 
     def forget(self, first: int) -> None:
         """Keyframes from number `first` on are others now: submaps around them are made anew."""
-        self._submaps = {k: submap for k, submap in self._submaps.items() if k < first}
+        self._laid = {k: laid for k, laid in self._laid.items() if k < first}
+        self._built = {k: built for k, built in self._built.items() if k < first}
 
     def step(self, graph: KeyframeGraph) -> None:
         """Keyframes that wait are searched for; what is found stands in `graph`."""
@@ -169,11 +190,20 @@ class SubmapLoops:
 
     def _submap(self, graph: KeyframeGraph, k: int) -> Submap:
         """The submap around keyframe `k`, as it lay when it was first asked for."""
-        if k not in self._submaps:
-            c = self.cfg.submap
-            first, last = max(0, k - c.around), min(len(graph) - 1, k + c.around)
+        built = self._built.pop(k, None)
+        if built is None:
+            built = self._lying(graph, k).built(self.cfg)
+        self._built[k] = built
+        for oldest in list(self._built)[:-BUILT]:
+            del self._built[oldest]
+        return built
+
+    def _lying(self, graph: KeyframeGraph, k: int) -> _Laid:
+        if k not in self._laid:
+            around = self.cfg.submap.around
+            first, last = max(0, k - around), min(len(graph) - 1, k + around)
             nodes = graph.nodes[first : last + 1]
-            q = [node.beams.q for node in nodes] if self.light else None
-            points = [node.beams.s for node in nodes]
-            self._submaps[k] = submap_around(graph.pose[first : last + 1], points, k - first, q, c, self.cfg.place)
-        return self._submaps[k]
+            q = tuple(node.beams.q for node in nodes) if self.light else None
+            points = tuple(node.beams.s for node in nodes)
+            self._laid[k] = _Laid(np.array(graph.pose[first : last + 1]), points, k - first, q)
+        return self._laid[k]
