@@ -1,20 +1,42 @@
 """Real processes of a team on this machine, and what they leave behind."""
 
+import fcntl
 import os
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 COMMAND = (sys.executable, "-m", "mapweave", "live")
 
 
+PORTS = range(20_000, 30_000)  # below those that a system gives to who asks for any
+HELD: list[int] = []  # locks
+
+
 def free_endpoint() -> str:
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{s.getsockname()[1]}"
+    """An endpoint that nobody listens at, and that no other test on this machine is told while this process lives.
+
+    It may be closed and opened again meanwhile: connections that go out never take a port of these.
+    """
+    folder = Path(tempfile.gettempdir(), f"mapweave-test-ports-{os.getuid()}")
+    folder.mkdir(exist_ok=True)
+    first = os.getpid() * 37 % len(PORTS)
+    for port in (*PORTS[first:], *PORTS[:first]):
+        lock = os.open(folder / str(port), os.O_CREAT | os.O_RDWR)
+        with socket.socket() as s:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                s.bind(("127.0.0.1", port))
+            except OSError:
+                os.close(lock)
+                continue
+        HELD.append(lock)
+        return f"tcp/127.0.0.1:{port}"
+    raise RuntimeError("no port is free")
 
 
 class Fleet:
