@@ -187,6 +187,7 @@ class Node:
         self.out[name] = zenoh.ext.declare_advanced_publisher(
             self.session,
             key,
+            congestion_control=zenoh.CongestionControl.BLOCK,  # nothing is let go, however loaded the machine
             cache=zenoh.ext.CacheConfig(max_samples=1) if kept else None,
             publisher_detection=kept,
             sample_miss_detection=beat if kept else None,
