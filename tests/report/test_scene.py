@@ -1,7 +1,9 @@
 """The page's map: what it holds is what was given, and it lives in a browser without a network or an error."""
 
+import base64
 import json
 import re
+from io import BytesIO
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from PIL import Image
 
 from mapweave.core.records import Track
 from mapweave.report.html import Page
-from mapweave.report.scene import MOST_CELLS, MOST_POSES, Scene
+from mapweave.report.scene import INK, MOST_CELLS, MOST_POSES, Scene
 
 from .browser import CHROMIUM, seen_in_browser
 
@@ -119,11 +121,6 @@ def test_long_trajectories_are_thinned_and_keep_their_ends():
 
 
 def test_a_wall_one_cell_thick_is_kept_in_a_large_grid():
-    import base64
-    from io import BytesIO
-
-    from PIL import Image
-
     known = np.ones((3 * MOST_CELLS, 30), bool)
     occupied = np.zeros_like(known)
     occupied[4001] = True
@@ -133,6 +130,20 @@ def test_a_wall_one_cell_thick_is_kept_in_a_large_grid():
     image = np.asarray(Image.open(BytesIO(png)).convert("RGBA"))
     assert max(image.shape) <= MOST_CELLS
     assert (image[::-1][4001 // 3, :, 0] < 60).all()
+
+
+def test_what_is_free_and_what_is_wall_have_exactly_their_colours():
+    known = np.zeros((300, 400), bool)
+    known[100:] = True
+    occupied = np.zeros_like(known)
+    occupied[150:153] = True
+    scene = Scene("exact")
+    scene.grid("walls", known, occupied, (0.0, 4.0, 0.0, 3.0))
+    png = base64.b64decode(data(scene)["grid"]["png"].split(",")[1])
+    pixels = np.asarray(Image.open(BytesIO(png)).convert("RGBA"))[::-1]
+    assert (pixels[known & ~occupied] == (255, 255, 255, 255)).all(), "or a dark page shows the floor white"
+    assert (pixels[occupied] == INK).all()
+    assert (pixels[~known, 3] == 0).all()
 
 
 def test_nothing_that_is_not_finite_reaches_the_page():

@@ -63,7 +63,9 @@ def write_laser_exploration(folder: Path, result: LaserExploreResult) -> None:
     page.figure(figures / "closures.png", "Loops closed within a robot and between two; closures tried and refused")
     refused = refusals(first.closures)
     if refused:
-        page.table(["closures refused because", "how often"], [[why, count] for why, count in refused.items()])
+        page.table(
+            ["closures refused because", "how often"], [[why.replace("#", "…"), n] for why, n in refused.items()]
+        )
     page.table(
         ["robot", "scans", "matched", "by odometry", "without returns", "keyframes", "driven [m]", "collisions"],
         _robots(result),

@@ -59,8 +59,8 @@ def words(story: MixedStory) -> list[str]:
     return out
 
 
-def draw_mixed(target: Target, story: MixedStory, k: int) -> str:
-    """Component `k` on `target`; the caption is returned."""
+def draw_mixed(target: Target, story: MixedStory, k: int) -> None:
+    """Component `k` on `target`: walls, landmarks as stars, ways with a ring where each began."""
     team, grid = story.map.components[k].map, story.grids[k]
     with figure(target, 8.4, 6.0) as (_, ax):
         if grid is not None:
@@ -77,9 +77,6 @@ def draw_mixed(target: Target, story: MixedStory, k: int) -> str:
             name_points(ax, team.landmarks.ids, team.landmarks.mean, 7)
         as_map(ax, "One frame for walls, landmarks and robots")
         legend_beside(ax, 20)
-    return (
-        "Walls as lasers saw them (dark), landmarks (stars), and where every robot went; a ring marks where each began."
-    )
 
 
 def _scene(story: MixedStory, k: int) -> Scene:
@@ -112,7 +109,8 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
     for k, component in enumerate(whole):
         page.section("Map" if k == 0 else f"Component {k + 1}: {_names(component.map.robots)}")
         png = folder / "figures" / ("map.png" if k == 0 else f"component_{k + 1}.png")
-        page.scene(_scene(story, k), draw_mixed(png, story, k), png)
+        draw_mixed(png, story, k)
+        page.scene(_scene(story, k), "Walls as lasers saw them, landmarks, and where every robot went.", png)
     if story.lines:
         page.section("Beside the truth")
         for line in story.lines:
@@ -124,10 +122,13 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
     for k, component in enumerate(whole, 1):
         page.text(_told(component) if len(whole) == 1 else f"Component {k}: {_told(component)}")
     page.section("Robots")
+    began = min((float(track.t[0]) for s in whole for track in s.map.tracks.values() if len(track.t)), default=0.0)
     page.table(
-        ["robot", "carries", "poses", "from [s]", "to [s]", "median sd [m]"], [_robot(story, r) for r in story.robots]
+        ["robot", "carries", "poses", "from [s]", "to [s]", "median sd [m]"],
+        [_robot(story, r, began) for r in story.robots],
     )
-    found = {robot: known for s in whole for robot, known in s.calibration.items()}
+    page.text("Seconds since the first pose of all robots.")
+    found = {robot: known for s in whole for robot, known in s.calibration.items() if known}
     if found:
         head = ["robot", *(name.replace("_", " ") for name in PARAMETERS)]
         prior = whole[0].prior
@@ -155,14 +156,21 @@ def _told(s: Smoothed) -> str:
     return f"{s.poses:,} poses; {factors}. {s.iterations} iterations, {s.status}."
 
 
-def _robot(story: MixedStory, robot: str) -> list[object]:
+def _robot(story: MixedStory, robot: str, began: float) -> list[object]:
     track = next((s.map.tracks[robot] for s in story.map.components if robot in s.map.tracks), None)
     if track is None or not len(track.t):
         return [robot_key(robot), story.kinds[robot], 0, None, None, None]
     sd = None
     if track.cov is not None:
         sd = float(np.sqrt(np.median(np.trace(track.cov[:, :2, :2], axis1=1, axis2=2) / 2)))
-    return [robot_key(robot), story.kinds[robot], len(track.t), f"{track.t[0]:.1f}", f"{track.t[-1]:.1f}", sd]
+    return [
+        robot_key(robot),
+        story.kinds[robot],
+        len(track.t),
+        f"{track.t[0] - began:.1f}",
+        f"{track.t[-1] - began:.1f}",
+        sd,
+    ]
 
 
 def _names(robots: Sequence[str]) -> str:

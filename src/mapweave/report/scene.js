@@ -55,7 +55,8 @@ function showScene(figure) {
   function fit() {
     const [x0, x1, y0, y1] = data.extent;
     const { clientWidth: w, clientHeight: h } = canvas;
-    scale = 0.94 * Math.min(w / Math.max(x1 - x0, 1e-9), h / Math.max(y1 - y0, 1e-9));
+    const [wide, high] = [Math.max(w - 72, w / 2), Math.max(h - 56, h / 2)]; // room for names and numbers at the rim
+    scale = Math.min(wide / Math.max(x1 - x0, 1e-9), high / Math.max(y1 - y0, 1e-9));
     centre = [(x0 + x1) / 2, (y0 + y1) / 2];
   }
   const toX = (x) => canvas.clientWidth / 2 + (x - centre[0]) * scale;
@@ -85,13 +86,13 @@ function showScene(figure) {
     context.setTransform(density, 0, 0, density, 0, 0);
     context.clearRect(0, 0, w, h);
     const ink = style().getPropertyValue("--fg").trim(), line = style().getPropertyValue("--line").trim();
+    written = [];
     drawGraticule(w, h, ink, line);
     if (cells && !hidden.has(data.grid.layer)) {
       const [x0, x1, y0, y1] = data.grid.extent;
       context.imageSmoothingEnabled = scale * data.grid.cell < 1.5;
       context.drawImage(ground, toX(x0), toY(y1), (x1 - x0) * scale, (y1 - y0) * scale);
     }
-    written = [];
     const seen = (things) => things.filter((thing) => !hidden.has(thing.layer));
     for (const lines of seen(data.lines)) drawLines(lines, ink);
     for (const track of seen(data.tracks)) drawTrack(track, ink);
@@ -129,6 +130,12 @@ function showScene(figure) {
     if (inside.length <= MOST_NAMES) for (const one of inside) write(...one);
   }
 
+  // a number of the graticule, which names keep clear of
+  function mark(text, x, y) {
+    context.fillText(text, x, y);
+    written.push([x - 2, y - 11, x + context.measureText(text).width + 2, y + 3]);
+  }
+
   function drawGraticule(w, h, ink, line) {
     const rough = 90 / scale, power = 10 ** Math.floor(Math.log10(rough));
     const step = [1, 2, 5, 10].map((k) => k * power).find((s) => s >= rough);
@@ -141,12 +148,12 @@ function showScene(figure) {
     for (let x = Math.ceil(fromX(0) / step) * step; x < fromX(w); x += step) {
       context.moveTo(toX(x), 0);
       context.lineTo(toX(x), h);
-      context.fillText(number(x, step), toX(x) + 3, h - 5);
+      mark(number(x, step), toX(x) + 3, h - 5);
     }
     for (let y = Math.ceil(fromY(h) / step) * step; y < fromY(0); y += step) {
       context.moveTo(0, toY(y));
       context.lineTo(w, toY(y));
-      context.fillText(number(y, step), 3, toY(y) - 3);
+      mark(number(y, step), 3, toY(y) - 3);
     }
     context.stroke();
     context.globalAlpha = 1;

@@ -63,12 +63,13 @@ class Scene:
         """
         join = max(1, -(-max(known.shape) // MOST_CELLS))
         known, occupied = _joined(known, join), _joined(occupied, join)
-        pixels = np.zeros((*known.shape, 4), np.uint8)
-        pixels[known] = paper
-        pixels[occupied] = INK
+        kind = known.astype(np.uint8)
+        kind[occupied] = 2
+        picture = Image.fromarray(kind[::-1], "P")
+        picture.putpalette(bytes((0, 0, 0, 0, *paper, *INK)), "RGBA")
         x0, x1, y0, y1 = extent
         cell = (x1 - x0) / max(known.shape[1], 1)
-        png = _png(Image.fromarray(pixels[::-1]).quantize(4))
+        png = _png(picture)
         self._grid = {"layer": layer, "png": png, "extent": list(extent), "cell": cell}
         if known_at is not None and np.isfinite(known_at).any():
             begin, end = float(np.nanmin(known_at)), float(np.nanmax(known_at))
