@@ -203,8 +203,8 @@ def compiled(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg:
         gate=1e9, far=1e9,
     )  # fmt: skip
     known, Phi = noise(config), np.zeros((3, n))
-    started, places = np.ones(n_marks, dtype=bool), np.zeros((n_marks, ekf_start.CANDIDATES, 2))
-    counts, astray = np.zeros(n_marks, dtype=np.int64), np.zeros(1, dtype=np.int64)
+    waiting = np.zeros((n_marks, ekf_start.CANDIDATES, 2))
+    places = ekf_state.Places(np.ones(n_marks, bool), waiting, np.zeros(n_marks, np.int64), np.zeros(1, np.int64))
     begun = time.process_time()
     for rows, z, _ in script:
         Phi[:, :3] = np.eye(3)
@@ -212,10 +212,8 @@ def compiled(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg:
         x[:3] = move(x[:3], u, cfg.period)
         ekf_apply_drive.apply_drive(F, len(x), Phi, cfg.Q.copy())
         ranges, bearings = z.T.copy()
-        ekf.frame(
-            x, F, rows, ranges, bearings, known, started, places, counts, astray, np.empty(len(rows)),
-            np.empty(len(rows)),
-        )  # fmt: skip
+        fit = ekf_state.Fit(np.empty(len(rows)), np.empty(len(rows)))
+        ekf.frame(x, F, ekf_state.Seen(rows, ranges, bearings), known, places, fit)
     return time.process_time() - begun
 
 

@@ -157,13 +157,10 @@ def test_a_frame_worked_in_at_once_is_its_sightings_one_by_one():
     slots, started = np.array([2, -1, 0, 1]), np.ones(3, bool)
     z = np.array([[3.0, 0.5], [1.0, 0.0], [4.0, 0.9], [2.5, 0.7]])
     astray = np.zeros(1, np.int64)
-    waiting, count, nis, weight = (
-        np.zeros((3, ekf_start.CANDIDATES, 2)),
-        np.zeros(3, np.int64),
-        np.zeros(4),
-        np.zeros(4),
-    )
-    ekf.frame(x, P, slots, z[:, 0].copy(), z[:, 1].copy(), noise, started, waiting, count, astray, nis, weight)
+    places = ekf_state.Places(started, np.zeros((3, ekf_start.CANDIDATES, 2)), np.zeros(3, np.int64), astray)
+    nis, weight = np.zeros(4), np.zeros(4)
+    seen = ekf_state.Seen(slots, z[:, 0].copy(), z[:, 1].copy())
+    ekf.frame(x, P, seen, noise, places, ekf_state.Fit(nis, weight))
     U, alone = np.empty((2, len(y))), np.zeros(1, np.int64)
     for slot, (r, b) in zip(slots, z, strict=True):
         if slot >= 0:
@@ -240,14 +237,15 @@ def test_a_replay_stands_at_every_stamp_of_commands_and_sightings_until_both_hav
     want_t = np.unique(np.concatenate([t, stamp]))
 
     def tables():
-        return np.ones(3, bool), np.zeros((3, ekf_start.CANDIDATES, 2)), np.zeros(3, np.int64), np.zeros(1, np.int64)
+        waiting = np.zeros((3, ekf_start.CANDIDATES, 2))
+        return ekf_state.Places(np.ones(3, bool), waiting, np.zeros(3, np.int64), np.zeros(1, np.int64))
 
     Phi, Q = cleared()
-    nis, weight, track_t = np.zeros(5), np.zeros(5), np.full(60, np.nan)
+    track_t = np.full(60, np.nan)
     pose, cov = np.zeros((60, 3)), np.zeros((60, 6))
     rows, at = ekf.replay(
-        x, P, Phi, Q, 10.0, t, v, w, -1, 0, stamp, slots, z[:, 0].copy(), z[:, 1].copy(), PLAIN, *tables(), nis, weight,
-        track_t, pose, cov,
+        ekf_state.Belief(x, P, Phi, Q), 10.0, np.stack([t, v, w]), -1, 0, slots, np.stack([stamp, *z.T]), PLAIN,
+        tables(), np.zeros((2, 5)), track_t, pose, cov,
     )  # fmt: skip
     assert rows == len(want_t)
     np.testing.assert_array_equal(track_t[:rows], want_t)
@@ -260,8 +258,8 @@ def test_a_replay_stands_at_every_stamp_of_commands_and_sightings_until_both_hav
         here = stamp == until
         if here.any():
             ekf_apply_drive.apply_drive(R, len(y), Phi, Q)
-            ranges, bearings = z[here, 0].copy(), z[here, 1].copy()
-            ekf.frame(y, R, slots[here], ranges, bearings, PLAIN, *kept, np.zeros(here.sum()), np.zeros(here.sum()))
+            seen = ekf_state.Seen(slots[here], z[here, 0].copy(), z[here, 1].copy())
+            ekf.frame(y, R, seen, PLAIN, kept, ekf_state.Fit(np.zeros(here.sum()), np.zeros(here.sum())))
         np.testing.assert_allclose(pose[k, :2], y[:2], atol=1e-9)
     assert at == at_one
     np.testing.assert_allclose(x, y, atol=1e-9)

@@ -15,7 +15,7 @@ from ..core.records import Event, Odometry, Sightings, Stretch, Track, frozen
 from ..kernels.landmarks import ekf
 from ..kernels.landmarks.ekf_apply_drive import apply_drive, clear
 from ..kernels.landmarks.ekf_start import CANDIDATES
-from ..kernels.landmarks.ekf_state import HEAD, POSE, RANGE_SCALE
+from ..kernels.landmarks.ekf_state import HEAD, POSE, RANGE_SCALE, Belief, Places
 from .config import EkfSlamConfig, calibration_prior, noise
 from .landmark_map import Submap
 
@@ -120,9 +120,8 @@ def _drive(state: EkfSlamState, record: Odometry, cfg: EkfSlamConfig) -> tuple[E
     commands = np.concatenate([state.commands, np.stack([record.t, record.v, record.w])], axis=1)
     n, t = len(record.t), float(record.t[0]) if state.t is None else state.t
     pose, cov = np.empty((n, POSE)), np.empty((n, 6))
-    t, at = ekf.drive_rows(
-        x, state.P, Phi, Q, t, commands[0], commands[1], commands[2], state.at, n, noise(cfg), pose, cov
-    )
+    belief = Belief(x, state.P, Phi, Q)
+    t, at = ekf.drive_rows(belief, t, commands, commands.shape[1], state.at, n, noise(cfg), pose, cov)
     gone = max(at, 0)
     new = replace(state, t=t, x=x, Phi=Phi, Q=Q, commands=commands[:, gone:].copy(), at=at - gone)
     return new, EkfSlamInfo(Status.USED, Track(record.t, pose, square(cov), state.frame))
@@ -137,25 +136,23 @@ def _work_in(state: EkfSlamState, record: Stretch, cfg: EkfSlamConfig) -> tuple[
     rows = np.zeros((3, 0)) if o is None else np.stack([o.t, o.v, o.w])
     commands = np.concatenate([new.commands, rows], axis=1)
     n, most = len(record.t), rows.shape[1] + len(record.t)
-    nis, weight = np.empty(n), np.empty(n)
+    fit = np.empty((2, n))
     t, pose, cov = np.empty(most), np.empty((most, POSE)), np.empty((most, 6))
-    started, waiting, n_waiting = new.started.copy(), new.waiting.copy(), new.n_waiting.copy()
-    astray = new.astray.copy()
-    x, P, Phi, Q = new.x.copy(), new.P.copy(), new.Phi.copy(), new.Q.copy()
-    stamp, distance, bearing = (np.array(c) for c in (record.t, record.range, record.bearing))
+    places = Places(new.started.copy(), new.waiting.copy(), new.n_waiting.copy(), new.astray.copy())
+    belief = Belief(new.x.copy(), new.P.copy(), new.Phi.copy(), new.Q.copy())
+    sightings = np.stack([record.t, record.range, record.bearing])
     start = first_stamp(record) if state.t is None else state.t
     tracked, at = ekf.replay(
-        x, P, Phi, Q, start, commands[0], commands[1], commands[2], new.at, new.commands.shape[1],
-        stamp, slots, distance, bearing, noise(cfg),
-        started, waiting, n_waiting, astray, nis, weight, t, pose, cov,
-    )  # fmt: skip
+        belief, start, commands, new.at, new.commands.shape[1], slots, sightings, noise(cfg), places, fit, t, pose, cov
+    )
     gone = max(at, 0)
     track = Track(t[:tracked], pose[:tracked], square(cov[:tracked]), new.frame)
     new = replace(
-        new, t=float(t[tracked - 1]), x=x, P=P, Phi=Phi, Q=Q, commands=commands[:, gone:].copy(), at=at - gone,
-        started=started, waiting=waiting, n_waiting=n_waiting, astray=astray,
+        new, t=float(t[tracked - 1]), commands=commands[:, gone:].copy(), at=at - gone,
+        started=places.started, waiting=places.waiting, n_waiting=places.count, astray=places.astray,
+        **belief._asdict(),
     )  # fmt: skip
-    return new, EkfSlamInfo(Status.USED, track, nis, weight)
+    return new, EkfSlamInfo(Status.USED, track, *fit)
 
 
 def first_stamp(record: Stretch) -> float:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from ..core import se2
 from ..core.config import config
 from ..core.records import Scan, frozen
-from ..kernels.laser.moving import moving_returns
+from ..kernels.laser.moving import Thing, moving_returns
 
 
 @config
@@ -83,12 +83,7 @@ class MovingReturns:
             np.array([one.hit for one in asked]),
             poses,
             c.blur + c.blur_share * np.abs(poses[:, 2]),
-            c.jump,
-            c.jump_share,
-            c.ahead,
-            c.widest,
-            c.margin,
-            c.same,
+            Thing(c.jump, c.jump_share, c.ahead, c.widest, c.margin, c.same),
             float(min(scan.range_max, 1e6)),
         )
         moving = int(moves.sum())

@@ -17,6 +17,55 @@ HEAD = 8  # pose and calibration
 V_SCALE, TURN_SCALE, LAG, BEARING_BIAS, RANGE_SCALE = 3, 4, 5, 6, 7
 
 
+class Belief(NamedTuple):
+    """The filter between two sightings: changed in place.
+
+    x: (n,) and P: (n, n) as of the last sighting but for the pose in x; Phi: (3, HEAD), Q: (3, 3) of what was driven
+    since then.
+    """
+
+    x: Array
+    P: Array
+    Phi: Array
+    Q: Array
+
+
+class Commands(NamedTuple):
+    """t: (k,) stamps [s] from which on the robot drives v [m/s], w [rad/s]; v and w may be longer."""
+
+    t: Array
+    v: Array
+    w: Array
+
+
+class Seen(NamedTuple):
+    """n sightings: of which landmark (slot (n,), below zero of none), range [m] and bearing [rad]."""
+
+    slot: Array
+    range: Array
+    bearing: Array
+
+
+class Places(NamedTuple):
+    """What is known of each landmark, changed in place.
+
+    started: (m,) whether it is in the state; waiting: (m, CANDIDATES, 2), count: (m,) the places it was seen at before;
+    astray: (1,) sightings in a row that hardly counted.
+    """
+
+    started: Array
+    waiting: Array
+    count: Array
+    astray: Array
+
+
+class Fit(NamedTuple):
+    """nis, weight: (n,) of each sighting, NaN where it was no update of a landmark; filled."""
+
+    nis: Array
+    weight: Array
+
+
 class Noise(NamedTuple):
     """What the kernels take from the configuration, in metres, radians and seconds."""
 

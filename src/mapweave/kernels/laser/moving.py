@@ -1,6 +1,7 @@
 """Returns of things that move: where a scan shows a small thing in front, and earlier scans saw through its place."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,6 +11,17 @@ SLANT = 1.5  # times the range's change to the next beam: more of a margin for w
 VOTES = 2  # more earlier scans that say so than say the opposite
 LEAST_RUN = 3  # returns beside each other that seem to move, where they do not stand free
 BESIDE = 2  # returns on either side of such a run that move with it, where their ranges go on
+
+
+class Thing(NamedTuple):
+    """What a thing is, and what counts as its having moved, in metres; see `moving_returns`."""
+
+    jump: float
+    jump_share: float  # of the range
+    ahead: float
+    widest: float
+    margin: float
+    same: float
 
 
 @kernel
@@ -22,12 +34,7 @@ def moving_returns(
     earlier_hit: np.ndarray,
     poses: np.ndarray,
     blur: np.ndarray,
-    jump: float,
-    jump_share: float,
-    ahead: float,
-    widest: float,
-    margin: float,
-    same: float,
+    thing: Thing,
     range_max: float,
 ) -> np.ndarray:
     """(n,) which returns belong to something that moves.
@@ -47,10 +54,10 @@ def moving_returns(
         if hit[b]:
             votes = 0
             for j in range(earlier_ranges.shape[0]):
-                slack = margin + SLANT * _slope(ranges, hit, b, jump, jump_share)
+                slack = thing.margin + SLANT * _slope(ranges, hit, b, thing.jump, thing.jump_share)
                 votes += _vote(
-                    ranges, hit, first, step, b, earlier_ranges[j], earlier_hit[j], poses[j], blur[j], slack, same,
-                    range_max,
+                    ranges, hit, first, step, b, earlier_ranges[j], earlier_hit[j], poses[j], blur[j], slack,
+                    thing.same, range_max,
                 )  # fmt: skip
             moved[b] = votes >= VOTES
     out = np.zeros(n, dtype=np.bool_)
@@ -60,13 +67,13 @@ def moving_returns(
             i += 1
             continue
         k = i
-        while k + 1 < n and hit[k + 1] and abs(ranges[k + 1] - ranges[k]) < jump + jump_share * ranges[k]:
+        while k + 1 < n and hit[k + 1] and abs(ranges[k + 1] - ranges[k]) < thing.jump + thing.jump_share * ranges[k]:
             k += 1
-        if _stands_free(ranges, hit, i, k, step, ahead, widest):
+        if _stands_free(ranges, hit, i, k, step, thing.ahead, thing.widest):
             if 2 * np.sum(moved[i : k + 1]) >= k - i + 1:
                 out[i : k + 1] = True
         else:
-            _mark_runs(out, moved, ranges, i, k, step, widest)
+            _mark_runs(out, moved, ranges, i, k, step, thing.widest)
         i = k + 1
     return out
 
