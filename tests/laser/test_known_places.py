@@ -117,6 +117,18 @@ def test_scans_one_by_one_and_from_a_log_give_the_same_way(sizes_and_slam, mappe
     assert made.warnings == mapped.warnings
 
 
+def test_of_scans_that_were_let_go_numbers_alone_are_kept_and_the_log_has_them(sizes_and_slam, sim):
+    slam = sizes_and_slam[1]
+    gone = [k for k, raw in enumerate(slam._stream._raw) if not raw.kept]
+    assert len(gone) > 0.3 * len(slam)
+    assert len({id(slam._stream._raw[k]) for k in gone}) == 1
+    assert len({id(slam._session.scans[k]) for k in gone}) == 1
+    log = slam._stream.log()
+    assert np.array_equal(log.scan_t, sim.log.scan_t)
+    assert all(np.array_equal(a.odometry, b.odometry) for a, b in zip(log.scans, sim.log.scans, strict=True))
+    assert {len(log.scans[k].ranges) for k in gone} == {0}
+
+
 def test_where_the_map_is_moved_among_others_the_whole_way_moves_with_it(mapped):
     shift, graph = np.array([-3.0, 8.0, 2.0]), mapped.graph
     moved = _track(mapped, np.asarray(se2.compose(shift, graph.pose)), graph.moved(shift).cov)

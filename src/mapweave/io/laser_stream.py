@@ -10,6 +10,7 @@ from jaxtyping import Float
 from ..core.errors import DataError
 from ..core.laser_log import LaserLog, ScanDigest
 from ..core.records import Event, Scan, frozen
+from ..core.rows import Rows
 from .assemble import RawLog, RawScan, is_sound, scan_of
 from .laser_arrays import beam_spacing
 
@@ -28,7 +29,9 @@ class LaserStream:
 
     def __init__(self, robot: str = "1", source: str = "scans as they came") -> None:
         self.robot, self.source = robot, source
-        self._raw: list[RawScan] = []
+        self._raw: list[RawScan] = []  # of those forgotten: one for all that were alike but for stamp and odometry
+        self._t, self._odometry = Rows(), Rows(3)
+        self._alike: dict[tuple[float, float, float, bytes], RawScan] = {}
         self._digest = hashlib.sha256()
         self._scans = ScanDigest()
 
@@ -74,6 +77,8 @@ class LaserStream:
             raise DataError(f"{where}: expected a stamp and poses that are finite, found others")
         self._check_order(raw, where)
         self._raw.append(raw)
+        self._t.append(raw.t)
+        self._odometry.append(np.nan if pose is None else pose)
         for part in (np.array([t, first, step]), r, light, pose):
             self._digest.update(b"-" if part is None else part.tobytes())
         scan = _with_odometry(raw)
@@ -83,12 +88,23 @@ class LaserStream:
     def forget(self, rows: range) -> None:
         """The ranges of these scans are not kept: the log has the scans without them and says of which it was made."""
         for row in rows:
-            self._raw[row] = replace(self._raw[row], ranges=NO_RANGES, intensities=None, kept=False)
+            raw = self._raw[row]
+            alike = (raw.angle_min, raw.angle_increment, raw.range_max, raw.T_robot_sensor.tobytes())
+            if alike not in self._alike:
+                self._alike[alike] = replace(raw, ranges=NO_RANGES, intensities=None, odometry=None, kept=False)
+            self._raw[row] = self._alike[alike]
 
     def log(self) -> LaserLog:
         """Everything so far as a log; raises DataError when nothing came."""
-        raw = RawLog(self.robot, self.source, self._digest.hexdigest(), list(self._raw), odometry_from="poses")
+        scans = [raw if raw.kept else self._remembered(row) for row, raw in enumerate(self._raw)]
+        raw = RawLog(self.robot, self.source, self._digest.hexdigest(), scans, odometry_from="poses")
         return replace(raw.finish(), told_hash=self._scans.told)
+
+    def _remembered(self, row: int) -> RawScan:
+        """What is left of a scan that was forgotten."""
+        odometry = self._odometry[row]
+        own = None if np.isnan(odometry).any() else frozen(odometry)
+        return replace(self._raw[row], t=float(self._t[row]), odometry=own)
 
     def _mounted(self, pose: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """The same array as of the scan before where it is the same pose: most scanners stay where they are."""
@@ -98,9 +114,10 @@ class LaserStream:
     def _check_order(self, raw: RawScan, where: str) -> None:
         if not self._raw:
             return
-        last = self._raw[-1]
+        last = self._raw[-1] if self._raw[-1].kept else self._remembered(len(self._raw) - 1)
+        near = range(max(0, len(self._raw) - 8), len(self._raw))
         same = last.t == raw.t and any(
-            np.array_equal(other.T_robot_sensor, raw.T_robot_sensor) for other in self._raw[-8:] if other.t == raw.t
+            np.array_equal(self._raw[k].T_robot_sensor, raw.T_robot_sensor) for k in near if self._t[k] == raw.t
         )
         if raw.t < last.t or same:
             raise DataError(f"{where}: expected a stamp after the last scan's, {last.t!r} s")

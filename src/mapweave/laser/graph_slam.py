@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.records import Event, Scan
+from ..core.rows import Rows
 from ..core.workers import Progress, no_progress
 from . import particle_slam
 from .beam import STEERING, Beams, IntensityCalibration, beams
@@ -50,7 +51,7 @@ class GraphState:
     known: KnownPlaces
     feature: str
     calibration: IntensityCalibration | None
-    t: list[float] = field(default_factory=list)
+    t: Rows = field(default_factory=Rows)
     scans: list[Beams] = field(default_factory=list)
     sensors: list[np.ndarray] = field(default_factory=list)
     lines: list[np.ndarray] = field(default_factory=list)
@@ -195,7 +196,7 @@ def _laid(state: GraphState, cfg: LaserConfig, first: int, last: int) -> Float[n
 def _whole(state: GraphState, cfg: LaserConfig, on_progress: Progress) -> tuple[Float[np.ndarray, "m 3"], GraphState]:
     """Poses at every scan as the front end has them, and a state whose graph is solved and free to be changed."""
     if state.particles is None:
-        local, grown = np.array(state.odometry.odometry.poses), replace(state, graph=state.graph.copy())
+        local, grown = state.odometry.odometry.poses.array, replace(state, graph=state.graph.copy())
     else:
         local, grown = _along_lineage(state, state.particles, cfg, on_progress)
     grown.graph.solve()
@@ -220,7 +221,7 @@ def _along_lineage(
     for row, pose in enumerate(poses):
         maker.advance(pose, se2.between(before, pose), state.lines[row])
         before = pose
-        _grow(grown, cfg, row, maker.keyframe(state.t[row], state.scans[row]))
+        _grow(grown, cfg, row, maker.keyframe(float(state.t[row]), state.scans[row]))
         on_progress("loops", row + 1, len(poses))
     return poses, grown
 

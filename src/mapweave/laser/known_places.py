@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.config import config
+from ..core.rows import Rows
 from .keyframe_graph import KeyframeGraph
 from .robot_graph import Revisits
 
@@ -52,22 +53,15 @@ class KnownPlaces:
     settled: int = -1
     checked: int = -1
     closures: int = 0
-    _t: list[float] = field(default_factory=list)
-    _at: list[int] = field(default_factory=list)
-    _step: list[Float[np.ndarray, "3"]] = field(default_factory=list)
-    _cov: list[Float[np.ndarray, "3 3"]] = field(default_factory=list)
+    _t: Rows = field(default_factory=Rows)
+    _at: Rows = field(default_factory=lambda: Rows(dtype=np.int64))
+    _step: Rows = field(default_factory=lambda: Rows(3))
+    _cov: Rows = field(default_factory=lambda: Rows(3, 3))
 
     @property
     def revisits(self) -> Revisits:
         """The poses of the keyframes that left."""
-        shape = len(self._t)
-        return Revisits(
-            np.array(self._t),
-            np.array(self._at, np.int64),
-            np.array(self._step).reshape(shape, 3),
-            np.array(self._cov).reshape(shape, 3, 3),
-            self.closures,
-        )
+        return Revisits(self._t.array, self._at.array, self._step.array, self._cov.array, self.closures)
 
     def step(self, graph: KeyframeGraph, i: int, queried: int, lay: Laying) -> Left | None:
         """Keyframe `i`, the graph's last one, was searched for, with the `queried` before it; which keyframes left.

@@ -11,6 +11,7 @@ from ..core import se2
 from ..core.errors import DataError
 from ..core.laser_log import LaserLog
 from ..core.records import Track
+from ..core.rows import Rows
 from ..core.workers import Progress
 from .beam import Beams, beams
 from .config import LaserConfig
@@ -18,6 +19,7 @@ from .laser_map import GridMap, IntensityCalibration, ScanRecords
 from .likelihood_field import nearest_field
 from .localise_filter import LocaliseConfig, PlaceFilter
 from .localise_trust import Evidence, Seen, evidence
+from .scan_infos import ScanInfos
 from .scan_odometry import ScanInfo, ScanOdometry, blended
 
 
@@ -88,9 +90,10 @@ def localise(
         raise DataError(f"{log.source}: no scan with enough returns to be placed in the map")
     since = way.found or 0
     first = way.at.index(since) if since in way.at else 0
-    poses = blended(np.array(way.carried), np.array(way.at[first:]), np.array(way.corrected[first:]))
-    told = [i for i in way.infos[since:] if i.decision == "matched"]
-    matched = sum(i.matches for i in told) / max(1, sum(i.beams for i in told))
+    poses = blended(way.carried.array, np.array(way.at[first:]), np.array(way.corrected[first:]))
+    scans = way.infos.records(log.scan_t, tuple(scan.host for scan in log.scans), poses)
+    told = (np.array(scans.decision) == "matched") & (np.arange(len(scans)) >= since)
+    matched = int(scans.matches[told].sum()) / max(1, int(scans.beams[told].sum()))
     if way.found is None:
         warnings.append("the start was not found: the hypotheses never became one")
     if way.restarts:
@@ -114,7 +117,7 @@ def localise(
         log.robot,
         log.source,
         _filled(log, poses),
-        _records(log, poses, way.infos),
+        scans,
         "global" if start is None else "given",
         None if way.found is None else float(log.scan_t[way.found]),
         None if way.found is None else way.found + 1,
@@ -137,8 +140,8 @@ class _Way:
     place found turned out wrong and the search began anew.
     """
 
-    carried: list[np.ndarray]
-    infos: list[ScanInfo] = field(default_factory=list)
+    carried: Rows
+    infos: ScanInfos = field(default_factory=ScanInfos)
     at: list[int] = field(default_factory=list)
     corrected: list[np.ndarray] = field(default_factory=list)
     found: int | None = None
@@ -216,17 +219,3 @@ def _filled(log: LaserLog, poses: Float[np.ndarray, "m 3"]) -> Track:
     t = t[order]
     last = np.append(np.diff(t) > 0, True)
     return Track(t[last], filled[last])
-
-
-def _records(log: LaserLog, poses: Float[np.ndarray, "m 3"], infos: list[ScanInfo]) -> ScanRecords:
-    return ScanRecords(
-        log.scan_t,
-        tuple(scan.host for scan in log.scans),
-        poses,
-        np.array([i.innovation for i in infos]),
-        np.array([i.beams for i in infos]),
-        np.array([i.matches for i in infos]),
-        tuple(i.decision for i in infos),
-        np.array([i.n_eff for i in infos]),
-        np.array([i.resampled for i in infos]),
-    )

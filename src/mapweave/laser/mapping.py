@@ -19,10 +19,11 @@ from ..core.records import Track
 from ..core.workers import Progress, no_progress
 from .beam import STEERING, IntensityCalibration, beams, calibrate, raw_scale
 from .config import LaserConfig, WheelCheck
-from .laser_map import LaserMap, ScanRecords
+from .laser_map import LaserMap
 from .occupancy_mapper import render
 from .robot_graph import RobotGraph
-from .scan_odometry import ScanInfo, blended
+from .scan_infos import ScanInfos
+from .scan_odometry import blended
 from .session import Feature, LaserSession
 
 TOGETHER = 0.002  # [s] within which a robot hardly moves: rows nearer in time are of one moment
@@ -69,7 +70,7 @@ def finish(
     cfg: LaserConfig,
     feature: Feature,
     poses: Float[np.ndarray, "m 3"],
-    infos: list[ScanInfo],
+    infos: ScanInfos,
     graph: RobotGraph | None = None,
 ) -> LaserMap:
     """The result from the poses at every scan: poses at every stamp, the records, the grid. graph: in their frame."""
@@ -82,18 +83,7 @@ def finish(
     corrected = se2.compose(shift, poses)
     seen = [beams(scan, feature.name, feature.calibration, cfg.beam) for scan in log.scans]
     sensors = np.array([scan.T_robot_sensor for scan in log.scans])
-    records = ScanRecords(
-        log.scan_t,
-        tuple(scan.host for scan in log.scans),
-        corrected,
-        np.array([i.innovation for i in infos]),
-        np.array([i.beams for i in infos]),
-        np.array([i.matches for i in infos]),
-        tuple(i.decision for i in infos),
-        np.array([i.n_eff for i in infos]),
-        np.array([i.resampled for i in infos]),
-        _information(infos),
-    )
+    records = infos.records(log.scan_t, tuple(scan.host for scan in log.scans), corrected)
     return LaserMap(
         robot=log.robot,
         method=cfg.method,
@@ -149,7 +139,7 @@ def map_session(
     began = perf_counter()
     poses, graph = session.finalise(on_progress)
     finalised = perf_counter()
-    clean = replace(log, scans=tuple(session.scans))
+    clean = replace(log, scans=session.cleaned(log.scans))
     result = finish(clean, session.cfg, feature, poses, session.infos, graph)
     disagreement = wheels_disagree(result.track, result.dead_reckoning, session.cfg.wheels)
     moved = {"return of something that moves": session.moving.count} if session.moving.count else {}
@@ -215,11 +205,6 @@ def between_keyframes(t: Float[np.ndarray, " n"], graph: RobotGraph) -> Float[np
     span = np.maximum(at[after] - at[before], 1e-9)
     share = np.clip((t - at[before]) / span, 0.0, 1.0)[:, None, None]
     return np.asarray((1.0 - share) * cov[before] + share * cov[after])
-
-
-def _information(infos: list[ScanInfo]) -> np.ndarray | None:
-    known = [i.information for i in infos if i.information is not None]
-    return np.array(known) if len(known) == len(infos) else None
 
 
 def _first(log: LaserLog, poses: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..core import se2
 from ..core.records import Scan
+from ..core.rows import Rows
 from .beam import STEERING, Beams
 from .scan_matching import FrontEnd, FrontEndConfig, allowed_sd
 
@@ -103,7 +104,7 @@ class ScanOdometry:
         self.cfg = cfg if steers else replace(cfg, alpha=0.0)
         self.gate, self.matching, self.tell_lines = gate, matching, tell_lines
         self.front_end = FrontEnd(self.cfg, cfg.tangent if steers else cfg.bare_tangent)
-        self.poses: list[np.ndarray] = []
+        self.poses = Rows(3)
         self.odometry: np.ndarray | None = None
         self.step = np.zeros(3)
         self.lines = np.zeros((3, 3))
@@ -111,7 +112,7 @@ class ScanOdometry:
     @property
     def pose(self) -> Float[np.ndarray, "3"]:
         """The latest pose; zero before the first scan."""
-        return self.poses[-1] if self.poses else np.zeros(3)
+        return np.asarray(self.poses[-1]) if len(self.poses) else np.zeros(3)
 
     def increment(self, odometry: Float[np.ndarray, "3"] | None) -> Increment:
         """What odometry says of the motion since the last scan."""
@@ -126,7 +127,7 @@ class ScanOdometry:
         self.odometry = None if scan.odometry is None else np.array(scan.odometry, float)
         self.lines = np.zeros((3, 3))
         n = len(b.q)
-        if not self.poses:
+        if not len(self.poses):
             return self._accept(b, np.zeros(3), ScanInfo(NO_INNOVATION, n, 0, "first", information=np.zeros((3, 3))))
         predicted = se2.compose(self.poses[-1], u)
         if n < self.cfg.least_beams or not self.matching:
@@ -149,7 +150,7 @@ class ScanOdometry:
         return self._accept(b, match.pose if accepted else predicted, info)
 
     def _accept(self, b: Beams, pose: np.ndarray, info: ScanInfo) -> ScanInfo:
-        if self.poses:
+        if len(self.poses):
             self.step = se2.between(self.poses[-1], pose)
         self.poses.append(pose)
         if self.matching and len(b.q) >= self.cfg.least_beams:

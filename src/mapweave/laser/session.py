@@ -1,5 +1,6 @@
 """One robot's laser estimator fed event by event: what a finished log and a robot that drives now have in common."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -20,6 +21,7 @@ from .keyframes import KeyframeOdometry
 from .moving import MovingReturns
 from .particle_slam import ParticleState
 from .robot_graph import RobotGraph
+from .scan_infos import ScanInfos
 from .scan_odometry import PoseEstimate, ScanInfo
 
 
@@ -34,6 +36,8 @@ class Feature:
 
 GEOMETRY = Feature("none", None)
 NO_RANGES, NO_HITS = frozen(np.zeros(0)), frozen(np.zeros(0), np.bool_)
+LET_GO = Scan(NO_RANGES, NO_HITS, None, 0.0, 0.0, 1.0)
+"""Stands for a scan that no map needs."""
 
 
 class _Begun:
@@ -69,14 +73,14 @@ class LaserSession:
     """The estimate of one robot while its scans come. `push` changes it; everything else leaves it as it is.
 
     Poses are in the frame of the first scan. infos: what became of every scan; scans: each without the returns of
-    things that move, which `moving` counts, and without ranges where the graph does without them. One session belongs
-    to one thread.
+    things that move, which `moving` counts, and `LET_GO` where the graph does without it. One session belongs to one
+    thread.
     """
 
     def __init__(self, robot: str, cfg: LaserConfig, seed: int = 0, feature: Feature = GEOMETRY) -> None:
         set_threads(cfg.threads if cfg.method in {"particle", "graph"} else 1)
         self.robot, self.cfg, self.feature = robot, cfg, feature
-        self.infos: list[ScanInfo] = []
+        self.infos = ScanInfos()
         self.scans: list[Scan] = []
         self.moving = MovingReturns(cfg.moving)
         self._last = self._moved = np.zeros(3)
@@ -95,7 +99,7 @@ class LaserSession:
         self.scans.append(scan)
         self.infos.append(info)
         for row in self.unneeded:
-            self.scans[row] = replace(self.scans[row], ranges=NO_RANGES, hit=NO_HITS, intensities=None)
+            self.scans[row] = LET_GO
         local = self._local()
         self._moved, self._last = se2.between(self._last, local), local
         self._odometry = record.odometry
@@ -117,6 +121,13 @@ class LaserSession:
         if isinstance(state, IcpState):
             return np.array(state.poses[-1])
         return np.array(state.local if isinstance(state, KeyframeOdometry) else state.odometry.pose)
+
+    def cleaned(self, scans: Sequence[Scan]) -> tuple[Scan, ...]:
+        """The scans that were pushed, in that order, as the map is made of them: some have no ranges any more."""
+        return tuple(
+            replace(theirs, ranges=NO_RANGES, hit=NO_HITS, intensities=None) if own is LET_GO else own
+            for own, theirs in zip(self.scans, scans, strict=True)
+        )
 
     @property
     def unneeded(self) -> range:
@@ -142,7 +153,7 @@ class LaserSession:
         Without `covariances`, which take most of the time, they are NaN.
         """
         state = self._state()
-        if not isinstance(state, GraphState) or not state.t:
+        if not isinstance(state, GraphState) or not len(state.t):
             return None
         return graph_slam.so_far(state, self.cfg, covariances=covariances)
 

@@ -1,0 +1,37 @@
+"""Rows kept in one array."""
+
+import numpy as np
+import pytest
+
+from mapweave.core.rows import Rows
+
+
+@pytest.mark.parametrize("shape", [(), (3,), (3, 3)])
+def test_rows_are_those_that_were_appended(shape):
+    rng = np.random.default_rng(0)
+    given, rows = rng.normal(size=(1000, *shape)), Rows(*shape)
+    for row in given:
+        rows.append(row)
+    assert len(rows) == 1000
+    assert np.array_equal(rows.array, given)
+    assert np.array_equal(np.array(list(rows)), given)
+    assert np.array_equal(rows[-1], given[-1])
+    assert np.array_equal(rows[7], given[7])
+
+
+def test_what_was_handed_out_stays_as_it_was():
+    rows = Rows(2)
+    rows.append([1.0, 2.0])
+    first, whole = rows[0], rows.array
+    rows.clear()
+    rows.append([3.0, 4.0])
+    assert first.tolist() == [1.0, 2.0]
+    assert whole.tolist() == [[1.0, 2.0]]
+    assert rows.array.tolist() == [[3.0, 4.0]]
+
+
+def test_a_row_that_is_not_there_is_an_error():
+    rows = Rows()
+    rows.append(1.0)
+    with pytest.raises(IndexError):
+        rows[1]
