@@ -6,8 +6,10 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import dijkstra
 
 from mapweave.kernels.dense import extend_add
+from mapweave.solve.dissection import _hops, dissect, hop_coordinates
+from mapweave.solve.elimination import Elimination
 from mapweave.solve.information import Information, SingularError
-from mapweave.solve.multifrontal import Cholesky, Elimination, NotPositiveError, _hops, dissect, hop_coordinates
+from mapweave.solve.multifrontal import Cholesky, NotPositiveError
 
 
 def laplacian(n, edges, block, rng):
@@ -74,6 +76,55 @@ def test_information_reads_the_same_from_either_factor():
     apart = np.array([[0, 599], [7, 300]])
     np.testing.assert_allclose(tree.blocks(apart), plain.blocks(apart), atol=1e-11)
     assert tree.logdet() == pytest.approx(plain.logdet())
+
+
+def little_fill(H, group, last=0):
+    return Elimination.least_fill(H, group, group >= group.max() + 1 - last)
+
+
+@pytest.mark.kernel
+@pytest.mark.parametrize("large", [0, 300, 4_000_000])
+def test_small_fronts_and_large_ones_give_what_dense_algebra_gives(large, monkeypatch):
+    monkeypatch.setattr("mapweave.solve.elimination.LARGE", large)  # all to BLAS, some, none
+    rng = np.random.default_rng(5)
+    for name, n, edges in graphs(rng):
+        block, last = int(rng.integers(1, 4)), min(n, int(rng.integers(0, 5)))
+        H = laplacian(n, edges, block, rng)
+        group = np.repeat(np.arange(n), block)
+        elimination = little_fill(H, group, last)
+        assert large == 300 or elimination.large.all() == (large == 0)
+        chol, dense = Cholesky.of(H, elimination), np.linalg.inv(H.toarray())
+        b = rng.normal(size=(len(dense), 2))
+        np.testing.assert_allclose(chol.solve(b), dense @ b, atol=1e-9, err_msg=name)
+        np.testing.assert_allclose(chol.solve(b[:, 0]), dense @ b[:, 0], atol=1e-9, err_msg=name)
+        index = np.arange(n * block).reshape(n, block)
+        assert chol.together(index)
+        want = np.stack([dense[np.ix_(r, r)] for r in index])
+        np.testing.assert_allclose(chol.blocks(index), want, atol=1e-9, err_msg=name)
+        assert np.log(chol.pivots()).sum() == pytest.approx(np.linalg.slogdet(H.toarray())[1])
+
+
+def test_what_comes_last_is_eliminated_last_and_a_chain_fills_nothing():
+    rng = np.random.default_rng(2)
+    H = laplacian(300, [(i, i + 1) for i in range(299)], 3, rng)
+    alone = little_fill(H, np.repeat(np.arange(300), 3))
+    assert alone.panel[-1] < 2.6 * 3 * 6 * 300  # two poses a row, and what joined fronts store for nothing
+    hub = [(i, k) for i in range(299) for k in (299,)]
+    H = laplacian(300, [*((i, i + 1) for i in range(298)), *hub], 3, rng)
+    tied = little_fill(H, np.repeat(np.arange(300), 3), last=1)
+    assert set(range(897, 900)) <= set(tied.index[tied.begin[-2] :][-3:].tolist())
+    assert tied.panel[-1] < 2.6 * 3 * 9 * 300
+
+
+@pytest.mark.kernel
+def test_a_front_that_is_not_positive_is_found_by_either_way(monkeypatch):
+    H = laplacian(40, [(i, i + 1) for i in range(39)], 1, np.random.default_rng(1)) - 3.0 * sp.eye(40, format="csc")
+    H = sp.csc_matrix(H)
+    H.sort_indices()
+    for large in (0, 10**9):
+        monkeypatch.setattr("mapweave.solve.elimination.LARGE", large)
+        with pytest.raises(NotPositiveError):
+            Cholesky.of(H, little_fill(H, np.arange(40)))
 
 
 def test_a_matrix_that_is_not_positive_is_refused():

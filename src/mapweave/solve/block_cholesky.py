@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
-from scipy.sparse.linalg import splu
 
 from ..kernels.block_cholesky import block_cholesky, block_inverse, block_solve, elimination_tree, factor_columns
+from .least_fill import least_fill
 from .multifrontal import NotPositiveError
 
 BLOCK = 3  # variables that go together
@@ -43,7 +43,7 @@ class BlockOrder:
         lead = _ranges(first, count)[::BLOCK]  # of each block the slot of its entry (0, 0)
         col = np.repeat(np.arange(n), count // BLOCK)
         row = matrix.indices[lead] // BLOCK
-        order = _least_fill(row, col, n)
+        order = least_fill(sp.csr_array((np.ones(len(row)), (row, col)), shape=(n, n)), np.ones(n, bool))
         rank = np.empty(n, dtype=np.int64)
         rank[order] = np.arange(n)
         slot = lead[:, None, None] + np.arange(BLOCK)[:, None] + count[col][:, None, None] * np.arange(BLOCK)
@@ -62,16 +62,6 @@ def _ranges(first: Int[np.ndarray, " n"], count: Int[np.ndarray, " n"]) -> Int[n
     """first[0], first[0] + 1, ... of `count[0]` numbers, then those of the next."""
     ends = np.cumsum(count)
     return np.asarray(np.repeat(first - (ends - count), count) + np.arange(int(ends[-1]) if len(ends) else 0))
-
-
-def _least_fill(row: Int[np.ndarray, " e"], col: Int[np.ndarray, " e"], n: int) -> Int[np.ndarray, " n"]:
-    """A minimum-degree order of the blocks."""
-    if n < BLOCK:
-        return np.arange(n)
-    weight = np.where(row == col, 1.0 + np.bincount(col, minlength=n)[col], -1.0)  # dominated by the diagonal
-    graph = sp.csc_matrix((weight, (row, col)), shape=(n, n))
-    factor = splu(graph, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    return np.argsort(factor.perm_c).astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True)

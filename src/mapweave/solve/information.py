@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse.linalg import splu
 
 from ..core.gaussian import symmetrise
 from .block_cholesky import BLOCK, BlockCholesky, BlockOrder
-from .multifrontal import Cholesky, Elimination, NotPositiveError
+from .elimination import Elimination
+from .multifrontal import Cholesky, NotPositiveError
 from .problem import Problem
 
 
@@ -64,6 +65,13 @@ class Pattern:
         then cheap for all groups at once.
         """
         return replace(self, elimination=Elimination.of(self.matrix(np.ones(len(self.indices))), group))
+
+    def least_fill(self, group: Int[np.ndarray, " f"], last: Bool[np.ndarray, " f"]) -> "Pattern":
+        """The same pattern, to be factorised in an order of little fill: for long ways with ties between them.
+
+        group: (f,) as for `dissected`; last: (f,) which groups come after all others, since they touch most of them.
+        """
+        return replace(self, elimination=Elimination.least_fill(self.matrix(np.ones(len(self.indices))), group, last))
 
     def in_threes(self) -> "Pattern":
         """The same pattern, to be factorised over blocks of three variables in a row: for planar pose graphs.

@@ -13,7 +13,8 @@ from jaxtyping import Bool, Float
 from ..core.errors import EstimateError
 from ..core.gaussian import chi2_quantile
 from ..solve import Factor, Pattern, Problem
-from ..solve.multifrontal import Cholesky, Elimination, NotPositiveError
+from ..solve.elimination import Elimination
+from ..solve.multifrontal import Cholesky, NotPositiveError
 from . import bearing
 from .factors import columns, width
 from .network import Components, Network

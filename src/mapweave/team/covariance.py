@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from ..core.gaussian import symmetrise
 from ..solve import Factor, Information, SingularError, Solution
-from ..solve.multifrontal import Elimination
+from ..solve.elimination import Elimination
 from .config import SmoothingConfig
 from .problem import TeamProblem
 from .robot_part import PARAMETERS

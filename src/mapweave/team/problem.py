@@ -162,7 +162,17 @@ def team_problem(
     origins += [None] * (len(terms) - len(origins))
     angles = np.concatenate([part.start + 3 * np.arange(len(part.instants.t)) + 2 for part in parts])
     problem = Problem(x0, terms, fixed, wrapping(angles))
-    return TeamProblem(parts, landmarks.ids, landmark_start, problem, Pattern.of(problem), tuple(origins), used)
+    free = problem.free
+    node = _nodes(len(x0), landmark_start, first_parameter)[free]
+    pattern = Pattern.of(problem).least_fill(node, free >= landmark_start)
+    return TeamProblem(parts, landmarks.ids, landmark_start, problem, pattern, tuple(origins), used)
+
+
+def _nodes(n: int, landmarks: int, parameters: int) -> Int[np.ndarray, " n"]:
+    """Which entries of x belong together: a pose, a landmark, a calibration."""
+    at = np.arange(n)
+    place = landmarks + (at - landmarks) // 2
+    return np.where(at < landmarks, at // 3, np.where(at < parameters, place, n + (at - parameters) // len(PARAMETERS)))
 
 
 def _scan_terms(parts: Sequence[RobotPart], crossings: Sequence[Crossing], cfg: SmoothingConfig) -> list[Factor]:

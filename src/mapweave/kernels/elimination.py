@@ -1,0 +1,301 @@
+"""What a sparse Cholesky factor will look like, before any number is known: tree, supernodes and their rows.
+
+Nodes (one or several variables each) stand in the order of elimination; columns hold the nodes above the diagonal.
+A supernode is a run of nodes that are eliminated together, as one dense front.
+"""
+
+import numpy as np
+
+from ._jit import kernel
+from .block_cholesky import reach
+
+SMALL, MIDDLE = 12, 48  # variables of a supernode
+SMALL_ZEROS, MIDDLE_ZEROS, MOST_ZEROS = 0.5, 0.25, 0.05  # share of a front that may be zeros stored for nothing
+
+
+@kernel
+def node_graph(
+    indptr: np.ndarray, indices: np.ndarray, node: np.ndarray, first: np.ndarray, members: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The graph of the nodes: (n + 1,) starts and the neighbours of each, itself left out.
+
+    node: of every variable; members: the variables by node, those of node a are `members[first[a]:first[a + 1]]`.
+    """
+    n = first.shape[0] - 1
+    start, mark = np.zeros(n + 1, np.int64), np.full(n, -1, np.int64)
+    many = 0
+    for a in range(n):
+        mark[a] = a
+        for m in range(first[a], first[a + 1]):
+            for s in range(indptr[members[m]], indptr[members[m] + 1]):
+                b = node[indices[s]]
+                if mark[b] != a:
+                    mark[b] = a
+                    many += 1
+        start[a + 1] = many
+    rows = np.empty(many, np.int64)
+    mark[:] = -1
+    many = 0
+    for a in range(n):
+        mark[a] = a
+        for m in range(first[a], first[a + 1]):
+            for s in range(indptr[members[m]], indptr[members[m] + 1]):
+                b = node[indices[s]]
+                if mark[b] != a:
+                    mark[b] = a
+                    rows[many] = b
+                    many += 1
+    return start, rows
+
+
+@kernel
+def above_diagonal(start: np.ndarray, rows: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The graph in the order of elimination: of every column the rows above the diagonal."""
+    n = order.shape[0]
+    rank, begin = np.empty(n, np.int64), np.zeros(n + 1, np.int64)
+    for k in range(n):
+        rank[order[k]] = k
+    out = np.empty(rows.shape[0] // 2, np.int64)
+    many = 0
+    for k in range(n):
+        for s in range(start[order[k]], start[order[k] + 1]):
+            if rank[rows[s]] < k:
+                out[many] = rank[rows[s]]
+                many += 1
+        begin[k + 1] = many
+    return begin, out
+
+
+@kernel
+def children_first(parent: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """An order in which every node follows its subtree at once, the heaviest child first.
+
+    parent: (n,), above its children or -1; size: of each node.
+    """
+    n = parent.shape[0]
+    weight = size.copy()
+    for k in range(n):
+        if parent[k] >= 0:
+            weight[parent[k]] += weight[k]
+    head, after = np.full(n + 1, -1, np.int64), np.full(n, -1, np.int64)
+    by_weight = np.argsort(weight, kind="mergesort")
+    for s in range(n):  # the lightest is put in first, so the heaviest stands at the head
+        k = by_weight[s]
+        p = parent[k] if parent[k] >= 0 else n
+        after[k] = head[p]
+        head[p] = k
+    out, stack = np.empty(n, np.int64), np.empty(n + 1, np.int64)
+    top, many = 0, 0
+    stack[0] = n
+    while top >= 0:
+        k = stack[top]
+        below = head[k]
+        if below >= 0:
+            head[k] = after[below]
+            top += 1
+            stack[top] = below
+        else:
+            top -= 1
+            if k < n:
+                out[many] = k
+                many += 1
+    return out
+
+
+@kernel
+def supernodes(parent: np.ndarray, height: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """(s + 1,) where each supernode begins: nodes with the same rows, and runs of few enough zeros.
+
+    height: (n,) variables below each node's own in its column of the factor; size: variables of each node.
+    """
+    n = parent.shape[0]
+    begin = np.empty(n + 1, np.int64)
+    many = 0
+    for k in range(n):
+        joins = k > 0 and parent[k - 1] == k and height[k - 1] == height[k] + size[k]
+        if not joins:
+            begin[many] = k
+            many += 1
+    begin[many] = n
+    wide, high = np.zeros(many, np.int64), np.empty(many, np.int64)  # columns; rows below them
+    zeros = np.zeros(many)
+    for s in range(many):
+        for k in range(begin[s], begin[s + 1]):
+            wide[s] += size[k]
+        high[s] = height[begin[s + 1] - 1]
+    keep = np.ones(many, np.bool_)
+    above = many - 1  # the supernode that begins right after s, with all that was joined to it
+    for s in range(many - 2, -1, -1):
+        last = begin[s + 1] - 1
+        if parent[last] == last + 1:
+            w, h = wide[s] + wide[above], high[above]
+            more = zeros[s] + zeros[above] + wide[s] * (wide[above] + h - high[s])
+            share = more / (0.5 * w * (w + 1) + w * h)
+            if share < MOST_ZEROS or (w <= SMALL and share < SMALL_ZEROS) or (w <= MIDDLE and share < MIDDLE_ZEROS):
+                wide[s], high[s], zeros[s] = w, h, more
+                keep[above] = False
+        above = s
+    out = np.empty(many + 1, np.int64)
+    kept = 0
+    for s in range(many):
+        if keep[s]:
+            out[kept] = begin[s]
+            kept += 1
+    out[kept] = n
+    return out[: kept + 1]
+
+
+@kernel
+def with_room(found: np.ndarray, room: int) -> np.ndarray:
+    """`found`, or twice as much room (and again) with the same at its beginning, so that there is room enough."""
+    while room > found.shape[0]:
+        wider = np.empty(2 * found.shape[0], np.int64)
+        wider[: found.shape[0]] = found
+        found = wider
+    return found
+
+
+@kernel
+def gather(rows: np.ndarray, last: int, s: int, mark: np.ndarray, out: np.ndarray, found: int) -> int:
+    """Those of `rows` from `last` on that do not yet bear the mark s, put to `out[found:]` and marked; how many."""
+    for r in rows:
+        if r >= last and mark[r] != s:
+            mark[r] = s
+            out[found] = r
+            found += 1
+    return found
+
+
+@kernel
+def supernode_rows(
+    begin: np.ndarray, start: np.ndarray, rows: np.ndarray, parent: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Starts, and the nodes after each supernode that it touches, itself or through its children (ascending).
+
+    start, rows: the graph above the diagonal, by column; parent: of each supernode, later than it, or -1.
+    """
+    many, n = begin.shape[0] - 1, begin[-1]
+    below = np.zeros(n + 1, np.int64)
+    for e in range(rows.shape[0]):
+        below[rows[e] + 1] += 1
+    below = np.cumsum(below)
+    later, end = np.empty(rows.shape[0], np.int64), below[:-1].copy()
+    for k in range(n):
+        for e in range(start[k], start[k + 1]):
+            later[end[rows[e]]] = k
+            end[rows[e]] += 1
+    out, at = np.empty(4 * n + 16, np.int64), np.zeros(many + 1, np.int64)
+    mark = np.full(n, -1, np.int64)
+    head, after = np.full(many, -1, np.int64), np.full(many, -1, np.int64)
+    for s in range(many):
+        last, first = begin[s + 1], at[s]
+        found = first
+        out = with_room(out, found + n - last)
+        found = gather(later[below[begin[s]] : below[last]], last, s, mark, out, found)
+        c = head[s]
+        while c >= 0:
+            found = gather(out[at[c] : at[c + 1]], last, s, mark, out, found)
+            c = after[c]
+        out[first:found] = np.sort(out[first:found])
+        at[s + 1] = found
+        if parent[s] >= 0:
+            after[s] = head[parent[s]]
+            head[parent[s]] = s
+    return at, out[: at[many]].copy()
+
+
+@kernel
+def column_heights(start: np.ndarray, rows: np.ndarray, parent: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """(n,) how many variables stand below each node's own in its column of the factor; size: variables of each."""
+    n = size.shape[0]
+    out = np.zeros(n, np.int64)
+    mark, path, row = np.full(n, -1, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    for k in range(n):
+        for t in range(reach(k, start, rows, parent, mark, path, row), n):
+            out[row[t]] += size[k]
+    return out
+
+
+@kernel
+def expanded(nodes: np.ndarray, first: np.ndarray, members: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The variables of `nodes` one after the other, and how many each of the stretches `starts` of nodes holds."""
+    count = np.zeros(starts.shape[0] - 1, np.int64)
+    many = 0
+    for s in range(count.shape[0]):
+        for e in range(starts[s], starts[s + 1]):
+            count[s] += first[nodes[e] + 1] - first[nodes[e]]
+        many += count[s]
+    out = np.empty(many, np.int64)
+    many = 0
+    for e in range(starts[0], starts[-1]):
+        for m in range(first[nodes[e]], first[nodes[e] + 1]):
+            out[many] = members[m]
+            many += 1
+    return out, count
+
+
+@kernel
+def rooms(
+    parent: np.ndarray, family: np.ndarray, children: np.ndarray, begin: np.ndarray, own: np.ndarray
+) -> np.ndarray:
+    """(2, fronts) where each update lies on a stack, and each part of the inverse; the last column: how much room.
+
+    Fronts follow their subtrees at once. A part of the inverse is needed until all children of its front have theirs.
+    """
+    many = own.shape[0]
+    out, top = np.zeros((2, many + 1), np.int64), 0
+    for i in range(many):
+        if family[i] < family[i + 1]:
+            top = out[0, children[family[i]]]
+        out[0, i] = top
+        top += (begin[i + 1] - begin[i] - own[i]) ** 2
+        out[0, many] = max(out[0, many], top)
+    for i in range(many - 1, -1, -1):
+        p = parent[i]
+        if p >= 0:
+            out[1, i] = out[1, p]
+            if children[family[p]] != i:  # its siblings come later
+                out[1, i] += (begin[p + 1] - begin[p]) ** 2
+        out[1, many] = max(out[1, many], out[1, i] + (begin[i + 1] - begin[i]) ** 2)
+    return out
+
+
+@kernel
+def places(
+    indptr: np.ndarray,
+    indices: np.ndarray,
+    rank: np.ndarray,
+    begin: np.ndarray,
+    index: np.ndarray,
+    own: np.ndarray,
+    family: np.ndarray,
+    children: np.ndarray,
+    panel: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where the numbers go: slots of the matrix's data, their places among all panels, and fronts into their parents.
+
+    rank: (n,) of every variable; front i holds the variables `index[begin[i]:begin[i + 1]]`, the first `own[i]` its
+    own; the two parts of its panel, (own, own) and (others, own), begin at `panel[i]`, each column after column.
+    into: beside `index`, the place in the parent of each variable that is not the front's own.
+    """
+    local = np.full(rank.shape[0], -1, np.int64)
+    into = np.zeros(index.shape[0], np.int64)
+    half = (indices.shape[0] + rank.shape[0]) // 2
+    slot, place = np.empty(half, np.int64), np.empty(half, np.int64)
+    found = 0
+    for i in range(own.shape[0]):
+        b, p, q = begin[i], own[i], begin[i + 1] - begin[i] - own[i]
+        for a in range(p + q):
+            local[index[b + a]] = a
+        for c in children[family[i] : family[i + 1]]:
+            for e in range(begin[c] + own[c], begin[c + 1]):
+                into[e] = local[index[e]]
+        for a in range(p):
+            v = index[b + a]
+            for s in range(indptr[v], indptr[v + 1]):
+                if rank[indices[s]] >= rank[v]:
+                    r = local[indices[s]]
+                    slot[found] = s
+                    place[found] = panel[i] + (a * p + r if r < p else p * p + a * q + r - p)
+                    found += 1
+    return slot[:found], place[:found], into

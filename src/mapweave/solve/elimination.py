@@ -1,0 +1,192 @@
+"""The order in which a sparse matrix is factorised, and the dense fronts that it takes: found once for a pattern."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Bool, Float, Int
+
+from ..kernels.block_cholesky import elimination_tree
+from ..kernels.elimination import (
+    above_diagonal,
+    children_first,
+    column_heights,
+    expanded,
+    node_graph,
+    places,
+    rooms,
+    supernode_rows,
+    supernodes,
+)
+from .dissection import dissect
+from .least_fill import least_fill
+
+LARGE = 4_000_000  # multiplications from which a front is one for BLAS
+
+
+@dataclass(frozen=True, slots=True)
+class Nodes:
+    """The variables of a matrix in nodes that are eliminated together, and the graph of these.
+
+    members: (n,) variables by node, those of node a are `members[first[a]:first[a + 1]]`; start, rows: the neighbours
+    of each node, itself left out.
+    """
+
+    first: Int[np.ndarray, " a1"]
+    members: Int[np.ndarray, " n"]
+    start: Int[np.ndarray, " a1"]
+    rows: Int[np.ndarray, " e"]
+
+    @classmethod
+    def of(cls, matrix: sp.csc_matrix, group: Int[np.ndarray, " n"] | None) -> "Nodes":
+        """For the pattern of `matrix` (symmetric, both triangles); group: the node of each variable, by any number."""
+        n = matrix.shape[0]
+        node = np.arange(n) if group is None else np.unique(group, return_inverse=True)[1].ravel().astype(np.int64)
+        first = np.concatenate([[0], np.cumsum(np.bincount(node))]).astype(np.int64)
+        members = np.argsort(node, kind="stable")
+        return cls(first, members, *node_graph(matrix.indptr, matrix.indices, node, first, members))
+
+    def __len__(self) -> int:
+        return len(self.first) - 1
+
+    @property
+    def graph(self) -> sp.csr_array:
+        """The graph as a matrix, with its diagonal."""
+        row = np.repeat(np.arange(len(self)), np.diff(self.start))
+        row, col = np.concatenate([row, np.arange(len(self))]), np.concatenate([self.rows, np.arange(len(self))])
+        return sp.csr_array((np.ones(len(row), dtype=np.int8), (row, col)), shape=(len(self), len(self)))
+
+
+@dataclass(frozen=True, slots=True)
+class Elimination:
+    """The order in which a matrix of one pattern is factorised, front by front, each right after its subtree.
+
+    Front i holds the variables `index[begin[i]:begin[i + 1]]`, the first `own[i]` eliminated there. parent: (fronts,)
+    to which front it hands on, or -1; into: beside `index`, where the others stand there; its children are
+    `children[family[i]:family[i + 1]]`. The number `slot` of the matrix's data goes to `place` among all panels, of
+    which front i has `panel[i]:panel[i + 1]`. room: (2, fronts + 1), where its update lies on a stack, and its part of
+    the inverse; large: which are left to BLAS, the others are taken by runs in one compiled call.
+    """
+
+    size: int
+    begin: Int[np.ndarray, " f1"]
+    own: Int[np.ndarray, " f"]
+    index: Int[np.ndarray, " m"] = field(repr=False)
+    parent: Int[np.ndarray, " f"]
+    into: Int[np.ndarray, " m"] = field(repr=False)
+    family: Int[np.ndarray, " f1"]
+    children: Int[np.ndarray, " c"]
+    panel: Int[np.ndarray, " f1"]
+    room: Int[np.ndarray, "2 f1"]
+    slot: Int[np.ndarray, " e"] = field(repr=False)
+    place: Int[np.ndarray, " e"] = field(repr=False)
+    large: Bool[np.ndarray, " f"]
+
+    @classmethod
+    def of(
+        cls,
+        matrix: sp.csc_matrix,
+        group: Int[np.ndarray, " n"] | None = None,
+        coordinates: Float[np.ndarray, "g d"] | None = None,
+    ) -> "Elimination":
+        """By nested dissection, for the pattern of `matrix` (symmetric, both triangles, sorted): few wide fronts.
+
+        group: variables kept together; coordinates: one row a group, where the groups lie; found from the pattern when
+        None.
+        """
+        nodes = Nodes.of(matrix, group)
+        part = dissect(nodes.graph, coordinates).part if len(nodes) else np.zeros(0, np.int64)
+        depth = np.floor(np.log2(part)).astype(np.int64)
+        leftmost = part << (depth.max(initial=0) - depth)  # of the leaves below, were all as deep
+        order = np.lexsort((-depth, -leftmost))
+        piece = part[order]
+        starts = np.flatnonzero(np.concatenate([[True], piece[1:] != piece[:-1], [True]])) if len(part) else [0]
+        place_of = {int(k): i for i, k in enumerate(piece[starts[:-1]])}
+        above = np.array([_above(int(k), place_of) for k in piece[starts[:-1]]], dtype=np.int64)
+        return cls._built(matrix, nodes, order, np.asarray(starts, dtype=np.int64), above, blas=True)
+
+    @classmethod
+    def least_fill(
+        cls, matrix: sp.csc_matrix, group: Int[np.ndarray, " n"] | None, last: Bool[np.ndarray, " n"]
+    ) -> "Elimination":
+        """In an order of minimum degree: many small fronts, for long ways with ties between them.
+
+        group: variables kept together, by any number; last: which of them (whole groups) are eliminated after all
+        others, because they touch most of them.
+        """
+        nodes = Nodes.of(matrix, group)
+        n, size = len(nodes), np.diff(nodes.first)
+        at_end = last[nodes.members[nodes.first[:-1]]] if n else np.zeros(0, bool)
+        order = np.concatenate([least_fill(nodes.graph, ~at_end), np.flatnonzero(at_end)])
+        parent = elimination_tree(*above_diagonal(nodes.start, nodes.rows, order))
+        order = order[children_first(parent, size[order])]
+        start, rows = above_diagonal(nodes.start, nodes.rows, order)
+        parent = elimination_tree(start, rows)
+        begin = supernodes(parent, column_heights(start, rows, parent, size[order]), size[order])
+        home = np.repeat(np.arange(len(begin) - 1), np.diff(begin))
+        up = parent[begin[1:] - 1]
+        return cls._built(matrix, nodes, order, begin, np.where(up >= 0, home[up], -1), blas=False)
+
+    @classmethod
+    def _built(
+        cls,
+        matrix: sp.csc_matrix,
+        nodes: Nodes,
+        order: np.ndarray,
+        starts: np.ndarray,
+        parent: np.ndarray,
+        *,
+        blas: bool,
+    ) -> "Elimination":
+        """The fronts of supernodes (those of `order` between `starts`) whose parents are known."""
+        n, many = matrix.shape[0], len(starts) - 1
+        at, below = supernode_rows(starts, *above_diagonal(nodes.start, nodes.rows, order), parent)
+        mine, own = expanded(order, nodes.first, nodes.members, starts)
+        theirs, others = expanded(order[below], nodes.first, nodes.members, at)
+        begin = np.concatenate([[0], np.cumsum(own + others)]).astype(np.int64)
+        index = np.empty(begin[-1], np.int64)
+        is_own = np.arange(len(index)) - np.repeat(begin[:-1], own + others) < np.repeat(own, own + others)
+        index[is_own], index[~is_own] = mine, theirs
+        rank = np.empty(n, np.int64)
+        rank[mine] = np.arange(n)
+        children = np.argsort(parent, kind="stable")[np.count_nonzero(parent < 0) :]
+        family = np.concatenate([[0], np.cumsum(np.bincount(parent[parent >= 0], minlength=many))]).astype(np.int64)
+        panel = np.concatenate([[0], np.cumsum(own * (own + others))]).astype(np.int64)
+        room = rooms(parent, family, children, begin, own)
+        slot, place, into = places(matrix.indptr, matrix.indices, rank, begin, index, own, family, children, panel)
+        large = np.full(many, blas) | (own * (own + others) ** 2 > LARGE)
+        return cls(n, begin, own, index, parent, into, family, children, panel, room, slot, place, large)
+
+    def __len__(self) -> int:
+        return len(self.own)
+
+    def runs(self) -> Iterator[tuple[int, int]]:
+        """The fronts from first to last, one by one where they are large, else as many as follow each other."""
+        cuts = np.flatnonzero(self.large[1:] | self.large[:-1]) + 1 if len(self) else np.zeros(0, np.int64)
+        ends = [0, *cuts.tolist(), len(self)] if len(self) else [0]
+        yield from pairwise(ends)
+
+    def front(self, i: int) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " q"]]:
+        """The variables of front i: its own, and the others."""
+        middle = self.begin[i] + self.own[i]
+        return self.index[self.begin[i] : middle], self.index[middle : self.begin[i + 1]]
+
+    def homes(self) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+        """For each variable the front that eliminates it and its place there."""
+        rows = np.diff(self.begin)
+        front = np.repeat(np.arange(len(self)), rows)
+        local = np.arange(len(self.index)) - np.repeat(self.begin[:-1], rows)
+        own = local < np.repeat(self.own, rows)
+        home, place = np.empty(self.size, np.int64), np.empty(self.size, np.int64)
+        home[self.index[own]], place[self.index[own]] = front[own], local[own]
+        return home, place
+
+
+def _above(piece: int, place_of: dict[int, int]) -> int:
+    """Where the nearest piece above stands, pieces being numbered as in a heap; -1 for the topmost."""
+    piece //= 2
+    while piece and piece not in place_of:
+        piece //= 2
+    return place_of.get(piece, -1)
