@@ -65,6 +65,12 @@ TABLES = (
         bench("mixed_teams", "--robots", "2", "--seeds", "4"),
         "stdout",
     ),
+    Table(
+        "mixed teams",
+        "docs/methods/team-smoothing.md",
+        bench("mixed_teams", "--mixed", "--seeds", "3", "--first", "300"),
+        "stdout",
+    ),
     Table("swarm of 1,000", "docs/locate.md", bench("swarm")),
     Table("swarm of 10,000", "docs/locate.md", bench("swarm")),
     Table("angulation", "docs/locate.md", bench("swarm_real", "--table", "angulation"), "stdout"),

@@ -11,7 +11,8 @@ beforehand: `size` is by how much it came out too large, `size_sd` what the prio
 calibration held. With
 `--mixed`: two lasers, two cameras and one robot with bearings alone beside the same team in which everybody carries
 everything: landmark RMSE, distance of occupied cells from the true walls, both ratios, NEES per degree of freedom
-of landmarks and of the robots' places.
+of landmarks and of the robots' places. `bound` is the least landmark RMSE that any estimator can expect of either
+recording (`mixed_bound.py`), and `bound_ratio` by how much worse the mixed team must be for what it carries.
 """
 
 import argparse
@@ -21,6 +22,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from mixed_bound import landmark_bound
 
 import mapweave
 from mapweave.api.evaluate_team import TeamTruth, read_team_truth
@@ -29,6 +31,7 @@ from mapweave.core.walls import Walls
 from mapweave.evaluation.consistency import mean_or_none
 from mapweave.evaluation.team import TeamScore, score_team
 from mapweave.io.table import read_table
+from mapweave.sim.mixed_team import MixedWorld, simulate_mixed
 from mapweave.team.config import CalibrationPrior
 from mapweave.team.team_map import TeamMap
 
@@ -149,9 +152,12 @@ def mixed(minutes: float, seed: int) -> Row:
             told[f"{name}_nees"] = score.landmarks.nees_per_dof
             told[f"{name}_pose_nees"] = mean_or_none([float(q.mean()) / 2 for q in nees(result.maps[0], score, truth)])
             told[f"{name}_landmarks"] = score.landmarks.rmse
+            world = MixedWorld(minutes=minutes, everything=everything)
+            told[f"{name}_bound"] = landmark_bound(simulate_mixed(world, seed))
             told[f"{name}_walls"] = walls_off(result, score, home)
             told[f"{name}_ate"] = ate(score)
     told["landmark_ratio"] = told["mixed_landmarks"] / told["all_landmarks"]
+    told["bound_ratio"] = told["mixed_bound"] / told["all_bound"]
     told["wall_ratio"] = told["mixed_walls"] / told["all_walls"]
     return told
 

@@ -32,13 +32,13 @@ class Mixed:
     truth: TeamTruth
     clocks: dict[str, float]
 
-    def map(self, logs=None, scanned=None, mapped=None, **options):
+    def map(self, logs=None, scanned=None, mapped=None, smoothing=None, **options):
         return map_mixed(
             self.logs if logs is None else logs,
             self.scanned if scanned is None else scanned,
             self.mapped if mapped is None else mapped,
             {},
-            SmoothingConfig(),
+            smoothing or SmoothingConfig(),
             PlacingConfig(),
             **options,
         )

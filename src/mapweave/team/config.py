@@ -35,6 +35,7 @@ class CameraNoise:
 
     range_floor: float = 0.1  # [m] error of a range to a landmark close by
     range_share: float = 0.09  # error of a range as a share of the distance
+    range_beside_laser: float = 2.0  # times both, in a team with a laser: they last, and would bend ways known better
     bearing: float = 0.028  # [rad] error of a bearing to a landmark
     robot_range_floor: float = 0.22  # [m] error of a range to another robot, whose marks are not at its centre
     robot_bearing: float = 0.04  # [rad] error of a bearing to another robot

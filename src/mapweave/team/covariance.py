@@ -241,8 +241,11 @@ def _mean_factor(team: TeamProblem, factors: Sequence[float]) -> float:
 def _correlation(team: TeamProblem, robot: int, x: Float[np.ndarray, " n"], length: float) -> float:
     """How much more a robot's sightings of one landmark within `length` [s] pull together than if independent; >= 1.
 
-    Of a robot that saw no landmark, the others' sightings of it.
+    Of a robot that saw no landmark, the others' sightings of it. In a team with a laser 1: scans tell the ways, and the
+    noise of sightings is so wide there because their errors last, which would count twice.
     """
+    if any(p.scans is not None for p in team.parts):
+        return 1.0
     part = team.parts[robot]
     own = [(t, o) for t, o in zip(team.factors, team.origins, strict=True) if o is not None and o.robot == robot]
     first, last = team.landmark_start, team.landmark_start + 2 * len(team.landmarks)

@@ -14,7 +14,7 @@ from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import blended
 from ..solve import SingularError, Solution, Status
 from .commanded_motion import LAG, TURN
-from .config import SmoothingConfig
+from .config import CameraNoise, SmoothingConfig
 from .covariance import TeamCovariance, team_covariance
 from .known import Known
 from .problem import TeamProblem, team_problem
@@ -82,6 +82,8 @@ def smooth(
     ]
     if not chosen:
         return _kept(team, cfg, "nobody saw anything")
+    if any(log.robot in scans for log in chosen):
+        cfg = replace(cfg, camera=_beside_laser(cfg.camera))
     start = team
     if all(log.odometry is None and log.robot not in scans for log in chosen) and len(team.landmarks) > 2:
         bare = cfg.calibration.bare_range_scale
@@ -118,6 +120,11 @@ def smooth(
         status=str(solution.status),
         prior=_prior(cfg),
     )
+
+
+def _beside_laser(camera: CameraNoise) -> CameraNoise:
+    by = camera.range_beside_laser
+    return replace(camera, range_floor=by * camera.range_floor, range_share=by * camera.range_share)
 
 
 def _enlarged(team: TeamMap, by: float) -> TeamMap:
