@@ -101,6 +101,6 @@ def test_robots_without_wheels_wait_for_the_end_and_it_is_told():
     assert "no robot with wheels" in run.warnings[0]
     assert closing_start(run, w.map) is w.map
     mixed = played([short[0], short[1], logs[2]])
-    assert mixed.warnings == ()
+    assert mixed.warnings == ("--online: no wheels: smoothed when the logs ended: robot 3",)
     assert mixed.team.members
     assert "robot3" not in mixed.team.members

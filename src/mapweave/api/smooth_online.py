@@ -79,7 +79,7 @@ def smooth_online(
     on_progress("smoothing online", len(steps), len(steps))
     return OnlineRun(
         team, cfg.step, np.array(seconds), np.array(lag), np.array(linearised, float), renewed, tuple(laid_out),
-        len(team.stretches), tuple(growth),
+        len(team.stretches), tuple(growth), waited=tuple(log.robot for log in logs if log.odometry is None),
     )  # fmt: skip
 
 

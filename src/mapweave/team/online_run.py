@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ..core.names import robot_key
 from ..landmarks.landmark_map import LandmarkMap
 from .online import OnlineTeam
 
@@ -26,7 +27,8 @@ class OnlineRun:
     until the map held it, were the logs as fast as the robots; linearised: stretches of each step; renewed: of these
     older ones that had moved; laid_out: [s] after the first row at which robots or landmarks came in; stretches: how
     many there are, none of them given up; closing: [s] for what was left to do when the logs ended; landmarks_moved,
-    ways_moved: [m] root mean square by which that changed them; growth: the map on the way.
+    ways_moved: [m] root mean square by which that changed them; growth: the map on the way; waited: robots without
+    wheels, whose rows came in when the logs ended.
     """
 
     team: OnlineTeam | None
@@ -41,12 +43,14 @@ class OnlineRun:
     closing: float = 0.0
     landmarks_moved: float | None = None
     ways_moved: float | None = None
+    waited: tuple[str, ...] = ()
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """A sentence where nothing could be smoothed before the end."""
+        """A sentence where nothing, or not every robot, could be smoothed before the end."""
         if self.team is not None and self.team.members:
-            return ()
+            told = ", ".join(map(robot_key, self.waited))
+            return (f"--online: no wheels: smoothed when the logs ended: robot {told}",) if told else ()
         return ("--online: no robot with wheels had a map while the logs played: all was smoothed at their end",)
 
     def timing(self) -> dict[str, float]:
