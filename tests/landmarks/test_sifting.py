@@ -78,9 +78,41 @@ def test_a_clean_log_comes_back_as_it_is():
         assert sifted(log, EKF) is log
 
 
-def test_a_log_without_wheels_is_not_judged():
-    log = replace(logs(0.3)[0], odometry=None)
-    assert sifted(log, EKF) is log
+def mislabelled(log: LandmarkLog, share: float) -> LandmarkLog:
+    """The log with that share of its names drawn anew."""
+    rng = np.random.default_rng(7)
+    seen = log.sightings
+    wrong = rng.random(len(seen)) < share
+    return replace(log, sightings=replace(seen, what=np.where(wrong, rng.permutation(seen.what), seen.what)))
+
+
+@pytest.mark.parametrize("share", [0.08, 0.2])
+def test_wrong_names_scattered_over_all_are_found(share):
+    """Most have no sighting of their name near that could contradict them: few contradictions tell of many."""
+    clean = logs(0.0)[0]
+    dirty = mislabelled(clean, share)
+    right, left = rows(clean) & rows(dirty), rows(sifted(dirty, EKF))
+    assert len(right) < (1 - 0.8 * share) * len(rows(dirty))
+    assert len(left - right) < 0.15 * len(rows(dirty) - right)
+    assert len(left & right) > 0.95 * len(right)
+
+
+def test_a_log_without_wheels_is_judged_by_moments():
+    clean = replace(logs(0.0)[0], odometry=None)
+    assert sifted(clean, EKF) is clean
+    dirty = mislabelled(clean, 0.1)
+    right, left = rows(clean) & rows(dirty), rows(sifted(dirty, EKF))
+    assert len(left - right) < 0.25 * len(rows(dirty) - right)
+    assert len(left & right) > 0.85 * len(right)
+
+
+@pytest.mark.parametrize("turns", [0.5, 0.65, 1.4])
+def test_wheels_that_turn_otherwise_than_they_say_are_no_wrong_names(turns):
+    log = logs(0.0)[0]
+    wheels = log.odometry
+    assert wheels is not None
+    other = replace(log, odometry=replace(wheels, w=turns * wheels.w))
+    assert sifted(other, EKF) is other
 
 
 def test_a_filter_maps_what_was_sifted_as_if_nothing_had_been_wrong():

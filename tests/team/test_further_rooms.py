@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.api.team import team_maps
+from mapweave.core.records import Track
 from mapweave.evaluation.landmarks import rmse_after_alignment
 from mapweave.fusion.join import fuse
 from mapweave.io.landmark_logs import read_landmark_logs
@@ -53,3 +54,20 @@ def test_a_team_with_wheels_comes_back_as_it_is():
     team, same, told = joined(world(4, minutes=1.0).logs)
     assert same is team
     assert told == ()
+
+
+@pytest.mark.data
+def test_a_robot_put_down_elsewhere_may_know_more_of_its_way_than_its_map_tells(data):
+    """Its map is of the longest stretch of its log, the team's track of all stretches that sightings place."""
+    logs = read_landmark_logs(data / "mrclam" / "MRCLAM_Dataset6.zip", [1, 2])
+    logs = [logs[0], replace(logs[1], odometry=None, log_hash="")]
+    local = [local_map(log) for log in logs]
+    team = team_maps(local, fuse(local))[0]
+    main = team.tracks["robot1"]
+    late = main.t[-1] + np.arange(1.0, 20.0)
+    way = Track(
+        np.append(main.t, late), np.append(main.pose, main.pose[:19], 0), np.append(main.cov, main.cov[:19], 0), "map"
+    )
+    team = replace(team, tracks={**team.tracks, "robot1": way})
+    whole, _ = with_further_rooms(team, local, logs, PlacingConfig(), local_map, fuse, team_maps)
+    np.testing.assert_array_equal(whole.tracks["robot1"].t, way.t)

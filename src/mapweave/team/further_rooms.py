@@ -47,7 +47,7 @@ def with_further_rooms(
     apart = [m for m in map(mapper, [log for log in left if len(log.sightings)]) if len(m.submap.ids) >= LEAST]
     if not apart or not len(team.landmarks):
         return team, ()
-    here = {robot: track.t[own[robot]] for robot, track in team.tracks.items() if robot in own}
+    here = {robot: track.t[_placed(track, own[robot])] for robot, track in team.tracks.items() if robot in own}
     there = {m.robot: m.track.t[_known(m.track)] for m in apart}
     by = {log.robot: log for log in logs}
     told = []
@@ -74,6 +74,11 @@ def _known(track: Track) -> Bool[np.ndarray, " n"]:
     if track.cov is None:
         return np.ones(len(track.t), bool)
     return np.asarray(track.cov[:, 2, 2] < ANY_HEADING)
+
+
+def _placed(track: Track, own: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:
+    """Which poses of the team's track are known; a robot put down elsewhere has more of them than its own map."""
+    return own if len(own) == len(track.t) else _known(track)
 
 
 def _rest(log: LandmarkLog, stamps: Float[np.ndarray, " n"]) -> LandmarkLog:
