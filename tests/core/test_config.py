@@ -4,6 +4,7 @@ from dataclasses import field, fields, is_dataclass
 
 import pytest
 
+from mapweave.api.configuration import JOBS, configuration_class
 from mapweave.api.map_landmarks import LandmarkMapConfig
 from mapweave.api.map_laser import LaserMapConfig
 from mapweave.core.config import config, load
@@ -45,3 +46,11 @@ def tables(cfg):
 @pytest.mark.parametrize("cls", [LaserMapConfig, LandmarkMapConfig, ExploreConfig, LaserTeamConfig])
 def test_naming_every_table_changes_nothing(cls):
     assert load(cls, None, tables(cls())) == cls()
+
+
+@pytest.mark.parametrize(("job", "laser"), JOBS)
+def test_the_defaults_are_what_a_file_that_says_nothing_gives(tmp_path, job, laser):
+    nothing = tmp_path / "nothing.toml"
+    nothing.write_text("", encoding="utf-8")
+    kind = configuration_class(job, laser=laser)
+    assert repr(load(kind, None)) == repr(load(kind, nothing))  # numbers of the same types too

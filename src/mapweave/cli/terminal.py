@@ -21,8 +21,6 @@ from ..core.errors import UsageError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rich.console import Console
-
     from ..core.workers import Progress as OnProgress
 
 AGAIN = 0.1  # [s] after which an interruption that was swallowed is asked for again
@@ -69,12 +67,9 @@ def progress() -> "Iterator[OnProgress]":
 
     That kernels are being compiled is told when they are.
     """
-    from rich.console import Console
-
     from ..kernels.compiling import compiling_told
 
-    console = Console(stderr=True)
-    with _bars(console) if console.is_terminal else _lines() as shown:
+    with _bars() if sys.stderr.isatty() else _lines() as shown:
         last: tuple[str, float, float | None] = ("starting", 0.0, None)
 
         def on_progress(stage: str, done: float, total: float | None = None) -> None:
@@ -87,7 +82,8 @@ def progress() -> "Iterator[OnProgress]":
 
 
 @contextmanager
-def _bars(console: "Console") -> "Iterator[OnProgress]":
+def _bars() -> "Iterator[OnProgress]":
+    from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     bars: dict[str, TaskID] = {}
@@ -98,7 +94,7 @@ def _bars(console: "Console") -> "Iterator[OnProgress]":
         TimeElapsedColumn(),
         TextColumn("left"),
         TimeRemainingColumn(),
-        console=console,
+        console=Console(stderr=True),
         transient=True,
     ) as drawn:
 

@@ -66,6 +66,8 @@ def load(
         except UnicodeDecodeError as error:
             raise ConfigError(f"{path}: {error}") from None
     given = _merge(_merge(beneath or {}, values), overrides or {})
+    if path is None and not _says(given):
+        return cls()
     return build(cls, _upon(cls(), given), str(path) if path else "options")
 
 
@@ -110,6 +112,11 @@ def _upon(default: Any, given: dict[str, Any]) -> dict[str, Any]:
         inner = out.get(key)
         out[key] = _upon(inner, value) if isinstance(value, dict) and is_dataclass(inner) else value
     return out
+
+
+def _says(given: dict[str, Any]) -> bool:
+    """Whether there is any value in nested tables."""
+    return any(_says(value) if isinstance(value, dict) else True for value in given.values())
 
 
 def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:

@@ -120,7 +120,7 @@ class LaserMissionConfig:
     beam_stride: int = 4  # every so many beams are sampled for it
     frontier_check_every: int = 10  # [steps] between looks for frontiers where the planner never says it has finished
     false_distance: float = 0.5  # [m] off the truth beyond which a closure counts as joining places that are two
-    false_turn: float = np.radians(8.0)  # [rad] off the truth, the same
+    false_turn: float = float(np.radians(8.0))  # [rad] off the truth, the same
 
     def planning(self) -> LaserExploreConfig:
         """The planner's configuration, with the limits and the reach of the robots."""
