@@ -86,13 +86,18 @@ def test_landmarks_as_uncertain_as_printed_err_by_more_than_printed():
 
 @pytest.mark.slow
 def test_with_all_noise_in_position_one_robot_errs_little_more_than_two():
+    """On these seeds it errs 1.02 times as much, C/N 1.23 times; with the calibrated split 1.49 and 1.94 times, with
+    this noise of position and the calibrated one of turning 1.42 and 3.10 times.
+    """
     two, one = (explore_many(moving(run(robots=k), 0.06, 0.0), 8, 1000) for k in (2, 1))
     error, spread = (
         np.mean([getattr(r, what) for r in one]) / np.mean([getattr(r, what) for r in two])
         for what in ("map_error", "c_per_n")
     )
-    assert error < 1.6
-    assert spread < 2.2
+    assert error < 1.25
+    assert spread < 1.5
+    assert 0.1 < np.mean([r.c_per_n for r in two]) < 0.2  # with the calibrated noise of position 0.047
+    assert 0.8 < np.mean([r.nees_per_dof for r in two + one]) < 1.25  # world and filter were given the same noise
 
 
 @pytest.mark.long
