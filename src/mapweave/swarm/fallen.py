@@ -26,6 +26,7 @@ UNCHECKED = 0.8  # share of its direction that a sighting alone tells, from whic
 NEAR_MISS = 70.0  # of the limit, squared: 30 standard deviations, up to which a sighting called wrong is tried again
 SWAPS = 2  # sightings let go at most for one that is taken in
 UNDECIDED = 0.5  # of the limit: a loss up to which a sighting called wrong may as well be right
+AGAINST = 6.0  # standard deviations of their difference beyond which two sightings of a pair are not both right
 LIKELY = 0.015  # probability of being wrong from which on a sighting may as well be
 
 
@@ -197,14 +198,14 @@ def _left_out(
     return gain, float(factors.bearing_factor(part.whole).squares(x)[part.rows == row][0])
 
 
-def _against(net: Network, inlier: Bool[np.ndarray, " m"], row: int, limit: float) -> list[int]:
-    """The inliers of the same pair, the other way, that miss being opposite to `row` by more than `limit` allows."""
+def _against(net: Network, inlier: Bool[np.ndarray, " m"], row: int) -> list[int]:
+    """The inliers of the same pair, the other way, that are so far from opposite to `row` that one of them is wrong."""
     back = np.flatnonzero(inlier & (net.observer == net.target[row]) & (net.target == net.observer[row]))
     u, v = -net.direction[row], net.direction[back]
     cosine = v @ u
     miss = np.arctan2(np.linalg.norm(v - cosine[:, None] * u, axis=1), cosine)
     spread = net.sigma[row] ** 2 + net.sigma[back] ** 2
-    return [int(k) for k in back[miss**2 > limit * spread]]
+    return [int(k) for k in back[miss**2 > AGAINST**2 * spread]]
 
 
 def _taken_in(
@@ -221,7 +222,7 @@ def _taken_in(
     misses most, until all that are left fit or `row` itself is the one.
     """
     kept = inlier.copy()
-    let_go = _against(net, kept, row, limit)
+    let_go = _against(net, kept, row)
     kept[row], kept[let_go] = True, False
     for _ in range(SWAPS + 1):
         part = _part(net, kept, position, row)
