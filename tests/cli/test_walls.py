@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from mapweave.cli import main
+from mapweave.cli import _run, main
 
 COMMAND = (sys.executable, "-m", "mapweave")
 SHELL = f"{shlex.quote(sys.executable)} -m mapweave"
@@ -115,3 +115,37 @@ def test_closed_stdin_and_stdout_leave_a_whole_result(team, tmp_path):
     done = subprocess.run(["bash", "-c", line], capture_output=True, timeout=300, check=False)  # noqa: S603, S607
     assert (done.returncode, done.stderr) == (0, b"")
     assert (tmp_path / "out" / "report.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("landmarks --robots 1000000000", "--robots: expected at most 1,000, found 1,000,000,000"),
+        ("landmarks --landmarks 1000000000", "--landmarks: expected at most 10,000, found"),
+        ("landmarks --minutes 1e300", "--robots times --minutes: expected at most 10,000, found 3e+300"),
+        ("team --cameras 1000000000", "--cameras: expected at most 200, found 1,000,000,000"),
+        ("team --rooms 1000000", "--rooms: expected at most 200, found 1,000,000"),
+        ("swarm.csv --robots 1000000000", "--robots: expected at most 1,000,000, found 1,000,000,000"),
+        ("swarm.csv --steps 1000000000", "robots times steps times --k: expected at most 20,000,000, found"),
+        ("office.mcap --rooms 1000000", "--rooms: expected at most 500, found 1,000,000"),
+        ("office.mcap --beams 1000000000", "--beams: expected at most 20,000, found 1,000,000,000"),
+        ("tunnel.mcap --length 1e308", "metres driven: expected at most 100,000, found"),
+        ("corridor.mcap --distance 1e9", "metres driven: expected at most 100,000, found 1,000,000,000"),
+        ("corridor.mcap --scan-every 1e-9", "scans: expected at most 200,000, found"),
+        ("corridor.mcap --people 1000000000", "--people: expected at most 1,000, found 1,000,000,000"),
+    ],
+)
+def test_a_simulated_world_beyond_all_use_is_refused_with_the_number(tmp_path, capsys, words, told):
+    name, *options = words.split()
+    assert _run(["simulate", name.split(".")[0], "--out", str(tmp_path / name), *options]) == 2
+    assert told in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("option", [["explore"], ["explore", "yuan", "--config"]])
+def test_a_file_of_brackets_in_brackets_is_one_line(tmp_path, capsys, option):
+    (tmp_path / "deep.toml").write_text("walls = " + 20_000 * "[" + 20_000 * "]")
+    assert _run([*option, str(tmp_path / "deep.toml"), "--out", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err
+    assert "nested too deeply" in told
+    assert told.count("\n") == 1

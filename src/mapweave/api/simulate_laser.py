@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..core.errors import UsageError
+from ..core.errors import UsageError, expect_at_most
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.mcap import write_mcap
@@ -17,6 +17,9 @@ from ..sim.tunnel import TunnelConfig, simulate_tunnel
 
 if TYPE_CHECKING:
     from ..report.style import Target
+
+MOST_BEAMS, MOST_PEOPLE, MOST_ROOMS, MOST_SCANS = 20_000, 1000, 500, 200_000
+FARTHEST = 100_000.0  # [m]
 
 World = CorridorConfig | OfficeConfig | TunnelConfig
 
@@ -112,5 +115,15 @@ def _check(world: World) -> None:
     for option, value in positive.items():
         if not value > 0:
             raise UsageError(f"{option}: too small for this world")
+    expect_at_most({"--beams": (drive.scanner.beams, MOST_BEAMS), "--people": (drive.people, MOST_PEOPLE)})
+    if isinstance(world, OfficeConfig):
+        expect_at_most({"--rooms": (world.rooms, MOST_ROOMS)})
+        way = 2 * world.rooms * world.room_width + 4 * world.visited * (world.room_width + world.room_depth)
+    elif isinstance(world, CorridorConfig):
+        expect_at_most({"--long-leg": (world.long_leg, FARTHEST), "--short-leg": (world.short_leg, FARTHEST)})
+        way = world.distance
+    else:
+        way = 2 * world.length
+    expect_at_most({"metres driven": (way, FARTHEST), "scans": (way / drive.scan_every, MOST_SCANS)})
     if drive.people < 0:
         raise UsageError(f"--people must be 0 or more, found {drive.people}")

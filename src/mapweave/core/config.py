@@ -65,6 +65,8 @@ def load(
             raise ConfigError(_with_line(path, str(error))) from None
         except UnicodeDecodeError as error:
             raise ConfigError(f"{path}: {error}") from None
+        except RecursionError:
+            raise ConfigError(f"{path}: expected tables and lists, found them nested too deeply to read") from None
     given = _merge(_merge(beneath or {}, values), overrides or {})
     if path is None and not _says(given):
         return cls()

@@ -1,5 +1,7 @@
 """One base class; every message names what was expected and what was found."""
 
+from collections.abc import Mapping
+
 
 class MapweaveError(Exception):
     """Something a user can mend; the command line prints it as one line and exits with `exit_code`."""
@@ -32,3 +34,10 @@ class ConfigError(UsageError):
 
 class EstimateError(MapweaveError):
     """The estimate itself failed: no convergence, a matrix that is not positive definite."""
+
+
+def expect_at_most(limits: Mapping[str, tuple[float, float]]) -> None:
+    """Raises UsageError for the first option of which more was asked (or NaN) than `limits` allow: (found, most)."""
+    for option, (found, most) in limits.items():
+        if not found <= most:
+            raise UsageError(f"{option}: expected at most {most:,.10g}, found {found:,.10g}")

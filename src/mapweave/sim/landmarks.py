@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from ..core import se2
 from ..core.config import config
-from ..core.errors import UsageError
+from ..core.errors import UsageError, expect_at_most
 from ..core.landmark_log import RobotRecording, TeamRecording
 from .driving import COMMAND_STEP, Drive, drive_team, scattered
 
@@ -22,6 +22,7 @@ RANGE_MEMORY, BEARING_MEMORY = 6.0, 2.0  # [s] over which errors to one target f
 RANGE_WHITE, BEARING_WHITE = 0.05, 0.5  # share of the variance that is new in every frame
 TRUTH_STEP = 0.06  # [s]
 AREA_PER_LANDMARK = 8.0  # [m^2]
+MOST_ROBOTS, MOST_LANDMARKS, MOST_MINUTES = 1000, 10_000, 10_000  # the last of all robots together: 1 GB
 
 
 @config
@@ -46,6 +47,8 @@ class TeamWorld:
         for name in ("outliers", "misreads"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise UsageError(f"--{name} is a probability between 0 and 1, found {getattr(self, name)}")
+        expect_at_most({"--robots": (self.robots, MOST_ROBOTS), "--landmarks": (self.landmarks, MOST_LANDMARKS)})
+        expect_at_most({"--robots times --minutes": (self.robots * self.minutes, MOST_MINUTES)})
 
 
 def simulate_team(world: TeamWorld, seed: int = 0) -> TeamRecording:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.config import config
-from ..core.errors import UsageError
+from ..core.errors import UsageError, expect_at_most
 from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
 from ..kernels.walls.raycast import cast
@@ -28,6 +28,7 @@ SCANNER = Scanner(beams=271, opening=np.radians(270.0), far=10.0)
 WHEELS = DriftConfig(scale=0.02, end_error=None)
 AREA_PER_LANDMARK, LEAST_AREA = 8.0, 40.0  # [m^2] of a room
 REACH, RIM, DEPTH, THICK = 0.55, 1.3, (0.2, 0.6), 0.4  # of a room's size robots go; [m] from there to the wall; boxes
+MOST_ROBOTS, MOST_LANDMARKS, MOST_MINUTES = 200, 10_000, 2_000  # of one kind, and rooms; of all robots together
 WILD = 3.0  # [m] sd of a range that is wrong by metres
 Sees = Literal["nothing", "bearings", "ranges"]
 KINDS = ("laser", "camera", "bearing-camera", "bearings")
@@ -68,6 +69,9 @@ class MixedWorld:
             found = getattr(self, name.replace("-", "_"))
             if not low <= found < np.inf:
                 raise UsageError(f"--{name} must be {low:g} or more, found {found}")
+        counts = {f"--{name}": (getattr(self, name.replace("-", "_")), MOST_ROBOTS) for name in least}
+        expect_at_most({**counts, "--landmarks": (self.landmarks, MOST_LANDMARKS)})
+        expect_at_most({"robots times --minutes": (len(self.kinds) * self.minutes, MOST_MINUTES)})
         if not self.kinds:
             raise UsageError("a team needs a robot: --lasers, --cameras, --bearing-cameras and --bearings are all 0")
         if not 0.0 < self.minutes < np.inf:

@@ -9,10 +9,11 @@ from scipy.spatial import cKDTree
 
 from ..core.bearings import BearingTable
 from ..core.config import config
-from ..core.errors import UsageError
+from ..core.errors import UsageError, expect_at_most
 
 SPACING = 10.0  # [m] between neighbours of the grid
 JITTER = 3.0  # [m] either way, on every axis
+MOST_ROBOTS, MOST_SIGHTINGS = 1_000_000, 20_000_000
 Layout = Literal["grid", "random", "clusters"]
 
 
@@ -256,5 +257,8 @@ def _check(scene: SwarmScene) -> None:
         raise UsageError("expected --steps of 1 or more, --interval above 0")
     if not scene.axis and scene.dim == 3:
         raise UsageError("--no-axis: robots in space need common axes, without which nothing locates them")
+    expect_at_most({"--robots": (scene.robots, MOST_ROBOTS), "--k": (scene.k, MOST_ROBOTS)})
+    each = scene.k if scene.range is None else 1
+    expect_at_most({"robots times steps times --k": (scene.robots * scene.steps * each, MOST_SIGHTINGS)})
     if scene.drive and scene.dim == 3:
         raise UsageError("--drive: robots on wheels stay in the plane; expected --dim 2")

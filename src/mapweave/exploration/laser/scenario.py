@@ -61,7 +61,7 @@ def find_laser_scenario(name: str) -> LaserScenarioConfig | None:
     path = Path(name)
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError):
+    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError):
         return None  # said by who reads landmark scenarios
     if "sensor" not in values and "office" not in values:
         return None
