@@ -23,7 +23,7 @@ def view(
     browser
         Open the report, unless there is no display (True).
     rerun
-        Show walls, landmarks and every robot along time in the Rerun viewer (False): the extra `[viewer]`.
+        Show walls, landmarks, closures, decisions and robots along time in the Rerun viewer (False): the extra `[viewer]`.
     save
         Write what Rerun would show to this .rrd file instead (nothing).
 
@@ -53,8 +53,8 @@ def _in_rerun(folder: Path, save: Path | None) -> str:
     if find_spec("rerun") is None:
         raise UsageError("--rerun: the viewer is not installed: pip install 'mapweave[viewer]'")
     parts = read_finished(folder)
-    if not any(part.tracks or part.walls is not None or part.landmarks is not None for part in parts):
-        raise UsageError(f"{folder}: expected trajectories, walls or landmarks to show, found none")
+    if all(part.empty for part in parts):
+        raise UsageError(f"{folder}: expected trajectories, walls, landmarks or positions to show, found none")
     if save is None and not _has_display():
         raise EstimateError("--rerun: no display to open the viewer on; --save FILE.rrd writes what it would show")
     from ..viewer.rerun_viewer import show_in_rerun  # noqa: PLC0415  (an extra)

@@ -16,7 +16,7 @@ def view(
     directory
         What a command wrote.
     rerun
-        Show walls, landmarks and every robot along time in the Rerun viewer (the extra [viewer]).
+        Show walls, landmarks, closures, decisions and every robot along time in the Rerun viewer (the extra [viewer]).
     save
         Write what Rerun would show to this .rrd file instead.
     """
