@@ -35,3 +35,15 @@ def test_a_row_that_is_not_there_is_an_error():
     rows.append(1.0)
     with pytest.raises(IndexError):
         rows[1]
+
+
+@pytest.mark.parametrize("count", [0, 1, 100])
+def test_only_the_newest_row_is_kept(count):
+    rows = Rows(2)
+    for k in range(count):
+        rows.append([k, -k])
+    rows.keep_last()
+    assert rows.array.tolist() == [[k, -k] for k in range(count)][-1:]
+    rows.append([7.0, 8.0])
+    assert rows[-1].tolist() == [7.0, 8.0]
+    assert len(rows) == min(count, 1) + 1

@@ -23,7 +23,8 @@ def view(
     browser
         Open the report, unless there is no display (True).
     rerun
-        Show walls, landmarks, closures, decisions and robots along time in the Rerun viewer (False): the extra `[viewer]`.
+        Show walls, landmarks, closures, decisions and robots along time in the Rerun viewer (False): the extra
+        `[viewer]`.
     save
         Write what Rerun would show to this .rrd file instead (nothing).
 

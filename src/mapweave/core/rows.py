@@ -33,6 +33,13 @@ class Rows:
         self._held[self._count] = row
         self._count += 1
 
+    def keep_last(self) -> None:
+        """Only the newest is there any more, and the room for those before it is given back."""
+        newest = self._held[max(self._count - 1, 0) : self._count]
+        self._held = np.zeros((LEAST, *self._held.shape[1:]), self._held.dtype)
+        self._count = len(newest)
+        self._held[: self._count] = newest
+
     def clear(self) -> None:
         """No row is there any more."""
         self._count = 0

@@ -149,7 +149,7 @@ def _work_in(state: EkfSlamState, record: Stretch, cfg: EkfSlamConfig) -> tuple[
     track = Track(t[:tracked], pose[:tracked], square(cov[:tracked]), new.frame)
     new = replace(
         new, t=float(t[tracked - 1]), commands=commands[:, gone:].copy(), at=at - gone,
-        started=places.started, waiting=places.waiting, n_waiting=places.count, astray=places.astray,
+        started=places.started, waiting=places.waiting, n_waiting=places.filled, astray=places.astray,
         **belief._asdict(),
     )  # fmt: skip
     return new, EkfSlamInfo(Status.USED, track, *fit)

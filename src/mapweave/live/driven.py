@@ -51,7 +51,8 @@ class DrivenSession(LaserSession):
         self._note_left(state, nodes, state.revisits[gone:])
         self.scans.clear()
         self.infos.clear()
-        del state.t[:-1], state.odometry.odometry.poses[:-1]
+        state.t.keep_last()
+        state.odometry.odometry.poses.keep_last()
         newest = len(state.scans) - 1
         for k in range(self._kept, newest):
             state.scans[k] = NOTHING

@@ -28,7 +28,7 @@ def frame(x: Array, P: Array, seen: Seen, noise: Noise, places: Places, fit: Fit
         if places.started[slot]:
             fit.nis[k], fit.weight[k] = sight(x, P, U, held, slot, seen.range[k], seen.bearing[k], noise, places.astray)
             held += 2
-        elif consider(x, slot, seen.range[k], seen.bearing[k], noise, places.waiting, places.count):
+        elif consider(x, slot, seen.range[k], seen.bearing[k], noise, places.waiting, places.filled):
             release(P, U, held)
             held = plain(0)
             begin(x, P, size, slot, seen.range[k], seen.bearing[k], noise)

@@ -49,13 +49,13 @@ class Seen(NamedTuple):
 class Places(NamedTuple):
     """What is known of each landmark, changed in place.
 
-    started: (m,) whether it is in the state; waiting: (m, CANDIDATES, 2), count: (m,) the places it was seen at before;
-    astray: (1,) sightings in a row that hardly counted.
+    started: (m,) whether it is in the state; waiting: (m, CANDIDATES, 2), filled: (m,) the places it was seen at
+    before; astray: (1,) sightings in a row that hardly counted.
     """
 
     started: Array
     waiting: Array
-    count: Array
+    filled: Array
     astray: Array
 
 
