@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import mapweave
 from mapweave.api.online import times_of
 from mapweave.api.smooth_online import closing_start, smooth_online
 from mapweave.core import se2
@@ -13,6 +14,7 @@ from mapweave.evaluation.team import score_team
 from mapweave.fusion.config import FuseConfig
 from mapweave.landmarks.config import EkfSlamConfig
 from mapweave.landmarks.mapping import grow
+from mapweave.sim import landmarks as simulator
 from mapweave.team.config import OnlineConfig, SmoothingConfig
 from mapweave.team.smooth import smooth
 
@@ -104,3 +106,21 @@ def test_robots_without_wheels_wait_for_the_end_and_it_is_told():
     assert mixed.warnings == ("--online: no wheels: smoothed when the logs ended: robot 3",)
     assert mixed.team.members
     assert "robot3" not in mixed.team.members
+
+
+def test_a_robot_put_down_elsewhere_is_cut_there_while_the_logs_play_too(monkeypatch, tmp_path):
+    drive = simulator.drive_team
+
+    def carried(*args, **options):
+        first, own, *rest = drive(*args, **options)
+        moved = se2.compose(np.array([1.5, 1.0, np.pi]), own.pose)
+        return [first, replace(own, pose=np.where((own.t >= 90.0)[:, None], moved, own.pose)), *rest]
+
+    monkeypatch.setattr(simulator, "drive_team", carried)
+    mapweave.simulate_landmarks(tmp_path / "logs", robots=3, minutes=3, seed=101)
+    done = mapweave.map(tmp_path / "logs", online=True, truth=[tmp_path / "logs"])
+    assert done.maps[0].robots == ("robot1", "robot2", "robot3")
+    assert any(w.startswith("robot 2: put down elsewhere at") for w in done.warnings)
+    assert done.score.landmarks.rmse < 0.1
+    assert max(score.ate for score in done.score.robots.values()) < 0.2
+    assert done.run.ways_moved < 0.2  # of the stretch that was smoothed under way; the other has come in since

@@ -110,7 +110,8 @@ def closing_start(run: OnlineRun, filters: TeamMap) -> TeamMap:
     if not np.square(off).sum(axis=1).mean() < FAR**2:
         return filters
     ways = {r: team.way(r) for r in team.members if r in filters.robots}
-    tracks = {**filters.tracks, **{r: Track(way.t, se2.compose(T, way.pose)) for r, way in ways.items()}}
+    smoothed = {r: _within(filters.tracks[r], Track(way.t, se2.compose(T, way.pose))) for r, way in ways.items()}
+    tracks = {**filters.tracks, **smoothed}
     place = dict(zip(now.ids, se2.act(T, now.mean), strict=True))
     mean = np.array([place.get(name, p) for name, p in zip(start.ids, start.mean, strict=True)])
     head = filters.robots[0]
@@ -119,6 +120,14 @@ def closing_start(run: OnlineRun, filters: TeamMap) -> TeamMap:
         tracks = {r: Track(track.t, se2.compose(back, track.pose)) for r, track in tracks.items()}
         mean = se2.act(back, mean)
     return replace(filters, landmarks=LandmarkMap(start.ids, mean, start.cov, start.frame), tracks=tracks)
+
+
+def _within(whole: Track, way: Track) -> Track:
+    """`way`, and `whole` before and after: of a robot that was put down elsewhere one stretch alone is smoothed."""
+    before, after = whole.t < way.t[0], whole.t > way.t[-1]
+    parts = [(whole.t[before], whole.pose[before]), (way.t, way.pose), (whole.t[after], whole.pose[after])]
+    t, pose = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return Track(t, pose)
 
 
 def closed(run: OnlineRun, start: TeamMap, done: Smoothed, seconds: float) -> OnlineRun:
@@ -132,8 +141,10 @@ def closed(run: OnlineRun, start: TeamMap, done: Smoothed, seconds: float) -> On
     for robot in run.team.members:
         if robot in start.tracks and robot in done.map.tracks:
             before, after = start.tracks[robot], done.map.tracks[robot]
-            there = se2.compose(T, se2.interpolate(after.t, before.t, before.pose))
-            ways.append(np.square(there[:, :2] - after.pose[:, :2]).sum(axis=1))
+            played = run.team.way(robot).t
+            there = (after.t >= played[0]) & (after.t <= played[-1])
+            was = se2.compose(T, se2.interpolate(after.t[there], before.t, before.pose))
+            ways.append(np.square(was[:, :2] - after.pose[there, :2]).sum(axis=1))
     moved = float(np.sqrt(np.concatenate(ways).mean())) if ways else None
     return replace(
         run, closing=seconds, landmarks_moved=float(np.sqrt(np.square(off).sum(axis=1).mean())), ways_moved=moved
