@@ -66,6 +66,18 @@ def test_a_robot_put_down_elsewhere_is_found_and_harms_no_map(carry, tmp_path):
     assert "put down elsewhere" in (tmp_path / "out" / "report.html").read_text()
 
 
+def test_where_a_robot_saw_nothing_when_it_was_carried_its_way_is_left_out(carry, tmp_path):
+    carry(2, 90.0, (0.5, 0.8, 2.5))
+    mapweave.simulate_landmarks(tmp_path / "logs", robots=3, minutes=3, seed=104)
+    done = mapweave.map(tmp_path / "logs", truth=[tmp_path / "logs"])
+    ((begin, end),) = done.maps[0].left_out["robot2"]
+    first = done.maps[0].tracks["robot2"].t[0]
+    assert begin - first < 91.0 < end - first < 130.0
+    assert done.score.robots["robot2"].ate < 0.15
+    (told,) = (w for w in done.warnings if "put down elsewhere" in w)
+    assert "or within 35.9 s from there" in told
+
+
 def test_a_lone_robot_put_down_elsewhere_is_found_by_its_own_halves(carry, tmp_path):
     carry(1, 150.0, (0.0, 0.0, np.pi))
     mapweave.simulate_landmarks(tmp_path / "logs", robots=1, seed=7, **WORLD)

@@ -8,6 +8,7 @@ moment follow from each other as the wheels say, but not across it, it was put d
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -52,7 +53,16 @@ class KidnapConfig:
     most: int = 5  # robots, one after the other
 
 
+BLIND = 4.0  # [s] without a sighting, from which it is left open when in between a robot was carried
+NEXT = 1e-3  # [s] after a stamp that is still of the stretch before
 SPAN = 6.0  # [s] over which wheels and filter are compared
+
+
+class Moment(NamedTuple):
+    """The robot was put down elsewhere between these stamps [s], which are one where that is known."""
+
+    begin: float
+    end: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,19 +103,19 @@ def cut_kidnapped(
             k = next(i for i, log in enumerate(main) if log.robot == robot)
             if robot in cleared or main[k] is not logs[k]:
                 continue
-            cuts = _cuts(main[k], maps, fusion, cfg, placing, smoothing, mapper, join)
-            if cuts:
-                found = k, cuts
+            moments = _moments(main[k], maps, fusion, cfg, placing, smoothing, mapper, join)
+            if moments:
+                found = k, moments
                 break
             cleared.add(robot)
         if found is None:
             break
-        k, cuts = found
-        whole[k] = replace(logs[k], cuts=cuts)
+        k, moments = found
+        whole[k] = replace(logs[k], cuts=tuple(np.unique(moments).tolist()))
         stretches = whole[k].stretches()
         main[k] = max(stretches, key=lambda part: len(part.sightings))
         made = mapper(main[k])
-        maps[k] = replace(made, warnings=(*made.warnings, _told(logs[k], cuts)))
+        maps[k] = replace(made, warnings=(*made.warnings, _told(logs[k], moments)))
         fusion = join(maps)
         cleared.clear()
     return Cut(tuple(whole), tuple(main), tuple(maps), fusion)
@@ -183,10 +193,12 @@ def _in_one_log(log: LandmarkLog, parts: Sequence[LandmarkLog]) -> LandmarkLog:
     return log.chosen(chosen)
 
 
-def _told(log: LandmarkLog, cuts: Sequence[float]) -> str:
-    begin = log.span[0]
-    when = ", ".join(f"{t:.1f} (after {t - begin:.1f} s of its log)" for t in cuts)
-    return f"put down elsewhere at {when}: its path is cut there, its own map is of the longest stretch"
+def _told(log: LandmarkLog, moments: Sequence[Moment]) -> str:
+    begin, when = log.span[0], []
+    for a, b in moments:
+        after = f"{a:.1f} (after {a - begin:.1f} s of its log)"
+        when.append(after if a == b else f"{after} or within {b - a:.1f} s from there")
+    return f"put down elsewhere at {', '.join(when)}: its path is cut there, its own map is of the longest stretch"
 
 
 def _suspects(
@@ -242,7 +254,7 @@ def _bent(track: Track, log: LandmarkLog, smoothing: SmoothingConfig) -> float:
     return float(np.hypot(miss[:, 0], miss[:, 1]).max(initial=0.0))
 
 
-def _cuts(
+def _moments(
     log: LandmarkLog,
     maps: Sequence[LocalMap],
     fusion: Fusion,
@@ -251,7 +263,7 @@ def _cuts(
     smoothing: SmoothingConfig,
     mapper: Mapper,
     join: Joiner,
-) -> tuple[float, ...]:
+) -> tuple[Moment, ...]:
     """When [s] the robot was put down elsewhere: against each half of its own log, then against what others mapped.
 
     A robot that nobody carried contradicts no half of its own; where it was carried, one half is whole.
@@ -288,7 +300,7 @@ def _jumps(
     cfg: KidnapConfig,
     placing: PlacingConfig,
     smoothing: SmoothingConfig,
-) -> tuple[float, ...]:
+) -> tuple[Moment, ...]:
     """The moments across which places in `reference` do not follow from each other, though they do on either side."""
     carrier = carried_by_wheels(log, {}, smoothing)
     for length, least in ((cfg.window, cfg.run), (cfg.long_window, cfg.long_run)):
@@ -357,18 +369,21 @@ def _driven(carrier: Track, begin: float, end: float) -> tuple[float, float]:
     return float(way.sum()), float(np.abs(se2.wrap_angle(np.diff(inside[:, 2]))).sum())
 
 
-def _moment(windows: Windows, i: int, j: int, carrier: Track, placing: PlacingConfig) -> float:
-    """The moment between two windows up to which sightings agree with the one, and from which with the other."""
+def _moment(windows: Windows, i: int, j: int, carrier: Track, placing: PlacingConfig) -> Moment:
+    """The moment between two windows up to which sightings agree with the one, and from which with the other.
+
+    Where long nothing was seen in between, both ends of that time: nobody knows when in it the robot was carried.
+    """
     z = windows.seen.select((windows.seen.t > windows.t[i]) & (windows.seen.t < windows.t[j]))
-    if not len(z):
-        return float(0.5 * (windows.t[i] + windows.t[j]))
-    cost = []
-    for k in (i, j):
-        base = se2.interpolate(windows.t[[k]], carrier.t, carrier.pose)[0]
-        T = se2.compose(windows.place[k], se2.inverse(base))
-        cost.append(np.minimum(np.square(residuals(z, T, placing)).sum(axis=-1), placing.inlier**2))
-    total = np.append(0.0, np.cumsum(cost[0])) + np.append(np.cumsum(cost[1][::-1])[::-1], 0.0)
-    k = int(np.argmin(total))
-    left = z.t[k - 1] if k else windows.t[i]
-    right = z.t[k] if k < len(z) else windows.t[j]
-    return float(0.5 * (left + right))
+    left, right = float(windows.t[i]), float(windows.t[j])
+    if len(z):
+        cost = []
+        for k in (i, j):
+            base = se2.interpolate(windows.t[[k]], carrier.t, carrier.pose)[0]
+            T = se2.compose(windows.place[k], se2.inverse(base))
+            cost.append(np.minimum(np.square(residuals(z, T, placing)).sum(axis=-1), placing.inlier**2))
+        total = np.append(0.0, np.cumsum(cost[0])) + np.append(np.cumsum(cost[1][::-1])[::-1], 0.0)
+        k = int(np.argmin(total))
+        left = float(z.t[k - 1]) if k else left
+        right = float(z.t[k]) if k < len(z) else right
+    return Moment(left + NEXT, right) if right - left > BLIND else Moment(*[0.5 * (left + right)] * 2)
