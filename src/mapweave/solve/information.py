@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse.linalg import splu
 
 from ..core.gaussian import symmetrise
+from ..kernels.pattern import pattern_slots
 from .block_cholesky import BLOCK, BlockCholesky, BlockOrder
 from .elimination import Elimination
 from .multifrontal import Cholesky, NotPositiveError
@@ -37,25 +38,19 @@ class Pattern:
         position = np.full(n, size, dtype=np.int64)
         position[free] = np.arange(size)
         rows = [position[term.columns] for term in problem.terms]
-        span = size + 1
-        keys = [(r[:, None, :] * span + r[:, :, None]).ravel() for r in rows]  # column-major: sorted keys are CSC
-        diagonal_keys = np.arange(size, dtype=np.int64) * (span + 1)
-        flat = np.concatenate([*keys, diagonal_keys])
-        distinct, inverse = np.unique(flat, return_inverse=True)
-        column, row = distinct // span, distinct % span
-        inside = (column < size) & (row < size)
-        slot = np.where(inside, np.cumsum(inside) - 1, np.count_nonzero(inside))
-        where = slot[inverse.ravel()].astype(np.int64)
-        ends = np.cumsum([len(k) for k in keys])
-        parts = np.split(where, ends)
-        indptr = np.concatenate([[0], np.cumsum(np.bincount(column[inside], minlength=size))])
+        wide = [np.full(len(r), r.shape[1]) for r in rows]
+        width = np.concatenate([np.zeros(0, np.int64), *wide]).astype(np.int64)
+        begin, room = (np.concatenate([[0], np.cumsum(w)]).astype(np.int64) for w in (width, width**2))
+        flat = np.concatenate([np.zeros(0, np.int64), *(r.ravel() for r in rows)])
+        indptr, indices, slots, diagonal = pattern_slots(flat, begin, room, size)
+        ends = np.cumsum([r.size * r.shape[1] for r in rows])
         return cls(
             size=size,
             indptr=indptr.astype(np.int32),
-            indices=row[inside].astype(np.int32),
-            slots=tuple(parts[:-1]),
+            indices=indices.astype(np.int32),
+            slots=tuple(np.split(slots, ends[:-1])) if rows else (),
             rows=tuple(r.ravel() for r in rows),
-            diagonal=parts[-1],
+            diagonal=diagonal,
         )
 
     def dissected(self, group: Int[np.ndarray, " f"]) -> "Pattern":

@@ -247,21 +247,22 @@ def _correlation(team: TeamProblem, robot: int, x: Float[np.ndarray, " n"], leng
     if any(p.scans is not None for p in team.parts):
         return 1.0
     part = team.parts[robot]
-    own = [(t, o) for t, o in zip(team.factors, team.origins, strict=True) if o is not None and o.robot == robot]
-    first, last = team.landmark_start, team.landmark_start + 2 * len(team.landmarks)
-    found = [pair for pair in own if first <= pair[0].columns[0, 3] < last]
-    if not found:
-        first, last = part.start, part.start + 3 * len(part.instants.t)
+    pairs = [(t, o) for t, o in zip(team.factors, team.origins, strict=True) if o is not None]
+    found = [(t, o, np.arange(len(o.t))) for t, o in pairs if o.robot == robot and t.name == "landmark"]
+    alike = not found  # they all see this one robot
+    if alike:
+        last = part.start + 3 * len(part.instants.t)
+        of_it = [(t.columns[:, 3] >= part.start) & (t.columns[:, 3] < last) for t, _ in pairs]
         found = [
-            (t, o)
-            for t, o in zip(team.factors, team.origins, strict=True)
-            if o is not None and o.robot != robot and first <= t.columns[0, 3] < last
+            (t, o, np.flatnonzero(mine))
+            for (t, o), mine in zip(pairs, of_it, strict=True)
+            if o.robot != robot and t.name == "robot" and mine.any()
         ]
     together = alone = 0.0
-    for term, origin in found:
-        g = term.normal(x)[1][:, 3:5]
-        what = np.zeros(len(g), int) if first == part.start else term.columns[:, 3]
-        group = np.unique(np.stack([origin.t // length, what], axis=-1), axis=0, return_inverse=True)[1].ravel()
+    for term, origin, rows in found:
+        g = term.normal(x)[1][rows, 3:5]
+        what = np.zeros(len(g), int) if alike else term.columns[rows, 3]
+        group = np.unique(np.stack([origin.t[rows] // length, what], axis=-1), axis=0, return_inverse=True)[1].ravel()
         together += sum(float(np.square(np.bincount(group, weights=g[:, k])).sum()) for k in (0, 1))
         alone += float(np.square(g).sum())
     return max(1.0, together / alone) if alone > 0 else 1.0

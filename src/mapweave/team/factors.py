@@ -111,12 +111,12 @@ def sighting_factors(
     x0: Float[np.ndarray, " n"],
     cfg: SmoothingConfig,
 ) -> list[tuple[Factor, Float[np.ndarray, " m"]]]:
-    """What this robot saw of landmarks and of other robots, with the stamps."""
+    """What this robot saw of other robots, all in one factor, and of landmarks, with the stamps."""
     table, camera = part.seen, cfg.camera
     point = np.full(len(table), -1)
     first, last = part.instants.t[0], part.instants.t[-1]
     there = (table.t >= first) & (table.t <= last)
-    out = []
+    out, met, robots = [], [np.zeros(0, np.int64)], []
     for k, own in enumerate(table.ids):
         rows = np.flatnonzero((table.what == k) & there)
         other = team.get(own)
@@ -125,14 +125,13 @@ def sighting_factors(
         elif cfg.robot_sightings:
             t = table.t[rows]
             rows = rows[(t >= other.instants.t[0]) & (t <= other.instants.t[-1])]
-            if len(rows):
-                seen = Seen.robot(other, table.t[rows])
-                out.append(
-                    (
-                        _sighting_factor(part, rows, seen, x0, camera.robot_range_floor, camera.robot_bearing, camera),
-                        table.t[rows],
-                    )
-                )
+            met.append(rows)
+            robots.append(Seen.robot(other, table.t[rows]))
+    rows = np.concatenate(met)
+    if len(rows):
+        seen = Seen(np.concatenate([s.columns for s in robots]), np.concatenate([s.ahead for s in robots]))
+        term = _sighting_factor(part, rows, seen, x0, camera.robot_range_floor, camera.robot_bearing, camera)
+        out.append((term, table.t[rows]))
     rows = np.flatnonzero(point >= 0)
     if len(rows):
         seen = Seen(point[rows, None] + np.arange(2), np.zeros((len(rows), 2)))

@@ -47,7 +47,6 @@ class TeamProblem:
     landmarks: tuple[str, ...]
     landmark_start: int
     problem: Problem
-    pattern: Pattern
     origins: tuple["Origin | None", ...]
     used: Mapping[str, int]
 
@@ -55,11 +54,21 @@ class TeamProblem:
     def landmark_columns(self) -> Int[np.ndarray, " n"]:
         return self.landmark_start + np.arange(2 * len(self.landmarks))
 
-    def solve(self, cfg: SmoothingConfig, start: Float[np.ndarray, " n"] | None = None) -> Solution:
-        """The minimum near the start (or near `start`)."""
+    @property
+    def pattern(self) -> Pattern:
+        """Where the factors' blocks go, trajectories eliminated first and all else last: found anew when asked."""
+        free = self.problem.free
+        parameters = self.parts[0].parameters
+        node = _nodes(len(self.problem.x0), self.landmark_start, parameters)[free]
+        return Pattern.of(self.problem).least_fill(node, free >= self.landmark_start)
+
+    def solve(
+        self, cfg: SmoothingConfig, start: Float[np.ndarray, " n"] | None = None, pattern: Pattern | None = None
+    ) -> Solution:
+        """The minimum near the start (or near `start`); `pattern`: where it is known already."""
         problem = self.problem if start is None else replace(self.problem, x0=start)
         limits = SolveConfig(max_iterations=cfg.max_iterations, damping=1e-4, step_tolerance=1e-4, cost_tolerance=5e-5)
-        return minimise(problem, limits, self.pattern)
+        return minimise(problem, limits, pattern or self.pattern)
 
     def softened(self, width: float) -> "TeamProblem":
         """The same problem with every robust kernel `width` times as wide: far starts still feel what they saw."""
@@ -162,10 +171,7 @@ def team_problem(
     origins += [None] * (len(terms) - len(origins))
     angles = np.concatenate([part.start + 3 * np.arange(len(part.instants.t)) + 2 for part in parts])
     problem = Problem(x0, terms, fixed, wrapping(angles))
-    free = problem.free
-    node = _nodes(len(x0), landmark_start, first_parameter)[free]
-    pattern = Pattern.of(problem).least_fill(node, free >= landmark_start)
-    return TeamProblem(parts, landmarks.ids, landmark_start, problem, pattern, tuple(origins), used)
+    return TeamProblem(parts, landmarks.ids, landmark_start, problem, tuple(origins), used)
 
 
 def _nodes(n: int, landmarks: int, parameters: int) -> Int[np.ndarray, " n"]:

@@ -94,10 +94,10 @@ def smooth(
     )
     if not set(problem.used) - {"scan"}:
         return _kept(team, cfg, "nobody saw a landmark of the map or another robot", problem)
-    x = None
+    x, pattern = None, problem.pattern
     for width in soften:
-        x = problem.softened(width).solve(cfg, x).x
-    solution = problem.solve(cfg, x)
+        x = problem.softened(width).solve(cfg, x, pattern).x
+    solution = problem.solve(cfg, x, pattern)
     if solution.status in {Status.SINGULAR, Status.DIVERGED} or not np.isfinite(solution.x).all():
         return _kept(team, cfg, f"the problem of the whole team is {solution.status}", problem, solution)
     try:
