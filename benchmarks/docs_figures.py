@@ -17,6 +17,7 @@ import re
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -138,28 +139,35 @@ def adopt(table: Table) -> None:
     )
 
 
-def measure(table: Table) -> None:
-    """Runs the table's command and writes what it gives."""
+def measure(tables: Sequence[Table]) -> None:
+    """Runs the command that these tables have in common, once, and writes what it gives."""
+    first = tables[0]
     with tempfile.TemporaryDirectory() as folder:
-        stands_for = {PYTHON: sys.executable, "{page}": str(TOP / table.page), "{out}": f"{folder}/out"}
-        words = [stands_for.get(word, word) for word in table.command]
+        stands_for = {PYTHON: sys.executable, "{page}": str(TOP / first.page), "{out}": f"{folder}/out"}
+        words = [stands_for.get(word, word) for word in first.command]
         if words[0] == "mapweave":
             words = [sys.executable, "-m", *words]
         env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(TOP / "src"), os.environ.get("PYTHONPATH", "")])}
-        print(f"{table.name}: {table.told}", flush=True)
-        heard = subprocess.PIPE if table.written == "stdout" else None
+        print(f"{', '.join(t.name for t in tables)}: {first.told}", flush=True)
+        heard = subprocess.PIPE if any(t.written == "stdout" for t in tables) else None
         done = subprocess.run(words, cwd=TOP, env=env, stdout=heard, text=True, check=False)
         if done.returncode:
-            sys.exit(f"{table.name}: {table.told} ended with {done.returncode}")
-        if table.written == "reader":
-            print(f"{table.name}: put these figures into {table.page}, then --adopt {table.name!r}")
-            return
-        if table.written == "stdout":
-            text = "\n".join(line for line in done.stdout.splitlines() if line.startswith("|"))
-        elif table.written == "page":
-            text = bare(on_page(table) or "")
-        else:
-            text = (Path(folder) / "out" / table.written).read_text(encoding="utf-8").strip()
+            sys.exit(f"{first.name}: {first.told} ended with {done.returncode}")
+        for table in tables:
+            keep(table, done.stdout or "", Path(folder) / "out")
+
+
+def keep(table: Table, said: str, out: Path) -> None:
+    """Writes the table that its command gave: `said` on stdout, or as a file in `out`."""
+    if table.written == "reader":
+        print(f"{table.name}: put these figures into {table.page}, then --adopt {table.name!r}")
+        return
+    if table.written == "stdout":
+        text = "\n".join(line for line in said.splitlines() if line.startswith("|"))
+    elif table.written == "page":
+        text = bare(on_page(table) or "")
+    else:
+        text = (out / table.written).read_text(encoding="utf-8").strip()
     if not text:
         sys.exit(f"{table.name}: {table.told} gave no table; the old one stands")
     today = f"{datetime.now(UTC):%Y-%m-%d}"
@@ -184,9 +192,12 @@ def main() -> None:
         wrong = stale()
         print("\n".join(wrong))
         sys.exit(1 if wrong else 0)
-    else:
+    elif asked.adopt:
         for table in chosen:
-            (adopt if asked.adopt else measure)(table)
+            adopt(table)
+    else:
+        for command in dict.fromkeys((t.command, t.page if t.written == "page" else "") for t in chosen):
+            measure([t for t in chosen if (t.command, t.page if t.written == "page" else "") == command])
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ the page and add a line here.
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 PYTHON = "python"  # stands for the interpreter that runs this; {page}, {out} for the page and an empty folder
 FUSION, SWARM = "docs/methods/relative-fusion.md", "docs/methods/bearing-swarm.md"
@@ -17,14 +16,14 @@ CHECKED_ELSEWHERE = {"walks"}  # marks of what is no measurement
 class Table:
     """One table. page: "" of one whose numbers stand in sentences alone. written: how the command gives it.
 
-    stdout: as the Markdown table that it prints; page: into the page itself, between the marks; a file's name: as that
-    file in {out}; reader: as figures for people, which whoever runs it puts on the page.
+    stdout: as the Markdown table that it prints; page: into the page itself, between the marks; a file's name, which
+    ends in `.md`: as that file in {out}; reader: as figures for people, which whoever runs it puts on the page.
     """
 
     name: str
     page: str
     command: tuple[str, ...]
-    written: Literal["stdout", "page", "reader", "claims.md"] = "reader"
+    written: str = "reader"
 
     @property
     def told(self) -> str:
@@ -39,6 +38,15 @@ def bench(script: str, *words: str) -> tuple[str, ...]:
 
 def reproduce(paper: str) -> tuple[str, ...]:
     return ("mapweave", "reproduce", paper, "--out", "{out}")
+
+
+def paper(name: str, page: str, shown: tuple[str, ...], said: tuple[str, ...]) -> tuple[Table, ...]:
+    """The tables of a paper: `shown` on its page, `said` in sentences alone, and the closing one."""
+    return (
+        *(Table(f"{name} {file}", page, reproduce(name), f"tables/{file}.md") for file in shown),
+        *(Table(f"{name} {file}", "", reproduce(name), f"tables/{file}.md") for file in said),
+        Table(f"{name} claims", page, reproduce(name), "claims.md"),
+    )
 
 
 TABLES = (
@@ -81,21 +89,19 @@ TABLES = (
     Table("kojima asserted", FUSION, (PYTHON, "-m", "pytest", "tests/fusion", "tests/papers")),
     Table("kojima set-up", FUSION, reproduce("kojima")),
     Table("kojima unequal maps", FUSION, reproduce("kojima")),
-    Table("kojima claims", FUSION, reproduce("kojima"), "claims.md"),
+    *paper("kojima", FUSION, (), ("table2", "identities", "trace", "honesty", "settling")),
     Table("belief propagation", SWARM, bench("swarm")),
     Table("swarm grid", SWARM, bench("swarm")),
     Table("swarm times", SWARM, bench("swarm")),
     Table("swarm trust", SWARM, bench("swarm_trust", "--draws", "6"), "stdout"),
-    Table("hamatani claims", SWARM, reproduce("hamatani"), "claims.md"),
+    *paper("hamatani", SWARM, (), ("beyond", "drift")),
     Table("intel relations", LASER, bench("laser_real"), "stdout"),
     Table("laps of a hall", LASER, bench("laser_laps"), "stdout"),
     Table("simulated ring", LASER, bench("corridor")),
-    Table("hara claims", LASER, reproduce("hara"), "claims.md"),
+    *paper("hara", LASER, (), ("methods", "gate", "starts", "bounds", "alpha", "walls")),
     Table("laser exploration", EXPLORE, bench("exploration_laser", "--seeds", "2")),
-    Table("yuan", EXPLORE, reproduce("yuan")),
     Table("yuan other seeds", EXPLORE, reproduce("yuan")),
-    Table("area term", EXPLORE, reproduce("yuan")),
-    Table("yuan claims", EXPLORE, reproduce("yuan"), "claims.md"),
+    *paper("yuan", EXPLORE, ("table1", "turning", "area", "seen"), ("ablation", "unseen", "goals", "stability")),
     Table("among walls", EXPLORE, ("mapweave", "explore", "SCENARIO", "--runs", "20", "--until", "field")),
     Table("submaps", EXPLORE, bench("exploration")),
     Table("planning alone", EXPLORE, bench("exploration_laser")),

@@ -138,7 +138,8 @@ def _seen() -> list[Case]:
 
 
 def _unseen() -> list[Case]:
-    return [Case("unseen", p, run(planner=p), UNSEEN, 2.0) for p in ("coverage", "loop", "joint")]
+    told = (*((p, run(planner=p)) for p in ("coverage", "loop", "joint")), *JUDGED)
+    return [Case("unseen", name, mission, UNSEEN, 2.0) for name, mission in told]
 
 
 def _stability() -> list[Case]:
@@ -201,3 +202,9 @@ def robots_told(n: int) -> str:
 def noise_told(robots: int, position: float, turn: float) -> str:
     """The name of a case of the group `turning`."""
     return f"{robots_told(robots)}, {position:g} m and {turn:g} rad a step"
+
+
+JUDGED = (  # by the same seeds
+    ("the paper's planner", run()),
+    ("loop, jcbb", run(planner="loop", association="jcbb")),
+)
