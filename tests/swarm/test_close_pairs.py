@@ -107,3 +107,10 @@ def test_without_wrong_sightings_nothing_is_doubted():
         net, _ = simulated(seed, robots=36, sigma=5.0, layout="random", visibility="single")
         doubted += not locate(net, SwarmConfig(method="robust")).reliable
     assert doubted <= 1
+
+
+def test_two_sightings_of_a_pair_that_noise_sets_apart_are_no_contradiction():
+    """One of the two misses by more than a sighting may, by chance; its place is no other if it is believed."""
+    for seed in range(1000, 1006):
+        net, _ = simulated(seed, robots=64, sigma=2.0, layout="random", visibility="mutual")
+        assert locate(net, SwarmConfig(method="robust")).reliable
