@@ -112,6 +112,7 @@ class Clocked(LaserWeaver):
         self.late: list[float] = []
         self.shown: dict[str, int] = {}
         self.when: dict[tuple[str, int], float] = {}
+        self.grown: list[tuple[float, float]] = []
 
     @property
     def team(self) -> Team:
@@ -124,6 +125,7 @@ class Clocked(LaserWeaver):
 
     def _drawn(self, out) -> None:
         now = self.clock.monotonic()
+        self.grown.append((now, memory("VmRSS")))
         for robot, until in out.worked.items():
             for seq in range(self.shown.get(robot, 1), until):
                 self.late.append(now - self.when[robot, seq])
@@ -195,11 +197,13 @@ def main() -> None:
         weaver = Clocked(store, LaserConfig(), starts, clock, coming, payloads)
         profile = cProfile.Profile() if given.profile else None
         passes = weaver.run() if profile is None else profile.runcall(weaver.run)
-        grown = memory("VmRSS") - before
         if profile is not None:
             pstats.Stats(profile).sort_stats("tottime").print_stats(40)
         tell(weaver, passes, given)
-        print(f"memory {grown / 1024:.0f} MB, {grown / 1024 / given.robots:.1f} MB a robot")
+        t, kB = np.array(weaver.grown).T
+        MB = (np.interp(given.seconds * np.arange(1, 6) / 5, t, kB) - before) / 1024
+        each = ", ".join(f"{one:.0f}" for one in MB)
+        print(f"memory after each fifth of the time {each} MB; {MB[-1] / given.robots:.1f} MB a robot in the end")
 
 
 def tell(weaver: Clocked, passes: dict[str, list[float]], given: argparse.Namespace) -> None:
