@@ -1,11 +1,10 @@
-"""How smoothing a whole team grows with robots and minutes, and the same problem beside GTSAM with calibration frozen.
+"""How smoothing a whole team grows with robots and minutes, and the same problem beside GTSAM (`beside_gtsam.py`).
 
     python benchmarks/team_growth.py [--sizes 2x2,5x2,10x2,10x5] [--target 100x15] [--no-gtsam] [--seed 1] [--json FILE]
 
 Each size runs in a process of its own: processor time of filters, fusing and smoothing, the largest memory, factors and
 poses. The exponents of time and memory against robots x minutes are fitted, and drawn out to the target (which is not
-run). GTSAM takes the same poses, sightings and kernels, each sighting carried to its pose; errors of both are those of
-landmarks beside the truth under one rigid alignment.
+run).
 """
 
 import argparse
@@ -15,112 +14,25 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from beside_gtsam import with_gtsam
 
 from mapweave import simulate_landmarks
 from mapweave.api.evaluate_team import read_team_truth
 from mapweave.api.team import team_maps
-from mapweave.core import se2
 from mapweave.core.workers import keep_one_blas_thread
 from mapweave.evaluation.team import score_team
 from mapweave.fusion.config import FuseConfig
 from mapweave.fusion.join import fuse
 from mapweave.io.landmark_logs import read_landmark_logs
-from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.landmarks.mapping import local_map
-from mapweave.solve import SolveConfig, minimise
 from mapweave.team.config import SmoothingConfig
-from mapweave.team.problem import team_problem
-from mapweave.team.robot_part import PARAMETERS
 from mapweave.team.smooth import smooth
-from mapweave.team.team_map import TeamMap
 
 CFG = SmoothingConfig()
 Row = dict[str, float]
-
-
-def rmse(team: TeamMap, mean: np.ndarray, truth) -> float:
-    landmarks = LandmarkMap(team.landmarks.ids, mean, team.landmarks.cov)
-    return score_team([replace(team, landmarks=landmarks)], {}, truth.survey, {}).landmarks.rmse
-
-
-def frozen(team: TeamMap, logs: list):
-    """The team's problem with every robot's calibration held."""
-    held = {p: (getattr(CFG.calibration, p), 0.0) for p in PARAMETERS}
-    return team_problem(logs, team.landmarks, team.tracks, {}, {log.robot: held for log in logs}, CFG)
-
-
-def with_gtsam(team: TeamMap, logs: list, truth) -> Row:
-    """Seconds and errors of both on the same frozen problem, from the same start."""
-    import gtsam
-
-    whole = frozen(team, logs)
-    began = time.process_time()
-    ours = minimise(
-        whole.problem,
-        SolveConfig(max_iterations=CFG.max_iterations, damping=1e-4, step_tolerance=1e-4, cost_tolerance=5e-5),
-        whole.pattern,
-    )
-    ours_s = time.process_time() - began
-    began = time.process_time()
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    calibration = CFG.calibration
-    first, key = {}, 0
-    for part in whole.parts:
-        first[part.robot] = key
-        for k, pose in enumerate(part.instants.start):
-            values.insert(key + k, gtsam.Pose2(*pose))
-        key += len(part.instants.t)
-    marks = {name: key + k for k, name in enumerate(team.landmarks.ids)}
-    for name, p in zip(team.landmarks.ids, team.landmarks.mean, strict=True):
-        values.insert(marks[name], gtsam.Point2(*p))
-    graph.add(gtsam.PriorFactorPose2(0, values.atPose2(0), gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)))
-    camera = CFG.camera
-    sight = gtsam.noiseModel.mEstimator.Cauchy.Create(camera.outlier)
-    drive = gtsam.noiseModel.mEstimator.Cauchy.Create(CFG.motion.outlier)
-    for part in whole.parts:
-        t, lag, a = part.instants.t, calibration.lag, first[part.robot]
-        steps = part.motion.between(t, calibration.speed_scale, calibration.turn_scale, lag).step
-        for k, (step, Q) in enumerate(zip(steps, part.motion.noise(t, lag, CFG.motion), strict=True)):
-            noise = gtsam.noiseModel.Robust.Create(drive, gtsam.noiseModel.Gaussian.Covariance(Q))
-            graph.add(gtsam.BetweenFactorPose2(a + k, a + k + 1, gtsam.Pose2(*step), noise))
-        table = part.seen
-        near, way = part.instants.from_nearest(table.t)
-        point = table.range[:, None] * np.stack([np.cos(table.bearing), np.sin(table.bearing)], axis=-1)
-        there = np.stack([se2.act(w, p[None])[0] for w, p in zip(way, point, strict=True)])
-        for k, at, p in zip(table.what, near, there, strict=True):
-            name = table.ids[k]
-            distance, bearing = float(np.hypot(*p)), gtsam.Rot2.fromAngle(float(np.arctan2(p[1], p[0])))
-            robot = name in first
-            if not robot and name not in marks:
-                continue
-            floor, angle = (
-                (camera.robot_range_floor, camera.robot_bearing) if robot else (camera.range_floor, camera.bearing)
-            )
-            sd = np.array([angle, np.hypot(floor, camera.range_share * distance)])
-            noise = gtsam.noiseModel.Robust.Create(sight, gtsam.noiseModel.Diagonal.Sigmas(sd))
-            if robot:
-                other = whole.parts[[q.robot for q in whole.parts].index(name)]
-                b = first[name] + int(other.instants.nearest(np.array([t[at]]))[0])
-                graph.add(gtsam.BearingRangeFactorPose2(a + int(at), b, bearing, distance, noise))
-            else:
-                graph.add(gtsam.BearingRangeFactor2D(a + int(at), marks[name], bearing, distance, noise))
-    built = time.process_time() - began
-    began = time.process_time()
-    result = gtsam.LevenbergMarquardtOptimizer(graph, values, gtsam.LevenbergMarquardtParams()).optimize()
-    theirs_s = time.process_time() - began
-    theirs = np.array([result.atPoint2(marks[name]) for name in team.landmarks.ids])
-    return {
-        "ours_s": ours_s,
-        "gtsam_s": theirs_s,
-        "gtsam_building_s": built,
-        "ratio": ours_s / theirs_s,
-        "ours_rmse": rmse(team, ours.x[whole.landmark_columns].reshape(-1, 2), truth),
-        "gtsam_rmse": rmse(team, theirs, truth),
-    }
 
 
 def one(robots: int, minutes: float, seed: int, *, gtsam: bool) -> Row:
@@ -152,7 +64,7 @@ def one(robots: int, minutes: float, seed: int, *, gtsam: bool) -> Row:
         "gigabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
         "rmse": score_team([done.map], {}, truth.survey, {}).landmarks.rmse,
     }
-    return row | (with_gtsam(team, [log for log in logs if log.robot in team.robots], truth) if gtsam else {})
+    return row | (with_gtsam(team, logs, fusion.labels, truth) if gtsam else {})
 
 
 def fitted(size: np.ndarray, values: np.ndarray, target: float) -> tuple[float, float]:

@@ -14,7 +14,6 @@ from jaxtyping import Float, Int
 
 from ..core.gaussian import symmetrise
 from ..solve import Factor, Information, SingularError, Solution
-from ..solve.elimination import Elimination
 from .config import SmoothingConfig
 from .problem import TeamProblem
 from .robot_part import PARAMETERS
@@ -139,7 +138,9 @@ class _Known:
         The rows' outer products add up to a covariance.
         """
         hubs = np.arange(self.team.landmark_start, len(self.position))
-        out = self._moved(index) - (self._moved(hubs) @ self.taken.T) @ self.motions[index].T
+        of_hubs = self._moved(hubs)
+        own = of_hubs if np.array_equal(index, hubs) else self._moved(index)
+        out = own - (of_hubs @ self.taken.T) @ self.motions[index].T
         groups = float(len(out) - self.priors)
         shared = float(np.count_nonzero(self.free >= self.team.landmark_start))
         if groups:
@@ -158,26 +159,23 @@ class _Known:
     def pose_blocks(self) -> list[Float[np.ndarray, "k 3 3"]]:
         """The model's covariance of every pose, a robot each.
 
-        Trajectories are chains, which nested dissection along time eliminates cheaply; what touches all of them
-        (landmarks, calibration: h) is kept apart: `P_pp = (H_cc^-1)_pp + W_p P_hh W_p^T`, `W = H_cc^-1 H_ch`.
+        A motion of the landmarks and calibrations (the hubs h) as a whole is taken off each: with `U = P_:h T^T`, T
+        what that motion is of h, and M how it moves the pose, `P_pp - M U_p^T - U_p M^T + M (T U_h) M^T`.
         """
-        is_chain = self.free < self.team.landmark_start
-        chain, hub = np.flatnonzero(is_chain), np.flatnonzero(~is_chain)
-        H = self.information.matrix
-        group = self.free[chain] // 3
-        t = np.concatenate([part.instants.t for part in self.team.parts])
-        poses, first = np.unique(group, return_index=True)
-        inner_matrix = sp.csc_matrix(H[chain][:, chain])
-        inner_matrix.sort_indices()
-        inner = Information.of(inner_matrix, Elimination.of(inner_matrix, group, t[poses, None]))
-        index = first[:, None] + np.arange(3)
-        blocks = np.zeros((len(t), 3, 3))
-        blocks[poses] = inner.blocks(index)
-        W = np.zeros((len(t), 3, len(hub)))
-        W[poses] = inner.solve(H[chain][:, hub].toarray())[index]
-        W += self.motions[: 3 * len(t)].reshape(-1, 3, 3) @ self.taken[:, self.free[hub] - self.team.landmark_start]
-        blocks += W @ self.information.covariance(hub) @ W.transpose(0, 2, 1)
+        hub = np.flatnonzero(self.free >= self.team.landmark_start)
+        taken = self.taken[:, self.free[hub] - self.team.landmark_start]
+        right = np.zeros((len(self.free), 3))
+        right[hub] = taken.T
+        U = self.information.solve(right)
         ends = np.cumsum([len(part.instants.t) for part in self.team.parts])
+        at = self.position[: 3 * ends[-1]].reshape(-1, 3)
+        poses = np.flatnonzero((at >= 0).all(axis=1))
+        blocks = np.zeros((len(at), 3, 3))
+        blocks[poses] = self.information.blocks(at[poses])
+        M = self.motions[: 3 * len(at)].reshape(-1, 3, 3)
+        across = np.zeros_like(blocks)
+        across[poses] = M[poses] @ U[at[poses]].transpose(0, 2, 1)
+        blocks += M @ symmetrise(taken @ U[hub]) @ M.transpose(0, 2, 1) - across - across.transpose(0, 2, 1)
         return np.split(blocks, ends[:-1])
 
 
