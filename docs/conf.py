@@ -13,6 +13,7 @@ import mapweave
 
 project = "mapweave"
 author = "The mapweave authors"
+copyright = author  # noqa: A001  (what Sphinx calls it)
 version = release = mapweave.__version__
 language = "en"
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
