@@ -146,6 +146,10 @@ def test_without_a_terminal_a_line_now_and_then_tells_how_far_it_is(monkeypatch,
         told(capsys, "mapweave: robots, 25 %")
         on_progress("robots", 2, 4)
         told(capsys, r"mapweave: robots, 50 %, about \d+ s left")
+        on_progress("robots", 4, 4)
+        told(capsys, r"mapweave: after robots, \d+ s")
+        on_progress("figures", 0, 4)
+        told(capsys, "mapweave: figures, 0 %")
 
 
 def test_short_work_without_a_terminal_is_silent(capsys):

@@ -117,6 +117,8 @@ def _lines() -> "Iterator[OnProgress]":
     def on_progress(stage: str, done: float, total: float | None = None) -> None:
         nonlocal state
         now = time.monotonic()
+        if total and done >= total:
+            stage, done, total = f"after {stage}", 0.0, None  # what comes now names itself, or takes so long
         begun, first = (state.begun, state.first) if stage == state.name else (now, done)
         state = Stage(stage, begun, first, done, total)
 
