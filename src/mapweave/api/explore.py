@@ -24,7 +24,7 @@ from ..exploration.laser.scenario import find_laser_scenario
 from ..exploration.planner_interface import find_planner
 from .exploration_result import LandmarkExploration, LaserExploration
 from .explore_laser import explore_laser
-from .explore_options import Runs, check_magnitudes, check_numbers, end_of, factor_of, kills_of
+from .explore_options import ExploreOptions, check_magnitudes, end_of, factor_of, kills_of
 
 NOISE = {"printed": 1.0, "calibrated": CALIBRATED}
 POSITIVE = (
@@ -118,60 +118,51 @@ def explore(
     >>> len(result.runs), result.runs[0].steps
     (1, 2)
     """
-    laser = find_laser_scenario(scenario)
-    if laser is not None:
-        return explore_laser(
-            scenario,
-            laser,
-            out,
-            robots=robots,
-            runs=runs,
-            seed=seed,
-            planner="coverage" if planner is None else planner,
-            association=association,
-            noise=noise,
-            until=until,
-            kill=kill,
-            drop=drop,
-            config=config,
-            jobs=jobs,
-            force=force,
-            executor=executor,
-            on_progress=on_progress,
-        )
-    planner = "paper" if planner is None else planner
-    check_numbers(runs=runs, seed=seed, jobs=jobs, drop=drop)
-    cfg = load(ExploreConfig, None if config is None else Path(config))
-    expect_positive(cfg, str(config), *POSITIVE)
-    check_magnitudes(cfg, str(config))
-    if not cfg.commands.turns:
-        raise ConfigError(f"{config}: commands.turns: expected at least one turn rate [rad/s]")
-    if association is not None:
-        cfg = replace(cfg, submap=replace(cfg.submap, association=association))
-    if cfg.submap.association not in ASSOCIATIONS:
-        raise UsageError(f"--association: expected {', '.join(ASSOCIATIONS)}, found {cfg.submap.association!r}")
-    if config is None or noise != "calibrated":
-        cfg = with_noise(cfg, _noise(noise))
-    found = find_scenario(scenario)
-    world = make_field(found, robots, seed)
-    check_rasters(found, len(world.starts), cfg)
-    until, kills = end_of(until, "landmarks", "field"), kills_of(kill or {}, len(world.starts))
-    mission = LandmarkMission(found, robots, planner, until, kills, drop, cfg)
-    find_planner(planner, PLANNERS)
-    todo = Runs(
+    options = ExploreOptions(
+        robots=robots,
         runs=runs,
         seed=seed,
+        planner=planner,
+        association=association,
+        noise=noise,
+        until=until,
+        kill=kill,
+        drop=drop,
+        config=config,
         jobs=jobs,
         executor=executor,
         out=out,
         force=force,
         on_progress=on_progress,
-        ours=planner in PLANNERS and not isinstance(found.walls, str),
     )
-    return todo.explore(
+    laser = find_laser_scenario(scenario)
+    return _among_landmarks(scenario, options) if laser is None else explore_laser(scenario, laser, options)
+
+
+def _among_landmarks(scenario: str, options: ExploreOptions) -> LandmarkExploration:
+    planner = "paper" if options.planner is None else options.planner
+    cfg = load(ExploreConfig, options.settings)
+    expect_positive(cfg, str(options.config), *POSITIVE)
+    check_magnitudes(cfg, str(options.config))
+    if not cfg.commands.turns:
+        raise ConfigError(f"{options.config}: commands.turns: expected at least one turn rate [rad/s]")
+    if options.association is not None:
+        cfg = replace(cfg, submap=replace(cfg.submap, association=options.association))
+    if cfg.submap.association not in ASSOCIATIONS:
+        raise UsageError(f"--association: expected {', '.join(ASSOCIATIONS)}, found {cfg.submap.association!r}")
+    if options.config is None or options.noise != "calibrated":
+        cfg = with_noise(cfg, _noise(options.noise))
+    found = find_scenario(scenario)
+    world = make_field(found, options.robots, options.seed)
+    check_rasters(found, len(world.starts), cfg)
+    until, kills = end_of(options.until, "landmarks", "field"), kills_of(options.kill or {}, len(world.starts))
+    mission = LandmarkMission(found, options.robots, planner, until, kills, options.drop, cfg)
+    find_planner(planner, PLANNERS)
+    return options.explore(
         partial(explore_once, mission),
         partial(explore_many, mission),
-        partial(LandmarkExploration, scenario, mission, seed, noise_factor(cfg)),
+        partial(LandmarkExploration, scenario, mission, options.seed, noise_factor(cfg)),
+        ours=planner in PLANNERS and not isinstance(found.walls, str),
     )
 
 

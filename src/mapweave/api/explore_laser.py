@@ -1,13 +1,9 @@
 """Exploration with lasers: many seeded runs of one laser world, scored."""
 
-from collections.abc import Mapping
-from concurrent.futures import Executor
 from functools import partial
-from pathlib import Path
 
 from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
-from ..core.workers import Progress, no_progress
 from ..exploration.laser.config import LaserMissionConfig, with_odometry_noise
 from ..exploration.laser.experiment import LaserMission, explore_laser_many, explore_laser_once
 from ..exploration.laser.planner_state import PLANNERS
@@ -15,7 +11,7 @@ from ..exploration.laser.scenario import LaserScenarioConfig, make_place
 from ..exploration.planner_interface import find_planner
 from ..exploration.world import check_cells
 from .exploration_result import LaserExploration
-from .explore_options import Runs, check_magnitudes, check_numbers, end_of, factor_of, kills_of
+from .explore_options import ExploreOptions, check_magnitudes, end_of, factor_of, kills_of
 
 POSITIVE = (
     *("robots.radius", "robots.speed", "robots.turn", "robots.period", "robots.scanner.beams", "robots.scanner.far"),
@@ -30,65 +26,37 @@ MOST_BEAMS = 20_000
 DEAREST = 255  # what a metre of way may count as
 
 
-def explore_laser(
-    name: str,
-    scenario: LaserScenarioConfig,
-    out: Path | str | None = None,
-    *,
-    robots: int | None = None,
-    runs: int = 1,
-    seed: int = 0,
-    planner: str = "coverage",
-    association: str | None = None,
-    noise: str | float = "calibrated",
-    until: str | int = "field",
-    kill: Mapping[str, int] | None = None,
-    drop: float = 0.0,
-    config: Path | str | None = None,
-    jobs: int = 1,
-    force: bool = False,
-    executor: Executor | None = None,
-    on_progress: Progress = no_progress,
-) -> LaserExploration:
-    """`runs` explorations of the laser world `scenario`, called `name`; the options are those of `explore`.
+def explore_laser(name: str, scenario: LaserScenarioConfig, options: ExploreOptions) -> LaserExploration:
+    """Explorations of the laser world `scenario`, called `name`.
 
     noise: a factor on the errors of odometry, calibrated being 1. Raises UsageError, ConfigError, ReaderError,
     DataError or EstimateError; nothing is written then.
     """
-    if association is not None:
+    if options.association is not None:
         raise UsageError("--association: a laser world has no landmarks whose identities could be known or not")
-    check_numbers(runs=runs, seed=seed, jobs=jobs, drop=drop)
-    factor = _factor(noise)
-    cfg = load(LaserMissionConfig, None if config is None else Path(config))
-    expect_positive(cfg, str(config), *POSITIVE)
-    check_magnitudes(cfg, str(config))
-    _check_sizes(cfg, str(config))
+    planner = "coverage" if options.planner is None else options.planner
+    factor = _factor(options.noise)
+    cfg = load(LaserMissionConfig, options.settings)
+    expect_positive(cfg, str(options.config), *POSITIVE)
+    check_magnitudes(cfg, str(options.config))
+    _check_sizes(cfg, str(options.config))
     cfg = with_odometry_noise(cfg, factor)
-    place = make_place(scenario, robots, seed)
+    place = make_place(scenario, options.robots, options.seed)
     for key, cell in (("plan.resolution", cfg.plan.resolution), ("map_resolution", cfg.map_resolution)):
         check_cells(key, place.lower, place.upper, cell)
-    kills = kills_of(kill or {}, len(place.starts))
-    mission = LaserMission(scenario, robots, planner, _end(until), kills, drop, cfg)
+    kills = kills_of(options.kill or {}, len(place.starts))
+    mission = LaserMission(scenario, options.robots, planner, _end(options.until), kills, options.drop, cfg)
     find_planner(planner, PLANNERS)
 
     def mapped_so_far(step: int, explored: float) -> None:
         del step
-        on_progress("the first run: area mapped", explored, 1.0)
+        options.on_progress("the first run: area mapped", explored, 1.0)
 
-    todo = Runs(
-        runs=runs,
-        seed=seed,
-        jobs=jobs,
-        executor=executor,
-        out=out,
-        force=force,
-        on_progress=on_progress,
-        ours=planner in PLANNERS and not isinstance(scenario.walls, str),
-    )
-    return todo.explore(
+    return options.explore(
         partial(explore_laser_once, mission),
         partial(explore_laser_many, mission),
-        partial(LaserExploration, name, mission, seed, factor),
+        partial(LaserExploration, name, mission, options.seed, factor),
+        ours=planner in PLANNERS and not isinstance(scenario.walls, str),
         on_progress=mapped_so_far,
     )
 

@@ -35,35 +35,61 @@ def parse_kills(text: list[str] | None) -> dict[str, int]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Runs:
-    """How many runs, the first one's seed, where they are worked on, who hears of it, and the folder for the result."""
+class ExploreOptions:
+    """What `explore` is asked for, among landmarks and among walls; a planner of None is the scenario's own.
 
+    Raises UsageError for a number of runs, a seed, a number of processes or a share that cannot be.
+    """
+
+    robots: int | None
     runs: int
     seed: int
+    planner: str | None
+    association: str | None
+    noise: str | float
+    until: str | int
+    kill: Mapping[str, int] | None
+    drop: float
+    config: Path | str | None
     jobs: int
     executor: Executor | None
     out: Path | str | None
     force: bool
     on_progress: Progress
-    ours: bool  # no module and no file beside decides what happens: finished runs can be kept
+
+    def __post_init__(self) -> None:
+        if self.runs < 1 or self.jobs < 1:
+            raise UsageError(f"--runs and --jobs: expected at least 1, found {self.runs} and {self.jobs}")
+        if self.seed < 0:
+            raise UsageError(f"--seed: expected 0 or more, found {self.seed}")
+        if not 0 <= self.drop < 1:
+            raise UsageError(f"--drop: expected a share of messages from 0 to below 1, found {self.drop:g}")
+
+    @property
+    def settings(self) -> Path | None:
+        """The configuration file."""
+        return None if self.config is None else Path(self.config)
 
     def explore(
         self,
         once: Callable[[int], tuple[Score, Record]],
         many: Callable[[int, int, Executor | None], list[Score]],
         result: Callable[[tuple[Score, ...], Record], Result],
+        *,
+        ours: bool,
         **told: Callable[[int, float], None],
     ) -> Result:
         """The result of all runs, numbered from 0, written to `out` if given; a folder that is refused stops it first.
 
         once: seed -> score and record of the first run; many: (how many, the seed of the first, where to run them) ->
-        scores; result: (scores, the first run's record) -> what `explore` gives;
+        scores; result: (scores, the first run's record) -> what `explore` gives; ours: no module and no file beside
+        decides what happens, so that finished runs can be kept;
         told: who hears of the first run, by the names that `once` knows.
         """
         if self.out is not None:
             check_target(Path(self.out), force=self.force)
         self.on_progress("exploring", 0, self.runs)
-        with kept_parts() if self.ours else nullcontext():
+        with kept_parts() if ours else nullcontext():
             score, first = part(once, self.seed, **told)
             found = result(self._scored(score, many), first)
             if self.out is not None:
@@ -130,13 +156,3 @@ def kills_of(kill: Mapping[str, int], robots: int) -> dict[int, int]:
         if name not in names:
             raise UsageError(f"--kill: no robot is called {name!r}; there are {', '.join(names)}")
     return {names[name]: step for name, step in kill.items()}
-
-
-def check_numbers(*, runs: int, seed: int, jobs: int, drop: float) -> None:
-    """Raises UsageError for a number of runs, a seed, a number of processes or a share that cannot be."""
-    if runs < 1 or jobs < 1:
-        raise UsageError(f"--runs and --jobs: expected at least 1, found {runs} and {jobs}")
-    if seed < 0:
-        raise UsageError(f"--seed: expected 0 or more, found {seed}")
-    if not 0 <= drop < 1:
-        raise UsageError(f"--drop: expected a share of messages from 0 to below 1, found {drop:g}")
