@@ -1,14 +1,7 @@
 """The gallery shows pictures that are there, light, under the commands that make them."""
 
-import sys
-from pathlib import Path
-
+import gallery
 from PIL import Image
-
-TOP = Path(__file__).parent.parent
-sys.path.insert(0, str(TOP / "benchmarks"))
-
-import gallery  # noqa: E402
 
 
 def test_the_page_is_the_one_that_the_commands_were_taken_from():
