@@ -207,6 +207,19 @@ def test_a_disconnected_network_lists_the_part_that_no_anchor_reaches(tmp_path):
     assert float(found["5"]["x"]) == pytest.approx(15.0, abs=0.2)
 
 
+@pytest.mark.parametrize("method", ["batch", "robust", "distributed", "ekf", "iekf"])
+def test_a_network_in_which_everybody_is_an_anchor_is_answered(tmp_path, method):
+    (tmp_path / "s.csv").write_text("observer,target,bearing\na,b,0.0\nb,a,3.14159\na,c,0.785398\n")
+    known = {"a": (0.0, 0.0), "b": (1.0, 0.0), "c": (1.0, 1.0)}
+    found = mapweave.locate(tmp_path / "s.csv", tmp_path / "out", anchors=known, method=method)
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["dof"] == 3
+    assert metrics["rmse"] is None
+    rows = list(csv.DictReader((tmp_path / "out" / "positions.csv").open()))
+    assert {row["id"]: (float(row["x"]), float(row["y"])) for row in rows} == known
+    assert found.metrics["not_localisable"] == []
+
+
 def test_robots_all_on_one_line_cannot_be_located_along_it(tmp_path):
     line = {str(k): (10.0 * k, 0.0) for k in range(1, 6)}
     code, metrics = run(tmp_path, table(tmp_path, rows_of(line)), "--anchor", "1=10,0", "--anchor", "5=50,0")

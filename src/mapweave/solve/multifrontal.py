@@ -66,7 +66,7 @@ class Cholesky:
     def solve(self, b: np.ndarray) -> np.ndarray:
         """`matrix^-1 b` for b (n,) or (n, c)."""
         e = self.elimination
-        x = np.array(np.reshape(b, (e.size, -1)).T, dtype=float, order="C")
+        x = np.array(np.reshape(b, (e.size, -1 if e.size else 1)).T, dtype=float, order="C")
         runs = list(e.runs()) if x.size else []
         for a, c in runs:
             if e.large[a]:
