@@ -5,7 +5,8 @@
 Sets are MRCLAM's; a team is simulated, of so many robots for so many minutes. Processor time of one thread for both,
 the better of two runs (compiled kernels are loaded in the first): ordering and all iterations, without making the
 factors. Each sighting is carried to its pose. Errors [m] are those of landmarks beside the truth under one rigid
-alignment, labels that the survey shows to be exchanged put back; `cost`: that of GTSAM's answer over ours, both in our problem.
+alignment, labels that the survey shows to be exchanged put back; `cost`: that of GTSAM's answer over ours, both in our
+problem.
 A robot without odometry wanders, which GTSAM is told as a step of nothing with the same noise.
 """
 
