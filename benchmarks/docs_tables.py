@@ -96,6 +96,7 @@ TABLES = (
     Table("swarm trust", SWARM, bench("swarm_trust", "--draws", "6"), "stdout"),
     *paper("hamatani", SWARM, (), ("beyond", "drift")),
     Table("intel relations", LASER, bench("laser_real"), "stdout"),
+    Table("512 particles", LASER, bench("laser_filter"), "stdout"),
     Table("laps of a hall", LASER, bench("laser_laps"), "stdout"),
     Table("simulated ring", LASER, bench("corridor")),
     *paper("hara", LASER, (), ("methods", "gate", "starts", "bounds", "alpha", "walls")),

@@ -76,6 +76,7 @@ def test_a_place_seen_again_lies_where_it_was_seen_first(data, name):
             0.1,
             np.diag([4.0, 4.0, 9.0]),
             10,
+            np.empty((0, len(points)), np.float32),
         )
         gap.append(np.hypot(*(found[0, :2] - poses[k, :2])))
     assert len(gap) > 20

@@ -80,9 +80,10 @@ def step(
     if (d < f.update_distance and abs(u[2]) < f.update_turn) or len(points) < f.least_beams:
         return state, replace(info, decision="skipped" if info.decision == "matched" else info.decision)
     state.poses = move(state.poses, u, f, rng)
-    if not (state.odometry.gate is not None and info.decision == "odometry"):
-        state.poses = _refined(state, points, b, f)
-    state.log_weight, state.total, matches = _weighed(state, points, cfg)
+    least = None
+    if f.refine_iterations and not (state.odometry.gate is not None and info.decision == "odometry"):
+        state.poses, least = _refined(state, points, b, f)
+    state.log_weight, state.total, matches = _weighed(state, points, cfg, least)
     n_eff, ancestors = _resampled(state, cfg, rng)
     state.maps.insert(np.arange(len(state.poses)), state.poses, points, weights)
     state.history.append((row, state.poses, ancestors))
@@ -103,7 +104,7 @@ def trajectory(state: ParticleState) -> Float[np.ndarray, "m 3"]:
         poses.append(now[i])
         i = int(ancestors[i])
     at = np.array([row for row, _, _ in state.history])
-    return blended(np.array(state.odometry.poses), at, np.array(poses[::-1]))
+    return blended(state.odometry.poses.array, at, np.array(poses[::-1]))
 
 
 def current(state: ParticleState) -> PoseEstimate:
@@ -179,13 +180,15 @@ def effective(log_weight: Float[np.ndarray, " p"]) -> tuple[Float[np.ndarray, " 
     return w, float(w.sum() ** 2 / (w @ w))
 
 
-def _refined(state: ParticleState, points: np.ndarray, b: Beams, f: FilterConfig) -> np.ndarray:
-    if not f.refine_iterations:
-        return state.poses
+def _refined(
+    state: ParticleState, points: Float[np.ndarray, "n 3"], b: Beams, f: FilterConfig
+) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, "r n"]]:
+    """Refined poses, and the least D of every beam there, which a single particle has no use for."""
     m, c = state.maps, state.maps.cfg
+    least = np.empty((len(m) if len(m) > 1 else 0, len(points)), np.float32)
     prior = np.diag([f.refine_sd_xy**-2.0, f.refine_sd_xy**-2.0, f.refine_sd_turn**-2.0])
     steers = state.feature in STEERING
-    return refine(
+    poses = refine(
         m.pool,
         m.table,
         int(m.shape[1]),
@@ -202,13 +205,18 @@ def _refined(state: ParticleState, points: np.ndarray, b: Beams, f: FilterConfig
         f.refine_kappa,
         prior,
         f.refine_iterations,
+        least,
     )
+    return poses, least
 
 
-def _weighed(state: ParticleState, points: np.ndarray, cfg: LaserConfig) -> tuple[np.ndarray, np.ndarray, int]:
+def _weighed(
+    state: ParticleState, points: np.ndarray, cfg: LaserConfig, least: Float[np.ndarray, "r n"] | None = None
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Weights by how the scan fits; least: the least D of every beam where it is known already."""
     if len(state.poses) == 1:
         return state.log_weight, state.total, 0
-    D = state.maps.score(np.arange(len(state.poses)), state.poses, points)
+    D = state.maps.score(np.arange(len(state.poses)), state.poses, points) if least is None else least
     gain, matches = log_likelihood(D, cfg, state.feature)
     return state.log_weight + gain, state.total + gain, matches
 

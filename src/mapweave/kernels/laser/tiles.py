@@ -37,28 +37,47 @@ def cell_index(value: np.float32, origin: np.float32, per_metre: np.float32, cel
 
 @kernel
 def nearest_in_map(
-    pool: np.ndarray, row: np.ndarray, width: int, ix: int, iy: int, x: np.float32, y: np.float32, q: np.float32,
-    alpha: np.float32, cap: np.float32,
+    pool: np.ndarray, row: np.ndarray, width: int, cells: tuple[int, int], corner: tuple[np.float32, np.float32],
+    per_metre: np.float32, x: np.float32, y: np.float32, q: np.float32, alpha: np.float32, cap: np.float32,
+    across: np.float32,
 ) -> tuple[np.float32, np.int64]:  # fmt: skip
-    """Least D = ex^2 + ey^2 + alpha eq^2 of (x, y, q) over the 3x3 cells of one map around (ix, iy), below `cap`.
+    """Least D = ex^2 + ey^2 + alpha eq^2 of (x, y, q) over the 3x3 cells of one map around it, below `cap`.
 
-    Also where in `pool` that cell stands; (`cap`, -1) where none is so near. row: that map's entries of the table.
+    Also where in `pool` that cell stands; (`cap`, -1) where none is so near. row: that map's entries of the table;
+    cells: of the table along x, y; across: a little under (half a cell)^2 [m^2]. The point's own cell and the three it
+    is nearest to come first; the others lie half a cell away at least, and are asked where the first left D greater.
     """
-    one, two, shift, inside = np.uint64(1), np.uint64(2), np.uint64(SHIFT), np.uint64(INSIDE)
+    fx, fy = (x - corner[0]) * per_metre, (y - corner[1]) * per_metre
+    ix, iy = min(max(int(fx), 1), cells[0] - 2), min(max(int(fy), 1), cells[1] - 2)
+    sx = 1 if fx - np.float32(ix) >= np.float32(0.5) else -1
+    sy = 1 if fy - np.float32(iy) >= np.float32(0.5) else -1
     best, at = cap, np.int64(-1)
-    for dy in range(3):
-        jy = np.uint64(iy) + np.uint64(dy) - one
-        along = (jy >> shift) * np.uint64(width)
-        line = (jy & inside) << (shift + two)
-        for dx in range(3):
-            jx = np.uint64(ix) + np.uint64(dx) - one
-            tile = np.uint64(row[along + (jx >> shift)])
-            k = tile * np.uint64(FLOATS) + line + ((jx & inside) << two)
-            ex, ey, eq = pool[k] - x, pool[k + one] - y, pool[k + two] - q
+    for n in range(4):
+        jx, jy = ix + (n & 1) * sx, iy + (n >> 1) * sy
+        k = cell_of(row, width, jx, jy)
+        u = np.uint64(k)
+        ex, ey, eq = pool[u] - x, pool[u + np.uint64(1)] - y, pool[u + np.uint64(2)] - q
+        d = ex * ex + ey * ey + alpha * (eq * eq)
+        if d < best:
+            best, at = d, k
+    if best > across:
+        for n in range(5):
+            jx = ix - sx if n < 3 else ix + (n - 3) * sx
+            jy = iy + n - 1 if n < 3 else iy - sy
+            k = cell_of(row, width, jx, jy)
+            u = np.uint64(k)
+            ex, ey, eq = pool[u] - x, pool[u + np.uint64(1)] - y, pool[u + np.uint64(2)] - q
             d = ex * ex + ey * ey + alpha * (eq * eq)
             if d < best:
-                best, at = d, np.int64(k)
+                best, at = d, k
     return best, at
+
+
+@kernel
+def cell_of(row: np.ndarray, width: int, jx: int, jy: int) -> np.int64:
+    """Where in the pool a cell of one map stands. row: that map's entries of the table."""
+    tile = np.int64(row[np.uint64((jy >> SHIFT) * width + (jx >> SHIFT))])
+    return np.int64(tile * FLOATS + ((jy & INSIDE) << (SHIFT + 2)) + ((jx & INSIDE) << 2))
 
 
 @parallel_kernel
@@ -81,17 +100,17 @@ def score(
     """
     n = points.shape[0]
     per_metre = np.float32(1.0 / cell)
-    ox, oy = np.float32(origin[0]), np.float32(origin[1])
-    cx, cy = width * CELLS, table.shape[1] // width * CELLS
-    a, most = np.float32(alpha), np.float32(cap)
+    corner = np.float32(origin[0]), np.float32(origin[1])
+    cells = width * CELLS, table.shape[1] // width * CELLS
+    a, most, across = np.float32(alpha), np.float32(cap), np.float32((0.499 * cell) ** 2)
     for p in prange(poses.shape[0]):
         row = table[rows[p]]
         x, y = np.empty(n, np.float32), np.empty(n, np.float32)
         world_points(poses[p], points, x, y)
         for i in range(n):
-            wx, wy, q = x[i], y[i], points[i, 2]
-            ix, iy = cell_index(wx, ox, per_metre, cx), cell_index(wy, oy, per_metre, cy)
-            out[p, i], _ = nearest_in_map(pool, row, width, ix, iy, wx, wy, q, a, most)
+            out[p, i], _ = nearest_in_map(
+                pool, row, width, cells, corner, per_metre, x[i], y[i], points[i, 2], a, most, across
+            )
 
 
 @kernel

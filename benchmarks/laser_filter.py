@@ -1,0 +1,100 @@
+"""What an update of many particles costs on the Intel log: processor time, cells compared, bytes moved.
+
+    MAPWEAVE_DATA=.. python benchmarks/laser_filter.py [--particles 512] [--scans 700]
+
+One thread. The last rows are of the last update: the cells that its beams have to be compared with at least (four of
+nine) are read once more, at addresses worked out before, and nothing is done with them but added.
+"""
+
+import argparse
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+
+from mapweave.io.laser_logs import read_laser
+from mapweave.kernels._jit import parallel_kernel, prange, set_threads
+from mapweave.kernels.laser import tiles
+from mapweave.laser import particle_slam
+from mapweave.laser.beam import beams
+from mapweave.laser.config import LaserConfig
+
+
+@parallel_kernel
+def read_cells(pool: np.ndarray, at: np.ndarray, times: int, out: np.ndarray) -> None:
+    """What x and y of four cells add up to, of every beam, one particle after the other, `times`."""
+    for p in prange(at.shape[0]):
+        total = np.float32(0)
+        for _ in range(times):
+            for i in range(at.shape[1]):
+                k = np.uint64(at[p, i])
+                total += pool[k] + pool[k + np.uint64(1)]
+        out[p] = total
+
+
+def addresses(state: particle_slam.ParticleState, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where in the pool the 2x2 cells of every beam are (P, 4 n), and the tiles (P, n) of its own cell."""
+    m, size = state.maps, state.maps.cfg.size
+    c, s = np.cos(state.poses[:, 2, None]), np.sin(state.poses[:, 2, None])
+    x = (state.poses[:, 0, None] + c * points[:, 0] - s * points[:, 1] - m.origin[0]) / size
+    y = (state.poses[:, 1, None] + s * points[:, 0] + c * points[:, 1] - m.origin[1]) / size
+    out, rows = [], np.arange(len(m))[:, None]
+    for dy in (0, 1):
+        for dx in (0, 1):
+            ix, iy = (np.floor(v + 0.5).astype(int) - 1 + d for v, d in ((x, dx), (y, dy)))
+            tile = m.table[rows, (iy >> 3) * int(m.shape[1]) + (ix >> 3)].astype(np.int64)
+            out.append((tile << 8) + ((iy & 7) << 5) + ((ix & 7) << 2))
+    own = m.table[rows, (y.astype(int) >> 3) * int(m.shape[1]) + (x.astype(int) >> 3)]
+    return np.ascontiguousarray(np.stack(out, axis=2).reshape(len(m), -1)), own
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--particles", type=int, default=512)
+    parser.add_argument("--scans", type=int, default=700)
+    args = parser.parse_args()
+    set_threads(1)
+    log = read_laser(Path(os.environ["MAPWEAVE_DATA"]) / "carmen" / "intel.clf.gz")
+    cfg = LaserConfig(method="particle", particles=args.particles, threads=1)
+    for particles, scans in ((2, 60), (args.particles, args.scans)):
+        rng = np.random.default_rng(0)
+        state = particle_slam.init("1", LaserConfig(method="particle", particles=particles, threads=1), rng)
+        spent, most, seen = [], 0, 0
+        for event in log.events():
+            done, began = len(state.history), time.process_time()
+            state, info = particle_slam.step(state, event, cfg, rng)
+            if len(state.history) and info is not None and info.decision != "skipped":
+                spent.append(time.process_time() - began)
+            if len(state.history) > done or done == 0:
+                last = event.record
+            most, seen = max(most, state.maps.bytes_of_tiles), seen + (info is not None)
+            if seen == scans:
+                break
+    points = particle_slam.as_points(beams(last, "none", None, cfg.beam))
+    passes = cfg.filter.refine_iterations + 1
+    at, own = addresses(state, points)
+    out = np.empty(len(at), np.float32)
+    read_cells(state.maps.pool, at, 1, out)
+    times = []
+    for _ in range(15):
+        began = time.process_time()
+        read_cells(state.maps.pool, at, passes, out)
+        times.append(time.process_time() - began)
+    touched = sum(len(np.unique(row)) for row in own)
+    beam_passes = len(own) * len(points) * passes
+    tile_bytes = tiles.FLOATS * 4
+    print("| of an update | |")
+    print("|---|---|")
+    print(f"| particles, scans, updates | {args.particles}, {args.scans}, {len(spent)} |")
+    print(f"| processor time, mean | {1e3 * np.mean(spent):.1f} ms |")
+    print(f"| most tiles in use | {most / 1e6:.0f} MB |")
+    print(f"| table of the tiles of every map | {state.maps.table.nbytes / 1e6:.0f} MB |")
+    print(f"| beams times particles times passes, the last update | {beam_passes:,} |")
+    print(f"| cells in reach of them | {9 * beam_passes:,} |")
+    print(f"| tiles read, and written anew | {touched:,}, {touched * tile_bytes / 1e6:.1f} MB |")
+    print(f"| reading four cells of every beam and pass, nothing else | {1e3 * min(times):.1f} ms |")
+
+
+if __name__ == "__main__":
+    main()
