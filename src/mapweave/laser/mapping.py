@@ -25,6 +25,7 @@ from .robot_graph import RobotGraph
 from .scan_infos import ScanInfos
 from .scan_odometry import blended
 from .session import Feature, LaserSession
+from .unfound_places import unfound_places
 
 TOGETHER = 0.002  # [s] within which a robot hardly moves: rows nearer in time are of one moment
 APART = 0.02  # [m] and
@@ -144,11 +145,12 @@ def map_session(
     disagreement = wheels_disagree(result.track, result.dead_reckoning, session.cfg.wheels)
     moved = {"return of something that moves": session.moving.count} if session.moving.count else {}
     left = {} if graph is None else left_graph(graph)
+    unfound = () if graph is None else unfound_places(graph)
     result = replace(
         result,
         scan_hash=log.scan_hash(),
         dropped={**result.dropped, **moved, **left},
-        warnings=(*result.warnings, *disagreement),
+        warnings=(*result.warnings, *disagreement, *unfound),
     )
     timing = {
         **spent,
