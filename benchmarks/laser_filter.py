@@ -43,9 +43,9 @@ def addresses(state: particle_slam.ParticleState, points: np.ndarray) -> tuple[n
     for dy in (0, 1):
         for dx in (0, 1):
             ix, iy = (np.floor(v + 0.5).astype(int) - 1 + d for v, d in ((x, dx), (y, dy)))
-            tile = m.table[rows, (iy >> 3) * int(m.shape[1]) + (ix >> 3)].astype(np.int64)
-            out.append((tile << 8) + ((iy & 7) << 5) + ((ix & 7) << 2))
-    own = m.table[rows, (y.astype(int) >> 3) * int(m.shape[1]) + (x.astype(int) >> 3)]
+            tile = m.table[rows, iy // tiles.CELLS * int(m.shape[1]) + ix // tiles.CELLS].astype(np.int64)
+            out.append(tile * tiles.FLOATS + 4 * (iy % tiles.CELLS * tiles.CELLS + ix % tiles.CELLS))
+    own = m.table[rows, y.astype(int) // tiles.CELLS * int(m.shape[1]) + x.astype(int) // tiles.CELLS]
     return np.ascontiguousarray(np.stack(out, axis=2).reshape(len(m), -1)), own
 
 
