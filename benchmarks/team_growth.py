@@ -17,7 +17,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from beside_gtsam import with_gtsam
 
 from mapweave import simulate_landmarks
 from mapweave.api.evaluate_team import read_team_truth
@@ -37,6 +36,8 @@ Row = dict[str, float]
 
 def one(robots: int, minutes: float, seed: int, *, gtsam: bool) -> Row:
     keep_one_blas_thread()
+    if gtsam:
+        from beside_gtsam import with_gtsam
     with tempfile.TemporaryDirectory() as folder:
         where = Path(folder) / "team"
         simulate_landmarks(where, robots=robots, minutes=minutes, seed=seed)
