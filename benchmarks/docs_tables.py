@@ -51,6 +51,7 @@ def paper(name: str, page: str, shown: tuple[str, ...], said: tuple[str, ...]) -
 
 TABLES = (
     Table("team smoothing", "docs/landmark-mapping.md", bench("team_smoothing", "--page", "{page}"), "page"),
+    Table("beside gtsam", "docs/landmark-mapping.md", bench("beside_gtsam"), "stdout"),
     Table("mutants", "docs/contributing.md", bench("mutants", "--quick", "--n", "12", "--page"), "page"),
     Table(
         "merge trials",
