@@ -295,6 +295,12 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "distances beyond a kilometre, and those of what nobody else holds, are beyond every gate either way",
     ),
     Equivalent(
+        "fusion:find_exchanged",
+        "weight = np.where(self.counts, 1.0, 1e-9) * here",
+        "weight = np.where(self.counts, 10.0, 1e-9) * here",
+        "what counts outweighs what does not a thousand million times or ten thousand million times",
+    ),
+    Equivalent(
         "kernels/laser:align_scan",
         "if d0 * d0 + d1 * d1 < 1e-10 and abs(d2) < 1e-5:",
         "if d0 * d0 + d1 * d1 < 1e-10 and abs(d2) < 0.0001:",

@@ -46,6 +46,7 @@ def mean(runs, name):
     return float(np.mean([getattr(r, name) for r in runs]))
 
 
+@pytest.mark.slow
 def test_every_planner_explores_a_hall_with_walls_honestly():
     jcbb = replace(KNOWN, submap=replace(KNOWN.submap, association="jcbb"))
     four = LandmarkMission(HALL, 4, "coverage", "field", {1: 30}, 0.2, KNOWN)
