@@ -150,3 +150,35 @@ def test_points_that_coincide_propose_no_turn_and_break_nothing():
     T = np.array([1.0, 1.0, 0.7])
     fit = align_robust(source, se2.act(T, source), np.full(4, 0.1))
     np.testing.assert_allclose(fit.T_target_source, T, atol=1e-9)
+
+
+@pytest.mark.parametrize("links", [3, 5])
+def test_the_evidence_for_links_is_the_integral_over_every_transform_and_scale(links):
+    rng = np.random.default_rng([links, 61])
+    T, sd, area = np.array([2.0, -3.0, 2.5]), 0.04, 120.0
+    points = rng.uniform(-4, 4, (links, 2))
+    ids = tuple(map(str, range(links)))
+    maps = [
+        LandmarkMap(ids, p + sd * rng.normal(size=p.shape), sd**2 * np.eye(2 * links))
+        for p in (points, se2.act(T, points))
+    ]
+    pairs = np.stack([np.arange(links)] * 2, axis=1)
+    fit = joint_fit(*maps, pairs, T, NOISE, SCALE)
+    variance = 2 * sd**2 + 2 * NOISE**2  # of a coordinate's difference, whatever the heading
+    turned = maps[0].mean @ se2.rotation(float(fit.T[2])).T
+    spread = np.sqrt(variance / np.array([links, np.square(turned - turned.mean(axis=0)).sum()]))
+    steps = np.linspace(-7, 7, 57)
+    turns, scales = fit.T[2] + spread[1] * steps, fit.scale + spread[1] * steps
+    integral = 0.0
+    for (
+        heading
+    ) in turns:  # the shift, of which there is one best for each heading and scale, is integrated in closed form
+        at = scales[:, None, None] * (maps[0].mean @ se2.rotation(float(heading)).T)
+        r = maps[1].mean - at
+        chi2 = np.square(r - r.mean(axis=1, keepdims=True)).sum(axis=(1, 2)) / variance
+        prior = np.exp(-0.5 * np.square((scales - 1) / SCALE)) / np.sqrt(2 * np.pi * SCALE**2)
+        shift = 2 * np.pi * variance / links
+        integral += float(np.sum(np.exp(-0.5 * chi2) * prior)) * shift / (2 * np.pi * variance) ** links
+    integral *= (spread[1] * (steps[1] - steps[0])) ** 2 / (2 * np.pi * area)
+    want = np.log(integral) + links * np.log(area)
+    assert alignment.log_evidence(*maps, pairs, fit, area, NOISE, SCALE) == pytest.approx(want, abs=0.05)
