@@ -22,6 +22,7 @@ from ..landmarks.config import EkfSlamConfig
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import Growth, grow, without_impossible
 from ..landmarks.sifting import SiftConfig, sifted
+from ..team.clocks import of_another_time
 from ..team.config import OnlineConfig, SmoothingConfig
 from ..team.further_rooms import with_further_rooms
 from ..team.kidnapped import KidnapConfig, cut_kidnapped, with_stretches
@@ -116,7 +117,7 @@ def _map_read(
     if any(log.odometry is None for log in cut.main):
         first, rooms = with_further_rooms(maps[0], local, cut.main, placing, made.mapper, made.join, team_maps)
         maps = (first, *maps[1:])
-    fusion = replace(fusion, warnings=(*fusion.warnings, *told, *rooms))
+    fusion = replace(fusion, warnings=(*fusion.warnings, *told, *rooms, *_wrong_clocks(read)))
     watch.lap("fuse")
     run = None
     known = known_calibration(read, options)
@@ -129,6 +130,14 @@ def _map_read(
     )
     watch.lap("smooth")
     return team_result(title, options.seed, local, fusion, options.truth, online, watch, maps, smoothed, run)
+
+
+def _wrong_clocks(logs: Sequence[LandmarkLog]) -> list[str]:
+    return [
+        f"robot {robot_key(robot)}: its clock has nothing in common with the others': {gap:.0f} s lie between "
+        "their stamps and its own, though they saw each other; what they saw of each other is not used"
+        for robot, gap in of_another_time(logs).items()
+    ]
 
 
 def _every(cfg: LandmarkMapConfig, options: MapOptions) -> tuple[float | None, float | None]:

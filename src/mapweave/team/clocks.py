@@ -1,6 +1,6 @@
 """How far a robot's clock is ahead of the others', from what they saw of each other along their smoothed ways."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,3 +48,19 @@ def clock_of(
     ahead = middle + float(np.clip(0.5 * COARSE * (bottom[0] - bottom[2]) / (bend * COARSE**2), -COARSE, COARSE))
     n = len(glances(others, own, logs, labels))
     return Clock(ahead, TOGETHER / np.sqrt(2.0 * bend * n))
+
+
+def of_another_time(logs: Sequence[LandmarkLog]) -> dict[str, float]:
+    """Robots that saw another of the team, or were seen, with a log of another time than all others' -> the gap [s].
+
+    One of the two clocks is wrong then, by the gap at least: who stands before a camera drives at that moment.
+    """
+    spans = {log.robot: log.span for log in logs if len(log)}
+    met = {frozenset((log.robot, name)) for log in logs for name in log.sightings.counts() if name in spans}
+    out = {}
+    for robot, (first, last) in spans.items():
+        gaps = [max(a - last, first - b) for other, (a, b) in spans.items() if frozenset((robot, other)) in met]
+        everybody = [max(a - last, first - b) for other, (a, b) in spans.items() if other != robot]
+        if gaps and min(everybody) > 0.0:
+            out[robot] = min(everybody)
+    return out
