@@ -146,9 +146,14 @@ def _every(cfg: LandmarkMapConfig, options: MapOptions) -> tuple[float | None, f
 
 
 def known_calibration(logs: Sequence[LandmarkLog], options: MapOptions) -> dict[str, dict[str, tuple[float, float]]]:
-    """What `--calibration` says of the robots of `logs`; raises UsageError where it names another."""
+    """What `--calibration` says of the robots of `logs`; raises UsageError where it names another.
+
+    A team's calibration serves some of its robots as well: with `--robots` the others are passed over.
+    """
     known = {} if options.calibration is None else read_calibration(options.calibration)
     names = {log.robot for log in logs}
+    if options.robots is not None:
+        known = {robot: values for robot, values in known.items() if robot in names}
     for robot in known:
         if robot not in names:
             there = ", ".join(sorted(map(robot_key, names), key=in_order))
