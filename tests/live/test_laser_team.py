@@ -122,7 +122,9 @@ def test_laser_robots_that_drive_give_the_map_of_their_logs(tmp_path):
         for name, path in zip(("r1", "r2"), logs, strict=True):
             fleet.source = path
             fleet.robot(name, rate="inf")
-        assert fleet.wait("map", 90) == 0, fleet.said("map")
+        for name in ("map", "r1", "r2"):
+            assert fleet.wait(name, 90) == 0, fleet.said(name)
+            assert "Traceback" not in fleet.said(name), fleet.said(name)  # of its threads as well
     finally:
         fleet.end()
     same_result(tmp_path / "direct", tmp_path / "out-map", but=("report.html",))  # it tells how long a scan took
