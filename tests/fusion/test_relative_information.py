@@ -7,11 +7,12 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.errors import EstimateError
-from mapweave.fusion import relative_information, robot_sightings
+from mapweave.fusion import relative, relative_information, robot_sightings
 from mapweave.fusion.relative import RelativeConfig, as_measurement, fuse_relative
 from mapweave.fusion.robot_sightings import FrameSightings
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.papers.kojima import rls
+from mapweave.solve import minimise
 
 
 def covariance(rng, n, sigma=0.01):
@@ -77,6 +78,16 @@ def test_with_one_common_pair_and_diagonal_weights_the_solver_gives_the_closed_f
     difference = fused.frames - poses
     difference[:, 2] = se2.wrap_angle(difference[:, 2])
     assert np.abs(difference).max() < 1e-12
+
+
+def test_iterations_and_costs_are_those_of_both_passes(monkeypatch):
+    passes = []
+    monkeypatch.setattr(relative, "minimise", lambda *given: passes.append(minimise(*given)) or passes[-1])
+    fused = fuse_relative(team(1, 3)[0], RelativeConfig(weights="full"))
+    rough, fine = passes
+    assert fine.converged
+    assert fused.solution.iterations == rough.iterations + fine.iterations > rough.iterations > 0
+    assert fused.solution.costs == (*rough.costs, *fine.costs[1:])
 
 
 def test_frames_with_diagonal_weights_do_not_depend_on_which_weights():
