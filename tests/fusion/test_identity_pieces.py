@@ -69,6 +69,14 @@ def test_gates_are_deviations_of_both_maps_and_of_the_scale_away_from_the_middle
             assert _gates(source, target, CFG, 0.0)[i, j] == pytest.approx(CFG.gate * np.sqrt(both))
 
 
+@pytest.mark.parametrize(("off", "kept"), [(1.02, True), (0.98, False)])
+@pytest.mark.parametrize("sigma", [(0.1, 0.3), (0.3, 0.1)])
+def test_pairs_closer_than_three_deviations_of_their_distance_tell_no_direction(sigma, off, kept):
+    far = 3 * np.sqrt(np.square(sigma).sum() + 2 * CFG.noise**2)
+    i, *_ = _pairs(a_map([[0.0, 0.0], [off * far, 0.0]], np.array(sigma)), CFG)
+    assert len(i) == kept
+
+
 def test_pairs_are_told_with_their_distance_and_its_variance_and_short_ones_are_left_out():
     source, _, _ = two_maps()
     points = np.concatenate([source.mean, source.mean[:1] + np.array([0.05, 0.0])])

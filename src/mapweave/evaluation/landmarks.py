@@ -120,10 +120,6 @@ def naive_mean(maps: Sequence[LandmarkMap], rounds: int = 20) -> LandmarkMap | N
     return LandmarkMap(ids, np.array([mean[name] for name in ids]), np.eye(2 * len(ids)))
 
 
-def _is_worth_naming(exchange: Exchange) -> bool:
-    return exchange.after < MUCH_BETTER * exchange.before and _gain(exchange) > WORTH_NAMING
-
-
 def _gain(exchange: Exchange) -> float:
     return exchange.before - exchange.after
 

@@ -10,9 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core import se2
-from ..core.gaussian import chi2_quantile
 
-GATE = chi2_quantile(0.99, 3.0)
 MOST_NODES = 300_000  # of the clique search, some seconds
 
 
