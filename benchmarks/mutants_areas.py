@@ -301,6 +301,12 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "what counts outweighs what does not a thousand million times or ten thousand million times",
     ),
     Equivalent(
+        "fusion:match_maps",
+        "matches.append((-len(match.links), match.chi2 / max(match.dof, 1), a, b, match.links))",
+        "matches.append((-len(match.links), match.chi2 / (match.dof), a, b, match.links))",
+        "a match is accepted with several links alone, whose chi-square has more than one degree of freedom",
+    ),
+    Equivalent(
         "kernels/laser:align_scan",
         "if d0 * d0 + d1 * d1 < 1e-10 and abs(d2) < 1e-5:",
         "if d0 * d0 + d1 * d1 < 1e-10 and abs(d2) < 0.0001:",
