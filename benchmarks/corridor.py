@@ -16,6 +16,7 @@ from mapweave.laser import particle_slam
 from mapweave.laser.beam import IntensityCalibration, beams
 from mapweave.laser.config import LaserConfig
 from mapweave.laser.mapping import choose_feature, finish, map_laser
+from mapweave.laser.scan_infos import ScanInfos
 from mapweave.papers.hara.methods import score
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 from mapweave.sim.laser import DriveConfig
@@ -38,10 +39,11 @@ def with_true_law(sim, cfg, seed):
     feature = replace(choose_feature(sim.log, cfg), calibration=TRUE)
     rng = np.random.default_rng(seed)
     state = particle_slam.init("1", cfg, rng, feature="normalised", calibration=TRUE)
-    infos = []
+    infos = ScanInfos()
     for event in sim.log.events():
         state, info = particle_slam.step(state, event, cfg, rng)
-        infos += [info] if info else []
+        if info is not None:
+            infos.append(info)
     return finish(sim.log, cfg, feature, particle_slam.trajectory(state), infos)
 
 

@@ -57,13 +57,15 @@ def _mapped_with(sim, feature, calibration):
 
     from mapweave.laser import particle_slam
     from mapweave.laser.mapping import finish
+    from mapweave.laser.scan_infos import ScanInfos
 
     rng = np.random.default_rng(0)
     state = particle_slam.init("1", CFG, rng, feature="normalised", calibration=calibration)
-    infos = []
+    infos = ScanInfos()
     for event in sim.log.events():
         state, info = particle_slam.step(state, event, CFG, rng)
-        infos += [info] if info else []
+        if info is not None:
+            infos.append(info)
     return finish(sim.log, CFG, replace(feature, calibration=calibration), particle_slam.trajectory(state), infos)
 
 

@@ -12,6 +12,7 @@ from mapweave.laser.beam import IntensityCalibration, beams
 from mapweave.laser.config import LaserConfig
 from mapweave.laser.mapping import choose_feature, finish, map_laser
 from mapweave.laser.particle_grid import ParticleGrid
+from mapweave.laser.scan_infos import ScanInfos
 from mapweave.papers.hara.bounds import geometry_bound
 from mapweave.papers.hara.experiments import on_rims
 from mapweave.papers.hara.methods import GRAPH, ICP, WHEELS_KNOWN, WHEELS_PROPOSE, score
@@ -104,10 +105,11 @@ def test_the_feature_found_from_the_log_is_the_reflectance_and_maps_as_well_as_t
 def _mapped(sim, feature, cfg, seed):
     rng = np.random.default_rng(seed)
     state = particle_slam.init("1", cfg, rng, feature="normalised", calibration=feature.calibration)
-    infos = []
+    infos = ScanInfos()
     for event in sim.log.events():
         state, info = particle_slam.step(state, event, cfg, rng)
-        infos += [info] if info else []
+        if info is not None:
+            infos.append(info)
     return finish(sim.log, cfg, feature, particle_slam.trajectory(state), infos)
 
 
