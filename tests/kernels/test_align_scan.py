@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
+from mapweave.kernels.laser import tiles
 from mapweave.kernels.laser.local_map import (
     add_points,
     align_scan,
@@ -212,11 +213,12 @@ def test_a_step_of_refining_a_particle_is_the_dense_one_against_its_own_map():
     prior, cap, information, tangent = 200.0 * root @ root.T, 0.09, 60.0 / 0.03**2, 0.3
     starts = T + np.array([[0.04, 0.03, 0.03], [-0.02, 0.05, -0.04]])
 
+    feet, least = np.column_stack([s, feature]).astype(np.float32), np.empty((2, len(s)), np.float32)
+
     def refined(iterations):
         return refine(
             grid.pool, grid.table, int(grid.shape[1]), grid.origin, CELL, np.arange(2), starts,
-            np.column_stack([s, feature]).astype(np.float32), normal, ALPHA, cap, information, tangent, KAPPA, prior,
-            iterations,
+            feet, normal, ALPHA, cap, information, tangent, KAPPA, prior, iterations, least,
         )  # fmt: skip
 
     def step(which, pose):
@@ -246,3 +248,8 @@ def test_a_step_of_refining_a_particle_is_the_dense_one_against_its_own_map():
         np.testing.assert_allclose(refined(1)[which], once, atol=2e-5)
         np.testing.assert_allclose(refined(2)[which], step(which, once), atol=1e-4)
     np.testing.assert_array_equal(refined(0), starts)
+    weighed = np.empty_like(least)
+    tiles.score(
+        grid.pool, grid.table, int(grid.shape[1]), grid.origin, CELL, np.arange(2), starts, feet, ALPHA, cap, weighed
+    )  # fmt: skip
+    np.testing.assert_array_equal(least, weighed)
