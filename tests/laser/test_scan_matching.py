@@ -2,6 +2,7 @@
 
 import mmap
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,19 @@ def test_a_turn_odometry_missed_is_found_by_the_wide_search():
     fe.insert(seen([0, 0, 0]), np.zeros(3))
     found = fe.match(seen([0.0, 0.0, 0.28]), np.zeros(3), np.array([0.05, 0.05, 0.05]))
     assert abs(found.pose[2] - 0.28) < 0.03
+
+
+def test_a_turn_is_searched_as_far_as_odometry_is_unsure_of_it():
+    """Stamps that lag in a fast turn: odometry told another turn than the scan, and knows that it may be off."""
+    fe = FrontEnd(FrontEndConfig())
+    rng = np.random.default_rng(3)
+    for pose in np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.1]]):
+        fe.insert(seen(pose), pose)
+    scan = box_scan(np.array([0.0, 0.0, 0.15]))
+    scan = replace(scan, ranges=scan.ranges + rng.normal(0.0, 0.02, len(scan.ranges)))
+    found = fe.match(beams(scan, "none", None, BeamConfig()), np.array([0.0, 0.0, -0.6]), np.array([0.03, 0.03, 0.4]))
+    assert abs(found.pose[2] - 0.15) < 0.03
+    assert found.matches > 0.8 * found.beams
 
 
 def test_what_is_taken_out_of_the_map_leaves_no_trace():

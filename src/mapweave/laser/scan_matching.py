@@ -41,7 +41,8 @@ class FrontEndConfig:
     sd_turn: float = 0.03  # [rad] + sd_turn_per_m d + sd_turn_per_rad |turn|
     sd_turn_per_m: float = 0.15  # [rad] and so much more a metre driven
     sd_turn_per_rad: float = 0.6  # and so much more a radian turned
-    wide_search: float = 0.3  # [rad] rotations tried to either side when under wide_under of the returns match
+    wide_search: float = 0.3  # [rad] rotations tried to either side when under wide_under of the returns match,
+    wide_sd: float = 2.0  # and as far as so many standard deviations of the turn, where that is farther
     wide_step: float = 0.03  # [rad] between the rotations tried
     wide_under: float = 0.65  # share of returns matched under which rotations are tried
     reach: float = 0.1  # [m] a return this near its line counts as matched
@@ -91,7 +92,8 @@ class FrontEnd:
         pose, H, _ = self._refine(b, predicted, predicted, sd)
         matches = self._count(self.fine, c.fine, b, pose, c.reach)
         if n and matches < c.wide_under * n:
-            turns = np.arange(-c.wide_search, c.wide_search + 1e-9, c.wide_step)
+            far = min(max(c.wide_search, c.wide_sd * float(sd[2])), np.pi)
+            turns = np.arange(-far, far + 1e-9, c.wide_step)
             scores = [self._count(self.coarse, c.coarse, b, predicted + np.array([0, 0, a]), 0.1) for a in turns]
             for k in np.argsort(scores, kind="stable")[::-1][:3]:
                 tried = self._refine(b, predicted + np.array([0, 0, turns[k]]), predicted, np.maximum(sd, [0, 0, 0.15]))
