@@ -12,6 +12,7 @@ from PIL import Image
 from mapweave.core.records import Track
 from mapweave.report.html import Page
 from mapweave.report.scene import INK, MOST_CELLS, MOST_POSES, Scene
+from mapweave.report.team_figures import thinned
 
 from .browser import CHROMIUM, seen_in_browser
 
@@ -118,6 +119,23 @@ def test_long_trajectories_are_thinned_and_keep_their_ends():
     x = data(scene)["tracks"][0]["x"]
     assert len(x) <= MOST_POSES
     assert (x[0], x[-1]) == (0.0, n - 1.0)
+
+
+def test_no_line_goes_through_a_time_of_which_nothing_is_known():
+    t = np.concatenate([np.arange(0.0, 1000.0, 0.5), np.arange(1400.0, 1402.0, 0.5)])
+    pose = np.column_stack([t, np.zeros_like(t), np.zeros_like(t)])
+    track = Track(t, pose)
+    scene = Scene("two stretches")
+    scene.track("robot 1", "robot 1", track, "#000")
+    scene.track("robot 2", "robot 2", Track(t[:50], pose[:50]), "#000")
+    broken, whole = data(scene)["tracks"]
+    assert [(broken["x"][k - 1] < 1000.0, broken["x"][k] >= 1400.0) for k in broken["gaps"]] == [(True, True)]
+    assert whole["gaps"] == []
+    drawn = thinned(track, most=300)[:, 0]
+    (at,) = np.flatnonzero(np.isnan(drawn))
+    assert drawn[at - 1] < 1000.0
+    assert drawn[at + 1] >= 1400.0
+    assert not np.isnan(thinned(Track(t[:50], pose[:50]))).any()
 
 
 def test_a_wall_one_cell_thick_is_kept_in_a_large_grid():

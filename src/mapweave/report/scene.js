@@ -176,6 +176,7 @@ function showScene(figure) {
   }
 
   function drawTrack(track, ink) {
+    const broken = new Set(track.gaps); // before which nobody knows the way
     const reached = track.t.length ? upTo(track) : track.x.length;
     context.strokeStyle = tint(track.colour, ink);
     context.lineWidth = 1.6;
@@ -183,7 +184,7 @@ function showScene(figure) {
       context.globalAlpha = alpha;
       context.beginPath();
       for (let i = from; i < to; i++) {
-        if (i === from) context.moveTo(toX(track.x[i]), toY(track.y[i]));
+        if (i === from || broken.has(i)) context.moveTo(toX(track.x[i]), toY(track.y[i]));
         else context.lineTo(toX(track.x[i]), toY(track.y[i]));
       }
       context.stroke();

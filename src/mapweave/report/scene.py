@@ -22,7 +22,7 @@ from ..core.names import robot_key
 from ..core.records import Track
 from ..landmarks.landmark_map import LandmarkMap
 from ..team.team_map import TeamMap
-from .style import LANDMARK
+from .style import LANDMARK, gaps
 
 MOST_POSES = 800  # of a trajectory: enough to draw it and to point at
 MOST_CELLS = 1600  # along the longer side of a grid: finer cells are joined, a wall stays a wall
@@ -91,7 +91,7 @@ class Scene:
         self, layer: str, name: str, track: Track, colour: str, *, heads: bool = True, leaves: bool = False,
         notes: str = "",
     ) -> None:  # fmt: skip
-        """Where a robot was when; with covariances, its 95 % ellipse at the time shown.
+        """Where a robot was when, no line where nothing is known for long; its 95 % ellipse at the time shown.
 
         heads: whether its heading is known; leaves: whether it is gone after its last pose; notes: what pointing at it
         tells besides.
@@ -101,10 +101,11 @@ class Scene:
             return
         at = np.unique(np.linspace(0, n - 1, min(n, MOST_POSES)).astype(int))
         pose = track.pose[at]
+        broken = np.unique(np.searchsorted(at, gaps(track.t)))
         self._tracks.append({
             "layer": layer, "name": name, "colour": colour, "t": _short(track.t[at], 2),
             "x": _short(pose[:, 0]), "y": _short(pose[:, 1]), "theta": _short(pose[:, 2]) if heads else None,
-            "leaves": leaves, "notes": notes,
+            "leaves": leaves, "notes": notes, "gaps": broken.tolist(),
             "ellipses": None if track.cov is None else [_ellipse(c[:2, :2]) for c in track.cov[at]],
         })  # fmt: skip
         self._corners.append(pose[:, :2])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -29,6 +29,7 @@ LANDMARK = "#7A8088"  # seen on white and on black
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 SEQUENTIAL = "cividis"
 DPI = 110
+GAP = 5.0  # [s]
 INK = "#2B2F33"
 NAME = "name of a point"  # of texts that `figure` keeps apart
 BESIDE: Sequence[tuple[int, int, Literal["left", "center", "right"], Literal["bottom", "center", "top"]]] = (
@@ -53,6 +54,17 @@ _RC: Any = {
     "figure.facecolor": "white",
     "text.parse_math": False,  # names of robots and landmarks are shown as they are, dollar signs too
 }
+
+
+def gaps(t: Float[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:
+    """Before which poses of a track nothing is known for long: a line through there would show a way nobody drove.
+
+    Longer than five seconds and than ten usual steps. t: stamps [s], ascending.
+    """
+    steps = np.diff(t)
+    if not len(steps):
+        return np.zeros(0, np.intp)
+    return np.asarray(np.flatnonzero(steps > max(GAP, 10.0 * float(np.median(steps)))) + 1)
 
 
 def colour(k: int) -> str:

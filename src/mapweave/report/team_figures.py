@@ -54,8 +54,9 @@ class TeamStory:
 
 
 def thinned(track: Track, most: int = 3000) -> np.ndarray:
-    """At most about `most` poses of a track, enough to draw it."""
-    return np.asarray(track.pose[:: max(1, len(track.t) // most)])
+    """At most `most` poses of a track, its ends among them, and one of NaN in each gap: no line goes through."""
+    at = np.unique(np.linspace(0, len(track.t) - 1, min(len(track.t), most)).astype(int))
+    return np.asarray(np.insert(track.pose[at], np.unique(np.searchsorted(at, style.gaps(track.t))), np.nan, axis=0))
 
 
 FACTORS = (1, 2, 5, 10, 20, 50, 100)
