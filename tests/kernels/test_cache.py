@@ -96,7 +96,8 @@ poses = np.column_stack([rng.uniform(0.5, 1.0, (60, 2)), rng.uniform(-3.0, 3.0, 
 points = np.column_stack([rng.uniform(-1.0, 1.0, (50, 2)), rng.uniform(0.0, 1.0, 50)])
 normals = np.column_stack([np.cos(points[:, 0]), np.sin(points[:, 0])])
 grid = pool, table, 2, np.zeros(2), 0.1, rng.integers(0, 6, 60).astype(np.int32)
-out = refine(*grid, poses, points, normals, 0.5, 1.0, 1e3, 0.3, 0.1, 50.0 * np.eye(3), 4)
+least = np.empty((60, 50), np.float32)
+out = refine(*grid, poses, points, normals, 0.5, 1.0, 1e3, 0.3, 0.1, 50.0 * np.eye(3), 4, least)
 print(hashlib.sha256(out.tobytes()).hexdigest(), sum(refine.stats.cache_hits.values()))
 """
 

@@ -46,10 +46,10 @@ def test_fifty_robots_stand_on_the_page_and_words_stay_words(tmp_path):
     ]  # fmt: skip
     with served(board, "127.0.0.1", 0) as address:
         browser = subprocess.Popen([*command, address], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)  # noqa: S603
-        end = time.monotonic() + 60
+        end = time.monotonic() + 240  # of a machine that does much else
         while not board.readers and time.monotonic() < end:
             time.sleep(0.1)
-    page = browser.communicate(timeout=60)[0]  # drawn once nothing is under way any more
+    page = browser.communicate(timeout=240)[0]  # drawn once nothing is under way any more
     rows = re.findall(r"<tr.*?</tr>", page.split('id="robots"')[1].split("</tbody>")[0])
     assert len(rows) == 50
     assert "gone" in rows[2]
@@ -120,10 +120,10 @@ def test_walls_are_drawn_dark_and_free_floor_bright(tmp_path):
     board.take_tile(square(1, i=-1))
     with served(board, "127.0.0.1", 0) as address:
         browser = subprocess.Popen([*browse(tmp_path), address], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # noqa: S603
-        end = time.monotonic() + 60
+        end = time.monotonic() + 240  # of a machine that does much else
         while not board.fetched >= 2 and time.monotonic() < end:
             time.sleep(0.1)
-    browser.wait(60)
+    browser.wait(240)
     wall, free = (int(drawn_in(tmp_path / "page.png", colour).sum()) for colour in (WALL, FREE))
     assert wall > 10_000
     assert abs(wall - free) < 0.2 * wall
@@ -142,10 +142,10 @@ def test_what_was_seen_fills_the_page_wherever_it_lies_in_its_square(tmp_path):
     board.take_tile(msgspec.structs.replace(square(0), cells=pack(cells)))
     with served(board, "127.0.0.1", 0) as address:
         browser = subprocess.Popen([*browse(tmp_path), address], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # noqa: S603
-        end = time.monotonic() + 60
+        end = time.monotonic() + 240  # of a machine that does much else
         while not board.fetched and time.monotonic() < end:
             time.sleep(0.1)
-    browser.wait(60)
+    browser.wait(240)
     wall = drawn_in(tmp_path / "page.png", WALL)
     high = np.flatnonzero(wall.any(axis=1))
     assert np.ptp(high) > 0.75 * len(wall)
