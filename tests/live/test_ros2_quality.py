@@ -85,6 +85,14 @@ def recorded(ones, folder, at):
     return [record(folder / f"mapweave-live/team-{name}.sqlite", name)[0] for name in ("r1", "r2")]
 
 
+def only(log, heard):
+    """The log of the scans that were heard: what robots tell at best effort may be lost on a busy machine."""
+    kept = np.isin(np.round(log.scan_t, 6), np.round(heard.scan_t, 6))
+    assert kept.sum() == len(heard.scans)
+    scans = tuple(scan for scan, here in zip(log.scans, kept, strict=True) if here)
+    return replace(log, scan_t=log.scan_t[kept], scans=scans)
+
+
 def woven(logs):
     """The one map of both robots."""
     (made,) = map_logs(logs, MapOptions(start={"1": (0.0, 0.0, 0.0), "2": (0.0, 0.0, 0.0)})).components
@@ -101,9 +109,11 @@ def test_two_scanners_and_two_robots_through_ros_map_as_well_as_their_recordings
         ones = TwoScanners(session, "tb1", logs[0]), RosDrive(session, "tb2", logs[1], FRONT)
         heard = recorded(ones, tmp_path, at)
     router.close()
-    assert [len(log.scans) for log in heard] == [len(log.scans) for log in logs]
-    np.testing.assert_allclose(heard[0].scans[4].T_robot_sensor, FRONT, atol=1e-6)
-    np.testing.assert_allclose(heard[0].scans[5].T_robot_sensor, REAR, atol=1e-6)
+    assert all(len(log.scans) >= 0.98 * len(told.scans) for log, told in zip(heard, logs, strict=True))
+    logs = [only(log, told) for log, told in zip(logs, heard, strict=True)]
+    for ours, theirs in zip(heard[0].scans, logs[0].scans, strict=True):
+        np.testing.assert_allclose(ours.T_robot_sensor, theirs.T_robot_sensor, atol=1e-6)
+    assert {tuple(np.round(scan.T_robot_sensor, 3)) for scan in heard[0].scans} == {FRONT, REAR}
     through, direct = woven(heard), woven(logs)
     begin = simulated[0][1].pose[0]
     for key, (_, truth) in zip("12", simulated, strict=True):
