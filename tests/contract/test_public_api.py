@@ -5,15 +5,21 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 import mapweave
 import mapweave.evaluation.team
 import mapweave.fusion.join
+from mapweave.api import map_options
+from mapweave.fusion.config import Weights
+from mapweave.laser.config import METHODS
 
 VERBS = [name for name in mapweave._HOMES if name.islower()]
 ROOMS = {path.name for path in Path(mapweave.__file__).parent.iterdir() if path.is_dir()}
+
+HEAVY = ("numpy", "scipy", "numba", "matplotlib", "pydantic")
 
 
 def test_every_public_name_can_be_had_and_is_listed():
@@ -54,16 +60,51 @@ def test_without_the_extra_every_name_is_there_and_those_of_a_live_team_say_what
 
 
 def test_importing_and_asking_for_help_imports_nothing_heavy():
-    heavy = ("numpy", "scipy", "numba", "matplotlib", "pydantic")
     code = (
         "import sys\n"
         "from mapweave.cli import _run\n"
         "for word in (['--help'], ['map', '--help'], ['simulate', 'landmarks', '--help'], ['demo', '--help']):\n"
         "    assert _run(word) == 0\n"
-        f"print([m for m in {heavy!r} if m in sys.modules], file=sys.stderr)\n"
+        f"print([m for m in {HEAVY!r} if m in sys.modules], file=sys.stderr)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
     assert done.stderr.strip() == "[]"
+
+
+def test_an_option_of_map_that_cannot_be_is_refused_before_anything_heavy_is_imported(tmp_path):
+    refused = (
+        ("--weights", "wrong"),
+        ("--method", "wrong"),
+        ("--seed", "-1"),
+        ("--jobs", "0"),
+        ("--truth", "missing"),
+        ("--config", "missing.toml"),
+        ("--start", "1:0,0"),
+    )
+    code = (
+        "import sys\n"
+        "from mapweave.cli import _run\n"
+        f"for words in {[*refused, ()]!r}:\n"
+        "    log = '.' if words else 'missing'\n"
+        "    assert _run(['map', log, '--out', 'result', *words]) != 0, words\n"
+        f"print([m for m in {(*HEAVY, 'threadpoolctl')!r} if m in sys.modules])\n"
+    )
+    done = subprocess.run(  # noqa: S603
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    assert done.stdout.strip() == "[]"
+    told = done.stderr.splitlines()
+    assert len(told) == len(refused) + 1
+    assert all(words[0] in line or words[1] in line for words, line in zip(refused, told, strict=False))
+    assert "missing: no such file or folder" in told[-1]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_map_refuses_early_what_its_methods_do_not_know_and_nothing_else():
+    assert get_args(Weights) == map_options.WEIGHTS
+    assert map_options.LASER_METHODS == METHODS
+    for method in (*METHODS, *map_options.LANDMARK_METHODS):
+        map_options.MapOptions(method=method).check()
 
 
 def test_the_verbs_work_from_python(tmp_path):

@@ -15,7 +15,8 @@ from ..io.kept import kept_parts
 from ..io.table import Columns
 from ..report.files import list_files
 from .cluster import cluster_executor
-from .map_options import LaserOptions, MapOptions, MapResult
+from .map_options import LaserOptions, MapOptions, expect_there
+from .result import MapResult
 
 
 @runtime_checkable
@@ -266,9 +267,7 @@ def _laser(logs: Sequence[LaserLog], options: MapOptions) -> MapResult:
 def _mapper(logs: Sequence[Path]) -> Mapper:
     if not logs:
         raise UsageError("expected a log, found none")
-    for path in logs:
-        if not path.exists():
-            raise ReaderError(path, "no such file or folder")
+    expect_there(logs)
     for where in MAPPERS:
         mapper = cast("Mapper", import_module(where))
         fits = [mapper.applies(path) for path in logs]

@@ -32,12 +32,10 @@ from ..team.online_run import OnlineMap, OnlineRun
 from ..team.relative_frame import PlacingConfig
 from ..team.smooth import Smoothed, smooth
 from ..team.team_map import TeamMap
-from .map_options import MapOptions
+from .map_options import LANDMARK_METHODS, MapOptions
 from .online import fuse_online, times_of
 from .smooth_online import closed, closing_start, smooth_online
 from .team import TeamResult, Watch, team_maps, team_result
-
-METHODS = ("ekf",)
 
 
 @config
@@ -84,8 +82,8 @@ def map_landmark_logs(logs: Sequence[LandmarkLog], options: MapOptions, title: s
 
 
 def _configured(options: MapOptions) -> LandmarkMapConfig:
-    if options.method not in (None, *METHODS):
-        raise UsageError(f"--method: landmark logs know {', '.join(METHODS)}, found {options.method!r}")
+    if options.method not in (None, *LANDMARK_METHODS):
+        raise UsageError(f"--method: landmark logs know {', '.join(LANDMARK_METHODS)}, found {options.method!r}")
     return load(LandmarkMapConfig, options.config, {"fuse": {"weights": options.weights}})
 
 

@@ -5,12 +5,13 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
 
-from ..core.errors import UsageError
+from ..core.errors import ConfigError, ReaderError, UsageError
 from ..core.names import robot_key
 from ..core.workers import Progress, no_progress
-from .result import Result
+
+WEIGHTS = ("constant", "paper", "diagonal", "full", "full-scaled", "naive")
+LANDMARK_METHODS, LASER_METHODS = ("ekf",), ("particle", "graph", "gated", "icp")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +69,10 @@ class MapOptions:
     on_progress: Progress = no_progress
 
     def check(self) -> None:
-        """Raises UsageError naming the option that cannot be."""
+        """Raises UsageError naming the option that cannot be, ReaderError naming the file that is not there."""
+        self._check_names()
+        if self.seed < 0:
+            raise UsageError(f"--seed must be 0 or more, found {self.seed}")
         if self.jobs < 1:
             raise UsageError(f"--jobs must be 1 or more, found {self.jobs}")
         if self.fuse_every is not None and not 0 < self.fuse_every < math.inf:
@@ -81,23 +85,30 @@ class MapOptions:
         for robot, sd in self.start_sd.items():
             if not 0 < sd < math.inf:
                 raise UsageError(f"--start of robot {robot}: expected a sigma above 0 m, found {sd}")
+        if self.config is not None and not self.config.exists():
+            raise ConfigError(f"{self.config}: No such file or directory")
+        expect_there((*self.truth, *(path for path in (self.calibration, self.survey) if path is not None)))
+
+    def _check_names(self) -> None:
+        if self.weights not in {None, *WEIGHTS}:
+            raise UsageError(f"--weights: expected one of {', '.join(WEIGHTS)}, found {self.weights!r}")
+        if self.method not in {None, *LANDMARK_METHODS, *LASER_METHODS}:
+            landmark, laser = ", ".join(LANDMARK_METHODS), ", ".join(LASER_METHODS)
+            raise UsageError(
+                f"--method: landmark logs know {landmark}; for laser logs expected one of {laser}, "
+                f"found {self.method!r}"
+            )
 
     def starts(self) -> dict[str, tuple[float, ...]]:
         """Robot -> x, y, theta, and sigma where that is told."""
         return {r: (*pose, self.start_sd[r]) if r in self.start_sd else pose for r, pose in self.start.items()}
 
 
-@runtime_checkable
-class MapResult(Result, Protocol):
-    """What every kind of log's `map` gives: typed in its own way, and able to put itself into a folder.
-
-    maps: `TeamMap`s of landmark logs, the largest first; `LaserMap`s of laser logs, one a robot.
-    """
-
-    @property
-    def maps(self) -> tuple[Any, ...]: ...
-    def lines(self) -> list[str]: ...
-    def write_into(self, folder: Path) -> None: ...
+def expect_there(paths: Sequence[Path]) -> None:
+    """Raises ReaderError naming the first path where nothing lies."""
+    for path in paths:
+        if not path.exists():
+            raise ReaderError(path, "no such file or folder")
 
 
 def parse_robots(text: str | None) -> tuple[str, ...] | None:

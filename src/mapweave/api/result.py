@@ -30,6 +30,19 @@ class Result(Protocol):
     def _repr_html_(self) -> str: ...
 
 
+@runtime_checkable
+class MapResult(Result, Protocol):
+    """What every kind of log's `map` gives: typed in its own way, and able to put itself into a folder.
+
+    maps: `TeamMap`s of landmark logs, the largest first; `LaserMap`s of laser logs, one a robot.
+    """
+
+    @property
+    def maps(self) -> tuple[Any, ...]: ...
+    def lines(self) -> list[str]: ...
+    def write_into(self, folder: Path) -> None: ...
+
+
 class EvaluationBase(ResultBase):
     """Base of scores: `as_json` has the documented keys; `metrics` adds the version, as in `metrics.json`."""
 

@@ -121,19 +121,39 @@ def map_logs(
     force
         Write into the folder even when something other than a result stands there.
     """
-    from ..api.map import map as run
-    from ..api.map_options import parse_robots, parse_shares, parse_starts
+    from ..api.map_options import MapOptions, expect_there, parse_robots, parse_shares, parse_starts
     from .terminal import progress, say
+
+    at_once = MapOptions(  # what cannot be is told before the imports below, which take a second
+        method=method,
+        weights=weights,
+        share=parse_shares(share),
+        truth=tuple(truth or ()),
+        config=config,
+        seed=seed,
+        jobs=jobs,
+        fuse_every=fuse_every,
+        refine=refine,
+        online=online,
+        calibration=calibration,
+        survey=survey,
+        laser=_laser(laser),
+    )
+    at_once.check()
+    starts, named = parse_starts(start), parse_robots(robots)
+    expect_there(logs)
+
+    from ..api.map import map as run
 
     with progress() as on_progress:
         result = run(
             logs,
             out=out,
-            robots=parse_robots(robots),
+            robots=named,
             method=method,
             weights=weights,
-            share=parse_shares(share),
-            start=parse_starts(start),
+            share=at_once.share,
+            start=starts,
             truth=truth,
             config=config,
             seed=seed,
@@ -144,7 +164,7 @@ def map_logs(
             online=online,
             calibration=calibration,
             survey=survey,
-            laser=_laser(laser),
+            laser=at_once.laser,
             mcap=mcap,
             force=force,
             on_progress=on_progress,

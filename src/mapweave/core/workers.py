@@ -10,10 +10,10 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context
 from threading import Lock
-from typing import Any, ParamSpec, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar, runtime_checkable
 
-import scipy.linalg  # noqa: F401  (brings SciPy's own BLAS in; a limit holds for libraries loaded before it)
-from threadpoolctl import ThreadpoolController
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 
 @contextmanager
@@ -38,18 +38,28 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
+def _libraries() -> "ThreadpoolController":
+    """NumPy's and SciPy's BLAS, both loaded: a limit holds for libraries loaded before it."""
+    import scipy.linalg  # noqa: F401, PLC0415  (an option that is refused shall not wait for it)
+    from threadpoolctl import ThreadpoolController  # noqa: PLC0415
+
+    return ThreadpoolController()
+
+
 class _Limit:
     """The limit, set by the first who asks and lifted by the last: it belongs to the whole process."""
 
     def __init__(self) -> None:
         self.lock = Lock()
         self.depth = 0
-        self.libraries = ThreadpoolController()  # NumPy's and SciPy's, once: to look for them takes milliseconds
+        self.libraries: ThreadpoolController | None = None
         self.limits: Any = None
 
     def enter(self) -> None:
         with self.lock:
             if self.depth == 0:
+                if self.libraries is None:  # once: to look for them takes milliseconds
+                    self.libraries = _libraries()
                 self.limits = self.libraries.limit(limits=1, user_api="blas")
             self.depth += 1
 
