@@ -15,7 +15,7 @@ from ..exploration.landmarks.experiment import LandmarkRecord
 from ..exploration.landmarks.result import ExploreResult
 from .exploration_scene import first_seen, landmark_scene
 from .html import Page
-from .style import MUTED, SEQUENTIAL, TRUTH, Target, as_map, colour, draw_ellipse, figure, marker
+from .style import MUTED, SEQUENTIAL, TRUTH, Sheet, Target, as_map, colour, draw_ellipse, figure, marker
 
 FRAMES = 48
 TALLEST = 24.0  # inches, of a figure, however narrow the field
@@ -162,8 +162,7 @@ def draw_animation(path: Path, run: LandmarkRecord) -> None:
     poses = np.array([m.true_poses for m in moments])
     width, height = run.world.upper - run.world.lower
     frames: list[Image.Image] = []
-    scratch = path.with_suffix(".png")
-    with figure(scratch, 5.2, min(5.2 * float(height / width), TALLEST) + 0.4) as (fig, ax):
+    with figure(Sheet(), 5.2, min(5.2 * float(height / width), TALLEST) + 0.4) as (fig, ax):
         _field(ax, run)
         ax.plot(*run.world.landmarks.T, "*", color=TRUTH, ms=4, zorder=5)
         lines = [ax.plot([], [], color=colour(j))[0] for j in range(len(run.robots))]
@@ -175,7 +174,7 @@ def draw_animation(path: Path, run: LandmarkRecord) -> None:
                 heads[j].set_data([moment.true_poses[j, 0]], [moment.true_poses[j, 1]])
             title.set_text(f"step {moment.step}, {100 * moment.explored:.0f} % explored")
             frames.append(rendered(fig))
-    scratch.unlink()
+    path.parent.mkdir(parents=True, exist_ok=True)
     save_gif(path, frames)
 
 
@@ -190,10 +189,11 @@ def save_gif(path: Path, frames: list[Image.Image], kept: tuple[str, ...] = ()) 
 
 
 def rendered(fig: Any, dpi: int = 80) -> Image.Image:
-    """The figure as it is now."""
+    """The figure as it is now: the first frame of an animation lays it out, the others keep that layout."""
     canvas: Any = FigureCanvasAgg(fig)
     fig.set_dpi(dpi)
     canvas.draw()
+    fig.set_layout_engine("none")
     return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 

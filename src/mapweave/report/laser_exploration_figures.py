@@ -13,7 +13,7 @@ from ..core.walls import Walls
 from ..exploration.laser.experiment import LaserRecord, MapSnapshot
 from ..laser.occupancy import Occupancy
 from .exploration import rendered, save_gif
-from .style import MARKERS, MUTED, PALETTE, SEQUENTIAL, TRUTH, Target, as_map, colour, figure, marker
+from .style import MARKERS, MUTED, PALETTE, SEQUENTIAL, TRUTH, Sheet, Target, as_map, colour, figure, marker
 
 SHADES = ListedColormap(["#DADDE1", "#FFFFFF", "#3C4043"])  # unknown, free, occupied
 WALL = "#D55E00"
@@ -153,8 +153,7 @@ def draw_animation(path: Path, run: LaserRecord) -> None:
         snapshots = (*snapshots, run.snapshots[-1])
     width, height = _size(run)
     frames = []
-    scratch = path.with_suffix(".png")
-    with figure(scratch, 6.0, 6.0 * height / width) as (fig, ax):
+    with figure(Sheet(), 6.0, 6.0 * height / width) as (fig, ax):
         image = _occupancy(ax, _onto(snapshots[0], run))
         heads = [
             ax.plot([], [], _marker(j), color=colour(j), mec=TRUTH, mew=0.4, ms=5, ls="none")[0]
@@ -168,7 +167,7 @@ def draw_animation(path: Path, run: LaserRecord) -> None:
                 head.set_data([snapshot.poses[j, 0]], [snapshot.poses[j, 1]])
             title.set_text(f"step {snapshot.step}, {100 * snapshot.explored:.0f} % mapped")
             frames.append(rendered(fig, GIF_DPI))
-    scratch.unlink()
+    path.parent.mkdir(parents=True, exist_ok=True)
     save_gif(path, frames, tuple(dict.fromkeys(colour(j) for j in range(len(run.robots)))))
 
 
