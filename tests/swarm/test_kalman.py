@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from mapweave.core.errors import DataError
 from mapweave.swarm.config import SwarmConfig
 from mapweave.swarm.kalman import filter_start, innovation, sighting_matrix, update
 from mapweave.swarm.locate import locate
@@ -113,9 +112,3 @@ def test_five_robots_with_two_known_are_placed_to_a_millimetre_and_a_half():
 def test_innovations_are_zero_at_the_truth():
     net = complete(PAPER, 0.0, np.random.default_rng(0), exact=True)
     np.testing.assert_allclose(innovation(net, PAPER), 0, atol=1e-12)
-
-
-def test_the_filters_refuse_what_they_cannot_do():
-    net, _ = simulated(1, robots=36, axis=False)
-    with pytest.raises(DataError, match="axis"):
-        locate(net, SwarmConfig(method="ekf"))

@@ -1,7 +1,8 @@
 """The paper's filter: an update-only EKF over all free robots, with its iterated and first-estimate forms.
 
 Dense, as the paper writes it, and kept as the reference the batch estimator is measured against. Each call of
-`update` takes one full set of sightings; standing robots need no prediction.
+`update` takes one full set of sightings; standing robots need no prediction. Where no axis is common the state holds
+the heading of every robot that sees somebody, known robots included.
 """
 
 from dataclasses import dataclass, replace
@@ -10,38 +11,56 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.errors import DataError
 from ..core.gaussian import solve_psd, symmetrise
-from .factors import bearing_factor
+from ..core.se2 import wrap_angle
+from .factors import bearing_factor, width
 from .network import Network
 
 Form = Literal["ekf", "iekf", "fej"]
 STEP_TOLERANCE = 1e-9  # [m]; an iterated update ends when no coordinate moves further
 HALVINGS = 30  # of a step, to a thousand-millionth
 RANK = 1e-10  # singular values below this share of the largest are zero (exact sightings)
+ANY_HEADING = float(np.pi / np.sqrt(3.0))  # [rad]; the standard deviation of a heading that may be any
 
 
 @dataclass(frozen=True, slots=True)
 class FilterState:
-    """x: (n, d) positions [m], anchors in their places; P: (f, f) over the free coordinates; first: where it began."""
+    """x: (n, w) positions [m], anchors in their places, then headings [rad] where no axis is common.
 
-    x: Float[np.ndarray, "n d"]
+    P: (f, f) over the `free` entries of x; first: (n, w) where it began.
+    """
+
+    x: Float[np.ndarray, "n w"]
     P: Float[np.ndarray, "f f"]
-    first: Float[np.ndarray, "n d"]
+    first: Float[np.ndarray, "n w"]
     free: Int[np.ndarray, " f"]
     updates: int = 0
     iterations: int = 0
 
 
-def filter_start(net: Network, initial: Float[np.ndarray, "n d"], sigma: float = 10.0) -> FilterState:
-    """The state before any sighting: known robots are not part of it; `sigma` [m] each free coordinate."""
-    if not net.axis:
-        raise DataError("the filters need a common axis: locate robots without one by the batch method")
-    x = np.array(initial, dtype=float)
+def filter_start(
+    net: Network,
+    initial: Float[np.ndarray, "n d"],
+    sigma: float = 10.0,
+    heading: Float[np.ndarray, " n"] | None = None,
+    heading_sigma: float = ANY_HEADING,
+) -> FilterState:
+    """The state before any sighting: known robots' places are not part of it; `sigma` [m] each free coordinate.
+
+    heading, heading_sigma: (n,) first headings and their standard deviation [rad] where no axis is common (zero).
+    Headings of robots that see nobody are not part of the state.
+    """
+    x, free = np.array(initial, dtype=float), np.repeat(~net.is_anchor[:, None], width(net), axis=1)
     for k, p in net.anchors.items():
         x[k] = p
-    free = np.flatnonzero(np.repeat(~net.is_anchor, net.dim))
-    return FilterState(x, sigma**2 * np.eye(len(free)), x, free)
+    deviation = np.full(free.shape, sigma)
+    if not net.axis:
+        x = np.column_stack([x, np.zeros(len(net)) if heading is None else heading])
+        deviation[:, net.dim] = heading_sigma
+        free[:, net.dim] = False
+        free[net.observer, net.dim] = True
+    entries = np.flatnonzero(free)
+    return FilterState(x, np.diag(deviation.ravel()[entries] ** 2), x, entries)
 
 
 def update(state: FilterState, net: Network, form: Form = "ekf", max_iterations: int = 50) -> FilterState:
@@ -75,6 +94,7 @@ def update(state: FilterState, net: Network, form: Form = "ekf", max_iterations:
             new = x.ravel()[state.free]
         if np.abs(new - here).max(initial=0.0) < STEP_TOLERANCE:
             break
+    x[:, net.dim :] = wrap_angle(x[:, net.dim :])
     P = state.P if exact else symmetrise(state.P - K @ (H @ state.P))  # [Hamatani] eq. 8
     return replace(state, x=x, P=P, updates=state.updates + 1, iterations=state.iterations + done)
 
@@ -109,8 +129,8 @@ def _shortened(
     return x
 
 
-def sighting_matrix(net: Network, x: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "m s"]:
-    """H: the dense derivative of all predicted sightings by all coordinates, at `x`."""
+def sighting_matrix(net: Network, x: Float[np.ndarray, "n w"]) -> Float[np.ndarray, "m s"]:
+    """H: the dense derivative of all predicted sightings by all entries of the state, at `x`."""
     factor = bearing_factor(net)
     J = factor.jacobian(x.ravel())
     m, k, _ = J.shape
@@ -120,6 +140,6 @@ def sighting_matrix(net: Network, x: Float[np.ndarray, "n d"]) -> Float[np.ndarr
     return H
 
 
-def innovation(net: Network, x: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " r"]:
+def innovation(net: Network, x: Float[np.ndarray, "n w"]) -> Float[np.ndarray, " r"]:
     """Sightings less predictions [rad]."""
     return np.asarray(-bearing_factor(net).residual(x.ravel()).ravel())

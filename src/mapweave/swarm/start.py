@@ -23,8 +23,9 @@ def start_without_axis(net: Network, parts: Components) -> tuple[np.ndarray, np.
     """Positions, headings, who can be located, and (m,) the sightings whose observer's heading was found.
 
     Robots that sighted each other share their headings directly; the others get theirs from the positions found so
-    far, as long as that reaches anybody new. Anchors give the orientation when two of them are reached. Where no two
-    robots sighted each other, those that see three anchors begin. Raises DataError when there are none of them either.
+    far, as long as that reaches anybody new. Anchors give the orientation when two of them are reached, one the place.
+    Where no two robots sighted each other, those that see three anchors begin. Raises DataError when there are none of
+    them either.
     """
     heading, known = mutual_headings(net)
     turned = not known.any()
@@ -54,6 +55,9 @@ def start_without_axis(net: Network, parts: Components) -> tuple[np.ndarray, np.
         flat = replace(net, axis=True).select(rows)
         pieces = components(flat)
         position = linear_start(flat, pieces, world_directions(net, heading)[rows], *linear_pattern(flat, pieces))
+    elif not turned and np.count_nonzero(placed & net.is_anchor) == 1:
+        only = int(np.flatnonzero(placed & net.is_anchor)[0])
+        position = position + net.anchors[only] - position[only]
     used = known[net.observer]
     heard = net.select(used)
     return position, heading, observe(heard, components(heard), position), used
