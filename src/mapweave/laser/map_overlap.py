@@ -22,6 +22,7 @@ WALL = 0.2  # [m] walls this near overlap
 LEAST_LIT, EVEN = 150, 0.05  # walls that meet whose brightness is compared, and its sd, at least
 LINE, THICK, SIDED = 0.5, 0.3, 0.2  # [m] wall points this near make a line this thin at most; cosine to its side
 COARSE = 0.2  # [m] of the points compared
+_BESIDE = np.array([[-1], [0], [1]])  # a direction and those beside it
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +31,8 @@ class KeyframeMap:
 
     pose: (n, 3); points: of each keyframe (k, 2) [m] in its own frame; q: their brightness, or None; path: (n,) [m]
     driven up to each; walls: (w, 2) [m] all points in the map's frame, thinned; walls_q: (w,) their brightness;
-    walls_side: (w, 2) unit normals on the side they were seen from, zero where that was both or they make no line.
+    walls_side: (w, 2) unit normals on the side they were seen from, zero where that was both or they make no line;
+    views: (n, bins) [m] of each keyframe the nearest return in each direction, infinite where there is none.
     """
 
     robot: str
@@ -41,6 +43,7 @@ class KeyframeMap:
     walls: Float[np.ndarray, "w 2"] = field(init=False, repr=False)
     walls_q: Float[np.ndarray, " w"] | None = field(init=False, repr=False)
     walls_side: Float[np.ndarray, "w 2"] = field(init=False, repr=False)
+    views: Float[np.ndarray, "n bins"] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pose", frozen(self.pose))
@@ -52,6 +55,7 @@ class KeyframeMap:
         object.__setattr__(self, "walls", frozen(cloud))
         object.__setattr__(self, "walls_q", None if q is None else frozen(q))
         object.__setattr__(self, "walls_side", frozen(self._sides()))
+        object.__setattr__(self, "views", frozen(self._views()))
 
     def _sides(self) -> Float[np.ndarray, "w 2"]:
         home = [-p / np.maximum(np.hypot(*p.T), 1e-9)[:, None] for p in self.points]
@@ -64,6 +68,12 @@ class KeyframeMap:
         facing = sum(lines[:, k] * np.asarray(seen[k]) for k in range(2))
         told = (np.abs(facing) > SIDED) & (lines[:, 2] < THICK)
         return np.asarray(lines[:, :2] * (np.sign(facing) * told)[:, None])
+
+    def _views(self) -> Float[np.ndarray, "n bins"]:
+        views = np.full((len(self.pose), _bins(self.points)), np.inf)
+        r, at = _polar(np.concatenate(self.points), views.shape[1])
+        np.minimum.at(views, (np.repeat(np.arange(len(views)), [len(p) for p in self.points]), at), r)
+        return views
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,19 +112,16 @@ def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray) -> Se
     """
     walls = se2.act(transform, b.walls)
     side = b.walls_side @ se2.rotation(float(transform[2])).T
-    tree = cKDTree(walls)
-    near = [k for k in range(len(a.pose)) if len(tree.query_ball_point(a.pose[k, :2], REACH)) > 10]
+    around_each = cKDTree(walls).query_ball_point(a.pose[:, :2], REACH, return_sorted=False)
+    near = [k for k, seen in enumerate(around_each) if len(seen) > 10]
     if len(near) > FRAMES:
         near = [near[k] for k in np.linspace(0, len(near) - 1, FRAMES).round().astype(int).tolist()]
-    bins = _bins(a)
+    bins = a.views.shape[1]
     same, through = np.zeros(len(walls), dtype=np.int64), np.zeros(len(walls), dtype=np.int64)
     for k in near:
-        seen = np.array(tree.query_ball_point(a.pose[k, :2], REACH), dtype=np.int64)
-        r_a, angle_a = _polar(a.points[k], bins)
-        view = np.full(bins, np.inf)
-        np.minimum.at(view, angle_a, r_a)
+        seen = np.array(around_each[k], dtype=np.int64)
         r, at = _polar(se2.act(se2.inverse(a.pose[k]), walls[seen]), bins)
-        around = np.stack([view[(at + d) % bins] for d in (-1, 0, 1)])
+        around = a.views[k][(at + _BESIDE) % bins]
         known = np.isfinite(around).all(axis=0)
         like = known & (np.abs(around - r) < ALIKE + 0.02 * r).any(axis=0)
         facing = ((a.pose[k, :2] - walls[seen]) * side[seen]).sum(axis=1)
@@ -148,10 +155,10 @@ def wall_overlap(walls: Float[np.ndarray, "m 2"], b: KeyframeMap, transform: Flo
     return float(max(np.mean(to_walls < WALL), np.mean(to_other < WALL)))
 
 
-def _bins(a: KeyframeMap) -> int:
+def _bins(keyframes: Sequence[Float[np.ndarray, "_ 2"]]) -> int:
     """Directions so wide that hardly one between two beams of the scanner stays empty."""
     gaps = [
-        np.diff(np.sort(np.arctan2(p[:, 1], p[:, 0]))) for p in a.points[:: max(1, len(a.points) // 20)] if len(p) > 2
+        np.diff(np.sort(np.arctan2(p[:, 1], p[:, 0]))) for p in keyframes[:: max(1, len(keyframes) // 20)] if len(p) > 2
     ]
     gap = float(np.median(np.concatenate(gaps))) if gaps else 0.0
     return int(np.clip(2.0 * np.pi / max(1.5 * gap, 1e-3), LEAST_BINS, MOST_BINS))
