@@ -9,7 +9,8 @@ which the map process is told; at the end of a log they begin the next round. Pr
 and curves of all cases are written too.
 
 Heard: from putting a message on the network until it is in its place in the map process's store. In the map: until the
-process has told a map that holds it. Processor and memory are those of the map process, all its threads.
+process has told a map that holds it. Processor and memory are those of the map process, all its threads. In one map:
+the robots of its largest part at the end.
 """
 
 import argparse
@@ -65,15 +66,16 @@ class Told:
 
 
 @cache
-def one_round(k: int) -> tuple[LaserLog, np.ndarray]:
-    """Robot k's round through the office, and how the end of it is seen from its beginning."""
-    made = drive(office_world(OfficeConfig(), 0), office_route(OfficeConfig(), k), OfficeConfig().drive, k)
-    return replace(made.log, robot=f"robot{k}"), se2.between(made.truth.pose[-1], made.truth.pose[0])
+def one_round(k: int, world: int = 0) -> tuple[LaserLog, Track]:
+    """Robot k's round through the office of seed `world`, and where it was."""
+    made = drive(office_world(OfficeConfig(), world), office_route(OfficeConfig(), k), OfficeConfig().drive, k)
+    return replace(made.log, robot=f"robot{k}"), made.truth
 
 
-def rounds(k: int, seconds: float) -> LaserLog:
+def rounds(k: int, seconds: float, world: int = 0) -> LaserLog:
     """As many rounds as `seconds` take, one after the other; the odometry goes on from round to round."""
-    log, back = one_round(k)
+    log, truth = one_round(k, world)
+    back = se2.between(truth.pose[-1], truth.pose[0])
     lasts = log.odometry.t[-1] - log.odometry.t[0] + 0.2
     scans, scan_t, odo_t, odo = [], [], [], []
     origin, shift = np.zeros(3), 0.0
@@ -91,9 +93,9 @@ def rounds(k: int, seconds: float) -> LaserLog:
     return replace(log, scan_t=np.array(scan_t), scans=tuple(scans), odometry=track)
 
 
-def prepared(sensor: str, k: int, seconds: float, rate: float) -> list[Told]:
+def prepared(sensor: str, k: int, seconds: float, rate: float, world: int = 0) -> list[Told]:
     """What robot k of the simulated team tells in `seconds` by the clock, `rate` times as fast as it drove."""
-    log = rounds(k, seconds * rate) if sensor == "laser" else open_source("sim:landmarks", f"r{k}", None)
+    log = rounds(k, seconds * rate, world) if sensor == "laser" else open_source("sim:landmarks", f"r{k}", None)
     out, robot, begin = [], None, None
     told_snapshot = 0.0
     for t, message in messages(log, f"r{k}", "run", PERIOD):
@@ -313,11 +315,12 @@ def warmed() -> None:
 def table(rows: list[Row]) -> str:
     """Markdown."""
     head = ["robots", "sensor", "rate", "heard, p99", "in the map, p50", "p99", "a robot-minute"]
-    head += ["processor a robot-minute", "cores", "memory"]
+    head += ["processor a robot-minute", "cores", "memory", "in one map"]
     lines = [
         f"| {r['robots']} | {r['sensor']} | {r['rate']:g} | {1e3 * r['heard_p99_s']:.0f} ms | {r['p50_s']:.2f} s |"
         f" {r['p99_s']:.2f} s | {r['kB_a_robot_minute']:.0f} kB | {r['cpu_s_a_robot_minute']:.2f} s |"
         f" {r['cores']:.2f} | {r['memory_MB']:.0f} MB |"
+        f" {r['tied']} |"
         for r in rows
     ]
     return "\n".join([f"| {' | '.join(head)} |", "|---" * len(head) + "|", *lines])

@@ -1,11 +1,12 @@
 """What a map process of N laser robots does while they drive, without a network: processor time of its passes.
 
-    python benchmarks/live_passes.py [--robots 50] [--seconds 30] [--rate 1]
+    python benchmarks/live_passes.py [--robots 50] [--seconds 30] [--rate 1] [--ways 6] [--world 0] [--apart]
 
 The weaver of a map process runs on a clock of its own, which stands still but for what it computes and what it waits
 for, so that other work on the machine changes nothing: a message is there when this clock says so, and what takes place
 beside (solving the graph of all, searching for ties) does so as on a processor of its own. Printed are the times of
-each kind of pass, how late a message is in the map on that clock, and what memory came up.
+each kind of pass, how late a message is in the map on that clock, how many robots hang together as time goes, how far
+off the truth their ties are, and what memory came up.
 """
 
 import argparse
@@ -20,15 +21,16 @@ from pathlib import Path
 
 import numpy as np
 
-from live import memory, prepared, renamed, warmed
+from live import memory, one_round, prepared, renamed, warmed
 from mapweave.api.weave_laser import starts_among
+from mapweave.core import se2
 from mapweave.core.workers import keep_one_blas_thread
 from mapweave.laser.config import LaserConfig
 from mapweave.live import laser_weaver
 from mapweave.live.laser_weaver import LaserWeaver
 from mapweave.live.store import Store
 
-WAYS = 6
+WRONG = 0.5  # [m] that a closure of two robots is off the truth
 
 
 class Clock:
@@ -113,6 +115,7 @@ class Clocked(LaserWeaver):
         self.shown: dict[str, int] = {}
         self.when: dict[tuple[str, int], float] = {}
         self.grown: list[tuple[float, float]] = []
+        self.tied: list[tuple[float, int]] = []
 
     @property
     def team(self) -> Team:
@@ -126,6 +129,7 @@ class Clocked(LaserWeaver):
     def _drawn(self, out) -> None:
         now = self.clock.monotonic()
         self.grown.append((now, memory("VmRSS")))
+        self.tied.append((now, [p.component for p in out.placed.values()].count(1)))
         for robot, until in out.worked.items():
             for seq in range(self.shown.get(robot, 1), until):
                 self.late.append(now - self.when[robot, seq])
@@ -160,9 +164,9 @@ class Clocked(LaserWeaver):
         self.clock.aside += time.thread_time() - begin
 
 
-def told(robots: int, seconds: float, rate: float):
+def told(robots: int, seconds: float, rate: float, ways: int, world: int):
     """When each message comes, in order, and what it says."""
-    base = [prepared("laser", k, seconds, rate) for k in range(1, min(robots, WAYS) + 1)]
+    base = [prepared("laser", k, seconds, rate, world) for k in range(1, min(robots, ways) + 1)]
     coming, payloads = [], {}
     for k in range(1, robots + 1):
         for one in base[(k - 1) % len(base)]:
@@ -174,17 +178,43 @@ def told(robots: int, seconds: float, rate: float):
     return sorted(coming), payloads
 
 
+def off(weaver: Clocked, ways: int, world: int) -> list[float]:
+    """How far the closures that hold two robots together are off the truth [m], of each tied pair the median."""
+    out = []
+    for (a, b), tried in weaver.team.search.tried.items():
+        if not tried.merge.merged:
+            continue
+        sessions = [weaver.team.robots[name].session for name in (a, b)]
+        rounds = [one_round((int(name[1:]) - 1) % ways + 1, world) for name in (a, b)]
+        errors = []
+        for c in tried.merge.closures:
+            at = []
+            for k, ids, session, (log, truth) in zip((c.first, c.second), tried.ids, sessions, rounds, strict=True):
+                seen = np.flatnonzero(session.ids == ids[k])
+                if len(seen):
+                    lasts = log.odometry.t[-1] - log.odometry.t[0] + 0.2
+                    first = log.odometry.t[0]
+                    t = first + (session.keyframes.nodes[int(seen[0])].t - first) % lasts
+                    at.append(se2.interpolate(np.array([t]), truth.t, truth.pose)[0])
+            if c.accepted and len(at) == 2:
+                errors.append(float(np.hypot(*se2.between(se2.between(*at), c.measured)[:2])))
+        out.append(float(np.median(errors)) if errors else np.nan)
+    return out
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--robots", type=int, default=50)
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--rate", type=float, default=1.0)
+    parser.add_argument("--ways", type=int, default=6, help="simulated drives; further robots tell them again")
+    parser.add_argument("--world", type=int, default=0, help="seed of the office")
     parser.add_argument("--apart", action="store_true", help="nobody says where the robots start from")
     parser.add_argument("--profile", action="store_true", help="where the time goes, by function")
     given = parser.parse_args()
     keep_one_blas_thread()
     warmed()
-    coming, payloads = told(given.robots, given.seconds, given.rate)
+    coming, payloads = told(given.robots, given.seconds, given.rate, given.ways, given.world)
     gc.collect()
     before = memory("VmRSS")
     clock = Clock()
@@ -222,6 +252,12 @@ def tell(weaver: Clocked, passes: dict[str, list[float]], given: argparse.Namesp
     squares = sum(key[1] == 0 for key in weaver.newest.tiles)
     keyframes = sum(robot.size for robot in weaver.team.robots.values())
     print(f"tied: {parts.count(1)} of {len(parts)}; keyframes {keyframes}; squares {squares}")
+    t, tied = np.array(weaver.tied).T
+    ends = given.seconds * np.arange(1, 7) / 6
+    each = ", ".join(f"{int(tied[: np.searchsorted(t, end)].max(initial=0))} by {end:.0f} s" for end in ends)
+    wrong = np.array(off(weaver, given.ways, given.world))
+    most = f", their closures up to {np.nanmax(wrong):.2f} m off" if len(wrong) else ""
+    print(f"tied over time: {each}; {len(wrong)} pairs{most}, {np.sum(wrong > WRONG)} of them wrong")
 
 
 if __name__ == "__main__":
