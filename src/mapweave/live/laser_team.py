@@ -14,6 +14,7 @@ from ..core import se2
 from ..laser.config import LaserConfig
 from ..laser.merge_search import Start
 from .canvas import Canvas, Standing
+from .common_ground import Walls, in_common
 from .driven import DrivenSession
 from .laser_stream import LaserRecord
 from .messages import Header, Scans, decode
@@ -55,6 +56,7 @@ class WovenTeam:
 class _Robot:
     record: LaserRecord
     session: DrivenSession
+    walls: Walls = field(default_factory=Walls)
     next: int = 1
 
     @property
@@ -120,17 +122,27 @@ class LaserTeam:
     def trial(self) -> PairTrial | None:
         """The two maps to be tried on each other next; None when no decision is wanted."""
         sizes = self._sizes()
-        pair = self.search.next(sizes)
+        names = list(sizes)
+        starts = self.starts(names) if len(names) > 1 else {}
+        wanted = bool(starts) and self.search.apart(names)
+        common = in_common({name: self._walls(name) for name in names}, starts) if wanted else {}
+        pair = self.search.next(sizes, common)
         if pair is None:
             return None
-        names = list(sizes)
-        start = between(self.starts(names), names.index(pair[0]), names.index(pair[1]))
+        start = between(starts, names.index(pair[0]), names.index(pair[1]))
         sessions = [self.robots[name].session for name in pair]
         graphs = [graph for session in sessions if (graph := session.keyframes) is not None]
         a, b = (np.array(graph.pose) for graph in graphs)
         of_a, of_b = ([node.beams.s for node in graph.nodes] for graph in graphs)
         ids_a, ids_b = (session.ids for session in sessions)
-        return PairTrial(*pair, (a, b), (of_a, of_b), (ids_a, ids_b), self.cfg.merge, start)
+        return PairTrial(
+            *pair, (a, b), (of_a, of_b), (ids_a, ids_b), self.cfg.merge, start, common.get((pair[0], pair[1]), 0)
+        )
+
+    def _walls(self, name: str) -> Walls:
+        robot = self.robots[name]
+        robot.walls.take(robot.session)
+        return robot.walls
 
     def weaving(self) -> Weaving | None:
         """All robots' graphs as they are, with what is decided on pairs so far; None before there is any robot."""

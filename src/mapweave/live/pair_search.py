@@ -1,6 +1,6 @@
 """Which two laser robots' maps are tried on each other next, and what was decided on those that were."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -12,7 +12,8 @@ from ..laser.map_overlap import KeyframeMap
 from ..laser.merge import MapClosure, Merge, merge_maps
 from ..laser.merge_search import MergeConfig, Start
 
-GROWN = 1.25  # a pair is tried again when the maps of both together have so many times the keyframes they had
+GROWN = 1.25  # a pair is tried again when so many times as much speaks for it, or both have so many times the keyframes
+LIKELY = 25  # cells in common from which on a pair is likely to be tied
 UNTRIED = "not tried on each other yet"
 
 Pair = tuple[str, str]
@@ -22,7 +23,8 @@ Ids = tuple[Int[np.ndarray, " n"], Int[np.ndarray, " m"]]
 class PairTrial(NamedTuple):
     """Two maps to be laid on each other. Running it takes seconds and touches nothing but its own numbers.
 
-    ids: what the keyframes of either are known by.
+    ids: what the keyframes of either are known by; common: what they are expected to have in common, 0 where that is
+    not known.
     """
 
     a: str
@@ -32,6 +34,7 @@ class PairTrial(NamedTuple):
     ids: Ids
     cfg: MergeConfig
     start: Start | None
+    common: int = 0
 
     @property
     def keyframes(self) -> int:
@@ -48,11 +51,15 @@ class PairTrial(NamedTuple):
 
 
 class Tried(NamedTuple):
-    """What was decided on a pair when both had so many keyframes together, known by `ids`."""
+    """The decision on a pair when both had so many keyframes together, known by `ids`.
+
+    common: what they were expected to have in common, 0 where that was not known.
+    """
 
     merge: Merge
     keyframes: int
     ids: Ids
+    common: int = 0
 
 
 @dataclass(slots=True)
@@ -61,13 +68,41 @@ class PairSearch:
 
     tried: dict[Pair, Tried] = field(default_factory=dict)
 
-    def next(self, sizes: Mapping[str, int]) -> Pair | None:
-        """The pair to be tried now; None when there is none. sizes: robot -> keyframes.
+    def next(self, sizes: Mapping[str, int], common: Mapping[Pair, int] | None = None) -> Pair | None:
+        """The pair to be tried now; None when there is none.
 
-        Robots that hang together already are not tried on each other, but for those whose tie was found when there was
-        less of them. Pairs that were never tried go first, of these the largest maps.
+        sizes: robot -> keyframes. common: cells in which both are expected to have seen walls, of pairs whose starts
+        are told. Of robots that do not hang together those go first that are likely to have seen the same, the most
+        likely ones before others; then pairs that were never tried, the largest maps before others; then those tried
+        when there was less of them, and among these ties too: they hold better with more of both.
         """
-        group = {name: name for name in sizes}
+        roots = self._roots(sizes)
+        best: tuple[int, int] | None = None
+        chosen = None
+        for a, b in _pairs(sorted(sizes)):
+            worth = self._worth((a, b), sizes[a] + sizes[b], (common or {}).get((a, b), 0), apart=roots[a] != roots[b])
+            if worth is not None and (best is None or worth > best):
+                best, chosen = worth, (a, b)
+        return chosen
+
+    def _worth(self, pair: Pair, size: int, common: int, *, apart: bool) -> tuple[int, int] | None:
+        """What comes before what, and how much speaks for it; None where no trial is wanted."""
+        before = self.tried.get(pair)
+        if apart and common >= LIKELY and (before is None or common >= GROWN * before.common):
+            return 2, common
+        if before is None:
+            return (1, size) if apart else None
+        if (apart or before.merge.merged) and size >= GROWN * before.keyframes:
+            return 0, size
+        return None
+
+    def apart(self, names: Iterable[str]) -> bool:
+        """Whether they do not all hang together."""
+        return len(set(self._roots(names).values())) > 1
+
+    def _roots(self, names: Iterable[str]) -> dict[str, str]:
+        """Of each robot one of those that it hangs together with, the same for all of them."""
+        group = {name: name for name in names}
 
         def root(name: str) -> str:
             while group[name] != name:
@@ -78,23 +113,11 @@ class PairSearch:
             if known.merge.merged and a in group and b in group:
                 first, second = sorted((root(a), root(b)))
                 group[second] = first
-        roots = {name: root(name) for name in sizes}
-        best: tuple[bool, int] | None = None
-        chosen = None
-        for a, b in _pairs(sorted(sizes)):
-            before, size = self.tried.get((a, b)), sizes[a] + sizes[b]
-            if before is None:
-                wanted = roots[a] != roots[b]
-            else:
-                wanted = (roots[a] != roots[b] or before.merge.merged) and size >= GROWN * before.keyframes
-            worth = (before is None, size)
-            if wanted and (best is None or worth > best):
-                best, chosen = worth, (a, b)
-        return chosen
+        return {name: root(name) for name in group}
 
     def decided(self, trial: PairTrial, merge: Merge) -> None:
         """What the trial came to."""
-        self.tried[trial.a, trial.b] = Tried(merge, trial.keyframes, trial.ids)
+        self.tried[trial.a, trial.b] = Tried(merge, trial.keyframes, trial.ids, trial.common)
 
     def known(self, ids: Mapping[str, Int[np.ndarray, " _"]]) -> dict[tuple[int, int], Merge]:
         """What stands on every pair of these robots, by their places; closures count keyframes as they are now.
