@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import ReaderError
+from mapweave.io.bag import Bag, open_bag
+from mapweave.io.bag_robots import ODOMETRY, SCAN, bag_robots
 from mapweave.io.laser_logs import LaserSource, read_laser, robots_of
 
 from .ros_logs import N, Recording, driving, wall
@@ -164,3 +166,18 @@ def test_odometry_that_may_be_of_either_robot_is_refused_with_the_way_out(tmp_pa
         read(path, "robot1")
     both = LaserSource(scan_topic="/robot2/scan", odom_topic="/fused")
     assert speed(read_laser(path, "1", both)) == pytest.approx(2)
+
+
+def test_messages_that_a_damaged_index_gives_unasked_are_not_taken_for_odometry(tmp_path, monkeypatch):
+    out = Recording(tmp_path / "a.bag")
+    for k in range(3):
+        for name in ("", "/robot2"):
+            out.scan(10 + k, wall(k), topic=f"{name}/scan")
+            out.odom(10 + k, float(k), topic=f"{name}/odom")
+    bag = open_bag(out.write(), (SCAN, ODOMETRY))
+    bag.counts["/robot2/scan"] = 0  # as the index says, whose chunk holds them all the same
+    whole = Bag._raw
+    monkeypatch.setattr(Bag, "_raw", lambda self, _: whole(self, set(self.kinds)))
+    (robot,) = bag_robots(bag)
+    assert robot.scans == ("/scan",)
+    assert {topic for topic, _, _ in bag.messages({"/scan"})} == {"/scan"}

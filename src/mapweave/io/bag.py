@@ -69,7 +69,7 @@ class Bag:
         self.skipped = 0
         done: set[str] = set()
         for topic, ns, message in self._raw(topics):
-            if topic in done:
+            if topic in done or topic not in topics:  # a damaged index gives messages of others too
                 continue
             try:
                 unpacked = message()
