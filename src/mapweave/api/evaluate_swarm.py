@@ -30,6 +30,8 @@ class SwarmEvaluation(EvaluationBase):
     def unscored(self) -> str:
         if self.score.rmse is not None:
             return ""
+        if self.score.scored:
+            return "the true places are of other times than the result's"
         return (
             f"no robot of the truth was located freely ({self.not_localisable} cannot be located, anchors don't count)"
         )
@@ -72,7 +74,11 @@ def evaluate(directory: Path, truth: Sequence[Path]) -> SwarmEvaluation:
         pairs, information = read_network(directory / "network.npz", len(found.ids))
         anchor = np.array([name in anchors for name in found.ids], dtype=bool)
         cov = found.cov if np.isfinite(found.cov[found.localisable]).all() else None
-        standing = StandingSwarm(found.ids, found.position, cov, found.localisable, anchor, gauge, pairs, information)
+        told = metrics.get("sigma_deg")
+        sigma = float(np.radians(told)) if isinstance(told, float | int) else None
+        standing = StandingSwarm(
+            found.ids, found.position, cov, found.localisable, anchor, gauge, pairs, information, sigma
+        )
         score = score_standing(standing, true).score
     return SwarmEvaluation(score, int((~found.localisable).sum()))
 

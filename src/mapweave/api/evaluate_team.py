@@ -137,7 +137,7 @@ def team_lines(score: TeamScore) -> list[str]:
         ate += f", {r.left_out} where it is left out do not count" if r.left_out else ""
         own = "" if r.single_map_rmse is None else f", own map {_figure(r.single_map_rmse)} m"
         out.append(f"robot {robot_key(name)}: {ate}{own}")
-    return out
+    return [*out, *(f"warning: {doubt}" for doubt in score.doubts)]
 
 
 def _belonging(paths: Sequence[Path], robots: Sequence[str]) -> dict[str, Path]:

@@ -225,4 +225,5 @@ def standing_swarm(net: Network, estimate: SwarmEstimate) -> StandingSwarm:
         estimate.gauge,
         pairs,
         joint,
+        float(np.median(net.sigma)),
     )

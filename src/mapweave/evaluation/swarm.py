@@ -8,7 +8,7 @@ information is known: for positions over time.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,10 @@ from jaxtyping import Bool, Float, Int
 from ..io.sightings import SwarmTruth
 from ..swarm.moving.result import RobotTrajectory
 from ..swarm.result import JointInformation
-from .swarm_shape import PaperErrors, paper_errors, similarity
+from .belonging import MEASURED, STANDING, another_order_fits, beyond, by_chance, few_known, some, spread_of
+from .swarm_shape import PaperErrors, paper_errors, seen_angle_error, similarity
+
+FEW, STAMPS = 12, 40  # robots that move and their stamps that say whether a truth belongs
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +28,8 @@ class SwarmScore:
     """Errors [m] over free, localisable robots that have a truth.
 
     alignment: what was fitted to the truth first, "none" with anchors; errors: as the paper defines them, of robots
-    that stand, after the alignment; crlb_rmse: the Cramer-Rao bound at the truth, where it was asked for.
+    that stand, after the alignment; crlb_rmse: the Cramer-Rao bound at the truth, where it was asked for; doubts: why
+    the truth may be of another recording.
     """
 
     rmse: float | None
@@ -35,6 +39,7 @@ class SwarmScore:
     without_truth: int
     errors: PaperErrors | None = None
     crlb_rmse: float | None = None
+    doubts: tuple[str, ...] = ()
 
     @property
     def rmse_over_crlb(self) -> float | None:
@@ -52,6 +57,7 @@ class SwarmScore:
             "alignment": self.alignment,
             "robots_scored": self.scored,
             "robots_without_truth": self.without_truth,
+            **({"warnings": list(self.doubts)} if self.doubts else {}),
         }
 
     def lines(self) -> list[str]:
@@ -63,7 +69,9 @@ class SwarmScore:
             lines.append(f"distance error {self.errors.distance:.4g} m, angle error {self.errors.angle_deg:.4g} deg")
         if self.alignment != "none":
             lines.append(f"scored after fitting {self.alignment} to the truth")
-        return lines
+        if self.without_truth:
+            lines.append(f"{self.without_truth} robots have no truth and are left out")
+        return [*lines, *(f"warning: {doubt}" for doubt in self.doubts)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +79,7 @@ class StandingSwarm:
     """What is scored of n robots that stand still.
 
     cov: (n, d, d), NaN where unknown, or None; pairs: (m, 2) who sighted whom; information: of all robots jointly,
-    None where a gauge is free or covariances were left out.
+    None where a gauge is free or covariances were left out; sigma: the usual deviation of a bearing [rad], if known.
     """
 
     ids: Sequence[str]
@@ -82,6 +90,7 @@ class StandingSwarm:
     gauge: str
     pairs: Int[np.ndarray, "m 2"]
     information: JointInformation | None = None
+    sigma: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +125,7 @@ def score_standing(swarm: StandingSwarm, truth: SwarmTruth, crlb_rmse: float | N
         without_truth=int((~have).sum()),
         errors=_shape_errors(swarm.pairs, aligned, places, fit) if use.any() else None,
         crlb_rmse=crlb_rmse,
+        doubts=_doubts_standing(swarm, truth, places, fit, nees),
     )
     return StandingScore(score, np.asarray(aligned), places)
 
@@ -123,6 +133,55 @@ def score_standing(swarm: StandingSwarm, truth: SwarmTruth, crlb_rmse: float | N
 def scored_robots(swarm: StandingSwarm, places: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " n"]:
     """(n,) which robots count: localisable, no anchors, and with a truth."""
     return np.asarray(np.isfinite(places).all(axis=1) & swarm.localisable & ~swarm.anchor)
+
+
+def _doubts_standing(
+    swarm: StandingSwarm,
+    truth: SwarmTruth,
+    places: Float[np.ndarray, "n d"],
+    fit: Bool[np.ndarray, " n"],
+    nees: float | None,
+) -> tuple[str, ...]:
+    """Why `truth` may be of another recording than the swarm."""
+    both = np.flatnonzero(fit)
+    both = both[some(len(both))]
+    ours, true = swarm.position[both], places[both]
+
+    def error(order: Int[np.ndarray, " k"]) -> float:
+        there = true[order]
+        if not swarm.gauge:
+            return rms(ours - there) or 0.0
+        return rms(_fitted(ours, there, np.ones(len(ours), bool), swarm.gauge)[0] - there) or 0.0
+
+    spread = spread_of(true)
+    chance = another_order_fits(len(both), error, spread)
+    moved = _moved(truth, swarm.ids)
+    told = [
+        few_known("robots", int(np.isfinite(places).all(axis=1).sum()), len(places)),
+        by_chance("robots", len(both), error(np.arange(len(both)))) if chance else beyond(nees),
+    ]
+    if len(both) > 1 and moved > STANDING * spread:
+        told.append(f"the truth's robots move by up to {moved:.3g} m, the result's stand: its first places count")
+    off = seen_angle_error(swarm.position, places, swarm.pairs[fit[swarm.pairs].all(axis=1)])
+    if off is not None and swarm.sigma and off > MEASURED * swarm.sigma and not chance:
+        told.append(
+            f"angles between robots that are seen are off by {np.degrees(off):.3g} deg where bearings are good to "
+            f"{np.degrees(swarm.sigma):.2g} deg: the truth may be of another recording"
+        )
+    return tuple(filter(None, told))
+
+
+def _moved(truth: SwarmTruth, ids: Sequence[str]) -> float:
+    """The longest way between two true places of one of the robots `ids` [m]: the diagonal of all its places."""
+    known = np.isin(np.array(truth.ids), list(ids)) if truth.t is not None else np.zeros(len(truth.ids), bool)
+    if not known.any():
+        return 0.0
+    names, which = np.unique(np.array(truth.ids)[known], return_inverse=True)
+    low = np.full((len(names), truth.position.shape[1]), np.inf)
+    high = -low
+    np.minimum.at(low, which, truth.position[known])
+    np.maximum.at(high, which, truth.position[known])
+    return float(np.linalg.norm(high - low, axis=1).max())
 
 
 def score_moving(
@@ -136,9 +195,9 @@ def score_moving(
     free = [name for name in there if name not in left_out]
     position = {name: tracks[name].position for name in free}
     alignment, in_frame = "none", there
-    if gauge and free:
-        p, q = np.concatenate([position[k] for k in free]), np.concatenate([there[k] for k in free])
-        have = np.isfinite(q).all(axis=1)
+    p, q = (np.concatenate([at[k] for k in free]) if free else np.zeros((0, 2)) for at in (position, there))
+    have = np.isfinite(q).all(axis=1)
+    if gauge and have.any():
         s, R, t = similarity(p[have], q[have], scale=False, turn=True)
         position = {name: s * p @ R.T + t for name, p in position.items()}
         in_frame = {name: (q - t) @ R / s for name, q in there.items()}
@@ -150,7 +209,40 @@ def score_moving(
     if not gauge and free and len(cov) == len(free):
         nees = marginal_nees(error[have], np.concatenate(cov)[have])
     missing = sum(name not in there for name in tracks)
-    return SwarmScore(rms(error[have]), nees, alignment, len(free), missing), in_frame
+    doubts = _doubts_moving(tracks, free, gauge, truth) or ((told,) if (told := beyond(nees)) else ())
+    return SwarmScore(rms(error[have]), nees, alignment, len(free), missing, doubts=doubts), in_frame
+
+
+def _doubts_moving(
+    tracks: Mapping[str, RobotTrajectory], free: Sequence[str], gauge: str, truth: SwarmTruth
+) -> tuple[str, ...]:
+    """Why `truth` may be of another recording: whoever's true way, it fits as well."""
+    names = [free[k] for k in some(len(free))[:: max(1, len(free) // FEW)]]
+    thinned = {name: _thinned(tracks[name]) for name in names}
+    ways = [_true_tracks(dict.fromkeys(names, thinned[name]), truth) for name in names]
+    p = np.concatenate([thinned[name].position for name in names]) if names else np.zeros((0, 2))
+
+    def error(order: Int[np.ndarray, " k"]) -> float:
+        q = np.concatenate([way[names[k]] for way, k in zip(ways, order, strict=True)])
+        have = np.isfinite(q).all(axis=1)
+        if have.sum() < 2:
+            return np.inf
+        s, R, t = similarity(p[have], q[have], scale=False, turn=True) if gauge else (1.0, np.eye(p.shape[1]), 0.0)
+        return rms(s * p[have] @ R.T + t - q[have]) or 0.0
+
+    told = [few_known("robots", sum(name in truth.ids for name in tracks), len(tracks))]
+    if len(names) > 2:
+        own = error(np.arange(len(names)))
+        places = np.concatenate([ways[k][name] for k, name in enumerate(names)])
+        spread = spread_of(places[np.isfinite(places).all(axis=1)])
+        if np.isfinite(own) and another_order_fits(len(names), error, spread):
+            told.append(by_chance("robots", len(free), own))
+    return tuple(filter(None, told))
+
+
+def _thinned(one: RobotTrajectory) -> RobotTrajectory:
+    keep = np.unique(np.linspace(0, len(one.t) - 1, min(len(one.t), STAMPS)).astype(np.int64))
+    return replace(one, t=one.t[keep], position=one.position[keep], cov=None if one.cov is None else one.cov[keep])
 
 
 def true_places(truth: SwarmTruth, ids: Sequence[str], dim: int) -> Float[np.ndarray, "n d"]:

@@ -32,14 +32,26 @@ def paper_errors(estimate: Points, truth: Points, pairs: Int[np.ndarray, "p 2"])
         triples = np.array([p for a, b, c in combinations(range(n), 3) for p in ((a, b, c), (b, c, a), (c, a, b))])
     else:
         sides = np.unique(np.sort(pairs, axis=1), axis=0)
-        order = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-        same = order[1:, 0] == order[:-1, 0]
-        triples = np.column_stack([order[1:, 0], order[:-1, 1], order[1:, 1]])[same]
+        triples = _seen(pairs)
     if not len(triples):
         return None
     distance = np.abs(_distance(estimate, sides) - _distance(truth, sides))
     angle = np.abs(_angle(estimate, triples) - _angle(truth, triples))
     return PaperErrors(float(distance.mean()), float(np.degrees(angle.mean())))
+
+
+def seen_angle_error(estimate: Points, truth: Points, pairs: Int[np.ndarray, "p 2"]) -> float | None:
+    """Median error of the angles at an observer between two robots it sees [rad]; None where nobody sees two."""
+    triples = _seen(pairs)
+    error = np.abs(_angle(estimate, triples) - _angle(truth, triples))
+    return float(np.median(error)) if len(error) else None
+
+
+def _seen(pairs: Int[np.ndarray, "p 2"]) -> Int[np.ndarray, "q 3"]:
+    """Of `pairs` of observer and seen: an observer and two that it sees, one after the other."""
+    order = np.unique(pairs, axis=0)
+    same = order[1:, 0] == order[:-1, 0]
+    return np.asarray(np.column_stack([order[1:, 0], order[:-1, 1], order[1:, 1]])[same])
 
 
 def similarity(source: Points, target: Points, *, scale: bool, turn: bool) -> tuple[float, np.ndarray, np.ndarray]:

@@ -4,16 +4,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from ..core import se2
 from ..core.names import in_order, robot_key
 from ..core.records import Track
 from ..core.truth import Survey
 from ..landmarks.landmark_map import LandmarkMap
 from ..team.team_map import TeamMap
+from .belonging import STILL, another_order_fits, beyond, by_chance, some, spread_of
 from .consistency import mean_or_none
 from .landmarks import Exchange, LandmarkScore, find_exchanges, naive_mean, rmse_after_alignment, score_landmarks
-from .trajectory import align_tracks, ate, rpe
+from .trajectory import align_tracks, ate, paired, rpe
 
 RPE_SECONDS = 10.0
 Spans = Sequence[tuple[float, float]]  # (begin, end) [s]
@@ -47,7 +49,9 @@ class RobotScore:
 
 @dataclass(frozen=True, slots=True)
 class TeamScore:
-    """What `evaluate` prints. `alignment`: `T_truth_map` of the largest component."""
+    """What `evaluate` prints. `alignment`: `T_truth_map` of the largest component; doubts: why the truth may be of
+    another recording.
+    """
 
     landmarks: LandmarkScore
     alignment: Float[np.ndarray, "3"] | None
@@ -59,6 +63,7 @@ class TeamScore:
     mean_single_rmse_exchanged: float | None = None
     naive_rmse_exchanged: float | None = None
     components: tuple[LandmarkScore, ...] = field(default_factory=tuple)
+    doubts: tuple[str, ...] = ()
 
 
 def score_team(
@@ -94,7 +99,44 @@ def score_team(
         ),
         naive_rmse_exchanged=rmse_after_alignment(naive, mended) if exchanges and naive is not None else None,
         components=scores,
+        doubts=_doubts(maps, scores[0], survey, truths, robots),
     )
+
+
+def _doubts(
+    maps: Sequence[TeamMap],
+    score: LandmarkScore,
+    survey: Survey,
+    truths: Mapping[str, RobotTruth],
+    robots: Mapping[str, RobotScore],
+) -> tuple[str, ...]:
+    """Why the truth may be of another recording: landmarks that fit by chance, or ways no nearer than their middle."""
+    if score.rmse is not None:
+        where = dict(zip(survey.ids, survey.xy, strict=True))
+        ours, chosen = maps[0].landmarks, set(np.array(score.ids)[some(len(score.ids))].tolist())
+        ids = [name for name in ours.ids if name in chosen]
+        true = np.array([where[name] for name in ids])
+        mean = ours.select(ids).mean
+
+        def error(order: Int[np.ndarray, " k"]) -> float:
+            T = se2.align(mean, true[order])
+            return float(np.sqrt(np.mean(np.sum((se2.act(T, mean) - true[order]) ** 2, axis=1))))
+
+        if another_order_fits(len(ids), error, spread_of(true)):
+            return (by_chance("landmarks", len(score.ids), score.rmse),)
+        return (told,) if (told := beyond(score.nees_per_dof)) else ()
+    tracks = {name: track for one in maps for name, track in one.tracks.items()}
+    return tuple(
+        f"robot {robot_key(name)}: a robot that stands in the middle of the true way is as near to it "
+        f"({spread:.3g} m): the truth may be of another robot or recording"
+        for name, r in robots.items()
+        if r.ate is not None and r.ate > max(STILL, spread := _spread(tracks[name], truths[name]))
+    )
+
+
+def _spread(track: Track, truth: RobotTruth) -> float:
+    """RMS distance of the true poses that count from their middle [m]."""
+    return spread_of(paired(track, truth.track, dense=truth.dense)[1][:, :2])
 
 
 def as_json(score: TeamScore) -> dict[str, object]:
@@ -130,6 +172,7 @@ def as_json(score: TeamScore) -> dict[str, object]:
             }
             for name, r in score.robots.items()
         },
+        **({"warnings": list(score.doubts)} if score.doubts else {}),
     }
 
 
