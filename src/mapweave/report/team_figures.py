@@ -124,7 +124,7 @@ def local_against_fused(path: Path, story: TeamStory) -> str:
     columns = min(3, max(1, len(robots)))
     rows = -(-len(robots) // columns)
     scales = {r: c.scales.get(r, 1.0) for c in story.fusion.components for r in c.robots}
-    laid = {r: _laid_over(own[r], scales[r], team.landmarks) for r in robots}
+    laid = {r: _laid_over(own[r], scales.get(r, 1.0), team.landmarks) for r in robots}  # 1: a robot placed afterwards
     size = float(np.ptp(team.landmarks.mean, axis=0).max())
     typical = float(np.median(np.concatenate([np.hypot(*(p - q).T) for p, q in laid.values()])))
     grow = ([f for f in FACTORS if f * typical < 0.04 * size] or [1])[-1]
