@@ -18,6 +18,7 @@ from ..io.landmark_logs import is_landmark_log, landmark_logs_of, read_landmark_
 from ..io.points import read_points
 from ..io.table import Columns
 from ..io.team_map import read_calibration
+from ..landmarks.agreement import agreeing
 from ..landmarks.config import EkfSlamConfig
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import Growth, grow, without_impossible
@@ -90,7 +91,10 @@ def _configured(options: MapOptions) -> LandmarkMapConfig:
 def _map_read(
     logs: Sequence[LandmarkLog], cfg: LandmarkMapConfig, options: MapOptions, title: str, watch: Watch
 ) -> TeamResult:
-    read = [sifted(without_impossible(log, cfg.ekf), cfg.ekf, cfg.sift) for log in _shared(list(logs), options)]
+    read = [
+        sifted(without_impossible(agreeing(log, cfg.ekf), cfg.ekf), cfg.ekf, cfg.sift)
+        for log in _shared(list(logs), options)
+    ]
     watch.lap("read")
     fused, looked = (None if s is None else times_of(read, s) for s in _every(cfg, options))
     times = sorted({*(fused or ()), *(looked or ())})

@@ -1,0 +1,221 @@
+"""Whether a robot's wheels and what it sees speak of one motion: wrong signs, units, or a sensor mounted askew.
+
+A landmark's bearing falls as the robot turns, and its range by the way driven towards it. So the changes between two
+sightings of one landmark, over what was commanded in between, are a turn and a speed scale: of no unit, near one where
+all is well, and robust, as the weighted median of the ratios. No map and no filter is needed.
+
+Wheels with a sign or a unit that is not ours are mended and it is told; other contradictions leave a log without them.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..core.config import config
+from ..core.errors import DataError
+from ..core.landmark_log import LandmarkLog, SightingTable
+from ..core.records import Odometry
+from .config import EkfSlamConfig
+from .ekf_slam import is_landmark
+
+
+@config
+class AgreementConfig:
+    """What pairs of sightings are compared, and between which scales wheels are used."""
+
+    apart: tuple[int, ...] = (1, 2, 4, 8)  # sightings of one landmark, from one of a pair to the other
+    turn_span: tuple[float, float] = (0.1, 2.0)  # [s] between two sightings whose bearings are compared,
+    way_span: tuple[float, float] = (0.5, 4.0)  # [s] and whose ranges are
+    pairs: int = 100  # from which a scale is judged
+    better: float = 0.3  # share of the errors that must go where what was commanded is scaled
+    aside: float = 0.3  # share of the ranges' changes that the way to a side must explain,
+    more_aside: float = 0.15  # and how much more of them than the way ahead
+    turn_scale: tuple[float, float] = (0.35, 2.2)  # between which turns are used,
+    speed_scale: tuple[float, float] = (0.4, 2.5)  # and speeds
+    unit: float = 30.0  # speed scale from which ranges are no metres whatever the speeds
+    near: float = 1.6  # factor by which a scale may miss that of a unit
+    full_turn: float = 6.3  # [rad] beyond which a bearing
+    beyond: float = 0.2  # in such a share of the sightings is in degrees
+    absurd: float = 50.0  # times what nine rows in ten stay under, from which a row is no command
+    with_it: float = 0.1  # turn scale below which bearings do not follow the turns, whatever the sign
+
+
+SURE = 6.0  # standard deviations of a median of independent pairs; pairs share sightings
+TINY = 1e-12  # scale that is none
+TURN_UNITS = {"": 1.0, "degrees a second": np.pi / 180.0}
+SPEED_UNITS = {"": 1.0, "km/h": 1 / 3.6, "cm/s": 0.01, "mm/s": 0.001}
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """What was seen over what was commanded, from `pairs` pairs.
+
+    fit: the share of the changes that it explains; better: the share of the errors that it removes from a scale of one;
+    least: what it is not under, by `SURE` standard deviations of the median.
+    """
+
+    value: float
+    fit: float
+    better: float
+    pairs: int
+    least: float = 0.0
+
+    @classmethod
+    def of(cls, commanded: Float[np.ndarray, " p"], seen: Float[np.ndarray, " p"]) -> "Scale":
+        """The factor of least absolute errors: the median of the ratios, weighted by what was commanded."""
+        told = np.abs(commanded) > 0
+        x, y = commanded[told], seen[told]
+        whole = float(np.abs(y).sum())
+        if not len(x) or whole == 0.0:
+            return cls(0.0, 0.0, 0.0, len(x))
+        ratio = y / x
+        order = np.argsort(ratio, kind="stable")
+        weight = np.cumsum(np.abs(x)[order])
+        half, sd = weight[-1] / 2, float(np.sqrt((x**2).sum())) / 2
+        value, least = (float(ratio[order][np.searchsorted(weight, w)]) for w in (half, max(half - SURE * sd, 0.0)))
+        left, at_one = float(np.abs(y - value * x).sum()), float(np.abs(y - x).sum())
+        return cls(value, 1.0 - left / whole, 1.0 - left / at_one if at_one else 0.0, len(x), least)
+
+    def elsewhere(self, span: tuple[float, float], cfg: AgreementConfig) -> bool:
+        """Whether it lies clearly outside `span`: noise in what is commanded lowers a scale, nothing raises it."""
+        if self.pairs < cfg.pairs or span[0] <= self.value <= span[1]:
+            return False
+        return self.better >= cfg.better or self.least > span[1]
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """turn: of bearings over turns; speed: of ranges over the way ahead; aside: over the way to the left."""
+
+    turn: Scale
+    speed: Scale
+    aside: Scale
+
+    @classmethod
+    def of(cls, seen: SightingTable, wheels: Odometry, ekf: EkfSlamConfig, cfg: AgreementConfig) -> "Agreement":
+        angle, way = _commanded(seen.t, wheels, ekf, cfg)
+        a, b = _pairs(seen, cfg.apart)
+        dt = seen.t[b] - seen.t[a]
+        near = (dt >= cfg.turn_span[0]) & (dt <= cfg.turn_span[1])
+        far = (dt >= cfg.way_span[0]) & (dt <= cfg.way_span[1])
+        i, j = a[near], b[near]
+        turned = np.remainder(seen.bearing[j] - seen.bearing[i] + np.pi, 2 * np.pi) - np.pi
+        turn = Scale.of(angle[i] - angle[j], turned)
+        i, j = a[far], b[far]
+        nearer, gone = seen.range[i] - seen.range[j], way[j] - way[i]
+        ahead, left = (
+            Scale.of(0.5 * gone * (part(seen.bearing[i]) + part(seen.bearing[j])), nearer) for part in (np.cos, np.sin)
+        )
+        return cls(turn, ahead, left)
+
+    def looks_aside(self, cfg: AgreementConfig) -> bool:
+        """Whether the way to a side explains the ranges clearly better than the way ahead."""
+        enough = min(self.speed.pairs, self.aside.pairs) >= cfg.pairs
+        return enough and self.aside.fit >= max(cfg.aside, self.speed.fit + cfg.more_aside)
+
+
+def agreeing(log: LandmarkLog, ekf: EkfSlamConfig, cfg: AgreementConfig | None = None) -> LandmarkLog:
+    """The log with wheels that its sightings do not contradict, mended or left out with a warning; often as it is.
+
+    Raises DataError for bearings in degrees and for ranges in units smaller than metres.
+    """
+    cfg, seen, wheels = cfg or AgreementConfig(), log.sightings, log.odometry
+    _check_bearings(log, cfg)
+    if wheels is None or not len(seen):
+        return log
+    found = Agreement.of(seen, wheels, ekf, cfg)
+    told: list[str] = []
+    turn, speed = found.turn, found.speed
+    if turn.elsewhere(cfg.turn_scale, cfg):
+        unit = _unit(turn.value, TURN_UNITS, cfg)
+        if abs(turn.value) < cfg.with_it:
+            told.append(
+                f"its bearings do not follow its turns ({turn.value:.2f} of them): its odometry is of another robot or "
+                "another time, or wrong"
+            )
+        elif turn.value < 0:
+            told.append(
+                f"its bearings run against its turns ({turn.value:.2f} of them): one of the two has the wrong sign, "
+                "and if it is the bearings', what it maps is mirrored"
+            )
+        else:
+            told.append(f"its bearings change {_times(turn.value)} what its turns say")
+        if unit is None:
+            return _without_wheels(log, told)
+        told[-1] += f"; its turns are taken {_taken(unit, turn.value)}"
+        wheels = Odometry(wheels.t, wheels.v, wheels.w * np.copysign(TURN_UNITS[unit], turn.value))
+    if found.looks_aside(cfg):
+        side = "left" if found.aside.value > 0 else "right"
+        told.append(f"what its bearings call its {side} lies ahead: its sensor is mounted turned by about 90 degrees")
+        return _without_wheels(log, told)
+    if speed.elsewhere(cfg.speed_scale, cfg):
+        if speed.value > cfg.unit:
+            raise DataError(
+                f"{log.source}: {log.robot}: its ranges change {_times(speed.value)} what its speed says: "
+                "expected metres"
+            )
+        unit = _unit(speed.value, SPEED_UNITS, cfg)
+        told.append(
+            "its ranges grow where its speed leads towards what it sees: its speed or its sensor is reversed"
+            if speed.value < 0
+            else f"its ranges change {_times(speed.value)} what its speed says: one of the two is not in metres"
+        )
+        if unit is None:
+            return _without_wheels(log, told)
+        told[-1] += f"; its speeds are taken {_taken(unit, speed.value)}"
+        wheels = Odometry(wheels.t, wheels.v * np.copysign(SPEED_UNITS[unit], speed.value), wheels.w)
+    return replace(log, odometry=wheels, warnings=(*log.warnings, *told)) if told else log
+
+
+def _check_bearings(log: LandmarkLog, cfg: AgreementConfig) -> None:
+    bearings = np.concatenate([log.sightings.bearing, log.bearings.bearing])
+    beyond = float((np.abs(bearings) > cfg.full_turn).mean()) if len(bearings) else 0.0
+    if beyond >= cfg.beyond:
+        raise DataError(
+            f"{log.source}: {log.robot}: {beyond:.0%} of its bearings are beyond a full turn: expected radians, "
+            "found what looks like degrees"
+        )
+
+
+def _unit(scale: float, units: Mapping[str, float], cfg: AgreementConfig) -> str | None:
+    """The unit of `units` whose factor `scale` is nearest to, whatever its sign, if it is near."""
+    missed = {name: abs(float(np.log(max(abs(scale), TINY) / factor))) for name, factor in units.items()}
+    best = min(missed, key=missed.__getitem__)
+    return best if missed[best] <= np.log(cfg.near) else None
+
+
+def _taken(unit: str, scale: float) -> str:
+    signed = ["with the other sign"] if scale < 0 else []
+    return " and ".join([*signed, *([f"as {unit}"] if unit else [])])
+
+
+def _without_wheels(log: LandmarkLog, told: Sequence[str]) -> LandmarkLog:
+    return replace(log, odometry=None, warnings=(*log.warnings, *told, "its odometry is left out"))
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.0f} times" if ratio >= 10 else f"{ratio:.2g} times"
+
+
+def _pairs(seen: SightingTable, apart: tuple[int, ...]) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
+    """Rows of the same landmark, so many of its sightings apart."""
+    first, second = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    for k, name in enumerate(seen.ids):
+        if is_landmark(name):
+            rows = np.flatnonzero(seen.what == k)
+            first += [rows[:-n] for n in apart]
+            second += [rows[n:] for n in apart]
+    return np.concatenate(first), np.concatenate(second)
+
+
+def _commanded(
+    t: Float[np.ndarray, " n"], wheels: Odometry, ekf: EkfSlamConfig, cfg: AgreementConfig
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """The angle [rad] and the way [m] commanded until `t`; absurd rows count as standing."""
+    dt = np.append(np.minimum(np.diff(wheels.t), ekf.hold), 0.0)
+    sane = (np.where(np.abs(x) <= cfg.absurd * np.quantile(np.abs(x), 0.9), x, 0.0) for x in (wheels.w, wheels.v))
+    sums = (np.append(0.0, np.cumsum(rate * dt)[:-1]) for rate in sane)
+    angle, way = (np.interp(t, wheels.t + ekf.lag, total) for total in sums)
+    return angle, way
