@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import DataError
+from mapweave.core.se2 import wrap_angle
 from mapweave.swarm.config import SwarmConfig
 from mapweave.swarm.distributed import links_of
 from mapweave.swarm.locate import locate
@@ -30,6 +31,55 @@ def test_neighbours_talking_reach_the_answer_of_the_centre(scene):
     assert (apart / spread).max() < AGREEMENT
     assert talked.status is Status.CONVERGED
     assert talked.reliable
+
+
+@pytest.mark.parametrize(
+    "scene", [{}, {"missing": 0.2, "sigma": 2.0}, {"anchors": (0, 24)}], ids=["eight", "lost", "two known"]
+)
+def test_robots_without_a_common_axis_agree_on_one_and_reach_the_answer_of_the_centre(scene):
+    net, _ = simulated(1, robots=25, axis=False, **scene)
+    centre, talked = locate(net), locate(net, TALKING)
+    free = centre.localisable & ~centre.anchor
+    spread = np.sqrt(np.trace(centre.cov[free], axis1=1, axis2=2))
+    apart = np.linalg.norm(talked.position - centre.position, axis=1)[free]
+    assert (apart / spread).max() < AGREEMENT
+    assert np.abs(wrap_angle(talked.heading - centre.heading)).max() < 1e-4
+    np.testing.assert_allclose(talked.heading_var, centre.heading_var, rtol=1e-3)
+    assert talked.status is Status.CONVERGED
+    assert talked.reliable
+    np.testing.assert_array_equal(talked.outlier, centre.outlier)
+
+
+def test_robots_that_only_see_and_are_seen_by_some_take_their_heading_from_where_they_are():
+    net, _ = simulated(2, robots=25, axis=False, visibility="mutual")
+    lonely = 12  # sees all its neighbours, and none of them sees it but two
+    seen_by = np.flatnonzero(net.target == lonely)
+    kept = np.setdiff1d(np.arange(len(net.observer)), seen_by[2:])
+    answered = np.isin(net.target, net.observer[seen_by[:2]]) & (net.observer == lonely)
+    heard = net.select(np.setdiff1d(kept, np.flatnonzero(answered)))
+    centre, talked = locate(heard), locate(heard, TALKING)
+    assert not talked.outlier.any()
+    assert abs(wrap_angle(talked.heading[lonely] - centre.heading[lonely])) < 1e-4
+
+
+def test_where_nobody_is_seen_back_those_who_see_three_anchors_begin():
+    net, truth = simulated(3, robots=16, axis=False, visibility="directed", anchors=range(0, 16, 2))
+    back = set(zip(net.target.tolist(), net.observer.tolist(), strict=True))
+    once = [(i < j) or (i, j) not in back for i, j in zip(net.observer.tolist(), net.target.tolist(), strict=True)]
+    single = net.select(np.array(once))
+    centre, talked = locate(single), locate(single, TALKING)
+    assert centre.localisable.sum() > 10
+    np.testing.assert_array_equal(talked.localisable, centre.localisable)
+    np.testing.assert_allclose(talked.position, centre.position, atol=1e-3)
+    assert np.abs(talked.position - truth)[talked.localisable].max() < 1.0
+
+
+def test_first_places_give_first_headings_without_a_word():
+    net, truth = simulated(4, robots=25, axis=False, visibility="single")
+    centre, talked = locate(net, SwarmConfig(), truth + 0.3), locate(net, TALKING, truth + 0.3)
+    assert centre.localisable.all()
+    assert centre.reliable
+    np.testing.assert_allclose(talked.position, centre.position, atol=1e-3)
 
 
 def test_rounds_messages_and_bytes_are_counted():
@@ -81,3 +131,6 @@ def test_what_neighbours_cannot_agree_on_is_refused():
     net, _ = simulated(1, robots=36, anchors=(0,))
     with pytest.raises(DataError, match="two anchors"):
         locate(net, TALKING)
+    alone, _ = simulated(1, robots=36, axis=False, visibility="single")
+    with pytest.raises(DataError, match="no heading can be started"):
+        locate(alone, TALKING)

@@ -1,27 +1,29 @@
 """The same answer without a centre: each robot keeps its own position and talks only to those it sees or is seen by.
 
 First the linear start by Jacobi over-relaxation: everybody tells its position and moves to where its neighbours and
-its sightings put it. Then Gaussian belief propagation: what robot i tells j is what all its other neighbours make it
-believe about j through their common sightings. Who has nothing new to say stays silent; when all are silent it ends.
+its sightings put it; without a common axis robots agree on one before (`common_axis`). Then Gaussian belief
+propagation: what robot i tells j is what all its other neighbours make it believe about j through their common
+sightings. Who has nothing new to say stays silent; when all are silent it ends.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..core.errors import DataError
+from ..core.se2 import wrap_angle
 from ..solve import Status as SolveStatus
 from . import bearing
 from .batch import refine
+from .common_axis import agreed
 from .config import SwarmConfig
 from .network import Network, components, effective_sigma
 from .posterior import posterior
-from .result import SwarmEstimate, Traffic
+from .result import FLOAT, SwarmEstimate, Traffic
 from .start import Start, prepare
 
 TINY = 1e-9  # [m rad] that a guard against dividing by zero adds
-FLOAT = 8  # bytes of a number in a message
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,32 +39,51 @@ class MessageLinks:
 def distributed(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) -> SwarmEstimate:
     """Positions agreed on by talking; covariances and verdicts are added centrally, for the reader.
 
-    Raises DataError without a common axis, without two anchors at distinct places, or with known distances: a gauge or
-    a length is nothing neighbours can agree on by themselves.
+    Without a common axis the sightings of robots whose heading nobody could tell are left out. Raises DataError without
+    two anchors at distinct places, or with known distances: a gauge or a length is nothing neighbours can agree on by
+    themselves.
     """
-    if not net.axis or net.distances or len({tuple(p) for p in net.anchors.values()}) < 2:
-        raise DataError("the distributed method needs a common axis and two anchors, and takes no known distances")
-    parts = components(net)
-    reached = (parts.known >= 2)[parts.label]  # others hear of no two anchors, whoever passes word on, and stay silent
-    everyone, net = net, net.select(reached[net.observer])
-    if not len(net.observer):
-        raise DataError("no two anchors hang together by sightings: the distributed method has nothing to start from")
+    if net.distances or len({tuple(p) for p in net.anchors.values()}) < 2:
+        raise DataError("the distributed method needs two anchors, and takes no known distances")
+    everyone, (net, reached) = net, anchored(net)
     links = links_of(net)
     anchors = np.array(list(net.anchors.values()))
     usual = float(np.linalg.norm(np.ptp(anchors, axis=0))) / np.sqrt(len(net))  # known to all beforehand
-    position, said = (initial.copy(), Traffic(0, 0, 0)) if initial is not None else relaxed(net, links, usual, cfg)
+    heading, told = None, np.ones(len(everyone.observer), dtype=bool)
+    if not net.axis:
+        position, heading, known, said = agreed(net, lambda flat: relaxed(flat, links_of(flat), usual, cfg), initial)
+        told = known[everyone.observer] | ~reached[everyone.observer]
+        everyone = everyone.select(told)
+        net, reached = anchored(everyone)
+        links = links_of(net)
+    elif initial is None:
+        position, said = relaxed(net, links, usual, cfg)
+    else:
+        position, said = initial.copy(), Traffic(0, 0, 0)
     for k, p in net.anchors.items():
         position[k] = p
-    position, more = believed(net, links, position, cfg)
-    traffic = Traffic(said.rounds + more.rounds, said.messages + more.messages, said.bytes + more.bytes)
+    position, heading, more = believed(net, links, position, cfg, heading, usual)
+    traffic = said + more
     net = everyone
     if not reached.all():
         position[~reached] = prepare(net).position[~reached]
-    start: Start = prepare(net, position)
+    start: Start = prepare(net, position, heading)
     solution, problem, pattern = refine(net, start, replace(cfg, max_iterations=0))
     notes = () if more.rounds < cfg.max_rounds else (f"still talking after {more.rounds} rounds",)
     converged = replace(solution, iterations=traffic.rounds, status=solution.status if notes else SolveStatus.CONVERGED)
-    return posterior(net, start, converged, problem, cfg, "distributed", traffic=traffic, notes=notes, pattern=pattern)
+    return posterior(net, start, converged, problem, cfg, "distributed", ~told, traffic, notes, pattern)
+
+
+def anchored(net: Network) -> tuple[Network, Bool[np.ndarray, " n"]]:
+    """The sightings of pieces with two anchors, and who is in them; the others hear of no two anchors and stay silent.
+
+    Raises DataError when there is no such piece.
+    """
+    parts = components(net)
+    reached = (parts.known >= 2)[parts.label]
+    if not reached[net.observer].any():
+        raise DataError("no two anchors hang together by sightings: the distributed method has nothing to start from")
+    return net.select(reached[net.observer]), reached
 
 
 def links_of(net: Network) -> MessageLinks:
@@ -107,46 +128,62 @@ def relaxed(
 
 
 def believed(
-    net: Network, links: MessageLinks, start: Float[np.ndarray, "n d"], cfg: SwarmConfig
-) -> tuple[Float[np.ndarray, "n d"], Traffic]:
-    """Gaussian belief propagation from `start`, linearised anew as the beliefs move."""
+    net: Network,
+    links: MessageLinks,
+    start: Float[np.ndarray, "n d"],
+    cfg: SwarmConfig,
+    heading: Float[np.ndarray, " n"] | None = None,
+    usual: float = 1.0,
+) -> tuple[Float[np.ndarray, "n d"], Float[np.ndarray, " n"] | None, Traffic]:
+    """Gaussian belief propagation from `start`, linearised anew as the beliefs move; headings where there are any.
+
+    usual: [m] by which headings are multiplied, so that all a robot believes is of one unit and size.
+    """
     n, dim = len(net), net.dim
-    eye = np.eye(dim)
-    fixed = net.is_anchor
-    x = start.copy()
-    at = start.copy()  # where each robot's sightings are linearised
-    faint = cfg.messages.faint / max(float(np.median(_range(net, x) * effective_sigma(net))), TINY) ** 2
-    W, s, size = _linearised(net, links, at)
+    x = start.copy() if heading is None else np.column_stack([start, usual * heading])
+    w = x.shape[1]
+    eye = np.eye(w)
+    held = np.zeros((n, w), dtype=bool)
+    held[net.is_anchor, :dim] = True
+    all_known = np.asarray(held.all(axis=1))
+    at = x.copy()  # where each robot's sightings are linearised
+    faint = cfg.messages.faint / max(float(np.median(_range(net, start) * effective_sigma(net))), TINY) ** 2
+    said = _linearised(net, links, at, usual)
     # Link a -> b: what a told b; at first as if a were known, since two who each know one direction tell nothing.
-    Lam = W.copy()
-    eta = np.einsum("lab,lb->la", W, at[links.b]) + s
+    Lam = said.bb.copy()
+    eta = said.of_known_a.copy()
     rounds, messages = 1, len(links.a)
     speaks = np.ones(len(links.a), dtype=bool)
+    listens = ~all_known
+    if heading is not None:
+        listens[net.is_anchor] = False
+        listens[net.observer] = True
     while speaks.any() and rounds < cfg.max_rounds:
         rounds += 1
         belief, carried = np.tile(faint * eye, (n, 1, 1)), faint * x
         np.add.at(belief, links.b, Lam)
         np.add.at(carried, links.b, eta)
-        x[~fixed] = np.linalg.solve(_firm(belief), carried[..., None])[~fixed, :, 0]
+        x = np.where(held, x, np.linalg.solve(_firm(belief), carried[..., None])[..., 0])
         if rounds % cfg.messages.relinearise == 0:
             at = x.copy()
-            W, s, size = _linearised(net, links, at)
-        own = np.einsum("lab,lb->la", W, at[links.b] - at[links.a]) + s  # of b; of a it is the negative
-        cavity = W + belief[links.a] - Lam[links.back]
-        left = carried[links.a] - eta[links.back] - own
-        gain = np.linalg.solve(_firm(cavity), np.concatenate([W, left[..., None]], axis=2))
-        to_b = W - W @ gain[..., :dim]
-        new_eta = own + np.einsum("lab,lb->la", W, gain[..., dim])
-        known = fixed[links.a]
-        to_b[known] = W[known]
-        new_eta[known] = (own + np.einsum("lab,lb->la", W, x[links.a]))[known]
+            said = _linearised(net, links, at, usual)
+        cavity = said.bb[links.back] + belief[links.a] - Lam[links.back]
+        left = carried[links.a] - eta[links.back] + said.own[links.back]
+        gain = np.linalg.solve(_firm(cavity), np.concatenate([said.ab, left[..., None]], axis=2))
+        ba = np.ascontiguousarray(said.ab.swapaxes(1, 2))
+        to_b = said.bb - ba @ gain[..., :w]
+        new_eta = said.own - np.einsum("lab,lb->la", ba, gain[..., w])
+        known = all_known[links.a]
+        to_b[known] = said.bb[known]
+        new_eta[known] = (said.own - np.einsum("lab,lb->la", ba, x[links.a]))[known]
         change = (new_eta - eta) - np.einsum("lab,lb->la", to_b - Lam, x[links.b])
-        firmer = np.linalg.norm(to_b - Lam, axis=(1, 2)) > cfg.messages.firmer * np.linalg.norm(W, axis=(1, 2))
-        speaks = (firmer | (np.linalg.norm(change, axis=1) * size > cfg.tolerance)) & ~fixed[links.b]
+        firmer = np.linalg.norm(to_b - Lam, axis=(1, 2)) > cfg.messages.firmer * np.linalg.norm(said.bb, axis=(1, 2))
+        speaks = (firmer | (np.linalg.norm(change, axis=1) * said.size > cfg.tolerance)) & listens[links.b]
         Lam[speaks], eta[speaks] = to_b[speaks], new_eta[speaks]
         messages += int(np.count_nonzero(speaks))
-    floats = dim * (dim + 1) // 2 + 2 * dim  # information, its vector, and where the sender stands
-    return x, Traffic(rounds, messages, messages * floats * FLOAT)
+    floats = w * (w + 1) // 2 + 2 * w  # information, its vector, and where the sender stands
+    traffic = Traffic(rounds, messages, messages * floats * FLOAT)
+    return x[:, :dim], None if heading is None else np.asarray(wrap_angle(x[:, dim] / usual)), traffic
 
 
 def _firm(A: np.ndarray) -> np.ndarray:
@@ -161,18 +198,62 @@ def _by_link(links: MessageLinks, value: np.ndarray) -> np.ndarray:
     return np.asarray(out + out[links.back])
 
 
-def _linearised(net: Network, links: MessageLinks, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """W (l, d, d) and s (l, d): information and pull of all sightings on a link; size (l,): from pull to radians."""
-    u, r = bearing.predict(at[net.observer], at[net.target])
-    e = bearing.log_map(u, net.direction)
+@dataclass(frozen=True, slots=True)
+class LinkInformation:
+    """All sightings on each link a -> b, linearised; known entries of the state do not count in `bb` and `ab`.
+
+    bb: of b; ab: between a (rows) and b; own: the information vector of b, of_known_a: that with a where it is
+    linearised; size: from a pull to radians.
+    """
+
+    bb: Float[np.ndarray, "l w w"]
+    ab: Float[np.ndarray, "l w w"]
+    own: Float[np.ndarray, "l w"]
+    of_known_a: Float[np.ndarray, "l w"]
+    size: Float[np.ndarray, " l"]
+
+
+def _linearised(net: Network, links: MessageLinks, at: np.ndarray, usual: float) -> LinkInformation:
+    there = at[:, : net.dim]
+    u, r = bearing.predict(there[net.observer], there[net.target])
     sigma = effective_sigma(net)
+    size = np.zeros(len(links.a))
+    np.maximum.at(size, links.of_sighting, sigma**2 * r)
+    size = np.maximum(size, size[links.back])
+    if not net.axis:
+        return _with_headings(net, links, at, usual, size)
+    e = bearing.log_map(u, net.direction)
     information = 1.0 / (sigma * r) ** 2
     W = _by_link(links, information[:, None, None] * (np.eye(net.dim) - u[:, :, None] * u[:, None, :]))
     out = np.zeros((len(links.a), net.dim))
     np.add.at(out, links.of_sighting, (information * r)[:, None] * e)
-    size = np.zeros(len(links.a))
-    np.maximum.at(size, links.of_sighting, sigma**2 * r)
-    return W, out - out[links.back], np.maximum(size, size[links.back])
+    pull = out - out[links.back]
+    own = np.einsum("lab,lb->la", W, at[links.b] - at[links.a]) + pull
+    return LinkInformation(W, -W, own, np.einsum("lab,lb->la", W, at[links.b]) + pull, size)
+
+
+def _with_headings(
+    net: Network, links: MessageLinks, at: np.ndarray, usual: float, size: np.ndarray
+) -> LinkInformation:
+    """The same over (x, y, usual times the heading); anchors' places are known."""
+    i, j = net.observer, net.target
+    p, q = at[i, :2], at[j, :2]
+    by_q = bearing.angle_jacobian(p, q)
+    free = np.where(net.is_anchor, 0.0, 1.0)[:, None]
+    J_i = np.column_stack([-by_q * free[i], np.full(len(i), -1.0 / usual)])
+    J_j = np.column_stack([by_q * free[j], np.zeros(len(i))])
+    e = bearing.angle_residual(net.bearing + at[i, 2] / usual, p, q)
+    weight = 1.0 / effective_sigma(net) ** 2
+    bb, ab, pull = (np.zeros((len(links.a), *shape)) for shape in ((3, 3), (3, 3), (3,)))
+    forth, back = links.of_sighting, links.back[links.of_sighting]
+    for link, J_a, J_b in ((forth, J_i, J_j), (back, J_j, J_i)):
+        weighted = weight[:, None] * J_b
+        np.add.at(bb, link, J_b[:, :, None] * weighted[:, None, :])
+        np.add.at(ab, link, J_a[:, :, None] * weighted[:, None, :])
+        np.add.at(pull, link, e[:, None] * weighted)
+    of_known_a = np.einsum("lab,lb->la", bb, at[links.b]) + pull
+    own = of_known_a + np.einsum("lab,la->lb", ab, at[links.a])
+    return LinkInformation(bb, ab, own, of_known_a, size)
 
 
 def _range(net: Network, x: np.ndarray) -> Float[np.ndarray, " m"]:

@@ -8,7 +8,7 @@ from ..core.errors import DataError
 from .config import VERDICT, SwarmConfig, VerdictConfig
 from .factors import bearing_factor, width
 from .gauge import gauge_of
-from .headings import resected_headings
+from .headings import headings_at
 from .kalman import FilterState, Form, filter_start, update
 from .linear import linear_pattern, linear_start
 from .network import Network, components
@@ -52,9 +52,7 @@ def _with_headings(net: Network, initial: np.ndarray | None) -> tuple[Network, n
     first = np.array(initial, dtype=float)
     for k, p in net.anchors.items():
         first[k] = p
-    everybody, nobody = np.ones(len(net), dtype=bool), np.zeros(len(net), dtype=bool)
-    heading, _ = resected_headings(net, first, everybody, np.zeros(len(net)), nobody)
-    return net, np.ones(len(net.observer), dtype=bool), first, heading
+    return net, np.ones(len(net.observer), dtype=bool), first, headings_at(net, first)
 
 
 def report(

@@ -131,6 +131,12 @@ def resected_headings(
     return np.where(fresh, np.angle(total), heading), known | fresh
 
 
+def headings_at(net: Network, position: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+    """Headings [rad] that fit what each robot sees with all robots at `position`; zero of those that see nobody."""
+    everybody, nobody = np.ones(len(net), dtype=bool), np.zeros(len(net), dtype=bool)
+    return resected_headings(net, position, everybody, np.zeros(len(net)), nobody)[0]
+
+
 def anchored_turn(net: Network, position: Float[np.ndarray, "n 2"], chosen: np.ndarray) -> float:
     """The turn [rad] that carries a shape onto its anchors best (place and scale free)."""
     at = np.array([k for k in net.anchors if chosen[k]], dtype=np.intp)

@@ -68,6 +68,9 @@ class Status(StrEnum):
     FAILED = "failed"  # positions are the last finite ones
 
 
+FLOAT = 8  # bytes of a number in a message
+
+
 @dataclass(frozen=True, slots=True)
 class Traffic:
     """What the robots said to each other: rounds in step, messages between two robots, bytes in all."""
@@ -75,6 +78,9 @@ class Traffic:
     rounds: int
     messages: int
     bytes: int
+
+    def __add__(self, other: "Traffic") -> "Traffic":
+        return Traffic(self.rounds + other.rounds, self.messages + other.messages, self.bytes + other.bytes)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from ..core.errors import DataError
 from ..solve import Pattern
 from .gauge import Gauge, gauge_of, normalise
-from .headings import anchored_turn, beacon_headings, mutual_headings, resected_headings, world_directions
+from .headings import anchored_turn, beacon_headings, headings_at, mutual_headings, resected_headings, world_directions
 from .linear import linear_pattern, linear_start
 from .network import Components, Network, components
 from .observability import Observability, observe, without_lines
@@ -76,10 +76,13 @@ class Start:
     pattern: Pattern | None = None  # of the sightings alone with the anchors held, where that is the whole problem
 
 
-def prepare(net: Network, initial: np.ndarray | None = None) -> Start:
-    """A start without a guess, and what can be told from these sightings at all."""
+def prepare(net: Network, initial: np.ndarray | None = None, heading: np.ndarray | None = None) -> Start:
+    """A start without a guess, and what can be told from these sightings at all.
+
+    initial: positions that take its place; heading: [rad], without a common axis (else those that fit `initial`).
+    """
     parts = components(net)
-    heading, used = None, np.ones(len(net.observer), dtype=bool)
+    used = np.ones(len(net.observer), dtype=bool)
     pattern = None
     if net.axis:
         pattern, held = linear_pattern(net, parts)
@@ -87,6 +90,9 @@ def prepare(net: Network, initial: np.ndarray | None = None) -> Start:
         if net.distances or not (held == net.is_anchor).all():
             pattern = None  # what follows holds other entries
         seen = observe(net, parts, position, pattern)
+    elif initial is not None:
+        position, heading = initial, headings_at(net, initial) if heading is None else heading
+        seen = observe(net, parts, position)
     else:
         position, heading, seen, used = start_without_axis(net, parts)
         net = net.select(used)
