@@ -17,7 +17,6 @@ import argparse
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -143,16 +142,14 @@ def measured(sensor: str, robots: int, rate: float, seconds: float) -> Row:
         for told in base[(k - 1) % ways]
     ]
     every.sort(key=lambda one: one[0])
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        at = f"tcp/127.0.0.1:{s.getsockname()[1]}"
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, __file__, "--mapping", folder, "--at", at]
+        command = [sys.executable, __file__, "--mapping", folder]
         mapping = subprocess.Popen(command, env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"})
         while not Path(folder, "ready").exists():
             if mapping.poll() is not None:
                 raise SystemExit("the map process did not begin")
             time.sleep(0.1)
+        at = Path(folder, "ready").read_text()
         sent = told_by_all(every, robots, at)
         time.sleep(3.0)
         mapping.terminate()
@@ -262,19 +259,20 @@ def memory(which: str) -> float:
     return int(Path("/proc/self/status").read_text().split(f"{which}:")[1].split()[0])
 
 
-def mapping(folder: Path, at: str) -> None:
+def mapping(folder: Path) -> None:
     """The map process under load, until it is terminated."""
     keep_one_blas_thread()
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     warmed()
-    with Store(folder / "map.sqlite", "a map of team") as store, session(Network(listen=(at,))) as opened:
+    network, at = Network(listen=("tcp/127.0.0.1:0",)), list[str]()
+    with Store(folder / "map.sqlite", "a map of team") as store, session(network, at.append) as opened:
         inbox = Timed(store)
         process = TimedMap("map", opened, Topics("team"), store, inbox, lambda _: None)
         process.starts = lambda names: starts_among(names, dict.fromkeys(names, (0.0, 0.0, 0.0)))
         process.join()
         before = time.process_time()
-        (folder / "coming").write_text("")
+        (folder / "coming").write_text(at[0])
         (folder / "coming").rename(folder / "ready")
         process.run(stop, 2.0, lambda _: False)
         cpu = time.process_time() - before
@@ -367,10 +365,9 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--mapping", type=Path)
-    parser.add_argument("--at", default="")
     given = parser.parse_args()
     if given.mapping is not None:
-        mapping(given.mapping, given.at)
+        mapping(given.mapping)
         return
     rows = []
     for case in given.cases.split("/"):

@@ -4,6 +4,8 @@ import datetime as dt
 import json
 import shutil
 import time
+import warnings
+from threading import Event
 
 import pytest
 
@@ -11,10 +13,13 @@ from mapweave.api.live_keys import live_keys
 from mapweave.api.simulate_landmarks import simulate_landmarks
 from mapweave.cli.live_door import FORGED, STRANGER, reason_of
 from mapweave.core.errors import DataError, UsageError
+from mapweave.live import transport
 from mapweave.live.credentials import Authority, _authority, issue, make_team, tls_settings
 from mapweave.live.messages import encode
+from mapweave.live.robot import RobotProcess
+from mapweave.live.store import Store
 from mapweave.live.topics import Topics
-from mapweave.live.transport import Network, endpoints, put, session
+from mapweave.live.transport import Network, ask, endpoints, put, session, there_is
 
 from .processes import Fleet, free_endpoint
 from .teams import messages, team
@@ -130,7 +135,9 @@ def test_keys_for_what_cannot_be_are_refused(tmp_path, asked, told):
         live_keys(tmp_path, **asked)
 
 
-@pytest.mark.parametrize("word", ["127.0.0.1:7447", "tcp/7447", "tcp/host:", "http/a:1", "tcp/host:port"])
+@pytest.mark.parametrize(
+    "word", ["127.0.0.1:7447", "tcp/127.0.0.1:0", "tcp/7447", "tcp/host:", "http/a:1", "tcp/host:port"]
+)
 def test_an_endpoint_that_is_none_is_refused(word):
     with pytest.raises(UsageError, match="--connect: expected protocol/host:port"):
         endpoints([word], "--connect")
@@ -145,6 +152,46 @@ def test_a_port_in_use_is_told_in_one_line():
     ):
         pass
     assert "\n" not in str(told.value)
+
+
+def test_port_0_is_one_that_nobody_else_has():
+    at = []
+    anywhere = Network(listen=("tcp/127.0.0.1:0", "tcp/127.0.0.1:0"))
+    with session(anywhere, at.append), session(anywhere, at.append):
+        assert len(set(at)) == 4
+        assert endpoints(at, "--connect") == tuple(at)
+        with pytest.raises(UsageError, match="already in use"), session(Network(listen=(at[2],))):
+            pass
+    assert endpoints(["tcp/127.0.0.1:0"], "--listen") == ("tcp/127.0.0.1:0",)
+
+
+def test_a_port_that_was_taken_meanwhile_is_not_insisted_on(monkeypatch):
+    at = []
+    with session(Network(listen=("tcp/127.0.0.1:0",)), at.append):
+        chosen = iter([at[0], at[0], "tcp/127.0.0.1:0"])
+        choose = transport._with_port
+        monkeypatch.setattr(transport, "_with_port", lambda asked: choose(next(chosen)))
+        with session(Network(listen=("tcp/127.0.0.1:0",)), at.append):
+            assert len(set(at)) == 2
+
+
+def test_a_history_is_answered_without_a_word_of_python(tmp_path):
+    at, answers, ended = [], [], Event()
+    with (
+        warnings.catch_warnings(),
+        session(Network(listen=("tcp/127.0.0.1:0",)), at.append) as asking,
+        session(Network(connect=tuple(at))) as opened,
+        Store(tmp_path / "r1.sqlite", "robot r1") as store,
+    ):
+        warnings.simplefilter("error")
+        store.put([("r1", k, bytes([k])) for k in range(9)])
+        topics = Topics("team")
+        RobotProcess("r1", opened, topics, store, print).join()
+        while not there_is(asking, topics.alive("r1"), 0.0):
+            time.sleep(0.05)
+        ask(asking, topics.history("r1"), "first=2;last=7", answers.append, ended.set)
+        assert ended.wait(60)
+    assert sorted(answers) == [bytes([k]) for k in range(2, 8)]
 
 
 def test_lines_of_refusals_are_known():

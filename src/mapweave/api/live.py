@@ -26,7 +26,7 @@ from ..live.robot import Pace, RobotProcess
 from ..live.sources import messages, open_source
 from ..live.store import Store
 from ..live.topics import Topics
-from ..live.transport import Network, session
+from ..live.transport import LISTENING, Network, session
 from .laser_result import LaserResult
 from .live_ros2 import RosOptions, drive_ros2
 from .map_landmarks import LandmarkMapConfig, map_landmark_logs
@@ -141,7 +141,7 @@ def live_robot(
         header = next(messages(log, name, run, period))[1]
         assert isinstance(header, Header)  # noqa: S101  (the first of every log)
         driving = _driving(header, settings)
-        with session(network) as opened:
+        with session(network, lambda at: say(f"{name}: {LISTENING}{at}")) as opened:
             process = RobotProcess(name, opened, Topics(network.team), store, say, wall)
             process.join()
             say(f"{name}: {log.robot} of {source}, team {network.team}, history in {path}")
@@ -251,7 +251,7 @@ def live_map(
         if fresh:
             kept.clear()
         inbox = Inbox(kept, robots)
-        with session(network) as opened:
+        with session(network, lambda at: say(f"{name}: {LISTENING}{at}")) as opened:
             process = MapProcess(name, opened, Topics(network.team), kept, inbox, say, wall, at_the_door)
             process.shared.cfg = fusing
             process.laser = weaving

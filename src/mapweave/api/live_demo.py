@@ -1,19 +1,19 @@
 """A simulated team that drives now, mapped and shown: every part a process of its own."""
 
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from pathlib import Path
-from threading import Event
+from threading import Event, Thread
 from typing import Literal
 
 from ..core.errors import EstimateError, UsageError
 from ..core.names import in_order
 from ..io.directory import check_target
+from ..live.transport import LISTENING
 from .simulate_landmarks import simulate_landmarks
 
 Say = Callable[[str], None]
@@ -67,18 +67,19 @@ def live_demo(
     with tempfile.TemporaryDirectory(prefix="mapweave-live-") as home, ExitStack() as ending:
         folder = Path(home)
         source, rate = "sim:office", OFFICE_SECONDS / seconds
+        names = [f"r{k}" for k in range(1, robots + 1)]
+        docked = [f"--start={name}=0,0,0" for name in names] if world == "office" else []
+        mapping = _start(
+            "map", *docked, "--out", str(out.absolute()), "--robots", ",".join(names), "--listen", "tcp/127.0.0.1:0",
+            "--team", "demo", "--store", str(folder / "map.sqlite"), *(["--force"] if force else []), heard=True,
+        )  # fmt: skip
+        ending.enter_context(mapping)
+        ending.callback(_end, mapping)
         if world == "landmarks":
             simulate_landmarks(folder / "team", robots=robots, minutes=MINUTES, seed=seed)
             source, rate = str(folder / "team"), 60 * MINUTES / seconds
-        at = _free()
-        names = [f"r{k}" for k in range(1, robots + 1)]
+        at, hearing = _passed_on(mapping, say)
         where = ["--connect", at, "--team", "demo"]
-        docked = [f"--start={name}=0,0,0" for name in names] if world == "office" else []
-        mapping = _start(
-            "map", *docked, "--out", str(out.absolute()), "--robots", ",".join(names), "--listen", at, "--team", "demo",
-            "--store", str(folder / "map.sqlite"), *(["--force"] if force else []),
-        )  # fmt: skip
-        ending.callback(_end, mapping)
         others = {"view": _start("view", "--port", str(port), *where)}
         for name in names:
             words = ["--name", name, "--source", source, "--history", str(folder / f"{name}.sqlite")]
@@ -87,6 +88,7 @@ def live_demo(
             ending.callback(_end, process)
         say(f"watch it at http://127.0.0.1:{port}/ ({seconds:g} s)")
         _wait(mapping, others, stop)
+        hearing.join()
         if mapping.returncode:
             raise EstimateError("the map process ended without a result")
 
@@ -103,9 +105,33 @@ def _wait(mapping: subprocess.Popen[bytes], others: dict[str, subprocess.Popen[b
                 raise UsageError(f"{name} could not go on: see above")
 
 
-def _start(*words: str) -> subprocess.Popen[bytes]:
-    """A process of the team; it does not see the terminal's Ctrl-C, which the demo passes on in order."""
-    return subprocess.Popen([sys.executable, "-m", "mapweave", "live", *words], start_new_session=True)  # noqa: S603
+def _start(*words: str, heard: bool = False) -> subprocess.Popen[bytes]:
+    """A process of the team; it does not see the terminal's Ctrl-C, which the demo passes on in order.
+
+    heard: what it says comes through a pipe.
+    """
+    said = subprocess.PIPE if heard else None
+    command = [sys.executable, "-m", "mapweave", "live", *words]
+    return subprocess.Popen(command, start_new_session=True, stdout=said)  # noqa: S603
+
+
+def _passed_on(mapping: subprocess.Popen[bytes], say: Say) -> tuple[str, Thread]:
+    """Where the map process listens, as soon as it says so; a thread says on whatever else it says, to its end."""
+    assert mapping.stdout is not None  # noqa: S101  (a pipe)
+    lines = (line.decode(errors="replace").rstrip("\n") for line in mapping.stdout)
+    for line in lines:
+        _, told, at = line.partition(LISTENING)
+        if told:
+            hearing = Thread(target=_say_on, args=(lines, say), name="said", daemon=True)
+            hearing.start()
+            return at, hearing
+        say(line)
+    raise EstimateError("the map process ended before it listened")
+
+
+def _say_on(lines: Iterable[str], say: Say) -> None:
+    for line in lines:
+        say(line)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
@@ -117,10 +143,3 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-
-
-def _free() -> str:
-    """An endpoint on this machine that nobody listens at."""
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{s.getsockname()[1]}"

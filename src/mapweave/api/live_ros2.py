@@ -19,7 +19,7 @@ from ..live.ros2.feed import Chosen, RosFeed
 from ..live.ros2.shown import RosView
 from ..live.store import Store
 from ..live.topics import Topics
-from ..live.transport import Network, session
+from ..live.transport import LISTENING, Network, session
 from .map_laser import LaserMapConfig
 
 ROUTER = "tcp/localhost:7447"  # where rmw_zenoh's router stands unless told otherwise
@@ -124,7 +124,7 @@ def _reached(network: Network, stop: Event, say: Say) -> Iterator[zenoh.Session 
     while not stop.is_set():
         with ExitStack() as opening:
             try:
-                opened = opening.enter_context(session(network))
+                opened = opening.enter_context(session(network, lambda at: say(f"{LISTENING}{at}")))
             except UsageError as error:
                 if network.listen:
                     raise

@@ -6,7 +6,7 @@ from threading import Event
 
 from ..live.messages import check_name
 from ..live.topics import Topics
-from ..live.transport import Network, session
+from ..live.transport import LISTENING, Network, session
 from ..live.view import Board, follow, served
 
 Say = Callable[[str], None]
@@ -41,7 +41,7 @@ def live_view(
     network = network or Network()
     check_name(network.team, "--team")
     board = Board()
-    with served(board, host, port) as address, session(network) as opened:
+    with served(board, host, port) as address, session(network, lambda at: say(f"{LISTENING}{at}")) as opened:
         held = follow(opened, Topics(network.team), board)
         say(f"team {network.team}: {address}")
         if browser:

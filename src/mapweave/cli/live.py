@@ -35,7 +35,8 @@ class Link:
         Where others listen, as tcp/host:port; without it those on one network find each other (--source ros2
         takes tcp/localhost:7447).
     listen
-        Where to listen, as tcp/host:port; messages are passed on between those that connect.
+        Where to listen, as tcp/host:port; messages are passed on between those that connect. Port 0 is any that is
+        free, which is told.
     tls
         The folder of this process's certificate, as mapweave live keys makes them.
     lease

@@ -1,10 +1,11 @@
 """The one place that speaks Zenoh: a session that needs nobody else, and lets go of what nobody takes."""
 
 import json
+import socket
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import zenoh
@@ -12,6 +13,9 @@ import zenoh
 from ..core.errors import UsageError
 
 OPENING = 30_000  # [ms] that a handshake may take, in four messages
+PORTS = 20  # tried one after the other where any will do
+ANY_PORT = ":0"
+LISTENING = "listening at "
 SETTLE = 0.3  # [s] for declarations to reach those who are there
 
 
@@ -20,9 +24,9 @@ class Network:
     """How a process reaches the others.
 
     connect, listen: endpoints as `tcp/host:port`; with none of both, processes of one network find each other. A
-    process that listens passes messages on between those that connect to it. tls: the folder of its certificate.
-    lease: seconds without a sign of life until the other counts as gone; more than a message takes there and back.
-    extra: settings of Zenoh beside, by its own keys.
+    process that listens passes messages on between those that connect to it; port 0 is any that is free. tls: the
+    folder of its certificate. lease: seconds without a sign of life until the other counts as gone; more than a message
+    takes there and back. extra: settings of Zenoh beside, by its own keys.
     """
 
     connect: tuple[str, ...] = ()
@@ -34,20 +38,53 @@ class Network:
     extra: dict[str, object] = field(default_factory=dict)
 
 
+def _untold(endpoint: str) -> None:
+    """Nobody asks."""
+
+
 @contextmanager
-def session(network: Network) -> Iterator[zenoh.Session]:
-    """An open session; raises UsageError when a port is taken, an endpoint is none, or a certificate does not serve."""
+def session(network: Network, listening: Callable[[str], None] = _untold) -> Iterator[zenoh.Session]:
+    """An open session; raises UsageError when a port is taken, an endpoint is none, or a certificate does not serve.
+
+    listening: called with each endpoint it listens at in place of one with port 0.
+    """
     zenoh.init_log_from_env_or(network.log_levels)
-    opened = _opened(network)
+    opened = _opened(network, listening)
     try:
         yield opened
     finally:
         opened.close()  # type: ignore[no-untyped-call]
 
 
-def _opened(network: Network) -> zenoh.Session:
+def _opened(network: Network, listening: Callable[[str], None]) -> zenoh.Session:
     if not 0.5 <= network.lease <= 600:
         raise UsageError(f"--lease: expected 0.5 to 600 seconds, found {network.lease}")
+    free = [at for at in network.listen if at.endswith(ANY_PORT)]
+    for left in reversed(range(PORTS if free else 1)):
+        chosen = replace(network, listen=tuple(_with_port(at) for at in network.listen))
+        try:
+            opened = _open(chosen)
+        except UsageError as error:  # somebody may have taken the port before Zenoh did
+            if left and "in use" in str(error):
+                continue
+            raise
+        break
+    for asked, at in zip(network.listen, chosen.listen, strict=True):
+        if asked != at:
+            listening(at)
+    return opened
+
+
+def _with_port(at: str) -> str:
+    """The endpoint with a port that nobody listens at, where it has port 0."""
+    if not at.endswith(ANY_PORT):
+        return at
+    with socket.socket() as s:
+        s.bind(("", 0))
+        return f"{at.removesuffix(ANY_PORT)}:{s.getsockname()[1]}"
+
+
+def _open(network: Network) -> zenoh.Session:
     config = zenoh.Config()
     for key, value in settings(network).items():
         try:
@@ -138,7 +175,8 @@ def endpoints(words: Sequence[str] | None, option: str) -> tuple[str, ...]:
     for word in words or ():
         protocol, slash, rest = word.partition("/")
         host, colon, port = rest.rpartition(":")
-        if protocol not in {"tcp", "tls", "quic", "udp"} or not (slash and colon and host and port.isdecimal()):
+        known = protocol in {"tcp", "tls", "quic", "udp"} and slash and colon and host and port.isdecimal()
+        if not known or (option == "--connect" and int(port) == 0):
             raise UsageError(f"{option}: expected protocol/host:port as tcp/192.168.1.5:7447, found {word!r}")
     return tuple(words or ())
 
