@@ -293,7 +293,7 @@ class MapProcess:
         with query:
             for key in tuple(self.shared.tiles):
                 payload = encode(self.shared.tile(key))
-                query.reply(query.key_expr, payload, congestion_control=zenoh.CongestionControl.BLOCK)
+                query.reply(query.key_expr, payload)
 
     def _hear(self, sample: zenoh.Sample) -> None:
         self._heard.message(self._topics.robot_of(str(sample.key_expr)), sample.payload.to_bytes())
@@ -327,4 +327,4 @@ class MapProcess:
                 return
             first, last = wanted
             for _, payload in self._store.get(robot, first, min(last, first + MOST_ANSWERS - 1)):
-                query.reply(query.key_expr, payload, congestion_control=zenoh.CongestionControl.BLOCK)
+                query.reply(query.key_expr, payload)

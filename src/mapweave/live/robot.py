@@ -307,7 +307,7 @@ class RobotProcess:
                 return
             first, last = wanted
             for _, payload in self._store.get(self.name, first, min(last, first + MOST_ANSWERS - 1)):
-                query.reply(self._topics.history(self.name), payload, congestion_control=zenoh.CongestionControl.BLOCK)
+                query.reply(self._topics.history(self.name), payload)
 
     def _tell_time(self, query: zenoh.Query) -> None:
         with query:

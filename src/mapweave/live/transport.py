@@ -148,6 +148,7 @@ def ask(
         target=zenoh.QueryTarget.ALL,
         consolidation=zenoh.ConsolidationMode.NONE,
         timeout=timeout,
+        congestion_control=zenoh.CongestionControl.BLOCK,  # answers come as they were asked for: none is let go
     )
 
 
