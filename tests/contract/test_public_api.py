@@ -1,6 +1,7 @@
 """What `import mapweave` offers."""
 
 import ast
+import gc
 import subprocess
 import sys
 from importlib import import_module
@@ -13,6 +14,7 @@ import mapweave
 import mapweave.evaluation.team
 import mapweave.fusion.join
 from mapweave.api import map_options
+from mapweave.cli import _run
 from mapweave.fusion.config import Weights
 from mapweave.laser.config import METHODS
 
@@ -69,6 +71,19 @@ def test_importing_and_asking_for_help_imports_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
     assert done.stderr.strip() == "[]"
+
+
+def test_help_leaves_the_collector_as_it_was(capsys):
+    assert gc.isenabled()
+    assert _run(["--help"]) == 0
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        assert _run([]) == 0
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+    assert capsys.readouterr().out.count("Usage: mapweave") == 2
 
 
 def test_an_option_of_map_that_cannot_be_is_refused_before_anything_heavy_is_imported(tmp_path):
