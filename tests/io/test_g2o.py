@@ -140,3 +140,10 @@ def test_the_public_graphs_are_read_whole(data, name, poses, edges):
     assert (len(graph), len(graph.first)) == (poses, edges)
     assert np.isfinite(graph.pose).all()
     assert (np.linalg.eigvalsh(graph.information) > 0).all()
+
+
+def test_a_line_that_would_be_millions_of_words_is_refused_before_it_is_cut_into_them(tmp_path):
+    path = tmp_path / "a.g2o"
+    path.write_text("VERTEX_SE2 0 0 0 0\nFIX " + "0 " * 600_000 + "\n")
+    with pytest.raises(ReaderError, match=r"a\.g2o:2: expected lines of at most 1048576 characters, found one"):
+        read_g2o(path)

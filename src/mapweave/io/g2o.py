@@ -125,7 +125,7 @@ def _priors(path: Path, rows: _Rows, index: dict[int, int]) -> tuple[Prior, ...]
 def _rows(path: Path) -> _Rows:
     log = TextLog(path)
     out = _Rows({}, [], [], [], {}, [], Counter())
-    for line, text in log.lines():
+    for line, text in log.rows():
         words = text.split()
         if not words or words[0].startswith("#"):
             continue
