@@ -84,3 +84,12 @@ def test_what_is_no_graph_is_refused_with_the_reason(tmp_path):
     np.savez(path, **(whole | {"closure_ends": ends}))
     with pytest.raises(ReaderError, match="closure 0 ties keyframes"):
         read_robot_graph(path)
+    np.savez(path, **(whole | {"q": whole["q"].astype(str)}))
+    with pytest.raises(ReaderError, match="q has values of the type <U"):
+        read_robot_graph(path)
+    np.savez(path, **(whole | {"q": whole["q"][:3]}))
+    with pytest.raises(ReaderError, match=r"q has shape \(3,\)"):
+        read_robot_graph(path)
+    np.savez(path, **(whole | {"closure_reason": np.zeros(2)}))
+    with pytest.raises(ReaderError, match="closure_reason has values of the type float64"):
+        read_robot_graph(path)
