@@ -138,9 +138,14 @@ def _directions(dx: float, dy: float, r: float) -> tuple[float, float, float, fl
     return dx / r, dy / r, -(dy / r) / r, (dx / r) / r
 
 
+SURELY_BEYOND = 1.0 + 1e-9  # times the squared reach: more than rounding can make of a point within
+
+
 @kernel
 def _in_view(p: np.ndarray, dx: float, dy: float, reach: float, cos_half: float) -> bool:
     """Whether the point at (dx, dy) from pose p is seen from there."""
+    if dx * dx + dy * dy > SURELY_BEYOND * reach * reach:
+        return False  # most looks, without a root and a turn
     r = np.hypot(dx, dy)
     return bool(r <= reach and dx * np.cos(p[2]) + dy * np.sin(p[2]) >= cos_half * r)
 
@@ -174,11 +179,10 @@ def _sightings(
             for t in range(first, min(n * every + 1, begin + every), look):
                 p = track[j, t]
                 dx, dy = point[0] - p[0], point[1] - p[1]
-                r = np.hypot(dx, dy)
                 reach = sensor.sector.reach - (sensor.margin if t > sensor.known_until else 0.0)
-                still = t >= look and np.array_equal(p, track[j, t - look])
-                if still or not _in_view(p, dx, dy, reach, cos_half):
-                    continue
+                if not _in_view(p, dx, dy, reach, cos_half) or (t >= look and np.array_equal(p, track[j, t - look])):
+                    continue  # out of sight, or the robot stood still since the last look
+                r = np.hypot(dx, dy)
                 ux, uy, gx, gy = _directions(dx, dy, max(r, least_range))
                 a00 += wr * ux * ux + wb * gx * gx
                 a01 += wr * ux * uy + wb * gx * gy
@@ -214,7 +218,7 @@ def add_landmark_information(
 ) -> None:
     """Adds to S what landmarks, `density` of them expected at each of `points` (n, 2), tell about the poses, in place.
 
-    The landmark itself is eliminated: what is left ties together all poses that see it.
+    The landmark itself is eliminated: what is left ties together all poses that see it. S stays symmetric.
     """
     most = len(S) // 3 + track.shape[0]
     B, C, nodes = np.empty((most, 3, 2)), np.empty((most, 3, 3)), np.empty(most, dtype=np.int64)
@@ -230,10 +234,13 @@ def add_landmark_information(
                 f1 = density * (B[i, a, 1] * a00 - B[i, a, 0] * a01) / det
                 for b in range(3):
                     S[r + a, r + b] += density * C[i, a, b]
-                for q in range(k):
+                for q in range(i, k):  # nodes rise: the half above the diagonal
                     c = 3 * nodes[q]
                     for b in range(3):
                         S[r + a, c + b] -= f0 * B[q, b, 0] + f1 * B[q, b, 1]
+    for r in range(1, len(S)):
+        for c in range(r):
+            S[r, c] = S[c, r]
 
 
 @kernel
@@ -246,7 +253,7 @@ def landmark_errors(
 ) -> np.ndarray:
     """Expected root mean square error (n,) [m] of a landmark at each of `points`, NaN where none would be seen.
 
-    P: (3 K, 3 K) covariance of the poses, as `odometry_information` orders them.
+    P: (3 K, 3 K) covariance of the poses, as `odometry_information` orders them; read on and above its diagonal.
     """
     most = len(P) // 3 + track.shape[0]
     B, C, nodes = np.empty((most, 3, 2)), np.empty((most, 3, 3)), np.empty(most, dtype=np.int64)
@@ -256,17 +263,26 @@ def landmark_errors(
         det = a00 * a11 - a01 * a01
         if det <= 0:
             continue
-        V = np.zeros((2, 2))
+        v00, v01, v11 = 0.0, 0.0, 0.0  # B' P B
         for i in range(k):
-            for q in range(k):
-                for a in range(3):
+            r = 3 * nodes[i]
+            for a in range(3):
+                w0, w1 = 0.0, 0.0
+                for q in range(i + 1, k):
+                    c = 3 * nodes[q]
                     for b in range(3):
-                        p = P[3 * nodes[i] + a, 3 * nodes[q] + b]
-                        V[0, 0] += B[i, a, 0] * p * B[q, b, 0]
-                        V[0, 1] += B[i, a, 0] * p * B[q, b, 1]
-                        V[1, 1] += B[i, a, 1] * p * B[q, b, 1]
+                        w0 += P[r + a, c + b] * B[q, b, 0]
+                        w1 += P[r + a, c + b] * B[q, b, 1]
+                v00 += 2.0 * B[i, a, 0] * w0
+                v01 += B[i, a, 0] * w1 + B[i, a, 1] * w0
+                v11 += 2.0 * B[i, a, 1] * w1
+                for b in range(3):
+                    p = P[r + min(a, b), r + max(a, b)]
+                    v00 += B[i, a, 0] * p * B[i, b, 0]
+                    v01 += B[i, a, 0] * p * B[i, b, 1]
+                    v11 += B[i, a, 1] * p * B[i, b, 1]
         i00, i01, i11 = a11 / det, -a01 / det, a00 / det
-        v00 = i00 * (V[0, 0] * i00 + V[0, 1] * i01) + i01 * (V[0, 1] * i00 + V[1, 1] * i01)
-        v11 = i01 * (V[0, 0] * i01 + V[0, 1] * i11) + i11 * (V[0, 1] * i01 + V[1, 1] * i11)
-        out[m] = np.sqrt(i00 + i11 + v00 + v11)
+        x = i00 * (v00 * i00 + v01 * i01) + i01 * (v01 * i00 + v11 * i01)
+        y = i01 * (v00 * i01 + v01 * i11) + i11 * (v01 * i01 + v11 * i11)
+        out[m] = np.sqrt(i00 + i11 + x + y)
     return out
