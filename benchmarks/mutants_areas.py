@@ -167,6 +167,7 @@ AREAS = (
             "tests/swarm/test_contradiction.py",
             "tests/swarm/test_batch.py",
             "tests/swarm/test_free.py",
+            "tests/swarm/test_linear.py",
             "tests/swarm/test_beacons.py",
             "tests/swarm/test_kalman.py",
         ),

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from mapweave.laser.keyframes import StepNoise, believed, step_covariance, wheel_noise
+from mapweave.laser.graph_slam import GONE
+from mapweave.laser.keyframes import (
+    KeyframeConfig,
+    KeyframeMaker,
+    StepNoise,
+    believed,
+    step_covariance,
+    wheel_noise,
+)
 
 NOISE = StepNoise()
 
@@ -53,3 +61,18 @@ def test_without_walls_a_step_errs_as_the_wheels_do_and_without_wheels_as_the_wa
 def test_a_step_that_everything_is_sure_of_keeps_a_covariance_that_can_be_inverted():
     sure = step_covariance(1e12 * np.eye(3), np.zeros((3, 3)), 0.0, NOISE)
     assert np.linalg.eigvalsh(sure)[0] > 1e-11
+
+
+def test_a_keyframes_step_drifts_with_the_way_since_the_last_one():
+    maker, step, lines = KeyframeMaker(0, KeyframeConfig(distance=1.0)), np.array([0.3, 0.4, 0.0]), 1e6 * np.eye(3)
+    keyframes = [maker.keyframe(0.0, GONE)]
+    for k in range(1, 7):
+        maker.advance(k * step, step, lines)
+        keyframes.append(maker.keyframe(float(k), GONE))
+    first, second, third, fourth = (k for k in keyframes if k is not None)
+    assert [second.path, third.path, fourth.path] == pytest.approx([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(third.cov, second.cov, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(fourth.cov, second.cov, rtol=1e-6, atol=1e-12)
+    assert not first.cov.any()
+    still = step_covariance(lines, 2 * wheel_noise(step, NOISE), 0.0, NOISE)
+    assert second.cov[2, 2] - still[2, 2] == pytest.approx(NOISE.drift_turn**2, rel=0.05)

@@ -9,10 +9,11 @@ from mapweave.core import se2
 from mapweave.core.landmark_log import LandmarkLog, SightingTable
 from mapweave.core.records import Odometry, Track
 from mapweave.landmarks.landmark_map import LandmarkMap
+from mapweave.solve import Status
 from mapweave.team.commanded_motion import CommandedMotion, random_walk
 from mapweave.team.config import CalibrationPrior, MotionNoise, SmoothingConfig
 from mapweave.team.covariance import MOST_CORRECTED, _correlation, _Known, _motions, _priors, _scores, team_covariance
-from mapweave.team.problem import HELD_TOGETHER, team_problem
+from mapweave.team.problem import HELD_TOGETHER, TeamProblem, _nodes, team_problem
 from mapweave.team.robot_part import PARAMETERS, Instants, instants_of
 from mapweave.team.smooth import _dense, is_observed, smooth
 from mapweave.team.team_map import TeamMap
@@ -20,6 +21,7 @@ from mapweave.team.team_map import TeamMap
 CFG = SmoothingConfig()
 POINTS = np.array([[2.0, 1.0], [3.5, -1.0], [0.5, 2.5], [4.0, 2.0], [1.0, -2.0]])
 NAMES = tuple("abcde")
+SOLVE = TeamProblem.solve
 
 
 def driven(robot, start, rng, seconds=18.0, noise=1.0, odometry=True):
@@ -392,6 +394,37 @@ def test_a_team_tied_by_scans_alone_keeps_the_map_of_the_filters(monkeypatch, ki
     made = smooth(TeamMap(("robot1", "robot2"), landmarks, tracks, {}, {}), logs, {}, CFG)
     assert (made.refused == "nobody saw a landmark of the map or another robot") is refused
     assert (made.map.landmarks is landmarks) is refused
+
+
+def test_a_solution_that_ran_away_is_refused_though_its_numbers_are_finite(monkeypatch):
+    logs, landmarks, tracks = logs_and_map()
+    monkeypatch.setattr(
+        TeamProblem, "solve", lambda problem, *told: replace(SOLVE(problem, *told), status=Status.DIVERGED)
+    )
+    made = smooth(TeamMap(("robot1", "robot2"), landmarks, tracks, {}, {}), logs, {}, CFG)
+    assert made.refused == "the problem of the whole team is diverged"
+    assert made.map.landmarks is landmarks
+
+
+def test_a_sighting_weighs_one_over_its_deviations(solved):
+    team, _ = solved
+    seen = [term for term in team.problem.terms if term.name in {"landmark", "robot"}]
+    assert seen
+    for term in seen:
+        floor, bearing = (
+            (CFG.camera.range_floor, CFG.camera.bearing)
+            if term.name == "landmark"
+            else (CFG.camera.robot_range_floor, CFG.camera.robot_bearing)
+        )
+        np.testing.assert_allclose(term.sqrt_info[:, 1], 1.0 / bearing)
+        assert (term.sqrt_info[:, 0] <= 1.0 / floor).all()
+        assert (term.sqrt_info[:, 0] >= 1.0 / np.hypot(floor, CFG.camera.range_share * 10.0)).all()
+
+
+def test_a_pose_a_landmark_and_a_calibration_are_each_eliminated_as_one():
+    node = _nodes(6 + 4 + 2 * len(PARAMETERS), 6, 10)
+    sizes = [3, 3, 2, 2, len(PARAMETERS), len(PARAMETERS)]
+    assert np.array_equal(np.unique(node, return_inverse=True)[1], np.repeat(np.arange(6), sizes))
 
 
 def test_a_parameter_is_observed_where_the_data_told_clearly_more_than_was_known():
