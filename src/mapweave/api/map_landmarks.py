@@ -20,6 +20,7 @@ from ..io.table import Columns
 from ..io.team_map import read_calibration
 from ..landmarks.agreement import agreeing
 from ..landmarks.config import EkfSlamConfig
+from ..landmarks.copies import copies_told
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import Growth, grow, without_impossible
 from ..landmarks.sifting import SiftConfig, sifted
@@ -93,7 +94,7 @@ def _map_read(
 ) -> TeamResult:
     read = [
         sifted(without_impossible(agreeing(log, cfg.ekf), cfg.ekf), cfg.ekf, cfg.sift)
-        for log in _shared(list(logs), options)
+        for log in copies_told(_shared(list(logs), options))
     ]
     watch.lap("read")
     fused, looked = (None if s is None else times_of(read, s) for s in _every(cfg, options))

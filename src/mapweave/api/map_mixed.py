@@ -34,6 +34,7 @@ from ..io.team_map import (
 )
 from ..landmarks.agreement import agreeing
 from ..landmarks.config import EkfSlamConfig
+from ..landmarks.copies import copies_told
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import local_map, without_impossible
 from ..landmarks.sifting import SiftConfig, sifted
@@ -130,7 +131,7 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     scans, lasers = _lasers(found.lasers, cfg.laser, options)
     apart = _apart(read, scans)
     read = [log.share(options.share.get(robot_key(log.robot), 1.0)) for log in read]
-    read = [without_impossible(agreeing(log, cfg.ekf), cfg.ekf) for log in read]
+    read = [without_impossible(agreeing(log, cfg.ekf), cfg.ekf) for log in copies_told(read)]
     read = [sifted(log, cfg.ekf, cfg.sift) for log in read]
     seeing = [x for x in read if x.robot not in apart and any(not n.startswith("robot") for n in x.sightings.counts())]
     cut = _cut(seeing, *_filtered(seeing, cfg, options), cfg, options.seed)

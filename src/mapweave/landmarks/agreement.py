@@ -130,7 +130,7 @@ def agreeing(log: LandmarkLog, ekf: EkfSlamConfig, cfg: AgreementConfig | None =
     turn, speed = found.turn, found.speed
     if turn.elsewhere(cfg.turn_scale, cfg):
         unit = _unit(turn.value, TURN_UNITS, cfg)
-        if abs(turn.value) < cfg.with_it:
+        if unit is None and abs(turn.value) < cfg.with_it:
             told.append(
                 f"its bearings do not follow its turns ({turn.value:.2f} of them): its odometry is of another robot or "
                 "another time, or wrong"
