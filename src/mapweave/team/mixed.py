@@ -133,7 +133,8 @@ def regained(
     """The maps, with robots in the largest whose own maps did not fit it, but whose sightings place them there.
 
     A filter that believed wrong sightings early is lost for good; its log is not. Where several maps are the largest,
-    the one is taken in which most sightings agree. A copy of a placed robot's log places nobody. Also a sentence for each robot that came back.
+    the one is taken in which most sightings agree. A copy of a placed robot's log places nobody. Also a sentence for
+    each robot that came back.
     """
     placed = {robot for team in maps for robot in team.robots}
     counted = {log.log_hash for log in logs if log.robot in placed}
