@@ -1,14 +1,24 @@
-"""Clocks that cannot be right are named."""
+"""Clocks that are off are found and put right, and those that cannot be right are named."""
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import mapweave
 from mapweave.core.landmark_log import LandmarkLog
+from mapweave.evaluation.team import score_team
+from mapweave.team import on_one_clock
+from mapweave.team.clock_scores import clocks_of
 from mapweave.team.clocks import of_another_time
+from mapweave.team.config import SmoothingConfig
+from mapweave.team.on_one_clock import smooth_on_one_clock
+from mapweave.team.problem import team_problem
+from mapweave.team.smooth import smooth
 
-from .teams import world
+from .teams import World, world
+
+CFG = SmoothingConfig()
 
 
 def later(log: LandmarkLog, by: float) -> LandmarkLog:
@@ -46,3 +56,89 @@ def test_the_map_says_so(tmp_path):
         (home / f"Robot2_{name}.dat").write_text("\n".join(moved) + "\n")
     made = mapweave.map(home, refine=False)
     assert any("robot 2: its clock has nothing in common" in w for w in made.metrics["warnings"])
+
+
+def off(w: World, ahead: dict[str, float]) -> World:
+    """The world with robots' clocks ahead: their logs, and where their own maps have them when."""
+    logs = tuple(later(log, ahead.get(log.robot, 0.0)) for log in w.logs)
+    tracks = {r: replace(track, t=track.t + ahead.get(r, 0.0)) for r, track in w.map.tracks.items()}
+    return replace(w, logs=logs, map=replace(w.map, tracks=tracks))
+
+
+def on_one_clock_of(w: World):
+    return smooth_on_one_clock(w.map, w.logs, w.fusion.labels, CFG)
+
+
+@pytest.fixture
+def count(monkeypatch):
+    """How often a team is smoothed."""
+    calls: list[int] = []
+
+    def counted(*args, **options):
+        calls.append(1)
+        return smooth(*args, **options)
+
+    monkeypatch.setattr(on_one_clock, "smooth", counted)
+    return calls
+
+
+def test_right_clocks_are_smoothed_once_and_as_ever(count):
+    w = world(31, robots=4, minutes=3.0)
+    made = on_one_clock_of(w)
+    assert len(count) == 1
+    assert not made.clocks
+    assert not made.notes
+    np.testing.assert_array_equal(
+        made.map.landmarks.mean, smooth(w.map, w.logs, w.fusion.labels, CFG).map.landmarks.mean
+    )
+
+
+@pytest.mark.parametrize("ahead", [{"robot1": -3.0}, {"robot2": 2.0, "robot4": -1.5}, {"robot3": 10.0}])
+def test_clocks_that_are_off_are_found_and_put_right(ahead):
+    w = world(31, robots=4, minutes=3.0)
+    made = on_one_clock_of(off(w, ahead))
+    assert set(made.clocks) == set(ahead)
+    scored = score_team([made.map], {}, w.truth.survey, w.truth.robots)
+    as_ever = score_team([smooth(w.map, w.logs, w.fusion.labels, CFG).map], {}, w.truth.survey, w.truth.robots)
+    for robot, by in ahead.items():
+        found = made.clocks[robot]
+        assert abs(found.ahead - by) < min(3.0 * found.sd, 0.5)
+        where = "ahead of" if by > 0 else "behind"
+        assert any(note.startswith(f"robot {robot[5:]}: its clock is") and where in note for note in made.notes)
+        assert scored.robots[robot].ate < 1.2 * as_ever.robots[robot].ate
+
+
+def test_of_two_robots_the_first_has_the_clock():
+    w = world(33, robots=2, minutes=4.0)
+    made = on_one_clock_of(off(w, {"robot1": 2.0}))
+    assert set(made.clocks) == {"robot2"}
+    assert abs(made.clocks["robot2"].ahead + 2.0) < 3.0 * made.clocks["robot2"].sd
+
+
+def test_what_a_clock_seems_off_is_what_minimising_over_it_gives():
+    """The step of the score test against the minimum of the cost over one robot's clock, everything else free."""
+    w = off(world(31, robots=4, minutes=3.0), {"robot2": 0.1})
+
+    def minimum(moved: float) -> float:
+        there = off(w, {"robot2": -moved})
+        team = team_problem(there.logs, there.map.landmarks, there.map.tracks, w.fusion.labels, {}, CFG)
+        return team.solve(CFG).cost
+
+    team = team_problem(w.logs, w.map.landmarks, w.map.tracks, w.fusion.labels, {}, CFG)
+    seems = clocks_of(team, team.solve(CFG), 10.0, CFG.cluster, ["robot2"])["robot2"].ahead
+    tried = np.linspace(-0.6, 0.6, 5)
+    bend, slope, _ = np.polyfit(tried, [minimum(t) for t in tried], 2)
+    assert bend > 0
+    assert seems == pytest.approx(-0.5 * slope / bend, abs=0.06)
+
+
+def test_the_map_tells_a_clock_that_was_put_right(tmp_path):
+    home = tmp_path / "team"
+    mapweave.simulate_landmarks(home, robots=3, minutes=3.0, seed=7022)
+    for name in ("Odometry", "Measurement"):
+        rows = [r.split() for r in (home / f"Robot3_{name}.dat").read_text().splitlines() if not r.startswith("#")]
+        moved = [" ".join([repr(float(t) - 2.0), *rest]) for t, *rest in rows]
+        (home / f"Robot3_{name}.dat").write_text("\n".join(moved) + "\n")
+    made = mapweave.map(home)
+    assert made.metrics["refined"]["components"][0]["clocks"]["3"]["ahead"] == pytest.approx(-2.0, abs=0.4)
+    assert any("robot 3: its clock is" in w and "behind the others'" in w for w in made.metrics["warnings"])

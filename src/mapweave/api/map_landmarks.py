@@ -30,9 +30,10 @@ from ..team.further_rooms import with_further_rooms
 from ..team.kidnapped import KidnapConfig, cut_kidnapped, with_stretches
 from ..team.known import Known, framed
 from ..team.mixed import SOFTEN, regained
+from ..team.on_one_clock import smooth_on_one_clock
 from ..team.online_run import OnlineMap, OnlineRun
 from ..team.relative_frame import PlacingConfig
-from ..team.smooth import Smoothed, smooth
+from ..team.smooth import Smoothed
 from ..team.team_map import TeamMap
 from .map_options import LANDMARK_METHODS, MapOptions
 from .online import fuse_online, times_of
@@ -199,10 +200,14 @@ def _smoothed(
         start = team if run is None or k else closing_start(run, team)
         began = perf_counter()
         start = start if places is None else framed(start, places)
-        done = smooth(start, logs, fusion.labels, cfg, known, soften=far, known=places)
+        done = smooth_on_one_clock(start, logs, fusion.labels, cfg, known, far, places)
         if done.refused and start is not team:
-            done = smooth(team, logs, fusion.labels, cfg, known, soften=far, known=places)
-        told = (*(back if k == 0 else ()), *(() if places is None else places.contradicted(done.map, cfg.known)))
+            done = smooth_on_one_clock(team, logs, fusion.labels, cfg, known, far, places)
+        told = (
+            *done.notes,
+            *(back if k == 0 else ()),
+            *(() if places is None else places.contradicted(done.map, cfg.known)),
+        )
         if run is not None and k == 0:
             run = closed(run, start, done, perf_counter() - began)
         out.append(replace(done, notes=told))

@@ -178,6 +178,7 @@ def _errors(score: TeamScore | None) -> dict[str, float | None]:
 
 
 def _smoothing(s: Smoothed) -> dict[str, Any]:
+    clocks = {robot_key(r): {"ahead": c.ahead, "sd": c.sd} for r, c in s.clocks.items()}
     return {
         "status": s.status,
         "iterations": s.iterations,
@@ -185,6 +186,7 @@ def _smoothing(s: Smoothed) -> dict[str, Any]:
         "factors": dict(s.used),
         "inflation": {robot_key(r): f for r, f in s.inflation.items()},
         "refused": s.refused or None,
+        **({"clocks": clocks} if clocks else {}),
     }
 
 

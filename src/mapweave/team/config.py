@@ -70,6 +70,23 @@ class KnownConfig:
 
 
 @config
+class ClockConfig:
+    """When a robot's clock is off the others', as what they saw of each other tells."""
+
+    suspect: float = (
+        0.08  # [s] that a clock seems off while ways are held, a part of what it is off: looked at from here
+    )
+    least: float = 0.5  # [s] from which a clock is off: less is within the lateness of cameras and commands
+    tried: float = 1.0  # standard deviations from which it is tried as it seems,
+    rounds: int = 8  # smoothing again after each,
+    still: float = 0.05  # [s] until it moves no more
+    told: float = 4.0  # standard deviations from which a clock is told,
+    gain: float = 25.0  # and the cost that it must take away
+    sure: float = 6.0  # standard deviations from which it is put right too,
+    gain_sure: float = 35.0  # and the cost
+
+
+@config
 class SmoothingConfig:
     """The table `[smoothing]` of a landmark configuration."""
 
@@ -77,6 +94,7 @@ class SmoothingConfig:
     camera: CameraNoise = field(default_factory=CameraNoise)
     calibration: CalibrationPrior = field(default_factory=CalibrationPrior)
     known: KnownConfig = field(default_factory=KnownConfig)
+    clocks: ClockConfig = field(default_factory=ClockConfig)
     robot_sightings: bool = True  # whether sightings of other robots tie trajectories
     longest_step: float = 2.0  # [s] between two poses that are estimated
     shortest_step: float = 0.5  # [s] between two poses that are estimated; sightings between go by the nearest

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from ..core.gaussian import symmetrise
 from ..solve import Factor, Information, SingularError, Solution
 from .config import SmoothingConfig
-from .problem import TeamProblem
+from .problem import Origin, TeamProblem
 from .robot_part import PARAMETERS
 
 MOST_CORRECTED = 4.0  # largest factor for what landmarks and calibration themselves took out of the residuals
@@ -119,9 +119,9 @@ class _Known:
         taken = np.zeros((3, n - team.landmark_start))
         if len(team.landmarks) > 1:
             taken[:, : 2 * len(team.landmarks)] = np.linalg.pinv(motions[team.landmark_columns])
-        known = _priors(team, solution.x)
-        scores = sp.csr_matrix(sp.vstack([_scores(team, solution.x, length), known]))[:, solution.free]
-        return cls(team, solution.information, position, solution.free, scores, known.shape[0], motions, taken)
+        known, own = _priors(team, solution.x), scores(team, solution.x, Groups.of(team, length))
+        pulls = sp.csr_matrix(sp.vstack([own[np.diff(own.indptr) > 0], known]))[:, solution.free]
+        return cls(team, solution.information, position, solution.free, pulls, known.shape[0], motions, taken)
 
     def model(self) -> Float[np.ndarray, "h h"]:
         """The model's covariance of landmarks and calibration, their motions as a whole taken off."""
@@ -190,18 +190,39 @@ def _motions(team: TeamProblem, x: Float[np.ndarray, " n"]) -> Float[np.ndarray,
     return out
 
 
-def _scores(team: TeamProblem, x: Float[np.ndarray, " n"], length: float) -> sp.csr_matrix:
-    """The pull on every variable of each robot's factors within `length` [s], (groups, n)."""
-    begin = min(float(part.instants.t[0]) for part in team.parts)
-    ends = max(float(part.instants.t[-1]) for part in team.parts)
-    many = int((ends - begin) // length) + 1
-    out = sp.csr_matrix((many * len(team.parts), len(x)))
+@dataclass(frozen=True, slots=True)
+class Groups:
+    """One robot's factors within `length` [s] are a group: `many` of them for each of `robots`, from `begin` [s] on."""
+
+    begin: float
+    length: float
+    many: int
+    robots: int
+
+    @classmethod
+    def of(cls, team: TeamProblem, length: float) -> "Groups":
+        begin = min(float(part.instants.t[0]) for part in team.parts)
+        end = max(float(part.instants.t[-1]) for part in team.parts)
+        return cls(begin, length, int((end - begin) // length) + 1, len(team.parts))
+
+    def __len__(self) -> int:
+        return self.many * self.robots
+
+    def rows(self, origin: Origin) -> Int[np.ndarray, " m"]:
+        """The group of each factor of a term."""
+        k = np.clip((origin.t - self.begin) // self.length, 0, self.many - 1)
+        return np.asarray(origin.robot * self.many + k.astype(int))
+
+
+def scores(team: TeamProblem, x: Float[np.ndarray, " n"], groups: Groups) -> sp.csr_matrix:
+    """The pull on every variable of each group of factors, (groups, n)."""
+    out = sp.csr_matrix((len(groups), len(x)))
     for term, origin in zip(team.problem.terms, team.origins, strict=True):
         if origin is not None:
             g = term.normal(x)[1]
-            row = origin.robot * many + np.clip((origin.t - begin) // length, 0, many - 1).astype(int)
-            out = out + sp.csr_matrix((g.ravel(), (np.repeat(row, g.shape[1]), term.columns.ravel())), shape=out.shape)
-    return out[np.diff(out.indptr) > 0]
+            row = np.repeat(groups.rows(origin), g.shape[1])
+            out = out + sp.csr_matrix((g.ravel(), (row, term.columns.ravel())), shape=out.shape)
+    return out
 
 
 def _priors(team: TeamProblem, x: Float[np.ndarray, " n"]) -> sp.csr_matrix:

@@ -1,7 +1,7 @@
 """A fused map made as good as the logs allow: all trajectories, landmarks and calibrations together."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +13,8 @@ from ..landmarks.landmark_map import LandmarkMap
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import blended
 from ..solve import SingularError, Solution, Status
+from .clock_scores import clocks_of
+from .clocks import Clock
 from .commanded_motion import LAG, TURN
 from .config import CameraNoise, SmoothingConfig
 from .covariance import TeamCovariance, team_covariance
@@ -31,7 +33,8 @@ class Smoothed:
     """One component after smoothing. calibration: a robot each; inflation: of its poses' model covariance.
 
     prior: what was known of each parameter before; used: factors of each kind; poses: how many were estimated;
-    refused: why the map is still the filters', or ""; notes: what else there is to say of how it came about.
+    refused: why the map is still the filters', or ""; notes: what else there is to say of how it came about; cost: of
+    the problem at its end; clocks: robots whose clocks look off in it.
     """
 
     map: TeamMap
@@ -44,6 +47,8 @@ class Smoothed:
     prior: Calibration
     refused: str = ""
     notes: tuple[str, ...] = ()
+    cost: float = 0.0
+    clocks: Mapping[str, Clock] = field(default_factory=dict)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -61,14 +66,15 @@ def smooth(
     crossings: Sequence[Crossing] = (),
     soften: Sequence[float] = (),
     known: Known | None = None,
+    clocks: Collection[str] = (),
 ) -> Smoothed:
     """`team` with all of `logs` (those of its robots) worked into one least-squares problem, started at the filters'.
 
     labels[robot]: own landmark name -> name in the map. calibration: what is known beforehand of some robots, in place
     of the prior; a standard deviation of 0 holds a value. scans[robot]: the keyframes of a robot with a laser;
     crossings: those of two robots that were matched. soften: before the end, every kernel is so many times as wide, one
-    after the other, for starts that are far off; known: places known beforehand, in the map's frame. Poses stand at
-    every odometry and sighting stamp. Where the
+    after the other, for starts that are far off; known: places known beforehand, in the map's frame; clocks: robots
+    whose clocks are told however little they are off. Poses stand at every odometry and sighting stamp. Where the
     problem has no minimum near the start, the map stays as it was and `refused` says why. Where nobody has wheels or a
     laser the map is larger than the filters' by what maps made of ranges alone fall short (`bare_range_scale`).
     """
@@ -119,6 +125,8 @@ def smooth(
         iterations=solution.iterations,
         status=str(solution.status),
         prior=_prior(cfg),
+        cost=solution.cost,
+        clocks=clocks_of(problem, solution, cfg.clocks.suspect, cfg.cluster, clocks),
     )
 
 
