@@ -3,10 +3,16 @@
 `<!-- figure: TABLE[ROW, COLUMN] -->0.034` says that 0.034 is what the table TABLE has in that cell, rounded as it is
 written. ROW: what the row's cells begin with, joined by spaces, marks of emphasis and code left out. COLUMN: the head
 of the column, or its number; `COLUMN#2` is the second number of a cell, `COLUMN x 100` the number times 100.
+
+Any other number that has a unit or a decimal point stands in `docs_given.txt`, with the words around it: as one that
+nobody measured (a parameter, a definition, what others print), or as one that was measured and is not held to a table
+yet. `python benchmarks/docs_prose.py` counts both and lists what stands nowhere.
 """
 
 import re
+import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 NUMBER = r"-?\d[\d,]*(?:\.\d+)?"
@@ -14,6 +20,27 @@ FIGURE = re.compile(rf"(?<!`)(<!-- figure: ([^\[\]\n]+)\[((?:[^\[\]\n]|\[[^\]\n]
 BROKEN = re.compile(r"^[ >*-]*(<!-- figure: [^\n]*?-->)", re.MULTILINE)  # Markdown takes such a line for markup alone
 PLACE = re.compile(r"^(.*), ([^,]+?)(?:#(\d+))?(?: x (\d+))?$")
 Held = Callable[[str], str | None]  # the text of a table, None where there is none
+
+
+GIVEN = Path(__file__).with_name("docs_given.txt")
+MEASURED = "measured, in no table"
+FREE = re.compile(r"(?<![\w.-])-?(?:\d[\d,]*(?:\.\d+)?|\.\d+)(?!\w)")
+UNITS = "%|°|(?:m|cm|mm|s|ms|us|ns|min|kB|MB|GB|times|deg|degrees|seconds|minutes|metres|rad|mrad|points)\\b"
+UNIT = re.compile(rf"\s*(?:{UNITS})")
+NO_PROSE = re.compile(
+    r"^```.*?^```|^<!-- ([^:\n]+): begin -->.*?<!-- \1: end -->|^\|.*?$|^#.*?$|\$\$.*?\$\$|\$[^$\n]*(?:\n[^$\n]+)?\$"
+    rf"|<!-- figure: [^\n]*?-->{NUMBER}|<!--.*?-->|`[^`\n]*(?:\n[^`\n]*)?`|\]\([^)]*\)",
+    re.MULTILINE | re.DOTALL,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Free:
+    """A number in a sentence that is tied to no table. words: the one before it, itself in brackets, the one after."""
+
+    page: str
+    line: int
+    words: str
 
 
 def pages(top: Path) -> list[Path]:
@@ -77,6 +104,43 @@ def stale_prose(top: Path, held: Held) -> list[str]:
     return out
 
 
+def free_numbers(top: Path) -> list[Free]:
+    """Every number with a unit or a decimal point in the sentences of the documentation that no table holds."""
+    out = []
+    for page in pages(top):
+        text = NO_PROSE.sub(lambda m: re.sub(r"[^\n]", " ", m[0]), page.read_text(encoding="utf-8"))
+        for match in FREE.finditer(text):
+            if "." not in match[0] and not UNIT.match(text, match.end()):
+                continue
+            before, after = text[: match.start()].split()[-1:], text[match.end() :].split(maxsplit=1)[:1]
+            words = " ".join([*before, f"[{match[0]}]", *after])
+            out.append(Free(page.relative_to(top).as_posix(), text.count("\n", 0, match.start()) + 1, words))
+    return out
+
+
+def listed(given: Path = GIVEN) -> dict[str, dict[str, list[str]]]:
+    """What stands in the list: kind -> page -> words."""
+    out: dict[str, dict[str, list[str]]] = {"given": {}, MEASURED: {}}
+    into: list[str] = []
+    for line in given.read_text(encoding="utf-8").splitlines():
+        if line.startswith("## "):
+            page, _, kind = line[3:].partition(": ")
+            into = out[kind].setdefault(page, [])
+        elif line and not line.startswith("#"):
+            into.append(line)
+    return out
+
+
+def unlisted(top: Path, given: Path = GIVEN) -> list[str]:
+    """Of every number in a sentence that is neither tied to a table nor listed, a sentence."""
+    held = listed(given)
+    return [
+        f"{free.page}:{free.line}: {free.words!r} is tied to no table and does not stand in {given.name}"
+        for free in free_numbers(top)
+        if not any(free.words in pages.get(free.page, ()) for pages in held.values())
+    ]
+
+
 def renew(top: Path, table: str, text: str) -> None:
     """Every sentence with a number of `table` says what `text` holds now."""
 
@@ -96,3 +160,24 @@ def renew(top: Path, table: str, text: str) -> None:
 
 def _cells(line: str) -> list[str]:
     return [re.sub(r"[*`_]", "", cell).strip() for cell in line.strip().strip("|").split("|")]
+
+
+def main() -> None:
+    top = Path(__file__).parents[1]
+    held, there = listed(), free_numbers(top)
+    for kind, by_page in held.items():
+        print(f"{kind}: {sum(free.words in by_page.get(free.page, ()) for free in there)}")
+    gone = [
+        f"{page}: {words!r} stands in {GIVEN.name}, and nowhere on the page"
+        for by_page in held.values()
+        for page, all_words in by_page.items()
+        for words in all_words
+        if not any((free.page, free.words) == (page, words) for free in there)
+    ]
+    wrong = [*unlisted(top), *gone]
+    print("\n".join(wrong))
+    sys.exit(1 if wrong else 0)
+
+
+if __name__ == "__main__":
+    main()

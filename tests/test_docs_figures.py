@@ -14,6 +14,30 @@ def test_every_measured_table_is_the_one_that_was_measured():
     assert docs_figures.stale() == []
 
 
+def test_every_number_in_a_sentence_is_tied_to_a_table_or_listed():
+    assert docs_prose.unlisted(TOP) == []
+
+
+def test_numbers_of_sentences_are_found_outside_code_maths_tables_and_ties(tmp_path):
+    page = tmp_path / "docs" / "a.md"
+    page.parent.mkdir()
+    page.write_text(
+        "# 1.5 of a head\n\nAfter 20\nseconds it errs by 3 cm, `0.25 m` or $0.5$ m of 7 robots [eq. 3](a.md#1.2).\n"
+        "Held: <!-- figure: speed[2, 2] -->0.7 m.\n\n| 1.25 m |\n|---|\n\n```\n4.5 m\n```\n"
+        "<!-- speed: begin -->\n9.5 m\n<!-- speed: end -->\nLess than .35 of them.\n"
+    )
+    found = [(free.line, free.words) for free in docs_prose.free_numbers(tmp_path)]
+    assert found == [(3, "After [20] seconds"), (4, "by [3] cm,"), (16, "than [.35] of")]
+    given = tmp_path / "given.txt"
+    given.write_text(
+        "# told\n\n## docs/a.md: given\nAfter [20] seconds\n\n## docs/a.md: measured, in no table\nby [3] cm,\n"
+    )
+    told = docs_prose.unlisted(tmp_path, given)
+    assert told == ["docs/a.md:16: 'than [.35] of' is tied to no table and does not stand in given.txt"]
+    given.write_text(given.read_text().replace("docs/a.md: given", "docs/b.md: given"))
+    assert len(docs_prose.unlisted(tmp_path, given)) == 2
+
+
 def test_every_command_names_a_script_that_is_there():
     scripts = [word for table in TABLES for word in table.command if word.startswith("benchmarks/")]
     assert scripts
