@@ -139,10 +139,10 @@ VARIANTS: dict[str, Callable[[Rows], list[Rows]]] = {
 OTHERS = {"a third beside another building": "loop5.log.gz"}
 
 
-def relations_of(name: str, rows: Rows, known: Relations) -> Relations:
-    """The known relations as they are between poses of the variant."""
+def relations_of(name: str, robots: Sequence[str], rows: Rows, known: Relations) -> Relations:
+    """The known relations as they are between poses of these robots of the variant."""
     t = np.array([row.t for row in rows])
-    if name == "mirrored":
+    if name == "mirrored" or (name.endswith("mirror image") and list(robots) == ["2"]):
         return Relations(known.t1, known.t2, known.pose * [1.0, -1.0, -1.0])
     if name == "backwards":
         return Relations(t.min() + t.max() - known.t1, t.min() + t.max() - known.t2, known.pose)
@@ -193,7 +193,7 @@ def main() -> None:
             scores = []
             for k, robots in enumerate(told["components"], 1):
                 at = here / "out" if k == 1 else here / "out" / "components" / str(k)
-                score = score_relations(track(at, robots), relations_of(name, rows, known))
+                score = score_relations(track(at, robots), relations_of(name, robots, rows, known))
                 scores.append((score.used, score.trans_mean or 0.0, score.trans_max or 0.0))
             said = [
                 f"{key}: {text}"

@@ -9,8 +9,9 @@ from mapweave.core import se2
 from mapweave.core.records import Scan, Track
 from mapweave.kernels.walls.raycast import cast
 from mapweave.laser.config import LaserConfig, WheelCheck
-from mapweave.laser.mapping import map_laser, wheels_disagree
+from mapweave.laser.mapping import map_laser, wheels_disagree, wheels_stand
 from mapweave.laser.moving import MovingConfig, MovingReturns
+from mapweave.sim.office import OfficeConfig, simulate_office
 from mapweave.sim.tunnel import TunnelConfig, simulate_tunnel
 
 ANGLES = np.linspace(-2.0, 2.0, 400)
@@ -150,3 +151,43 @@ def test_only_a_long_disagreement_of_scans_and_wheels_is_a_warning():
     assert "the scans tell a way of 6.2 m and the wheels one of 12.2 m" in told
     assert told.startswith("from 30.0 s to 91.0 s")
     assert wheels_disagree(wheels, None, WheelCheck()) == ()
+
+
+def test_wheels_that_report_no_motion_of_a_robot_that_drives_are_a_warning():
+    drives = way(*[2.0] * 12)
+    stands = Track(drives.t, 0.0 * drives.pose)
+    (told,) = wheels_stand(drives, stands, WheelCheck())
+    assert "the wheels report no motion from 0.0 s to 120.0 s, while the scans tell a way of 24.0 m" in told
+    jitter = Track(drives.t, drives.pose[::-1] * 0.0 + 0.2 * (np.arange(len(drives.t)) % 2)[:, None])
+    assert wheels_stand(jitter, stands, WheelCheck()) == ()
+    assert wheels_stand(drives, drives, WheelCheck()) == ()
+    assert wheels_stand(drives, None, WheelCheck()) == ()
+    some = drives.pose.copy()
+    some[30:60], some[90:] = some[30], some[90]
+    (told,) = wheels_stand(drives, Track(drives.t, some), WheelCheck())
+    assert "from 30.0 s to 59.0 s and 1 times more, while the scans tell a way of 11." in told
+
+
+@pytest.fixture(scope="module")
+def office():
+    """An office seen far and all over from along its corridor; turns are driven, not jumped."""
+    cfg = OfficeConfig(rooms=2, visited=1)
+    scanner = replace(cfg.drive.scanner, far=15.0, beams=181)
+    return simulate_office(replace(cfg, drive=replace(cfg.drive, scan_every=0.1, scanner=scanner)), 3)
+
+
+def test_a_log_whose_wheels_stand_is_mapped_from_its_scans_alone_and_warned_of(office):
+    log = office.log
+    still = replace(
+        log,
+        scans=tuple(replace(one, odometry=np.zeros(3)) for one in log.scans),
+        odometry=Track(log.odometry.t, 0.0 * log.odometry.pose, frame="odom"),
+    )
+    cfg = LaserConfig(method="graph", feature="none")
+    made = map_laser(still, cfg, 0)
+    assert error(made, office.truth) < 0.3
+    assert any("the wheels report no motion" in told for told in made.warnings)
+    bare = replace(log, scans=tuple(replace(one, odometry=None) for one in log.scans), odometry=None)
+    alone = map_laser(bare, cfg, 0)
+    assert error(alone, office.truth) < 0.3
+    assert not any("report no motion" in told for told in alone.warnings)

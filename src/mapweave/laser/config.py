@@ -83,6 +83,8 @@ class WheelCheck:
     stretch: float = 2.0  # [m] driven, whose lengths are compared
     share: float = 0.2  # by which they differ
     long: float = 8.0  # [m] on end
+    stand: float = 2.0  # [m] that scans tell, on end, while wheels report no motion,
+    stand_step: float = 0.5  # [m] from one place to the next
 
 
 @config

@@ -23,7 +23,7 @@ from .laser_map import LaserMap
 from .occupancy_mapper import render
 from .robot_graph import RobotGraph
 from .scan_infos import ScanInfos
-from .scan_odometry import blended
+from .scan_odometry import STILL, blended
 from .session import Feature, LaserSession
 from .unfound_places import unfound_places
 
@@ -142,7 +142,10 @@ def map_session(
     finalised = perf_counter()
     clean = replace(log, scans=session.cleaned(log.scans))
     result = finish(clean, session.cfg, feature, poses, session.infos, graph)
-    disagreement = wheels_disagree(result.track, result.dead_reckoning, session.cfg.wheels)
+    disagreement = (
+        *wheels_disagree(result.track, result.dead_reckoning, session.cfg.wheels),
+        *wheels_stand(result.track, result.dead_reckoning, session.cfg.wheels),
+    )
     moved = {"return of something that moves": session.moving.count} if session.moving.count else {}
     left = {} if graph is None else left_graph(graph)
     unfound = () if graph is None else unfound_places(graph)
@@ -196,6 +199,32 @@ def wheels_disagree(track: Track, dead: Track | None, cfg: WheelCheck) -> tuple[
     ways = f"the scans tell a way of {scans[part].sum():.1f} m and the wheels one of {wheels[part].sum():.1f} m"
     why = "something moved along, the walls tell nothing along the way, or the wheels slip"
     return (f"from {first:.1f} s to {last:.1f} s {ways}: {why}",)
+
+
+def wheels_stand(track: Track, dead: Track | None, cfg: WheelCheck) -> tuple[str, ...]:
+    """A warning where the wheels report no motion at all while the scans tell of one.
+
+    dead: dead reckoning at the stamps of `track`. The scans' way counts in steps of `cfg.stand_step`, so that how
+    poses of a robot that stands jump about is none.
+    """
+    if dead is None or len(dead.t) != len(track.t) or len(track.t) < 2:
+        return ()
+    stood = (np.abs(np.diff(dead.pose, axis=0)) <= STILL).all(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], stood.astype(np.int8), [0]])))
+    whole, told = 0.0, []
+    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        way, at = 0.0, track.pose[first, :2]
+        for place in track.pose[first + 1 : last + 1, :2]:
+            if (d := float(np.hypot(*(place - at)))) >= cfg.stand_step:
+                way, at = way + d, place
+        if way >= cfg.stand:
+            whole += way
+            told.append(f"from {track.t[first]:.1f} s to {track.t[last]:.1f} s")
+    if not told:
+        return ()
+    more = f" and {len(told) - 1} times more" if len(told) > 1 else ""
+    ways = f"the wheels report no motion {told[0]}{more}, while the scans tell a way of {whole:.1f} m"
+    return (f"{ways}: nothing but the scans tells it, and along walls that look alike it may be wrong",)
 
 
 def between_keyframes(t: Float[np.ndarray, " n"], graph: RobotGraph) -> Float[np.ndarray, "n 3 3"]:

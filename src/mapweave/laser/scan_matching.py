@@ -50,6 +50,13 @@ class FrontEndConfig:
     least_share: float = 0.25  # share of the returns that must match, or odometry is taken
     alone_xy: float = 0.25  # [m] a robot without odometry may move in a step, one sigma, and
     alone_turn: float = 0.35  # [rad] turn
+    alone_search: float = 1.3  # [rad] turns tried to either side of such a robot's last heading
+    alone_tries: int = 5  # of them, those that most returns match are refined
+    alone_loss: float = 0.04  # share of the returns that a change of its motion must win: so much times
+    alone_steady: float = 0.1  # ln(1 + (change / this [m])^2 + (turn's change / the next)^2)
+    alone_steady_turn: float = 0.15  # [rad]
+    still_xy: float = 0.1  # [m] a robot must leave its place, or
+    still_turn: float = 0.1  # [rad] turn, while its wheels report no motion, before they are not believed
 
 
 def allowed_sd(u: Float[np.ndarray, "3"], c: FrontEndConfig) -> Float[np.ndarray, "3"]:
@@ -101,6 +108,39 @@ class FrontEnd:
                 if count > matches:
                     (pose, H, _), matches = tried, count
         return ScanMatch(pose, H, se2.between(predicted, pose), matches, n)
+
+    def match_alone(
+        self, b: Beams, last: Float[np.ndarray, "3"], step: Float[np.ndarray, "3"], sd: Float[np.ndarray, "3"]
+    ) -> ScanMatch:
+        """Where the scan fits when nothing is known but the last pose and the last motion; the map is not touched.
+
+        Turns are tried far to either side, as if the robot drove on and as if it stood. Of the best that are refined
+        the one is taken that most returns match, less what its change of motion costs: more returns match where the
+        walls are known already, so that a scan along a bare wall would rather have the robot stand.
+        """
+        c = self.cfg
+        n = len(b.q)
+        on = np.asarray(se2.compose(last, step))
+        far = min(c.alone_search, np.pi)
+        turns = np.arange(-far, far + 1e-9, c.wide_step)
+        at = np.array([[*place[:2], last[2] + a] for place in (on, last) for a in turns])
+        scores = np.array([self._count(self.coarse, c.coarse, b, pose, c.reach) for pose in at])
+        starts = [on, last]
+        for k in np.argsort(-scores, kind="stable").tolist():
+            if len(starts) >= 2 + c.alone_tries:
+                break
+            if all(abs(se2.wrap_angle(at[k, 2] - s[2])) > 2.5 * c.wide_step for s in starts):
+                starts.append(at[k])
+        found = []
+        for start in starts:
+            pose, H, _ = self._refine(b, start, start, sd)
+            count = self._count(self.fine, c.fine, b, pose, c.reach)
+            change = se2.between(on, pose)
+            turned = min(abs(float(change[2])), abs(float(se2.wrap_angle(pose[2] - last[2]))))
+            away = float(np.hypot(change[0], change[1])) / c.alone_steady
+            cost = c.alone_loss * n * np.log1p(away**2 + (turned / c.alone_steady_turn) ** 2)
+            found.append((count - cost, ScanMatch(pose, H, change, count, n)))
+        return max(found, key=lambda one: one[0])[1]
 
     def insert(self, b: Beams, pose: Float[np.ndarray, "3"]) -> bool:
         """True when `pose` was far enough from the last keyframe for its scan to become one."""

@@ -61,14 +61,19 @@ def blended(
     return np.asarray(out)
 
 
+STILL = 1e-6  # [m] and [rad] that wheels which report no motion differ by
 NO_INNOVATION = np.zeros(3)
 
 
 class Increment(NamedTuple):
-    """u: (3,) odometry since the last scan (without odometry: as the robot moved last); sd: (3,) it may err by."""
+    """u: (3,) odometry since the last scan; sd: (3,) it may err by.
+
+    alone: there is no odometry, or it reports no motion of a robot that moves: u is how the robot moved last.
+    """
 
     u: Float[np.ndarray, "3"]
     sd: Float[np.ndarray, "3"]
+    alone: bool = False
 
 
 def inside(innovation: Float[np.ndarray, "3"], eps: Float[np.ndarray, "3"]) -> bool:
@@ -107,6 +112,7 @@ class ScanOdometry:
         self.poses = Rows(3)
         self.odometry: np.ndarray | None = None
         self.step = np.zeros(3)
+        self._stood: np.ndarray | None = None  # where it was when the wheels moved last, while they report nothing
         self.lines = np.zeros((3, 3))
 
     @property
@@ -115,15 +121,32 @@ class ScanOdometry:
         return np.asarray(self.poses[-1]) if len(self.poses) else np.zeros(3)
 
     def increment(self, odometry: Float[np.ndarray, "3"] | None) -> Increment:
-        """What odometry says of the motion since the last scan."""
-        if odometry is None:
-            return Increment(self.step, alone_sd(self.cfg))
+        """What odometry says of the motion since the last scan; wheels that stand while the robot drives say none."""
+        if odometry is None or (self._wheels_stand(odometry) and self._left_its_place()):
+            return Increment(self.step, alone_sd(self.cfg), alone=True)
         u = np.zeros(3) if self.odometry is None else se2.between(self.odometry, odometry)
         return Increment(u, allowed_sd(u, self.cfg))
 
+    def _wheels_stand(self, odometry: Float[np.ndarray, "3"] | None) -> bool:
+        """Whether wheels report no motion at all since the last scan."""
+        if odometry is None or self.odometry is None:
+            return False
+        return bool((np.abs(odometry - self.odometry) <= STILL).all())
+
+    def _left_its_place(self) -> bool:
+        """Whether the robot is elsewhere than where its wheels moved last."""
+        if self._stood is None:
+            return False
+        away = se2.between(self._stood, self.pose)
+        return bool(np.hypot(away[0], away[1]) > self.cfg.still_xy or abs(away[2]) > self.cfg.still_turn)
+
     def advance(self, scan: Scan, b: Beams) -> ScanInfo:
         """`poses` has one more: where the robot was at the scan."""
-        u, sd = self.increment(scan.odometry)
+        u, sd, alone = self.increment(scan.odometry)
+        if not self._wheels_stand(scan.odometry):
+            self._stood = None
+        elif self._stood is None:
+            self._stood = self.pose
         self.odometry = None if scan.odometry is None else np.array(scan.odometry, float)
         self.lines = np.zeros((3, 3))
         n = len(b.q)
@@ -134,9 +157,10 @@ class ScanOdometry:
             decision = "odometry" if n >= self.cfg.least_beams else "empty"
             info = ScanInfo(NO_INNOVATION, n, 0, decision, information=np.diag(sd**-2.0))
             return self._accept(b, predicted, info)
-        match = self.front_end.match(b, predicted, sd)
+        fe = self.front_end
+        match = fe.match_alone(b, self.pose, u, sd) if alone else fe.match(b, predicted, sd)
         accepted = match.matches >= self.cfg.least_share * match.beams
-        if accepted and self.gate is not None and scan.odometry is not None:
+        if accepted and self.gate is not None and scan.odometry is not None and not alone:
             accepted = inside(match.innovation, self.gate(sd))
         if accepted and self.tell_lines:
             self.lines = self.front_end.information(b, match.pose)
