@@ -39,7 +39,8 @@ def test_a_page_ends_in_the_table_that_its_command_writes(page):
     for line, claim in zip(table[2:], PAGES[page], strict=True):
         cells = [cell.strip() for cell in line.strip("|").split(" | ")]
         assert cells[:4] == [claim.claim, f"`{claim.code}`", f"`{claim.test}`", claim.printed]
-        assert cells[6] in {f"`{claim.command}`", f"`{claim.command} --quick`"}
+        assert cells[5] == claim.verdict
+        assert cells[7] in {f"`{claim.command}`", f"`{claim.command} --quick`"}
         assert cells[4]
 
 

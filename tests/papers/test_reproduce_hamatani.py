@@ -81,6 +81,29 @@ def test_the_scale_drifts_with_fresh_jacobians_and_stays_with_the_first_ones_wha
     assert mended["side_m"] < 0.6 * rows[25.0, "ekf", "guess"]["side_m"]
 
 
+@pytest.mark.long
+def test_what_the_paper_says_of_all_cells_is_judged_over_all_cells(written):
+    _, _, metrics = written
+    cells = {
+        (table, c["guess_m2"], c["bearing_deg2"]): c["ours"]
+        for table in ("table1", "table2", "table3")
+        for c in metrics[table]
+        if c["bearing_deg2"] > 0
+    }
+    good, bad = (
+        {t: max(v for (name, g, _), v in cells.items() if name == t and (g == 25) == far) for t in ("table2", "table3")}
+        for far in (False, True)
+    )
+    assert good["table2"] < 0.4 < bad["table2"]
+    assert good["table3"] < 0.1 < bad["table3"]
+    grow = [cells[t, g, 25] > cells[t, g, 0.01] for t, g, b in cells if b == 25]
+    assert sum(grow) >= 8
+    told = metrics["claims"]
+    assert told["grows"] == f"{sum(grow)} of 9 rows"
+    assert float(told["angles"].split()[0]) == pytest.approx(good["table2"], abs=5e-4)
+    assert float(told["places"].split()[0]) > 0.1  # from this guess the filter does not get there
+
+
 def test_robots_anywhere_many_of_them_and_in_space_are_located_at_the_bound():
     """Seeds of its own; space at several noise levels and in clusters. Medians, for a draw may be hard by itself."""
     for row in beyond(tuple(c for c in CASES if c.robots <= 100), 6, 50):

@@ -4,16 +4,17 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, cast
+from typing import ClassVar, Literal, cast
 
 from ..io.directory import write_json
 from ..report.html import Page
 from ..report.result import HasMetrics, ResultBase, Rows
 from ..report.style import Target
 
-CLAIMS_HEAD = ("claim of the paper", "in the code", "held by", "printed", "here", "over", "command")
+CLAIMS_HEAD = ("claim of the paper", "in the code", "held by", "printed", "here", "verdict", "over", "command")
 CLAIMS_FILE = "claims.md"
 TABLES_FOLDER = "tables"
+Verdict = Literal["holds", "in part", "does not hold", "answered"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +47,8 @@ class Claim:
 
     code: a file under `src/mapweave`; test: `file::function` under `tests`; printed: the paper's figure; here: the
     name under which `Reproduction.measured` gives ours; over: how many draws ours is of, with `measured` names in
-    braces; command: what prints it.
+    braces; command: what prints it; verdict: on the claim by the whole experiment, "answered" of what the paper leaves
+    open or assumes.
     """
 
     claim: str
@@ -56,6 +58,7 @@ class Claim:
     here: str
     over: str
     command: str
+    verdict: Verdict
 
 
 class Reproduction(ResultBase):
@@ -100,7 +103,10 @@ class Reproduction(ResultBase):
         """Head and rows of the closing table."""
         told = self.measured()
         rows = [
-            (c.claim, c.code, c.test, c.printed, told[c.here], c.over.format_map(told), c.command + self.form)
+            (
+                *(c.claim, c.code, c.test, c.printed, told[c.here], c.verdict),
+                *(c.over.format_map(told), c.command + self.form),
+            )
             for c in self.claims
         ]
         return CLAIMS_HEAD, rows

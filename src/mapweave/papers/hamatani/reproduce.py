@@ -258,9 +258,25 @@ class HamataniReproduction(Reproduction):
             "bad_guess": "; ".join(f"table {k}: {cells(k, (25.0,))}" for k in PRINTED),
             "exact": f"solved: {max(self.value(3, g, 0.0) for g in VARIANCES):.0e} m at most",
             "drift": f"{self.drift[0].side.mean():.2f} m; first-estimate Jacobians {self.drift[1].side.mean():.4f} m",
+            **self._all_cells(),
             "random": bounds([r for r in plane if r.case.robots == 5]),
             "many": bounds(large),
             "space": bounds(space),
+        }
+
+    def _all_cells(self) -> dict[str, str]:
+        """What the paper says of all cells with noisy bearings together."""
+        noisy = VARIANCES[1:]
+        angles, sides = ({(g, b): self.value(t, g, b) for g in VARIANCES for b in noisy} for t in (2, 3))
+        grow = [self.value(t, g, noisy[1]) > self.value(t, g, noisy[0]) for t in PRINTED for g in VARIANCES]
+        good = [v for (g, _), v in angles.items() if g < noisy[1]], [v for (g, _), v in sides.items() if g < noisy[1]]
+        p = self.example
+        return {
+            "angles": f"{max(good[0]):.3f} deg at most from good guesses, {max(angles.values()):.2f} from 25 m²",
+            "sides": f"{max(good[1]):.3f} m at most from good guesses, {max(sides.values()):.3f} from 25 m²",
+            "places": f"{figures.worst(p.known, p.truth):.4f} m at most; batch, one set of sightings, "
+            f"{figures.worst(p.once, p.truth):.4f} m",
+            "grows": f"{sum(grow)} of {len(grow)} rows",
         }
 
     def draw(self, target: Target) -> None:

@@ -239,6 +239,7 @@ class HaraReproduction(Reproduction):
             ),
             "printed": (f"{raw:.2f} m; on geometry {bare:.2f} m"),
             "ours": f"{ours:.3f} m",
+            "feature": f"our filter {ours:.2f} m; raw intensity, the paper's filter {raw:.2f} m",
             "geometry": (
                 f"{light_error:.3f} m ({most}): {light_error / geometry:.2f} x the best geometry ({name}, "
                 f"{geometry:.2f} m), of which none can err less than {_rms(self.bounds.geometry):.2f} m"

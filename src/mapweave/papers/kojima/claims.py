@@ -15,6 +15,7 @@ CLAIMS = (
         "local",
         "{worlds} worlds",
         COMMAND,
+        "holds",
     ),
     Claim(
         "Both weightings merge them into one map (Fig. 6)",
@@ -24,6 +25,7 @@ CLAIMS = (
         "merged",
         "{worlds} worlds",
         COMMAND,
+        "holds",
     ),
     Claim(
         "The proposed weights lower the robot's error (Table 2)",
@@ -33,6 +35,7 @@ CLAIMS = (
         "robot",
         "{worlds} worlds",
         COMMAND,
+        "does not hold",
     ),
     Claim(
         "The proposed weights lower the landmarks' error (Table 2)",
@@ -42,6 +45,7 @@ CLAIMS = (
         "landmark",
         "{worlds} worlds",
         COMMAND,
+        "does not hold",
     ),
     Claim(
         "Weights from the maps' covariances pay (here: unequal maps, widest pair)",
@@ -51,6 +55,7 @@ CLAIMS = (
         "unequal",
         "{unequal_worlds} worlds",
         COMMAND,
+        "holds",
     ),
     Claim(
         "Theorem 1: the determinant of the covariance falls at every update",
@@ -60,6 +65,7 @@ CLAIMS = (
         "falls",
         "{worlds} worlds, 700 updates",
         COMMAND,
+        "holds",
     ),
     Claim(
         "Theorem 2: the covariance converges to a constant",
@@ -69,6 +75,7 @@ CLAIMS = (
         "settles",
         "{worlds} worlds, 700 updates",
         COMMAND,
+        "in part",
     ),
     Claim(
         "Theorem 2: the constant is that of eqs. 24-27",
@@ -78,6 +85,7 @@ CLAIMS = (
         "closed",
         "{settled} maps",
         COMMAND,
+        "does not hold",
     ),
     Claim(
         "Theorem 2, how fast: as 1/k from 100 updates on",
@@ -87,6 +95,7 @@ CLAIMS = (
         "speed",
         "{settled} maps each",
         COMMAND,
+        "answered",
     ),
     Claim(
         "Assumption 1: common landmarks are known; here they are found",
@@ -96,5 +105,6 @@ CLAIMS = (
         "identities",
         "{trials} trials each",
         COMMAND,
+        "answered",
     ),
 )

@@ -228,6 +228,8 @@ class YuanReproduction(Reproduction):
         dead = self.get("ablation", "one of two dead after 100 steps")
         apart, whole = self.get("ablation", "no distance to others"), self.get("ablation", "whole objective")
 
+        careless = self.get("ablation", "no accuracy")
+
         def steps(o: Outcome) -> str:
             return str(o.row()[3])
 
@@ -251,6 +253,8 @@ class YuanReproduction(Reproduction):
             "area": "; ".join(f"{row[0]}: {row[3]} times" for row in self.like_for_like()[1][:2]),
             "escape": f"{self.get('ablation', 'whole objective, no escape').finished} of {len(dead.runs)} finish "
             "without it",
+            "careful": f"{accuracy(whole)} with it, {accuracy(careless)} without",
+            "independent": f"to the bit (test); the map's NEES/dof {whole.mean('nees_per_dof'):.2f}",
             "apart": f"{apart.mean('steps') / whole.mean('steps'):.2f} times the steps without it",
             "dead": f"{dead.finished} of {len(dead.runs)} finish, NEES/dof {dead.mean('nees_per_dof'):.2f}",
             "drawn": "drawn",
