@@ -76,6 +76,19 @@ def test_what_is_missing_is_asked_for_after_a_moment_and_again_when_nobody_answe
     assert not list(inbox.gaps(100.0))
 
 
+def test_what_is_answered_with_nothing_of_use_is_asked_for_no_sooner_than_what_nobody_answers(store):
+    told = payloads(team()[0])
+    inbox = Inbox(store)
+    hear(inbox, [told[0], told[6]])
+    assert list(inbox.gaps(PATIENCE)) == [("r1", 1, 5)]
+    for _ in range(5):
+        inbox.offer("r1", b"nothing", 1.0)
+    inbox.answered("r1")
+    assert not list(inbox.gaps(PATIENCE + 0.9 * AGAIN))
+    assert list(inbox.gaps(PATIENCE + AGAIN)) == [("r1", 1, 5)]
+    assert inbox.ledgers["r1"].refused == {"malformed": 5}
+
+
 def test_a_status_tells_of_messages_that_never_came(store):
     inbox = Inbox(store)
     status = Status(robot="r1", run="a", sensor="landmarks", last=999, clock=0.0, t=0.0, pose=(0.0,) * 3, cov=())

@@ -40,7 +40,8 @@ STATED = 64  # robots without a certificate may call themselves anything: beyond
 class Ledger:
     """What is known of one robot. held: numbers in the store beyond `next`, which is the first one missing.
 
-    record: what the messages before `next` say; fault: why messages from there on are not used.
+    record: what the messages before `next` say; fault: why messages from there on are not used. asked: when what is
+    missing was asked for last, `here` messages being here then; answered: whether that is answered to its end.
     """
 
     robot: str
@@ -58,6 +59,8 @@ class Ledger:
     heard: deque[float] = field(default_factory=lambda: deque(maxlen=2000))
     gap_since: float | None = None
     asked: float | None = None
+    here: int = 0
+    answered: bool = False
 
     @property
     def complete(self) -> bool:
@@ -65,9 +68,14 @@ class Ledger:
         return bool(self.fault) or (self.record is not None and self.record.closed)
 
     @property
+    def count(self) -> int:
+        """How many messages are here."""
+        return self.next + len(self.held)
+
+    @property
     def missing(self) -> int:
         """How many messages it is known to have told that are not here."""
-        return self.last + 1 - self.next - len(self.held)
+        return self.last + 1 - self.count
 
     def rate(self, now: float) -> float:
         """Messages a second of late."""
@@ -232,20 +240,21 @@ class Inbox:
             self._unsaved = []
 
     def gaps(self, now: float) -> Iterator[tuple[str, int, int]]:
-        """Robot, first and last number to ask for now; asked for again while they do not come."""
+        """Robot, first and last number to ask for now; asked for again, `AGAIN` later, while they do not come."""
         for ledger in self.ledgers.values():
             if ledger.gap_since is None or ledger.fault or now < ledger.gap_since + PATIENCE:
                 continue
-            if ledger.asked is not None and now < ledger.asked + AGAIN:
+            more = ledger.answered and ledger.count > ledger.here
+            if ledger.asked is not None and not more and now < ledger.asked + AGAIN:
                 continue
-            ledger.asked = now
+            ledger.asked, ledger.answered, ledger.here = now, False, ledger.count
             until = min([k - 1 for k in ledger.held if k > ledger.next], default=ledger.last)
             yield ledger.robot, ledger.next, min(until, ledger.next + ANSWER - 1)
 
     def answered(self, robot: str) -> None:
-        """A question about `robot` was answered to its end: the next may be asked at once."""
+        """A question about `robot` was answered to its end: the next is asked at once if that has brought anything."""
         if robot in self.ledgers:
-            self.ledgers[robot].asked = None
+            self.ledgers[robot].answered = True
 
     def log(self, robot: str) -> LandmarkLog | LaserLog | None:
         """What `robot` told up to its first gap; None of one that told no header yet."""
