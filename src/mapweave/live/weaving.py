@@ -77,7 +77,11 @@ def _placed(names: Sequence[str], graphs: Sequence[RobotGraph], woven: Woven, un
 
 
 def _decisions(names: Sequence[str], merges: Sequence[Merge], placed: Mapping[str, Placed]) -> list[str]:
-    """What was decided on pairs; of more than `MOST_TOLD` those that hang together."""
+    """What was decided on pairs, but for those refused or not tried that hang together by others.
+
+    Of more than `MOST_TOLD` those that are tied.
+    """
+    merges = [m for m in merges if m.merged or placed[m.a].component != placed[m.b].component]
     tried = [m for m in merges if m.reason != UNTRIED]
     tied = [m for m in tried if m.merged]
     told = [
