@@ -6,9 +6,11 @@ of the column, or its number; `COLUMN#2` is the second number of a cell, `COLUMN
 
 Any other number that has a unit or a decimal point stands in `docs_given.txt`, with the words around it: as one that
 nobody measured (a parameter, a definition, what others print), or as one that was measured and is not held to a table
-yet. `python benchmarks/docs_prose.py` counts both and lists what stands nowhere.
+yet. `python benchmarks/docs_prose.py` counts both and tells what stands nowhere; `--list given` or `--list measured`
+puts that into the list.
 """
 
+import argparse
 import re
 import sys
 from collections.abc import Callable
@@ -162,19 +164,31 @@ def _cells(line: str) -> list[str]:
     return [re.sub(r"[*`_]", "", cell).strip() for cell in line.strip().strip("|").split("|")]
 
 
+def write_list(top: Path, kind: str, given: Path = GIVEN) -> None:
+    """The list names what stands in sentences and no table holds: what is new as `kind`; what is gone is gone."""
+    there, held, missing = free_numbers(top), listed(given), {one.split(":", 1)[0] for one in unlisted(top, given)}
+    known = {(page, words) for by_page in held.values() for page, all_words in by_page.items() for words in all_words}
+    for page in sorted(missing):
+        new = (f.words for f in there if f.page == page and (page, f.words) not in known)
+        held[kind].setdefault(page, []).extend(dict.fromkeys(new))
+    lines = given.read_text(encoding="utf-8").partition("\n\n")[0].splitlines()
+    for name, by_page in held.items():
+        for page, all_words in sorted(by_page.items()):
+            kept = [words for words in all_words if any((f.page, f.words) == (page, words) for f in there)]
+            lines += ["", f"## {page}: {name}", *kept] if kept else []
+    given.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
 def main() -> None:
-    top = Path(__file__).parents[1]
-    held, there = listed(), free_numbers(top)
-    for kind, by_page in held.items():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--list", choices=("given", "measured"), help="put what stands nowhere into the list, as this")
+    asked, top = parser.parse_args().list, Path(__file__).parents[1]
+    if asked:
+        write_list(top, MEASURED if asked == "measured" else asked)
+    there = free_numbers(top)
+    for kind, by_page in listed().items():
         print(f"{kind}: {sum(free.words in by_page.get(free.page, ()) for free in there)}")
-    gone = [
-        f"{page}: {words!r} stands in {GIVEN.name}, and nowhere on the page"
-        for by_page in held.values()
-        for page, all_words in by_page.items()
-        for words in all_words
-        if not any((free.page, free.words) == (page, words) for free in there)
-    ]
-    wrong = [*unlisted(top), *gone]
+    wrong = unlisted(top)
     print("\n".join(wrong))
     sys.exit(1 if wrong else 0)
 

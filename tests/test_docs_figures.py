@@ -36,6 +36,11 @@ def test_numbers_of_sentences_are_found_outside_code_maths_tables_and_ties(tmp_p
     assert told == ["docs/a.md:16: 'than [.35] of' is tied to no table and does not stand in given.txt"]
     given.write_text(given.read_text().replace("docs/a.md: given", "docs/b.md: given"))
     assert len(docs_prose.unlisted(tmp_path, given)) == 2
+    docs_prose.write_list(tmp_path, "given", given)
+    assert docs_prose.unlisted(tmp_path, given) == []
+    page.write_text("Less than .35 of them.")
+    docs_prose.write_list(tmp_path, "given", given)
+    assert given.read_text() == "# told\n\n## docs/a.md: given\nthan [.35] of\n"
 
 
 def test_every_command_names_a_script_that_is_there():
