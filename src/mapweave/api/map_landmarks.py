@@ -24,6 +24,7 @@ from ..landmarks.copies import copies_told
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import Growth, grow, without_impossible
 from ..landmarks.sifting import SiftConfig, sifted
+from ..team.camera_clock import CameraClockConfig, on_camera_clock
 from ..team.clocks import of_another_time
 from ..team.config import OnlineConfig, SmoothingConfig
 from ..team.further_rooms import with_further_rooms
@@ -43,8 +44,9 @@ from .team import TeamResult, Watch, team_maps, team_result
 
 @config
 class LandmarkMapConfig:
-    """The tables of a configuration file: `[sift]`, `[ekf]`, `[fuse]`, `[kidnap]`, `[smoothing]` and `[online]`."""
+    """The tables of a configuration file: `[camera_clock]`, `[sift]`, `[ekf]`, `[fuse]` and those of the team."""
 
+    camera_clock: CameraClockConfig = field(default_factory=CameraClockConfig)
     sift: SiftConfig = field(default_factory=SiftConfig)
     ekf: EkfSlamConfig = field(default_factory=EkfSlamConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)
@@ -93,10 +95,8 @@ def _configured(options: MapOptions) -> LandmarkMapConfig:
 def _map_read(
     logs: Sequence[LandmarkLog], cfg: LandmarkMapConfig, options: MapOptions, title: str, watch: Watch
 ) -> TeamResult:
-    read = [
-        sifted(without_impossible(agreeing(log, cfg.ekf), cfg.ekf), cfg.ekf, cfg.sift)
-        for log in copies_told(_shared(list(logs), options))
-    ]
+    on_time = [on_camera_clock(log, cfg.camera_clock) for log in copies_told(_shared(list(logs), options))]
+    read = [sifted(without_impossible(agreeing(log, cfg.ekf), cfg.ekf), cfg.ekf, cfg.sift) for log in on_time]
     watch.lap("read")
     fused, looked = (None if s is None else times_of(read, s) for s in _every(cfg, options))
     times = sorted({*(fused or ()), *(looked or ())})

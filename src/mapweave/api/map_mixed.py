@@ -46,6 +46,7 @@ from ..laser.occupancy_mapper import render
 from ..report.mixed import MixedStory, draw_mixed, words, write_mixed_report
 from ..report.result import ResultBase, Rows
 from ..report.style import Target
+from ..team.camera_clock import CameraClockConfig, on_camera_clock
 from ..team.config import SmoothingConfig
 from ..team.kidnapped import Cut, KidnapConfig, cut_kidnapped, with_stretches
 from ..team.known import Known
@@ -69,6 +70,7 @@ FAR = 60.0  # [s] between the time spans of two logs from which their clocks hav
 class MixedMapConfig:
     """The tables of a mixed team's configuration file, named as the fields."""
 
+    camera_clock: CameraClockConfig = field(default_factory=CameraClockConfig)
     sift: SiftConfig = field(default_factory=SiftConfig)
     ekf: EkfSlamConfig = field(default_factory=EkfSlamConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)
@@ -131,7 +133,8 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     scans, lasers = _lasers(found.lasers, cfg.laser, options)
     apart = _apart(read, scans)
     read = [log.share(options.share.get(robot_key(log.robot), 1.0)) for log in read]
-    read = [without_impossible(agreeing(log, cfg.ekf), cfg.ekf) for log in copies_told(read)]
+    read = [on_camera_clock(log, cfg.camera_clock) for log in copies_told(read)]
+    read = [without_impossible(agreeing(log, cfg.ekf), cfg.ekf) for log in read]
     read = [sifted(log, cfg.ekf, cfg.sift) for log in read]
     seeing = [x for x in read if x.robot not in apart and any(not n.startswith("robot") for n in x.sightings.counts())]
     cut = _cut(seeing, *_filtered(seeing, cfg, options), cfg, options.seed)
