@@ -1,5 +1,8 @@
 """What may be said, what is refused, and that a log survives being told."""
 
+import re
+from pathlib import Path
+
 import msgspec
 import numpy as np
 import pytest
@@ -9,9 +12,27 @@ from mapweave.landmarks.mapping import grow
 from mapweave.live.columns import pack, pack_triangle, unpack, unpack_triangle
 from mapweave.live.landmark_robot import LandmarkRobot
 from mapweave.live.landmark_stream import LandmarkRecord
-from mapweave.live.messages import LARGEST, PROTOCOL, Closed, RefusedError, Rows, Snapshot, Status, decode, encode
+from mapweave.live.messages import (
+    LARGEST,
+    PROTOCOL,
+    Beams,
+    Closed,
+    Correction,
+    Header,
+    MapState,
+    RefusedError,
+    Rows,
+    Scans,
+    Snapshot,
+    Status,
+    Tile,
+    decode,
+    encode,
+)
 
 from .teams import messages, team
+
+PAGE = (Path(__file__).parents[2] / "docs" / "live.md").read_text()
 
 
 def same(a, b):
@@ -134,3 +155,21 @@ def test_rows_that_contradict_what_was_told_before_are_refused(rows, told):
     with pytest.raises(RefusedError, match=told):
         record.add(Rows(robot="r1", run="a", seq=1, **rows))
     assert not record.parts
+
+
+@pytest.mark.parametrize("message", [Header, Rows, Scans, Status, Snapshot, Correction, MapState, Tile])
+def test_the_page_of_the_protocol_names_every_field_and_which_may_be_left_out(message):
+    row = re.search(rf"^\| `{message.__struct_config__.tag}` \| (.*) \|$", PAGE, re.MULTILINE).group(1)
+    every = msgspec.structs.fields(message)
+    common = {"v", "robot", "run", "seq"} if "seq" in message.__struct_fields__ else {"v"}
+    fields = {f.encode_name for f in every} - common
+    assert fields <= set(re.findall(r"`(\w+)`", row))
+    told = set(re.findall(r"`(\w+)`", " ".join(re.findall(r"\[([^]]*`[^]]*)\]", row)))) & fields
+    if message not in {MapState, Tile}:  # those only map processes tell
+        assert told == {f.encode_name for f in every if not f.required} & fields
+
+
+def test_a_scan_is_told_with_the_fields_of_the_page():
+    told = PAGE.split("A\nscan has all of these:")[1].split("`ranges` and `light` are bytes")[0]
+    assert set(Beams.__struct_fields__) <= set(re.findall(r"`(\w+)`", told))
+    assert all(f.required for f in msgspec.structs.fields(Beams))
