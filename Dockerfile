@@ -1,4 +1,5 @@
-# docker build -t mapweave . && docker run --rm -v "$PWD:/data" mapweave map robot1.bag robot2.mcap --out result
+# docker build -t mapweave .
+# docker run --rm --user "$(id -u):$(id -g)" -v "$PWD:/data" mapweave map robot1.bag robot2.mcap --out result
 FROM python:3.13-slim AS wheel
 WORKDIR /source
 COPY pyproject.toml README.md LICENSE ./
@@ -9,10 +10,14 @@ FROM python:3.13-slim
 WORKDIR /install
 COPY constraints.txt .
 COPY --from=wheel /wheel .
-RUN pip install --no-cache-dir -c constraints.txt ./*.whl && useradd --create-home robot
+RUN pip install --no-cache-dir -c constraints.txt ./*.whl
+# whoever runs it, so that results belong to the caller: a home, and kernels that the image has compiled already
+ENV HOME=/home/robot NUMBA_CACHE_DIR=/kernels
+RUN useradd --create-home robot && mkdir /kernels \
+ && mapweave demo --out /tmp/demo \
+ && mapweave simulate corridor --out /tmp/laser.mcap && mapweave map /tmp/laser.mcap --out /tmp/laser \
+ && mapweave doctor && rm -r /tmp/demo /tmp/laser* && chmod -R a+rwX /kernels /home/robot
 USER robot
 WORKDIR /data
-# kernels compiled once are kept in the image
-RUN mapweave doctor
 ENTRYPOINT ["mapweave"]
 CMD ["--help"]
