@@ -28,6 +28,7 @@ html_css_files = ["site.css"]
 html_show_sphinx = False
 html_copy_source = False
 html_math_renderer = "mathml"
+highlight_language = "text"  # commands are no Python
 pygments_style = "default"
 pygments_dark_style = "github-dark"
 myst_enable_extensions = ["dollarmath", "amsmath", "attrs_inline"]

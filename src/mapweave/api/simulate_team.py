@@ -42,9 +42,9 @@ class SimulatedMixedTeam(ResultBase, MixedRecording):
         return {"version": __version__, "seed": self.seed, "world": asdict(self.world), "robots": robots}
 
     def lines(self) -> list[str]:
-        kinds = ", ".join(f"{n} of kind {kind}" for kind, n in Counter(r.kind for r in self.robots).items())
+        kinds = ", ".join(f"{n} {kind}" for kind, n in Counter(r.kind for r in self.robots).items())
         seen = sum(len(r.seen.t) for r in self.robots)
-        return [f"{kinds}, {len(self.landmarks)} landmarks, {seen} sightings, seed {self.seed}"]
+        return [f"robots: {kinds}; {len(self.landmarks)} landmarks, {seen} sightings, seed {self.seed}"]
 
     def headline(self) -> Rows:
         rows = [

@@ -1,9 +1,11 @@
 """One HTML file that needs nothing beside it: figures inside, light and dark, printable."""
 
 import base64
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
+from itertools import zip_longest
 from pathlib import Path
 
 from PIL import Image
@@ -11,6 +13,7 @@ from PIL import Image
 from ..core.version import __version__
 from .scene import Scene, script
 
+ALIKE = 1000.0  # numbers of a column that differ by less have the same number of decimals
 LONGEST_NUMBER = 24  # letters of a cell, beyond which it is a sentence
 _CSS = """
 :root{color-scheme:light dark;--fg:#1b1f24;--bg:#fff;--line:#d9dde2;--soft:#f4f6f8;--accent:#0072B2;--warn:#b25400}
@@ -18,7 +21,7 @@ _CSS = """
 *{box-sizing:border-box}body{margin:0 auto;max-width:72rem;padding:2rem 1.25rem;color:var(--fg);background:var(--bg);
 font:15px/1.5 system-ui,sans-serif}h1{font-size:1.6rem;margin:0}h2{font-size:1.15rem;margin:2.2rem 0 .6rem;
 border-bottom:1px solid var(--line);padding-bottom:.3rem}p.lead{margin:.3rem 0 1rem;opacity:.85}
-table{border-collapse:collapse;margin:.5rem 0;font-variant-numeric:tabular-nums;display:block;overflow-x:auto}
+table{border-collapse:collapse;margin:.5rem 0 1rem;font-variant-numeric:tabular-nums;display:block;overflow-x:auto}
 th,td{padding:.25rem .7rem;border-bottom:1px solid var(--line);text-align:right;white-space:nowrap}
 th:first-child,td:first-child{text-align:left}th.text{text-align:left}td.text{text-align:left;white-space:normal;min-width:14rem}th{background:var(--soft);font-weight:600}
 figure{margin:1rem 0}figure img{max-width:100%;height:auto;background:#fff;border:1px solid var(--line);border-radius:6px}
@@ -60,7 +63,8 @@ class Page:
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
         """Numbers stand right, columns with a sentence in them left."""
-        cells = [[_shown(value) for value in row] for row in rows]
+        digits = [_decimals(column) for column in zip_longest(*rows)]
+        cells = [[_shown(value, d) for value, d in zip(row, digits, strict=False)] for row in rows]
         words = {k for row in cells for k, text in enumerate(row) if len(text) > LONGEST_NUMBER}
         top = "".join(f"<th{_class(k in words)}>{escape(h)}</th>" for k, h in enumerate(head))
         body = "".join(
@@ -118,8 +122,18 @@ def _inside(image: Path) -> str:
     return f"data:image/{image.suffix[1:]};base64,{base64.b64encode(image.read_bytes()).decode('ascii')}"
 
 
-def _shown(value: object) -> str:
-    return "–" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+def _decimals(column: Sequence[object]) -> int | None:
+    """How many decimals give the largest number of a column four digits; None where that hides the smallest."""
+    sizes = [abs(value) for value in column if isinstance(value, float) and value and math.isfinite(value)]
+    if len(sizes) < 2 or max(sizes) >= ALIKE * min(sizes) or max(sizes) >= 1e4:
+        return None
+    return max(0, 3 - math.floor(math.log10(max(sizes))))
+
+
+def _shown(value: object, decimals: int | None = None) -> str:
+    if not isinstance(value, float):
+        return "–" if value is None else str(value)
+    return f"{value:.4g}" if decimals is None else f"{value:.{decimals}f}"
 
 
 def _class(words: bool) -> str:  # noqa: FBT001

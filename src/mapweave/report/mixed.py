@@ -15,6 +15,7 @@ from .html import Page
 from .laser_figures import draw_occupancy, walls
 from .scene import Scene, landmark_points
 from .style import Target, as_map, colour, figure, name_points
+from .team import measured
 from .team_figures import legend_beside, thinned
 from .woven import told_merge
 
@@ -152,8 +153,7 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
 def _told(s: Smoothed) -> str:
     if s.refused:
         return f"laid out, not smoothed: {s.refused}."
-    factors = ", ".join(f"{n:,} of kind {kind}" for kind, n in sorted(s.used.items()))
-    return f"{s.poses:,} poses; {factors}. {s.iterations} iterations, {s.status}."
+    return f"{s.poses:,} poses; {measured(s.used)}. {s.iterations} iterations, {s.status}."
 
 
 def _robot(story: MixedStory, robot: str, began: float) -> list[object]:

@@ -88,21 +88,22 @@ def landmark_errors(path: Path, story: TeamStory, score: TeamScore) -> str:
     T = score.landmarks.alignment
     if T is None:
         return ""
-    aligned = shape(landmarks.moved(T, "survey"))
-    true = aligned.mean - score.landmarks.errors
+    aligned, back = shape(landmarks), se2.inverse(T)  # all in the map's frame, as the rest of the page
+    true = se2.act(back, se2.act(T, aligned.mean) - score.landmarks.errors)
+    errors = aligned.mean - true
     size = float(np.ptp(true, axis=0).max())
-    typical = float(np.median(np.hypot(*score.landmarks.errors.T)))
+    typical = float(np.median(np.hypot(*errors.T)))
     grow = ([f for f in FACTORS if f * typical < 0.04 * size] or [1])[-1]
     with style.figure(path, 8.4, 6.0) as (_, ax):
         for robot in story.maps[0].robots:
             if robot in story.truths and robot in story.maps[0].tracks:
-                pose = thinned(story.truths[robot].track)
+                pose = se2.act(back, thinned(story.truths[robot].track)[:, :2])
                 line = "-" if story.truths[robot].kind == "Groundtruth" else "."
                 ax.plot(
                     pose[:, 0], pose[:, 1], line, color=style.colour(story.colour_of(robot)), lw=0.6, ms=1, alpha=0.35
                 )
         ax.plot(*true.T, "x", color=style.TRUTH, ms=5, mew=1.2, label="surveyed")
-        for i, (p, e) in enumerate(zip(true, score.landmarks.errors, strict=True)):
+        for i, (p, e) in enumerate(zip(true, errors, strict=True)):
             P = aligned.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
             style.draw_ellipse(ax, p, P, style.colour(0), grow, zorder=2)
             ax.annotate("", p + grow * e, p, arrowprops={"arrowstyle": "-|>", "color": style.colour(5), "lw": 1.4})

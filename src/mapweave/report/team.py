@@ -16,6 +16,13 @@ from .scene import Scene, landmark_points
 from .score import growth, landmark_errors, track_errors
 from .team_figures import TeamStory
 
+KINDS = {
+    "landmark": "sightings of landmarks",
+    "robot": "sightings of robots",
+    "scan": "ties between keyframes of a laser",
+    "crossing": "ties between keyframes of two lasers",
+}
+
 
 def write_team_report(folder: Path, story: TeamStory) -> None:
     """`report.html` and `figures/*.png` in `folder`."""
@@ -112,6 +119,11 @@ def _truth(page: Page, figures: Path, story: TeamStory) -> None:
     _add(page, name, track_errors(name, story, score))
 
 
+def measured(used: Mapping[str, int]) -> str:
+    """How many measurements of each kind a problem had."""
+    return ", ".join(f"{n:,} {KINDS.get(kind, kind)}" for kind, n in sorted(used.items()))
+
+
 def _smoothing(page: Page, story: TeamStory) -> None:
     """What the whole team's one problem was, and what it found of every robot."""
     page.section("The whole team at once")
@@ -120,10 +132,9 @@ def _smoothing(page: Page, story: TeamStory) -> None:
         if s.refused:
             page.text(f"{where}the map is the fused filters': {s.refused}.", warn=bool(s.used))
             continue
-        factors = ", ".join(f"{n:,} of kind {kind}" for kind, n in sorted(s.used.items()))
         page.text(
             f"{where}{s.poses:,} poses, all landmarks and every robot's calibration in one least-squares problem, "
-            f"started at the fused filters; sightings: {factors}. {s.iterations} iterations, {s.status}."
+            f"started at the fused filters; {measured(s.used)}. {s.iterations} iterations, {s.status}."
         )
     if story.filter_score is not None and story.score is not None:
         scores = (("fused filters", story.filter_score), ("smoothed", story.score))
