@@ -24,6 +24,8 @@ WHY = {
     "empty": "the scan had no return",
 }
 
+ODOMETRY = {"poses": "as poses", "ticks": "from wheel ticks", "tf": "from tf"}
+
 
 def write_laser_report(
     folder: Path,
@@ -83,7 +85,7 @@ def _robot(page: Page, folder: Path, made: LaserMap, truth: Track | None) -> Non
     light = folder / "local" / name / "intensity.png"
     draw_intensity(light, made.grid, made.feature, f"robot {made.robot}")
     if made.feature != "none":
-        page.figure(light, "The feature every occupied cell sends back; grid.npz holds the same as numbers.")
+        page.figure(light, "How bright every occupied cell is; grid.npz holds the same as numbers.")
     tracks = {"estimate": made.track}
     if made.dead_reckoning is not None:
         tracks["odometry"] = made.dead_reckoning
@@ -115,8 +117,8 @@ def _headline(made: LaserMap) -> list[tuple[str, str]]:
         ("driven", f"{np.hypot(steps[:, 0], steps[:, 1]).sum():.0f} m"),
         ("map", f"{x1 - x0:.0f} x {y1 - y0:.0f} m"),
         ("method", made.method + (f", {made.particles} particles" if made.method == "particle" else "")),
-        ("feature", made.feature),
-        ("odometry", made.odometry),
+        ("returned light", {"none": "not used"}.get(made.feature, made.feature)),
+        ("odometry", ODOMETRY.get(made.odometry, made.odometry)),
     ]
     if made.dead_reckoning is not None:
         off = made.track.pose[-1, :2] - made.dead_reckoning.pose[-1, :2]

@@ -64,7 +64,7 @@ def draw_intensity(path: Path, grid: GridMap, feature: str, who: str) -> None:
                 vmax=MOST_Q,
                 linewidths=0,
             )
-            fig.colorbar(drawn, ax=ax, label="feature q", shrink=0.7, extend="max")
+            fig.colorbar(drawn, ax=ax, label="brightness", shrink=0.7, extend="max")
             title = f"{who}: light sent back ({feature})"
         as_map(ax, title)
         ax.set_aspect("equal", adjustable="box")

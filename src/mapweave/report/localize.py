@@ -21,7 +21,7 @@ def write_localisation_report(folder: Path, found: Localisation, grid: GridMap, 
         [
             ("scans", str(len(found.scans))),
             ("start", found.start),
-            ("feature", found.feature),
+            ("returned light", "not used" if found.feature == "none" else found.feature),
             ("particles", str(found.particles)),
             ("returns explained", f"{100 * found.matched:.0f} %"),
             ("trusted", "yes" if found.trusted else "no"),

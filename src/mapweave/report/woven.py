@@ -108,7 +108,7 @@ def _component(page: Page, folder: Path, made: WovenMap, k: int, truth: Mapping[
     if made.feature != "none":
         light = (folder if k == 1 else folder / "components" / str(k)) / "intensity.png"
         draw_intensity(light, made.grid, made.feature, names)
-        page.figure(light, "The feature every occupied cell sends back; grid.npz holds the same as numbers.")
+        page.figure(light, "How bright every occupied cell is; grid.npz holds the same as numbers.")
 
 
 def _way(track: Track) -> float:
