@@ -155,7 +155,7 @@ def test_the_edge_that_contradicts_all_others_most_is_dropped_beyond_what_chance
     nis = np.full(edges, scatter * stats.chi2.ppf(0.5, 3))
     nis[7] = share * stats.chi2.ppf(1 - 1e-3 / edges, 3)
     monkeypatch.setattr(robust_graph, "left_out_squares", lambda *_: nis)
-    assert robust_graph._worst(graph, solved.solution, asked) == (11 + 7 if dropped else None)
+    assert robust_graph._worst(graph, solved.solution, asked, RobustGraphConfig()) == (11 + 7 if dropped else None)
 
 
 def test_how_far_an_edge_lies_from_the_solution_without_it_is_what_solving_without_it_says():

@@ -22,7 +22,7 @@ POSITIVE = (
 )
 COARSEST = 1.0  # [m], cells that could still show a door
 FARTHEST_BEAM = 1000.0  # [m]
-MOST_BEAMS = 20_000
+MOST_BEAMS = 20_000  # of one scan, each cast through all walls
 DEAREST = 255  # what a metre of way may count as
 
 

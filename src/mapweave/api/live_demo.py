@@ -17,7 +17,7 @@ from ..live.transport import LISTENING
 from .simulate_landmarks import simulate_landmarks
 
 Say = Callable[[str], None]
-MINUTES = 4.0
+MINUTES = 4.0  # [min] of driving among landmarks that are simulated
 OFFICE_SECONDS = 190.0  # that a round through the office takes
 PATIENCE = 15.0  # [s] for processes that were asked to end
 

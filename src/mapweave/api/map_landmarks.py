@@ -30,7 +30,7 @@ from ..team.config import OnlineConfig, SmoothingConfig
 from ..team.further_rooms import with_further_rooms
 from ..team.kidnapped import KidnapConfig, cut_kidnapped, with_stretches
 from ..team.known import Known, framed
-from ..team.mixed import SOFTEN, regained
+from ..team.mixed import regained
 from ..team.on_one_clock import smooth_on_one_clock
 from ..team.online_run import OnlineMap, OnlineRun
 from ..team.relative_frame import PlacingConfig
@@ -44,13 +44,14 @@ from .team import TeamResult, Watch, team_maps, team_result
 
 @config
 class LandmarkMapConfig:
-    """The tables of a configuration file: `[camera_clock]`, `[sift]`, `[ekf]`, `[fuse]` and those of the team."""
+    """The tables of a configuration file, named as the fields."""
 
     camera_clock: CameraClockConfig = field(default_factory=CameraClockConfig)
     sift: SiftConfig = field(default_factory=SiftConfig)
     ekf: EkfSlamConfig = field(default_factory=EkfSlamConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)
     kidnap: KidnapConfig = field(default_factory=KidnapConfig)
+    placing: PlacingConfig = field(default_factory=PlacingConfig)
     smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
     online: OnlineConfig = field(default_factory=OnlineConfig)
 
@@ -101,7 +102,7 @@ def _map_read(
     fused, looked = (None if s is None else times_of(read, s) for s in _every(cfg, options))
     times = sorted({*(fused or ()), *(looked or ())})
     grown = _local_maps(read, cfg, times, options)
-    made, placing, local = _Made(cfg), PlacingConfig(), [g.whole for g in grown]
+    made, placing, local = _Made(cfg), cfg.placing, [g.whole for g in grown]
     cut = cut_kidnapped(read, local, made.join(local), cfg.smoothing, placing, cfg.kidnap, made.mapper, made.join)
     watch.lap("estimate")
     local, fusion = list(cut.local), cut.fusion
@@ -130,7 +131,7 @@ def _map_read(
         run = smooth_online(cut.main, at, cfg.fuse, cfg.smoothing, cfg.online, known, looked, options.on_progress)
         watch.lap("online")
     smoothed, run = (
-        _smoothed(maps, stretches, fusion, cfg.smoothing, known, options, run) if options.refine else ((), run)
+        _smoothed(maps, stretches, fusion, cfg.smoothing, known, options, run, placing) if options.refine else ((), run)
     )
     watch.lap("smooth")
     return team_result(title, options.seed, local, fusion, options.truth, online, watch, maps, smoothed, run)
@@ -186,17 +187,18 @@ def _smoothed(
     known: Mapping[str, Mapping[str, tuple[float, float]]],
     options: MapOptions,
     run: OnlineRun | None,
+    placing: PlacingConfig,
 ) -> tuple[tuple[Smoothed, ...], OnlineRun | None]:
     """Every component, smoothed as a whole; the largest from where `run`, if there was one, had it."""
     out = []
-    maps, back = regained(maps, logs, fusion.labels, cfg, PlacingConfig())
+    maps, back = regained(maps, logs, fusion.labels, cfg, placing)
     places = None if options.survey is None else Known.of({}, {}, read_points(options.survey), (), cfg.known)
     if places is not None:
         maps = tuple(framed(team, places) for team in maps)
     for k, team in enumerate(maps):
         options.on_progress("smoothing", k, len(maps))
         carried = any(log.cuts for log in logs if log.robot in team.robots)
-        far = SOFTEN if carried or (back and k == 0) else ()
+        far = cfg.soften if carried or (back and k == 0) else ()
         start = team if run is None or k else closing_start(run, team)
         began = perf_counter()
         start = start if places is None else framed(start, places)

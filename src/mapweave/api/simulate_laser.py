@@ -18,7 +18,7 @@ from ..sim.tunnel import TunnelConfig, simulate_tunnel
 if TYPE_CHECKING:
     from ..report.style import Target
 
-MOST_BEAMS, MOST_PEOPLE, MOST_ROOMS, MOST_SCANS = 20_000, 1000, 500, 200_000
+MOST_BEAMS, MOST_PEOPLE, MOST_ROOMS, MOST_SCANS = 20_000, 1000, 500, 200_000  # a log of gigabytes
 FARTHEST = 100_000.0  # [m]
 
 World = CorridorConfig | OfficeConfig | TunnelConfig

@@ -13,7 +13,7 @@ from ..core.walls import WallIndex, Walls
 
 CELL = 0.1  # [m], the raster on which a disc is driven everywhere
 VANTAGE = 0.8  # [m] between the places from which walls are looked at
-BEAMS = 360
+BEAMS = 360  # cast from each of those places, a degree apart
 FURNITURE = 2.0  # [m^2] of ground inside walls up to which they are taken for a piece of furniture
 ROUND = 1.0  # [m] of ground round the walls that is looked at too
 PIECE = 0.1  # [m], walls are counted in pieces at most this long

@@ -17,7 +17,7 @@ from .consistency import mean_or_none
 from .landmarks import Exchange, LandmarkScore, find_exchanges, naive_mean, rmse_after_alignment, score_landmarks
 from .trajectory import align_tracks, ate, paired, rpe
 
-RPE_SECONDS = 10.0
+RPE_SECONDS = 10.0  # [s] over which relative pose errors are taken
 Spans = Sequence[tuple[float, float]]  # (begin, end) [s]
 
 

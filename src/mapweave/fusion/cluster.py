@@ -101,7 +101,7 @@ def clusters(maps: Sequence[LandmarkMap]) -> tuple[Cluster, ...]:
     return tuple(sorted(out, key=lambda c: (-len(c.members), c.members)))
 
 
-SWEEPS, STILL = 100, 1e-10
+SWEEPS, STILL = 100, 1e-10  # over all maps at most; [m] below which nothing moves any more
 
 
 def average(maps: Sequence[LandmarkMap], start: Cluster) -> JoinedMap:

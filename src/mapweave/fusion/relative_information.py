@@ -20,7 +20,7 @@ Frame = Float[np.ndarray, "*b 3"]
 Points = Float[np.ndarray, "*b n 2"]
 
 ORIGIN = 0  # pair of rows that holds the local origin; pair 1 holds the baseline itself
-BASELINE = 1
+BASELINE = 1  # pair of rows that holds the baseline
 
 
 def predict(frame: Frame, points: Points) -> Float[np.ndarray, "*b m"]:

@@ -15,7 +15,7 @@ from .assemble import RawLog, RawScan, is_sound, scan_of
 from .laser_arrays import beam_spacing
 
 Numbers = np.ndarray | Sequence[object]  # what becomes an array of numbers, or is refused
-NOWHERE = (0.0, 0.0, 0.0)
+NOWHERE = (0.0, 0.0, 0.0)  # [m], [m], [rad]: the sensor stands on the robot
 NO_RANGES = frozen(np.zeros(0))
 
 

@@ -13,7 +13,7 @@ from .directory import read_json, write_json
 from .npz import Spec, read_npz, write_npz
 
 FORMAT = 1
-LARGEST_NUMBER = 1e300
+LARGEST_NUMBER = 1e300  # beyond, squares are not finite
 ARRAYS: dict[str, Spec] = {
     "pose": ("number", (3,)),
     "mean": ("number", ("landmarks", 2)),

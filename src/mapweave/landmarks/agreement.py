@@ -45,6 +45,7 @@ class AgreementConfig:
 SURE = 6.0  # standard deviations of a median of independent pairs; pairs share sightings
 TINY = 1e-12  # scale that is none
 TURN_UNITS = {"": 1.0, "degrees a second": np.pi / 180.0}
+# what a number in each unit is in metres a second
 SPEED_UNITS = {"": 1.0, "km/h": 1 / 3.6, "cm/s": 0.01, "mm/s": 0.001}
 
 

@@ -35,8 +35,6 @@ from .merge_search import (
     whole_place,
 )
 
-CYCLE_GATE = 4.0 * 11.34  # squared sd of a cycle: twice the 99 % of 3 degrees of freedom in sd, maps bend unevenly
-
 
 @dataclass(frozen=True, slots=True)
 class MapClosure:
@@ -293,7 +291,7 @@ def _consistent(pair: Pair, found: Sequence[Hypothesis], rows: Sequence[MapClosu
         _ways(a, first, cfg),
         _ways(b, second, cfg),
     )
-    return list(largest_clique((squares <= CYCLE_GATE) & ~np.eye(len(rows), dtype=bool)).members)
+    return list(largest_clique((squares <= cfg.cycle_gate) & ~np.eye(len(rows), dtype=bool)).members)
 
 
 def _ways(m: KeyframeMap, at: Sequence[int], cfg: MergeConfig) -> np.ndarray:

@@ -20,7 +20,6 @@ from .robust_graph import RobustGraphConfig, solve_graph
 from .submaps import Query, SubmapConfig, gathered, query_around
 
 SLIP = (0.3, 0.3, 0.05)  # [m, m, rad] that a map's first keyframes may be off the rest
-WHOLE = 1000  # points of a whole map that are searched with
 
 
 @config
@@ -57,6 +56,8 @@ class MergeConfig:
     ties_alike: float = 12.0  # submaps that confirm count as one measurement, since their errors are alike
     drift: float = 0.01  # [m per m] sd of a map's own ways,
     drift_turn: float = 0.002  # [rad per sqrt m] and of their headings
+    cycle_gate: float = 4.0 * 11.34  # squared sd of a cycle: twice the 99 % of 3 degrees of freedom in sd, maps bend
+    whole: int = 1000  # points of a whole map that are searched with
     correlation: CorrelationConfig = CorrelationConfig()
     place: PlaceConfig = PlaceConfig()
     submap: SubmapConfig = SubmapConfig()
@@ -181,7 +182,7 @@ def whole_candidates(
 
     Most evidence comes first.
     """
-    thin = b.walls[np.linspace(0, len(b.walls) - 1, min(len(b.walls), WHOLE)).round().astype(int)]
+    thin = b.walls[np.linspace(0, len(b.walls) - 1, min(len(b.walls), cfg.whole)).round().astype(int)]
     windows = [
         Window(found.transform, (2.0 * cfg.agree,) * 2, cfg.agree_turn) for found in map_places(a, b, cfg.correlation)
     ]

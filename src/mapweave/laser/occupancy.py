@@ -9,7 +9,7 @@ from scipy import ndimage
 from ..core.records import frozen
 from .laser_map import GridMap
 
-UNKNOWN, FREE, OCCUPIED = -1, 0, 1
+UNKNOWN, FREE, OCCUPIED = -1, 0, 1  # what a cell is
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,10 +23,6 @@ from .left_out import left_out_squares, without_it
 from .pose_graph import PoseEdges, PoseGraph
 
 REVISIONS = 60  # solves at most, while edges that were dropped fit again or ones that are believed do not
-CHANCE = 1e-3  # that one edge of a graph without false ones lies so far from the others
-TAILS = 10.0  # times the scatter told by the middle edge, which real edges' tails may exceed,
-NARROWEST = 0.1  # of what edges say of themselves at least, and
-ENOUGH = 30  # edges for the middle one to tell anything
 SAME = 1e-6  # relative difference of the costs of two minima that are the same
 FADED = 1e-8  # what a dropped edge counts while weights are sought: the graph stays in one piece
 
@@ -44,6 +40,10 @@ class RobustGraphConfig:
     gate: float = 16.27  # squared sd (3 degrees of freedom, 0.1 %) beyond which an edge contradicts
     growth: float = 1.4  # of the control parameter, a round
     most_rounds: int = 80
+    chance: float = 1e-3  # that one edge of a graph without false ones lies so far from the others
+    tails: float = 10.0  # times the scatter told by the middle edge, which real edges' tails may exceed,
+    narrowest: float = 0.1  # of what edges say of themselves at least, and
+    enough: int = 30  # edges for the middle one to tell anything
     solve: SolveConfig = SolveConfig(max_iterations=100, step_tolerance=1e-7, cost_tolerance=1e-9)
 
 
@@ -152,7 +152,7 @@ def solve_graph(
         used = used | back  # an edge that fits once the others are gone is believed again
         if back.any():
             continue
-        worst = None if cfg.method == "none" else _worst(now, found, used & may)
+        worst = None if cfg.method == "none" else _worst(now, found, used & may, cfg)
         if worst is None:
             break
         used[worst], refused[worst] = False, True
@@ -222,7 +222,7 @@ def _believed(
     return ~may | (s <= cfg.gate), pose, rounds, iterations
 
 
-def _worst(graph: PoseGraph, found: Solution, asked: np.ndarray) -> int | None:
+def _worst(graph: PoseGraph, found: Solution, asked: np.ndarray, cfg: RobustGraphConfig) -> int | None:
     """Of the edges `asked` the one that contradicts all others most, if it does beyond what chance gives.
 
     A false edge that bends the graph to itself fits: it shows by how far it lies from the solution without it. Where
@@ -234,8 +234,8 @@ def _worst(graph: PoseGraph, found: Solution, asked: np.ndarray) -> int | None:
     nis = left_out_squares(graph, found, rows)
     worst = int(np.argmax(nis))
     scatter = float(np.median(nis)) / chi2_quantile(0.5, 3.0)
-    narrower = min(1.0, max(TAILS * scatter, NARROWEST)) if len(rows) >= ENOUGH else 1.0
-    limit = chi2_quantile(1.0 - CHANCE / len(rows), 3.0) * narrower
+    narrower = min(1.0, max(cfg.tails * scatter, cfg.narrowest)) if len(rows) >= cfg.enough else 1.0
+    limit = chi2_quantile(1.0 - cfg.chance / len(rows), 3.0) * narrower
     return int(rows[worst]) if nis[worst] > limit else None
 
 

@@ -15,7 +15,7 @@ from .place_search import Fit, PlaceConfig, Places, Window
 from .submaps import Clouds, Lights, PlaceMatch, Query, Submap, SubmapConfig, locate, query_at, submap_around
 
 NOTHING = np.zeros((3, 3))
-BUILT = 8
+BUILT = 8  # submaps kept as they are searched
 
 
 @config

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from ..core.records import frozen
 from .messages import RefusedError
 
-THOUSAND = 1000.0
+THOUSAND = 1000.0  # millimetres in a metre, milliseconds in a second
 LARGEST_WHOLE = 2**31 - 1
 
 

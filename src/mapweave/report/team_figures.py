@@ -62,6 +62,7 @@ def thinned(track: Track, most: int = 3000) -> np.ndarray:
 FACTORS = (1, 2, 5, 10, 20, 50, 100)
 MOST_PANELS = 12
 MANY = 40  # landmarks from which labels would cover the map
+# parameter, its name, and the value that changes nothing
 CALIBRATION = (
     ("turn_scale", "turn scale", 1.0),
     ("speed_scale", "speed scale", 1.0),

@@ -10,6 +10,7 @@ from ..core.records import frozen
 from ..core.walls import Walls
 
 START_RADIUS = 5.0  # [m], of the circle on which teams start unless said
+# the paper's field: corners [m] and landmarks
 YUAN_LOWER, YUAN_UPPER, YUAN_LANDMARKS = (-50.0, -40.0), (50.0, 40.0), 29
 
 

@@ -15,7 +15,7 @@ from .laser import START_NS, stream
 from .laser_world import LaserWorld
 from .scanner import Reflectance, Scanner, measure
 
-ROBOT_REFLECTANCE = 0.35
+ROBOT_REFLECTANCE = 0.35  # of another robot's hull, as `PAINT` is of a wall
 
 
 @config

@@ -33,6 +33,21 @@ class RobustConfig:
 
 
 @config
+class FallenConfig:
+    """Method `robust`: sightings that agree only because robots fell in with them, each left out in turn."""
+
+    hops: int = 3  # sightings away from the two, beyond which robots are held while one sighting is left out
+    few: int = 4000  # sightings up to which all are asked, not only those of hardly known length
+    promise: float = 0.4  # of the limit: what the linear model must promise for a sighting to be left out at all
+    unchecked: float = 0.8  # share of its direction that a sighting alone tells, from which on nothing checks it
+    near_miss: float = 70.0  # times the limit, squared residual up to which a sighting called wrong is tried again
+    swaps: int = 2  # sightings let go at most for one that is taken in
+    undecided: float = 0.5  # of the limit: a loss up to which a sighting called wrong may as well be right
+    against: float = 6.0  # standard deviations of their difference beyond which two of a pair are not both right
+    likely: float = 0.015  # probability of being wrong from which on a sighting may as well be
+
+
+@config
 class VerdictConfig:
     """When an answer is doubted."""
 
@@ -72,5 +87,6 @@ class SwarmConfig:
     loose: float = 10.0  # median sighting lengths a robot that nothing determines may stray from its start
     consistency: ConsistencyConfig = ConsistencyConfig()
     robust: RobustConfig = RobustConfig()
+    fallen: FallenConfig = FallenConfig()
     messages: MessagesConfig = MessagesConfig()
     verdict: VerdictConfig = VerdictConfig()

@@ -14,20 +14,10 @@ from jaxtyping import Bool, Float, Int
 from . import bearing, factors
 from .batch import refine
 from .close_pairs import CLOSE
-from .config import SwarmConfig
+from .config import FallenConfig, SwarmConfig
 from .network import Network
 from .result import SwarmEstimate
 from .start import prepare
-
-HOPS = 3  # sightings away from the two, beyond which robots are held while one sighting is left out
-FEW = 4000  # sightings up to which all are asked, not only those of hardly known length
-PROMISE = 0.4  # of the limit: what the linear model must promise for a sighting to be left out at all
-UNCHECKED = 0.8  # share of its direction that a sighting alone tells, from which on nothing checks it
-NEAR_MISS = 70.0  # of the limit, squared: 30 standard deviations, up to which a sighting called wrong is tried again
-SWAPS = 2  # sightings let go at most for one that is taken in
-UNDECIDED = 0.5  # of the limit: a loss up to which a sighting called wrong may as well be right
-AGAINST = 6.0  # standard deviations of their difference beyond which two sightings of a pair are not both right
-LIKELY = 0.015  # probability of being wrong from which on a sighting may as well be
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,22 +38,22 @@ def fallen_together(
     """
     wrong: list[int] = []
     undecided: list[int] = []
-    least = worth_telling(net, inlier)
-    for row in _promising(net, inlier, found, limit):
+    least = worth_telling(net, inlier, cfg.fallen.likely)
+    for row in _promising(net, inlier, found, limit, cfg.fallen):
         gain, miss = _left_out(net, inlier, found.position, row, cfg)
         if miss > limit and gain > min(limit, least[row]):
             (wrong if gain > limit else undecided).append(row)
-    for row in _near_misses(net, inlier, found, limit):
+    for row in _near_misses(net, inlier, found, limit * cfg.fallen.near_miss):
         gain, others = _taken_in(net, inlier, found.position, row, limit, cfg)
         if gain > 0.0:
             wrong += others
-        elif gain > -UNDECIDED * limit:
+        elif gain > -cfg.fallen.undecided * limit:
             undecided += others
     return Fallen(np.array(wrong, dtype=np.intp), np.array(undecided, dtype=np.intp))
 
 
-def worth_telling(net: Network, inlier: Bool[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-    """(m,) what the chi-square of all others must lose without a sighting for it to be wrong with probability LIKELY.
+def worth_telling(net: Network, inlier: Bool[np.ndarray, " m"], likely: float) -> Float[np.ndarray, " m"]:
+    """(m,) what the chi-square of all others must lose without a sighting for it to be wrong with probability `likely`.
 
     Bayes' rule: a wrong sighting points anywhere, a right one is normal about the truth, and sightings are wrong as
     often as they were found to be (half of one more, so that none found is not none).
@@ -72,35 +62,39 @@ def worth_telling(net: Network, inlier: Bool[np.ndarray, " m"]) -> Float[np.ndar
     share = (wrong + 0.5) / (every + 1.0)
     sigma = np.maximum(net.sigma, 1e-9)
     density = np.log(np.sqrt(2.0 * np.pi) / sigma) if net.dim == 2 else np.log(2.0 / sigma**2)
-    odds = np.log(LIKELY / (1.0 - LIKELY)) - np.log(share / (1.0 - share))
+    odds = np.log(likely / (1.0 - likely)) - np.log(share / (1.0 - share))
     return np.asarray(2.0 * np.maximum(density + odds, 0.0))
 
 
-def _near_misses(net: Network, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, limit: float) -> list[int]:
-    """Sightings called wrong that miss by so little that they may be right, and what disagrees with them wrong."""
+def _near_misses(net: Network, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, most: float) -> list[int]:
+    """Sightings called wrong that miss by so little that they may be right, their squares below `most`."""
     squares = factors.bearing_factor(net).squares(found.position.ravel())
     both = found.localisable[net.observer] & found.localisable[net.target]
-    return [int(k) for k in np.flatnonzero(~inlier & both & (squares < NEAR_MISS * limit))]
+    return [int(k) for k in np.flatnonzero(~inlier & both & (squares < most))]
 
 
-def unchecked(net: Network, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate) -> Bool[np.ndarray, " m"]:
+def unchecked(
+    net: Network, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, cfg: FallenConfig
+) -> Bool[np.ndarray, " m"]:
     """(m,) of the sightings `inlier`, those of hardly known length that no other checks: wrong or not, they fit."""
     rows = _doubtful(net, inlier, found)
     out = np.zeros(len(inlier), dtype=bool)
     if len(rows):
-        out[rows] = _told(net, rows, found)[1] > UNCHECKED
+        out[rows] = _told(net, rows, found)[1] > cfg.unchecked
     return out
 
 
-def _promising(net: Network, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, limit: float) -> list[int]:
+def _promising(
+    net: Network, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, limit: float, cfg: FallenConfig
+) -> list[int]:
     """Unconfirmed sightings whose removal the linear model rewards, the best first; in large networks short ones."""
-    rows = _doubtful(net, inlier, found, anywhere=len(inlier) <= FEW)
+    rows = _doubtful(net, inlier, found, anywhere=len(inlier) <= cfg.few)
     if not len(rows):
         return []
     squares, told = _told(net, rows, found)
     promise = squares / np.maximum(1.0 - told, 1e-6)
     order = np.argsort(-promise, kind="stable")
-    return [int(rows[k]) for k in order if promise[k] > PROMISE * limit]
+    return [int(rows[k]) for k in order if promise[k] > cfg.promise * limit]
 
 
 def _doubtful(
@@ -151,12 +145,14 @@ class _Part:
     robots: Int[np.ndarray, " n"]
 
 
-def _part(net: Network, kept: Bool[np.ndarray, " m"], position: Float[np.ndarray, "n d"], row: int) -> _Part | None:
-    """What lies within HOPS sightings `kept` of the two robots of `row`, the outermost robots held where they are."""
+def _part(
+    net: Network, kept: Bool[np.ndarray, " m"], position: Float[np.ndarray, "n d"], row: int, hops: int
+) -> _Part | None:
+    """What lies within `hops` sightings `kept` of the two robots of `row`, the outermost robots held where they are."""
     both = [int(net.observer[row]), int(net.target[row])]
     near, core = np.zeros(len(net), dtype=bool), np.zeros(len(net), dtype=bool)
     near[both] = True
-    for _ in range(HOPS):
+    for _ in range(hops):
         core = near.copy()
         touched = kept & (near[net.observer] | near[net.target])
         near[net.observer[touched]] = near[net.target[touched]] = True
@@ -188,7 +184,7 @@ def _left_out(
     """What the chi-square of the other inliers near by loses without sighting `row`, and its own squared residual."""
     kept = inlier.copy()
     kept[row] = False
-    part = _part(net, kept, position, row)
+    part = _part(net, kept, position, row, cfg.fallen.hops)
     if part is None:
         return 0.0, 0.0
     before = position[part.robots]
@@ -198,14 +194,17 @@ def _left_out(
     return gain, float(factors.bearing_factor(part.whole).squares(x)[part.rows == row][0])
 
 
-def _against(net: Network, inlier: Bool[np.ndarray, " m"], row: int) -> list[int]:
-    """The inliers of the same pair, the other way, that are so far from opposite to `row` that one of them is wrong."""
+def _against(net: Network, inlier: Bool[np.ndarray, " m"], row: int, least: float) -> list[int]:
+    """The inliers of the same pair, the other way, that are so far from opposite to `row` that one of them is wrong.
+
+    least: standard deviations of their difference from which they are.
+    """
     back = np.flatnonzero(inlier & (net.observer == net.target[row]) & (net.target == net.observer[row]))
     u, v = -net.direction[row], net.direction[back]
     cosine = v @ u
     miss = np.arctan2(np.linalg.norm(v - cosine[:, None] * u, axis=1), cosine)
     spread = net.sigma[row] ** 2 + net.sigma[back] ** 2
-    return [int(k) for k in back[miss**2 > AGAINST**2 * spread]]
+    return [int(k) for k in back[miss**2 > least**2 * spread]]
 
 
 def _taken_in(
@@ -222,10 +221,10 @@ def _taken_in(
     misses most, until all that are left fit or `row` itself is the one.
     """
     kept = inlier.copy()
-    let_go = _against(net, kept, row)
+    let_go = _against(net, kept, row, cfg.fallen.against)
     kept[row], kept[let_go] = True, False
-    for _ in range(SWAPS + 1):
-        part = _part(net, kept, position, row)
+    for _ in range(cfg.fallen.swaps + 1):
+        part = _part(net, kept, position, row, cfg.fallen.hops)
         if part is None:
             break
         before = position[part.robots]

@@ -84,7 +84,7 @@ def _selected(
         solution, problem, pattern = refine(chosen, start, cfg, everyone=True)
     estimate = posterior(chosen, start, solution, problem, cfg, "robust", ~inlier, pattern=pattern)
     if net.axis and not inlier.all():  # where some are wrong, one that nothing checks may be
-        alone = unchecked(net, inlier, estimate)[inlier]
+        alone = unchecked(net, inlier, estimate, cfg.fallen)[inlier]
         if alone.any():
             estimate = posterior(
                 chosen, start, solution, problem, cfg, "robust", ~inlier, pattern=pattern, unchecked=alone

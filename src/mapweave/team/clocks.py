@@ -9,10 +9,6 @@ from ..core.landmark_log import LandmarkLog
 from .relative_frame import Body, Labels, PlacingConfig, costs, glances, sharpened
 from .team_map import TeamMap
 
-REACH, COARSE = 0.6, 0.1  # [s] looked for either way, and the steps
-LEAST = 20  # sightings of the robot or by it
-TOGETHER = 3.0  # times the sd that independent sightings would give: a camera's errors last for seconds
-
 
 @dataclass(frozen=True, slots=True)
 class Clock:
@@ -28,26 +24,26 @@ def clock_of(
     """What the robot's stamps want to be moved by in `team`; None where too little was seen, or all stood still."""
     others = Body({name: track for name, track in team.tracks.items() if name != robot and len(track.t)}, {})
     own = Body({robot: team.tracks[robot]}, {})
-    sharp = sharpened(cfg)
+    sharp, reach, step = sharpened(cfg), cfg.clock_fine, cfg.clock_fine_step
     here = np.zeros(3)
 
     def cost(ahead: float) -> float:
         z = glances(others, replace(own, clock=ahead), logs, labels)
-        return np.inf if len(z) < LEAST else float(costs(z, here, sharp)) / len(z)
+        return np.inf if len(z) < cfg.clock_sightings else float(costs(z, here, sharp)) / len(z)
 
-    tried = np.arange(-REACH, REACH + 0.5 * COARSE, COARSE)
+    tried = np.arange(-reach, reach + 0.5 * step, step)
     value = np.array([cost(t) for t in tried])
     if not np.isfinite(value).all():
         return None
     middle = float(tried[int(np.argmin(value))])
-    near = np.array([middle - COARSE, middle, middle + COARSE])
+    near = np.array([middle - step, middle, middle + step])
     bottom = np.array([cost(t) for t in near])
-    bend = float(bottom[0] - 2 * bottom[1] + bottom[2]) / COARSE**2
+    bend = float(bottom[0] - 2 * bottom[1] + bottom[2]) / step**2
     if bend <= 0 or not np.isfinite(bend):
         return None
-    ahead = middle + float(np.clip(0.5 * COARSE * (bottom[0] - bottom[2]) / (bend * COARSE**2), -COARSE, COARSE))
+    ahead = middle + float(np.clip(0.5 * step * (bottom[0] - bottom[2]) / (bend * step**2), -step, step))
     n = len(glances(others, own, logs, labels))
-    return Clock(ahead, TOGETHER / np.sqrt(2.0 * bend * n))
+    return Clock(ahead, cfg.clock_together / np.sqrt(2.0 * bend * n))
 
 
 def of_another_time(logs: Sequence[LandmarkLog]) -> dict[str, float]:

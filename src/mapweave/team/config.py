@@ -67,6 +67,7 @@ class KnownConfig:
     heading: float = 0.05  # [rad] of its heading there
     surveyed: float = 0.02  # [m] of a surveyed point
     outlier: float = 2.5  # standard deviations from which a known place counts less: surveys exchange labels
+    told: float = 3.0  # standard deviations from which a known place that the map contradicts is told
 
 
 @config
@@ -103,6 +104,7 @@ class SmoothingConfig:
     position_floor: float = 0.01  # [m] added to every standard deviation of a place
     heading_floor: float = 0.003  # [rad] added to every standard deviation of a heading
     max_iterations: int = 40  # steps of the solver, at most
+    soften: tuple[float, ...] = (8.0, 3.0)  # times as wide kernels are before the end, where starts are far off
 
 
 @config

@@ -38,7 +38,8 @@ class KidnapConfig:
     bin_sightings: int = 6  # in one, at least
     bin_share: float = 0.4  # of them that must agree
     bad_bins: int = 2  # that do not, from which a robot is looked at
-    bent: float = 0.2  # [m] by which its way differs within six seconds from its wheels as calibrated, from which it is
+    bent: float = 0.2  # [m] by which its way differs from its wheels as calibrated, from which it is, within so many
+    bent_within: int = 6  # seconds
     window: float = 8.0  # [s] of a log that is placed on its own,
     run: int = 3  # and how many of them follow from each other on either side of a cut;
     long_window: float = 30.0  # [s] of longer ones, for robots that see little,
@@ -49,13 +50,12 @@ class KidnapConfig:
     carried: float = 0.8  # [m] by which it does where the robot was carried, or
     carried_turn: float = 1.2  # [rad] its heading,
     carried_share: float = 0.25  # both beyond that share of all the way and angle driven in between
+    blind: float = 4.0  # [s] without a sighting, from which it is left open when in between it was carried
     landmarks: int = 4  # of a map against which a robot is placed
     most: int = 5  # robots, one after the other
 
 
-BLIND = 4.0  # [s] without a sighting, from which it is left open when in between a robot was carried
 NEXT = 1e-3  # [s] after a stamp that is still of the stretch before
-SPAN = 6.0  # [s] over which wheels and filter are compared
 
 
 class Moment(NamedTuple):
@@ -217,7 +217,7 @@ def _suspects(
             continue
         restless = sum("at no fixed place" in w and not w.startswith("barcode:") for w in m.warnings)
         n = _bad_bins(m, fusion, logs, cfg, placing)
-        if n >= cfg.bad_bins or restless or _bent(m.track, log, _calibrated(smoothing, m)) > cfg.bent:
+        if n >= cfg.bad_bins or restless or _bent(m.track, log, _calibrated(smoothing, m), cfg.bent_within) > cfg.bent:
             bad[m.robot] = n
     return sorted(bad, key=lambda robot: (-bad[robot], in_order(robot)))
 
@@ -242,13 +242,13 @@ def _bad_bins(
     return int(((n >= cfg.bin_sightings) & (good < cfg.bin_share * n)).sum())
 
 
-def _bent(track: Track, log: LandmarkLog, smoothing: SmoothingConfig) -> float:
-    """The most [m] that the track goes another way than the wheels within `SPAN` seconds."""
-    if log.odometry is None or not len(track.t) or np.ptp(track.t) <= SPAN:
+def _bent(track: Track, log: LandmarkLog, smoothing: SmoothingConfig, span: int) -> float:
+    """The most [m] that the track goes another way than the wheels within `span` seconds."""
+    if log.odometry is None or not len(track.t) or np.ptp(track.t) <= span:
         return 0.0
     t = np.arange(track.t[0], track.t[-1], 1.0)
     known, motion = smoothing.calibration, CommandedMotion.of(log.odometry, smoothing.motion.hold)
-    said, k = motion.at(t, known.speed_scale, known.turn_scale, known.lag)[0], int(SPAN)
+    said, k = motion.at(t, known.speed_scale, known.turn_scale, known.lag)[0], span
     was = se2.interpolate(t, track.t, track.pose)
     miss = se2.between(se2.between(said[:-k], said[k:]), se2.between(was[:-k], was[k:]))
     return float(np.hypot(miss[:, 0], miss[:, 1]).max(initial=0.0))
@@ -310,7 +310,7 @@ def _jumps(
         for before, after in pairwise(_runs(windows, carrier, least, cfg)):
             i, j = before[-1], after[0]
             if _carried(windows, i, j, carrier, cfg):
-                out.append(_moment(windows, i, j, carrier, placing))
+                out.append(_moment(windows, i, j, carrier, placing, cfg.blind))
         if out:
             return tuple(out)
     return ()
@@ -369,7 +369,7 @@ def _driven(carrier: Track, begin: float, end: float) -> tuple[float, float]:
     return float(way.sum()), float(np.abs(se2.wrap_angle(np.diff(inside[:, 2]))).sum())
 
 
-def _moment(windows: Windows, i: int, j: int, carrier: Track, placing: PlacingConfig) -> Moment:
+def _moment(windows: Windows, i: int, j: int, carrier: Track, placing: PlacingConfig, blind: float) -> Moment:
     """The moment between two windows up to which sightings agree with the one, and from which with the other.
 
     Where long nothing was seen in between, both ends of that time: nobody knows when in it the robot was carried.
@@ -386,4 +386,4 @@ def _moment(windows: Windows, i: int, j: int, carrier: Track, placing: PlacingCo
         k = int(np.argmin(total))
         left = float(z.t[k - 1]) if k else left
         right = float(z.t[k]) if k < len(z) else right
-    return Moment(left + NEXT, right) if right - left > BLIND else Moment(*[0.5 * (left + right)] * 2)
+    return Moment(left + NEXT, right) if right - left > blind else Moment(*[0.5 * (left + right)] * 2)

@@ -21,8 +21,6 @@ from .relative_frame import Body, moved_track
 from .robot_part import RobotPart
 from .team_map import TeamMap
 
-TOLD = 3.0  # standard deviations from which a known place that the map contradicts is told
-
 
 @dataclass(frozen=True, slots=True)
 class Known:
@@ -91,11 +89,11 @@ class Known:
         for robot, (pose, sd) in self.starts.items():
             track = team.tracks.get(robot)
             off = 0.0 if track is None or not len(track.t) else float(np.hypot(*(track.pose[0] - pose)[:2]))
-            if off > TOLD * sd:
+            if off > cfg.told * sd:
                 out.append(f"robot {robot_key(robot)}: what was seen puts its start {off:.2f} m from the one given")
         for name, at in zip(team.landmarks.ids, team.landmarks.mean, strict=True):
             if name in self.points and (off := float(np.hypot(*(at - self.points[name][0])))) > max(
-                TOLD * self.points[name][1], 10 * cfg.surveyed
+                cfg.told * self.points[name][1], 10 * cfg.surveyed
             ):
                 out.append(f"landmark {name}: what was seen puts it {off:.2f} m from where it was surveyed")
         return tuple(out)

@@ -13,7 +13,7 @@ from ..landmarks.landmark_map import LandmarkMap
 from ..laser.config import LaserConfig
 from ..laser.merge import Merge
 from ..laser.robot_graph import RobotGraph
-from .clocks import COARSE, Clock, clock_of
+from .clocks import Clock, clock_of
 from .config import SmoothingConfig
 from .fixed_stretches import fixed_stretches
 from .known import Known, tied_by_known
@@ -24,7 +24,6 @@ from .smooth import Calibration, Smoothed, smooth
 from .team_map import TeamMap
 from .walls import CommonWalls, Scanned, common_walls, in_line
 
-SOFTEN = (8.0, 3.0)  # kernels are so many times as wide before the end: a layout is good to decimetres
 UNSURE = 1.0  # [m] sd of a landmark that bearings alone place, when the smoothing begins
 LEAST = 3  # sightings between two robots that hang together by them
 
@@ -92,7 +91,7 @@ def map_mixed(
             layout = _further(layout, lay_out(layout.bodies, left, by, labels, placing, smoothing))
     spread = {name: _variance(team.landmarks, k) for team in mapped for k, name in enumerate(team.landmarks.ids)}
     components = []
-    clocks = {robot: Clock(layout.clocks.get(robot, 0.0), COARSE) for robot in layout.clocks}
+    clocks = {robot: Clock(layout.clocks.get(robot, 0.0), placing.clock_fine_step) for robot in layout.clocks}
     for body in layout.bodies:
         whole = body.on_team_time()
         team = _team(_with_more_landmarks(whole, by, labels, placing), spread, by, labels)
@@ -106,7 +105,7 @@ def map_mixed(
                 for robot in team.robots
                 if robot in scanned
             }
-            done = smooth(team, mine, labels, smoothing, calibration, graphs, walls.crossings, SOFTEN, known)
+            done = smooth(team, mine, labels, smoothing, calibration, graphs, walls.crossings, smoothing.soften, known)
             wrong = {} if len(team.robots) < 2 else _late(done.map, own_clocks, by, labels, placing, clocks)
             if not wrong:
                 break

@@ -31,14 +31,14 @@ class PlacingConfig:
     most: int = 400  # sightings looked at
     range_floor: float = 0.25  # [m] error of a range,
     range_share: float = 0.1  # and as a share of it
-    bearing: float = 0.08  # [rad]
+    bearing: float = 0.08  # [rad] error of a bearing
     inlier: float = 3.0  # standard deviations within which a sighting agrees
     least: int = 4  # sightings that agree,
     share: float = 0.45  # and their share of all
     lead: float = 3.0  # cost by which any other heading must be worse
     apart: float = 0.6  # [rad] from which another heading is another one
     sure_xy: float = 0.6  # [m] sd of a tie, at most
-    sure_theta: float = 0.3  # [rad]
+    sure_theta: float = 0.3  # [rad] sd of its turn, at most
     window: float = 12.0  # [s] over which bare wheels are trusted,
     window_still: float = 1.2  # [s] over which a robot without wheels is taken to stand
     loose_share: float = 0.25  # share of a loose robot's sightings that must agree with where they place it
@@ -48,10 +48,16 @@ class PlacingConfig:
     better: float = 1.1  # times as many must agree with another
     fixed_window: float = 2.0  # [s] either way, in which sightings must fix a robot without wheels
     clock: float = 3.0  # [s] largest offset of a clock that is looked for
-    clock_step: float = 0.25  # [s]
+    clock_step: float = 0.25  # [s] between two that are tried
     clock_lead: float = 10.0  # cost by which an offset must be better than none
     clock_sure: float = 3.0  # standard deviations from which a fine offset is believed,
-    clock_rounds: int = 3  # smoothing again after each
+    clock_rounds: int = 3  # smoothing again after each,
+    clock_fine: float = 0.6  # [s] looked for either way then,
+    clock_fine_step: float = 0.1  # [s] between two that are tried then
+    clock_sightings: int = 20  # of the robot or by it, at least
+    clock_together: float = 3.0  # times the sd that independent sightings would give: a camera's errors last seconds
+    lever: float = 2.0  # times as far as a tie may be off where robots meet, frames may be off where they begin
+    walls_off: float = 3.0  # standard deviations of a tie by which walls may put a robot elsewhere and be believed
 
 
 def sharpened(cfg: PlacingConfig) -> PlacingConfig:

@@ -21,8 +21,6 @@ from .placing import Layout, Tie
 from .relative_frame import Body, PlacingConfig, moved_track
 from .scan_factors import Crossing
 
-LEVER = 2.0  # times as far as a tie may be off where robots meet, frames may be off where they begin
-SURELY = 3.0  # standard deviations
 NEAR = 0.01  # [s] by which a stamp may lie outside a track
 
 
@@ -128,7 +126,7 @@ def _near_the_layout(
     placing: PlacingConfig,
 ) -> dict[tuple[int, int], Merge]:
     """What is decided on laser robots of one body, by their places among `robots`, until walls tie them all."""
-    sd = np.array([LEVER * placing.sure_xy, LEVER * placing.sure_xy, placing.sure_theta])
+    sd = np.array([*2 * [placing.lever * placing.sure_xy], placing.sure_theta])
     out: dict[tuple[int, int], Merge] = {}
     for body in layout.bodies:
         mine = [k for k, robot in enumerate(robots) if robot in body.tracks]
@@ -156,7 +154,7 @@ def _unless_far(found: Merge, start: Start, track: Track, placing: PlacingConfig
     assert found.transform is not None  # noqa: S101  (merged)
     ways = [se2.act(T, track.pose[:, :2]) for T in (start.transform, found.transform)]
     away = float(np.hypot(*(ways[1] - ways[0]).T).mean())
-    if away <= SURELY * np.sqrt(2.0) * placing.sure_xy:
+    if away <= placing.walls_off * np.sqrt(2.0) * placing.sure_xy:
         return found
     reason = f"their walls fit {away:.1f} m from where sightings of the team place them"
     return replace(found, merged=False, transform=None, covariance=None, reason=reason)

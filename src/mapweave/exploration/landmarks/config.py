@@ -62,6 +62,7 @@ class CoverageConfig:
     revise_from: int = 40  # [steps] before which too little is known to change tours for
     revise_every: int = 10  # [steps] between changes: a robot has seen new ground as deep as half its reach by then
     sure_margin: float = 0.7  # [m] by which a cell must be within the reach to count as seen when tours are changed
+    same_landmark: float = 3.0  # [m] within which two landmarks count as one when tours are changed
     tour_radius: float = 13.0  # [m] of a disc of the first tours, which are improved as laps are
     search: LapSearchConfig = LapSearchConfig(looks=4, sight_margin=0.7)  # with looks every third step of a lap
     turn_cost: float = 2.0  # [m/rad] that turning towards the first disc counts as: half a turn takes about 4 s

@@ -19,8 +19,6 @@ from .lap_judge import LapTask, Past
 from .lap_search import Laps, revise_laps
 from .steering import steer
 
-SAME = 3.0  # [m] within which a submap's landmark is taken for one that is known already, in planning only
-
 
 def lap_steps(belief: LandmarkBelief, part: JointConfig | CoverageConfig, most_robot_steps: int) -> int:
     """How long the live robots take for laps of an open field at the rate of `part`; 0 where laps are not planned.
@@ -102,7 +100,12 @@ def revise(belief: LandmarkBelief, poses: np.ndarray, cfg: CoverageConfig) -> No
     laps = tuple(
         np.array(lap if alive else []).reshape(-1, 2) for lap, alive in zip(memory["laps"], belief.alive, strict=True)
     )
-    past = Past(np.stack(memory["trail"], axis=1), _known(belief), _coarse(surely, belief, task), belief.alive.copy())
+    past = Past(
+        np.stack(memory["trail"], axis=1),
+        _known(belief, cfg.same_landmark),
+        _coarse(surely, belief, task),
+        belief.alive.copy(),
+    )
     laps, memory["laps_end"] = revise_laps(task, past, laps)
     memory["laps"] = [list(lap) for lap in laps]
 
@@ -115,13 +118,13 @@ def follow(belief: LandmarkBelief, j: int, pose: np.ndarray, cfg: ExploreConfig)
     return lap[0] if lap else None
 
 
-def _known(belief: LandmarkBelief) -> Float[np.ndarray, "k 2"]:
-    """The landmarks of the map and of all submaps, in the map."""
+def _known(belief: LandmarkBelief, same: float) -> Float[np.ndarray, "k 2"]:
+    """The landmarks of the map and of all submaps, in the map; those within `same` [m] of another are that one."""
     G = belief.global_map
     marks = list(G.mean)
     for robot, submap, alive in zip(belief.robots, belief.submaps, belief.alive, strict=True):
         for place in se2.act(G.frame_of(robot), submap.mean) if alive else ():
-            if all(np.hypot(*(place - other)) > SAME for other in marks):
+            if all(np.hypot(*(place - other)) > same for other in marks):
                 marks.append(place)
     return np.array(marks).reshape(-1, 2)
 

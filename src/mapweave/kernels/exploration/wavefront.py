@@ -6,8 +6,8 @@ import numpy as np
 
 from .._jit import kernel
 
-UNREACHED = -1
-NO_LIMIT = 2**31 - 1
+UNREACHED = -1  # cost of a cell that no way leads to
+NO_LIMIT = 2**31 - 1  # the largest cost an int32 holds
 STRAIGHT, DIAGONAL = 140, 198  # what a move between cells of weight 1 costs; 198 / 140 is sqrt 2 but for 5e-5
 
 

@@ -12,8 +12,9 @@ from .._jit import kernel
 
 Array: TypeAlias = np.ndarray
 
-POSE = 3
+POSE = 3  # entries of the state that are the pose; the calibration follows
 HEAD = 8  # pose and calibration
+# entries of the calibration in the state
 V_SCALE, TURN_SCALE, LAG, BEARING_BIAS, RANGE_SCALE = 3, 4, 5, 6, 7
 
 

@@ -14,7 +14,7 @@ from .._jit import kernel, parallel_kernel, prange
 
 FULL = 256  # what `light` holds where brightness agrees
 COARSE = 4  # what a unit of `root_bounds` counts
-MOST_POINTS = 1023
+MOST_POINTS = 1023  # a quarter of 255 each, rounded up, of which the sum fits 16 bits
 
 
 @kernel

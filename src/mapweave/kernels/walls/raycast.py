@@ -4,7 +4,7 @@ import numpy as np
 
 from .._jit import kernel
 
-NONE = -1
+NONE = -1  # number of the wall of a beam that meets none
 
 
 @kernel

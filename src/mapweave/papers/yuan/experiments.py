@@ -16,6 +16,7 @@ HEAD = (
     "", "seeds", "finished", "steps min / max / mean", "map error [m]", "C/N [m²]", "NEES/dof", "NEES/dof, worst",
     "wrong matches", "kept twice",
 )  # fmt: skip
+# settings under which nothing lets a robot out of where it gains nothing
 NO_ESCAPE: dict[str, Any] = {"escape_uncertainty": -1.0, "stall_steps": 10**9}
 THIRD = 1 / 3  # of the paper's 30 runs: enough to tell what is large
 UNSEEN = 100  # the first of the seeds that nothing was chosen on

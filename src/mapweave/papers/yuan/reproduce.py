@@ -21,6 +21,7 @@ from . import figures
 from .claims import CLAIMS
 from .experiments import HEAD, NOISES, PRINTED, Case, Outcome, cases, noise_told, robots_told, run
 
+# [steps], map error [m] and c_per_n that each planner should reach, None where none is asked
 GOALS = {"joint": (180.0, 0.282, 0.18), "coverage": (195.0, 0.33, None), "loop": (None, 0.30, None)}
 TITLES = {
     "table1": "Table 1: the paper's planner until every landmark has been seen",
