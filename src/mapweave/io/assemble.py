@@ -15,10 +15,12 @@ from ..core import se2
 from ..core.errors import DataError
 from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
+from .scan_agreement import ScanAgreementConfig, scan_agreement
 
 PAIRS = 400  # scan pairs looked at, at most
 VOTES = 10  # pairs that must speak before anything is said
 SHARE = 0.75  # of them against the odometry
+FASTEST = 25.0  # [m/s] at the median of the moments in which a robot drives
 
 
 def looks_mirrored(scans: Sequence[Scan]) -> bool:
@@ -38,6 +40,17 @@ def _turns(scans: Sequence[Scan]) -> list[tuple[tuple[Scan, float], Scan]]:
     good = np.flatnonzero((np.abs(turn) > 0.05) & (np.abs(turn) < 0.6) & (travel < 0.3))
     good = good[:: max(1, len(good) // PAIRS)]
     return [((scans[k], float(turn[k])), scans[k + 1]) for k in good.tolist()]
+
+
+def _check_speed(scans: Sequence[Scan], t: Float[np.ndarray, " n"], source: str) -> None:
+    """Raises DataError where the wheels tell a speed that no robot drives at, as in other units than metres."""
+    poses = np.array([scan.odometry for scan in scans], dtype=float)
+    step = se2.between(poses[:-1], poses[1:])
+    way, dt = np.hypot(step[:, 0], step[:, 1]), np.diff(t)
+    drives = (way > 0) & (dt > 0)
+    speed = float(np.median(way[drives] / dt[drives])) if drives.any() else 0.0
+    if speed > FASTEST:
+        raise DataError(f"{source}: its odometry tells {speed:.0f} m/s while it drives: expected metres")
 
 
 def _vote(a: Scan, turn: float, b: Scan) -> int:
@@ -128,6 +141,11 @@ class RawLog:
             self.warnings.append(
                 "the scans turn against the odometry: beam angles seem to have the wrong sign (try --mirrored)"
             )
+        else:
+            _check_speed(made, np.array([raw.t for raw in scans]), self.source)
+            agreement, cfg = scan_agreement(made), ScanAgreementConfig()
+            told = None if agreement is None else agreement.told(cfg)
+            self.warnings += [told] if told is not None else []
         return LaserLog(
             self.robot,
             self.source,

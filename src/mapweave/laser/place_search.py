@@ -143,7 +143,7 @@ def likelihood_field(
     cfg = cfg or PlaceConfig()
     points = frozen(points)
     if not len(points):
-        raise DataError("a place needs wall points, found none")
+        raise DataError("a place needs wall points, found none: no beam met anything (are the ranges in metres?)")
     if not np.isfinite(points).all() or (q is not None and not np.isfinite(q).all()):
         raise DataError("a place needs finite wall points, found others")
     reach = int(np.ceil(max(3.0 * cfg.sigma, cfg.gate) / cfg.cell))

@@ -1,0 +1,165 @@
+"""Whether scans and wheels speak of one motion: a scanner mounted turned, ranges or ways in other units.
+
+A wall point seen again at the same bearing lies nearer by the way driven along the wall's normal, whatever the wall. So
+over moments of straight driving the changes along the normals tell the way as the scanner saw it: a factor and a
+direction against the wheels' (the linear form of point-to-line matching, [Censi08]). No map is needed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..core import se2
+from ..core.config import config
+from ..core.records import Scan
+
+
+@config
+class ScanAgreementConfig:
+    """Which scans are compared, and what is told."""
+
+    pairs: int = 400  # scans compared with a later one, at most
+    ahead: int = 20  # scans, within which the later one is looked for
+    way: tuple[float, float] = (0.1, 0.6)  # [m] by the wheels between the two,
+    turn: float = 0.06  # [rad] and by how much at most they turn
+    slope: float = 0.25  # of the range, by which a beam's neighbours may differ in range to lie on one wall
+    near: float = 0.6  # [m] along the normal, from which a change is of another wall
+    least_pairs: int = 40  # of scans that must speak
+    sure: float = 6.0  # standard deviations
+    turned: float = 0.2  # [rad] from which a mounting is told,
+    seen: float = 0.6  # where so much of the way is seen: what slides along walls lowers it
+    scale: tuple[float, float] = (0.45, 1.4)  # outside which a factor is told,
+    across: float = 0.35  # if walls across the way make up so much of all: in corridors no way is seen
+
+
+@dataclass(frozen=True, slots=True)
+class ScanAgreement:
+    """scale: of the scans' way over the wheels'; direction: of it in the wheels' [rad], left positive; sds of both.
+
+    across: the share of the walls seen that stands across the way; pairs: of scans.
+    """
+
+    scale: float
+    direction: float
+    scale_sd: float
+    direction_sd: float
+    across: float
+    pairs: int
+
+    def told(self, cfg: ScanAgreementConfig) -> str | None:
+        """What contradicts, in a sentence; None where nothing clearly does."""
+        if self.pairs < cfg.least_pairs:
+            return None
+        low, high = cfg.scale
+        if self.scale < low and self.across > cfg.across:
+            return (
+                f"the scans move {self.scale:.2f} of the way that the wheels tell: the odometry has a wrong sign or "
+                "unit, or is of another log"
+            )
+        if self.scale >= cfg.seen and abs(self.direction) > max(cfg.turned, cfg.sure * self.direction_sd):
+            side = "left" if self.direction > 0 else "right"
+            return (
+                f"the scans move {np.degrees(abs(self.direction)):.0f} degrees to the {side} of where the wheels lead: "
+                "the scanner's heading on the robot seems wrong by about that (--sensor-pose), or the wheels' frame is"
+            )
+        if self.scale - cfg.sure * self.scale_sd > high:
+            return (
+                f"the scans tell {self.scale:.2g} times the way that the wheels tell: one of the two is not in metres"
+            )
+        return None
+
+
+def scan_agreement(scans: Sequence[Scan], cfg: ScanAgreementConfig | None = None) -> ScanAgreement | None:
+    """The way that scans tell beside the wheels'; None where no two can be compared. Needs `Scan.odometry`."""
+    cfg = cfg or ScanAgreementConfig()
+    rows, values, speaking = [np.zeros((0, 2))], [np.zeros(0)], 0
+    for a, b, step in _straight(scans, cfg):
+        found = _changes(a, b, step, cfg)
+        if found is not None:
+            rows.append(found[0])
+            values.append(found[1])
+            speaking += 1
+    A, y = np.concatenate(rows), np.concatenate(values)
+    if speaking < 2:
+        return None
+    x, cov = _robust(A, y)
+    scale = float(np.hypot(*x))
+    if scale == 0.0:
+        return None
+    along, across = x / scale, np.array([-x[1], x[0]]) / scale**2
+    return ScanAgreement(
+        scale,
+        float(np.arctan2(x[1], x[0])),
+        float(np.sqrt(along @ cov @ along)),
+        float(np.sqrt(across @ cov @ across)),
+        float((A[:, 0] ** 2).sum() / (A**2).sum()),
+        speaking,
+    )
+
+
+def _straight(scans: Sequence[Scan], cfg: ScanAgreementConfig) -> list[tuple[Scan, Scan, Float[np.ndarray, "3"]]]:
+    """(scan, a later one, the wheels' motion between them) where the robot drove on without turning."""
+    poses = np.array([scan.odometry for scan in scans], dtype=float)
+    out: list[tuple[Scan, Scan, Float[np.ndarray, 3]]] = []
+    for k in range(0, len(scans) - 1, max(1, len(scans) // cfg.pairs)):
+        step = se2.between(poses[[k]], poses[k + 1 : k + 1 + cfg.ahead])
+        way = np.hypot(step[:, 0], step[:, 1])
+        good = np.flatnonzero((way >= cfg.way[0]) & (way <= cfg.way[1]) & (np.abs(step[:, 2]) <= cfg.turn))
+        if len(good):
+            out.append((scans[k], scans[k + 1 + int(good[0])], step[good[0]]))
+    return out
+
+
+def _changes(
+    a: Scan, b: Scan, step: Float[np.ndarray, "3"], cfg: ScanAgreementConfig
+) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, " m"]] | None:
+    """Normals times the wheels' way and times it turned left, and how much nearer each wall came; None where few."""
+    n = len(a.ranges)
+    if len(b.ranges) != n or n < 3:
+        return None
+    angle = a.angles()
+    at = (angle - step[2] - b.angle_min) / b.angle_increment
+    low = np.clip(np.floor(at).astype(np.intp), 0, n - 2)
+    part = at - low
+    seen = (part >= 0) & (part <= 1) & b.hit[low] & b.hit[low + 1] & _flat(b, cfg)[low]
+    later = (1 - part) * b.ranges[low] + part * b.ranges[low + 1]
+    direction = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    p = a.ranges[:, None] * direction
+    tangent = np.zeros_like(p)
+    tangent[1:-1] = p[2:] - p[:-2]
+    normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=-1)
+    size = np.hypot(*normal.T)
+    flat = _flat(a, cfg)
+    good = seen & a.hit & flat & np.roll(flat, 1) & (size > 0)
+    if good.sum() < 20:
+        return None
+    normal = normal[good] / size[good, None]
+    nearer = -np.sum(normal * (later[good] - a.ranges[good])[:, None] * direction[good], axis=1)
+    _, _, yaw = a.T_robot_sensor
+    ahead = se2.rotation(-float(yaw)) @ step[:2]
+    rows = np.stack([normal @ ahead, normal @ np.array([-ahead[1], ahead[0]])], axis=-1)
+    kept = np.abs(nearer) < cfg.near
+    return rows[kept], nearer[kept]
+
+
+def _flat(scan: Scan, cfg: ScanAgreementConfig) -> Bool[np.ndarray, " n"]:
+    """Whether a beam and the next hit one wall."""
+    r = scan.ranges
+    next_one = np.append(r[1:], np.inf)
+    both = scan.hit & np.append(scan.hit[1:], False)
+    return np.asarray(both & (np.abs(next_one - r) < cfg.slope * np.minimum(r, next_one)))
+
+
+def _robust(A: Float[np.ndarray, "n 2"], y: Float[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray]:
+    """The x of least absolute errors y - A x, by reweighted least squares, and its covariance."""
+    weight = np.ones(len(y))
+    H = np.eye(2)
+    for _ in range(30):
+        H = A.T @ (weight[:, None] * A) + 1e-9 * np.eye(2)
+        x = np.linalg.solve(H, A.T @ (weight * y))
+        error = np.abs(y - A @ x)
+        weight = 1.0 / np.maximum(error, 0.005)
+    noise = float(np.mean(weight * error**2))
+    return x, noise * np.linalg.inv(H)

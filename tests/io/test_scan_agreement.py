@@ -1,0 +1,86 @@
+"""Scans and wheels that tell one motion are left alone; turned scanners and other units are told, corridors are not."""
+
+import re
+
+import numpy as np
+import pytest
+
+from mapweave.core import se2
+from mapweave.core.errors import DataError
+from mapweave.core.records import Scan
+from mapweave.io.assemble import RawLog, RawScan
+from mapweave.io.scan_agreement import ScanAgreementConfig, scan_agreement
+
+CFG = ScanAgreementConfig()
+REACH = 30.0
+
+
+def ranges(pose, size, rng) -> np.ndarray:
+    """180 beams in a hall of `size` [m] about the origin."""
+    angle = pose[2] + np.linspace(-np.pi / 2, np.pi / 2, 180)
+    u = np.stack([np.cos(angle), np.sin(angle)])
+    half = np.array(size)[:, None] / 2
+    with np.errstate(divide="ignore"):
+        far = np.where(u > 0, half - pose[:2, None], -half - pose[:2, None]) / u
+    return far.min(axis=0) + rng.normal(0, 0.01, 180)
+
+
+def drive(seed: int, size=(12.0, 9.0), *, mount=0.0, scale=1.0, wheels=lambda pose: pose) -> list[Scan]:
+    """Straight ways and turns on the spot; `mount` of the scanner [rad], ranges times `scale`, odometry as `wheels`."""
+    rng = np.random.default_rng(seed)
+    pose, scans, turn = np.zeros(3), [], 0.0
+    for k in range(500):
+        turn = rng.uniform(0.05, 0.3) if k % 20 == 12 else turn
+        step = [0.05, 0.0, 0.0] if k % 20 < 12 else [0.0, 0.0, turn]
+        pose = se2.compose(pose, np.array(step))
+        seen = ranges(se2.compose(pose, np.array([0.0, 0.0, mount])), size, rng) * scale
+        hit = (seen > 0) & (seen < REACH)
+        scans.append(
+            Scan(
+                np.where(hit, seen, REACH),
+                hit,
+                None,
+                -np.pi / 2,
+                np.pi / 179,
+                REACH,
+                odometry=np.array(wheels(pose), float),
+            )
+        )
+    return scans
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_right_log_is_left_alone_in_halls_and_corridors(seed):
+    found = scan_agreement(drive(seed))
+    assert found.told(CFG) is None
+    assert found.scale == pytest.approx(1.0, abs=0.15)
+    assert found.direction == pytest.approx(0.0, abs=0.1)
+    assert scan_agreement(drive(seed, (400.0, 2.0))).told(CFG) is None
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"mount": 0.5}, r"the scans move (2[6-9]|3[0-2]) degrees to the right"),
+        ({"mount": np.pi}, r"the scans move 1[78]\d degrees"),
+        ({"scale": 2.0}, r"the scans tell (1\.[89]|2|2\.1) times the way"),
+        ({"wheels": lambda p: [p[0], -p[1], p[2]]}, r"(wrong sign or unit|the scans move 1[78]\d degrees)"),
+        ({"wheels": lambda p: [p[0], p[1], -p[2]]}, "wrong sign or unit"),
+    ],
+)
+def test_what_contradicts_the_wheels_is_told(wrong, told):
+    for seed in (3, 4):
+        found = scan_agreement(drive(seed, **wrong)).told(CFG)
+        assert found is not None
+        assert re.match(r"(?s).*" + told, found), found
+
+
+def test_odometry_in_millimetres_is_one_clear_error():
+    log = RawLog("1", "here", "")
+    for k, scan in enumerate(drive(5)):
+        odometry = scan.odometry * np.array([1000.0, 1000.0, 1.0])
+        log.scans.append(
+            RawScan(0.2 * k, scan.ranges, None, scan.angle_min, scan.angle_increment, 0.0, REACH, odometry=odometry)
+        )
+    with pytest.raises(DataError, match=r"here: its odometry tells \d+ m/s .* expected metres"):
+        log.finish()
