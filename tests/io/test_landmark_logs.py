@@ -321,3 +321,11 @@ def test_a_sighting_without_a_range_tells_its_bearing_alone(tmp_path):
     (home / "sightings.csv").write_text("t,robot,id\n1.0,1,6\n", encoding="utf-8")
     with pytest.raises(ReaderError, match="expected the columns"):
         read_landmark_logs(home)
+
+
+def test_subjects_written_in_place_of_barcodes_are_read_as_such_and_told(tmp_path):
+    right = read_landmark_logs(write(tmp_path / "a", {1: (drive(), glances(n=15, codes=(63, 81, 7, 14)))}))[0]
+    wrong = read_landmark_logs(write(tmp_path / "b", {1: (drive(), glances(n=15, codes=(6, 7, 8, 2)))}))[0]
+    assert right.warnings == ()
+    assert wrong.warnings == ("its sightings tell subjects in place of barcodes: read as such",)
+    assert wrong.sightings.counts() == right.sightings.counts() == {"6": 15, "7": 15, "8": 15, "2": 15}

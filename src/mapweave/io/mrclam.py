@@ -19,6 +19,7 @@ from .table import line_of, numbers, open_text, row_texts
 ROBOT_FILE = re.compile(r"^Robot([0-9]+)_(Odometry|Measurement)\.dat$")
 BARCODES = "Barcodes.dat"
 WHOLE = 2**53  # beyond it numbers as files hold them are not whole
+SUBJECTS, BARE = 0.98, 0.7  # shares of a robot's numbers, subjects at least and barcodes at most, that tell subjects
 ENOUGH = 20  # sightings that make an unlisted barcode a landmark (its place is the estimator's to judge)
 
 
@@ -111,11 +112,21 @@ def _robot(files: Files, k: int, found: dict[int, dict[str, str]], codes: dict[i
     return LandmarkLog(f"robot{k}", odometry, seen, mend.dropped, tuple(mend.warnings), str(files.where))
 
 
+def _are_subjects(values: np.ndarray, count: np.ndarray, codes: dict[int, int]) -> bool:
+    """Whether a log tells subjects where barcodes are due: nearly all its numbers are subjects, few are barcodes."""
+    listed, subjects = (float(count[np.isin(values, list(x))].sum()) for x in (codes.keys(), codes.values()))
+    total = float(count.sum())
+    return total >= ENOUGH and subjects >= SUBJECTS * total and listed < BARE * total
+
+
 def _named(
     table: np.ndarray, codes: dict[int, int], robots: set[int], own: int, mend: landmark_log.Mending
 ) -> SightingTable:
     """Barcodes become names; unlisted ones seldom seen, and the robot's own, are dropped as misreads."""
     values, what, count = np.unique(table[:, 1].astype(np.int64), return_inverse=True, return_counts=True)
+    if _are_subjects(values, count, codes):
+        mend.warnings.append("its sightings tell subjects in place of barcodes: read as such")
+        codes = {subject: subject for subject in codes.values()}
     names: list[str] = []
     keep = np.ones(len(values), bool)
     for i, (code, n) in enumerate(zip(values.tolist(), count.tolist(), strict=True)):
