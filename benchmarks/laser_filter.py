@@ -9,6 +9,7 @@ nine) are read once more, at addresses worked out before, and nothing is done wi
 import argparse
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,16 @@ def addresses(state: particle_slam.ParticleState, points: np.ndarray) -> tuple[n
     return np.ascontiguousarray(np.stack(out, axis=2).reshape(len(m), -1)), own
 
 
+def least_of(work: Callable[[], object], times: int = 15) -> float:
+    """Processor seconds of the fastest of some runs."""
+    spent = []
+    for _ in range(times):
+        began = time.process_time()
+        work()
+        spent.append(time.process_time() - began)
+    return min(spent)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--particles", type=int, default=512)
@@ -76,14 +87,15 @@ def main() -> None:
     at, own = addresses(state, points)
     out = np.empty(len(at), np.float32)
     read_cells(state.maps.pool, at, 1, out)
-    times = []
-    for _ in range(15):
-        began = time.process_time()
-        read_cells(state.maps.pool, at, passes, out)
-        times.append(time.process_time() - began)
+    reading = least_of(lambda: read_cells(state.maps.pool, at, passes, out))
+    rows, maps = np.arange(len(state.poses)), state.maps
+    looking = passes * least_of(lambda: maps.score(rows, state.poses, points))
     touched = sum(len(np.unique(row)) for row in own)
     beam_passes = len(own) * len(points) * passes
     tile_bytes = tiles.FLOATS * 4
+    jobs = np.column_stack([np.random.default_rng(0).permutation(touched), touched + np.arange(touched)])
+    pool, jobs = np.ones(2 * touched * tiles.FLOATS, np.float32), jobs.astype(np.int32)
+    copying = least_of(lambda: tiles.copy_tiles(pool, jobs, touched))
     print("| of an update | |")
     print("|---|---|")
     print(f"| particles, scans, updates | {args.particles}, {args.scans}, {len(spent)} |")
@@ -93,7 +105,11 @@ def main() -> None:
     print(f"| beams times particles times passes, the last update | {beam_passes:,} |")
     print(f"| cells in reach of them | {9 * beam_passes:,} |")
     print(f"| tiles read, and written anew | {touched:,}, {touched * tile_bytes / 1e6:.1f} MB |")
-    print(f"| reading four cells of every beam and pass, nothing else | {1e3 * min(times):.1f} ms |")
+    print(f"| reading four cells of every beam and pass, nothing else | {1e3 * reading:.1f} ms |")
+    each = 1e9 * looking / beam_passes
+    print(f"| the least D of every beam and pass, no steps and no sums | {1e3 * looking:.1f} ms, {each:.0f} ns each |")
+    print(f"| copying as many tiles | {1e3 * copying:.1f} ms |")
+    print(f"| these two, of every update with maps and a search as they are | {1e3 * (looking + copying):.1f} ms |")
 
 
 if __name__ == "__main__":
