@@ -8,7 +8,6 @@ warned of, and for each pair of robots whether they were merged. --share: of the
 """
 
 import argparse
-import csv
 import gzip
 import json
 import os
@@ -163,6 +162,11 @@ def track(folder: Path, robots: Sequence[str]) -> Track:
     return Track(rows[:, 0], np.column_stack([rows[:, 1:3], 2.0 * np.arctan2(rows[:, 6], rows[:, 7])]))
 
 
+def line(*cells: str) -> None:
+    """A row of the table."""
+    print("|", " | ".join(cells), "|", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", action="append", choices=list(VARIANTS), default=[])
@@ -172,10 +176,8 @@ def main() -> None:
     rows = read(carmen / "intel.clf.gz")
     rows = part(rows, 0.0, args.share) if args.share < 1.0 else rows
     known = read_relations(carmen / "intel.relations.gz")
-    table = csv.writer(sys.stdout, delimiter="|")
-    table.writerow(
-        ["variant", "components", "relations", "mean [m]", "greatest [m]", "CPU [s]", "warned of, decisions"]
-    )
+    line("variant", "components", "relations", "mean [m]", "greatest [m]", "CPU [s]", "warned of, decisions")
+    line(*["---"] * 7)
     for name in args.only or VARIANTS:
         with tempfile.TemporaryDirectory() as folder:
             here = Path(folder)
@@ -187,7 +189,9 @@ def main() -> None:
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
             cpu = f"{after.ru_utime - before.ru_utime:.1f}"
             if done.returncode:
-                table.writerow([name, f"exit {done.returncode}", "", "", "", cpu, done.stderr.strip()[-300:]])
+                line(
+                    name, f"exit {done.returncode}", "", "", "", cpu, done.stderr.strip().replace(f"{here}/", "")[-300:]
+                )
                 continue
             told = json.loads((here / "out" / "metrics.json").read_text(encoding="utf-8"))
             scores = []
@@ -204,8 +208,7 @@ def main() -> None:
             said += [f"{m['a']} and {m['b']}: {m['decision']}, {m['reason']}" for m in told["fusion"]]
             used, mean, most = (" + ".join(f"{s[k]:{'d' if k == 0 else '.4f'}}" for s in scores) for k in range(3))
             together = " / ".join("+".join(robots) for robots in told["components"])
-            table.writerow([name, together, used, mean, most, cpu, "; ".join(said)])
-            sys.stdout.flush()
+            line(name, together, used, mean, most, cpu, "; ".join(said))
 
 
 if __name__ == "__main__":
