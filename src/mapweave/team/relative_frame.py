@@ -16,6 +16,7 @@ from ..core import se2
 from ..core.config import config
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Track
+from ..kernels.landmarks.relation import relation_normal
 from .robot_part import all_seen
 
 FARTHEST = 1e3  # [m] of a shift that says nothing
@@ -226,41 +227,39 @@ def _refined(
     z: Glances, T: Float[np.ndarray, "3"], cfg: PlacingConfig, *, turns: bool = True
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]] | None:
     """The minimum of the robust cost near `T`, and the covariance there; None where something is free."""
-    T, damping, cost = np.array(T), 1e-3, float(costs(z, T, cfg))
+    forward, pose, point, told, bearing = (
+        np.ascontiguousarray(column) for column in (z.forward, z.pose, z.point, z.range, z.bearing)
+    )
+
+    def normal(T: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Cost, gradient and information; a heading that does not turn is known to 1 rad."""
+        cost, g, H = relation_normal(
+            forward, pose, point, told, bearing, T, cfg.range_floor, cfg.range_share, cfg.bearing
+        )
+        if not turns:
+            g[2] = H[2, :2] = H[:2, 2] = 0.0
+            H[2, 2] = 1.0
+        return cost, g, H
+
+    T, damping = np.array(T, float), 1e-3
+    cost, g, H = normal(T)
     for _ in range(30):
-        H, g = _normal(z, T, cfg, turns=turns)
         step = np.linalg.solve(H + damping * np.diag(np.diag(H)) + 1e-9 * np.eye(3), -g)
         tried = T + step
-        new = float(costs(z, tried, cfg))
+        new, new_g, new_H = normal(tried)
         if new < cost:
             T, gain, cost, damping = tried, cost - new, new, 0.3 * damping
+            g, H = new_g, new_H
             if gain < 1e-9 * cost:
                 break
         else:
             damping *= 10.0
             if damping > 1e6:
                 break
-    H, _ = _normal(z, T, cfg, turns=turns)
     if np.linalg.eigvalsh(H)[0] < 1e-6:
         return None
     T[2] = se2.wrap_angle(T[2])
     return T, np.linalg.inv(H)
-
-
-def _normal(
-    z: Glances, T: Float[np.ndarray, "3"], cfg: PlacingConfig, *, turns: bool
-) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-    """The information and the gradient; a heading that does not turn is known to 1 rad."""
-    e = residuals(z, T, cfg)
-    weight = 1.0 / (1.0 + np.square(e).sum(axis=-1) / 4.0)
-    h = 1e-5 * np.eye(3)
-    both = (residuals(z, T + h, cfg) - residuals(z, T - h, cfg)) / 2e-5
-    J = np.moveaxis(both, 0, -1)
-    if not turns:
-        J[..., 2] = 0.0
-    H = np.einsum("m,mri,mrj->ij", weight, J, J)
-    H[2, 2] += 0.0 if turns else 1.0
-    return H, np.einsum("m,mri,mr->i", weight, J, e)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,35 @@
+"""Where one frame lies in another: the compiled cost and its derivatives."""
+
+import numpy as np
+import pytest
+
+from mapweave.core import se2
+from mapweave.kernels.landmarks.relation import relation_normal
+from mapweave.team.relative_frame import Glances, PlacingConfig, costs, residuals
+
+pytestmark = pytest.mark.kernel
+CFG = PlacingConfig()
+
+
+def glances(m: int = 40) -> Glances:
+    rng = np.random.default_rng(5)
+    pose = np.column_stack([rng.uniform(-5, 5, (m, 2)), rng.uniform(-3, 3, m)])
+    told = np.where(rng.random(m) < 0.3, np.nan, rng.uniform(0.5, 6, m))
+    seen = rng.uniform(-1, 1, m)
+    return Glances(rng.random(m) < 0.5, pose, rng.uniform(-5, 5, (m, 2)), told, seen, np.arange(m, dtype=float))
+
+
+def test_cost_gradient_and_information_are_those_of_the_residuals():
+    z, T = glances(), np.array([0.7, -0.4, 1.1])
+    cost, g, H = relation_normal(
+        z.forward, z.pose, z.point, z.range, z.bearing, T, CFG.range_floor, CFG.range_share, CFG.bearing
+    )
+    assert cost == pytest.approx(float(costs(z, T, CFG)), rel=1e-12)
+    h = 1e-6 * np.eye(3)
+    e = residuals(z, T, CFG)
+    both = residuals(z, T + h, CFG) - residuals(z, T - h, CFG)
+    both[..., 1] = se2.wrap_angle(both[..., 1] * CFG.bearing) / CFG.bearing
+    J = np.moveaxis(both / 2e-6, 0, -1)
+    weight = 1.0 / (1.0 + np.square(e).sum(axis=-1) / 4.0)
+    np.testing.assert_allclose(g, np.einsum("m,mri,mr->i", weight, J, e), rtol=1e-5)
+    np.testing.assert_allclose(H, np.einsum("m,mri,mrj->ij", weight, J, J), rtol=1e-5, atol=1e-6)
