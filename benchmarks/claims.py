@@ -18,7 +18,7 @@ def main() -> None:
     ask.add_argument("result", type=Path)
     ask.add_argument("--commit", default="HEAD", help="at which the command was run")
     said = ask.parse_args()
-    mine = [t for t in TABLES if t.command == reproduce(said.paper)]
+    mine = [t for t in TABLES if t.command == reproduce(said.paper) and t.written.endswith(".md")]
     if not mine:
         ask.error(f"{said.paper}: no tables in docs_tables.py")
     if json.loads((said.result / "metrics.json").read_text(encoding="utf-8"))["quick"]:
