@@ -39,9 +39,7 @@ def test_errors_are_drawn_in_the_frame_of_the_map(tmp_path, monkeypatch):
     ids = ("6", "7", "8", "9")
     places = np.array([[0.0, 0.0], [4, 0], [4, 3], [0, 1]])
     moved = se2.act(np.array([100.0, 50.0, 1.0]), places)
-    team = TeamMap(
-        ("robot1",), LandmarkMap(ids, places + 0.01, 1e-3 * np.eye(8)), {"robot1": Track(np.zeros(0), np.zeros((0, 3)))}
-    )
+    team = TeamMap((), LandmarkMap(ids, places + 0.01, 1e-3 * np.eye(8)))
     score = score_team([team], {}, Survey(ids, moved), {})
     drawn = []
     monkeypatch.setattr(figures.style, "name_points", lambda _, names, points: drawn.append((names, points)))
