@@ -12,6 +12,7 @@ from ..core.names import in_order, robot_key, robot_name
 from ..core.workers import worker_pool
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse
+from ..fusion.mirrored import mirror_images, put_right
 from ..fusion.result import Fusion, tie_by_starts
 from ..io.kept import parts
 from ..io.landmark_logs import is_landmark_log, landmark_logs_of, read_landmark_logs
@@ -102,6 +103,11 @@ def _map_read(
     fused, looked = (None if s is None else times_of(read, s) for s in _every(cfg, options))
     times = sorted({*(fused or ()), *(looked or ())})
     grown = _local_maps(read, cfg, times, options)
+    mirrored = mirror_images([g.whole for g in grown])
+    if mirrored:
+        read = [put_right(log) if log.robot in mirrored else log for log in read]
+        again = iter(_local_maps([log for log in read if log.robot in mirrored], cfg, times, options))
+        grown = [next(again) if log.robot in mirrored else g for log, g in zip(read, grown, strict=True)]
     made, placing, local = _Made(cfg), cfg.placing, [g.whole for g in grown]
     cut = cut_kidnapped(read, local, made.join(local), cfg.smoothing, placing, cfg.kidnap, made.mapper, made.join)
     watch.lap("estimate")

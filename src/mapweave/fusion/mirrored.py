@@ -1,0 +1,71 @@
+"""Robots whose maps are mirror images of the others': their bearings and turns have the wrong sign.
+
+Such a map fits itself perfectly; only beside another one does it show. Where landmarks agree clearly better with one of
+two maps mirrored than with both as they are, one of the two is a mirror image; the few against the many are.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..core.landmark_log import LandmarkLog, SightingTable
+from ..core.names import in_order
+from ..core.records import Odometry
+from ..landmarks.landmark_map import LandmarkMap, LocalMap
+from .alignment import align_robust
+
+ENOUGH = 6  # landmarks in common, from which two maps are compared
+AGREE = 0.7  # share of them that must agree mirrored,
+FEWER = 0.6  # and of those how many at most may as they are
+GATE = 0.5  # [m]
+
+
+def mirror_images(maps: Sequence[LocalMap]) -> tuple[str, ...]:
+    """Robots whose maps are mirror images of those of more others; none where as many stand against as many."""
+    landmarks = [m.submap.landmarks for m in maps]
+    side = {(i, k): _side(landmarks[i], landmarks[k]) for i in range(len(maps)) for k in range(i)}
+    hand: dict[int, int] = {}
+    out: list[str] = []
+    for start in range(len(maps)):
+        if start in hand:
+            continue
+        hand[start], group = 1, [start]
+        for i in group:
+            for k in range(len(maps)):
+                same = side.get((max(i, k), min(i, k)), 0)
+                if k not in hand and same:
+                    hand[k] = same * hand[i]
+                    group.append(k)
+        many = int(np.sign(sum(hand[k] for k in group)))
+        out += [maps[k].robot for k in group if hand[k] == -many]
+    return tuple(sorted(out, key=in_order))
+
+
+def put_right(log: LandmarkLog) -> LandmarkLog:
+    """The log with bearings and turns of the other sign, and a warning."""
+    wheels = log.odometry
+    told = "its map is the mirror image of the others': its bearings and turns are taken with the other sign"
+    return replace(
+        log,
+        sightings=_other_side(log.sightings),
+        bearings=_other_side(log.bearings),
+        odometry=None if wheels is None else Odometry(wheels.t, wheels.v, -wheels.w),
+        warnings=(*log.warnings, told),
+    )
+
+
+def _other_side(seen: SightingTable) -> SightingTable:
+    return replace(seen, bearing=-seen.bearing)
+
+
+def _side(a: LandmarkMap, b: LandmarkMap) -> int:
+    there = set(b.ids)
+    shared = [name for name in a.ids if name in there]
+    if len(shared) < ENOUGH:
+        return 0
+    p, q, gate = a.select(shared).mean, b.select(shared).mean, np.full(len(shared), GATE)
+    fits = [int(align_robust(x, q, gate).inliers.sum()) for x in (p, p * np.array([1.0, -1.0]))]
+    if max(fits) < AGREE * len(shared) or min(fits) > FEWER * max(fits):
+        return 0
+    return 1 if fits[0] > fits[1] else -1
