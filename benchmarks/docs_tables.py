@@ -60,6 +60,7 @@ TABLES = (
         "page",
     ),
     Table("live", "docs/live.md", bench("live", "--out", "docs/images"), "stdout"),
+    Table("live laps", "docs/live.md", bench("live_laps")),
     Table(
         "two in one office",
         "",
