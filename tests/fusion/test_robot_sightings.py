@@ -12,7 +12,8 @@ from mapweave.fusion.relative import fuse_relative
 from mapweave.fusion.robot_sightings import FrameSightings, frame_sightings, sighting_factor
 from mapweave.landmarks.landmark_map import LocalMap, RobotSightings, Submap
 
-SENSOR = {"range_sigma": 0.1, "bearing_sigma": 0.02}
+SENSOR = {"range_sigma": 0.1, "bearing_sigma": 0.02, "every": 5.0}
+TRACKED = {"range_sigma": 0.3, "bearing_sigma": 0.1, "every": 5.0}
 FRAMES = np.array([[0.0, 0.0, 0.0], [3.0, 1.0, 0.8]])
 
 
@@ -41,13 +42,13 @@ def team(seed, sigma=0.05):
 
 def test_sightings_are_thinned_and_those_outside_a_track_are_left_out():
     maps = team(0)
-    (told,) = frame_sightings(maps, FRAMES, every=5.0)
+    (told,) = frame_sightings(maps, FRAMES, **TRACKED)
     assert (told.a, told.b) == (0, 1)
     assert len(told.z) == 20
     short = LocalMap("2", maps[1].submap, Track(maps[1].track.t[:40], maps[1].track.pose[:40]), {})
-    (fewer,) = frame_sightings([maps[0], short], FRAMES, every=5.0)
+    (fewer,) = frame_sightings([maps[0], short], FRAMES, **TRACKED)
     assert len(fewer.z) == 4
-    assert frame_sightings([maps[0]], FRAMES[:1]) == []
+    assert frame_sightings([maps[0]], FRAMES[:1], **TRACKED) == []
 
 
 def test_the_noise_of_a_sighting_holds_the_uncertainty_of_both_tracks():

@@ -12,7 +12,16 @@ from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.solve import Status
 from mapweave.team.commanded_motion import CommandedMotion, random_walk
 from mapweave.team.config import CalibrationPrior, MotionNoise, SmoothingConfig
-from mapweave.team.covariance import MOST_CORRECTED, _correlation, _Known, _motions, _priors, _scores, team_covariance
+from mapweave.team.covariance import (
+    MOST_CORRECTED,
+    Groups,
+    _correlation,
+    _Known,
+    _motions,
+    _priors,
+    scores,
+    team_covariance,
+)
 from mapweave.team.problem import HELD_TOGETHER, TeamProblem, _nodes, team_problem
 from mapweave.team.robot_part import PARAMETERS, Instants, instants_of
 from mapweave.team.smooth import _dense, is_observed, smooth
@@ -115,7 +124,7 @@ def pulls(team, x, length):
 def test_groups_of_factors_pull_as_their_sum_does(solved):
     team, solution = solved
     want = pulls(team, solution.x, 5.0)
-    got = _scores(team, solution.x, 5.0).toarray()
+    got = scores(team, solution.x, Groups.of(team, 5.0)).toarray()
     assert got.shape == want.shape == (8, len(solution.x))
     np.testing.assert_allclose(got.T @ got, want.T @ want, rtol=1e-6, atol=1e-6 * np.abs(want).max() ** 2)
 

@@ -151,6 +151,7 @@ def _numbers(value: object, key: str) -> Iterator[tuple[str, float]]:
 
 
 def kills_of(kill: Mapping[str, int], robots: int) -> dict[int, int]:
+    """The step at which each robot dies, by number from 0; a name that no robot has is refused."""
     names = {f"robot{k + 1}": k for k in range(robots)}
     for name in kill:
         if name not in names:

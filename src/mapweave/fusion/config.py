@@ -41,6 +41,9 @@ class FuseConfig:
     delta: float = 1.0  # the paper's factor on the noise
     constant_variance: float = 1e-3  # of every relative measurement with weights="constant" [m^2], [rad^2]
     robot_sightings: bool = False  # sightings of robots tie the frames too; worse where tracks err, as on real logs
+    sighting_range: float = 0.3  # [m] standard deviation of a range to a robot there,
+    sighting_bearing: float = 0.1  # [rad] and of a bearing; tracks err more than cameras
+    sighting_every: float = 5.0  # [s] from one sighting of a robot by another to the next that counts
     variance: VarianceConfig = VarianceConfig()
     matching: IdentityConfig = IdentityConfig()
 

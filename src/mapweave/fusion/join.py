@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from ..core.gaussian import is_positive_definite
 from ..core.names import in_order
@@ -59,7 +60,7 @@ def fuse(
     components = []
     for start in starts:
         own = [inflated(landmarks[k], [d for d in outliers if d.owner == k]) for k in start.members]
-        seen = frame_sightings([sound[k] for k in start.members], start.frames) if cfg.robot_sightings else []
+        seen = _sightings([sound[k] for k in start.members], start.frames, cfg) if cfg.robot_sightings else []
         joined = _join(own, start, cfg, seen) if len(own) > 1 else _alone(own[0])
         robots = tuple(names[k] for k in start.members)
         doubted = {names[k]: widened([d for d in outliers if d.owner == k]) for k in start.members}
@@ -81,6 +82,13 @@ def _relabel(labels: dict[str, dict[str, str]], m: LocalMap, moved: dict[str, st
     labels.pop(m.robot, None)
     if changed:
         labels[m.robot] = changed
+
+
+def _sightings(maps: Sequence[LocalMap], frames: Float[np.ndarray, "m 3"], cfg: FuseConfig) -> list[FrameSightings]:
+    """What the robots of a cluster saw of each other, as `cfg` trusts it."""
+    return frame_sightings(
+        maps, frames, range_sigma=cfg.sighting_range, bearing_sigma=cfg.sighting_bearing, every=cfg.sighting_every
+    )
 
 
 def _prepare(test: PlaceTest) -> tuple[list[LandmarkMap], list[Cluster], list[Outlier], dict[int, str]]:

@@ -108,16 +108,16 @@ def frame_sightings(
     maps: Sequence[LocalMap],
     frames: Float[np.ndarray, "m 3"],
     *,
-    range_sigma: float = 0.3,
-    bearing_sigma: float = 0.1,
-    every: float = 5.0,
+    range_sigma: float,
+    bearing_sigma: float,
+    every: float,
 ) -> list[FrameSightings]:
     """The sightings between `maps`, as measurements between their frames.
 
     frames: (m, 3) `T_ref_local`, roughly: only the noise is linearised there. range_sigma [m], bearing_sigma [rad]: of
-    one sighting, by default what real logs show (tracks err more than cameras); the tracks' own uncertainty is added.
-    Tracks err slowly, so of the sightings of one robot
-    by another only one in `every` seconds is kept, and none outside either track.
+    one sighting, to which the tracks' own uncertainty is added.
+    Tracks err slowly, so of the sightings of one robot by another only one in `every` seconds is kept, and none outside
+    either track.
     """
     at = {m.robot: k for k, m in enumerate(maps)}
     out = []

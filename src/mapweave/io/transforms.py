@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.se2 import heading_of_quaternion, is_upside_down
 
-FARTHEST = 1e9  # [m]
+FARTHEST = 1e9  # [m] that frames are apart: farther is a damaged message
 LARGEST_TURN = 2.0  # a number of a unit quaternion, with room for careless rounding
 Edge = tuple[str, str]  # parent, child
 Rigid = tuple[np.ndarray, np.ndarray]  # translation (3,), quaternion x y z w (4,)
@@ -31,6 +31,7 @@ class Transforms:
             self.refused += 1
 
     def parent(self, child: str) -> str | None:
+        """The frame that `child` hangs on; None for the root."""
         return next((p for p, c in self.seen if c == child), None)
 
     def chain(self, child: str) -> list[str]:
@@ -41,6 +42,7 @@ class Transforms:
         return out
 
     def moves(self, edge: Edge) -> bool:
+        """Whether the transform of an edge changes over the recording."""
         first = self.seen[edge][0][1]
         return any(np.abs(r[0] - first[0]).max() > 1e-6 or not _same_turn(r[1], first[1]) for _, r in self.seen[edge])
 
@@ -74,10 +76,12 @@ class Transforms:
 
 
 def frame(name: str) -> str:
+    """The name of a frame as ROS 2 has it, without the slash before it."""
     return name.lstrip("/")
 
 
 def rigid(translation: Any, rotation: Any) -> Rigid:
+    """A message's translation and rotation as arrays."""
     return (
         np.array([translation.x, translation.y, translation.z]),
         np.array([rotation.x, rotation.y, rotation.z, rotation.w]),
@@ -85,6 +89,7 @@ def rigid(translation: Any, rotation: Any) -> Rigid:
 
 
 def planar(transform: Rigid) -> tuple[float, float, float]:
+    """x, y [m] and heading [rad] of a transform seen from above."""
     shift, turn = transform
     return float(shift[0]), float(shift[1]), heading_of_quaternion(*turn.tolist())
 

@@ -81,6 +81,7 @@ def sight(pose: Float[np.ndarray, "3"], points: Float[np.ndarray, "n 2"]) -> Flo
 
 
 def in_view(z: Float[np.ndarray, "n 2"], cfg: SubmapConfig) -> np.ndarray:
+    """(n,) whether the camera shows what lies at ranges and bearings z."""
     return np.asarray((z[:, 0] > 0) & (z[:, 0] <= cfg.reach) & (np.abs(z[:, 1]) <= cfg.half_angle))
 
 

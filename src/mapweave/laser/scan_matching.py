@@ -44,6 +44,9 @@ class FrontEndConfig:
     wide_search: float = 0.3  # [rad] rotations tried to either side when under wide_under of the returns match,
     wide_sd: float = 2.0  # and as far as so many standard deviations of the turn, where that is farther
     wide_step: float = 0.03  # [rad] between the rotations tried
+    wide_reach: float = 0.1  # [m] a return this near its line counts there, on the coarse level
+    wide_tries: int = 3  # of them, those that most returns match are refined,
+    wide_turn: float = 0.15  # [rad] standard deviation of the turn there, at least
     wide_under: float = 0.65  # share of returns matched under which rotations are tried
     reach: float = 0.1  # [m] a return this near its line counts as matched
     least_beams: int = 10  # scans with fewer returns are not matched
@@ -101,9 +104,13 @@ class FrontEnd:
         if n and matches < c.wide_under * n:
             far = min(max(c.wide_search, c.wide_sd * float(sd[2])), np.pi)
             turns = np.arange(-far, far + 1e-9, c.wide_step)
-            scores = [self._count(self.coarse, c.coarse, b, predicted + np.array([0, 0, a]), 0.1) for a in turns]
-            for k in np.argsort(scores, kind="stable")[::-1][:3]:
-                tried = self._refine(b, predicted + np.array([0, 0, turns[k]]), predicted, np.maximum(sd, [0, 0, 0.15]))
+            scores = [
+                self._count(self.coarse, c.coarse, b, predicted + np.array([0, 0, a]), c.wide_reach) for a in turns
+            ]
+            for k in np.argsort(scores, kind="stable")[::-1][: c.wide_tries]:
+                tried = self._refine(
+                    b, predicted + np.array([0, 0, turns[k]]), predicted, np.maximum(sd, [0, 0, c.wide_turn])
+                )
                 count = self._count(self.fine, c.fine, b, tried[0], c.reach)
                 if count > matches:
                     (pose, H, _), matches = tried, count
