@@ -253,3 +253,34 @@ def test_maps_that_hold_nothing_are_told():
         merge_maps(empty, empty)
     lonely = KeyframeMap("robot2", np.zeros((1, 3)), [np.random.default_rng(0).normal(0, 3, (200, 2))])
     assert not merge_maps(lonely, lonely).merged
+
+
+def test_along_a_flush_corridor_a_start_alone_holds_the_maps_and_no_better_than_it_says():
+    walls = Walls.of(np.array(box(-25.0, 0.0, 65.0, 2.5)))
+    cfg = PairConfig(keyframes=70, beams=120)
+    made = drive_pair(walls, np.array([0.0, 0.0]), np.array([40.0, 2.5]), 0.7, np.random.default_rng(61), cfg)
+    assert merge_maps(made.a, made.b).reason.startswith("a corridor")
+    off = np.array([0.2, -0.15, 0.02])
+    sd = np.array([0.2, 0.2, 0.03])
+    start = Start(se2.compose(made.transform, off), sd)
+    for m, told, true, said in (
+        (made.a, merge_maps(made.a, made.b, start=start), made.transform, start.transform),
+        (
+            made.b,
+            merge_maps(made.b, made.a, start=Start(se2.inverse(start.transform), sd)),
+            se2.inverse(made.transform),
+            se2.inverse(start.transform),
+        ),
+    ):
+        assert told.merged, told.reason
+        assert "a corridor" in told.reason
+        e = se2.between(true, told.transform)
+        assert e @ np.linalg.solve(told.covariance, e) < 11.34  # 99 % of 3 degrees of freedom
+        along = np.linalg.svd(m.pose[:, :2] - m.pose[:, :2].mean(axis=0))[2][0]
+        assert abs(along @ (told.transform - said)[:2]) < 0.1
+        own = se2.rotation(told.transform[2]).T @ along
+        assert np.sqrt(own @ told.covariance[:2, :2] @ own) >= 0.2
+        assert np.sqrt(np.linalg.inv(told.closures[0].information)[:2, :2].trace()) >= 0.2
+    vague = merge_maps(made.a, made.b, start=Start(start.transform, np.array([2.0, 2.0, 0.1])))
+    assert not vague.merged
+    assert "a corridor" in vague.reason

@@ -18,13 +18,14 @@ from ..core.gaussian import symmetrise
 from ..core.names import robot_name
 from ..core.records import frozen
 from .consistency import adjoint, cycle_squares, largest_clique
-from .map_overlap import KeyframeMap, wall_overlap
+from .map_overlap import KeyframeMap, seen_alike, wall_overlap
 from .merge_doubts import Pair, allowed, doubtful, slides, words
 from .merge_search import (
     Candidate,
     Hypothesis,
     MergeConfig,
     Start,
+    along_start,
     candidate,
     candidates,
     confirmed,
@@ -118,12 +119,57 @@ def merge_maps(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig | None = None, s
         return near
     free = _decided(pair)
     if free.transform is None:
-        return replace(free, reason=f"near the start that was given: {near.reason}; everywhere: {free.reason}")
+        reason = f"near the start that was given: {near.reason}; everywhere: {free.reason}"
+        return _held_by_start(pair._replace(start=start), near, free) or replace(free, reason=reason)
     away = se2.between(start.transform, free.transform)
     if (np.abs(away) <= 3.0 * np.asarray(start.sd)).all():
         return free
     how_far = f"{np.hypot(*away[:2]):.2f} m and {np.degrees(abs(away[2])):.1f} degrees"
     return replace(free, reason=f"{free.reason}; the scans overrule the start that was given, by {how_far}")
+
+
+def _held_by_start(pair: Pair, near: Merge, free: Merge) -> Merge | None:
+    """Maps of a corridor merged along it by a start alone: the walls allow what it says. None where it does not hold.
+
+    near, free: what was decided near the start and everywhere.
+    """
+    a, b, place, cfg, start = pair[:5]
+    slid = [told for told in (near, free) if told.reason.startswith("a corridor")]
+    if not slid or start is None or (way := along_start(a, b, place, start, cfg)) is None or way.sd > cfg.start_along:
+        return None
+    T = way.transform
+    seen = seen_alike(a, b, T)
+    if not start.near(T) or seen.alike < cfg.least_seen or seen.share < cfg.known_alike:
+        return None
+    first = int(np.argmin(np.hypot(*(a.pose[:, :2] - se2.compose(T, b.pose[0])[:2]).T)))
+    A = adjoint(se2.inverse(b.pose[0]))
+    tie = MapClosure(
+        first=first,
+        second=0,
+        measured=frozen(se2.between(a.pose[first], se2.compose(T, b.pose[0]))),
+        information=symmetrise(np.linalg.inv(symmetrise(A @ way.covariance @ A.T))),
+        score=slid[0].score or 0.0,
+        ratio=0.0,
+        share=seen.share,
+        nis=0.0,
+        accepted=True,
+        reason="it confirms the transform: the start that was given, and the walls across it",
+    )
+    degrees = np.degrees(np.arctan2(way.along[1], way.along[0])) % 180.0
+    told = f"along {degrees:.0f} degrees in the map of {robot_name(a.robot)} nothing else holds it, to {way.sd:.2f} m"
+    return replace(
+        slid[0],
+        merged=True,
+        reason=f"merged on the start that was given: a corridor, {told} (standard deviation)",
+        transform=frozen(T),
+        covariance=frozen(way.covariance),
+        overlap=wall_overlap(place.points, b, T),
+        agreeing=1,
+        chi2=None,
+        alike=seen.share,
+        best=frozen(T),
+        closures=(tie,),
+    )
 
 
 def _decided(pair: Pair) -> Merge:

@@ -20,6 +20,7 @@ from .robust_graph import RobustGraphConfig, solve_graph
 from .submaps import Query, SubmapConfig, gathered, query_around
 
 SLIP = (0.3, 0.3, 0.05)  # [m, m, rad] that a map's first keyframes may be off the rest
+ALONG_TIMES = 2  # maps are moved along a corridor to where a start has them, and laid on its walls again
 
 
 @config
@@ -38,6 +39,7 @@ class MergeConfig:
     votes: int = 4  # submaps that confirm, at least
     known_votes: int = 3  # at least, inside the window of a start that was given
     known_alike: float = 0.8  # share of what both saw on which they agree there,
+    start_along: float = 1.0  # [m] sd, at most, of a start that alone holds maps along a corridor
     blunder: float = 0.05  # chance that a start is false: what its likelihood never falls below
     sure: int = 20  # submaps that confirm, and no more are searched for everywhere
     lead: float = 5.0  # times the evidence of any other place that is not contradicted
@@ -196,6 +198,55 @@ def whole_candidates(
         ways = [_whole(a, b, place, at, close.score, cfg) for at in (window.centre, close.pose)]
         out.append(max(ways, key=lambda c: c.evidence(cfg.alike)))
     return sorted(out, key=lambda c: -c.evidence(cfg.alike))
+
+
+def _shifted(pose: Float[np.ndarray, "3"], u: Float[np.ndarray, "2"], to: Float[np.ndarray, "3"]) -> np.ndarray:
+    """The pose moved along the direction u until it is beside `to`."""
+    return np.array([*(pose[:2] + u * (u @ (to[:2] - pose[:2]))), pose[2]])
+
+
+class AlongStart(NamedTuple):
+    """Where a start and walls together put map b: across `along`, (2,) unit in map a's frame, and in heading the walls.
+
+    covariance: (3, 3) of the transform in b's frame; sd: [m] along, of what the start says and nothing else.
+    """
+
+    transform: Float[np.ndarray, "3"]
+    covariance: Float[np.ndarray, "3 3"]
+    along: Float[np.ndarray, "2"]
+    sd: float
+
+
+def along_start(
+    a: KeyframeMap, b: KeyframeMap, place: LikelihoodField, start: Start, cfg: MergeConfig
+) -> AlongStart | None:
+    """The place near a start in a corridor, whose walls hold nothing along it; None where no wall fits."""
+    window = _start_window(start, np.zeros(3))
+    thin = b.walls[np.linspace(0, len(b.walls) - 1, min(len(b.walls), cfg.whole)).round().astype(int)]
+    close = search(place, thin, window).best
+    if close is None:
+        return None
+    ways = [_whole(a, b, place, at, close.score, cfg) for at in (window.centre, close.pose)]
+    fit = refine(place, b.walls, max(ways, key=lambda c: c.evidence(cfg.known_alike)).transform)
+    for _ in range(ALONG_TIMES):
+        u = fit.weak
+        fit = refine(place, b.walls, _shifted(fit.pose, u, start.transform))
+    u, across = fit.weak, np.array([-fit.weak[1], fit.weak[0]])
+    said = se2.rotation(float(start.transform[2])).T @ u
+    sd = np.hypot(np.asarray(start.sd), SLIP)
+    # the start's heading may err at the other end of the way between the origins
+    variance = float(np.square(said * sd[:2]).sum() + (sd[2] * (across @ start.transform[:2])) ** 2)
+    T = _shifted(fit.pose, u, start.transform)
+    v = se2.rotation(float(T[2])).T @ u
+    A = np.eye(3)
+    A[:2, :2] -= np.outer(v, v)
+    there = int(np.argmin(cKDTree(a.pose[:, :2]).query(se2.compose(T, b.pose)[:, :2])[0]))
+    bent = 0.002 + cfg.drift_turn * np.sqrt(float(np.ptp(a.path) + np.ptp(b.path)))
+    swung = bent * float(np.hypot(*b.pose[there, :2]) + np.hypot(*T[:2]))  # bent from where they meet to the origins
+    P = fit.covariance + np.diag(np.square([0.03 + swung, 0.03 + swung, bent]))
+    P = A @ P @ A.T
+    P[:2, :2] += variance * np.outer(v, v)
+    return AlongStart(T, symmetrise(P), u, float(np.sqrt(variance)))
 
 
 def _whole(
