@@ -1,10 +1,10 @@
-"""How smoothing a whole team grows with robots and minutes, and the same problem beside GTSAM (`beside_gtsam.py`).
+"""How mapping a whole team grows with robots and minutes.
 
-    python benchmarks/team_growth.py [--sizes 2x2,5x2,10x2,10x5] [--target 100x15] [--no-gtsam] [--seed 1] [--json FILE]
+    python benchmarks/team_growth.py [--sizes 10x2,10x5,20x5,40x5,100x15] [--seed 1]
 
-Each size runs in a process of its own: processor time of filters, fusing and smoothing, the largest memory, factors and
-poses. The exponents of time and memory against robots x minutes are fitted, and drawn out to the target (which is not
-run).
+Each size runs in a process of its own, the filters one after the other: processor time of filters, fusing and
+smoothing, the largest memory, poses estimated and errors against the truth. Prints a Markdown table; its last row is
+the exponent in robots x minutes, from the first size to the last.
 """
 
 import argparse
@@ -32,12 +32,23 @@ from mapweave.team.smooth import smooth
 
 CFG = SmoothingConfig()
 Row = dict[str, float]
+COLUMNS = {
+    "tied": ("robots in one map", "d"),
+    "poses": ("poses", "d"),
+    "factors": ("sightings", "d"),
+    "filters_s": ("filters [s]", ".1f"),
+    "fuse_s": ("fusing [s]", ".1f"),
+    "smooth_s": ("smoothing [s]", ".1f"),
+    "total_s": ("in all [s]", ".1f"),
+    "gigabytes": ("memory [GB]", ".2f"),
+    "rmse": ("landmarks [m]", ".3f"),
+    "ate": ("trajectories [m]", ".3f"),
+}
+FITTED = ("poses", "factors", "filters_s", "fuse_s", "smooth_s", "total_s", "gigabytes")
 
 
-def one(robots: int, minutes: float, seed: int, *, gtsam: bool) -> Row:
+def one(robots: int, minutes: float, seed: int) -> Row:
     keep_one_blas_thread()
-    if gtsam:
-        from beside_gtsam import with_gtsam
     with tempfile.TemporaryDirectory() as folder:
         where = Path(folder) / "team"
         simulate_landmarks(where, robots=robots, minutes=minutes, seed=seed)
@@ -52,9 +63,8 @@ def one(robots: int, minutes: float, seed: int, *, gtsam: bool) -> Row:
     fused = time.process_time()
     done = smooth(team, logs, fusion.labels, CFG)
     end = time.process_time()
-    row = {
-        "robots": robots,
-        "minutes": minutes,
+    score = score_team([done.map], {}, truth.survey, truth.robots)
+    return {
         "tied": len(team.robots),
         "poses": done.poses,
         "factors": sum(done.used.values()),
@@ -63,15 +73,9 @@ def one(robots: int, minutes: float, seed: int, *, gtsam: bool) -> Row:
         "smooth_s": end - fused,
         "total_s": end - began,
         "gigabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
-        "rmse": score_team([done.map], {}, truth.survey, {}).landmarks.rmse,
+        "rmse": score.landmarks.rmse,
+        "ate": float(np.mean([robot.ate for robot in score.robots.values() if robot.ate is not None])),
     }
-    return row | (with_gtsam(team, logs, fusion.labels, truth) if gtsam else {})
-
-
-def fitted(size: np.ndarray, values: np.ndarray, target: float) -> tuple[float, float]:
-    """The exponent against size, and what it draws out to at the target."""
-    slope, level = np.polyfit(np.log(size), np.log(values), 1)
-    return float(slope), float(np.exp(level + slope * np.log(target)))
 
 
 def _size(text: str) -> tuple[int, float]:
@@ -81,49 +85,28 @@ def _size(text: str) -> tuple[int, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sizes", default="2x2,5x2,10x2,10x5")
-    parser.add_argument("--target", default="100x15")
-    parser.add_argument("--no-gtsam", action="store_true")
+    parser.add_argument("--sizes", default="10x2,10x5,20x5,40x5,100x15")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", type=Path)
     parser.add_argument("--one")
     args = parser.parse_args()
     if args.one:
-        print(json.dumps(one(*_size(args.one), args.seed, gtsam=not args.no_gtsam)))
+        print(json.dumps(one(*_size(args.one), args.seed)))
         return
-    rows = []
-    names = (
-        "robots",
-        "minutes",
-        "tied",
-        "poses",
-        "factors",
-        "filters_s",
-        "fuse_s",
-        "smooth_s",
-        "total_s",
-        "gigabytes",
-        "rmse",
-    )
-    more = () if args.no_gtsam else ("ours_s", "gtsam_s", "ratio", "ours_rmse", "gtsam_rmse")
-    print(" ".join(f"{n:>10}" for n in (*names, *more)), flush=True)
-    for size in args.sizes.split(","):
-        command = [sys.executable, __file__, "--one", size, "--seed", str(args.seed)]
-        command += ["--no-gtsam"] if args.no_gtsam else []
-        rows.append(
-            json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()[-1])
-        )
-        print(" ".join(f"{rows[-1][n]:>10.4g}" for n in (*names, *more)), flush=True)
-    robots, minutes = _size(args.target)
-    size = np.array([row["robots"] * row["minutes"] for row in rows])
-    fits = {
-        n: fitted(size, np.array([row[n] for row in rows]), robots * minutes)
-        for n in ("total_s", "smooth_s", "gigabytes")
-    }
-    for name, (slope, there) in fits.items():
-        print(f"{name} grows with robots x minutes to the power {slope:.2f}; drawn out to {args.target}: {there:.3g}")
-    if args.json:
-        args.json.write_text(json.dumps({"rows": rows, "fits": fits}, indent=1) + "\n", encoding="utf-8")
+    sizes = [_size(text) for text in args.sizes.split(",")]
+    print(f"| robots x minutes | {' | '.join(head for head, _ in COLUMNS.values())} |")
+    print("|---" * (len(COLUMNS) + 1) + "|", flush=True)
+    rows: list[Row] = []
+    for robots, minutes in sizes:
+        command = [sys.executable, __file__, "--one", f"{robots}x{minutes}", "--seed", str(args.seed)]
+        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        rows.append(json.loads(said.splitlines()[-1]))
+        cells = [format(rows[-1][name], how) for name, (_, how) in COLUMNS.items()]
+        print(f"| {robots} x {minutes:g} | {' | '.join(cells)} |", flush=True)
+    if len(sizes) > 1:
+        size = np.log([robots * minutes for robots, minutes in sizes])
+        slopes = {name: float(np.polyfit(size, np.log([row[name] for row in rows]), 1)[0]) for name in FITTED}
+        cells = [f"{slopes[name]:.2f}" if name in slopes else "" for name in COLUMNS]
+        print(f"| exponent | {' | '.join(cells)} |")
 
 
 if __name__ == "__main__":

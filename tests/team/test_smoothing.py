@@ -180,3 +180,17 @@ def test_a_team_whose_size_ranges_alone_tell_is_enlarged_by_what_they_fall_short
     assert spread[1] / spread[0] == pytest.approx(1 / 0.99, rel=1e-3)
     begun = w.map.landmarks.mean
     assert spread[0] == pytest.approx(np.sqrt(np.square(begun - begun.mean(axis=0)).sum()), rel=3e-3)
+
+
+def test_a_team_of_too_many_poses_is_smoothed_with_longer_steps_and_told():
+    w = world(27, minutes=4.0)
+    whole = smoothed(w)
+    assert not whole.notes
+    fewer = smoothed(w, replace(CFG, most_poses=whole.poses // 3))
+    assert whole.poses / 6 < fewer.poses <= whole.poses // 3
+    assert f"{whole.poses // 3:,} poses" in fewer.notes[0]
+    for own, track in fewer.map.tracks.items():
+        np.testing.assert_array_equal(track.t, whole.map.tracks[own].t)
+    (landmarks, ate, _), (landmarks_whole, ate_whole, _) = errors(w, fewer), errors(w, whole)
+    assert landmarks < 1.2 * landmarks_whole + 0.002
+    assert ate < 1.2 * ate_whole + 0.002

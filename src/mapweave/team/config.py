@@ -99,6 +99,7 @@ class SmoothingConfig:
     robot_sightings: bool = True  # whether sightings of other robots tie trajectories
     longest_step: float = 2.0  # [s] between two poses that are estimated
     shortest_step: float = 0.5  # [s] between two poses that are estimated; sightings between go by the nearest
+    most_poses: int = 50_000  # that are estimated, about: beyond it both steps are made longer, and it is told
     cluster: float = 20.0  # [s] errors of one robot are taken to be independent after this long
     memory: float = 5.0  # [s] over which errors of one robot's sightings of one landmark are taken to hang together
     position_floor: float = 0.01  # [m] added to every standard deviation of a place

@@ -5,7 +5,7 @@ The gauge is the first pose of the first robot, which is held; where nothing tha
 robot's first pose is held too.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,9 +22,21 @@ from .commanded_motion import CommandedMotion
 from .config import CalibrationPrior, SmoothingConfig
 from .factors import sighting_factors, step_factor
 from .known import Known
-from .robot_part import LAG, PARAMETERS, RANGE, SPEED, TURN, Instants, RobotPart, instants_of, keyframe_instants
+from .robot_part import (
+    LAG,
+    PARAMETERS,
+    RANGE,
+    SPEED,
+    TURN,
+    Instants,
+    RobotPart,
+    count_instants,
+    instants_of,
+    keyframe_instants,
+)
 from .scan_factors import Crossing, crossing_factor, scan_factor
 
+WIDER, LONGEST = 1.25, 30.0  # times as long are steps made at a time where poses are too many, and [s] at most
 HELD_TOGETHER = 0.001  # share of the size of a map that nothing but ranges tells: so firmly it is held
 
 
@@ -206,6 +218,24 @@ def _first_of_groups(
     for part in parts:
         first.setdefault(int(group[part.start]), part)
     return [part for k, part in first.items() if k not in set(group[framed].tolist())]
+
+
+def with_fewer_poses(logs: Sequence[LandmarkLog], cfg: SmoothingConfig, scanning: Collection[str]) -> SmoothingConfig:
+    """`cfg` with steps so long that about `cfg.most_poses` poses of `logs` are estimated; as it is where fewer are.
+
+    The time and the memory that a team takes grow faster than its poses: a hundred robots with a pose each half a
+    second would take 13 GB. scanning: robots whose poses stand at their keyframes.
+    """
+    seen_at = seen_when(logs, [log.robot for log in logs]) if cfg.robot_sightings else {}
+    driving, nobody = [log for log in logs if log.robot not in scanning], np.zeros(0)
+    while (
+        cfg.shortest_step < LONGEST
+        and sum(count_instants(log, seen_at.get(log.robot, nobody), cfg) for log in driving) > cfg.most_poses
+    ):
+        cfg = replace(
+            cfg, shortest_step=WIDER * cfg.shortest_step, longest_step=max(cfg.longest_step, 2.5 * cfg.shortest_step)
+        )
+    return cfg
 
 
 def seen_when(logs: Sequence[LandmarkLog], names: Sequence[str]) -> dict[str, Float[np.ndarray, " s"]]:

@@ -52,10 +52,21 @@ class Instants:
 
 def instants_of(log: LandmarkLog, seen_at: Float[np.ndarray, " s"], track: Track, cfg: SmoothingConfig) -> Instants:
     """The instants of `log`'s robot: first and last stamp of every stretch, sightings it made, sightings of it."""
-    stretches = [_of_stretch(stretch, seen_at, cfg) for stretch in log.stretches() if len(stretch)]
+    stretches = _of_stretches(log, seen_at, cfg)
     t = np.concatenate([stamps for stamps, _ in stretches])
     gap = np.concatenate([np.append(steps, np.inf) for _, steps in stretches])[:-1]
     return Instants(t, se2.interpolate(t, track.t, track.pose), track, gap)
+
+
+def count_instants(log: LandmarkLog, seen_at: Float[np.ndarray, " s"], cfg: SmoothingConfig) -> int:
+    """How many `instants_of` gives."""
+    return sum(len(stamps) for stamps, _ in _of_stretches(log, seen_at, cfg))
+
+
+def _of_stretches(
+    log: LandmarkLog, seen_at: Float[np.ndarray, " s"], cfg: SmoothingConfig
+) -> list[tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]]:
+    return [_of_stretch(stretch, seen_at, cfg) for stretch in log.stretches() if len(stretch)]
 
 
 def _of_stretch(

@@ -19,7 +19,7 @@ from .commanded_motion import LAG, TURN
 from .config import CameraNoise, SmoothingConfig
 from .covariance import TeamCovariance, team_covariance
 from .known import Known
-from .problem import TeamProblem, team_problem
+from .problem import TeamProblem, team_problem, with_fewer_poses
 from .robot_part import PARAMETERS, RobotPart
 from .scan_factors import Crossing
 from .team_map import TeamMap
@@ -90,7 +90,9 @@ def smooth(
         return _kept(team, cfg, "nobody saw anything")
     if any(log.robot in scans for log in chosen):
         cfg = replace(cfg, camera=_beside_laser(cfg.camera))
-    start = team
+    wider = with_fewer_poses(chosen, cfg, scans)
+    told = () if wider is cfg else (_told_of_steps(wider),)
+    cfg, start = wider, team
     if all(log.odometry is None and log.robot not in scans for log in chosen) and len(team.landmarks) > 2:
         bare = cfg.calibration.bare_range_scale
         cfg = replace(cfg, calibration=replace(cfg.calibration, range_scale=bare))
@@ -125,8 +127,16 @@ def smooth(
         iterations=solution.iterations,
         status=str(solution.status),
         prior=_prior(cfg),
+        notes=told,
         cost=solution.cost,
         clocks=clocks_of(problem, solution, cfg.clocks.suspect, cfg.cluster, clocks),
+    )
+
+
+def _told_of_steps(cfg: SmoothingConfig) -> str:
+    return (
+        f"so much was driven that a robot's pose is estimated every {cfg.shortest_step:.2g} s at most, which keeps the "
+        f"problem within about {cfg.most_poses:,} poses ([smoothing] most_poses)"
     )
 
 
