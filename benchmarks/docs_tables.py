@@ -81,6 +81,7 @@ TABLES = (
         bench("mixed_teams", "--mixed", "--seeds", "3", "--first", "300"),
         "stdout",
     ),
+    Table("growth of a team", "docs/methods/team-smoothing.md", bench("team_growth"), "stdout"),
     Table("swarm of 1,000", "docs/locate.md", bench("swarm")),
     Table("swarm of 10,000", "docs/locate.md", bench("swarm")),
     Table("angulation", "docs/locate.md", bench("swarm_real", "--table", "angulation"), "stdout"),

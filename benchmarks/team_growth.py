@@ -40,7 +40,7 @@ COLUMNS = {
     "fuse_s": ("fusing [s]", ".1f"),
     "smooth_s": ("smoothing [s]", ".1f"),
     "total_s": ("in all [s]", ".1f"),
-    "gigabytes": ("memory [GB]", ".2f"),
+    "gigabytes": ("memory [GiB]", ".2f"),
     "rmse": ("landmarks [m]", ".3f"),
     "ate": ("trajectories [m]", ".3f"),
 }

@@ -1,6 +1,6 @@
 """The information matrix: where every factor's block lands in it, its factorisation, solutions and covariances."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -81,8 +81,12 @@ class Pattern:
         self, blocks: Sequence[np.ndarray], gradients: Sequence[np.ndarray]
     ) -> tuple[sp.csc_matrix, Float[np.ndarray, " f"]]:
         """The information matrix and the gradient over the free variables: all terms' parts added up."""
+        return self.added(zip(blocks, gradients, strict=True))
+
+    def added(self, parts: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[sp.csc_matrix, Float[np.ndarray, " f"]]:
+        """As `assemble`, of (blocks, gradients) of one term after the other: no two need to be held at a time."""
         data, g = np.zeros(len(self.indices) + 1), np.zeros(self.size + 1)
-        for slot, row, block, gradient in zip(self.slots, self.rows, blocks, gradients, strict=True):
+        for slot, row, (block, gradient) in zip(self.slots, self.rows, parts, strict=True):
             _scatter(data, slot, block.ravel())
             _scatter(g, row, gradient.ravel())
         return self.matrix(data[:-1]), g[:-1]

@@ -113,7 +113,7 @@ def minimise(problem: Problem, cfg: SolveConfig | None = None, pattern: Pattern 
     x, cost = problem.x0.copy(), problem.cost(problem.x0)
     costs, damping, raised, status = [cost], cfg.damping, 2.0, Status.MAX_ITERATIONS
     iterations = 0
-    H, g = pattern.assemble(*_normal(problem, x))
+    H, g = pattern.added(term.normal(x) for term in problem.terms)
     step = np.zeros(len(x))
     while iterations < cfg.max_iterations:
         iterations += 1
@@ -139,7 +139,7 @@ def minimise(problem: Problem, cfg: SolveConfig | None = None, pattern: Pattern 
             damping, raised = damping * max(1 / 3, 1 - (2 * min(gain, 1.0) - 1) ** 3), 2.0
             x, cost = tried, new
             costs.append(cost)
-            H, g = pattern.assemble(*_normal(problem, x))
+            H, g = pattern.added(term.normal(x) for term in problem.terms)
             if converged:
                 status = Status.CONVERGED
                 break
@@ -159,11 +159,6 @@ def minimise(problem: Problem, cfg: SolveConfig | None = None, pattern: Pattern 
         free=free,
         information=_factorised(H, pattern),
     )
-
-
-def _normal(problem: Problem, x: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    parts = [term.normal(x) for term in problem.terms]
-    return [p[0] for p in parts], [p[1] for p in parts]
 
 
 def _damped(pattern: Pattern, H: sp.csc_matrix, damping: float) -> sp.csc_matrix:
