@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from mapweave.core.errors import DataError
 from mapweave.io import kept
 from mapweave.io.kept import kept_parts, part, parts
 
@@ -73,6 +74,14 @@ def test_a_run_that_broke_off_goes_on_where_it_was(store, threads, caplog):
     assert CALLS == [3.0]
     assert caplog.messages == ["going on with the finished parts of a run that was stopped"]
     assert list(store.iterdir()) == []
+
+
+@pytest.mark.usefixtures("store")
+def test_what_a_user_has_to_mend_first_is_told():
+    with pytest.raises(DataError) as told, kept_parts():  # noqa: PT012
+        part(square, 2.0)
+        raise DataError("robot 1 and robot 2 hold the same scans")
+    assert told.value.__notes__ == ["1 finished part is kept: once this is mended, the same command goes on from there"]
 
 
 def test_other_settings_another_file_and_another_version_are_other_parts(tmp_path, monkeypatch):

@@ -23,6 +23,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 
+from ..core.errors import MapweaveError
 from ..core.workers import Progress, no_progress
 
 log = logging.getLogger(__name__)
@@ -62,7 +63,8 @@ def kept_parts() -> Iterator[None]:
         keeper.write_waiting()
         if keeper.finished:
             are = "part is" if keeper.finished == 1 else "parts are"
-            error.add_note(f"{keeper.finished} finished {are} kept: the same command goes on from there")
+            mended = "once this is mended, " if isinstance(error, MapweaveError) else ""
+            error.add_note(f"{keeper.finished} finished {are} kept: {mended}the same command goes on from there")
         raise
     else:
         keeper.forget()
