@@ -67,6 +67,7 @@ TABLES = (
         bench("laser_consistency", "--worlds", "pairs", "--runs", "10", "--seed", "300"),
         "stdout",
     ),
+    Table("changed logs", "docs/laser.md", bench("laser_variants"), "stdout"),
     Table("pose graphs", "docs/laser.md", bench("solve"), "stdout"),
     Table("starts searched", "docs/laser.md", bench("localize_trust"), "stdout"),
     Table(
