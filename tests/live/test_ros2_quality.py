@@ -11,6 +11,7 @@ from mapweave.api.live_ros2 import RosOptions
 from mapweave.api.map_laser import map_logs
 from mapweave.api.map_options import MapOptions
 from mapweave.core import se2
+from mapweave.live.ros2 import assembly
 from mapweave.live.transport import Network
 from mapweave.sim.laser import drive
 from mapweave.sim.office import OfficeConfig, office_route, office_world
@@ -19,6 +20,7 @@ from .processes import free_endpoint
 from .ros_peer import SENSOR, RosDrive, open_session, scan, transforms, wait_for
 from .test_ros2_processes import record
 
+RATE = 20.0  # times as fast as robots drive
 OFFICE = OfficeConfig(rooms=2, visited=2)
 FRONT, REAR = (0.2, 0.05, 0.3), (-0.2, -0.05, 3.0)
 LASER = "sensor_msgs/msg/LaserScan"
@@ -68,7 +70,7 @@ def recorded(ones, folder, at):
     wait_for(lambda: "r2: hears /tb2/scan, odometry from /tb2/odom" in said)
     ones[0].wait_for_a_listener()
     wait_for(lambda: ones[0].node.is_heard("/tb1/rear/scan"))
-    playing = [threading.Thread(target=one.play, args=(20.0,)) for one in ones]
+    playing = [threading.Thread(target=one.play, args=(RATE,)) for one in ones]
     for each in playing:
         each.start()
     for each in playing:
@@ -101,6 +103,7 @@ def woven(logs):
 
 def test_two_scanners_and_two_robots_through_ros_map_as_well_as_their_recordings(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(assembly, "PATIENCE", RATE * assembly.PATIENCE)  # as long by our clock
     simulated = [driven(1, (FRONT, REAR)), driven(2)]
     logs = [log for log, _ in simulated]
     at = free_endpoint()
