@@ -11,7 +11,7 @@ from mapweave.cli import _run
 from mapweave.core import se2
 from mapweave.core.records import Track
 from mapweave.core.truth import NO_SURVEY, Survey
-from mapweave.evaluation.belonging import another_order_fits
+from mapweave.evaluation.belonging import BEYOND, another_order_fits
 from mapweave.evaluation.swarm import StandingSwarm, score_moving, score_standing
 from mapweave.evaluation.team import RobotTruth, as_json, score_team
 from mapweave.io.sightings import SwarmTruth
@@ -106,6 +106,14 @@ def test_errors_far_beyond_what_a_map_says_of_itself_are_told():
     own = Survey(tuple(map(str, range(6, 16))), places(10, 3) + places(10, 4) / 10)
     (told,) = score_team([team(10, 3, sd=0.01)], {}, own, {}).doubts
     assert "times what the result says of itself" in told
+
+
+def test_labels_that_only_look_exchanged_are_told_as_that_and_nothing_else():
+    ids = ["7", "6", *map(str, range(8, 21))]
+    score = score_team([team(15, 3, sd=0.01)], {}, Survey(tuple(ids), places(15, 3)), {})
+    assert [(e.a, e.b) for e in score.exchanges] == [("6", "7")]
+    assert score.landmarks.nees_per_dof > BEYOND
+    assert score.doubts == ()
 
 
 def test_a_way_no_nearer_to_the_truth_than_its_middle_is_told():

@@ -86,6 +86,7 @@ def score_team(
     tied = [singles[r] for r in maps[0].robots if r in singles]
     naive = naive_mean(tied)
     exchanges, mended = find_exchanges(maps[0].landmarks, survey)
+    exchanged_back = score_landmarks(maps[0].landmarks, mended) if exchanges else None
     return TeamScore(
         landmarks=scores[0],
         alignment=alignments[0],
@@ -93,13 +94,13 @@ def score_team(
         naive_rmse=None if naive is None else rmse_after_alignment(naive, survey),
         robots=robots,
         exchanges=exchanges,
-        landmarks_exchanged=score_landmarks(maps[0].landmarks, mended) if exchanges else None,
+        landmarks_exchanged=exchanged_back,
         mean_single_rmse_exchanged=(
             mean_or_none([rmse_after_alignment(m, mended) for m in tied]) if exchanges else None
         ),
         naive_rmse_exchanged=rmse_after_alignment(naive, mended) if exchanges and naive is not None else None,
         components=scores,
-        doubts=_doubts(maps, scores[0], survey, truths, robots),
+        doubts=_doubts(maps, exchanged_back or scores[0], mended, truths, robots),
     )
 
 
