@@ -351,10 +351,8 @@ def drawn(rows: list[Row], path: Path) -> None:
         label = f"{r['robots']} robots, {r['rate']:g} times"
         axes[1, 1].plot(t * r["rate"] / 60, kB / 1024, label=label)
         axes[1, 2].plot(t * r["rate"] / 60, area, label=label)
-    axes[1, 1].set(xlabel="minutes since the process began, times the rate", ylabel="memory [MB]", ylim=(0, None))
-    axes[1, 2].set(
-        xlabel="minutes since the process began, times the rate", ylabel="squares drawn [m²]", ylim=(0, None)
-    )
+    axes[1, 1].set(xlabel="minutes of the logs since the map began", ylabel="memory [MB]", ylim=(0, None))
+    axes[1, 2].set(xlabel="minutes of the logs since the map began", ylabel="squares drawn [m²]", ylim=(0, None))
     axes[1, 1].legend(frameon=False, fontsize=7)
     figure.savefig(path, dpi=110)
 
