@@ -67,10 +67,23 @@ def test_events_bring_every_state_and_late_browsers_get_the_trails():
     with served(board, "127.0.0.1", 0) as address, urllib.request.urlopen(f"{address}events", timeout=10) as page:  # noqa: S310
         first = page.readline()
         assert first.startswith(b'data: {"states":[{"type":"map"')
-        assert b'"map/r1":[[0.5,0.1,1],[1.5,0.1,1]]' in first
+        assert b'"map/r1":[[0.5,0.1,1,0],[1.5,0.1,1,0]]' in first
         page.readline()
         board.take(state(1, "other"))
-        assert b'"map":"other"' in page.readline()
+        later = page.readline()
+        assert b'"map":"other"' in later
+        assert b'"steps":{"other/r1":[[0.5,0.1,1,0]]}' in later
+
+
+def test_a_trail_begins_anew_where_the_map_was_corrected():
+    """A robot that stands 1 m along its own x drives on by 0.2 m, and meanwhile its frame is turned by a quarter."""
+    board = Board()
+    seen = state(1).robots[0]
+    for frame, pose in (((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)), ((0.0, 0.0, np.pi / 2), (0.0, 1.2, np.pi / 2))):
+        robot = msgspec.structs.replace(seen, frame=frame, pose=pose)
+        board.take(msgspec.structs.replace(state(1), robots=[robot]))
+    trail = msgspec.json.decode(board.all()[1])["trails"]["map/r1"]
+    np.testing.assert_allclose(trail, [[1, 0, 1, 0], [0, 1, 1, 1], [0, 1.2, 1, 1]], atol=1e-12)
 
 
 def square(value, i=0):

@@ -261,6 +261,7 @@ class MapProcess:
             rate=ledger.rate(now),
             pose=pose,
             cov=cov,
+            frame=() if placed is None else listed(placed.frame),
             component=0 if placed is None else placed.component,
             landmarks=0 if status is None else status.landmarks,
             offset=offset,

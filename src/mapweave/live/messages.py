@@ -148,8 +148,8 @@ class Correction(_Message, tag="correction", frozen=True):
 class RobotState(msgspec.Struct, frozen=True, kw_only=True):
     """What a map process knows of a robot. pose: `T_map_robot` or nothing; component: 1 is the largest.
 
-    have: messages held without a gap; last: newest it is known to have told; offset: its clock minus the map's [s],
-    within `offset_error`.
+    frame: `T_map_local`, where the robot's own frame stands, or nothing. have: messages held without a gap; last:
+    newest it is known to have told; offset: its clock minus the map's [s], within `offset_error`.
     """
 
     robot: str
@@ -163,6 +163,7 @@ class RobotState(msgspec.Struct, frozen=True, kw_only=True):
     rate: float
     pose: Numbers = ()
     cov: Numbers = ()
+    frame: Numbers = ()
     component: int = 0
     landmarks: int = 0
     offset: float | None = None

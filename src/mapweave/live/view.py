@@ -9,10 +9,13 @@ from pathlib import Path
 from threading import Condition, Thread
 
 import msgspec
+import numpy as np
 import zenoh
+from jaxtyping import Float
 
+from ..core import se2
 from ..core.errors import UsageError
-from .messages import MapState, RefusedError, Tile, decode
+from .messages import MapState, RefusedError, RobotState, Tile, decode
 from .topics import Topics
 from .transport import ask
 
@@ -21,7 +24,9 @@ POINTS = 4000  # of each robot's trail, for browsers that come late
 STEP = 0.05  # [m] from point to point of a trail
 SILENCE = 10.0  # [s] after which a browser is told that nothing came, so that one that left is noticed
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'"
-Trail = list[tuple[float, float, int]]
+CORRECTED = 0.3  # [m] by which a correction has to move a robot for its trail to begin anew from there
+Pose = Float[np.ndarray, "3"]
+Point = tuple[float, float, int, int]  # x, y [m], component, stretch: no line is drawn from one stretch to the next
 
 
 class Board:
@@ -36,7 +41,8 @@ class Board:
         self.fetched = 0
         self.closed = False
         self.states: dict[str, MapState] = {}
-        self._trails: dict[str, Trail] = {}
+        self._trails: dict[str, list[tuple[int, Point]]] = {}  # with the version that brought each point
+        self._frames: dict[str, Pose] = {}
         self._fresh: dict[str, int] = {}
         self._tiles: dict[str, tuple[int, Tile]] = {}  # those that are gone without cells
         self._changed = Condition()
@@ -49,7 +55,7 @@ class Board:
             self._fresh[state.map] = self.version
             for robot in state.robots:
                 if robot.pose:
-                    self._walk(f"{state.map}/{robot.robot}", (robot.pose[0], robot.pose[1], robot.component))
+                    self._walk(f"{state.map}/{robot.robot}", robot)
             self._changed.notify_all()
 
     def take_tile(self, tile: Tile) -> None:
@@ -73,30 +79,54 @@ class Board:
             if when > version
         }
 
-    def _walk(self, key: str, here: tuple[float, float, int]) -> None:
+    def _walk(self, key: str, robot: RobotState) -> None:
         trail = self._trails.setdefault(key, [])
+        before, now = self._frames.get(key), np.array(robot.frame)
+        if now.size:
+            self._frames[key] = now
+        x, y = robot.pose[:2]
+        stretch = 0
         if trail:
-            x, y, component = trail[-1]
-            if component == here[2] and (x - here[0]) ** 2 + (y - here[1]) ** 2 < STEP**2:
+            last_x, last_y, component, stretch = trail[-1][1]
+            if before is not None and now.size and component == robot.component:
+                last = np.array([last_x, last_y, 0.0])
+                moved = se2.compose(now, se2.between(before, last))  # the last point as the map has it today
+                if np.hypot(*(moved - last)[:2]) > CORRECTED:
+                    last_x, last_y, stretch = float(moved[0]), float(moved[1]), stretch + 1
+                    trail.append((self.version, (last_x, last_y, component, stretch)))
+            if component == robot.component and (x - last_x) ** 2 + (y - last_y) ** 2 < STEP**2:
                 return
-        trail.append(here)
+        trail.append((self.version, (x, y, robot.component, stretch)))
         if len(trail) > POINTS:
             del trail[: POINTS // 4]
+
+    def _walked(self, version: int) -> dict[str, list[Point]]:
+        """Points of the trails that came after `version`."""
+        newer = {}
+        for key, trail in self._trails.items():
+            first = len(trail)
+            while first and trail[first - 1][0] > version:
+                first -= 1
+            if first < len(trail):
+                newer[key] = [point for _, point in trail[first:]]
+        return newer
 
     def all(self) -> tuple[int, bytes]:
         """Version and JSON of all states, with the trails and which tiles there are."""
         with self._changed:
-            told = {"states": list(self.states.values()), "trails": self._trails, "tiles": self._newer(0)}
+            states = list(self.states.values())
+            told = {"states": states, "trails": self._walked(0), "tiles": self._newer(0)}
             return self.version, msgspec.json.encode(told)
 
     def after(self, version: int, patience: float) -> tuple[int, bytes | None]:
-        """Version and JSON of the states that came after `version`; None when none came within `patience` [s]."""
+        """Version and JSON of what came after `version`; None when nothing came within `patience` [s]."""
         with self._changed:
             self._changed.wait_for(lambda: self.closed or self.version > version, patience)
             if self.version <= version:
                 return version, None
             fresh = [s for name, s in self.states.items() if self._fresh[name] > version]
-            return self.version, msgspec.json.encode({"states": fresh, "tiles": self._newer(version)})
+            told = {"states": fresh, "steps": self._walked(version), "tiles": self._newer(version)}
+            return self.version, msgspec.json.encode(told)
 
     def close(self) -> None:
         """Nothing more comes: those who wait go."""
