@@ -1,5 +1,6 @@
 """What no reader may break on: each input once ended in a traceback, a hang or gigabytes, and gives one clear line."""
 
+import dataclasses
 import gzip
 import io
 import json
@@ -33,7 +34,7 @@ from mapweave.io.tum import read_tum
 from mapweave.laser.laser_map import GridMap
 
 from . import mrclam_folder
-from .ros_logs import usual
+from .ros_logs import Recording, usual
 from .test_local_map import some_map
 
 ROOT = Path(__file__).parents[2]
@@ -375,8 +376,21 @@ def test_truth_of_a_swarm_without_finite_stamps_is_refused(tmp_path):
 def test_scans_whose_pose_or_stamp_no_robot_can_have_are_dropped_and_counted(tmp_path, rows, dropped):
     (tmp_path / "a.log").write_text(rows)
     log = read_laser(tmp_path / "a.log")
-    assert log.dropped["scan with a stamp, pose or angle that is not finite"] == dropped
+    assert log.dropped["scan with a stamp, pose or angle that none can have"] == dropped
     assert all(np.isfinite(scan.ranges).all() and np.isfinite(scan.odometry).all() for scan in log.scans)
+
+
+@pytest.mark.parametrize("step", [0.0, 1e-45, 1e30])
+def test_scans_whose_beams_no_scanner_has_are_dropped_and_counted(tmp_path, step):
+    recording = Recording(tmp_path / "a.mcap")
+    for k in range(3):
+        recording.odom(k, 0.1 * k)
+        recording.scan(k, [1.0, 2.0, 3.0])
+    t, topic, kind, message = recording.rows[1]
+    recording.rows[1] = t, topic, kind, dataclasses.replace(message, angle_increment=step, angle_max=-1.5)
+    log = read_laser(recording.write())
+    assert len(log.scans) == 2
+    assert log.dropped["scan with a stamp, pose or angle that none can have"] == 1
 
 
 @pytest.mark.parametrize("said", ["inf", "nan", "1e308", "-1"])

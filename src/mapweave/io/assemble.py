@@ -77,7 +77,8 @@ def _difference(a: Scan, b: Scan, shift: int) -> float | None:
 
 
 LARGEST, LATEST = 1e9, 1e15  # [m or rad], [s]: what is more was never measured
-UNSOUND = "scan with a stamp, pose or angle that is not finite"
+CLOSEST, WIDEST = 1e-6, 4 * np.pi  # [rad] from beam to beam, and of all beams: what is less, or more, no scanner has
+UNSOUND = "scan with a stamp, pose or angle that none can have"
 FEW = 0.05  # share of scans without intensities that are dropped rather than all intensities
 
 
@@ -269,7 +270,10 @@ def is_sound(raw: RawScan) -> bool:
     """Whether stamp, poses and angles of a scan are numbers that a robot can have."""
     poses = [raw.T_robot_sensor] if raw.odometry is None else [raw.T_robot_sensor, raw.odometry]
     numbers = np.concatenate([[raw.angle_min, raw.angle_increment], *poses])
-    return bool(abs(raw.t) < LATEST and (np.abs(numbers) < LARGEST).all() and not np.isnan(raw.range_max))
+    if not (abs(raw.t) < LATEST and (np.abs(numbers) < LARGEST).all() and not np.isnan(raw.range_max)):
+        return False
+    step, n = abs(raw.angle_increment), len(raw.ranges)
+    return n < 2 or bool(step >= CLOSEST and step * (n - 1) <= WIDEST)
 
 
 def _hit(raw: RawScan) -> np.ndarray:

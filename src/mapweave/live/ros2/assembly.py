@@ -181,7 +181,7 @@ class Assembly:
             float(message.range_min),
             limit if limit > 0 else np.inf,
         )
-        if not is_sound(raw) or np.isnan(raw.range_min) or step == 0 or abs(step) * (n - 1) > 4 * np.pi:
+        if not is_sound(raw) or np.isnan(raw.range_min):
             raise RefusedError("malformed", "a scan whose angles or limits are none")
         return raw
 
