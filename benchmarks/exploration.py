@@ -204,7 +204,9 @@ def compiled(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg:
     )  # fmt: skip
     known, Phi = noise(config), np.zeros((3, n))
     waiting = np.zeros((n_marks, ekf_start.CANDIDATES, 2))
-    places = ekf_state.Places(np.ones(n_marks, bool), waiting, np.zeros(n_marks, np.int64), np.zeros(1, np.int64))
+    places = ekf_state.LandmarkTable(
+        np.ones(n_marks, bool), waiting, np.zeros(n_marks, np.int64), np.zeros(1, np.int64)
+    )
     begun = time.process_time()
     for rows, z, _ in script:
         Phi[:, :3] = np.eye(3)
@@ -212,8 +214,8 @@ def compiled(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg:
         x[:3] = move(x[:3], u, cfg.period)
         ekf_apply_drive.apply_drive(F, len(x), Phi, cfg.Q.copy())
         ranges, bearings = z.T.copy()
-        fit = ekf_state.Fit(np.empty(len(rows)), np.empty(len(rows)))
-        ekf.frame(x, F, ekf_state.Seen(rows, ranges, bearings), known, places, fit)
+        fit = ekf_state.UpdateOutcomes(np.empty(len(rows)), np.empty(len(rows)))
+        ekf.frame(x, F, ekf_state.CameraFrame(rows, ranges, bearings), known, places, fit)
     return time.process_time() - begun
 
 

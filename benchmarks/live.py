@@ -291,14 +291,14 @@ def mapping(folder: Path) -> None:
 def warmed() -> None:
     """Kernels are there: what a first run compiles is no part of the load."""
     from mapweave.laser.config import LaserConfig
-    from mapweave.live.laser_team import LaserTeam, nobody
+    from mapweave.live.laser_team import LiveLaserTeam, nobody
 
     with tempfile.TemporaryDirectory() as folder, Store(Path(folder, "s"), "a map") as store:
         made = [prepared("laser", k, 25.0, 1.0) for k in (1, 2)]
         for k, told in enumerate(made, 1):
             logged = [t.message for t in told if t.topic == "log"]
             store.put([(f"r{k}", m.seq, renamed(m, f"r{k}", k)) for m in logged])
-        team = LaserTeam(store, LaserConfig(method="graph", threads=1), nobody)
+        team = LiveLaserTeam(store, LaserConfig(method="graph", threads=1), nobody)
         while team.follow({f"r{k}": 20 for k in (1, 2)}):
             pass
         trial = team.trial()

@@ -15,7 +15,7 @@ from pathlib import Path
 from live import memory, one_round, prepared, renamed
 from mapweave.core.workers import keep_one_blas_thread
 from mapweave.laser.config import LaserConfig
-from mapweave.live.laser_team import LaserTeam, nobody
+from mapweave.live.laser_team import LiveLaserTeam, nobody
 from mapweave.live.store import Store
 
 AT_ONCE = 20  # messages between two maps
@@ -37,7 +37,7 @@ def holes() -> float:
     return library.mallinfo2().free0 / 1e6
 
 
-def returns(team: LaserTeam) -> float:
+def returns(team: LiveLaserTeam) -> float:
     """[MB] of all keyframes."""
     nodes = team.robots["r1"].session.keyframes.nodes
     return sum(b.s.nbytes + b.normal.nbytes + b.support.nbytes for b in (node.beams for node in nodes)) / 1e6
@@ -56,7 +56,7 @@ def main() -> None:
         total = len(told)
         del told
         one_round.cache_clear()
-        team = LaserTeam(store, LaserConfig(method="graph", threads=1), nobody)
+        team = LiveLaserTeam(store, LaserConfig(method="graph", threads=1), nobody)
         done = maps = 0
         print("| lap | memory | keyframes | their returns | holes in the heap |\n|---|---|---|---|---|")
         for lap in range(1, given.laps + 1):

@@ -23,22 +23,22 @@ from mapweave.swarm import bearing
 from mapweave.swarm.batch import refine
 from mapweave.swarm.config import SwarmConfig
 from mapweave.swarm.locate import locate
-from mapweave.swarm.network import Network
+from mapweave.swarm.network import BearingNetwork
 from mapweave.swarm.start import prepare
 
 
-def network(swarm: Swarm, known: tuple[int, ...]) -> Network:
+def network(swarm: Swarm, known: tuple[int, ...]) -> BearingNetwork:
     table = swarm.table
     z = table.bearing() if table.dim == 2 else table.direction
     anchors = {k: swarm.position[0][k] for k in known}
-    return Network(table.ids, table.dim, table.observer, table.target, z, table.sigma, anchors)
+    return BearingNetwork(table.ids, table.dim, table.observer, table.target, z, table.sigma, anchors)
 
 
 def scene(n: int, dim: int = 2, degrees: float = 0.5) -> SwarmScene:
     return SwarmScene(robots=n, dim=dim, sigma=float(np.radians(degrees)))
 
 
-def drawn(swarm: Swarm, net: Network, what: SwarmScene, rng: np.random.Generator) -> Network:
+def drawn(swarm: Swarm, net: BearingNetwork, what: SwarmScene, rng: np.random.Generator) -> BearingNetwork:
     """The same robots and sightings with fresh noise."""
     pairs = np.column_stack([net.observer, net.target])
     u = observe(swarm.position[0], swarm.heading[0], pairs, what, rng)
@@ -96,7 +96,7 @@ def guess(runs: int = 100) -> dict:
                 z = np.arctan2(d[:, 1], d[:, 0]) + what.sigma * rng.standard_normal(len(pairs))
                 sigma = np.full(len(pairs), what.sigma)
                 anchors = {0: five[0], 1: five[1]}
-                net = Network(tuple("12345"), 2, pairs[:, 0], pairs[:, 1], z, sigma, anchors)
+                net = BearingNetwork(tuple("12345"), 2, pairs[:, 0], pairs[:, 1], z, sigma, anchors)
                 truth = five
             else:
                 swarm = simulate_swarm(what, rng)
@@ -182,7 +182,7 @@ def _timed(run) -> float:
     return time.perf_counter() - begun
 
 
-def _dense_update(net: Network, x: np.ndarray) -> float:
+def _dense_update(net: BearingNetwork, x: np.ndarray) -> float:
     """Seconds of one update of the paper's filter with dense matrices, known robots left out of the state."""
     free = np.flatnonzero(~net.is_anchor)
     column = np.full(len(net), -1)
@@ -205,7 +205,7 @@ def _dense_update(net: Network, x: np.ndarray) -> float:
     return time.perf_counter() - begun
 
 
-def _gtsam(net: Network, start: np.ndarray, answer: np.ndarray) -> dict:
+def _gtsam(net: BearingNetwork, start: np.ndarray, answer: np.ndarray) -> dict:
     """GTSAM has bearings between poses: headings are held by a tight prior. It begins at our linear start."""
     import gtsam
 

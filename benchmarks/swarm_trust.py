@@ -22,7 +22,7 @@ from mapweave.papers.reproduction import markdown
 from mapweave.sim.swarm import SwarmScene, simulate_swarm
 from mapweave.swarm.config import Method, SwarmConfig
 from mapweave.swarm.locate import locate
-from mapweave.swarm.network import Network
+from mapweave.swarm.network import BearingNetwork
 
 LAYOUTS, VISIBILITIES = ("grid", "random", "clusters"), ("directed", "mutual", "single")
 SEEN = {"directed": "nearest neighbours", "mutual": "from both ends", "single": "from one end"}
@@ -57,13 +57,13 @@ def cases() -> list[tuple[str, SwarmScene, Method]]:
     return out
 
 
-def network(scene: SwarmScene, seed: int) -> tuple[Network, np.ndarray, np.ndarray]:
+def network(scene: SwarmScene, seed: int) -> tuple[BearingNetwork, np.ndarray, np.ndarray]:
     """The network with corners known, the truth (n, d), and which sightings are outliers."""
     swarm = simulate_swarm(scene, np.random.default_rng(seed))
     table, truth = swarm.table, swarm.position[0]
     z = table.bearing() if table.dim == 2 else table.direction
     anchors = {k: truth[k] for k in swarm.corners}
-    net = Network(table.ids, table.dim, table.observer, table.target, z, table.sigma, anchors, (), table.axis)
+    net = BearingNetwork(table.ids, table.dim, table.observer, table.target, z, table.sigma, anchors, (), table.axis)
     d = truth[table.target] - truth[table.observer]
     if not table.axis:
         c, s = (f(swarm.heading[0][table.observer]) for f in (np.cos, np.sin))

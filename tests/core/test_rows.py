@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from mapweave.core.rows import Rows
+from mapweave.core.rows import RowBuffer
 
 
 @pytest.mark.parametrize("shape", [(), (3,), (3, 3)])
 def test_rows_are_those_that_were_appended(shape):
     rng = np.random.default_rng(0)
-    given, rows = rng.normal(size=(1000, *shape)), Rows(*shape)
+    given, rows = rng.normal(size=(1000, *shape)), RowBuffer(*shape)
     for row in given:
         rows.append(row)
     assert len(rows) == 1000
@@ -20,7 +20,7 @@ def test_rows_are_those_that_were_appended(shape):
 
 
 def test_what_was_handed_out_stays_as_it_was():
-    rows = Rows(2)
+    rows = RowBuffer(2)
     rows.append([1.0, 2.0])
     first, whole = rows[0], rows.array
     rows.clear()
@@ -31,7 +31,7 @@ def test_what_was_handed_out_stays_as_it_was():
 
 
 def test_a_row_that_is_not_there_is_an_error():
-    rows = Rows()
+    rows = RowBuffer()
     rows.append(1.0)
     with pytest.raises(IndexError):
         rows[1]
@@ -39,7 +39,7 @@ def test_a_row_that_is_not_there_is_an_error():
 
 @pytest.mark.parametrize("count", [0, 1, 100])
 def test_only_the_newest_row_is_kept(count):
-    rows = Rows(2)
+    rows = RowBuffer(2)
     for k in range(count):
         rows.append([k, -k])
     rows.keep_last()

@@ -8,7 +8,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.fusion.alignment import JointFit, joint_fit
 from mapweave.fusion.identities import (
-    Candidate,
+    AlignmentCandidate,
     IdentityConfig,
     _assigned,
     _chance,
@@ -238,7 +238,7 @@ def test_a_link_that_alone_adds_too_much_is_let_go():
 
 
 def candidate(links, chi2, evidence=9.0):
-    return Candidate(links, fit(chi2, links), evidence)
+    return AlignmentCandidate(links, fit(chi2, links), evidence)
 
 
 def test_a_rival_must_fit_and_be_another_alignment():
@@ -251,9 +251,11 @@ def test_a_rival_must_fit_and_be_another_alignment():
     m = a_map(np.random.default_rng(1).uniform(0, 3, (8, 2)))
     best = candidate(links, 1.0)
     away = JointFit(np.array([2.0, 1.0, 0.7]), 1.0, 1.0, np.zeros(5))
-    assert _rivals(Candidate(links + np.array([0, 1]), away, 1.0), best, m, m, CFG)
+    assert _rivals(AlignmentCandidate(links + np.array([0, 1]), away, 1.0), best, m, m, CFG)
     assert not _rivals(candidate(links + np.array([0, 1]), 1.0), best, m, m, CFG)  # the same alignment
-    assert not _rivals(Candidate(np.vstack([links[:3], links[3:] + np.array([0, 2])]), away, 1.0), best, m, m, CFG)
+    assert not _rivals(
+        AlignmentCandidate(np.vstack([links[:3], links[3:] + np.array([0, 2])]), away, 1.0), best, m, m, CFG
+    )
 
 
 def test_a_match_is_refused_for_too_few_links_a_rival_as_likely_a_misfit_or_as_chance():

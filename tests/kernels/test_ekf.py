@@ -157,10 +157,10 @@ def test_a_frame_worked_in_at_once_is_its_sightings_one_by_one():
     slots, started = np.array([2, -1, 0, 1]), np.ones(3, bool)
     z = np.array([[3.0, 0.5], [1.0, 0.0], [4.0, 0.9], [2.5, 0.7]])
     astray = np.zeros(1, np.int64)
-    places = ekf_state.Places(started, np.zeros((3, ekf_start.CANDIDATES, 2)), np.zeros(3, np.int64), astray)
+    places = ekf_state.LandmarkTable(started, np.zeros((3, ekf_start.CANDIDATES, 2)), np.zeros(3, np.int64), astray)
     nis, weight = np.zeros(4), np.zeros(4)
-    seen = ekf_state.Seen(slots, z[:, 0].copy(), z[:, 1].copy())
-    ekf.frame(x, P, seen, noise, places, ekf_state.Fit(nis, weight))
+    seen = ekf_state.CameraFrame(slots, z[:, 0].copy(), z[:, 1].copy())
+    ekf.frame(x, P, seen, noise, places, ekf_state.UpdateOutcomes(nis, weight))
     U, alone = np.empty((2, len(y))), np.zeros(1, np.int64)
     for slot, (r, b) in zip(slots, z, strict=True):
         if slot >= 0:
@@ -238,7 +238,7 @@ def test_a_replay_stands_at_every_stamp_of_commands_and_sightings_until_both_hav
 
     def tables():
         waiting = np.zeros((3, ekf_start.CANDIDATES, 2))
-        return ekf_state.Places(np.ones(3, bool), waiting, np.zeros(3, np.int64), np.zeros(1, np.int64))
+        return ekf_state.LandmarkTable(np.ones(3, bool), waiting, np.zeros(3, np.int64), np.zeros(1, np.int64))
 
     Phi, Q = cleared()
     track_t = np.full(60, np.nan)
@@ -258,8 +258,8 @@ def test_a_replay_stands_at_every_stamp_of_commands_and_sightings_until_both_hav
         here = stamp == until
         if here.any():
             ekf_apply_drive.apply_drive(R, len(y), Phi, Q)
-            seen = ekf_state.Seen(slots[here], z[here, 0].copy(), z[here, 1].copy())
-            ekf.frame(y, R, seen, PLAIN, kept, ekf_state.Fit(np.zeros(here.sum()), np.zeros(here.sum())))
+            seen = ekf_state.CameraFrame(slots[here], z[here, 0].copy(), z[here, 1].copy())
+            ekf.frame(y, R, seen, PLAIN, kept, ekf_state.UpdateOutcomes(np.zeros(here.sum()), np.zeros(here.sum())))
         np.testing.assert_allclose(pose[k, :2], y[:2], atol=1e-9)
     assert at == at_one
     np.testing.assert_allclose(x, y, atol=1e-9)

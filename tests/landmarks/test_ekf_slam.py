@@ -133,11 +133,11 @@ def test_an_event_from_the_past_is_left_out_and_said_to_be():
     late = Event(1001.0, "robot1", Sightings(("6",), np.array([2.0]), np.array([0.0])))
     after, info = ekf_slam.step(state, late, cfg, np.random.default_rng(0))
     assert after is state
-    assert info.status is ekf_slam.Status.LATE
+    assert info.status is ekf_slam.UpdateStatus.LATE
     poses = Event(2000.0, "robot1", OdometryPoses(np.array([2000.0]), np.zeros((1, 3))))
     after, info = ekf_slam.step(state, poses, cfg, np.random.default_rng(0))
     assert after is state
-    assert info.status is ekf_slam.Status.IGNORED
+    assert info.status is ekf_slam.UpdateStatus.IGNORED
 
 
 def test_what_landmarks_are_called_does_not_matter():

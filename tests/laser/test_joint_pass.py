@@ -8,7 +8,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.kernels.laser.joint_scans import beams_by_direction, match_beam, match_pairs, refine_poses
 from mapweave.laser.joint_pass import (
-    JointConfig,
+    JointPassConfig,
     joint_pass,
     lay_scans,
     neighbours,
@@ -20,7 +20,7 @@ from mapweave.laser.pose_graph import PoseGraph
 
 from .test_closures import seen
 
-CFG = JointConfig()
+CFG = JointPassConfig()
 
 
 def around(n=16):
@@ -219,7 +219,7 @@ def test_one_keyframe_or_scans_without_returns_are_no_error():
 
 def test_the_ends_of_two_robots_logs_are_no_neighbours_in_the_drive():
     pose = np.column_stack([20.0 * np.arange(8), np.zeros(8), np.zeros(8)])
-    cfg = JointConfig(before=2)
+    cfg = JointPassConfig(before=2)
     one = {tuple(p) for p in paired(pose, cfg).tolist()}
     two = {tuple(p) for p in paired(pose, cfg, np.array([0, 0, 0, 0, 1, 1, 1, 1])).tolist()}
     assert one - two == {(3, 4), (2, 4), (3, 5)}

@@ -9,7 +9,7 @@ from mapweave.core import se2
 from mapweave.laser.beam import Beams
 from mapweave.laser.laser_map import GridMap
 from mapweave.laser.likelihood_field import nearest_field
-from mapweave.laser.localise_trust import Seen, TrustConfig, evidence
+from mapweave.laser.localise_trust import LocalisedScan, TrustConfig, evidence
 
 CELL = 0.1
 RNG = np.random.default_rng(5)
@@ -57,7 +57,7 @@ def asked(made, part, believed, light=True, searched=True, **cfg):
     seen = []
     for x in np.arange(2.0, 3.0, 0.3):
         pose = np.array([x, 1.5, 0.2])
-        seen.append(Seen(se2.compose(np.array(believed), pose), scan(part, pose), np.zeros(2)))
+        seen.append(LocalisedScan(se2.compose(np.array(believed), pose), scan(part, pose), np.zeros(2)))
     return evidence(seen, made, nearest_field(made), light=light, searched=searched, cfg=replace(TrustConfig(), **cfg))
 
 

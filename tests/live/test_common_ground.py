@@ -9,10 +9,10 @@ from mapweave.core import se2
 from mapweave.laser.config import LaserConfig
 from mapweave.laser.merge import Merge
 from mapweave.laser.merge_search import Start
-from mapweave.live.common_ground import COARSE, FINE, Walls, in_common
+from mapweave.live.common_ground import COARSE, FINE, WallCells, in_common
 from mapweave.live.driven import DrivenSession
 from mapweave.live.laser_stream import messages_of_laser
-from mapweave.live.laser_team import LaserTeam
+from mapweave.live.laser_team import LiveLaserTeam
 from mapweave.live.messages import encode
 from mapweave.live.pair_search import LIKELY, PairSearch, PairTrial
 from mapweave.live.store import Store
@@ -28,7 +28,7 @@ HERE = Start(np.zeros(3), np.full(3, 0.1))
 def session():
     """A robot that drove for a while, and what it made of it half way."""
     made = drive(office_world(WORLD, 3), office_route(WORLD, 1), WORLD.drive, 1)
-    driven, walls = DrivenSession(made.log.robot, CFG), Walls()
+    driven, walls = DrivenSession(made.log.robot, CFG), WallCells()
     events = list(made.log.events())[:700]
     for k, event in enumerate(events):
         driven.push(event)
@@ -56,7 +56,7 @@ def test_walls_are_those_of_all_keyframes_each_cell_once(session):
 def walls(*at):
     """Walls at these places [m]."""
     column, row = np.floor(np.array(at, dtype=float) / FINE).astype(np.int64).T
-    return Walls(np.unique((1 << 20) * column + row), 0)
+    return WallCells(np.unique((1 << 20) * column + row), 0)
 
 
 def test_walls_are_in_common_where_starts_lay_them_on_each_other():
@@ -104,7 +104,7 @@ def test_a_team_tries_those_first_that_saw_the_same(tmp_path):
         for name in names:
             told = [encode(m) for _, m in messages_of_laser(replace(log, source="sim"), name, "a", 1.0)][:12]
             store.put([(name, seq, payload) for seq, payload in enumerate(told)])
-        team = LaserTeam(store, CFG, lambda names: {names.index("r2"): far, names.index("r3"): HERE})
+        team = LiveLaserTeam(store, CFG, lambda names: {names.index("r2"): far, names.index("r3"): HERE})
         while team.follow(dict.fromkeys(names, 12)):
             pass
         first = team.trial()

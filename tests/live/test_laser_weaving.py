@@ -18,7 +18,7 @@ from mapweave.live import pair_search
 from mapweave.live.canvas import Canvas, Standing
 from mapweave.live.driven import DrivenSession, Seen
 from mapweave.live.laser_stream import messages_of_laser
-from mapweave.live.laser_team import LaserTeam, WovenTeam, nobody
+from mapweave.live.laser_team import LiveLaserTeam, WovenTeam, nobody
 from mapweave.live.laser_weaver import LaserWeaver
 from mapweave.live.messages import Tile, decode, encode
 from mapweave.live.pair_search import PairSearch, PairTrial
@@ -91,7 +91,7 @@ def apart(team, woven):
 def test_robots_are_one_map_while_they_drive_and_stand_where_they_are_in_it(tmp_path):
     store, heard = filled(tmp_path / "s.sqlite")
     with store:
-        team = LaserTeam(store, CFG, docked)
+        team = LiveLaserTeam(store, CFG, docked)
         for share, least in ((0.6, 0.4), (1.0, 0.1)):  # half way one of them is in a corridor, and says so
             while team.follow({name: round(share * n) for name, n in heard.items()}):
                 pass
@@ -111,7 +111,7 @@ def test_what_was_decided_on_a_pair_stands_until_the_maps_have_grown(tmp_path, m
     monkeypatch.setattr(pair_search, "merge_maps", lambda *a: searched.append(1) or merge_maps(*a))
     store, heard = filled(tmp_path / "s.sqlite")
     with store:
-        team = LaserTeam(store, CFG, docked)
+        team = LiveLaserTeam(store, CFG, docked)
         for share, expected in ((0.5, 1), (0.52, 1), (1.0, 2)):
             now = {name: round(share * n) for name, n in heard.items()}
             while team.follow(now):
@@ -126,7 +126,7 @@ def test_a_gap_in_the_store_is_waited_for(tmp_path):
     with Store(tmp_path / "s.sqlite", "a map") as store:
         messages = payloads()["r1"]
         store.put([("r1", seq, messages[seq]) for seq in (0, 1, 2, 4)])
-        team = LaserTeam(store, CFG, nobody)
+        team = LiveLaserTeam(store, CFG, nobody)
         assert team.follow({"r1": 5, "r9": 3}) == 2
         assert team.robots["r1"].next == 3
         store.put([("r1", 3, messages[3])])
@@ -356,7 +356,7 @@ def test_keyframes_of_a_driven_estimate_leave_as_those_of_a_log_and_are_known_by
 def test_a_team_whose_keyframes_leave_stays_one_map_of_those_that_stay(tmp_path):
     store, heard = filled(tmp_path / "s.sqlite")
     with store:
-        team = LaserTeam(store, leaving(CFG), docked)
+        team = LiveLaserTeam(store, leaving(CFG), docked)
         for share in (0.6, 1.0):
             while team.follow({name: round(share * n) for name, n in heard.items()}):
                 pass

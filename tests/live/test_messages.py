@@ -15,13 +15,13 @@ from mapweave.live.landmark_stream import LandmarkRecord
 from mapweave.live.messages import (
     LARGEST,
     PROTOCOL,
-    Beams,
     Closed,
     Correction,
     Header,
     MapState,
     RefusedError,
     Rows,
+    ScanBeams,
     Scans,
     Snapshot,
     Status,
@@ -171,5 +171,5 @@ def test_the_page_of_the_protocol_names_every_field_and_which_may_be_left_out(me
 
 def test_a_scan_is_told_with_the_fields_of_the_page():
     told = PAGE.split("A\nscan has all of these:")[1].split("`ranges` and `light` are bytes")[0]
-    assert set(Beams.__struct_fields__) <= set(re.findall(r"`(\w+)`", told))
-    assert all(f.required for f in msgspec.structs.fields(Beams))
+    assert set(ScanBeams.__struct_fields__) <= set(re.findall(r"`(\w+)`", told))
+    assert all(f.required for f in msgspec.structs.fields(ScanBeams))

@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from mapweave.solve import SingularError
-from mapweave.solve.chain import Gauss, Link, passed, solve
+from mapweave.solve.chain import Gauss, SchurComplement, passed, solve
 
 ENDS, HUBS, OWN = 3, 4, 7
 
@@ -38,7 +38,7 @@ def test_a_chain_in_pieces_is_the_whole_at_once():
         at = places(k, n)
         whole[np.ix_(at, at)] += H
         eta[at] += H @ x - g
-        links.append(Link.of(sp.csc_matrix(H), g, x, np.arange(len(at) - OWN)))
+        links.append(SchurComplement.of(sp.csc_matrix(H), g, x, np.arange(len(at) - OWN)))
     expected = np.linalg.solve(whole, eta)
     entry, steps = Gauss(np.zeros((HUBS, HUBS)), np.zeros(HUBS)), []
     for k, link in enumerate(links):
@@ -62,4 +62,4 @@ def test_what_nothing_tells_is_refused():
         solve(np.diag([1.0, 0.0]), np.ones(2))
     H = sp.csc_matrix(np.diag([1.0, 1.0, 0.0]))
     with pytest.raises(SingularError):
-        Link.of(H, np.zeros(3), np.zeros(3), np.array([0]))
+        SchurComplement.of(H, np.zeros(3), np.zeros(3), np.array([0]))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapweave.solve import Factor, Problem, Status, gauss_newton, minimise, wrapping
+from mapweave.solve import Factor, Problem, SolveStatus, gauss_newton, minimise, wrapping
 
 HERE = np.array([0.4, -0.3, 3.0])
 
@@ -70,13 +70,13 @@ def test_a_number_of_steps_is_taken_as_asked():
     assert once.iterations == 1
     assert once.converged
     short = gauss_newton(normal, start, max_iterations=1, step_tolerance=1e-9)
-    assert short.status is Status.MAX_ITERATIONS
+    assert short.status is SolveStatus.MAX_ITERATIONS
 
 
 def test_failures_are_a_status():
     blind = gauss_newton(lambda _x: (np.zeros((2, 2)), np.zeros(2), 0.0), np.ones(2), max_iterations=3)
-    assert blind.status is Status.SINGULAR
+    assert blind.status is SolveStatus.SINGULAR
     np.testing.assert_array_equal(blind.x, [1.0, 1.0])
     far = gauss_newton(lambda x: (np.eye(1), np.ones(1), np.nan if x[0] < 0.5 else 1.0), np.ones(1), max_iterations=3)
-    assert far.status is Status.DIVERGED
+    assert far.status is SolveStatus.DIVERGED
     assert far.x[0] == 1.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.solve import Cauchy, Factor, GemanMcClure, Huber, Pattern, Problem, SolveConfig, Status, minimise
+from mapweave.solve import Cauchy, Factor, GemanMcClure, Huber, Pattern, Problem, SolveConfig, SolveStatus, minimise
 
 from .problems import as_problem, numeric_jacobian, pose_landmark_world
 
@@ -107,8 +107,8 @@ def test_a_bad_start_converges_with_damping_to_the_same_minimum():
     world = pose_landmark_world(rng)
     near = minimise(as_problem(*world, rng, start_noise=0.01), SolveConfig(damping=0.0))
     far = minimise(as_problem(*world, rng, start_noise=0.6), SolveConfig(damping=1e-2, max_iterations=100))
-    assert near.status is Status.CONVERGED
-    assert far.status is Status.CONVERGED
+    assert near.status is SolveStatus.CONVERGED
+    assert far.status is SolveStatus.CONVERGED
     assert all(b <= a * (1 + 1e-9) for a, b in zip(far.costs, far.costs[1:], strict=False))
     np.testing.assert_allclose(far.x, near.x, atol=1e-7)
 
@@ -152,7 +152,7 @@ def test_a_free_gauge_is_said_to_be_singular_and_not_raised():
         rows=1,
     )
     gauss_newton = minimise(Problem(x0=np.zeros(2), terms=[factor]), SolveConfig(damping=0.0))
-    assert gauss_newton.status is Status.SINGULAR
+    assert gauss_newton.status is SolveStatus.SINGULAR
     damped = minimise(Problem(x0=np.zeros(2), terms=[factor]))
     assert damped.converged
     assert damped.x[1] - damped.x[0] == pytest.approx(1.0, abs=1e-9)
@@ -166,7 +166,7 @@ def test_a_cost_that_is_not_a_number_ends_as_a_status():
         rows=1,
     )
     solution = minimise(Problem(x0=np.array([2.0]), terms=[factor]), SolveConfig(damping=0.0))
-    assert solution.status in {Status.DIVERGED, Status.CONVERGED, Status.MAX_ITERATIONS}
+    assert solution.status in {SolveStatus.DIVERGED, SolveStatus.CONVERGED, SolveStatus.MAX_ITERATIONS}
     assert np.isfinite(solution.x).all()
 
 

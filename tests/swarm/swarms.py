@@ -3,7 +3,7 @@
 import numpy as np
 
 from mapweave.sim.swarm import SwarmScene, simulate_swarm
-from mapweave.swarm.network import Network
+from mapweave.swarm.network import BearingNetwork
 
 ROOT3 = np.sqrt(3.0)
 PAPER = np.array([[0.0, 0.0], [10.0, 0.0], [20.0, 0.0], [5.0, 5 * ROOT3], [15.0, 5 * ROOT3]])
@@ -23,7 +23,9 @@ def as_network(table, truth, known, distances=()):
     d = table.direction
     bearing = np.arctan2(d[:, 1], d[:, 0]) if dim == 2 else d
     anchors = {int(k): truth[k] for k in known}
-    return Network(table.ids, dim, table.observer, table.target, bearing, table.sigma, anchors, distances, table.axis)
+    return BearingNetwork(
+        table.ids, dim, table.observer, table.target, bearing, table.sigma, anchors, distances, table.axis
+    )
 
 
 def complete(truth, sigma, rng, anchors=(), single=False, exact=False):
@@ -35,7 +37,7 @@ def complete(truth, sigma, rng, anchors=(), single=False, exact=False):
     z = np.arctan2(d[:, 1], d[:, 0]) + (0 if exact else sigma * rng.normal(size=len(i)))
     z = (z + np.pi) % (2 * np.pi) - np.pi
     s = np.full(len(i), 0.0 if exact else sigma)
-    return Network(tuple(map(str, range(n))), 2, i, j, z, s, {k: truth[k] for k in anchors})
+    return BearingNetwork(tuple(map(str, range(n))), 2, i, j, z, s, {k: truth[k] for k in anchors})
 
 
 def score(estimate, truth):

@@ -6,7 +6,7 @@ import pytest
 from mapweave.core.errors import MapweaveError
 from mapweave.swarm.config import SwarmConfig
 from mapweave.swarm.locate import locate
-from mapweave.swarm.network import Distance, Network
+from mapweave.swarm.network import BearingNetwork, Distance
 
 
 def anything(seed):
@@ -41,7 +41,7 @@ def anything(seed):
     a, b = rng.choice(n, 2, replace=False)
     far = float(np.linalg.norm(p[a] - p[b]))
     distances = (Distance(int(a), int(b), far),) if far > 0 and rng.random() < 0.3 else ()
-    return Network(tuple(map(str, range(n))), dim, i, j, z, np.full(len(i), sigma), anchors, distances, axis)
+    return BearingNetwork(tuple(map(str, range(n))), dim, i, j, z, np.full(len(i), sigma), anchors, distances, axis)
 
 
 @pytest.mark.parametrize("method", ["batch", "robust", "iekf", "distributed"])

@@ -5,8 +5,8 @@ import pytest
 
 from mapweave.core.errors import DataError
 from mapweave.swarm.locate import locate
-from mapweave.swarm.network import Network
-from mapweave.swarm.result import Status
+from mapweave.swarm.network import BearingNetwork
+from mapweave.swarm.result import SwarmStatus
 
 from .swarms import score, simulated
 
@@ -16,7 +16,7 @@ def test_robots_among_corner_anchors_are_located_to_the_bound(dim):
     net, truth = simulated(1, robots=216, dim=dim, sigma=1.0)
     estimate = locate(net)
     rmse, bound, nees = score(estimate, truth)
-    assert estimate.status is Status.CONVERGED
+    assert estimate.status is SwarmStatus.CONVERGED
     assert estimate.reliable
     assert estimate.iterations <= 10
     assert estimate.localisable.all()
@@ -39,4 +39,4 @@ def test_joint_covariance_agrees_with_the_blocks_and_anchors_have_none():
 def test_no_sightings_is_an_error():
     none = np.zeros(0, dtype=int)
     with pytest.raises(DataError, match="no sightings"):
-        locate(Network(("a",), 2, none, none, np.zeros(0), np.zeros(0)))
+        locate(BearingNetwork(("a",), 2, none, none, np.zeros(0), np.zeros(0)))

@@ -8,8 +8,8 @@ from mapweave.core.se2 import wrap_angle
 from mapweave.swarm.config import SwarmConfig
 from mapweave.swarm.distributed import links_of
 from mapweave.swarm.locate import locate
-from mapweave.swarm.network import Network
-from mapweave.swarm.result import Status
+from mapweave.swarm.network import BearingNetwork
+from mapweave.swarm.result import SwarmStatus
 
 from .swarms import simulated
 
@@ -29,7 +29,7 @@ def test_neighbours_talking_reach_the_answer_of_the_centre(scene):
     spread = np.sqrt(np.trace(centre.cov[free], axis1=1, axis2=2))
     apart = np.linalg.norm(talked.position - centre.position, axis=1)[free]
     assert (apart / spread).max() < AGREEMENT
-    assert talked.status is Status.CONVERGED
+    assert talked.status is SwarmStatus.CONVERGED
     assert talked.reliable
 
 
@@ -45,7 +45,7 @@ def test_robots_without_a_common_axis_agree_on_one_and_reach_the_answer_of_the_c
     assert (apart / spread).max() < AGREEMENT
     assert np.abs(wrap_angle(talked.heading - centre.heading)).max() < 1e-4
     np.testing.assert_allclose(talked.heading_var, centre.heading_var, rtol=1e-3)
-    assert talked.status is Status.CONVERGED
+    assert talked.status is SwarmStatus.CONVERGED
     assert talked.reliable
     np.testing.assert_array_equal(talked.outlier, centre.outlier)
 
@@ -111,7 +111,7 @@ def test_running_out_of_rounds_is_said():
 def test_a_piece_without_anchors_does_not_disturb_the_rest():
     a, truth = simulated(1, robots=36)
     b, _ = simulated(2, robots=16, anchors=())
-    both = Network(
+    both = BearingNetwork(
         tuple(map(str, range(52))),
         2,
         np.r_[a.observer, b.observer + 36],

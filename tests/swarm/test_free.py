@@ -9,7 +9,7 @@ from mapweave.core.errors import DataError
 from mapweave.core.se2 import wrap_angle
 from mapweave.swarm.factors import bearing_factor, columns
 from mapweave.swarm.locate import locate
-from mapweave.swarm.network import Distance, Network
+from mapweave.swarm.network import BearingNetwork, Distance
 
 from .swarms import PAPER, complete, score, simulated
 
@@ -101,7 +101,7 @@ def test_robots_that_only_nearly_parallel_rays_determine_are_remarked_on():
     net, truth = simulated(1, robots=49, sigma=1.0)
     away = truth[10] + 400.0 * np.array([np.cos(0.3), np.sin(0.3)])
     d = away - truth[[10, 11]]
-    far = Network(
+    far = BearingNetwork(
         (*net.ids, "far"),
         2,
         np.r_[net.observer, 10, 11],
@@ -118,7 +118,7 @@ def test_robots_that_only_nearly_parallel_rays_determine_are_remarked_on():
 
 def test_a_robot_sighted_once_stands_along_its_ray_and_is_listed():
     net, truth = simulated(1, robots=36)
-    lonely = Network(
+    lonely = BearingNetwork(
         (*net.ids, "hanger-on"),
         2,
         np.r_[net.observer, 5],
@@ -171,7 +171,7 @@ def test_no_axis_and_no_mutual_sighting_is_an_error_that_says_so():
 def test_pieces_that_do_not_hang_together_are_each_given_their_due():
     a, _ = simulated(1, robots=49)
     b, other = simulated(2, robots=36, anchors=())
-    both = Network(
+    both = BearingNetwork(
         tuple(map(str, range(85))),
         2,
         np.r_[a.observer, b.observer + 49],
@@ -219,7 +219,7 @@ def test_the_order_of_robots_and_sightings_does_not_matter():
     rng = np.random.default_rng(0)
     rows, robots = rng.permutation(len(net.observer)), rng.permutation(64)
     place = np.argsort(robots)
-    shuffled = Network(
+    shuffled = BearingNetwork(
         tuple(net.ids[k] for k in robots),
         2,
         place[net.observer[rows]],

@@ -11,7 +11,7 @@ from mapweave.swarm.config import SwarmConfig
 from mapweave.swarm.factors import bearing_factor
 from mapweave.swarm.kalman import filter_start, sighting_matrix, update
 from mapweave.swarm.locate import locate
-from mapweave.swarm.network import Distance, Network
+from mapweave.swarm.network import BearingNetwork, Distance
 
 from .swarms import as_network, score, simulated
 
@@ -94,7 +94,7 @@ def turned_again(net, truth, heading, seed):
     rng = np.random.default_rng([seed, 2])
     d = truth[net.target] - truth[net.observer]
     z = np.arctan2(d[:, 1], d[:, 0]) - heading[net.observer] + net.sigma * rng.normal(size=len(d))
-    return Network(net.ids, 2, net.observer, net.target, wrap_angle(z), net.sigma, net.anchors, axis=False)
+    return BearingNetwork(net.ids, 2, net.observer, net.target, wrap_angle(z), net.sigma, net.anchors, axis=False)
 
 
 def test_the_matrix_of_sightings_is_the_derivative_by_places_and_headings():
@@ -130,7 +130,7 @@ def test_the_filters_refuse_what_they_cannot_do():
     net, _ = simulated(1, robots=36, axis=False, visibility="single")
     with pytest.raises(DataError, match="no heading can be started"):
         locate(net, SwarmConfig(method="ekf"))
-    tied = Network(
+    tied = BearingNetwork(
         net.ids, 2, net.observer, net.target, net.bearing, net.sigma, net.anchors, (Distance(0, 1, 10.0),), axis=False
     )
     with pytest.raises(DataError, match="no known distances"):

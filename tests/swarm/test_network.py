@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import DataError
-from mapweave.swarm.network import Distance, Network, components, network
+from mapweave.swarm.network import BearingNetwork, Distance, components, network
 
 from .swarms import complete
 
@@ -43,7 +43,7 @@ def test_what_does_not_belong_together_is_refused(change, told):
         "sigma": np.array([0.1, 0.1]),
     }
     with pytest.raises(DataError, match=told):
-        Network(**(good | change))
+        BearingNetwork(**(good | change))
 
 
 def test_an_anchor_nobody_sighted_is_refused():

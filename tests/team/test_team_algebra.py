@@ -9,7 +9,7 @@ from mapweave.core import se2
 from mapweave.core.landmark_log import LandmarkLog, SightingTable
 from mapweave.core.records import Odometry, Track
 from mapweave.landmarks.landmark_map import LandmarkMap
-from mapweave.solve import Status
+from mapweave.solve import SolveStatus
 from mapweave.team.commanded_motion import CommandedMotion, random_walk
 from mapweave.team.config import CalibrationPrior, MotionNoise, SmoothingConfig
 from mapweave.team.covariance import (
@@ -408,7 +408,7 @@ def test_a_team_tied_by_scans_alone_keeps_the_map_of_the_filters(monkeypatch, ki
 def test_a_solution_that_ran_away_is_refused_though_its_numbers_are_finite(monkeypatch):
     logs, landmarks, tracks = logs_and_map()
     monkeypatch.setattr(
-        TeamProblem, "solve", lambda problem, *told: replace(SOLVE(problem, *told), status=Status.DIVERGED)
+        TeamProblem, "solve", lambda problem, *told: replace(SOLVE(problem, *told), status=SolveStatus.DIVERGED)
     )
     made = smooth(TeamMap(("robot1", "robot2"), landmarks, tracks, {}, {}), logs, {}, CFG)
     assert made.refused == "the problem of the whole team is diverged"

@@ -25,7 +25,7 @@ from ..swarm.moving.drive import smooth_driving
 from ..swarm.moving.filtering import filtered as follow_filtered
 from ..swarm.moving.result import SwarmTrack, TrackConfig
 from ..swarm.moving.smooth import smooth
-from ..swarm.network import Network
+from ..swarm.network import BearingNetwork
 from ..swarm.result import SwarmEstimate
 from ..swarm.verdict import chi2_warnings
 from .located import Located, Settings, standing_swarm
@@ -217,7 +217,7 @@ def _stand(given: SwarmInput, settings: Settings, initial: Path | str | None, *,
     return Located(given, settings, net, estimate, score)
 
 
-def _score(net: Network, estimate: SwarmEstimate, truth: SwarmTruth, *, bound: bool) -> StandingScore:
+def _score(net: BearingNetwork, estimate: SwarmEstimate, truth: SwarmTruth, *, bound: bool) -> StandingScore:
     """`estimate` against `truth`; `bound`: also the Cramer-Rao bound at the truth (as much work as the covariances)."""
     standing = standing_swarm(net, estimate)
     places = true_places(truth, net.ids, net.dim)

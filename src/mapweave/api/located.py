@@ -18,7 +18,7 @@ from ..report.style import Target
 from ..report.swarm import NetworkStory, write_network_report
 from ..report.swarm_figures import network_figure
 from ..swarm.config import SwarmConfig
-from ..swarm.network import Network
+from ..swarm.network import BearingNetwork
 from ..swarm.result import SwarmEstimate
 from .swarm_input import SwarmInput
 
@@ -99,7 +99,7 @@ class Located(ResultBase):
 
     given: SwarmInput
     settings: Settings
-    network: Network
+    network: BearingNetwork
     estimate: SwarmEstimate
     scored: StandingScore | None
 
@@ -211,7 +211,7 @@ class Located(ResultBase):
         )
 
 
-def standing_swarm(net: Network, estimate: SwarmEstimate) -> StandingSwarm:
+def standing_swarm(net: BearingNetwork, estimate: SwarmEstimate) -> StandingSwarm:
     """What is scored of `estimate`; the joint information stands where it says what the covariances say."""
     pairs = np.column_stack([net.observer, net.target])
     honest = estimate.cov is not None and not estimate.gauge and np.any(net.sigma > 0)

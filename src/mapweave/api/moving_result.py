@@ -15,7 +15,7 @@ from ..report.style import Target
 from ..report.swarm import MovedStory, write_moved_report
 from ..report.swarm_figures import tracks_figure
 from ..swarm.moving.result import SwarmTrack
-from ..swarm.result import Status
+from ..swarm.result import SwarmStatus
 from ..swarm.verdict import chi2_warnings, share_warnings
 from .located import NO_SCORE, Settings, counts, dropped_lines, head, sigma_text, write_rest
 from .swarm_input import SwarmInput
@@ -68,7 +68,7 @@ class Moved(ResultBase):
             **head(self.given, self.settings),
             **(NO_SCORE if self.score is None else self.score.as_json()),
             "iterations": t.iterations,
-            "status": str(Status.CONVERGED if t.converged else Status.ITERATION_LIMIT),
+            "status": str(SwarmStatus.CONVERGED if t.converged else SwarmStatus.ITERATION_LIMIT),
             "chi2": t.chi2,
             "dof": t.dof,
             "gauge": t.gauge,

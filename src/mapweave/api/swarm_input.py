@@ -13,7 +13,7 @@ from ..io.sightings import Dropped, SwarmTruth, read_sightings, read_swarm_truth
 from ..io.table import Table
 from ..io.team_bearings import read_team_truth
 from ..swarm.config import CONSISTENCY, ConsistencyConfig
-from ..swarm.network import DEFAULT_SIGMA, Distance, Network, contradictions, shares_an_axis
+from ..swarm.network import DEFAULT_SIGMA, BearingNetwork, Distance, contradictions, shares_an_axis
 
 Place = Sequence[float] | Float[np.ndarray, " d"]
 
@@ -35,11 +35,11 @@ class SwarmInput:
         """The usual standard deviation [rad]."""
         return float(np.median(self.table.sigma))
 
-    def network(self) -> Network:
+    def network(self) -> BearingNetwork:
         """All sightings at once, stamps forgotten."""
         table = self.table
         bearing = table.bearing() if table.dim == 2 else table.direction
-        return Network(
+        return BearingNetwork(
             table.ids,
             table.dim,
             table.observer.astype(np.intp),

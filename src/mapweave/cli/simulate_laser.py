@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
-class Drive:
+class DriveOptions:
     """How the world is driven and seen.
 
     Parameters
@@ -65,7 +65,7 @@ def corridor(
     distance: float = 200.0,
     corner: float = 1.2,
     start: float = 15.0,
-    drive: Drive | None = None,
+    drive: DriveOptions | None = None,
     seed: int = 0,
 ) -> None:
     """Simulate a drive round a ring of corridor: flush long legs, recessed doors on the short ones.
@@ -113,7 +113,7 @@ def office(
     room_width: float = 5.0,
     room_depth: float = 4.5,
     visited: int = 5,
-    drive: Drive | None = None,
+    drive: DriveOptions | None = None,
     seed: int = 0,
 ) -> None:
     """Simulate a drive through an office floor, room by room.
@@ -141,7 +141,9 @@ def office(
     _write(out, config, seed)
 
 
-def tunnel(*, out: Path, length: float = 80.0, width: float = 3.0, drive: Drive | None = None, seed: int = 0) -> None:
+def tunnel(
+    *, out: Path, length: float = 80.0, width: float = 3.0, drive: DriveOptions | None = None, seed: int = 0
+) -> None:
     """Simulate a drive down a long featureless tunnel with reflective marks, and back.
 
     Parameters
@@ -160,7 +162,7 @@ def tunnel(*, out: Path, length: float = 80.0, width: float = 3.0, drive: Drive 
     _write(out, TunnelConfig(length=length, width=width, drive=_drive(drive, (3.0, 6.0))), seed)
 
 
-def _drive(given: Drive | None, end_error: tuple[float, float]) -> "DriveConfig":
+def _drive(given: DriveOptions | None, end_error: tuple[float, float]) -> "DriveConfig":
     from dataclasses import replace
 
     from ..sim.drift import DriftConfig
@@ -168,7 +170,7 @@ def _drive(given: Drive | None, end_error: tuple[float, float]) -> "DriveConfig"
     from ..sim.scanner import SECOND_LAW, Reflectance, Scanner
     from .terminal import numbers
 
-    drive = given or Drive()
+    drive = given or DriveOptions()
     law = SECOND_LAW if drive.law == "second" else Reflectance()
     told = {"falloff": drive.falloff, "exponent": drive.exponent, "specular": drive.specular}
     low, high = numbers(drive.end_error, 2, "--end-error") if drive.end_error else end_error

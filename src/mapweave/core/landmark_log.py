@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .errors import DataError, ReaderError
-from .records import Event, Odometry, Stretch, frozen
+from .records import Event, LandmarkPacket, Odometry, frozen
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,7 @@ class LandmarkLog:
             odometry = Odometry(o.t[c:d], o.v[c:d], o.w[c:d]) if o is not None and d > c else None
             if b > a or odometry is not None:
                 end = max([*s.t[b - 1 : b], *(() if odometry is None else odometry.t[-1:])])
-                record = Stretch(odometry, s.t[rows], s.what[rows], s.range[rows], s.bearing[rows], s.ids)
+                record = LandmarkPacket(odometry, s.t[rows], s.what[rows], s.range[rows], s.bearing[rows], s.ids)
                 yield Event(float(end), self.robot, record)
 
     def share(self, fraction: float) -> "LandmarkLog":

@@ -58,7 +58,7 @@ class Sightings:
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
+class LandmarkPacket:
     """A stretch of a landmark log in one packet: what its velocity rows and camera frames one by one would say.
 
     t: (n,) [s] of n >= 0 sightings, ascending; what: (n,) index into `ids`; range: (n,) [m]; bearing: (n,) [rad].
@@ -97,7 +97,7 @@ class Scan:
         return self.angle_min + self.angle_increment * np.arange(len(self.ranges))
 
 
-Record = Odometry | OdometryPoses | Sightings | Stretch | Scan
+Record = Odometry | OdometryPoses | Sightings | LandmarkPacket | Scan
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Rows of numbers that come one by one and are kept in arrays: the bytes of the numbers and hardly more."""
+"""Buffers of rows of numbers that come one by one: the bytes of the numbers and hardly more."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -8,7 +8,7 @@ import numpy as np
 PIECE = 128  # rows of one array
 
 
-class Rows:
+class RowBuffer:
     """Rows of one shape and dtype, in arrays that are never copied. `append` and `clear` change it.
 
     What it hands out stays as it was.

@@ -63,7 +63,7 @@ class Match:
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class AlignmentCandidate:
     """An alignment worked out: its links (k, 2), the joint fit of these, and their `evidence`."""
 
     links: Int[np.ndarray, "k 2"]
@@ -91,7 +91,7 @@ def match_maps(source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig | N
     return Match(best.links, best.fit.T, best.fit.chi2, 2 * k - 3, rival, not reason, reason, best.evidence)
 
 
-def _refusal(best: Candidate, rival: int, lead: float, cfg: IdentityConfig) -> str:
+def _refusal(best: AlignmentCandidate, rival: int, lead: float, cfg: IdentityConfig) -> str:
     k = len(best.links)
     if k < cfg.links:
         return f"{k} landmarks fit together, {cfg.links} are needed"
@@ -103,27 +103,31 @@ def _refusal(best: Candidate, rival: int, lead: float, cfg: IdentityConfig) -> s
     return ""
 
 
-def _chance(best: Candidate, n: int, m: int, cfg: IdentityConfig) -> str:
+def _chance(best: AlignmentCandidate, n: int, m: int, cfg: IdentityConfig) -> str:
     if best.evidence >= np.log(cfg.chance):
         return ""
     return f"that {len(best.links)} landmarks of {n} and {m} fit together may be chance"
 
 
-def _rivals(c: Candidate, best: Candidate, source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig) -> bool:
+def _rivals(
+    c: AlignmentCandidate, best: AlignmentCandidate, source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig
+) -> bool:
     """Whether `c` fits and is another alignment than `best`, no worse version of it with half the links alike."""
     alike = int(np.count_nonzero((c.links[:, None] == best.links).all(axis=2).any(axis=1)))
     return 2 * alike < len(c.links) and _distinct(c.fit.T, best.fit.T, source, target, cfg) and _fits(c, cfg)
 
 
-def _fits(c: Candidate, cfg: IdentityConfig) -> bool:
+def _fits(c: AlignmentCandidate, cfg: IdentityConfig) -> bool:
     return len(c.links) > 2 and c.fit.chi2 <= cfg.chi2_per_dof * (2 * len(c.links) - 3)
 
 
-def _weighed(source: LandmarkMap, target: LandmarkMap, T: Float[np.ndarray, "3"], cfg: IdentityConfig) -> Candidate:
+def _weighed(
+    source: LandmarkMap, target: LandmarkMap, T: Float[np.ndarray, "3"], cfg: IdentityConfig
+) -> AlignmentCandidate:
     """The alignment begun at T with the links that are most evidence, those that are none let go."""
     links, fit = _worked_out(source, target, T, cfg)
     if len(links) <= 2:
-        return Candidate(links, fit, -np.inf)
+        return AlignmentCandidate(links, fit, -np.inf)
     area = max(min(spread_area(source), spread_area(target)), 1e-12)
     models = (
         (cfg.noise, cfg.scale_sigma, cfg.loose),
@@ -145,7 +149,7 @@ def _weighed(source: LandmarkMap, target: LandmarkMap, T: Float[np.ndarray, "3"]
     if len(best[1]) < len(links):
         links = best[1]
         fit = joint_fit(source, target, links, fit.T, cfg.noise, cfg.scale_sigma)
-    return Candidate(links, fit, float(best[0]))
+    return AlignmentCandidate(links, fit, float(best[0]))
 
 
 def _distinct(

@@ -22,7 +22,7 @@ ROUNDS = 30  # of taking parts anew, at most
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class InformationTerm:
     """One map in the sum: its information H (d, d) over `where`, H times the place it was taken at less its gradient.
 
     at: (d,) where it was taken.
@@ -34,7 +34,7 @@ class Part:
     eta: Float[np.ndarray, " d"]
 
     @classmethod
-    def of(cls, term: MapTerm, x: Float[np.ndarray, " n"]) -> "Part":
+    def of(cls, term: MapTerm, x: Float[np.ndarray, " n"]) -> "InformationTerm":
         H, g = term.normal(x)
         at = x[term.where]
         return cls(term, at, H[0], H[0] @ at - g[0])
@@ -56,7 +56,7 @@ class InformationSum:
     x: Float[np.ndarray, " n"]
     Lambda: Float[np.ndarray, "n n"]
     eta: Float[np.ndarray, " n"]
-    parts: Mapping[str, Part]
+    parts: Mapping[str, InformationTerm]
 
     @classmethod
     def of(
@@ -78,14 +78,14 @@ class InformationSum:
         Lambda[known, known] = eta[known] = scale_sigma**-2
         out = cls(component, layout, factors, floor, x, Lambda, eta, {})
         for robot in robots:
-            out = out.with_part(robot, Part.of(out._term(robot, maps[robot]), x))
+            out = out.with_part(robot, InformationTerm.of(out._term(robot, maps[robot]), x))
         return out.settled()
 
     def replace(self, newer: Mapping[str, LandmarkMap]) -> "InformationSum":
         """The sum with these maps in place of their robots' older ones: `Lambda += new - old`, and solved."""
         now = self
         for robot, m in newer.items():
-            now = now.with_part(robot, Part.of(self._term(robot, m), self.x))
+            now = now.with_part(robot, InformationTerm.of(self._term(robot, m), self.x))
         return now.settled()
 
     def settled(self) -> "InformationSum":
@@ -97,7 +97,7 @@ class InformationSum:
             if not far:
                 break
             for robot in far:
-                now = now.with_part(robot, Part.of(now.parts[robot].term, now.x))
+                now = now.with_part(robot, InformationTerm.of(now.parts[robot].term, now.x))
         return now
 
     def joined(self) -> Component:
@@ -116,7 +116,7 @@ class InformationSum:
             scales={r: float(self.x[3 * k + i]) for i, r in enumerate(robots)},
         )
 
-    def with_part(self, robot: str, part: Part) -> "InformationSum":
+    def with_part(self, robot: str, part: InformationTerm) -> "InformationSum":
         """The sum with `part` in place of the robot's older one, not solved: `Lambda += new - old`."""
         Lambda, eta = self.Lambda.copy(), self.eta.copy()
         at = np.ix_(part.term.where, part.term.where)

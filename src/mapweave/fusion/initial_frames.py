@@ -27,7 +27,7 @@ SEEDS, PARTNERS = 12, 8  # how many maps are tried as the first, each against ho
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class FrameEvidence:
     """log_odds: natural logarithm of the Bayes factor for the same place; shared: names both maps have.
 
     contradicting: those that lie further apart than `FuseConfig.gate` under the alignment most agree on, the furthest
@@ -58,7 +58,7 @@ def _more(n: int) -> str:
     return f" and {n - LISTED} more" if n > LISTED else ""
 
 
-def same_place(source: LandmarkMap, target: LandmarkMap, cfg: FuseConfig) -> Evidence:
+def same_place(source: LandmarkMap, target: LandmarkMap, cfg: FuseConfig) -> FrameEvidence:
     """The evidence that the landmarks which both maps name (two at least) are the same ones.
 
     Both covariances are multiplied by `cfg.distrust` first: filters are too sure of themselves.
@@ -73,7 +73,7 @@ def same_place(source: LandmarkMap, target: LandmarkMap, cfg: FuseConfig) -> Evi
     apart = np.hypot(*(se2.act(rough.T_target_source, a.mean) - b.mean).T)
     far = [int(i) for i in np.argsort(-apart, kind="stable") if apart[i] > cfg.gate]
     area = max(min(spread_area(source), spread_area(target)), 1e-12)
-    return Evidence(
+    return FrameEvidence(
         log_odds=_log_odds(a, b, rough.T_target_source, area, cfg),
         shared=shared,
         contradicting=tuple(weighed[i] for i in far),
@@ -93,9 +93,9 @@ class PlaceTest:
     robots: Sequence[str]
     recordings: Sequence[str]
     cfg: FuseConfig
-    _known: dict[tuple[int, int], Evidence] = field(init=False, default_factory=dict)
+    _known: dict[tuple[int, int], FrameEvidence] = field(init=False, default_factory=dict)
 
-    def evidence(self, i: int, k: int) -> Evidence:
+    def evidence(self, i: int, k: int) -> FrameEvidence:
         """For maps i and k, which share two names at least, showing the same place; either order gives the same."""
         pair = (min(i, k), max(i, k))
         if pair not in self._known:

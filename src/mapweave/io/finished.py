@@ -34,7 +34,7 @@ class Closures:
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class FinishedSwarm:
     """A swarm as `locate` wrote it: where everybody is, who sighted whom, and the ways of those that move."""
 
     positions: Positions
@@ -56,7 +56,7 @@ class Finished:
     walls: RosMap | None
     landmarks: LandmarkMap | None
     closures: Closures | None = None
-    swarm: Standing | None = None
+    swarm: FinishedSwarm | None = None
     decisions: tuple[str, ...] = ()
     true_tracks: Mapping[str, Track] = field(default_factory=dict)
     true_landmarks: Survey = NO_SURVEY
@@ -100,7 +100,7 @@ def _part(folder: Path) -> Finished:
     )
 
 
-def _standing(folder: Path) -> Standing | None:
+def _standing(folder: Path) -> FinishedSwarm | None:
     path, network = folder / "positions.csv", folder / "network.npz"
     if not path.exists():
         return None
@@ -109,7 +109,7 @@ def _standing(folder: Path) -> Standing | None:
     ways = {name: read_track(file) for name, file in files.items() if file.exists()}
     n = len(positions.ids)
     pairs = read_network(network, n)[0] if network.exists() else np.zeros((0, 2), np.int64)
-    return Standing(positions, pairs, ways)
+    return FinishedSwarm(positions, pairs, ways)
 
 
 def _closures(folder: Path, tracks: Mapping[str, Track]) -> Closures | None:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from ..core.errors import DataError
 from ..core.laser_log import LaserLog, ScanDigest
 from ..core.records import Event, Scan, frozen
-from ..core.rows import Rows
+from ..core.rows import RowBuffer
 from .assemble import RawLog, RawScan, is_sound, scan_of
 from .laser_arrays import beam_spacing
 
@@ -30,7 +30,7 @@ class LaserStream:
     def __init__(self, robot: str = "1", source: str = "scans as they came") -> None:
         self.robot, self.source = robot, source
         self._raw: list[RawScan] = []  # of those forgotten: one for all that were alike but for stamp and odometry
-        self._t, self._odometry = Rows(), Rows(3)
+        self._t, self._odometry = RowBuffer(), RowBuffer(3)
         self._alike: dict[tuple[float, float, float, bytes], RawScan] = {}
         self._digest = hashlib.sha256()
         self._scans = ScanDigest()

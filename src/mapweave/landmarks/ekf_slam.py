@@ -11,16 +11,16 @@ from enum import Enum
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..core.records import Event, Odometry, Sightings, Stretch, Track, frozen
+from ..core.records import Event, LandmarkPacket, Odometry, Sightings, Track, frozen
 from ..kernels.landmarks import ekf
 from ..kernels.landmarks.ekf_apply_drive import apply_drive, clear
 from ..kernels.landmarks.ekf_start import CANDIDATES
-from ..kernels.landmarks.ekf_state import HEAD, POSE, RANGE_SCALE, Belief, Places
+from ..kernels.landmarks.ekf_state import HEAD, POSE, RANGE_SCALE, Belief, LandmarkTable
 from .config import EkfSlamConfig, calibration_prior, noise
 from .landmark_map import Submap
 
 
-class Status(Enum):
+class UpdateStatus(Enum):
     """What became of an event."""
 
     USED = "used"
@@ -75,7 +75,7 @@ NONE = frozen(np.zeros(0))
 class EkfSlamInfo:
     """What an event did. track: poses at its stamps; nis, weight: of each sighting, NaN where it was no update."""
 
-    status: Status
+    status: UpdateStatus
     track: Track = NOWHERE
     nis: Float[np.ndarray, " n"] = field(default_factory=lambda: NONE)
     weight: Float[np.ndarray, " n"] = field(default_factory=lambda: NONE)
@@ -107,11 +107,11 @@ def step(
     record = event.record
     if isinstance(record, Sightings):
         n = len(record.ids)
-        record = Stretch(None, np.full(n, event.t), np.arange(n), record.range, record.bearing, record.ids)
-    if not isinstance(record, Odometry | Stretch):
-        return state, EkfSlamInfo(Status.IGNORED)
+        record = LandmarkPacket(None, np.full(n, event.t), np.arange(n), record.range, record.bearing, record.ids)
+    if not isinstance(record, Odometry | LandmarkPacket):
+        return state, EkfSlamInfo(UpdateStatus.IGNORED)
     if state.t is not None and (record.t[0] if isinstance(record, Odometry) else first_stamp(record)) < state.t:
-        return state, EkfSlamInfo(Status.LATE)
+        return state, EkfSlamInfo(UpdateStatus.LATE)
     return _drive(state, record, cfg) if isinstance(record, Odometry) else _work_in(state, record, cfg)
 
 
@@ -124,10 +124,10 @@ def _drive(state: EkfSlamState, record: Odometry, cfg: EkfSlamConfig) -> tuple[E
     t, at = ekf.drive_rows(belief, t, commands, commands.shape[1], state.at, n, noise(cfg), pose, cov)
     gone = max(at, 0)
     new = replace(state, t=t, x=x, Phi=Phi, Q=Q, commands=commands[:, gone:].copy(), at=at - gone)
-    return new, EkfSlamInfo(Status.USED, Track(record.t, pose, square(cov), state.frame))
+    return new, EkfSlamInfo(UpdateStatus.USED, Track(record.t, pose, square(cov), state.frame))
 
 
-def _work_in(state: EkfSlamState, record: Stretch, cfg: EkfSlamConfig) -> tuple[EkfSlamState, EkfSlamInfo]:
+def _work_in(state: EkfSlamState, record: LandmarkPacket, cfg: EkfSlamConfig) -> tuple[EkfSlamState, EkfSlamInfo]:
     used, first = np.unique(record.what, return_index=True)
     fresh = [record.ids[k] for k in used[np.argsort(first)]]  # slots in the order of first sighting
     new = with_slots(state, tuple(name for name in fresh if is_landmark(name)))
@@ -138,7 +138,7 @@ def _work_in(state: EkfSlamState, record: Stretch, cfg: EkfSlamConfig) -> tuple[
     n, most = len(record.t), rows.shape[1] + len(record.t)
     fit = np.empty((2, n))
     t, pose, cov = np.empty(most), np.empty((most, POSE)), np.empty((most, 6))
-    places = Places(new.started.copy(), new.waiting.copy(), new.n_waiting.copy(), new.astray.copy())
+    places = LandmarkTable(new.started.copy(), new.waiting.copy(), new.n_waiting.copy(), new.astray.copy())
     belief = Belief(new.x.copy(), new.P.copy(), new.Phi.copy(), new.Q.copy())
     sightings = np.stack([record.t, record.range, record.bearing])
     start = first_stamp(record) if state.t is None else state.t
@@ -152,10 +152,10 @@ def _work_in(state: EkfSlamState, record: Stretch, cfg: EkfSlamConfig) -> tuple[
         started=places.started, waiting=places.waiting, n_waiting=places.filled, astray=places.astray,
         **belief._asdict(),
     )  # fmt: skip
-    return new, EkfSlamInfo(Status.USED, track, *fit)
+    return new, EkfSlamInfo(UpdateStatus.USED, track, *fit)
 
 
-def first_stamp(record: Stretch) -> float:
+def first_stamp(record: LandmarkPacket) -> float:
     """The stamp [s] of the first row of a stretch that has one."""
     stamps = [record.t[:1]] if record.odometry is None else [record.t[:1], record.odometry.t[:1]]
     return float(np.concatenate(stamps).min())

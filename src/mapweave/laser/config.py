@@ -7,7 +7,7 @@ from ..core.config import config
 from ..core.errors import ConfigError
 from .beam import FEATURES, BeamConfig, CalibrationConfig
 from .icp import IcpConfig
-from .joint_pass import JointConfig
+from .joint_pass import JointPassConfig
 from .keyframe_graph import KeyframeGraphConfig
 from .keyframes import KeyframeConfig, StepNoise
 from .known_places import KnownPlacesConfig
@@ -73,7 +73,7 @@ class GraphConfig:
     lineage: StepNoise = StepNoise(wheels_xy=0.015, drift_xy=0.005, drift_turn=0.001)
     loop_search: SubmapLoopConfig = SubmapLoopConfig()
     known_places: KnownPlacesConfig = KnownPlacesConfig()
-    joint: JointConfig = JointConfig()
+    joint: JointPassConfig = JointPassConfig()
 
 
 @config

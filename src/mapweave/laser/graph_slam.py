@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.records import Event, Scan
-from ..core.rows import Rows
+from ..core.rows import RowBuffer
 from ..core.workers import Progress, no_progress
 from . import particle_slam
 from .beam import STEERING, Beams, IntensityCalibration, beams
@@ -51,7 +51,7 @@ class GraphState:
     known: KnownPlaces
     feature: str
     calibration: IntensityCalibration | None
-    t: Rows = field(default_factory=Rows)
+    t: RowBuffer = field(default_factory=RowBuffer)
     scans: list[Beams] = field(default_factory=list)
     sensors: list[np.ndarray] = field(default_factory=list)
     lines: list[np.ndarray] = field(default_factory=list)

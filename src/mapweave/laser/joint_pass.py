@@ -24,7 +24,7 @@ HELD = 1e-4  # [m, rad] sd of the first keyframe, which the frame hangs on
 
 
 @config
-class JointConfig:
+class JointPassConfig:
     """The last pass: how keyframes are paired, matched and moved, and how each scan is laid on them."""
 
     widths: tuple[float, ...] = (0.15, 0.1, 0.06, 0.04)  # [m] of the robust cost, a round each
@@ -110,7 +110,7 @@ def keyframe_cloud(robots: Sequence[RobotGraph], most: int) -> ScanCloud:
 def joint_pass(
     steps: PoseGraph,
     cloud: ScanCloud,
-    cfg: JointConfig,
+    cfg: JointPassConfig,
     ties: PoseGraph | None = None,
     robot: Int[np.ndarray, " n"] | None = None,
 ) -> Float[np.ndarray, "n 3"]:
@@ -195,7 +195,7 @@ def without_scatter(
 
 
 def paired(
-    pose: Float[np.ndarray, "n 3"], cfg: JointConfig, robot: Int[np.ndarray, " n"] | None = None
+    pose: Float[np.ndarray, "n 3"], cfg: JointPassConfig, robot: Int[np.ndarray, " n"] | None = None
 ) -> Int[np.ndarray, "p 2"]:
     """Keyframes to be matched with each other, i < j, ascending: neighbours in the drive of one robot and in space."""
     n = len(pose)
@@ -215,7 +215,7 @@ def neighbours(
     pose: Float[np.ndarray, "s 3"],
     keyframes: Float[np.ndarray, "n 3"],
     most: int,
-    cfg: JointConfig,
+    cfg: JointPassConfig,
     own: Int[np.ndarray, " s"] | None = None,
     apart: int = 0,
 ) -> Int[np.ndarray, "s most"]:
@@ -242,7 +242,7 @@ def lay_scans(
     keyframes: Float[np.ndarray, "n 3"],
     cloud: ScanCloud,
     own: Int[np.ndarray, " s"],
-    cfg: JointConfig,
+    cfg: JointPassConfig,
 ) -> Float[np.ndarray, "s 3"]:
     """Every scan's pose matched once more against the keyframes around it, which stay.
 

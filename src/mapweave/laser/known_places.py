@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.config import config
-from ..core.rows import Rows
+from ..core.rows import RowBuffer
 from .keyframe_graph import KeyframeGraph
 from .robot_graph import Revisits
 
@@ -53,10 +53,10 @@ class KnownPlaces:
     settled: int = -1
     checked: int = -1
     closures: int = 0
-    _t: Rows = field(default_factory=Rows)
-    _at: Rows = field(default_factory=lambda: Rows(dtype=np.int64))
-    _step: Rows = field(default_factory=lambda: Rows(3))
-    _cov: Rows = field(default_factory=lambda: Rows(3, 3))
+    _t: RowBuffer = field(default_factory=RowBuffer)
+    _at: RowBuffer = field(default_factory=lambda: RowBuffer(dtype=np.int64))
+    _step: RowBuffer = field(default_factory=lambda: RowBuffer(3))
+    _cov: RowBuffer = field(default_factory=lambda: RowBuffer(3, 3))
 
     @property
     def revisits(self) -> Revisits:

@@ -11,14 +11,14 @@ from ..core import se2
 from ..core.errors import DataError
 from ..core.laser_log import LaserLog
 from ..core.records import Track
-from ..core.rows import Rows
+from ..core.rows import RowBuffer
 from ..core.workers import Progress
 from .beam import Beams, beams
 from .config import LaserConfig
 from .laser_map import GridMap, IntensityCalibration, ScanRecords
 from .likelihood_field import nearest_field
 from .localise_filter import LocaliseConfig, PlaceFilter
-from .localise_trust import Evidence, Seen, evidence
+from .localise_trust import Evidence, LocalisedScan, evidence
 from .scan_infos import ScanInfos
 from .scan_odometry import ScanInfo, ScanOdometry, blended
 
@@ -103,7 +103,7 @@ def localise(
         on_progress("other places", 0, 1)
         rows = [(row, pose) for row, pose in zip(way.at, way.corrected, strict=True) if row >= way.found]
         seen = [
-            Seen(
+            LocalisedScan(
                 pose, beams(log.scans[row], feature, calibration, cfg.beam), np.array(log.scans[row].T_robot_sensor[:2])
             )
             for row, pose in _kept(rows, how.trust.scans)
@@ -140,7 +140,7 @@ class _Way:
     place found turned out wrong and the search began anew.
     """
 
-    carried: Rows
+    carried: RowBuffer
     infos: ScanInfos = field(default_factory=ScanInfos)
     at: list[int] = field(default_factory=list)
     corrected: list[np.ndarray] = field(default_factory=list)

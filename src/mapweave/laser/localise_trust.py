@@ -13,7 +13,7 @@ from .beam import Beams
 from .laser_map import GridMap
 from .likelihood_field import NearestField, wall_cells
 from .place_search import Hit, LikelihoodField, PlaceConfig, everywhere, likelihood_field, search
-from .submaps import SubmapConfig, query_around
+from .submaps import LaserSubmapConfig, query_around
 
 NOWHERE = 1e6  # [m] to the nearest wall from outside the map
 
@@ -41,7 +41,7 @@ class TrustConfig:
     place: PlaceConfig = PlaceConfig()
 
 
-class Seen(NamedTuple):
+class LocalisedScan(NamedTuple):
     """A scan where the robot is believed to have made it. pose: (3,) in the map; eye: (2,) the scanner on the robot."""
 
     pose: Float[np.ndarray, "3"]
@@ -68,7 +68,7 @@ class Evidence:
 
 
 def evidence(
-    seen: Sequence[Seen], grid: GridMap, walls: NearestField, *, light: bool, searched: bool, cfg: TrustConfig
+    seen: Sequence[LocalisedScan], grid: GridMap, walls: NearestField, *, light: bool, searched: bool, cfg: TrustConfig
 ) -> Evidence:
     """What scans, one at least, say of the poses they are believed to be made from.
 
@@ -109,7 +109,7 @@ def _doubt(here: _Agreement, cfg: TrustConfig) -> str:
 
 
 def _agreement(
-    seen: Sequence[Seen], walls: NearestField, moved: Float[np.ndarray, "3"], *, light: bool, cfg: TrustConfig
+    seen: Sequence[LocalisedScan], walls: NearestField, moved: Float[np.ndarray, "3"], *, light: bool, cfg: TrustConfig
 ) -> _Agreement:
     """How the scans agree with the map when all their poses are moved rigidly."""
     far: list[np.ndarray] = []
@@ -157,7 +157,7 @@ def _through(
 
 
 def _rival(
-    seen: Sequence[Seen], grid: GridMap, *, light: bool, cfg: TrustConfig
+    seen: Sequence[LocalisedScan], grid: GridMap, *, light: bool, cfg: TrustConfig
 ) -> tuple[float, Float[np.ndarray, "3"] | None]:
     """The best other place of the last scans, laid together as they are believed to lie, and its score's ratio."""
     kept = [seen[-1]]
@@ -167,7 +167,7 @@ def _rival(
     kept = kept[: cfg.keyframes]
     lights = [one.beams.q for one in kept] if light else None
     clouds = [one.beams.s for one in kept]
-    query = query_around(np.array([one.pose for one in kept]), clouds, 0, lights, SubmapConfig(around=len(kept)))
+    query = query_around(np.array([one.pose for one in kept]), clouds, 0, lights, LaserSubmapConfig(around=len(kept)))
     if not len(query.points):
         return 1.0, None
     field = _field(grid, light=light, cfg=cfg)

@@ -17,7 +17,7 @@ from .map_overlap import KeyframeMap, SeenAlike, lit_alike, seen_alike
 from .place_search import Fit, Hit, LikelihoodField, PlaceConfig, Window, everywhere, likelihood_field, refine, search
 from .pose_graph import PoseGraph
 from .robust_graph import RobustGraphConfig, solve_graph
-from .submaps import Query, SubmapConfig, gathered, query_around
+from .submaps import LaserSubmapConfig, Query, gathered, query_around
 
 SLIP = (0.3, 0.3, 0.05)  # [m, m, rad] that a map's first keyframes may be off the rest
 ALONG_TIMES = 2  # maps are moved along a corridor to where a start has them, and laid on its walls again
@@ -62,7 +62,7 @@ class MergeConfig:
     whole: int = 1000  # points of a whole map that are searched with
     correlation: CorrelationConfig = CorrelationConfig()
     place: PlaceConfig = PlaceConfig()
-    submap: SubmapConfig = SubmapConfig()
+    submap: LaserSubmapConfig = LaserSubmapConfig()
 
 
 class Start(NamedTuple):
@@ -347,8 +347,8 @@ def _hypothesis(b: KeyframeMap, place: LikelihoodField, query: Query, hit: Hit, 
     return Hypothesis(query.anchor, se2.compose(fit.pose, home), hit.score, ratio, fit)
 
 
-def _sized(cfg: SubmapConfig, around: int) -> SubmapConfig:
-    return SubmapConfig(
+def _sized(cfg: LaserSubmapConfig, around: int) -> LaserSubmapConfig:
+    return LaserSubmapConfig(
         around=around,
         voxel=cfg.voxel,
         query_before=cfg.query_before,

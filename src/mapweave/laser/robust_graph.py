@@ -17,7 +17,7 @@ from ..core.config import config
 from ..core.errors import DataError
 from ..core.gaussian import chi2_quantile
 from ..core.records import frozen
-from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, Status, Term, minimise, wrapping
+from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, SolveStatus, Term, minimise, wrapping
 from ..solve.problem import Kernel
 from .left_out import left_out_squares, without_it
 from .pose_graph import PoseEdges, PoseGraph
@@ -92,12 +92,12 @@ class SolvedGraph:
     dof: int
     iterations: int
     rounds: int
-    status: Status
+    status: SolveStatus
     solution: Solution = field(repr=False)
 
     @property
     def converged(self) -> bool:
-        return self.status is Status.CONVERGED
+        return self.status is SolveStatus.CONVERGED
 
     def covariances(self) -> Float[np.ndarray, "n 3 3"]:
         """The covariance of every pose over x, y, theta in `map`; zero where it is held."""

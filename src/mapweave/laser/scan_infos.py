@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from ..core.rows import Rows
+from ..core.rows import RowBuffer
 from .laser_map import ScanRecords
 from .scan_odometry import ScanInfo
 
@@ -14,7 +14,7 @@ class ScanInfos:
     """The `ScanInfo` of every scan, 119 bytes of each. `append` and `clear` change it."""
 
     def __init__(self) -> None:
-        self._rows = Rows(
+        self._rows = RowBuffer(
             dtype=[
                 ("innovation", np.float64, 3),
                 ("information", np.float64, (3, 3)),

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..core import se2
 from ..core.records import Scan
-from ..core.rows import Rows
+from ..core.rows import RowBuffer
 from .beam import STEERING, Beams
 from .scan_matching import FrontEnd, FrontEndConfig, allowed_sd
 
@@ -109,7 +109,7 @@ class ScanOdometry:
         self.cfg = cfg if steers else replace(cfg, alpha=0.0)
         self.gate, self.matching, self.tell_lines = gate, matching, tell_lines
         self.front_end = FrontEnd(self.cfg, cfg.tangent if steers else cfg.bare_tangent)
-        self.poses = Rows(3)
+        self.poses = RowBuffer(3)
         self.odometry: np.ndarray | None = None
         self.step = np.zeros(3)
         self._stood: np.ndarray | None = None  # where it was when the wheels moved last, while they report nothing

@@ -12,7 +12,7 @@ from ..core.gaussian import mahalanobis2, symmetrise
 from .closures import Matched
 from .keyframe_graph import KeyframeGraph
 from .place_search import Fit, PlaceConfig, Places, Window
-from .submaps import Clouds, Lights, PlaceMatch, Query, Submap, SubmapConfig, locate, query_at, submap_around
+from .submaps import Clouds, LaserSubmap, LaserSubmapConfig, Lights, PlaceMatch, Query, locate, query_at, submap_around
 
 NOTHING = np.zeros((3, 3))
 BUILT = 8  # submaps kept as they are searched
@@ -40,7 +40,7 @@ class SubmapLoopConfig:
     least_held: float = 25.0  # [1/m^2] information in the direction least held: less, and it is a bare corridor
     gate: float = 16.27  # chi-square of the innovation, 3 degrees of freedom, 99.9 %
     place: PlaceConfig = PlaceConfig()
-    submap: SubmapConfig = SubmapConfig()
+    submap: LaserSubmapConfig = LaserSubmapConfig()
 
 
 class _Laid(NamedTuple):
@@ -51,7 +51,7 @@ class _Laid(NamedTuple):
     anchor: int
     q: Lights | None
 
-    def built(self, cfg: SubmapLoopConfig) -> Submap:
+    def built(self, cfg: SubmapLoopConfig) -> LaserSubmap:
         """The submap, the same whenever it is built."""
         return submap_around(self.poses, self.points, self.anchor, self.q, cfg.submap, cfg.place)
 
@@ -67,7 +67,7 @@ class SubmapLoops:
     cfg: SubmapLoopConfig
     light: bool = False  # whether brightness takes part
     _laid: dict[int, _Laid] = field(default_factory=dict)
-    _built: dict[int, Submap] = field(default_factory=dict)
+    _built: dict[int, LaserSubmap] = field(default_factory=dict)
     _untried: list[int] = field(default_factory=list)
     _came: int = 0
 
@@ -115,7 +115,7 @@ class SubmapLoops:
 
     def match(
         self,
-        submap: Submap,
+        submap: LaserSubmap,
         query: Query,
         predicted: Float[np.ndarray, "3"],
         cov: Float[np.ndarray, "3 3"],
@@ -188,7 +188,7 @@ class SubmapLoops:
         q = [node.beams.q for node in nodes] if self.light else None
         return query_at(graph.pose[first : i + 1], [node.beams.s for node in nodes], i - first, q, self.cfg.submap)
 
-    def _submap(self, graph: KeyframeGraph, k: int) -> Submap:
+    def _submap(self, graph: KeyframeGraph, k: int) -> LaserSubmap:
         """The submap around keyframe `k`, as it lay when it was first asked for."""
         built = self._built.pop(k, None)
         if built is None:

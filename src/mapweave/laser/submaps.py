@@ -31,7 +31,7 @@ Lights = Sequence[Float[np.ndarray, " _"]]
 
 
 @config
-class SubmapConfig:
+class LaserSubmapConfig:
     around: int = 12  # keyframes before and after the one in the middle
     voxel: float = 0.05  # [m] a submap's points are means of squares this wide
     query_before: int = 8  # keyframes before the last one that a query holds
@@ -40,7 +40,7 @@ class SubmapConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class Submap:
+class LaserSubmap:
     """The walls seen from keyframes first to last (both in it), in the frame of keyframe `anchor`."""
 
     anchor: int
@@ -75,14 +75,14 @@ def submap_around(
     points: Clouds,
     anchor: int,
     q: Lights | None = None,
-    cfg: SubmapConfig | None = None,
+    cfg: LaserSubmapConfig | None = None,
     place: PlaceConfig | None = None,
-) -> Submap:
+) -> LaserSubmap:
     """The submap around keyframe `anchor`; at the ends of the way it holds fewer keyframes."""
-    cfg = cfg or SubmapConfig()
+    cfg = cfg or LaserSubmapConfig()
     first, last = max(0, anchor - cfg.around), min(len(poses) - 1, anchor + cfg.around)
     cloud, light = gathered(poses, points, range(first, last + 1), poses[anchor], cfg.voxel, q)
-    return Submap(anchor, first, last, likelihood_field(cloud, light, place))
+    return LaserSubmap(anchor, first, last, likelihood_field(cloud, light, place))
 
 
 def query_at(
@@ -90,10 +90,10 @@ def query_at(
     points: Clouds,
     anchor: int,
     q: Lights | None = None,
-    cfg: SubmapConfig | None = None,
+    cfg: LaserSubmapConfig | None = None,
 ) -> Query:
     """What keyframe `anchor` and those just before it saw, thinned evenly to the points a search takes."""
-    cfg = cfg or SubmapConfig()
+    cfg = cfg or LaserSubmapConfig()
     members = range(max(0, anchor - cfg.query_before), anchor + 1)
     return _thinned(anchor, *gathered(poses, points, members, poses[anchor], cfg.query_voxel, q), cfg)
 
@@ -103,10 +103,10 @@ def query_around(
     points: Clouds,
     anchor: int,
     q: Lights | None = None,
-    cfg: SubmapConfig | None = None,
+    cfg: LaserSubmapConfig | None = None,
 ) -> Query:
     """What keyframe `anchor` and those before and after it saw, as many as a submap has, thinned evenly."""
-    cfg = cfg or SubmapConfig()
+    cfg = cfg or LaserSubmapConfig()
     members = range(max(0, anchor - cfg.around), min(len(poses) - 1, anchor + cfg.around) + 1)
     return _thinned(anchor, *gathered(poses, points, members, poses[anchor], cfg.query_voxel, q), cfg)
 
@@ -158,7 +158,7 @@ def locate(
     return PlaceMatch(places, fit, float(np.hypot(*(fit.pose[:2] - places.best.pose[:2]))))
 
 
-def _thinned(anchor: int, cloud: Cloud, light: Float[np.ndarray, " n"] | None, cfg: SubmapConfig) -> Query:
+def _thinned(anchor: int, cloud: Cloud, light: Float[np.ndarray, " n"] | None, cfg: LaserSubmapConfig) -> Query:
     if len(cloud) > cfg.query_points:
         keep = np.linspace(0, len(cloud) - 1, cfg.query_points).round().astype(int)
         cloud, light = cloud[keep], None if light is None else light[keep]

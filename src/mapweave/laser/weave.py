@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core import se2
-from .joint_pass import JointConfig, joint_pass, keyframe_cloud
+from .joint_pass import JointPassConfig, joint_pass, keyframe_cloud
 from .map_overlap import KeyframeMap
 from .merge import Merge, merge_maps
 from .merge_search import MergeConfig, Start
@@ -46,7 +46,7 @@ def weave(
     starts: Mapping[int, Start] | None = None,
     *,
     merge: bool = True,
-    last: JointConfig | None = None,
+    last: JointPassConfig | None = None,
     known: Mapping[tuple[int, int], Merge] | None = None,
     executor: Executor | None = None,
 ) -> Woven:
@@ -88,7 +88,7 @@ def weave(
     graph = PoseGraph(placed, graph.first, graph.second, graph.measured, graph.information)
     doubtful = np.arange(graph.edges) >= within
     joint = solve_graph(graph, RobustGraphConfig(method="cauchy"), doubtful=doubtful)
-    return _told(robots, joint, within, tuple(merges), last or JointConfig())
+    return _told(robots, joint, within, tuple(merges), last or JointPassConfig())
 
 
 def _tried(
@@ -124,7 +124,7 @@ def _side_by_side(graphs: Sequence[PoseGraph], pose: Float[np.ndarray, "n 3"]) -
 
 
 def _told(
-    robots: Sequence[RobotGraph], joint: SolvedGraph, within: int, merges: tuple[Merge, ...], last: JointConfig
+    robots: Sequence[RobotGraph], joint: SolvedGraph, within: int, merges: tuple[Merge, ...], last: JointPassConfig
 ) -> Woven:
     """Components and poses once the joint graph is solved; its edges from number `within` on tie robots."""
     offset = np.concatenate([[0], np.cumsum([len(r) for r in robots])])
@@ -160,7 +160,7 @@ def _held_ties(joint: SolvedGraph, within: int, members: Sequence[range]) -> Pos
     )
 
 
-def _last_pass(robots: Sequence[RobotGraph], ties: PoseGraph, cfg: JointConfig) -> list[np.ndarray]:
+def _last_pass(robots: Sequence[RobotGraph], ties: PoseGraph, cfg: JointPassConfig) -> list[np.ndarray]:
     """The keyframes of robots that hang together after a pass over all of them, in the frame of the first."""
     size = [len(r) for r in robots]
     steps = _side_by_side([r.steps() for r in robots], ties.pose)

@@ -19,7 +19,7 @@ Pair = tuple[str, str]
 
 
 @dataclass(slots=True)
-class Walls:
+class WallCells:
     """Where one robot saw walls, in its own frame, with keyframes as they stood when they came.
 
     cells: of `FINE`, as whole numbers that tell both axes; until: keyframes up to this scan are among them.
@@ -44,7 +44,7 @@ class Walls:
         return FINE * (np.column_stack(np.divmod(self.cells + ROWS // 2, ROWS)) - [0.0, ROWS // 2] + 0.5)
 
 
-def in_common(walls: Mapping[str, Walls], starts: Mapping[int, Start]) -> dict[Pair, int]:
+def in_common(walls: Mapping[str, WallCells], starts: Mapping[int, Start]) -> dict[Pair, int]:
     """Cells of `COARSE` in which both of a pair saw walls, by their names in the order of `walls`.
 
     starts: by place among them, where robots' frames are said to lie in that of the first. Pairs of which the start of

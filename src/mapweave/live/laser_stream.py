@@ -10,7 +10,7 @@ from jaxtyping import Float
 from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
 from .columns import pack, unpack
-from .messages import LARGEST, Beams, Closed, Header, Numbered, RefusedError, Scans
+from .messages import LARGEST, Closed, Header, Numbered, RefusedError, ScanBeams, Scans
 from .squeezed import squeeze, stretch
 
 MOST_BEAMS = 100_000  # of one scan
@@ -43,7 +43,7 @@ def messages_of_laser(log: LaserLog, robot: str, run: str, period: float) -> Ite
     seq = 0
     for t, (a, b), (c, d) in zip([*cuts.tolist(), end], pairwise(seen), pairwise(driven), strict=True):
         track = pack(o.t[c:d], *o.pose[c:d].T) if o is not None and d > c else b""
-        batch: list[Beams] = []
+        batch: list[ScanBeams] = []
         size = 0
         for k in range(a, b):
             beams = beams_of(float(log.scan_t[k]), log.scans[k])
@@ -59,9 +59,9 @@ def messages_of_laser(log: LaserLog, robot: str, run: str, period: float) -> Ite
     yield end, Closed(robot=robot, run=run, seq=seq + 1)
 
 
-def beams_of(t: float, scan: Scan) -> Beams:
+def beams_of(t: float, scan: Scan) -> ScanBeams:
     """One scan, packed; see `squeeze` for ranges and light."""
-    return Beams(
+    return ScanBeams(
         t=t,
         n=len(scan.ranges),
         ranges=squeeze(scan.ranges),
@@ -76,7 +76,7 @@ def beams_of(t: float, scan: Scan) -> Beams:
     )
 
 
-def scan_of(beams: Beams) -> Scan:
+def scan_of(beams: ScanBeams) -> Scan:
     """The scan; raises RefusedError when its arrays do not fit each other."""
     n = beams.n
     hit = np.unpackbits(np.frombuffer(beams.hit, np.uint8))

@@ -14,7 +14,7 @@ from ..core import se2
 from ..laser.config import LaserConfig
 from ..laser.merge_search import Start
 from .canvas import Canvas, Standing
-from .common_ground import Walls, in_common
+from .common_ground import WallCells, in_common
 from .driven import DrivenSession
 from .laser_stream import LaserRecord
 from .messages import Header, Scans, decode
@@ -56,7 +56,7 @@ class WovenTeam:
 class _Robot:
     record: LaserRecord
     session: DrivenSession
-    walls: Walls = field(default_factory=Walls)
+    walls: WallCells = field(default_factory=WallCells)
     next: int = 1
 
     @property
@@ -67,7 +67,7 @@ class _Robot:
 
 
 @dataclass(slots=True)
-class LaserTeam:
+class LiveLaserTeam:
     """The estimates of all laser robots of a team; everything here is the business of one thread.
 
     starts: for robots in an order, by place, where their frames are said to lie in that of the first. woven: how often
@@ -139,7 +139,7 @@ class LaserTeam:
             *pair, (a, b), (of_a, of_b), (ids_a, ids_b), self.cfg.merge, start, common.get((pair[0], pair[1]), 0)
         )
 
-    def _walls(self, name: str) -> Walls:
+    def _walls(self, name: str) -> WallCells:
         robot = self.robots[name]
         robot.walls.take(robot.session)
         return robot.walls

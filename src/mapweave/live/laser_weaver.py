@@ -16,7 +16,7 @@ import numpy as np
 from ..core.errors import MapweaveError
 from ..laser.config import LaserConfig
 from ..laser.merge import Merge
-from .laser_team import LaserTeam, Starts, WovenTeam, nobody
+from .laser_team import LiveLaserTeam, Starts, WovenTeam, nobody
 from .pair_search import PairTrial
 from .store import Store
 from .weaving import WovenGraphs
@@ -52,7 +52,7 @@ class LaserWeaver:
     def __init__(self, store: Store, cfg: LaserConfig, every: float, starts: Starts = nobody) -> None:
         self.newest: WovenTeam | None = None
         self.failed = ""
-        self._team = LaserTeam(store, replace(cfg, method="graph", threads=1), starts)
+        self._team = LiveLaserTeam(store, replace(cfg, method="graph", threads=1), starts)
         self._every = every
         self._heard: dict[str, int] = {}
         self._changed = Condition()

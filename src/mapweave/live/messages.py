@@ -63,7 +63,7 @@ class Rows(_Message, tag="rows", frozen=True):
     names: list[str] = []
 
 
-class Beams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ScanBeams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One scan of n beams. ranges, light: numbers as `squeezed.squeeze` packs them; hit: a bit a beam, the first
     the highest of its byte; mount: `T_robot_sensor`; odometry: `T_odom_robot` at `t`.
     """
@@ -87,7 +87,7 @@ class Scans(_Message, tag="scans", frozen=True):
     robot: str
     run: str
     seq: int
-    scans: list[Beams] = []
+    scans: list[ScanBeams] = []
     track: bytes = b""
 
 
@@ -309,7 +309,7 @@ def _check(message: Message) -> None:
             _states(message)
 
 
-def _beams(scans: list[Beams]) -> None:
+def _beams(scans: list[ScanBeams]) -> None:
     for beams in scans:
         _finite(beams.t, beams.angle_min, beams.angle_increment)
         _expect(beams.range_max > 0, "a largest range above 0")

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Int
 
 from ..core import se2
-from ..laser.joint_pass import JointConfig
+from ..laser.joint_pass import JointPassConfig
 from ..laser.merge import Merge
 from ..laser.merge_search import MergeConfig
 from ..laser.robot_graph import RobotGraph
@@ -16,7 +16,7 @@ from .canvas import Standing
 from .pair_search import UNTRIED
 from .placed import ALONE, Placed
 
-UNTOUCHED = JointConfig(widths=())  # keyframes stay as the joint graph has them: the last pass is left to the end
+UNTOUCHED = JointPassConfig(widths=())  # keyframes stay as the joint graph has them: the last pass is left to the end
 MOST_TOLD = 60  # pairs of robots
 
 

@@ -11,7 +11,7 @@ from matplotlib.patches import Polygon
 from PIL import Image
 from scipy.spatial import ConvexHull, QhullError
 
-from ..exploration.landmarks.experiment import LandmarkRecord
+from ..exploration.landmarks.experiment import LandmarkRunRecord
 from ..exploration.landmarks.result import ExploreResult
 from .exploration_scene import first_seen, landmark_scene
 from .html import Page
@@ -95,7 +95,7 @@ def seeds_told(first: int, runs: int) -> str:
     return f"seed {first}" if runs == 1 else f"seeds {first} to {first + runs - 1}"
 
 
-def draw_map(path: Target, run: LandmarkRecord) -> None:
+def draw_map(path: Target, run: LandmarkRunRecord) -> None:
     """Trajectories, landmarks with 95 % ellipses, truth, and the borders of submaps at hand-over."""
     width, height = run.world.upper - run.world.lower
     with figure(path, 8.0, min(8.0 * float(height / width), TALLEST) + 0.6) as (_, ax):
@@ -115,7 +115,7 @@ def draw_map(path: Target, run: LandmarkRecord) -> None:
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=4)
 
 
-def draw_explored(path: Path, run: LandmarkRecord, first: Float[np.ndarray, "rows columns"], cell: float) -> None:
+def draw_explored(path: Path, run: LandmarkRunRecord, first: Float[np.ndarray, "rows columns"], cell: float) -> None:
     """The step at which each cell was `first` seen, and the frontier at each quarter of the run."""
     width, height = run.world.upper - run.world.lower
     shape = first.shape
@@ -132,7 +132,7 @@ def draw_explored(path: Path, run: LandmarkRecord, first: Float[np.ndarray, "row
         ax.grid(visible=False)
 
 
-def draw_progress(path: Path, run: LandmarkRecord, result: ExploreResult) -> None:
+def draw_progress(path: Path, run: LandmarkRunRecord, result: ExploreResult) -> None:
     """Explored share against steps for the first run; steps against map error where there are several."""
     pairs = [(r.steps, r.map_error) for r in result.runs if r.map_error is not None]
     panels = 2 if len(pairs) > 1 else 1
@@ -154,7 +154,7 @@ def draw_progress(path: Path, run: LandmarkRecord, result: ExploreResult) -> Non
         ax.set_title("All runs")
 
 
-def draw_animation(path: Path, run: LandmarkRecord) -> None:
+def draw_animation(path: Path, run: LandmarkRunRecord) -> None:
     """The first run as a small animated GIF: paths so far, what each robot sees, landmarks."""
     moments = (run.first_look, *run.moments)
     every = max(1, len(moments) // FRAMES)
@@ -197,7 +197,7 @@ def rendered(fig: Any, dpi: int = 80) -> Image.Image:
     return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
-def _field(ax: Any, run: LandmarkRecord) -> None:
+def _field(ax: Any, run: LandmarkRunRecord) -> None:
     (x0, y0), (x1, y1) = run.world.lower, run.world.upper
     ax.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=MUTED, lw=1)
     if run.floor is not None:

@@ -5,8 +5,8 @@ from jaxtyping import Float
 
 from ..core.records import Track
 from ..exploration.landmarks.config import ExploreConfig
-from ..exploration.landmarks.experiment import LandmarkRecord
-from ..exploration.laser.experiment import LaserRecord
+from ..exploration.landmarks.experiment import LandmarkRunRecord
+from ..exploration.laser.experiment import LaserRunRecord
 from ..kernels.exploration.objective import mark_half_disc
 from ..kernels.walls.segments import Raster, Sector
 from ..kernels.walls.sight import mark_in_sight
@@ -17,7 +17,7 @@ SEEN = (86, 180, 233, 64)  # what was seen of a field, on a page of any colour
 MAPPED, FRAME, REFUSED, WALL = PALETTE[5], "#9AA0A6", PALETTE[5], PALETTE[5]
 
 
-def first_seen(run: LandmarkRecord, cfg: ExploreConfig) -> Float[np.ndarray, "rows columns"]:
+def first_seen(run: LandmarkRunRecord, cfg: ExploreConfig) -> Float[np.ndarray, "rows columns"]:
     """The step at which each cell of the field was first seen, row 0 lowest; NaN: never."""
     width, height = run.world.upper - run.world.lower
     cell, sector = cfg.mission.cell, Sector(cfg.submap.reach, cfg.submap.half_angle)
@@ -34,7 +34,7 @@ def first_seen(run: LandmarkRecord, cfg: ExploreConfig) -> Float[np.ndarray, "ro
     return first
 
 
-def landmark_scene(run: LandmarkRecord, first: Float[np.ndarray, "rows columns"], cell: float) -> Scene:
+def landmark_scene(run: LandmarkRunRecord, first: Float[np.ndarray, "rows columns"], cell: float) -> Scene:
     """The first run of a landmark world. first: the step at which each cell was first seen."""
     scene = Scene("The field, what was seen of it when, and where the robots drove", axes="x, y in m", clock="step")
     (x0, y0), (x1, y1) = run.world.lower, run.world.upper
@@ -69,7 +69,7 @@ def landmark_scene(run: LandmarkRecord, first: Float[np.ndarray, "rows columns"]
     return scene
 
 
-def laser_exploration_scene(run: LaserRecord) -> Scene:
+def laser_exploration_scene(run: LaserRunRecord) -> Scene:
     """The first run of a laser world: cells of the final map as they came to be known."""
     hidden = ["true walls", "truth", "loops refused"]
     scene = Scene("The merged map, as it came about, and where the robots drove", hidden=hidden)

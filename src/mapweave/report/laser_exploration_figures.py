@@ -10,7 +10,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from ..core.walls import Walls
-from ..exploration.laser.experiment import LaserRecord, MapSnapshot
+from ..exploration.laser.experiment import LaserRunRecord, MapSnapshot
 from ..laser.occupancy import Occupancy
 from .exploration import rendered, save_gif
 from .style import MARKERS, MUTED, PALETTE, SEQUENTIAL, TRUTH, Sheet, Target, as_map, colour, figure, marker
@@ -22,7 +22,7 @@ FEW_SNAPSHOTS = 60
 GIF_DPI = 95
 
 
-def draw_map(path: Target, run: LaserRecord) -> None:
+def draw_map(path: Target, run: LaserRunRecord) -> None:
     """The merged map, the true walls on it, the robots' trajectories as estimated and their starts."""
     with figure(path, *_size(run, legend=True)) as (fig, ax):
         _occupancy(ax, run.map)
@@ -36,7 +36,7 @@ def draw_map(path: Target, run: LaserRecord) -> None:
         fig.legend(loc="outside lower center", ncols=4)
 
 
-def draw_stages(path: Path, run: LaserRecord) -> None:
+def draw_stages(path: Path, run: LaserRunRecord) -> None:
     """The map at each quarter of the run: frontiers where known ground ends, and the robots."""
     width, height = _size(run)
     steps = np.array([snapshot.step for snapshot in run.snapshots])
@@ -56,7 +56,7 @@ def draw_stages(path: Path, run: LaserRecord) -> None:
         fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
 
 
-def draw_explored(path: Path, run: LaserRecord) -> None:
+def draw_explored(path: Path, run: LaserRunRecord) -> None:
     """The step at which each reachable place was first known to be free."""
     image = np.full(run.building.reached.shape, np.nan)
     image[run.building.reached] = run.seen_at
@@ -79,7 +79,7 @@ def draw_explored(path: Path, run: LaserRecord) -> None:
         ax.grid(visible=False)
 
 
-def draw_walls(path: Path, run: LaserRecord, tolerance: float) -> None:
+def draw_walls(path: Path, run: LaserRunRecord, tolerance: float) -> None:
     """Which pieces of wall the map shows, which it misses, and which of its cells are no wall."""
     cells = run.map.centres(np.argwhere(run.map.occupied))
     wrong = cells[_far_from_walls(cells, run.place.world, tolerance)]
@@ -104,7 +104,7 @@ def draw_walls(path: Path, run: LaserRecord, tolerance: float) -> None:
         fig.legend(loc="outside lower center", ncols=3)
 
 
-def draw_closures(path: Path, run: LaserRecord) -> None:
+def draw_closures(path: Path, run: LaserRunRecord) -> None:
     """The pose graph: keyframes, and the closures that were believed or refused."""
     pose = run.graph.pose[:, :2]
     kinds = {
@@ -127,7 +127,7 @@ def draw_closures(path: Path, run: LaserRecord) -> None:
         fig.legend(loc="outside lower center", ncols=4)
 
 
-def draw_progress(path: Path, run: LaserRecord) -> None:
+def draw_progress(path: Path, run: LaserRunRecord) -> None:
     """Against steps: share mapped, loops closed, how far the robots were from where they thought."""
     steps = np.array([m.step for m in run.moments])
     off = np.array([np.hypot(*(m.poses[:, :2] - m.true_poses[:, :2]).T) for m in run.moments])
@@ -146,7 +146,7 @@ def draw_progress(path: Path, run: LaserRecord) -> None:
         fig.legend(loc="outside lower center", ncols=8)
 
 
-def draw_animation(path: Path, run: LaserRecord) -> None:
+def draw_animation(path: Path, run: LaserRunRecord) -> None:
     """The first run as a small animated GIF: the map as it grew, the robots on it."""
     snapshots = run.snapshots[:: max(1, len(run.snapshots) // FEW_SNAPSHOTS)]
     if snapshots[-1] is not run.snapshots[-1]:
@@ -176,7 +176,7 @@ def frontier_cells(grid: Occupancy) -> np.ndarray:
     return np.asarray(grid.free & ndimage.binary_dilation(grid.unknown))
 
 
-def _onto(snapshot: MapSnapshot, run: LaserRecord) -> Occupancy:
+def _onto(snapshot: MapSnapshot, run: LaserRunRecord) -> Occupancy:
     """The snapshot's cells on a raster over the whole world, the same for all snapshots."""
     grid, h = snapshot.grid, snapshot.grid.resolution
     cols, rows = np.ceil((run.place.upper - run.place.lower) / h).astype(int) + 2
@@ -203,19 +203,19 @@ def _occupancy(ax: Any, grid: Occupancy) -> Any:
     )
 
 
-def _walls(ax: Any, run: LaserRecord, width: float, label: str | None = None, shade: str = WALL) -> None:
+def _walls(ax: Any, run: LaserRunRecord, width: float, label: str | None = None, shade: str = WALL) -> None:
     lines = list(run.place.world.segments.reshape(-1, 2, 2))
     ax.add_collection(LineCollection(lines, colors=shade, lw=width, zorder=2, label=label))
 
 
-def _frame(ax: Any, run: LaserRecord) -> None:
+def _frame(ax: Any, run: LaserRunRecord) -> None:
     (x0, y0), (x1, y1) = run.place.lower, run.place.upper
     as_map(ax)
     ax.set_aspect("equal", adjustable="box")
     ax.set(xlim=(x0 - 1, x1 + 1), ylim=(y0 - 1, y1 + 1))
 
 
-def _size(run: LaserRecord, *, legend: bool = False) -> tuple[float, float]:
+def _size(run: LaserRunRecord, *, legend: bool = False) -> tuple[float, float]:
     width, height = run.place.upper - run.place.lower + 2.0
     return 9.0, float(np.clip(8.0 * height / width + 0.7 + 0.5 * legend, 3.0, 11.0))
 

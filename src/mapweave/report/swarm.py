@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from ..swarm import bearing as model
 from ..swarm.moving.result import SwarmTrack
-from ..swarm.network import Network
+from ..swarm.network import BearingNetwork
 from ..swarm.result import SwarmEstimate
 from .html import Page
 from .swarm_figures import (
@@ -31,7 +31,7 @@ ROWS = 40  # robots listed on the page
 class NetworkStory:
     """What is drawn of robots that stand still. truth, aligned: (n, d) or None; `aligned` is the estimate as scored."""
 
-    network: Network
+    network: BearingNetwork
     estimate: SwarmEstimate
     truth: Float[np.ndarray, "n d"] | None = None
     aligned: Float[np.ndarray, "n d"] | None = None
@@ -119,7 +119,7 @@ def write_moved_report(out: Path, story: MovedStory, lines: Sequence[str], metri
     page.write(out / "report.html")
 
 
-def whitened(net: Network, estimate: SwarmEstimate) -> Float[np.ndarray, " r"]:
+def whitened(net: BearingNetwork, estimate: SwarmEstimate) -> Float[np.ndarray, " r"]:
     """Residuals over sigma of the sightings used, between robots that could be located."""
     use = ~estimate.outlier & estimate.localisable[net.observer] & estimate.localisable[net.target]
     p, q = estimate.position[net.observer[use]], estimate.position[net.target[use]]

@@ -11,7 +11,7 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from ..core.gaussian import chi2_quantile
 from ..evaluation.swarm import squared_errors
 from ..swarm.moving.result import SwarmTrack
-from ..swarm.network import Network
+from ..swarm.network import BearingNetwork
 from ..swarm.result import SwarmEstimate
 from .style import PALETTE, SEQUENTIAL, TRUTH, Target, as_map, figure, name_points
 
@@ -23,7 +23,7 @@ PLANES = {2: ((0, 1),), 3: ((0, 1), (0, 2))}
 
 
 def network_figure(
-    path: Target, net: Network, estimate: SwarmEstimate, truth: Float[np.ndarray, "n d"] | None = None
+    path: Target, net: BearingNetwork, estimate: SwarmEstimate, truth: Float[np.ndarray, "n d"] | None = None
 ) -> float:
     """The network as located, with 95 % ellipses drawn as many times larger as is returned."""
     planes = PLANES[net.dim]
@@ -53,7 +53,7 @@ def network_figure(
 
 def shape_figure(
     path: Path,
-    net: Network,
+    net: BearingNetwork,
     estimate: SwarmEstimate,
     aligned: Float[np.ndarray, "n d"],
     truth: Float[np.ndarray, "n d"],
@@ -174,7 +174,7 @@ def track_errors_figure(
 
 def _plane(
     ax: Axes,
-    net: Network,
+    net: BearingNetwork,
     estimate: SwarmEstimate,
     truth: Float[np.ndarray, "n d"] | None,
     plane: tuple[int, int],
@@ -253,7 +253,7 @@ def _ellipses(ax: Axes, p: np.ndarray, cov: np.ndarray, scale: float) -> None:
     ax.plot([], [], "-", color=BLUE, lw=0.8, label="95 % region" + (f", {scale:g} times larger" if scale != 1 else ""))
 
 
-def _magnification(net: Network, estimate: SwarmEstimate) -> float:
+def _magnification(net: BearingNetwork, estimate: SwarmEstimate) -> float:
     """A round factor that makes the usual ellipse a fifth of the usual distance between robots, at least 1."""
     free = estimate.localisable & ~estimate.anchor
     if estimate.cov is None or not free.any():

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from ..core.records import Track
 from ..swarm.moving.result import SwarmTrack
-from ..swarm.network import Network
+from ..swarm.network import BearingNetwork
 from ..swarm.result import SwarmEstimate
 from .scene import Scene, Shape
 from .style import MUTED, PALETTE, TRUTH, colour
@@ -18,12 +18,12 @@ PLANES = {2: ("x, y",), 3: ("x, y", "x, z")}
 SIDES = {"x, y": [0, 1], "x, z": [0, 2]}
 
 
-def network_scenes(net: Network, estimate: SwarmEstimate, truth: Float[np.ndarray, "n d"] | None) -> list[Scene]:
+def network_scenes(net: BearingNetwork, estimate: SwarmEstimate, truth: Float[np.ndarray, "n d"] | None) -> list[Scene]:
     """One for each plane that is looked at: x and y, and x and z where robots fly."""
     return [_network(net, estimate, truth, plane) for plane in PLANES[net.dim]]
 
 
-def told_network(net: Network, scale: float) -> str:
+def told_network(net: BearingNetwork, scale: float) -> str:
     """What the first of `network_scenes` shows; scale: how many times larger the picture beside draws ellipses."""
     if len(net) > SOME:
         return "Robots as located, without their ellipses and sightings: there are too many."
@@ -31,7 +31,7 @@ def told_network(net: Network, scale: float) -> str:
     return f"Robots as located, with 95 % ellipses.{larger}"
 
 
-def _network(net: Network, estimate: SwarmEstimate, truth: Float[np.ndarray, "n d"] | None, plane: str) -> Scene:
+def _network(net: BearingNetwork, estimate: SwarmEstimate, truth: Float[np.ndarray, "n d"] | None, plane: str) -> Scene:
     unit = "scale is free" if "scale free" in estimate.gauge else "in m"
     scene = Scene("Robots as located", hidden=["sightings left out"], axes=f"{plane} {unit}")
     side, p = SIDES[plane], estimate.position
@@ -92,5 +92,5 @@ def moved_scene(
     return scene
 
 
-def _named(net: Network, rows: Bool[np.ndarray, " n"]) -> list[str]:
+def _named(net: BearingNetwork, rows: Bool[np.ndarray, " n"]) -> list[str]:
     return [name for name, here in zip(net.ids, rows, strict=True) if here]

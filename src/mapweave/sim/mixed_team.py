@@ -102,7 +102,7 @@ EVERYTHING = Carries(wheels=True, laser=True, landmarks="ranges", robots="ranges
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class SimulatedSightings:
     """n sightings in order of time. t: (n,) [s]; range: (n,) [m], NaN where it was not told; bearing: (n,) [rad]."""
 
     t: Float[np.ndarray, " n"]
@@ -123,7 +123,7 @@ class MixedRobot:
     kind: str
     carries: Carries
     commands: Float[np.ndarray, "n 3"] | None
-    seen: Seen
+    seen: SimulatedSightings
     laser: LaserLog | None
     clock: float
     truth: Track
@@ -242,7 +242,7 @@ def _sightings(
     points: Float[np.ndarray, "n 2"],
     names: tuple[str, ...],
     seed: int,
-) -> Seen:
+) -> SimulatedSightings:
     """What robot k's camera told, frame by frame, some of it mislabelled or wrong by metres."""
     rng, own = stream(seed, f"camera {k}"), drives[k]
     frames = np.arange(rng.uniform(0.5, 1.0), own.t[-1], FRAME)
@@ -268,7 +268,7 @@ def _sightings(
     frame = np.nonzero(seen)[0]
     what = np.where(mislabel, label, np.arange(len(ids)))[seen]
     t = START + np.round(frames[frame], 3)
-    return Seen(t, tuple(ids[what].tolist()), ranges[seen], bearings[seen])
+    return SimulatedSightings(t, tuple(ids[what].tolist()), ranges[seen], bearings[seen])
 
 
 def _laser(k: int, own: Drive, clock: float, walls: LaserWorld, seed: int) -> LaserLog:

@@ -6,7 +6,7 @@ takes `gauss_newton`.
 """
 
 from .information import Information, Pattern, SingularError
-from .optimise import DenseSolution, Solution, SolveConfig, Status, gauss_newton, minimise
+from .optimise import DenseSolution, Solution, SolveConfig, SolveStatus, gauss_newton, minimise
 from .problem import Cauchy, Factor, GemanMcClure, Huber, Kernel, Problem, Term, wrapping
 
 __all__ = [
@@ -22,7 +22,7 @@ __all__ = [
     "SingularError",
     "Solution",
     "SolveConfig",
-    "Status",
+    "SolveStatus",
     "Term",
     "gauss_newton",
     "minimise",

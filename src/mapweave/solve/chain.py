@@ -17,7 +17,7 @@ from .information import Information, SingularError
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class SchurComplement:
     """What a stretch says of the e variables that it shares, its own i variables eliminated at x.
 
     shared, own: entries of the stretch's x (n,); S (e, e), b (e,): information over the shared ones, and information
@@ -39,7 +39,7 @@ class Link:
         g: Float[np.ndarray, " n"],
         x: Float[np.ndarray, " n"],
         shared: Int[np.ndarray, " e"],
-    ) -> "Link":
+    ) -> "SchurComplement":
         """The link of a stretch with information H (n, n) and gradient g at x.
 
         Raises SingularError where what it shares does not tell its own variables.
@@ -79,7 +79,7 @@ class Passed:
     w: Float[np.ndarray, " a"]
 
 
-def passed(entry: Gauss, link: Link, ends_in: int, ends_out: int, hubs: Int[np.ndarray, " h"]) -> Passed:
+def passed(entry: Gauss, link: SchurComplement, ends_in: int, ends_out: int, hubs: Int[np.ndarray, " h"]) -> Passed:
     """The chain past `link`, the `ends_in` variables that came in eliminated; raises SingularError.
 
     link shares, in this order: the ends in, `ends_out` ends that go on, and the hubs that stand at `hubs` of all.

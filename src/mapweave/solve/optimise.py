@@ -32,7 +32,7 @@ class SolveConfig:
     cost_tolerance: float = 1e-10  # relative decrease of the cost
 
 
-class Status(StrEnum):
+class SolveStatus(StrEnum):
     """How a minimisation ended."""
 
     CONVERGED = "converged"
@@ -51,7 +51,7 @@ class Solution:
     """
 
     x: Float[np.ndarray, " n"]
-    status: Status
+    status: SolveStatus
     iterations: int
     cost: float
     chi2: float
@@ -62,7 +62,7 @@ class Solution:
 
     @property
     def converged(self) -> bool:
-        return self.status is Status.CONVERGED
+        return self.status is SolveStatus.CONVERGED
 
     def covariance(self, index: Int[np.ndarray, " k"] | None = None) -> Float[np.ndarray, "k k"]:
         """The joint covariance of the entries `index` of x (all when None); zero where an entry is fixed."""
@@ -111,7 +111,7 @@ def minimise(problem: Problem, cfg: SolveConfig | None = None, pattern: Pattern 
     pattern = pattern or Pattern.of(problem)
     free = problem.free
     x, cost = problem.x0.copy(), problem.cost(problem.x0)
-    costs, damping, raised, status = [cost], cfg.damping, 2.0, Status.MAX_ITERATIONS
+    costs, damping, raised, status = [cost], cfg.damping, 2.0, SolveStatus.MAX_ITERATIONS
     iterations = 0
     H, g = pattern.added(term.normal(x) for term in problem.terms)
     step = np.zeros(len(x))
@@ -121,7 +121,7 @@ def minimise(problem: Problem, cfg: SolveConfig | None = None, pattern: Pattern 
             dx = Information.of(_damped(pattern, H, damping), pattern.elimination).solve(-g)
         except SingularError:
             if cfg.damping == 0 or damping > HARDEST:
-                status = Status.SINGULAR
+                status = SolveStatus.SINGULAR
                 break
             damping, raised = max(damping, 1e-12) * raised, 2 * raised
             continue
@@ -131,7 +131,7 @@ def minimise(problem: Problem, cfg: SolveConfig | None = None, pattern: Pattern 
         predicted = float(-2 * (g @ dx) - dx @ (H @ dx))
         small = bool(np.abs(dx).max(initial=0.0) <= cfg.step_tolerance) or predicted <= ROUNDING * ROUNDING * cost
         if cfg.damping == 0 and not np.isfinite(new):
-            status = Status.DIVERGED
+            status = SolveStatus.DIVERGED
             break
         if cfg.damping == 0 or new < cost or (small and new <= cost * (1 + ROUNDING)):
             converged = small or (damping <= 1 and abs(cost - new) <= cfg.cost_tolerance * cost)
@@ -141,10 +141,10 @@ def minimise(problem: Problem, cfg: SolveConfig | None = None, pattern: Pattern 
             costs.append(cost)
             H, g = pattern.added(term.normal(x) for term in problem.terms)
             if converged:
-                status = Status.CONVERGED
+                status = SolveStatus.CONVERGED
                 break
         elif small or damping > HARDEST:
-            status = Status.CONVERGED if small or predicted <= ROUNDING * cost else Status.DIVERGED
+            status = SolveStatus.CONVERGED if small or predicted <= ROUNDING * cost else SolveStatus.DIVERGED
             break
         else:
             damping, raised = max(damping, 1e-12) * raised, 2 * raised
@@ -186,7 +186,7 @@ class DenseSolution:
     """
 
     x: Vector
-    status: Status
+    status: SolveStatus
     iterations: int
     cost: float
     information: Float[np.ndarray, "n n"]
@@ -194,7 +194,7 @@ class DenseSolution:
 
     @property
     def converged(self) -> bool:
-        return self.status is Status.CONVERGED
+        return self.status is SolveStatus.CONVERGED
 
     def covariance(self) -> Float[np.ndarray, "n n"]:
         """The covariance of x, zero where held; raises numpy.linalg.LinAlgError when something is not observed."""
@@ -226,23 +226,23 @@ def gauss_newton(
     at = np.ix_(free, free)
     x = np.array(x0, dtype=float)
     H, g, cost = normal(x)
-    status = Status.MAX_ITERATIONS if step_tolerance > 0 or cost_tolerance > 0 else Status.CONVERGED
+    status = SolveStatus.MAX_ITERATIONS if step_tolerance > 0 or cost_tolerance > 0 else SolveStatus.CONVERGED
     iterations, step = 0, np.zeros(len(x))
     while iterations < max_iterations:
         try:
             step[free] = -solve_psd(H[at], g[free])
         except np.linalg.LinAlgError:
-            status = Status.SINGULAR
+            status = SolveStatus.SINGULAR
             break
         tried = retract(x, step)
         after = normal(tried)
         if not np.isfinite(after[2]):
-            status = Status.DIVERGED
+            status = SolveStatus.DIVERGED
             break
         before, x, (H, g, cost) = cost, tried, after
         iterations += 1
         small = step_tolerance > 0 and float(np.abs(step).max(initial=0.0)) <= step_tolerance
         if small or (cost_tolerance > 0 and abs(before - cost) <= cost_tolerance * max(before, cost)):
-            status = Status.CONVERGED
+            status = SolveStatus.CONVERGED
             break
     return DenseSolution(x, status, iterations, float(cost), H, free)

@@ -10,13 +10,13 @@ from ..solve import GemanMcClure, Pattern, Problem, Solution, SolveConfig, minim
 from . import factors
 from .config import SwarmConfig
 from .gauge import pins
-from .network import Network
+from .network import BearingNetwork
 from .posterior import posterior
 from .result import SwarmEstimate
-from .start import Start, prepare
+from .start import SwarmStart, prepare
 
 
-def batch(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) -> SwarmEstimate:
+def batch(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = None) -> SwarmEstimate:
     """The maximum-likelihood positions of `net`; `initial` (n, d) takes the place of the linear start."""
     start = prepare(net, initial)
     used = net.select(start.used)
@@ -25,8 +25,8 @@ def batch(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) -> 
 
 
 def refine(
-    net: Network,
-    start: Start,
+    net: BearingNetwork,
+    start: SwarmStart,
     cfg: SwarmConfig,
     kernel: GemanMcClure | None = None,
     pattern: Pattern | None = None,

@@ -13,14 +13,14 @@ from jaxtyping import Bool, Float, Int
 
 from ..solve import Factor, Information, Pattern, Problem, SingularError
 from . import bearing, factors
-from .network import Network
+from .network import BearingNetwork
 
 CLOSE = 3.0  # standard deviations of its own length below which a sighting is close; beyond, r^2 errs by a tenth
 ROUNDS = 3  # of lengthening: what is told of one pair changes what is known of others
 
 
 def with_true_lengths(
-    net: Network,
+    net: BearingNetwork,
     x: Float[np.ndarray, " s"],
     problem: Problem,
     information: Information,
@@ -63,13 +63,17 @@ def with_true_lengths(
     return current, len(np.unique(pairs, axis=0))
 
 
-def _ends(net: Network, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _ends(net: BearingNetwork, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     p = x.reshape(len(net), factors.width(net))[:, : net.dim]
     return p[net.observer], p[net.target]
 
 
 def _along(
-    net: Network, information: Information, free: np.ndarray, rows: Int[np.ndarray, " c"], u: Float[np.ndarray, "c d"]
+    net: BearingNetwork,
+    information: Information,
+    free: np.ndarray,
+    rows: Int[np.ndarray, " c"],
+    u: Float[np.ndarray, "c d"],
 ) -> Float[np.ndarray, " c"]:
     """The variance [m^2] of the length of each of the sightings `rows`, whose directions are u."""
     w, k = factors.width(net), np.arange(net.dim)

@@ -24,17 +24,17 @@ from .headings import (
     resected_headings,
     world_directions,
 )
-from .network import Network
+from .network import BearingNetwork
 from .result import FLOAT, Traffic
 
 ROUNDS = 20  # of spreading headings from robots that see each other to those that only see
 FLAT = 1e-3  # share of a robot's stiffer direction below which the other is not held by its sightings
 
-Relaxed = Callable[[Network], tuple[np.ndarray, Traffic]]
+Relaxed = Callable[[BearingNetwork], tuple[np.ndarray, Traffic]]
 
 
 def agreed(
-    net: Network, relaxed: Relaxed, initial: Float[np.ndarray, "n 2"] | None = None
+    net: BearingNetwork, relaxed: Relaxed, initial: Float[np.ndarray, "n 2"] | None = None
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"], Bool[np.ndarray, " n"], Traffic]:
     """Positions, headings [rad], whose heading is known, and what was said; with `initial` nothing had to be.
 
@@ -70,7 +70,7 @@ def agreed(
     return position, heading, known, said
 
 
-def _averaged(net: Network) -> Traffic:
+def _averaged(net: BearingNetwork) -> Traffic:
     """What finding headings up to one turn takes: word from one robot to all, then the sweeps."""
     a, _ = mutual_pairs(net)
     each = 2 * len(a)
@@ -78,7 +78,7 @@ def _averaged(net: Network) -> Traffic:
     return Traffic(rounds if each else 0, each * (1 + SWEEPS), each * (1 + SWEEPS) * 2 * FLOAT)
 
 
-def _depth(net: Network) -> int:
+def _depth(net: BearingNetwork) -> int:
     """Steps from the first robot that sights somebody to the one furthest from it."""
     graph = sp.csr_array((np.ones(len(net.observer)), (net.observer, net.target)), shape=(len(net), len(net)))
     order, before = breadth_first_order(graph, int(net.observer[0]), directed=False)
@@ -88,7 +88,7 @@ def _depth(net: Network) -> int:
     return int(depth.max())
 
 
-def _with_turn(net: Network, relaxed: Relaxed) -> tuple[Float[np.ndarray, "n 2"], float, Traffic]:
+def _with_turn(net: BearingNetwork, relaxed: Relaxed) -> tuple[Float[np.ndarray, "n 2"], float, Traffic]:
     """Positions and the turn [rad] of a network whose sightings share an axis that lies anyhow to the anchors."""
     middle = np.mean(list(net.anchors.values()), axis=0)
     q, said = [], Traffic(0, 0, 0)
@@ -108,7 +108,7 @@ def _with_turn(net: Network, relaxed: Relaxed) -> tuple[Float[np.ndarray, "n 2"]
     return (cosine * q[0] + sine * q[1]) @ rotation(turn).T + middle, turn, said + added
 
 
-def _held(net: Network, position: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+def _held(net: BearingNetwork, position: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
     """Whose place its sightings hold in both directions, as far as its neighbours can tell."""
     i, j = net.observer, net.target
     d = position[j] - position[i]

@@ -13,15 +13,15 @@ from jaxtyping import Bool, Float, Int
 
 from ..core.errors import DataError
 from ..core.se2 import wrap_angle
-from ..solve import Status as SolveStatus
+from ..solve import SolveStatus
 from . import bearing
 from .batch import refine
 from .common_axis import agreed
 from .config import SwarmConfig
-from .network import Network, components, effective_sigma
+from .network import BearingNetwork, components, effective_sigma
 from .posterior import posterior
 from .result import FLOAT, SwarmEstimate, Traffic
-from .start import Start, prepare
+from .start import SwarmStart, prepare
 
 TINY = 1e-9  # [m rad] that a guard against dividing by zero adds
 
@@ -36,7 +36,7 @@ class MessageLinks:
     of_sighting: Int[np.ndarray, " m"]  # the link observer -> target of each sighting
 
 
-def distributed(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) -> SwarmEstimate:
+def distributed(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = None) -> SwarmEstimate:
     """Positions agreed on by talking; covariances and verdicts are added centrally, for the reader.
 
     Without a common axis the sightings of robots whose heading nobody could tell are left out. Raises DataError without
@@ -67,14 +67,14 @@ def distributed(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = Non
     net = everyone
     if not reached.all():
         position[~reached] = prepare(net).position[~reached]
-    start: Start = prepare(net, position, heading)
+    start: SwarmStart = prepare(net, position, heading)
     solution, problem, pattern = refine(net, start, replace(cfg, max_iterations=0))
     notes = () if more.rounds < cfg.max_rounds else (f"still talking after {more.rounds} rounds",)
     converged = replace(solution, iterations=traffic.rounds, status=solution.status if notes else SolveStatus.CONVERGED)
     return posterior(net, start, converged, problem, cfg, "distributed", ~told, traffic, notes, pattern)
 
 
-def anchored(net: Network) -> tuple[Network, Bool[np.ndarray, " n"]]:
+def anchored(net: BearingNetwork) -> tuple[BearingNetwork, Bool[np.ndarray, " n"]]:
     """The sightings of pieces with two anchors, and who is in them; the others hear of no two anchors and stay silent.
 
     Raises DataError when there is no such piece.
@@ -86,7 +86,7 @@ def anchored(net: Network) -> tuple[Network, Bool[np.ndarray, " n"]]:
     return net.select(reached[net.observer]), reached
 
 
-def links_of(net: Network) -> MessageLinks:
+def links_of(net: BearingNetwork) -> MessageLinks:
     """Who talks to whom: both ends of every sighting, both ways."""
     n = len(net)
     there, back = net.observer * n + net.target, net.target * n + net.observer
@@ -96,7 +96,7 @@ def links_of(net: Network) -> MessageLinks:
 
 
 def relaxed(
-    net: Network, links: MessageLinks, usual: float, cfg: SwarmConfig
+    net: BearingNetwork, links: MessageLinks, usual: float, cfg: SwarmConfig
 ) -> tuple[Float[np.ndarray, "n d"], Traffic]:
     """The linear start by Jacobi over-relaxation from the anchors' midpoint, and what was said."""
     n, dim = len(net), net.dim
@@ -128,7 +128,7 @@ def relaxed(
 
 
 def believed(
-    net: Network,
+    net: BearingNetwork,
     links: MessageLinks,
     start: Float[np.ndarray, "n d"],
     cfg: SwarmConfig,
@@ -213,7 +213,7 @@ class LinkInformation:
     size: Float[np.ndarray, " l"]
 
 
-def _linearised(net: Network, links: MessageLinks, at: np.ndarray, usual: float) -> LinkInformation:
+def _linearised(net: BearingNetwork, links: MessageLinks, at: np.ndarray, usual: float) -> LinkInformation:
     there = at[:, : net.dim]
     u, r = bearing.predict(there[net.observer], there[net.target])
     sigma = effective_sigma(net)
@@ -233,7 +233,7 @@ def _linearised(net: Network, links: MessageLinks, at: np.ndarray, usual: float)
 
 
 def _with_headings(
-    net: Network, links: MessageLinks, at: np.ndarray, usual: float, size: np.ndarray
+    net: BearingNetwork, links: MessageLinks, at: np.ndarray, usual: float, size: np.ndarray
 ) -> LinkInformation:
     """The same over (x, y, usual times the heading); anchors' places are known."""
     i, j = net.observer, net.target
@@ -256,5 +256,5 @@ def _with_headings(
     return LinkInformation(bb, ab, own, of_known_a, size)
 
 
-def _range(net: Network, x: np.ndarray) -> Float[np.ndarray, " m"]:
+def _range(net: BearingNetwork, x: np.ndarray) -> Float[np.ndarray, " m"]:
     return np.asarray(np.linalg.norm(x[net.target] - x[net.observer], axis=1))

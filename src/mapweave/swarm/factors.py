@@ -9,15 +9,15 @@ from jaxtyping import Float, Int
 from ..core.se2 import wrap_angle
 from ..solve import Factor, Kernel
 from . import bearing
-from .network import EXACT_DISTANCE, Network, effective_sigma
+from .network import EXACT_DISTANCE, BearingNetwork, effective_sigma
 
 
-def width(net: Network) -> int:
+def width(net: BearingNetwork) -> int:
     """Scalars a robot."""
     return net.dim if net.axis else net.dim + 1
 
 
-def columns(net: Network) -> Int[np.ndarray, "m c"]:
+def columns(net: BearingNetwork) -> Int[np.ndarray, "m c"]:
     """The state entries of each sighting: observer's coordinates, target's coordinates, observer's heading."""
     w, k = width(net), np.arange(net.dim)
     parts = [w * net.observer[:, None] + k, w * net.target[:, None] + k]
@@ -26,7 +26,7 @@ def columns(net: Network) -> Int[np.ndarray, "m c"]:
     return np.concatenate(parts, axis=1)
 
 
-def bearing_factor(net: Network, kernel: Kernel | None = None) -> Factor:
+def bearing_factor(net: BearingNetwork, kernel: Kernel | None = None) -> Factor:
     """All sightings, whitened."""
     w, dim = width(net), net.dim
     at = columns(net)
@@ -54,7 +54,7 @@ def bearing_factor(net: Network, kernel: Kernel | None = None) -> Factor:
     return Factor(at, residual, jacobian, dim - 1, white, kernel, f"bearings ({w} scalars a robot)")
 
 
-def distance_factor(net: Network) -> Factor:
+def distance_factor(net: BearingNetwork) -> Factor:
     """The known distances; exact ones are held far tighter than any bearing could."""
     w, k = width(net), np.arange(net.dim)
     i = np.array([d.i for d in net.distances], dtype=np.intp)
@@ -85,7 +85,7 @@ def prior_factor(entries: Int[np.ndarray, " e"], x0: Float[np.ndarray, " n"], si
     return Factor(entries[:, None], residual, lambda _: ones, 1, np.full((1, 1), 1.0 / sigma), None, "loose prior")
 
 
-def apart_factor(net: Network, rows: Int[np.ndarray, " e"], nearest: float) -> Factor:
+def apart_factor(net: BearingNetwork, rows: Int[np.ndarray, " e"], nearest: float) -> Factor:
     """The ends of sightings `rows` kept from falling together; silent beyond `nearest` [m].
 
     A robot sighted seldom can escape a contradiction by sliding onto its neighbour, where every bearing is right.
@@ -105,12 +105,12 @@ def apart_factor(net: Network, rows: Int[np.ndarray, " e"], nearest: float) -> F
     return Factor(np.concatenate([i, j], axis=1), residual, jacobian, 1, None, None, "apart")
 
 
-def heading_entries(net: Network) -> Int[np.ndarray, " h"]:
+def heading_entries(net: BearingNetwork) -> Int[np.ndarray, " h"]:
     """The state entries that are angles."""
     return np.zeros(0, dtype=np.intp) if net.axis else width(net) * np.arange(len(net)) + net.dim
 
 
-def retract(net: Network, x: np.ndarray, dx: np.ndarray) -> np.ndarray:
+def retract(net: BearingNetwork, x: np.ndarray, dx: np.ndarray) -> np.ndarray:
     out = np.asarray(x + dx)
     angles = heading_entries(net)
     out[angles] = wrap_angle(out[angles])

@@ -15,7 +15,7 @@ from . import bearing, factors
 from .batch import refine
 from .close_pairs import CLOSE
 from .config import FallenConfig, SwarmConfig
-from .network import Network
+from .network import BearingNetwork
 from .result import SwarmEstimate
 from .start import prepare
 
@@ -29,7 +29,7 @@ class Fallen:
 
 
 def fallen_together(
-    net: Network, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, limit: float, cfg: SwarmConfig
+    net: BearingNetwork, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, limit: float, cfg: SwarmConfig
 ) -> Fallen:
     """Of the sightings `inlier` that `found` was made of, those that the others contradict once they are free to.
 
@@ -52,7 +52,7 @@ def fallen_together(
     return Fallen(np.array(wrong, dtype=np.intp), np.array(undecided, dtype=np.intp))
 
 
-def worth_telling(net: Network, inlier: Bool[np.ndarray, " m"], likely: float) -> Float[np.ndarray, " m"]:
+def worth_telling(net: BearingNetwork, inlier: Bool[np.ndarray, " m"], likely: float) -> Float[np.ndarray, " m"]:
     """(m,) what the chi-square of all others must lose without a sighting for it to be wrong with probability `likely`.
 
     Bayes' rule: a wrong sighting points anywhere, a right one is normal about the truth, and sightings are wrong as
@@ -66,7 +66,7 @@ def worth_telling(net: Network, inlier: Bool[np.ndarray, " m"], likely: float) -
     return np.asarray(2.0 * np.maximum(density + odds, 0.0))
 
 
-def _near_misses(net: Network, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, most: float) -> list[int]:
+def _near_misses(net: BearingNetwork, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, most: float) -> list[int]:
     """Sightings called wrong that miss by so little that they may be right, their squares below `most`."""
     squares = factors.bearing_factor(net).squares(found.position.ravel())
     both = found.localisable[net.observer] & found.localisable[net.target]
@@ -74,7 +74,7 @@ def _near_misses(net: Network, inlier: Bool[np.ndarray, " m"], found: SwarmEstim
 
 
 def unchecked(
-    net: Network, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, cfg: FallenConfig
+    net: BearingNetwork, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, cfg: FallenConfig
 ) -> Bool[np.ndarray, " m"]:
     """(m,) of the sightings `inlier`, those of hardly known length that no other checks: wrong or not, they fit."""
     rows = _doubtful(net, inlier, found)
@@ -85,7 +85,7 @@ def unchecked(
 
 
 def _promising(
-    net: Network, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, limit: float, cfg: FallenConfig
+    net: BearingNetwork, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, limit: float, cfg: FallenConfig
 ) -> list[int]:
     """Unconfirmed sightings whose removal the linear model rewards, the best first; in large networks short ones."""
     rows = _doubtful(net, inlier, found, anywhere=len(inlier) <= cfg.few)
@@ -98,7 +98,7 @@ def _promising(
 
 
 def _doubtful(
-    net: Network, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, *, anywhere: bool = False
+    net: BearingNetwork, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, *, anywhere: bool = False
 ) -> Int[np.ndarray, " c"]:
     """Unconfirmed sightings between robots that are localisable: of hardly known length, or `anywhere`."""
     if found.cov is None or found.information is None or not np.any(net.sigma > 0):
@@ -112,7 +112,7 @@ def _doubtful(
 
 
 def _told(
-    net: Network, rows: Int[np.ndarray, " c"], found: SwarmEstimate
+    net: BearingNetwork, rows: Int[np.ndarray, " c"], found: SwarmEstimate
 ) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, " c"]]:
     """Squared residuals of the sightings `rows`, and how much of its own direction each tells: near 1, it alone."""
     if found.information is None:
@@ -127,7 +127,7 @@ def _told(
     return factor.squares(x), found.information.variances(E)[columns].max(axis=1)
 
 
-def _confirmed(net: Network, inlier: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
+def _confirmed(net: BearingNetwork, inlier: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
     """(m,) sightings of pairs that other inliers, either way, are of too."""
     n = len(net)
     low, high = np.minimum(net.observer, net.target), np.maximum(net.observer, net.target)
@@ -139,14 +139,14 @@ def _confirmed(net: Network, inlier: Bool[np.ndarray, " m"]) -> Bool[np.ndarray,
 class _Part:
     """A piece of a network: its sightings that are used, all of its sightings, and which robots (whole numbering)."""
 
-    used: Network
-    whole: Network
+    used: BearingNetwork
+    whole: BearingNetwork
     rows: Int[np.ndarray, " r"]
     robots: Int[np.ndarray, " n"]
 
 
 def _part(
-    net: Network, kept: Bool[np.ndarray, " m"], position: Float[np.ndarray, "n d"], row: int, hops: int
+    net: BearingNetwork, kept: Bool[np.ndarray, " m"], position: Float[np.ndarray, "n d"], row: int, hops: int
 ) -> _Part | None:
     """What lies within `hops` sightings `kept` of the two robots of `row`, the outermost robots held where they are."""
     both = [int(net.observer[row]), int(net.target[row])]
@@ -164,7 +164,7 @@ def _part(
         return None  # nothing else sights one of them
     known = {int(at[k]): position[k] for k in robots.tolist() if not core[k] or k in net.anchors}
 
-    def piece(rows: np.ndarray) -> Network:
+    def piece(rows: np.ndarray) -> BearingNetwork:
         return replace(
             net.select(rows),
             ids=tuple(net.ids[k] for k in robots.tolist()),
@@ -179,7 +179,7 @@ def _part(
 
 
 def _left_out(
-    net: Network, inlier: Bool[np.ndarray, " m"], position: Float[np.ndarray, "n d"], row: int, cfg: SwarmConfig
+    net: BearingNetwork, inlier: Bool[np.ndarray, " m"], position: Float[np.ndarray, "n d"], row: int, cfg: SwarmConfig
 ) -> tuple[float, float]:
     """What the chi-square of the other inliers near by loses without sighting `row`, and its own squared residual."""
     kept = inlier.copy()
@@ -194,7 +194,7 @@ def _left_out(
     return gain, float(factors.bearing_factor(part.whole).squares(x)[part.rows == row][0])
 
 
-def _against(net: Network, inlier: Bool[np.ndarray, " m"], row: int, least: float) -> list[int]:
+def _against(net: BearingNetwork, inlier: Bool[np.ndarray, " m"], row: int, least: float) -> list[int]:
     """The inliers of the same pair, the other way, that are so far from opposite to `row` that one of them is wrong.
 
     least: standard deviations of their difference from which they are.
@@ -208,7 +208,7 @@ def _against(net: Network, inlier: Bool[np.ndarray, " m"], row: int, least: floa
 
 
 def _taken_in(
-    net: Network,
+    net: BearingNetwork,
     inlier: Bool[np.ndarray, " m"],
     position: Float[np.ndarray, "n d"],
     row: int,

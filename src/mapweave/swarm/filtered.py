@@ -11,16 +11,16 @@ from .gauge import gauge_of
 from .headings import headings_at
 from .kalman import FilterState, Form, filter_start, update
 from .linear import linear_pattern, linear_start
-from .network import Network, components
+from .network import BearingNetwork, components
 from .observability import observe
-from .result import JointInformation, Status, SwarmEstimate
+from .result import JointInformation, SwarmEstimate, SwarmStatus
 from .start import prepare
 from .verdict import chi2_warnings, layout_warnings
 
 TOO_MANY = 6000  # sightings beyond which a dense update would need gigabytes
 
 
-def filtered(net: Network, cfg: SwarmConfig, form: Form, initial: np.ndarray | None = None) -> SwarmEstimate:
+def filtered(net: BearingNetwork, cfg: SwarmConfig, form: Form, initial: np.ndarray | None = None) -> SwarmEstimate:
     """The posterior of one update from `initial`, or from the linear start when there is none.
 
     The filters know the first estimate as a prior, so that a gauge is held by it: said in `gauge`, and counted in
@@ -42,7 +42,9 @@ def filtered(net: Network, cfg: SwarmConfig, form: Form, initial: np.ndarray | N
     return report(net, state, form, cfg.verdict, ~used)
 
 
-def _with_headings(net: Network, initial: np.ndarray | None) -> tuple[Network, np.ndarray, np.ndarray, np.ndarray]:
+def _with_headings(
+    net: BearingNetwork, initial: np.ndarray | None
+) -> tuple[BearingNetwork, np.ndarray, np.ndarray, np.ndarray]:
     """The sightings whose observer's heading can be started, (m,) which they are, first positions and headings."""
     if initial is None:
         start = prepare(net)
@@ -56,7 +58,7 @@ def _with_headings(net: Network, initial: np.ndarray | None) -> tuple[Network, n
 
 
 def report(
-    net: Network,
+    net: BearingNetwork,
     state: FilterState,
     form: Form,
     verdict: VerdictConfig = VERDICT,
@@ -97,7 +99,7 @@ def report(
         iterations=state.iterations,
         chi2=chi2,
         dof=dof,
-        status=Status.CONVERGED if np.isfinite(state.x).all() else Status.FAILED,
+        status=SwarmStatus.CONVERGED if np.isfinite(state.x).all() else SwarmStatus.FAILED,
         reliable=not doubts and bool((seen.localisable & ~net.is_anchor).any()),
         warnings=(*doubts, *layout_warnings(net, seen.localisable, seen.in_line)),
         heading=None if net.axis else state.x[:, dim],

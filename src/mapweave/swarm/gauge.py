@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from ..core.se2 import rotation, wrap_angle
 from .factors import width
-from .network import Components, Network
+from .network import BearingNetwork, Components
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class Gauge:
         return " and ".join(name for name, is_free in named if is_free)
 
 
-def gauge_of(net: Network, parts: Components, localisable: Bool[np.ndarray, " n"]) -> Gauge:
+def gauge_of(net: BearingNetwork, parts: Components, localisable: Bool[np.ndarray, " n"]) -> Gauge:
     """The gauge of the reference piece, over the robots located up to it."""
     c = parts.reference
     members = (parts.label == c) & localisable if len(net) else np.zeros(0, dtype=bool)
@@ -65,7 +65,7 @@ def normalise(gauge: Gauge, position: np.ndarray, heading: np.ndarray | None) ->
     return p + gauge.centre, heading
 
 
-def pins(net: Network, gauge: Gauge, position: np.ndarray) -> np.ndarray:
+def pins(net: BearingNetwork, gauge: Gauge, position: np.ndarray) -> np.ndarray:
     """State entries (n, w) to fix so that the members have no freedom left."""
     fixed = np.zeros((len(net), width(net)), dtype=bool)
     m = np.flatnonzero(gauge.members)
@@ -88,7 +88,7 @@ def pins(net: Network, gauge: Gauge, position: np.ndarray) -> np.ndarray:
     return fixed
 
 
-def basis(net: Network, gauge: Gauge, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def basis(net: BearingNetwork, gauge: Gauge, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Motions G (n w, g) that no sighting sees and the conditions C (n w, g) with `C^T dx = 0` that the gauge sets."""
     n, w, dim = len(net), width(net), net.dim
     m = gauge.members

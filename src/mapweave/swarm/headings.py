@@ -7,7 +7,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from ..core import se2
 from ..core.se2 import wrap_angle
-from .network import Network
+from .network import BearingNetwork
 
 TURNS = 90  # headings tried around the circle
 
@@ -59,7 +59,7 @@ SWEEPS = 30  # of averaging each heading with those of the robots it is tied to
 WILD = 0.3  # [rad]; a sighting of an anchor further off counts as this much off
 
 
-def mutual_pairs(net: Network) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
+def mutual_pairs(net: BearingNetwork) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
     """Sightings a and b of each pair of robots that sighted each other (the first of repeated ones)."""
     n = len(net)
     key, back = net.observer * n + net.target, net.target * n + net.observer
@@ -71,7 +71,7 @@ def mutual_pairs(net: Network) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, "
     return a[once], b[once]
 
 
-def mutual_headings(net: Network) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+def mutual_headings(net: BearingNetwork) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """Headings [rad] up to one turn for all, and of whom: two robots that see each other look along the same line.
 
     A spanning tree of the largest piece of the mutual sightings, then sweeps of circular averaging over all of them.
@@ -98,7 +98,7 @@ def mutual_headings(net: Network) -> tuple[Float[np.ndarray, " n"], Bool[np.ndar
     return np.angle(z), known
 
 
-def beacon_headings(net: Network) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+def beacon_headings(net: BearingNetwork) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """Headings [rad] of robots that see three anchors or more, and who they are: each alone, without a guess."""
     heading, known = np.zeros(len(net)), np.zeros(len(net), dtype=bool)
     rows = np.flatnonzero(net.is_anchor[net.target] & ~net.is_anchor[net.observer])
@@ -117,7 +117,7 @@ def beacon_headings(net: Network) -> tuple[Float[np.ndarray, " n"], Bool[np.ndar
 
 
 def resected_headings(
-    net: Network, position: np.ndarray, placed: np.ndarray, heading: np.ndarray, known: np.ndarray
+    net: BearingNetwork, position: np.ndarray, placed: np.ndarray, heading: np.ndarray, known: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Headings also of placed robots that see placed ones: the mean turn from what they see to where it is."""
     rows = placed[net.observer] & placed[net.target] & ~known[net.observer]
@@ -131,13 +131,13 @@ def resected_headings(
     return np.where(fresh, np.angle(total), heading), known | fresh
 
 
-def headings_at(net: Network, position: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+def headings_at(net: BearingNetwork, position: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
     """Headings [rad] that fit what each robot sees with all robots at `position`; zero of those that see nobody."""
     everybody, nobody = np.ones(len(net), dtype=bool), np.zeros(len(net), dtype=bool)
     return resected_headings(net, position, everybody, np.zeros(len(net)), nobody)[0]
 
 
-def anchored_turn(net: Network, position: Float[np.ndarray, "n 2"], chosen: np.ndarray) -> float:
+def anchored_turn(net: BearingNetwork, position: Float[np.ndarray, "n 2"], chosen: np.ndarray) -> float:
     """The turn [rad] that carries a shape onto its anchors best (place and scale free)."""
     at = np.array([k for k in net.anchors if chosen[k]], dtype=np.intp)
     here = position[at] @ np.array([1.0, 1j])
@@ -145,7 +145,7 @@ def anchored_turn(net: Network, position: Float[np.ndarray, "n 2"], chosen: np.n
     return float(np.angle(np.vdot(here - here.mean(), there - there.mean())))
 
 
-def world_directions(net: Network, heading: np.ndarray | None) -> Float[np.ndarray, "m d"]:
+def world_directions(net: BearingNetwork, heading: np.ndarray | None) -> Float[np.ndarray, "m d"]:
     """Sightings as unit vectors in the common axes."""
     if heading is None:
         return net.direction

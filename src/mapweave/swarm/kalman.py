@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from ..core.gaussian import solve_psd, symmetrise
 from ..core.se2 import wrap_angle
 from .factors import bearing_factor, width
-from .network import Network
+from .network import BearingNetwork
 
 Form = Literal["ekf", "iekf", "fej"]
 STEP_TOLERANCE = 1e-9  # [m]; an iterated update ends when no coordinate moves further
@@ -39,7 +39,7 @@ class FilterState:
 
 
 def filter_start(
-    net: Network,
+    net: BearingNetwork,
     initial: Float[np.ndarray, "n d"],
     sigma: float = 10.0,
     heading: Float[np.ndarray, " n"] | None = None,
@@ -63,7 +63,7 @@ def filter_start(
     return FilterState(x, np.diag(deviation.ravel()[entries] ** 2), x, entries)
 
 
-def update(state: FilterState, net: Network, form: Form = "ekf", max_iterations: int = 50) -> FilterState:
+def update(state: FilterState, net: BearingNetwork, form: Form = "ekf", max_iterations: int = 50) -> FilterState:
     """One set of sightings taken in.
 
     `ekf` linearises at the estimate, `fej` always at the first one, so that directions no sighting sees gain no
@@ -114,7 +114,7 @@ def _placed(x: np.ndarray, free: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _shortened(
-    net: Network, here: np.ndarray, new: np.ndarray, free: np.ndarray, x: np.ndarray, e: np.ndarray
+    net: BearingNetwork, here: np.ndarray, new: np.ndarray, free: np.ndarray, x: np.ndarray, e: np.ndarray
 ) -> np.ndarray:
     """`x`, or nearer to `here` by halves until the innovations `e` at `here` do not grow.
 
@@ -129,7 +129,7 @@ def _shortened(
     return x
 
 
-def sighting_matrix(net: Network, x: Float[np.ndarray, "n w"]) -> Float[np.ndarray, "m s"]:
+def sighting_matrix(net: BearingNetwork, x: Float[np.ndarray, "n w"]) -> Float[np.ndarray, "m s"]:
     """H: the dense derivative of all predicted sightings by all entries of the state, at `x`."""
     factor = bearing_factor(net)
     J = factor.jacobian(x.ravel())
@@ -140,6 +140,6 @@ def sighting_matrix(net: Network, x: Float[np.ndarray, "n w"]) -> Float[np.ndarr
     return H
 
 
-def innovation(net: Network, x: Float[np.ndarray, "n w"]) -> Float[np.ndarray, " r"]:
+def innovation(net: BearingNetwork, x: Float[np.ndarray, "n w"]) -> Float[np.ndarray, " r"]:
     """Sightings less predictions [rad]."""
     return np.asarray(-bearing_factor(net).residual(x.ravel()).ravel())

@@ -13,19 +13,19 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..solve import Factor, Information, Pattern, Problem
-from .network import Components, Network, components
+from .network import BearingNetwork, Components, components
 
 TRACE = 1e-7  # least weight of the usual distance against a sighting's own
 
 
-def bias(net: Network) -> Float[np.ndarray, " m"]:
+def bias(net: BearingNetwork) -> Float[np.ndarray, " m"]:
     """tau: how much of `|p_j - p_i|^2` the noise of each sighting adds to the linear cost, on average."""
     v = net.sigma**2
     return np.asarray(2 * v / (1 + 4 * v) if net.dim == 3 else 0.5 * (1 - np.exp(-2 * v)))
 
 
 def linear_start(
-    net: Network,
+    net: BearingNetwork,
     parts: Components,
     direction: Float[np.ndarray, "m d"],
     pattern: Pattern,
@@ -61,7 +61,7 @@ def linear_start(
     return _scaled(net, parts, x)
 
 
-def linear_pattern(net: Network, parts: Components) -> tuple[Pattern, Bool[np.ndarray, " n"]]:
+def linear_pattern(net: BearingNetwork, parts: Components) -> tuple[Pattern, Bool[np.ndarray, " n"]]:
     """The sparsity of the linear start, and the robots it holds: anchors, and one of each piece without any."""
     n, dim = len(net), net.dim
     held = net.is_anchor
@@ -81,7 +81,7 @@ def linear_pattern(net: Network, parts: Components) -> tuple[Pattern, Bool[np.nd
     return Pattern.of(problem).dissected(problem.free // dim), held
 
 
-def _usual_distance(net: Network, still: np.ndarray, pulled: np.ndarray, chosen: np.ndarray) -> float:
+def _usual_distance(net: BearingNetwork, still: np.ndarray, pulled: np.ndarray, chosen: np.ndarray) -> float:
     """The r that is the median distance of the sightings it leads to."""
     rows = chosen[net.observer]
     a = (still[net.target] - still[net.observer])[rows]
@@ -93,7 +93,7 @@ def _usual_distance(net: Network, still: np.ndarray, pulled: np.ndarray, chosen:
     return r
 
 
-def _scaled(net: Network, parts: Components, x: np.ndarray) -> np.ndarray:
+def _scaled(net: BearingNetwork, parts: Components, x: np.ndarray) -> np.ndarray:
     """Pieces of free scale brought to their known distances, or to a median sighting of 1."""
     x = x.copy()
     r = np.linalg.norm(x[net.target] - x[net.observer], axis=1)

@@ -10,7 +10,7 @@ from .batch import batch
 from .config import SwarmConfig
 from .distributed import distributed
 from .filtered import filtered
-from .network import Network
+from .network import BearingNetwork
 from .result import SwarmEstimate
 from .robust import robust
 
@@ -18,7 +18,7 @@ __all__ = ["SwarmConfig", "locate"]
 
 
 def locate(
-    net: Network,
+    net: BearingNetwork,
     cfg: SwarmConfig | None = None,
     initial: np.ndarray | None = None,
 ) -> SwarmEstimate:

@@ -28,7 +28,7 @@ class Distance(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Network:
+class BearingNetwork:
     """n robots and m sightings, robots named by their index into `ids`.
 
     observer, target: (m,); bearing: (m,) [rad] counter-clockwise from the common axis in 2D (from the observer's own
@@ -74,9 +74,9 @@ class Network:
         known[list(self.anchors)] = True
         return known
 
-    def select(self, rows: np.ndarray) -> "Network":
+    def select(self, rows: np.ndarray) -> "BearingNetwork":
         """The same robots with only the sightings `rows` (indices or mask)."""
-        return Network(
+        return BearingNetwork(
             self.ids,
             self.dim,
             self.observer[rows],
@@ -130,8 +130,8 @@ def network(
     distances: Sequence[tuple[str, str, float]] = (),
     *,
     axis: bool = True,
-) -> Network:
-    """A `Network` from names; ids in natural order (2 before 10). Raises DataError on an unknown anchor."""
+) -> BearingNetwork:
+    """A `BearingNetwork` from names; ids in natural order (2 before 10). Raises DataError on an unknown anchor."""
     ids = tuple(sorted(set(observer) | set(target), key=in_order))
     index = {name: i for i, name in enumerate(ids)}
     known = anchors or {}
@@ -139,7 +139,7 @@ def network(
         if name not in index:
             raise DataError(f"robot {name!r} is given but no sighting names it")
     m = len(observer)
-    return Network(
+    return BearingNetwork(
         ids,
         dim,
         np.array([index[name] for name in observer], dtype=np.intp),
@@ -174,7 +174,7 @@ class Components:
         return bool(self.known[c] >= 2 or (self.known[c] == 1 and self.measured[c]))
 
 
-def components(net: Network) -> Components:
+def components(net: BearingNetwork) -> Components:
     """The pieces of the network; the reference has sightings, most anchors (2 count as many), and is largest."""
     n = len(net)
     i = np.concatenate([net.observer, np.array([d.i for d in net.distances], dtype=np.intp)])
@@ -193,7 +193,7 @@ def components(net: Network) -> Components:
     return Components(label, known, measured, reference)
 
 
-def effective_sigma(net: Network) -> Float[np.ndarray, " m"]:
+def effective_sigma(net: BearingNetwork) -> Float[np.ndarray, " m"]:
     """Standard deviations to weigh by: exact sightings (all zero) weigh alike, as with R = I."""
     return net.sigma if np.any(net.sigma > 0) else np.ones(len(net.sigma))
 

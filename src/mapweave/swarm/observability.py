@@ -17,7 +17,7 @@ from ..solve.elimination import Elimination
 from ..solve.multifrontal import Cholesky, NotPositiveError
 from . import bearing
 from .factors import columns, width
-from .network import Components, Network
+from .network import BearingNetwork, Components
 
 SHIFT = 1e-13  # added to the normal matrix, whose own entries are about 1
 PIVOT = 3e-8  # a pivot below this is zero
@@ -36,7 +36,7 @@ class Observability:
 
 
 def observe(
-    net: Network,
+    net: BearingNetwork,
     parts: Components,
     position: Float[np.ndarray, "n d"],
     pattern: Pattern | None = None,
@@ -65,7 +65,7 @@ def observe(
 
 
 def without_lines(
-    net: Network, parts: Components, seen: Observability, direction: Float[np.ndarray, "m d"]
+    net: BearingNetwork, parts: Components, seen: Observability, direction: Float[np.ndarray, "m d"]
 ) -> Observability:
     """`seen`, less the pieces whose sightings are all parallel but for noise: along such a line nothing is known.
 
@@ -88,7 +88,7 @@ def without_lines(
     return Observability(localisable, nullity, in_line)
 
 
-def gauge_size(net: Network, parts: Components) -> int:
+def gauge_size(net: BearingNetwork, parts: Components) -> int:
     """Free directions of the reference piece beyond what sightings can tell: place, scale, orientation."""
     c = parts.reference
     if not parts.label.size or parts.known[c] >= 2:
@@ -99,7 +99,7 @@ def gauge_size(net: Network, parts: Components) -> int:
 
 
 def _judge(
-    net: Network,
+    net: BearingNetwork,
     parts: Components,
     position: np.ndarray,
     pair: tuple[int, ...],

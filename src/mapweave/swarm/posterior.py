@@ -6,22 +6,21 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float
 
-from ..solve import Information, Pattern, Problem, SingularError, Solution
-from ..solve import Status as SolveStatus
+from ..solve import Information, Pattern, Problem, SingularError, Solution, SolveStatus
 from . import factors
 from .close_pairs import with_true_lengths
 from .config import SwarmConfig
 from .gauge import Gauge, basis, normalise
-from .network import Network
-from .result import JointInformation, Status, SwarmEstimate, Traffic
-from .start import Start
+from .network import BearingNetwork
+from .result import JointInformation, SwarmEstimate, SwarmStatus, Traffic
+from .start import SwarmStart
 from .verdict import barely_determined, chi2_warnings, close_remarks, layout_warnings
 
 STATUS = {
-    SolveStatus.CONVERGED: Status.CONVERGED,
-    SolveStatus.MAX_ITERATIONS: Status.ITERATION_LIMIT,
-    SolveStatus.SINGULAR: Status.FAILED,
-    SolveStatus.DIVERGED: Status.FAILED,
+    SolveStatus.CONVERGED: SwarmStatus.CONVERGED,
+    SolveStatus.MAX_ITERATIONS: SwarmStatus.ITERATION_LIMIT,
+    SolveStatus.SINGULAR: SwarmStatus.FAILED,
+    SolveStatus.DIVERGED: SwarmStatus.FAILED,
 }
 
 WEAK_SHARE, WEAK_DEVIATION = 0.8, 3.0  # of the variance in one mode; deviation in units of a sighting's own error
@@ -29,8 +28,8 @@ POWER_STEPS = 12  # of the power iteration: the largest mode to a percent, which
 
 
 def posterior(
-    net: Network,
-    start: Start,
+    net: BearingNetwork,
+    start: SwarmStart,
     solution: Solution,
     problem: Problem,
     cfg: SwarmConfig,
@@ -50,7 +49,7 @@ def posterior(
     n, w, dim = len(net), factors.width(net), net.dim
     gauge, localisable = start.gauge, start.seen.localisable
     anyone = (localisable & ~net.is_anchor).any()  # else there was nothing to refine
-    status = STATUS[solution.status] if anyone else Status.CONVERGED
+    status = STATUS[solution.status] if anyone else SwarmStatus.CONVERGED
     before = solution.x.reshape(n, w)
     position, heading = normalise(gauge, before[:, :dim], None if net.axis else before[:, dim])
     position = position.copy()
@@ -75,7 +74,7 @@ def posterior(
     unknown = dim * (n - len(net.anchors)) + (0 if net.axis else len(np.unique(net.observer)))
     dof = len(net.observer) * (dim - 1) + len(net.distances) - unknown + start.seen.nullity
     doubts = chi2_warnings(chi2, dof, cfg.verdict) if anyone and np.any(net.sigma > 0) else []
-    if status is not Status.CONVERGED:
+    if status is not SwarmStatus.CONVERGED:
         doubts.append(f"the refinement ended with: {status}")
     if information is None:
         doubts.append("the information matrix is singular: there is no covariance")
@@ -147,7 +146,7 @@ class PositionCovariance:
 
 
 def position_covariance(
-    net: Network,
+    net: BearingNetwork,
     gauge: Gauge,
     A: Information,
     free: np.ndarray,
@@ -194,7 +193,7 @@ def robot_blocks(
 
 
 def _largest_mode(
-    net: Network, A: Information, free: np.ndarray, cov: np.ndarray, localisable: np.ndarray
+    net: BearingNetwork, A: Information, free: np.ndarray, cov: np.ndarray, localisable: np.ndarray
 ) -> float | None:
     """The share of all position variance in its largest mode, by power iteration."""
     chosen = localisable & ~net.is_anchor
@@ -212,7 +211,7 @@ def _largest_mode(
     return top / float(np.trace(cov[chosen], axis1=1, axis2=2).sum())
 
 
-def _relative_deviation(net: Network, cov: np.ndarray, localisable: np.ndarray, position: np.ndarray) -> float:
+def _relative_deviation(net: BearingNetwork, cov: np.ndarray, localisable: np.ndarray, position: np.ndarray) -> float:
     """Root mean square standard deviation of a robot, in units of one sighting's error at its usual distance."""
     chosen = localisable & ~net.is_anchor
     span = np.linalg.norm(position[net.target] - position[net.observer], axis=1)

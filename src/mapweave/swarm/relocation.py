@@ -9,11 +9,11 @@ from jaxtyping import Bool, Float, Int
 
 from .config import ROBUST, RobustConfig
 from .factors import bearing_factor
-from .network import Network
+from .network import BearingNetwork
 
 
 def relocated(
-    net: Network, position: Float[np.ndarray, "n d"], limit: float, cfg: RobustConfig = ROBUST
+    net: BearingNetwork, position: Float[np.ndarray, "n d"], limit: float, cfg: RobustConfig = ROBUST
 ) -> Float[np.ndarray, "n d"]:
     """`position`, robots with many sightings beyond `limit` (squared, whitened) put where fewer are.
 
@@ -39,7 +39,7 @@ def relocated(
     return p
 
 
-def unsupported(net: Network, outlier: Bool[np.ndarray, " m"]) -> Int[np.ndarray, " k"]:
+def unsupported(net: BearingNetwork, outlier: Bool[np.ndarray, " m"]) -> Int[np.ndarray, " k"]:
     """Robots with sightings called wrong whose other sightings do not outnumber them, or only just give a position.
 
     What was called wrong there could as well be right: nothing is left over that tells.
@@ -52,7 +52,7 @@ def unsupported(net: Network, outlier: Bool[np.ndarray, " m"]) -> Int[np.ndarray
     return np.flatnonzero((wrong > 0) & few & ~net.is_anchor)
 
 
-def _share(net: Network, wrong: Bool[np.ndarray, " m"]) -> Float[np.ndarray, " n"]:
+def _share(net: BearingNetwork, wrong: Bool[np.ndarray, " m"]) -> Float[np.ndarray, " n"]:
     """By robot, the share of its sightings that are `wrong`."""
     both = np.concatenate([net.observer, net.target])
     count = np.bincount(both, minlength=len(net))
@@ -60,7 +60,7 @@ def _share(net: Network, wrong: Bool[np.ndarray, " m"]) -> Float[np.ndarray, " n
 
 
 def _best_crossing(
-    net: Network, p: Float[np.ndarray, "n d"], k: int, rows: Int[np.ndarray, " r"], limit: float
+    net: BearingNetwork, p: Float[np.ndarray, "n d"], k: int, rows: Int[np.ndarray, " r"], limit: float
 ) -> Float[np.ndarray, " d"] | None:
     """The crossing of two rays of robot k at which its sightings `rows` cost least; None where none beats its place."""
     other = np.where(net.observer[rows] == k, net.target[rows], net.observer[rows])
@@ -80,7 +80,7 @@ def _best_crossing(
 
 
 def _costs(
-    net: Network,
+    net: BearingNetwork,
     k: int,
     rows: Int[np.ndarray, " r"],
     other: Float[np.ndarray, "r d"],

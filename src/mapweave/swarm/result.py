@@ -60,7 +60,7 @@ class JointInformation:
         return value, len(keep)
 
 
-class Status(StrEnum):
+class SwarmStatus(StrEnum):
     """How the estimator ended."""
 
     CONVERGED = "converged"
@@ -109,7 +109,7 @@ class SwarmEstimate:
     iterations: int
     chi2: float
     dof: int
-    status: Status
+    status: SwarmStatus
     reliable: bool
     warnings: tuple[str, ...] = ()
     heading: Float[np.ndarray, " n"] | None = None

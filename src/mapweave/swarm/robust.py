@@ -20,15 +20,15 @@ from .factors import bearing_factor
 from .fallen import fallen_together, unchecked
 from .headings import mutual_pairs, world_directions
 from .linear import linear_pattern, linear_start
-from .network import Network, components, effective_sigma
+from .network import BearingNetwork, components, effective_sigma
 from .posterior import posterior
 from .relocation import relocated, unsupported
 from .result import SwarmEstimate
-from .start import Start, prepare
+from .start import SwarmStart, prepare
 from .verdict import fallen_warnings, support_warnings, trust_warnings
 
 
-def robust(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) -> SwarmEstimate:
+def robust(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = None) -> SwarmEstimate:
     """The most likely positions under the sightings found to agree; the others are marked in `outlier`."""
     if not np.any(net.sigma > 0):
         return replace(batch(net, cfg, initial), method="robust")
@@ -66,8 +66,8 @@ def robust(net: Network, cfg: SwarmConfig, initial: np.ndarray | None = None) ->
 
 
 def _selected(
-    net: Network, x: np.ndarray, start: Start, used: np.ndarray, inlier: np.ndarray, cfg: SwarmConfig
-) -> tuple[SwarmEstimate, Bool[np.ndarray, " m"], Start]:
+    net: BearingNetwork, x: np.ndarray, start: SwarmStart, used: np.ndarray, inlier: np.ndarray, cfg: SwarmConfig
+) -> tuple[SwarmEstimate, Bool[np.ndarray, " m"], SwarmStart]:
     """The estimate of the sightings that agree with it, found from those that agree at x; and which they are."""
     for _ in range(cfg.robust.reselections):
         chosen = net.select(inlier)
@@ -92,13 +92,13 @@ def _selected(
     return estimate, inlier, start
 
 
-def _nothing_agrees(net: Network, cfg: SwarmConfig, initial: np.ndarray | None) -> SwarmEstimate:
+def _nothing_agrees(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None) -> SwarmEstimate:
     estimate = batch(net, cfg, initial)
     warning = "no sightings agree with each other: the estimate uses all of them"
     return replace(estimate, method="robust", reliable=False, warnings=(warning, *estimate.warnings))
 
 
-def mutual_agreement(net: Network, gate: float) -> Bool[np.ndarray, " m"]:
+def mutual_agreement(net: BearingNetwork, gate: float) -> Bool[np.ndarray, " m"]:
     """(m,) False for both of two mutual sightings that miss being opposite by `gate` standard deviations.
 
     Without a common axis mutual sightings tell the headings instead, and nothing can be checked.
@@ -115,7 +115,7 @@ def mutual_agreement(net: Network, gate: float) -> Bool[np.ndarray, " m"]:
     return agree
 
 
-def unsquared_start(net: Network, start: Start, how: RobustConfig = ROBUST) -> Float[np.ndarray, "n d"]:
+def unsquared_start(net: BearingNetwork, start: SwarmStart, how: RobustConfig = ROBUST) -> Float[np.ndarray, "n d"]:
     """Positions of least summed (not squared) deviation, by reweighting the linear start."""
     parts = components(net)
     pattern, held = linear_pattern(net, parts)
@@ -132,7 +132,7 @@ def unsquared_start(net: Network, start: Start, how: RobustConfig = ROBUST) -> F
     return position
 
 
-def graduated(net: Network, start: Start, cfg: SwarmConfig) -> Float[np.ndarray, " s"]:
+def graduated(net: BearingNetwork, start: SwarmStart, cfg: SwarmConfig) -> Float[np.ndarray, " s"]:
     """The state under a Geman-McClure kernel narrowed from covering all residuals to the inlier gate.
 
     All robots are kept apart, since a wrong sighting is escaped by falling together.
@@ -149,17 +149,17 @@ def graduated(net: Network, start: Start, cfg: SwarmConfig) -> Float[np.ndarray,
         width = max(width / cfg.robust.cooling, cfg.inlier_gate)
 
 
-def agreeing(net: Network, x: Float[np.ndarray, " s"], gate: float) -> Bool[np.ndarray, " m"]:
+def agreeing(net: BearingNetwork, x: Float[np.ndarray, " s"], gate: float) -> Bool[np.ndarray, " m"]:
     """(m,) sightings that miss the state by less than what `gate` standard deviations mean in one dimension."""
     return np.asarray(bearing_factor(net).squares(x) <= limit(net, gate))
 
 
-def limit(net: Network, gate: float) -> float:
+def limit(net: BearingNetwork, gate: float) -> float:
     """The squared whitened residual of a sighting that is as unlikely as `gate` standard deviations."""
     return gate**2 if net.dim == 2 else chi2_quantile(_two_sided(gate), 2.0)
 
 
-def unheard(net: Network, used: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
+def unheard(net: BearingNetwork, used: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
     """(m,) sightings by robots none of whose sightings was of use at the start (their heading is unknown)."""
     if net.axis:
         return np.zeros(len(used), dtype=bool)
@@ -168,7 +168,7 @@ def unheard(net: Network, used: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " m"
     return np.asarray(~heard[net.observer])
 
 
-def prepare_at(net: Network, x: Float[np.ndarray, " s"], start: Start) -> Start:
+def prepare_at(net: BearingNetwork, x: Float[np.ndarray, " s"], start: SwarmStart) -> SwarmStart:
     """A start for other sightings of the same robots, at positions already found."""
     moved = _moved(net, start, x)
     fresh = prepare(replace(net, axis=True) if not net.axis else net, moved.position)
@@ -180,10 +180,10 @@ def _two_sided(gate: float) -> float:
     return erf(gate / sqrt(2.0))
 
 
-def _state(start: Start) -> np.ndarray:
+def _state(start: SwarmStart) -> np.ndarray:
     return (start.position if start.heading is None else np.column_stack([start.position, start.heading])).ravel()
 
 
-def _moved(net: Network, start: Start, x: np.ndarray) -> Start:
+def _moved(net: BearingNetwork, start: SwarmStart, x: np.ndarray) -> SwarmStart:
     table = x.reshape(len(net), -1)
     return replace(start, position=table[:, : net.dim], heading=None if net.axis else table[:, net.dim])

@@ -13,13 +13,15 @@ from ..solve import Pattern
 from .gauge import Gauge, gauge_of, normalise
 from .headings import anchored_turn, beacon_headings, headings_at, mutual_headings, resected_headings, world_directions
 from .linear import linear_pattern, linear_start
-from .network import Components, Network, components
+from .network import BearingNetwork, Components, components
 from .observability import Observability, observe, without_lines
 
 ROUNDS = 20  # of spreading headings from robots that see each other to those that only see
 
 
-def start_without_axis(net: Network, parts: Components) -> tuple[np.ndarray, np.ndarray, Observability, np.ndarray]:
+def start_without_axis(
+    net: BearingNetwork, parts: Components
+) -> tuple[np.ndarray, np.ndarray, Observability, np.ndarray]:
     """Positions, headings, who can be located, and (m,) the sightings whose observer's heading was found.
 
     Robots that sighted each other share their headings directly; the others get theirs from the positions found so
@@ -64,7 +66,7 @@ def start_without_axis(net: Network, parts: Components) -> tuple[np.ndarray, np.
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class SwarmStart:
     """Everything found before the refinement: pieces, positions, headings, who can be located, sightings of use."""
 
     parts: Components
@@ -76,7 +78,7 @@ class Start:
     pattern: Pattern | None = None  # of the sightings alone with the anchors held, where that is the whole problem
 
 
-def prepare(net: Network, initial: np.ndarray | None = None, heading: np.ndarray | None = None) -> Start:
+def prepare(net: BearingNetwork, initial: np.ndarray | None = None, heading: np.ndarray | None = None) -> SwarmStart:
     """A start without a guess, and what can be told from these sightings at all.
 
     initial: positions that take its place; heading: [rad], without a common axis (else those that fit `initial`).
@@ -100,4 +102,4 @@ def prepare(net: Network, initial: np.ndarray | None = None, heading: np.ndarray
     seen = without_lines(net, parts, seen, world_directions(net, heading))
     gauge = gauge_of(net, parts, seen.localisable)
     position, heading = normalise(gauge, position, heading)
-    return Start(parts, position, heading, seen, gauge, used, pattern)
+    return SwarmStart(parts, position, heading, seen, gauge, used, pattern)

@@ -5,10 +5,10 @@ import numpy as np
 from ..core.gaussian import chi2_quantile
 from .config import VERDICT, VerdictConfig
 from .headings import mutual_pairs
-from .network import Network
+from .network import BearingNetwork
 
 
-def trust_warnings(net: Network, outlier: np.ndarray, cfg: VerdictConfig = VERDICT) -> list[str]:
+def trust_warnings(net: BearingNetwork, outlier: np.ndarray, cfg: VerdictConfig = VERDICT) -> list[str]:
     """What stands against trusting which sightings were called wrong."""
     beyond = share_warnings(outlier, cfg)
     if beyond:
@@ -29,7 +29,7 @@ def share_warnings(outlier: np.ndarray, cfg: VerdictConfig = VERDICT) -> list[st
     return [f"{100 * share:.0f} % of the sightings were called wrong: too many to say which ones"]
 
 
-def fallen_warnings(net: Network, rows: np.ndarray) -> list[str]:
+def fallen_warnings(net: BearingNetwork, rows: np.ndarray) -> list[str]:
     """What stands against sightings `rows` that agree only while two robots stand close together."""
     if not len(rows):
         return []
@@ -38,7 +38,7 @@ def fallen_warnings(net: Network, rows: np.ndarray) -> list[str]:
     return [f"{len(rows)} sightings may as well be wrong, and the two robots then stand further apart: {named}"]
 
 
-def support_warnings(net: Network, robots: np.ndarray) -> list[str]:
+def support_warnings(net: BearingNetwork, robots: np.ndarray) -> list[str]:
     """What stands against the places of `robots` (indices), whose own sightings contradict each other too much."""
     if not len(robots):
         return []
@@ -57,7 +57,7 @@ def chi2_warnings(chi2: float, dof: int, cfg: VerdictConfig = VERDICT) -> list[s
     return [f"the residuals are larger than sigma says ({counted}): outliers, a bias, or sigma too small"]
 
 
-def barely_determined(net: Network, position: np.ndarray, cov: np.ndarray, localisable: np.ndarray) -> list[str]:
+def barely_determined(net: BearingNetwork, position: np.ndarray, cov: np.ndarray, localisable: np.ndarray) -> list[str]:
     """Robots that the null space calls localisable, but no better than to within their distance to those they see."""
     span = float(np.median(np.linalg.norm(position[net.target] - position[net.observer], axis=1)))
     worst = np.sqrt(np.linalg.eigvalsh(cov[localisable]).max(axis=1, initial=0.0))
@@ -75,7 +75,7 @@ def close_remarks(pairs: int) -> list[str]:
     return [f"{named} so close that the distance is not known: the covariance counts their sightings accordingly"]
 
 
-def layout_warnings(net: Network, localisable: np.ndarray, in_line: int) -> list[str]:
+def layout_warnings(net: BearingNetwork, localisable: np.ndarray, in_line: int) -> list[str]:
     """What in the layout itself stands against locating it."""
     warnings = []
     if len(net.anchors) > 1 and len({tuple(p) for p in net.anchors.values()}) == 1:

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from scipy.sparse.csgraph import connected_components
 
 from ..solve import Solution
-from .clocks import Clock
+from .clocks import RobotClock
 from .covariance import Groups, scores
 from .problem import Origin, TeamProblem
 
@@ -39,7 +39,7 @@ class _Met:
 
 def clocks_of(
     team: TeamProblem, solution: Solution, suspect: float, length: float, also: Collection[str] = ()
-) -> dict[str, Clock]:
+) -> dict[str, RobotClock]:
     """The clocks of robots that look off, robot -> how far ahead of the usual one [s]; and of those of `also`.
 
     suspect: [s] from which one looks off while ways are held, which shows a part of what it is off; length: [s] over
@@ -72,7 +72,7 @@ def clocks_of(
     of_all = scores(team, solution.x, Groups.of(team, length))[:, solution.free]
     ahead, sd = -P @ g[chosen], np.sqrt(np.square((pulls - of_all @ K) @ P).sum(axis=0))
     found = zip(chosen.tolist(), ahead.tolist(), sd.tolist(), strict=True)
-    return {team.parts[k].robot: Clock(a, s) for k, a, s in found if np.isfinite(a) and np.isfinite(s)}
+    return {team.parts[k].robot: RobotClock(a, s) for k, a, s in found if np.isfinite(a) and np.isfinite(s)}
 
 
 def _suspects(

@@ -11,7 +11,7 @@ from .team_map import TeamMap
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class RobotClock:
     """ahead: [s] of the team's clock, with its standard deviation."""
 
     ahead: float
@@ -20,7 +20,7 @@ class Clock:
 
 def clock_of(
     robot: str, team: TeamMap, logs: Mapping[str, LandmarkLog], labels: Labels, cfg: PlacingConfig
-) -> Clock | None:
+) -> RobotClock | None:
     """What the robot's stamps want to be moved by in `team`; None where too little was seen, or all stood still."""
     others = Body({name: track for name, track in team.tracks.items() if name != robot and len(track.t)}, {})
     own = Body({robot: team.tracks[robot]}, {})
@@ -43,7 +43,7 @@ def clock_of(
         return None
     ahead = middle + float(np.clip(0.5 * step * (bottom[0] - bottom[2]) / (bend * step**2), -step, step))
     n = len(glances(others, own, logs, labels))
-    return Clock(ahead, cfg.clock_together / np.sqrt(2.0 * bend * n))
+    return RobotClock(ahead, cfg.clock_together / np.sqrt(2.0 * bend * n))
 
 
 def of_another_time(logs: Sequence[LandmarkLog]) -> dict[str, float]:

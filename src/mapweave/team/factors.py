@@ -126,21 +126,21 @@ def sighting_factors(
             t = table.t[rows]
             rows = rows[(t >= other.instants.t[0]) & (t <= other.instants.t[-1])]
             met.append(rows)
-            robots.append(Seen.robot(other, table.t[rows]))
+            robots.append(PointSightings.robot(other, table.t[rows]))
     rows = np.concatenate(met)
     if len(rows):
-        seen = Seen(np.concatenate([s.columns for s in robots]), np.concatenate([s.ahead for s in robots]))
+        seen = PointSightings(np.concatenate([s.columns for s in robots]), np.concatenate([s.ahead for s in robots]))
         term = _sighting_factor(part, rows, seen, x0, camera.robot_range_floor, camera.robot_bearing, camera)
         out.append((term, table.t[rows]))
     rows = np.flatnonzero(point >= 0)
     if len(rows):
-        seen = Seen(point[rows, None] + np.arange(2), np.zeros((len(rows), 2)))
+        seen = PointSightings(point[rows, None] + np.arange(2), np.zeros((len(rows), 2)))
         out.append((_sighting_factor(part, rows, seen, x0, camera.range_floor, camera.bearing, camera), table.t[rows]))
     return out
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class PointSightings:
     """m points that were sighted: landmarks, or robots a little way from an instant of theirs.
 
     columns: (m, 2) a landmark's place, or (m, 3) a robot's pose; ahead: (m, 2) the point in that pose's frame.
@@ -150,7 +150,7 @@ class Seen:
     ahead: Float[np.ndarray, "m 2"]
 
     @classmethod
-    def robot(cls, part: RobotPart, t: Float[np.ndarray, " m"]) -> "Seen":
+    def robot(cls, part: RobotPart, t: Float[np.ndarray, " m"]) -> "PointSightings":
         """The robot of `part` at `t` [s]."""
         k, step = part.instants.from_nearest(t)
         return cls(part.pose_columns(k), step[:, :2])
@@ -175,7 +175,7 @@ def _turned(theta: Float[np.ndarray, " m"], d: Float[np.ndarray, "m 2"]) -> Floa
 def _sighting_factor(
     part: RobotPart,
     rows: Int[np.ndarray, " m"],
-    seen: Seen,
+    seen: PointSightings,
     x0: Float[np.ndarray, " n"],
     floor: float,
     bearing: float,

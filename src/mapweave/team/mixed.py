@@ -13,7 +13,7 @@ from ..landmarks.landmark_map import LandmarkMap
 from ..laser.config import LaserConfig
 from ..laser.merge import Merge
 from ..laser.robot_graph import RobotGraph
-from .clocks import Clock, clock_of
+from .clocks import RobotClock, clock_of
 from .config import SmoothingConfig
 from .fixed_stretches import fixed_stretches
 from .known import Known, tied_by_known
@@ -50,7 +50,7 @@ class MixedMap:
     components: tuple[Smoothed, ...]
     layout: Layout
     paths: tuple[Path, ...]
-    clocks: Mapping[str, Clock]
+    clocks: Mapping[str, RobotClock]
     merges: tuple[Merge, ...] = ()
 
 
@@ -91,7 +91,7 @@ def map_mixed(
             layout = _further(layout, lay_out(layout.bodies, left, by, labels, placing, smoothing))
     spread = {name: _variance(team.landmarks, k) for team in mapped for k, name in enumerate(team.landmarks.ids)}
     components = []
-    clocks = {robot: Clock(layout.clocks.get(robot, 0.0), placing.clock_fine_step) for robot in layout.clocks}
+    clocks = {robot: RobotClock(layout.clocks.get(robot, 0.0), placing.clock_fine_step) for robot in layout.clocks}
     for body in layout.bodies:
         whole = body.on_team_time()
         team = _team(_with_more_landmarks(whole, by, labels, placing), spread, by, labels)
@@ -195,7 +195,7 @@ def _late(
     logs: Mapping[str, LandmarkLog],
     labels: Labels,
     cfg: PlacingConfig,
-    clocks: dict[str, Clock],
+    clocks: dict[str, RobotClock],
 ) -> dict[str, float]:
     """How far [s] the clocks of `robots` are ahead, where the smoothed ways show it; `clocks` is brought up to date."""
     wrong = {}
@@ -203,12 +203,12 @@ def _late(
         found = clock_of(robot, team, logs, labels, cfg) if robot in team.tracks else None
         if found is None:
             continue
-        before = clocks.get(robot, Clock(0.0, 0.0)).ahead
+        before = clocks.get(robot, RobotClock(0.0, 0.0)).ahead
         if abs(found.ahead) > cfg.clock_sure * found.sd or (before and abs(found.ahead) > found.sd):
             wrong[robot] = found.ahead
-            clocks[robot] = Clock(before + found.ahead, found.sd)
+            clocks[robot] = RobotClock(before + found.ahead, found.sd)
         elif before:
-            clocks[robot] = Clock(before, found.sd)
+            clocks[robot] = RobotClock(before, found.sd)
     return wrong
 
 
@@ -221,7 +221,7 @@ def _with_clocks(team: TeamMap, ahead: Mapping[str, float]) -> TeamMap:
     return replace(team, tracks=tracks)
 
 
-def _on_time(graph: RobotGraph, clock: Clock | None) -> RobotGraph:
+def _on_time(graph: RobotGraph, clock: RobotClock | None) -> RobotGraph:
     return graph if clock is None else replace(graph, t=graph.t - clock.ahead)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.names import in_order, robot_key
-from .clocks import Clock
+from .clocks import RobotClock
 from .config import ClockConfig, SmoothingConfig
 from .known import Known
 from .smooth import Calibration, Smoothed, smooth
@@ -50,7 +50,7 @@ def smooth_on_one_clock(
         ahead.update({robot: ahead.get(robot, 0.0) + by for robot, by in wrong.items()})
         done = on(ahead)
     found = {
-        r: Clock(by, float(np.hypot(done.clocks[r].sd, limits.still)))
+        r: RobotClock(by, float(np.hypot(done.clocks[r].sd, limits.still)))
         for r, by in ahead.items()
         if r in done.clocks and not done.refused
     }
@@ -73,7 +73,7 @@ def _wrong(done: Smoothed, moved: Mapping[str, float], cfg: ClockConfig) -> dict
     }
 
 
-def _off(clock: Clock, deviations: float, cfg: ClockConfig) -> bool:
+def _off(clock: RobotClock, deviations: float, cfg: ClockConfig) -> bool:
     return abs(clock.ahead) >= max(cfg.least, deviations * clock.sd)
 
 
@@ -101,11 +101,11 @@ def _earlier(table: SightingTable, by: float) -> SightingTable:
     return replace(table, t=table.t - by)
 
 
-def _in_order(clocks: Mapping[str, Clock]) -> list[tuple[str, Clock]]:
+def _in_order(clocks: Mapping[str, RobotClock]) -> list[tuple[str, RobotClock]]:
     return sorted(clocks.items(), key=lambda item: in_order(item[0]))
 
 
-def _sentence(robot: str, clock: Clock, *, right: bool) -> str:
+def _sentence(robot: str, clock: RobotClock, *, right: bool) -> str:
     where = "ahead of" if clock.ahead > 0 else "behind"
     far = f"{abs(clock.ahead):.2f} s {where} the others' (sd {clock.sd:.2f} s)"
     if right:

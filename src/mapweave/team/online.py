@@ -19,7 +19,7 @@ from ..core.names import in_order
 from ..core.records import Track
 from ..landmarks.landmark_map import LandmarkMap
 from ..laser.scan_odometry import blended
-from ..solve.chain import Gauss, Link, Passed, passed, solve
+from ..solve.chain import Gauss, Passed, SchurComplement, passed, solve
 from .config import OnlineConfig, SmoothingConfig
 from .problem import prior_of
 from .robot_part import PARAMETERS
@@ -66,7 +66,7 @@ class OnlineTeam:
         self.h = np.zeros(0)
         self.stretches: list[Stretch] = []
         self.x: list[np.ndarray] = []
-        self._links: list[Link | None] = []
+        self._links: list[SchurComplement | None] = []
         self._entries: list[Gauss] = []
         self._passed: list[Passed] = []
 

@@ -12,9 +12,9 @@ from ..core.records import Track
 from ..landmarks.landmark_map import LandmarkMap
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import blended
-from ..solve import SingularError, Solution, Status
+from ..solve import SingularError, Solution, SolveStatus
 from .clock_scores import clocks_of
-from .clocks import Clock
+from .clocks import RobotClock
 from .commanded_motion import LAG, TURN
 from .config import CameraNoise, SmoothingConfig
 from .covariance import TeamCovariance, team_covariance
@@ -48,7 +48,7 @@ class Smoothed:
     refused: str = ""
     notes: tuple[str, ...] = ()
     cost: float = 0.0
-    clocks: Mapping[str, Clock] = field(default_factory=dict)
+    clocks: Mapping[str, RobotClock] = field(default_factory=dict)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -106,7 +106,7 @@ def smooth(
     for width in soften:
         x = problem.softened(width).solve(cfg, x, pattern).x
     solution = problem.solve(cfg, x, pattern)
-    if solution.status in {Status.SINGULAR, Status.DIVERGED} or not np.isfinite(solution.x).all():
+    if solution.status in {SolveStatus.SINGULAR, SolveStatus.DIVERGED} or not np.isfinite(solution.x).all():
         return _kept(team, cfg, f"the problem of the whole team is {solution.status}", problem, solution)
     try:
         cov = team_covariance(problem, solution, cfg, start.landmarks.cov)

@@ -10,7 +10,7 @@ from ..core.landmark_log import LandmarkLog
 from ..core.records import Odometry, Track
 from ..landmarks.landmark_map import LandmarkMap
 from ..solve import Pattern, Problem
-from ..solve.chain import Link
+from ..solve.chain import SchurComplement
 from .config import SmoothingConfig
 from .problem import seen_when, team_problem
 from .robot_part import RobotPart, instants_between
@@ -64,14 +64,14 @@ class Stretch:
         part = self.part(robot)
         return np.asarray(x[part.start : part.start + 3 * len(part.instants.t)].reshape(-1, 3))
 
-    def linearised(self, x: Float[np.ndarray, " n"]) -> Link:
+    def linearised(self, x: Float[np.ndarray, " n"]) -> SchurComplement:
         """What it says of all that it shares, at x."""
         parts = [term.normal(x) for term in self.problem.terms]
         H, g = self.pattern.assemble([p[0] for p in parts], [p[1] for p in parts])
         H.data[self.pattern.diagonal] += TINY
         if self.anchor is not None:
             H.data[self.pattern.diagonal[self.columns(self.anchor, 0)]] += ANCHOR
-        return Link.of(H, g, x, self.shared)
+        return SchurComplement.of(H, g, x, self.shared)
 
     def cost(self, x: Float[np.ndarray, " n"]) -> float:
         return self.problem.cost(x)

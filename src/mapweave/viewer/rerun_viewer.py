@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ..core.gaussian import ellipse
 from ..core.records import Track
-from ..io.finished import Closures, Finished, Standing
+from ..io.finished import Closures, Finished, FinishedSwarm
 from ..landmarks.landmark_map import LandmarkMap
 
 AROUND = np.linspace(0.0, 2 * np.pi, 33)
@@ -74,7 +74,7 @@ def _show_closures(entity: str, closures: Closures) -> None:
             rr.log(f"{entity}/{word}", lines, static=True)
 
 
-def _show_swarm(entity: str, swarm: Standing) -> None:
+def _show_swarm(entity: str, swarm: FinishedSwarm) -> None:
     """Everybody in the plane or in space, who sighted whom, and robots that move along time."""
     at, flat = swarm.positions.position, swarm.positions.position.shape[1] == 2
     points, strips = (rr.Points2D, rr.LineStrips2D) if flat else (rr.Points3D, rr.LineStrips3D)

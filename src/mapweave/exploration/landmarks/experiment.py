@@ -36,7 +36,7 @@ class LandmarkMission(Mission[ScenarioConfig, ExploreConfig]):
 
 
 @dataclass(frozen=True, slots=True)
-class LandmarkScore(RunScore):
+class LandmarkRunScore(RunScore):
     """collisions: how often a robot's true motion met a wall; it was stopped short of it.
 
     hidden: landmarks that walls hide from every place a robot can reach: neither sought nor missed.
@@ -47,7 +47,7 @@ class LandmarkScore(RunScore):
 
 
 @dataclass(frozen=True, slots=True)
-class LandmarkRecord:
+class LandmarkRunRecord:
     """What one run did, for figures and logs: its world, every moment, the final map and who is who in it."""
 
     world: Field
@@ -73,7 +73,7 @@ def noise_factor(cfg: ExploreConfig) -> float | None:
     return round(float(ratio[0]), 12) if np.allclose(ratio, ratio[0], rtol=1e-9) else None
 
 
-def explore_once(mission: LandmarkMission, seed: int, run: int = 0) -> tuple[LandmarkScore, LandmarkRecord]:
+def explore_once(mission: LandmarkMission, seed: int, run: int = 0) -> tuple[LandmarkRunScore, LandmarkRunRecord]:
     """One run: the landmarks' layout and all noise follow from `seed`."""
     world = make_field(mission.scenario, mission.robots, seed)
     _compile(mission.planner, mission.cfg.submap.association, walled=world.walls is not None)
@@ -89,7 +89,7 @@ def explore_once(mission: LandmarkMission, seed: int, run: int = 0) -> tuple[Lan
     )
     first = team.observe_start()
     moments = tuple(team.play())
-    record = LandmarkRecord(
+    record = LandmarkRunRecord(
         world,
         team.robots,
         moments,
@@ -122,16 +122,16 @@ def _compile(planner: str, association: str, *, walled: bool) -> None:
 
 def explore_many(
     mission: LandmarkMission, runs: int, seed: int, executor: Executor | None = None
-) -> list[LandmarkScore]:
+) -> list[LandmarkRunScore]:
     """Scores of `runs` runs with seeds `seed`, `seed` + 1, ...; the same with any executor."""
     return run_seeds(_score_only, mission, runs, seed, executor)
 
 
-def _score_only(mission: LandmarkMission, seed: int, run: int) -> LandmarkScore:
+def _score_only(mission: LandmarkMission, seed: int, run: int) -> LandmarkRunScore:
     return explore_once(mission, seed, run)[0]
 
 
-def score(team: Team, run: int, seed: int, moments: tuple[StepRecord, ...]) -> LandmarkScore:
+def score(team: Team, run: int, seed: int, moments: tuple[StepRecord, ...]) -> LandmarkRunScore:
     """A finished run against the truth: mean landmark distance, mean ellipse area, NEES a degree of freedom."""
     source = team.truth.source
     known = [i for i, name in enumerate(team.G.ids) if name in source]
@@ -141,7 +141,7 @@ def score(team: Team, run: int, seed: int, moments: tuple[StepRecord, ...]) -> L
     seconds = sum(m.seconds for m in moments)
     error = marks.mean - team.world.landmarks[true] if known else np.zeros((0, 2))
     blocks = [marks.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for i in range(len(known))]
-    return LandmarkScore(
+    return LandmarkRunScore(
         run=run,
         seed=seed,
         finished=team.finished,

@@ -4,11 +4,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from ..result import ExplorationResult
-from .experiment import LandmarkMission, LandmarkRecord, LandmarkScore
+from .experiment import LandmarkMission, LandmarkRunRecord, LandmarkRunScore
 
 
 @dataclass(frozen=True, slots=True)
-class ExploreResult(ExplorationResult[LandmarkMission, LandmarkScore, LandmarkRecord]):
+class ExploreResult(ExplorationResult[LandmarkMission, LandmarkRunScore, LandmarkRunRecord]):
     """noise: motion noise over the printed one, None if no multiple."""
 
     def averages(self) -> dict[str, Any]:

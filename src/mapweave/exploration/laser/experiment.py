@@ -53,7 +53,7 @@ class MapSnapshot:
 
 
 @dataclass(frozen=True, slots=True)
-class LaserRecord:
+class LaserRunRecord:
     """What one run did, for figures, logs and tables: its world, every moment, the final map and how it came about.
 
     map: `grid` as free, occupied and unknown cells, the one that is written and scored; seen_at: for each reached cell
@@ -86,7 +86,7 @@ class LaserRecord:
 
 def explore_laser_once(
     mission: LaserMission, seed: int, run: int = 0, on_progress: Any = None
-) -> tuple[LaserScore, LaserRecord]:
+) -> tuple[LaserScore, LaserRunRecord]:
     """One run: the office and all noise follow from `seed`."""
     began = perf_counter()
     mission_run, building = start(mission, seed)
@@ -112,7 +112,7 @@ def explore_laser_once(
     merged = without_gaps(of_grid(grid))
     run_score = score(mission_run, moments, merged, run, perf_counter() - began)
     M = len(mission_run.robots)
-    record = LaserRecord(
+    record = LaserRunRecord(
         place=mission_run.place,
         building=building,
         robots=mission_run.robots,

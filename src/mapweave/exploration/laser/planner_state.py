@@ -36,7 +36,7 @@ PLANNERS = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Route(CostToGo):
+class ClearCostToGo(CostToGo):
     """The ways to one place from everywhere, going round robots that stand where there is room to.
 
     clear: (rows, cols) where a robot's disc fits and nobody stands.
@@ -71,7 +71,7 @@ class Goal:
 
     place: np.ndarray
     unknown: np.ndarray
-    route: Route
+    route: ClearCostToGo
     since: int
     born: int
     least: float = np.inf
@@ -120,7 +120,7 @@ class YieldPlace:
     """Where robot `whom` is let pass, or, by oneself, where one tries again from. until: when waiting ends anyway."""
 
     place: np.ndarray
-    route: Route
+    route: ClearCostToGo
     whom: int
     until: int
 
@@ -154,9 +154,9 @@ def with_parked(ground: MappedGround, parked: np.ndarray, cfg: LaserExploreConfi
 
 def route_to(
     ground: MappedGround, place: np.ndarray, parked: np.ndarray, cfg: LaserExploreConfig, far: float = np.inf
-) -> Route:
+) -> ClearCostToGo:
     """Ways to `place` from everywhere on the ground that is at most `far` [m] away, round robots `parked` (k, 2)."""
     priced = with_parked(ground, parked, cfg)
     source = priced.cells(place[None])
     ways = priced.cost_to_go(source[source[:, 0] >= 0], far)
-    return Route(priced, ways.cost, clear=priced.free & (priced.weight < cfg.allocation.parked_cost))
+    return ClearCostToGo(priced, ways.cost, clear=priced.free & (priced.weight < cfg.allocation.parked_cost))

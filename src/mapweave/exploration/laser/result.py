@@ -8,12 +8,12 @@ from typing import Any, ClassVar
 
 from ...laser.closures import Closure
 from ..result import ExplorationResult
-from .experiment import LaserMission, LaserRecord
+from .experiment import LaserMission, LaserRunRecord
 from .score import LaserScore
 
 
 @dataclass(frozen=True, slots=True)
-class LaserExploreResult(ExplorationResult[LaserMission, LaserScore, LaserRecord]):
+class LaserExploreResult(ExplorationResult[LaserMission, LaserScore, LaserRunRecord]):
     """noise: the factor on odometry errors."""
 
     MEANS: ClassVar[Mapping[str, str]] = {

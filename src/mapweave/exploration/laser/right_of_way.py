@@ -5,7 +5,7 @@ import numpy as np
 from ..ground import Ground
 from .config import LaserExploreConfig
 from .frontiers import disc_mask
-from .planner_state import PlannerState, Route, YieldPlace, route_to
+from .planner_state import ClearCostToGo, PlannerState, YieldPlace, route_to
 
 
 def priority_order(state: PlannerState, live: np.ndarray) -> list[int]:
@@ -13,7 +13,7 @@ def priority_order(state: PlannerState, live: np.ndarray) -> list[int]:
     return sorted(map(int, live), key=lambda j: (j not in state.goals and j not in state.yielding, state.priority[j]))
 
 
-def current_route(state: PlannerState, j: int) -> Route | None:
+def current_route(state: PlannerState, j: int) -> ClearCostToGo | None:
     """The route robot j follows now: to where it lets another pass, else to its goal."""
     if j in state.yielding:
         return state.yielding[j].route

@@ -7,11 +7,11 @@ from .ekf_apply_drive import apply_drive, coast, pose_covariance
 from .ekf_drive import drive
 from .ekf_sight import release, sight
 from .ekf_start import begin, consider
-from .ekf_state import Array, Belief, Commands, Fit, Noise, Places, Seen, plain, wrap
+from .ekf_state import Array, Belief, CameraFrame, Commands, LandmarkTable, Noise, UpdateOutcomes, plain, wrap
 
 
 @kernel
-def frame(x: Array, P: Array, seen: Seen, noise: Noise, places: Places, fit: Fit) -> None:
+def frame(x: Array, P: Array, seen: CameraFrame, noise: Noise, places: LandmarkTable, fit: UpdateOutcomes) -> None:
     """All sightings of one camera frame (drive applied); fills `fit`.
 
     A slot below zero is no landmark of this filter; it and a landmark that only waits get NaN.
@@ -55,8 +55,8 @@ def drive_rows(
 
 @kernel
 def drive_and_update(
-    belief: Belief, t: float, now: float, commands: Commands, at: int, seen: Seen, noise: Noise, places: Places,
-    fit: Fit, pose: Array, cov: Array,
+    belief: Belief, t: float, now: float, commands: Commands, at: int, seen: CameraFrame, noise: Noise,
+    places: LandmarkTable, fit: UpdateOutcomes, pose: Array, cov: Array,
 ) -> int:  # fmt: skip
     """Drives to `now` and works one camera frame in; fills pose (3) and cov (6); returns the command in force."""
     x, P, Phi, Q = belief
@@ -75,7 +75,7 @@ def drive_and_update(
 @kernel
 def replay(
     belief: Belief, t: float, rows: Array, at: int, old: int, slots: Array, sightings: Array, noise: Noise,
-    places: Places, fit: Array, track_t: Array, pose: Array, cov: Array,
+    places: LandmarkTable, fit: Array, track_t: Array, pose: Array, cov: Array,
 ) -> tuple[int, int]:  # fmt: skip
     """A stretch of a log through the filter: what its rows and frames one by one give, to the bit, in one call.
 
@@ -99,9 +99,9 @@ def replay(
         while j < len(stamp) and stamp[j] == now:
             j += 1
         if j > first:
-            seen = Seen(slots[first:j], sightings[1, first:j], sightings[2, first:j])
+            seen = CameraFrame(slots[first:j], sightings[1, first:j], sightings[2, first:j])
             commands = Commands(rows[0, :i], rows[1], rows[2])
-            used = Fit(fit[0, first:j], fit[1, first:j])
+            used = UpdateOutcomes(fit[0, first:j], fit[1, first:j])
             at = drive_and_update(belief, t, now, commands, at, seen, noise, places, used, pose[done], cov[done])
             t = now
         else:

@@ -39,7 +39,7 @@ class Commands(NamedTuple):
     w: Array
 
 
-class Seen(NamedTuple):
+class CameraFrame(NamedTuple):
     """n sightings: of which landmark (slot (n,), below zero of none), range [m] and bearing [rad]."""
 
     slot: Array
@@ -47,7 +47,7 @@ class Seen(NamedTuple):
     bearing: Array
 
 
-class Places(NamedTuple):
+class LandmarkTable(NamedTuple):
     """What is known of each landmark, changed in place.
 
     started: (m,) whether it is in the state; waiting: (m, CANDIDATES, 2), filled: (m,) the places it was seen at
@@ -60,7 +60,7 @@ class Places(NamedTuple):
     astray: Array
 
 
-class Fit(NamedTuple):
+class UpdateOutcomes(NamedTuple):
     """nis, weight: (n,) of each sighting, NaN where it was no update of a landmark; filled."""
 
     nis: Array

@@ -7,7 +7,7 @@ from operator import itemgetter
 
 from ..columns import pack
 from ..laser_stream import MOST_BYTES, beams_of
-from ..messages import Beams, Closed, Header, Numbered, Scans
+from ..messages import Closed, Header, Numbered, ScanBeams, Scans
 from .assembly import Placed, Row
 
 
@@ -22,7 +22,7 @@ class Packets:
     period: float
     last: int = 0
     _until: float | None = None
-    _scans: list[Beams] = field(default_factory=list)
+    _scans: list[ScanBeams] = field(default_factory=list)
     _rows: list[Row] = field(default_factory=list)
     _bytes: int = 0
 

@@ -11,8 +11,8 @@ from ...io.kept import part
 from ...sim.swarm import Layout, Swarm, SwarmScene, simulate_swarm
 from ...swarm.config import SwarmConfig
 from ...swarm.locate import locate
-from ...swarm.network import Network
-from ...swarm.result import Status
+from ...swarm.network import BearingNetwork
+from ...swarm.result import SwarmStatus
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,14 +101,14 @@ def _tried(case: BeyondCase, draws: int, seed: int) -> Beyond:
             np.sum(~found.localisable),
             found.reliable,
         )
-        failed += found.status is not Status.CONVERGED
+        failed += found.status is not SwarmStatus.CONVERGED
     rmse, bound, nees, left, reliable = told
     return Beyond(case, rmse, bound, nees, left, reliable.astype(bool), failed)
 
 
-def network(swarm: Swarm) -> Network:
+def network(swarm: Swarm) -> BearingNetwork:
     """A standing swarm's sightings, its corners known; of five robots two of them."""
     table = swarm.table
     z = table.bearing() if table.dim == 2 else table.direction
     anchors = {k: swarm.position[0][k] for k in swarm.corners[: 2 if len(table.ids) == 5 else None]}
-    return Network(table.ids, table.dim, table.observer, table.target, z, table.sigma, anchors)
+    return BearingNetwork(table.ids, table.dim, table.observer, table.target, z, table.sigma, anchors)

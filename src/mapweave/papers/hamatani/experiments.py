@@ -11,7 +11,7 @@ from ...swarm.bearing import angle
 from ...swarm.config import SwarmConfig
 from ...swarm.kalman import Form, filter_start, update
 from ...swarm.locate import locate
-from ...swarm.network import Network
+from ...swarm.network import BearingNetwork
 
 H = 5.0 * np.sqrt(3.0)
 LAYOUT = np.array([[0.0, 0.0], [10.0, 0.0], [20.0, 0.0], [5.0, H], [15.0, H]])  # [m]
@@ -25,7 +25,7 @@ FirstEstimate = Literal["guess", "linear"]
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class TableCell:
     """One cell: variance of the guess [m^2], of a bearing [deg^2], whether robots 1 and 2 are known, the filter."""
 
     guess: float
@@ -39,18 +39,18 @@ class Case:
 class Cell:
     """Errors of one case over all trials: of a triangle's side [m] and of its angle [deg], each trial's mean."""
 
-    case: Case
+    case: TableCell
     side: Float[np.ndarray, " t"]
     angle: Float[np.ndarray, " t"]
 
 
-def sightings(variance: float, known: bool, rng: np.random.Generator) -> Network:  # noqa: FBT001
+def sightings(variance: float, known: bool, rng: np.random.Generator) -> BearingNetwork:  # noqa: FBT001
     """One set: each pair of robots sighted once, from the lower number, with fresh noise of `variance` [deg^2]."""
     i, j = np.triu_indices(len(LAYOUT), 1)
     sigma = np.radians(np.sqrt(variance))
     z = np.asarray(wrap_angle(angle(LAYOUT[i], LAYOUT[j]) + sigma * rng.normal(size=len(i))))
     anchors = {k: LAYOUT[k] for k in (0, 1)} if known else {}
-    return Network(IDS, 2, i, j, z, np.full(len(i), sigma), anchors)
+    return BearingNetwork(IDS, 2, i, j, z, np.full(len(i), sigma), anchors)
 
 
 def guess(variance: float, rng: np.random.Generator) -> Float[np.ndarray, "5 2"]:
@@ -59,7 +59,7 @@ def guess(variance: float, rng: np.random.Generator) -> Float[np.ndarray, "5 2"]
 
 
 def run_filter(
-    case: Case, rng: np.random.Generator, updates: int = UPDATES
+    case: TableCell, rng: np.random.Generator, updates: int = UPDATES
 ) -> tuple[Float[np.ndarray, "5 2"], Float[np.ndarray, "k 5 2"]]:
     """The first estimate, and the positions after each of `updates` sets of sightings."""
     first = guess(case.guess, rng)
@@ -77,7 +77,7 @@ def run_filter(
     return state.first, path
 
 
-def measure(case: Case, trials: int, seed: int) -> Cell:
+def measure(case: TableCell, trials: int, seed: int) -> Cell:
     """The mean errors of each trial after the last update."""
     side, corner = np.empty(trials), np.empty(trials)
     for trial in range(trials):

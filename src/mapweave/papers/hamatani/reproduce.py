@@ -18,7 +18,7 @@ from ..reproduction import Claim, Drawing, Reproduction, Section, sentences
 from . import figures
 from .beyond import CASES, Beyond, beyond
 from .claims import CLAIMS
-from .experiments import LAYOUT, UPDATES, VARIANCES, Case, Cell, measure, run_filter, side_error, sightings
+from .experiments import LAYOUT, UPDATES, VARIANCES, Cell, TableCell, measure, run_filter, side_error, sightings
 
 PRINTED: dict[int, dict[tuple[float, float], float]] = {  # by table: (variance of guess, of bearings) -> error
     1: {
@@ -53,13 +53,13 @@ TITLES = {
 }
 WITHIN = {1: 2.0, 2: 1.3, 3: 2.0}  # the factor up to which a cell counts as reproduced
 DRIFT = (
-    Case(0.0, 0.01, known=False),
-    Case(0.0, 0.01, known=False, form="fej"),
-    Case(0.01, 0.01, known=False),
-    Case(0.01, 0.01, known=False, form="fej"),
-    Case(25.0, 0.01, known=False),
-    Case(25.0, 0.01, known=False, form="fej"),
-    Case(25.0, 0.01, known=False, form="fej", first="linear"),
+    TableCell(0.0, 0.01, known=False),
+    TableCell(0.0, 0.01, known=False, form="fej"),
+    TableCell(0.01, 0.01, known=False),
+    TableCell(0.01, 0.01, known=False, form="fej"),
+    TableCell(25.0, 0.01, known=False),
+    TableCell(25.0, 0.01, known=False, form="fej"),
+    TableCell(25.0, 0.01, known=False, form="fej", first="linear"),
 )
 SETTINGS = """
 Variances of the bearings are read as deg², those of the guess as m²; P0 = 100 I m²; {updates} updates with fresh
@@ -360,7 +360,7 @@ def reproduce_hamatani(
         check_target(Path(out), force=force)
     begun = perf_counter()
     trials = 3 if quick else 10
-    cases = [Case(g, b, known) for known in (False, True) for g in VARIANCES for b in VARIANCES]
+    cases = [TableCell(g, b, known) for known in (False, True) for g in VARIANCES for b in VARIANCES]
     cells: list[Cell] = []
     for case in (*cases, *DRIFT):
         on_progress("five robots", len(cells), len(cases) + len(DRIFT))
@@ -378,11 +378,11 @@ def reproduce_hamatani(
 
 def _example(seed: int) -> figures.Pictures:
     """The paper's Figs. 3 and 4: guesses of variance 25 m², bearings of 0.1 deg²; and how the sides drift."""
-    first, free = run_filter(Case(25.0, 0.1, known=False), np.random.default_rng([seed, 34]))
-    start, known = run_filter(Case(25.0, 0.1, known=True), np.random.default_rng([seed, 34]))
+    first, free = run_filter(TableCell(25.0, 0.1, known=False), np.random.default_rng([seed, 34]))
+    start, known = run_filter(TableCell(25.0, 0.1, known=True), np.random.default_rng([seed, 34]))
     curves = []
     for form, name in (("ekf", "linearised at each estimate"), ("fej", "linearised at the first estimate")):
-        case = Case(0.0, 0.01, known=False, form="ekf" if form == "ekf" else "fej")
+        case = TableCell(0.0, 0.01, known=False, form="ekf" if form == "ekf" else "fej")
         _, path = run_filter(case, np.random.default_rng([seed, 5]))
         curves.append((name, np.array([side_error(x) for x in path])))
     once = locate(sightings(0.1, known=True, rng=np.random.default_rng([seed, 1]))).position

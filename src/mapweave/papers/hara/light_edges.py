@@ -149,10 +149,10 @@ def sharpened(
     """
     cfg = cfg or LightEdgeConfig()
     rims = find_rims(scans, noise, cfg)
-    walls = Walls.of(scans, cfg)
+    walls = WallReturns.of(scans, cfg)
     sd = np.array([[cfg.step_xy, cfg.step_xy, cfg.step_turn]])
     n = np.arange(len(poses))
-    steps = Relations(n[:-1], n[1:], np.asarray(se2.between(poses[:-1], poses[1:])), 1.0 / sd)
+    steps = RelativePoses(n[:-1], n[1:], np.asarray(se2.between(poses[:-1], poses[1:])), 1.0 / sd)
     pose = np.array(poses, float)
     for reach, width in zip(cfg.reaches, cfg.widths, strict=True):
         one = same_rims(rims, pose, reach, cfg)
@@ -168,11 +168,11 @@ def at_truth(
     cfg = cfg or LightEdgeConfig()
     rims = find_rims(scans, noise, cfg)
     one = same_rims(rims, poses, cfg.reaches[-1], cfg)
-    walls = Walls.of(scans, cfg).relations(poses, cfg.widths[-1], cfg)
+    walls = WallReturns.of(scans, cfg).relations(poses, cfg.widths[-1], cfg)
     return minimise(rim_problem(rims, one, poses, (walls,), cfg), SolveConfig(max_iterations=0))
 
 
-class Relations(NamedTuple):
+class RelativePoses(NamedTuple):
     """What is known of poses `second` in the frames of `first`. known: (e, 3); weight: (e or 1, 3[, 3]) whitening."""
 
     first: Int[np.ndarray, " e"]
@@ -195,7 +195,7 @@ class Relations(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Walls:
+class WallReturns:
     """The returns of all scans, thinned, to be matched point to line with those some scans on."""
 
     cloud: ScanCloud
@@ -203,14 +203,14 @@ class Walls:
     pairs: Int[np.ndarray, "p 2"]
 
     @classmethod
-    def of(cls, scans: Sequence[Beams], cfg: LightEdgeConfig) -> "Walls":
+    def of(cls, scans: Sequence[Beams], cfg: LightEdgeConfig) -> "WallReturns":
         cloud = scan_cloud(scans, np.zeros((len(scans), 2)), cfg.beams)
         table = beams_by_direction(cloud.start, cloud.points, cloud.lined, cloud.sensor, 360)
         n = np.arange(len(scans))
         pairs = [np.column_stack([n[:-k], n[k:]]) for k in cfg.lags if k < len(n)]
         return cls(cloud, table, np.concatenate([np.zeros((0, 2), np.int64), *pairs]))
 
-    def relations(self, pose: Float[np.ndarray, "n 3"], width: float, cfg: LightEdgeConfig) -> Relations:
+    def relations(self, pose: Float[np.ndarray, "n 3"], width: float, cfg: LightEdgeConfig) -> RelativePoses:
         """How the second of each pair stands to the first by their walls; along a bare one nothing is said."""
         a, b = np.concatenate([self.pairs, self.pairs[:, ::-1]]).T
         c = self.cloud
@@ -224,14 +224,14 @@ class Walls:
         H = H + 1e-6 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(3)
         known = relative - np.linalg.solve(H, g[..., None])[..., 0]
         W = np.linalg.cholesky(cfg.temper / cfg.sigma**2 * H).swapaxes(1, 2)
-        return Relations(a, b, known, W)
+        return RelativePoses(a, b, known, W)
 
 
 def rim_problem(
     rims: Rims,
     number: Int[np.ndarray, " m"],
     pose: Float[np.ndarray, "n 3"],
-    relations: tuple[Relations, ...],
+    relations: tuple[RelativePoses, ...],
     cfg: LightEdgeConfig,
 ) -> Problem:
     """Least squares over x = [pose, .., place of each rim, ..]: rims seen twice or more, and what poses are related."""

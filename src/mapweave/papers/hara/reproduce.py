@@ -25,7 +25,7 @@ from .experiments import Picture, compare
 from .gate import GateRow, try_gate
 from .hard_world import HardConfig
 from .methods import Method, methods
-from .starts import SCANS, Start, counts, starts_table, try_starts
+from .starts import SCANS, LocalisedStart, counts, starts_table, try_starts
 
 WHY = """
 The paper's corridor and its log are not published. Here the ring is 60 by 30 m, 2.5 m wide, driven for 200 m with 15 to
@@ -77,7 +77,7 @@ class HaraReproduction(Reproduction):
     along: tuple[AlongRow, ...]
     bounds: Bounds
     alpha: AlphaCurve
-    starts: tuple[Start, ...]
+    starts: tuple[LocalisedStart, ...]
     timing: dict[str, float]
 
     def table(self) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:

@@ -42,7 +42,7 @@ CFG = LaserConfig()
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class LocalisedStart:
     """What became of one start. error: [m] of a log of the mapped building, else None; doubt: the reason given."""
 
     start: int
@@ -72,7 +72,7 @@ def try_starts(
     scans: int = SCANS,
     loop: CorridorConfig | None = None,
     on_progress: Progress = no_progress,
-) -> tuple[Start, ...]:
+) -> tuple[LocalisedStart, ...]:
     """`starts` logs of `scans` scans located with intensity and without, the buildings in turn.
 
     loop: the ring instead of the paper's, the only building then. The same seed gives the same answers.
@@ -80,14 +80,14 @@ def try_starts(
     kinds = KINDS if loop is None else KINDS[:1]
     corridor = loop or CorridorConfig()
     places = {kind: _mapped(kind, corridor) for kind in kinds[: max(starts, 0)]}
-    out: list[Start] = []
+    out: list[LocalisedStart] = []
     for k in range(starts):
         on_progress("starts", k, starts)
         out += _tried(k, seed, scans, places, corridor)
     return tuple(out)
 
 
-def starts_table(starts: Sequence[Start]) -> Rows:
+def starts_table(starts: Sequence[LocalisedStart]) -> Rows:
     """Head and rows: answers by building and feature, and over all buildings."""
     head = ("world", "map and scans of", "log of", "right", "wrong", "not sure")
     rows: list[tuple[object, ...]] = []
@@ -102,7 +102,7 @@ def starts_table(starts: Sequence[Start]) -> Rows:
     return head, rows
 
 
-def counts(starts: Sequence[Start], feature: str | None = None) -> Counter[str]:
+def counts(starts: Sequence[LocalisedStart], feature: str | None = None) -> Counter[str]:
     """How often each answer was given, with one feature or all."""
     return Counter(s.answer for s in starts if feature in {None, s.feature})
 
@@ -165,7 +165,7 @@ def _off(found: Localisation, truth: Track) -> float:
     return float(np.median(np.hypot(*(found.track.pose[inside] - true)[:, :2].T)))
 
 
-def _tried(k: int, seed: int, scans: int, places: dict[Kind, _Place], corridor: CorridorConfig) -> list[Start]:
+def _tried(k: int, seed: int, scans: int, places: dict[Kind, _Place], corridor: CorridorConfig) -> list[LocalisedStart]:
     """What became of the k-th start, with intensity and without."""
     kind = list(places)[k % len(places)]
     rng = np.random.default_rng([seed, k])
@@ -187,5 +187,9 @@ def _tried(k: int, seed: int, scans: int, places: dict[Kind, _Place], corridor: 
         error = _off(found, truth) if where == "here" else None
         right = error is not None and error < WRONG
         answer: Answer = "not sure" if not found.trusted else "right" if right else "wrong"
-        out.append(Start(k, kind, where, feature, answer, error, found.matched, found.found_t is not None, found.doubt))
+        out.append(
+            LocalisedStart(
+                k, kind, where, feature, answer, error, found.matched, found.found_t is not None, found.doubt
+            )
+        )
     return out

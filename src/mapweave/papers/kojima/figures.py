@@ -26,7 +26,7 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True)
-class Pictures:
+class FigureData:
     """What the figures show.
 
     errors: by reading, (RLS, proposed) landmark errors of each world [m]; bars: landmark error [m] by (baseline,
@@ -58,7 +58,7 @@ _TRUE: dict[str, Any] = {
 }
 
 
-def draw_trace(path: Target, p: Pictures) -> None:
+def draw_trace(path: Target, p: FigureData) -> None:
     readings = list(dict.fromkeys(c.reading for c in p.curves))
     titles = {"prior": "map 1 is the prior", "measurement": "map 1 is a measurement"}
     with figure(path, 8.0, 3.8, ncols=len(readings)) as (_, axes):
@@ -76,7 +76,7 @@ def draw_trace(path: Target, p: Pictures) -> None:
         axes[0].set_ylabel("trace of the covariance [m² + rad²]")
 
 
-def draw_errors(path: Target, p: Pictures) -> None:
+def draw_errors(path: Target, p: FigureData) -> None:
     with figure(path, 5.2, 4.6) as (_, ax):
         every = np.concatenate([*(e for pair in p.errors.values() for e in pair), p.printed])
         ends = [100 * float(every.min()) / 1.3, 100 * float(every.max()) * 1.3]
@@ -103,7 +103,7 @@ def draw_errors(path: Target, p: Pictures) -> None:
         ax.legend(loc="upper left")
 
 
-def draw_bars(path: Target, p: Pictures) -> None:
+def draw_bars(path: Target, p: FigureData) -> None:
     rules, names = (list(dict.fromkeys(key[k] for key in p.bars)) for k in (0, 1))
     with figure(path, 6.0, 3.4) as (_, ax):
         width = 0.8 / len(names)
@@ -118,7 +118,7 @@ def draw_bars(path: Target, p: Pictures) -> None:
         ax.legend(ncols=len(names), loc="upper left")
 
 
-def draw_local_map(path: Target, p: Pictures, k: int) -> None:
+def draw_local_map(path: Target, p: FigureData, k: int) -> None:
     """Robot k's map in its own frame: its way, the landmarks it found, their 95 % regions ten times as large."""
     with figure(path, 5.2, 4.6) as (_, ax):
         mean, cov = p.local_mean[k], p.local_cov[k]
@@ -133,7 +133,7 @@ def draw_local_map(path: Target, p: Pictures, k: int) -> None:
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
-def draw_global_map(path: Target, p: Pictures) -> None:
+def draw_global_map(path: Target, p: FigureData) -> None:
     """The merged map with either weighting, on the truth."""
     with figure(path, 6.0, 5.4) as (_, ax):
         for k, side in enumerate((1.0, -1.0)):

@@ -346,13 +346,13 @@ def reproduce_kojima(
     return result
 
 
-def _local(p: figures.Pictures, k: int) -> Callable[[Target], None]:
+def _local(p: figures.FigureData, k: int) -> Callable[[Target], None]:
     return lambda target: figures.draw_local_map(target, p, k)
 
 
-def _pictures(result: KojimaReproduction) -> figures.Pictures:
+def _pictures(result: KojimaReproduction) -> figures.FigureData:
     shown = {NAMES[w]: result.run("prior", w).final.x[0] for w in ("constant", "paper")}
-    return figures.Pictures(
+    return figures.FigureData(
         first_step=result.cfg.drive_steps,
         curves=tuple(figures.Curve(r.reading, NAMES[r.weights], r.trace, r.low, r.high, r.limit) for r in result.runs),
         errors={

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ...exploration.landmarks.config import ExploreConfig, HandoverConfig, MissionConfig, ObjectiveConfig
-from ...exploration.landmarks.experiment import CALIBRATED, PRINTED_SD, LandmarkMission, LandmarkScore
+from ...exploration.landmarks.experiment import CALIBRATED, PRINTED_SD, LandmarkMission, LandmarkRunScore
 from ...exploration.landmarks.scenario import find_scenario
 from ...fusion.map_and_submap import PairingConfig
 
@@ -44,7 +44,7 @@ class Outcome:
     """A case and the score of its every run."""
 
     case: Case
-    runs: tuple[LandmarkScore, ...]
+    runs: tuple[LandmarkRunScore, ...]
 
     def mean(self, what: str) -> float:
         """Mean over the runs that have it; NaN where none has."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...core.version import __version__
 from ...core.workers import Progress, no_progress, one_blas_thread, worker_pool
-from ...exploration.landmarks.experiment import LandmarkRecord, explore_many, explore_once
+from ...exploration.landmarks.experiment import LandmarkRunRecord, explore_many, explore_once
 from ...io.directory import check_target, plain
 from ...io.kept import kept_parts
 from ...report.exploration import draw_map
@@ -69,7 +69,7 @@ class YuanReproduction(Reproduction):
     seed: int
     quick: bool
     outcomes: tuple[Outcome, ...]
-    pictures: tuple[LandmarkRecord, LandmarkRecord]
+    pictures: tuple[LandmarkRunRecord, LandmarkRunRecord]
     timing: dict[str, float]
 
     def get(self, group: str, name: str) -> Outcome:
