@@ -2,6 +2,7 @@
 
 import doctest
 import inspect
+import re
 
 import pytest
 
@@ -34,3 +35,23 @@ def test_the_examples_of_a_verb_run_as_printed(name, tmp_path, monkeypatch):
     said = []
     doctest.DocTestRunner(verbose=False).run(example, out=said.append)
     assert not said, "".join(said)
+
+
+def test_every_public_name_says_in_its_first_line_what_it_is():
+    bare = []
+    for name in sorted(set(mapweave.__all__) - {"__version__"}):
+        first, *_ = (inspect.getdoc(getattr(mapweave, name)) or "").splitlines() or [""]
+        if not first.endswith((".", ":")) or first.startswith(f"{name}("):
+            bare.append(f"{name}: {first}")
+    assert not bare, "\n".join(bare)
+
+
+def test_every_option_of_a_public_function_is_told():
+    untold = []
+    for name in mapweave.__all__:
+        verb = getattr(mapweave, name)
+        if not inspect.isfunction(verb):
+            continue
+        text = inspect.getdoc(verb)
+        untold += [f"{name}: {p}" for p in inspect.signature(verb).parameters if not re.search(rf"\b{p}\b", text)]
+    assert not untold, "\n".join(untold)

@@ -19,7 +19,7 @@ JOBS: dict[tuple[str, bool], str] = {
 
 
 def configuration(job: str, *, laser: bool = False) -> str:
-    """Every key that `job` reads with `config`, with its default and its meaning, as TOML.
+    """Every setting of a job with its default and its meaning, as TOML to edit and hand back as `config`.
 
     Parameters
     ----------

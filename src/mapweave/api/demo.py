@@ -21,7 +21,26 @@ FUSE_EVERY = 15.0  # [s]
 def demo(
     out: Path | str = "mapweave-demo", *, seed: int = 2012, force: bool = False, on_progress: Progress = no_progress
 ) -> TeamResult:
-    """The result, written to `out` with the recording it came from in `out/recording`."""
+    """Simulate a small team, map what each robot saw, fuse the maps and score the result.
+
+    The same seed gives the same result.
+
+    Parameters
+    ----------
+    out
+        The folder to write, with the simulated recording in `out/recording`.
+    seed
+        Of everything drawn at random (2012).
+    force
+        Write into `out` even when something other than a result stands there (False).
+    on_progress
+        Called as `on_progress(stage, done, total)`.
+
+    Raises
+    ------
+    UsageError
+        For an `out` that holds something other than a result.
+    """
     target = Path(out)
     check_target(target, force=force)
     with TemporaryDirectory() as held:

@@ -107,7 +107,7 @@ class Diagnosis:
 
 
 def doctor() -> Diagnosis:
-    """Versions, extras, cores, threads, the cache of compiled kernels, and the time of one kernel's two first calls.
+    """Check the installation: versions, extras, cores, threads, kernel cache, and a kernel compiled and tried.
 
     Examples
     --------

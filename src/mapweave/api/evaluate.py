@@ -12,7 +12,7 @@ from .result import Result
 
 @runtime_checkable
 class Evaluation(Result, Protocol):
-    """A score: a result; `as_json` has the documented keys, `lines` are for people."""
+    """The score of a result against truth: `as_json` has the documented keys, `lines` are for people."""
 
     @property
     def unscored(self) -> str: ...

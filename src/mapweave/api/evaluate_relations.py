@@ -29,7 +29,7 @@ Scans = tuple[Float[np.ndarray, " m"], Sequence[str]]  # stamps [s] and hosts
 
 @dataclass(frozen=True, slots=True, repr=False)
 class RelationEvaluation(EvaluationBase):
-    """The score on all relations, and on those whose both ends are at scans with stamps that are right."""
+    """A trajectory scored against known relative poses: over all, and over those with exact stamps."""
 
     robot: str
     relations: RelationScore

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class SwarmEvaluation(EvaluationBase):
-    """The score that `locate --truth` gives of the same result, but for the bound, which needs the sightings."""
+    """Positions of a swarm scored against truth, as `locate` scores them but for the Cramer-Rao bound."""
 
     score: SwarmScore
     not_localisable: int

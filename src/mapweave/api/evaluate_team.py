@@ -36,7 +36,7 @@ class TeamTruth:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class TeamEvaluation(EvaluationBase):
-    """A team's score, printable."""
+    """A team's map and trajectories scored against surveyed landmarks and true trajectories."""
 
     score: TeamScore
 

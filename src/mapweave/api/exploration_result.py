@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class LandmarkExploration(ResultBase, ExploreResult):
-    """An exploration among landmarks."""
+    """What `explore` gives among landmarks: the scores of all runs, and the first run in full."""
 
     def lines(self) -> list[str]:
         return ExploreResult.lines(self)
@@ -39,7 +39,7 @@ class LandmarkExploration(ResultBase, ExploreResult):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class LaserExploration(ResultBase, LaserExploreResult):
-    """An exploration with lasers."""
+    """What `explore` gives with lasers: the scores of all runs, and the first run in full."""
 
     def lines(self) -> list[str]:
         return LaserExploreResult.lines(self)

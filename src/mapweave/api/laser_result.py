@@ -27,11 +27,12 @@ from .evaluate import Evaluation
 
 @dataclass(frozen=True, slots=True, repr=False)
 class LaserResult(ResultBase):
-    """`metrics` are those of `metrics.json`; `evaluation` is there when truth was given.
+    """What `map` and `fuse` give for laser logs: every robot's map, and the maps in which robots were joined.
 
-    maps: each robot's own, in the frame of its first pose; components: the graph method's maps of the robots that hang
-    together, that of most robots first; merges: every pair of robots tried, with the decision and its reason; starts:
-    robot -> x, y, theta[, sigma] that were told; notes: what `summary` says beside.
+    metrics: as in `metrics.json`; evaluation: the score, where truth was given; maps: each robot's own, in the frame
+    of its first pose; components: the graph method's maps of the robots that were joined, that of most robots first;
+    merges: every pair of robots tried, with the decision and its reason; starts: robot -> x, y, theta[, sigma] that
+    were told; notes: what `summary` says beside.
     """
 
     maps: tuple[LaserMap, ...]

@@ -43,7 +43,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class LiveRobot:
-    """What became of a robot's run: its messages, all on disk; how many map processes have all of them."""
+    """How a robot's live run ended. messages: sent, all on its disk; heard_by: map processes that have all."""
 
     name: str
     messages: int
@@ -69,7 +69,7 @@ def live_robot(
     say: Say = print,
     wall: Callable[[], float] = time.time,
 ) -> LiveRobot:
-    """Drive the robot `name` through a log, estimating as `map` does, and tell the team.
+    """Run one robot of a live team: drive through a log, estimate as `map` does, publish to the team.
 
     It needs nobody: what it tells is in `history` first, and whoever comes later asks for it there. Started again, it
     goes on after the last message of its history.
@@ -193,7 +193,9 @@ def live_map(
     wall: Callable[[], float] = time.time,
     at_the_door: Mapping[str, int] | None = None,
 ) -> TeamResult | LaserResult:
-    """Hear a team until `stop` is set, or until all of `robots` have told their logs to the end; one map, in `out`.
+    """Run the map process of a live team: collect what robots publish and keep one shared map, written to `out`.
+
+    It ends when `stop` is set, or when all of `robots` have published their logs to the end.
 
     The map is the one that `map` makes of the same logs, to the byte: what arrives is put in order of robot and number
     before it is used, each message once, and what is missing is asked for. A process that was killed goes on from

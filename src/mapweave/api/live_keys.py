@@ -20,8 +20,9 @@ def live_keys(
     team: str = "team",
     days: float = 365.0,
 ) -> list[Path]:
-    """An authority in `out` and a folder for each process with its certificate and who may speak; those folders.
+    """Make a certificate authority for a live team, and a certificate for each of its processes; returns their folders.
 
+    The authority stands in `out`, beside a folder a process with its certificate and the list of who may speak.
     Called again, it keeps what is there and adds to it: copy every folder to its process anew then, since everybody's
     list of names has grown.
 

@@ -27,7 +27,7 @@ def live_robots(
     stop: Event | None = None,
     say: Callable[[str], None] = print,
 ) -> list[LiveRobot]:
-    """Drive several robots of one ROS graph until `stop` is set, each as `live_robot` does, with a history of its own.
+    """Run several robots of one ROS 2 graph in one process until `stop` is set, each as `live_robot` does.
 
     Where one of them can't be driven the others end too, and its error is raised.
 

@@ -31,7 +31,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class RosOptions:
-    """Which robot of which graph. domain: ROS_DOMAIN_ID; pattern: of the robot's namespace, as `tb*`.
+    """Which robot of which ROS 2 graph is driven. domain: ROS_DOMAIN_ID; pattern: of the robot's namespace, as `tb*`.
 
     graph: where the graph's router is, when it is another than the team's `connect`; sensor_pose: where the scanner
     stands on the robot [m, m, rad], when tf does not tell; all_scanners: the scans of all that the robot has.

@@ -55,7 +55,10 @@ class StartScore:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class LocalizeResult(ResultBase):
-    """What `localize` gives; `score` where truth was given."""
+    """What `localize` gives: the trajectory in the map, whether the start was found, and whether to trust it.
+
+    found: poses and the evidence for them; grid: the map; score: against truth, where truth was given.
+    """
 
     found: Localisation
     grid: GridMap

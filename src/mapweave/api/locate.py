@@ -39,7 +39,7 @@ MANY = 20_000  # robots beyond which covariances are left out unless asked for
 
 @configuration
 class LocateConfig:
-    """The tables `[swarm]` and `[motion]` of a configuration file."""
+    """Settings of `locate`: the tables `[swarm]` (all robots) and `[motion]` (robots that move)."""
 
     swarm: SwarmConfig = SwarmConfig()
     motion: TrackConfig = TrackConfig()

@@ -95,7 +95,7 @@ def dropped_lines(given: SwarmInput) -> list[str]:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Located(ResultBase):
-    """Robots that stand still: one position each."""
+    """What `locate` gives for robots that stand still: a position each, with its covariance."""
 
     given: SwarmInput
     settings: Settings

@@ -45,7 +45,7 @@ from .team import TeamResult, Watch, team_maps, team_result
 
 @config
 class LandmarkMapConfig:
-    """The tables of a configuration file, named as the fields."""
+    """Settings of `map` for landmark logs: each field is the table of that name in the configuration file."""
 
     camera_clock: CameraClockConfig = field(default_factory=CameraClockConfig)
     sift: SiftConfig = field(default_factory=SiftConfig)

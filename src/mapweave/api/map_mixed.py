@@ -68,7 +68,7 @@ FAR = 60.0  # [s] between the time spans of two logs from which their clocks hav
 
 @config
 class MixedMapConfig:
-    """The tables of a mixed team's configuration file, named as the fields."""
+    """Settings of `map` for mixed teams: each field is the table of that name in the configuration file."""
 
     camera_clock: CameraClockConfig = field(default_factory=CameraClockConfig)
     sift: SiftConfig = field(default_factory=SiftConfig)

@@ -16,7 +16,7 @@ LANDMARK_METHODS, LASER_METHODS = ("ekf",), ("particle", "graph", "gated", "icp"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaserOptions:
-    """What laser logs may be asked for beside; None: as the configuration or the log says.
+    """Options of `map` and `localize` for laser logs; None leaves it to the configuration or the log.
 
     resample: the share of the particles `N_eff` may fall to; sensor_pose: `T_robot_sensor` [m, m, rad]; mirrored: beam
     angles run clockwise; no_loops: the graph method looks for no old places; no_merge: and every robot's map stays

@@ -23,7 +23,10 @@ from .swarm_input import SwarmInput
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Moved(ResultBase):
-    """Robots that move: a track each. truth: by robot index, the true positions at the track's stamps."""
+    """What `locate` gives for robots that move: a trajectory each, with its covariances.
+
+    truth: by robot index, the true positions at the trajectory's stamps.
+    """
 
     given: SwarmInput
     settings: Settings

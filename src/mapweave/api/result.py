@@ -16,7 +16,7 @@ from ..report.result import ResultBase, Rows
 
 @runtime_checkable
 class Result(Protocol):
-    """The one protocol of results, whatever verb gave them.
+    """What the result of every verb can do.
 
     metrics: what stands in `metrics.json`; summary: a few lines for people; write: the files the command writes;
     plot: the main picture; notebooks show the head of a page.

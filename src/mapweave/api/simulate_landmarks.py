@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class SimulatedTeam(ResultBase, TeamRecording):
-    """The recording, and the world and the seed it came from."""
+    """A simulated recording of a team among landmarks, the world and the seed it came from."""
 
     world: TeamWorld
     seed: int
@@ -66,10 +66,33 @@ def simulate_landmarks(
     seed: int = 0,
     force: bool = False,
 ) -> SimulatedTeam:
-    """The recording (the same for the same seed), written to the folder `out` when one is given.
+    """Simulate a recording of robots with wheels and cameras among landmarks, in the layout of the MRCLAM data sets.
 
-    noise, bias: relative to a real team's; outliers, misreads: probabilities. Raises UsageError for a world that
-    cannot be, or an `out` that holds something other than an earlier recording.
+    Written to `out` if given; the same seed gives the same recording.
+
+    Parameters
+    ----------
+    out
+        The folder to write: odometry, sightings and true poses of every robot, surveyed landmarks, barcodes.
+    robots, landmarks
+        How many (3, 15); the floor grows with the landmarks.
+    minutes
+        How long they drive (5).
+    noise, bias
+        Random and systematic errors, relative to a real team's (1).
+    outliers
+        Probability that a range is wrong by about a metre (0.01).
+    misreads
+        Probability that a sighting carries a barcode that nobody listed (0.001).
+    seed
+        Of everything drawn at random (0).
+    force
+        Write into `out` even when something other than an earlier recording stands there (False).
+
+    Raises
+    ------
+    UsageError
+        For a world that cannot be, or an `out` that holds something else.
     """
     world = TeamWorld(
         robots=robots,

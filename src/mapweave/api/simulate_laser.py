@@ -26,7 +26,7 @@ World = CorridorConfig | OfficeConfig | TunnelConfig
 
 @dataclass(frozen=True, slots=True, repr=False)
 class SimulatedDrive(ResultBase, LaserSimulation):
-    """The drive, and the settings and the seed it came from. It is written to a file, not to a folder."""
+    """A simulated drive with a laser scanner, its world and seed. It is written to a file, not to a folder."""
 
     config: World
     seed: int
@@ -68,10 +68,23 @@ class SimulatedDrive(ResultBase, LaserSimulation):
 
 @one_blas_thread()
 def simulate_laser(out: Path | str | None = None, world: World | None = None, *, seed: int = 0) -> SimulatedDrive:
-    """The drive (the same for the same seed) through `world`, the ring corridor unless another is given.
+    """Simulate a drive with a laser scanner that measures received light intensity.
 
-    Written to the MCAP file `out` when one is given, with the true poses in FILE.truth.tum beside it. Raises
-    UsageError for an `out` that is no `.mcap` file and for a world that cannot be.
+    Written to `out` if given; the same seed gives the same drive.
+
+    Parameters
+    ----------
+    out
+        The MCAP file to write; the true poses stand beside it in FILE.truth.tum.
+    world
+        A `CorridorConfig` (a ring of corridor), an `OfficeConfig` or a `TunnelConfig` (the ring).
+    seed
+        Of everything drawn at random (0).
+
+    Raises
+    ------
+    UsageError
+        For an `out` that is no `.mcap` file, or a world that cannot be.
     """
     world = world or CorridorConfig()
     _check(world)

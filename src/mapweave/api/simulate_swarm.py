@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, repr=False, kw_only=True)
 class SimulatedSwarm(ResultBase, Swarm):
-    """The swarm, and the scene and the seed it came from. It is written to files, not to a folder."""
+    """A simulated swarm that sees itself, its scene and seed. It is written to files, not to a folder."""
 
     scene: SwarmScene
     seed: int
@@ -58,10 +58,24 @@ class SimulatedSwarm(ResultBase, Swarm):
 
 @one_blas_thread()
 def simulate_swarm(out: Path | str | None = None, scene: SwarmScene | None = None, *, seed: int = 0) -> SimulatedSwarm:
-    """The swarm (the same for the same seed), written to `out` and beside it when a file is given.
+    """Simulate a swarm of camera robots that measure bearings to each other.
 
-    Beside FILE.csv stand FILE.truth.csv (`id,x,y[,z]`, and `t`, `heading` where they mean something) and, when the
-    robots drive, FILE.odometry.csv (`t,robot,v,w`). Raises UsageError for a scene that cannot be.
+    Written to `out` if given; the same seed gives the same swarm.
+
+    Parameters
+    ----------
+    out
+        The table to write, .csv or .parquet. Beside FILE.csv stand FILE.truth.csv (`id,x,y[,z]`, and `t`, `heading`
+        where they mean something) and, when the robots drive, FILE.odometry.csv (`t,robot,v,w`).
+    scene
+        How many robots, how far they see, how they move, and the noise (`SwarmScene()`).
+    seed
+        Of everything drawn at random (0).
+
+    Raises
+    ------
+    UsageError
+        For a scene that cannot be, or an `out` that is no such file.
     """
     if out is not None:
         _table(out)

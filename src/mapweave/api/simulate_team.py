@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class SimulatedMixedTeam(ResultBase, MixedRecording):
-    """The recording, and the world and the seed it came from."""
+    """A simulated recording of a mixed team, the world and the seed it came from."""
 
     world: MixedWorld
     seed: int
@@ -101,11 +101,42 @@ def simulate_team(
     seed: int = 0,
     force: bool = False,
 ) -> SimulatedMixedTeam:
-    """The recording (the same for the same seed), written to the folder `out` when one is given.
+    """Simulate a recording of a mixed team: laser robots, camera robots, robots with bearings to the others alone.
 
-    noise, bias: relative to a real team's; outliers: the share of sightings that are mislabelled or wrong by metres;
-    clock: [s] sd of the laser logs' clocks. Raises UsageError for a world that cannot be, or an `out` that holds
-    something other than an earlier recording.
+    Written to `out` if given; the same seed gives the same recording.
+
+    Parameters
+    ----------
+    out
+        The folder to write: robotK.mcap of every laser robot, odometry.csv and sightings.csv of the others, truth/.
+    lasers, cameras, bearing_cameras, bearings
+        How many robots with a laser scanner and wheels (2), with wheels and a camera that measures range and bearing
+        (2), with wheels and a camera that measures bearings alone (0), with nothing but bearings to the others (1).
+    rooms
+        How many rooms in a row (1); the walls between them stop lasers and robots, cameras look over them.
+    landmarks
+        How many (15); the rooms grow with them.
+    minutes
+        How long they drive (5).
+    noise, bias
+        Random and systematic errors, relative to a real team's (1).
+    outliers
+        The share of sightings that are mislabelled or wrong by metres (0).
+    calibration
+        `real`: systematic errors as a real team's; `random`: drawn from a much wider range (real).
+    clock
+        Standard deviation of the laser logs' clocks [s] (0).
+    everything
+        Every robot carries a laser, wheels and a range camera, on the same trajectories (False).
+    seed
+        Of everything drawn at random (0).
+    force
+        Write into `out` even when something other than an earlier recording stands there (False).
+
+    Raises
+    ------
+    UsageError
+        For a world that cannot be, or an `out` that holds something else.
     """
     world = MixedWorld(
         lasers=lasers,

@@ -28,7 +28,7 @@ TOLD = 5  # dropped edges named one by one on the terminal
 
 @dataclass(frozen=True, slots=True, repr=False)
 class SolveResult(ResultBase):
-    """What `solve` gives: the file's graph with the poses solved, and which edges were not believed.
+    """What `solve_pose_graph` gives: the graph with its poses solved, and the edges rejected as outliers.
 
     covariance: (n, 3, 3) of every pose, zero where it is held; None when the solve did not converge. doubts: those of
     `warnings` for which the result is not to be trusted; none when it is.
@@ -112,11 +112,31 @@ class SolveResult(ResultBase):
 def solve_pose_graph(
     file: Path | str, out: Path | str | None = None, *, robust: bool = False, force: bool = False
 ) -> SolveResult:
-    """The optimum of the pose graph in a g2o `file`, written to `out` when one is given.
+    """Solve a planar pose graph, anybody's: the poses that agree best with its edges, and their covariances.
 
-    robust: edges that contradict the others are dropped, those from a vertex to the next excepted. Stamps of the
-    trajectory are the vertices' numbers. Raises ReaderError, DataError, UsageError or EstimateError; nothing is
-    written then.
+    Written to `out` if given; stamps of the trajectory are the vertices' numbers.
+
+    Parameters
+    ----------
+    file
+        A g2o file with VERTEX_SE2 and EDGE_SE2 rows.
+    out
+        The folder to write; an earlier result there is replaced whole.
+    robust
+        Reject edges that contradict the others, those from a vertex to the next excepted (False).
+    force
+        Write into `out` even when something other than a result stands there (False).
+
+    Raises
+    ------
+    ReaderError
+        For a file that is missing or damaged, with its line.
+    DataError
+        For a graph that cannot be solved.
+    EstimateError
+        For a solve that failed.
+    UsageError
+        For an `out` that holds something other than a result. Nothing is written then.
     """
     if out is not None:
         check_target(Path(out), force=force)

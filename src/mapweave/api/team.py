@@ -38,7 +38,7 @@ NOTHING = LandmarkMap((), np.zeros((0, 2)), np.zeros((0, 0)))
 
 @dataclass(frozen=True, slots=True, repr=False)
 class TeamResult(ResultBase):
-    """One map of a team and how it came about.
+    """What `map` and `fuse` give for landmark logs: one map of the team and how it came about.
 
     maps: components, the largest first; local: what each robot handed over; growth: the global map over time, where
     it was fused while the logs played; score: against truth, where truth was given; smoothed: what smoothing the whole

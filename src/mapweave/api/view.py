@@ -14,7 +14,7 @@ from ..io.team_map import read_metrics
 def view(
     directory: Path | str, *, browser: bool = True, rerun: bool = False, save: Path | str | None = None
 ) -> list[str]:
-    """Opens what a command wrote; what was done, line by line.
+    """Open the report of a result in the browser, or its map in the Rerun viewer; returns what was done, a line each.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ _ANGLE = re.compile(r"^\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(deg|rad)\s*$"
 
 @dataclass(frozen=True, slots=True)
 class BearingTable:
-    """m sightings among n robots; row k: `ids[observer[k]]` saw `ids[target[k]]` along `direction[k]`.
+    """A table of m bearings among n robots; row k: `ids[observer[k]]` saw `ids[target[k]]` along `direction[k]`.
 
     direction: (m, d) unit vectors, d = 2 or 3, in the common axes when `axis`, else in the observer's own frame;
     sigma: (m,) [rad], NaN where the table does not say; t: (m,) [s], or None when nothing is stamped.

@@ -111,7 +111,7 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """Poses along time.
+    """A trajectory: poses along time.
 
     t: (n,) [s], strictly ascending; pose: (n, 3) in `frame`; cov: (n, 3, 3) over x, y, theta, or None.
     """

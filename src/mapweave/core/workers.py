@@ -109,7 +109,7 @@ def _run(fn: Callable[..., T], args: tuple[Any, ...], kwargs: dict[str, Any]) ->
 
 @runtime_checkable
 class Progress(Protocol):
-    """Told `done` of `total` (None when unknown) of the stage named."""
+    """A callback that long work tells how far it is: `done` of `total` (None when unknown) of the stage named."""
 
     def __call__(self, stage: str, done: float, total: float | None = None) -> None: ...
 

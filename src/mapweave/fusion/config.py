@@ -13,7 +13,7 @@ Identities = Literal["known", "unknown"]
 
 @config
 class FuseConfig:
-    """How maps are weighed, when two are taken for the same place, and when a landmark or a map is doubted.
+    """Settings of fusing landmark maps: weights, evidence for the same place, outlier rejection.
 
     weights: "full-scaled" takes each map's full covariance, a scale and a variance factor of its own; "full" its
     covariance alone; "constant", "paper", "diagonal" the paper's relative information; "naive" the plain mean.

@@ -12,7 +12,9 @@ WANDER = 0.005  # [m / sqrt(s)] and [rad / sqrt(s)] beside speed and spin, where
 
 @config
 class EkfSlamConfig:
-    """Noise is for commands and readings as they are logged; a prior is a mean and a standard deviation.
+    """Settings of landmark EKF-SLAM, table `[ekf]`: noise, gates, and what is known of each robot's calibration.
+
+    Noise is that of commands and readings as they are logged; a prior is a mean and a standard deviation.
 
     A standard deviation of zero switches a calibration parameter off. The speed scale and the range scale are never
     estimated together: they collapse the map.

@@ -89,6 +89,8 @@ class WheelCheck:
 
 @config
 class LaserConfig:
+    """Settings of laser SLAM, table `[laser]`: method, particle filter, matching, occupancy, pose graph, merging."""
+
     method: str = "particle"  # how a log is mapped: particle, graph, gated or icp
     particles: int = 100  # hypotheses of the particle filter
     feature: str = "normalised"  # light sent back: normalised, raw or none

@@ -31,7 +31,7 @@ class ScanInfo:
 
 
 class PoseEstimate(NamedTuple):
-    """pose: (3,) [m, m, rad] in the frame of the first scan; cov: (3, 3) of it over x, y, theta there."""
+    """Where a robot is: pose (3,) [m, m, rad] in the frame of the first scan; cov (3, 3) over x, y, theta."""
 
     pose: Float[np.ndarray, "3"]
     cov: Float[np.ndarray, "3 3"]

@@ -21,7 +21,7 @@ SETTLE = 0.3  # [s] for declarations to reach those who are there
 
 @dataclass(frozen=True, slots=True)
 class Network:
-    """How a process reaches the others.
+    """How a process of a live team reaches the others.
 
     connect, listen: endpoints as `tcp/host:port`; with none of both, processes of one network find each other. A
     process that listens passes messages on between those that connect to it; port 0 is any that is free. tls: the

@@ -15,6 +15,8 @@ DOORWAY = 1.0  # [m]
 
 @config
 class OfficeConfig:
+    """An office floor to drive through with a laser: a corridor, rooms on either side, some of them visited."""
+
     rooms: int = 4  # on each side of the corridor
     room_width: float = 5.0  # [m] along the corridor
     room_depth: float = 4.5  # [m]

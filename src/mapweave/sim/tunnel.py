@@ -13,12 +13,14 @@ from .route import Route
 
 @config
 class TunnelConfig:
+    """A long tunnel without features but reflective marks on its walls, driven down and back."""
+
     length: float = 80.0  # [m]
     width: float = 3.0  # [m]
-    concrete: float = 0.35
+    concrete: float = 0.35  # reflectance of the walls
     mark_gap: tuple[float, float] = (1.0, 4.0)  # [m] between marks on one side
     mark_width: tuple[float, float] = (0.1, 0.4)  # [m]
-    mark: tuple[float, float] = (0.85, 1.0)
+    mark: tuple[float, float] = (0.85, 1.0)  # reflectance of a mark, from to
     drive: DriveConfig = field(default_factory=lambda: DriveConfig(drift=DriftConfig(end_error=(3.0, 6.0))))
 
 

@@ -107,7 +107,7 @@ class LaserExploreConfig:
 
 @config
 class LaserMissionConfig:
-    """Robots, how the team maps, how it plans. The planner's limits are taken from the robots."""
+    """Settings of `explore` with lasers: robots, mapping, planning. The planner's limits are taken from the robots."""
 
     MOVED: ClassVar[Mapping[str, str]] = {"team.near": "team.map.near"}  # old keys and where they are now
 

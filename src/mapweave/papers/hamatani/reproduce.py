@@ -85,7 +85,10 @@ place to linearise at, and the linear start mends that; the scale then stays tha
 
 @dataclass(frozen=True, slots=True, repr=False)
 class HamataniReproduction(Reproduction):
-    """Everything measured: cells with nothing known and with two robots known, and the drift of scale."""
+    """The experiment of Hamatani, Nakamura and Naruse as measured here, beside what they printed.
+
+    cells: errors with nothing known and with two robots known; drift: of the scale.
+    """
 
     title: ClassVar[str] = "Hamatani, Nakamura, Naruse"
     claims: ClassVar[tuple[Claim, ...]] = CLAIMS
@@ -352,9 +355,27 @@ def reproduce_hamatani(
     force: bool = False,
     on_progress: Progress = no_progress,
 ) -> HamataniReproduction:
-    """The experiment of Hamatani, Nakamura and Naruse, 10 trials a cell as printed (`quick`: 3), written to `out`.
+    """Run the experiment of Hamatani, Nakamura and Naruse: swarms located from bearings by Kalman filters.
 
-    The same seed gives the same figures. Raises UsageError when `out` holds something other than a result.
+    Written to `out` if given; the same seed gives the same figures.
+
+    Parameters
+    ----------
+    out
+        The folder to write: tables, figures, claims and how they came out; an earlier result there is replaced whole.
+    quick
+        3 trials a cell, not the paper's 10 (False).
+    seed
+        Of everything drawn at random (0).
+    force
+        Write into `out` even when something other than a result stands there (False).
+    on_progress
+        Called as `on_progress(stage, done, total)`.
+
+    Raises
+    ------
+    UsageError
+        For an `out` that holds something other than a result.
     """
     if out is not None:
         check_target(Path(out), force=force)

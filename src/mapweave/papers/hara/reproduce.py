@@ -60,7 +60,9 @@ Errors are root mean square positions after one rigid alignment to the truth.
 
 @dataclass(frozen=True, slots=True, repr=False)
 class HaraReproduction(Reproduction):
-    """errors: (methods, seeds) ATE [m]; pictures: the maps of one seed; gate: on the ring that is hard to match;
+    """The experiments of Hara, Kawata, Ohya and Yuta as measured here, beside what they printed.
+
+    errors: (methods, seeds) ATE [m]; pictures: the maps of one seed; gate: on the ring that is hard to match;
     starts: localised with intensity and without.
     """
 
@@ -338,10 +340,29 @@ def reproduce_hara(
     loop: CorridorConfig | None = None,
     on_progress: Progress = no_progress,
 ) -> HaraReproduction:
-    """Every method on six simulated loops with 512 particles, and 100 starts, written to `out` if given.
+    """Run the experiments of Hara, Kawata, Ohya and Yuta: laser SLAM with received light intensity.
 
-    quick: two loops, 64 particles, 6 starts. loop: the ring that is driven; the paper's kind where none is given. The
-    same seed gives the same figures. Raises UsageError when `out` holds something other than a result.
+    Written to `out` if given; the same seed gives the same figures.
+
+    Parameters
+    ----------
+    out
+        The folder to write: tables, figures, claims and how they came out; an earlier result there is replaced whole.
+    quick
+        2 loops, 64 particles and 6 starts, not 6, 512 and 100 (False).
+    seed
+        Of everything drawn at random (0).
+    force
+        Write into `out` even when something other than a result stands there (False).
+    loop
+        The ring of corridor that is driven (the paper's kind).
+    on_progress
+        Called as `on_progress(stage, done, total)`.
+
+    Raises
+    ------
+    UsageError
+        For an `out` that holds something other than a result.
     """
     if out is not None:
         check_target(Path(out), force=force)

@@ -66,7 +66,7 @@ Weights do pay when maps share more than two landmarks and differ in quality: se
 
 @dataclass(frozen=True, slots=True, repr=False)
 class KojimaReproduction(Measured, Reproduction):
-    """What was measured, as tables, figures, sentences and claims."""
+    """The experiment of Kojima, Okawa and Namerikawa as measured here: tables, figures, claims judged."""
 
     title: ClassVar[str] = "Kojima, Okawa, Namerikawa (2012)"
     claims: ClassVar[tuple[Claim, ...]] = CLAIMS
@@ -315,9 +315,27 @@ def reproduce_kojima(
     force: bool = False,
     on_progress: Progress = no_progress,
 ) -> KojimaReproduction:
-    """The experiment of Kojima, Okawa and Namerikawa in 200 simulated worlds (`quick`: 20), written to `out` if given.
+    """Run the experiment of Kojima, Okawa and Namerikawa: local maps merged through relative information.
 
-    The same seed gives the same figures. Raises UsageError when `out` holds something other than a result.
+    Written to `out` if given; the same seed gives the same figures.
+
+    Parameters
+    ----------
+    out
+        The folder to write: tables, figures, claims and how they came out; an earlier result there is replaced whole.
+    quick
+        20 simulated worlds, not 200 (False).
+    seed
+        Of everything drawn at random (0).
+    force
+        Write into `out` even when something other than a result stands there (False).
+    on_progress
+        Called as `on_progress(stage, done, total)`.
+
+    Raises
+    ------
+    UsageError
+        For an `out` that holds something other than a result.
     """
     if out is not None:
         check_target(Path(out), force=force)

@@ -61,7 +61,10 @@ out accuracy or the distance to the others: see the table.
 
 @dataclass(frozen=True, slots=True, repr=False)
 class YuanReproduction(Reproduction):
-    """Everything measured; pictures: the first run of two robots and of one, as in the paper's Figs. 1 and 2."""
+    """The experiment of Yuan, Huang, Tao and Xi as measured here, beside what they printed.
+
+    pictures: the first run of two robots and of one, as in the paper's Figs. 1 and 2.
+    """
 
     title: ClassVar[str] = "Yuan, Huang, Tao, Xi (2009), reproduced"
     claims: ClassVar[tuple[Claim, ...]] = CLAIMS
@@ -349,10 +352,31 @@ def reproduce_yuan(
     executor: Executor | None = None,
     on_progress: Progress = no_progress,
 ) -> YuanReproduction:
-    """The experiment of Yuan, Huang, Tao and Xi, 30 runs a case (`quick`: 4), from a third to twice as many in some.
+    """Run the experiment of Yuan, Huang, Tao and Xi: robots that decide where to drive.
 
-    Written to `out` if given. The same seed gives the same figures. Raises UsageError when `out` holds something other
-    than a result.
+    Written to `out` if given; the same seed gives the same figures.
+
+    Parameters
+    ----------
+    out
+        The folder to write: tables, figures, claims and how they came out; an earlier result there is replaced whole.
+    quick
+        4 runs a case, not 30; some cases have from a third to twice as many (False).
+    seed
+        Of everything drawn at random (0).
+    jobs
+        How many runs are worked on at once, in processes of our own (1).
+    force
+        Write into `out` even when something other than a result stands there (False).
+    executor
+        Any `concurrent.futures.Executor` in place of `jobs`.
+    on_progress
+        Called as `on_progress(stage, done, total)`.
+
+    Raises
+    ------
+    UsageError
+        For an `out` that holds something other than a result.
     """
     if out is not None:
         check_target(Path(out), force=force)

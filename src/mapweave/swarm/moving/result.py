@@ -13,7 +13,10 @@ from ...solve import Solution
 
 @config
 class TrackConfig:
-    """How robots move. Odometry noise is white: its standard deviation over dt is (floor + share |v|) sqrt(dt)."""
+    """Settings of `locate` for robots that move, table `[motion]`.
+
+    Odometry noise is white: its standard deviation over dt is (floor + share |v|) sqrt(dt).
+    """
 
     acceleration: float = 0.02  # [m^2/s^3] white-noise acceleration density of each axis, without odometry
     speed: float = 3.0  # [m/s] prior of each axis of the first velocity, without odometry
