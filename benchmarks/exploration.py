@@ -23,7 +23,15 @@ from mapweave.kernels.landmarks import ekf, ekf_apply_drive, ekf_start, ekf_stat
 from mapweave.kernels.landmarks.submap import sight_jacobian
 from mapweave.landmarks.config import EkfSlamConfig, noise
 from mapweave.landmarks.landmark_map import GlobalMap, Submap
-from mapweave.landmarks.submap_slam import Observations, SubmapConfig, empty, move, predict, sight, update
+from mapweave.landmarks.submap_slam import (
+    Observations,
+    SubmapConfig,
+    empty,
+    move,
+    predict,
+    predicted_observation,
+    update,
+)
 
 STEPS, SIGHTINGS = 30, 3
 
@@ -98,7 +106,7 @@ def cost(n: int) -> dict:
     u, pose, script = np.array([0.5, 0.1]), np.zeros(3), []
     for _ in range(STEPS):
         pose, rows = move(pose, u, cfg.period), rng.choice(near, SIGHTINGS, replace=False)
-        z = sight(pose, marks[rows]) + rng.normal(size=(SIGHTINGS, 2)) * (cfg.range_sd, cfg.bearing_sd)
+        z = predicted_observation(pose, marks[rows]) + rng.normal(size=(SIGHTINGS, 2)) * (cfg.range_sd, cfg.bearing_sd)
         script.append((rows, z, Observations(z, tuple(ids[k] for k in rows))))
 
     def submap() -> float:
@@ -181,7 +189,7 @@ def textbook(P: np.ndarray, marks: np.ndarray, script: list, u: np.ndarray, cfg:
             for i, j in enumerate(some):
                 sight_jacobian(x[:3], x[3 + 2 * j : 5 + 2 * j], one)
                 H[2 * i : 2 * i + 2, :3], H[2 * i : 2 * i + 2, 3 + 2 * i : 5 + 2 * i] = one[:, :3], one[:, 3:]
-            e = z[k : k + at_once] - sight(x[:3], x[3:].reshape(-1, 2)[some])
+            e = z[k : k + at_once] - predicted_observation(x[:3], x[3:].reshape(-1, 2)[some])
             e[:, 1] = wrap_angle(e[:, 1])
             PH = P[:, used] @ H.T
             L = np.linalg.cholesky(H @ PH[used] + np.kron(np.eye(len(some)), cfg.R))

@@ -17,7 +17,7 @@ from mapweave.kernels.exploration.objective import (
 from mapweave.kernels.exploration.tours import balanced_tours, greedy_cover
 from mapweave.kernels.walls.segments import Raster, Sector
 from mapweave.landmarks.landmark_map import Submap
-from mapweave.landmarks.submap_slam import Observations, SubmapConfig, move, predict, sight, update
+from mapweave.landmarks.submap_slam import Observations, SubmapConfig, move, predict, predicted_observation, update
 
 
 @pytest.mark.kernel
@@ -49,7 +49,7 @@ def test_expected_uncertainty_is_that_of_a_filter_that_sees_what_is_in_view():
     got = expected_uncertainty(m.pose.copy(), m.mean.copy(), m.cov.copy(), controls, model)
     for u, C in zip(controls, got, strict=True):
         p = predict(m, u, cfg)
-        z = sight(p.pose, p.mean[:1])
+        z = predicted_observation(p.pose, p.mean[:1])
         want, _ = update(p, Observations(z, ("0",)), cfg)
         eig = np.linalg.eigvalsh
         dense = np.pi * np.sqrt(np.prod(eig(want.cov[:3, :3])))

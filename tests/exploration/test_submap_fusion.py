@@ -8,7 +8,16 @@ from mapweave.fusion.handover import hand_over
 from mapweave.fusion.map_and_submap import FLOOR, MapAndSubmap, merge_duplicates
 from mapweave.kernels.landmarks import submap as kernels
 from mapweave.landmarks.landmark_map import GlobalMap, Submap, known_starts
-from mapweave.landmarks.submap_slam import Observations, SubmapConfig, empty, in_view, move, predict, sight, update
+from mapweave.landmarks.submap_slam import (
+    Observations,
+    SubmapConfig,
+    empty,
+    in_view,
+    move,
+    predict,
+    predicted_observation,
+    update,
+)
 
 
 def numeric(f, x, h=1e-6):
@@ -36,7 +45,7 @@ def test_motion_and_sighting_jacobians_agree_with_central_differences():
         for p in points:
             H = np.empty((2, 5))
             kernels.sight_jacobian(pose, p, H)
-            both = numeric(lambda x: sight(x[:3], x[None, 3:]), np.concatenate([pose, p]))
+            both = numeric(lambda x: predicted_observation(x[:3], x[None, 3:]), np.concatenate([pose, p]))
             assert np.abs(H - both).max() < 1e-6
 
 
@@ -48,7 +57,7 @@ def carried(pose, control):
 
 
 def test_the_bearing_has_the_sign_of_the_side_the_landmark_is_on():
-    z = sight(np.zeros(3), np.array([[5.0, 1.0], [-5.0, 1.0]]))
+    z = predicted_observation(np.zeros(3), np.array([[5.0, 1.0], [-5.0, 1.0]]))
     assert z[0, 1] > 0
     assert z[1, 1] > np.pi / 2
 
@@ -86,12 +95,12 @@ def test_a_submap_step_equals_a_dense_textbook_ekf():
     P = F @ m.cov @ F.T
     P[:3, :3] += cfg.Q
     assert np.allclose(p.cov, P, atol=1e-10)
-    z = sight(p.pose, p.mean) + 0.01
+    z = predicted_observation(p.pose, p.mean) + 0.01
     done, _ = update(p, Observations(z, ("0", "1")), cfg)
-    H = numeric(lambda x: sight(x[:3], x[3:].reshape(2, 2)), np.concatenate([p.pose, p.mean.ravel()]))
+    H = numeric(lambda x: predicted_observation(x[:3], x[3:].reshape(2, 2)), np.concatenate([p.pose, p.mean.ravel()]))
     R = np.kron(np.eye(2), cfg.R)
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-    x = np.concatenate([p.pose, p.mean.ravel()]) + K @ (z - sight(p.pose, p.mean)).ravel()
+    x = np.concatenate([p.pose, p.mean.ravel()]) + K @ (z - predicted_observation(p.pose, p.mean)).ravel()
     assert np.allclose(np.concatenate([done.pose, done.mean.ravel()]), x, atol=1e-6)
     assert np.allclose(done.cov, P - K @ H @ P, atol=1e-7)
 
@@ -176,7 +185,7 @@ def driven_submap(rng, robot, marks, steps=12):
     for _ in range(steps):
         u = np.array([1.0, rng.uniform(-0.3, 0.3)])
         pose = move(pose, u, cfg.period) + rng.normal(size=3) * cfg.motion_sd
-        z = sight(pose, marks) + rng.normal(size=(len(marks), 2)) * (cfg.range_sd, cfg.bearing_sd)
+        z = predicted_observation(pose, marks) + rng.normal(size=(len(marks), 2)) * (cfg.range_sd, cfg.bearing_sd)
         m, _ = update(predict(m, u, cfg), Observations(z, tuple(str(k) for k in range(len(marks)))), cfg)
     return m
 
@@ -332,7 +341,7 @@ def test_driving_close_past_a_landmark_leaves_an_honest_submap(speed):
                 u = np.array([speed, rng.choice([-0.4, 0.0, 0.4])])
                 pose = move(pose, u, cfg.period) + rng.normal(size=3) * cfg.motion_sd
                 m = predict(m, u, cfg)
-            z = sight(pose, marks)
+            z = predicted_observation(pose, marks)
             rows = np.flatnonzero(in_view(z, cfg))
             seen = z[rows] + rng.normal(size=(len(rows), 2)) * (cfg.range_sd, cfg.bearing_sd)
             m, _ = update(m, Observations(seen, tuple(map(str, rows))), cfg)

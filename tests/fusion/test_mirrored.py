@@ -6,7 +6,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.landmark_log import LandmarkLog, SightingTable
 from mapweave.core.records import Odometry
-from mapweave.fusion.mirrored import mirror_images, put_right
+from mapweave.fusion.mirrored import mirror_images, unmirrored
 
 from .worlds import local_map
 
@@ -45,7 +45,7 @@ def test_few_landmarks_and_landmarks_in_a_row_decide_nothing():
 
 def test_putting_right_turns_bearings_and_turns():
     seen = SightingTable(np.zeros(2), np.array([0, 1]), np.ones(2), np.array([0.3, -0.2]), ("6", "7"))
-    log = put_right(LandmarkLog("robot1", Odometry(np.zeros(1), np.ones(1), np.array([0.4])), seen))
+    log = unmirrored(LandmarkLog("robot1", Odometry(np.zeros(1), np.ones(1), np.array([0.4])), seen))
     assert log.sightings.bearing.tolist() == [-0.3, 0.2]
     assert log.odometry.w.tolist() == [-0.4]
     assert log.odometry.v.tolist() == [1.0]

@@ -34,7 +34,7 @@ def test_the_last_online_map_is_the_offline_one_whatever_came_before():
     last = versions(maps)[-1]
     offline = fuse(last)
     np.testing.assert_allclose(fuser.largest.map.mean, offline.components[0].map.mean, atol=5e-3)
-    fuser = fuser.settled()
+    fuser = fuser.converged()
     np.testing.assert_array_equal(fuser.fusion.components[0].map.mean, offline.components[0].map.mean)
     np.testing.assert_array_equal(fuser.fusion.components[0].map.cov, offline.components[0].map.cov)
     np.testing.assert_array_equal(OnlineFuser().update(*last).largest.map.mean, offline.components[0].map.mean)
@@ -46,7 +46,7 @@ def test_the_same_version_sent_again_changes_nothing():
     once = OnlineFuser().update(*maps)
     again = once.update(maps[1]).update(maps[1])
     np.testing.assert_allclose(once.largest.map.cov, again.largest.map.cov, rtol=1e-6, atol=1e-12)
-    np.testing.assert_array_equal(once.largest.map.cov, again.settled().largest.map.cov)
+    np.testing.assert_array_equal(once.largest.map.cov, again.converged().largest.map.cov)
 
 
 def test_the_map_gets_surer_as_maps_grow_and_robots_are_tied_in_one_by_one():

@@ -5,18 +5,18 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.kernels.landmarks.relation import relation_normal
-from mapweave.team.relative_frame import Glances, PlacingConfig, costs, residuals
+from mapweave.team.relative_frame import MutualSightings, PlacingConfig, costs, residuals
 
 pytestmark = pytest.mark.kernel
 CFG = PlacingConfig()
 
 
-def glances(m: int = 40) -> Glances:
+def glances(m: int = 40) -> MutualSightings:
     rng = np.random.default_rng(5)
     pose = np.column_stack([rng.uniform(-5, 5, (m, 2)), rng.uniform(-3, 3, m)])
     told = np.where(rng.random(m) < 0.3, np.nan, rng.uniform(0.5, 6, m))
     seen = rng.uniform(-1, 1, m)
-    return Glances(rng.random(m) < 0.5, pose, rng.uniform(-5, 5, (m, 2)), told, seen, np.arange(m, dtype=float))
+    return MutualSightings(rng.random(m) < 0.5, pose, rng.uniform(-5, 5, (m, 2)), told, seen, np.arange(m, dtype=float))
 
 
 def test_cost_gradient_and_information_are_those_of_the_residuals():

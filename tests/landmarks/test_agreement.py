@@ -8,7 +8,7 @@ import pytest
 from mapweave.core.errors import DataError
 from mapweave.core.landmark_log import LandmarkLog, SightingTable
 from mapweave.core.records import Odometry
-from mapweave.landmarks.agreement import Agreement, AgreementConfig, Scale, agreeing
+from mapweave.landmarks.agreement import Agreement, AgreementConfig, Scale, with_wheels_checked
 from mapweave.landmarks.config import EkfSlamConfig
 
 EKF = EkfSlamConfig()
@@ -60,7 +60,7 @@ def test_a_scale_is_the_weighted_median_and_tells_how_much_it_explains():
 @pytest.mark.parametrize(("speed", "turn"), [(1.0, 1.0), (0.9, 0.6), (1.2, 1.5)])
 def test_wheels_of_another_calibration_are_left_to_the_estimator(seed, speed, turn):
     log = with_wheels(a_log(seed), 1 / speed, 1 / turn)
-    assert agreeing(log, EKF) is log
+    assert with_wheels_checked(log, EKF) is log
     found = Agreement.of(log.sightings, log.odometry, EKF, CFG)
     assert found.speed.value == pytest.approx(speed, rel=0.1)
     assert found.turn.value == pytest.approx(0.92 * turn, rel=0.15)
@@ -80,7 +80,7 @@ def test_wheels_of_another_calibration_are_left_to_the_estimator(seed, speed, tu
 )
 def test_wheels_of_another_sign_or_unit_are_mended_and_it_is_told(seed, speed, turn, told):
     right = a_log(seed)
-    mended = agreeing(with_wheels(right, speed, turn), EKF)
+    mended = with_wheels_checked(with_wheels(right, speed, turn), EKF)
     assert told in " ".join(mended.warnings)
     np.testing.assert_allclose(mended.odometry.v, right.odometry.v, rtol=1e-12)
     np.testing.assert_allclose(mended.odometry.w, right.odometry.w, rtol=1e-12)
@@ -89,10 +89,10 @@ def test_wheels_of_another_sign_or_unit_are_mended_and_it_is_told(seed, speed, t
 @pytest.mark.parametrize("side", [1, -1])
 def test_wheels_are_left_out_where_the_sensor_looks_aside_or_no_unit_fits(side):
     log = a_log(4)
-    looks = agreeing(with_sightings(log, turned=side * np.pi / 2), EKF)
+    looks = with_wheels_checked(with_sightings(log, turned=side * np.pi / 2), EKF)
     assert looks.odometry is None
     assert ("left" if side > 0 else "right") in looks.warnings[0]
-    feet = agreeing(with_sightings(log, distance=1 / 0.3048), EKF)
+    feet = with_wheels_checked(with_sightings(log, distance=1 / 0.3048), EKF)
     assert feet.odometry is None
     assert "not in metres" in feet.warnings[0]
     assert feet.log_hash == with_sightings(log, distance=1 / 0.3048).log_hash
@@ -100,14 +100,14 @@ def test_wheels_are_left_out_where_the_sensor_looks_aside_or_no_unit_fits(side):
 
 def test_degrees_and_millimetres_are_one_clear_error():
     with pytest.raises(DataError, match=r"robot1: \d+% of its bearings are beyond a full turn.*degrees"):
-        agreeing(with_sightings(a_log(5), bearing=180 / np.pi), EKF)
+        with_wheels_checked(with_sightings(a_log(5), bearing=180 / np.pi), EKF)
     with pytest.raises(DataError, match=r"robot1: its ranges change \d+ times what its speed says: expected metres"):
-        agreeing(with_sightings(a_log(5), distance=1000.0), EKF)
+        with_wheels_checked(with_sightings(a_log(5), distance=1000.0), EKF)
 
 
 def test_wheels_of_another_robot_are_left_out_and_said_to_be_so():
     log, other = a_log(7), a_log(8)
-    made = agreeing(replace(log, odometry=other.odometry), EKF)
+    made = with_wheels_checked(replace(log, odometry=other.odometry), EKF)
     assert made.odometry is None
     assert "do not follow its turns" in made.warnings[0]
 
@@ -117,12 +117,12 @@ def test_a_few_absurd_commands_do_not_condemn_the_wheels():
     v, w = log.odometry.v.copy(), log.odometry.w.copy()
     v[500:503], w[900] = 1e200, -1e6
     absurd = replace(log, odometry=Odometry(log.odometry.t, v, w))
-    assert agreeing(absurd, EKF) is absurd
+    assert with_wheels_checked(absurd, EKF) is absurd
 
 
 def test_what_hardly_shows_is_not_judged():
     log = with_wheels(a_log(6), -1.0, -1.0)
     few = replace(log, sightings=log.sightings.select(np.arange(20)))
-    assert agreeing(few, EKF) is few
+    assert with_wheels_checked(few, EKF) is few
     bare = replace(log, odometry=None)
-    assert agreeing(bare, EKF) is bare
+    assert with_wheels_checked(bare, EKF) is bare

@@ -7,7 +7,7 @@ import pytest
 
 from mapweave.core.landmark_log import LandmarkLog, SightingTable
 from mapweave.core.records import Odometry
-from mapweave.landmarks.copies import copies_told
+from mapweave.landmarks.copies import with_copies_marked
 
 
 def a_log(robot: str, seed: int, n: int = 60) -> LandmarkLog:
@@ -19,7 +19,7 @@ def a_log(robot: str, seed: int, n: int = 60) -> LandmarkLog:
 
 def test_logs_of_two_robots_are_left_as_they_are():
     logs = [a_log("robot1", 1), a_log("robot2", 2), a_log("robot3", 3)]
-    assert all(a is b for a, b in zip(copies_told(logs), logs, strict=True))
+    assert all(a is b for a, b in zip(with_copies_marked(logs), logs, strict=True))
 
 
 @pytest.mark.parametrize("change", ["later", "without robots", "a part"])
@@ -33,7 +33,7 @@ def test_a_copy_carries_the_hash_of_the_first_and_says_so(change):
     }[change]
     copy = replace(log, robot="robot3", sightings=seen, log_hash="")
     assert copy.log_hash != log.log_hash
-    first, second, third = copies_told([log, other, copy])
+    first, second, third = with_copies_marked([log, other, copy])
     assert first is log
     assert second is other
     assert third.log_hash == log.log_hash
@@ -51,4 +51,4 @@ def test_numbers_that_hardly_vary_prove_no_copy():
         )
         for x in logs
     ]
-    assert all(a is b for a, b in zip(copies_told(flat), flat, strict=True))
+    assert all(a is b for a, b in zip(with_copies_marked(flat), flat, strict=True))

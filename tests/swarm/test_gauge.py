@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.swarm.factors import bearing_factor, width
-from mapweave.swarm.gauge import Gauge, basis, normalise, pins
+from mapweave.swarm.gauge import Gauge, gauge_basis, gauge_pins, normalise
 
 from .swarms import complete
 
@@ -64,16 +64,16 @@ def test_no_sighting_sees_the_motions_that_the_gauge_takes_away_and_pins_leave_n
     anchors = () if place else (2,)
     net = complete(PLACES, 0.5, RNG, anchors)
     whole = gauge(place=place, scale=scale, centre=PLACES[2] if not place else (0.0, 0.0))
-    G, C = basis(net, whole, PLACES)
+    G, C = gauge_basis(net, whole, PLACES)
     assert G.shape == C.shape == (6 * width(net), 2 * place + scale)
     members = Gauge(whole.name, place, scale, False, np.ones(6, dtype=bool), whole.centre)
-    G, C = basis(net, members, PLACES)
+    G, C = gauge_basis(net, members, PLACES)
     factor, x, h = bearing_factor(net), PLACES.ravel(), 1e-6
     for g in G.T:
         change = (factor.residual(x + h * g) - factor.residual(x - h * g)) / (2 * h)
         assert np.abs(change).max() < 1e-6
     np.testing.assert_allclose(C.T @ G, np.diag(np.diag(C.T @ G)), atol=1e-9)
-    free = np.flatnonzero(~pins(net, members, PLACES).ravel())
+    free = np.flatnonzero(~gauge_pins(net, members, PLACES).ravel())
     assert len(free) == 12 - G.shape[1]
     J = [(factor.residual(x + h * e) - factor.residual(x - h * e)).ravel() / (2 * h) for e in np.eye(12)[free]]
     lost = (
@@ -85,14 +85,14 @@ def test_no_sighting_sees_the_motions_that_the_gauge_takes_away_and_pins_leave_n
 def test_turning_the_whole_is_the_motion_that_sightings_in_own_axes_do_not_see():
     net = replace(complete(PLACES, 0.5, RNG), axis=False)
     whole = Gauge("orientation free", True, True, True, np.ones(6, dtype=bool), np.zeros(2))
-    G, C = basis(net, whole, PLACES)
+    G, C = gauge_basis(net, whole, PLACES)
     assert G.shape == C.shape == (18, 4)
     factor, x, h = bearing_factor(net), np.column_stack([PLACES, HEADINGS]).ravel(), 1e-6
     for g in G.T:
         change = (factor.residual(x + h * g) - factor.residual(x - h * g)) / (2 * h)
         assert np.abs(change).max() < 1e-6
     assert np.linalg.matrix_rank(C.T @ G) == 4
-    free = np.flatnonzero(~pins(net, whole, PLACES).ravel())
+    free = np.flatnonzero(~gauge_pins(net, whole, PLACES).ravel())
     J = [(factor.residual(x + h * e) - factor.residual(x - h * e)).ravel() / (2 * h) for e in np.eye(18)[free]]
     assert len(free) == 14
     assert np.linalg.matrix_rank(np.array(J), tol=1e-6) == 14

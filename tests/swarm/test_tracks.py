@@ -12,7 +12,7 @@ from mapweave.core import se2
 from mapweave.core.errors import DataError
 from mapweave.core.records import Odometry
 from mapweave.sim.swarm import SwarmScene, simulate_swarm
-from mapweave.swarm.headings import meet
+from mapweave.swarm.headings import relative_odometry_frame
 from mapweave.swarm.moving.drive import smooth_driving
 from mapweave.swarm.moving.factors import odometry_factor, sighting_factor, velocity_factor
 from mapweave.swarm.moving.filtering import filtered
@@ -170,7 +170,7 @@ def test_two_odometry_frames_meet_from_bearings_alone():
     d = np.where(by_a[:, None], b[:, :2] - a[:, :2], a[:, :2] - b[:, :2])
     heading = np.where(by_a, a[:, 2], b[:, 2])
     bearing = np.arctan2(d[:, 1], d[:, 0]) - heading + 0.002 * rng.standard_normal(30)
-    found, error = meet(a, own_b, bearing, by_a)
+    found, error = relative_odometry_frame(a, own_b, bearing, by_a)
     assert found == pytest.approx(T, abs=0.05)
     assert error < 1e-4
 

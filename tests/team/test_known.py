@@ -8,7 +8,7 @@ from mapweave.core import se2
 from mapweave.core.errors import ReaderError, UsageError
 from mapweave.io.points import read_points
 from mapweave.team.config import KnownConfig
-from mapweave.team.known import Known
+from mapweave.team.known import PlacePriors
 
 from .mixed_teams import mixed
 
@@ -22,7 +22,7 @@ def team():
 def known_points(w, shift=(0.0, 0.0), only=None):
     names = [n for n in w.truth.survey.ids if only is None or n in only]
     at = dict(zip(w.truth.survey.ids, w.truth.survey.xy, strict=True))
-    return Known(points={n: (at[n] + shift, 0.02) for n in names})
+    return PlacePriors(points={n: (at[n] + shift, 0.02) for n in names})
 
 
 def start_of(w, robot):
@@ -33,7 +33,7 @@ def test_robots_that_have_nothing_in_common_are_tied_by_their_starts():
     w = team()
     assert len(w.map().components) == 2
     starts = {robot: (start_of(w, robot), 0.05) for robot in ("robot1", "robot2")}
-    made = w.map(known=Known(starts=starts))
+    made = w.map(known=PlacePriors(starts=starts))
     (whole,) = made.components
     assert whole.map.robots == ("robot1", "robot2")
     for robot, track in whole.map.tracks.items():
@@ -44,7 +44,7 @@ def test_robots_that_have_nothing_in_common_are_tied_by_their_starts():
 def test_starts_told_from_the_first_robot_leave_the_frame_its_first_pose():
     w = team()
     T = se2.between(start_of(w, "robot1"), start_of(w, "robot2"))
-    known = Known.of({"robot2": tuple(T)}, {}, {}, ["robot1", "robot2"], KnownConfig())
+    known = PlacePriors.of({"robot2": tuple(T)}, {}, {}, ["robot1", "robot2"], KnownConfig())
     assert known.own_frame
     (whole,) = w.map(known=known).components
     np.testing.assert_allclose(whole.map.tracks["robot1"].pose[0], 0.0, atol=0.05)
@@ -71,7 +71,7 @@ def test_a_wrong_start_and_exchanged_points_are_told_and_do_no_harm():
     a, b = sorted(seen, key=lambda name: -seen[name])[:2]
     points[a], points[b] = points[b], points[a]
     wrong = {"robot1": (start_of(w, "robot1") + np.array([20.0, 0.0, 0.0]), 0.05)}
-    (whole,) = w.map(known=Known(starts=wrong, points=points)).components
+    (whole,) = w.map(known=PlacePriors(starts=wrong, points=points)).components
     assert any("start" in note for note in whole.notes)
     assert sum("surveyed" in note for note in whole.notes) == 2
     at = dict(zip(names, w.truth.survey.xy, strict=True))

@@ -14,7 +14,7 @@ from mapweave.team.mixed import regained
 from mapweave.team.placing import Layout
 from mapweave.team.problem import team_problem
 from mapweave.team.relative_frame import Body, PlacingConfig, moved_track
-from mapweave.team.scan_factors import Crossing
+from mapweave.team.scan_factors import InterRobotEdge
 from mapweave.team.walls import CommonWalls, Scanned, common_walls, in_line
 
 from .mixed_teams import mixed
@@ -225,7 +225,7 @@ def test_all_derivatives_are_those_of_differences(one_room):
     team = made.components[0].map
     graphs = {robot: s.graph for robot, s in w.scanned.items()}
     rng = np.random.default_rng(0)
-    crossings = [Crossing("robot1", "robot2", 3, 5, np.array([0.3, -0.2, 0.5]), np.diag([30.0, 20.0, 90.0]))]
+    crossings = [InterRobotEdge("robot1", "robot2", 3, 5, np.array([0.3, -0.2, 0.5]), np.diag([30.0, 20.0, 90.0]))]
     problem = team_problem(w.logs, team.landmarks, team.tracks, {}, {}, SmoothingConfig(), graphs, crossings)
     x = problem.problem.x0 + rng.normal(0, 0.02, len(problem.problem.x0))
     kinds = set()

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.team.relative_frame import Glances, PlacingConfig, is_sure, point_seen, relate, residuals
+from mapweave.team.relative_frame import MutualSightings, PlacingConfig, is_sure, point_seen, relate, residuals
 
 CFG = PlacingConfig()
 
 
 def made(seed, m=40, *, ranges=True, wrong=0.0, noise=0.02):
-    """Glances between a and b, which lies at T in a."""
+    """Sightings between a and b, which lies at T in a."""
     rng = np.random.default_rng(seed)
     T = np.array([*rng.uniform(-5, 5, 2), rng.uniform(-np.pi, np.pi)])
     forward = rng.random(m) < 0.5
@@ -24,7 +24,7 @@ def made(seed, m=40, *, ranges=True, wrong=0.0, noise=0.02):
     r = np.where(lost, r + rng.uniform(1, 4, m), r)
     back = se2.inverse(T)
     in_b = se2.compose(back, pose), se2.act(back, point)
-    z = Glances(
+    z = MutualSightings(
         forward,
         np.where(forward[:, None], pose, in_b[0]),
         np.where(forward[:, None], in_b[1], point),
@@ -58,7 +58,7 @@ def test_what_is_true_has_no_residual():
 
 def test_seen_the_other_way_round_is_the_inverse():
     z, T = made(5, noise=0.0)
-    turned = Glances(~z.forward, z.pose, z.point, z.range, z.bearing, z.t)
+    turned = MutualSightings(~z.forward, z.pose, z.point, z.range, z.bearing, z.t)
     np.testing.assert_allclose(relate(turned, CFG).transform, se2.inverse(T), atol=1e-5)
 
 
@@ -66,13 +66,13 @@ def test_too_little_or_contradicting_sightings_tell_nothing():
     z, _ = made(7)
     assert relate(z.select(np.arange(CFG.least - 1)), CFG) is None
     rng = np.random.default_rng(1)
-    noise = Glances(z.forward, z.pose, z.point, z.range, rng.uniform(-np.pi, np.pi, len(z)), z.t)
+    noise = MutualSightings(z.forward, z.pose, z.point, z.range, rng.uniform(-np.pi, np.pi, len(z)), z.t)
     assert relate(noise, CFG) is None
 
 
 def test_bearings_of_one_standing_robot_from_one_place_leave_its_distance_open():
     m = 20
-    z = Glances(
+    z = MutualSightings(
         np.ones(m, bool), np.zeros((m, 3)), np.zeros((m, 2)), np.full(m, np.nan), np.full(m, 0.3), np.arange(m) * 1.0
     )
     assert not is_sure(relate(z, CFG), CFG)
@@ -84,7 +84,7 @@ def test_a_point_is_where_its_bearings_meet():
     d = np.array([1.0, 2.0]) - pose[:, :2]
     b = np.arctan2(d[:, 1], d[:, 0]) - pose[:, 2]
     b[:4] += 1.5
-    z = Glances(np.ones(20, bool), pose, np.zeros((20, 2)), np.full(20, np.nan), b, np.arange(20.0))
+    z = MutualSightings(np.ones(20, bool), pose, np.zeros((20, 2)), np.full(20, np.nan), b, np.arange(20.0))
     np.testing.assert_allclose(point_seen(z, CFG), [1.0, 2.0], atol=0.05)
-    still = Glances(z.forward, np.tile(pose[5], (20, 1)), z.point, z.range, np.full(20, b[5]), z.t)
+    still = MutualSightings(z.forward, np.tile(pose[5], (20, 1)), z.point, z.range, np.full(20, b[5]), z.t)
     assert point_seen(still, CFG) is None

@@ -12,16 +12,16 @@ from ..core.names import in_order, robot_key, robot_name
 from ..core.workers import worker_pool
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse
-from ..fusion.mirrored import mirror_images, put_right
+from ..fusion.mirrored import mirror_images, unmirrored
 from ..fusion.result import Fusion, tie_by_starts
 from ..io.kept import parts
 from ..io.landmark_logs import is_landmark_log, landmark_logs_of, read_landmark_logs
 from ..io.points import read_points
 from ..io.table import Columns
 from ..io.team_map import read_calibration
-from ..landmarks.agreement import agreeing
+from ..landmarks.agreement import with_wheels_checked
 from ..landmarks.config import EkfSlamConfig
-from ..landmarks.copies import copies_told
+from ..landmarks.copies import with_copies_marked
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import Growth, grow, without_impossible
 from ..landmarks.sifting import SiftConfig, sifted
@@ -30,7 +30,7 @@ from ..team.clocks import of_another_time
 from ..team.config import OnlineConfig, SmoothingConfig
 from ..team.further_rooms import with_further_rooms
 from ..team.kidnapped import KidnapConfig, cut_kidnapped, with_stretches
-from ..team.known import Known, framed
+from ..team.known import PlacePriors, framed
 from ..team.mixed import regained
 from ..team.on_one_clock import smooth_on_one_clock
 from ..team.online_run import OnlineMap, OnlineRun
@@ -97,15 +97,17 @@ def _configured(options: MapOptions) -> LandmarkMapConfig:
 def _map_read(
     logs: Sequence[LandmarkLog], cfg: LandmarkMapConfig, options: MapOptions, title: str, watch: Watch
 ) -> TeamResult:
-    on_time = [on_camera_clock(log, cfg.camera_clock) for log in copies_told(_shared(list(logs), options))]
-    read = [sifted(without_impossible(agreeing(log, cfg.ekf), cfg.ekf), cfg.ekf, cfg.sift) for log in on_time]
+    on_time = [on_camera_clock(log, cfg.camera_clock) for log in with_copies_marked(_shared(list(logs), options))]
+    read = [
+        sifted(without_impossible(with_wheels_checked(log, cfg.ekf), cfg.ekf), cfg.ekf, cfg.sift) for log in on_time
+    ]
     watch.lap("read")
     fused, looked = (None if s is None else times_of(read, s) for s in _every(cfg, options))
     times = sorted({*(fused or ()), *(looked or ())})
     grown = _local_maps(read, cfg, times, options)
     mirrored = mirror_images([g.whole for g in grown])
     if mirrored:
-        read = [put_right(log) if log.robot in mirrored else log for log in read]
+        read = [unmirrored(log) if log.robot in mirrored else log for log in read]
         again = iter(_local_maps([log for log in read if log.robot in mirrored], cfg, times, options))
         grown = [next(again) if log.robot in mirrored else g for log, g in zip(read, grown, strict=True)]
     made, placing, local = _Made(cfg), cfg.placing, [g.whole for g in grown]
@@ -198,7 +200,7 @@ def _smoothed(
     """Every component, smoothed as a whole; the largest from where `run`, if there was one, had it."""
     out = []
     maps, back = regained(maps, logs, fusion.labels, cfg, placing)
-    places = None if options.survey is None else Known.of({}, {}, read_points(options.survey), (), cfg.known)
+    places = None if options.survey is None else PlacePriors.of({}, {}, read_points(options.survey), (), cfg.known)
     if places is not None:
         maps = tuple(framed(team, places) for team in maps)
     for k, team in enumerate(maps):

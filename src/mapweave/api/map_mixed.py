@@ -32,9 +32,9 @@ from ..io.team_map import (
     write_landmarks,
     write_tracks,
 )
-from ..landmarks.agreement import agreeing
+from ..landmarks.agreement import with_wheels_checked
 from ..landmarks.config import EkfSlamConfig
-from ..landmarks.copies import copies_told
+from ..landmarks.copies import with_copies_marked
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import local_map, without_impossible
 from ..landmarks.sifting import SiftConfig, sifted
@@ -49,7 +49,7 @@ from ..report.style import Target
 from ..team.camera_clock import CameraClockConfig, on_camera_clock
 from ..team.config import SmoothingConfig
 from ..team.kidnapped import Cut, KidnapConfig, cut_kidnapped, with_stretches
-from ..team.known import Known
+from ..team.known import PlacePriors
 from ..team.mixed import MixedMap, map_mixed, regained
 from ..team.relative_frame import PlacingConfig
 from ..team.team_map import TeamMap
@@ -133,8 +133,8 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     scans, lasers = _lasers(found.lasers, cfg.laser, options)
     apart = _apart(read, scans)
     read = [log.share(options.share.get(robot_key(log.robot), 1.0)) for log in read]
-    read = [on_camera_clock(log, cfg.camera_clock) for log in copies_told(read)]
-    read = [without_impossible(agreeing(log, cfg.ekf), cfg.ekf) for log in read]
+    read = [on_camera_clock(log, cfg.camera_clock) for log in with_copies_marked(read)]
+    read = [without_impossible(with_wheels_checked(log, cfg.ekf), cfg.ekf) for log in read]
     read = [sifted(log, cfg.ekf, cfg.sift) for log in read]
     seeing = [x for x in read if x.robot not in apart and any(not n.startswith("robot") for n in x.sightings.counts())]
     cut = _cut(seeing, *_filtered(seeing, cfg, options), cfg, options.seed)
@@ -183,7 +183,7 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     return replace(result, metrics={**result.metrics, "timing": {k: round(v, 4) for k, v in watch.seconds.items()}})
 
 
-def _places(read: Sequence[LandmarkLog], cfg: MixedMapConfig, options: MapOptions) -> Known:
+def _places(read: Sequence[LandmarkLog], cfg: MixedMapConfig, options: MapOptions) -> PlacePriors:
     """What `--start` and `--survey` say of places; raises UsageError for a robot that is not there."""
     names = [log.robot for log in read]
     for key in options.start:
@@ -192,7 +192,7 @@ def _places(read: Sequence[LandmarkLog], cfg: MixedMapConfig, options: MapOption
     starts = {robot_name(key): pose for key, pose in options.start.items()}
     sd = {robot_name(key): value for key, value in options.start_sd.items()}
     points = {} if options.survey is None else read_points(options.survey)
-    return Known.of(starts, sd, points, names, cfg.smoothing.known)
+    return PlacePriors.of(starts, sd, points, names, cfg.smoothing.known)
 
 
 def _configured(options: MapOptions) -> MixedMapConfig:

@@ -44,7 +44,7 @@ def fuse_online(
             fuser = fuser.update(*fresher)
         if fuser.largest is not None:
             out.append(OnlineMap(float(t - first), fuser.tied_in, fuser.largest.map))
-    fuser = OnlineFuser(cfg, fuser.recordings, {g.whole.robot: g.whole for g in grown}).settled()
+    fuser = OnlineFuser(cfg, fuser.recordings, {g.whole.robot: g.whole for g in grown}).converged()
     if fuser.largest is not None:
         out.append(OnlineMap(float(last - first), fuser.tied_in, fuser.largest.map))
     on_progress("fusing online", len(times), len(times))

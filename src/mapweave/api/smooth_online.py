@@ -16,13 +16,13 @@ from ..landmarks.landmark_map import LandmarkMap
 from ..landmarks.mapping import Growth
 from ..solve import SingularError
 from ..team.config import OnlineConfig, SmoothingConfig
-from ..team.online import OnlineTeam, StepTold
+from ..team.online import OnlineStep, OnlineTeam
 from ..team.online_run import OnlineMap, OnlineRun
 from ..team.smooth import Smoothed
 from ..team.team_map import TeamMap
 from .team import carried
 
-NO_STEP = StepTold(0, 0, 0, 0.0)
+NO_STEP = OnlineStep(0, 0, 0, 0.0)
 FAR = 1.0  # [m] root mean square between the landmarks and the filters' from which the filters' are begun with
 FULL = 3  # landmarks in common by which two maps are laid over each other
 
@@ -75,7 +75,7 @@ def smooth_online(
         renewed += told.renewed
         if team.members and looking:
             growth.append(OnlineMap(t - first, len(team.members), team.landmarks))
-    team.look_back()
+    team.update_poses()
     on_progress("smoothing online", len(steps), len(steps))
     return OnlineRun(
         team, cfg.step, np.array(seconds), np.array(lag), np.array(linearised, float), renewed, tuple(laid_out),

@@ -14,7 +14,7 @@ from ..core import se2
 from ..core.gaussian import symmetrise
 from ..core.records import owned
 from ..landmarks.landmark_map import GlobalMap, Submap
-from .map_and_submap import PAIRING, MapAndSubmap, PairingConfig, merge_duplicates, told
+from .map_and_submap import PAIRING, MapAndSubmap, PairingConfig, merge_duplicates, ordered_pair
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,9 @@ def _apart(G: GlobalMap, names: list[str], far: float) -> frozenset[tuple[str, s
     """Landmarks of one submap are told apart by it; of those far from each other nobody will ever ask."""
     at = [G.mean[G.ids.index(name)] for name in names]
     return frozenset(
-        told(a, b) for (a, p), (b, q) in combinations(zip(names, at, strict=True), 2) if np.hypot(*(p - q)) < far
+        ordered_pair(a, b)
+        for (a, p), (b, q) in combinations(zip(names, at, strict=True), 2)
+        if np.hypot(*(p - q)) < far
     )
 
 

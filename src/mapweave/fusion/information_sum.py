@@ -79,16 +79,16 @@ class InformationSum:
         out = cls(component, layout, factors, floor, x, Lambda, eta, {})
         for robot in robots:
             out = out.with_part(robot, InformationTerm.of(out._term(robot, maps[robot]), x))
-        return out.settled()
+        return out.converged()
 
     def replace(self, newer: Mapping[str, LandmarkMap]) -> "InformationSum":
         """The sum with these maps in place of their robots' older ones: `Lambda += new - old`, and solved."""
         now = self
         for robot, m in newer.items():
             now = now.with_part(robot, InformationTerm.of(self._term(robot, m), self.x))
-        return now.settled()
+        return now.converged()
 
-    def settled(self) -> "InformationSum":
+    def converged(self) -> "InformationSum":
         """Solved, every part taken anew until the estimate stays within `NEAR` of where they were taken."""
         now = self
         for _ in range(ROUNDS):

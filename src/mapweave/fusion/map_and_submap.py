@@ -195,7 +195,7 @@ def merge_duplicates(G: GlobalMap, cfg: PairingConfig = PAIRING) -> tuple[Global
     return (state.map() if merged else G), tuple(merged)
 
 
-def told(a: str, b: str) -> tuple[str, str]:
+def ordered_pair(a: str, b: str) -> tuple[str, str]:
     """The two ids as `GlobalMap.apart` holds them."""
     return (a, b) if a < b else (b, a)
 
@@ -218,7 +218,7 @@ class _Merging:
         near = [
             (int(self.keep[min(k)]), int(self.keep[max(k)])) for k in cKDTree(marks[self.keep]).query_pairs(cfg.reach)
         ]
-        pairs = [(a, b) for a, b in sorted(near) if told(ids[a], ids[b]) not in self.apart]
+        pairs = [(a, b) for a, b in sorted(near) if ordered_pair(ids[a], ids[b]) not in self.apart]
         D2 = [float((e := marks[a] - marks[b]) @ np.linalg.solve(self._spread(a, b), e)) for a, b in pairs]
         pairs = [pairs[k] for k in np.argsort(D2, kind="stable")[: cfg.candidates] if cfg.gate > D2[k]]
         if not pairs:
@@ -243,7 +243,7 @@ class _Merging:
         self.U = np.vstack([self.U, U])
         self.keep = self.keep[self.keep != b]
         kept, gone = self.G.ids[a], self.G.ids[b]
-        self.apart = frozenset(told(*(kept if name == gone else name for name in pair)) for pair in self.apart)
+        self.apart = frozenset(ordered_pair(*(kept if name == gone else name for name in pair)) for pair in self.apart)
 
     def _spread(self, a: int, b: int) -> np.ndarray:
         """The covariance of the difference of two landmarks, never singular."""

@@ -42,7 +42,7 @@ def mirror_images(maps: Sequence[LocalMap]) -> tuple[str, ...]:
     return tuple(sorted(out, key=in_order))
 
 
-def put_right(log: LandmarkLog) -> LandmarkLog:
+def unmirrored(log: LandmarkLog) -> LandmarkLog:
     """The log with bearings and turns of the other sign, and a warning."""
     wheels = log.odometry
     told = "its map is the mirror image of the others': its bearings and turns are taken with the other sign"

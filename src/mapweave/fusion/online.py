@@ -43,7 +43,7 @@ class OnlineFuser:
         """The fuser after these maps, each in place of its robot's older one."""
         latest = {**self.latest, **{m.robot: m for m in fresher}}
         if not self._holds(fresher, latest):
-            return replace(self, latest=latest).settled()
+            return replace(self, latest=latest).converged()
         newer = {m.robot: self._named(m) for m in fresher}
         sums = []
         for part in self.sums:
@@ -58,7 +58,7 @@ class OnlineFuser:
         fusion = replace(self.fusion, components=components, decisions=decisions)
         return replace(self, latest=latest, fusion=fusion, sums=tuple(sums))
 
-    def settled(self) -> "OnlineFuser":
+    def converged(self) -> "OnlineFuser":
         """All latest maps judged and joined anew, as `fuse` does at the end."""
         fusion = fuse(list(self.latest.values()), self.cfg, self.recordings)
         judged = replace(self, fusion=fusion, sightings=_sightings(self.latest), judged=self.judged + 1, sums=())

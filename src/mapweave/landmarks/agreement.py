@@ -117,7 +117,7 @@ class Agreement:
         return enough and self.aside.fit >= max(cfg.aside, self.speed.fit + cfg.more_aside)
 
 
-def agreeing(log: LandmarkLog, ekf: EkfSlamConfig, cfg: AgreementConfig | None = None) -> LandmarkLog:
+def with_wheels_checked(log: LandmarkLog, ekf: EkfSlamConfig, cfg: AgreementConfig | None = None) -> LandmarkLog:
     """The log with wheels that its sightings do not contradict, mended or left out with a warning; often as it is.
 
     Raises DataError for bearings in degrees and for ranges in units smaller than metres.

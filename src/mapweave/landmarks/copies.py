@@ -17,7 +17,7 @@ SHARE = 0.5  # of them that the other must hold too
 VARIED = 0.5  # share of a log's pairs that must differ from each other: constant numbers prove nothing
 
 
-def copies_told(logs: Sequence[LandmarkLog]) -> list[LandmarkLog]:
+def with_copies_marked(logs: Sequence[LandmarkLog]) -> list[LandmarkLog]:
     """The logs in their order; one that repeats an earlier one carries its hash and a warning."""
     seen = [_successive(log) for log in logs]
     known: list[LandmarkLog] = []

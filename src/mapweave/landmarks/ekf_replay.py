@@ -22,7 +22,7 @@ LARGEST = 1e100  # [m], [m^2]: beyond, products of two numbers of the estimate a
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
+class FilterSnapshot:
     """The filter at one moment of its pass.
 
     state: None before the first row; tracked: how many poses there were by then; seen: how many sightings.
@@ -34,7 +34,7 @@ class Taken:
 
 
 @dataclass(frozen=True, slots=True)
-class Played:
+class ReplayedLog:
     """A log played to its end.
 
     x, P: the filter's last state; nis, weight: (n,) of each row of `seen`, NaN where it was no update of a landmark;
@@ -49,11 +49,11 @@ class Played:
     nis: Float[np.ndarray, " n"]
     weight: Float[np.ndarray, " n"]
     warnings: tuple[str, ...] = ()
-    taken: tuple[Taken, ...] = ()
+    taken: tuple[FilterSnapshot, ...] = ()
     filtered: Track = ekf_slam.NOWHERE
 
 
-def play(log: LandmarkLog, cfg: EkfSlamConfig, seed: int = 0, times: Sequence[float] = ()) -> Played:
+def replay(log: LandmarkLog, cfg: EkfSlamConfig, seed: int = 0, times: Sequence[float] = ()) -> ReplayedLog:
     """EKF-SLAM over `log`, past poses corrected by the finished map; raises EstimateError when it overflows.
 
     times: [s] ascending, at which the filter's state is kept on its one pass.
@@ -81,12 +81,12 @@ def play(log: LandmarkLog, cfg: EkfSlamConfig, seed: int = 0, times: Sequence[fl
     by = np.array([scale, scale, 1.0])
     track = Track(t, pose * by, square * np.outer(by, by), state.frame)
     nis, weight = (np.concatenate([np.zeros(0), *(getattr(s.info, name) for s in steps)]) for name in ("nis", "weight"))
-    return Played(
+    return ReplayedLog(
         log.sightings, x, P, state.submap, track, nis, weight, taken=_taken(steps, log, times), filtered=filtered
     )
 
 
-def _taken(steps: Sequence[Step], log: LandmarkLog, times: Sequence[float]) -> tuple[Taken, ...]:
+def _taken(steps: Sequence[Step], log: LandmarkLog, times: Sequence[float]) -> tuple[FilterSnapshot, ...]:
     """The filter at each of `times`, from the steps of a pass that was cut there."""
     ends = [step.t for step in steps]
     poses = np.cumsum([0, *(len(step.info.track.t) for step in steps)])
@@ -94,7 +94,7 @@ def _taken(steps: Sequence[Step], log: LandmarkLog, times: Sequence[float]) -> t
     for t in times:
         k = int(np.searchsorted(ends, t, side="right"))
         seen = int(np.searchsorted(log.sightings.t, t, side="right"))
-        out.append(Taken(steps[k - 1].state if k else None, int(poses[k]), seen))
+        out.append(FilterSnapshot(steps[k - 1].state if k else None, int(poses[k]), seen))
     return tuple(out)
 
 

@@ -15,9 +15,9 @@ from ..core.records import Odometry, Track
 from ..kernels.landmarks.ekf_state import HEAD, POSE, RANGE_SCALE
 from . import ekf_slam
 from .config import EkfSlamConfig
-from .ekf_replay import Played, play
+from .ekf_replay import ReplayedLog, replay
 from .landmark_map import LocalMap, RobotSightings
-from .without_odometry import Known, parts, play_in_pieces
+from .without_odometry import Known, parts, replay_in_pieces
 
 CALIBRATION = ("speed_scale", "turn_scale", "lag", "bearing_bias", "range_scale")
 OLDER = 0.2  # share of new rows in a piece of map from which a robot without odometry is mapped anew
@@ -35,7 +35,7 @@ def local_map(log: LandmarkLog, cfg: EkfSlamConfig | None = None, seed: int = 0)
 
 def map_of(
     log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float] = (), known: Known | None = None
-) -> tuple[LocalMap, Played]:
+) -> tuple[LocalMap, ReplayedLog]:
     """The map of `log`, and the first pass over it, in which the filter was kept at each of `times` [s].
 
     Of a robot without odometry, whose pieces of map are tied anew by every row, nothing is kept at times; known: its
@@ -43,7 +43,7 @@ def map_of(
     """
     cfg = config_for(log, cfg)
     log = without_impossible(log, cfg)
-    first = done = play(log, cfg, times=times) if cfg.odometry else play_in_pieces(log, cfg, known)
+    first = done = replay(log, cfg, times=times) if cfg.odometry else replay_in_pieces(log, cfg, known)
     dropped, warnings, kept = dict(log.dropped), list(log.warnings), log
     for _ in range(cfg.restless_most):
         name = _restless(done.seen, done.weight, cfg)
@@ -55,7 +55,7 @@ def map_of(
         warnings.append(f"{name} was seen {gone} times but at no fixed place: left out")
         stays = np.array([other != name for other in kept.sightings.ids], bool)
         kept = replace(kept, sightings=kept.sightings.select(stays[kept.sightings.what]))
-        done = play(kept, cfg) if cfg.odometry else play_in_pieces(kept, cfg)
+        done = replay(kept, cfg) if cfg.odometry else replay_in_pieces(kept, cfg)
     return _result(log, cfg, done, dropped, [*warnings, *done.warnings]), first
 
 
@@ -116,7 +116,7 @@ def restless(
 
 
 def _result(
-    log: LandmarkLog, cfg: EkfSlamConfig, done: Played, dropped: dict[str, int], warnings: list[str]
+    log: LandmarkLog, cfg: EkfSlamConfig, done: ReplayedLog, dropped: dict[str, int], warnings: list[str]
 ) -> LocalMap:
     all_counts = done.seen.counts()
     counts = {name: all_counts[name] for name in done.submap.ids}
@@ -148,7 +148,7 @@ def _result(
     )
 
 
-def _calibration(done: Played, cfg: EkfSlamConfig) -> dict[str, tuple[float, float]]:
+def _calibration(done: ReplayedLog, cfg: EkfSlamConfig) -> dict[str, tuple[float, float]]:
     """Value and standard deviation of what was estimated."""
     if not cfg.odometry:
         return {}
@@ -189,7 +189,9 @@ def grow(log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float], *, tracks
     return Growth(whole, tuple(times), tuple(_by_pieces(log, cfg, times)), first.filtered)
 
 
-def _on_the_way(log: LandmarkLog, played: Played, cfg: EkfSlamConfig, *, tracks: bool) -> Iterator[LocalMap | None]:
+def _on_the_way(
+    log: LandmarkLog, played: ReplayedLog, cfg: EkfSlamConfig, *, tracks: bool
+) -> Iterator[LocalMap | None]:
     seen, track = log.sightings, played.filtered
     judged, down, counts = (np.zeros(len(seen.ids), np.int64) for _ in range(3))
     robots = robot_sightings(log)

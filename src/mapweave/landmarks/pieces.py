@@ -21,7 +21,7 @@ SUSPECTS = 4  # largest pieces any of which may be the wrong one
 
 
 @dataclass(frozen=True, slots=True)
-class Tied:
+class JoinedPieces:
     """One map of several pieces, in the frame of piece `root`.
 
     frames: `T_root_piece` of each piece tied, by its index; cov: over all frames (3 each, x y theta, in the order of
@@ -44,7 +44,7 @@ class Tied:
         return self.cov[first:, first:]
 
 
-def tie(pieces: Sequence[LandmarkMap], cfg: EkfSlamConfig) -> Tied:
+def join_pieces(pieces: Sequence[LandmarkMap], cfg: EkfSlamConfig) -> JoinedPieces:
     """The largest map the pieces give; a piece that fits the others badly, or shares too little, is left out.
 
     A large piece that is wrong itself would push out all that are right: when pieces had to go, it is tried to do
@@ -57,7 +57,7 @@ def tie(pieces: Sequence[LandmarkMap], cfg: EkfSlamConfig) -> Tied:
     return best
 
 
-def _tie(pieces: Sequence[LandmarkMap], without: set[int], cfg: EkfSlamConfig) -> Tied:
+def _tie(pieces: Sequence[LandmarkMap], without: set[int], cfg: EkfSlamConfig) -> JoinedPieces:
     """The map of all pieces but those in `without` and those that fit the others badly."""
     left_out = set(without)
     while True:
@@ -102,7 +102,7 @@ def _adjust(
     root: int,
     places: dict[str, list[np.ndarray]],
     cfg: EkfSlamConfig,
-) -> tuple[Tied, int, float]:
+) -> tuple[JoinedPieces, int, float]:
     """Gauss-Newton over frames and landmarks; the tied map, the piece that fits worst and its chi-square per dof.
 
     Pieces that contradict each other so much that no minimum is found misfit infinitely.
@@ -138,7 +138,7 @@ def _adjust(
         cov = solution.covariance()
     except np.linalg.LinAlgError:
         cov, misfit = np.full((size, size), np.inf), np.inf
-    return Tied(root, found, ids, solution.x[first:].reshape(-1, 2), cov), order[worst], misfit
+    return JoinedPieces(root, found, ids, solution.x[first:].reshape(-1, 2), cov), order[worst], misfit
 
 
 def _linearise(

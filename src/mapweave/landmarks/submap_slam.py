@@ -74,7 +74,7 @@ def move(pose: Float[np.ndarray, "... 3"], control: Float[np.ndarray, "... 2"], 
     )
 
 
-def sight(pose: Float[np.ndarray, "3"], points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+def predicted_observation(pose: Float[np.ndarray, "3"], points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
     """Range and bearing of `points` from `pose`: [Yuan09] eq. 5 with the sign of the bearing put right."""
     d = points - pose[:2]
     return np.stack([np.hypot(d[:, 0], d[:, 1]), wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - pose[2])], axis=-1)
@@ -136,7 +136,7 @@ def _associate(m: Submap, seen: Observations, cfg: SubmapConfig) -> Assignment:
         where = {name: i for i, name in enumerate(m.ids)}
         named = tuple(where.get(name) for name in seen.ids)
         return Assignment(named, tuple(a is None for a in named))
-    zhat = sight(m.pose, m.mean)
+    zhat = predicted_observation(m.pose, m.mean)
     S = kernels.innovation(m.pose, m.mean, m.cov, np.arange(len(m.ids)))[1]
     rule = nearest_neighbour if cfg.association == "nn" else jcbb
     found = rule(seen.z, zhat, S, cfg.R, cfg.gate, cfg.new_gate, wrap_columns=(1,))

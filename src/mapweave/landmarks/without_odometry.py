@@ -9,15 +9,15 @@ from ..core import se2
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Track
 from .config import EkfSlamConfig
-from .ekf_replay import Played, play
+from .ekf_replay import ReplayedLog, replay
 from .ekf_slam import is_landmark
 from .landmark_map import LandmarkMap, Submap
-from .pieces import Tied, tie
+from .pieces import JoinedPieces, join_pieces
 
-Known = dict[tuple[int, int], tuple[Bool[np.ndarray, " k"], Played]]  # rows of a part -> what came of it
+Known = dict[tuple[int, int], tuple[Bool[np.ndarray, " k"], ReplayedLog]]  # rows of a part -> what came of it
 
 
-def play_in_pieces(log: LandmarkLog, cfg: EkfSlamConfig, known: Known | None = None) -> Played:
+def replay_in_pieces(log: LandmarkLog, cfg: EkfSlamConfig, known: Known | None = None) -> ReplayedLog:
     """The largest map that pieces without a gap longer than `cfg.piece_gap` give; poses at every sighting stamp.
 
     Its frame is the first pose of the first piece tied, its covariance that relative to the largest piece. known:
@@ -28,8 +28,8 @@ def play_in_pieces(log: LandmarkLog, cfg: EkfSlamConfig, known: Known | None = N
     maps = [_piece(done, cfg.piece_sightings) for done in played]
     able = [k for k, m in enumerate(maps) if len(m) >= 2]
     if len(played) <= 1 or not able:
-        return played[0] if played else play(log, cfg)
-    tied = tie([maps[k] for k in able], cfg)
+        return played[0] if played else replay(log, cfg)
+    tied = join_pieces([maps[k] for k in able], cfg)
     where = {able[k]: k for k in tied.frames}  # part -> piece, for the parts tied
     first = min(where)
     T_local_root = se2.inverse(tied.frames[where[first]])
@@ -41,10 +41,10 @@ def play_in_pieces(log: LandmarkLog, cfg: EkfSlamConfig, known: Known | None = N
         told = (f"{len(played) - len(where)} of {len(played)} stretches of its log share too little: left out",)
     nis, weight = (np.concatenate([getattr(done, name) for done in played]) for name in ("nis", "weight"))
     made = _submap(log.robot, landmarks, track, played, tied, where, T_local_root)
-    return Played(log.sightings, played[first].x, played[first].P, made, track, nis, weight, told)
+    return ReplayedLog(log.sightings, played[first].x, played[first].P, made, track, nis, weight, told)
 
 
-def _play_parts(log: LandmarkLog, cfg: EkfSlamConfig, known: Known) -> list[Played]:
+def _play_parts(log: LandmarkLog, cfg: EkfSlamConfig, known: Known) -> list[ReplayedLog]:
     """A filter's run for each part between long gaps; it ends early, and another begins, where the heading is lost."""
     played, filtered = [], replace(cfg, smooth=False)
     waiting = parts(log.sightings, cfg.piece_gap)[::-1]
@@ -54,12 +54,12 @@ def _play_parts(log: LandmarkLog, cfg: EkfSlamConfig, known: Known) -> list[Play
         if key in known:
             ended, done = known[key]
         else:
-            track = play(replace(log, sightings=log.sightings.select(part)), filtered).track
+            track = replay(replace(log, sightings=log.sightings.select(part)), filtered).track
             lost = np.zeros(0) if track.cov is None else track.t[track.cov[:, 2, 2] > cfg.piece_heading**2]
             ended = np.ones(len(part), bool)
             if len(lost) and lost[0] > track.t[0]:
                 ended = log.sightings.t[part] < lost[0]
-            done = play(replace(log, sightings=log.sightings.select(part[ended])), cfg)
+            done = replay(replace(log, sightings=log.sightings.select(part[ended])), cfg)
             known[key] = ended, done
         if not ended.all():
             waiting.append(part[~ended])
@@ -76,12 +76,14 @@ def parts(seen: SightingTable, gap: float) -> list[np.ndarray]:
     return [part for part in np.split(np.arange(len(seen)), np.unique(cuts)) if len(part)]
 
 
-def _piece(done: Played, enough: int) -> LandmarkMap:
+def _piece(done: ReplayedLog, enough: int) -> LandmarkMap:
     landmarks, counts = done.submap.landmarks, done.seen.counts()
     return landmarks.select([name for name in landmarks.ids if counts[name] >= enough])
 
 
-def _track(played: list[Played], tied: Tied, where: dict[int, int], T_local_root: np.ndarray, astray: float) -> Track:
+def _track(
+    played: list[ReplayedLog], tied: JoinedPieces, where: dict[int, int], T_local_root: np.ndarray, astray: float
+) -> Track:
     """Poses of tied pieces in `local_K`; in the others, straight on from tied pose to tied pose and little trusted."""
     ts, poses, covs = [], [], []
     for part, k in where.items():
@@ -112,8 +114,8 @@ def _submap(
     robot: str,
     landmarks: LandmarkMap,
     track: Track,
-    played: list[Played],
-    tied: Tied,
+    played: list[ReplayedLog],
+    tied: JoinedPieces,
     where: dict[int, int],
     T_local_root: np.ndarray,
 ) -> Submap:

@@ -9,7 +9,7 @@ import numpy as np
 from ..solve import GemanMcClure, Pattern, Problem, Solution, SolveConfig, minimise
 from . import factors
 from .config import SwarmConfig
-from .gauge import pins
+from .gauge import gauge_pins
 from .network import BearingNetwork
 from .posterior import posterior
 from .result import SwarmEstimate
@@ -42,7 +42,7 @@ def refine(
     x0[:, :dim] = start.position
     if start.heading is not None:
         x0[:, dim] = start.heading
-    fixed = pins(net, start.gauge, start.position)
+    fixed = gauge_pins(net, start.gauge, start.position)
     fixed[list(net.anchors), :dim] = True
     loose = np.repeat(~start.seen.localisable[:, None], w, axis=1)
     if not net.axis:

@@ -33,7 +33,7 @@ FLAT = 1e-3  # share of a robot's stiffer direction below which the other is not
 Relaxed = Callable[[BearingNetwork], tuple[np.ndarray, Traffic]]
 
 
-def agreed(
+def agree_on_axis(
     net: BearingNetwork, relaxed: Relaxed, initial: Float[np.ndarray, "n 2"] | None = None
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"], Bool[np.ndarray, " n"], Traffic]:
     """Positions, headings [rad], whose heading is known, and what was said; with `initial` nothing had to be.

@@ -16,7 +16,7 @@ from ..core.se2 import wrap_angle
 from ..solve import SolveStatus
 from . import bearing
 from .batch import refine
-from .common_axis import agreed
+from .common_axis import agree_on_axis
 from .config import SwarmConfig
 from .network import BearingNetwork, components, effective_sigma
 from .posterior import posterior
@@ -51,18 +51,20 @@ def distributed(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | Non
     usual = float(np.linalg.norm(np.ptp(anchors, axis=0))) / np.sqrt(len(net))  # known to all beforehand
     heading, told = None, np.ones(len(everyone.observer), dtype=bool)
     if not net.axis:
-        position, heading, known, said = agreed(net, lambda flat: relaxed(flat, links_of(flat), usual, cfg), initial)
+        position, heading, known, said = agree_on_axis(
+            net, lambda flat: relaxed_start(flat, links_of(flat), usual, cfg), initial
+        )
         told = known[everyone.observer] | ~reached[everyone.observer]
         everyone = everyone.select(told)
         net, reached = anchored(everyone)
         links = links_of(net)
     elif initial is None:
-        position, said = relaxed(net, links, usual, cfg)
+        position, said = relaxed_start(net, links, usual, cfg)
     else:
         position, said = initial.copy(), Traffic(0, 0, 0)
     for k, p in net.anchors.items():
         position[k] = p
-    position, heading, more = believed(net, links, position, cfg, heading, usual)
+    position, heading, more = belief_propagation(net, links, position, cfg, heading, usual)
     traffic = said + more
     net = everyone
     if not reached.all():
@@ -95,7 +97,7 @@ def links_of(net: BearingNetwork) -> MessageLinks:
     return MessageLinks(a, b, np.searchsorted(key, b * n + a), np.searchsorted(key, there))
 
 
-def relaxed(
+def relaxed_start(
     net: BearingNetwork, links: MessageLinks, usual: float, cfg: SwarmConfig
 ) -> tuple[Float[np.ndarray, "n d"], Traffic]:
     """The linear start by Jacobi over-relaxation from the anchors' midpoint, and what was said."""
@@ -127,7 +129,7 @@ def relaxed(
     return position, Traffic(rounds, messages, messages * dim * FLOAT)
 
 
-def believed(
+def belief_propagation(
     net: BearingNetwork,
     links: MessageLinks,
     start: Float[np.ndarray, "n d"],

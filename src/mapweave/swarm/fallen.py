@@ -38,7 +38,7 @@ def fallen_together(
     """
     wrong: list[int] = []
     undecided: list[int] = []
-    least = worth_telling(net, inlier, cfg.fallen.likely)
+    least = detection_threshold(net, inlier, cfg.fallen.likely)
     for row in _promising(net, inlier, found, limit, cfg.fallen):
         gain, miss = _left_out(net, inlier, found.position, row, cfg)
         if miss > limit and gain > min(limit, least[row]):
@@ -52,7 +52,7 @@ def fallen_together(
     return Fallen(np.array(wrong, dtype=np.intp), np.array(undecided, dtype=np.intp))
 
 
-def worth_telling(net: BearingNetwork, inlier: Bool[np.ndarray, " m"], likely: float) -> Float[np.ndarray, " m"]:
+def detection_threshold(net: BearingNetwork, inlier: Bool[np.ndarray, " m"], likely: float) -> Float[np.ndarray, " m"]:
     """(m,) what the chi-square of all others must lose without a sighting for it to be wrong with probability `likely`.
 
     Bayes' rule: a wrong sighting points anywhere, a right one is normal about the truth, and sightings are wrong as

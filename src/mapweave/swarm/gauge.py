@@ -65,7 +65,7 @@ def normalise(gauge: Gauge, position: np.ndarray, heading: np.ndarray | None) ->
     return p + gauge.centre, heading
 
 
-def pins(net: BearingNetwork, gauge: Gauge, position: np.ndarray) -> np.ndarray:
+def gauge_pins(net: BearingNetwork, gauge: Gauge, position: np.ndarray) -> np.ndarray:
     """State entries (n, w) to fix so that the members have no freedom left."""
     fixed = np.zeros((len(net), width(net)), dtype=bool)
     m = np.flatnonzero(gauge.members)
@@ -88,7 +88,7 @@ def pins(net: BearingNetwork, gauge: Gauge, position: np.ndarray) -> np.ndarray:
     return fixed
 
 
-def basis(net: BearingNetwork, gauge: Gauge, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def gauge_basis(net: BearingNetwork, gauge: Gauge, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Motions G (n w, g) that no sighting sees and the conditions C (n w, g) with `C^T dx = 0` that the gauge sets."""
     n, w, dim = len(net), width(net), net.dim
     m = gauge.members

@@ -12,7 +12,7 @@ from .network import BearingNetwork
 TURNS = 90  # headings tried around the circle
 
 
-def meet(
+def relative_odometry_frame(
     pose_i: Float[np.ndarray, "m 3"],
     pose_j: Float[np.ndarray, "m 3"],
     bearing: Float[np.ndarray, " m"],
@@ -111,7 +111,9 @@ def beacon_headings(net: BearingNetwork) -> tuple[Float[np.ndarray, " n"], Bool[
         if len(np.unique(seen)) < 3:
             continue
         there = np.array([[*net.anchors[int(j)], 0.0] for j in seen])
-        pose, _ = meet(there, np.zeros_like(there), net.bearing[mine], np.zeros(len(mine), dtype=bool), WILD)
+        pose, _ = relative_odometry_frame(
+            there, np.zeros_like(there), net.bearing[mine], np.zeros(len(mine), dtype=bool), WILD
+        )
         heading[k], known[k] = pose[2], True
     return heading, known
 

@@ -10,7 +10,7 @@ from ..solve import Information, Pattern, Problem, SingularError, Solution, Solv
 from . import factors
 from .close_pairs import with_true_lengths
 from .config import SwarmConfig
-from .gauge import Gauge, basis, normalise
+from .gauge import Gauge, gauge_basis, normalise
 from .network import BearingNetwork
 from .result import JointInformation, SwarmEstimate, SwarmStatus, Traffic
 from .start import SwarmStart
@@ -59,7 +59,7 @@ def posterior(
     if gauge.name and information is not None:
         x = (position if heading is None else np.concatenate([position, heading[:, None]], axis=1)).ravel()
         information = _information_at(problem, x, information, pattern)
-    G, C = basis(net, gauge, position)
+    G, C = gauge_basis(net, gauge, position)
     covariance = None
     close = 0
     if information is not None and cfg.covariance:

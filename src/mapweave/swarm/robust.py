@@ -43,8 +43,8 @@ def robust(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = N
     start = replace(start, position=unsquared_start(kept, start, cfg.robust) if initial is None else start.position)
     x = graduated(kept, start, cfg)
     if net.axis:
-        x = relocated(kept, x.reshape(len(net), net.dim), limit(net, cfg.inlier_gate), cfg.robust).ravel()
-    inlier = agreeing(net, x, cfg.inlier_gate) & ~unheard(net, used)
+        x = relocated(kept, x.reshape(len(net), net.dim), outlier_limit(net, cfg.inlier_gate), cfg.robust).ravel()
+    inlier = agreeing(net, x, cfg.inlier_gate) & ~without_heading(net, used)
     if not inlier.any():
         return _nothing_agrees(net, cfg, initial)
     doubts: list[str] = []
@@ -52,7 +52,7 @@ def robust(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = N
         estimate, inlier, start = _selected(net, x, start, used, inlier, cfg)
         if not net.axis or not cfg.covariance:
             break
-        fallen = fallen_together(net, inlier, estimate, limit(net, cfg.inlier_gate), cfg)
+        fallen = fallen_together(net, inlier, estimate, outlier_limit(net, cfg.inlier_gate), cfg)
         if not len(fallen.wrong) or round_ == cfg.robust.reselections - 1:
             doubts = fallen_warnings(net, np.concatenate([fallen.wrong, fallen.undecided]))
             break
@@ -74,7 +74,7 @@ def _selected(
         start = prepare_at(chosen, x, start)
         solution, problem, pattern = refine(chosen, start, cfg, everyone=True)
         x = solution.x
-        again = agreeing(net, x, cfg.inlier_gate) & ~unheard(net, used)
+        again = agreeing(net, x, cfg.inlier_gate) & ~without_heading(net, used)
         if (again == inlier).all() or not again.any():
             break
         inlier = again
@@ -151,15 +151,15 @@ def graduated(net: BearingNetwork, start: SwarmStart, cfg: SwarmConfig) -> Float
 
 def agreeing(net: BearingNetwork, x: Float[np.ndarray, " s"], gate: float) -> Bool[np.ndarray, " m"]:
     """(m,) sightings that miss the state by less than what `gate` standard deviations mean in one dimension."""
-    return np.asarray(bearing_factor(net).squares(x) <= limit(net, gate))
+    return np.asarray(bearing_factor(net).squares(x) <= outlier_limit(net, gate))
 
 
-def limit(net: BearingNetwork, gate: float) -> float:
+def outlier_limit(net: BearingNetwork, gate: float) -> float:
     """The squared whitened residual of a sighting that is as unlikely as `gate` standard deviations."""
     return gate**2 if net.dim == 2 else chi2_quantile(_two_sided(gate), 2.0)
 
 
-def unheard(net: BearingNetwork, used: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
+def without_heading(net: BearingNetwork, used: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
     """(m,) sightings by robots none of whose sightings was of use at the start (their heading is unknown)."""
     if net.axis:
         return np.zeros(len(used), dtype=bool)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..core.landmark_log import LandmarkLog
-from .relative_frame import Body, Labels, PlacingConfig, costs, glances, sharpened
+from .relative_frame import Body, Labels, PlacingConfig, costs, mutual_sightings, sharpened
 from .team_map import TeamMap
 
 
@@ -28,7 +28,7 @@ def clock_of(
     here = np.zeros(3)
 
     def cost(ahead: float) -> float:
-        z = glances(others, replace(own, clock=ahead), logs, labels)
+        z = mutual_sightings(others, replace(own, clock=ahead), logs, labels)
         return np.inf if len(z) < cfg.clock_sightings else float(costs(z, here, sharp)) / len(z)
 
     tried = np.arange(-reach, reach + 0.5 * step, step)
@@ -42,7 +42,7 @@ def clock_of(
     if bend <= 0 or not np.isfinite(bend):
         return None
     ahead = middle + float(np.clip(0.5 * step * (bottom[0] - bottom[2]) / (bend * step**2), -step, step))
-    n = len(glances(others, own, logs, labels))
+    n = len(mutual_sightings(others, own, logs, labels))
     return RobotClock(ahead, cfg.clock_together / np.sqrt(2.0 * bend * n))
 
 

@@ -19,7 +19,7 @@ from ..core.landmark_log import LandmarkLog
 from ..core.names import robot_key
 from ..core.records import Track
 from .config import MotionNoise
-from .relative_frame import Body, Glances, Labels, PlacingConfig, glances, residuals
+from .relative_frame import Body, Labels, MutualSightings, PlacingConfig, mutual_sightings, residuals
 from .team_map import TeamMap
 
 LEAST = 2  # poses that make a way
@@ -86,11 +86,11 @@ def _partners(
     own = Body({robot: team.tracks[robot]}, {})
     others = [Body({name: track}, {}) for name, track in team.tracks.items() if name != robot]
     others += [Body({}, {name: at}) for name, at in zip(team.landmarks.ids, team.landmarks.mean, strict=True)]
-    found = [glances(other, own, logs, labels) for other in others]
+    found = [mutual_sightings(other, own, logs, labels) for other in others]
     return [_seen(z, cfg) for z in found if len(z)]
 
 
-def _seen(z: Glances, cfg: PlacingConfig) -> _Seen:
+def _seen(z: MutualSightings, cfg: PlacingConfig) -> _Seen:
     miss = np.square(residuals(z, np.zeros(3), cfg)).sum(axis=-1)
     return _Seen(z.t, miss < cfg.inlier**2, ~z.forward, np.isfinite(z.range))
 

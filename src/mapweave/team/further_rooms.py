@@ -19,7 +19,16 @@ from ..core.names import in_order, robot_key
 from ..core.records import Track
 from ..fusion.result import Fusion
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
-from .relative_frame import Body, Glances, PlacingConfig, Relation, glances, is_sure, moved_track, relate
+from .relative_frame import (
+    Body,
+    MutualSightings,
+    PlacingConfig,
+    Relation,
+    is_sure,
+    moved_track,
+    mutual_sightings,
+    relate,
+)
 from .team_map import TeamMap
 
 ANY_HEADING = 3.0  # [rad^2] variance of a heading from which a pose is a guess between pieces
@@ -91,10 +100,10 @@ def _between(
     room: TeamMap,
     there: Mapping[str, Float[np.ndarray, " r"]],
     logs: Mapping[str, LandmarkLog],
-) -> Glances:
+) -> MutualSightings:
     """What robots while in the one map saw of others while in the other; here, there: stamps at which they were."""
     parts = [
-        glances(
+        mutual_sightings(
             Body({a: team.tracks[a]}, {}, {a: here[a]}, {a: REACH}),
             Body({b: room.tracks[b]}, {}, {b: there[b]}, {b: REACH}),
             logs,
@@ -104,7 +113,7 @@ def _between(
         for b in room.tracks
         if a != b and len(here[a]) and len(there[b])
     ]
-    return Glances.joined([part for part in parts if len(part)])
+    return MutualSightings.joined([part for part in parts if len(part)])
 
 
 def _joined(

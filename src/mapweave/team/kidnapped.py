@@ -23,7 +23,7 @@ from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from .commanded_motion import CommandedMotion
 from .config import SmoothingConfig
 from .placing import Windows, carried_by_wheels, placed_alone, placed_windows
-from .relative_frame import Body, Labels, PlacingConfig, glances, residuals
+from .relative_frame import Body, Labels, PlacingConfig, mutual_sightings, residuals
 from .team_map import TeamMap
 
 Mapper = Callable[[LandmarkLog], LocalMap]
@@ -58,7 +58,7 @@ class KidnapConfig:
 NEXT = 1e-3  # [s] after a stamp that is still of the stretch before
 
 
-class Moment(NamedTuple):
+class Relocation(NamedTuple):
     """The robot was put down elsewhere between these stamps [s], which are one where that is known."""
 
     begin: float
@@ -193,7 +193,7 @@ def _in_one_log(log: LandmarkLog, parts: Sequence[LandmarkLog]) -> LandmarkLog:
     return log.chosen(chosen)
 
 
-def _told(log: LandmarkLog, moments: Sequence[Moment]) -> str:
+def _told(log: LandmarkLog, moments: Sequence[Relocation]) -> str:
     begin, when = log.span[0], []
     for a, b in moments:
         after = f"{a:.1f} (after {a - begin:.1f} s of its log)"
@@ -233,7 +233,7 @@ def _bad_bins(
         return int(np.ptp(m.track.t) // cfg.bin) if len(m.track.t) else 0
     T = first.frames[m.robot]
     own = Body({m.robot: Track(m.track.t, se2.compose(T, m.track.pose))}, {})
-    z = glances(_landmarks(first.map), own, logs, fusion.labels)
+    z = mutual_sightings(_landmarks(first.map), own, logs, fusion.labels)
     if not len(z):
         return 0
     agrees = np.square(residuals(z, np.zeros(3), placing)).sum(axis=-1) < placing.inlier**2
@@ -263,7 +263,7 @@ def _moments(
     smoothing: SmoothingConfig,
     mapper: Mapper,
     join: Joiner,
-) -> tuple[Moment, ...]:
+) -> tuple[Relocation, ...]:
     """When [s] the robot was put down elsewhere: against each half of its own log, then against what others mapped.
 
     A robot that nobody carried contradicts no half of its own; where it was carried, one half is whole.
@@ -300,7 +300,7 @@ def _jumps(
     cfg: KidnapConfig,
     placing: PlacingConfig,
     smoothing: SmoothingConfig,
-) -> tuple[Moment, ...]:
+) -> tuple[Relocation, ...]:
     """The moments across which places in `reference` do not follow from each other, though they do on either side."""
     carrier = carried_by_wheels(log, {}, smoothing)
     for length, least in ((cfg.window, cfg.run), (cfg.long_window, cfg.long_run)):
@@ -369,7 +369,7 @@ def _driven(carrier: Track, begin: float, end: float) -> tuple[float, float]:
     return float(way.sum()), float(np.abs(se2.wrap_angle(np.diff(inside[:, 2]))).sum())
 
 
-def _moment(windows: Windows, i: int, j: int, carrier: Track, placing: PlacingConfig, blind: float) -> Moment:
+def _moment(windows: Windows, i: int, j: int, carrier: Track, placing: PlacingConfig, blind: float) -> Relocation:
     """The moment between two windows up to which sightings agree with the one, and from which with the other.
 
     Where long nothing was seen in between, both ends of that time: nobody knows when in it the robot was carried.
@@ -386,4 +386,4 @@ def _moment(windows: Windows, i: int, j: int, carrier: Track, placing: PlacingCo
         k = int(np.argmin(total))
         left = float(z.t[k - 1]) if k else left
         right = float(z.t[k]) if k < len(z) else right
-    return Moment(left + NEXT, right) if right - left > blind else Moment(*[0.5 * (left + right)] * 2)
+    return Relocation(left + NEXT, right) if right - left > blind else Relocation(*[0.5 * (left + right)] * 2)

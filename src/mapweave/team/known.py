@@ -23,7 +23,7 @@ from .team_map import TeamMap
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class PlacePriors:
     """starts: robot -> its first pose (3,) and the sd [m] of its place; points: landmark -> place (2,) and sd [m].
 
     All in one frame, which becomes the map's. own_frame: the map's frame stays the first pose of its first robot (of
@@ -42,7 +42,7 @@ class Known:
         points: Mapping[str, tuple[float, float, float | None]],
         robots: Sequence[str],
         cfg: KnownConfig,
-    ) -> "Known":
+    ) -> "PlacePriors":
         """From options; robots: all there are. A start without a sd, a point without one, is as `cfg` says."""
         first = min(robots, key=in_order, default="")
         return cls(
@@ -129,7 +129,7 @@ def _measured(
     return Factor(columns, residual, lambda _: J, columns.shape[1], sqrt_info, kernel, name)
 
 
-def framed(team: TeamMap, known: Known) -> TeamMap:
+def framed(team: TeamMap, known: PlacePriors) -> TeamMap:
     """The map in the known frame; as it is where nothing says where that lies."""
     T = known.frame_of(team.tracks, dict(zip(team.landmarks.ids, team.landmarks.mean, strict=True)))
     if T is None:
@@ -138,7 +138,9 @@ def framed(team: TeamMap, known: Known) -> TeamMap:
     return replace(team, landmarks=team.landmarks.moved(T, team.landmarks.frame), tracks=tracks)
 
 
-def tied_by_known(layout: Layout, logs: Mapping[str, LandmarkLog], known: Known, smoothing: SmoothingConfig) -> Layout:
+def tied_by_known(
+    layout: Layout, logs: Mapping[str, LandmarkLog], known: PlacePriors, smoothing: SmoothingConfig
+) -> Layout:
     """The layout in the known frame: bodies whose place in it is known are one, robots with wheels and a start in it.
 
     With starts told in the frame of the first robot (`own_frame`), the body that holds it has its first pose there.

@@ -16,9 +16,9 @@ from ..laser.robot_graph import RobotGraph
 from .clocks import RobotClock, clock_of
 from .config import SmoothingConfig
 from .fixed_stretches import fixed_stretches
-from .known import Known, tied_by_known
-from .placing import Layout, agreeing, lay_out
-from .relative_frame import Body, Glances, Labels, PlacingConfig, point_seen
+from .known import PlacePriors, tied_by_known
+from .placing import Layout, agreeing_sightings, lay_out
+from .relative_frame import Body, Labels, MutualSightings, PlacingConfig, point_seen
 from .robot_part import all_seen
 from .smooth import Calibration, Smoothed, smooth
 from .team_map import TeamMap
@@ -66,7 +66,7 @@ def map_mixed(
     *,
     refine: bool = True,
     laser: LaserConfig | None = None,
-    known: Known | None = None,
+    known: PlacePriors | None = None,
 ) -> MixedMap:
     """The map of a team from all that its robots saw.
 
@@ -80,7 +80,7 @@ def map_mixed(
     bodies += [Body({robot: s.track}, {}, own_clock=robot in own_clocks) for robot, s in scanned.items()]
     held = {robot for body in bodies for robot in body.robots}
     loose = [log for log in logs if log.robot not in held]
-    known = known or Known()
+    known = known or PlacePriors()
     layout = tied_by_known(lay_out(bodies, loose, by, labels, placing, smoothing), by, known, smoothing)
     walls = CommonWalls(scanned)
     if laser is not None:
@@ -145,7 +145,7 @@ def regained(
     tried = [(k, *_with_the_lost(_body(maps[k]), by, labels, smoothing, cfg)) for k in largest]
 
     def agree(body: Body) -> int:
-        return sum(agreeing(robot, body, by, labels, cfg)[0] for robot in body.robots if robot in by)
+        return sum(agreeing_sightings(robot, body, by, labels, cfg)[0] for robot in body.robots if robot in by)
 
     k, body, back = tried[0] if len(tried) == 1 else max(tried, key=lambda option: agree(option[1]))
     if not back:
@@ -174,13 +174,13 @@ def _with_the_lost(
     for robot in sorted(body.robots, key=in_order):
         if robot not in logs or logs[robot].odometry is None or len(body.landmarks) < LEAST:
             continue
-        agree, of = agreeing(robot, body, logs, labels, cfg)
+        agree, of = agreeing_sightings(robot, body, logs, labels, cfg)
         if agree >= cfg.lost_share * of:
             continue
         others = replace(body, tracks={name: track for name, track in body.tracks.items() if name != robot})
         anew = lay_out([others], [logs[robot]], logs, labels, cfg, smoothing).bodies[0]
         if robot in anew.tracks:
-            now = agreeing(robot, replace(anew, anchors={}), logs, labels, cfg)
+            now = agreeing_sightings(robot, replace(anew, anchors={}), logs, labels, cfg)
             if now[0] > cfg.better * agree:
                 body, back[robot] = replace(anew, anchors={}, reach={}), now
     loose = [log for robot, log in logs.items() if robot not in body.tracks and log.odometry is not None]
@@ -231,7 +231,7 @@ def _variance(landmarks: LandmarkMap, k: int) -> float:
 
 def _with_more_landmarks(body: Body, logs: Mapping[str, LandmarkLog], labels: Labels, cfg: PlacingConfig) -> Body:
     """With the landmarks that no filter mapped, where bearings (or ranges) from places that are known meet."""
-    seen: dict[str, list[Glances]] = {}
+    seen: dict[str, list[MutualSightings]] = {}
     for robot in body.robots:
         table = all_seen(logs[robot])
         here, names = body.believed(robot, table.t) if len(table) else np.zeros(0, bool), labels.get(robot, {})
@@ -241,7 +241,7 @@ def _with_more_landmarks(body: Body, logs: Mapping[str, LandmarkLog], labels: La
             if own in logs or name in body.landmarks or not len(rows):
                 continue
             seen.setdefault(name, []).append(
-                Glances(
+                MutualSightings(
                     np.ones(len(rows), bool),
                     body.pose(robot, table.t[rows]).reshape(-1, 3),
                     np.zeros((len(rows), 2)),
@@ -250,7 +250,7 @@ def _with_more_landmarks(body: Body, logs: Mapping[str, LandmarkLog], labels: La
                     table.t[rows],
                 )
             )
-    found = {name: point_seen(Glances.joined(parts), cfg) for name, parts in seen.items()}
+    found = {name: point_seen(MutualSightings.joined(parts), cfg) for name, parts in seen.items()}
     return replace(body, landmarks={**body.landmarks, **{name: p for name, p in found.items() if p is not None}})
 
 

@@ -14,7 +14,7 @@ from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.names import in_order, robot_key
 from .clocks import RobotClock
 from .config import ClockConfig, SmoothingConfig
-from .known import Known
+from .known import PlacePriors
 from .smooth import Calibration, Smoothed, smooth
 from .team_map import TeamMap
 
@@ -26,7 +26,7 @@ def smooth_on_one_clock(
     cfg: SmoothingConfig,
     calibration: Mapping[str, Calibration] | None = None,
     soften: Sequence[float] = (),
-    known: Known | None = None,
+    known: PlacePriors | None = None,
 ) -> Smoothed:
     """`smooth`, stamps of robots whose clocks are off by `cfg.clocks.least` [s] or more moved to the others' clock.
 

@@ -34,7 +34,7 @@ Labels = Mapping[str, Mapping[str, str]]
 
 
 @dataclass(frozen=True, slots=True)
-class StepTold:
+class OnlineStep:
     """What one step did. linearised: stretches taken anew; renewed: older ones of these; moved: the last change."""
 
     iterations: int
@@ -100,7 +100,7 @@ class OnlineTeam:
         if not robots or (robots, names, labels) == (self.members, self.names, self.labels):
             return False
         known = self.members[:1] == robots[:1]
-        self.look_back()
+        self.update_poses()
         place = dict(zip(landmarks.ids, landmarks.mean, strict=True))
         both = [n for n in self.names if n in place]
         if known and len(both) >= ENOUGH:  # the filters' frame has moved against this one
@@ -127,11 +127,11 @@ class OnlineTeam:
         self._solve(self.online.settle, everything=True)
         return True
 
-    def advance(self, t: float) -> StepTold:
+    def advance(self, t: float) -> OnlineStep:
         """The map with all rows until `t` [s]."""
         k = len(self.stretches) - 1
         if k < 0:
-            return StepTold(0, 0, 0, 0.0)
+            return OnlineStep(0, 0, 0, 0.0)
         whole = False
         while t > self._start(k):
             end = min(t, self._start(k + 1))
@@ -139,7 +139,7 @@ class OnlineTeam:
             self._lay_out(k, end, t, {})
             k += 1
         if whole:  # a stretch has ended: the older ones are looked at
-            self.look_back()
+            self.update_poses()
         return self._solve(self.online.iterations, everything=False, older=whole)
 
     def forget(self) -> None:
@@ -147,17 +147,17 @@ class OnlineTeam:
         self.members, self.names, self.labels, self.h = (), (), {}, np.zeros(0)
         self.stretches, self.x, self._links, self._entries, self._passed = [], [], [], [], []
 
-    def look_back(self) -> None:
+    def update_poses(self) -> None:
         """Every stretch where the map as it is now puts it."""
         if self.stretches:
             self._back(0)
 
-    def settle(self) -> StepTold:
+    def converge(self) -> OnlineStep:
         """Everything linearised where it is now, until nothing moves."""
         return self._solve(self.online.settle, everything=True)
 
     def way(self, robot: str) -> Track:
-        """The robot's poses so far at all of its stamps, as of the last `look_back`."""
+        """The robot's poses so far at all of its stamps, as of the last `update_poses`."""
         at, poses = self._estimates(robot, self.stretches, self.x)
         return self._carried(robot, at, poses, at[0], at[-1])
 
@@ -269,7 +269,7 @@ class OnlineTeam:
             eta[rows] += hold @ points.ravel()
         return Gauss(Lambda, eta)
 
-    def _solve(self, iterations: int, *, everything: bool, older: bool = True) -> StepTold:
+    def _solve(self, iterations: int, *, everything: bool, older: bool = True) -> OnlineStep:
         """Gauss-Newton: stretches linearised where they are, a pass forward, a pass back.
 
         older: whether stretches before the latest are linearised anew where they have moved.
@@ -292,7 +292,7 @@ class OnlineTeam:
             moved = self._back(first)
             if moved < cfg.still:
                 break
-        return StepTold(i + 1, linearised, renewed, moved)
+        return OnlineStep(i + 1, linearised, renewed, moved)
 
     def _moved(self, k: int) -> float:
         """How far what stretch k shares has moved since it was linearised."""

@@ -20,12 +20,12 @@ from .commanded_motion import CommandedMotion
 from .config import SmoothingConfig
 from .relative_frame import (
     Body,
-    Glances,
     Labels,
+    MutualSightings,
     PlacingConfig,
     Relation,
-    glances,
     is_sure,
+    mutual_sightings,
     relate,
     residuals,
     sharpened,
@@ -93,13 +93,13 @@ def _first_robot(body: Body) -> tuple[tuple[tuple[int, int, str], ...], str]:
     return in_order(min(body.robots, key=in_order, default=""))
 
 
-def agreeing(
+def agreeing_sightings(
     robot: str, body: Body, logs: Mapping[str, LandmarkLog], labels: Labels, cfg: PlacingConfig
 ) -> tuple[int, int]:
     """How many sightings by a robot of the body, and of it, agree with its track there, and of how many."""
     own = Body({robot: body.tracks[robot]}, {})
     rest = replace(body, tracks={name: track for name, track in body.tracks.items() if name != robot})
-    z = glances(rest, own, logs, labels)
+    z = mutual_sightings(rest, own, logs, labels)
     e = np.square(residuals(z, np.zeros(3), cfg)).sum(axis=-1) if len(z) else np.zeros(0)
     return int((e < cfg.inlier**2).sum()), len(z)
 
@@ -147,7 +147,7 @@ def _tie(
         return _by_same_robot(a.tracks[shared[0]], b.tracks[shared[0]]), 0.0
     swap = a.own_clock and not b.own_clock
     first, second = (b, a) if swap else (a, b)
-    seen = glances(first, second, logs, labels)
+    seen = mutual_sightings(first, second, logs, labels)
     best, clock = relate(seen, cfg), 0.0
     if second.own_clock:
         best, clock = _with_clock(first, second, logs, labels, cfg, best)
@@ -167,7 +167,7 @@ def _with_clock(
     sharp = sharpened(cfg)
 
     def at(clock: float) -> Relation | None:
-        found = relate(glances(a, replace(b, clock=clock), logs, labels), sharp)
+        found = relate(mutual_sightings(a, replace(b, clock=clock), logs, labels), sharp)
         return None if found is None or found.of < 5 * cfg.least else found
 
     def worth(found: Relation | None) -> float:
@@ -184,7 +184,7 @@ def _with_clock(
         near = {c: at(c) for c in (best - step, best, best + step)}
         best = min(near, key=lambda clock: (worth(near[clock]), abs(clock)))
         step = 0.5 * step
-    return relate(glances(a, replace(b, clock=best), logs, labels), cfg), float(best)
+    return relate(mutual_sightings(a, replace(b, clock=best), logs, labels), cfg), float(best)
 
 
 def _by_same_robot(a: Track, b: Track) -> Relation:
@@ -245,7 +245,7 @@ class Windows:
     t: Float[np.ndarray, " k"]
     place: Float[np.ndarray, "k 3"]
     agree: int
-    seen: Glances
+    seen: MutualSightings
     length: float
 
 
@@ -258,7 +258,7 @@ def placed_windows(
     cfg: PlacingConfig,
 ) -> Windows:
     """Where sightings place the robot in the group, each window on its own; those that are not sure are left out."""
-    seen = glances(group, Body({log.robot: carrier}, {}), logs, labels)
+    seen = mutual_sightings(group, Body({log.robot: carrier}, {}), logs, labels)
     seen = seen.select(np.argsort(seen.t, kind="stable"))
     length = cfg.window_still if log.odometry is None else cfg.window
     number = ((seen.t - seen.t[:1]) // length).astype(int)

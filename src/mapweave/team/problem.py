@@ -21,7 +21,7 @@ from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, min
 from .commanded_motion import CommandedMotion
 from .config import CalibrationPrior, SmoothingConfig
 from .factors import sighting_factors, step_factor
-from .known import Known
+from .known import PlacePriors
 from .robot_part import (
     LAG,
     PARAMETERS,
@@ -34,7 +34,7 @@ from .robot_part import (
     instants_of,
     keyframe_instants,
 )
-from .scan_factors import Crossing, crossing_factor, scan_factor
+from .scan_factors import InterRobotEdge, inter_robot_factor, scan_factor
 
 WIDER, LONGEST = 1.25, 30.0  # times as long are steps made at a time where poses are too many, and [s] at most
 HELD_TOGETHER = 0.001  # share of the size of a map that nothing but ranges tells: so firmly it is held
@@ -108,9 +108,9 @@ def team_problem(
     calibration: Mapping[str, Mapping[str, tuple[float, float]]],
     cfg: SmoothingConfig,
     scans: Mapping[str, RobotGraph] | None = None,
-    crossings: Sequence[Crossing] = (),
+    crossings: Sequence[InterRobotEdge] = (),
     instants: Mapping[str, Instants] | None = None,
-    known: Known | None = None,
+    known: PlacePriors | None = None,
 ) -> TeamProblem:
     """The problem of all `logs` (in order; the first robot's first pose is the gauge), started at a fused map.
 
@@ -193,15 +193,15 @@ def _nodes(n: int, landmarks: int, parameters: int) -> Int[np.ndarray, " n"]:
     return np.where(at < landmarks, at // 3, np.where(at < parameters, place, n + (at - parameters) // len(PARAMETERS)))
 
 
-def _scan_terms(parts: Sequence[RobotPart], crossings: Sequence[Crossing], cfg: SmoothingConfig) -> list[Factor]:
+def _scan_terms(parts: Sequence[RobotPart], crossings: Sequence[InterRobotEdge], cfg: SmoothingConfig) -> list[Factor]:
     """Every robot's own pose graph, and for each pair of robots their keyframes that were matched."""
     terms = [scan_factor(part, part.scans) for part in parts if part.scans is not None and len(part.scans) > 1]
     by = {part.robot: part for part in parts}
-    pairs: dict[tuple[str, str], list[Crossing]] = {}
+    pairs: dict[tuple[str, str], list[InterRobotEdge]] = {}
     for crossing in crossings:
         if crossing.a in by and crossing.b in by:
             pairs.setdefault((crossing.a, crossing.b), []).append(crossing)
-    return terms + [crossing_factor(by[a], by[b], found, cfg.motion.outlier) for (a, b), found in pairs.items()]
+    return terms + [inter_robot_factor(by[a], by[b], found, cfg.motion.outlier) for (a, b), found in pairs.items()]
 
 
 def _first_of_groups(

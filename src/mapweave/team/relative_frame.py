@@ -72,7 +72,7 @@ def sharpened(cfg: PlacingConfig) -> PlacingConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class Glances:
+class MutualSightings:
     """m sightings between frames a and b.
 
     forward: the observer is in a (its pose: (m, 3)) and the target in b (point: (m, 2)), else the other way round;
@@ -89,11 +89,11 @@ class Glances:
     def __len__(self) -> int:
         return len(self.t)
 
-    def select(self, keep: np.ndarray) -> "Glances":
-        return Glances(*(getattr(self, name)[keep] for name in self.__slots__))
+    def select(self, keep: np.ndarray) -> "MutualSightings":
+        return MutualSightings(*(getattr(self, name)[keep] for name in self.__slots__))
 
     @classmethod
-    def joined(cls, parts: "list[Glances]") -> "Glances":
+    def joined(cls, parts: "list[MutualSightings]") -> "MutualSightings":
         if not parts:
             nothing = np.zeros(0)
             return cls(nothing.astype(bool), np.zeros((0, 3)), np.zeros((0, 2)), nothing, nothing, nothing)
@@ -116,7 +116,7 @@ class Relation:
         return float(np.trace(self.cov))
 
 
-def residuals(z: Glances, T: Float[np.ndarray, "... 3"], cfg: PlacingConfig) -> Float[np.ndarray, "... m 2"]:
+def residuals(z: MutualSightings, T: Float[np.ndarray, "... 3"], cfg: PlacingConfig) -> Float[np.ndarray, "... m 2"]:
     """Errors of range (0 where it is not told) and bearing, in standard deviations, with b at `T` in a."""
     T = np.asarray(T)
     pose_a = np.where(z.forward[:, None], z.pose, se2.compose(T[..., None, :], z.pose))
@@ -130,12 +130,12 @@ def residuals(z: Glances, T: Float[np.ndarray, "... 3"], cfg: PlacingConfig) -> 
     return np.stack([e_r, e_b], axis=-1)
 
 
-def costs(z: Glances, T: Float[np.ndarray, "... 3"], cfg: PlacingConfig) -> Float[np.ndarray, "..."]:
+def costs(z: MutualSightings, T: Float[np.ndarray, "... 3"], cfg: PlacingConfig) -> Float[np.ndarray, "..."]:
     """Sum of Cauchy costs."""
     return np.asarray(np.log1p(np.square(residuals(z, T, cfg)).sum(axis=-1) / 4.0).sum(axis=-1))
 
 
-def relate(z: Glances, cfg: PlacingConfig) -> Relation | None:
+def relate(z: MutualSightings, cfg: PlacingConfig) -> Relation | None:
     """Where frame b lies in a; None where too few sightings agree, or another heading explains them as well."""
     if len(z) < cfg.least:
         return None
@@ -165,8 +165,8 @@ def relate(z: Glances, cfg: PlacingConfig) -> Relation | None:
     return Relation(transform, cov, agree, len(z), least)
 
 
-def point_seen(z: Glances, cfg: PlacingConfig) -> Float[np.ndarray, "2"] | None:
-    """Where the one point lies that all glances from frame a are of; None where they do not tell."""
+def point_seen(z: MutualSightings, cfg: PlacingConfig) -> Float[np.ndarray, "2"] | None:
+    """Where the one point lies that all sightings from frame a are of; None where they do not tell."""
     if len(z) < cfg.least:
         return None
     origin = replace(z, point=np.zeros((len(z), 2)), forward=np.ones(len(z), bool))
@@ -187,7 +187,7 @@ def is_sure(found: Relation | None, cfg: PlacingConfig) -> bool:
     return bool(max(sd[0], sd[1]) < cfg.sure_xy and sd[2] < cfg.sure_theta)
 
 
-def _shifts(z: Glances, heading: Float[np.ndarray, " k"], cfg: PlacingConfig) -> Float[np.ndarray, "k 2"]:
+def _shifts(z: MutualSightings, heading: Float[np.ndarray, " k"], cfg: PlacingConfig) -> Float[np.ndarray, "k 2"]:
     """The robust shift for each heading."""
     R = se2.rotation(heading)
     turned = np.where(z.forward, 0.0, heading[:, None])
@@ -224,7 +224,7 @@ def _shifts(z: Glances, heading: Float[np.ndarray, " k"], cfg: PlacingConfig) ->
 
 
 def _refined(
-    z: Glances, T: Float[np.ndarray, "3"], cfg: PlacingConfig, *, turns: bool = True
+    z: MutualSightings, T: Float[np.ndarray, "3"], cfg: PlacingConfig, *, turns: bool = True
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]] | None:
     """The minimum of the robust cost near `T`, and the covariance there; None where something is free."""
     forward, pose, point, told, bearing = (
@@ -332,16 +332,18 @@ def moved_track(track: Track, T: Float[np.ndarray, "3"]) -> Track:
     return Track(track.t, se2.compose(T, track.pose), cov)
 
 
-def glances(a: Body, b: Body, logs: Mapping[str, LandmarkLog], labels: Labels) -> Glances:
+def mutual_sightings(a: Body, b: Body, logs: Mapping[str, LandmarkLog], labels: Labels) -> MutualSightings:
     """What robots of `a` saw of `b`, then what robots of `b` saw of `a`."""
     parts = [
         *(_of_robot(robot, a, b, logs[robot], labels, forward=True) for robot in a.robots if robot in logs),
         *(_of_robot(robot, b, a, logs[robot], labels, forward=False) for robot in b.robots if robot in logs),
     ]
-    return Glances.joined([p for part in parts for p in part])
+    return MutualSightings.joined([p for part in parts for p in part])
 
 
-def _of_robot(robot: str, own: Body, other: Body, log: LandmarkLog, labels: Labels, *, forward: bool) -> list[Glances]:
+def _of_robot(
+    robot: str, own: Body, other: Body, log: LandmarkLog, labels: Labels, *, forward: bool
+) -> list[MutualSightings]:
     table = all_seen(log)
     if not len(table):
         return []
@@ -364,14 +366,16 @@ def _of_robot(robot: str, own: Body, other: Body, log: LandmarkLog, labels: Labe
             point = np.tile(other.landmarks[names.get(name, name)], (len(rows), 1))
         else:
             continue
-        out.append(_glances(table, rows, pose[rows], point, forward=forward))
+        out.append(_mutual_sightings(table, rows, pose[rows], point, forward=forward))
     return out
 
 
-def _glances(table: SightingTable, rows: np.ndarray, pose: np.ndarray, point: np.ndarray, *, forward: bool) -> Glances:
+def _mutual_sightings(
+    table: SightingTable, rows: np.ndarray, pose: np.ndarray, point: np.ndarray, *, forward: bool
+) -> MutualSightings:
     order = np.argsort(table.t[rows], kind="stable")
     rows = rows[order]
-    return Glances(
+    return MutualSightings(
         np.full(len(rows), forward),
         pose[order].reshape(-1, 3),
         point[order].reshape(-1, 2),

@@ -13,7 +13,7 @@ from .robot_part import RobotPart
 
 
 @dataclass(frozen=True, slots=True)
-class Crossing:
+class InterRobotEdge:
     """Keyframe `second` of robot `b` at `measured` (3,) as seen from keyframe `first` of robot `a`.
 
     information: (3, 3) in the later one's frame.
@@ -38,7 +38,7 @@ def scan_factor(part: RobotPart, graph: RobotGraph) -> Factor:
     return _edges(PoseGraph(graph.pose, edges.first, edges.second, np.asarray(ways), edges.information), part, part)
 
 
-def crossing_factor(a: RobotPart, b: RobotPart, crossings: list[Crossing], outlier: float) -> Factor:
+def inter_robot_factor(a: RobotPart, b: RobotPart, crossings: list[InterRobotEdge], outlier: float) -> Factor:
     """Keyframes of two robots that were matched."""
     pairs = [(c.first, c.second) for c in crossings]
     n = 1 + max(max(pair) for pair in pairs)

@@ -18,10 +18,10 @@ from .clocks import RobotClock
 from .commanded_motion import LAG, TURN
 from .config import CameraNoise, SmoothingConfig
 from .covariance import TeamCovariance, team_covariance
-from .known import Known
+from .known import PlacePriors
 from .problem import TeamProblem, team_problem, with_fewer_poses
 from .robot_part import PARAMETERS, RobotPart
-from .scan_factors import Crossing
+from .scan_factors import InterRobotEdge
 from .team_map import TeamMap
 
 OBSERVED = 0.7  # share of the prior's standard deviation
@@ -63,9 +63,9 @@ def smooth(
     cfg: SmoothingConfig,
     calibration: Mapping[str, Calibration] | None = None,
     scans: Mapping[str, RobotGraph] | None = None,
-    crossings: Sequence[Crossing] = (),
+    crossings: Sequence[InterRobotEdge] = (),
     soften: Sequence[float] = (),
-    known: Known | None = None,
+    known: PlacePriors | None = None,
     clocks: Collection[str] = (),
 ) -> Smoothed:
     """`team` with all of `logs` (those of its robots) worked into one least-squares problem, started at the filters'.

@@ -19,7 +19,7 @@ from ..laser.scan_odometry import blended
 from ..laser.weave import Woven, keyframe_map, weave
 from .placing import Layout, Tie
 from .relative_frame import Body, PlacingConfig, moved_track
-from .scan_factors import Crossing
+from .scan_factors import InterRobotEdge
 
 NEAR = 0.01  # [s] by which a stamp may lie outside a track
 
@@ -40,7 +40,7 @@ class CommonWalls:
 
     scanned: Mapping[str, Scanned]
     parts: tuple[tuple[str, ...], ...] = ()
-    crossings: tuple[Crossing, ...] = ()
+    crossings: tuple[InterRobotEdge, ...] = ()
     merges: tuple[Merge, ...] = ()
 
     def together(self, a: str, b: str) -> bool:
@@ -168,7 +168,7 @@ def _bent(own: Scanned, pose: np.ndarray) -> Scanned:
     return Scanned(replace(graph, pose=pose), Track(track.t, blended(track.pose, rows, moved), track.cov))
 
 
-def _crossings(robots: Sequence[str], graphs: Sequence[RobotGraph], woven: Woven) -> tuple[Crossing, ...]:
+def _crossings(robots: Sequence[str], graphs: Sequence[RobotGraph], woven: Woven) -> tuple[InterRobotEdge, ...]:
     """The ties between robots that the joint graph holds, with the ways that the woven map has."""
     offset = np.concatenate([[0], np.cumsum([len(g) for g in graphs])]).astype(int)
     within = sum(g.graph().edges for g in graphs)
@@ -177,7 +177,7 @@ def _crossings(robots: Sequence[str], graphs: Sequence[RobotGraph], woven: Woven
     owner = np.searchsorted(offset, [joint.first[rows], joint.second[rows]], side="right") - 1
     way = se2.between(pose[joint.first[rows]], pose[joint.second[rows]])
     return tuple(
-        Crossing(
+        InterRobotEdge(
             robots[a],
             robots[b],
             int(joint.first[k] - offset[a]),

@@ -21,7 +21,7 @@ from ...kernels.exploration.objective import map_uncertainty, mark_half_disc
 from ...kernels.walls.segments import Sector
 from ...kernels.walls.sight import mark_in_sight
 from ...landmarks.landmark_map import GlobalMap, Submap, known_starts
-from ...landmarks.submap_slam import Observations, empty, in_view, move, predict, sight, update
+from ...landmarks.submap_slam import Observations, empty, in_view, move, predict, predicted_observation, update
 from ...sim.field import Field
 from ..planner_interface import query_planner
 from .belief import Explored, LandmarkBelief, Planner
@@ -276,7 +276,7 @@ class Team:
 
     def _observe(self, j: int) -> Observations:
         s = self.cfg.submap
-        z = sight(self.truth.poses[j], self.world.landmarks)
+        z = predicted_observation(self.truth.poses[j], self.world.landmarks)
         rows = np.flatnonzero(in_view(z, s))
         if self.floor is not None:
             rows = rows[self.floor.sees(self.truth.poses[j, :2], self.world.landmarks[rows], s.reach)]

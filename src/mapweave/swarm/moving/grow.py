@@ -7,7 +7,7 @@ import numpy as np
 from ...core import se2
 from ...core.errors import DataError
 from ...core.workers import Progress, no_progress
-from ..headings import meet
+from ..headings import relative_odometry_frame
 from .poses import PoseProblem
 from .result import TrackConfig
 
@@ -88,7 +88,9 @@ def _join(problem: PoseProblem, x: np.ndarray, placed: set[int], rows: np.ndarra
         by_placed = inside[0][use]
         here = np.where(by_placed, problem.line.observer[use], problem.line.target[use])
         there = np.where(by_placed, problem.line.target[use], problem.line.observer[use])
-        T, error = meet(x[problem.index[here]], problem.own[there], problem.table.bearing()[use], by_placed, 3.0 * good)
+        T, error = relative_odometry_frame(
+            x[problem.index[here]], problem.own[there], problem.table.bearing()[use], by_placed, 3.0 * good
+        )
         if np.sqrt(error) > good:
             refused.add(new)
             continue
