@@ -102,7 +102,7 @@ def _component(directory: Path, folder: Path) -> dict[str, tuple[Track, Scans]]:
 
 
 def _one_map(directory: Path, names: Sequence[str]) -> bool:
-    """Whether the result says that these robots hang together: their trajectories are in one frame."""
+    """Whether the result says that these robots are connected: their trajectories are in one frame."""
     told = read_metrics(directory).get("components")
     groups = [set(map(str, group)) for group in told if isinstance(group, list)] if isinstance(told, list) else []
     return {robot_key(name) for name in names} in groups

@@ -1,4 +1,4 @@
-"""What `map` and `fuse` give for laser logs: every robot's own map, and the maps that they hang together in."""
+"""What `map` and `fuse` give for laser logs: every robot's own map, and the maps of connected robots."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence

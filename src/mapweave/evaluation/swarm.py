@@ -172,7 +172,7 @@ def _doubts_standing(
 
 
 def _moved(truth: SwarmTruth, ids: Sequence[str]) -> float:
-    """The longest way between two true places of one of the robots `ids` [m]: the diagonal of all its places."""
+    """The greatest distance between two true places of one of the robots `ids` [m]: the diagonal of all its places."""
     known = np.isin(np.array(truth.ids), list(ids)) if truth.t is not None else np.zeros(len(truth.ids), bool)
     if not known.any():
         return 0.0
@@ -216,7 +216,7 @@ def score_moving(
 def _doubts_moving(
     tracks: Mapping[str, RobotTrajectory], free: Sequence[str], gauge: str, truth: SwarmTruth
 ) -> tuple[str, ...]:
-    """Why `truth` may be of another recording: whoever's true way, it fits as well."""
+    """Why `truth` may be of another recording: whoever's true trajectory, it fits as well."""
     names = [free[k] for k in some(len(free))[:: max(1, len(free) // FEW)]]
     thinned = {name: _thinned(tracks[name]) for name in names}
     ways = [_true_tracks(dict.fromkeys(names, thinned[name]), truth) for name in names]

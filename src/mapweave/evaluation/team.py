@@ -111,7 +111,7 @@ def _doubts(
     truths: Mapping[str, RobotTruth],
     robots: Mapping[str, RobotScore],
 ) -> tuple[str, ...]:
-    """Why the truth may be of another recording: landmarks that fit by chance, or ways no nearer than their middle."""
+    """Why the truth may be of another recording: landmarks that fit by chance, or paths no nearer than their middle."""
     if score.rmse is not None:
         where = dict(zip(survey.ids, survey.xy, strict=True))
         ours, chosen = maps[0].landmarks, set(np.array(score.ids)[some(len(score.ids))].tolist())

@@ -1,4 +1,4 @@
-"""Local maps that hang together: the first guess of every way of joining, what each ends with, and the plain average.
+"""Connected local maps: the initial guess of every method of joining, its result, and the equal-weight mean.
 
 The average is what one would do without covariances: the yardstick for all else.
 """

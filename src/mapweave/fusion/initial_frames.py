@@ -135,7 +135,7 @@ def _log_odds(a: LandmarkMap, b: LandmarkMap, T: Float[np.ndarray, "3"], area: f
 
 
 def arrange(test: PlaceTest) -> tuple[list[Consensus], dict[int, str]]:
-    """The test's maps parted into clusters that hang together, the largest first, and why that one refused a map.
+    """The test's maps parted into connected clusters, the largest first, and why that one refused a map.
 
     A map joins the cluster it shares most with, two landmarks at least, when half of these agree grossly and the
     evidence for the same place suffices. Clusters that come to share two landmarks are joined as well.

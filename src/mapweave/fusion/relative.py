@@ -92,7 +92,7 @@ def fuse_relative(
     sightings: Sequence[FrameSightings] = (),
     solve: SolveConfig | None = None,
 ) -> RelativeFusion:
-    """All `maps` as one, in the first one's frame; raises EstimateError when they do not hang together.
+    """All `maps` as one, in the first one's frame; raises EstimateError when they are not connected.
 
     start: where the solver begins (found from the overlaps when None); pairs: the baseline of each map (the most
     certain pair it shares with the others when None); sightings: robots seen by robots, further measurements.

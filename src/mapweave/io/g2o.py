@@ -71,7 +71,7 @@ def read_g2o_file(path: Path, *, parts: bool = False) -> G2oFile:
     A graph without vertices (or with some missing) gets poses by walking the edges from the first, those from one id
     to the next before others. Raises ReaderError naming the line for a row that does not parse, a vertex told twice,
     an edge from a pose to itself or whose information is not positive definite, priors that contradict each other;
-    and for a graph that does not hang together. With `parts` it need not, each part begins at zero, and an edge to a
+    and for a graph that is not connected. With `parts` it need not, each part begins at zero, and an edge to a
     vertex that a file with vertices lacks is an error.
     """
     rows = _rows(path)

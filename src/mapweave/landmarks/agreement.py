@@ -1,8 +1,8 @@
 """Whether a robot's wheels and what it sees speak of one motion: wrong signs, units, or a sensor mounted askew.
 
-A landmark's bearing falls as the robot turns, and its range by the way driven towards it. So the changes between two
-sightings of one landmark, over what was commanded in between, are a turn and a speed scale: of no unit, near one where
-all is well, and robust, as the weighted median of the ratios. No map and no filter is needed.
+A landmark's bearing falls as the robot turns, and its range by the distance driven towards it. So the changes between
+two sightings of one landmark, over what was commanded in between, are a turn and a speed scale: of no unit, near one
+where all is well, and robust, as the weighted median of the ratios. No map and no filter is needed.
 
 Wheels with a sign or a unit that is not ours are mended and it is told; other contradictions leave a log without them.
 """
@@ -30,8 +30,8 @@ class AgreementConfig:
     way_span: tuple[float, float] = (0.5, 4.0)  # [s] and whose ranges are
     pairs: int = 100  # from which a scale is judged
     better: float = 0.3  # share of the errors that must go where what was commanded is scaled
-    aside: float = 0.3  # share of the ranges' changes that the way to a side must explain,
-    more_aside: float = 0.15  # and how much more of them than the way ahead
+    aside: float = 0.3  # share of the ranges' changes that motion to a side must explain,
+    more_aside: float = 0.15  # and how much more of them than motion ahead
     turn_scale: tuple[float, float] = (0.35, 2.2)  # between which turns are used,
     speed_scale: tuple[float, float] = (0.4, 2.5)  # and speeds
     unit: float = 30.0  # speed scale from which ranges are no metres whatever the speeds
@@ -88,7 +88,7 @@ class Scale:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """turn: of bearings over turns; speed: of ranges over the way ahead; aside: over the way to the left."""
+    """turn: of bearings over turns; speed: of ranges over motion ahead; aside: over motion to the left."""
 
     turn: Scale
     speed: Scale
@@ -112,7 +112,7 @@ class Agreement:
         return cls(turn, ahead, left)
 
     def looks_aside(self, cfg: AgreementConfig) -> bool:
-        """Whether the way to a side explains the ranges clearly better than the way ahead."""
+        """Whether motion to a side explains the ranges clearly better than motion ahead."""
         enough = min(self.speed.pairs, self.aside.pairs) >= cfg.pairs
         return enough and self.aside.fit >= max(cfg.aside, self.speed.fit + cfg.more_aside)
 
@@ -214,7 +214,7 @@ def _pairs(seen: SightingTable, apart: tuple[int, ...]) -> tuple[Int[np.ndarray,
 def _commanded(
     t: Float[np.ndarray, " n"], wheels: Odometry, ekf: EkfSlamConfig, cfg: AgreementConfig
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """The angle [rad] and the way [m] commanded until `t`; absurd rows count as standing."""
+    """The angle [rad] and the distance [m] commanded until `t`; absurd rows count as standing."""
     dt = np.append(np.minimum(np.diff(wheels.t), ekf.hold), 0.0)
     sane = (np.where(np.abs(x) <= cfg.absurd * np.quantile(np.abs(x), 0.9), x, 0.0) for x in (wheels.w, wheels.v))
     sums = (np.append(0.0, np.cumsum(rate * dt)[:-1]) for rate in sane)

@@ -1,7 +1,7 @@
 """One robot's log becomes its local map: all of it through EKF-SLAM, and what there is to say about the result.
 
-Maps on the way, as they stood at each of several times, come from the same pass: what the filter knew is kept at those
-times and made a map afterwards, from sums that grow with the rows.
+Intermediate maps, as they stood at each of several times, come from the same pass: what the filter knew is kept at
+those times and made a map afterwards, from sums that grow with the rows.
 """
 
 from collections.abc import Iterator, Sequence
@@ -176,9 +176,9 @@ class Growth:
 
 
 def grow(log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float], *, tracks: bool = False) -> Growth:
-    """The map of `log` as `local_map` gives it, and those on the way to it at `times` [s], ascending.
+    """The map of `log` as `local_map` gives it, and the intermediate ones at `times` [s], ascending.
 
-    On the way past poses are not corrected, and a landmark without a fixed place is left out of the map, not of the
+    In those past poses are not corrected, and a landmark without a fixed place is left out of the map, not of the
     filter. tracks: whether those maps hold all poses until then, or the latest alone.
     """
     whole, first = map_of(log, cfg, times)

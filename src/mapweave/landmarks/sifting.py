@@ -25,7 +25,7 @@ class SiftConfig:
     floor: float = 0.15  # [m] by which places may differ,
     share: float = 0.08  # and as a share of the distance,
     turn_error: float = 0.25  # of the angle commanded in between, times the distance,
-    drift: float = 0.12  # of the way commanded in between,
+    drift: float = 0.12  # of the distance commanded in between,
     moving: float = 0.35  # [m/s] and for another robot, which drives
     least: int = 3  # others in the window, from which a sighting is judged
     support: float = 0.5  # share of them that must agree with it
@@ -109,7 +109,7 @@ def _clean(log: LandmarkLog, ekf: EkfSlamConfig, cfg: SiftConfig) -> bool:
 
 
 def witnesses(seen: SightingTable, wheels: Odometry | None, ekf: EkfSlamConfig, cfg: SiftConfig) -> Witnesses:
-    """Which sightings bear each other out along the way that `wheels` tell, or in moments where there are none."""
+    """Which sightings bear each other out along the path that `wheels` tell, or in moments where there are none."""
     driven = _Driven.of(seen, wheels, ekf, cfg)
     of, agree = np.zeros(len(seen), np.int64), np.zeros(len(seen), np.int64)
     for k, name in enumerate(seen.ids):
@@ -150,7 +150,7 @@ def _misread(
 
 @dataclass(frozen=True, slots=True)
 class _Driven:
-    """Sightings carried into one frame by the wheels: place [m]; way [m] and angle [rad] driven until then.
+    """Sightings carried into one frame by the wheels: place [m]; distance [m] and angle [rad] driven until then.
 
     window: [s] in which they are compared; turning, going: [rad/s] and [m/s] at which the robot may have moved besides.
     """
@@ -194,7 +194,7 @@ class _Driven:
 def _driven(
     t: Float[np.ndarray, " n"], wheels: Odometry, ekf: EkfSlamConfig
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Poses at `t` as commands with the expected calibration say; the way [m] and the angle [rad] driven until then."""
+    """Poses at `t` as commands with the expected calibration say; distance [m] and angle [rad] driven until then."""
     dt = np.append(np.minimum(np.diff(wheels.t), ekf.hold), 0.0)
     angle, way = ekf.turn_scale * wheels.w * dt, ekf.speed_scale * wheels.v * dt
     heading = np.cumsum(angle) - 0.5 * angle

@@ -60,10 +60,10 @@ DRIFTING = StepNoise(wheels_xy=0.1, wheels_turn_per_m=0.03, wheels_turn=0.1, dri
 @config
 class GraphConfig:
     """The graph method: keyframes, loops, and the last pass over everything. lineage: the noise of steps along the best
-    particle's way, which light holds where walls do not.
+    particle's trajectory, which light holds where walls do not.
     """
 
-    hypotheses: int = 100  # particles that find the way where light tells places apart; 0: scan odometry alone
+    hypotheses: int = 100  # particles that find the trajectory where light tells places apart; 0: scan odometry alone
     loops: bool = True  # whether loops are looked for
     unsure: float = 3.0  # times the graph's covariances are those told: errors of scans one after the other are alike
     last_pass: bool = True  # whether all keyframes are matched jointly in the end, and every scan laid on them
@@ -78,7 +78,7 @@ class GraphConfig:
 
 @config
 class WheelCheck:
-    """When the way that scans tell and the way that wheels tell differ so long that it is a warning."""
+    """When the motion from scans and the motion from wheels differ so long that it is a warning."""
 
     stretch: float = 2.0  # [m] driven, whose lengths are compared
     share: float = 0.2  # by which they differ

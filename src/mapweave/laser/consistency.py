@@ -1,7 +1,7 @@
 """Which closures between two maps can be true together: pairwise consistency and the largest consistent set.
 
-[Mangelson18]: two closures and the ways between them in both maps make a cycle; its error must be within what the
-covariances allow. The largest set in which all pairs do is a maximum clique, found exactly.
+[Mangelson18]: two closures and the trajectories between them in both maps make a cycle; its error must be within what
+the covariances allow. The largest set in which all pairs do is a maximum clique, found exactly.
 """
 
 from typing import NamedTuple

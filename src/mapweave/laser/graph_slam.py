@@ -2,7 +2,8 @@
 
 While scans come `step` drives the front end, makes keyframes, and looks for old places; `finalise` solves the graph
 once more, matches all keyframes jointly and lays every scan on them. Where light tells places apart the front end is
-the particle filter: its hypotheses find the way along walls that say nothing, and its best lineage makes the keyframes.
+the particle filter: its hypotheses find the trajectory along walls that say nothing, and its best lineage makes the
+keyframes.
 """
 
 from dataclasses import dataclass, field, replace
@@ -36,11 +37,11 @@ GONE = Beams(np.zeros((0, 2)), _NONE, _NONE, np.zeros((0, 2)), _NONE, _NONE, _NO
 class GraphState:
     """One robot's graph as it grows; `step` changes it.
 
-    odometry: scan odometry, or particles: the filter that finds the way where light tells places apart; graph: the
-    keyframes so far (of particles: none before the best lineage is known); known: what left it. Of every scan: stamps
-    t, scans their returns (`GONE` where the map does without them), sensors where the scanner stood, lines what walls
-    tell of its pose; keyframes, revisits: which scan each is; unneeded: the scans whose returns went in the last step,
-    all of them before scan `gone`.
+    odometry: scan odometry, or particles: the filter that finds the trajectory where light tells places apart; graph:
+    the keyframes so far (of particles: none before the best lineage is known); known: what left it. Of every scan:
+    stamps t, scans their returns (`GONE` where the map does without them), sensors where the scanner stood, lines what
+    walls tell of its pose; keyframes, revisits: which scan each is; unneeded: the scans whose returns went in the last
+    step, all of them before scan `gone`.
     """
 
     robot: str

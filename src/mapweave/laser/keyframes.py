@@ -21,12 +21,12 @@ from .scan_odometry import ScanInfo, ScanOdometry
 class StepNoise:
     """How far a keyframe's step may err: what the lines of the scan and the wheels tell together, and drift.
 
-    Squares grow with the way. A scan's place is told by lines and wheels; its heading is held by long walls, so that
-    what one scan errs does not add up: it is jitter, which every keyframe has once and no step inherits.
+    Squares grow with the distance driven. A scan's place is told by lines and wheels; its heading is held by long
+    walls, so that what one scan errs does not add up: it is jitter, which every keyframe has once and no step inherits.
     """
 
     wheels_xy: float = 0.033  # [m per sqrt(m)] sd of odometry, whose scale errs for metres on end
-    wheels_turn_per_m: float = 0.0075  # [rad per sqrt(m)] sd of odometry's heading with the way
+    wheels_turn_per_m: float = 0.0075  # [rad per sqrt(m)] sd of odometry's heading with the distance
     wheels_turn: float = 0.018  # [rad per sqrt(rad)] and with the turning
     trust: float = 2.0  # [-] what one scan's information on its place counts, its returns not being independent
     blur: float = 0.02  # [-] share of the information across lines that noise in their normals feigns along them
@@ -116,7 +116,7 @@ class KeyframeConfig:
 
 
 class KeyframeMaker:
-    """Keyframes along one robot's way, each with the covariance of the step to it. `advance` and `keyframe` change it.
+    """Keyframes along one robot's path, each with the covariance of the step to it. `advance` and `keyframe` change it.
 
     robot: its number in the team; local: (3,) the latest pose in the robot's own frame; step: (3,) the latest motion;
     path: [m] driven; last: the latest keyframe.

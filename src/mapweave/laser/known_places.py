@@ -1,9 +1,9 @@
 """Laps over laps: keyframes made where the map knows the place well leave the graph again.
 
-A graph of every keyframe grows with the way. Where the map holds many keyframes that look the same way, one more tells
-nothing new: the robot is found in the map, and the keyframes between two such findings leave. What they told is given
-up, never counted elsewhere: the graph knows less than it could and nothing that it should not. How the robot went stays
-as poses that hang on keyframes of the map (`Revisits`).
+A graph of every keyframe grows with the distance driven. Where the map holds many keyframes that look the same way, one
+more tells nothing new: the robot is found in the map, and the keyframes between two such findings leave. What they told
+is given up, never counted elsewhere: the graph knows less than it could and nothing that it should not. How the robot
+went stays as poses that hang on keyframes of the map (`Revisits`).
 """
 
 from collections.abc import Callable

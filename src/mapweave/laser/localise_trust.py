@@ -36,7 +36,7 @@ class TrustConfig:
     same_turn: float = 0.25  # [rad] between poses that are one place
     keyframe: float = 0.3  # [m] between the scans another place is searched for with
     keyframes: int = 100  # of them, at most, the last
-    scans: int = 200  # that are held against the map, spread over the way
+    scans: int = 200  # that are held against the map, spread over the trajectory
     beams: int = 120  # returns of each that are asked
     place: PlaceConfig = PlaceConfig()
 

@@ -60,7 +60,7 @@ def _calibrated(calibration: IntensityCalibration | None, cfg: LaserConfig) -> F
 
 
 def hypotheses(cfg: LaserConfig, feature: Feature) -> int:
-    """How many ways the method of `cfg` carries at once in a log with this feature."""
+    """How many hypotheses the method of `cfg` carries at once in a log with this feature."""
     if cfg.method == "graph":
         return max(1, cfg.graph.hypotheses) if feature.name in STEERING else 1
     return cfg.particles if cfg.method == "particle" else 1
@@ -175,9 +175,9 @@ def left_graph(graph: RobotGraph) -> dict[str, int]:
 
 
 def wheels_disagree(track: Track, dead: Track | None, cfg: WheelCheck) -> tuple[str, ...]:
-    """A warning where the way the scans tell and the way the wheels tell differ for long.
+    """A warning where the motion from scans and the motion from wheels differ for long.
 
-    dead: dead reckoning at the stamps of `track`. Both ways are cut where the wheels have driven `cfg.stretch` on;
+    dead: dead reckoning at the stamps of `track`. Both are cut where the wheels have driven `cfg.stretch` on;
     stretches that differ in length by a share of `cfg.share` add up while they follow each other.
     """
     if dead is None or len(dead.t) != len(track.t) or len(track.t) < 2:
@@ -204,8 +204,8 @@ def wheels_disagree(track: Track, dead: Track | None, cfg: WheelCheck) -> tuple[
 def wheels_stand(track: Track, dead: Track | None, cfg: WheelCheck) -> tuple[str, ...]:
     """A warning where the wheels report no motion at all while the scans tell of one.
 
-    dead: dead reckoning at the stamps of `track`. The scans' way counts in steps of `cfg.stand_step`, so that how
-    poses of a robot that stands jump about is none.
+    dead: dead reckoning at the stamps of `track`. The motion from scans counts in steps of `cfg.stand_step`, so that
+    how poses of a robot that stands jump about is none.
     """
     if dead is None or len(dead.t) != len(track.t) or len(track.t) < 2:
         return ()

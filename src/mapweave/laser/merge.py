@@ -323,7 +323,7 @@ def _closure(
 
 
 def _consistent(pair: Pair, found: Sequence[Hypothesis], rows: Sequence[MapClosure]) -> list[int]:
-    """The largest set of closures whose cycles are all within the covariances of matches and ways."""
+    """The largest set of closures whose cycles are all within the covariances of matches and trajectories."""
     if not rows:
         return []
     a, b, _, cfg = pair[:4]
@@ -341,7 +341,7 @@ def _consistent(pair: Pair, found: Sequence[Hypothesis], rows: Sequence[MapClosu
 
 
 def _ways(m: KeyframeMap, at: Sequence[int], cfg: MergeConfig) -> np.ndarray:
-    """(n, n, 3, 3) covariance of the way between two keyframes by its length: what a map may be bent by."""
+    """(n, n, 3, 3) covariance of the trajectory between two keyframes by its length: what a map may be bent by."""
     path = m.path[list(at)]
     length = np.abs(path[:, None] - path[None, :])
     out = np.zeros((*length.shape, 3, 3))

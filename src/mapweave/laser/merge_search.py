@@ -56,7 +56,7 @@ class MergeConfig:
     held: float = 0.02  # information along the worst direction over that along the best
     slide: tuple[float, ...] = (0.8, 1.6, 3.0)  # [m] the map is pushed along its worst direction as a test
     ties_alike: float = 12.0  # submaps that confirm count as one measurement, since their errors are alike
-    drift: float = 0.01  # [m per m] sd of a map's own ways,
+    drift: float = 0.01  # [m per m] sd of a map's own trajectories,
     drift_turn: float = 0.002  # [rad per sqrt m] and of their headings
     cycle_gate: float = 4.0 * 11.34  # squared sd of a cycle: twice the 99 % of 3 degrees of freedom in sd, maps bend
     whole: int = 1000  # points of a whole map that are searched with
@@ -126,7 +126,8 @@ def whole_place(a: KeyframeMap, cfg: MergeConfig, *, featured: bool) -> Likeliho
 def stages(b: KeyframeMap, cfg: MergeConfig) -> list[list[tuple[int, int]]]:
     """The submaps of b to be searched for, as (keyframe in the middle, keyframes around it), in stages.
 
-    A quarter of them, spread over the whole way, then as many more, then the rest: where much agrees, few will do.
+    A quarter of them, spread over the whole trajectory, then as many more, then the rest: where much agrees, few will
+    do.
     """
     asked: list[list[tuple[int, int]]] = [[], [], []]
     for around, every in ((cfg.submap.around, cfg.every), (cfg.small, max(1, cfg.every // 2))):
@@ -234,7 +235,7 @@ def along_start(
     u, across = fit.weak, np.array([-fit.weak[1], fit.weak[0]])
     said = se2.rotation(float(start.transform[2])).T @ u
     sd = np.hypot(np.asarray(start.sd), SLIP)
-    # the start's heading may err at the other end of the way between the origins
+    # the start's heading may err at the other end of the line between the origins
     variance = float(np.square(said * sd[:2]).sum() + (sd[2] * (across @ start.transform[:2])) ** 2)
     T = _shifted(fit.pose, u, start.transform)
     v = se2.rotation(float(T[2])).T @ u

@@ -74,7 +74,7 @@ class SolvedGraph:
     graph: the same edges with the poses solved; used: (m,) which edges the solution rests on; nis: (m,) squared
     residual of each, in sd; prior_nis: (k,) squared distance of each prior from the solution without it, fixed_nis:
     (f,) of each of `fixed` from where the first of its part and the rest put it, in sd; component: (n,) which poses
-    hang together through edges that are used, 0 the one of the first fixed pose; fixed: poses held; chi2, chi2_before:
+    are connected through edges that are used, 0 the one of the first fixed pose; fixed: poses held; chi2, chi2_before:
     sum of squares of the used edges and the priors, at the optimum and with the poses given; rounds: solves made to
     find which edges contradict.
     """
@@ -126,7 +126,7 @@ def solve_graph(
     """The optimum of `graph`, from the poses it has.
 
     fixed: poses held where they are; without these and without priors the first one is. doubtful: (m,) the edges that
-    may be dropped; without, all that do not tie a pose to the next. Of every part that hangs together one pose at
+    may be dropped; without, all that do not tie a pose to the next. Of every connected part one pose at
     least is held. Raises DataError when an information matrix is not positive definite or a number is not finite.
     """
     cfg = cfg or RobustGraphConfig()
@@ -341,7 +341,7 @@ def _columns(poses: np.ndarray) -> np.ndarray:
 def _components(
     graph: PoseGraph, used: np.ndarray, held: tuple[int, ...], priors: Sequence[Prior]
 ) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Which poses hang together, numbered from that of the first held one, and the poses held, one a component."""
+    """Which poses are connected, numbered from that of the first held one, and the poses held, one a component."""
     component = connected(graph, used)
     order = [int(component[k]) for k in (*held, *(p.vertex for p in priors))]
     seen = dict.fromkeys([*order, *component.tolist()])
@@ -353,7 +353,7 @@ def _components(
 
 
 def connected(graph: PoseGraph, used: Bool[np.ndarray, " m"] | None = None) -> Int[np.ndarray, " n"]:
-    """A number for every pose, equal for those that hang together through the edges `used` (all when None)."""
+    """A number for every pose, equal for those connected through the edges `used` (all when None)."""
     rows = np.ones(graph.edges, dtype=bool) if used is None else used
     n = len(graph)
     links = sp.coo_array((np.ones(int(rows.sum())), (graph.first[rows], graph.second[rows])), shape=(n, n))

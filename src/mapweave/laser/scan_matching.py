@@ -56,7 +56,7 @@ class FrontEndConfig:
     alone_search: float = 1.3  # [rad] turns tried to either side of such a robot's last heading
     alone_tries: int = 5  # of them, those that most returns match are refined
     alone_loss: float = 0.04  # share of the returns that a change of its motion must win: so much times
-    alone_steady: float = 0.1  # ln(1 + (change of the way / this [m])^2 + (change of the turn / the next)^2)
+    alone_steady: float = 0.1  # ln(1 + (change of the step / this [m])^2 + (change of the turn / the next)^2)
     alone_steady_turn: float = 0.15  # [rad] change of the turn that weighs as much
     still_xy: float = 0.1  # [m] a robot must leave its place, or
     still_turn: float = 0.1  # [rad] turn, while its wheels report no motion, before they are not believed

@@ -42,8 +42,8 @@ def blended(
 ) -> Float[np.ndarray, "n 3"]:
     """Poses along `carrier` (a drifting trajectory, in order) that pass through `corrected` at its rows `at`.
 
-    Between two corrected rows the pose is carried from both and blended by the share of the way; before the first and
-    after the last it is carried from the one there is. at: ascending, k >= 1.
+    Between two corrected rows the pose is carried from both and blended by the share of the distance; before the first
+    and after the last it is carried from the one there is. at: ascending, k >= 1.
     """
     n = len(carrier)
     step = se2.between(carrier[:-1], carrier[1:])

@@ -78,7 +78,7 @@ def submap_around(
     cfg: LaserSubmapConfig | None = None,
     place: PlaceConfig | None = None,
 ) -> LaserSubmap:
-    """The submap around keyframe `anchor`; at the ends of the way it holds fewer keyframes."""
+    """The submap around keyframe `anchor`; at the ends of the trajectory it holds fewer keyframes."""
     cfg = cfg or LaserSubmapConfig()
     first, last = max(0, anchor - cfg.around), min(len(poses) - 1, anchor + cfg.around)
     cloud, light = gathered(poses, points, range(first, last + 1), poses[anchor], cfg.voxel, q)

@@ -204,7 +204,7 @@ class LaserTeam:
         self._now = np.array([self._latest(j) for j in range(len(self.tracks))])
 
     def _latest(self, j: int) -> np.ndarray:
-        """The robot's own way, put onto its last keyframe that the team has."""
+        """The robot's own trajectory, put onto its last keyframe that the team has."""
         of, local = self.team.of[j], self.tracks[j].local
         if not of:
             return np.array(se2.compose(self.starts[j], local))

@@ -2,14 +2,15 @@
 
 from .robot_graph import RobotGraph
 
-IN_A_ROW = 6  # searches; along a way that is right some fail, where furniture hides the walls or an old place is beyond
+IN_A_ROW = 6  # searches; along a right trajectory some fail: furniture hides the walls, or an old place is beyond
 
 
 def unfound_places(graph: RobotGraph) -> tuple[str, ...]:
     """A warning for the longest stretch of searches for old places, one after the other, that found none.
 
     Searches are made where the estimate says that the robot is near a place of its own that it saw long ago. A heading
-    or a way along a corridor that went wrong once makes all later ones fail, and no closure is there to contradict it.
+    or a trajectory along a corridor that went wrong once makes all later ones fail, and no closure is there to
+    contradict it.
     """
     found: dict[int, bool] = {}
     for c in graph.closures:

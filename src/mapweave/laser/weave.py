@@ -21,7 +21,7 @@ from .robust_graph import RobustGraphConfig, SolvedGraph, connected, solve_graph
 class Woven:
     """What became of M robots' maps.
 
-    merges: every pair tried, in order; component: (M,) which robots hang together, 0 that of the first robot; pose: of
+    merges: every pair tried, in order; component: (M,) which robots are connected, 0 that of the first robot; pose: of
     each robot's keyframes (n, 3) in the frame of its component, which is that of its lowest robot, after the last
     pass over all of them together; of a robot alone: its own. joint: the pose graph over all robots, keyframes in the
     robots' order, and what was dropped from it.
@@ -161,7 +161,7 @@ def _held_ties(joint: SolvedGraph, within: int, members: Sequence[range]) -> Pos
 
 
 def _last_pass(robots: Sequence[RobotGraph], ties: PoseGraph, cfg: JointPassConfig) -> list[np.ndarray]:
-    """The keyframes of robots that hang together after a pass over all of them, in the frame of the first."""
+    """The keyframes of connected robots after a pass over all of them, in the frame of the first."""
     size = [len(r) for r in robots]
     steps = _side_by_side([r.steps() for r in robots], ties.pose)
     owner = np.repeat(np.arange(len(robots)), size)

@@ -1,4 +1,4 @@
-"""Robots whose maps hang together as one map: every robot's way in one frame, one grid, one graph, all closures."""
+"""Connected robots as one map: every robot's trajectory in one frame, one grid, one graph, all closures."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -46,11 +46,11 @@ class ClosureRow:
 
 @dataclass(frozen=True, slots=True)
 class WovenMap:
-    """One component: the robots that hang together, in `map`, the first pose of the first of them.
+    """One component: the connected robots, in `map`, the first pose of the first of them.
 
-    tracks: robot -> its way with covariances; pose: (n, 3) all keyframes, robots in order, owner (n,) which robot's
-    each is, t (n,) [s] their stamps; graph: the edges believed, over these poses; closures: every one tried within and
-    between these robots, and those tried with robots of later components.
+    tracks: robot -> its trajectory with covariances; pose: (n, 3) all keyframes, robots in order, owner (n,) which
+    robot's each is, t (n,) [s] their stamps; graph: the edges believed, over these poses; closures: every one tried
+    within and between these robots, and those tried with robots of later components.
     """
 
     robots: tuple[str, ...]
@@ -163,7 +163,7 @@ def _component(
 
 
 def _track(made: LaserMap, pose: Float[np.ndarray, "n 3"], cov: Float[np.ndarray, "n 3 3"]) -> Track:
-    """The robot's way where its keyframes stand at `pose`: between them as in its own map."""
+    """The robot's trajectory where its keyframes stand at `pose`: between them as in its own map."""
     graph, own = _graph(made), made.track
     placed = RobotGraph(
         **{name: getattr(graph, name) for name in RobotGraph.__slots__ if name not in {"pose", "cov"}},

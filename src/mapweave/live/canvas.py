@@ -1,4 +1,4 @@
-"""The map of robots that hang together, in squares that are drawn anew where something changed and nowhere else."""
+"""The map of connected robots, in squares that are drawn anew where something changed and nowhere else."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field

@@ -38,7 +38,7 @@ def nobody(robots: Sequence[str]) -> Mapping[int, Start]:  # noqa: ARG001
 
 @dataclass(frozen=True, slots=True)
 class WovenTeam:
-    """How laser robots hang together, by their names in the team.
+    """How laser robots are connected, by their names in the team.
 
     placed: where each one's frame stands; decisions: in words; tiles: the map, drawn; worked: robot -> its first
     message that is not in them; behind: messages that were heard and are not; number: counts the solutions.

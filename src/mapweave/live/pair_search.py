@@ -72,7 +72,7 @@ class PairSearch:
         """The pair to be tried now; None when there is none.
 
         sizes: robot -> keyframes. common: cells in which both are expected to have seen walls, of pairs whose starts
-        are told. Of robots that do not hang together those go first that are likely to have seen the same, the most
+        are told. Of robots not connected yet those go first that are likely to have seen the same, the most
         likely ones before others; then pairs that were never tried, the largest maps before others; then those tried
         when there was less of them, and among these ties too: they hold better with more of both.
         """
@@ -97,11 +97,11 @@ class PairSearch:
         return None
 
     def apart(self, names: Iterable[str]) -> bool:
-        """Whether they do not all hang together."""
+        """Whether they are not all connected."""
         return len(set(self._roots(names).values())) > 1
 
     def _roots(self, names: Iterable[str]) -> dict[str, str]:
-        """Of each robot one of those that it hangs together with, the same for all of them."""
+        """Of each robot one of those that it is connected with, the same for all of them."""
         group = {name: name for name in names}
 
         def root(name: str) -> str:

@@ -77,7 +77,7 @@ def _placed(names: Sequence[str], graphs: Sequence[RobotGraph], woven: Woven, un
 
 
 def _decisions(names: Sequence[str], merges: Sequence[Merge], placed: Mapping[str, Placed]) -> list[str]:
-    """What was decided on pairs, but for those refused or not tried that hang together by others.
+    """What was decided on pairs, but for those refused or not tried that are connected by others.
 
     Of more than `MOST_TOLD` those that are tied.
     """

@@ -40,7 +40,7 @@ class MixedStory:
 
 
 def words(story: MixedStory) -> list[str]:
-    """How the robots hang together, in sentences."""
+    """How the robots are connected, in sentences."""
     out = [
         f"{_names(tie.a)} and {_names(tie.b)} were tied by {BY.get(tie.by, f'{tie.agree} of {tie.of} sightings')}"
         for tie in story.map.layout.ties

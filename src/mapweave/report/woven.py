@@ -1,4 +1,4 @@
-"""The part of a laser report that tells how robots hang together, and why two of them do or do not."""
+"""The part of a laser report that tells how robots are connected, and why two of them do or do not."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,7 +22,7 @@ def told_merge(merge: Merge) -> str:
 
 
 def told_component(made: WovenMap) -> str:
-    """Which robots hang together, for people."""
+    """Which robots are connected, for people."""
     x0, x1, y0, y1 = made.grid.extent
     names = [robot_name(r) for r in made.robots]
     who = f"{', '.join(names[:-1])} and {names[-1]} in one map" if len(names) > 1 else f"{names[0]} alone"

@@ -74,7 +74,7 @@ def drive_pair(
 
 @dataclass(slots=True)
 class _Ground:
-    """The cells a robot may stand in, tied to their neighbours; the largest part that hangs together."""
+    """The cells a robot may stand in, tied to their neighbours; the largest connected part."""
 
     middle: np.ndarray
     links: sp.csr_array
@@ -101,7 +101,7 @@ class _Ground:
     def roam(
         self, axis: int, part: tuple[float, float], cfg: PairConfig, rng: np.random.Generator
     ) -> Float[np.ndarray, "n 3"]:
-        """Keyframe poses on shortest ways between places chosen by chance, inside the part."""
+        """Keyframe poses on shortest paths between places chosen at random, inside the part."""
         inside = np.flatnonzero((self.middle[:, axis] >= part[0]) & (self.middle[:, axis] <= part[1]))
         if len(inside) < 4:
             raise DataError("there is no free space to drive in")

@@ -25,7 +25,7 @@ class OdometryNoise:
     factor: float = 1.0  # on all errors below
     scale: float = 0.01  # sd of the scale error, an Ornstein-Uhlenbeck process
     scale_length: float = 15.0  # [m] over which it is correlated
-    translation: float = 0.01  # [m per sqrt(m)] of the place, along the way
+    translation: float = 0.01  # [m per sqrt(m)] of the place, along the path
     rotation: float = np.radians(0.4)  # [rad per sqrt(m)] of the heading, driving
     turning: float = np.radians(1.0)  # [rad per sqrt(rad)] of the heading, turning
     bias: float = np.radians(0.1)  # [rad/m], sd of each robot's own heading bias
@@ -133,7 +133,7 @@ def check_starts(walls: WallIndex, starts: Float[np.ndarray, "M 3"], radius: flo
 
 
 class Wheels:
-    """One robot's odometry errors along its way."""
+    """One robot's odometry errors along its path."""
 
     def __init__(self, cfg: OdometryNoise, rng: np.random.Generator) -> None:
         self.cfg, self.rng = cfg, rng

@@ -39,7 +39,8 @@ class MixedWorld:
     """What to simulate; noise and bias are relative to a real team's (1), outliers is a share of all sightings.
 
     calibration: `real` draws wheels and cameras as a real team's, `random` as a careless workshop leaves them; clock:
-    [s] sd of each laser log's clock; everything: every robot carries all that any of them does, on the same ways.
+    [s] sd of each laser log's clock; everything: every robot carries all that any of them does, on the same
+    trajectories.
     """
 
     lasers: int = 2

@@ -215,7 +215,7 @@ def _drive(
 
 
 def _wander(start: Float[np.ndarray, "n d"], scene: SwarmScene, rng: np.random.Generator) -> Float[np.ndarray, "M T d"]:
-    """Blockers on straight ways through the field, one place for each of max(steps, 60) instants."""
+    """Blockers on straight paths through the field, one place for each of max(steps, 60) instants."""
     low, high = start.min(axis=0), start.max(axis=0)
     a, b = rng.uniform(low, high, (2, scene.blockers, scene.dim))
     along = np.linspace(0.0, 1.0, max(scene.steps, 60))

@@ -1,7 +1,8 @@
 """Sparse Cholesky of a matrix whose variables come in threes, as planar poses do: ordered once, factorised often.
 
-Fill is kept small by a minimum-degree order over the poses. Of a graph that is a few long ways with ties between them
-the factor has a tenth of the numbers of a nested dissection's; that of dense surfaces is better cut in halves.
+Fill is kept small by a minimum-degree order over the poses. Of a graph that is a few long trajectories with constraints
+between them the factor has a tenth of the numbers of a nested dissection's; that of dense surfaces is better cut in
+halves.
 """
 
 from dataclasses import dataclass, field

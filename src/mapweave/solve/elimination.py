@@ -111,7 +111,7 @@ class Elimination:
     def least_fill(
         cls, matrix: sp.csc_matrix, group: Int[np.ndarray, " n"] | None, last: Bool[np.ndarray, " n"]
     ) -> "Elimination":
-        """In an order of minimum degree: many small fronts, for long ways with ties between them.
+        """In an order of minimum degree: many small fronts, for long trajectories with constraints between them.
 
         group: variables kept together, by any number; last: which of them (whole groups) are eliminated after all
         others, because they touch most of them.

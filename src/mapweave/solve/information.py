@@ -62,7 +62,7 @@ class Pattern:
         return replace(self, elimination=Elimination.of(self.matrix(np.ones(len(self.indices))), group))
 
     def least_fill(self, group: Int[np.ndarray, " f"], last: Bool[np.ndarray, " f"]) -> "Pattern":
-        """The same pattern, to be factorised in an order of little fill: for long ways with ties between them.
+        """The same pattern, to be factorised in an order of little fill: for long paths with constraints between them.
 
         group: (f,) as for `dissected`; last: (f,) which groups come after all others, since they touch most of them.
         """

@@ -1,4 +1,4 @@
-"""A swarm that sees itself: who saw whom in which direction, who hangs together with whom, what contradicts others."""
+"""A swarm that sees itself: who saw whom in which direction, which robots are connected, what contradicts others."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -37,7 +37,7 @@ class CameraClockConfig:
 def on_camera_clock(log: LandmarkLog, cfg: CameraClockConfig | None = None) -> LandmarkLog:
     """The log with its wheels' stamps on the camera's clock, told, where that is clearly another one.
 
-    The camera's stamps stay: they are what hangs together with other robots.
+    The camera's stamps stay: other robots' clocks are compared with them.
     """
     ahead = camera_ahead(log, cfg or CameraClockConfig())
     if not ahead or log.odometry is None:

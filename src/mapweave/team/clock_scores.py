@@ -3,8 +3,8 @@
 Were a robot's stamps moved by `a`, it would have been seen where it was at another time: its place at the stamp moves
 along its velocity v, so that `J_a = J_p v` for the one that was seen and `-J_p v` for the one that saw it. At the
 minimum over all else (x) the clocks' own minimum is one step away: `a = -S^-1 g` with
-`S = H_aa - H_ax H_xx^-1 H_xa`, the ways being free to bend (a score test; Rao, 1948). Its scatter is measured by
-groups of factors, as that of landmarks and calibration is.
+`S = H_aa - H_ax H_xx^-1 H_xa`, the trajectories being free to bend (a score test; Rao, 1948). Its scatter is measured
+by groups of factors, as that of landmarks and calibration is.
 """
 
 from collections.abc import Collection, Sequence
@@ -42,9 +42,9 @@ def clocks_of(
 ) -> dict[str, RobotClock]:
     """The clocks of robots that look off, robot -> how far ahead of the usual one [s]; and of those of `also`.
 
-    suspect: [s] from which one looks off while ways are held, which shows a part of what it is off; length: [s] over
-    which errors hang together. The usual clock of robots that hang together by sightings of each other is that of the
-    one in their middle; of two, the first one's.
+    suspect: [s] from which one looks off while trajectories are held, which shows a part of what it is off; length: [s]
+    over which errors are correlated. The usual clock of robots connected by sightings of each other is that of the one
+    in their middle; of two, the first one's.
     """
     met = _met(team, solution.x)
     if not met or solution.information is None:
@@ -78,7 +78,7 @@ def clocks_of(
 def _suspects(
     C: Float[np.ndarray, "r r"], g: Float[np.ndarray, " r"], suspect: float, named: Collection[int]
 ) -> Int[np.ndarray, " s"]:
-    """Robots whose clocks pull away from their group's usual one, ways held, and those named.
+    """Robots whose clocks pull away from their group's usual one, trajectories held, and those named.
 
     Of every group one stays the clock that the others are told against.
     """

@@ -1,4 +1,4 @@
-"""How far a robot's clock is ahead of the others', from what they saw of each other along their smoothed ways."""
+"""How far a robot's clock is ahead of the others', from what they saw of each other along their smoothed paths."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -35,7 +35,7 @@ class CameraNoise:
 
     range_floor: float = 0.1  # [m] error of a range to a landmark close by
     range_share: float = 0.09  # error of a range as a share of the distance
-    range_beside_laser: float = 2.0  # times both, in a team with a laser: they last, and would bend ways known better
+    range_beside_laser: float = 2.0  # times both, in a team with a laser: they last, and would bend paths known better
     bearing: float = 0.028  # [rad] error of a bearing to a landmark
     robot_range_floor: float = 0.22  # [m] error of a range to another robot, whose marks are not at its centre
     robot_bearing: float = 0.04  # [rad] error of a bearing to another robot
@@ -75,7 +75,7 @@ class ClockConfig:
     """When a robot's clock is off the others', as what they saw of each other tells."""
 
     suspect: float = (
-        0.08  # [s] that a clock seems off while ways are held, a part of what it is off: looked at from here
+        0.08  # [s] that a clock seems off while trajectories are held, a part of what it is off: looked at from here
     )
     least: float = 0.5  # [s] from which a clock is off: less is within the lateness of cameras and commands
     tried: float = 1.0  # standard deviations from which it is tried as it seems,
@@ -101,7 +101,7 @@ class SmoothingConfig:
     shortest_step: float = 0.5  # [s] between two poses that are estimated; sightings between go by the nearest
     most_poses: int = 50_000  # that are estimated, about: beyond it both steps are made longer, and it is told
     cluster: float = 20.0  # [s] errors of one robot are taken to be independent after this long
-    memory: float = 5.0  # [s] over which errors of one robot's sightings of one landmark are taken to hang together
+    memory: float = 5.0  # [s] over which errors of one robot's sightings of one landmark are taken to be correlated
     position_floor: float = 0.01  # [m] added to every standard deviation of a place
     heading_floor: float = 0.003  # [rad] added to every standard deviation of a heading
     max_iterations: int = 40  # steps of the solver, at most
@@ -119,7 +119,7 @@ class OnlineConfig:
     renewed: int = 3  # older stretches that are linearised anew in one step, at most, those that moved most first
     iterations: int = 3  # of Gauss-Newton in a step, at most
     still: float = 0.002  # [m], [rad] of change at which a step ends
-    fuse_every: float = 10.0  # [s] between two looks at which robots and landmarks hang together
+    fuse_every: float = 10.0  # [s] between two looks at which robots and landmarks are connected
     settle: int = 15  # iterations over everything when a robot has come in, at most
 
     def __post_init__(self) -> None:

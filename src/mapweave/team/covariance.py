@@ -226,7 +226,7 @@ def scores(team: TeamProblem, x: Float[np.ndarray, " n"], groups: Groups) -> sp.
 
 
 def _priors(team: TeamProblem, x: Float[np.ndarray, " n"]) -> sp.csr_matrix:
-    """What one standard deviation of error of each prior and of each way that scans tell would pull, (priors, n)."""
+    """What one standard deviation of error of each prior and of each trajectory from scans would pull, (priors, n)."""
     rows = [sp.csr_matrix((0, len(x)))]
     for term, origin in zip(team.factors, team.origins, strict=True):
         if origin is None:
@@ -260,8 +260,8 @@ def _mean_factor(team: TeamProblem, factors: Sequence[float]) -> float:
 def _correlation(team: TeamProblem, robot: int, x: Float[np.ndarray, " n"], length: float) -> float:
     """How much more a robot's sightings of one landmark within `length` [s] pull together than if independent; >= 1.
 
-    Of a robot that saw no landmark, the others' sightings of it. In a team with a laser 1: scans tell the ways, and the
-    noise of sightings is so wide there because their errors last, which would count twice.
+    Of a robot that saw no landmark, the others' sightings of it. In a team with a laser 1: scans give the trajectories,
+    and the noise of sightings is so wide there because their errors last, which would count twice.
     """
     if any(p.scans is not None for p in team.parts):
         return 1.0

@@ -15,7 +15,7 @@ from .robot_part import BIAS, LAG, RANGE, SPEED, TURN, RobotPart
 
 
 def step_factor(part: RobotPart, cfg: SmoothingConfig, lag: float) -> Factor:
-    """The way between neighbouring instants, against commands where there are any."""
+    """The motion between neighbouring instants, against commands where there are any."""
     t, k = part.instants.t, part.instants.steps
     columns = np.concatenate([part.pose_columns(k), part.pose_columns(k + 1)], axis=1)
     kernel = Cauchy(cfg.motion.outlier)
@@ -141,7 +141,7 @@ def sighting_factors(
 
 @dataclass(frozen=True, slots=True)
 class PointSightings:
-    """m points that were sighted: landmarks, or robots a little way from an instant of theirs.
+    """m points that were sighted: landmarks, or robots a short motion from an instant of theirs.
 
     columns: (m, 2) a landmark's place, or (m, 3) a robot's pose; ahead: (m, 2) the point in that pose's frame.
     """
@@ -181,7 +181,7 @@ def _sighting_factor(
     bearing: float,
     camera: CameraNoise,
 ) -> Factor:
-    """Bearing, and range where it was told, from where the robot was at the stamp: a little way from its instant.
+    """Bearing, and range where it was told, from where the robot was at the stamp: a short motion from its instant.
 
     The range's noise grows with the distance expected at the start, not with the range read: else short readings
     would weigh more, and the map would shrink.

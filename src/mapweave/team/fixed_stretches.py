@@ -1,9 +1,9 @@
-"""Where a robot without wheels or map of its own is fixed by sightings at all, and where its way must be left out.
+"""Where a robot without wheels or map of its own is fixed by sightings at all, and where its path must be left out.
 
 Between sightings nothing carries such a robot, and a bearing from one observer fixes no distance: what a least-squares
 problem then says is one of several answers, with the covariance of that one alone. A pose is kept only where, within a
-few seconds, sightings that agree with it come from enough directions, and where the way leads through it no faster
-than such a robot goes: answers of bearings that are met only by a leap are of the wrong place.
+few seconds, sightings that agree with it come from enough directions, and where the trajectory leads through it no
+faster than such a robot goes: answers of bearings that are met only by a leap are of the wrong place.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ from .config import MotionNoise
 from .relative_frame import Body, Labels, MutualSightings, PlacingConfig, mutual_sightings, residuals
 from .team_map import TeamMap
 
-LEAST = 2  # poses that make a way
+LEAST = 2  # poses that make a trajectory
 SHORTEST = 0.2  # [s] over which a speed can be told
 LEAP = 4.0  # standard deviations of the speed and turn rate of a robot without odometry
 
@@ -44,7 +44,7 @@ def fixed_stretches(
     cfg: PlacingConfig,
     motion: MotionNoise,
 ) -> tuple[TeamMap, tuple[str, ...]]:
-    """The map with the ways of `robots` cut to the poses that sightings fix, and a sentence for each that was cut.
+    """The map with the paths of `robots` cut to the poses that sightings fix, and a sentence for each that was cut.
 
     A pose is fixed where within `cfg.fixed_window` at least `cfg.lost_share` of the sightings agree with it, and those
     come from two others that saw it, or from three others that it saw or that saw it; a distance counts as one more.

@@ -38,7 +38,7 @@ class KidnapConfig:
     bin_sightings: int = 6  # in one, at least
     bin_share: float = 0.4  # of them that must agree
     bad_bins: int = 2  # that do not, from which a robot is looked at
-    bent: float = 0.2  # [m] by which its way differs from its wheels as calibrated, from which it is, within so many
+    bent: float = 0.2  # [m] by which its path differs from its wheels as calibrated, from which it is, within so many
     bent_within: int = 6  # seconds
     window: float = 8.0  # [s] of a log that is placed on its own,
     run: int = 3  # and how many of them follow from each other on either side of a cut;
@@ -46,10 +46,10 @@ class KidnapConfig:
     long_run: int = 2  # and how many of those
     back: int = 4  # windows back, to one of which the next must follow
     fits: float = 0.5  # [m] by which a place may differ from what wheels say of the one before, [rad] its heading,
-    fits_share: float = 0.3  # and as a share of the way and of the angle
+    fits_share: float = 0.3  # and as a share of the distance and of the angle
     carried: float = 0.8  # [m] by which it does where the robot was carried, or
     carried_turn: float = 1.2  # [rad] its heading,
-    carried_share: float = 0.25  # both beyond that share of all the way and angle driven in between
+    carried_share: float = 0.25  # both beyond that share of all the distance and angle driven in between
     blind: float = 4.0  # [s] without a sighting, from which it is left open when in between it was carried
     landmarks: int = 4  # of a map against which a robot is placed
     most: int = 5  # robots, one after the other
@@ -124,7 +124,7 @@ def cut_kidnapped(
 def with_stretches(
     maps: Sequence[TeamMap], cut: Cut, smoothing: SmoothingConfig, placing: PlacingConfig
 ) -> tuple[tuple[TeamMap, ...], tuple[LandmarkLog, ...], tuple[str, ...]]:
-    """The maps with the ways of cut robots over all stretches that sightings place, and the logs of these stretches.
+    """The maps with the paths of cut robots over all stretches that sightings place, and the logs of these stretches.
 
     Also a sentence for each stretch that nothing places, which is left out.
     """
@@ -169,7 +169,7 @@ def _placed(
     placing: PlacingConfig,
     smoothing: SmoothingConfig,
 ) -> Track | None:
-    """The way of a stretch in the body's frame, with the covariance from which a place is believed at all."""
+    """The trajectory of a stretch in the body's frame, with the covariance from which a place is believed at all."""
     track = placed_alone(body, part, {**logs, part.robot: part}, labels, placing, smoothing)
     if track is None:
         return None
@@ -243,7 +243,7 @@ def _bad_bins(
 
 
 def _bent(track: Track, log: LandmarkLog, smoothing: SmoothingConfig, span: int) -> float:
-    """The most [m] that the track goes another way than the wheels within `span` seconds."""
+    """The most [m] that the track deviates from the wheels within `span` seconds."""
     if log.odometry is None or not len(track.t) or np.ptp(track.t) <= span:
         return 0.0
     t = np.arange(track.t[0], track.t[-1], 1.0)
@@ -356,14 +356,14 @@ def _carried(windows: Windows, i: int, j: int, carrier: Track, cfg: KidnapConfig
 
 
 def _missed(windows: Windows, i: int, j: int, carrier: Track) -> tuple[np.ndarray, np.ndarray]:
-    """The way that the wheels tell from window i to window j, and where j lies as seen from its end."""
+    """The motion that the wheels tell from window i to window j, and where j lies as seen from its end."""
     base = se2.interpolate(windows.t[[i, j]], carrier.t, carrier.pose)
     said = se2.between(base[0], base[1])
     return said, se2.between(se2.compose(windows.place[i], said), windows.place[j])
 
 
 def _driven(carrier: Track, begin: float, end: float) -> tuple[float, float]:
-    """The way [m] and the angle [rad] that wheels tell, to and fro."""
+    """The distance [m] and the angle [rad] that wheels tell, to and fro."""
     inside = carrier.pose[(carrier.t >= begin) & (carrier.t <= end)]
     way = np.hypot(*np.diff(inside[:, :2], axis=0).T)
     return float(way.sum()), float(np.abs(se2.wrap_angle(np.diff(inside[:, 2]))).sum())

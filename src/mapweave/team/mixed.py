@@ -25,12 +25,12 @@ from .team_map import TeamMap
 from .walls import CommonWalls, Scanned, common_walls, in_line
 
 UNSURE = 1.0  # [m] sd of a landmark that bearings alone place, when the smoothing begins
-LEAST = 3  # sightings between two robots that hang together by them
+LEAST = 3  # sightings that connect two robots
 
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """How two robots hang together: robots from one to the other, and what there is between each and the next.
+    """How two robots are connected: robots from one to the other, and what there is between each and the next.
 
     sightings: of each other, landmarks: that both saw.
     """
@@ -42,7 +42,7 @@ class Path:
 
 @dataclass(frozen=True, slots=True)
 class MixedMap:
-    """components: the largest first; layout: how their frames were found; paths: how laser robots hang together.
+    """components: the largest first; layout: how their frames were found; paths: how laser robots are connected.
 
     clocks: of robots whose logs were found to be ahead of the others; merges: decisions on walls that lasers share.
     """
@@ -197,7 +197,7 @@ def _late(
     cfg: PlacingConfig,
     clocks: dict[str, RobotClock],
 ) -> dict[str, float]:
-    """How far [s] the clocks of `robots` are ahead, where the smoothed ways show it; `clocks` is brought up to date."""
+    """How far [s] the clocks of `robots` are ahead, where the smoothed paths show it; `clocks` is updated."""
     wrong = {}
     for robot in robots:
         found = clock_of(robot, team, logs, labels, cfg) if robot in team.tracks else None
@@ -281,7 +281,7 @@ def _team(body: Body, variance: Mapping[str, float], logs: Mapping[str, Landmark
 
 
 def _paths(components: Sequence[Smoothed], walls: CommonWalls, logs: Mapping[str, LandmarkLog]) -> tuple[Path, ...]:
-    """For every two laser robots of a component that no walls tie, through whose sightings they hang together."""
+    """For every two laser robots of a component that no walls tie, through whose sightings they are connected."""
     out = []
     for component in components:
         robots = component.map.robots
@@ -303,7 +303,7 @@ def _between(log: LandmarkLog, other: str) -> int:
 
 
 def _way(a: str, b: str, beside: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """The shortest way from a to b; empty where there is none."""
+    """The shortest path from a to b; empty where there is none."""
     before: dict[str, str | None] = {a: None}
     queue = deque([a])
     while queue:

@@ -1,8 +1,8 @@
 """A team smoothed with every robot's clock put right that is clearly off the others'.
 
-Smoothing with a wrong clock bends the ways a little and makes sightings of each other count less; what still pulls
-tells how far the clock is off (`clock_scores`). So stamps are moved as it seems, and the team is smoothed again, until
-no clock moves any more.
+Smoothing with a wrong clock bends the trajectories a little and makes sightings of each other count less; what still
+pulls tells how far the clock is off (`clock_scores`). So stamps are moved as it seems, and the team is smoothed again,
+until no clock moves any more.
 """
 
 from collections.abc import Mapping, Sequence

@@ -29,7 +29,7 @@ HELD = 1e-6  # standard deviation of a calibration parameter that is held
 LOOSE = 1e-6  # information [1/m^2] on a landmark, so that one nobody has seen again stays where it is
 FRAME = 1e8  # information [1/m^2] on the landmarks as a body, which are the frame
 ENOUGH = 2  # landmarks that make a frame
-MARGIN = 3.0  # [s] of a robot's own way before a stretch
+MARGIN = 3.0  # [s] of a robot's own trajectory before a stretch
 Labels = Mapping[str, Mapping[str, str]]
 
 
@@ -89,7 +89,7 @@ class OnlineTeam:
     def adopt(
         self, t: float, robots: Sequence[str], landmarks: LandmarkMap, ways: Mapping[str, Track], labels: Labels
     ) -> bool:
-        """Whether anything is new of who hangs together; then all stretches until `t` [s] are laid out anew.
+        """Whether anything is new of who is connected; then all stretches until `t` [s] are laid out anew.
 
         robots: tied together, the map's frame the first pose of the first; landmarks, ways: where the filters have
         them, to start what is not estimated yet.
@@ -172,7 +172,7 @@ class OnlineTeam:
     def _lay_out(self, k: int, end: float, now: float, ways: Mapping[str, Track]) -> None:
         """Stretch k until `end` [s]; `now`: the time until which rows are known.
 
-        ways: how to start its robots; without one a robot goes on from where it is estimated.
+        ways: initial trajectories of its robots; without one a robot goes on from where it is estimated.
         """
         there = [r for r in self._there(k) if self.logs[r].span[0] < end]
         before = set(self._there(k - 1)) if k else set()
@@ -227,7 +227,7 @@ class OnlineTeam:
     def _carried(
         self, robot: str, at: Float[np.ndarray, " k"], poses: Float[np.ndarray, "k 3"], begin: float, end: float
     ) -> Track:
-        """The robot's own way between `begin` and `end` [s], bent so that it passes through `poses` at `at`."""
+        """The robot's own trajectory between `begin` and `end` [s], bent so that it passes through `poses` at `at`."""
         own = self.own[robot]
         first, last = int(np.searchsorted(own.t, begin)), int(np.searchsorted(own.t, end, side="right"))
         inside = (at >= begin) & (at <= end)

@@ -1,4 +1,4 @@
-"""How smoothing went while the logs played: what it took, what it came to, and the map on the way."""
+"""How smoothing went while the logs played: what it took, what it came to, and intermediate maps."""
 
 from dataclasses import dataclass
 
@@ -27,7 +27,7 @@ class OnlineRun:
     until the map held it, were the logs as fast as the robots; linearised: stretches of each step; renewed: of these
     older ones that had moved; laid_out: [s] after the first row at which robots or landmarks came in; stretches: how
     many there are, none of them given up; closing: [s] for what was left to do when the logs ended; landmarks_moved,
-    ways_moved: [m] root mean square by which that changed them; growth: the map on the way; waited: robots without
+    ways_moved: [m] root mean square by which that changed them; growth: intermediate maps; waited: robots without
     wheels, whose rows came in when the logs ended.
     """
 

@@ -52,7 +52,7 @@ class Tie:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """bodies: what hangs together, the largest first, by the team's clock; ties: in the order they were made.
+    """bodies: what is connected, the largest first, by the team's clock; ties: in the order they were made.
 
     lost: robots that nothing places; clocks: robot -> [s] its log's clock was found ahead.
     """
@@ -308,7 +308,7 @@ def placed_alone(
     cfg: PlacingConfig,
     smoothing: SmoothingConfig,
 ) -> Track | None:
-    """The way of `log`'s robot, not in the group, where its sightings place it there; None where they do not."""
+    """The trajectory of `log`'s robot, not in the group, where its sightings place it there; None where they do not."""
     carrier = carried_by_wheels(log, logs, smoothing)
     inside = (carrier.t >= log.span[0]) & (carrier.t <= log.span[1])
     carrier = Track(carrier.t[inside], carrier.pose[inside])

@@ -45,7 +45,7 @@ class Instants:
         return np.asarray(np.where(t - self.t[left] <= self.t[right] - t, left, right))
 
     def from_nearest(self, t: Float[np.ndarray, " m"]) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 3"]]:
-        """The instant nearest to each of `t`, and the small way `T_instant_t` from there, as `track` has it."""
+        """The instant nearest to each of `t`, and the small motion `T_instant_t` from there, as `track` has it."""
         k = self.nearest(t)
         return k, se2.between(self.start[k], se2.interpolate(t, self.track.t, self.track.pose))
 
@@ -100,7 +100,7 @@ def _with_steps(
 
 
 def keyframe_instants(t: Float[np.ndarray, " n"], track: Track) -> Instants:
-    """The instants of a robot whose scans became keyframes at `t`: between them its scans tell the way well."""
+    """The instants of a robot whose scans became keyframes at `t`: between them its scans tell the motion well."""
     return Instants(t, se2.interpolate(t, track.t, track.pose), track, np.diff(t))
 
 

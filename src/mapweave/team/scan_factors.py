@@ -28,10 +28,10 @@ class InterRobotEdge:
 
 
 def scan_factor(part: RobotPart, graph: RobotGraph) -> Factor:
-    """Steps and closures between a robot's keyframes, with the ways that its finished map has.
+    """Steps and closures between a robot's keyframes, with the relative poses of its finished map.
 
-    The last pass over all scans knows these ways better than the matches they began with; so its map is the minimum of
-    this factor, and the information of the pose graph says how firmly.
+    The last pass over all scans knows these relative poses better than the matches they began with; so its map is the
+    minimum of this factor, and the information of the pose graph says how firmly.
     """
     edges = graph.graph()
     ways = se2.between(graph.pose[edges.first], graph.pose[edges.second])

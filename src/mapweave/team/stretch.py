@@ -89,7 +89,7 @@ def stretch_of(
     calibration: Mapping[str, Mapping[str, tuple[float, float]]],
     anchor: str | None,
 ) -> Stretch:
-    """The stretch over `span` [s] of the robots of `logs`, each with its way there, in the map's frame, as it is known.
+    """The stretch over `span` [s] of the robots of `logs`, each with its trajectory there in the map's frame.
 
     entry, exit_: robots that were there before `span`, and that will be after it.
     """

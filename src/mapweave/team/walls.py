@@ -34,7 +34,7 @@ class Scanned:
 
 @dataclass(frozen=True, slots=True)
 class CommonWalls:
-    """scanned: every laser robot's map, those that hang together by walls in one frame and bent to each other; parts:
+    """scanned: every laser robot's map, those connected by walls in one frame and bent to each other; parts:
     which do; crossings: their keyframes to each other; merges: every pair tried, with the decision and its reason.
     """
 
@@ -86,7 +86,7 @@ def in_line(layout: Layout, walls: CommonWalls) -> Layout:
         tracks = dict(bodies[first].tracks)
         for robot in part:
             bent = moved_track(walls.scanned[robot].track, T)
-            if len(bent.t) == len(tracks[robot].t):  # else it is the way of the robot's wheels and camera, which stays
+            if len(bent.t) == len(tracks[robot].t):  # else it is the trajectory from wheels and camera, which stays
                 tracks[robot] = replace(bent, t=tracks[robot].t)
         bodies[first] = replace(bodies[first], tracks=tracks)
         bodies = [body for k, body in enumerate(bodies) if k not in others]
@@ -94,12 +94,12 @@ def in_line(layout: Layout, walls: CommonWalls) -> Layout:
 
 
 def _place_of(part: Sequence[str], body: Body, walls: CommonWalls, layout: Layout) -> np.ndarray:
-    """Where the frame of a part lies in a body: as its robots' ways there say together, each pose counting the same."""
+    """Where the frame of a part lies in a body: as its robots' trajectories there say, every pose counting the same."""
     return _frame({robot: walls.scanned[robot] for robot in part if robot in body.tracks}, body, layout)
 
 
 def _frame(own: Mapping[str, Scanned], body: Body, layout: Layout) -> np.ndarray:
-    """Where the frame that robots' own maps are in lies in a body, by the ways that they have in both."""
+    """Where the frame that robots' own maps are in lies in a body, by their trajectories in both."""
     ways = []
     for robot, scanned in own.items():
         track, t = body.tracks[robot], scanned.track.t - layout.clocks.get(robot, 0.0)
@@ -150,7 +150,7 @@ def _near_the_layout(
 
 
 def _unless_far(found: Merge, start: Start, track: Track, placing: PlacingConfig) -> Merge:
-    """The merge; refused where walls put the second robot's way elsewhere than sightings of the team do."""
+    """The merge; refused where walls put the second robot's trajectory elsewhere than sightings of the team do."""
     assert found.transform is not None  # noqa: S101  (merged)
     ways = [se2.act(T, track.pose[:, :2]) for T in (start.transform, found.transform)]
     away = float(np.hypot(*(ways[1] - ways[0]).T).mean())
@@ -161,7 +161,7 @@ def _unless_far(found: Merge, start: Start, track: Track, placing: PlacingConfig
 
 
 def _bent(own: Scanned, pose: np.ndarray) -> Scanned:
-    """The robot's map with its keyframes at `pose`, its way between them as it was."""
+    """The robot's map with its keyframes at `pose`, its trajectory between them as it was."""
     graph, track = own.graph, own.track
     rows = np.searchsorted(track.t, graph.t)
     moved = se2.compose(pose, se2.between(graph.pose, track.pose[rows]))
@@ -169,7 +169,7 @@ def _bent(own: Scanned, pose: np.ndarray) -> Scanned:
 
 
 def _crossings(robots: Sequence[str], graphs: Sequence[RobotGraph], woven: Woven) -> tuple[InterRobotEdge, ...]:
-    """The ties between robots that the joint graph holds, with the ways that the woven map has."""
+    """The edges between robots that the joint graph holds, with the relative poses of the woven map."""
     offset = np.concatenate([[0], np.cumsum([len(g) for g in graphs])]).astype(int)
     within = sum(g.graph().edges for g in graphs)
     pose, joint = np.concatenate(woven.pose), woven.joint.graph

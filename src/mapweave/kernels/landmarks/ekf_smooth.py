@@ -208,7 +208,7 @@ def between(
     final: Array, t: float, cmd_t: Array, cmd_v: Array, cmd_w: Array, noise: Noise,
     node_t: Array, node: Array, node_cov: Array, starts: Array, track_t: Array, pose: Array, cov: Array,
 ) -> None:  # fmt: skip
-    """Drives from each smoothed node towards the next and bends the way so that it arrives: a bridge with its noise."""
+    """Drives from each smoothed node towards the next and bends the path so that it arrives: a noisy bridge."""
     n, rows = len(node), len(track_t)
     Phi, Q = np.zeros((POSE, HEAD)), np.zeros((POSE, POSE))
     x = final.copy()
@@ -253,7 +253,7 @@ def carry(a: Array, b: Array) -> Array:
 def bend(
     pose: Array, cov: Array, share: float, arrived: Array, Q: Array, node: Array, cov_from: Array, cov_to: Array
 ) -> None:
-    """A pose on the way, `share` of it done, bent so that `arrived`, with the way's noise Q, becomes `node`."""
+    """A pose on the path, `share` of it done, bent so that `arrived`, with the path's noise Q, becomes `node`."""
     miss = np.zeros((POSE, 1))
     total = Q.copy()
     for i in range(POSE):

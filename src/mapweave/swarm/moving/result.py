@@ -21,7 +21,7 @@ class TrackConfig:
     acceleration: float = 0.02  # [m^2/s^3] white-noise acceleration density of each axis, without odometry
     speed: float = 3.0  # [m/s] prior of each axis of the first velocity, without odometry
     merge: float = 0.002  # [s]; stamps closer than this are one instant
-    slip_floor: float = 0.01  # [m/sqrt(s)] noise of the way, at rest too
+    slip_floor: float = 0.01  # [m/sqrt(s)] noise of the distance driven, at rest too
     slip: float = 0.1  # [sqrt(s)] and so much of the speed more
     side: float = 0.3  # sideways slip, of the slip along
     turn_floor: float = 0.01  # [rad/sqrt(s)] noise of the heading, at rest too
