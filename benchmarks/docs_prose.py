@@ -4,10 +4,10 @@
 written. ROW: what the row's cells begin with, joined by spaces, marks of emphasis and code left out. COLUMN: the head
 of the column, or its number; `COLUMN#2` is the second number of a cell, `COLUMN x 100` the number times 100.
 
-Any other number that has a unit or a decimal point stands in `docs_given.txt`, with the words around it: as one that
-nobody measured (a parameter, a definition, what others print), or as one that was measured and is not held to a table
-yet. `python benchmarks/docs_prose.py` counts both and tells what stands nowhere; `--list given` or `--list measured`
-puts that into the list.
+Any other number that has a unit or a decimal point, or counts (`9 of 10`, `300 steps`), stands in `docs_given.txt` with
+the words around it: a parameter, a definition, what others print, never what was measured here. `python
+benchmarks/docs_prose.py` counts them and tells what stands nowhere, exit status 1 where there is one; `--given` puts
+that into the list.
 """
 
 import argparse
@@ -25,9 +25,12 @@ Held = Callable[[str], str | None]  # the text of a table, None where there is n
 
 
 GIVEN = Path(__file__).with_name("docs_given.txt")
-MEASURED = "measured, in no table"
 FREE = re.compile(r"(?<![\w.-])-?(?:\d[\d,]*(?:\.\d+)?|\.\d+)(?!\w)")
-UNITS = "%|°|(?:m|cm|mm|s|ms|us|ns|min|kB|MB|GB|times|deg|degrees|seconds|minutes|metres|rad|mrad|points)\\b"
+UNITS = (
+    "%|°|(?:m|cm|mm|s|ms|us|µs|ns|min|h|kB|MB|GB|kiB|MiB|GiB|times|deg|degrees|seconds|minutes|hours|metres|rad|mrad|points"
+    "|steps|runs|pairs|trials|cases|teams|sightings|relations|closures|misreads)\\b"
+    r"|(?:out\s+)?of\s+(?:some\s+|the\s+|all\s+)?\d"
+)
 UNIT = re.compile(rf"\s*(?:{UNITS})")
 NO_PROSE = re.compile(
     r"^```.*?^```|^<!-- ([^:\n]+): begin -->.*?<!-- \1: end -->|^\|.*?$|^#.*?$|\$\$.*?\$\$|\$[^$\n]*(?:\n[^$\n]+)?\$"
@@ -107,7 +110,7 @@ def stale_prose(top: Path, held: Held) -> list[str]:
 
 
 def free_numbers(top: Path) -> list[Free]:
-    """Every number with a unit or a decimal point in the sentences of the documentation that no table holds."""
+    """Every number of a sentence with a unit or a decimal point, or that counts, and that is tied to no table."""
     out = []
     for page in pages(top):
         text = NO_PROSE.sub(lambda m: re.sub(r"[^\n]", " ", m[0]), page.read_text(encoding="utf-8"))
@@ -120,16 +123,20 @@ def free_numbers(top: Path) -> list[Free]:
     return out
 
 
-def listed(given: Path = GIVEN) -> dict[str, dict[str, list[str]]]:
-    """What stands in the list: kind -> page -> words."""
-    out: dict[str, dict[str, list[str]]] = {"given": {}, MEASURED: {}}
-    into: list[str] = []
+def listed(given: Path = GIVEN) -> dict[str, list[str]]:
+    """What stands in the list: page -> words. ValueError: of a heading that is no page, or words under none."""
+    out: dict[str, list[str]] = {}
+    page = None
     for line in given.read_text(encoding="utf-8").splitlines():
         if line.startswith("## "):
-            page, _, kind = line[3:].partition(": ")
-            into = out[kind].setdefault(page, [])
+            page = line[3:]
+            if not page.endswith(".md"):
+                raise ValueError(f"{given.name}: {page!r} is no page; what was measured belongs into a table")
+            out[page] = []
         elif line and not line.startswith("#"):
-            into.append(line)
+            if page is None:
+                raise ValueError(f"{given.name}: {line!r} stands under no page")
+            out[page].append(line)
     return out
 
 
@@ -139,7 +146,7 @@ def unlisted(top: Path, given: Path = GIVEN) -> list[str]:
     return [
         f"{free.page}:{free.line}: {free.words!r} is tied to no table and does not stand in {given.name}"
         for free in free_numbers(top)
-        if not any(free.words in pages.get(free.page, ()) for pages in held.values())
+        if free.words not in held.get(free.page, ())
     ]
 
 
@@ -164,31 +171,25 @@ def _cells(line: str) -> list[str]:
     return [re.sub(r"[*`_]", "", cell).strip() for cell in line.strip().strip("|").split("|")]
 
 
-def write_list(top: Path, kind: str, given: Path = GIVEN) -> None:
-    """The list names what stands in sentences and no table holds: what is new as `kind`; what is gone is gone."""
-    there, held, missing = free_numbers(top), listed(given), {one.split(":", 1)[0] for one in unlisted(top, given)}
-    known = {(page, words) for by_page in held.values() for page, all_words in by_page.items() for words in all_words}
-    for page in sorted(missing):
-        new = (f.words for f in there if f.page == page and (page, f.words) not in known)
-        held[kind].setdefault(page, []).extend(dict.fromkeys(new))
-    lines = given.read_text(encoding="utf-8").partition("\n\n")[0].splitlines()
-    for name, by_page in held.items():
-        for page, all_words in sorted(by_page.items()):
-            kept = [words for words in all_words if any((f.page, f.words) == (page, words) for f in there)]
-            lines += ["", f"## {page}: {name}", *kept] if kept else []
-    given.write_text("\n".join(lines) + "\n", encoding="utf-8")
+def write_list(top: Path, given: Path = GIVEN) -> None:
+    """The list names what stands in sentences and no table holds, page by page in the order of the pages."""
+    head = given.read_text(encoding="utf-8").partition("\n\n")[0].splitlines()
+    by_page: dict[str, list[str]] = {}
+    for free in free_numbers(top):
+        by_page.setdefault(free.page, []).append(free.words)
+    for page, words in sorted(by_page.items()):
+        head += ["", f"## {page}", *dict.fromkeys(words)]
+    given.write_text("\n".join(head) + "\n", encoding="utf-8")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--list", choices=("given", "measured"), help="put what stands nowhere into the list, as this")
-    asked, top = parser.parse_args().list, Path(__file__).parents[1]
-    if asked:
-        write_list(top, MEASURED if asked == "measured" else asked)
-    there = free_numbers(top)
-    for kind, by_page in listed().items():
-        print(f"{kind}: {sum(free.words in by_page.get(free.page, ()) for free in there)}")
+    parser.add_argument("--given", action="store_true", help="put into the list what nobody measured")
+    asked, top = parser.parse_args(), Path(__file__).parents[1]
+    if asked.given:
+        write_list(top)
     wrong = unlisted(top)
+    print(f"given: {len(free_numbers(top)) - len(wrong)}")
     print("\n".join(wrong))
     sys.exit(1 if wrong else 0)
 

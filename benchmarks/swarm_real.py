@@ -1,6 +1,6 @@
 """Real bearings: Roh's angulation data, and what the robots of MRCLAM set 6 saw of each other.
 
-    MAPWEAVE_DATA=... python benchmarks/swarm_real.py [--table angulation|drive] [--json FILE]
+    MAPWEAVE_DATA=... python benchmarks/swarm_real.py [--table readings|angulation|drive] [--json FILE]
 
 MAPWEAVE_DATA is the folder with `bearings/` and `mrclam/`.
 """
@@ -135,6 +135,20 @@ def _left(p, q, *, scale: bool):
     return float(np.sqrt(np.mean(np.sum((s * p @ R.T + t - q) ** 2, axis=1)))), s
 
 
+def print_readings(roh: dict) -> None:
+    headings = roh["cases"]["medians, heading found, sigma from the residuals"]["heading_off_deg"]
+    rows = (
+        ("bias, root mean square [°]", f"{roh['bias_rms_deg']:.1f}"),
+        ("bias, largest [°]", f"{roh['bias_largest_deg']:.1f}"),
+        ("scatter of readings, median [°]", f"{roh['scatter_deg']:.1f}"),
+        ("correlation of neighbouring readings, median", f"{roh['correlation_of_neighbours']:.1f}"),
+        ("heading of a place, furthest off [°]", f"{np.abs(headings).max():.1f}"),
+    )
+    print("| what | |\n|---|---|")
+    for name, value in rows:
+        print(f"| {name} | {value} |")
+
+
 def print_angulation(roh: dict) -> None:
     print("| | sigma | RMSE | promised | NEES / dof | |")
     print("|---|---|---|---|---|---|")
@@ -155,6 +169,8 @@ def print_drive(six: dict) -> None:
         ("RMSE [m] of odometry alone", f"{six['odometry_alone']:.1f}"),
         ("pairs that see each other in a second, at most", six["most_pairs_in_a_second"]),
         ("pairs that would tell the shape at once", six["pairs_needed_at_once"]),
+        ("turns, share of what was commanded, least", f"{min(six['turn_scale'].values()):.2f}"),
+        ("turns, share of what was commanded, most", f"{max(six['turn_scale'].values()):.2f}"),
         ("sightings left out [%]", f"{100 * six['outliers'] / six['sightings']:.0f}"),
     )
     print("| what | |\n|---|---|")
@@ -165,7 +181,7 @@ def print_drive(six: dict) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=os.environ.get("MAPWEAVE_DATA"))
-    parser.add_argument("--table", choices=("angulation", "drive"), help="this one alone")
+    parser.add_argument("--table", choices=("readings", "angulation", "drive"), help="this one alone")
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
     if asked.data is None:
@@ -173,12 +189,11 @@ def main() -> None:
     found: dict[str, dict] = {}
     if asked.table != "drive":
         roh = found["roh_angulation"] = angulation(asked.data / "bearings" / "roh_angulation")
-        print(
-            f"Roh: biases {roh['bias_rms_deg']:.2f} deg rms, {roh['bias_largest_deg']:.1f} largest; scatter "
-            f"{roh['scatter_deg']:.2f} deg, correlation of neighbouring readings {roh['correlation_of_neighbours']:.2f}"
-        )
-        print_angulation(roh)
-    if asked.table != "angulation":
+        if asked.table != "angulation":
+            print_readings(roh)
+        if asked.table != "readings":
+            print_angulation(roh)
+    if asked.table in {None, "drive"}:
         found["mrclam6"] = team(asked.data / "mrclam" / "MRCLAM_Dataset6.zip")
         print_drive(found["mrclam6"])
     if asked.json:

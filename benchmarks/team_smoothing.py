@@ -136,6 +136,7 @@ def main() -> None:
     machine = {name: version(name) for name in ("mapweave", "numpy", "scipy")}
     machine |= {"python": platform.python_version(), "cores": str(os.cpu_count()), "processor": platform.machine()}
     print(json.dumps(machine), flush=True)
+    print(table([]), flush=True)
     rows = []
     for name in args.sets.split(","):
         rows.append(run(Path(args.data) / "mrclam" / f"MRCLAM_Dataset{name}.zip", odometry=not args.no_odometry))

@@ -1,6 +1,6 @@
 """How bad a log's wheels are, as the factor that `mapweave explore --laser --noise` takes.
 
-    python benchmarks/wheels.py LOG... [--stretch 5]
+    MAPWEAVE_DATA=.. python benchmarks/wheels.py [LOG...] [--stretch 5]      # without a log: the Intel one
 
 The matched way (graph method) is cut into stretches; on each the wheels' error in heading and in length is held against
 what the simulated wheels err by at factor 1 over as long a way with as much turning. The factor is the root mean square
@@ -9,6 +9,7 @@ normal error). Beside them the same of simulated wheels whose factor is known.
 """
 
 import argparse
+import os
 from pathlib import Path
 
 import numpy as np
@@ -57,21 +58,22 @@ def simulated(pose: np.ndarray, factor: float, seed: int) -> np.ndarray:
 
 
 def told(name: str, found: dict[str, tuple[float, float]]) -> str:
-    both = (f"{k} {rms:.1f} (middle {middle:.1f})" for k, (rms, middle) in found.items())
-    return f"{name}: {', '.join(both)}"
+    both = (f"{factor:.1f}" for pair in found.values() for factor in pair)
+    return f"| {name} | {' | '.join(both)} |"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("logs", nargs="+", type=Path)
+    parser.add_argument("logs", nargs="*", type=Path)
     parser.add_argument("--stretch", type=float, default=5.0, help="[m]")
     args = parser.parse_args()
-    for path in args.logs:
+    print("| wheels | heading | its middle stretch | length | its middle stretch |\n|---|---|---|---|---|")
+    for path in args.logs or [Path(os.environ["MAPWEAVE_DATA"]) / "carmen" / "intel.clf.gz"]:
         log = read_laser(path)
         pose = map_laser(log, LaserConfig(method="graph"), 0).scans.pose
         print(told(path.name, factors(pose, np.array([s.odometry for s in log.scans]), args.stretch)))
         for factor in (1.0, 4.0):
-            print(told(f"  simulated, factor {factor:g}", factors(pose, simulated(pose, factor, 0), args.stretch)))
+            print(told(f"simulated, factor {factor:g}", factors(pose, simulated(pose, factor, 0), args.stretch)))
 
 
 if __name__ == "__main__":

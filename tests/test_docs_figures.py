@@ -29,18 +29,44 @@ def test_numbers_of_sentences_are_found_outside_code_maths_tables_and_ties(tmp_p
     found = [(free.line, free.words) for free in docs_prose.free_numbers(tmp_path)]
     assert found == [(3, "After [20] seconds"), (4, "by [3] cm,"), (16, "than [.35] of")]
     given = tmp_path / "given.txt"
-    given.write_text(
-        "# told\n\n## docs/a.md: given\nAfter [20] seconds\n\n## docs/a.md: measured, in no table\nby [3] cm,\n"
-    )
+    given.write_text("# told\n\n## docs/a.md\nAfter [20] seconds\nby [3] cm,\n")
     told = docs_prose.unlisted(tmp_path, given)
     assert told == ["docs/a.md:16: 'than [.35] of' is tied to no table and does not stand in given.txt"]
-    given.write_text(given.read_text().replace("docs/a.md: given", "docs/b.md: given"))
-    assert len(docs_prose.unlisted(tmp_path, given)) == 2
-    docs_prose.write_list(tmp_path, "given", given)
+    given.write_text(given.read_text().replace("docs/a.md", "docs/b.md"))
+    assert len(docs_prose.unlisted(tmp_path, given)) == 3
+    docs_prose.write_list(tmp_path, given)
     assert docs_prose.unlisted(tmp_path, given) == []
     page.write_text("Less than .35 of them.")
-    docs_prose.write_list(tmp_path, "given", given)
-    assert given.read_text() == "# told\n\n## docs/a.md: given\nthan [.35] of\n"
+    docs_prose.write_list(tmp_path, given)
+    assert given.read_text() == "# told\n\n## docs/a.md\nthan [.35] of\n"
+
+
+@pytest.mark.parametrize(
+    ("sentence", "numbers"),
+    [
+        ("It takes 40 ms.", ["40"]),
+        ("It errs by 1.5.", ["1.5"]),
+        ("All finish in 252 to 295 steps.", ["295"]),
+        ("There 81 of 94 were found, and 9 of\nthe 10 others.", ["81", "9"]),
+        ("It needs 3 GiB for 7 robots of set 4, and has a table of 5.", ["3"]),
+        ("As <!-- figure: speed[1, 2] -->40 ms, over $2.5$ m, `0.5`, ROS 2 and [eq. 3](a.md).", []),
+    ],
+)
+def test_a_number_with_a_unit_a_point_or_a_count_is_found_in_a_sentence(sentence, numbers, tmp_path):
+    (tmp_path / "README.md").write_text(sentence)
+    found = [free.words.partition("[")[2].partition("]")[0] for free in docs_prose.free_numbers(tmp_path)]
+    assert found == numbers
+    given = tmp_path / "given.txt"
+    given.write_text("# told\n")
+    assert len(docs_prose.unlisted(tmp_path, given)) == len(numbers)
+
+
+@pytest.mark.parametrize("heading", ["## docs/a.md: measured\nby [3] cm,", "by [3] cm,"])
+def test_the_list_of_given_numbers_has_no_room_for_measured_ones(heading, tmp_path):
+    given = tmp_path / "given.txt"
+    given.write_text(f"# told\n\n{heading}\n")
+    with pytest.raises(ValueError, match=r"given\.txt: .*(no page)"):
+        docs_prose.unlisted(tmp_path, given)
 
 
 def test_every_command_names_a_script_that_is_there():
