@@ -49,7 +49,7 @@ def with_sightings(log: LandmarkLog, distance: float = 1.0, bearing: float = 1.0
 
 def test_a_scale_is_the_weighted_median_and_tells_how_much_it_explains():
     x = np.array([1.0, -2.0, 4.0, 1.0, 0.0])
-    scale = Scale.of(x, np.array([3.0, -6.0, 12.0, -50.0, 7.0]))
+    scale = Scale.of(x, np.array([3.0, -6.0, 12.0, -50.0, 7.0]), 6.0)
     assert scale.value == pytest.approx(3.0)
     assert scale.pairs == 4
     assert scale.fit == pytest.approx(1.0 - 53.0 / 71.0)

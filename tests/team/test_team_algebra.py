@@ -13,7 +13,6 @@ from mapweave.solve import SolveStatus
 from mapweave.team.commanded_motion import CommandedMotion, random_walk
 from mapweave.team.config import CalibrationPrior, MotionNoise, SmoothingConfig
 from mapweave.team.covariance import (
-    MOST_CORRECTED,
     Groups,
     _correlation,
     _Known,
@@ -147,13 +146,13 @@ def test_landmarks_have_the_sandwich_of_the_dense_inverse(solved):
     inverse[np.ix_(free, free)] = np.linalg.inv(dense_information(team, x, free))
     scores, known = pulls(team, x, 0.8), _priors(team, x).toarray()
     shared = (free >= team.landmark_start).sum()
-    taken_out = len(scores) / max(len(scores) - shared, len(scores) / MOST_CORRECTED)
+    taken_out = len(scores) / max(len(scores) - shared, len(scores) / cfg.most_corrected)
     middle = taken_out * scores.T @ scores + known.T @ known
     T = frame_of_the_body(team, x)
     wanted = T @ inverse @ middle @ inverse @ T.T
     known = _Known.of(team, solution, cfg.cluster)
     hubs = np.arange(team.landmark_start, len(x))
-    moved = known.moved(hubs)
+    moved = known.moved(hubs, cfg.most_corrected)
     np.testing.assert_allclose(moved.T @ moved, wanted[np.ix_(hubs, hubs)], rtol=1e-3, atol=1e-9)
 
 

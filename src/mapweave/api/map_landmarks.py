@@ -12,16 +12,16 @@ from ..core.names import in_order, robot_key, robot_name
 from ..core.workers import worker_pool
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse
-from ..fusion.mirrored import mirror_images, unmirrored
+from ..fusion.mirrored import MirrorConfig, mirror_images, unmirrored
 from ..fusion.result import Fusion, tie_by_starts
 from ..io.kept import parts
 from ..io.landmark_logs import is_landmark_log, landmark_logs_of, read_landmark_logs
 from ..io.points import read_points
 from ..io.table import Columns
 from ..io.team_map import read_calibration
-from ..landmarks.agreement import with_wheels_checked
+from ..landmarks.agreement import AgreementConfig, with_wheels_checked
 from ..landmarks.config import EkfSlamConfig
-from ..landmarks.copies import with_copies_marked
+from ..landmarks.copies import CopiesConfig, with_copies_marked
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import Growth, grow, without_impossible
 from ..landmarks.sifting import SiftConfig, sifted
@@ -47,9 +47,12 @@ from .team import TeamResult, Watch, team_maps, team_result
 class LandmarkMapConfig:
     """Settings of `map` for landmark logs: each field is the table of that name in the configuration file."""
 
+    copies: CopiesConfig = field(default_factory=CopiesConfig)
     camera_clock: CameraClockConfig = field(default_factory=CameraClockConfig)
+    agreement: AgreementConfig = field(default_factory=AgreementConfig)
     sift: SiftConfig = field(default_factory=SiftConfig)
     ekf: EkfSlamConfig = field(default_factory=EkfSlamConfig)
+    mirrored: MirrorConfig = field(default_factory=MirrorConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)
     kidnap: KidnapConfig = field(default_factory=KidnapConfig)
     placing: PlacingConfig = field(default_factory=PlacingConfig)
@@ -97,15 +100,17 @@ def _configured(options: MapOptions) -> LandmarkMapConfig:
 def _map_read(
     logs: Sequence[LandmarkLog], cfg: LandmarkMapConfig, options: MapOptions, title: str, watch: Watch
 ) -> TeamResult:
-    on_time = [on_camera_clock(log, cfg.camera_clock) for log in with_copies_marked(_shared(list(logs), options))]
+    once = with_copies_marked(_shared(list(logs), options), cfg.copies)
+    on_time = [on_camera_clock(log, cfg.camera_clock) for log in once]
     read = [
-        sifted(without_impossible(with_wheels_checked(log, cfg.ekf), cfg.ekf), cfg.ekf, cfg.sift) for log in on_time
+        sifted(without_impossible(with_wheels_checked(log, cfg.ekf, cfg.agreement), cfg.ekf), cfg.ekf, cfg.sift)
+        for log in on_time
     ]
     watch.lap("read")
     fused, looked = (None if s is None else times_of(read, s) for s in _every(cfg, options))
     times = sorted({*(fused or ()), *(looked or ())})
     grown = _local_maps(read, cfg, times, options)
-    mirrored = mirror_images([g.whole for g in grown])
+    mirrored = mirror_images([g.whole for g in grown], cfg.mirrored)
     if mirrored:
         read = [unmirrored(log) if log.robot in mirrored else log for log in read]
         again = iter(_local_maps([log for log in read if log.robot in mirrored], cfg, times, options))
@@ -139,7 +144,7 @@ def _map_read(
         run = smooth_online(cut.main, at, cfg.fuse, cfg.smoothing, cfg.online, known, looked, options.on_progress)
         watch.lap("online")
     smoothed, run = (
-        _smoothed(maps, stretches, fusion, cfg.smoothing, known, options, run, placing) if options.refine else ((), run)
+        _smoothed(maps, stretches, fusion, cfg, known, options, run, placing) if options.refine else ((), run)
     )
     watch.lap("smooth")
     return team_result(title, options.seed, local, fusion, options.truth, online, watch, maps, smoothed, run)
@@ -191,14 +196,14 @@ def _smoothed(
     maps: Sequence[TeamMap],
     logs: Sequence[LandmarkLog],
     fusion: Fusion,
-    cfg: SmoothingConfig,
+    settings: LandmarkMapConfig,
     known: Mapping[str, Mapping[str, tuple[float, float]]],
     options: MapOptions,
     run: OnlineRun | None,
     placing: PlacingConfig,
 ) -> tuple[tuple[Smoothed, ...], OnlineRun | None]:
     """Every component, smoothed as a whole; the largest from where `run`, if there was one, had it."""
-    out = []
+    out, cfg = [], settings.smoothing
     maps, back = regained(maps, logs, fusion.labels, cfg, placing)
     places = None if options.survey is None else PlacePriors.of({}, {}, read_points(options.survey), (), cfg.known)
     if places is not None:
@@ -207,7 +212,7 @@ def _smoothed(
         options.on_progress("smoothing", k, len(maps))
         carried = any(log.cuts for log in logs if log.robot in team.robots)
         far = cfg.soften if carried or (back and k == 0) else ()
-        start = team if run is None or k else closing_start(run, team)
+        start = team if run is None or k else closing_start(run, team, settings.online.far)
         began = perf_counter()
         start = start if places is None else framed(start, places)
         done = smooth_on_one_clock(start, logs, fusion.labels, cfg, known, far, places)

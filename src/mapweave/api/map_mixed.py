@@ -32,9 +32,9 @@ from ..io.team_map import (
     write_landmarks,
     write_tracks,
 )
-from ..landmarks.agreement import with_wheels_checked
+from ..landmarks.agreement import AgreementConfig, with_wheels_checked
 from ..landmarks.config import EkfSlamConfig
-from ..landmarks.copies import with_copies_marked
+from ..landmarks.copies import CopiesConfig, with_copies_marked
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import local_map, without_impossible
 from ..landmarks.sifting import SiftConfig, sifted
@@ -63,14 +63,15 @@ from .team import Watch, team_maps
 
 METHODS = ("graph",)
 PLAIN = LaserConfig(method="graph", feature="none")
-FAR = 60.0  # [s] between the time spans of two logs from which their clocks have nothing in common
 
 
 @config
 class MixedMapConfig:
     """Settings of `map` for mixed teams: each field is the table of that name in the configuration file."""
 
+    copies: CopiesConfig = field(default_factory=CopiesConfig)
     camera_clock: CameraClockConfig = field(default_factory=CameraClockConfig)
+    agreement: AgreementConfig = field(default_factory=AgreementConfig)
     sift: SiftConfig = field(default_factory=SiftConfig)
     ekf: EkfSlamConfig = field(default_factory=EkfSlamConfig)
     fuse: FuseConfig = field(default_factory=FuseConfig)
@@ -131,9 +132,9 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     known, places = known_calibration(read, options), _places(read, cfg, options)
     watch.lap("read")
     scans, lasers = _lasers(found.lasers, cfg.laser, options)
-    apart = _apart(read, scans)
+    apart = _apart(read, scans, cfg.smoothing.clocks.another_time)
     read = [log.share(options.share.get(robot_key(log.robot), 1.0)) for log in read]
-    read = [on_camera_clock(log, cfg.camera_clock) for log in with_copies_marked(read)]
+    read = [on_camera_clock(log, cfg.camera_clock) for log in with_copies_marked(read, cfg.copies)]
     read = [without_impossible(with_wheels_checked(log, cfg.ekf), cfg.ekf) for log in read]
     read = [sifted(log, cfg.ekf, cfg.sift) for log in read]
     seeing = [x for x in read if x.robot not in apart and any(not n.startswith("robot") for n in x.sightings.counts())]
@@ -247,8 +248,8 @@ def _lasers(
         return logs, {robot: done.result() for robot, done in running.items()}
 
 
-def _apart(read: Sequence[LandmarkLog], scans: Mapping[str, LaserLog]) -> dict[str, float]:
-    """Robots whose log is of another time than every other robot's -> the gap [s] to the nearest."""
+def _apart(read: Sequence[LandmarkLog], scans: Mapping[str, LaserLog], far: float) -> dict[str, float]:
+    """Robots whose log is `far` [s] or more from every other robot's -> the gap [s] to the nearest."""
     spans: dict[str, tuple[float, float]] = {}
     for log in read:
         if log.robot in scans:
@@ -259,7 +260,7 @@ def _apart(read: Sequence[LandmarkLog], scans: Mapping[str, LaserLog]) -> dict[s
     out = {}
     for robot, (first, last) in spans.items():
         gaps = [max(a - last, first - b) for other, (a, b) in spans.items() if other != robot]
-        if gaps and min(gaps) > FAR:
+        if gaps and min(gaps) > far:
             out[robot] = min(gaps)
     if len(out) == len(spans) > 1:
         raise DataError(

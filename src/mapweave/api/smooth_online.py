@@ -23,7 +23,6 @@ from ..team.team_map import TeamMap
 from .team import carried
 
 NO_STEP = OnlineStep(0, 0, 0, 0.0)
-FAR = 1.0  # [m] root mean square between the landmarks and the filters' from which the filters' are begun with
 FULL = 3  # landmarks in common by which two maps are laid over each other
 
 
@@ -96,8 +95,11 @@ def _adopted(team: OnlineTeam, t: float, fuser: OnlineFuser) -> bool:
     return team.adopt(t, found.robots, found.map, ways, fuser.fusion.labels)
 
 
-def closing_start(run: OnlineRun, filters: TeamMap) -> TeamMap:
-    """The map as it stood when the logs ended, in the frame of `filters`, which has what was not smoothed yet."""
+def closing_start(run: OnlineRun, filters: TeamMap, far: float) -> TeamMap:
+    """The map as it stood when the logs ended, in the frame of `filters`, which has what was not smoothed yet.
+
+    far: [m] root mean square between the landmarks of both, from which it is `filters`.
+    """
     team = run.team
     if team is None or not team.members:
         return filters
@@ -107,7 +109,7 @@ def closing_start(run: OnlineRun, filters: TeamMap) -> TeamMap:
         return filters
     T = se2.align(now.select(both).mean, start.select(both).mean)
     off = se2.act(T, now.select(both).mean) - start.select(both).mean
-    if not np.square(off).sum(axis=1).mean() < FAR**2:
+    if not np.square(off).sum(axis=1).mean() < far**2:
         return filters
     ways = {r: team.way(r) for r in team.members if r in filters.robots}
     smoothed = {r: _within(filters.tracks[r], Track(way.t, se2.compose(T, way.pose))) for r, way in ways.items()}

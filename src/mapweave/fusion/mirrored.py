@@ -9,22 +9,31 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..core.config import config
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.names import in_order
 from ..core.records import Odometry
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from .alignment import align_robust
 
-ENOUGH = 6  # landmarks in common, from which two maps are compared
-AGREE = 0.7  # share of them that must agree mirrored,
-FEWER = 0.6  # and of those how many at most may as they are
-GATE = 0.5  # [m]
+
+@config
+class MirrorConfig:
+    """When one of two maps is the mirror image of the other."""
+
+    landmarks: int = 6  # in common, from which two maps are compared
+    agree: float = 0.7  # share of them that must agree mirrored,
+    fewer: float = 0.6  # and of those how many at most may as they are
+    gate: float = 0.5  # [m] within which a landmark agrees
 
 
-def mirror_images(maps: Sequence[LocalMap]) -> tuple[str, ...]:
+MIRROR = MirrorConfig()
+
+
+def mirror_images(maps: Sequence[LocalMap], cfg: MirrorConfig = MIRROR) -> tuple[str, ...]:
     """Robots whose maps are mirror images of those of more others; none where as many stand against as many."""
     landmarks = [m.submap.landmarks for m in maps]
-    side = {(i, k): _side(landmarks[i], landmarks[k]) for i in range(len(maps)) for k in range(i)}
+    side = {(i, k): _side(landmarks[i], landmarks[k], cfg) for i in range(len(maps)) for k in range(i)}
     hand: dict[int, int] = {}
     out: list[str] = []
     for start in range(len(maps)):
@@ -59,13 +68,13 @@ def _other_side(seen: SightingTable) -> SightingTable:
     return replace(seen, bearing=-seen.bearing)
 
 
-def _side(a: LandmarkMap, b: LandmarkMap) -> int:
+def _side(a: LandmarkMap, b: LandmarkMap, cfg: MirrorConfig) -> int:
     there = set(b.ids)
     shared = [name for name in a.ids if name in there]
-    if len(shared) < ENOUGH:
+    if len(shared) < cfg.landmarks:
         return 0
-    p, q, gate = a.select(shared).mean, b.select(shared).mean, np.full(len(shared), GATE)
+    p, q, gate = a.select(shared).mean, b.select(shared).mean, np.full(len(shared), cfg.gate)
     fits = [int(align_robust(x, q, gate).inliers.sum()) for x in (p, p * np.array([1.0, -1.0]))]
-    if max(fits) < AGREE * len(shared) or min(fits) > FEWER * max(fits):
+    if max(fits) < cfg.agree * len(shared) or min(fits) > cfg.fewer * max(fits):
         return 0
     return 1 if fits[0] > fits[1] else -1

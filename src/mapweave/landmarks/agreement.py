@@ -40,9 +40,9 @@ class AgreementConfig:
     beyond: float = 0.2  # in such a share of the sightings is in degrees
     absurd: float = 50.0  # times what nine rows in ten stay under, from which a row is no command
     with_it: float = 0.1  # turn scale below which bearings do not follow the turns, whatever the sign
+    sure: float = 6.0  # standard deviations of a median of independent pairs; pairs share sightings
 
 
-SURE = 6.0  # standard deviations of a median of independent pairs; pairs share sightings
 TINY = 1e-12  # scale that is none
 TURN_UNITS = {"": 1.0, "degrees a second": np.pi / 180.0}
 # what a number in each unit is in metres a second
@@ -54,7 +54,7 @@ class Scale:
     """What was seen over what was commanded, from `pairs` pairs.
 
     fit: the share of the changes that it explains; better: the share of the errors that it removes from a scale of one;
-    least: what it is not under, by `SURE` standard deviations of the median.
+    least: what it is not under, by `sure` standard deviations of the median.
     """
 
     value: float
@@ -64,7 +64,7 @@ class Scale:
     least: float = 0.0
 
     @classmethod
-    def of(cls, commanded: Float[np.ndarray, " p"], seen: Float[np.ndarray, " p"]) -> "Scale":
+    def of(cls, commanded: Float[np.ndarray, " p"], seen: Float[np.ndarray, " p"], sure: float) -> "Scale":
         """The factor of least absolute errors: the median of the ratios, weighted by what was commanded."""
         told = np.abs(commanded) > 0
         x, y = commanded[told], seen[told]
@@ -75,7 +75,7 @@ class Scale:
         order = np.argsort(ratio, kind="stable")
         weight = np.cumsum(np.abs(x)[order])
         half, sd = weight[-1] / 2, float(np.sqrt((x**2).sum())) / 2
-        value, least = (float(ratio[order][np.searchsorted(weight, w)]) for w in (half, max(half - SURE * sd, 0.0)))
+        value, least = (float(ratio[order][np.searchsorted(weight, w)]) for w in (half, max(half - sure * sd, 0.0)))
         left, at_one = float(np.abs(y - value * x).sum()), float(np.abs(y - x).sum())
         return cls(value, 1.0 - left / whole, 1.0 - left / at_one if at_one else 0.0, len(x), least)
 
@@ -103,11 +103,12 @@ class Agreement:
         far = (dt >= cfg.way_span[0]) & (dt <= cfg.way_span[1])
         i, j = a[near], b[near]
         turned = np.remainder(seen.bearing[j] - seen.bearing[i] + np.pi, 2 * np.pi) - np.pi
-        turn = Scale.of(angle[i] - angle[j], turned)
+        turn = Scale.of(angle[i] - angle[j], turned, cfg.sure)
         i, j = a[far], b[far]
         nearer, gone = seen.range[i] - seen.range[j], way[j] - way[i]
         ahead, left = (
-            Scale.of(0.5 * gone * (part(seen.bearing[i]) + part(seen.bearing[j])), nearer) for part in (np.cos, np.sin)
+            Scale.of(0.5 * gone * (part(seen.bearing[i]) + part(seen.bearing[j])), nearer, cfg.sure)
+            for part in (np.cos, np.sin)
         )
         return cls(turn, ahead, left)
 

@@ -7,8 +7,6 @@ from ..core.config import config
 from ..core.errors import ConfigError
 from ..kernels.landmarks.ekf_state import Noise
 
-WANDER = 0.005  # [m / sqrt(s)] and [rad / sqrt(s)] beside speed and spin, where there is no odometry
-
 
 @config
 class EkfSlamConfig:
@@ -37,6 +35,8 @@ class EkfSlamConfig:
     speed_time: float = 30.0  # [s] it keeps its speed
     spin: float = 0.35  # [rad/s] standard deviation of its turn rate
     spin_time: float = 2.0  # [s] it keeps its turn rate
+    wander: float = 0.005  # [m / sqrt(s)] and [rad / sqrt(s)] it wanders beside its speed and spin
+    piece_older: float = 0.2  # share of new rows in the last piece, from which an intermediate map is made anew
     piece_gap: float = 5.0  # [s] without a sighting after which a new piece of map is begun
     piece_heading: float = 0.9  # [rad] standard deviation of the heading from which one is begun too
     piece_sightings: int = 5  # of a landmark in a piece, before it helps to tie it
@@ -103,7 +103,7 @@ def noise(cfg: EkfSlamConfig) -> Noise:
     camera = (cfg.range_floor, cfg.range_share, cfg.bearing, cfg.range_inflation, cfg.bearing_inflation)
     return Noise(
         cfg.noise_along, cfg.noise_across, cfg.noise_drift, cfg.noise_turn, cfg.rest_xy, cfg.rest_theta,
-        cfg.lost_xy if known else WANDER, cfg.lost_theta if known else WANDER,
+        cfg.lost_xy if known else cfg.wander, cfg.lost_theta if known else cfg.wander,
         cfg.hold, 0.0 if known else cfg.speed, cfg.speed_time, cfg.spin, cfg.spin_time,
         *camera, cfg.gate, cfg.far, cfg.agree,
     )  # fmt: skip

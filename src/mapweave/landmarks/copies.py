@@ -10,19 +10,28 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from ..core.config import config
 from ..core.landmark_log import LandmarkLog
 
-ENOUGH = 20  # successive pairs of the shorter log, from which logs are compared
-SHARE = 0.5  # of them that the other must hold too
-VARIED = 0.5  # share of a log's pairs that must differ from each other: constant numbers prove nothing
+
+@config
+class CopiesConfig:
+    """When two logs are one log under two names."""
+
+    pairs: int = 20  # successive pairs of sightings of the shorter log, from which logs are compared
+    share: float = 0.5  # of them that the other must hold too
+    varied: float = 0.5  # share of a log's pairs that must differ from each other: constant numbers prove nothing
 
 
-def with_copies_marked(logs: Sequence[LandmarkLog]) -> list[LandmarkLog]:
+COPIES = CopiesConfig()
+
+
+def with_copies_marked(logs: Sequence[LandmarkLog], cfg: CopiesConfig = COPIES) -> list[LandmarkLog]:
     """The logs in their order; one that repeats an earlier one carries its hash and a warning."""
-    seen = [_successive(log) for log in logs]
+    seen = [_successive(log, cfg) for log in logs]
     known: list[LandmarkLog] = []
     for k, log in enumerate(logs):
-        first = next((i for i in range(k) if _same(seen[i], seen[k])), None)
+        first = next((i for i in range(k) if _same(seen[i], seen[k], cfg)), None)
         if first is None or known[first].log_hash == log.log_hash:
             known.append(log)
             continue
@@ -31,17 +40,17 @@ def with_copies_marked(logs: Sequence[LandmarkLog]) -> list[LandmarkLog]:
     return known
 
 
-def _successive(log: LandmarkLog) -> Float[np.ndarray, "n 4"]:
+def _successive(log: LandmarkLog, cfg: CopiesConfig) -> Float[np.ndarray, "n 4"]:
     """Range and bearing of every sighting and of the next, each such pair once; none where most repeat others."""
     tables = [s for s in (log.sightings, log.bearings) if len(s)]
     rows = [np.column_stack([np.nan_to_num(s.range), s.bearing]) for s in tables]
     pairs = np.concatenate([np.zeros((0, 4)), *(np.hstack([r[:-1], r[1:]]) for r in rows)])
     once = np.unique(pairs, axis=0)
-    return once if len(once) >= VARIED * len(pairs) else np.zeros((0, 4))
+    return once if len(once) >= cfg.varied * len(pairs) else np.zeros((0, 4))
 
 
-def _same(a: Float[np.ndarray, "n 4"], b: Float[np.ndarray, "m 4"]) -> bool:
+def _same(a: Float[np.ndarray, "n 4"], b: Float[np.ndarray, "m 4"], cfg: CopiesConfig) -> bool:
     least = min(len(a), len(b))
-    if least < ENOUGH:
+    if least < cfg.pairs:
         return False
-    return len(a) + len(b) - len(np.unique(np.concatenate([a, b]), axis=0)) >= SHARE * least
+    return len(a) + len(b) - len(np.unique(np.concatenate([a, b]), axis=0)) >= cfg.share * least

@@ -20,7 +20,6 @@ from .landmark_map import LocalMap, RobotSightings
 from .without_odometry import Known, parts, replay_in_pieces
 
 CALIBRATION = ("speed_scale", "turn_scale", "lag", "bearing_bias", "range_scale")
-OLDER = 0.2  # share of new rows in a piece of map from which a robot without odometry is mapped anew
 
 
 def local_map(log: LandmarkLog, cfg: EkfSlamConfig | None = None, seed: int = 0) -> LocalMap:  # noqa: ARG001
@@ -241,7 +240,7 @@ def _by_pieces(log: LandmarkLog, cfg: EkfSlamConfig, times: Sequence[float]) -> 
     for t in times:
         cut = log.until(t)
         now = parts(cut.sightings, cfg.piece_gap)
-        if now and (len(now) > pieces or len(now[-1]) >= (1 + OLDER) * rows):
+        if now and (len(now) > pieces or len(now[-1]) >= (1 + cfg.piece_older) * rows):
             m, _ = map_of(cut, cfg, known=known)
             last = m if len(m.submap.ids) else None
             rows, pieces = len(now[-1]), len(now)

@@ -54,6 +54,8 @@ class VerdictConfig:
     doubt: float = 1e-3  # probability below which a chi-square is called wrong
     many: float = 0.07  # share called wrong beyond which single sightings prove nothing: some wrong ones are not found
     too_many: float = 0.25  # share called wrong beyond which nothing does
+    weak_share: float = 0.8  # of all variance in one way to move: anchors hold the shape weakly, if a robot errs by
+    weak_deviation: float = 3.0  # times the error of one sighting at that distance
 
 
 @config

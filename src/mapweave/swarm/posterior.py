@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from ..solve import Information, Pattern, Problem, SingularError, Solution, SolveStatus
 from . import factors
 from .close_pairs import with_true_lengths
-from .config import SwarmConfig
+from .config import SwarmConfig, VerdictConfig
 from .gauge import Gauge, gauge_basis, normalise
 from .network import BearingNetwork
 from .result import JointInformation, SwarmEstimate, SwarmStatus, Traffic
@@ -23,7 +23,6 @@ STATUS = {
     SolveStatus.DIVERGED: SwarmStatus.FAILED,
 }
 
-WEAK_SHARE, WEAK_DEVIATION = 0.8, 3.0  # of the variance in one mode; deviation in units of a sighting's own error
 POWER_STEPS = 12  # of the power iteration: the largest mode to a percent, which a warning needs
 
 
@@ -63,12 +62,16 @@ def posterior(
     covariance = None
     close = 0
     if information is not None and cfg.covariance:
-        covariance = position_covariance(net, gauge, information, solution.free, localisable, position, (G, C))
+        covariance = position_covariance(
+            net, gauge, information, solution.free, localisable, position, (G, C), cfg.verdict
+        )
         deviation = np.sqrt(np.nan_to_num(np.trace(covariance.cov, axis1=1, axis2=2)))
         honest, close = with_true_lengths(net, x, problem, information, pattern, deviation, localisable, unchecked)
         if close:
             information = honest
-            covariance = position_covariance(net, gauge, information, solution.free, localisable, position, (G, C))
+            covariance = position_covariance(
+                net, gauge, information, solution.free, localisable, position, (G, C), cfg.verdict
+            )
     measured = problem.terms[: 1 + bool(net.distances)]
     chi2 = float(sum(term.squares(solution.x).sum() for term in measured))
     unknown = dim * (n - len(net.anchors)) + (0 if net.axis else len(np.unique(net.observer)))
@@ -152,11 +155,12 @@ def position_covariance(
     free: np.ndarray,
     localisable: Bool[np.ndarray, " n"],
     position: Float[np.ndarray, "n d"],
-    gauge_basis: tuple[np.ndarray, np.ndarray],
+    basis: tuple[np.ndarray, np.ndarray],
+    cfg: VerdictConfig,
 ) -> PositionCovariance:
     """Per-robot covariances from the information `A` over the entries `free`; exact sightings leave none."""
     dim = net.dim
-    blocks = robot_blocks(A, free, len(net), factors.width(net), *gauge_basis)
+    blocks = robot_blocks(A, free, len(net), factors.width(net), *basis)
     exact = not np.any(net.sigma > 0)
     cov = blocks[:, :dim, :dim] * (0.0 if exact else 1.0)
     cov[~localisable] = np.nan
@@ -165,8 +169,8 @@ def position_covariance(
     if not net.axis:
         heading_var = np.where(localisable, blocks[:, dim, dim] * (0.0 if exact else 1.0), np.nan)
     share = None if exact or gauge.name else _largest_mode(net, A, free, cov, localisable)
-    one_mode = share is not None and share > WEAK_SHARE
-    weak = one_mode and _relative_deviation(net, cov, localisable, position) > WEAK_DEVIATION
+    one_mode = share is not None and share > cfg.weak_share
+    weak = one_mode and _relative_deviation(net, cov, localisable, position) > cfg.weak_deviation
     return PositionCovariance(cov, heading_var, share, weak)
 
 

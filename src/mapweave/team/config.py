@@ -74,9 +74,8 @@ class KnownConfig:
 class ClockConfig:
     """When a robot's clock is off the others', as what they saw of each other tells."""
 
-    suspect: float = (
-        0.08  # [s] that a clock seems off while trajectories are held, a part of what it is off: looked at from here
-    )
+    suspect: float = 0.08  # [s] that a clock must seem off with trajectories held, to be looked at: a part of all
+    another_time: float = 60.0  # [s] between the spans of two logs from which their clocks have nothing in common
     least: float = 0.5  # [s] from which a clock is off: less is within the lateness of cameras and commands
     tried: float = 1.0  # standard deviations from which it is tried as it seems,
     rounds: int = 8  # smoothing again after each,
@@ -102,6 +101,8 @@ class SmoothingConfig:
     most_poses: int = 50_000  # that are estimated, about: beyond it both steps are made longer, and it is told
     cluster: float = 20.0  # [s] errors of one robot are taken to be independent after this long
     memory: float = 5.0  # [s] over which errors of one robot's sightings of one landmark are taken to be correlated
+    groups: float = 3.0  # of factors, for each landmark coordinate and calibration parameter, that a sandwich wants
+    most_corrected: float = 4.0  # largest factor for what landmarks and calibration took out of the residuals
     position_floor: float = 0.01  # [m] added to every standard deviation of a place
     heading_floor: float = 0.003  # [rad] added to every standard deviation of a heading
     max_iterations: int = 40  # steps of the solver, at most
@@ -120,6 +121,7 @@ class OnlineConfig:
     iterations: int = 3  # of Gauss-Newton in a step, at most
     still: float = 0.002  # [m], [rad] of change at which a step ends
     fuse_every: float = 10.0  # [s] between two looks at which robots and landmarks are connected
+    far: float = 1.0  # [m] root mean square from the filters' landmarks, beyond which closing begins with the filters'
     settle: int = 15  # iterations over everything when a robot has come in, at most
 
     def __post_init__(self) -> None:

@@ -18,8 +18,6 @@ from .config import SmoothingConfig
 from .problem import Origin, TeamProblem
 from .robot_part import PARAMETERS
 
-MOST_CORRECTED = 4.0  # largest factor for what landmarks and calibration themselves took out of the residuals
-FEW = 3.0  # groups of factors for each landmark coordinate and calibration parameter that a sandwich wants
 TINY = 1e-12  # keeps the factor of a prior of rank one
 CHUNK = 96  # columns of the covariance held at once
 
@@ -47,7 +45,7 @@ def team_covariance(
     sandwiches. A pose has too few groups of its own for one: it has the model's covariance, times how much more its
     robot's sightings (where it made none, those of it) within a few seconds pull together than if they were
     independent. So have landmarks and calibration, with the mean factor of those who saw landmarks, where there are
-    fewer than `FEW` groups for each of these variables, from which a sandwich would be too sure of itself. before:
+    fewer than `cfg.groups` groups for each of these variables: a sandwich would be too sure of itself. before:
     (2n, 2n), the landmarks' covariance when the smoothing began, which says how well the size of a map is known that
     nothing but ranges tells. Raises SingularError where the problem leaves something free.
     """
@@ -55,10 +53,10 @@ def team_covariance(
     hubs = np.arange(team.landmark_start, len(solution.x))
     m = 2 * len(team.landmarks)
     factors = [_correlation(team, k, solution.x, cfg.memory) for k in range(len(team.parts))]
-    if known.scores.shape[0] - known.priors < FEW * np.count_nonzero(solution.free >= team.landmark_start):
+    if known.scores.shape[0] - known.priors < cfg.groups * np.count_nonzero(solution.free >= team.landmark_start):
         S = _mean_factor(team, factors) * known.model()
     else:
-        moved = known.moved(hubs)
+        moved = known.moved(hubs, cfg.most_corrected)
         S = symmetrise(moved.T @ moved)
     floor = np.diag([cfg.position_floor**2, cfg.position_floor**2, cfg.heading_floor**2])
     poses = [f * model + floor for f, model in zip(factors, known.pose_blocks(), strict=True)]
@@ -132,8 +130,10 @@ class _Known:
         A = np.eye(len(P)) - self.motions[self.team.landmark_start :] @ self.taken
         return symmetrise(A @ P @ A.T)
 
-    def moved(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "groups k"]:
+    def moved(self, index: Int[np.ndarray, " k"], most: float) -> Float[np.ndarray, "groups k"]:
         """How far the errors of each group and of each prior move the entries `index` of x.
+
+        most: the largest factor for what landmarks and calibration themselves took out of the residuals.
 
         The rows' outer products add up to a covariance.
         """
@@ -144,7 +144,7 @@ class _Known:
         groups = float(len(out) - self.priors)
         shared = float(np.count_nonzero(self.free >= self.team.landmark_start))
         if groups:
-            out[: len(out) - self.priors] *= np.sqrt(groups / max(groups - shared, groups / MOST_CORRECTED))
+            out[: len(out) - self.priors] *= np.sqrt(groups / max(groups - shared, groups / most))
         return np.asarray(out)
 
     def _moved(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "groups k"]:

@@ -24,7 +24,6 @@ from .team_map import TeamMap
 
 LEAST = 2  # poses that make a trajectory
 SHORTEST = 0.2  # [s] over which a speed can be told
-LEAP = 4.0  # standard deviations of the speed and turn rate of a robot without odometry
 
 
 class _Seen(NamedTuple):
@@ -54,9 +53,7 @@ def fixed_stretches(
     tracks, gaps, told = dict(team.tracks), dict(team.left_out), []
     for robot in robots:
         track = team.tracks[robot]
-        keep = _fixed(track, _partners(robot, team, logs, labels, cfg), cfg) & ~_near_leaps(
-            track, cfg.fixed_window, motion
-        )
+        keep = _fixed(track, _partners(robot, team, logs, labels, cfg), cfg) & ~_near_leaps(track, cfg, motion)
         if keep.all():
             continue
         gone = int((~keep).sum())
@@ -112,10 +109,12 @@ def _fixed(track: Track, partners: list[_Seen], cfg: PlacingConfig) -> Bool[np.n
     return np.asarray(directions & (agreeing >= cfg.lost_share * all_of_them))
 
 
-def _near_leaps(track: Track, within: float, motion: MotionNoise) -> Bool[np.ndarray, " n"]:
-    """Which poses lie within so many seconds of two that the robot cannot have gone between."""
+def _near_leaps(track: Track, cfg: PlacingConfig, motion: MotionNoise) -> Bool[np.ndarray, " n"]:
+    """Which poses lie within `cfg.fixed_window` of two that the robot cannot have gone between."""
     step, dt = se2.between(track.pose[:-1], track.pose[1:]), np.maximum(np.diff(track.t), SHORTEST)
-    fast = np.hypot(step[:, 0], step[:, 1]) > LEAP * motion.unknown_speed * dt
-    leap = np.flatnonzero(fast | (np.abs(step[:, 2]) > LEAP * motion.unknown_spin * dt))
-    near = (track.t[:, None] >= track.t[leap] - within) & (track.t[:, None] <= track.t[leap + 1] + within)
+    fast = np.hypot(step[:, 0], step[:, 1]) > cfg.leap * motion.unknown_speed * dt
+    leap = np.flatnonzero(fast | (np.abs(step[:, 2]) > cfg.leap * motion.unknown_spin * dt))
+    near = (track.t[:, None] >= track.t[leap] - cfg.fixed_window) & (
+        track.t[:, None] <= track.t[leap + 1] + cfg.fixed_window
+    )
     return np.asarray(near.any(axis=1))

@@ -24,7 +24,6 @@ from .smooth import Calibration, Smoothed, smooth
 from .team_map import TeamMap
 from .walls import CommonWalls, Scanned, common_walls, in_line
 
-UNSURE = 1.0  # [m] sd of a landmark that bearings alone place, when the smoothing begins
 LEAST = 3  # sightings that connect two robots
 
 
@@ -94,7 +93,7 @@ def map_mixed(
     clocks = {robot: RobotClock(layout.clocks.get(robot, 0.0), placing.clock_fine_step) for robot in layout.clocks}
     for body in layout.bodies:
         whole = body.on_team_time()
-        team = _team(_with_more_landmarks(whole, by, labels, placing), spread, by, labels)
+        team = _team(_with_more_landmarks(whole, by, labels, placing), spread, by, labels, placing)
         mine = [by[robot] for robot in team.robots if robot in by]
         if not refine:
             components.append(smooth(team, [], labels, smoothing))
@@ -156,7 +155,7 @@ def regained(
         f"robot {robot_key(robot)}: its own map did not fit the others', {n} of {of} sightings place it"
         for robot, (n, of) in back.items()
     )
-    return (_team(_with_more_landmarks(body, by, labels, cfg), spread, by, labels), *rest), told
+    return (_team(_with_more_landmarks(body, by, labels, cfg), spread, by, labels, cfg), *rest), told
 
 
 def _body(team: TeamMap) -> Body:
@@ -254,10 +253,12 @@ def _with_more_landmarks(body: Body, logs: Mapping[str, LandmarkLog], labels: La
     return replace(body, landmarks={**body.landmarks, **{name: p for name, p in found.items() if p is not None}})
 
 
-def _team(body: Body, variance: Mapping[str, float], logs: Mapping[str, LandmarkLog], labels: Labels) -> TeamMap:
+def _team(
+    body: Body, variance: Mapping[str, float], logs: Mapping[str, LandmarkLog], labels: Labels, cfg: PlacingConfig
+) -> TeamMap:
     ids = tuple(sorted(body.landmarks, key=in_order))
     mean = np.array([body.landmarks[name] for name in ids]).reshape(-1, 2)
-    cov = np.diag(np.repeat([variance.get(name, UNSURE**2) for name in ids], 2)) if ids else np.zeros((0, 0))
+    cov = np.diag(np.repeat([variance.get(name, cfg.unsure**2) for name in ids], 2)) if ids else np.zeros((0, 0))
     robots = tuple(sorted(body.robots, key=in_order))
     counts: dict[str, dict[str, int]] = {name: {} for name in ids}
     first: dict[str, float] = {}

@@ -32,7 +32,6 @@ from .relative_frame import (
 )
 
 SAME = np.diag([0.05**2, 0.05**2, 0.02**2])  # covariance of a tie by the same robot's two tracks
-NEAR, NEAR_SHARE = 0.5, 0.3  # [m], [m per s or m]: how far places of one loose robot may contradict its wheels
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,7 +288,7 @@ def _windows(
     found = placed_windows(group, log, carrier, logs, labels, cfg)
     if len(found.seen) < cfg.least or not len(found.t) or found.agree < cfg.loose_share * len(found.seen):
         return None
-    times, anchors = _agreeing(found.t, found.place, carrier, driven=driven)
+    times, anchors = _agreeing(found.t, found.place, carrier, cfg, driven=driven)
     if not len(times):
         return None
     t = np.unique(np.concatenate([carrier.t, times]))
@@ -317,7 +316,7 @@ def placed_alone(
 
 
 def _agreeing(
-    t: Float[np.ndarray, " k"], place: Float[np.ndarray, "k 3"], carrier: Track, *, driven: bool
+    t: Float[np.ndarray, " k"], place: Float[np.ndarray, "k 3"], carrier: Track, cfg: PlacingConfig, *, driven: bool
 ) -> tuple[Float[np.ndarray, " j"], Float[np.ndarray, "j 3"]]:
     """The places that follow from a neighbour as the wheels say, as far as that can be told."""
     if len(t) < 3:
@@ -326,8 +325,8 @@ def _agreeing(
     said = se2.between(base[:-1], base[1:])
     miss = se2.between(se2.compose(place[:-1], said), place[1:])
     way = np.hypot(said[:, 0], said[:, 1]) if driven else np.diff(t)
-    fits = np.hypot(miss[:, 0], miss[:, 1]) < NEAR + NEAR_SHARE * way
+    fits = np.hypot(miss[:, 0], miss[:, 1]) < cfg.near + cfg.near_share * way
     if driven:
-        fits &= np.abs(miss[:, 2]) < NEAR + NEAR_SHARE * np.abs(said[:, 2]) + 0.05 * np.diff(t)
+        fits &= np.abs(miss[:, 2]) < cfg.near + cfg.near_share * np.abs(said[:, 2]) + 0.05 * np.diff(t)
     keep = np.append(fits, False) | np.append(False, fits)
     return t[keep], place[keep]

@@ -58,6 +58,11 @@ class PlacingConfig:
     clock_sightings: int = 20  # of the robot or by it, at least
     clock_together: float = 3.0  # times the sd that independent sightings would give: a camera's errors last seconds
     lever: float = 2.0  # times as far as a tie may be off where robots meet, frames may be off where they begin
+    near: float = 0.5  # [m] by which two places of one loose robot may contradict its wheels, and
+    near_share: float = 0.3  # as a share of what they drove, or [m/s] of a robot without
+    leap: float = 4.0  # standard deviations of its speed that a robot without odometry cannot have gone
+    unsure: float = 1.0  # [m] sd of a landmark that bearings alone place, when the smoothing begins
+    guessed: float = 3.0  # [rad^2] variance of a heading from which a pose is a guess between pieces of a map
     walls_off: float = 3.0  # standard deviations of a tie by which walls may put a robot elsewhere and be believed
 
 
