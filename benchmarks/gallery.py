@@ -41,7 +41,7 @@ GALLERY = (
     Picture(
         "landmarks",
         "One map of four robots",
-        "Landmarks with 95 % ellipses, and the ways of four robots that started in unknown places.",
+        "Landmarks with 95 % ellipses, and the trajectories of four robots that started in unknown places.",
         "team-map/figures/fused_map.png",
         (
             "mapweave simulate landmarks --out team --robots 4 --landmarks 30 --seed 3",
@@ -51,14 +51,14 @@ GALLERY = (
     Picture(
         "uncertainty",
         "What fusing gains",
-        "The standard deviation of every landmark in each robot's own map, and in the map of all.",
+        "The standard deviation of every landmark in each robot's own map, and in the fused map.",
         "team-map/figures/uncertainty.png",
         (),
     ),
     Picture(
         "woven",
-        "Lasers woven into one map",
-        "Two drives through one office, each mapped as a pose graph and tied where scans agree.",
+        "Two laser robots in one map",
+        "Two drives through one office, each mapped as a pose graph, and merged where scans agree.",
         "woven/figures/component1_map.png",
         (
             "mapweave simulate office --out a.mcap --seed 3 --visited 3",
@@ -69,14 +69,14 @@ GALLERY = (
     Picture(
         "graph",
         "A pose graph",
-        "The graph behind that map, solved anew: what `solve` draws of any g2o file.",
+        "The pose graph of that map, solved again: `solve` draws this of any g2o file.",
         "graph/figures/graph.png",
         ("mapweave solve woven/pose_graph.g2o --out graph",),
     ),
     Picture(
         "mixed",
         "A mixed team",
-        "Robots with lasers, robots with cameras, and sightings of each other: walls, landmarks and ways in one frame.",
+        "Lasers, cameras and sightings of each other: walls, landmarks and trajectories in one frame.",
         "mixed-map/figures/map.png",
         (
             "mapweave simulate team --out mixed --minutes 3 --seed 2",
@@ -86,7 +86,7 @@ GALLERY = (
     Picture(
         "swarm",
         "A swarm in space",
-        "64 robots located from nothing but the bearings at which they see each other, with 95 % regions.",
+        "64 robots located from the bearings at which they see each other, with 95 % regions.",
         "swarm-map/figures/network.png",
         (
             "mapweave simulate swarm --out swarm.csv --dim 3 --robots 64 --seed 1",
@@ -96,7 +96,7 @@ GALLERY = (
     Picture(
         "exploration",
         "Robots that decide where to drive",
-        "Two robots that were told nothing but the border: their ways, and the landmarks they mapped.",
+        "Two robots that know nothing but the border of the field: their trajectories, and the landmarks they mapped.",
         "exploration/figures/map.png",
         ("mapweave explore yuan --planner loop --until landmarks --seed 1 --out exploration",),
     ),
@@ -116,8 +116,8 @@ def page() -> str:
         "# Gallery",
         "",
         "Every picture is a file that the commands under it write; `python benchmarks/gallery.py` makes them all anew.",
-        "Each result holds a `report.html` beside, with all figures and numbers and, where there is a map, one to move",
-        "about in.",
+        "Each result also holds a `report.html` with all figures and numbers and, where there is a map, an interactive",
+        "one.",
     ]
     for picture in GALLERY:
         where = picture.image.relative_to(PAGE.parent).as_posix()
