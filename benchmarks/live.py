@@ -22,6 +22,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -31,24 +32,29 @@ import numpy as np
 
 from mapweave.api.weave_laser import starts_among
 from mapweave.core import se2
+from mapweave.core.landmark_log import LandmarkLog
 from mapweave.core.laser_log import LaserLog
 from mapweave.core.records import Track
 from mapweave.core.workers import keep_one_blas_thread
+from mapweave.io.landmark_logs import read_landmark_logs
+from mapweave.io.mrclam import write_mrclam
 from mapweave.landmarks.config import EkfSlamConfig
 from mapweave.live import inbox as inboxes
 from mapweave.live.landmark_robot import LandmarkRobot
 from mapweave.live.map_process import MapProcess
 from mapweave.live.messages import Header, Message, Status, encode
-from mapweave.live.sources import messages, open_source
+from mapweave.live.robot import pause_after
+from mapweave.live.sources import messages
 from mapweave.live.store import Store
 from mapweave.live.tile_bytes import SIDE
 from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, put, session
+from mapweave.sim.landmarks import TeamWorld, simulate_team
 from mapweave.sim.laser import drive
 from mapweave.sim.office import OfficeConfig, office_route, office_world
 
 CASES = "laser:1,5,20,50:1/laser:10:4/landmarks:1,50:1"
-WAYS = {"landmarks": 5, "laser": 6}  # simulated logs; further robots tell them again under their own names
+WAYS = {"landmarks": 50, "laser": 6}  # simulated logs; further robots tell them again under their own names
 PERIOD = 1.0
 EXPECTED = {"p99_s": 2.0, "kB_a_robot_minute": 1000.0}
 STYLE = {"landmarks": "o--", "laser": "s-"}
@@ -92,11 +98,19 @@ def rounds(k: int, seconds: float, world: int = 0) -> LaserLog:
     return replace(log, scan_t=np.array(scan_t), scans=tuple(scans), odometry=track)
 
 
+@cache
+def team(seed: int) -> dict[str, LandmarkLog]:
+    """The landmark robots of one world, all on ways of their own."""
+    with tempfile.TemporaryDirectory() as folder:
+        write_mrclam(Path(folder), simulate_team(TeamWorld(robots=WAYS["landmarks"]), seed))
+        return {log.robot: log for log in read_landmark_logs(Path(folder))}
+
+
 def prepared(sensor: str, k: int, seconds: float, rate: float, world: int = 0) -> list[Told]:
     """What robot k of the simulated team tells in `seconds` by the clock, `rate` times as fast as it drove."""
-    log = rounds(k, seconds * rate, world) if sensor == "laser" else open_source("sim:landmarks", f"r{k}", None)
+    log = rounds(k, seconds * rate, world) if sensor == "laser" else team(world)[f"robot{k}"]
     out, robot, begin = [], None, None
-    told_snapshot = 0.0
+    snapshot_due = 0.0
     for t, message in messages(log, f"r{k}", "run", PERIOD):
         begin = t if begin is None else begin
         at = (t - begin) / rate
@@ -107,9 +121,9 @@ def prepared(sensor: str, k: int, seconds: float, rate: float, world: int = 0) -
             robot = LandmarkRobot(message, EkfSlamConfig()) if sensor == "landmarks" else None
         elif robot is not None:
             robot.add(message)
-            if at - told_snapshot >= 2.0:
-                told_snapshot = at
+            if at >= snapshot_due:
                 out.append(Told(at, "snapshot", robot.snapshot()))
+                snapshot_due = at + pause_after(len(encode(out[-1].message)))
     pose = {"pose": (0.0, 0.0, 0.0), "cov": (0.1, 0.0, 0.0, 0.1, 0.0, 0.1)}
     for at in np.arange(0.0, seconds, 0.5).tolist():
         seq = max((m.message.seq for m in out if m.topic == "log" and m.at <= at), default=0)
@@ -119,8 +133,8 @@ def prepared(sensor: str, k: int, seconds: float, rate: float, world: int = 0) -
 
 
 def renamed(message: Message, name: str, number: int) -> bytes:
-    """The same message of another robot."""
-    changed = msgspec.structs.replace(message, robot=name)
+    """The same message of another robot, whose history is another too."""
+    changed = msgspec.structs.replace(message, robot=name, run=f"run of {name}")
     return encode(
         msgspec.structs.replace(changed, log_robot=f"robot{number}") if isinstance(changed, Header) else changed
     )
@@ -241,17 +255,21 @@ class TimedMap(MapProcess):
         self.over_time: list[tuple[float, float, float, float]] = []
         self.begin = time.monotonic()
 
-    def _tell_corrections(self) -> None:
-        super()._tell_corrections()
-        now = time.time()
-        worked = self._woven.worked if self._woven is not None else {r: n + 1 for r, n in self.shared.used.items()}
-        self.mapped += [(robot, until, now) for robot, until in worked.items()]
-
     def tell_state(self) -> None:
         super().tell_state()
+        self._note({name: seq + 1 for name, seq in self.shared.used.items()})
         squares = sum(key[1] == 0 for key in self.shared.tiles)
         area = squares * (SIDE * self.shared.resolution) ** 2
         self.over_time.append((time.monotonic() - self.begin, time.process_time(), memory("VmRSS"), area))
+
+    def _tell_corrections(self) -> None:
+        super()._tell_corrections()
+        if self._woven is not None:
+            self._note(self._woven.worked)
+
+    def _note(self, worked: Mapping[str, int]) -> None:
+        now = time.time()
+        self.mapped += [(robot, until, now) for robot, until in worked.items()]
 
 
 def memory(which: str) -> float:

@@ -216,7 +216,7 @@ def live_map(
     fresh
         Forget what an earlier run has heard.
     every
-        Seconds between two fusions of the shared map while robots drive (2).
+        Seconds between two shared maps of laser robots while they drive; a quarter of it, of landmark robots (2).
     config
         A TOML file of settings, as for `map`.
     seed

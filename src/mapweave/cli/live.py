@@ -191,7 +191,7 @@ def map_team(
     fresh
         Forget what an earlier run has heard.
     every
-        Seconds between two fusions of the shared map while robots drive.
+        Seconds between two shared maps of laser robots while they drive; a quarter of it, of landmark robots.
     config
         A TOML file with settings, as for map.
     seed

@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from queue import Empty, Full, Queue
 from threading import Event
@@ -18,7 +19,7 @@ from .inbox import Inbox, Ledger
 from .laser_team import Starts, WovenTeam, nobody
 from .laser_weaver import LaserWeaver
 from .messages import LARGEST, MapState, Numbers, RefusedError, RobotState, count, decode, encode
-from .shared_map import SharedMap
+from .shared_map import Fused, SharedMap
 from .store import Store
 from .topics import Topics
 from .transport import SETTLE, ask, ask_parameters, put, there_is
@@ -26,11 +27,12 @@ from .transport import SETTLE, ask, ask_parameters, put, there_is
 WAITING = 20_000  # messages not worked in yet: beyond, they are let go and asked for later
 TICK = 0.05  # [s]
 SWITCH = 0.0005  # [s] between threads: who follows robots comes back from each kernel to one who searches
-STATE_EVERY = 1.0  # [s]
+STATE_EVERY = 1.0  # [s], and as soon as landmark robots are fused
 CLOCK_EVERY = 5.0  # [s]
 MOST_ANSWERS = 500
 NAME_PATIENCE = 4.0  # [s]
-FUSING_SHARE = 3.0  # the time from fusing to fusing is at least so many times what fusing takes
+FUSED = 0.25  # of the time between two solutions of laser robots: how often landmark robots are fused at most
+FUSING_REST = 0.5  # the time without fusing is at least so many times what fusing took
 TELL_CLOCK = 1.0  # [s] that a clock is off before it is told
 
 Say = Callable[[str], None]
@@ -74,6 +76,9 @@ class MapProcess:
         self.starts: Starts = nobody
         self._weaver: LaserWeaver | None = None
         self._woven: WovenTeam | None = None
+        self._beside = ThreadPoolExecutor(1, thread_name_prefix="fusing")
+        self._fusing: tuple[float, Future[Fused]] | None = None  # since when [s]
+        self._fuse_due = float("-inf")
         self.clocks: dict[str, ClockOffset] = {}
         self._session, self._topics, self._store, self._say, self._wall = session, topics, store, say, wall
         self._heard = _Heard()
@@ -99,26 +104,28 @@ class MapProcess:
         ]
 
     def run(self, stop: Event, every: float, until: Callable[[Inbox], bool]) -> None:
-        """Until `stop`, or until `until` holds; the shared map is fused anew every `every` [s] where there is news."""
+        """Until `stop`, or until `until` holds; where there is news the graph of laser robots is solved every `every`
+        [s], and landmark robots are fused as they come, `FUSED` of that apart.
+        """
         before = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH)
         try:
             self._hear_until(stop, every, until)
         finally:
             sys.setswitchinterval(before)
+            self._beside.shutdown(cancel_futures=True)
             if self._weaver is not None:
                 self._weaver.stop()
 
     def _hear_until(self, stop: Event, every: float, until: Callable[[Inbox], bool]) -> None:
-        state = clock = fuse = float("-inf")
+        state = clock = float("-inf")
         while not stop.is_set():
             now = time.monotonic()
             self._work_in(now)
             self._ask(now)
             self._weave(every)
-            if now >= fuse and self._fuse():
-                took = time.monotonic() - now
-                fuse = now + max(every, FUSING_SHARE * took)
+            if self._fuse(every):
+                state = float("-inf")
             if now >= clock + CLOCK_EVERY:
                 clock = now
                 self._ask_clocks()
@@ -162,9 +169,20 @@ class MapProcess:
                 lambda robot=robot: self._heard.other.put(lambda: self.inbox.answered(robot)),  # type: ignore[misc]
             )
 
-    def _fuse(self) -> bool:
-        if not self.shared.update(self.inbox.ledgers.values()):
+    def _fuse(self, every: float) -> bool:
+        """Snapshots are fused in a thread of their own; whether landmark robots stand anew, which is told."""
+        if self._fusing is None:
+            fusing = self.shared.fusing(self.inbox.ledgers.values()) if time.monotonic() >= self._fuse_due else None
+            if fusing is not None:
+                self._fusing = time.monotonic(), self._beside.submit(fusing.run)
             return False
+        begin, fused = self._fusing
+        if not fused.done():
+            return False
+        self._fusing = None
+        now = time.monotonic()
+        self._fuse_due = max(begin + FUSED * every, now + FUSING_REST * (now - begin))
+        self.shared.take_fused(fused.result())
         self._tell_corrections()
         return True
 
@@ -182,6 +200,8 @@ class MapProcess:
         }
         if not heard:
             return
+        if self.shared.meet(list(heard)):
+            self._tell_corrections()
         if self._weaver is None:
             self.shared.resolution = self.laser.resolution
             self._weaver = LaserWeaver(self._store, self.laser, every, self.starts)

@@ -15,7 +15,8 @@ from .topics import Topics
 from .transport import SETTLE, ask_parameters, put, there_is
 
 STATUS_EVERY = 0.5  # [s]
-SNAPSHOT_EVERY = 2.0  # [s]
+SNAPSHOT_PAUSES = 0.5, 2.0  # [s] from snapshot to snapshot at least, and at most
+SNAPSHOT_RATE = 12_000.0  # [bytes / s] that snapshots take while the longest pause allows it
 NAME_PATIENCE = 4.0  # [s] that the token of a robot that was killed may last
 DISK_AGAIN = 1.0  # [s] until a full disk is tried again
 MOST_ANSWERS = 500  # messages that one question is answered with
@@ -23,6 +24,14 @@ TICK = 0.05  # [s] that a feed is waited for
 GRACE = 1.0  # [s] after the last message, for a map process to be heard of
 
 Say = Callable[[str], None]
+
+
+def pause_after(size: int) -> float:
+    """The time [s] after a snapshot of `size` bytes before a fresher one is told."""
+    least, most = SNAPSHOT_PAUSES
+    return min(max(size / SNAPSHOT_RATE, least), most)
+
+
 Timed = Iterator[tuple[float, Numbered]]
 
 
@@ -100,6 +109,7 @@ class RobotProcess:
         self._session, self._topics, self._store, self._say, self._wall = session, topics, store, say, wall
         self._unsaved: list[tuple[str, int, bytes]] = []
         self._full_until = 0.0
+        self._snapshot_due = float("-inf")
         self._declared: list[object] = []
 
     def join(self) -> None:
@@ -132,8 +142,8 @@ class RobotProcess:
         """
         rest = self._again(messages, driving)
         begin_t, begin = None, time.monotonic()
-        told_status = told_snapshot = float("-inf")
-        finished = False
+        told_status = float("-inf")
+        fresh = False
         due: tuple[float, Numbered] | None = next(rest, None)
         while not stop.is_set() and (due is not None or self._unsaved):
             batch: list[Numbered] = []
@@ -147,20 +157,21 @@ class RobotProcess:
             self._tell(batch)
             for message in batch:
                 driving.add(message)
+            fresh |= bool(batch)
             now = time.monotonic()
             if now >= told_status + STATUS_EVERY:
                 told_status = now
-                self._tell_status(driving, finished=finished)
-            if now >= told_snapshot + SNAPSHOT_EVERY and driving.t is not None:
-                told_snapshot = now
-                self._tell_snapshot(driving)
+                self._tell_status(driving, finished=False)
+            if self._tell_snapshot(driving, fresh=fresh):
+                fresh = False
             if due is not None and begin_t is not None:
                 wait = min(begin + (due[0] - begin_t) / pace.rate, told_status + STATUS_EVERY) - time.monotonic()
                 stop.wait(max(wait, 0.0))
             elif self._unsaved:
                 stop.wait(DISK_AGAIN)
         finished = due is None and not self._unsaved
-        self._tell_snapshot(driving)
+        self._snapshot_due = float("-inf")
+        self._tell_snapshot(driving, fresh=True)
         self._linger(driving, pace, stop, finished=finished)
         return self.last + 1
 
@@ -274,13 +285,21 @@ class RobotProcess:
         """Run and sensor of this robot."""
         return self._store.about("run") or "", self._store.about("sensor") or ""
 
-    def _tell_snapshot(self, driving: Driving) -> None:
-        if driving.t is None:
-            return
+    def _tell_snapshot(self, driving: Driving, *, fresh: bool) -> bool:
+        """The map as it stands is told, when it is time; whether it was.
+
+        fresh: whether it is another than the one told last, which is told again for who comes late.
+        """
+        now = time.monotonic()
+        least, most = SNAPSHOT_PAUSES
+        if driving.t is None or now < self._snapshot_due + (0.0 if fresh else most - least):
+            return False
         snapshot = driving.snapshot()
         payload = b"" if snapshot is None else encode(snapshot)
         if 0 < len(payload) <= LARGEST:
             put(self._session, self._topics.snapshot(self.name), payload)
+        self._snapshot_due = now + pause_after(len(payload))
+        return True
 
     def _linger(self, driving: Driving, pace: Pace, stop: Event, *, finished: bool) -> None:
         """Answers until nobody needs it any more; a status now and then."""
@@ -296,6 +315,7 @@ class RobotProcess:
             if now >= told + STATUS_EVERY:
                 told = now
                 self._tell_status(driving, finished=finished)
+            self._tell_snapshot(driving, fresh=False)
             stop.wait(0.1)
 
     def _answer(self, query: zenoh.Query) -> None:

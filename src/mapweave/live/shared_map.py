@@ -1,7 +1,8 @@
 """The shared map while robots drive: their latest snapshots through the very fusion of `map`."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,10 +14,46 @@ from ..fusion.result import Component
 from ..landmarks.landmark_map import LocalMap, Submap
 from .columns import unpack, unpack_triangle
 from .inbox import Ledger
+from .landmark_stream import LandmarkRecord
 from .laser_team import WovenTeam
 from .messages import LandmarkState, RefusedError, Snapshot, Tile
 from .placed import ALONE, Placed
 from .tiles import COARSER, TileKey
+
+
+class Fused(NamedTuple):
+    """What snapshots fuse to. used: robot -> message number of its snapshot; failed: why they do not, else empty."""
+
+    fuser: OnlineFuser
+    names: Mapping[str, str]
+    used: Mapping[str, int]
+    refused: Sequence[str]
+    failed: str = ""
+
+
+class Fusing(NamedTuple):
+    """Snapshots to be fused. Running it touches nothing but its own numbers; with a large team it takes a while.
+
+    names: robot of a log -> what the team calls it.
+    """
+
+    fuser: OnlineFuser
+    maps: Sequence[LocalMap]
+    names: Mapping[str, str]
+    used: Mapping[str, int]
+    refused: Sequence[str]
+
+    def run(self) -> Fused:
+        """The maps joined: judged anew, or put in place of older ones."""
+        recordings = {m.robot: m.source for m in self.maps}
+        fuser = self.fuser
+        if set(fuser.latest) - set(recordings):  # who is refused by now is out of the sum
+            fuser = OnlineFuser(fuser.cfg)
+        try:
+            fuser = replace(fuser, recordings=recordings).update(*self.maps)
+        except (MapweaveError, np.linalg.LinAlgError) as error:
+            return Fused(self.fuser, self.names, self.used, self.refused, str(error))
+        return Fused(fuser, self.names, self.used, self.refused)
 
 
 @dataclass(slots=True)
@@ -38,27 +75,50 @@ class SharedMap:
     resolution: float = 0.05
     tiles: dict[TileKey, bytes] = field(default_factory=dict)
 
-    def update(self, ledgers: Iterable[Ledger]) -> bool:
-        """Whether there was anything fresher, which is fused now; what can't be fused is said in `decisions`."""
-        ledgers = list(ledgers)
-        lasers = [x.robot for x in ledgers if x.record is not None and x.record.header.sensor == "laser"]
-        if lasers:
-            return self._lasers(lasers)
-        told = [(ledger, ledger.snapshot) for ledger in ledgers if ledger.snapshot is not None and not ledger.fault]
-        if all(self.used.get(ledger.robot) == s.last for ledger, s in told):
-            return False
-        self.used = {ledger.robot: s.last for ledger, s in told}
+    def fusing(self, ledgers: Iterable[Ledger]) -> Fusing | None:
+        """The newest snapshots where any is fresher than those of the map; None when none is."""
+        told = [
+            (ledger, ledger.snapshot)
+            for ledger in ledgers
+            if ledger.snapshot is not None and isinstance(ledger.record, LandmarkRecord) and not ledger.fault
+        ]
+        used = {ledger.robot: s.last for ledger, s in told}
+        if used.items() <= self.used.items():
+            return None
         maps: dict[str, LocalMap] = {}
         refused: list[str] = []
         for ledger, snapshot in told:
-            if ledger.record is None or not snapshot.ids:
+            if not snapshot.ids:
                 continue
             try:
                 maps[ledger.robot] = local_map_of(ledger, snapshot)
             except (RefusedError, ValueError) as error:
                 refused.append(f"{ledger.robot}: refused, its snapshot: {error}")
-        self._fuse(maps, refused)
-        return True
+        names = {m.robot: name for name, m in maps.items()}
+        return Fusing(replace(self.fuser, cfg=self.cfg), tuple(maps.values()), names, used, refused)
+
+    def take_fused(self, fused: Fused) -> None:
+        """Landmark robots stand as they were fused; what can't be fused is said in `decisions`."""
+        self.fused += 1
+        self.used, self.fuser = dict(fused.used), fused.fuser
+        if fused.failed:
+            self.decisions = [*fused.refused, f"not fused: {fused.failed}"]
+            return
+        self.placed, self.landmarks = {}, []
+        fusion = fused.fuser.fusion
+        for k, component in enumerate(fusion.components, 1):
+            for robot in component.robots:
+                self.placed[fused.names[robot]] = _place(k, component, robot)
+            cov = component.map.cov
+            for i, (landmark, (x, y)) in enumerate(zip(component.map.ids, component.map.mean.tolist(), strict=True)):
+                block = cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
+                numbers = (float(block[0, 0]), float(block[0, 1]), float(block[1, 1]))
+                self.landmarks.append(LandmarkState(id=landmark, x=x, y=y, cov=numbers, component=k))
+        self.decisions = [
+            *fused.refused,
+            *(f"{fused.names[d.robot]}: {d.decision}, {d.reason}" for d in fusion.decisions),
+            *(f"warning: {w}" for w in fusion.warnings),
+        ]
 
     def take(self, team: WovenTeam) -> list[Tile]:
         """Laser robots stand as `team` has them; the tiles that are not as they were told last."""
@@ -76,45 +136,20 @@ class SharedMap:
             map=self.name, component=component, level=level, i=i, j=j, cell=side, cells=self.tiles.get(key, b"")
         )
 
-    def _lasers(self, robots: Sequence[str]) -> bool:
+    def meet(self, lasers: Sequence[str]) -> bool:
         """A laser robot that is not woven yet stands in a part of its own; whether one is new."""
-        new = [name for name in robots if name not in self.placed]
+        new = [name for name in lasers if name not in self.placed]
         for name in new:
             self.placed[name] = Placed(max((p.component for p in self.placed.values()), default=0) + 1, *ALONE)
             self.decisions = [*self.decisions, f"{name}: in its own frame until its scans are worked in"]
         return bool(new)
 
-    def _fuse(self, maps: dict[str, LocalMap], refused: list[str]) -> None:
-        self.fused += 1
-        name_of = {m.robot: name for name, m in maps.items()}
-        try:
-            recordings = {m.robot: m.source for m in maps.values()}
-            if set(self.fuser.latest) - set(recordings):  # who is refused by now is out of the sum
-                self.fuser = OnlineFuser(self.cfg)
-            self.fuser = replace(self.fuser, cfg=self.cfg, recordings=recordings).update(*maps.values())
-            fusion = self.fuser.fusion
-        except (MapweaveError, np.linalg.LinAlgError) as error:
-            self.decisions = [*refused, f"not fused: {error}"]
-            return
-        self.placed, self.landmarks = {}, []
-        for k, component in enumerate(fusion.components, 1):
-            for robot in component.robots:
-                name = name_of[robot]
-                self.placed[name] = _place(k, component, robot)
-            cov = component.map.cov
-            for i, (landmark, (x, y)) in enumerate(zip(component.map.ids, component.map.mean.tolist(), strict=True)):
-                block = cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
-                numbers = (float(block[0, 0]), float(block[0, 1]), float(block[1, 1]))
-                self.landmarks.append(LandmarkState(id=landmark, x=x, y=y, cov=numbers, component=k))
-        self.decisions = [
-            *refused,
-            *(f"{name_of[d.robot]}: {d.decision}, {d.reason}" for d in fusion.decisions),
-            *(f"warning: {w}" for w in fusion.warnings),
-        ]
-
 
 def local_map_of(ledger: Ledger, snapshot: Snapshot) -> LocalMap:
-    """What the robot hands over at this time; raises RefusedError when the numbers can't be those of a map."""
+    """What the robot hands over at this time; raises RefusedError when the numbers can't be those of a map.
+
+    Its log is told from others by robot and run: two robots may call their runs alike.
+    """
     assert ledger.record is not None  # noqa: S101  (seen to by the caller)
     header = ledger.record.header
     n = len(snapshot.ids)
@@ -129,7 +164,7 @@ def local_map_of(ledger: Ledger, snapshot: Snapshot) -> LocalMap:
         track=Track(np.array([snapshot.t]), pose[None], cov[None, :3, :3], frame),
         sightings=dict(zip(snapshot.ids, snapshot.counts, strict=True)),
         source=header.source,
-        log_hash=ledger.run,
+        log_hash=f"{ledger.robot} {ledger.run}",
     )
 
 
