@@ -77,7 +77,7 @@ class Beside:
         """Nothing is under way."""
 
 
-class Team(laser_weaver.LaserTeam):
+class Team(laser_weaver.LiveLaserTeam):
     """A team whose passes are timed: `took` is told of each its name and processor seconds."""
 
     def follow(self, heard):
