@@ -13,6 +13,7 @@ from mapweave.kernels.exploration.laps import (
     add_landmark_information,
     drive_laps,
     landmark_errors,
+    lap_sightings,
     odometry_information,
     seen_shares,
 )
@@ -111,9 +112,10 @@ def test_landmark_errors_are_those_of_the_dense_information_matrix(known_until, 
                 dense += H.T @ W @ H
     P = np.linalg.inv(dense)
     sensor = LandmarkSensor(Sector(cfg.reach, cfg.half_angle), cfg.R, 0.01, known_until, margin, look)
-    add_landmark_information(S, track, every, marks, 1.0, sensor)
+    sighted = lap_sightings(track, every, marks, sensor)
+    add_landmark_information(S, sighted)
     assert np.allclose(np.linalg.inv(S), P[:n, :n])
-    errors = landmark_errors(np.linalg.inv(S), track, every, marks, sensor)
+    errors = landmark_errors(np.linalg.inv(S), sighted)
     each = [P[b : b + 2, b : b + 2] for b in range(n, n + 6, 2)]
     assert np.allclose(errors[:3], [np.sqrt(np.trace(p)) for p in each])
     assert np.isnan(errors[3])
@@ -126,8 +128,9 @@ def test_a_landmark_that_a_robot_drives_over_is_known_from_elsewhere():
     under = track[0, 8, :2].copy()
     S = odometry_information(track, every, cfg.Q)
     sensor = LandmarkSensor(Sector(cfg.reach, cfg.half_angle), cfg.R, 2.0, 24, 0.0, 2)
-    add_landmark_information(S, track, every, under[None], 1.0, sensor)
-    errors = landmark_errors(np.linalg.inv(S), track, every, np.array([under, under + 1e-9]), sensor)
+    add_landmark_information(S, lap_sightings(track, every, under[None], sensor))
+    both = lap_sightings(track, every, np.array([under, under + 1e-9]), sensor)
+    errors = landmark_errors(np.linalg.inv(S), both)
     assert np.isfinite(S).all()
     assert np.isfinite(errors).all()
     assert errors[1] == pytest.approx(errors[0], rel=1e-6)

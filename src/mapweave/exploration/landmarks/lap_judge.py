@@ -16,6 +16,7 @@ from ...kernels.exploration.laps import (
     add_landmark_information,
     drive_laps,
     landmark_errors,
+    lap_sightings,
     odometry_information,
     seen_shares,
 )
@@ -140,8 +141,9 @@ class LapJudge:
         total = 0.0  # of landmarks seen: those missed are dear already
         for k, marks in enumerate(self.layouts):
             S = odometry.copy()
-            add_landmark_information(S, whole, every, marks, 1.0, sensor)
-            errors = landmark_errors(_inverse(S), whole, every, marks, sensor)
+            sighted = lap_sightings(whole, every, marks, sensor)
+            add_landmark_information(S, sighted)
+            errors = landmark_errors(_inverse(S), sighted)
             seen = errors[np.isfinite(errors)]
             total += MEAN_OF_RMS * float(seen.mean()) if len(seen) else 0.0
             if total / (k + 1) * limits.get(k + 1, 0.0) > enough:

@@ -39,6 +39,20 @@ class LandmarkSensor(NamedTuple):
     look_every: int
 
 
+class LapSightings(NamedTuple):
+    """What each of n points shows of itself and of the poses that see it: the terms of the normal equations.
+
+    own: (n, 3) information about the point itself, xx, xy, yy; counts: (n,) how many poses see it; nodes: (n, most)
+    which, rising; tie: (n, most, 3, 2) of pose and point; poses: (n, most, 3, 3) of the pose alone.
+    """
+
+    own: np.ndarray
+    counts: np.ndarray
+    nodes: np.ndarray
+    tie: np.ndarray
+    poses: np.ndarray
+
+
 @kernel
 def drive_laps(
     ways: np.ndarray,
@@ -208,32 +222,37 @@ def _sightings(
 
 
 @kernel
-def add_landmark_information(
-    S: np.ndarray,
-    track: np.ndarray,
-    every: int,
-    points: np.ndarray,
-    density: float,
-    sensor: LandmarkSensor,
-) -> None:
-    """Adds to S what landmarks, `density` of them expected at each of `points` (n, 2), tell about the poses, in place.
+def lap_sightings(track: np.ndarray, every: int, points: np.ndarray, sensor: LandmarkSensor) -> LapSightings:
+    """All sightings of `points` (n, 2) from the poses at steps 0, every, 2 every, ... of `track` (M, steps + 1, 3)."""
+    n, most = len(points), track.shape[0] * ((track.shape[1] - 1) // every + 1)
+    own, counts = np.empty((n, 3)), np.empty(n, dtype=np.int64)
+    nodes = np.empty((n, most), dtype=np.int64)
+    tie, poses = np.empty((n, most, 3, 2)), np.empty((n, most, 3, 3))
+    for m in range(n):
+        k, a00, a01, a11 = _sightings(track, every, points[m], sensor, tie[m], poses[m], nodes[m])
+        counts[m], own[m, 0], own[m, 1], own[m, 2] = k, a00, a01, a11
+    return LapSightings(own, counts, nodes, tie, poses)
+
+
+@kernel
+def add_landmark_information(S: np.ndarray, seen: LapSightings) -> None:
+    """Adds to S what landmarks tell about the poses that see them, in place.
 
     The landmark itself is eliminated: what is left ties together all poses that see it. S stays symmetric.
     """
-    most = len(S) // 3 + track.shape[0]
-    B, C, nodes = np.empty((most, 3, 2)), np.empty((most, 3, 3)), np.empty(most, dtype=np.int64)
-    for m in range(len(points)):
-        k, a00, a01, a11 = _sightings(track, every, points[m], sensor, B, C, nodes)
+    for m in range(len(seen.counts)):
+        k, a00, a01, a11 = seen.counts[m], seen.own[m, 0], seen.own[m, 1], seen.own[m, 2]
+        B, C, nodes = seen.tie[m], seen.poses[m], seen.nodes[m]
         det = a00 * a11 - a01 * a01
         if k == 0 or det <= 0:
             continue
         for i in range(k):
             r = 3 * nodes[i]
             for a in range(3):
-                f0 = density * (B[i, a, 0] * a11 - B[i, a, 1] * a01) / det
-                f1 = density * (B[i, a, 1] * a00 - B[i, a, 0] * a01) / det
+                f0 = (B[i, a, 0] * a11 - B[i, a, 1] * a01) / det
+                f1 = (B[i, a, 1] * a00 - B[i, a, 0] * a01) / det
                 for b in range(3):
-                    S[r + a, r + b] += density * C[i, a, b]
+                    S[r + a, r + b] += C[i, a, b]
                 for q in range(i, k):  # nodes rise: the half above the diagonal
                     c = 3 * nodes[q]
                     for b in range(3):
@@ -244,22 +263,15 @@ def add_landmark_information(
 
 
 @kernel
-def landmark_errors(
-    P: np.ndarray,
-    track: np.ndarray,
-    every: int,
-    points: np.ndarray,
-    sensor: LandmarkSensor,
-) -> np.ndarray:
-    """Expected root mean square error (n,) [m] of a landmark at each of `points`, NaN where none would be seen.
+def landmark_errors(P: np.ndarray, seen: LapSightings) -> np.ndarray:
+    """Expected root mean square error (n,) [m] of each landmark, NaN of one that would not be seen.
 
     P: (3 K, 3 K) covariance of the poses, as `odometry_information` orders them; read on and above its diagonal.
     """
-    most = len(P) // 3 + track.shape[0]
-    B, C, nodes = np.empty((most, 3, 2)), np.empty((most, 3, 3)), np.empty(most, dtype=np.int64)
-    out = np.full(len(points), np.nan)
-    for m in range(len(points)):
-        k, a00, a01, a11 = _sightings(track, every, points[m], sensor, B, C, nodes)
+    out = np.full(len(seen.counts), np.nan)
+    for m in range(len(seen.counts)):
+        k, a00, a01, a11 = seen.counts[m], seen.own[m, 0], seen.own[m, 1], seen.own[m, 2]
+        B, nodes = seen.tie[m], seen.nodes[m]
         det = a00 * a11 - a01 * a01
         if det <= 0:
             continue
