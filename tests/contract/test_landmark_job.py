@@ -33,7 +33,7 @@ RESULT = ("landmarks.*", "trajectories/*", "local/*/*")
 def world(tmp_path_factory):
     """A small recording and its map with truth, made through the command line."""
     home = tmp_path_factory.mktemp("job")
-    words = ("--robots", 3, "--landmarks", 12, "--minutes", 1, "--seed", 5)
+    words = ("--robots", 3, "--landmarks", 12, "--minutes", 1, "--misreads", 0.03, "--seed", 5)
     code, out, err = run("simulate", "landmarks", "--out", home / "team", *words)
     assert (code, err) == (0, "")
     assert "3 robots, 12 landmarks" in out
@@ -76,15 +76,18 @@ def test_landmarks_stand_in_a_table_and_in_arrays_with_the_joint_covariance(worl
     assert set(";".join(row["robots"] for row in rows).split(";")) <= {"1", "2", "3"}
 
 
-def test_trajectories_have_one_pose_at_every_odometry_and_sighting_stamp(world):
+@pytest.mark.parametrize("robot", ["robot1", "robot2", "robot3"])
+def test_trajectories_have_one_pose_at_every_odometry_and_sighting_stamp(world, robot):
+    """At stamps of misread barcodes too, which no estimate is made from."""
     stamps = set()
-    for name in ("Robot2_Odometry.dat", "Robot2_Measurement.dat"):
+    for name in (f"{robot.title()}_Odometry.dat", f"{robot.title()}_Measurement.dat"):
         lines = (world / "team" / name).read_text().splitlines()
         stamps |= {line.split()[0] for line in lines if not line.startswith("#")}
-    lines = (world / "a" / "trajectories" / "robot2.tum").read_text().splitlines()
+    assert json.loads((world / "a" / "metrics.json").read_text())["robots"][robot[-1]]["dropped"]["misread barcode"]
+    lines = (world / "a" / "trajectories" / f"{robot}.tum").read_text().splitlines()
     assert [f"{float(line.split()[0]):.3f}" for line in lines] == sorted(stamps)
     assert all(len(line.split()) == 8 for line in lines)
-    covariances = (world / "a" / "trajectories" / "robot2.cov.csv").read_text().splitlines()
+    covariances = (world / "a" / "trajectories" / f"{robot}.cov.csv").read_text().splitlines()
     assert covariances[0] == "t,xx,xy,yy,xt,yt,tt"
     assert len(covariances) == len(lines) + 1
 

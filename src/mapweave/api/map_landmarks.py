@@ -28,6 +28,7 @@ from ..landmarks.sifting import SiftConfig, sifted
 from ..team.camera_clock import CameraClockConfig, on_camera_clock
 from ..team.clocks import of_another_time
 from ..team.config import OnlineConfig, SmoothingConfig
+from ..team.every_stamp import at_every_stamp
 from ..team.further_rooms import with_further_rooms
 from ..team.kidnapped import KidnapConfig, cut_kidnapped, with_stretches
 from ..team.known import PlacePriors, framed
@@ -145,6 +146,11 @@ def _map_read(
         watch.lap("online")
     smoothed, run = (
         _smoothed(maps, stretches, fusion, cfg, known, options, run, placing) if options.refine else ((), run)
+    )
+    stamps = {log.robot: log.stamps for log in on_time}
+    maps = tuple(at_every_stamp(m, stamps, {}) for m in maps)
+    smoothed = tuple(
+        replace(s, map=at_every_stamp(s.map, stamps, {r: c.ahead for r, c in s.clocks.items()})) for s in smoothed
     )
     watch.lap("smooth")
     return team_result(title, options.seed, local, fusion, options.truth, online, watch, maps, smoothed, run)

@@ -61,7 +61,8 @@ class LandmarkLog:
     bearings: sightings that told no range, which is NaN there; filters leave them aside, smoothing takes them.
     dropped: rows left out, by reason; log_hash: SHA-256 of the whole log's content, kept by `share`, so that a part
     of a log is known to be no independent witness beside the whole. cuts: stamps [s], ascending, at which the robot was
-    put down elsewhere: nothing it drove leads across one.
+    put down elsewhere: nothing it drove leads across one. misread: stamps [s], ascending, of sightings left out as
+    misreads, at which its trajectory has a pose all the same.
     """
 
     robot: str
@@ -73,8 +74,10 @@ class LandmarkLog:
     log_hash: str = ""
     bearings: SightingTable = NOTHING_SEEN
     cuts: tuple[float, ...] = ()
+    misread: Float[np.ndarray, " m"] = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "misread", frozen(self.misread))
         if not self.log_hash:
             tables = (self.sightings, self.bearings) if len(self.bearings) else (self.sightings,)
             object.__setattr__(self, "log_hash", _hash(self.odometry, *tables))
@@ -91,6 +94,12 @@ class LandmarkLog:
         if not ends:
             raise DataError(f"{self.source}: {self.robot} has neither odometry nor sightings")
         return float(min(a for a, _ in ends)), float(max(b for _, b in ends))
+
+    @property
+    def stamps(self) -> Float[np.ndarray, " n"]:
+        """When [s] it drove or saw something, misreads too: ascending, each once."""
+        driven = () if self.odometry is None else (self.odometry.t,)
+        return np.unique(np.concatenate([self.sightings.t, self.bearings.t, self.misread, *driven]))
 
     def __len__(self) -> int:
         return len(self.sightings) + len(self.bearings) + (0 if self.odometry is None else len(self.odometry.t))
@@ -140,7 +149,7 @@ class LandmarkLog:
             keep = at(o.t)
             o = Odometry(o.t[keep], o.v[keep], o.w[keep]) if keep.any() else None
         sightings, bearings = self.sightings.select(at(self.sightings.t)), self.bearings.select(at(self.bearings.t))
-        return replace(self, odometry=o, sightings=sightings, bearings=bearings)
+        return replace(self, odometry=o, sightings=sightings, bearings=bearings, misread=self.misread[at(self.misread)])
 
 
 def _hash(odometry: Odometry | None, *tables: SightingTable) -> str:

@@ -93,7 +93,7 @@ def _robot(files: Files, k: int, found: dict[int, dict[str, str]], codes: dict[i
         odometry = landmark_log.mended_odometry(numbers(files.read(name), label, ("t", "v", "w")), label, mend)
     if odometry is None:
         mend.warnings.append("no odometry: mapped with a random walk between sightings")
-    seen = NOTHING_SEEN
+    seen, misread = NOTHING_SEEN, np.zeros(0)
     if "Measurement" in kinds:
         name = kinds["Measurement"]
         data, label = files.read(name), files.label(name)
@@ -103,13 +103,15 @@ def _robot(files: Files, k: int, found: dict[int, dict[str, str]], codes: dict[i
         if len(wrong):
             line = line_of(data, label, int(wrong[0]))
             raise ReaderError(label, f"expected a whole number for barcode, found {table[wrong[0], 1]:g}", line)
-        seen = _named(landmark_log.mended_sightings(table, label, mend), codes, set(found), k, mend)
+        seen, misread = _named(landmark_log.mended_sightings(table, label, mend), codes, set(found), k, mend)
     if not len(seen):
         mend.warnings.append("it saw nothing")
     spans = {"its sightings": seen.t} if odometry is None else {"its odometry": odometry.t, "its sightings": seen.t}
     ends = {w: (float(t[0]), float(t[-1])) for w, t in spans.items() if len(t)}
     landmark_log.check_one_recording(ends, files.label(f"Robot{k}_*"))
-    return LandmarkLog(f"robot{k}", odometry, seen, mend.dropped, tuple(mend.warnings), str(files.where))
+    return LandmarkLog(
+        f"robot{k}", odometry, seen, mend.dropped, tuple(mend.warnings), str(files.where), misread=misread
+    )
 
 
 def _are_subjects(values: np.ndarray, count: np.ndarray, codes: dict[int, int]) -> bool:
@@ -121,8 +123,8 @@ def _are_subjects(values: np.ndarray, count: np.ndarray, codes: dict[int, int]) 
 
 def _named(
     table: np.ndarray, codes: dict[int, int], robots: set[int], own: int, mend: landmark_log.Mending
-) -> SightingTable:
-    """Barcodes become names; unlisted ones seldom seen, and the robot's own, are dropped as misreads."""
+) -> tuple[SightingTable, np.ndarray]:
+    """Barcodes become names; unlisted ones seldom seen, and the robot's own, are misreads: their stamps (m,) [s]."""
     values, what, count = np.unique(table[:, 1].astype(np.int64), return_inverse=True, return_counts=True)
     if _are_subjects(values, count, codes):
         mend.warnings.append("its sightings tell subjects in place of barcodes: read as such")
@@ -141,7 +143,7 @@ def _named(
     rows = keep[what]
     ids = tuple(name for name, k in zip(names, keep, strict=True) if k)
     index = (np.cumsum(keep) - 1)[what[rows]]
-    return SightingTable(table[rows, 0], index, table[rows, 2], table[rows, 3], ids)
+    return SightingTable(table[rows, 0], index, table[rows, 2], table[rows, 3], ids), np.unique(table[~rows, 0])
 
 
 def write_mrclam(folder: Path, team: TeamRecording) -> None:

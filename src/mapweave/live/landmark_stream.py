@@ -33,6 +33,7 @@ def messages_of(log: LandmarkLog, robot: str, run: str, period: float) -> Iterat
             names=list(log.sightings.ids),
             dropped=dict(log.dropped),
             warnings=list(log.warnings),
+            misread=pack(log.misread),
         ),
     )
     o, s = log.odometry, log.sightings
@@ -145,4 +146,5 @@ class LandmarkRecord:
             h.dropped,
             tuple(h.warnings),
             h.source,
+            misread=unpack(h.misread, 1)[0],
         )

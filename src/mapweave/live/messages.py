@@ -31,7 +31,8 @@ class Header(_Message, tag="header", frozen=True):
     """The first message of a history: who tells it, and what its log is called by those who read it whole.
 
     sensor: "landmarks" or "laser"; log_robot: `robotK`; names: landmarks and robots by the index that `Rows.what`
-    counts from; odometry: whether there is any; odometry_from, log_hash: of a laser's log.
+    counts from; odometry: whether there is any; odometry_from, log_hash: of a laser's log; misread: stamps of
+    sightings that were left out, a column.
     """
 
     robot: str
@@ -46,6 +47,7 @@ class Header(_Message, tag="header", frozen=True):
     names: list[str] = []
     dropped: dict[str, int] = {}
     warnings: list[str] = []
+    misread: bytes = b""
 
 
 class Rows(_Message, tag="rows", frozen=True):
