@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from mapweave.laser.closures import Closure
+from mapweave.laser.config import GraphConfig
 from mapweave.laser.robot_graph import RobotGraph
-from mapweave.laser.unfound_places import IN_A_ROW, unfound_places
+from mapweave.laser.unfound_places import unfound_places
+
+IN_A_ROW = GraphConfig().unfound
 
 
 def graph(*found, tries=2):
@@ -35,16 +38,16 @@ def graph(*found, tries=2):
 
 
 def test_searches_in_a_row_that_find_nothing_are_told_with_their_time():
-    (said,) = unfound_places(graph(True, *[False] * IN_A_ROW, True, False))
+    (said,) = unfound_places(graph(True, *[False] * IN_A_ROW, True, False), IN_A_ROW)
     assert said.startswith("from 40.0 s to 90.0 s places seen before were searched for 6 times in a row")
 
 
 @pytest.mark.parametrize("found", [(), (False,) * (IN_A_ROW - 1), (*[False] * (IN_A_ROW - 1), True, *[False] * 3)])
 def test_fewer_are_not(found):
-    assert unfound_places(graph(*found)) == ()
+    assert unfound_places(graph(*found), IN_A_ROW) == ()
 
 
 def test_the_longest_stretch_is_told():
-    (said,) = unfound_places(graph(*[False] * IN_A_ROW, True, *[False] * (IN_A_ROW + 2)))
+    (said,) = unfound_places(graph(*[False] * IN_A_ROW, True, *[False] * (IN_A_ROW + 2)), IN_A_ROW)
     assert said.startswith("from 100.0 s to 170.0 s")
     assert " 8 times in a row" in said

@@ -65,6 +65,7 @@ class GraphConfig:
 
     hypotheses: int = 100  # particles that find the trajectory where light tells places apart; 0: scan odometry alone
     loops: bool = True  # whether loops are looked for
+    unfound: int = 6  # searches for old places in a row that find none, from which it is a warning
     unsure: float = 3.0  # times the graph's covariances are those told: errors of scans one after the other are alike
     last_pass: bool = True  # whether all keyframes are matched jointly in the end, and every scan laid on them
     keyframe_graph: KeyframeGraphConfig = KeyframeGraphConfig(

@@ -8,21 +8,33 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from ..core import se2
+from ..core.config import config
 from ..core.errors import DataError
 from ..core.records import frozen
 from ..kernels.laser.place_refine import fit_normals
 from .submaps import gathered
 
 MOST_BINS, LEAST_BINS = 360, 60  # directions of a keyframe's view, wider than its beams are apart
-FRAMES = 60  # keyframes asked at most
-REACH = 8.0  # [m] views are compared up to
-BEHIND, ALIKE = 0.4, 0.2  # [m] a wall this much nearer was seen through; one this near is the same
-CLOSE = 0.6  # [m] from its walls, and a point seen through may be a wall of a bent map
-WALL = 0.2  # [m] walls this near overlap
-LEAST_LIT, EVEN = 150, 0.05  # walls that meet whose brightness is compared, and its sd, at least
 LINE, THICK, SIDED = 0.5, 0.3, 0.2  # [m] wall points this near make a line this thin at most; cosine to its side
 COARSE = 0.2  # [m] of the points compared
 _BESIDE = np.array([[-1], [0], [1]])  # a direction and those beside it
+
+
+@config
+class OverlapConfig:
+    """When one robot's views and another's walls agree under a transform, and when they contradict each other."""
+
+    views: int = 60  # keyframes whose views are asked, at most
+    reach: float = 8.0  # [m] views are compared up to
+    through: float = 0.4  # [m] by which a view goes on behind a wall that was seen through
+    same: float = 0.2  # [m] within which a wall of the view is the same wall
+    close: float = 0.6  # [m] from its walls a point seen through may be a wall of a bent map
+    wall: float = 0.2  # [m] within which walls overlap
+    lit: int = 150  # points of walls that meet, at least, whose brightness is compared,
+    uneven: float = 0.05  # and the standard deviation of their brightness, at least
+
+
+OVERLAP = OverlapConfig()
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,28 +106,30 @@ class SeenAlike:
         return self.alike / max(self.alike + self.through, 1)
 
 
-def seen_alike(a: KeyframeMap, b: KeyframeMap, transform: Float[np.ndarray, "3"]) -> SeenAlike:
+def seen_alike(
+    a: KeyframeMap, b: KeyframeMap, transform: Float[np.ndarray, "3"], cfg: OverlapConfig = OVERLAP
+) -> SeenAlike:
     """What each robot's views say of the other's walls, where b's map lies at `transform` in a's.
 
     Of the two directions the one that agrees less counts.
     """
-    one = _views_of_walls(a, b, transform)
-    other = _views_of_walls(b, a, se2.inverse(transform))
+    one = _views_of_walls(a, b, transform, cfg)
+    other = _views_of_walls(b, a, se2.inverse(transform), cfg)
     least = one if one.share <= other.share else other
     return replace(least, clear=min(one.clear, other.clear))
 
 
-def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray) -> SeenAlike:
+def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray, cfg: OverlapConfig) -> SeenAlike:
     """Walls of b in the views of a. A view is the nearest return in each direction; what is behind it is unknown.
 
     A wall that one robot saw from one side and the other from the other says nothing.
     """
     walls = se2.act(transform, b.walls)
     side = b.walls_side @ se2.rotation(float(transform[2])).T
-    around_each = cKDTree(walls).query_ball_point(a.pose[:, :2], REACH, return_sorted=False)
+    around_each = cKDTree(walls).query_ball_point(a.pose[:, :2], cfg.reach, return_sorted=False)
     near = [k for k, seen in enumerate(around_each) if len(seen) > 10]
-    if len(near) > FRAMES:
-        near = [near[k] for k in np.linspace(0, len(near) - 1, FRAMES).round().astype(int).tolist()]
+    if len(near) > cfg.views:
+        near = [near[k] for k in np.linspace(0, len(near) - 1, cfg.views).round().astype(int).tolist()]
     bins = a.views.shape[1]
     same, through = np.zeros(len(walls), dtype=np.int64), np.zeros(len(walls), dtype=np.int64)
     for k in near:
@@ -123,17 +137,19 @@ def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray) -> Se
         r, at = _polar(se2.act(se2.inverse(a.pose[k]), walls[seen]), bins)
         around = a.views[k][(at + _BESIDE) % bins]
         known = np.isfinite(around).all(axis=0)
-        like = known & (np.abs(around - r) < ALIKE + 0.02 * r).any(axis=0)
+        like = known & (np.abs(around - r) < cfg.same + 0.02 * r).any(axis=0)
         facing = ((a.pose[k, :2] - walls[seen]) * side[seen]).sum(axis=1)
         same[seen] += like & (facing > -SIDED * r)
-        through[seen] += known & ~like & (around.min(axis=0) - r > BEHIND)
+        through[seen] += known & ~like & (around.min(axis=0) - r > cfg.through)
     judged = same + through > 0
     alike, unlike = judged & (same >= through), judged & (same < through)
-    away = int(np.sum(np.asarray(cKDTree(a.walls).query(walls[unlike])[0]) > CLOSE)) if unlike.any() else 0
+    away = int(np.sum(np.asarray(cKDTree(a.walls).query(walls[unlike])[0]) > cfg.close)) if unlike.any() else 0
     return SeenAlike(int(alike.sum()), int(unlike.sum()), int(alike.sum()) / max(int(alike.sum()) + away, 1))
 
 
-def lit_alike(a: KeyframeMap, b: KeyframeMap, transform: Float[np.ndarray, "3"]) -> float | None:
+def lit_alike(
+    a: KeyframeMap, b: KeyframeMap, transform: Float[np.ndarray, "3"], cfg: OverlapConfig = OVERLAP
+) -> float | None:
     """Correlation of the brightness of walls that meet where b lies at `transform` in a.
 
     None where too few meet or have a brightness, or all are equally bright.
@@ -141,18 +157,20 @@ def lit_alike(a: KeyframeMap, b: KeyframeMap, transform: Float[np.ndarray, "3"])
     if a.walls_q is None or b.walls_q is None or not len(a.walls) or not len(b.walls):
         return None
     far, at = cKDTree(a.walls).query(se2.act(transform, b.walls))
-    met = far < WALL
+    met = far < cfg.wall
     one, other = a.walls_q[np.asarray(at)[met]], b.walls_q[met]
-    if len(one) < LEAST_LIT or min(np.std(one), np.std(other)) < EVEN:
+    if len(one) < cfg.lit or min(np.std(one), np.std(other)) < cfg.uneven:
         return None
     return float(np.corrcoef(one, other)[0, 1])
 
 
-def wall_overlap(walls: Float[np.ndarray, "m 2"], b: KeyframeMap, transform: Float[np.ndarray, "3"]) -> float:
+def wall_overlap(
+    walls: Float[np.ndarray, "m 2"], b: KeyframeMap, transform: Float[np.ndarray, "3"], cfg: OverlapConfig = OVERLAP
+) -> float:
     """Share of b's walls that lie on `walls` of map a, or of those on b's, whichever is more."""
     other = se2.act(transform, gathered(b.pose, b.points, range(len(b.pose)), np.zeros(3), 0.1)[0])
     to_walls, to_other = cKDTree(walls).query(other)[0], cKDTree(other).query(walls)[0]
-    return float(max(np.mean(to_walls < WALL), np.mean(to_other < WALL)))
+    return float(max(np.mean(to_walls < cfg.wall), np.mean(to_other < cfg.wall)))
 
 
 def _bins(keyframes: Sequence[Float[np.ndarray, "_ 2"]]) -> int:

@@ -148,7 +148,7 @@ def map_session(
     )
     moved = {"return of something that moves": session.moving.count} if session.moving.count else {}
     left = {} if graph is None else left_graph(graph)
-    unfound = () if graph is None else unfound_places(graph)
+    unfound = () if graph is None else unfound_places(graph, session.cfg.graph.unfound)
     result = replace(
         result,
         scan_hash=log.scan_hash(),

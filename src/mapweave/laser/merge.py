@@ -138,7 +138,7 @@ def _held_by_start(pair: Pair, near: Merge, free: Merge) -> Merge | None:
     if not slid or start is None or (way := along_start(a, b, place, start, cfg)) is None or way.sd > cfg.start_along:
         return None
     T = way.transform
-    seen = seen_alike(a, b, T)
+    seen = seen_alike(a, b, T, cfg.overlap)
     if not start.near(T) or seen.alike < cfg.least_seen or seen.share < cfg.known_alike:
         return None
     first = int(np.argmin(np.hypot(*(a.pose[:, :2] - se2.compose(T, b.pose[0])[:2]).T)))
@@ -163,7 +163,7 @@ def _held_by_start(pair: Pair, near: Merge, free: Merge) -> Merge | None:
         reason=f"merged on the start that was given: a corridor, {told} (standard deviation)",
         transform=frozen(T),
         covariance=frozen(way.covariance),
-        overlap=wall_overlap(place.points, b, T),
+        overlap=wall_overlap(place.points, b, T, cfg.overlap),
         agreeing=1,
         chi2=None,
         alike=seen.share,
@@ -226,7 +226,7 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], tried: int) -> Merge:
         b.robot,
         merged=False,
         reason="",
-        overlap=wall_overlap(place.points, b, best.transform),
+        overlap=wall_overlap(place.points, b, best.transform, cfg.overlap),
         score=score,
         second=None if rival is None else _score(rival.members) / score,
         agreeing=len(held),

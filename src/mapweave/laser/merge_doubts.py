@@ -32,7 +32,7 @@ class Pair(NamedTuple):
         seen = c.evidence(self.alike)
         if seen <= 0.0:
             return seen
-        told = 1.0 if self.start is None else self.start.likelihood(c.transform, self.cfg.blunder)
+        told = 1.0 if self.start is None else self.start.likelihood(c.transform, self.cfg)
         return seen * told * (self.cfg.blunder if self.darkened(c) else 1.0)
 
     def darkened(self, c: Candidate) -> bool:
@@ -82,7 +82,7 @@ def slides(pair: Pair, best: Candidate) -> str | None:
     for step in cfg.slide:
         for sign in (-1.0, 1.0):
             pushed = best.transform + sign * step * np.array([*vectors[:, 0], 0.0])
-            seen = seen_alike(pair.a, pair.b, pushed)
+            seen = seen_alike(pair.a, pair.b, pushed, cfg.overlap)
             if cfg.push_lead * best._replace(seen=seen).evidence(pair.alike) > best.evidence(pair.alike):
                 return along
     return None

@@ -13,13 +13,12 @@ from ..core.config import config
 from ..core.gaussian import symmetrise
 from .consistency import adjoint, largest_clique
 from .map_correlation import CorrelationConfig, map_places
-from .map_overlap import KeyframeMap, SeenAlike, lit_alike, seen_alike
+from .map_overlap import KeyframeMap, OverlapConfig, SeenAlike, lit_alike, seen_alike
 from .place_search import Fit, Hit, LikelihoodField, PlaceConfig, Window, everywhere, likelihood_field, refine, search
 from .pose_graph import PoseGraph
 from .robust_graph import RobustGraphConfig, solve_graph
 from .submaps import LaserSubmapConfig, Query, gathered, query_around
 
-SLIP = (0.3, 0.3, 0.05)  # [m, m, rad] that a map's first keyframes may be off the rest
 ALONG_TIMES = 2  # maps are moved along a corridor to where a start has them, and laid on its walls again
 
 
@@ -40,6 +39,8 @@ class MergeConfig:
     known_votes: int = 3  # at least, inside the window of a start that was given
     known_alike: float = 0.8  # share of what both saw on which they agree there,
     start_along: float = 1.0  # [m] sd, at most, of a start that alone holds maps along a corridor
+    slip: float = 0.3  # [m] and
+    slip_turn: float = 0.05  # [rad] that a map's first keyframes may be off the rest, beside what a start may be off
     blunder: float = 0.05  # chance that a start is false: what its likelihood never falls below
     sure: int = 20  # submaps that confirm, and no more are searched for everywhere
     lead: float = 5.0  # times the evidence of any other place that is not contradicted
@@ -63,6 +64,11 @@ class MergeConfig:
     correlation: CorrelationConfig = CorrelationConfig()
     place: PlaceConfig = PlaceConfig()
     submap: LaserSubmapConfig = LaserSubmapConfig()
+    overlap: OverlapConfig = OverlapConfig()
+
+    @property
+    def slipped(self) -> tuple[float, float, float]:
+        return self.slip, self.slip, self.slip_turn
 
 
 class Start(NamedTuple):
@@ -76,13 +82,13 @@ class Start(NamedTuple):
         sd, e = np.asarray(self.sd), se2.between(self.transform, T)
         return bool(np.hypot(*e[:2]) <= max(3.0 * np.hypot(*sd[:2]), 1.0) and abs(e[2]) <= max(3.0 * sd[2], 0.2))
 
-    def likelihood(self, T: Float[np.ndarray, "3"], blunder: float) -> float:
-        """Of a transform, 1 where it is said to be; never under `blunder`, the chance that what was said is false.
+    def likelihood(self, T: Float[np.ndarray, "3"], cfg: MergeConfig) -> float:
+        """Of a transform, 1 where it is said to be; never under `cfg.blunder`, the chance that what was said is false.
 
         What a map slips in its first metres counts as error of the start too.
         """
-        e = se2.between(self.transform, T) / np.hypot(np.asarray(self.sd), SLIP)
-        return float(blunder + (1.0 - blunder) * np.exp(-0.5 * e @ e))
+        e = se2.between(self.transform, T) / np.hypot(np.asarray(self.sd), cfg.slipped)
+        return float(cfg.blunder + (1.0 - cfg.blunder) * np.exp(-0.5 * e @ e))
 
 
 class Hypothesis(NamedTuple):
@@ -234,7 +240,7 @@ def along_start(
         fit = refine(place, b.walls, _shifted(fit.pose, u, start.transform))
     u, across = fit.weak, np.array([-fit.weak[1], fit.weak[0]])
     said = se2.rotation(float(start.transform[2])).T @ u
-    sd = np.hypot(np.asarray(start.sd), SLIP)
+    sd = np.hypot(np.asarray(start.sd), cfg.slipped)
     # the start's heading may err at the other end of the line between the origins
     variance = float(np.square(said * sd[:2]).sum() + (sd[2] * (across @ start.transform[:2])) ** 2)
     T = _shifted(fit.pose, u, start.transform)
@@ -263,13 +269,15 @@ def _whole(
     A = adjoint(se2.inverse(b.pose[anchor]))
     seen_there = replace(fit, pose=at[anchor], covariance=symmetrise(A @ P @ A.T))
     member = Hypothesis(anchor, fit.pose, score, 0.0, seen_there)
-    return Candidate(fit.pose, P, 0.0, (member,), seen_alike(a, b, fit.pose), lit_alike(a, b, fit.pose))
+    return Candidate(
+        fit.pose, P, 0.0, (member,), seen_alike(a, b, fit.pose, cfg.overlap), lit_alike(a, b, fit.pose, cfg.overlap)
+    )
 
 
 def candidate(a: KeyframeMap, b: KeyframeMap, group: Sequence[Hypothesis], cfg: MergeConfig) -> Candidate:
     """The transform on which a group of hypotheses meets."""
     T, P, chi2 = meeting(b, group, cfg)
-    return Candidate(T, P, chi2, tuple(group), seen_alike(a, b, T), lit_alike(a, b, T))
+    return Candidate(T, P, chi2, tuple(group), seen_alike(a, b, T, cfg.overlap), lit_alike(a, b, T, cfg.overlap))
 
 
 def confirmed(

@@ -2,15 +2,13 @@
 
 from .robot_graph import RobotGraph
 
-IN_A_ROW = 6  # searches; along a right trajectory some fail: furniture hides the walls, or an old place is beyond
 
-
-def unfound_places(graph: RobotGraph) -> tuple[str, ...]:
+def unfound_places(graph: RobotGraph, in_a_row: int) -> tuple[str, ...]:
     """A warning for the longest stretch of searches for old places, one after the other, that found none.
 
     Searches are made where the estimate says that the robot is near a place of its own that it saw long ago. A heading
     or a trajectory along a corridor that went wrong once makes all later ones fail, and no closure is there to
-    contradict it.
+    contradict it. in_a_row: searches from which it is a warning, since along a right trajectory some fail too.
     """
     found: dict[int, bool] = {}
     for c in graph.closures:
@@ -21,7 +19,7 @@ def unfound_places(graph: RobotGraph) -> tuple[str, ...]:
     for keyframe in sorted(found):
         run = [] if found[keyframe] else [*run, keyframe]
         longest = max(longest, run, key=len)
-    if len(longest) < IN_A_ROW:
+    if len(longest) < in_a_row:
         return ()
     first, last = graph.t[longest[0]], graph.t[longest[-1]]
     searched = f"places seen before were searched for {len(longest)} times in a row and none was found again"
