@@ -36,7 +36,7 @@ def cleared():
 def driven(head, until, commands, noise=SILENT, start=10.0):
     x = head.copy()
     Phi, Q = cleared()
-    ekf_drive.drive(x, Phi, Q, start, until, *commands, -1, noise)
+    ekf_drive.drive(x, Phi, Q, start, until, ekf_state.Commands(*commands), -1, noise)
     return x, Phi, Q
 
 
@@ -79,7 +79,7 @@ def test_driving_in_many_calls_is_driving_in_one():
     Phi, Q = cleared()
     now, at = 10.0, -1
     for until in np.linspace(10.01, 10.8, 60):
-        now, at = ekf_drive.drive(b, Phi, Q, now, until, t, v, w, at, PLAIN)
+        now, at = ekf_drive.drive(b, Phi, Q, now, until, ekf_state.Commands(t, v, w), at, PLAIN)
     assert np.allclose(a, b, atol=1e-12)
     assert np.allclose(Phi_a, Phi, atol=1e-10)
     assert np.allclose(Q_a, Q, atol=2e-6)  # noise enters at the end of each step
@@ -244,17 +244,17 @@ def test_a_replay_stands_at_every_stamp_of_commands_and_sightings_until_both_hav
     track_t = np.full(60, np.nan)
     pose, cov = np.zeros((60, 3)), np.zeros((60, 6))
     rows, at = ekf.replay(
-        ekf_state.Belief(x, P, Phi, Q), 10.0, np.stack([t, v, w]), -1, 0, slots, np.stack([stamp, *z.T]), PLAIN,
-        tables(), np.zeros((2, 5)), track_t, pose, cov,
+        ekf_state.Belief(x, P, Phi, Q), 10.0, ekf_state.Commands(t, v, w), -1, 0,
+        ekf_state.SightingRows(stamp, slots, *z.T.copy()), PLAIN, tables(),
+        ekf_state.UpdateOutcomes(np.zeros(5), np.zeros(5)), ekf_state.PoseRows(track_t, pose, cov),
     )  # fmt: skip
     assert rows == len(want_t)
     np.testing.assert_array_equal(track_t[:rows], want_t)
     now, at_one, kept = 10.0, -1, tables()
     Phi, Q = cleared()
     for k, until in enumerate(want_t):
-        now, at_one = ekf_drive.drive(
-            y, Phi, Q, now, until, t[: np.searchsorted(t, until, "right")], v, w, at_one, PLAIN
-        )
+        given = ekf_state.Commands(t[: np.searchsorted(t, until, "right")], v, w)
+        now, at_one = ekf_drive.drive(y, Phi, Q, now, until, given, at_one, PLAIN)
         here = stamp == until
         if here.any():
             ekf_apply_drive.apply_drive(R, len(y), Phi, Q)

@@ -7,6 +7,7 @@ from scipy.linalg import eigh
 from mapweave.core.se2 import wrap_angle
 from mapweave.kernels.landmarks import ekf_apply_drive, ekf_drive, ekf_sight, ekf_smooth
 from mapweave.kernels.landmarks.ekf_smooth import smooth
+from mapweave.kernels.landmarks.ekf_state import Commands, PoseRows, SightingRows
 
 from . import robot_models as models
 from .test_ekf import PLAIN, cleared
@@ -23,14 +24,14 @@ def problem():
     rng = np.random.default_rng(0)
     x = np.concatenate([np.zeros(3), [1.0, 0.95, 0.02, 0.01, 0.99], [1.5, 1.0, 2.0, -1.0, 0.5, -1.5]])
     t = 0.05 * np.arange(40)
-    commands = (t, np.full(40, 0.3), rng.uniform(-0.5, 0.5, 40))
+    commands = Commands(t, np.full(40, 0.3), rng.uniform(-0.5, 0.5, 40))
     stamps = np.repeat(0.21 * np.arange(1, 10), 2)
     slots = np.array([0, 1, 1, 2, 2, 0] * 3, dtype=np.int64)
     truth = x.copy()
     Phi, Q = cleared()
     now, at, z = 0.0, -1, np.zeros((18, 2))
     for k in range(18):
-        now, at = ekf_drive.drive(truth, Phi, Q, now, stamps[k], *commands, at, NOISE)
+        now, at = ekf_drive.drive(truth, Phi, Q, now, stamps[k], commands, at, NOISE)
         z[k] = models.observe(truth[:3], truth[8 + 2 * slots[k] : 10 + 2 * slots[k]])
         z[k] = x[7] * z[k, 0] + 0.002 * rng.normal(), z[k, 1] + x[6] + 0.001 * rng.normal()
     return x, commands, stamps, slots, z, np.unique(np.concatenate([t, stamps]))
@@ -39,8 +40,8 @@ def problem():
 def smoothed(x, P_final):
     _, commands, stamps, slots, z, track_t = problem()
     pose, cov = np.zeros((len(track_t), 3)), np.zeros((len(track_t), 3, 3))
-    ranges, bearings = z[:, 0].copy(), z[:, 1].copy()
-    smooth(x, P_final, 0.0, *commands, stamps, np.unique(stamps), slots, ranges, bearings, NOISE, track_t, pose, cov)
+    seen = SightingRows(stamps, slots, z[:, 0].copy(), z[:, 1].copy())
+    smooth(x, P_final, 0.0, commands, seen, np.unique(stamps), NOISE, PoseRows(track_t, pose, cov))
     return pose, cov
 
 
@@ -57,7 +58,7 @@ def dense():
             moved = x.copy()
             moved[:3] = before
             Phi, Q = cleared()
-            now, at = ekf_drive.drive(moved, Phi, Q, now, nodes[k], *commands, at, NOISE)
+            now, at = ekf_drive.drive(moved, Phi, Q, now, nodes[k], commands, at, NOISE)
             J = np.zeros((3, 3 * n))
             J[:, 3 * k : 3 * k + 3] = np.eye(3)
             if k:
@@ -159,7 +160,8 @@ def test_a_way_between_frames_is_nearly_what_frames_without_sightings_there_woul
     which = np.concatenate([slots, np.full(len(more), -1)])[order]
     r, b = (np.concatenate([z[:, c], np.zeros(len(more))])[order] for c in (0, 1))
     pose, cov = np.zeros_like(rough), np.zeros_like(spread)
-    smooth(x, np.zeros((14, 14)), 0.0, *commands, every, np.unique(every), which, r, b, NOISE, track_t, pose, cov)
+    seen, track = SightingRows(every, which, r, b), PoseRows(track_t, pose, cov)
+    smooth(x, np.zeros((14, 14)), 0.0, commands, seen, np.unique(every), NOISE, track)
     np.testing.assert_allclose(rough, pose, atol=2e-4)
     for k in range(1, len(track_t)):
         ratio = eigh(spread[k] + 1e-10 * np.eye(3), cov[k] + 1e-10 * np.eye(3), eigvals_only=True)

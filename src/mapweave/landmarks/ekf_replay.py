@@ -11,7 +11,7 @@ from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Track
 from ..core.run import Step, run
 from ..kernels.landmarks import ekf_smooth
-from ..kernels.landmarks.ekf_state import RANGE_SCALE
+from ..kernels.landmarks.ekf_state import RANGE_SCALE, Commands, PoseRows, SightingRows
 from . import ekf_slam
 from .config import EkfSlamConfig, track_noise
 from .landmark_map import Submap
@@ -111,9 +111,7 @@ def _smooth(
     seen, o = log.sightings, log.odometry
     slots = np.array([state.slot.get(name, -1) for name in seen.ids], dtype=np.int64)[seen.what]
     used = np.where((slots >= 0) & state.started[slots], slots, -1)
-    cmd_t, cmd_v, cmd_w = np.zeros((3, 0)) if o is None else np.stack([o.t, o.v, o.w])
-    stamp, distance, bearing = (np.array(c) for c in (seen.t, seen.range, seen.bearing))
-    ekf_smooth.smooth(
-        state.x, P, log.span[0], cmd_t, cmd_v, cmd_w, stamp, np.unique(stamp), used, distance, bearing,
-        track_noise(cfg), t, pose, cov,
-    )  # fmt: skip
+    commands = Commands(*(np.zeros((3, 0)) if o is None else np.stack([o.t, o.v, o.w])))
+    sightings = SightingRows(*(np.array(c) for c in (seen.t, used, seen.range, seen.bearing)))
+    nodes, track = np.unique(sightings.t), PoseRows(t, pose, cov)
+    ekf_smooth.smooth(state.x, P, log.span[0], commands, sightings, nodes, track_noise(cfg), track)

@@ -15,7 +15,17 @@ from ..core.records import Event, LandmarkPacket, Odometry, Sightings, Track, fr
 from ..kernels.landmarks import ekf
 from ..kernels.landmarks.ekf_apply_drive import apply_drive, clear
 from ..kernels.landmarks.ekf_start import CANDIDATES
-from ..kernels.landmarks.ekf_state import HEAD, POSE, RANGE_SCALE, Belief, LandmarkTable
+from ..kernels.landmarks.ekf_state import (
+    HEAD,
+    POSE,
+    RANGE_SCALE,
+    Belief,
+    Commands,
+    LandmarkTable,
+    PoseRows,
+    SightingRows,
+    UpdateOutcomes,
+)
 from .config import EkfSlamConfig, calibration_prior, noise
 from .landmark_map import Submap
 
@@ -121,7 +131,7 @@ def _drive(state: EkfSlamState, record: Odometry, cfg: EkfSlamConfig) -> tuple[E
     n, t = len(record.t), float(record.t[0]) if state.t is None else state.t
     pose, cov = np.empty((n, POSE)), np.empty((n, 6))
     belief = Belief(x, state.P, Phi, Q)
-    t, at = ekf.drive_rows(belief, t, commands, commands.shape[1], state.at, n, noise(cfg), pose, cov)
+    t, at = ekf.drive_rows(belief, t, Commands(*commands), commands.shape[1], state.at, n, noise(cfg), pose, cov)
     gone = max(at, 0)
     new = replace(state, t=t, x=x, Phi=Phi, Q=Q, commands=commands[:, gone:].copy(), at=at - gone)
     return new, EkfSlamInfo(UpdateStatus.USED, Track(record.t, pose, square(cov), state.frame))
@@ -140,11 +150,12 @@ def _work_in(state: EkfSlamState, record: LandmarkPacket, cfg: EkfSlamConfig) ->
     t, pose, cov = np.empty(most), np.empty((most, POSE)), np.empty((most, 6))
     places = LandmarkTable(new.started.copy(), new.waiting.copy(), new.n_waiting.copy(), new.astray.copy())
     belief = Belief(new.x.copy(), new.P.copy(), new.Phi.copy(), new.Q.copy())
-    sightings = np.stack([record.t, record.range, record.bearing])
+    sightings = SightingRows(*(np.array(c) for c in (record.t, slots, record.range, record.bearing)))
     start = first_stamp(record) if state.t is None else state.t
     tracked, at = ekf.replay(
-        belief, start, commands, new.at, new.commands.shape[1], slots, sightings, noise(cfg), places, fit, t, pose, cov
-    )
+        belief, start, Commands(*commands), new.at, new.commands.shape[1], sightings, noise(cfg), places,
+        UpdateOutcomes(*fit), PoseRows(t, pose, cov),
+    )  # fmt: skip
     gone = max(at, 0)
     track = Track(t[:tracked], pose[:tracked], square(cov[:tracked]), new.frame)
     new = replace(

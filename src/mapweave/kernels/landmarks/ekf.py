@@ -7,7 +7,19 @@ from .ekf_apply_drive import apply_drive, coast, pose_covariance
 from .ekf_drive import drive
 from .ekf_sight import release, sight
 from .ekf_start import begin, consider
-from .ekf_state import Array, Belief, CameraFrame, Commands, LandmarkTable, Noise, UpdateOutcomes, plain, wrap
+from .ekf_state import (
+    Array,
+    Belief,
+    CameraFrame,
+    Commands,
+    LandmarkTable,
+    Noise,
+    PoseRows,
+    SightingRows,
+    UpdateOutcomes,
+    plain,
+    wrap,
+)
 
 
 @kernel
@@ -38,16 +50,14 @@ def frame(x: Array, P: Array, seen: CameraFrame, noise: Noise, places: LandmarkT
 
 @kernel
 def drive_rows(
-    belief: Belief, t: float, rows: Array, end: int, at: int, number: int, noise: Noise, pose: Array, cov: Array
+    belief: Belief, t: float, commands: Commands, end: int, at: int, number: int, noise: Noise, pose: Array, cov: Array
 ) -> tuple[float, int]:
-    """Drives to each of the `number` commands before number `end`; fills pose (number, 3) and cov (number, 6).
-
-    rows: (3, k) commands t, v, w.
-    """
+    """Drives to each of the `number` commands before number `end`; fills pose (number, 3) and cov (number, 6)."""
     x, P, Phi, Q = belief
     for i in range(number):
         k = end - number + i
-        t, at = drive(x, Phi, Q, t, rows[0, k], rows[0, : k + 1], rows[1], rows[2], at, noise)
+        given = Commands(commands.t[: k + 1], commands.v, commands.w)
+        t, at = drive(x, Phi, Q, t, commands.t[k], given, at, noise)
         pose[i, 0], pose[i, 1], pose[i, 2] = x[0], x[1], wrap(x[2])
         pose_covariance(P, Phi, Q, cov[i])
     return t, at
@@ -64,7 +74,7 @@ def drive_and_update(
         if now > t:
             coast(x, P, len(x), now - t, noise)
     else:
-        t, at = drive(x, Phi, Q, t, now, commands.t, commands.v, commands.w, at, noise)
+        t, at = drive(x, Phi, Q, t, now, commands, at, noise)
         apply_drive(P, len(x), Phi, Q)
     frame(x, P, seen, noise, places, fit)
     pose[0], pose[1], pose[2] = x[0], x[1], wrap(x[2])
@@ -74,39 +84,40 @@ def drive_and_update(
 
 @kernel
 def replay(
-    belief: Belief, t: float, rows: Array, at: int, old: int, slots: Array, sightings: Array, noise: Noise,
-    places: LandmarkTable, fit: Array, track_t: Array, pose: Array, cov: Array,
+    belief: Belief, t: float, commands: Commands, at: int, old: int, sightings: SightingRows, noise: Noise,
+    places: LandmarkTable, fit: UpdateOutcomes, track: PoseRows,
 ) -> tuple[int, int]:  # fmt: skip
     """A stretch of a log through the filter: what its rows and frames one by one give, to the bit, in one call.
 
-    t: where the filter stands [s]; rows: (3, k) commands t, v, w; at: the one in force, -1 before the first; old: those
-    known before this stretch. slots: (n,), sightings: (3, n) stamp, range and bearing of each in order; filled are fit
-    (2, n) with NIS and weight of each, track_t, pose (3) and cov (6) at every new odometry and sighting stamp. Returns
-    how many these are and the command in force.
+    t: where the filter stands [s]; at: the command in force, -1 before the first; old: those known before this stretch.
+    Filled are `fit` for each sighting and `track`, cov (n, 6), at every new odometry and sighting stamp. Returns how
+    many these are and the command in force.
     """
     done = j = 0
     i = old
-    stamp = sightings[0]
-    while i < rows.shape[1] or j < len(stamp):
+    stamp, k = sightings.t, len(commands.t)
+    while i < k or j < len(stamp):
         now = np.inf
-        if i < rows.shape[1]:
-            now = rows[0, i]
+        if i < k:
+            now = commands.t[i]
         if j < len(stamp):
             now = min(now, stamp[j])
-        if i < rows.shape[1] and rows[0, i] == now:
+        if i < k and commands.t[i] == now:
             i += 1
         first = j
         while j < len(stamp) and stamp[j] == now:
             j += 1
         if j > first:
-            seen = CameraFrame(slots[first:j], sightings[1, first:j], sightings[2, first:j])
-            commands = Commands(rows[0, :i], rows[1], rows[2])
-            used = UpdateOutcomes(fit[0, first:j], fit[1, first:j])
-            at = drive_and_update(belief, t, now, commands, at, seen, noise, places, used, pose[done], cov[done])
+            seen = CameraFrame(sightings.slot[first:j], sightings.range[first:j], sightings.bearing[first:j])
+            given = Commands(commands.t[:i], commands.v, commands.w)
+            used = UpdateOutcomes(fit.nis[first:j], fit.weight[first:j])
+            pose_now, cov_now = track.pose[done], track.cov[done]
+            at = drive_and_update(belief, t, now, given, at, seen, noise, places, used, pose_now, cov_now)
             t = now
         else:
             end = done + 1
-            t, at = drive_rows(belief, t, rows, plain(i), at, plain(1), noise, pose[done:end], cov[done:end])
-        track_t[done] = now
+            pose, cov = track.pose[done:end], track.cov[done:end]
+            t, at = drive_rows(belief, t, commands, plain(i), at, plain(1), noise, pose, cov)
+        track.t[done] = now
         done += 1
     return done, at

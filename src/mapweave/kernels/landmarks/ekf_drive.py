@@ -6,7 +6,7 @@
 import numpy as np
 
 from .._jit import kernel
-from .ekf_state import HEAD, LAG, TURN_SCALE, V_SCALE, Array, Noise
+from .ekf_state import HEAD, LAG, TURN_SCALE, V_SCALE, Array, Commands, Noise
 
 
 @kernel
@@ -77,37 +77,35 @@ def drive(
     Q: Array,
     t: float,
     until: float,
-    cmd_t: Array,
-    cmd_v: Array,
-    cmd_w: Array,
+    commands: Commands,
     at: int,
     noise: Noise,
 ) -> tuple[float, int]:
     """Drives from `t` to `until` [s]; returns the time and command then in force.
 
-    Command i holds from cmd_t[i] + lag until the next one, but `noise.hold` at most; then, and before the first
+    Command i holds from its stamp + lag until the next one, but `noise.hold` at most; then, and before the first
     command was given, the robot may go anywhere. `at` is the command in force, -1 before the first.
     """
-    n = len(cmd_t)
+    n = len(commands.t)
     lag = x[LAG]
     while t < until:
         v = w = 0.0
-        known = n > 0 and cmd_t[0] <= t
+        known = n > 0 and commands.t[0] <= t
         expiry = np.inf
         if at >= 0:
-            expiry = cmd_t[at] + lag + noise.hold
+            expiry = commands.t[at] + lag + noise.hold
             if t < expiry:
-                v, w = cmd_v[at], cmd_w[at]
+                v, w = commands.v[at], commands.w[at]
             else:
                 known, expiry = False, np.inf
-        follows = cmd_t[at + 1] + lag if at + 1 < n else np.inf
+        follows = commands.t[at + 1] + lag if at + 1 < n else np.inf
         end = min(until, follows, expiry)
         if end > t:
             arc(x, Phi, Q, v, w, end - t, noise, known)
             t = end
         if follows <= end:
             at += 1
-            dv, dw = v - cmd_v[at], w - cmd_w[at]
+            dv, dw = v - commands.v[at], w - commands.w[at]
             Phi[0, LAG] += x[V_SCALE] * dv * np.cos(x[2])
             Phi[1, LAG] += x[V_SCALE] * dv * np.sin(x[2])
             Phi[2, LAG] += x[TURN_SCALE] * dw

@@ -15,7 +15,21 @@ from ..dense import add_product, product, put, solved, transposed
 from .ekf_apply_drive import COAST_STEP, clear
 from .ekf_drive import arc, drive
 from .ekf_sight import trust
-from .ekf_state import BEARING_BIAS, HEAD, POSE, RANGE_SCALE, TURN_SCALE, V_SCALE, Noise, plain, quadratic, wrap
+from .ekf_state import (
+    BEARING_BIAS,
+    HEAD,
+    POSE,
+    RANGE_SCALE,
+    TURN_SCALE,
+    V_SCALE,
+    Commands,
+    Noise,
+    PoseRows,
+    SightingRows,
+    plain,
+    quadratic,
+    wrap,
+)
 
 Array: TypeAlias = np.ndarray
 
@@ -85,7 +99,7 @@ def coasted(x: Array, dt: float, noise: Noise, F: Array, Q: Array) -> None:
 
 @kernel
 def advance(
-    x: Array, P: Array, B: Array, F: Array, Q: Array, now: float, end: float, cmd_t: Array, cmd_v: Array, cmd_w: Array,
+    x: Array, P: Array, B: Array, F: Array, Q: Array, now: float, end: float, commands: Commands,
     at: int, noise: Noise,
 ) -> int:  # fmt: skip
     """Moves the chain from `now` to `end` [s]: `x`, `P`, `B` in place, F and Q filled; returns the command in force."""
@@ -95,7 +109,7 @@ def advance(
     else:
         Phi = np.zeros((POSE, HEAD))
         clear(Phi, Q)
-        now, at = drive(x, Phi, Q, now, end, cmd_t, cmd_v, cmd_w, at, noise)
+        now, at = drive(x, Phi, Q, now, end, commands, at, noise)
         put(F, Phi)
         put(B, product(F, B))
         for i in range(POSE):
@@ -110,11 +124,10 @@ def advance(
 
 @kernel
 def smooth(
-    final: Array, P_final: Array, t: float, cmd_t: Array, cmd_v: Array, cmd_w: Array,
-    stamp: Array, node_t: Array, slots: Array, ranges: Array, bearings: Array, noise: Noise,
-    track_t: Array, pose: Array, cov: Array,
+    final: Array, P_final: Array, t: float, commands: Commands, sightings: SightingRows, node_t: Array, noise: Noise,
+    track: PoseRows,
 ) -> None:  # fmt: skip
-    """Fills pose (rows, 3) and cov (rows, 3, 3) at `track_t`, all odometry and sighting stamps in order from `t` on.
+    """Fills `track`, cov (n, 3, 3), at its stamps: all of odometry and sightings in order from `t` on.
 
     final, P_final: the EKF's last state; node_t: the distinct stamps of the sightings, ascending; slots below zero are
     passed over. The start is known exactly: it is the frame.
@@ -136,26 +149,26 @@ def smooth(
     put(P_after[0], P)
     now, at, j = t, plain(-1), 0
     for k in range(1, n):
-        at = advance(x, P, B, F, Q, now, node_t[k - 1], cmd_t, cmd_v, cmd_w, at, noise)
+        at = advance(x, P, B, F, Q, now, node_t[k - 1], commands, at, noise)
         now = node_t[k - 1]
         starts[k] = at
         keep(x, P, B, before[k], P_before[k], B_before[k])
         put(move[k], F)
-        while j < len(stamp) and stamp[j] == now:
-            if slots[j] >= 0:
-                fix(x, P, B, slots[j], ranges[j], bearings[j], noise, astray)
+        while j < len(sightings.t) and sightings.t[j] == now:
+            if sightings.slot[j] >= 0:
+                fix(x, P, B, sightings.slot[j], sightings.range[j], sightings.bearing[j], noise, astray)
             j += 1
         keep(x, P, B, after[k], P_after[k], B_after[k])
     back(before, P_before, B_before, move, after, P_after, B_after)
     total = marginal(P_after, B_after, P_final)
     if d == POSE:
-        between(final, t, cmd_t, cmd_v, cmd_w, noise, node_t, after, total, starts, track_t, pose, cov)
+        between(final, t, commands, noise, node_t, after, total, starts, track)
         return
-    for k in range(len(pose)):
+    for k in range(len(track.t)):
         for i in range(POSE):
-            pose[k, i] = after[k + 1, i]
-        pose[k, 2] = wrap(pose[k, 2])
-        put(cov[k], total[k + 1])
+            track.pose[k, i] = after[k + 1, i]
+        track.pose[k, 2] = wrap(track.pose[k, 2])
+        put(track.cov[k], total[k + 1])
 
 
 @kernel
@@ -205,11 +218,12 @@ def marginal(P: Array, B: Array, P_final: Array) -> Array:
 
 @kernel
 def between(
-    final: Array, t: float, cmd_t: Array, cmd_v: Array, cmd_w: Array, noise: Noise,
-    node_t: Array, node: Array, node_cov: Array, starts: Array, track_t: Array, pose: Array, cov: Array,
+    final: Array, t: float, commands: Commands, noise: Noise, node_t: Array, node: Array, node_cov: Array,
+    starts: Array, track: PoseRows,
 ) -> None:  # fmt: skip
     """Drives from each smoothed node towards the next and bends the path so that it arrives: a noisy bridge."""
-    n, rows = len(node), len(track_t)
+    pose, cov = track.pose, track.cov
+    n, rows = len(node), len(track.t)
     Phi, Q = np.zeros((POSE, HEAD)), np.zeros((POSE, POSE))
     x = final.copy()
     row = 0
@@ -221,8 +235,8 @@ def between(
             x[i] = node[k, i]
         now, at = start, starts[k]
         first = row
-        while row < rows and track_t[row] < end:
-            now, at = drive(x, Phi, Q, now, track_t[row], cmd_t, cmd_v, cmd_w, at, noise)
+        while row < rows and track.t[row] < end:
+            now, at = drive(x, Phi, Q, now, track.t[row], commands, at, noise)
             for i in range(POSE):
                 pose[row, i] = x[i]
             put(cov[row], Q)
@@ -232,9 +246,9 @@ def between(
                 F = carry(node[k], pose[i])
                 add_product(cov[i], product(F, node_cov[k]), transposed(F), 1.0)
         else:
-            now, at = drive(x, Phi, Q, now, end, cmd_t, cmd_v, cmd_w, at, noise)
+            now, at = drive(x, Phi, Q, now, end, commands, at, noise)
             for i in range(first, row):
-                share = (track_t[i] - start) / max(end - start, 1e-9)
+                share = (track.t[i] - start) / max(end - start, 1e-9)
                 bend(pose[i], cov[i], share, x, Q, node[k + 1], node_cov[k], node_cov[k + 1])
         for i in range(first, row):
             pose[i, 2] = wrap(pose[i, 2])

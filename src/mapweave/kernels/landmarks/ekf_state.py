@@ -47,6 +47,23 @@ class CameraFrame(NamedTuple):
     bearing: Array
 
 
+class SightingRows(NamedTuple):
+    """n sightings in order: stamp t [s], of which landmark (slot, below zero of none), range [m], bearing [rad]."""
+
+    t: Array
+    slot: Array
+    range: Array
+    bearing: Array
+
+
+class PoseRows(NamedTuple):
+    """A trajectory to fill, a row a stamp: t [s], pose (n, 3) and its covariance."""
+
+    t: Array
+    pose: Array
+    cov: Array
+
+
 class LandmarkTable(NamedTuple):
     """What is known of each landmark, changed in place.
 
