@@ -59,7 +59,7 @@ def test_a_map_without_intensity_has_no_calibration_section_but_a_picture(tmp_pa
     write_laser_report(tmp_path, [made_laser_map(light=False)], {}, [])
     assert (tmp_path / "local/robot1/intensity.png").exists()
     assert not (tmp_path / "figures/robot1_calibration.png").exists()
-    assert "Found from this log itself" not in (tmp_path / "report.html").read_text()
+    assert "Estimated from this log itself" not in (tmp_path / "report.html").read_text()
 
 
 def test_the_truth_is_shown_where_one_rigid_motion_puts_it_nearest_to_the_estimate():

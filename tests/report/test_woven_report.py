@@ -130,7 +130,7 @@ def test_of_many_pairs_the_page_shows_some_and_counts_the_others(woven, tmp_path
     many = (merges[0],) * (MOST_PICTURES + 3)
     write_laser_report(tmp_path, maps, {}, [], components, many)
     html = (tmp_path / "report.html").read_text()
-    assert "3 pairs more are told in the table alone." in html
+    assert "3 more pairs are in the table only." in html
     assert len(re.findall("<figcaption>robot1 and robot2: merged", html)) == MOST_PICTURES
 
 

@@ -30,17 +30,17 @@ class Link:
     Parameters
     ----------
     team
-        The team's name: teams of different names do not hear each other.
+        The team's name; teams with different names ignore each other.
     connect
-        Where others listen, as tcp/host:port; without it those on one network find each other (--source ros2
-        takes tcp/localhost:7447).
+        Where others listen, as tcp/host:port; by default processes on one network find each other (--source ros2:
+        tcp/localhost:7447).
     listen
-        Where to listen, as tcp/host:port; messages are passed on between those that connect. Port 0 is any that is
-        free, which is told.
+        Where to listen, as tcp/host:port; messages are passed on between those that connect. Port 0 takes a
+        free one and prints it.
     tls
         The folder of this process's certificate, as mapweave live keys makes them.
     lease
-        Seconds without a sign of life until the other counts as gone; more than a message takes there and back.
+        Seconds without a sign of life after which another process counts as gone; longer than a round trip.
     """
 
     team: str = "team"
@@ -73,27 +73,27 @@ def robot(
     all_scanners: Annotated[bool, Parameter(negative="")] = False,
     link: Link | None = None,
 ) -> None:
-    """Drive a robot: estimate as `mapweave map` does, keep a history, tell the team. Ctrl-C ends it.
+    """Map one robot as `mapweave map` does, and publish it to the team. Ctrl-C ends it.
 
     Parameters
     ----------
     name
-        What the team calls it; of ros2 also several, as r1,r2.
+        The name of the robot in the team; with ros2 also several, as r1,r2.
     source
         An MRCLAM data set (folder or zip), a folder with odometry.csv and sightings.csv, a laser log, sim:landmarks or
-        sim:office; or ros2: a robot that drives now, whose ROS 2 runs rmw_zenoh, until Ctrl-C.
+        sim:office; or ros2: a robot whose ROS 2 runs rmw_zenoh, until Ctrl-C.
     robot
-        Which robot of the log it is, where the name does not end with its number.
+        Which robot of the log it is, if the name does not end with its number.
     rate
-        Seconds of the log in one second of the clock; inf is as fast as it goes.
+        Seconds of the log played in one second; inf is as fast as possible.
     period
         Seconds of the log in one message.
     history
-        The file that keeps what it told (mapweave-live/TEAM-NAME.sqlite); started again, it goes on there.
+        The file that keeps its messages (mapweave-live/TEAM-NAME.sqlite); started again, it continues there.
     fresh
         Forget an earlier history.
     linger
-        How many seconds it stays at most after the log's end for map processes that lack something.
+        How many seconds it stays at most after the end of the log for map processes that still miss messages.
     seed
         Of a simulated world; every robot of a team takes the same.
     config
@@ -106,9 +106,9 @@ def robot(
     graph
         Of ros2: where the graph's router is, when --connect is the team's and another; needed with --tls.
     sensor_pose
-        Of ros2: where the scanner stands on the robot, as x,y,theta [m, m, rad], when tf does not tell.
+        Of ros2: where the scanner stands on the robot, as x,y,theta [m, m, rad], when tf does not have it.
     all_scanners
-        Of ros2: hear every scanner of the robot, not the first alone.
+        Of ros2: use every scanner of the robot, not only the first.
     """
     _expect_extra()
     from ..api.live import ROS2, live_robot
@@ -172,7 +172,7 @@ def map_team(
 ) -> None:
     """Make the shared map of a team that drives; any number of such processes may run, anywhere.
 
-    Ends when all of --robots have told their logs to the end, or with Ctrl-C; both leave a whole result, the one that
+    Ends when all of --robots have sent their logs to the end, or with Ctrl-C; both leave a whole result, the one that
     `mapweave map` makes of the same logs.
 
     Parameters
@@ -180,16 +180,16 @@ def map_team(
     out
         The folder the map, the trajectories, metrics.json and report.html are written to.
     robots
-        The names that are heard, as r1,r2; all others are refused.
+        The names of the robots, as r1,r2; all others are refused.
     start
         Where a robot starts in the map if that is known, as r2=x,y,theta in metres and radians, of laser robots also
         with a standard deviation in metres: r2=x,y,theta,sigma.
     name
         What this map process is called, where a team has several.
     store
-        The file that keeps what was heard (OUT.sqlite); started again, the process goes on from it.
+        The file that keeps the messages received (OUT.sqlite); started again, the process continues from it.
     fresh
-        Forget what an earlier run has heard.
+        Forget the messages of an earlier run.
     every
         Seconds between two shared maps of laser robots while they drive; a quarter of it, of landmark robots.
     config

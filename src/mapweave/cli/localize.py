@@ -33,25 +33,25 @@ def localize(
     log
         A laser log, as for map.
     map_
-        What map wrote for one robot.
+        A result of map from laser logs.
     out
         The folder the trajectory, metrics.json and report.html are written to.
     start
-        The robot's first pose in the map, as x,y,theta in metres and radians; without, it is searched everywhere.
+        The robot's first pose in the map, as x,y,theta in metres and radians; by default it is searched everywhere.
     truth
         A TUM trajectory in the map's frame, to say whether the start was right; the estimator never sees it.
     config
         A TOML file with settings, as for map.
     particles
-        How many hypotheses follow the robot once its place is known.
+        How many hypotheses follow the robot once its place is found.
     feature
-        none: geometry alone, even where the map holds intensity.
+        none: use geometry alone, even if the map holds intensity.
     scan_topic
         The LaserScan topic of a ROS recording, where there are several.
     odom_topic
         The odometry or tf topic of a ROS recording, where there are several.
     sensor_pose
-        Where the scanner stands on the robot, as x,y,theta, if the log does not know.
+        The pose of the scanner on the robot, as x,y,theta, if the log does not have it.
     mirrored
         The beams of the log run clockwise.
     seed

@@ -28,46 +28,48 @@ def locate(
     seed: int = 0,
     force: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Find where every robot of a swarm is, from who sees whom in which direction.
+    """Find where every robot of a swarm is, from the bearings at which they see each other.
 
     Parameters
     ----------
     sightings
         A table, CSV or Parquet: observer,target,bearing in radians; in space observer,target,azimuth,elevation or
-        observer,target,bx,by,bz; optional sigma and t. With stamps of moving robots positions over time are found. Or
-        an MRCLAM data set, of which bearings between robots and odometry are used.
+        observer,target,bx,by,bz; optional sigma and t (stamps of moving robots give positions over time). Or an
+        MRCLAM data set, of which the bearings between robots and the odometry are used.
     out
         The folder that positions.csv, metrics.json, report.html and figures are written to.
     anchor
-        A known robot as a=0,0 or a=0,0,0; give it again for the next. Without two the answer is the shape alone.
+        The known position of a robot, as a=0,0 or a=0,0,0; repeat it for more. With fewer than two only the shape is
+        found.
     dim
-        2 or 3; the table's columns say it already.
+        2 or 3; by default as the table's columns say.
     sigma
-        Standard deviation of a bearing with its unit, as 0.5deg or 0.0087rad; wins over the table's own. Where neither
-        says it, 1 degree.
+        Standard deviation of a bearing with its unit, as 0.5deg or 0.0087rad; overrides the table's own
+        column. Without either, 1 degree.
     distance
-        A known distance as i,j=10 in metres, in place of a second anchor.
+        A known distance as i,j=10 in metres, instead of a second anchor.
     method
-        batch, robust, distributed, ekf, iekf or fej (batch).
+        batch (default), robust (some sightings are wrong), distributed (robots talk to those they see), or one of the
+        filters ekf, iekf and fej.
     axis
-        Whether bearings are against a common axis; without it every robot's heading is found too. Found out from
-        mutual sightings when neither is given.
+        Whether bearings are measured from a common axis; if not, every robot's heading is estimated too. By default
+        mutual sightings decide.
     odometry
         Velocities of moving robots, t,robot,v,w.
     initial
-        First estimates id,x,y for the filters to start from.
+        Initial estimates id,x,y for the filters.
     truth
         Score the result against id,x,y; no estimator sees it.
     covariance
-        Covariances of all positions; left out beyond 20,000 robots unless asked for.
+        Covariances of all positions; by default up to 20,000 robots.
     acceleration
-        How briskly robots without odometry move: density of white acceleration noise, in square metres a second cubed.
+        How fast robots without odometry change speed: density of white acceleration noise, in m^2/s^3.
     until
         Use the first so many seconds of stamped sightings only.
     config
         A TOML file with settings; options on the command line win.
     filtered
-        Of moving robots: what was known at each instant from the sightings until then, in place of what all say of it.
+        For moving robots: estimates from the sightings up to each instant, instead of from all sightings.
     seed
         The same seed gives the same result, to the byte.
     force

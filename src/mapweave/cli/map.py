@@ -13,32 +13,32 @@ if TYPE_CHECKING:
 @Parameter(name="*", group="Laser logs")
 @dataclass(frozen=True, kw_only=True)
 class Laser:
-    """What laser logs may be asked for beside.
+    """Options of laser logs.
 
     Parameters
     ----------
     particles
-        How many hypotheses --method particle carries (100), and graph where light tells places apart.
+        How many hypotheses --method particle carries (100); also of graph where intensity distinguishes places.
     feature
-        What a return is known by beside its place: normalised, raw or none (normalised where there is intensity).
+        What is used of the intensity of returns: normalised, raw or none (normalised where there is intensity).
     likelihood
-        How a scan weighs a hypothesis: matched, or paper as printed there.
+        How a scan weights a hypothesis: matched, or paper (as printed by Hara et al.).
     resample
-        Draw hypotheses anew when fewer than this share of them count (0.5); 1 is always.
+        Resample when the effective number of hypotheses falls below this share (0.5); 1 is always.
     scan_topic
-        The LaserScan topic of a ROS recording, where there are several.
+        The LaserScan topic of a ROS recording, when there are several.
     odom_topic
-        The odometry or tf topic of a ROS recording, where there are several.
+        The odometry or tf topic of a ROS recording, when there are several.
     sensor_pose
-        Where the scanner stands on the robot, as x,y,theta in metres and radians, if the log does not know.
+        The pose of the scanner on the robot, as x,y,theta in metres and radians, if the log does not have it.
     mirrored
         The beams of the log run clockwise.
     loops
-        Close loops where --method graph finds old places again; --no-loops leaves them open.
+        Close loops (--method graph); --no-loops leaves them open.
     merge
-        Make one map of all robots that --method graph can tie together; --no-merge leaves every robot's alone.
+        Make one map of all robots that can be merged (--method graph); --no-merge keeps one map per robot.
     resume
-        A finished result of --method graph that the logs go on from: of a robot of its own, or of one in it.
+        A finished result of --method graph to add the logs to, as new robots or as longer logs of its robots.
     """
 
     particles: int | None = None
@@ -76,7 +76,7 @@ def map_logs(
     mcap: Annotated[bool, Parameter(negative="")] = False,
     force: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Make one map of the logs of a team: a local map a robot, then all of them woven together.
+    """Make one map of the logs of a team: a local map for each robot, then all of them merged.
 
     Parameters
     ----------
@@ -87,15 +87,15 @@ def map_logs(
     robots
         Use these robots only, as 1,2.
     method
-        How each robot maps its own surroundings; laser logs: graph (which alone closes loops and makes
-        one map of several), particle, gated or icp.
+        How each robot is mapped; landmark logs: ekf; laser logs: graph (the only one that closes loops and merges
+        robots), particle, gated or icp.
     weights
         How much each robot's map counts: constant, paper, diagonal, full, full-scaled or naive (full-scaled).
     share
         Use the first share of a robot's time span only, as 1:1.0,2:0.5.
     start
-        Where a robot starts in the map if that is known, as robot2=x,y,theta in metres and radians; of laser logs and
-        mixed teams also robot2=x,y,theta,sigma with the metres it may be off.
+        Where a robot starts in the map if that is known, as robot2=x,y,theta in metres and radians; for laser logs and
+        mixed teams also robot2=x,y,theta,sigma with its standard deviation in metres.
     truth
         Score the result against this when it is done; no estimator ever sees it.
     config
@@ -103,21 +103,21 @@ def map_logs(
     seed
         The same seed gives the same result, to the byte.
     jobs
-        How many robots are worked on at once; the result is the same.
+        How many robots are mapped at once; the result is the same.
     cluster
-        The address of a Dask scheduler (tcp://host:8786) whose workers make the robots' own maps, in place of --jobs.
+        The address of a Dask scheduler (tcp://host:8786) whose workers map the robots, instead of --jobs.
     fuse_every
         Also fuse every so many seconds while the logs play, and report how the map grew.
     refine
-        Smooth the whole team at the end (landmark logs); --no-refine leaves the fused filters' map as it is.
+        Smooth the whole team at the end (landmark logs); --no-refine keeps the fused map of the filters.
     online
-        Smooth already while the logs play (landmark logs): what each step took and how far the map was behind is told.
+        Smooth while the logs play (landmark logs), and report the time and lag of each step.
     calibration
-        What is known of the robots beforehand, as calibration.json holds it; a value without sd is held.
+        Known calibration of the robots, in the form of calibration.json; a value without sd is fixed.
     survey
-        Landmarks whose places are known, as id,x,y or id,x,y,sd in metres; their frame becomes the map's.
+        Landmarks at known places, as id,x,y or id,x,y,sd in metres; their frame becomes the map's.
     mcap
-        Also write result.mcap: map, ways, landmarks and walls as messages for RViz and Foxglove.
+        Also write result.mcap: map, paths, landmarks and walls as messages for RViz and Foxglove.
     force
         Write into the folder even when something other than a result stands there.
     """

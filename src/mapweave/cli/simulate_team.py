@@ -34,9 +34,9 @@ def team(
     lasers
         How many robots with a laser scanner and wheels, and no camera.
     cameras
-        How many robots with wheels and a camera that tells range and bearing of landmarks and of other robots.
+        How many robots with wheels and a camera that measures range and bearing of landmarks and of other robots.
     bearing_cameras
-        How many robots with wheels and a camera that tells bearings alone.
+        How many robots with wheels and a camera that measures bearings alone.
     bearings
         How many robots with nothing but bearings to the others: no wheels, no landmarks.
     rooms

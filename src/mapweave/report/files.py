@@ -27,11 +27,11 @@ HOLDS = {
     "pose_graph.g2o": "poses and edges, for GTSAM, g2o and others",
     "positions.csv": "where each robot is, with covariances",
     "recording": "the simulated recordings, which map reads again",
-    "result.mcap": "map, ways and landmarks, for RViz and Foxglove",
+    "result.mcap": "map, paths and landmarks, for RViz and Foxglove",
     "robot_graph.npz": "keyframes with their returns, steps and closures",
-    "runs.csv": "a row a run, with its scores",
-    "scans.csv": "a row a scan: pose, innovation, decision",
-    "state": "what going on with --resume needs",
+    "runs.csv": "a row for each run, with its scores",
+    "scans.csv": "a row for each scan: pose, innovation, decision",
+    "state": "what --resume needs to go on",
     "trajectories": "where each robot went: TUM or CSV, covariances beside",
 }
 

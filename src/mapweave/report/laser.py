@@ -104,7 +104,7 @@ def _robot(page: Page, folder: Path, made: LaserMap, truth: Track | None) -> Non
         draw_calibration(figures / f"{name}_calibration.png", made.calibration)
         page.figure(
             figures / f"{name}_calibration.png",
-            f"Found from this log itself, from {made.calibration.samples} returns; the residual is what range, "
+            f"Estimated from this log itself, from {made.calibration.samples} returns; the residual is what range, "
             "incidence and place leave unexplained.",
         )
 
@@ -122,7 +122,7 @@ def _headline(made: LaserMap) -> list[tuple[str, str]]:
     ]
     if made.dead_reckoning is not None:
         off = made.track.pose[-1, :2] - made.dead_reckoning.pose[-1, :2]
-        cards.append(("odometry mended by", f"{np.hypot(*off):.2f} m at the end"))
+        cards.append(("odometry corrected by", f"{np.hypot(*off):.2f} m at the end"))
     if "ms_per_scan" in made.timing:
         cards.append(("a scan took", f"{made.timing['ms_per_scan']:.1f} ms"))
     return cards

@@ -234,7 +234,7 @@ def laser_scene(
 
     Closures that were refused and other ways are hidden at first.
     """
-    scene = Scene("Laser map with the ways of its robots", hidden=["closures refused", *(others or {})])
+    scene = Scene("Laser map with the trajectories of its robots", hidden=["closures refused", *(others or {})])
     walls(scene, grid)
     for accepted, layer, shade in ((True, "closures believed", BELIEVED), (False, "closures refused", REFUSED)):
         rows = [c for c in closures if c.accepted == accepted]

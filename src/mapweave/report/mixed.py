@@ -97,7 +97,7 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
     """`report.html` and `figures/*.png` in `folder`."""
     whole = story.map.components
     tied = len(whole[0].map.robots)
-    page = Page(story.title, f"{tied} of {len(story.robots)} robots tied into one map.")
+    page = Page(story.title, f"{tied} of {len(story.robots)} robots in one map.")
     page.cards(
         [
             ("robots in the map", f"{tied} of {len(story.robots)}"),
@@ -117,7 +117,7 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
         for line in story.lines:
             page.text(line)
     page.section("How they were tied")
-    for sentence in words(story) or ["Nobody was tied to anybody."]:
+    for sentence in words(story) or ["No robots could be connected."]:
         page.text(sentence)
     page.section("The whole team at once")
     for k, component in enumerate(whole, 1):
@@ -146,7 +146,7 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
             for r, known in found.items()
         ]
         page.table(head, rows)
-        page.text("With one standard deviation; an asterisk: the data told little more than was assumed beforehand.")
+        page.text("With one standard deviation. An asterisk: the data added little to what was assumed.")
     page.write(folder / "report.html")
 
 

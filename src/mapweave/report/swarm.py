@@ -109,10 +109,10 @@ def write_moved_report(out: Path, story: MovedStory, lines: Sequence[str], metri
         page.text(f"There are too few anchors to fix everything: {story.track.gauge}.", warn=True)
     tracks_figure(figures / "tracks.png", story.ids, story.track, story.anchors, truth)
     scene = moved_scene(story.ids, story.track, story.anchors, truth)
-    page.scene(scene, "Every robot's way, smoothed over all sightings.", figures / "tracks.png")
+    page.scene(scene, "The trajectory of every robot, smoothed over all sightings.", figures / "tracks.png")
     if truth and not story.track.gauge:
         track_errors_figure(figures / "errors.png", story.track, truth, story.anchors)
-        page.figure(figures / "errors.png", "Errors against the truth, and what was promised.")
+        page.figure(figures / "errors.png", "Errors against the truth, and what the covariances promise.")
     page.section("All that was said")
     for text in lines:
         page.text(text)

@@ -18,7 +18,7 @@ from .style import PALETTE, SEQUENTIAL, TRUTH, Target, as_map, figure, name_poin
 FEW = 60  # robots up to which each is named
 SOME = 1500  # up to which each has its ellipse and each sighting its line
 BLUE, ORANGE, RED = PALETTE[0], PALETTE[1], PALETTE[5]
-MUTED_NOTE = "Triangles are anchors; orange crosses are robots that cannot be located, drawn at a mere guess."
+MUTED_NOTE = "Triangles are anchors; orange crosses are robots that cannot be located, drawn at a rough guess."
 PLANES = {2: ((0, 1),), 3: ((0, 1), (0, 2))}
 
 
@@ -148,7 +148,7 @@ def tracks_figure(
             ends = np.array([one.position[-1, :2] for one in track.tracks.values()]).reshape(-1, 2)
             name_points(ax, [ids[k] for k in track.tracks], ends, 7)
         ax.plot([], [], "^", color=TRUTH, ls="none", label="stands still")
-        ax.plot([], [], "o-", color=BLUE, label="way, and where it ends")
+        ax.plot([], [], "o-", color=BLUE, label="trajectory, and where it ends")
         as_map(ax, "robots over time")
         ax.legend(loc="best")
 

@@ -72,7 +72,7 @@ def _map(page: Page, png: Path, story: TeamStory, team: TeamMap) -> None:
 def _lead(story: TeamStory) -> str:
     names = ", ".join(map(robot_key, story.robots))
     tied = len(story.maps[0].robots)
-    return f"Robots {names}; {tied} of {len(story.robots)} tied into one map."
+    return f"Robots {names}; {tied} of {len(story.robots)} in one map."
 
 
 def _headline(story: TeamStory) -> list[tuple[str, str]]:
@@ -149,7 +149,7 @@ def _smoothing(page: Page, story: TeamStory) -> None:
         page.table(
             head, [[robot_key(robot), *(_told(known, p, story) for p in PARAMETERS)] for robot, known in found.items()]
         )
-        page.text("With one standard deviation; an asterisk: the data told little more than was assumed beforehand.")
+        page.text("With one standard deviation. An asterisk: the data added little to what was assumed.")
 
 
 def _online(page: Page, run: OnlineRun) -> None:
@@ -157,9 +157,9 @@ def _online(page: Page, run: OnlineRun) -> None:
     page.section("While the logs played")
     page.text(
         f"{len(run.seconds):,} steps of {run.step:g} s; in each {run.linearised.mean():.1f} of {run.stretches} "
-        f"stretches of time were linearised, {run.renewed} times an older one that had moved. Robots or landmarks came "
-        f"in {len(run.laid_out)} times, and all was laid out anew. Nothing was marginalised for good: a stretch keeps "
-        "what it says, and is linearised anew when its poses, landmarks or calibrations have moved."
+        f"stretches of time were linearised, {run.renewed} times an older one that had moved. Robots or landmarks "
+        f"were added {len(run.laid_out)} times, and the whole problem was set up again. Nothing was marginalised for "
+        "good: a stretch is linearised again when its poses, landmarks or calibrations have moved."
     )
     timing = run.timing()
     names = (("a step", "step"), ("lag: oldest row to map", "lag"))
@@ -168,7 +168,7 @@ def _online(page: Page, run: OnlineRun) -> None:
         [[told, *(timing[f"{key}_{which}"] for which in ("mean", "p99", "max"))] for told, key in names],
     )
     if run.landmarks_moved is not None:
-        ways = "" if run.ways_moved is None else f", ways by {run.ways_moved:.4f} m"
+        ways = "" if run.ways_moved is None else f", trajectories by {run.ways_moved:.4f} m"
         page.text(
             f"When the logs ended, smoothing everything to the end took {run.closing:.2f} s and moved landmarks by "
             f"{run.landmarks_moved:.4f} m{ways} (root mean square)."

@@ -38,7 +38,7 @@ def write_woven(
     truth: Mapping[str, Track],
 ) -> None:
     """The sections on `page`, its figures in `folder/figures`, and intensity.png of every map of several robots."""
-    page.section("Which robots hang together")
+    page.section("Which robots are in one map")
     for made in components:
         page.text(f"{told_component(made)}.")
     if merges:
@@ -49,13 +49,13 @@ def write_woven(
     graphs = {made.robot: made.graph for made in maps if made.graph is not None}
     shown = [m for m in merges if m.best is not None and m.a in graphs and m.b in graphs]
     if shown:
-        page.section("Two maps laid on each other")
+        page.section("Pairs of maps on top of each other")
     for merge in shown[:MOST_PICTURES]:
         path = folder / "figures" / f"pair_{_file(merge.a)}_{_file(merge.b)}.png"
         draw_pair(path, merge, graphs[merge.a], graphs[merge.b])
         page.figure(path, f"{told_merge(merge)}.")
     if len(shown) > MOST_PICTURES:
-        page.text(f"{len(shown) - MOST_PICTURES} pairs more are told in the table alone.")
+        page.text(f"{len(shown) - MOST_PICTURES} more pairs are in the table only.")
 
 
 def _pairs(page: Page, merges: Sequence[Merge]) -> None:
@@ -103,7 +103,7 @@ def _component(page: Page, folder: Path, made: WovenMap, k: int, truth: Mapping[
     draw_closures(figures / f"component{k}_closures.png", made)
     page.figure(
         figures / f"component{k}_closures.png",
-        "From keyframe to keyframe; closures.csv tells why each was believed or refused.",
+        "From keyframe to keyframe; closures.csv says why each was accepted or refused.",
     )
     if made.feature != "none":
         light = (folder if k == 1 else folder / "components" / str(k)) / "intensity.png"
