@@ -147,3 +147,13 @@ def test_a_line_that_would_be_millions_of_words_is_refused_before_it_is_cut_into
     path.write_text("VERTEX_SE2 0 0 0 0\nFIX " + "0 " * 600_000 + "\n")
     with pytest.raises(ReaderError, match=r"a\.g2o:2: expected lines of at most 1048576 characters, found one"):
         read_g2o(path)
+
+
+def test_a_table_that_is_no_graph_is_told_in_one_short_line(tmp_path):
+    path = tmp_path / "sightings.csv"
+    path.write_text(
+        "observer,target,bearing\n" + "".join(f"1,{k},0.123456789012345678901234567890\n" for k in range(99))
+    )
+    with pytest.raises(ReaderError, match=r"rows, found 1 observer,target,bearing, .* 95 kinds more$") as error:
+        read_g2o(path)
+    assert len(str(error.value)) < len(str(path)) + 300

@@ -1,7 +1,7 @@
 """Pose graphs as g2o text: `VERTEX_SE2 i x y theta`, `EDGE_SE2 i j dx dy dtheta I11 I12 I13 I22 I23 I33`."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +21,7 @@ NUMBERS = {VERTEX: (1, 3), EDGE: (2, 9), PRIOR: (1, 9)}  # ids, then numbers, in
 AGREE = chi2_quantile(1.0 - 1e-6, 3.0)  # squared sd by which two priors of one vertex may differ
 UPPER = np.triu_indices(3)
 LARGEST = 2**63  # an id is less
+TOLD_KINDS, TOLD_LETTERS = 5, 30  # of rows passed over, in a sentence
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +43,7 @@ class G2oFile:
     @property
     def warnings(self) -> tuple[str, ...]:
         """One sentence where rows of unknown kinds were passed over."""
-        told = ", ".join(f"{n} {kind}" for kind, n in self.unread.items())
+        told = _kinds(self.unread)
         kinds = f"{VERTEX}, {EDGE}, {PRIOR} and {FIX}"
         return (f"rows of other kinds than {kinds} are passed over: {told}",) if told else ()
 
@@ -76,8 +77,7 @@ def read_g2o_file(path: Path, *, parts: bool = False) -> G2oFile:
     """
     rows = _rows(path)
     if not rows.ends and not rows.poses:
-        told = ", ".join(f"{n} {kind}" for kind, n in rows.unread.items())
-        raise ReaderError(path, f"expected {VERTEX} and {EDGE} rows, found {told or 'none'}")
+        raise ReaderError(path, f"expected {VERTEX} and {EDGE} rows, found {_kinds(rows.unread) or 'none'}")
     names = tuple(sorted({*rows.poses, *(i for pair in rows.ends for i in pair)}))
     index = {name: k for k, name in enumerate(names)}
     for name, line in rows.fixed.items():
@@ -101,6 +101,13 @@ def read_g2o_file(path: Path, *, parts: bool = False) -> G2oFile:
     fixed = tuple(index[name] for name in rows.fixed)
     started = ~np.isnan(start[:, 0])
     return G2oFile(graph, names, fixed, started, _priors(path, rows, index), dict(sorted(rows.unread.items())))
+
+
+def _kinds(unread: Mapping[str, int]) -> str:
+    """How many rows there are of the first few kinds, long names cut, and how many kinds more."""
+    told = [f"{n} {kind[:TOLD_LETTERS]}" for kind, n in list(unread.items())[:TOLD_KINDS]]
+    more = len(unread) - len(told)
+    return ", ".join([*told, *([f"{more} kinds more"] if more else [])])
 
 
 def _priors(path: Path, rows: _Rows, index: dict[int, int]) -> tuple[Prior, ...]:
