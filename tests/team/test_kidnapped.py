@@ -112,6 +112,16 @@ def test_nobody_is_cut_in_a_real_room(data):
     assert all(a is b for a, b in zip(cut_of(logs), logs, strict=True))
 
 
+@pytest.mark.data
+def test_landmarks_that_drive_about_carry_nobody(data):
+    """Of robots whose own logs are missing, one in a half of the log seems to stand still."""
+    log = read_landmark_logs(data / "mrclam" / "MRCLAM_Dataset6.zip", [3])[0]
+    alone = replace(
+        log, sightings=replace(log.sightings, ids=tuple(i.removeprefix("robot") for i in log.sightings.ids))
+    )
+    assert cut_of([alone])[0] is alone
+
+
 @pytest.mark.slow
 def test_a_camera_robot_of_a_mixed_team_put_down_elsewhere_is_cut_too(monkeypatch, tmp_path):
     drive = mixed_simulator.drive_team

@@ -5,7 +5,7 @@ carried robot had no part in, every few seconds of its log place it on their own
 moment follow from each other as the wheels say, but not across it, it was put down elsewhere.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -55,6 +55,7 @@ class KidnapConfig:
     most: int = 5  # robots, one after the other
 
 
+RESTLESS = "at no fixed place"  # what a local map says of a name that is left out of it
 NEXT = 1e-3  # [s] after a stamp that is still of the stretch before
 
 
@@ -215,7 +216,7 @@ def _suspects(
         log = logs[m.robot]
         if log.odometry is None or not len(m.submap.ids):
             continue
-        restless = sum("at no fixed place" in w and not w.startswith("barcode:") for w in m.warnings)
+        restless = sum(RESTLESS in w and not w.startswith("barcode:") for w in m.warnings)
         n = _bad_bins(m, fusion, logs, cfg, placing)
         if n >= cfg.bad_bins or restless or _bent(m.track, log, _calibrated(smoothing, m), cfg.bent_within) > cfg.bent:
             bad[m.robot] = n
@@ -266,21 +267,48 @@ def _moments(
 ) -> tuple[Relocation, ...]:
     """When [s] the robot was put down elsewhere: against each half of its own log, then against what others mapped.
 
-    A robot that nobody carried contradicts no half of its own; where it was carried, one half is whole.
+    A robot that nobody carried contradicts no half of its own; where it was carried, one half is whole. Names that had
+    no fixed place in its map may be things that move: what they alone tell is not believed.
     """
     a, b = log.span
+    restless = {w.split(" was seen ")[0] for m in maps if m.robot == log.robot for w in m.warnings if RESTLESS in w}
     for half in (log.within(-np.inf, 0.5 * (a + b)), log.within(0.5 * (a + b), np.inf)):
         own = mapper(half) if len(half.sightings) else None
         if own is not None and len(own.submap.ids) >= cfg.landmarks:
             known = _calibrated(smoothing, own)
-            found = _jumps(_landmarks(own.submap.landmarks), log, {}, cfg, placing, known)
-            if found:
+            reference = _landmarks(own.submap.landmarks)
+            found = _jumps(reference, log, {}, cfg, placing, known)
+            if found and not _denied(found, reference, log, {}, restless, cfg, placing, known):
                 return found
     others = join([m for m in maps if m.robot != log.robot])
     first = others.components[0] if others.components else None
     if first is None or len(first.robots) < 2 or len(first.map) < cfg.landmarks:
         return ()
-    return _jumps(_landmarks(first.map), log, fusion.labels, cfg, placing, smoothing)
+    reference = _landmarks(first.map)
+    found = _jumps(reference, log, fusion.labels, cfg, placing, smoothing)
+    denied = found and _denied(found, reference, log, fusion.labels, restless, cfg, placing, smoothing)
+    return () if denied else found
+
+
+def _denied(
+    moments: Sequence[Relocation],
+    reference: Body,
+    log: LandmarkLog,
+    labels: Labels,
+    restless: Collection[str],
+    cfg: KidnapConfig,
+    placing: PlacingConfig,
+    smoothing: SmoothingConfig,
+) -> bool:
+    """Whether landmarks that are not `restless` place the robot on either side of every moment, and deny it."""
+    names = {labels.get(log.robot, {}).get(name, name) for name in restless}
+    still = Body({}, {name: place for name, place in reference.landmarks.items() if name not in names})
+    if not names or len(still.landmarks) < cfg.landmarks or _jumps(still, log, labels, cfg, placing, smoothing):
+        return False
+    carrier = carried_by_wheels(log, {}, smoothing)
+    windows = placed_windows(still, log, carrier, {log.robot: log}, labels, replace(placing, window=cfg.window))
+    placed = [windows.t[k] for run in _runs(windows, carrier, cfg.run, cfg) for k in (run[0], run[-1])]
+    return bool(placed) and all(min(placed) < m.begin and m.end < max(placed) for m in moments)
 
 
 def _calibrated(smoothing: SmoothingConfig, m: LocalMap) -> SmoothingConfig:
