@@ -62,3 +62,15 @@ def test_the_first_example_of_swarms_locates_every_robot_as_printed(tmp_path, mo
 
 def test_there_are_commands_to_try():
     assert len(EVERY) > 30
+
+
+def test_the_readme_tells_the_two_commands_that_do_all():
+    told = [
+        line.split("#")[0].strip()
+        for _, block in BLOCK.findall((TOP / "README.md").read_text())
+        for line in block.splitlines()
+    ]
+    assert [line for line in told if line.startswith("python3 bootstrap.py")] == [
+        "python3 bootstrap.py demo",
+        "python3 bootstrap.py test",
+    ]
