@@ -6,6 +6,8 @@ import pytest
 from mapweave.core import se2
 from mapweave.kernels.laser import tiles
 from mapweave.kernels.laser.local_map import (
+    MatchCost,
+    ScanPoints,
     add_points,
     align_scan,
     count_matches,
@@ -153,7 +155,14 @@ def test_a_step_of_scan_matching_is_the_dense_one(tangent):
         predicted = T + np.array([0.04, -0.07, 0.06 + turn])
         start = T + np.array([0.03, 0.02, 0.03])
         pose, H, cost = align_scan(
-            lines, CELL, s, normal, q, ALPHA, AGREE, start, predicted, sd, information, tangent, KAPPA, 1
+            lines,
+            CELL,
+            ScanPoints(s, normal, q),
+            MatchCost(ALPHA, AGREE, information, tangent, KAPPA),
+            start,
+            predicted,
+            sd,
+            1,
         )
         wanted, dense, dense_cost = dense_step(lines, s, normal, q, start, predicted, sd, information, tangent)
         np.testing.assert_allclose(pose, wanted, atol=1e-5)
@@ -168,11 +177,11 @@ def test_a_match_walks_to_where_its_own_step_is_nothing():
     _, lines = built(*walls(rng))
     s, normal, q, T = scan(rng)
     sd = np.array([0.3, 0.3, 0.3])
-    at = (lines, CELL, s, normal, q, ALPHA, AGREE)
-    pose, _, cost = align_scan(*at, T + np.array([0.05, -0.04, 0.04]), T, sd, 60.0 / 0.02**2, 0.1, KAPPA, 60)
-    _, _, there = align_scan(*at, T, T, sd, 60.0 / 0.02**2, 0.1, KAPPA, 1)
+    at = (lines, CELL, ScanPoints(s, normal, q), MatchCost(ALPHA, AGREE, 60.0 / 0.02**2, 0.1, KAPPA))
+    pose, _, cost = align_scan(*at, T + np.array([0.05, -0.04, 0.04]), T, sd, 60)
+    _, _, there = align_scan(*at, T, T, sd, 1)
     assert np.abs(se2.between(T, pose)).max() < 0.03
-    again, _, _ = align_scan(*at, pose, T, sd, 60.0 / 0.02**2, 0.1, KAPPA, 1)
+    again, _, _ = align_scan(*at, pose, T, sd, 1)
     assert np.abs(again - pose).max() < 2e-5
     assert cost < 1.05 * there
 

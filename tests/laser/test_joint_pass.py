@@ -44,13 +44,11 @@ def cloud_at(truth, most=120):
 def test_a_pair_of_scans_is_matched_as_by_trying_every_return():
     poses = np.array([[0.0, 0.0, 0.0], [0.5, -0.3, 0.6]])
     cloud = cloud_at(poses)
-    table = beams_by_direction(cloud.start, cloud.points, cloud.lined, cloud.sensor, 720)
     relative = np.add(se2.between(poses[0], poses[1]), [0.03, -0.02, 0.02])
     gate, width = 0.3, 0.1
     H, g, matched, near = match_pairs(
-        np.array([0]), np.array([1]), relative[None], cloud.start, cloud.points, cloud.normals, cloud.lined, table,
-        cloud.sensor, gate, 0.5, width,
-    )  # fmt: skip
+        np.array([0]), np.array([1]), relative[None], cloud.lines, cloud.index(720), gate, 0.5, width
+    )
     a, b = slice(0, cloud.start[1]), slice(cloud.start[1], cloud.start[2])
     lines, normals = cloud.points[a][cloud.lined[a]], cloud.normals[a][cloud.lined[a]]
     R = se2.rotation(float(relative[2]))
@@ -113,15 +111,14 @@ def test_a_step_of_laying_a_scan_on_keyframes_is_the_dense_one():
     keyframes = np.array([[0.0, 0.0, 0.0], [0.5, -0.3, 2.6], [-0.4, 0.2, -1.0]])
     true = np.array([0.3, 0.25, 0.4])
     cloud, scan = cloud_at(keyframes), cloud_at(true[None], most=60)
-    table = beams_by_direction(cloud.start, cloud.points, cloud.lined, cloud.sensor, 720)
     near = np.array([[2, 0, -1, 1]])
     start, width, gate, per_return = true + np.array([0.03, -0.02, 0.015]), 0.08, 3.0, 400.0
     sd = np.array([0.05, 0.05, 0.02])
 
     def laid(widths, begun=start):
         return refine_poses(
-            begun[None], scan.start, scan.points, scan.normals, scan.lined, near, keyframes, cloud.points,
-            cloud.normals, table, cloud.sensor, gate, 0.5, np.array(widths), per_return, sd,
+            begun[None], scan.lines, near, keyframes, cloud.lines, cloud.index(720), gate, 0.5, np.array(widths),
+            per_return, sd,
         )[0]  # fmt: skip
 
     def step(pose):

@@ -11,7 +11,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.errors import ConfigError
 from mapweave.core.records import Scan
-from mapweave.kernels.laser.local_map import add_points, align_scan, fit_lines, solve3
+from mapweave.kernels.laser.local_map import MatchCost, ScanPoints, add_points, align_scan, fit_lines, solve3
 from mapweave.laser.beam import BeamConfig, beams
 from mapweave.laser.scan_matching import FrontEnd, FrontEndConfig, allowed_sd
 
@@ -94,17 +94,11 @@ def test_the_information_of_a_match_is_small_along_a_corridor_and_large_across()
     pose, H, _ = align_scan(
         lines,
         0.1,
-        wall,
-        normal,
-        np.zeros(len(wall)),
-        1.0,
-        0.5,
+        ScanPoints(wall, normal, np.zeros(len(wall))),
+        MatchCost(1.0, 0.5, 60 / 0.02**2, 0.0, 0.1),
         np.array([0.03, 0.04, 0.01]),
         np.zeros(3),
         sd,
-        60 / 0.02**2,
-        0.0,
-        0.1,
         20,
     )
     assert abs(pose[1]) < 0.005

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from ..core import se2
 from ..core.config import config
 from ..core.records import frozen
-from ..kernels.laser.joint_scans import beams_by_direction, match_pairs, refine_poses
+from ..kernels.laser.joint_scans import BeamIndex, ScanLines, beams_by_direction, match_pairs, refine_poses
 from ..solve import Factor, Information, Pattern, Problem, SingularError, wrapping
 from .beam import Beams
 from .pose_graph import PoseGraph, edge_factor
@@ -66,6 +66,14 @@ class ScanCloud:
 
     def __len__(self) -> int:
         return len(self.start) - 1
+
+    @property
+    def lines(self) -> ScanLines:
+        return ScanLines(self.start, self.points, self.normals, self.lined)
+
+    def index(self, sectors: int) -> BeamIndex:
+        """Every scan's returns by their direction from the scanner."""
+        return BeamIndex(beams_by_direction(self.start, self.points, self.lined, self.sensor, sectors), self.sensor)
 
 
 def scan_cloud(scans: Sequence[Beams], sensor: Float[np.ndarray, "n 2"], most: int) -> ScanCloud:
@@ -124,7 +132,7 @@ def joint_pass(
     pose = np.array(steps.pose)
     if len(pose) < 2:
         return pose
-    table = beams_by_direction(cloud.start, cloud.points, cloud.lined, cloud.sensor, cfg.sectors)
+    index = cloud.index(cfg.sectors)
     lined = np.add.reduceat(np.append(cloud.lined, False).astype(np.int64), cloud.start[:-1]) * (
         np.diff(cloud.start) > 0
     )
@@ -151,12 +159,8 @@ def joint_pass(
             a,
             b,
             np.asarray(se2.between(pose[a], pose[b])),
-            cloud.start,
-            cloud.points,
-            cloud.normals,
-            cloud.lined,
-            table,
-            cloud.sensor,
+            cloud.lines,
+            index,
             cfg.gate * width,
             cfg.agree,
             width,
@@ -252,16 +256,11 @@ def lay_scans(
         return pose
     out = refine_poses(
         np.ascontiguousarray(pose),
-        scans.start,
-        scans.points,
-        scans.normals,
-        scans.lined,
+        scans.lines,
         neighbours(pose, keyframes, cfg.scan_around, cfg, own),
         np.ascontiguousarray(keyframes),
-        cloud.points,
-        cloud.normals,
-        beams_by_direction(cloud.start, cloud.points, cloud.lined, cloud.sensor, cfg.sectors),
-        cloud.sensor,
+        cloud.lines,
+        cloud.index(cfg.sectors),
         cfg.gate,
         cfg.agree,
         np.asarray(cfg.scan_widths, dtype=float),

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.config import config
 from ..core.errors import ConfigError
-from ..kernels.laser.local_map import add_points, align_scan, count_matches, fit_lines
+from ..kernels.laser.local_map import MatchCost, ScanPoints, add_points, align_scan, count_matches, fit_lines
 from .beam import Beams
 
 
@@ -186,17 +186,11 @@ class FrontEnd:
         _, H, _ = align_scan(
             self.fine,
             c.fine,
-            b.s,
-            b.normal,
-            b.q,
-            c.alpha,
-            c.agree,
+            ScanPoints(b.s, b.normal, b.q),
+            MatchCost(c.alpha, c.agree, c.neff / c.sigma**2, 0.0, c.kappa),
             pose,
             pose,
             held,
-            c.neff / c.sigma**2,
-            0.0,
-            c.kappa,
             1,
         )
         return np.asarray(H - np.diag(held**-2.0))
@@ -211,39 +205,11 @@ class FrontEnd:
         self, b: Beams, start: np.ndarray, predicted: np.ndarray, sd: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, float]:
         c = self.cfg
-        information = c.neff / c.sigma**2
-        pose, _, _ = align_scan(
-            self.coarse,
-            c.coarse,
-            b.s,
-            b.normal,
-            b.q,
-            c.alpha,
-            c.agree,
-            start,
-            predicted,
-            sd,
-            information,
-            self.tangent,
-            c.coarse_kappa,
-            c.coarse_iterations,
-        )
-        pose, H, cost = align_scan(
-            self.fine,
-            c.fine,
-            b.s,
-            b.normal,
-            b.q,
-            c.alpha,
-            c.agree,
-            pose,
-            predicted,
-            sd,
-            information,
-            self.tangent,
-            c.kappa,
-            c.fine_iterations,
-        )
+        scan = ScanPoints(b.s, b.normal, b.q)
+        fine = MatchCost(c.alpha, c.agree, c.neff / c.sigma**2, self.tangent, c.kappa)
+        coarse = fine._replace(kappa=c.coarse_kappa)
+        pose, _, _ = align_scan(self.coarse, c.coarse, scan, coarse, start, predicted, sd, c.coarse_iterations)
+        pose, H, cost = align_scan(self.fine, c.fine, scan, fine, pose, predicted, sd, c.fine_iterations)
         pose[2] = se2.wrap_angle(pose[2])
         return pose, H, cost
 

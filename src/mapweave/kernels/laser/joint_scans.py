@@ -6,6 +6,7 @@ lies near it in direction.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +14,22 @@ from .._jit import kernel, parallel_kernel, prange
 from .local_map import solve3
 
 WIDEST = 12  # sectors to either side that are searched at most
+
+
+class ScanLines(NamedTuple):
+    """The returns of n scans: start (n + 1,), points (m, 2), normals (m, 2), and lined (m,) which normals hold."""
+
+    start: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+    lined: np.ndarray
+
+
+class BeamIndex(NamedTuple):
+    """Of n scans what `beams_by_direction` gives, table (n, sectors), and sensor (n, 2) where their scanners were."""
+
+    table: np.ndarray
+    sensor: np.ndarray
 
 
 @kernel
@@ -78,12 +95,8 @@ def match_pairs(
     first: np.ndarray,
     second: np.ndarray,
     relative: np.ndarray,
-    start: np.ndarray,
-    points: np.ndarray,
-    normals: np.ndarray,
-    lined: np.ndarray,
-    table: np.ndarray,
-    sensor: np.ndarray,
+    scans: ScanLines,
+    index: BeamIndex,
     gate: float,
     agree: float,
     width: float,
@@ -93,6 +106,7 @@ def match_pairs(
     Information (p, 3, 3) and gradient (p, 3) of half the sum of Geman-McClure costs of `width` [m], unit sigma, over
     x, y, theta of `relative`; returns that found a line within `gate` (p,); those of them within `width` (p,).
     """
+    (start, points, normals, lined), (table, sensor) = scans, index
     p = first.shape[0]
     H, g = np.zeros((p, 3, 3)), np.zeros((p, 3))
     matched, near = np.zeros(p, np.int64), np.zeros(p, np.int64)
@@ -136,16 +150,11 @@ def match_pairs(
 @parallel_kernel
 def refine_poses(
     pose: np.ndarray,
-    scan_start: np.ndarray,
-    scan_points: np.ndarray,
-    scan_normals: np.ndarray,
-    scan_lined: np.ndarray,
+    scans: ScanLines,
     near: np.ndarray,
     keyframe_pose: np.ndarray,
-    points: np.ndarray,
-    normals: np.ndarray,
-    table: np.ndarray,
-    sensor: np.ndarray,
+    keyframes: ScanLines,
+    index: BeamIndex,
     gate: float,
     agree: float,
     widths: np.ndarray,
@@ -157,6 +166,8 @@ def refine_poses(
     near: (s, k) the keyframes each scan is matched against, -1 for none; gate: (m) a return's line is within
     `gate` widths; per_return: information [1/m^2] of one matched return; sd: (3,) [m, m, rad] of the pose given.
     """
+    scan_start, scan_points, scan_normals, scan_lined = scans
+    (_, points, normals, _), (table, sensor) = keyframes, index
     out = pose.copy()
     for m in prange(pose.shape[0]):
         x0, y0, t0 = pose[m, 0], pose[m, 1], pose[m, 2]

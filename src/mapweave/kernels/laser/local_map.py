@@ -9,10 +9,33 @@ Cell (ix, iy) of the plane lives at (iy mod size, ix mod size); the map must be 
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from .._jit import kernel
+
+
+class ScanPoints(NamedTuple):
+    """n returns of a scan: s (n, 2) [m] and normal (n, 2) in the robot frame, q (n,) feature."""
+
+    s: np.ndarray
+    normal: np.ndarray
+    q: np.ndarray
+
+
+class MatchCost(NamedTuple):
+    """What a match minimises; see `align_scan`.
+
+    alpha: [m^2] of a squared difference of q; agree: cosine up to which normals are of one wall; information: [1/m^2]
+    of all returns together; tangent: the share of errors along a line; kappa: [m] width of the robust kernel.
+    """
+
+    alpha: float
+    agree: float
+    information: float
+    tangent: float
+    kappa: float
 
 
 @kernel
@@ -153,17 +176,11 @@ def count_matches(
 def align_scan(  # noqa: PLR0915  (one loop over the beams)
     lines: np.ndarray,
     cell: float,
-    s: np.ndarray,
-    normal: np.ndarray,
-    q: np.ndarray,
-    alpha: float,
-    agree: float,
+    scan: ScanPoints,
+    cost_of: MatchCost,
     start: np.ndarray,
     predicted: np.ndarray,
     sd: np.ndarray,
-    information: float,
-    tangent: float,
-    kappa: float,
     iterations: int,
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Gauss-Newton from `start`: pose (3,), its information matrix (3, 3) over robot-frame x, y, theta, and the cost.
@@ -172,6 +189,8 @@ def align_scan(  # noqa: PLR0915  (one loop over the beams)
     the tangent of the cell's line, rho Geman-McClure of width `kappa` [m], delta the deviation from `predicted` in
     its own frame, m the points of the scan.
     """
+    s, normal, q = scan
+    alpha, agree, information, tangent, kappa = cost_of
     pose = start.copy()
     n = s.shape[0]
     H = np.zeros((3, 3))

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from ...core import se2
 from ...core.config import config
-from ...kernels.laser.joint_scans import beams_by_direction, match_pairs
+from ...kernels.laser.joint_scans import BeamIndex, match_pairs
 from ...laser.beam import Beams
 from ...laser.joint_pass import ScanCloud, scan_cloud, without_scatter
 from ...solve import Cauchy, Factor, Problem, Solution, SolveConfig, minimise, wrapping
@@ -199,25 +199,21 @@ class WallReturns:
     """The returns of all scans, thinned, to be matched point to line with those some scans on."""
 
     cloud: ScanCloud
-    table: Int[np.ndarray, "n s"]
+    index: BeamIndex
     pairs: Int[np.ndarray, "p 2"]
 
     @classmethod
     def of(cls, scans: Sequence[Beams], cfg: LightEdgeConfig) -> "WallReturns":
         cloud = scan_cloud(scans, np.zeros((len(scans), 2)), cfg.beams)
-        table = beams_by_direction(cloud.start, cloud.points, cloud.lined, cloud.sensor, 360)
         n = np.arange(len(scans))
         pairs = [np.column_stack([n[:-k], n[k:]]) for k in cfg.lags if k < len(n)]
-        return cls(cloud, table, np.concatenate([np.zeros((0, 2), np.int64), *pairs]))
+        return cls(cloud, cloud.index(360), np.concatenate([np.zeros((0, 2), np.int64), *pairs]))
 
     def relations(self, pose: Float[np.ndarray, "n 3"], width: float, cfg: LightEdgeConfig) -> RelativePoses:
         """How the second of each pair stands to the first by their walls; along a bare one nothing is said."""
         a, b = np.concatenate([self.pairs, self.pairs[:, ::-1]]).T
-        c = self.cloud
         relative = np.asarray(se2.between(pose[a], pose[b]))
-        H, g, _, near = match_pairs(
-            a, b, relative, c.start, c.points, c.normals, c.lined, self.table, c.sensor, 3.0 * width, 0.5, width
-        )
+        H, g, _, near = match_pairs(a, b, relative, self.cloud.lines, self.index, 3.0 * width, 0.5, width)
         H, g = without_scatter(H, g, cfg.blur)
         enough = near >= 15
         H, g, a, b, relative = (v[enough] for v in (H, g, a, b, relative))
