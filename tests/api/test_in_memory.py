@@ -178,3 +178,54 @@ def test_logs_and_tables_exclude_each_other(drive, team):
         mapweave.map([made.log, folder])
     with pytest.raises(mapweave.UsageError, match="--particles: only for laser logs"):
         mapweave.map(**tables, laser=mapweave.LaserOptions(particles=5))
+
+
+def test_a_robot_is_localized_by_scans_and_a_map_in_memory_as_by_files(tmp_path):
+    drive = mapweave.simulate_laser(tmp_path / "drive.mcap", mapweave.CorridorConfig(distance=6.0), seed=1)
+    made = mapweave.map([drive.log], tmp_path / "out", method="gated", laser=mapweave.LaserOptions(feature="none"))
+    scans = {
+        "t": drive.log.scan_t,
+        "ranges": np.stack([np.where(s.hit, s.ranges, np.inf) for s in drive.log.scans]),
+        "angles": drive.log.scans[0].angles(),
+    }
+    steps = [s.odometry for s in drive.log.scans]
+    wheels = {"t": drive.log.scan_t, **{n: [p[k] for p in steps] for k, n in enumerate(("x", "y", "theta"))}}
+    files = mapweave.localize(tmp_path / "drive.mcap", tmp_path / "out", start=(0.0, 0.0, 0.0))
+    for log, where, odometry in (
+        (drive.log, made, None),
+        (drive.log, tmp_path / "out", None),
+        (scans, made, wheels),
+    ):
+        found = mapweave.localize(log, where, start=(0.0, 0.0, 0.0), odometry=odometry)
+        assert found.metrics["localisation"]["map"] == (str(where) if where is not made else "in memory")
+        at_scans = np.searchsorted(files.found.track.t, found.found.scans.t)
+        np.testing.assert_allclose(found.found.scans.pose, files.found.track.pose[at_scans], atol=0.02)
+    with pytest.raises(mapweave.UsageError, match="odometry: expected scans in memory"):
+        mapweave.localize(drive.log, made, odometry=wheels)
+
+
+def test_robots_are_named_by_number_key_or_name(tmp_path):
+    mapweave.simulate_landmarks(tmp_path / "team", robots=2, landmarks=6, minutes=1.0, seed=1)
+    maps = [
+        mapweave.map(tmp_path / "team", robots=[robot], share={robot: 0.5}, refine=False)
+        for robot in (2, "2", "robot2")
+    ]
+    assert [m.maps[0].robots for m in maps] == [("robot2",)] * 3
+    assert len({m.maps[0].tracks["robot2"].pose.tobytes() for m in maps}) == 1
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: mapweave.map([1, 2]),
+        lambda: mapweave.map(5),
+        lambda: mapweave.fuse([1]),
+        lambda: mapweave.evaluate(3, "truth"),
+        lambda: mapweave.evaluate("out", 3),
+        lambda: mapweave.localize(4, "out"),
+        lambda: mapweave.solve_pose_graph(None),
+    ],
+)
+def test_what_is_no_path_is_told_and_raises_no_type_error(call):
+    with pytest.raises(mapweave.MapweaveError, match="expected"):
+        call()

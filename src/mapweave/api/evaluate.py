@@ -7,6 +7,7 @@ from typing import Any, Protocol, cast, runtime_checkable
 
 from ..core.errors import DataError, ReaderError, UsageError
 from ..core.workers import one_blas_thread
+from .map_options import path_of, paths_of
 from .result import Result
 
 
@@ -72,8 +73,8 @@ def evaluate(directory: Path | str, truth: Path | str | Sequence[Path | str]) ->
     >>> evaluate("out", "team").metrics["landmark_n"]
     7
     """
-    paths = [Path(truth)] if isinstance(truth, Path | str) else [Path(p) for p in truth]
-    found = judged(Path(directory), paths)
+    paths = paths_of(truth, "truth")
+    found = judged(path_of(directory, "directory"), paths)
     if found.unscored:
         raise DataError(f"{', '.join(map(str, paths))}: nothing to score: {found.unscored}; {RULE}")
     return found

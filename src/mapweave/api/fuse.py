@@ -15,6 +15,7 @@ from ..io.local_map import read_local_map
 from ..landmarks.landmark_map import LocalMap
 from .fuse_laser import are_laser_results, fuse_laser
 from .laser_result import LaserResult
+from .map_options import paths_of
 from .team import TeamResult, Watch, team_result
 
 
@@ -25,7 +26,7 @@ def fuse(
     *,
     weights: str | None = None,
     identities: str | None = None,
-    truth: Sequence[Path | str] = (),
+    truth: Path | str | Sequence[Path | str] = (),
     config: Path | str | None = None,
     seed: int = 0,
     force: bool = False,
@@ -75,7 +76,7 @@ def fuse(
     >>> fuse(["one", "two"]).maps[0].robots
     ('one/robot1', 'two/robot2')
     """
-    given = [Path(directories)] if isinstance(directories, Path | str) else [Path(d) for d in directories]
+    given = list(paths_of(directories, "directories"))
     if not given:
         raise UsageError("expected a result of map, found none")
     if out is not None:
@@ -87,7 +88,7 @@ def fuse(
         idle = {"--weights": weights, "--identities": identities}
         if asked := [name for name, value in idle.items() if value is not None]:
             raise UsageError(f"{', '.join(asked)}: only for landmark results, found {given[0]}")
-        names, scores = distinct_names(given), tuple(Path(p) for p in truth)
+        names, scores = distinct_names(given), paths_of(truth, "truth")
         settings = None if config is None else Path(config)
         woven = fuse_laser(given, names, config=settings, seed=seed, truth=scores, on_progress=on_progress)
         if out is not None:
@@ -108,7 +109,7 @@ def fuse(
         seed,
         local,
         join_maps(local, cfg, recordings),
-        tuple(Path(p) for p in truth),
+        paths_of(truth, "truth"),
         (),
         watch,
     )

@@ -1,8 +1,9 @@
 """A robot followed in a map that was finished before."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -10,22 +11,27 @@ import numpy as np
 from ..core import se2
 from ..core.config import load
 from ..core.errors import ReaderError, UsageError
+from ..core.laser_log import LaserLog
 from ..core.records import Track
 from ..core.run import robot_rng
 from ..core.version import __version__
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.directory import check_target, write_json
+from ..io.laser_arrays import laser_log_of
 from ..io.laser_logs import LaserSource, read_laser
 from ..io.laser_map import NAME, read_grid, write_scans
+from ..io.table import Columns
 from ..io.tum import read_tum, write_tum
+from ..laser.beam import IntensityCalibration
 from ..laser.laser_map import GridMap
 from ..laser.localise import Localisation, localise
 from ..laser.localise_trust import Evidence
 from ..report.localize import draw_where, write_localisation_report
 from ..report.result import ResultBase, Rows
 from ..report.style import Target
+from .laser_result import LaserResult, write_laser_data
 from .map_laser import LaserMapConfig
-from .map_options import LaserOptions
+from .map_options import LaserOptions, path_of
 
 NEAR, NEAR_ANGLE = 0.5, np.radians(10.0)  # a start that errs by less than this, once found, was right
 
@@ -122,10 +128,11 @@ class LocalizeResult(ResultBase):
 
 @one_blas_thread()
 def localize(
-    log: Path | str,
-    map: Path | str,  # noqa: A002  (the option's name)
+    log: Path | str | LaserLog | Mapping[str, Any],
+    map: Path | str | LaserResult,  # noqa: A002  (the option's name)
     out: Path | str | None = None,
     *,
+    odometry: Columns | None = None,
     start: Sequence[float] | None = None,
     truth: Path | str | None = None,
     config: Path | str | None = None,
@@ -141,11 +148,13 @@ def localize(
     Parameters
     ----------
     log
-        A laser log, as for `map`.
+        A laser log, as for `map`: a file, a `LaserLog` in memory, or scans in memory with the columns of `map(scans=)`.
     map
-        What `map` wrote for one robot.
+        What `map` wrote for one robot, or its result.
     out
         The folder to write; an earlier result there is replaced whole.
+    odometry
+        Beside scans in memory: columns t [s], x [m], y [m], theta [rad] (none).
     start
         The robot's first pose in the map [m, m, rad] (searched everywhere).
     truth
@@ -182,7 +191,7 @@ def localize(
     if start is not None and len(start) != 3:
         raise UsageError(f"--start: expected x,y,theta, found {len(start)} numbers")
     asked = laser or LaserOptions()
-    grid, calibration, feature = read_grid(_grid_path(Path(map)))
+    grid, calibration, feature = _read_map(map)
     source = LaserSource(
         scan_topic=asked.scan_topic,
         odom_topic=asked.odom_topic,
@@ -193,14 +202,16 @@ def localize(
         LaserMapConfig, None if config is None else Path(config), {"laser": {"particles": asked.particles}}
     ).laser
     cfg.check()
-    recording = read_laser(Path(log), "1", source)
+    recording = _recording(log, odometry, source)
     place = None if start is None else np.array(start, dtype=float)
     wanted = asked.feature or feature
     if wanted not in {feature, "none"}:
         raise UsageError(f"--feature {wanted}: the map holds {feature}")
     found = localise(recording, grid, calibration, wanted, cfg, place, robot_rng(seed, recording.robot), on_progress)
     score = None if truth is None else score_start(found, read_tum(Path(truth)))
-    result = LocalizeResult(found, grid, _metrics(found, Path(map), seed, score), score)
+    result = LocalizeResult(
+        found, grid, _metrics(found, str(map) if isinstance(map, Path | str) else "in memory", seed, score), score
+    )
     if out is not None:
         result.write(out, force=force)
     return result
@@ -228,6 +239,25 @@ def score_start(found: Localisation, truth: Track) -> StartScore:
     )
 
 
+def _read_map(given: Path | str | LaserResult) -> tuple[GridMap, IntensityCalibration | None, str]:
+    """The map with its calibration and feature; one in memory as it would be read back."""
+    if isinstance(given, LaserResult):
+        with TemporaryDirectory() as folder:
+            write_laser_data(Path(folder), given)
+            return read_grid(_grid_path(Path(folder)))
+    return read_grid(_grid_path(path_of(given, "map")))
+
+
+def _recording(
+    log: Path | str | LaserLog | Mapping[str, Any], odometry: Columns | None, source: LaserSource
+) -> LaserLog:
+    if isinstance(log, Mapping):
+        return laser_log_of(log, odometry, "1", source)
+    if odometry is not None:
+        raise UsageError("odometry: expected scans in memory beside it, found a log, which holds its own")
+    return log if isinstance(log, LaserLog) else read_laser(path_of(log, "log"), "1", source)
+
+
 def _grid_path(folder: Path) -> Path:
     """The map at the top of a result, else the only robot's own."""
     inside = [folder / NAME, *sorted(folder.glob(f"local/*/{NAME}"))]
@@ -246,7 +276,7 @@ def _evidence(seen: Evidence) -> dict[str, Any]:
     return {"explained": seen.explained, "through_walls": seen.through, "light": seen.light, "next_place": rival}
 
 
-def _metrics(found: Localisation, where: Path, seed: int, score: StartScore | None) -> dict[str, Any]:
+def _metrics(found: Localisation, where: str, seed: int, score: StartScore | None) -> dict[str, Any]:
     after = None if found.found_t is None else found.found_t - float(found.scans.t[0])
     metrics: dict[str, Any] = {
         "version": __version__,
@@ -262,7 +292,7 @@ def _metrics(found: Localisation, where: Path, seed: int, score: StartScore | No
             }
         },
         "localisation": {
-            "map": str(where),
+            "map": where,
             "start": found.start,
             "found": found.found_t is not None,
             "found_after_s": after,

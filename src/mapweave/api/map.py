@@ -15,7 +15,7 @@ from ..io.kept import kept_parts
 from ..io.table import Columns
 from ..report.files import list_files
 from .cluster import cluster_executor
-from .map_options import LaserOptions, MapOptions, expect_there
+from .map_options import LaserOptions, MapOptions, expect_there, key_of, path_of, paths_of
 from .result import MapResult
 
 
@@ -46,11 +46,11 @@ def map(  # noqa: A001  (the verb)
     scans: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
     odometry: Columns | Sequence[Columns] | None = None,
     sightings: Columns | None = None,
-    robots: Sequence[str] | None = None,
+    robots: Sequence[str | int] | None = None,
     method: str | None = None,
     weights: str | None = None,
-    share: Mapping[str, float] | None = None,
-    start: Mapping[str, Sequence[float]] | None = None,
+    share: Mapping[str, float] | Mapping[int, float] | None = None,
+    start: Mapping[str, Sequence[float]] | Mapping[int, Sequence[float]] | None = None,
     truth: Path | str | Sequence[Path | str] | None = None,
     config: Path | str | None = None,
     seed: int = 0,
@@ -90,7 +90,7 @@ def map(  # noqa: A001  (the verb)
     sightings
         Landmarks in memory: columns t [s], robot, id, range [m], bearing [rad] counter-clockwise from ahead.
     robots
-        Use these robots only, by key: `["1", "3"]` (all).
+        Use these robots only, by key or number: `["1", "3"]`, `[1, 3]` (all).
     method
         How each robot maps: `ekf` for landmarks; of laser logs graph (which alone closes loops and makes one map of
         several robots), particle, gated or icp.
@@ -156,13 +156,13 @@ def map(  # noqa: A001  (the verb)
     (7, 2)
     """
     options = MapOptions(
-        robots=None if robots is None else tuple(robots),
+        robots=None if robots is None else tuple(key_of(robot) for robot in robots),
         method=method,
         weights=weights,
-        share=dict(share or {}),
-        start={robot: _start(robot, numbers) for robot, numbers in (start or {}).items()},
-        start_sd={robot: float(numbers[3]) for robot, numbers in (start or {}).items() if len(numbers) > 3},
-        truth=_paths(truth),
+        share={key_of(robot): part for robot, part in (share or {}).items()},
+        start={key_of(robot): _start(key_of(robot), numbers) for robot, numbers in (start or {}).items()},
+        start_sd={key_of(robot): float(numbers[3]) for robot, numbers in (start or {}).items() if len(numbers) > 3},
+        truth=paths_of(truth, "truth"),
         config=None if config is None else Path(config),
         seed=seed,
         jobs=jobs,
@@ -187,7 +187,8 @@ def map(  # noqa: A001  (the verb)
         if logs is None:
             result = _in_memory(scans, odometry, sightings, options)
         else:
-            result = _of_logs([logs] if isinstance(logs, Path | str | LaserLog) else list(logs), options)
+            several = list(logs) if isinstance(logs, Sequence) and not isinstance(logs, str) else [logs]
+            result = _of_logs(several, options)
     if out is not None:
         with result_directory(Path(out), force=force) as work:
             result.write_into(work)
@@ -206,7 +207,7 @@ def _of_logs(logs: Sequence[Path | str | LaserLog], options: MapOptions) -> MapR
         if len(ready) < len(logs):
             raise UsageError("expected files or logs in memory, found both")
         return _laser(ready, options)
-    paths = [Path(log) for log in logs if not isinstance(log, LaserLog)]
+    paths = [path_of(log, "logs") for log in logs]
     if _is_mixed(paths):
         from .map_mixed import map_logs  # noqa: PLC0415  (each kind of log imports what it needs)
 
@@ -283,9 +284,3 @@ def _start(robot: str, numbers: Sequence[float]) -> tuple[float, float, float]:
     if len(numbers) not in {3, 4}:
         raise UsageError(f"--start of robot {robot}: expected x, y, theta or x, y, theta, sigma, found {len(numbers)}")
     return float(numbers[0]), float(numbers[1]), float(numbers[2])
-
-
-def _paths(given: Path | str | Sequence[Path | str] | None) -> tuple[Path, ...]:
-    if given is None:
-        return ()
-    return (Path(given),) if isinstance(given, Path | str) else tuple(Path(p) for p in given)

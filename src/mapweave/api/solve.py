@@ -21,6 +21,7 @@ from ..report.files import list_files
 from ..report.result import ResultBase
 from ..report.solve import draw_graph, write_solve_report
 from ..report.style import Target
+from .map_options import path_of
 
 CHANCE = 1e-6  # that a sound graph is called doubtful, in each way it is looked at
 TOLD = 5  # dropped edges named one by one on the terminal
@@ -141,7 +142,7 @@ def solve_pose_graph(
     if out is not None:
         check_target(Path(out), force=force)
     started = perf_counter()
-    held = read_g2o_file(Path(file), parts=True)
+    held = read_g2o_file(path_of(file, "file"), parts=True)
     read = perf_counter()
     cfg = RobustGraphConfig(method="gnc" if robust else "none")
     solved = solve_graph(held.graph, cfg, fixed=held.fixed, priors=held.priors)
