@@ -281,6 +281,27 @@ def decided(a, b, size, *, merged):
     return trial, Merge(a, b, merged=merged, reason="")
 
 
+def test_every_robot_of_two_buildings_is_tried_on_a_part_once_before_any_a_second_time():
+    sizes = {f"r{k:02}": 20 for k in range(40)}
+    search, trials = PairSearch(), 0
+    while len(set(search._roots(sizes).values())) > 2:
+        a, b = search.next(sizes)
+        search.decided(*decided(a, b, 40, merged=int(a[1:]) % 2 == int(b[1:]) % 2))
+        sizes = {name: n + 1 for name, n in sizes.items()}  # what was refused soon has grown enough for another try
+        trials += 1
+    assert trials <= 38 + 40 // 2  # a tie each, and those of the smaller building refused once by the larger
+
+
+def test_maps_too_small_to_be_tied_are_tried_after_all_others():
+    search = PairSearch(ripe=13)
+    sizes = {"r1": 40, "r2": 12, "r3": 13, "r4": 13}
+    order = []
+    while (pair := search.next(sizes)) is not None:
+        order.append(pair)
+        search.decided(*decided(*pair, sizes[pair[0]] + sizes[pair[1]], merged=False))
+    assert order == [("r1", "r3"), ("r1", "r4"), ("r3", "r4"), ("r1", "r2"), ("r2", "r3"), ("r2", "r4")]
+
+
 def test_pairs_are_searched_for_where_a_tie_is_missing_and_where_maps_have_grown():
     search = PairSearch()
     assert search.next({"r1": 9}) is None

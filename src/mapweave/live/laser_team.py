@@ -86,6 +86,10 @@ class LiveLaserTeam:
     _decisions: list[str] = field(default_factory=list)
     _canvases: list[Canvas] = field(default_factory=list)
 
+    def __post_init__(self) -> None:
+        merge = self.cfg.merge
+        self.search.ripe = merge.dense * (merge.votes - 1) + 1  # with fewer keyframes too few submaps confirm a tie
+
     def follow(self, heard: Mapping[str, int]) -> int:
         """Work in a few messages of each robot; how many are left. heard: robot -> its first number missing."""
         left, most = 0, max(1, AT_ONCE // max(len(heard), 1))

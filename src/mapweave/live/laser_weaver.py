@@ -22,7 +22,7 @@ from .store import Store
 from .weaving import WovenGraphs
 
 RESTED = 3.0  # the time from solving to solving, and from drawing to drawing, is at least so many times what it takes
-SEARCHED = 1.0  # the time without a search is at least so many times what the search before took
+SEARCHED = 0.25  # the time without a search is at least so many times what the search before took
 DRAW_EVERY = 0.5  # [s]
 OVERDUE = 8.0  # [s] that solving and searching are put off for messages that wait
 PATIENCE = 0.5  # [s] until it is looked again whether to end

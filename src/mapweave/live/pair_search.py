@@ -1,5 +1,6 @@
 """Which two laser robots' maps are tried on each other next, and what was decided on those that were."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -53,48 +54,75 @@ class PairTrial(NamedTuple):
 class Tried(NamedTuple):
     """The decision on a pair when both had so many keyframes together, known by `ids`.
 
-    common: what they were expected to have in common, 0 where that was not known.
+    common: what they were expected to have in common, 0 where that was not known; refused: how often the pair was,
+    both maps being ripe.
     """
 
     merge: Merge
     keyframes: int
     ids: Ids
     common: int = 0
+    refused: int = 0
 
 
 @dataclass(slots=True)
 class PairSearch:
-    """The pairs of a team. tried: by the names of both, the first one first in the alphabet."""
+    """The pairs of a team. ripe: so many keyframes a map needs before it is likely to be tied.
 
+    tried: by the names of both, the first one first in the alphabet.
+    """
+
+    ripe: int = 0
     tried: dict[Pair, Tried] = field(default_factory=dict)
 
     def next(self, sizes: Mapping[str, int], common: Mapping[Pair, int] | None = None) -> Pair | None:
         """The pair to be tried now; None when there is none.
 
         sizes: robot -> keyframes. common: cells in which both are expected to have seen walls, of pairs whose starts
-        are told. Of robots not connected yet those go first that are likely to have seen the same, the most
-        likely ones before others; then pairs that were never tried, the largest maps before others; then those tried
-        when there was less of them, and among these ties too: they hold better with more of both.
+        are told. Of robots not connected yet those go first that are likely to have seen the same, the most likely ones
+        before others; then pairs of ripe maps: those whose parts refused each other least, of these the ones that
+        connect most robots, then the largest maps; the unripe last. A pair is tried again when there is more of it, a
+        tie too, which holds better with more of both: before parts that refused each other twice.
         """
         roots = self._roots(sizes)
-        best: tuple[int, int] | None = None
-        chosen = None
-        for a, b in _pairs(sorted(sizes)):
-            worth = self._worth((a, b), sizes[a] + sizes[b], (common or {}).get((a, b), 0), apart=roots[a] != roots[b])
-            if worth is not None and (best is None or worth > best):
-                best, chosen = worth, (a, b)
+        members, refused = Counter(roots.values()), self._refused(roots)
+        best: tuple[int, ...] | None = None
+        chosen, worth = None, tuple[int, ...]()
+        for pair in _pairs(sorted(sizes)):
+            size, parts = sizes[pair[0]] + sizes[pair[1]], frozenset((roots[pair[0]], roots[pair[1]]))
+            shared, apart = (common or {}).get(pair, 0), len(parts) > 1
+            if apart and self._likely(pair, shared):
+                worth = (2, shared)
+            elif not self._fresh(pair, size, apart=apart):
+                continue
+            elif apart:
+                early = min(sizes[pair[0]], sizes[pair[1]]) < self.ripe
+                worth = (0 if early else 1, -refused[parts], sum(members[root] for root in parts), size)
+            else:
+                worth = (1, -1, 0, size)
+            if best is None or worth > best:
+                best, chosen = worth, pair
         return chosen
 
-    def _worth(self, pair: Pair, size: int, common: int, *, apart: bool) -> tuple[int, int] | None:
-        """What comes before what, and how much speaks for it; None where no trial is wanted."""
+    def _likely(self, pair: Pair, common: int) -> bool:
+        """Whether what both are expected to have seen asks for a trial."""
         before = self.tried.get(pair)
-        if apart and common >= LIKELY and (before is None or common >= GROWN * before.common):
-            return 2, common
+        return common >= LIKELY and (before is None or common >= GROWN * before.common)
+
+    def _fresh(self, pair: Pair, size: int, *, apart: bool) -> bool:
+        """Whether a trial may tell more than is known."""
+        before = self.tried.get(pair)
         if before is None:
-            return (1, size) if apart else None
-        if (apart or before.merge.merged) and size >= GROWN * before.keyframes:
-            return 0, size
-        return None
+            return apart
+        return (apart or before.merge.merged) and size >= GROWN * before.keyframes
+
+    def _refused(self, roots: Mapping[str, str]) -> Counter[frozenset[str]]:
+        """By two parts how often a map of one was refused by one of the other."""
+        out: Counter[frozenset[str]] = Counter()
+        for (a, b), known in self.tried.items():
+            if known.refused and a in roots and b in roots:
+                out[frozenset((roots[a], roots[b]))] += known.refused
+        return out
 
     def apart(self, names: Iterable[str]) -> bool:
         """Whether they are not all connected."""
@@ -117,7 +145,10 @@ class PairSearch:
 
     def decided(self, trial: PairTrial, merge: Merge) -> None:
         """What the trial came to."""
-        self.tried[trial.a, trial.b] = Tried(merge, trial.keyframes, trial.ids, trial.common)
+        before = self.tried.get((trial.a, trial.b))
+        refused = 0 if before is None else before.refused
+        refused += not merge.merged and min(map(len, trial.poses)) >= self.ripe
+        self.tried[trial.a, trial.b] = Tried(merge, trial.keyframes, trial.ids, trial.common, refused)
 
     def known(self, ids: Mapping[str, Int[np.ndarray, " _"]]) -> dict[tuple[int, int], Merge]:
         """What stands on every pair of these robots, by their places; closures count keyframes as they are now.
