@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.kernels.laser import tiles
 from mapweave.kernels.laser.local_map import (
     MatchCost,
     ScanPoints,
@@ -17,6 +16,7 @@ from mapweave.kernels.laser.local_map import (
     solve3,
 )
 from mapweave.kernels.laser.refine import refine
+from mapweave.kernels.laser.windows import score
 from mapweave.laser.particle_grid import CellConfig, ParticleGrid
 
 pytestmark = pytest.mark.kernel
@@ -258,7 +258,7 @@ def test_a_step_of_refining_a_particle_is_the_dense_one_against_its_own_map():
         np.testing.assert_allclose(refined(2)[which], step(which, once), atol=1e-4)
     np.testing.assert_array_equal(refined(0), starts)
     weighed = np.empty_like(least)
-    tiles.score(
+    score(
         grid.pool, grid.table, int(grid.shape[1]), grid.origin, CELL, np.arange(2), starts, feet, ALPHA, cap, weighed
     )  # fmt: skip
     np.testing.assert_array_equal(least, weighed)

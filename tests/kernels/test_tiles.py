@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mapweave.kernels.laser.refine import refine
 from mapweave.kernels.laser.resample import systematic
 from mapweave.laser.particle_grid import CellConfig, ParticleGrid
 
@@ -186,3 +187,26 @@ def test_one_particle_of_all_the_weight_becomes_everybodys_ancestor():
     w = np.zeros(8)
     w[3] = 1e-300
     assert (systematic(w, 0.999999) == 3).all()
+
+
+@pytest.mark.parametrize("n", [1, 63, 64, 65, 150])
+def test_a_beam_is_compared_with_all_nine_cells_around_it_however_many_beams_there_are(n):
+    """Also where the pose is refined from a cell to the next: `least` is then of the windows there."""
+    rng = np.random.default_rng(n)
+    fast, slow = ParticleGrid(3, CFG), SlowMaps(3)
+    poses = rng.normal(0, [0.3, 0.3, 1.0], (3, 3))
+    for _ in range(4):
+        points = scan(rng, n)
+        fast.insert(np.arange(3), poses, points, np.ones(n, np.float32))
+        slow.insert(poses, points, np.ones(n))
+        poses = poses + rng.normal(0, [0.05, 0.05, 0.02], (3, 3))
+    got, want = fast.score(np.arange(3), poses, points), slow.score(poses, points)
+    assert (np.abs(got - want) > 1e-4).mean() <= 0.02  # beams whose cell two roundings put differently
+    assert 0.0 < (got < CFG.cap).mean() <= 1.0
+    least, normals = np.full((3, n), -1.0, np.float32), np.tile([1.0, 0.0], (n, 1))
+    moved = refine(
+        fast.pool, fast.table, int(fast.shape[1]), fast.origin, CFG.size, np.arange(3), poses, points, normals,
+        CFG.alpha, CFG.cap, 1e4, 0.5, 0.1, np.eye(3), 3, least,
+    )  # fmt: skip
+    assert np.abs(moved - poses).max() > 1e-3
+    np.testing.assert_array_equal(least, fast.score(np.arange(3), moved, points))

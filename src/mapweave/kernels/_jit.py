@@ -19,6 +19,15 @@ def kernel(fn: F) -> F:
     return _cached(numba.njit(nogil=True)(fn), fn, "kernel")
 
 
+def inlined_kernel(fn: F) -> F:
+    """`kernel` that becomes part of the machine code of each kernel that calls it.
+
+    In the loops of a `parallel_kernel` whose arrays are arguments or made outside of them, none is a part of another
+    and none has a second name, the compiler knows that no two arrays overlap, and works on several numbers at once.
+    """
+    return _cached(numba.njit(nogil=True, forceinline=True)(fn), fn, "inlined")
+
+
 def parallel_kernel(fn: F) -> F:
     """`kernel` whose `prange` loops use threads; results must not depend on how many.
 

@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 
 from ..core.config import config
 from ..kernels.laser import tiles
+from ..kernels.laser.windows import score
 
 Rows = Int[np.ndarray, " p"]
 Poses = Float[np.ndarray, "p 3"]
@@ -74,7 +75,7 @@ class ParticleGrid:
         """Least D of each beam in each map, at most `cap`; (P, n) float32."""
         out = np.empty((len(poses), len(points)), np.float32)
         c = self.cfg
-        tiles.score(
+        score(
             self.pool,
             self.table,
             int(self.shape[1]),
