@@ -52,6 +52,8 @@ def test_a_world_or_file_that_cannot_be_is_bad_usage(tmp_path, capsys):
     assert "expected a file name such as corridor.mcap" in capsys.readouterr().err
     assert _run(["simulate", "corridor", "--out", str(out), "--scan-every", "0"]) == 2
     assert "--scan-every: too small" in capsys.readouterr().err
+    assert _run(["simulate", "corridor", "--out", str(out), "--long-leg", "12"]) == 2
+    assert "--start: expected between 1.2 and 10.8 m along a leg of 12 m, found 15" in capsys.readouterr().err
     assert _run(["simulate", "tunnel", "--out", str(out), "--sensor-pose", "1,2"]) == 2
     assert "--sensor-pose: expected 3 numbers" in capsys.readouterr().err
     assert not out.exists()

@@ -29,6 +29,7 @@ from ..team.camera_clock import CameraClockConfig, on_camera_clock
 from ..team.clocks import of_another_time
 from ..team.config import OnlineConfig, SmoothingConfig
 from ..team.every_stamp import at_every_stamp
+from ..team.first_frame import in_first_frame
 from ..team.further_rooms import with_further_rooms
 from ..team.kidnapped import KidnapConfig, cut_kidnapped, with_stretches
 from ..team.known import PlacePriors, framed
@@ -152,6 +153,9 @@ def _map_read(
     smoothed = tuple(
         replace(s, map=at_every_stamp(s.map, stamps, {r: c.ahead for r, c in s.clocks.items()})) for s in smoothed
     )
+    if options.survey is None and not options.start:
+        maps = tuple(in_first_frame(m) for m in maps)
+        smoothed = tuple(replace(s, map=in_first_frame(s.map)) for s in smoothed)
     watch.lap("smooth")
     return team_result(title, options.seed, local, fusion, options.truth, online, watch, maps, smoothed, run)
 

@@ -120,7 +120,10 @@ def _check(world: World) -> None:
     if isinstance(world, CorridorConfig):
         room = 0.5 * min(world.long_leg, world.short_leg) - world.corner
         positive |= {"--distance": world.distance, "--width": world.width, "--corner": world.corner, "--long-leg": room}
-        positive |= {"--start": min(world.start - world.corner, world.long_leg - world.corner - world.start)}
+        straight = (world.corner, world.long_leg - world.corner)
+        if room > 0 and not straight[0] < world.start < straight[1]:
+            between = f"between {straight[0]:g} and {straight[1]:g} m along a leg of {world.long_leg:g} m"
+            raise UsageError(f"--start: expected {between}, found {world.start:g}")
     elif isinstance(world, OfficeConfig):
         positive |= {"--rooms": world.rooms, "--visited": world.visited}
     else:
