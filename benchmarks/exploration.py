@@ -1,10 +1,13 @@
 """What exploration costs and what it brings: decision times, runs, submaps against one big filter, planners, teams.
 
 python benchmarks/exploration.py [--quick] [--jobs 2] [--out exploration.json]
+python benchmarks/exploration.py --table submaps|walls      # a table of the documentation, alone
 """
 
 import argparse
 import json
+import re
+import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -34,6 +37,13 @@ from mapweave.landmarks.submap_slam import (
 )
 
 STEPS, SIGHTINGS = 30, 3
+SIZES = (100, 500, 2000)  # landmarks
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "methods" / "active-exploration.md"
+HALL = re.compile(r"### Walls\n\n```toml\n(.*?)```", re.DOTALL)  # the scenario among walls, as the page prints it
+AMONG_WALLS = (  # planner, robots, runs
+    *((planner, 2, 20) for planner in ("paper", "area", "coverage", "loop")),
+    ("coverage", 1, 10), ("coverage", 4, 10), ("loop", 4, 10),
+)  # fmt: skip
 
 
 def main() -> None:
@@ -41,15 +51,54 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="4 runs a row, no map of 2,000 landmarks")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--table", choices=("submaps", "walls"), help="this table alone, in Markdown")
     args = parser.parse_args()
+    if args.table:
+        (print_submaps if args.table == "submaps" else print_walls)()
+        return
     runs = 4 if args.quick else 30
-    out = {"decisions": decisions(), "cost": [cost(n) for n in ((100, 500) if args.quick else (100, 500, 2000))]}
+    out = {"decisions": decisions(), "cost": [cost(n) for n in (SIZES[:2] if args.quick else SIZES)]}
     with worker_pool(args.jobs, max(runs, 3)) as pool:
         out["planners"] = planners(pool, runs, args.jobs)
         out["scaling"] = scaling(pool, 4 if args.quick else 10)
         out["hardship"] = hardship(pool, runs)
     if args.out:
         args.out.write_text(json.dumps(out, indent=1), encoding="utf-8")
+
+
+def print_submaps() -> None:
+    rows = [cost(n) for n in SIZES]
+    filters = [name for name in rows[0] if f"{name}, ratio" in rows[0]]
+    print(f"| landmarks | submap and hand-over | {' | '.join(filters)} |")
+    print(f"|---|---{'|---' * len(filters)}|")
+    for row in rows:
+        cells = [f"{1e3 * row[name]:,.1f} ms ({row[f'{name}, ratio']:.1f} times)" for name in filters]
+        print(f"| {row['landmarks']:,} | {1e3 * row['submap_s']:.1f} ms | {' | '.join(cells)} |")
+
+
+def print_walls() -> None:
+    found = HALL.search(PAGE.read_text(encoding="utf-8"))
+    if found is None:
+        raise SystemExit(f"{PAGE}: no scenario under 'Walls'")
+    print("| planner | robots, runs | finished | steps min / mean / max | map error | C/N | NEES/dof | contacts |")
+    print("|---|---|---|---|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as folder:
+        hall = Path(folder) / "hall.toml"
+        hall.write_text(found[1], encoding="utf-8")
+        for planner, robots, runs in AMONG_WALLS:
+            scores = explore_many(mission(planner, robots, str(hall), until="field"), runs, 0)
+            row = row_of(f"{planner}, {robots} robots among walls", scores)
+            cells = (
+                f"`{planner}`",
+                f"{robots}, {runs}",
+                row["finished"],
+                f"{row['steps_min']} / {row['steps_mean']:.0f} / {row['steps_max']}",
+                f"{row['map_error']:.3f} m",
+                f"{row['c_per_n']:.3f} m²",
+                f"{row['nees_per_dof']:.2f}",
+                sum(r.collisions for r in scores),
+            )
+            print(f"| {' | '.join(map(str, cells))} |", flush=True)
 
 
 def decisions() -> dict:
@@ -122,7 +171,7 @@ def cost(n: int) -> dict:
     print(f"{n:5d} landmarks: {'submap and hand-over':34s} {1e3 * least:9.1f} ms")
     for name, full in {
         "full EKF, one sighting at a time": lambda: textbook(P, marks, script, u, cfg, 1),
-        "full EKF, a step's together": lambda: textbook(P, marks, script, u, cfg, SIGHTINGS),
+        "full EKF, a step's sightings together": lambda: textbook(P, marks, script, u, cfg, SIGHTINGS),
         "full EKF, compiled, one pass a step": lambda: compiled(P, marks, script, u, cfg),
     }.items():
         spent = min(full() for _ in range(4))
