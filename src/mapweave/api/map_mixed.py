@@ -100,7 +100,7 @@ class MixedResult(ResultBase):
         return ("robot", "carries", "component"), rows
 
     def draw(self, target: Target) -> None:
-        """Walls, landmarks and ways of the largest component."""
+        """Walls, landmarks and trajectories of the largest component."""
         draw_mixed(target, self.story, 0)
 
     def lines(self) -> list[str]:

@@ -40,7 +40,7 @@ class SimulatedTeam(ResultBase, TeamRecording):
         return head, rows
 
     def draw(self, target: "Target") -> None:
-        """The landmarks and the true ways."""
+        """The landmarks and the true trajectories."""
         from ..report.simulation import draw_world  # noqa: PLC0415  (figures cost half a second)
 
         ways = {f"robot {r.number}": r.truth[:, 1:3] for r in self.robots}

@@ -49,7 +49,7 @@ class SimulatedDrive(ResultBase, LaserSimulation):
         return [f"{m['scans']} scans over {m['driven_m']:.0f} m, {m['stamps']} stamps, seed {self.seed}"]
 
     def draw(self, target: "Target") -> None:
-        """The walls and the true way."""
+        """The walls and the true trajectory."""
         from ..report.simulation import draw_world  # noqa: PLC0415  (figures cost half a second)
 
         walls = self.world.segments.reshape(-1, 4)

@@ -54,7 +54,7 @@ class SimulatedMixedTeam(ResultBase, MixedRecording):
         return ("robot", "kind", "sightings", "scans", "driven [m]"), rows
 
     def draw(self, target: "Target") -> None:
-        """Walls, landmarks and the true ways."""
+        """Walls, landmarks and the true trajectories."""
         from ..report.simulation import draw_world  # noqa: PLC0415  (figures cost half a second)
 
         ways = {f"robot {r.number}, {r.kind}": r.truth.pose[:, :2] for r in self.robots}

@@ -1,4 +1,4 @@
-"""Ground that robots drive on: a raster of free cells, and the cheapest ways over it."""
+"""Ground that robots drive on: a raster of free cells, and the cheapest paths over it."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from scipy import ndimage
 from ..kernels.exploration.wavefront import NO_LIMIT, STRAIGHT, UNREACHED, descend, spread
 from ..kernels.walls.segments import sight_on_raster
 
-FAR = 1e4  # [m], stands for a place that no way leads to where a cost must be finite
+FAR = 1e4  # [m], stands for a place that no path leads to where a cost must be finite
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class Ground:
         return CostToGo(self, spread(self.weight, np.ascontiguousarray(cells), most))
 
     def distances(self, sources: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "k rows cols"]:
-        """Length [m] of the shortest way from each source to every cell, right to 5e-5; infinite where none leads."""
+        """Length [m] of the shortest path from each source to every cell, right to 5e-5; infinite where none leads."""
         out = np.full((len(sources), *self.weight.shape), np.inf)
         for k, start in enumerate(self.cells(sources)):
             if start[0] >= 0:
@@ -76,7 +76,7 @@ class Ground:
 @dataclass(frozen=True, slots=True)
 class CostToGo:
     """How far every cell of `ground` is from a goal. cost: (rows, cols) as `kernels.exploration.wavefront.spread` tells
-    it, UNREACHED where no way leads.
+    it, UNREACHED where no path leads.
     """
 
     ground: Ground
@@ -84,11 +84,11 @@ class CostToGo:
 
     @property
     def metres(self) -> Float[np.ndarray, "rows cols"]:
-        """Length [m] of the way from every cell; infinite where none leads."""
+        """Length [m] of the path from every cell; infinite where none leads."""
         return np.where(self.cost >= 0, self.cost * (self.ground.cell / STRAIGHT), np.inf)
 
     def metres_from(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-        """Length (n,) [m] of the way from each place, or from the nearest reached cell within `snap` of it."""
+        """Length (n,) [m] of the path from each place, or from the nearest reached cell within `snap` of it."""
         cells = self.cells(places)
         cost = np.where(cells[:, 0] >= 0, self.cost[cells[:, 0], cells[:, 1]], UNREACHED)
         return np.asarray(np.where(cost >= 0, cost * self.ground.cell / STRAIGHT, np.inf))
@@ -106,7 +106,7 @@ class CostToGo:
     def path(self, start: Float[np.ndarray, "2"]) -> Float[np.ndarray, "n 2"] | None:
         """Waypoints (n, 2) [m] from the cell of `start` to the goal, as few as sight over free cells allows.
 
-        None where no way leads.
+        None where no path leads.
         """
         cell = self.cells(start[None])[0]
         if cell[0] < 0:

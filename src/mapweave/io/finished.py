@@ -1,4 +1,4 @@
-"""A finished result as any tool may show it, whichever job wrote it: ways, walls, landmarks, component by component."""
+"""A finished result as any tool may show it, whichever job wrote it: trajectories, walls, landmarks, by component."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -35,7 +35,7 @@ class Closures:
 
 @dataclass(frozen=True, slots=True)
 class FinishedSwarm:
-    """A swarm as `locate` wrote it: where everybody is, who sighted whom, and the ways of those that move."""
+    """A swarm as `locate` wrote it: where everybody is, who sighted whom, and the trajectories of those that move."""
 
     positions: Positions
     pairs: Int[np.ndarray, "m 2"]
@@ -137,7 +137,7 @@ def _closures(folder: Path, tracks: Mapping[str, Track]) -> Closures | None:
 
 
 def _seen_from(tracks: Mapping[str, Track], table: Table, end: str) -> Float[np.ndarray, "n 2"]:
-    """Where the robots of a table's column were at its stamps; NaN for those whose way is not here."""
+    """Where the robots of a table's column were at its stamps; NaN for those whose trajectory is not here."""
     out = np.full((len(table), 2), np.nan)
     for k, (robot, stamp) in enumerate(
         zip(table.names(f"robot_{end}"), table.numbers(f"stamp_{end}").tolist(), strict=True)

@@ -193,7 +193,7 @@ def write_woven_map(folder: Path, made: WovenMap) -> None:
 
 
 def write_woven_tracks(folder: Path, made: WovenMap) -> None:
-    """`folder/trajectories` holds every robot's way in the component's frame, and its covariances."""
+    """`folder/trajectories` holds every robot's trajectory in the component's frame, and its covariances."""
     for robot, track in made.tracks.items():
         write_tum(folder / "trajectories" / f"{robot_name(robot)}.tum", track)
         write_track_covariance(folder / "trajectories" / f"{robot_name(robot)}.cov.csv", track)

@@ -1,4 +1,4 @@
-"""A result as a recording that RViz, Foxglove and ROS 2 nodes open: the map, every robot's way, landmarks, walls.
+"""A result as a recording that RViz, Foxglove and ROS 2 nodes open: the map, every robot's path, landmarks, walls.
 
 Topics, all in the frame `map`: `/map` (OccupancyGrid) and `/walls` (PointCloud2) where lasers saw any, `/landmarks`
 (MarkerArray), for every robot `/robotK/path` (Path) and `/robotK/pose` (PoseWithCovarianceStamped), and `/tf` from

@@ -1,8 +1,8 @@
-"""Whether scans and wheels speak of one motion: a scanner mounted turned, ranges or ways in other units.
+"""Whether scans and wheels speak of one motion: a scanner mounted turned, ranges or odometry in other units.
 
-A wall point seen again at the same bearing lies nearer by the way driven along the wall's normal, whatever the wall. So
-over moments of straight driving the changes along the normals tell the way as the scanner saw it: a factor and a
-direction against the wheels' (the linear form of point-to-line matching, [Censi08]). No map is needed.
+A wall point seen again at the same bearing lies nearer by the distance driven along the wall's normal, whatever the
+wall. So over moments of straight driving the changes along the normals tell the motion as the scanner saw it: a factor
+and a direction against the wheels' (the linear form of point-to-line matching, [Censi08]). No map is needed.
 """
 
 from collections.abc import Sequence
@@ -29,16 +29,16 @@ class ScanAgreementConfig:
     least_pairs: int = 40  # of scans that must speak
     sure: float = 6.0  # standard deviations
     turned: float = 0.2  # [rad] from which a mounting is told,
-    seen: float = 0.6  # where so much of the way is seen: what slides along walls lowers it
+    seen: float = 0.6  # where so much of the motion is seen: what slides along walls lowers it
     scale: tuple[float, float] = (0.45, 1.4)  # outside which a factor is told,
-    across: float = 0.35  # if walls across the way make up so much of all: in corridors no way is seen
+    across: float = 0.35  # if walls across the motion make up so much of all: in corridors no motion is seen
 
 
 @dataclass(frozen=True, slots=True)
 class ScanAgreement:
-    """scale: of the scans' way over the wheels'; direction: of it in the wheels' [rad], left positive; sds of both.
+    """scale: of the scans' motion over the wheels'; direction: of it in the wheels' [rad], left positive; sds of both.
 
-    across: the share of the walls seen that stands across the way; pairs: of scans.
+    across: the share of the walls seen that stands across the motion; pairs: of scans.
     """
 
     scale: float
@@ -72,7 +72,7 @@ class ScanAgreement:
 
 
 def scan_agreement(scans: Sequence[Scan], cfg: ScanAgreementConfig | None = None) -> ScanAgreement | None:
-    """The way that scans tell beside the wheels'; None where no two can be compared. Needs `Scan.odometry`."""
+    """The motion that scans tell beside the wheels'; None where no two can be compared. Needs `Scan.odometry`."""
     cfg = cfg or ScanAgreementConfig()
     rows, values, speaking = [np.zeros((0, 2))], [np.zeros(0)], 0
     for a, b, step in _straight(scans, cfg):
@@ -115,7 +115,7 @@ def _straight(scans: Sequence[Scan], cfg: ScanAgreementConfig) -> list[tuple[Sca
 def _changes(
     a: Scan, b: Scan, step: Float[np.ndarray, "3"], cfg: ScanAgreementConfig
 ) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, " m"]] | None:
-    """Normals times the wheels' way and times it turned left, and how much nearer each wall came; None where few."""
+    """Normals times the wheels' motion and times it turned left, and how much nearer each wall came; None where few."""
     n = len(a.ranges)
     if len(b.ranges) != n or n < 3:
         return None

@@ -1,4 +1,4 @@
-"""Figures of laser maps, and the maps to move about in: walls, every robot's way, the closures believed and refused."""
+"""Figures of laser maps, and the maps to move about in: walls, trajectories, the closures believed and refused."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -230,7 +230,7 @@ def laser_scene(
     closures: Sequence[ClosureRow] = (),
     others: Mapping[str, Track] | None = None,
 ) -> Scene:
-    """Walls and ways, in one frame. tracks: robot -> its way; colours: robot -> colour; others: layer -> a way beside.
+    """Walls and paths, in one frame. tracks: robot -> its path; colours: robot -> colour; others: layer -> more.
 
     Closures that were refused and other ways are hidden at first.
     """

@@ -1,4 +1,4 @@
-"""The report of a mixed team: one map of walls, landmarks and ways, how everybody was tied in, what was found."""
+"""The report of a mixed team: one map of walls, landmarks and paths, how everybody was tied in, what was found."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -61,7 +61,7 @@ def words(story: MixedStory) -> list[str]:
 
 
 def draw_mixed(target: Target, story: MixedStory, k: int) -> None:
-    """Component `k` on `target`: walls, landmarks as stars, ways with a ring where each began."""
+    """Component `k` on `target`: walls, landmarks as stars, trajectories with a ring where each began."""
     team, grid = story.map.components[k].map, story.grids[k]
     with figure(target, 8.4, 6.0) as (_, ax):
         if grid is not None:

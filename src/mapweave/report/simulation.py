@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from .style import MUTED, TRUTH, Target, as_map, colour, figure
 
-FEW = 20  # ways told apart by a legend
+FEW = 20  # trajectories told apart by a legend
 
 
 def draw_world(
@@ -18,7 +18,7 @@ def draw_world(
     walls: Float[np.ndarray, "w 4"] | None = None,
     pairs: Sequence[tuple[int, int]] = (),
 ) -> None:
-    """True ways [m] by robot, places (landmarks or robots), walls (x0, y0, x1, y1), and who of `places` sees whom."""
+    """True paths [m] by robot, places (landmarks or robots), walls (x0, y0, x1, y1), and who of `places` sees whom."""
     with figure(target, 7.0, 5.4) as (_, ax):
         if walls is not None:
             for x0, y0, x1, y1 in walls.tolist():

@@ -57,7 +57,7 @@ _RC: Any = {
 
 
 def gaps(t: Float[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:
-    """Before which poses of a track nothing is known for long: a line through there would show a way nobody drove.
+    """Before which poses of a track nothing is known for long: a line through there would show a path nobody drove.
 
     Longer than five seconds and than ten usual steps. t: stamps [s], ascending.
     """

@@ -132,7 +132,7 @@ def residual_figure(
 def tracks_figure(
     path: Target, ids: tuple[str, ...], track: SwarmTrack, anchors: Any, truth: dict[int, Float[np.ndarray, "k d"]]
 ) -> None:
-    """Every robot's way; with truth, thin beneath."""
+    """Every robot's trajectory; with truth, thin beneath."""
     with figure(path, 7.2, 6.4) as (_, ax):
         for i, (k, one) in enumerate(track.tracks.items()):
             colour = PALETTE[i % len(PALETTE)]

@@ -30,7 +30,7 @@ def robot_colour(k: int) -> str:
 
 
 def draw_component(path: Target, made: WovenMap, truths: Mapping[str, Track]) -> None:
-    """The map with every robot's way in a colour of its own, and the truth where there is one."""
+    """The map with every robot's trajectory in a colour of its own, and the truth where there is one."""
     with figure(path, *map_size(made.grid)) as (fig, ax):
         draw_occupancy(ax, made.grid)
         for k, (robot, track) in enumerate(made.tracks.items()):
@@ -105,7 +105,7 @@ def draw_pair(path: Target, merge: Merge, a: RobotGraph, b: RobotGraph) -> None:
 
 
 def truths_in(made: WovenMap, truths: Mapping[str, Track]) -> list[Track]:
-    """The true ways of the robots of a component, by the one rigid motion that fits them all best."""
+    """The true trajectories of the robots of a component, by the one rigid motion that fits them all best."""
     known = [(truths[r], made.tracks[r]) for r in made.robots if r in truths]
     pairs = []
     for truth, track in known:

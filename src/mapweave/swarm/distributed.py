@@ -77,9 +77,9 @@ def distributed(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | Non
 
 
 def anchored(net: BearingNetwork) -> tuple[BearingNetwork, Bool[np.ndarray, " n"]]:
-    """The sightings of pieces with two anchors, and who is in them; the others hear of no two anchors and stay silent.
+    """The sightings of components with two anchors, and who is in them; others hear of no two anchors and stay silent.
 
-    Raises DataError when there is no such piece.
+    Raises DataError when there is no such component.
     """
     parts = components(net)
     reached = (parts.known >= 2)[parts.label]

@@ -137,7 +137,7 @@ def _confirmed(net: BearingNetwork, inlier: Bool[np.ndarray, " m"]) -> Bool[np.n
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A piece of a network: its sightings that are used, all of its sightings, and which robots (whole numbering)."""
+    """A part of a network: its sightings that are used, all of its sightings, and which robots (whole numbering)."""
 
     used: BearingNetwork
     whole: BearingNetwork

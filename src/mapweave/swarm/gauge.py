@@ -12,7 +12,10 @@ from .network import BearingNetwork, Components
 
 @dataclass(frozen=True, slots=True)
 class Gauge:
-    """name: for people, "" when nothing is free; place, scale, turn: whether each is free; members: (n,) the piece."""
+    """The freedom left by the sightings. name: for people, "" for none; members: (n,) the component it is of.
+
+    place, scale, turn: whether each is free.
+    """
 
     name: str
     place: bool
@@ -29,7 +32,7 @@ class Gauge:
 
 
 def gauge_of(net: BearingNetwork, parts: Components, localisable: Bool[np.ndarray, " n"]) -> Gauge:
-    """The gauge of the reference piece, over the robots located up to it."""
+    """The gauge of the reference component, over the robots located up to it."""
     c = parts.reference
     members = (parts.label == c) & localisable if len(net) else np.zeros(0, dtype=bool)
     if not (members & ~net.is_anchor).any() or parts.known[c] >= 2:
@@ -49,7 +52,7 @@ def gauge_of(net: BearingNetwork, parts: Components, localisable: Bool[np.ndarra
 
 
 def normalise(gauge: Gauge, position: np.ndarray, heading: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
-    """The same shape brought to the gauge's place, size and orientation; all pieces move together."""
+    """The same shape brought to the gauge's place, size and orientation; all components move together."""
     m = gauge.members
     if not gauge.name or not m.any():
         return position, heading

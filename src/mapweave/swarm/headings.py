@@ -74,7 +74,8 @@ def mutual_pairs(net: BearingNetwork) -> tuple[Int[np.ndarray, " p"], Int[np.nda
 def mutual_headings(net: BearingNetwork) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """Headings [rad] up to one turn for all, and of whom: two robots that see each other look along the same line.
 
-    A spanning tree of the largest piece of the mutual sightings, then sweeps of circular averaging over all of them.
+    A spanning tree of the largest component of the mutual sightings, then sweeps of circular averaging over all of
+    them.
     """
     n = len(net)
     a, b = mutual_pairs(net)

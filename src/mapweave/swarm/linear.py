@@ -32,10 +32,10 @@ def linear_start(
     held: Bool[np.ndarray, " n"],
     weights: Float[np.ndarray, " m"] | None = None,
 ) -> Float[np.ndarray, "n d"]:
-    """Positions [m] (units of the usual distance in pieces whose scale is free).
+    """Positions [m] (units of the usual distance in components whose scale is free).
 
     direction: sightings in the common axes; pattern: of the sightings' blocks over both ends, positions of `held`
-    robots fixed: the anchors and one robot of every piece without any, which stands at the origin. weights: (m,).
+    robots fixed: the anchors and one robot of every component without any, which stands at the origin. weights: (m,).
     """
     n, dim = len(net), net.dim
     w = np.ones(len(direction)) if weights is None else weights
@@ -55,18 +55,18 @@ def linear_start(
     still, pulled = origin.ravel().copy(), np.zeros(n * dim)
     still[moving] += solved[:, 0]
     pulled[moving] = solved[:, 1]
-    scaled = np.array([k >= 2 for k in parts.known])[parts.label]  # by robot: its piece has a scale
+    scaled = np.array([k >= 2 for k in parts.known])[parts.label]  # by robot: its component has a scale
     usual = np.where(scaled, _usual_distance(net, still.reshape(n, dim), pulled.reshape(n, dim), scaled), 1.0)
     x = still.reshape(n, dim) + usual[:, None] * pulled.reshape(n, dim)
     return _scaled(net, parts, x)
 
 
 def linear_pattern(net: BearingNetwork, parts: Components) -> tuple[Pattern, Bool[np.ndarray, " n"]]:
-    """The sparsity of the linear start, and the robots it holds: anchors, and one of each piece without any."""
+    """The sparsity of the linear start, and the robots it holds: anchors, and one of each component without any."""
     n, dim = len(net), net.dim
     held = net.is_anchor
     label = parts.label
-    if net.distances:  # a piece that only a distance joins to others hangs free as far as directions go
+    if net.distances:  # one that only a distance joins to others is free as far as directions go
         label = components(replace(net, distances=())).label
     first = np.full(label.max(initial=-1) + 1, n)
     np.minimum.at(first, label, np.arange(n))

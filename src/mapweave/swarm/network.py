@@ -157,7 +157,7 @@ EXACT_DISTANCE = 1e-4  # an exact distance is held to this many bearing standard
 
 @dataclass(frozen=True, slots=True)
 class Components:
-    """label: (n,) by connected piece; known: (c,) anchors at distinct places in each; reference: the piece reported."""
+    """label: (n,) connected component of each robot; known: (c,) anchors at distinct places; reference: reported."""
 
     label: Int[np.ndarray, " n"]
     known: Int[np.ndarray, " c"]
@@ -170,12 +170,12 @@ class Components:
         return bool((self.known >= 2).any() or ((self.known == 1) & self.measured).any())
 
     def fixed(self, c: int) -> bool:
-        """Whether piece `c` has place and scale from anchors and distances."""
+        """Whether component `c` has place and scale from anchors and distances."""
         return bool(self.known[c] >= 2 or (self.known[c] == 1 and self.measured[c]))
 
 
 def components(net: BearingNetwork) -> Components:
-    """The pieces of the network; the reference has sightings, most anchors (2 count as many), and is largest."""
+    """The components of the network; the reference has sightings, most anchors (2 count as many), and is largest."""
     n = len(net)
     i = np.concatenate([net.observer, np.array([d.i for d in net.distances], dtype=np.intp)])
     j = np.concatenate([net.target, np.array([d.j for d in net.distances], dtype=np.intp)])

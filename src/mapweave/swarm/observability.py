@@ -42,7 +42,7 @@ def observe(
     pattern: Pattern | None = None,
     seed: int = 0,
 ) -> Observability:
-    """Judged at `position`; robots in pieces other than those with place and scale are not localisable.
+    """Judged at `position`; robots in components other than those with place and scale are not localisable.
 
     pattern: of the sightings with the anchors held, where it is known already.
     """
@@ -60,14 +60,14 @@ def observe(
             best = judged
         if best.localisable[parts.label == parts.reference].all():
             break
-    assert best is not None  # noqa: S101  (a piece without anchors that is sighted has a sighting)
+    assert best is not None  # noqa: S101  (a component without anchors that is sighted has a sighting)
     return best
 
 
 def without_lines(
     net: BearingNetwork, parts: Components, seen: Observability, direction: Float[np.ndarray, "m d"]
 ) -> Observability:
-    """`seen`, less the pieces whose sightings are all parallel but for noise: along such a line nothing is known.
+    """`seen`, less the components whose sightings are all parallel but for noise: along such a line nothing is known.
 
     Noise alone would make the rows of H at an estimate look independent, so this is judged by a chi-square.
     """
@@ -89,7 +89,7 @@ def without_lines(
 
 
 def gauge_size(net: BearingNetwork, parts: Components) -> int:
-    """Free directions of the reference piece beyond what sightings can tell: place, scale, orientation."""
+    """Free directions of the reference component beyond what sightings can tell: place, scale, orientation."""
     c = parts.reference
     if not parts.label.size or parts.known[c] >= 2:
         return 0

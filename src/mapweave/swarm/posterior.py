@@ -52,7 +52,7 @@ def posterior(
     before = solution.x.reshape(n, w)
     position, heading = normalise(gauge, before[:, :dim], None if net.axis else before[:, dim])
     position = position.copy()
-    for k, p in net.anchors.items():  # also those in other pieces, which the gauge of this one may have moved
+    for k, p in net.anchors.items():  # also those in other components, which the gauge of this one may have moved
         position[k] = p
     x, information = solution.x, solution.information
     if gauge.name and information is not None:

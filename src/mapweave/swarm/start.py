@@ -67,7 +67,7 @@ def start_without_axis(
 
 @dataclass(frozen=True, slots=True)
 class SwarmStart:
-    """Everything found before the refinement: pieces, positions, headings, who can be located, sightings of use."""
+    """Everything found before the refinement: components, positions, headings, who can be located, sightings of use."""
 
     parts: Components
     position: Float[np.ndarray, "n d"]

@@ -1,4 +1,4 @@
-"""Coverage tours where walls stand: what is unexplored in groups that one place sees, joined by ways round walls."""
+"""Coverage tours where walls stand: what is unexplored in groups that one place sees, joined by paths round walls."""
 
 from dataclasses import dataclass, field
 
@@ -18,7 +18,7 @@ from .floor_plan import FloorPlan
 class Stations:
     """Places (k, 2) all over the ground, its cells at (k, 2), and what each sees within `radius`: cells (n, k).
 
-    Remembers the ways (k,) [m] from the stations asked for to all others.
+    Remembers the paths (k,) [m] from the stations asked for to all others.
     """
 
     places: Float[np.ndarray, "k 2"]
@@ -27,7 +27,7 @@ class Stations:
     _ways: dict[int, np.ndarray] = field(default_factory=dict)
 
     def ways(self, floor: FloorPlan, chosen: Int[np.ndarray, " m"]) -> Float[np.ndarray, "m m"]:
-        """Length [m] of the shortest way between each two of the `chosen` stations."""
+        """Length [m] of the shortest path between each two of the `chosen` stations."""
         new = [int(k) for k in chosen if int(k) not in self._ways]
         if new:
             for k, d in zip(new, floor.ground.distances(self.places[new]), strict=True):
@@ -111,7 +111,7 @@ def laps(
 
 
 def _ways(floor: FloorPlan, poses: np.ndarray, places: np.ndarray) -> Float[np.ndarray, "r n"]:
-    """Length [m] of the way from each pose to each place; FAR where none leads."""
+    """Length [m] of the path from each pose to each place; FAR where none leads."""
     at = floor.ground.cells(places)
     return np.asarray(np.minimum(floor.from_places(poses[:, :2])[:, at[:, 0], at[:, 1]], FAR))
 

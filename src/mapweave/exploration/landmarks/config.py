@@ -98,19 +98,19 @@ class WallsConfig:
     """Robots among walls of which they know the plan."""
 
     robot_radius: float = 0.3  # [m] of the disc that a robot is
-    margin: float = 0.4  # [m] beyond the radius that planned ways and offered controls keep from walls
+    margin: float = 0.4  # [m] beyond the radius that planned paths and offered controls keep from walls
     comfort: float = 1.2  # [m] beyond the radius that robots keep where nothing draws them nearer
-    path_cell: float = 0.4  # [m], raster on which ways round walls are found: half of what the narrowest door needs
+    path_cell: float = 0.4  # [m], raster on which paths round walls are found: half of what the narrowest door needs
     put_off_after: int = 60  # [steps] after which a target that was not seen is put off
     contact_steps: int = 40  # [steps] for which the place where a robot met a wall unexpectedly is kept clear of
     view_margin: float = 1.0  # [m] a cell must be nearer than the reach to count as one that can be seen
     view_neighbours: int = 5  # places around a place that must see it too: no robot stands quite where it meant to
     search_radius: float = 5.0  # [m] around an estimated pose in which it finds ground to stand on
-    stride: int = 3  # [cells] of its way that a robot looks ahead where room is scarce
+    stride: int = 3  # [cells] of its path that a robot looks ahead where room is scarce
     least_pocket: float = 1.0  # [m^2] of unseen ground that is worth telling of
     station_spacing: float = 2.0  # [m] between the places considered by `coverage` and `loop`
-    leg: float = 2.0  # [m] of the way ahead whose narrowness allows a robot to come nearer to walls
-    detour: float = 6.0  # [m] within which a robot plans its way round places where a wall was met lately
+    leg: float = 2.0  # [m] of the path ahead whose narrowness allows a robot to come nearer to walls
+    detour: float = 6.0  # [m] within which a robot plans its path round places where a wall was met lately
 
 
 @config

@@ -75,11 +75,11 @@ class FloorPlan:
         return int(cell[0]), int(cell[1])
 
     def from_places(self, places: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "k rows cols"]:
-        """Length [m] of the shortest way from each place to every piece of ground; infinite where none leads."""
+        """Length [m] of the shortest path from each place to every piece of ground; infinite where none leads."""
         return self.ground.distances(self.ground.centres(self.stand(places)))
 
     def to_cell(self, row: int, col: int) -> CostToGo:
-        """The shortest ways from every piece of ground to the one given; remembered."""
+        """The shortest paths from every piece of ground to the one given; remembered."""
         if (row, col) not in self._to:
             while len(self._to) >= KEPT:
                 del self._to[next(iter(self._to))]
@@ -89,10 +89,10 @@ class FloorPlan:
     def waypoint(
         self, place: Float[np.ndarray, "2"], goal: Float[np.ndarray, "2"], shut: Float[np.ndarray, "k 2"], room: float
     ) -> Float[np.ndarray, "2"]:
-        """Where (2,) to head for now to get from `place` to `goal`: as far along the way as roomy ground is in sight.
+        """Where (2,) to head for now to get from `place` to `goal`: as far along the path as roomy ground is in sight.
 
-        Where that is not far, `stride` cells along the way. The way keeps `room` [m] from the points `shut`, if any
-        such way leads there.
+        Where that is not far, `stride` cells along the path. The path keeps `room` [m] from the points `shut`, if any
+        such path leads there.
         """
         mine, its = self.stand(place[None])[0], self.goal_cell(goal)
         ways = self._detour(its, shut, room) if len(shut) else None

@@ -45,7 +45,7 @@ def clear_controls(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Controls (m, 2), with the poses (m, 3) they lead to, that keep clear of walls and in the field.
 
-    Clear: as far from walls, and from places where one was met lately, as is comfortable, or as the straight way
+    Clear: as far from walls, and from places where one was met lately, as is comfortable, or as the straight path
     `towards` a place is; a robot that is nearer comes no nearer. Where no control is, the margin has to do, or a third
     of it; where that is not kept either, the robot turns on the spot, to the side on which it can drive on that is
     nearest to its heading, or to the way `towards` a place.
@@ -171,7 +171,7 @@ def nearest_unexplored(
 ) -> np.ndarray | None:
     """The unexplored cell centre (2,) nearest to the robot: it borders explored ground. None when all is seen.
 
-    Among walls: the one whose nearest view is the shortest way off, None where no way leads to any.
+    Among walls: the one whose nearest view is the shortest path off, None where no path leads to any.
     """
     if len(unexplored_centres) == 0:
         return None

@@ -19,16 +19,16 @@ class GoalConfig:
     snap: float = 1.0  # [m] within which a place off the ground counts as its nearest cell
     progress: float = 0.2  # [m] nearer that counts as progress: a cell of the planning grid
     seen_share: float = 0.8  # of a goal's unknown cells after which it is done: the rest is noise of the walls
-    spare_way: float = 20.0  # [m] farther than needed that ways to a goal are looked for, so that detours are known
+    spare_way: float = 20.0  # [m] farther than needed that paths to a goal are looked for, so that detours are known
     patience_factor: int = 10  # times `patience` after which a goal is put off however often it came nearer
     same: float = 0.8  # [m] between places below which they are one goal: two robots' width
 
 
 @config
 class FollowerConfig:
-    """How the next command along a way is chosen."""
+    """How the next command along a path is chosen."""
 
-    lookahead: float = 2.0  # [m] of way that is looked ahead: three seconds at full speed
+    lookahead: float = 2.0  # [m] of path that is looked ahead: three seconds at full speed
     reverse_speed: float = 1 / 3  # of the top speed backwards, to leave a tight spot
     heading_cost: float = 0.8  # [m/rad] that a wrong heading counts as
     reverse_cost: float = 0.25  # [m] that driving backwards counts as: turning round is better where there is room
@@ -41,14 +41,14 @@ class RightOfWayConfig:
     """Two robots in one door: who goes first, where the other waits, what a stuck one does."""
 
     meeting: float = 2.5  # [m] apart beyond which robots do not meet
-    next_way: float = 2.0  # [m] of a robot's way on which another stands in its way
-    clear_way: float = 6.0  # [m] of the other's way that a waiting robot keeps clear of: through a door and on
+    next_way: float = 2.0  # [m] of a robot's path on which another stands in its way
+    clear_way: float = 6.0  # [m] of the other's path that a waiting robot keeps clear of: through a door and on
     wait_steps: int = 40  # [steps] that a robot waits aside at most
     beside: float = 0.1  # [m] beyond what two robots need to pass, where a robot waits
     left_place: float = 0.6  # [m] from where a robot was beyond which it has left that place
     stuck_steps: int = 30  # [steps] about one place after which a robot tries something else
-    retry_from: float = 1.0  # [m] of way at least to the place it tries again from
-    retry_to: float = 4.0  # [m] of way at most to that place
+    retry_from: float = 1.0  # [m] of path at least to the place it tries again from
+    retry_to: float = 4.0  # [m] of path at most to that place
     retry_steps: int = 15  # [steps] that getting there may take
     retry_arrived: float = 0.3  # [m] from that place at which it is reached
     parted: float = 1.5  # times `meeting` apart beyond which nobody waits for the other any more
@@ -63,8 +63,8 @@ class AllocationConfig:
     same_piece: float = 1.5  # [m] from the goal that was made of it within which what is left of a piece lies
     on_the_way: float = 1.0  # [m], a detour that small is none
     turn_cost: float = 0.6  # [m/rad] that turning towards a goal counts as: what the robot would drive meanwhile
-    wall_cost: int = 4  # what a metre of way by a wall counts beside one in the open, 1 to 255
-    parked_cost: int = 12  # what a metre of way where a robot stands counts: one goes round it if one can
+    wall_cost: int = 4  # what a metre of path by a wall counts beside one in the open, 1 to 255
+    parked_cost: int = 12  # what a metre of path where a robot stands counts: one goes round it if one can
     balance: float = 0.3  # what the sum of all tours weighs beside the longest
     stretch: int = 3  # places of a tour that are moved together to better it, at most
 
@@ -79,10 +79,10 @@ class LaserExploreConfig:
     turn: float = 1.0  # [rad/s], the fastest
     reach: float = 12.0  # [m] of the scanner
     resolution: float = 0.2  # [m], cells of the grid that is planned on: a robot's radius
-    margin: float = 0.1  # [m] beyond the radius that planned ways keep from walls: half a cell
+    margin: float = 0.1  # [m] beyond the radius that planned paths keep from walls: half a cell
     guard: float = 0.04  # [m] beyond the radius that a driven arc keeps from every point of the present scan
-    apart: float = 0.12  # [m] beyond two radii that a driven arc keeps from the way another robot just chose
-    roomy: float = 0.6  # [m] from walls, where a way costs no more than its length
+    apart: float = 0.12  # [m] beyond two radii that a driven arc keeps from the path another robot just chose
+    roomy: float = 0.6  # [m] from walls, where a path costs no more than its length
     sliver: float = 0.15  # [m^2], unknown patches smaller than this are nobody's goal: four cells
     split: float = 2.5  # [m], longest side of a piece of frontier that makes one goal
     most_goals: int = 40  # considered at once; longer frontiers are cut into larger pieces
@@ -97,7 +97,7 @@ class LaserExploreConfig:
     w_accuracy: float = 1 / 3  # weight of known walls around a goal, planners `paper` and `area`
     w_area: float = 1 / 3  # weight of unknown ground around a goal
     w_apart: float = 1 / 3  # weight of the distance from the others
-    w_way: float = 0.5  # what 20 m of way cost beside these
+    w_way: float = 0.5  # what 20 m of path cost beside these
     max_steps: int = 20000  # [steps] after which a run ends unfinished
     goals: GoalConfig = GoalConfig()
     follower: FollowerConfig = FollowerConfig()

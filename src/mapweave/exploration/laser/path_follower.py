@@ -1,4 +1,4 @@
-"""From a way to the next command: along the way, never nearer to anything seen than the robot's radius."""
+"""From a path to the next command: along the path, never nearer to anything seen than the robot's radius."""
 
 from functools import cache
 

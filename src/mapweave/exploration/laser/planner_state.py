@@ -37,7 +37,7 @@ PLANNERS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClearCostToGo(CostToGo):
-    """The ways to one place from everywhere, going round robots that stand where there is room to.
+    """The paths to one place from everywhere, going round robots that stand where there is room to.
 
     clear: (rows, cols) where a robot's disc fits and nobody stands.
     """
@@ -56,7 +56,7 @@ class ClearCostToGo(CostToGo):
         return np.asarray(way[min(2, len(way) - 1)])
 
     def along(self, place: Float[np.ndarray, "2"], metres: float) -> Float[np.ndarray, "n 2"]:
-        """The first `metres` of the way from `place`, cell by cell; none where no way leads."""
+        """The first `metres` of the path from `place`, cell by cell; none where no path leads."""
         cell = self.cells(place[None])[0]
         if cell[0] < 0:
             return np.zeros((0, 2))
@@ -65,7 +65,7 @@ class ClearCostToGo(CostToGo):
 
 @dataclass(slots=True)
 class Goal:
-    """Where a robot heads and why. unknown: (k, 2) cells it is to see there; least: the shortest way left so far [m],
+    """Where a robot heads and why. unknown: (k, 2) cells it is to see there; least: the shortest path left so far [m],
     `since` the step when it last grew shorter; done: all is seen, the robot goes on until it gets another goal.
     """
 
@@ -155,7 +155,7 @@ def with_parked(ground: MappedGround, parked: np.ndarray, cfg: LaserExploreConfi
 def route_to(
     ground: MappedGround, place: np.ndarray, parked: np.ndarray, cfg: LaserExploreConfig, far: float = np.inf
 ) -> ClearCostToGo:
-    """Ways to `place` from everywhere on the ground that is at most `far` [m] away, round robots `parked` (k, 2)."""
+    """Paths to `place` from everywhere on the ground that is at most `far` [m] away, round robots `parked` (k, 2)."""
     priced = with_parked(ground, parked, cfg)
     source = priced.cells(place[None])
     ways = priced.cost_to_go(source[source[:, 0] >= 0], far)

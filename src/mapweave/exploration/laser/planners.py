@@ -149,7 +149,7 @@ def _send_home(
 
 
 def coverage(belief: LaserBelief, poses: Float[np.ndarray, "r 3"], cfg: LaserExploreConfig) -> Float[np.ndarray, "r 2"]:
-    """Balanced tours over all frontiers by the length of the way; every robot heads for the first of its tour."""
+    """Balanced tours over all frontiers by the length of the path; every robot heads for the first of its tour."""
     return drive(belief, poses, cfg, by_tours)
 
 

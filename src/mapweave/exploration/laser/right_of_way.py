@@ -45,14 +45,14 @@ def resolve_conflicts(
 
 
 def _in_way(state: PlannerState, poses: np.ndarray, i: int, k: int, near: float, ahead: float) -> bool:
-    """Whether robot k stands on the next part of robot i's way."""
+    """Whether robot k stands on the next part of robot i's path."""
     route = current_route(state, i)
     way = route.along(poses[i, :2], ahead) if route is not None else np.zeros((0, 2))
     return len(way) > 0 and float(np.hypot(*(way - poses[k, :2]).T).min()) < near
 
 
 def _yield_to(state: PlannerState, poses: np.ndarray, k: int, i: int, step: int, cfg: LaserExploreConfig) -> bool:
-    """Robot k goes to the nearest place beside robot i's way; whether there is one."""
+    """Robot k goes to the nearest place beside robot i's path; whether there is one."""
     ground, route = state.ground, current_route(state, i)
     if ground is None or route is None:
         return False
@@ -96,7 +96,7 @@ def _end_waiting(state: PlannerState, poses: np.ndarray, live: np.ndarray, step:
 
 
 def _goal_blocked(state: PlannerState, poses: np.ndarray, k: int, i: int, near: float, cfg: LaserExploreConfig) -> bool:
-    """Whether robot i stands on the next part of robot k's way to its goal."""
+    """Whether robot i stands on the next part of robot k's path to its goal."""
     if k not in state.goals:
         return False
     way = state.goals[k].route.along(poses[k, :2], cfg.right_of_way.next_way)

@@ -22,7 +22,7 @@ RING = np.array([(y, x) for y in range(-2, 3) for x in range(-2, 3) if max(abs(y
 @dataclass(frozen=True, slots=True)
 class AllocationProblem:
     """Pieces of frontier and how far they are. robots: (m,) who may go; first: (m, n) [m] from each robot, its turn
-    towards the piece counted; between: (n, n) [m]; FAR where no way leads; held: robot -> piece it heads for already.
+    towards the piece counted; between: (n, n) [m]; FAR where no path leads; held: robot -> piece it heads for already.
     """
 
     pieces: list[Frontier]
@@ -45,7 +45,7 @@ def allocation_problem(
     live: np.ndarray,
     cfg: LaserExploreConfig,
 ) -> AllocationProblem:
-    """All ways between live robots and pieces, over cells twice as large: shares need no exact lengths."""
+    """All paths between live robots and pieces, over cells twice as large: shares need no exact lengths."""
     weight = halved(with_parked(ground, parked(state, poses, live), cfg).weight)
     metre = 2 * ground.grid.resolution / STRAIGHT
     places = np.vstack([poses[live, :2], *(f.place[None] for f in pieces)])
@@ -82,7 +82,7 @@ def halved(weight: np.ndarray) -> np.ndarray:
 
 
 def departures(costs: list[np.ndarray], cell: np.ndarray) -> Float[np.ndarray, " n"]:
-    """Direction [rad] (n,) in which the way down each of `costs` leaves `cell`; NaN where it is there or unreached."""
+    """Direction [rad] (n,) in which the path down each of `costs` leaves `cell`; NaN where it is there or unreached."""
     rows, cols = costs[0].shape
     ring = cell + RING
     inside = np.all((ring >= 0) & (ring < (rows, cols)), axis=1)
@@ -141,7 +141,7 @@ def by_tours(problem: AllocationProblem, cfg: LaserExploreConfig) -> dict[int, i
 
 
 def nearest_first(problem: AllocationProblem, cfg: LaserExploreConfig) -> dict[int, int]:
-    """Robot -> piece: the shortest way of all first; a piece goes to one robot."""
+    """Robot -> piece: the shortest path of all first; a piece goes to one robot."""
     del cfg
     left = problem.first.copy()
     out: dict[int, int] = {}

@@ -1,1 +1,1 @@
-"""Kernels of exploration: objectives, tours, laps, ways through a grid."""
+"""Kernels of exploration: objectives, tours, laps, paths through a grid."""

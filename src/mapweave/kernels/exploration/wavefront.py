@@ -1,4 +1,4 @@
-"""Ways through a grid: what it costs from a place to everywhere, and the cheapest way back."""
+"""Paths through a grid: what it costs from a place to everywhere, and the cheapest path back."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from .._jit import kernel
 
-UNREACHED = -1  # cost of a cell that no way leads to
+UNREACHED = -1  # cost of a cell that no path leads to
 NO_LIMIT = 2**31 - 1  # the largest cost an int32 holds
 STRAIGHT, DIAGONAL = 140, 198  # what a move between cells of weight 1 costs; 198 / 140 is sqrt 2 but for 5e-5
 
@@ -55,7 +55,7 @@ def _price(weight: np.ndarray, y: int, x: int, dy: int, dx: int) -> int:
 
 @kernel
 def spread(weight: np.ndarray, sources: np.ndarray, limit: int) -> np.ndarray:
-    """Cost (rows, cols) int32 of the cheapest way from the nearest of `sources` to every cell, or UNREACHED.
+    """Cost (rows, cols) int32 of the cheapest path from the nearest of `sources` to every cell, or UNREACHED.
 
     weight: (rows, cols) uint8, what the length within a cell is multiplied by, 0 for a cell that is blocked; sources:
     (k, 2) rows (iy, ix), blocked and negative ones do not count. A move along an axis costs 140, a diagonal one 198,
@@ -102,7 +102,7 @@ def spread(weight: np.ndarray, sources: np.ndarray, limit: int) -> np.ndarray:
 
 @kernel
 def descend(cost: np.ndarray, weight: np.ndarray, start: np.ndarray, most: int) -> np.ndarray:
-    """Cells (k, 2) of a cheapest way from `start` (iy, ix) to a source, at most `most`; none from an unreached one.
+    """Cells (k, 2) of a cheapest path from `start` (iy, ix) to a source, at most `most`; none from an unreached one.
 
     cost: what `spread` made of `weight`.
     """

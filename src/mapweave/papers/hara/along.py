@@ -1,4 +1,4 @@
-"""How well each proposal knows the way along a flush wall, which geometry does not show."""
+"""How well each proposal knows the distance along a flush wall, which geometry does not show."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ STRAIGHT = 0.05  # [rad] turned in a stretch at most
 
 @dataclass(frozen=True, slots=True)
 class AlongRow:
-    """error: (seeds,) root mean square error [m] of the way driven in straight stretches of 10 m."""
+    """error: (seeds,) root mean square error [m] of the distance driven in straight stretches of 10 m."""
 
     name: str
     error: Float[np.ndarray, " s"]
@@ -49,7 +49,7 @@ def try_along(seeds: range, loop: CorridorConfig | None = None) -> tuple[AlongRo
 
 
 def along_error(poses: Float[np.ndarray, "m 3"], truth: Float[np.ndarray, "m 3"]) -> float:
-    """Root mean square error [m] of the length of the way over stretches in which the robot does not turn."""
+    """Root mean square error [m] of the distance driven over stretches in which the robot does not turn."""
     moved, true = (se2.between(p[:-STRETCH], p[STRETCH:]) for p in (poses, truth))
     straight = np.abs(true[:, 2]) < STRAIGHT
     miss = np.hypot(moved[:, 0], moved[:, 1]) - np.hypot(true[:, 0], true[:, 1])

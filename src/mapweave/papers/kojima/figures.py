@@ -119,7 +119,7 @@ def draw_bars(path: Target, p: FigureData) -> None:
 
 
 def draw_local_map(path: Target, p: FigureData, k: int) -> None:
-    """Robot k's map in its own frame: its way, the landmarks it found, their 95 % regions ten times as large."""
+    """Robot k's map in its own frame: its trajectory, the landmarks it found, their 95 % regions ten times as large."""
     with figure(path, 5.2, 4.6) as (_, ax):
         mean, cov = p.local_mean[k], p.local_cov[k]
         _circle(ax, np.zeros(3), (1.0, -1.0)[k] * p.radius, colour(k), f"path of robot {k + 1}")
