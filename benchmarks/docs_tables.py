@@ -61,6 +61,7 @@ TABLES = (
         "page",
     ),
     Table("live", "docs/live.md", bench("live", "--out", "docs/images"), "stdout"),
+    Table("live ties", "docs/live.md", bench("live_passes", "--table", "--seconds", "60"), "stdout"),
     Table("live laps", "docs/live.md", bench("live_laps")),
     Table(
         "two in one office",

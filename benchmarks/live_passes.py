@@ -1,6 +1,6 @@
 """What a map process of N laser robots does while they drive, without a network: processor time of its passes.
 
-    python benchmarks/live_passes.py [--robots 50] [--seconds 30] [--rate 1] [--ways 6] [--world 0] [--apart]
+    python benchmarks/live_passes.py [--robots 50] [--seconds 30] [--rate 1] [--ways 6] [--world 0] [--apart | --table]
 
 The weaver of a map process runs on a clock of its own, which stands still but for what it computes and what it waits
 for, so that other work on the machine changes nothing: a message is there when this clock says so, and what takes place
@@ -110,6 +110,7 @@ class Clocked(LaserWeaver):
         self._team.took, self._team.drawn = defaultdict(list), self._drawn
         self._beside = Beside(clock)
         self.clock, self.coming, self.payloads, self.put = clock, coming, payloads, 0
+        self.before = memory("VmRSS")
         self.came: dict[str, int] = {}
         self.late: list[float] = []
         self.shown: dict[str, int] = {}
@@ -211,29 +212,54 @@ def main() -> None:
     parser.add_argument("--world", type=int, default=0, help="seed of the office")
     parser.add_argument("--apart", action="store_true", help="nobody says where the robots start from")
     parser.add_argument("--profile", action="store_true", help="where the time goes, by function")
+    parser.add_argument("--table", action="store_true", help="ties in two offices, with starts told and without")
     given = parser.parse_args()
     keep_one_blas_thread()
     warmed()
+    if given.table:
+        table(given)
+        return
+    profile = cProfile.Profile() if given.profile else None
+    weaver, passes = driven(given, profile)
+    if profile is not None:
+        pstats.Stats(profile).sort_stats("tottime").print_stats(40)
+    tell(weaver, passes, given)
+    t, kB = np.array(weaver.grown).T
+    MB = (np.interp(given.seconds * np.arange(1, 6) / 5, t, kB) - weaver.before) / 1024
+    each = ", ".join(f"{one:.0f}" for one in MB)
+    print(f"memory after each fifth of the time {each} MB; {MB[-1] / given.robots:.1f} MB a robot in the end")
+
+
+def driven(given: argparse.Namespace, profile: cProfile.Profile | None = None) -> tuple[Clocked, dict]:
+    """A weaver after the whole drive, and the processor seconds of its passes."""
     coming, payloads = told(given.robots, given.seconds, given.rate, given.ways, given.world)
     gc.collect()
-    before = memory("VmRSS")
     clock = Clock()
     laser_weaver.time = clock
+
+    def starts(names):
+        return {} if given.apart else starts_among(names, dict.fromkeys(names, (0.0, 0.0, 0.0)))
+
     with tempfile.TemporaryDirectory() as folder, Store(Path(folder, "s"), "a map") as store:
-
-        def starts(names):
-            return {} if given.apart else starts_among(names, dict.fromkeys(names, (0.0, 0.0, 0.0)))
-
         weaver = Clocked(store, LaserConfig(), starts, clock, coming, payloads)
-        profile = cProfile.Profile() if given.profile else None
-        passes = weaver.run() if profile is None else profile.runcall(weaver.run)
-        if profile is not None:
-            pstats.Stats(profile).sort_stats("tottime").print_stats(40)
-        tell(weaver, passes, given)
-        t, kB = np.array(weaver.grown).T
-        MB = (np.interp(given.seconds * np.arange(1, 6) / 5, t, kB) - before) / 1024
-        each = ", ".join(f"{one:.0f}" for one in MB)
-        print(f"memory after each fifth of the time {each} MB; {MB[-1] / given.robots:.1f} MB a robot in the end")
+        return weaver, weaver.run() if profile is None else profile.runcall(weaver.run)
+
+
+def table(given: argparse.Namespace) -> None:
+    """Markdown: robots in one map over time, and what the search for ties took."""
+    ends = [given.seconds * k / 4 for k in range(1, 5)]
+    head = ["office", "starts", *(f"{end:g} s" for end in ends), "pairs tried", "tied", "wrongly", "processor"]
+    print(f"| {' | '.join(head)} |", "|---" * len(head) + "|", sep="\n")
+    for world in range(2):
+        for apart in (False, True):
+            case = argparse.Namespace(**{**vars(given), "world": world, "apart": apart})
+            weaver, passes = driven(case)
+            t, tied = np.array(weaver.tied).T
+            each = [f"{int(tied[: np.searchsorted(t, end)].max(initial=0))}" for end in ends]
+            wrong = np.array(off(weaver, given.ways, world))
+            tries, cores = len(passes["PairTrial"]), sum(map(sum, passes.values())) / given.seconds
+            row = [str(world), "unknown" if apart else "told", *each, str(tries), str(len(wrong))]
+            print(f"| {' | '.join([*row, str(int(np.sum(wrong > WRONG))), f'{cores:.2f} cores'])} |", flush=True)
 
 
 def tell(weaver: Clocked, passes: dict[str, list[float]], given: argparse.Namespace) -> None:

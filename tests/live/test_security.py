@@ -2,6 +2,7 @@
 
 import datetime as dt
 import json
+import re
 import shutil
 import time
 import warnings
@@ -11,7 +12,7 @@ import pytest
 
 from mapweave.api.live_keys import live_keys
 from mapweave.api.simulate_landmarks import simulate_landmarks
-from mapweave.cli.live_door import FORGED, STRANGER, reason_of
+from mapweave.cli.live_door import FORGED, STRANGER, Denials, plain, reason_of
 from mapweave.core.errors import DataError, UsageError
 from mapweave.live import transport
 from mapweave.live.credentials import Authority, _authority, issue, make_team, tls_settings
@@ -203,6 +204,22 @@ def test_lines_of_refusals_are_known():
     assert reason_of("something else") == (False, None)
 
 
+def test_a_robot_that_listens_is_not_accused_of_what_it_never_said():
+    line = (
+        "TRACE x::access_control: 7c on Interface(lo)+CertCommonName(r1)+Transport(Tls)+7c is unauthorized to {} on {}"
+    )
+    judged = ("Reply (ingress)", "Put (ingress)", "Declare/Undeclare Liveliness Token (ingress)")
+    denials, heard, own = Denials(), "mapweave/team/@map/map/alive", "mapweave/team/r2/log"
+    assert [denials.said(line.format(what, heard)) for what in judged] == [False] * 3
+    assert denials.said(line.format("Put (ingress)", "mapweave/team/@map/map/state"))
+    assert [denials.said(line.format(what, own)) for what in judged] == [True] * 3
+    assert plain(FORGED, line.format("Put (ingress)", own)) == f"refused: {FORGED}: r1 may not put on {own}"
+    knocked = "WARN acc-0 zenoh_link_tls::unicast: received fatal alert: UnknownCA. Hint: increase the limit."
+    assert plain(STRANGER, knocked).endswith(
+        "valid certificate of this team's authority (received fatal alert: UnknownCA)"
+    )
+
+
 def test_a_whole_team_with_certificates_maps_and_counts_what_it_refused(tmp_path, keys):
     simulate_landmarks(tmp_path / "team", robots=2, minutes=0.3, seed=3)
     fleet = Fleet(tmp_path, tmp_path / "team")
@@ -215,10 +232,11 @@ def test_a_whole_team_with_certificates_maps_and_counts_what_it_refused(tmp_path
             with session(Network(connect=(fleet.at,), tls=keys / "strangers" / "r1")):
                 fleet.hears("map", f"refused: {STRANGER}")
             forged = encode(messages(team()[1], "r1", "forged")[0])
-            end = time.monotonic() + 60
+            end, tries = time.monotonic() + 60, 0
             while f"refused: {FORGED}" not in fleet.said("map"):  # before it is connected nobody hears it
                 assert time.monotonic() < end, fleet.said("map")
                 put(forger, TOPICS.log("r1"), forged)
+                tries += 1
                 time.sleep(0.2)
         for name in ("r1", "r2"):
             fleet.robot(name, "--tls", str(home / name), rate="inf")
@@ -226,4 +244,6 @@ def test_a_whole_team_with_certificates_maps_and_counts_what_it_refused(tmp_path
     finally:
         fleet.end()
     assert "of 2 robots in one map" in fleet.said("map")
-    assert f"{FORGED}" in fleet.said("map").split("refused from others:")[1]
+    assert f"refused: {FORGED}: r2 may not put on {TOPICS.log('r1')}" in fleet.said("map")
+    told = re.search(rf"refused from others:.* (\d+) {FORGED}", fleet.said("map"))
+    assert 1 <= int(told[1]) <= tries

@@ -22,6 +22,9 @@ REASONS = (  # words of a line, what it counts as; None: of no interest
         STRANGER,
     ),
 )
+DENIED = re.compile(r"CertCommonName\((?P<who>[^)]*)\).* is unauthorized to (?P<what>.+) \(\w+\) on (?P<key>\S+)")
+HEARD_THERE = re.compile(r"[^/]+/[^/]+/@map\b")  # keys that robots listen at
+FIRST_JUDGED = "Reply"
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 LOG_LEVELS = "error,zenoh_link_tls=warn,zenoh::net::routing::interceptor::access_control=trace"
 
@@ -57,13 +60,47 @@ def reason_of(line: str) -> tuple[bool, str | None]:
     return False, None
 
 
+class Denials:
+    """Which of Zenoh's lines on denied words tell of words that were said.
+
+    As soon as somebody listens at a key Zenoh judges all that might be said there, and logs each denial in one go, the
+    reply first: robots, which listen to map processes, were accused of what they never tried.
+    """
+
+    def __init__(self) -> None:
+        self._judged: set[tuple[str, str]] = set()
+
+    def said(self, line: str) -> bool:
+        """Whether this one is about a word that was said."""
+        found = DENIED.search(line)
+        if found is None or not HEARD_THERE.match(found["key"]):
+            return True
+        pair = (found["who"], found["key"])
+        if found["what"] == FIRST_JUDGED:
+            self._judged.add(pair)
+        return pair not in self._judged
+
+
+def plain(reason: str, line: str) -> str:
+    """A refusal in words: who was refused what."""
+    found = DENIED.search(line)
+    if reason == FORGED and found is not None:
+        return f"refused: {reason}: {found['who']} may not {found['what'].lower()} on {found['key']}"
+    if reason == STRANGER:
+        why = line.rpartition("unicast: ")[2].partition(". Hint")[0].strip()
+        return f"refused: {reason}: a process without a valid certificate of this team's authority ({why})"
+    return f"refused: {reason}: {line.strip()}"
+
+
 def _read(reading: int, counts: Counter[str]) -> None:
+    denials = Denials()
     with os.fdopen(reading, encoding="utf-8", errors="replace") as lines:
         for line in lines:
             known, reason = reason_of(line)
-            if reason is not None:
+            told = COLOUR.sub("", line)
+            if reason is not None and (reason != FORGED or denials.said(told)):
                 counts[reason] += 1
                 if counts[reason] == 1:
-                    print(f"refused: {reason}: {COLOUR.sub('', line).strip()}", file=sys.stderr)  # noqa: T201
+                    print(plain(reason, told), file=sys.stderr)  # noqa: T201
             elif not known:
                 sys.stderr.write(line)
