@@ -42,7 +42,7 @@ class Clock(Event):
 def told(monkeypatch, tmp_path):
     """What a robot puts, and when, that drives through a log of messages of `period` seconds until `end`."""
 
-    def drive(period, end):
+    def drive(period, end, says=lambda _: None, **pace):
         clock, put = Clock(end), []
         monkeypatch.setattr(robots, "time", clock)
         monkeypatch.setattr(robots, "put", lambda _, key, payload: put.append((clock.now, decode(payload))))
@@ -53,8 +53,8 @@ def told(monkeypatch, tmp_path):
         with session(listening) as alone, Store(tmp_path / f"{period}.sqlite", "robot r1") as store:
             store.set_about("run", "a")
             store.set_about("sensor", "landmarks")
-            process = RobotProcess("r1", alone, Topics("team"), store, lambda _: None, clock.monotonic)
-            process.run(iter(timed), driving, Pace(1.0, 0.0), clock)
+            process = RobotProcess("r1", alone, Topics("team"), store, says, clock.monotonic)
+            process.run(iter(timed), driving, Pace(1.0, 0.0, **pace), clock)
         return put
 
     return drive
@@ -74,6 +74,13 @@ def test_maps_are_told_no_oftener_than_their_size_allows_and_again_for_who_comes
         *at, _ = [t for t, m in told(period, 30.0) if isinstance(m, Snapshot)]  # the last one as soon as it is over
         assert least - 1e-9 <= min(b - a for a, b in pairwise(at))
         assert max(b - a for a, b in pairwise(at)) <= most
+
+
+def test_a_robot_that_nobody_hears_says_so_once(told):
+    for expected, lines in ((True, 1), (False, 0)):
+        said = []
+        told(1.0 + expected, 12.0, said.append, expected=expected)
+        assert said == ["r1: no map process is heard of yet: driving on, who comes later gets all of it"] * lines
 
 
 def fused(store, runs):

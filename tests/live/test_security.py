@@ -152,7 +152,7 @@ def test_a_port_in_use_is_told_in_one_line():
         session(Network(listen=at)),
     ):
         pass
-    assert "\n" not in str(told.value)
+    assert str(told.value) == f"--listen {at[0]}: the port is already in use"
 
 
 def test_port_0_is_one_that_nobody_else_has():

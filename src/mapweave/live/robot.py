@@ -21,6 +21,7 @@ NAME_PATIENCE = 4.0  # [s] that the token of a robot that was killed may last
 DISK_AGAIN = 1.0  # [s] until a full disk is tried again
 MOST_ANSWERS = 500  # messages that one question is answered with
 TICK = 0.05  # [s] that a feed is waited for
+UNHEARD = 5.0  # [s] until it is told that no map process was heard of
 GRACE = 1.0  # [s] after the last message, for a map process to be heard of
 
 Say = Callable[[str], None]
@@ -110,6 +111,7 @@ class RobotProcess:
         self._unsaved: list[tuple[str, int, bytes]] = []
         self._full_until = 0.0
         self._snapshot_due = float("-inf")
+        self._unheard_told = False
         self._declared: list[object] = []
 
     def join(self) -> None:
@@ -164,6 +166,8 @@ class RobotProcess:
                 self._tell_status(driving, finished=False)
             if self._tell_snapshot(driving, fresh=fresh):
                 fresh = False
+            if pace.expected and now > begin + UNHEARD:
+                self._tell_unheard()
             if due is not None and begin_t is not None:
                 wait = min(begin + (due[0] - begin_t) / pace.rate, told_status + STATUS_EVERY) - time.monotonic()
                 stop.wait(max(wait, 0.0))
@@ -285,6 +289,12 @@ class RobotProcess:
         """Run and sensor of this robot."""
         return self._store.about("run") or "", self._store.about("sensor") or ""
 
+    def _tell_unheard(self) -> None:
+        """Once, when no map process was heard of so far."""
+        if not (self.listeners.ever or self._unheard_told):
+            self._unheard_told = True
+            self._say(f"{self.name}: no map process is heard of yet: driving on, who comes later gets all of it")
+
     def _tell_snapshot(self, driving: Driving, *, fresh: bool) -> bool:
         """The map as it stands is told, when it is time; whether it was.
 
@@ -312,6 +322,8 @@ class RobotProcess:
                 return
             if self.listeners.all_have(self.last + 1):
                 return
+            if pace.expected and now > begin + UNHEARD:
+                self._tell_unheard()
             if now >= told + STATUS_EVERY:
                 told = now
                 self._tell_status(driving, finished=finished)

@@ -94,6 +94,8 @@ def _open(network: Network) -> zenoh.Session:
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
+        if "in use" in str(error):
+            raise UsageError(f"--listen {', '.join(network.listen)}: the port is already in use") from None
         raise UsageError(f"the network cannot be used: {_first(error)}") from None
 
 
