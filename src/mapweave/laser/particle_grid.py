@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core.config import config
-from ..kernels.laser import tiles
+from ..kernels.laser import tile_writing, tiles
 from ..kernels.laser.windows import score
 
 Rows = Int[np.ndarray, " p"]
@@ -99,17 +99,17 @@ class ParticleGrid:
         reach = float(np.sqrt((points[:, :2] ** 2).sum(axis=1).max())) + self.cfg.size
         self._cover(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
         args = (self.table, int(self.shape[1]), self.origin, self.cfg.size, rows)
+        places = np.empty((len(rows), len(points)), np.int64)
         jobs, done = 0, False
         while not done:
-            self.n_free, jobs, done = tiles.touch(
-                *args, self.used, self.n_used, self.refs, self.free, self.n_free, poses, points, self.jobs, jobs
-            )
+            held = (self.used, self.n_used, self.refs, self.free, self.n_free)
+            self.n_free, jobs, done = tile_writing.touch(*args, *held, poses, points, self.jobs, jobs, places)
             if not done and self.n_free == 0:
                 self._allocate(len(self.refs) // 2)
             elif not done:
                 self.used = np.pad(self.used, ((0, 0), (0, self.used.shape[1])))
         tiles.copy_tiles(self.pool, self.jobs, jobs)
-        tiles.insert(self.pool, *args, poses, points, weights, self.cfg.most_weight)
+        tile_writing.insert(self.pool, places, poses, points, weights, self.cfg.most_weight)
 
     def resample(self, ancestors: Rows) -> None:
         """Map i becomes a copy of map ancestors[i]; who is an ancestor stays in its own place."""
@@ -177,10 +177,10 @@ class ParticleGrid:
             return
         corner = np.where(first < old, first - 8, old) * BLOCK
         shape = (np.where(last >= end, last + 9, end) * BLOCK - corner)[::-1]
-        table = np.zeros((len(self.table), *shape), np.int32)
+        table = np.zeros((len(self.table), int(shape.prod())), np.int32)  # what is not used costs no memory
         y, x = (self.corner - corner)[::-1]
-        h, w = self.shape
-        table[:, y : y + h, x : x + w] = self.table.reshape(-1, h, w)
-        keys = (self.used // w + y) * shape[1] + self.used % w + x
-        self.used, self.table = keys.astype(np.int32), table.reshape(len(table), -1)
-        self.corner, self.shape = corner, shape
+        w = self.shape[1]
+        used = ((self.used // w + y) * shape[1] + self.used % w + x).astype(np.int32)
+        row, at = np.nonzero(np.arange(used.shape[1]) < self.n_used[:, None])
+        table[row, used[row, at]] = self.table[row, self.used[row, at]]
+        self.used, self.table, self.corner, self.shape = used, table, corner, shape

@@ -120,7 +120,7 @@ def carried(
     own: np.ndarray, of: int, px: np.float32, py: np.float32, c: np.float32, s: np.float32,
     x: np.ndarray, y: np.ndarray, at: int,
 ) -> None:  # fmt: skip
-    """A block of beams at the pose (px, py) turned by (c, s), rounded as `tiles.world_points` rounds."""
+    """A block of beams at the pose (px, py) turned by (c, s), in float32: so cells are scored and written."""
     for i in range(BEAMS):
         rx, ry = own[np.uint64(of + i)], own[np.uint64(of + BEAMS + i)]
         x[np.uint64(at + i)] = px + (c * rx - s * ry)
