@@ -1,16 +1,19 @@
 """Laps of one hall: processor seconds and memory a lap, keyframes and closures in the graph, errors and NEES.
 
-    python benchmarks/laser_laps.py [--laps 100] [--beams 60] [--seed 0] [--grow]
+    python benchmarks/laser_laps.py [--laps 100] [--beams 60] [--seed 0] [--grow] [--kept]
 
 A robot drives round a hall of 14 x 10 m with boxes in it, scan by scan through `LaserSlam`. A row a lap that is told:
 seconds of processor over the lap, memory of the process at its end, what the graph holds; at the end the error of the
 ways at every scan, seen from the first, and their NEES a degree of freedom (1 when covariances are right).
---grow: no keyframe ever leaves the graph (`laser.graph.known_places.enough` = 0).
+--grow: no keyframe ever leaves the graph (`laser.graph.known_places.enough` = 0). --kept: instead of times, which line
+of the code holds how much more memory at the end than halfway, a lap, counted at the allocator of Python and NumPy.
 """
 
 import argparse
 import gc
+import linecache
 import time
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -61,12 +64,34 @@ def memory() -> float:
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
 
 
+def held() -> tracemalloc.Snapshot:
+    gc.collect()
+    return tracemalloc.take_snapshot().filter_traces([tracemalloc.Filter(False, tracemalloc.__file__)])
+
+
+def kept(before: tracemalloc.Snapshot, after: tracemalloc.Snapshot, laps: int) -> str:
+    """Lines of the code that hold more than before, most first, until a hundredth of the sum is left."""
+    more = [d for d in after.compare_to(before, "lineno") if d.size_diff]
+    total, told = sum(d.size_diff for d in more), 0
+    rows = ["| held by | kB a lap more |", "|---|---|"]
+    for d in sorted(more, key=lambda d: -d.size_diff):
+        if told >= 0.99 * total:
+            break
+        told += d.size_diff
+        frame = d.traceback[0]
+        line = linecache.getline(frame.filename, frame.lineno).strip()
+        name = Path(frame.filename).parts[-2:]
+        rows.append(f"| `{'/'.join(name)}`: `{line}` | {d.size_diff / laps / 1e3:.1f} |")
+    return "\n".join([*rows, f"| all of it | {total / laps / 1e3:.1f} |"])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--laps", type=int, default=100)
     parser.add_argument("--beams", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--grow", action="store_true", help="no keyframe ever leaves the graph")
+    parser.add_argument("--kept", action="store_true", help="what holds more memory at the end than halfway")
     asked = parser.parse_args()
     sim = laps(asked.laps, asked.beams, asked.seed)
     cfg = LaserConfig(method="graph", feature="none")
@@ -77,17 +102,24 @@ def main() -> None:
     ends = np.searchsorted(sim.log.scan_t, sim.log.scan_t[0] + np.arange(1, asked.laps + 1) * LAP / DriveConfig().speed)
     told = {1, 2, 5, *range(10, asked.laps + 1, max(10, asked.laps // 10)), asked.laps}
     base = memory()
-    print("| lap | CPU s a lap | MB since the start | keyframes | closures tried |")
-    print("|---|---|---|---|---|")
+    if asked.kept:
+        tracemalloc.start()
+    else:
+        print("| lap | CPU s a lap | MB since the start | keyframes | closures tried |\n|---|---|---|---|---|")
     at = 0
     for lap, end in enumerate(np.minimum(ends, len(sim.log.scans)).tolist(), 1):
         began = time.process_time()
         for t, scan in zip(sim.log.scan_t[at:end].tolist(), sim.log.scans[at:end], strict=True):
             slam.add_scan(t, scan.ranges, scan.angles(), odometry=scan.odometry, range_max=scan.range_max)
         spent, at = time.process_time() - began, end
-        if lap in told:
+        if asked.kept and lap == asked.laps // 2:
+            before = held()
+        if lap in told and not asked.kept:
             graph = slam.graph()
             print(f"| {lap} | {spent:.2f} | {memory() - base:.1f} | {len(graph)} | {len(graph.closures)} |", flush=True)
+    if asked.kept:
+        print(kept(before, held(), asked.laps - asked.laps // 2))
+        return
     began = time.process_time()
     made = slam.result().maps[0]
     spent = time.process_time() - began
