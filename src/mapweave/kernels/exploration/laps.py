@@ -113,6 +113,34 @@ def seen_shares(track: np.ndarray, explored: np.ndarray, sector: Sector, raster:
 
 
 @kernel
+def first_seen(track: np.ndarray, sector: Sector, raster: Raster, rows: int, columns: int) -> np.ndarray:
+    """At which step (rows, columns) of `track` (n, 3) each cell of `raster` was first seen; n where it never was."""
+    n = len(track)
+    out = np.full((rows, columns), n, dtype=np.int64)
+    corner, cell, reach = raster.corner, raster.cell, sector.reach
+    cos_half = np.cos(sector.half_angle)
+    for t in range(n):
+        x, y = track[t, 0], track[t, 1]
+        if t > 0 and x == track[t - 1, 0] and y == track[t - 1, 1] and track[t, 2] == track[t - 1, 2]:
+            continue
+        c, s = np.cos(track[t, 2]), np.sin(track[t, 2])
+        x0 = max(0, int(np.floor((x - reach - corner[0]) / cell)))
+        x1 = min(columns - 1, int(np.floor((x + reach - corner[0]) / cell)))
+        y0 = max(0, int(np.floor((y - reach - corner[1]) / cell)))
+        y1 = min(rows - 1, int(np.floor((y + reach - corner[1]) / cell)))
+        for iy in range(y0, y1 + 1):
+            dy = corner[1] + (iy + 0.5) * cell - y
+            for ix in range(x0, x1 + 1):
+                if out[iy, ix] < n:
+                    continue
+                dx = corner[0] + (ix + 0.5) * cell - x
+                d2 = dx * dx + dy * dy
+                if d2 <= reach * reach and dx * c + dy * s >= cos_half * np.sqrt(d2) - 1e-9:
+                    out[iy, ix] = t
+    return out
+
+
+@kernel
 def odometry_information(track: np.ndarray, every: int, Q: np.ndarray) -> np.ndarray:
     """Information (3 K, 3 K) that odometry gives about the poses at steps every, 2 every, ... of each robot in turn.
 
@@ -156,12 +184,21 @@ SURELY_BEYOND = 1.0 + 1e-9  # times the squared reach: more than rounding can ma
 
 
 @kernel
-def _in_view(p: np.ndarray, dx: float, dy: float, reach: float, cos_half: float) -> bool:
-    """Whether the point at (dx, dy) from pose p is seen from there."""
+def _in_view(heading: float, dx: float, dy: float, reach: float, cos_half: float) -> bool:
+    """Whether a pose of this `heading` [rad] shows the point at (dx, dy) from it."""
     if dx * dx + dy * dy > SURELY_BEYOND * reach * reach:
         return False  # most looks, without a root and a turn
     r = np.hypot(dx, dy)
-    return bool(r <= reach and dx * np.cos(p[2]) + dy * np.sin(p[2]) >= cos_half * r)
+    return bool(r <= reach and dx * np.cos(heading) + dy * np.sin(heading) >= cos_half * r)
+
+
+@kernel
+def _still(track: np.ndarray, j: int, t: int, look: int) -> bool:
+    """Whether robot j is at step `t` of `track` just where it was `look` steps before."""
+    a, b = t, t - look
+    return bool(
+        track[j, a, 0] == track[j, b, 0] and track[j, a, 1] == track[j, b, 1] and track[j, a, 2] == track[j, b, 2]
+    )
 
 
 @kernel
@@ -186,15 +223,14 @@ def _sightings(
     h = np.zeros((2, 3))
     for j in range(M):
         for i in range(n + 1):
-            node = track[j, i * every]
+            at = i * every
             seen = False
-            begin = i * every - every // look // 2 * look
+            begin = at - every // look // 2 * look
             first = begin if i > 0 else 0
             for t in range(first, min(n * every + 1, begin + every), look):
-                p = track[j, t]
-                dx, dy = point[0] - p[0], point[1] - p[1]
+                dx, dy = point[0] - track[j, t, 0], point[1] - track[j, t, 1]
                 reach = sensor.sector.reach - (sensor.margin if t > sensor.known_until else 0.0)
-                if not _in_view(p, dx, dy, reach, cos_half) or (t >= look and np.array_equal(p, track[j, t - look])):
+                if not _in_view(track[j, t, 2], dx, dy, reach, cos_half) or (t >= look and _still(track, j, t, look)):
                     continue  # out of sight, or the robot stood still since the last look
                 r = np.hypot(dx, dy)
                 ux, uy, gx, gy = _directions(dx, dy, max(r, least_range))
@@ -208,7 +244,7 @@ def _sightings(
                     C[k] = 0.0
                     nodes[k] = j * n + i - 1
                     seen = True
-                lx, ly = p[0] - node[0], p[1] - node[1]
+                lx, ly = track[j, t, 0] - track[j, at, 0], track[j, t, 1] - track[j, at, 1]
                 h[0, 0], h[0, 1], h[0, 2] = -ux, -uy, ux * ly - uy * lx
                 h[1, 0], h[1, 1], h[1, 2] = -gx, -gy, gx * ly - gy * lx - 1.0
                 for a in range(3):
