@@ -8,8 +8,9 @@ import pytest
 
 from mapweave.exploration.landmarks.experiment import explore_many
 from mapweave.papers.yuan import reproduce as module
-from mapweave.papers.yuan.experiments import HEAD, PRINTED, cases, moving, plain_neighbour, run
-from mapweave.papers.yuan.reproduce import AREA, GOALS, TITLES, implied_error, reproduce_yuan
+from mapweave.papers.yuan.experiments import HEAD, PRINTED, cases, expected_error, moving, plain_neighbour, run
+from mapweave.papers.yuan.goals import GOALS, as_it_is
+from mapweave.papers.yuan.reproduce import AREA, TITLES, implied_error, reproduce_yuan
 
 
 def short(case, steps=12):
@@ -41,7 +42,7 @@ def test_the_tables_hold_the_papers_figures_and_every_case_ours(told):
     assert {f.name for f in (out / "figures").iterdir()} == {"one.png", "two.png", "planners.png", "ablation.png"}
     assert len((out / "claims.md").read_text().splitlines()) == 2 + len(result.claims)
     tables = {f.stem: f.read_text().splitlines() for f in (out / "tables").iterdir()}
-    assert set(tables) == {*TITLES, "area", "goals"}
+    assert set(tables) == {*TITLES, "area", "goals", "changes"}
     assert tables["table1"][2].startswith("| two robots, paper |  | 30/30 | 208 / 371 / 296 | 0.282 |")
     assert all(len(tables[group]) == 2 + len(result.table(group)) for group in TITLES)
     assert all(len(row) == len(HEAD) for group in TITLES for row in result.table(group))
@@ -55,6 +56,34 @@ def test_goals_are_judged_on_seeds_that_nothing_was_chosen_on(told):
     assert [row[3] for row in rows] == ["≤ 180", "≤ 195", ""]
     assert all(row[-1] == "reached" or row[-1].startswith("missed: ") for row in rows)
     assert not {c.first_seed for c in cases()} - {0, 100}
+
+
+def test_a_change_is_told_with_the_standard_error_of_the_runs_on_the_same_seeds(told):
+    _, result = told
+    head, rows = result.changes()
+    changed = [o for o in result.outcomes if o.case.group == "stability"]
+    assert as_it_is(result.outcomes, "coverage").runs == result.get("unseen", "coverage").runs[:2]
+    assert [row[:2] for row in rows] == [(o.case.name, len(o.runs)) for o in changed]
+    assert all(len(row) == len(head) for row in rows)
+    assert {row[-1] for row in rows} == {"nothing"}  # short runs without laps: no constant makes a difference
+    first, other = result.get("unseen", "joint"), result.get("unseen", "coverage")
+    swapped = replace(other, runs=other.runs[1:] + other.runs[:1])
+    by, error = swapped.change(first, "map_error")
+    more = np.array([b.map_error - a.map_error for a, b in zip(first.runs, swapped.runs, strict=True)])
+    assert by == pytest.approx(more.mean())
+    assert error == pytest.approx(more.std(ddof=1) / np.sqrt(len(more)))
+    low, high = first.interval("map_error")
+    assert low < first.mean("map_error") < high
+
+
+def test_the_expected_error_is_the_mean_distance_that_the_covariance_draws():
+    cov = np.diag([4.0, 0.25, 1.0, 1.0])
+    cov[0, 2] = cov[2, 0] = 0.5  # what ties landmarks does not matter
+    draws = np.random.default_rng(0).multivariate_normal(np.zeros(4), cov, size=200_000)
+    mean = 0.5 * (np.hypot(draws[:, 0], draws[:, 1]) + np.hypot(draws[:, 2], draws[:, 3])).mean()
+    assert expected_error(cov) == pytest.approx(mean, rel=5e-3)
+    assert expected_error(np.zeros((2, 2))) == 0.0
+    assert expected_error(np.zeros((0, 0))) is None
 
 
 def test_the_area_term_is_left_out_with_the_same_escape_on_both_sides():

@@ -1,7 +1,7 @@
 """`reproduce yuan`: the paper's Table 1 and Figs. 1 and 2 beside ours, the objective taken apart, and what beats it."""
 
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any, ClassVar
@@ -10,7 +10,8 @@ import numpy as np
 
 from ...core.version import __version__
 from ...core.workers import Progress, no_progress, one_blas_thread, worker_pool
-from ...exploration.landmarks.experiment import LandmarkRunRecord, explore_many, explore_once
+from ...exploration.landmarks.experiment import LandmarkRunRecord, explore_once
+from ...exploration.mission import run_seeds
 from ...io.directory import check_target, plain
 from ...io.kept import kept_parts
 from ...report.exploration import draw_map
@@ -19,10 +20,9 @@ from ...report.style import Target
 from ..reproduction import Claim, Drawing, Reproduction, Section, sentences
 from . import figures
 from .claims import CLAIMS
-from .experiments import HEAD, NOISES, PRINTED, Case, Outcome, cases, noise_told, robots_told, run
+from .experiments import HEAD, NOISES, PRINTED, Case, Outcome, cases, noise_told, robots_told, run, score_seed
+from .goals import GOALS, as_it_is, changes, goals
 
-# [steps], map error [m] and c_per_n that each planner should reach, None where none is asked
-GOALS = {"joint": (180.0, 0.282, 0.18), "coverage": (195.0, 0.33, None), "loop": (None, 0.30, None)}
 TITLES = {
     "table1": "Table 1: the paper's planner until every landmark has been seen",
     "turning": "One robot beside two: other splits of the noise (calibrated: 0.015 m and 0.0025 rad a step)",
@@ -97,33 +97,15 @@ class YuanReproduction(Reproduction):
 
     def _as_they_are(self) -> list[tuple[object, ...]]:
         """What the planners come to with no constant changed, on the seeds of the group `stability`."""
-        runs = next(len(o.runs) for o in self.outcomes if o.case.group == "stability")
-        return [
-            Outcome(replace(o.case, name=f"{name}, as it is"), o.runs[:runs]).row()
-            for name in GOALS
-            for o in [self.get("unseen", name)]
-        ]
+        return [as_it_is(self.outcomes, name, f"{name}, as it is").row() for name in GOALS]
 
     def goals(self) -> Rows:
         """What the planners should reach on seeds that nothing was chosen on, and what they do."""
-        head = ("planner, two robots", "seeds", "steps", "goal", "map error [m]", "goal", "C/N [m²]", "goal", "")
-        rows: list[tuple[object, ...]] = []
-        for name, wanted in GOALS.items():
-            o = self.get("unseen", name)
-            got = (o.mean("steps"), o.mean("map_error"), o.mean("c_per_n"))
-            missed = [
-                what
-                for what, g, w in zip(("steps", "error", "C/N"), got, wanted, strict=True)
-                if w is not None and g > w
-            ]
-            cells = [
-                cell
-                for g, w, digits in zip(got, wanted, (0, 3, 3), strict=True)
-                for cell in (f"{g:.{digits}f}", "" if w is None else f"≤ {w:g}")
-            ]
-            verdict = "missed: " + ", ".join(missed) if missed else "reached"
-            rows.append((name, o.row()[1], *cells, verdict))
-        return head, rows
+        return goals(self.outcomes)
+
+    def changes(self) -> Rows:
+        """What a constant 1 % off changes, run by run on the same seeds, and whether that is more than chance."""
+        return changes(self.outcomes)
 
     def like_for_like(self) -> Rows:
         """Steps with the area term over steps without it, the escape the same on both sides."""
@@ -187,6 +169,7 @@ class YuanReproduction(Reproduction):
             tables["unseen"],
             Section("Goals on seeds that nothing was chosen on", *self.goals(), file="goals"),
             tables["stability"],
+            Section("What 1 % changes, run by run on the same seeds", *self.changes(), file="changes"),
         )
 
     def differences(self) -> tuple[str, ...]:
@@ -297,6 +280,7 @@ class YuanReproduction(Reproduction):
                 "steps_max": max(r.steps for r in o.runs),
                 "steps_mean": o.mean("steps"),
                 "map_error_m": o.mean("map_error"),
+                "expected_error_m": o.mean("expected_error"),
                 "c_per_n_m2": o.mean("c_per_n"),
                 "nees_per_dof": o.mean("nees_per_dof"),
                 "nees_per_dof_worst": o.worst_nees,
@@ -397,4 +381,4 @@ def reproduce_yuan(
 
 
 def _scores(case: Case, runs: int, seed: int, workers: Executor | None) -> tuple[Any, ...]:
-    return tuple(explore_many(case.mission, runs, seed + case.first_seed, workers))
+    return tuple(run_seeds(score_seed, case.mission, runs, seed + case.first_seed, workers))
