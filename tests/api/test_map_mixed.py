@@ -3,6 +3,7 @@
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -59,6 +60,15 @@ def test_what_a_robot_carries_is_told(made):
     result, out = made
     told = json.loads((out / "metrics.json").read_text(encoding="utf-8"))["robots"]
     assert told["1"]["carries"] == "laser"
+    for robot in told.values():
+        keys = {"source", "odometry", "sightings", "dropped", "down_weighted", "nis_median", "warnings"}
+        assert keys <= set(robot)
+        assert robot["sightings"] > 50
+        assert Path(robot["source"]).exists()
+    assert [told[k]["odometry"] for k in "123"] == ["poses", "velocity", "velocity"]
+    assert [told[k]["scans"] > 0 for k in "123"] == [True, False, False]
+    assert told["1"]["nis_median"] is None
+    assert 0.1 < told["2"]["nis_median"] < 3
     assert told["2"]["carries"] == "wheels, camera"
     assert "robot 1" in result.summary()
     assert "<img" in (out / "report.html").read_text(encoding="utf-8")
@@ -98,6 +108,16 @@ def test_a_laser_clock_an_hour_off_is_named_and_its_robot_stays_apart(team, tmp_
     assert [team.robots for team in result.maps] == [("robot2", "robot3"), ("robot1",)]
     (said,) = [w for w in result.metrics["warnings"] if "clock" in w]
     assert said.startswith("robot 1: its clock has nothing in common with the others'")
+
+
+def test_a_robot_that_is_left_out_is_no_landmark(team):
+    seen = {row.split(",")[2] for row in (team / "sightings.csv").read_text().splitlines() if row.split(",")[1] == "3"}
+    assert "robot2" in seen
+    done = mapweave.map(team, robots=["1", "3"])
+    names = {name for team_map in done.maps for name in team_map.landmarks.ids}
+    assert len(names) > 3
+    assert names <= seen - {"robot1", "robot2"}
+    assert done.metrics["robots"]["3"]["dropped"]["sighting of a robot left out"] > 10
 
 
 def test_what_cannot_be_is_refused_with_the_reason(team, tmp_path):

@@ -1,7 +1,7 @@
 """`map` of mixed teams: landmark logs, laser logs and tables of sightings become one map in one frame."""
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.config import config, load
 from ..core.errors import DataError, UsageError
-from ..core.landmark_log import LandmarkLog
+from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key, robot_name
 from ..core.workers import worker_pool
@@ -58,7 +58,7 @@ from .evaluate import Evaluation, judged
 from .map_landmarks import known_calibration
 from .map_laser import first_part, source_of
 from .map_options import MapOptions
-from .mixed_told import carries, mixed_metrics, warnings_of
+from .mixed_told import carries, mixed_metrics, robot_metrics, warnings_of
 from .team import Watch, team_maps
 
 METHODS = ("graph",)
@@ -170,6 +170,8 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     carried = [f"robot {robot_key(m.robot)}: {w}" for m in local for w in m.warnings if cut_of[m.robot].cuts]
     warnings = (*carried, *lost, *back, *warnings_of(read, lasers, fusion if local else None, made, apart))
     kinds = {log.robot: carries(log, scanned) for log in read}
+    own = {m.robot: m for m in local}
+    robots = {x.robot: robot_metrics(x, own.get(x.robot), lasers.get(x.robot), warnings) for x in read}
     story = MixedStory(f"One map from {', '.join(p.name for p in logs)}", made, grids, kinds, (), warnings)
     result = MixedResult(
         maps=tuple(s.map for s in made.components),
@@ -177,7 +179,7 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
         local=tuple(local),
         lasers=tuple(lasers.values()),
         story=story,
-        metrics=mixed_metrics(made, kinds, warnings, options.seed),
+        metrics=mixed_metrics(made, kinds, robots, warnings, options.seed),
     )
     result = _scored(result, options)
     watch.lap("evaluate")
@@ -220,7 +222,7 @@ def _configured(options: MapOptions) -> MixedMapConfig:
 
 
 def _wanted(read: list[LandmarkLog], found: MixedLogs, options: MapOptions) -> tuple[list[LandmarkLog], MixedLogs]:
-    """The logs of the robots asked for; raises UsageError for one that is not there."""
+    """The logs of the robots asked for, without sightings of others; raises UsageError for one that is not there."""
     names = [log.robot for log in read]
     for option, given in (("--robots", options.robots or ()), ("--share", options.share)):
         for key in given:
@@ -230,7 +232,20 @@ def _wanted(read: list[LandmarkLog], found: MixedLogs, options: MapOptions) -> t
         return read, found
     chosen = {robot_name(key) for key in options.robots}
     lasers = {robot: laser for robot, laser in found.lasers.items() if robot in chosen}
-    return [log for log in read if log.robot in chosen], replace(found, lasers=lasers)
+    others = set(names) - chosen
+    return [_without(log, others) for log in read if log.robot in chosen], replace(found, lasers=lasers)
+
+
+def _without(log: LandmarkLog, robots: Collection[str]) -> LandmarkLog:
+    """The log without sightings of `robots`, which are counted: they drive, and are no landmarks."""
+
+    def kept(table: SightingTable) -> SightingTable:
+        return table.select(np.array([name not in robots for name in table.ids], bool)[table.what])
+
+    sightings, bearings = kept(log.sightings), kept(log.bearings)
+    gone = len(log.sightings) + len(log.bearings) - len(sightings) - len(bearings)
+    told = {"sighting of a robot left out": gone} if gone else {}
+    return replace(log, sightings=sightings, bearings=bearings, dropped={**log.dropped, **told})
 
 
 def _lasers(

@@ -8,6 +8,7 @@ from ..core.names import robot_key
 from ..core.version import __version__
 from ..fusion.result import Fusion
 from ..io.team_map import told_gaps
+from ..landmarks.landmark_map import LocalMap
 from ..laser.laser_map import LaserMap
 from ..team.mixed import MixedMap
 from ..team.walls import Scanned
@@ -52,12 +53,42 @@ def warnings_of(
     return tuple(out)
 
 
-def mixed_metrics(made: MixedMap, kinds: Mapping[str, str], warnings: Sequence[str], seed: int) -> dict[str, Any]:
+def robot_metrics(
+    log: LandmarkLog, local: LocalMap | None, laser: LaserMap | None, warnings: Sequence[str]
+) -> dict[str, Any]:
+    """What `metrics.json` tells of every robot, whatever it carries.
+
+    sightings: of landmarks and robots, or the scans of a robot that has a laser alone; local: its own landmark map.
+    """
+    seen, scans = len(log.sightings) + len(log.bearings), 0 if laser is None else len(laser.scans)
+    odometry = "none" if laser is None else laser.odometry
+    about = f"robot {robot_key(log.robot)}: "
+    return {
+        "source": log.source,
+        "odometry": odometry if log.odometry is None else "velocity",
+        "sightings": seen or scans,
+        "scans": scans,
+        "dropped": {**({} if laser is None else laser.dropped), **(log.dropped if local is None else local.dropped)},
+        "down_weighted": 0 if local is None else local.down_weighted,
+        "nis_median": None if local is None else local.nis_median,
+        "warnings": [w.removeprefix(about) for w in warnings if w.startswith(about)],
+    }
+
+
+def mixed_metrics(
+    made: MixedMap,
+    kinds: Mapping[str, str],
+    robots: Mapping[str, Mapping[str, Any]],
+    warnings: Sequence[str],
+    seed: int,
+) -> dict[str, Any]:
+    """`robots`: of each, what `robot_metrics` tells."""
     return {
         "version": __version__,
         "seed": seed,
         "robots": {
             robot_key(r): {
+                **robots[r],
                 "carries": kind,
                 "clock": {"ahead": made.clocks[r].ahead, "sd": made.clocks[r].sd} if r in made.clocks else None,
             }
