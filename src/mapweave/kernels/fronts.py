@@ -6,6 +6,8 @@ a lower triangle over the others, lies in `updates` from `room[i]`, each of them
 children are `children[family[i]:family[i + 1]]`.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ._jit import kernel
@@ -91,18 +93,24 @@ def factor_columns(P: np.ndarray, p: int, q: int) -> bool:
     return True
 
 
+class Fronts(NamedTuple):
+    """Where each front stands: its variables, how many are its own, their places in its parent, its panel of L."""
+
+    begin: np.ndarray
+    own: np.ndarray
+    into: np.ndarray
+    panel: np.ndarray
+    L: np.ndarray
+
+
 @kernel
 def factor_fronts(
     first: int,
     last: int,
-    begin: np.ndarray,
-    own: np.ndarray,
-    into: np.ndarray,
+    fronts: Fronts,
     family: np.ndarray,
     children: np.ndarray,
-    panel: np.ndarray,
     room: np.ndarray,
-    L: np.ndarray,
     updates: np.ndarray,
     rest: np.ndarray,
 ) -> int:
@@ -110,6 +118,7 @@ def factor_fronts(
 
     rest: scratch for the largest update.
     """
+    begin, own, into, panel, L = fronts
     for i in range(first, last):
         p = own[i]
         q = begin[i + 1] - begin[i] - p
@@ -240,13 +249,9 @@ def inverse_columns(full: np.ndarray, P: np.ndarray, p: int) -> None:
 def inverse_fronts(
     first: int,
     last: int,
-    begin: np.ndarray,
-    own: np.ndarray,
-    into: np.ndarray,
+    fronts: Fronts,
     parent: np.ndarray,
-    panel: np.ndarray,
     room: np.ndarray,
-    L: np.ndarray,
     Z: np.ndarray,
     asked: np.ndarray,
     ends: np.ndarray,
@@ -258,6 +263,7 @@ def inverse_fronts(
     A parent's must be there already; its last child's may take its place. asked[ends[i]:ends[i + 1]]: the rows of `out`
     (b, m, m) wanted of front i, over its variables `local` (b, m).
     """
+    begin, own, into, panel, L = fronts
     m = local.shape[1]
     for i in range(last - 1, first - 1, -1):
         k, p, up = begin[i + 1] - begin[i], own[i], parent[i]

@@ -20,6 +20,7 @@ from ..kernels.laser.place_search import (
     COARSE,
     FULL,
     MOST_POINTS,
+    Brightness,
     branch_and_bound,
     root_bounds,
     stamp,
@@ -273,11 +274,8 @@ def _best(
         order = np.argsort(-bounds, kind="stable")
         hit = branch_and_bound(
             place.tables,
-            asked.dark,
-            asked.bright,
-            asked.light,
+            Brightness(asked.dark, asked.bright, asked.light, asked.q),
             asked.cells,
-            asked.q,
             -asked.high,
             asked.high,
             asked.tiles,

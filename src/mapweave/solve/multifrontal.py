@@ -14,7 +14,7 @@ from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf, dpotri
 
 from ..kernels.dense import extend_add
-from ..kernels.fronts import backward_fronts, factor_fronts, forward_fronts, inverse_fronts
+from ..kernels.fronts import Fronts, backward_fronts, factor_fronts, forward_fronts, inverse_fronts
 from .elimination import Elimination
 
 
@@ -35,15 +35,14 @@ class Cholesky:
         e = elimination
         L = np.zeros(int(e.panel[-1]))
         L[e.place] = matrix.data[e.slot]
+        fronts = Fronts(e.begin, e.own, e.into, e.panel, L)
         updates = np.empty(int(e.room[0, -1]))
         rest = np.empty(int((np.diff(e.begin) - e.own)[~e.large].max(initial=0)) ** 2)
         for a, b in e.runs():
             if e.large[a]:
                 failed = a if _factorised(e, a, L, updates) else -1
             else:
-                failed = factor_fronts(
-                    a, b, e.begin, e.own, e.into, e.family, e.children, e.panel, e.room[0], L, updates, rest
-                )
+                failed = factor_fronts(a, b, fronts, e.family, e.children, e.room[0], updates, rest)
             if failed >= 0:
                 raise NotPositiveError(f"a pivot of front {failed} is not positive")
         return cls(e, L)
@@ -104,7 +103,7 @@ class Cholesky:
         asked = np.argsort(home[index[:, 0]], kind="stable")
         ends = np.searchsorted(home[index[asked, 0]], np.arange(len(e) + 1))
         out = np.empty((*index.shape, index.shape[1]))
-        Z = np.empty(int(e.room[1, -1]))
+        Z, fronts = np.empty(int(e.room[1, -1])), Fronts(e.begin, e.own, e.into, e.panel, self.L)
         for a, b in reversed(list(e.runs())):
             if e.large[a]:
                 full = self._inverse(a, Z)
@@ -114,9 +113,7 @@ class Cholesky:
                 j = local[mine]
                 out[mine] = full[j[:, :, None], j[:, None, :]]
             else:
-                inverse_fronts(
-                    a, b, e.begin, e.own, e.into, e.parent, e.panel, e.room[1], self.L, Z, asked, ends, local, out
-                )
+                inverse_fronts(a, b, fronts, e.parent, e.room[1], Z, asked, ends, local, out)
         return out
 
     def _inverse(self, i: int, known: Float[np.ndarray, " z"]) -> Float[np.ndarray, "k k"]:

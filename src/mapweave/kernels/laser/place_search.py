@@ -6,7 +6,7 @@ entry [h, r, c] is the greatest of the 2^h x 2^h field cells whose lowest is (r 
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -135,14 +135,20 @@ def _add(to: np.ndarray, new: np.ndarray) -> None:
         to[k] += new[k]
 
 
+class Brightness(NamedTuple):
+    """dark, bright: as the tables, least and greatest feature there (empty: geometry alone); light, q: see `bound`."""
+
+    dark: np.ndarray
+    bright: np.ndarray
+    light: np.ndarray
+    q: np.ndarray
+
+
 @kernel
 def branch_and_bound(  # noqa: C901, PLR0912  (one loop over a stack)
     tables: np.ndarray,
-    dark: np.ndarray,
-    bright: np.ndarray,
-    light: np.ndarray,
+    brightness: Brightness,
     cells: np.ndarray,
-    q: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
     tiles: np.ndarray,
@@ -158,6 +164,7 @@ def branch_and_bound(  # noqa: C901, PLR0912  (one loop over a stack)
     radius [cells^2], with (A,) marks in the rest: 1 for headings in which shifts this near are left out; empty: none.
     Of equal scores the one of the lowest heading number, then oy, then ox is the best, as a scan of all would find.
     """
+    dark, bright, light, q = brightness
     level = tables.shape[0] - 1
     pad = 2**level - 1
     nx, ny = tiles[0], tiles[1]
