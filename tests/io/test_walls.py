@@ -380,6 +380,15 @@ def test_scans_whose_pose_or_stamp_no_robot_can_have_are_dropped_and_counted(tmp
     assert all(np.isfinite(scan.ranges).all() and np.isfinite(scan.odometry).all() for scan in log.scans)
 
 
+@pytest.mark.parametrize("first", ["FLASER 3 1 2 3 0 0 0 0 0 0 2.0 h 2", "Laser 3 1 2 3", "1 0 0 0 0 100 200 300"])
+def test_a_line_of_a_laser_log_that_would_be_millions_of_words_is_refused(tmp_path, first):
+    (tmp_path / "a.log").write_text("\n".join([first] * 3) + "\nFLASER " + "0 " * 600_000 + "\n")
+    with pytest.raises(
+        ReaderError, match=r"a\.log:4: expected lines of at most 1048576 characters, found one of 1200007"
+    ):
+        read_laser(tmp_path / "a.log")
+
+
 @pytest.mark.parametrize("step", [0.0, 1e-45, 1e30])
 def test_scans_whose_beams_no_scanner_has_are_dropped_and_counted(tmp_path, step):
     recording = Recording(tmp_path / "a.mcap")

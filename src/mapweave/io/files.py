@@ -61,12 +61,8 @@ class TextLog:
         return out
 
     def lines(self) -> Iterator[tuple[int, str]]:
-        """Line numbers from 1 and lines without their ends."""
-        yield from enumerate(self.text.splitlines(), start=1)
-
-    def rows(self) -> Iterator[tuple[int, str]]:
-        """As `lines`, all of them short enough to be cut into words. Raises ReaderError for one that is not."""
-        for number, line in self.lines():
+        """Line numbers from 1 and lines without their ends; raises ReaderError for one too long to be cut into words."""
+        for number, line in enumerate(self.text.splitlines(), start=1):
             if len(line) > LONGEST:
                 found = f"expected lines of at most {LONGEST} characters, found one of {len(line)}"
                 raise ReaderError(self.path, found, number)

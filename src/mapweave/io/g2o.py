@@ -132,7 +132,7 @@ def _priors(path: Path, rows: _Rows, index: dict[int, int]) -> tuple[Prior, ...]
 def _rows(path: Path) -> _Rows:
     log = TextLog(path)
     out = _Rows({}, [], [], [], {}, [], Counter())
-    for line, text in log.rows():
+    for line, text in log.lines():
         words = text.split()
         if not words or words[0].startswith("#"):
             continue

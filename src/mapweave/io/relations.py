@@ -20,7 +20,7 @@ def read_relations(path: Path) -> Relations:
     if log.truncated:
         raise ReaderError(path, log.truncated)
     rows = []
-    for number, line in log.rows():
+    for number, line in log.lines():
         words = line.split()
         if not words or words[0].startswith("#"):
             continue
