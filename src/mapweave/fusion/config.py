@@ -44,6 +44,7 @@ class FuseConfig:
     sighting_range: float = 0.3  # [m] standard deviation of a range to a robot there,
     sighting_bearing: float = 0.1  # [rad] and of a bearing; tracks err more than cameras
     sighting_every: float = 5.0  # [s] from one sighting of a robot by another to the next that counts
+    judge_again: float = 1.25  # times the sightings of the last judgement, from which online fusing judges all anew
     variance: VarianceConfig = VarianceConfig()
     matching: IdentityConfig = IdentityConfig()
 

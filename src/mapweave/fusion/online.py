@@ -19,7 +19,6 @@ from .join import fuse
 from .result import Component, Fusion
 
 NOTHING = Fusion((), ())
-MORE = 1.25  # times the sightings of the last judgement after which all is judged anew
 MOST = 2000  # variables up to which a sum is kept dense
 
 
@@ -87,7 +86,7 @@ class OnlineFuser:
         known = {r for part in self.sums for r in part.component.robots}
         return (
             bool(self.sums)
-            and _sightings(latest) < MORE * self.sightings
+            and _sightings(latest) < self.cfg.judge_again * self.sightings
             and all(
                 m.robot in known
                 and m.submap.ids == self.latest[m.robot].submap.ids

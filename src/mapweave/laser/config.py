@@ -89,6 +89,16 @@ class WheelCheck:
 
 
 @config
+class MomentConfig:
+    """When rows of a log are of one moment, and when they contradict each other: their stamps are wrong then."""
+
+    within: float = 0.002  # [s] in which a robot hardly moves
+    apart: float = 0.02  # [m] by which such rows contradict each other
+    turned: float = 0.05  # [rad] the same of headings
+    scan_counts: int = 2  # rows of odometry that a scan's pose, which was matched, outweighs
+
+
+@config
 class LaserConfig:
     """Settings of laser SLAM, table `[laser]`: method, particle filter, matching, occupancy, pose graph, merging."""
 
@@ -107,6 +117,7 @@ class LaserConfig:
     beam: BeamConfig = BeamConfig()
     moving: MovingConfig = MovingConfig()
     wheels: WheelCheck = WheelCheck()
+    moment: MomentConfig = MomentConfig()
     cells: CellConfig = CellConfig()
     front_end: FrontEndConfig = FrontEndConfig()
     filter: FilterConfig = FilterConfig()

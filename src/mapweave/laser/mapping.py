@@ -18,7 +18,7 @@ from ..core.laser_log import LaserLog
 from ..core.records import Track
 from ..core.workers import Progress, no_progress
 from .beam import STEERING, IntensityCalibration, beams, calibrate, raw_scale
-from .config import LaserConfig, WheelCheck
+from .config import LaserConfig, MomentConfig, WheelCheck
 from .laser_map import LaserMap
 from .occupancy_mapper import render
 from .robot_graph import RobotGraph
@@ -26,11 +26,6 @@ from .scan_infos import ScanInfos
 from .scan_odometry import STILL, blended
 from .session import Feature, LaserSession
 from .unfound_places import unfound_places
-
-TOGETHER = 0.002  # [s] within which a robot hardly moves: rows nearer in time are of one moment
-APART = 0.02  # [m] and
-TURNED = 0.05  # [rad]: what differs by more than either contradicts
-SCAN_COUNTS = 2  # rows of odometry that a scan's pose, which was matched, outweighs
 
 
 def choose_feature(log: LaserLog, cfg: LaserConfig) -> Feature:
@@ -76,7 +71,7 @@ def finish(
 ) -> LaserMap:
     """The result from the poses at every scan: poses at every stamp, the records, the grid. graph: in their frame."""
     frame = f"local_{log.robot}"
-    track, dead, unclear = _tracks(log, poses, frame)
+    track, dead, unclear = _tracks(log, poses, frame, cfg.moment)
     shift = se2.inverse(_first(log, poses))
     if graph is not None:
         graph = replace(graph.moved(shift), source=log.source, log_hash=log.log_hash)
@@ -246,7 +241,9 @@ def _first(log: LaserLog, poses: np.ndarray) -> np.ndarray:
     return np.asarray(se2.compose(poses[0], se2.between(log.scans[0].odometry, rows.pose[0])))
 
 
-def _tracks(log: LaserLog, poses: np.ndarray, frame: str) -> tuple[Track, Track | None, tuple[str, ...]]:
+def _tracks(
+    log: LaserLog, poses: np.ndarray, frame: str, cfg: MomentConfig
+) -> tuple[Track, Track | None, tuple[str, ...]]:
     """Estimate and dead reckoning at every odometry and scan stamp, from the first stamp's pose, and what to say."""
     shift = se2.inverse(_first(log, poses))
     rows = log.odometry
@@ -261,32 +258,32 @@ def _tracks(log: LaserLog, poses: np.ndarray, frame: str) -> tuple[Track, Track 
     at = np.flatnonzero(order >= int(between.sum()))
     filled = blended(odometry, at, se2.compose(shift, poses))
     t = t[order]
-    filled, middle = of_one_moment(t, filled, order >= int(between.sum()))
+    filled, middle = of_one_moment(t, filled, order >= int(between.sum()), cfg)
     last = np.append(np.diff(t) > 0, True)
     dead = se2.between(odometry[0], odometry)
     tracks = Track(t[last], filled[last], frame=frame), Track(t[last], dead[last], frame="odom")
     if not middle.any():
         return *tracks, ()
-    near = f"{int(middle.sum())} poses have stamps within {1e3 * TOGETHER:g} ms of others and lie elsewhere"
+    near = f"{int(middle.sum())} poses have stamps within {1e3 * cfg.within:g} ms of others and lie elsewhere"
     return *tracks, (f"{near}: stamps in the log are wrong; the trajectory gives the middle of such poses",)
 
 
 def of_one_moment(
-    t: Float[np.ndarray, " n"], pose: Float[np.ndarray, "n 3"], scan: Bool[np.ndarray, " n"]
+    t: Float[np.ndarray, " n"], pose: Float[np.ndarray, "n 3"], scan: Bool[np.ndarray, " n"], cfg: MomentConfig
 ) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
     """The poses, those of one moment that contradict each other at their middle, and which these are.
 
     t: ascending [s]; scan: which poses are those of scans. The middle is the median over x, y and heading of the rows
-    within `TOGETHER`, seen from the row itself.
+    within `cfg.within`, seen from the row itself.
     """
-    first = np.searchsorted(t, t - TOGETHER, side="left")
-    end = np.searchsorted(t, t + TOGETHER, side="right")
+    first = np.searchsorted(t, t - cfg.within, side="left")
+    end = np.searchsorted(t, t + cfg.within, side="right")
     out, moved = np.array(pose), np.zeros(len(t), dtype=bool)
     for k in np.flatnonzero(end - first > 1).tolist():
         rows = slice(first[k], end[k])
         seen = se2.between(pose[k], pose[rows])
-        if (np.hypot(seen[:, 0], seen[:, 1]) <= APART).all() and (np.abs(seen[:, 2]) <= TURNED).all():
+        if (np.hypot(seen[:, 0], seen[:, 1]) <= cfg.apart).all() and (np.abs(seen[:, 2]) <= cfg.turned).all():
             continue
-        middle = np.median(np.repeat(seen, np.where(scan[rows], SCAN_COUNTS, 1), axis=0), axis=0)
+        middle = np.median(np.repeat(seen, np.where(scan[rows], cfg.scan_counts, 1), axis=0), axis=0)
         out[k], moved[k] = se2.compose(pose[k], middle), True
     return out, moved
