@@ -32,7 +32,7 @@ CLOCK_EVERY = 5.0  # [s]
 MOST_ANSWERS = 500
 NAME_PATIENCE = 4.0  # [s]
 FUSED = 0.25  # of the time between two solutions of laser robots: how often landmark robots are fused at most
-FUSING_REST = 0.5  # the time without fusing is at least so many times what fusing took
+FUSING_REST = 0.25  # the time without fusing is at least so many times what fusing took
 TELL_CLOCK = 1.0  # [s] that a clock is off before it is told
 
 Say = Callable[[str], None]
