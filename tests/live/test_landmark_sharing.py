@@ -1,5 +1,6 @@
 """Landmark robots that drive: when each tells its map, and what the maps of a team fuse to."""
 
+import time
 from itertools import pairwise
 from threading import Event
 
@@ -10,6 +11,7 @@ from mapweave.live import robot as robots
 from mapweave.live.inbox import Inbox
 from mapweave.live.landmark_robot import LandmarkRobot
 from mapweave.live.landmark_stream import messages_of
+from mapweave.live.map_process import MapProcess
 from mapweave.live.messages import Rows, Snapshot, decode, encode
 from mapweave.live.robot import Pace, RobotProcess, pause_after
 from mapweave.live.shared_map import SharedMap
@@ -93,6 +95,7 @@ def fused(store, runs):
             driving.add(message)
             inbox.offer(f"r{k}", encode(message), 0.0)
         inbox.offer(f"r{k}", encode(driving.snapshot()), 0.0)
+    inbox.save()
     shared = SharedMap()
     shared.take_fused(shared.fusing(inbox.ledgers.values()).run())
     assert shared.fusing(inbox.ledgers.values()) is None  # nothing is fresher
@@ -105,3 +108,18 @@ def test_robots_that_call_their_runs_alike_are_two_robots_all_the_same(tmp_path)
     assert {p.component for p in alike.placed.values()} == {1}
     assert alike.decisions == told_apart.decisions
     assert alike.landmarks == told_apart.landmarks
+
+
+def test_a_map_process_that_begins_again_holds_robots_that_left_before(tmp_path):
+    with Store(tmp_path / "map.sqlite", "a map") as store:
+        heard = fused(store, "ab")
+    with (
+        Store(tmp_path / "map.sqlite", "a map") as store,
+        session(Network(listen=("tcp/127.0.0.1:0",))) as alone,
+    ):
+        process = MapProcess("map", alone, Topics("team"), store, Inbox(store), lambda _: None)
+        end = time.monotonic() + 60
+        process.run(Event(), 0.1, lambda _: len(process.shared.placed) == 2 or time.monotonic() > end)
+        state = process.state()
+    assert state.landmarks == heard.landmarks
+    assert all(robot.component == 1 and robot.pose for robot in state.robots)

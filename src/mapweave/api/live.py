@@ -14,7 +14,6 @@ from ..core.landmark_log import LandmarkLog
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key
 from ..core.workers import one_blas_thread
-from ..fusion.config import FuseConfig
 from ..io.directory import check_target
 from ..laser.config import LaserConfig
 from ..live.inbox import Inbox
@@ -247,7 +246,7 @@ def live_map(
     check_target(out, force=force)
     options = MapOptions(config=None if config is None else Path(config), seed=seed)
     known = start or {}
-    fusing, weaving = _fuse_config(options.config), _laser_config(options.config)
+    landmarks, weaving = _landmark_config(options.config), _laser_config(options.config)
     path = out.with_name(f"{out.name}.sqlite") if store is None else Path(store)
     with Store(path, f"a map of team {network.team}") as kept:
         if fresh:
@@ -255,7 +254,7 @@ def live_map(
         inbox = Inbox(kept, robots)
         with session(network, lambda at: say(f"{name}: {LISTENING}{at}")) as opened:
             process = MapProcess(name, opened, Topics(network.team), kept, inbox, say, wall, at_the_door)
-            process.shared.cfg = fusing
+            process.shared.cfg, process.ekf = landmarks.fuse, landmarks.ekf
             process.laser = weaving
             process.starts = lambda names: starts_among(names, {k: v for k, v in known.items() if k in names})
             process.join()
@@ -269,13 +268,13 @@ def live_map(
     return result
 
 
-def _fuse_config(settings: Path | None) -> FuseConfig:
-    """How landmark robots are fused; the settings may also be those of laser robots. Raises ConfigError of neither."""
+def _landmark_config(settings: Path | None) -> LandmarkMapConfig:
+    """How landmark robots are mapped and fused; the settings may also be of lasers. Raises ConfigError of neither."""
     try:
-        return load(LandmarkMapConfig, settings).fuse
+        return load(LandmarkMapConfig, settings)
     except ConfigError:
         load(LaserMapConfig, settings).laser.check()
-        return FuseConfig()
+        return LandmarkMapConfig()
 
 
 def _with_starts(options: MapOptions, known: Mapping[str, Sequence[float]], inbox: Inbox, say: Say) -> MapOptions:

@@ -1,8 +1,10 @@
 """A landmark robot that is driving: the estimator of `map`, one message at a time."""
 
+from collections.abc import Callable
+
 import numpy as np
 
-from ..core.errors import EstimateError
+from ..core.errors import EstimateError, MapweaveError
 from ..core.run import Runner
 from ..landmarks import ekf_slam
 from ..landmarks.config import EkfSlamConfig
@@ -10,7 +12,8 @@ from ..landmarks.landmark_map import Submap
 from ..landmarks.mapping import config_for, local_map, without_impossible
 from .columns import pack, pack_triangle
 from .landmark_stream import LandmarkRecord
-from .messages import Header, Numbered, Snapshot
+from .messages import Header, Numbered, RefusedError, Snapshot, decode
+from .store import Store
 
 WANDERING_EVERY = 32  # messages: a robot without odometry is mapped anew from its first row
 
@@ -83,3 +86,23 @@ class LandmarkRobot:
             cov=pack_triangle(m.cov),
             counts=[self._counts.get(name, 0) for name in m.ids],
         )
+
+
+def mapped_again(store: Store, robot: str, end: int, cfg: EkfSlamConfig, ended: Callable[[], bool]) -> Snapshot | None:
+    """What `robot` would have told after its messages before `end`, which are in the store.
+
+    None when they make no map, or when it is `ended` meanwhile.
+    """
+    driving: LandmarkRobot | None = None
+    try:
+        for _, payload in store.get(robot, 0, end - 1):
+            message = decode(payload)
+            if ended():
+                return None
+            if isinstance(message, Header):
+                driving = LandmarkRobot(message, cfg)
+            elif driving is not None and isinstance(message, Numbered):
+                driving.add(message)
+        return None if driving is None else driving.snapshot()
+    except (MapweaveError, RefusedError, np.linalg.LinAlgError):
+        return None

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from queue import Empty, Full, Queue
 from threading import Event
 
@@ -12,13 +13,16 @@ import numpy as np
 import zenoh
 
 from ..core.errors import DataError, UsageError
+from ..landmarks.config import EkfSlamConfig
 from ..laser.config import LaserConfig
 from .clocks import ClockOffset
-from .columns import listed, square, triangle
+from .columns import listed, square, triangle, unpack_triangle
 from .inbox import Inbox, Ledger
+from .landmark_robot import mapped_again
+from .landmark_stream import LandmarkRecord
 from .laser_team import Starts, WovenTeam, nobody
 from .laser_weaver import LaserWeaver
-from .messages import LARGEST, MapState, Numbers, RefusedError, RobotState, count, decode, encode
+from .messages import LARGEST, MapState, Numbers, RefusedError, RobotState, Snapshot, count, decode, encode
 from .shared_map import Fused, SharedMap
 from .store import Store
 from .topics import Topics
@@ -76,7 +80,11 @@ class MapProcess:
         self.starts: Starts = nobody
         self._weaver: LaserWeaver | None = None
         self._woven: WovenTeam | None = None
-        self._beside = ThreadPoolExecutor(1, thread_name_prefix="fusing")
+        self.ekf = EkfSlamConfig()
+        self._beside = ThreadPoolExecutor(2, thread_name_prefix="beside")  # one that fuses, one that remembers
+        self._remembered: set[str] = set()
+        self._remembering: tuple[str, Future[Snapshot | None]] | None = None
+        self._ended = False
         self._fusing: tuple[float, Future[Fused]] | None = None  # since when [s]
         self._fuse_due = float("-inf")
         self.clocks: dict[str, ClockOffset] = {}
@@ -113,6 +121,7 @@ class MapProcess:
             self._hear_until(stop, every, until)
         finally:
             sys.setswitchinterval(before)
+            self._ended = True
             self._beside.shutdown(cancel_futures=True)
             if self._weaver is not None:
                 self._weaver.stop()
@@ -124,6 +133,7 @@ class MapProcess:
             self._work_in(now)
             self._ask(now)
             self._weave(every)
+            self._remember()
             if self._fuse(every):
                 state = float("-inf")
             if now >= clock + CLOCK_EVERY:
@@ -185,6 +195,21 @@ class MapProcess:
         self.shared.take_fused(fused.result())
         self._tell_corrections()
         return True
+
+    def _remember(self) -> None:
+        """A landmark robot that is gone, and never told this process a snapshot, is mapped from what it told, once."""
+        if self._remembering is None:
+            for name, ledger in self.inbox.ledgers.items():
+                silent = isinstance(ledger.record, LandmarkRecord) and ledger.snapshot is None and not ledger.there
+                if silent and ledger.next > 1 and ledger.missing <= 0 and name not in self._remembered:
+                    self._remembered.add(name)
+                    again = partial(mapped_again, self._store, name, ledger.next, self.ekf, lambda: self._ended)
+                    self._remembering = name, self._beside.submit(again)
+                    return
+        elif self._remembering[1].done():
+            name, made = self._remembering
+            self._remembering, ledger = None, self.inbox.ledgers[name]
+            ledger.snapshot = ledger.snapshot or made.result()
 
     def _tell_corrections(self) -> None:
         for robot, placed in self.shared.placed.items():
@@ -266,8 +291,11 @@ class MapProcess:
         placed, status = self.shared.placed.get(ledger.robot), ledger.status
         pose: Numbers = ()
         cov: Numbers = ()
-        if placed is not None and status is not None:
-            carried = placed.carry(np.array(status.pose), square(status.cov))
+        here = None if status is None else (status.pose, square(status.cov))
+        if status is None and ledger.snapshot is not None:
+            here = ledger.snapshot.pose, unpack_triangle(ledger.snapshot.cov, 3 + 2 * len(ledger.snapshot.ids))[:3, :3]
+        if placed is not None and here is not None:
+            carried = placed.carry(np.array(here[0]), here[1])
             pose, cov = listed(carried[0]), triangle(carried[1])
         return RobotState(
             robot=ledger.robot,
