@@ -61,7 +61,7 @@ class TextLog:
         return out
 
     def lines(self) -> Iterator[tuple[int, str]]:
-        """Line numbers from 1 and lines without their ends; raises ReaderError for one too long to be cut into words."""
+        """Line numbers from 1 and lines without their ends; raises ReaderError for one too long to cut into words."""
         for number, line in enumerate(self.text.splitlines(), start=1):
             if len(line) > LONGEST:
                 found = f"expected lines of at most {LONGEST} characters, found one of {len(line)}"

@@ -108,39 +108,47 @@ def merge_maps(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig | None = None, s
     the scans alone decide.
     """
     cfg = cfg or MergeConfig()
-    if len(b.pose) > len(a.pose):
-        swapped = None if start is None else Start(se2.inverse(start.transform), start.sd)
-        return _swapped(merge_maps(b, a, cfg, swapped))
+    if len(b.pose) > len(a.pose) and start is None:  # a start tells where b began: seen from b it would be vague
+        return _swapped(merge_maps(b, a, cfg))
     pair = Pair(a, b, whole_place(a, cfg, featured=b.q is not None), cfg)
     if start is None:
         return _decided(pair)
     near = _decided(pair._replace(start=start))
     if near.merged:
         return near
-    free = _decided(pair)
+    free = merge_maps(a, b, cfg)
     if free.transform is None:
-        reason = f"near the start that was given: {near.reason}; everywhere: {free.reason}"
-        return _held_by_start(pair._replace(start=start), near, free) or replace(free, reason=reason)
+        held = _held_by_start(pair._replace(start=start), near, free)
+        reason = f"near the start that was given: {near.reason}; everywhere: {free.reason}{held}"
+        return held if isinstance(held, Merge) else replace(free, reason=reason)
     away = se2.between(start.transform, free.transform)
-    if (np.abs(away) <= 3.0 * np.asarray(start.sd)).all():
-        return free
-    how_far = f"{np.hypot(*away[:2]):.2f} m and {np.degrees(abs(away[2])):.1f} degrees"
-    return replace(free, reason=f"{free.reason}; the scans overrule the start that was given, by {how_far}")
+    if (np.abs(away) > 3.0 * np.asarray(start.sd)).any():
+        how_far = f"{np.hypot(*away[:2]):.2f} m and {np.degrees(abs(away[2])):.1f} degrees"
+        free = replace(free, reason=f"{free.reason}; the scans overrule the start that was given, by {how_far}")
+    return free
 
 
-def _held_by_start(pair: Pair, near: Merge, free: Merge) -> Merge | None:
-    """Maps of a corridor merged along it by a start alone: the walls allow what it says. None where it does not hold.
+def _held_by_start(pair: Pair, near: Merge, free: Merge) -> Merge | str:
+    """Maps of a corridor merged along it by a start alone, where the walls allow what it says; else why it does not.
 
-    near, free: what was decided near the start and everywhere.
+    near, free: what was decided near the start and everywhere. The reason goes on after theirs; it is empty where
+    neither found a corridor.
     """
     a, b, place, cfg, start = pair[:5]
     slid = [told for told in (near, free) if told.reason.startswith("a corridor")]
-    if not slid or start is None or (way := along_start(a, b, place, start, cfg)) is None or way.sd > cfg.start_along:
-        return None
+    if not slid or start is None:
+        return ""
+    away = "; the start alone does not hold them: "
+    if (way := along_start(a, b, place, start, cfg)) is None or not start.near(way.transform):
+        return away + "no wall of theirs lies on another where it puts them"
     T = way.transform
     seen = seen_alike(a, b, T, cfg.overlap)
-    if not start.near(T) or seen.alike < cfg.least_seen or seen.share < cfg.known_alike:
-        return None
+    if seen.alike < cfg.least_seen:
+        return away + f"where it puts them both saw {seen.alike} points of the same walls, {cfg.least_seen} are needed"
+    if seen.share < cfg.known_alike:
+        return away + f"{seen.share:.0%} of what both saw there is alike, {cfg.known_alike:.0%} are needed"
+    if way.sd > cfg.start_along:
+        return away + f"it says where along the corridor to {way.sd:.2f} m, {cfg.start_along:.2f} m are needed"
     first = int(np.argmin(np.hypot(*(a.pose[:, :2] - se2.compose(T, b.pose[0])[:2]).T)))
     A = adjoint(se2.inverse(b.pose[0]))
     tie = MapClosure(
