@@ -104,6 +104,7 @@ TABLES = (
     Table("intel relations", LASER, bench("laser_real"), "stdout"),
     Table("512 particles", LASER, bench("laser_filter"), "stdout"),
     Table("laps of a hall", LASER, bench("laser_laps"), "stdout"),
+    Table("kept of a lap", LASER, bench("laser_laps", "--laps", "40", "--kept"), "stdout"),
     Table("simulated ring", LASER, bench("corridor")),
     *paper("hara", LASER, (), ("methods", "gate", "starts", "bounds", "alpha", "walls")),
     Table("harder missions", EXPLORE, bench("exploration_laser", "--hard"), "stdout"),
