@@ -70,7 +70,7 @@ def held() -> tracemalloc.Snapshot:
 
 
 def kept(before: tracemalloc.Snapshot, after: tracemalloc.Snapshot, laps: int) -> str:
-    """Lines of mapweave that hold more than before, most first; what other packages and lesser lines hold in one row."""
+    """Lines of mapweave that hold more than before, most first; other packages and lesser lines in one row."""
     more = [d for d in after.compare_to(before, "lineno") if d.size_diff]
     total, told = sum(d.size_diff for d in more), 0
     rows = ["| held by | kB a lap more |", "|---|---|"]
