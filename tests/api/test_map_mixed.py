@@ -43,6 +43,7 @@ def test_walls_landmarks_and_ways_are_written_in_one_frame(made):
         assert (track.pose[:, 0] < x1).all()
         assert (track.pose[:, 1] > y0).all()
         assert (track.pose[:, 1] < y1).all()
+    np.testing.assert_allclose(result.maps[0].tracks["robot1"].pose[0], 0.0, atol=1e-12)
     told = json.loads((out / "metrics.json").read_text(encoding="utf-8"))
     assert told["components"] == [["1", "2", "3"]]
     assert told["ties"][0]["agree"] >= 4

@@ -2,10 +2,17 @@
 
 import numpy as np
 
+from mapweave.api.map_mixed import _finished
 from mapweave.core import se2
 from mapweave.core.records import Track
 from mapweave.landmarks.landmark_map import LandmarkMap
+from mapweave.team.clocks import RobotClock
+from mapweave.team.config import KnownConfig
 from mapweave.team.first_frame import in_first_frame
+from mapweave.team.known import PlacePriors
+from mapweave.team.mixed import MixedMap
+from mapweave.team.placing import Layout
+from mapweave.team.smooth import Smoothed
 from mapweave.team.team_map import TeamMap
 
 
@@ -36,3 +43,16 @@ def test_a_map_that_is_in_its_frame_stays_the_same_object():
     assert in_first_frame(there) is there
     empty = TeamMap((), there.landmarks)
     assert in_first_frame(empty) is empty
+
+
+def test_a_mixed_team_is_written_so_too_but_where_its_places_are_known():
+    first = np.array([2.0, 1.0, np.pi / 2])
+    smoothed = Smoothed(team(first), {}, {}, {}, 4, 1, "converged", {})
+    made = MixedMap((smoothed,), Layout((), (), ()), (), {"robot10": RobotClock(3.0, 0.1)})
+    stamps = {"robot10": np.array([3.5])}
+    nowhere = PlacePriors.of({}, {}, {}, (), KnownConfig())
+    done = _finished(made, stamps, nowhere).components[0].map
+    np.testing.assert_allclose(done.tracks["robot2"].pose[0], 0.0, atol=1e-12)
+    np.testing.assert_array_equal(done.tracks["robot10"].t, [0.0, 0.5, 1.0])
+    known = PlacePriors.of({}, {}, {"7": (0.0, 0.0, None)}, (), KnownConfig())
+    np.testing.assert_array_equal(_finished(made, stamps, known).components[0].map.tracks["robot2"].pose[0], first)

@@ -48,6 +48,8 @@ from ..report.result import ResultBase, Rows
 from ..report.style import Target
 from ..team.camera_clock import CameraClockConfig, on_camera_clock
 from ..team.config import SmoothingConfig
+from ..team.every_stamp import at_every_stamp
+from ..team.first_frame import in_first_frame
 from ..team.kidnapped import Cut, KidnapConfig, cut_kidnapped, with_stretches
 from ..team.known import PlacePriors
 from ..team.mixed import MixedMap, map_mixed, regained
@@ -135,6 +137,7 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     apart = _apart(read, scans, cfg.smoothing.clocks.another_time)
     read = [log.share(options.share.get(robot_key(log.robot), 1.0)) for log in read]
     read = [on_camera_clock(log, cfg.camera_clock) for log in with_copies_marked(read, cfg.copies)]
+    stamps = {log.robot: log.stamps for log in read}
     read = [without_impossible(with_wheels_checked(log, cfg.ekf), cfg.ekf) for log in read]
     read = [sifted(log, cfg.ekf, cfg.sift) for log in read]
     seeing = [x for x in read if x.robot not in apart and any(not n.startswith("robot") for n in x.sightings.counts())]
@@ -163,6 +166,7 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
         laser=None if options.laser.no_merge else cfg.laser,
         known=places,
     )
+    made = _finished(made, stamps, places)
     options.on_progress("whole team", 1, 1)
     watch.lap("smooth")
     grids = tuple(_grid(s.map, scans, made, cfg.laser) for s in made.components)
@@ -196,6 +200,14 @@ def _places(read: Sequence[LandmarkLog], cfg: MixedMapConfig, options: MapOption
     sd = {robot_name(key): value for key, value in options.start_sd.items()}
     points = {} if options.survey is None else read_points(options.survey)
     return PlacePriors.of(starts, sd, points, names, cfg.smoothing.known)
+
+
+def _finished(made: MixedMap, stamps: Mapping[str, np.ndarray], places: PlacePriors) -> MixedMap:
+    """With a pose at every one of `stamps` [s], in the frame of the lowest robot's first pose where none is known."""
+    ahead = {robot: clock.ahead for robot, clock in made.clocks.items()}
+    maps = [at_every_stamp(s.map, stamps, ahead) for s in made.components]
+    maps = maps if places else [in_first_frame(m) for m in maps]
+    return replace(made, components=tuple(replace(s, map=m) for s, m in zip(made.components, maps, strict=True)))
 
 
 def _configured(options: MapOptions) -> MixedMapConfig:
