@@ -3,12 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from mapweave.exploration.landmarks import lap_search
 from mapweave.exploration.landmarks.config import ExploreConfig, LapSearchConfig
 from mapweave.exploration.landmarks.lap_judge import LapJudge, LapTask, Past
-from mapweave.exploration.landmarks.lap_race import LapRace
 from mapweave.exploration.landmarks.lap_search import find_laps, revise_laps
 from mapweave.landmarks.submap_slam import SubmapConfig
 
@@ -43,36 +41,6 @@ def test_trying_more_plans_never_makes_the_plan_dearer():
     cost, plan = lap_search._improve(start, judge, 60, rng)
     assert cost == judge(plan)
     assert cost <= judge(start)
-
-
-def test_a_race_costs_a_plan_as_its_judge_does_and_gives_up_only_what_is_dearer():
-    """A task that poses every so many steps go into evenly: then both judge the same drive."""
-    task = replace(TASK, steps=72)
-    judge, race, rng = LapJudge(task, 16), LapRace(task, 16), np.random.default_rng(3)
-    now = race.judged(min(lap_search._first_plans(task), key=judge))
-    assert now.cost == pytest.approx(judge(now.plan), rel=1e-12)
-    given_up = 0
-    for _ in range(40):
-        other = lap_search._changed(now.plan, race, 6.0, rng)
-        found = race.unless_dearer(other, now, now.cost)
-        cost = race.judged(other).cost
-        assert cost == pytest.approx(judge(other), rel=1e-12)
-        if found is None:
-            given_up += 1
-            assert cost > now.cost - 1.0  # a doubt of two standard errors lets little that is better go
-        else:
-            assert found.cost == cost
-    assert 0 < given_up < 40
-
-
-def test_laps_are_judged_to_their_last_step():
-    """Loops close at the end: of a task of 70 steps and poses every 12 the last ten count too."""
-    race = LapRace(TASK, 4)
-    drive = race.drive(lap_search._first_plans(TASK)[0])
-    whole = race.whole_drive(drive)
-    assert np.array_equal(whole[:, :71], drive[:, :71])
-    assert whole.shape[1] % TASK.search.pose_stride == 1
-    assert np.all(whole[:, 71:] == drive[:, 70:71])
 
 
 def test_first_plans_go_round_the_border_in_equal_shares_for_any_team():

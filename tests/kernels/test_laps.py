@@ -12,7 +12,6 @@ from mapweave.kernels.exploration.laps import (
     LapRules,
     add_landmark_information,
     drive_laps,
-    first_seen,
     landmark_errors,
     lap_sightings,
     odometry_information,
@@ -62,16 +61,6 @@ def test_robots_stand_still_when_their_places_are_passed_and_nothing_seen_is_for
     assert share[0] == first.mean()
     assert np.all(np.diff(share) >= 0)
     assert share[-1] > 2 * share[0]
-
-
-@pytest.mark.kernel
-def test_the_steps_at_which_cells_are_first_seen_add_up_to_the_shares_seen():
-    track = drive(150)
-    sector, raster = Sector(6.0, np.pi / 2), Raster(LOWER, 1.0)
-    share = seen_shares(track, np.zeros((30, 40), dtype=bool), sector, raster)
-    first = np.min([first_seen(way, sector, raster, 30, 40) for way in track], axis=0)
-    assert np.allclose([(first <= t).mean() for t in range(151)], share, atol=1e-12)
-    assert first.max() == 151  # never
 
 
 @pytest.mark.kernel

@@ -32,7 +32,6 @@ POSITIVE = (
     *("coverage.radius", "coverage.replan_every"),
     *("loop.radius", "loop.rate", "loop.rate_alone", "joint.rate", "joint.rate_alone", "joint.density"),
     *("joint.search.tries", "joint.search.first_plans", "joint.search.most_places", "joint.search.coarse_cell"),
-    *("joint.search.contenders", "joint.search.finalists", "joint.search.rough_layouts", "joint.search.fine_layouts"),
     *("joint.search.pose_stride", "joint.search.layouts", "joint.search.least_range"),
     *("walls.robot_radius", "walls.path_cell", "walls.stride", "walls.station_spacing", "walls.leg"),
     *("submap.period", "submap.reach", "submap.half_angle"),

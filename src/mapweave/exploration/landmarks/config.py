@@ -22,14 +22,13 @@ class SteeringConfig:
 
 @config
 class LapSearchConfig:
-    """How laps are searched and judged: those of planner `joint`, the tours of `coverage`."""
+    """How planner `joint` searches its laps and judges them."""
 
     tries: int = 700  # changes tried of a plan: with the others, twelve seconds for the paper's field
-    first_plans: int = 16  # of `joint` that are improved a little, on few layouts, before the best are chosen
-    contenders: int = 6  # of these that are improved further
-    finalists: int = 4  # of these that are improved for long before one is chosen
+    first_plans: int = 4  # that are improved a little before the best of them are chosen
+    finalists: int = 2  # of these that are improved further before one is chosen
     fine_share: float = 0.4  # of the tries that the chosen one gets once more, judged on more layouts
-    fine_heat: float = 0.3  # of the heat with which that begins: it refines and does not wander off
+    fine_heat: float = 0.25  # of the heat with which that begins: it refines and does not wander off
     most_places: int = 12  # a lap: more make the search slower and the laps no better
     arrived: float = 5.0  # [m] from a place at which it is reached: cutting corners costs no coverage within the reach
     tail_steps: int = 40  # [steps] of driving judged beyond the laps: what repair takes where something is left
@@ -40,7 +39,7 @@ class LapSearchConfig:
     border: float = 12.0  # [m] from the border at which the first plans' ring lies, a little less than the reach
     overlap: float = 1.2  # of its share of the ring that a robot may go round, on into the next one's
     rough_layouts: int = 8  # of landmarks on which the map's error of first plans is judged
-    layouts: int = 24  # the same of the contenders, of finalists twice: on 8 the best plan suits just these
+    layouts: int = 24  # the same of the finalists: on 8 the best plan is the one that suits just these
     fine_layouts: int = 96  # the same of the chosen one
     looks: int = 1  # that are counted for each of those poses, evenly spread around it
     sight_margin: float = 0.0  # [m] of the reach in which landmarks are not counted on to be seen
@@ -87,11 +86,11 @@ class JointConfig:
     rate: float = 23.0  # [m^2] of field a robot and step: how long the laps take
     rate_alone: float = 20.0  # [m^2] the same for one robot
     density: float = 1 / 275  # [1/m^2] landmarks expected: those of the paper's field
-    error_weight: float = 150.0  # [steps/m] that expected map error is worth
+    error_weight: float = 100.0  # [steps/m] that expected map error is worth
     sure_margin: float = 1.0  # [m] by which a cell must be within the reach to be surely seen: poses are estimates
     sure_levels: int = 4  # multiples of that margin, after which what was seen least surely is looked at again
     most_robot_steps: int = 800  # robots times steps beyond which planning would take minutes and `loop` takes over
-    search: LapSearchConfig = LapSearchConfig(tries=1100, missed_cost=40.0, pose_stride=24, looks=12)  # every 2nd look
+    search: LapSearchConfig = LapSearchConfig()
 
 
 @config

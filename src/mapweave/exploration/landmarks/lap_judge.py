@@ -4,7 +4,6 @@ A plan is judged by driving it without noise, before the first step or from wher
 follows from the information in odometry and in landmarks: the known ones, and layouts drawn where nobody has been.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,25 +97,20 @@ class LapJudge:
         """Its cost, or something above `enough` when that is sure to be exceeded."""
         t = self.task
         track = self.drive(plan)
-        cost = self.time_cost(self.shares(track))
+        share = self.shares(track)
+        missed = self.landmarks * (1.0 - share[-1])
+        late = (1.0 - share[max(t.steps - self.step, 0) :] ** self.landmarks).sum()
+        cost = float(t.steps + late + t.search.missed_cost * missed)
         if cost > enough:
             return cost
         left = (enough - cost) / t.error_weight if t.error_weight else np.inf
         return cost + t.error_weight * self.error(track, left)
 
-    def time_cost(self, share: Float[np.ndarray, " n"]) -> float:
-        """Steps until all is seen and what is missed, where `share` of the field is seen by each step from now."""
-        t = self.task
-        missed = self.landmarks * (1.0 - share[-1])
-        late = (1.0 - share[max(t.steps - self.step, 0) :] ** self.landmarks).sum()
-        return float(t.steps + late + t.search.missed_cost * missed)
-
-    def drive(self, plan: Plan, here: np.ndarray | None = None) -> np.ndarray:
-        """Poses (M, n, 3) of a drive without noise, a little longer than the task, from `here` (M, 3) or now."""
+    def drive(self, plan: Plan) -> np.ndarray:
+        """Poses (M, n, 3) of a drive without noise from now on, a little longer than the task."""
         t = self.task
         rules = LapRules(self.controls, t.submap.period, self.lower, self.upper, t.search.arrived, t.heading_cost)
-        steps = max(t.steps - self.step, 0) + t.search.tail_steps
-        return drive_laps(*plan, self.here if here is None else here, rules, steps)
+        return drive_laps(*plan, self.here, rules, max(t.steps - self.step, 0) + t.search.tail_steps)
 
     def shares(self, track: np.ndarray) -> np.ndarray:
         """What share of the field is seen by each step of `track`."""
@@ -129,29 +123,11 @@ class LapJudge:
 
         Of a plan whose first layouts make it very probable that this is above `enough`, theirs alone, above it too.
         """
-        layout_error = self.layout_errors(track)
-        limits = dict(HOPELESS_BY_NOW if self.step else HOPELESS)
-        total = 0.0
-        for k in range(len(self.layouts)):
-            total += layout_error(k)
-            if total / (k + 1) * limits.get(k + 1, 0.0) > enough:
-                return total / (k + 1)
-        return total / len(self.layouts)
-
-    def whole_drive(self, track: Float[np.ndarray, "r n 3"]) -> Float[np.ndarray, "r k 3"]:
-        """The poses that a plan is judged by, from the start on: as many steps as poses of every so many go into."""
-        every = self.task.search.pose_stride
-        nodes = max(self.task.steps, self.step + every) // every
-        return np.concatenate([self.past.trail[:, :-1], track], axis=1)[:, : nodes * every + 1]
-
-    def layout_errors(self, track: np.ndarray) -> Callable[[int], float]:
-        """Of each layout: the mean error [m] expected of its landmarks that `track` (M, n, 3) shows.
-
-        Those missed are dear already.
-        """
         s, search = self.task.submap, self.task.search
         every = search.pose_stride
-        whole = np.ascontiguousarray(self.whole_drive(track))
+        nodes = max(self.task.steps, self.step + every) // every
+        whole = np.concatenate([self.past.trail[:, :-1], track], axis=1)[:, : nodes * every + 1]
+        whole = np.ascontiguousarray(whole)
         sensor = LandmarkSensor(
             Sector(s.reach, s.half_angle),
             s.R,
@@ -161,16 +137,18 @@ class LapJudge:
             max(1, every // search.looks),
         )
         odometry = odometry_information(whole, every, s.Q)
-
-        def error(k: int) -> float:
+        limits = dict(HOPELESS_BY_NOW if self.step else HOPELESS)
+        total = 0.0  # of landmarks seen: those missed are dear already
+        for k, marks in enumerate(self.layouts):
             S = odometry.copy()
-            sighted = lap_sightings(whole, every, self.layouts[k], sensor)
+            sighted = lap_sightings(whole, every, marks, sensor)
             add_landmark_information(S, sighted)
             errors = landmark_errors(_inverse(S), sighted)
             seen = errors[np.isfinite(errors)]
-            return MEAN_OF_RMS * float(seen.mean()) if len(seen) else 0.0
-
-        return error
+            total += MEAN_OF_RMS * float(seen.mean()) if len(seen) else 0.0
+            if total / (k + 1) * limits.get(k + 1, 0.0) > enough:
+                return total / (k + 1)
+        return total / len(self.layouts)
 
 
 def _inverse(S: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:

@@ -10,10 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from .lap_judge import LapJudge, LapTask, Past, Plan
-from .lap_race import JudgedLaps, LapRace
 
 Laps = tuple[Float[np.ndarray, "_ 2"], ...]  # the places that each robot should pass in turn
-WARMTH = 0.6  # [steps] by which a walk at full heat commonly goes on to a dearer plan
 
 
 @lru_cache(maxsize=8)
@@ -23,20 +21,13 @@ def find_laps(task: LapTask) -> tuple[Laps, int]:
     The same for the same task; the step is no sooner than the task's.
     """
     rng, search = np.random.default_rng(0), task.search
-    rounds = (
-        (search.first_plans, search.rough_layouts, 0.12, 1.0),
-        (search.contenders, search.layouts, 0.3, 0.8),
-        (search.finalists, 2 * search.layouts, 0.7, 0.6),
-        (1, search.fine_layouts, search.fine_share, search.fine_heat),
-    )
-    race = LapRace(task, search.rough_layouts)
-    plans = [found.plan for found in sorted(map(race.judged, _first_plans(task)), key=lambda found: found.cost)]
-    for how_many, layouts, share, heat in rounds:
-        race = LapRace(task, layouts)
-        tries = round(share * search.tries)
-        found = [_walk(plan, race, tries, rng, heat) for plan in plans[:how_many]]
-        plans = [better.plan for better in sorted(found, key=lambda better: better.cost)]
-    return _laps(plans[0]), _end(plans[0], race)
+    rough, judge, fine = (LapJudge(task, n) for n in (search.rough_layouts, search.layouts, search.fine_layouts))
+    first = sorted(_first_plans(task), key=rough)[: search.first_plans]
+    begun = sorted((_improve(plan, rough, search.tries // 4, rng) for plan in first), key=lambda b: b[0])
+    better = [_improve(plan, judge, search.tries, rng) for _, plan in begun[: search.finalists]]
+    best = min(better, key=lambda b: b[0])[1]
+    _, plan = _improve(best, fine, round(search.fine_share * search.tries), rng, search.fine_heat)
+    return _laps(plan), _end(plan, fine)
 
 
 @lru_cache(maxsize=8)
@@ -126,19 +117,6 @@ def _improve(
             if now < best:
                 best, best_plan = now, plan
     return best, best_plan
-
-
-def _walk(plan: Plan, race: LapRace, tries: int, rng: np.random.Generator, heat: float) -> JudgedLaps:
-    """The best plan met on a walk of small changes that cools down from `heat`, each held against the one before."""
-    now = best = race.judged(plan)
-    for k in range(tries):
-        left = heat * (1.0 - k / tries)
-        other = _changed(now.plan, race, 1.0 + 8.0 * left, rng)
-        better = race.unless_dearer(other, now, now.cost - WARMTH * left * np.log(rng.random()))
-        if better is not None:
-            now = better
-            best = min(best, now, key=lambda found: found.cost)
-    return best
 
 
 def _changed(plan: Plan, judge: LapJudge, size: float, rng: np.random.Generator) -> Plan:

@@ -113,34 +113,6 @@ def seen_shares(track: np.ndarray, explored: np.ndarray, sector: Sector, raster:
 
 
 @kernel
-def first_seen(track: np.ndarray, sector: Sector, raster: Raster, rows: int, columns: int) -> np.ndarray:
-    """At which step (rows, columns) of `track` (n, 3) each cell of `raster` was first seen; n where it never was."""
-    n = len(track)
-    out = np.full((rows, columns), n, dtype=np.int64)
-    corner, cell, reach = raster.corner, raster.cell, sector.reach
-    cos_half = np.cos(sector.half_angle)
-    for t in range(n):
-        x, y = track[t, 0], track[t, 1]
-        if t > 0 and x == track[t - 1, 0] and y == track[t - 1, 1] and track[t, 2] == track[t - 1, 2]:
-            continue
-        c, s = np.cos(track[t, 2]), np.sin(track[t, 2])
-        x0 = max(0, int(np.floor((x - reach - corner[0]) / cell)))
-        x1 = min(columns - 1, int(np.floor((x + reach - corner[0]) / cell)))
-        y0 = max(0, int(np.floor((y - reach - corner[1]) / cell)))
-        y1 = min(rows - 1, int(np.floor((y + reach - corner[1]) / cell)))
-        for iy in range(y0, y1 + 1):
-            dy = corner[1] + (iy + 0.5) * cell - y
-            for ix in range(x0, x1 + 1):
-                if out[iy, ix] < n:
-                    continue
-                dx = corner[0] + (ix + 0.5) * cell - x
-                d2 = dx * dx + dy * dy
-                if d2 <= reach * reach and dx * c + dy * s >= cos_half * np.sqrt(d2) - 1e-9:
-                    out[iy, ix] = t
-    return out
-
-
-@kernel
 def odometry_information(track: np.ndarray, every: int, Q: np.ndarray) -> np.ndarray:
     """Information (3 K, 3 K) that odometry gives about the poses at steps every, 2 every, ... of each robot in turn.
 

@@ -199,10 +199,7 @@ def _stability() -> list[Case]:
             part = getattr(mission.cfg, planner)
             part = replace(part, **{key: factor * getattr(part, key)})
             changed = replace(mission, cfg=replace(mission.cfg, **{planner: part}))
-            share = (
-                2.0 if planner == "joint" else 0.5
-            )  # each change finds other laps: many runs tell what they are worth
-            out.append(Case("stability", f"{planner}.{key} x {factor:g}", changed, UNSEEN, share))
+            out.append(Case("stability", f"{planner}.{key} x {factor:g}", changed, UNSEEN, 0.5))
     return out
 
 
