@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from mapweave.core.errors import DataError, ReaderError, UsageError
+from mapweave.core.errors import DataError, ReaderError
 from mapweave.core.landmark_log import LandmarkLog, SightingTable
 from mapweave.core.records import Odometry
 from mapweave.io.landmark_logs import is_landmark_log, read_landmark_logs
@@ -202,7 +202,7 @@ def test_what_is_no_log_is_refused(tmp_path):
 
 
 def test_asking_for_a_robot_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(UsageError, match="no robot 9; there are 1, 2"):
+    with pytest.raises(DataError, match="no robot 9; there are 1, 2"):
         read_landmark_logs(write(tmp_path / "set"), [9])
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core import landmark_log
-from ..core.errors import DataError, ReaderError, UsageError
+from ..core.errors import DataError, ReaderError
 from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from ..core.names import robot_key
 from .files import Files, open_files
@@ -105,7 +105,7 @@ def _logs(
     found = sorted({*robot_of_drive.tolist(), *seen[1].tolist()})
     missing = [k for k in robots or () if k not in found]
     if missing:
-        raise UsageError(f"{path}: no robot {missing[0]}; there are {', '.join(map(str, found))}")
+        raise DataError(f"{path}: no robot {missing[0]}; there are {', '.join(map(str, found))}")
     names = {f"robot{k}" for k in found} | set(others or ())
     logs = []
     for k in found if robots is None else robots:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core import landmark_log
-from ..core.errors import DataError, ReaderError, UsageError
+from ..core.errors import DataError, ReaderError
 from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable, TeamRecording
 from .files import Files, open_files
 from .table import line_of, numbers, open_text, row_texts
@@ -32,7 +32,7 @@ def read_mrclam(path: Path, robots: Sequence[int] | None = None) -> tuple[Landma
         wanted = sorted(found) if robots is None else list(robots)
         missing = [k for k in wanted if k not in found]
         if missing:
-            raise UsageError(f"{path}: no robot {missing[0]}; there are {', '.join(map(str, sorted(found)))}")
+            raise DataError(f"{path}: no robot {missing[0]}; there are {', '.join(map(str, sorted(found)))}")
         logs = tuple(_robot(files, k, found, table) for k in wanted)
     landmark_log.check_one_recording({f"{log.robot}": log.span for log in logs if len(log)}, path)
     if not any(len(log.sightings) for log in logs):
