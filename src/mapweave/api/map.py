@@ -125,10 +125,16 @@ def map(  # noqa: A001  (the verb)
         Options for laser logs alone.
     mcap
         Also write `result.mcap` into `out`: map, trajectories, landmarks and walls as messages for RViz and Foxglove
-        (False). force Write into `out` even when something other than a result stands there (False). executor Any
-        `concurrent.futures.Executor` in place of `jobs`. cluster The address of a Dask scheduler (`tcp://host:8786`) in
-        place of `jobs`: each log's own map is made on its workers, which see laser logs under the same paths. Needs the
-        extra `[cluster]`. on_progress Called as `on_progress(stage, done, total)`.
+        (False).
+    force
+        Write into `out` even when something other than a result stands there (False).
+    executor
+        Any `concurrent.futures.Executor` in place of `jobs`.
+    cluster
+        The address of a Dask scheduler (`tcp://host:8786`) in place of `jobs`: each log's own map is made on its
+        workers, which see laser logs under the same paths. Needs the extra `[cluster]`.
+    on_progress
+        Called as `on_progress(stage, done, total)`.
 
     Raises
     ------
