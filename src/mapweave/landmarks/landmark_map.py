@@ -93,7 +93,7 @@ class LocalMap:
 
     `sightings` counts those each landmark was made of, `first_seen` holds the stamp [s] of the first of them;
     `calibration` holds the sensor parameters estimated, by name, as (value, standard deviation); `log_hash` tells two
-    runs over the same log from two logs.
+    runs over the same log from two logs; `restless`: names left out of the map, since they had no fixed place in it.
     """
 
     robot: str
@@ -110,6 +110,7 @@ class LocalMap:
     calibration: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     first_seen: Mapping[str, float] = field(default_factory=dict)
+    restless: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

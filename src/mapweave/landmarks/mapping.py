@@ -44,6 +44,7 @@ def map_of(
     log = without_impossible(log, cfg)
     first = done = replay(log, cfg, times=times) if cfg.odometry else replay_in_pieces(log, cfg, known)
     dropped, warnings, kept = dict(log.dropped), list(log.warnings), log
+    left_out: list[str] = []
     for _ in range(cfg.restless_most):
         name = _restless(done.seen, done.weight, cfg)
         if name is None:
@@ -52,10 +53,12 @@ def map_of(
         reason = "misread barcode" if name.startswith("barcode:") else "sighting: no fixed place"
         dropped[reason] = dropped.get(reason, 0) + gone
         warnings.append(f"{name} was seen {gone} times but at no fixed place: left out")
+        left_out.append(name)
         stays = np.array([other != name for other in kept.sightings.ids], bool)
         kept = replace(kept, sightings=kept.sightings.select(stays[kept.sightings.what]))
         done = replay(kept, cfg) if cfg.odometry else replay_in_pieces(kept, cfg)
-    return _result(log, cfg, done, dropped, [*warnings, *done.warnings]), first
+    made = _result(log, cfg, done, dropped, [*warnings, *done.warnings])
+    return replace(made, restless=tuple(left_out)), first
 
 
 def robot_sightings(log: LandmarkLog) -> RobotSightings:

@@ -19,33 +19,8 @@ from . import figures
 from .beyond import CASES, Beyond, beyond
 from .claims import CLAIMS
 from .experiments import LAYOUT, UPDATES, VARIANCES, Cell, TableCell, measure, run_filter, side_error, sightings
+from .printed import PRINTED
 
-PRINTED: dict[int, dict[tuple[float, float], float]] = {  # by table: (variance of guess, of bearings) -> error
-    1: {
-        (0, 0.01): 6.6921,
-        (0, 25): 5.1771,
-        (0.01, 0.01): 0.4659,
-        (0.01, 25): 5.3481,
-        (25, 0.01): 1.2714,
-        (25, 25): 2.387,
-    },
-    2: {
-        (0, 0.01): 0.0078,
-        (0, 25): 0.3793,
-        (0.01, 0.01): 0.0071,
-        (0.01, 25): 0.3137,
-        (25, 0.01): 0.0293,
-        (25, 25): 0.3913,
-    },
-    3: {
-        (0, 0.01): 0.0016,
-        (0, 25): 0.0794,
-        (0.01, 0.01): 0.0012,
-        (0.01, 25): 0.0531,
-        (25, 0.01): 0.0105,
-        (25, 25): 0.0786,
-    },
-}
 TITLES = {
     1: "Table 1: error of a side of 10 m, nothing known [m]",
     2: "Table 2: error of an angle, nothing known [deg]",
