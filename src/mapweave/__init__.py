@@ -1,8 +1,26 @@
-"""mapweave: one map, with honest uncertainty, from the logs of many robots.
+"""One map, with honest uncertainty, from the logs of many robots.
 
-Verbs (`map`, `fuse`, `locate`, `localize`, `explore`, `evaluate`, `solve_pose_graph`, `simulate_*`, `reproduce_*`,
-`live_*`, `demo`, `view`), the results they return, their options and configuration, and the errors they raise. A name
-is imported when it is first used, so that `import mapweave` is instant.
+    import mapweave
+
+    result = mapweave.map(["robot1.bag", "robot2.mcap"], "out")  # joins both logs; writes the folder `out`
+    print(result.summary())
+
+Verbs, each with its options in `help(mapweave.map)` and so on:
+
+    map, fuse               one map of the logs of a team; of several results
+    evaluate                the score of a result against what is true
+    view                    a result in the browser or in the Rerun viewer
+    localize                a robot found and followed in a finished laser map
+    locate                  the positions of a swarm whose robots see each other
+    explore                 robots that decide where to drive
+    solve_pose_graph        a pose graph from anywhere
+    live_robot, live_robots, live_map, live_view, live_keys     a team that drives now
+    simulate_landmarks, simulate_laser, simulate_team, simulate_swarm     logs with their truth
+    reproduce_kojima, reproduce_hamatani, reproduce_hara, reproduce_yuan     the experiments of four papers
+    configuration, demo, doctor     all settings; a first result; a check of the installation
+
+`LandmarkSlam` and `LaserSlam` map one robot while it drives. The other names are the results that verbs give, their
+options and settings, and the errors they raise. A name is imported when it is first used.
 """
 
 from importlib import import_module
@@ -13,6 +31,7 @@ from .core.version import __version__ as __version__
 if TYPE_CHECKING:
     from .api.configuration import configuration as configuration
     from .api.demo import demo as demo
+    from .api.doctor import Diagnosis as Diagnosis
     from .api.doctor import doctor as doctor
     from .api.evaluate import Evaluation as Evaluation
     from .api.evaluate import evaluate as evaluate
@@ -43,6 +62,7 @@ if TYPE_CHECKING:
     from .api.map_laser import LaserMapConfig as LaserMapConfig
     from .api.map_options import LaserOptions as LaserOptions
     from .api.moving_result import Moved as Moved
+    from .api.result import MapResult as MapResult
     from .api.result import Result as Result
     from .api.simulate_landmarks import SimulatedTeam as SimulatedTeam
     from .api.simulate_landmarks import simulate_landmarks as simulate_landmarks
@@ -124,6 +144,7 @@ _HOMES: dict[str, str] = {
     "LaserSlam": "api.laser_slam",
     "PoseEstimate": "laser.scan_odometry",
     # what verbs return
+    "Diagnosis": "api.doctor",
     "Evaluation": "api.evaluate",
     "LandmarkExploration": "api.exploration_result",
     "HamataniReproduction": "papers.hamatani.reproduce",
@@ -133,6 +154,7 @@ _HOMES: dict[str, str] = {
     "LaserResult": "api.laser_result",
     "LocalizeResult": "api.localize",
     "Located": "api.located",
+    "MapResult": "api.result",
     "Moved": "api.moving_result",
     "RelationEvaluation": "api.evaluate_relations",
     "Result": "api.result",
@@ -180,6 +202,7 @@ __all__ = (
     "ConfigError",
     "CorridorConfig",
     "DataError",
+    "Diagnosis",
     "EkfSlamConfig",
     "EstimateError",
     "Evaluation",
@@ -203,6 +226,7 @@ __all__ = (
     "LocalizeResult",
     "LocateConfig",
     "Located",
+    "MapResult",
     "MapweaveError",
     "Moved",
     "Network",
@@ -280,6 +304,9 @@ if not TYPE_CHECKING:  # a checker shall know the names above and no others
             if error.name not in _LIVE:
                 raise
             return _lacking(name, error.name)
+        from .core.signatures import readable
+
+        readable(value)
         globals()[name] = value
         return value
 

@@ -2,6 +2,7 @@
 
 import doctest
 import inspect
+import pydoc
 import re
 
 import pytest
@@ -55,3 +56,52 @@ def test_every_option_of_a_public_function_is_told():
         text = inspect.getdoc(verb)
         untold += [f"{name}: {p}" for p in inspect.signature(verb).parameters if not re.search(rf"\b{p}\b", text)]
     assert not untold, "\n".join(untold)
+
+
+def public(kind):
+    """Public names and what they stand for, of those that `kind` says yes to."""
+    named = ((name, getattr(mapweave, name)) for name in mapweave.__all__)
+    return [(name, thing) for name, thing in named if kind(thing)]
+
+
+def help_of(thing):
+    return pydoc.plain(pydoc.render_doc(thing, renderer=pydoc.plaintext)).splitlines()
+
+
+def test_no_line_of_the_help_of_a_public_function_or_class_is_over_120_columns():
+    wide = [f"{name}: {line}" for name, thing in public(callable) for line in help_of(thing) if len(line) > 120]
+    assert not wide, "\n".join(wide)
+
+
+def test_signatures_in_help_name_types_and_defaults_without_their_modules_and_addresses():
+    for name, verb in public(inspect.isfunction):
+        head = "\n".join(help_of(verb)[2:]).partition("\n    " + inspect.getdoc(verb).splitlines()[0])[0]
+        assert head.startswith(f"{name}(")
+        assert not re.search(r"[^\W\d]\w*\.\w|0x|<", head), head
+
+
+def test_a_readable_signature_holds_the_parameters_and_types_that_python_finds():
+    for _, verb in public(inspect.isfunction):
+        told, plain = inspect.signature(verb), inspect.unwrap(verb)
+        assert list(told.parameters) == list(plain.__code__.co_varnames[: len(told.parameters)])
+        assert {p.name: p.annotation for p in told.parameters.values()} | {"return": told.return_annotation} == dict(
+            plain.__annotations__
+        )
+        named = [p for p in told.parameters.values() if p.kind is p.KEYWORD_ONLY and p.default is not p.empty]
+        assert {p.name: p.default for p in named} == (plain.__kwdefaults__ or {})
+
+
+def test_every_type_that_a_public_function_gives_is_public():
+    given = {name: inspect.signature(verb).return_annotation for name, verb in public(inspect.isfunction)}
+    hidden = []
+    for name, kinds in given.items():
+        for kind in getattr(kinds, "__args__", (kinds,)):
+            own = isinstance(kind, type) and kind.__module__.startswith("mapweave.")
+            hidden += [f"{name}: {kind.__name__}"] if own and kind.__name__ not in mapweave.__all__ else []
+    assert not hidden, "\n".join(hidden)
+
+
+def test_the_help_of_the_package_begins_with_what_it_does_and_names_every_verb():
+    first, *_ = lines = inspect.getdoc(mapweave).splitlines()
+    assert first == "One map, with honest uncertainty, from the logs of many robots."
+    assert not [name for name, _ in public(inspect.isfunction) if not re.search(rf"\b{name}\b", "\n".join(lines[6:]))]

@@ -37,7 +37,7 @@ class Package:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """What was found. cache: where compiled kernels are kept; first, second: seconds of two calls of one kernel."""
+    """What `doctor` found. cache: where compiled kernels are kept; first, second: [s] that two calls of one took."""
 
     python: str
     system: str

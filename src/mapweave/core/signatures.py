@@ -1,0 +1,100 @@
+"""Signatures as `help()`, notebooks and editors at run time show them: names without their modules, a parameter a line.
+
+They hold what Python's own hold (the same parameters, the same annotations as objects); only their text differs.
+"""
+
+import inspect
+import re
+from types import FunctionType
+from typing import Any
+
+WIDTH = 80  # columns that a signature may take before it gets a line for every parameter
+LONGEST_DEFAULT = 40  # letters; a longer one is told by its type alone
+PACKAGE = __name__.partition(".")[0]
+QUOTED = re.compile(r"('[^']*')")
+MODULES = re.compile(r"\b(?:[^\W\d]\w*\.)+(?=[^\W\d])")
+
+
+class ReadableParameter(inspect.Parameter):
+    """A parameter whose text has short names."""
+
+    __slots__ = ()
+
+    def __str__(self) -> str:
+        stars = "*" if self.kind is self.VAR_POSITIONAL else "**" if self.kind is self.VAR_KEYWORD else ""
+        told, equals = stars + self.name, "="
+        if self.annotation is not self.empty:
+            told, equals = f"{told}: {short_name(self.annotation)}", " = "
+        return told if self.default is self.empty else f"{told}{equals}{short_default(self.default)}"
+
+
+class ReadableSignature(inspect.Signature):
+    """A signature whose text has short names, and a line for every parameter where one line does not hold all."""
+
+    __slots__ = ()
+
+    def __str__(self) -> str:
+        returns = "" if self.return_annotation is self.empty else f" -> {short_name(self.return_annotation)}"
+        parts = self._parts()
+        line = f"({', '.join(parts)}){returns}"
+        if len(line) <= WIDTH or not parts:
+            return line
+        return "(\n" + "".join(f"    {part},\n" for part in parts) + f"){returns}"
+
+    def format(self, **_: Any) -> str:
+        """The same text, however wide the page: Python 3.13 asks so."""
+        return str(self)
+
+    def _parts(self) -> list[str]:
+        """The parameters in order, with `/` and `*` where Python writes them."""
+        given = list(self.parameters.values())
+        kinds = [one.kind for one in given]
+        parts = [str(one) for one in given]
+        if inspect.Parameter.KEYWORD_ONLY in kinds and inspect.Parameter.VAR_POSITIONAL not in kinds:
+            parts.insert(kinds.index(inspect.Parameter.KEYWORD_ONLY), "*")
+        only = kinds.count(inspect.Parameter.POSITIONAL_ONLY)
+        if only:
+            parts.insert(only, "/")
+        return parts
+
+
+def short_name(annotation: object) -> str:
+    """The text of an annotation, every name without the module it comes from; text in quotes in it as it is."""
+    if isinstance(annotation, str):
+        return annotation
+    pieces = QUOTED.split(inspect.formatannotation(annotation))
+    return "".join(piece if k % 2 else MODULES.sub("", piece) for k, piece in enumerate(pieces))
+
+
+def short_default(value: object) -> str:
+    """The text of a default: a function or type by its name, one whose text is long by its type's."""
+    if isinstance(value, FunctionType | type):
+        return value.__name__
+    told = repr(value)
+    if told.startswith("<"):  # what a dataclass makes anew for every object
+        return "..."
+    return told if len(told) <= LONGEST_DEFAULT else f"{type(value).__name__}(...)"
+
+
+def readable(value: object) -> None:
+    """The signature of a function of this package, or those of a class's methods, are readable from now on."""
+    if isinstance(value, FunctionType):
+        _make_readable(value)
+    elif isinstance(value, type):
+        for base in value.__mro__:
+            if base.__module__.partition(".")[0] == PACKAGE:
+                for member in vars(base).values():
+                    _make_readable(getattr(member, "__func__", member))
+
+
+def _make_readable(function: object) -> None:
+    """`function` has a signature of its own; what is none, or does not come from this package, stays as it is."""
+    if not isinstance(function, FunctionType) or function.__module__.partition(".")[0] != PACKAGE:
+        return
+    plain = inspect.signature(function)
+    if not isinstance(plain, ReadableSignature):
+        given = [
+            ReadableParameter(p.name, p.kind, default=p.default, annotation=p.annotation)
+            for p in plain.parameters.values()
+        ]
+        function.__signature__ = ReadableSignature(given, return_annotation=plain.return_annotation)  # type: ignore[attr-defined]

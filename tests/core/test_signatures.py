@@ -1,0 +1,71 @@
+"""Texts of signatures: short names, a parameter a line."""
+
+import inspect
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+from mapweave.core.signatures import ReadableSignature, readable, short_default, short_name
+from mapweave.core.workers import Progress, no_progress
+
+
+def test_names_in_an_annotation_lose_their_modules_and_text_in_quotes_stays():
+    assert short_name(Mapping[str, Any] | Path | None) == "Mapping[str, Any] | Path | None"
+    assert short_name(Progress) == "Progress"
+    assert short_name(Callable[[str, int], None]) == "Callable[[str, int], None]"
+    assert short_name(Literal["a.b", "c"]) == "Literal['a.b', 'c']"
+    assert short_name("Figure") == "Figure"
+    assert short_name(tuple[Path, ...]) == "tuple[Path, ...]"
+
+
+def test_a_default_is_told_by_its_name_or_by_its_type_where_its_text_is_long():
+    assert short_default(no_progress) == "no_progress"
+    assert short_default(Path) == "Path"
+    assert short_default("a.b") == "'a.b'"
+    assert short_default(list(range(100))) == "list(...)"
+
+
+def made(function):
+    """`function`, as if it came from mapweave, with a readable signature."""
+    function.__module__ = "mapweave.somewhere"
+    readable(function)
+    return function
+
+
+def test_every_kind_of_parameter_is_written_as_python_writes_it():
+    def all_kinds(a: int, /, b: float = 1.0, *c: Path, d: str = "x", **e: Path) -> Path: ...
+    def keywords(b: int, *, a=2) -> None: ...
+    def plain(): ...
+
+    assert str(inspect.signature(made(all_kinds))) == (
+        "(a: int, /, b: float = 1.0, *c: Path, d: str = 'x', **e: Path) -> Path"
+    )
+    assert str(inspect.signature(made(keywords))) == "(b: int, *, a=2) -> None"
+    assert str(inspect.signature(made(plain))) == "()"
+
+
+def test_a_long_signature_has_a_line_for_every_parameter_however_it_is_asked_for():
+    def long(first: Mapping[str, Path] | None, *, second: Mapping[str, Path] | None = None, third: int = 3) -> Path: ...
+
+    text = (
+        "(\n    first: Mapping[str, Path] | None,\n    *,\n    second: Mapping[str, Path] | None = None,\n"
+        "    third: int = 3,\n) -> Path"
+    )
+    told = inspect.signature(made(long))
+    assert str(told) == text
+    assert told.format(max_width=10) == text
+
+
+def test_a_part_of_a_readable_signature_is_readable_and_what_is_not_ours_stays():
+    def add(self, path: Path, count: int = 2) -> Path: ...
+
+    kind = type("Kind", (), {"add": made(add), "__module__": "mapweave.somewhere"})
+    readable(kind)
+    assert str(inspect.signature(kind().add)) == "(path: Path, count: int = 2) -> Path"
+    assert str(inspect.signature(partial(add, None, count=3))) == "(path: Path, *, count: int = 3) -> Path"
+
+    def foreign(path: Path): ...
+
+    readable(foreign)
+    assert not isinstance(inspect.signature(foreign), ReadableSignature)
