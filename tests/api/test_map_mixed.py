@@ -126,7 +126,7 @@ def test_what_cannot_be_is_refused_with_the_reason(team, tmp_path):
     wrong.write_text('{"9": {"lag": {"value": 0.1}}}', encoding="utf-8")
     with pytest.raises(UsageError, match="no robot 9; there are 1, 2, 3"):
         mapweave.map(team, calibration=wrong)
-    with pytest.raises(UsageError, match="--robots: no robot 7"):
+    with pytest.raises(DataError, match="--robots: no robot 7"):
         mapweave.map(team, robots=["7"])
     with pytest.raises(UsageError, match="--fuse-every: not for mixed teams"):
         mapweave.map(team, fuse_every=10.0)

@@ -7,7 +7,7 @@ import pytest
 
 import mapweave
 from mapweave.api.map_options import LaserOptions
-from mapweave.core.errors import UsageError
+from mapweave.core.errors import DataError
 
 from ..io.ros_logs import N, Recording
 
@@ -47,5 +47,5 @@ def test_robots_of_a_recording_are_chosen_by_number_or_by_topic(tmp_path):
     assert second.metrics["robots"]["2"]["name"] == "carter2"
     by_topic = mapweave.map(path, method="icp", laser=LaserOptions(scan_topic="/carter2/scan"))
     assert np.allclose(by_topic.maps[0].track.pose, second.maps[0].track.pose)
-    with pytest.raises(UsageError, match="there is no robot 3 among 2 robots of 1 logs"):
+    with pytest.raises(DataError, match="there is no robot 3 among 2 robots of 1 logs"):
         mapweave.map(path, robots=["3"])

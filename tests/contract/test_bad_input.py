@@ -145,6 +145,15 @@ def test_asking_for_a_robot_that_is_not_there_is_an_error_of_the_data(recording,
     assert "robot" in refused(tmp_path, "map", recording, "--out", tmp_path / "out", "--robots", "7")
 
 
+def test_whatever_the_logs_a_robot_that_is_asked_for_and_not_there_is_an_error_of_the_data(recording, tmp_path):
+    laser = tmp_path / "in" / "laser.clf"
+    laser.parent.mkdir()
+    beams = " ".join(["2.0"] * 180)
+    laser.write_text("".join(f"FLASER 180 {beams} {k} 0 0 {k} 0 0 {k} here 0\n" for k in range(3)))
+    for logs in ((laser,), (laser, laser), (recording, laser)):
+        assert "no robot 9" in refused(tmp_path, "map", *logs, "--out", tmp_path / "out", "--robots", "9")
+
+
 def test_a_configuration_is_refused_with_all_its_mistakes_at_once(recording, tmp_path):
     (tmp_path / "c.toml").write_text("[ekf]\nrange_floor = 'far'\n[fuse]\nspeed = 1\n")
     err = refused(tmp_path, "map", recording, "--out", tmp_path / "out", "--config", tmp_path / "c.toml", code=2)

@@ -141,7 +141,7 @@ def map(  # noqa: A001  (the verb)
     ReaderError
         For a log that is missing or damaged, with file and line (or table and row).
     DataError
-        For logs that cannot give a map.
+        For logs that cannot give a map, or hold no robot that `robots` names.
     EstimateError
         For an estimate that failed.
     UsageError

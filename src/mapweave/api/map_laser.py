@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core.config import config, load
-from ..core.errors import UsageError
+from ..core.errors import DataError, UsageError
 from ..core.laser_log import LaserLog
 from ..core.names import robot_name
 from ..core.records import Track
@@ -110,7 +110,7 @@ def _robots(
     held = dict(zip(next_robots(there, len(robots)), robots, strict=True))
     wanted = list(held) if options.robots is None else list(options.robots)
     if missing := [name for name in wanted if name not in held]:
-        raise UsageError(f"--robots: there is no robot {missing[0]} among {len(held)} robots of {len(logs)} logs")
+        raise DataError(f"--robots: there is no robot {missing[0]} among {len(held)} robots of {len(logs)} logs")
     return {name: held[name] for name in wanted}
 
 

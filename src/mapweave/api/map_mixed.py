@@ -1,7 +1,7 @@
 """`map` of mixed teams: landmark logs, laser logs and tables of sightings become one map in one frame."""
 
 import tempfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..core.config import config, load
-from ..core.errors import DataError, UsageError
+from ..core.errors import DataError, MapweaveError, UsageError
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key, robot_name
@@ -235,12 +235,19 @@ def _configured(options: MapOptions) -> MixedMapConfig:
 
 
 def _wanted(read: list[LandmarkLog], found: MixedLogs, options: MapOptions) -> tuple[list[LandmarkLog], MixedLogs]:
-    """The logs of the robots asked for, without sightings of others; raises UsageError for one that is not there."""
+    """The logs of the robots asked for, without sightings of others.
+
+    Raises DataError for one that is asked for and not there, UsageError for a `--share` of such a one.
+    """
     names = [log.robot for log in read]
-    for option, given in (("--robots", options.robots or ()), ("--share", options.share)):
+    asked: list[tuple[str, Iterable[str], type[MapweaveError]]] = [
+        ("--robots", options.robots or (), DataError),
+        ("--share", options.share, UsageError),
+    ]
+    for option, given, wrong in asked:
         for key in given:
             if robot_name(key) not in names:
-                raise UsageError(f"{option}: no robot {key}; there are {', '.join(map(robot_key, names))}")
+                raise wrong(f"{option}: no robot {key}; there are {', '.join(map(robot_key, names))}")
     if options.robots is None:
         return read, found
     chosen = {robot_name(key) for key in options.robots}
