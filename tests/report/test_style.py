@@ -3,7 +3,41 @@
 import numpy as np
 import pytest
 
-from mapweave.report.style import drawn, figure, name_points
+from mapweave.report.style import PALETTE, drawn, figure, name_points
+
+# Linear RGB as seen with full protanopia, deuteranopia and tritanopia (Machado, Oliveira, Fernandes 2009)
+VISIONS = {
+    "all cones": np.eye(3),
+    "no long": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "no middle": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    "no short": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+}
+XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+
+
+def linear(colour):
+    c = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+
+
+def lab(rgb):
+    t = XYZ @ np.clip(rgb, 0, 1) / (XYZ @ np.ones(3))
+    f = np.where(t > 0.008856, np.cbrt(t), 7.787 * t + 16 / 116)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+@pytest.mark.parametrize("vision", VISIONS)
+def test_colours_of_robots_differ_for_any_colour_vision(vision):
+    seen = [lab(np.array(VISIONS[vision]) @ linear(colour)) for colour in PALETTE]
+    apart = [np.linalg.norm(a - b) for i, a in enumerate(seen) for b in seen[:i]]
+    assert min(apart) > 15, "2 is the least that can be told at all"
+
+
+@pytest.mark.parametrize("page", ["#ffffff", "#14171a"])
+def test_colours_of_robots_are_seen_on_light_and_on_dark_pages(page):
+    for colour in PALETTE:
+        low, high = sorted(float(XYZ[1] @ linear(c)) for c in (colour, page))
+        assert (high + 0.05) / (low + 0.05) > 2, colour
 
 
 def labels(ax, axis):

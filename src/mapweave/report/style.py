@@ -21,8 +21,9 @@ from ..core.gaussian import ellipse
 if TYPE_CHECKING:
     from matplotlib.transforms import Bbox
 
-# Okabe and Ito's palette, told apart with any colour vision; black is kept for truth.
-PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442")
+# Okabe and Ito's palette, told apart with any colour vision; black is kept for truth, and brown stands where they have
+# a yellow that nobody sees on white.
+PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#A0522D")
 TRUTH = "#000000"
 MUTED = "#9AA0A6"
 LANDMARK = "#7A8088"  # seen on white and on black
