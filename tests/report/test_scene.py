@@ -21,8 +21,8 @@ window.errors = [];
 window.addEventListener("error", (event) => window.errors.push(event.message));
 const drawn = (tries) => {
   const canvas = document.querySelector(".scene canvas");
-  const pixels = canvas.getContext("2d").getImageData(0, 0, canvas.width || 1, canvas.height || 1).data;
-  const before = pixels.filter((v, i) => i % 4 === 3 && v > 0).length;
+  const first = canvas.getContext("2d").getImageData(0, 0, canvas.width || 1, canvas.height || 1).data;
+  const before = first.filter((v, i) => i % 4 === 3 && v > 0).length;
   if (before === 0 && tries > 0) return setTimeout(() => drawn(tries - 1), 50);
   const names = [], draws = CanvasRenderingContext2D.prototype.fillText;
   CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
@@ -37,13 +37,15 @@ const drawn = (tries) => {
       canvas.dispatchEvent(new PointerEvent("pointermove", {clientX: box.left + x, clientY: box.top + y}));
   document.querySelectorAll(".bar input[type=checkbox]").forEach((box) => box.click());
   document.querySelectorAll(".bar input[type=checkbox]").forEach((box) => box.click());
-  const opaque = () => {
+  const pixels = () => {
     const copy = document.createElement("canvas");
     [copy.width, copy.height] = [canvas.width, canvas.height];
     copy.getContext("2d").drawImage(canvas, 0, 0);
-    const all = copy.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
-    return all.filter((v, i) => i % 4 === 3 && v === 255).length;
+    return copy.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
   };
+  const opaque = () => pixels().filter((v, i) => i % 4 === 3 && v === 255).length;
+  const bright = () => pixels().filter((v, i, all) => i % 4 === 0 && all[i + 3] === 255 && v === all[i + 1])
+    .reduce((mean, v, i) => mean + (v - mean) / (i + 1), 0);
   names.length = 0;
   document.querySelector(".bar button[title='all of it']").click();
   const written = names.slice(), whole = opaque();
@@ -57,8 +59,15 @@ const drawn = (tries) => {
   const later = landmarks();
   slider.value = 500;
   const fewer = landmarks();
-  document.documentElement.dataset.seen = JSON.stringify({
-    errors: window.errors, ink: before, whole: whole, half: opaque(), written: written.length, fewer: [later, fewer],
+  const screen = bright();
+  window.dispatchEvent(new Event("beforeprint"));
+  const printed = {bright: bright(), shape: canvas.width / canvas.height - canvas.clientWidth / canvas.clientHeight};
+  window.dispatchEvent(new Event("afterprint"));
+  printed.after = bright() - screen;
+  const told = {
+    errors: window.errors, ink: before, printed: printed,
+    marks: document.querySelectorAll(".bar label svg").length,
+    whole: whole, half: opaque(), written: written.length, fewer: [later, fewer],
     apart: written.every(([x, y], i) => written.every(([u, v, w], k) => k === i || Math.abs(v - y) > 9 || x > u + w
       || u > x)),
     tip: document.querySelector(".tip").textContent,
@@ -67,7 +76,16 @@ const drawn = (tries) => {
     layers: [...document.querySelectorAll(".bar label")].map((label) => label.textContent),
     still: document.querySelectorAll(".still").length,
     figure: document.querySelector("figure img").offsetWidth, column: document.querySelector(".wide").clientWidth,
-  });
+  };
+  const view = document.querySelector(".scene .view"), ink = opaque();
+  view.style.display = "none";
+  setTimeout(() => {
+    view.style.display = "";
+    setTimeout(() => {
+      told.back = opaque() - ink;
+      document.documentElement.dataset.seen = JSON.stringify(told);
+    }, 200);
+  }, 200);
 };
 window.addEventListener("load", () => setTimeout(() => drawn(50), 300));
 </script>"""
@@ -198,4 +216,9 @@ def test_the_map_lives_in_a_browser(tmp_path, width, dark):
     assert seen["apart"]
     assert seen["fewer"] == [0, -1], "what is not known yet is not named"
     assert seen["still"] == 0
+    assert seen["back"] == 0, "a map that was hidden for a while is what it was"
+    assert seen["printed"]["bright"] > 150, "paper is white, whatever the screen"
+    assert seen["printed"]["shape"] == pytest.approx(0, abs=0.01)
+    assert seen["printed"]["after"] == 0
+    assert seen["marks"] == 5, "every layer of one look has its mark; walls have none"
     assert seen["figure"] == pytest.approx(min(924, max(0.8 * 924, seen["column"])), abs=2), "text stays readable"

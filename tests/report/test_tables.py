@@ -30,6 +30,13 @@ def test_numbers_of_a_column_have_the_same_decimals_where_they_are_alike():
     assert cells([[0.0, 2], [0.25, 2], [0.5, 2]]) == ["0.0000", "2", "0.2500", "2", "0.5000", "2"]
 
 
+def test_words_stand_left_and_numbers_right():
+    page = Page("Sides")
+    page.table(["robot", "decision", "shared", "sd"], [["1", "merged", "3 of 4", 0.25], ["2", None, "–", None]])
+    assert re.findall(r"<th( [^>]*|)>", page.html()) == ["", ' class="word"', "", ""]
+    assert page.html().count('<td class="word">') == 2
+
+
 def test_measurements_are_called_by_what_they_measure():
     told = measured({"robot": 12, "landmark": 1234})
     assert told == "1,234 sightings of landmarks, 12 sightings of robots"

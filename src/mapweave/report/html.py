@@ -2,6 +2,7 @@
 
 import base64
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
@@ -15,15 +16,17 @@ from .scene import Scene, script
 
 ALIKE = 1000.0  # numbers of a column that differ by less have the same number of decimals
 LONGEST_NUMBER = 24  # letters of a cell, beyond which it is a sentence
+_NUMBER = re.compile(r"[-+−±]?\.?\d")
 _CSS = """
 :root{color-scheme:light dark;--fg:#1b1f24;--bg:#fff;--line:#d9dde2;--soft:#f4f6f8;--accent:#0072B2;--warn:#b25400}
-@media (prefers-color-scheme:dark){:root{--fg:#e6e8eb;--bg:#14171a;--line:#343a41;--soft:#1d2126;--accent:#56B4E9;--warn:#E69F00}}
+@media screen and (prefers-color-scheme:dark){:root{--fg:#e6e8eb;--bg:#14171a;--line:#343a41;--soft:#1d2126;--accent:#56B4E9;--warn:#E69F00}}
 *{box-sizing:border-box}body{margin:0 auto;max-width:72rem;padding:2rem 1.25rem;color:var(--fg);background:var(--bg);
 font:15px/1.5 system-ui,sans-serif}h1{font-size:1.6rem;margin:0}h2{font-size:1.15rem;margin:2.2rem 0 .6rem;
 border-bottom:1px solid var(--line);padding-bottom:.3rem}p.lead{margin:.3rem 0 1rem;opacity:.85}
 table{border-collapse:collapse;margin:.5rem 0 1rem;font-variant-numeric:tabular-nums;display:block;overflow-x:auto}
 th,td{padding:.25rem .7rem;border-bottom:1px solid var(--line);text-align:right;white-space:nowrap}
-th:first-child,td:first-child{text-align:left}th.text{text-align:left}td.text{text-align:left;white-space:normal;min-width:14rem}th{background:var(--soft);font-weight:600}
+th:first-child,td:first-child,th.word,td.word,th.text,td.text{text-align:left}td.text{white-space:normal;min-width:14rem}td i{display:inline-block;
+width:.7em;height:.7em;border-radius:50%;margin-right:.45em}th{background:var(--soft);font-weight:600}
 figure{margin:1rem 0}figure img{max-width:100%;height:auto;background:#fff;border:1px solid var(--line);border-radius:6px}
 @media screen and (prefers-color-scheme:dark){figure img{filter:invert(.9) hue-rotate(180deg)}}
 figcaption{font-size:.88rem;opacity:.8;margin-top:.25rem}.cards{display:flex;flex-wrap:wrap;gap:.75rem}
@@ -32,12 +35,17 @@ figcaption{font-size:.88rem;opacity:.8;margin-top:.25rem}.cards{display:flex;fle
 touch-action:pan-y;cursor:grab}.scene canvas:active{cursor:grabbing}.scene canvas:focus{outline:2px solid var(--accent);touch-action:none}
 .scene .tip{position:absolute;display:none;pointer-events:none;white-space:pre;font-size:.8rem;padding:.3rem .5rem;border-radius:6px;
 background:var(--fg);color:var(--bg)}.scene .bar{display:flex;flex-wrap:wrap;align-items:center;gap:.3rem .9rem;margin:.4rem 0;font-size:.85rem}
-.scene .bar label{display:flex;align-items:center;gap:.3rem}.scene .bar i{width:.8rem;height:.25rem;border-radius:2px}
+.scene .bar label{display:flex;align-items:center;gap:.3rem}.scene .bar svg{width:1rem;height:.9rem}
 .scene .bar button{min-width:2rem;font:inherit;color:inherit;background:var(--soft);border:1px solid var(--line);border-radius:6px}
 .scene .bar input[type=range]{flex:1 1 12rem;min-width:8rem}.scene figcaption span{opacity:.8}
-@media (max-width:40rem){body{padding:1rem .75rem}.card{flex:1}.wide{overflow-x:auto}
-.wide img{max-width:none;width:min(var(--wide),max(100%,.8*var(--wide)))}}@media print{.scene .bar{display:none}}
-a{color:var(--accent)}.warn{color:var(--warn)}footer{margin-top:3rem;font-size:.82rem;opacity:.7}
+@media screen and (max-width:40rem){body{padding:1rem .75rem}.card{flex:1}.wide{overflow-x:auto}
+.wide img{max-width:none;width:min(var(--wide),max(100%,.8*var(--wide)))}}a{color:var(--accent)}.warn{color:var(--warn)}
+ul.warn{margin:.8rem 0;padding:.5rem .9rem .5rem 1.9rem;border-left:4px solid var(--warn);background:var(--soft)}ul.warn li{margin:.15rem 0}
+a.card{color:var(--warn);text-decoration:none}footer{margin-top:3rem;font-size:.82rem;opacity:.7}
+@media print{:root{color-scheme:light}body{max-width:none;padding:0;font-size:10pt;print-color-adjust:exact;-webkit-print-color-adjust:exact}
+h2{break-after:avoid;margin-top:1.4rem}figure,tr,.cards{break-inside:avoid}.scene canvas{height:auto}
+.scene .bar button,.scene .bar input,.scene .bar output,.scene figcaption span{display:none}
+table{display:table;font-size:8.5pt}th,td{white-space:normal;padding:.2rem .45rem}td.text{min-width:0}footer{margin-top:1rem}}
 """
 
 
@@ -56,21 +64,31 @@ class Page:
     def text(self, text: str, *, warn: bool = False) -> None:
         self.parts.append(f'<p class="warn">⚠ {escape(text)}</p>' if warn else f"<p>{escape(text)}</p>")
 
-    def cards(self, values: Sequence[tuple[str, str]]) -> None:
-        """Headline figures as (what, value with unit)."""
+    def cards(self, values: Sequence[tuple[str, str]], warnings: int = 0) -> None:
+        """Headline figures as (what, value with unit); the last leads to the `warnings`, where there are any."""
         inner = "".join(f'<div class="card"><b>{escape(v)}</b>{escape(k)}</div>' for k, v in values)
+        if warnings:
+            some = "warnings" if warnings > 1 else "warning"
+            inner += f'<a class="card" href="#warnings"><b>⚠ {warnings}</b>{some}, below the map</a>'
         self.parts.append(f'<div class="cards">{inner}</div>')
 
-    def table(self, head: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-        """Numbers stand right, columns with a sentence in them left."""
+    def warnings(self, texts: Sequence[str]) -> None:
+        """What was repaired, left out or is in doubt, an item each."""
+        if texts:
+            items = "".join(f"<li>{escape(text)}</li>" for text in texts)
+            self.parts.append(f'<ul class="warn" id="warnings">{items}</ul>')
+
+    def table(self, head: Sequence[str], rows: Sequence[Sequence[object]], colours: Sequence[str] = ()) -> None:
+        """Numbers stand right, columns of words left; colours: of what each row is about, where figures show it."""
         digits = [_decimals(column) for column in zip_longest(*rows)]
         cells = [[_shown(value, d) for value, d in zip(row, digits, strict=False)] for row in rows]
-        words = {k for row in cells for k, text in enumerate(row) if len(text) > LONGEST_NUMBER}
-        top = "".join(f"<th{_class(k in words)}>{escape(h)}</th>" for k, h in enumerate(head))
-        body = "".join(
-            f"<tr>{''.join(f'<td{_class(k in words)}>{escape(text)}</td>' for k, text in enumerate(row))}</tr>"
-            for row in cells
-        )
+        kinds = [_kind(column) for column in zip_longest(*cells, fillvalue="")]
+        top = "".join(f"<th{kind}>{escape(h)}</th>" for h, kind in zip_longest(head, kinds[: len(head)], fillvalue=""))
+        marks = [f'<i style="background:{colour}"></i>' for colour in colours] or [""] * len(cells)
+        body = ""
+        for row, mark in zip(cells, marks, strict=True):
+            told = [f"<td{kind}>{escape(text)}</td>" for text, kind in zip(row, kinds, strict=False)]
+            body += f"<tr>{''.join(told).replace('>', f'>{mark}', 1)}</tr>"
         self.parts.append(f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>")
 
     def figure(self, png: Path, caption: str) -> None:
@@ -136,5 +154,9 @@ def _shown(value: object, decimals: int | None = None) -> str:
     return f"{value:.4g}" if decimals is None else f"{value:.{decimals}f}"
 
 
-def _class(words: bool) -> str:  # noqa: FBT001
-    return ' class="text"' if words else ""
+def _kind(column: Sequence[str]) -> str:
+    """The class of a column: of sentences, of words, or none of numbers."""
+    if any(len(text) > LONGEST_NUMBER for text in column):
+        return ' class="text"'
+    told = [text for text in column if text not in {"", "–"}]
+    return ' class="word"' if told and not any(_NUMBER.match(text) for text in told) else ""

@@ -2,6 +2,15 @@
 /* The map of a page: drag to move, wheel or + and - to zoom, point at a thing to read what it is, slide through time.
    Every <figure class="scene"> holds its data as JSON; without scripts its picture stays. */
 const MOST_NAMES = 600; // in view, beyond which none is written
+const SHAPES = {
+  line: "M-8 0H8",
+  dot: "M-3 0a3 3 0 1 0 6 0a3 3 0 1 0-6 0",
+  ring: "M-5 0a5 5 0 1 0 10 0a5 5 0 1 0-10 0",
+  triangle: "M0-6L5 4H-5Z",
+  cross: "M-4-4L4 4M-4 4L4-4",
+  star: "M0-5.5L1.3-1.8 5.2-1.7 2.1.7 3.2 4.5 0 2.2-3.2 4.5-2.1.7-5.2-1.7-1.3-1.8Z",
+};
+const OPEN = ["line", "ring", "cross"]; // drawn as lines, the others filled
 for (const figure of document.querySelectorAll("figure.scene")) showScene(figure);
 
 function showScene(figure) {
@@ -27,6 +36,8 @@ function showScene(figure) {
   const times = data.tracks.flatMap((track) => (track.t.length ? [track.t[0], track.t[track.t.length - 1]] : []));
   const begin = Math.min(...times), end = Math.max(...times);
   let now = end, playing = 0;
+  let printing = false; // on white, finer than the screen, letters larger: paper is narrower
+  const letters = () => (printing ? 16 : 11); // [px]
   let scale = 1, centre = [0, 0];
   const ground = document.createElement("canvas");
   let cells = null, since = null; // pixels of the grid; when each became known
@@ -42,7 +53,7 @@ function showScene(figure) {
   function paint() {
     if (!cells) return;
     const shown = new ImageData(new Uint8ClampedArray(cells.data), cells.width, cells.height), to = shown.data;
-    if (dark.matches)
+    if (dark.matches && !printing)
       for (let i = 0; i < to.length; i += 4)
         if (to[i + 3] === 255) for (let k = i; k < i + 3; k++) to[k] = 36 + 0.72 * (255 - to[k]);
     if (since && now < end) {
@@ -55,6 +66,7 @@ function showScene(figure) {
   function fit() {
     const [x0, x1, y0, y1] = data.extent;
     const { clientWidth: w, clientHeight: h } = canvas;
+    if (!w || !h) return; // a page that is not shown has no size, and comes back
     const [wide, high] = [Math.max(w - 72, w / 2), Math.max(h - 56, h / 2)]; // room for names and numbers at the rim
     scale = Math.min(wide / Math.max(x1 - x0, 1e-9), high / Math.max(y1 - y0, 1e-9));
     centre = [(x0 + x1) / 2, (y0 + y1) / 2];
@@ -77,7 +89,7 @@ function showScene(figure) {
   const known = (points, i) => now >= end || !points.since || points.since[i] === null || points.since[i] <= now;
 
   function draw() {
-    const density = window.devicePixelRatio || 1;
+    const density = Math.max(window.devicePixelRatio || 1, printing ? 2 : 0);
     const { clientWidth: w, clientHeight: h } = canvas;
     if (canvas.width !== Math.round(w * density) || canvas.height !== Math.round(h * density)) {
       canvas.width = Math.round(w * density);
@@ -85,7 +97,7 @@ function showScene(figure) {
     }
     context.setTransform(density, 0, 0, density, 0, 0);
     context.clearRect(0, 0, w, h);
-    const ink = style().getPropertyValue("--fg").trim(), line = style().getPropertyValue("--line").trim();
+    const [ink, line] = printing ? ["#1b1f24", "#d9dde2"] : ["--fg", "--line"].map((name) => style().getPropertyValue(name).trim());
     written = [];
     drawGraticule(w, h, ink, line);
     if (cells && !hidden.has(data.grid.layer)) {
@@ -96,9 +108,9 @@ function showScene(figure) {
     const seen = (things) => things.filter((thing) => !hidden.has(thing.layer));
     for (const lines of seen(data.lines)) drawLines(lines, ink);
     for (const track of seen(data.tracks)) drawTrack(track, ink);
-    for (const points of seen(data.points)) drawPoints(points, ink);
+    for (const points of seen(data.points)) drawPoints(points, ink, density);
     for (const track of seen(data.tracks)) drawRobot(track, ink);
-    context.font = "11px system-ui, sans-serif";
+    context.font = `${letters()}px system-ui, sans-serif`;
     context.fillStyle = ink;
     for (const track of seen(data.tracks)) if (track.named) nameRobot(track);
     for (const points of seen(data.points)) namePoints(points, w, h);
@@ -108,8 +120,8 @@ function showScene(figure) {
   // a name beside what it names, where it covers no other; where there is no such place it is left to pointing
   let written = [];
   function write(text, x, y) {
-    const wide = context.measureText(text).width, tall = 11;
-    for (const [left, top] of [[x + 6, y - 15], [x + 6, y + 4], [x - 6 - wide, y - 15], [x - 6 - wide, y + 4]]) {
+    const wide = context.measureText(text).width, tall = letters();
+    for (const [left, top] of [[x + 6, y - 4 - tall], [x + 6, y + 4], [x - 6 - wide, y - 4 - tall], [x - 6 - wide, y + 4]]) {
       if (written.some(([l, t, r, b]) => left < r && l < left + wide && top < b && t < top + tall)) continue;
       written.push([left - 3, top - 1, left + wide + 3, top + tall + 1]);
       context.fillText(text, left, top + tall - 1);
@@ -133,7 +145,7 @@ function showScene(figure) {
   // a number of the graticule, which names keep clear of
   function mark(text, x, y) {
     context.fillText(text, x, y);
-    written.push([x - 2, y - 11, x + context.measureText(text).width + 2, y + 3]);
+    written.push([x - 2, y - letters(), x + context.measureText(text).width + 2, y + 3]);
   }
 
   function drawGraticule(w, h, ink, line) {
@@ -141,7 +153,7 @@ function showScene(figure) {
     const step = [1, 2, 5, 10].map((k) => k * power).find((s) => s >= rough);
     context.strokeStyle = line;
     context.fillStyle = ink;
-    context.font = "11px system-ui, sans-serif";
+    context.font = `${letters()}px system-ui, sans-serif`;
     context.lineWidth = 1;
     context.globalAlpha = 0.75;
     context.beginPath();
@@ -157,7 +169,7 @@ function showScene(figure) {
     }
     context.stroke();
     context.globalAlpha = 1;
-    context.fillText(data.axes, w - context.measureText(data.axes).width - 6, 13);
+    context.fillText(data.axes, w - context.measureText(data.axes).width - 6, letters() + 2);
   }
 
   function drawLines(lines, ink) {
@@ -190,6 +202,10 @@ function showScene(figure) {
       context.stroke();
     }
     context.globalAlpha = 1;
+    if (!track.t.length) return;
+    context.beginPath(); // a ring where it began
+    context.arc(toX(track.x[0]), toY(track.y[0]), 4, 0, 2 * Math.PI);
+    context.stroke();
   }
 
   function drawRobot(track, ink) {
@@ -223,33 +239,19 @@ function showScene(figure) {
     context.stroke();
   }
 
-  function drawPoints(points, ink) {
-    const colour = tint(points.colour, ink), r = points.x.length > 2000 ? 1.5 : 3;
-    context.fillStyle = context.strokeStyle = colour;
-    for (let i = 0; i < points.x.length; i++) {
-      if (!known(points, i)) continue;
-      const x = toX(points.x[i]), y = toY(points.y[i]);
-      if (points.ellipses) ellipse(x, y, points.ellipses[i], colour);
-      context.lineWidth = 1.5;
-      context.beginPath();
-      if (points.shape === "triangle") {
-        context.moveTo(x, y - 6);
-        context.lineTo(x + 5, y + 4);
-        context.lineTo(x - 5, y + 4);
-      } else if (points.shape === "cross") {
-        for (const k of [-1, 1]) {
-          context.moveTo(x - 4, y - 4 * k);
-          context.lineTo(x + 4, y + 4 * k);
-        }
-      } else if (points.shape === "star") {
-        for (let k = 0; k < 10; k++) {
-          const far = k % 2 ? 2.2 : 5.5, angle = (k * Math.PI) / 5;
-          context.lineTo(x + far * Math.sin(angle), y - far * Math.cos(angle));
-        }
-      } else context.arc(x, y, points.shape === "ring" ? 5 : r, 0, 2 * Math.PI);
-      if (points.shape === "ring" || points.shape === "cross") context.stroke();
-      else context.fill();
+  function drawPoints(points, ink, density) {
+    const shape = new Path2D(SHAPES[points.shape]), size = points.x.length > 2000 ? 0.5 : 1;
+    context.fillStyle = context.strokeStyle = tint(points.colour, ink);
+    const shown = points.x.map((_, i) => i).filter((i) => known(points, i));
+    if (points.ellipses) for (const i of shown) ellipse(toX(points.x[i]), toY(points.y[i]), points.ellipses[i], context.strokeStyle);
+    context.lineWidth = 1.5;
+    for (const i of shown) {
+      const k = density * size;
+      context.setTransform(k, 0, 0, k, density * toX(points.x[i]), density * toY(points.y[i]));
+      if (OPEN.includes(points.shape)) context.stroke(shape);
+      else context.fill(shape);
     }
+    context.setTransform(density, 0, 0, density, 0, 0);
   }
 
   function nearest(px, py) {
@@ -365,12 +367,12 @@ function showScene(figure) {
   button("+", "closer", () => zoom(1.4));
   button("−", "farther", () => zoom(1 / 1.4));
   button("⤢", "all of it", reset);
-  const layers = new Map(data.grid ? [[data.grid.layer, ""]] : []);
-  for (const { layer, colour } of [...data.lines, ...data.tracks, ...data.points])
-    layers.set(layer, (layers.get(layer) ?? colour) === colour ? colour : "");
+  const layers = new Map(data.grid ? [[data.grid.layer, null]] : []);
+  for (const { layer, colour, shape, dashed } of [...data.lines, ...data.tracks, ...data.points])
+    layers.set(layer, (layers.get(layer)?.colour ?? colour) === colour ? { colour, shape, dashed } : null);
   for (const track of data.tracks)
     track.named = track.t.length && data.tracks.some((other) => other !== track && other.layer === track.layer);
-  for (const [layer, colour] of layers) {
+  for (const [layer, look] of layers) {
     const label = document.createElement("label"), box = document.createElement("input");
     box.type = "checkbox";
     box.checked = !hidden.has(layer);
@@ -379,9 +381,7 @@ function showScene(figure) {
       else hidden.add(layer);
       draw();
     });
-    const mark = document.createElement("i");
-    mark.style.background = colour === "#000000" ? "var(--fg)" : colour;
-    label.append(box, ...(colour ? [mark] : []), layer);
+    label.append(box, ...(look ? [legend(look)] : []), layer);
     bar.append(label);
   }
   if (end > begin) {
@@ -391,8 +391,10 @@ function showScene(figure) {
     slider.max = 1000;
     slider.value = 1000;
     slider.setAttribute("aria-label", "time");
-    const tell = () =>
-      (shown.textContent = data.clock === "s" ? `${(now - begin).toFixed(0)} s` : `${data.clock} ${now.toFixed(0)}`);
+    const tell = () => {
+      shown.textContent = data.clock === "s" ? `${(now - begin).toFixed(0)} s` : `${data.clock} ${now.toFixed(0)}`;
+      slider.setAttribute("aria-valuetext", shown.textContent);
+    };
     const show = () => {
       if (since) paint();
       tell();
@@ -427,6 +429,7 @@ function showScene(figure) {
   fit();
   let start = scale;
   new ResizeObserver(() => {
+    if (!canvas.clientWidth || !canvas.clientHeight) return;
     const zoomed = scale / start, kept = centre;
     fit();
     start = scale;
@@ -438,7 +441,24 @@ function showScene(figure) {
     paint();
     draw();
   });
-  window.addEventListener("beforeprint", draw);
+  for (const [event, on] of [["beforeprint", true], ["afterprint", false]])
+    window.addEventListener(event, () => {
+      printing = on;
+      paint();
+      draw();
+    });
+}
+// the mark of a layer, as the map shows it
+function legend({ colour, shape = "line", dashed }) {
+  const mark = document.createElementNS("http://www.w3.org/2000/svg", "svg"), shown = colour === "#000000" ? "currentColor" : colour;
+  mark.setAttribute("viewBox", "-8 -7 16 14");
+  mark.setAttribute("aria-hidden", "true");
+  mark.innerHTML = `<path d="${SHAPES[shape]}" fill="none"/>`;
+  const path = mark.firstChild;
+  path.setAttribute(OPEN.includes(shape) ? "stroke" : "fill", shown);
+  path.setAttribute("stroke-width", shape === "line" ? 3 : 1.5);
+  if (dashed) path.setAttribute("stroke-dasharray", "4 3");
+  return mark;
 }
 async function pixelsOf(png) {
   const image = new Image();
