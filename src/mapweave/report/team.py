@@ -1,7 +1,9 @@
 """The report of a team's map: what came out, how sure it is, why every robot was or was not merged, and the truth."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+
+import numpy as np
 
 from ..core.names import robot_key
 from ..evaluation.consistency import mean_or_none
@@ -16,6 +18,8 @@ from .scene import Scene, landmark_points
 from .score import growth, landmark_errors, track_errors
 from .team_figures import TeamStory
 
+APART = ": left in its own component"  # the end of a reason, of which the page tells where it is drawn
+MOST_NAMED = 12  # robots in the page's first sentence
 KINDS = {
     "landmark": "sightings of landmarks",
     "robot": "sightings of robots",
@@ -27,15 +31,17 @@ KINDS = {
 def write_team_report(folder: Path, story: TeamStory) -> None:
     """`report.html` and `figures/*.png` in `folder`."""
     team = story.maps[0]
-    page = Page(story.title, _lead(story))
-    page.cards(_headline(story))
-    for warning in story.warnings:
-        page.text(warning, warn=True)
+    count = "One map" if len(story.maps) == 1 else f"{len(story.maps)} maps"
+    page = Page(story.title.replace("One map", count, 1), _lead(story))
+    page.cards(_headline(story), len(story.warnings))
+    for sentence in _left_out(story):
+        page.text(sentence, warn=True)
     figures = folder / "figures"
-    page.section("Map")
+    page.section("Map" if len(story.maps) == 1 else f"Component 1: {named(team.robots)}")
     _map(page, figures / "fused_map.png", story, team)
+    page.warnings(story.warnings)
     for k, other in enumerate(story.maps[1:], 2):
-        page.section(f"Component {k}: robots {', '.join(map(robot_key, other.robots))}")
+        page.section(f"Component {k}: {named(other.robots)}")
         _map(page, figures / f"component_{k}.png", story, other)
     if story.score is not None:
         _truth(page, figures, story)
@@ -65,14 +71,51 @@ def _map(page: Page, png: Path, story: TeamStory, team: TeamMap) -> None:
             name = f"robot {robot_key(robot)}"
             scene.track(name, name, team.tracks[robot], style.colour(story.colour_of(robot)))
     landmark_points(scene, team, team_figures.shape(team.landmarks))
-    told = "Landmarks with the 95 % ellipses of the map's shape, and where the robots drove."
+    told = (
+        "Landmarks with the 95 % ellipses of the map's shape, and where the robots drove: a ring where each began, an "
+        "arrow with its 95 % ellipse where it was at the time shown."
+    )
     page.scene(scene, told if not scene.empty else caption, png)
 
 
 def _lead(story: TeamStory) -> str:
-    names = ", ".join(map(robot_key, story.robots))
-    tied = len(story.maps[0].robots)
-    return f"Robots {names}; {tied} of {len(story.robots)} in one map."
+    tied, of = len(story.maps[0].robots), len(story.robots)
+    told = f"{named(story.robots)}, ".capitalize() if of <= MOST_NAMED else ""
+    if len(story.maps) == 1:
+        return f"{told}{'all' if tied == of else f'{tied} of {of}'} in one map."
+    return f"{told}in {len(story.maps)} maps that nothing ties together; {tied} of {of} in the first."
+
+
+def _left_out(story: TeamStory) -> list[str]:
+    """Which robots are not in the first map and why, those of one reason together."""
+    where = {robot: k for k, team in enumerate(story.maps, 1) for robot in team.robots}
+    reasons: dict[str, list[str]] = {}
+    for d in story.fusion.decisions:
+        if where.get(d.robot) != 1:
+            why = d.reason.removesuffix(APART) if d.decision == "refused" else "shares too few landmarks with it"
+            reasons.setdefault(why, []).append(d.robot)
+    out = []
+    for why, robots in reasons.items():
+        several = len(robots) > 1
+        told = f"{named(robots).capitalize()} {'are' if several else 'is'} not in the first map: {why}."
+        parts = sorted({where[r] for r in robots if r in where})
+        if parts:
+            many = "s" if len(parts) > 1 else ""
+            told += f" Drawn below as component{many} {told_list([str(k) for k in parts])}."
+            told += " Where a robot is known to have started, the option --start ties it in."
+        out.append(told)
+    return out
+
+
+def named(robots: Sequence[str]) -> str:
+    """`robot 1`, `robots 1, 2 and 3`."""
+    keys = [robot_key(robot) for robot in robots]
+    return f"robot{'s' * (len(keys) > 1)} {told_list(keys)}"
+
+
+def told_list(words: Sequence[str]) -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def _headline(story: TeamStory) -> list[tuple[str, str]]:
@@ -82,10 +125,13 @@ def _headline(story: TeamStory) -> list[tuple[str, str]]:
         ("landmarks", str(len(team.landmarks))),
         ("sightings", f"{sum(sum(m.sightings.values()) for m in story.local):,}"),
     ]
+    if len(team.landmarks) > 1:
+        sd = np.median(list(team_figures.deviations(team_figures.shape(team.landmarks)).values()))
+        cards.append(("median sd of a landmark", f"{sd:.3f} m"))
     if story.score is not None and story.score.landmarks.rmse is not None:
         cards.append(("landmark RMSE", f"{story.score.landmarks.rmse:.3f} m"))
         if story.score.landmarks.nees_per_dof is not None:
-            cards.append(("NEES per degree of freedom", f"{story.score.landmarks.nees_per_dof:.2f}"))
+            cards.append(("NEES per degree of freedom (honest: 1)", f"{story.score.landmarks.nees_per_dof:.2f}"))
     if story.score is not None:
         ates = [r.ate for r in story.score.robots.values() if r.ate is not None]
         if ates:
@@ -96,7 +142,7 @@ def _headline(story: TeamStory) -> list[tuple[str, str]]:
 def _truth(page: Page, figures: Path, story: TeamStory) -> None:
     score = story.score
     assert score is not None  # noqa: S101  (the caller looked)
-    page.section("Beside the truth")
+    page.section("Against the truth")
     for exchange in score.exchanges:
         page.text(str(exchange), warn=True)
     if score.landmarks.alignment is not None:
@@ -114,6 +160,7 @@ def _truth(page: Page, figures: Path, story: TeamStory) -> None:
     page.table(
         ["robot", "ATE [m]", "poses", "truth used", "own map RMSE [m]", "drift in 10 s [m]"],
         [[robot_key(n), r.ate, r.n, r.truth, r.single_map_rmse, r.rpe_trans] for n, r in score.robots.items()],
+        [_tint(story, n) for n in score.robots],
     )
     name = figures / "track_errors.png"
     _add(page, name, track_errors(name, story, score))
@@ -143,12 +190,12 @@ def _smoothing(page: Page, story: TeamStory) -> None:
             ate = mean_or_none([r.ate for r in score.robots.values()])
             rows.append([name, score.landmarks.rmse, ate, score.landmarks.nees_per_dof])
         page.table(["map", "landmark RMSE [m]", "mean ATE [m]", "NEES / dof"], rows)
-    found = {robot: known for s in story.smoothed for robot, known in s.calibration.items()}
+    every = {robot: known for s in story.smoothed for robot, known in s.calibration.items()}
+    found = {robot: every[robot] for robot in story.robots if robot in every}
     if found:
         head = ["robot", "speed scale", "turn scale", "lag [s]", "bearing bias [rad]", "range scale"]
-        page.table(
-            head, [[robot_key(robot), *(_told(known, p, story) for p in PARAMETERS)] for robot, known in found.items()]
-        )
+        rows = [[robot_key(robot), *(_told(known, p, story) for p in PARAMETERS)] for robot, known in found.items()]
+        page.table(head, rows, [_tint(story, robot) for robot in found])
         page.text("With one standard deviation. An asterisk: the data added little to what was assumed.")
 
 
@@ -187,7 +234,12 @@ def _fusion(page: Page, figures: Path, story: TeamStory) -> None:
     rows = [
         [robot_key(d.robot), d.shared, d.decision, d.scale, d.variance_factor, d.reason] for d in story.fusion.decisions
     ]
-    page.table(["robot", "landmarks shared", "decision", "scale", "variance factor", "reason"], rows)
+    head = ["robot", "landmarks shared", "decision", "scale", "variance factor", "reason"]
+    page.table(head, rows, [_tint(story, d.robot) for d in story.fusion.decisions])
+    page.text(
+        "Scale: found for each robot's own map. Variance factor: by how much its covariance was multiplied so that the "
+        "maps agree as well as they should; below 1 it was too cautious."
+    )
     if len(story.maps[0].landmarks):
         name = figures / "local_maps.png"
         _add(page, name, team_figures.local_against_fused(name, story))
@@ -200,6 +252,7 @@ def _robots(page: Page, figures: Path, story: TeamStory) -> None:
     page.table(
         ["robot", "odometry", "sightings", "landmarks", "robots seen", "dropped", "down-weighted", "median NIS"],
         [_robot_row(m) for m in sorted(story.local, key=lambda m: story.colour_of(m.robot))],
+        [_tint(story, robot) for robot in story.robots],
     )
     page.text(
         "Median NIS per degree of freedom: near 1 where innovations are as large as the filter expects, well below 1 "
@@ -207,9 +260,10 @@ def _robots(page: Page, figures: Path, story: TeamStory) -> None:
     )
     name = figures / "calibration.png"
     _add(page, name, team_figures.calibration(name, story))
-    for m in story.local:
-        for warning in m.warnings:
-            page.text(f"robot {robot_key(m.robot)}: {warning}", warn=True)
+
+
+def _tint(story: TeamStory, robot: str) -> str:
+    return style.colour(story.colour_of(robot)) if robot in story.robots else style.MUTED
 
 
 def _robot_row(m: LocalMap) -> list[object]:

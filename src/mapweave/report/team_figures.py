@@ -122,7 +122,7 @@ def local_against_fused(path: Path, story: TeamStory) -> str:
     own = {m.robot: m.submap.landmarks for m in story.local}
     there = [r for r in team.robots if r in own]
     robots = there[:MOST_PANELS]
-    columns = min(3, max(1, len(robots)))
+    columns = 2 if len(robots) == 4 else min(3, max(1, len(robots)))
     rows = -(-len(robots) // columns)
     scales = {r: c.scales.get(r, 1.0) for c in story.fusion.components for r in c.robots}
     laid = {r: _laid_over(own[r], scales.get(r, 1.0), team.landmarks) for r in robots}  # 1: a robot placed afterwards
@@ -159,13 +159,13 @@ def local_against_fused(path: Path, story: TeamStory) -> str:
 def uncertainty(path: Path, story: TeamStory) -> str:
     """Standard deviations of every landmark, fused and in each robot's own map. The caption is returned."""
     team = story.maps[0]
-    fused = _deviations(shape(team.landmarks))
+    fused = deviations(shape(team.landmarks))
     names = sorted(fused, key=in_order)
     at = {name: i for i, name in enumerate(names)}
     with style.figure(path, 8.4, 3.4) as (_, ax):
         for m in story.local:
             if m.robot in team.robots:
-                own = {name: sd for name, sd in _deviations(shape(m.submap.landmarks)).items() if name in at}
+                own = {name: sd for name, sd in deviations(shape(m.submap.landmarks)).items() if name in at}
                 k = story.colour_of(m.robot)
                 ax.plot(
                     [at[n] for n in own],
@@ -237,6 +237,7 @@ def _draw_landmarks(ax: Axes, landmarks: LandmarkMap, grow: float) -> None:
         style.name_points(ax, landmarks.ids, landmarks.mean)
 
 
-def _deviations(landmarks: LandmarkMap) -> dict[str, float]:
+def deviations(landmarks: LandmarkMap) -> dict[str, float]:
+    """Standard deviation of every landmark's position along one axis [m]: the root mean square over both."""
     variance = np.diag(landmarks.cov).reshape(-1, 2).sum(axis=1)
     return dict(zip(landmarks.ids, np.sqrt(0.5 * variance).tolist(), strict=True))
