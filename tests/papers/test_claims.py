@@ -34,6 +34,7 @@ def test_a_page_ends_in_the_table_that_its_command_writes(page):
     text = (TOP / "docs" / "methods" / page).read_text(encoding="utf-8")
     closing = re.findall(r"<!-- \w+ claims: begin -->\n(.*?)<!-- \w+ claims: end -->", text, re.DOTALL)[-1]
     table = [line for line in closing.splitlines() if line.startswith("|")]
+    assert text.rstrip().endswith(" claims: end -->")
     assert len(table) == len(PAGES[page]) + 2
     assert table[0] == markdown(CLAIMS_HEAD, []).splitlines()[0]
     for line, claim in zip(table[2:], PAGES[page], strict=True):
