@@ -98,7 +98,7 @@ def test_a_truth_in_another_frame_than_the_map_is_told_with_the_motion_between(h
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        ([], ("Make one map of the logs", "Find every robot of a swarm", "Say what mapweave runs on")),
+        ([], ("Make one map of the logs", "Find every robot of a swarm", "Check the installation")),
         (["simulate"], ("A team with cameras", "A swarm of camera robots", "A laser drive through an office")),
         (["reproduce"], ("Kojima, Okawa, Namerikawa", "Hamatani, Nakamura", "Hara, Kawata", "Yuan, Huang")),
     ],

@@ -54,7 +54,7 @@ def fuse(
         A TOML file of settings, as `configuration("fuse")` prints them for landmarks and `configuration("fuse",
         laser=True)` for laser maps (the tables `merge` and `graph.joint` and `resolution`); options here win.
     seed
-        Kept in the metrics (0).
+        Kept in the metrics; the result does not depend on it (0).
     force
         Write into `out` even when something other than a result stands there (False).
     on_progress

@@ -111,7 +111,7 @@ def locate(
     filtered
         Of moving robots what was known at each instant, not what all sightings say of it (False).
     seed
-        Of everything drawn at random (0).
+        Kept in the metrics; the result does not depend on it (0).
     force
         Write into `out` even when something other than a result stands there (False).
     on_progress

@@ -18,23 +18,52 @@ if TYPE_CHECKING:
 
 HELP = {"--help", "-h"}
 
-COMMANDS: dict[str, tuple[str, str]] = {
-    # verb: where its command lives, imported only when that command is asked for; what it does, in a line
-    "demo": ("mapweave.cli.demo:demo", "Simulate, map and score a small team: a first look."),
-    "simulate": ("mapweave.cli.simulate:app", "Make recordings whose truth is known."),
-    "map": ("mapweave.cli.map:map_logs", "Make one map of the logs of a team."),
-    "fuse": ("mapweave.cli.fuse:fuse", "Make one map of several results."),
-    "locate": ("mapweave.cli.locate:locate", "Find every robot of a swarm from bearings."),
-    "evaluate": ("mapweave.cli.evaluate:evaluate", "Score a result against the truth."),
-    "localize": ("mapweave.cli.localize:localize", "Follow a robot in a finished laser map."),
-    "live": ("mapweave.cli.live:app", "Map a team that drives now, over a network."),
-    "reproduce": ("mapweave.cli.reproduce:app", "Repeat a paper's experiment."),
-    "view": ("mapweave.cli.view:view", "Open a result's report and map."),
-    "explore": ("mapweave.cli.explore:explore", "Let a team decide where to drive."),
-    "solve": ("mapweave.cli.solve:solve", "Solve and draw a pose graph of any origin."),
-    "config": ("mapweave.cli.config:config", "Print every setting with default and meaning."),
-    "doctor": ("mapweave.cli.doctor:doctor", "Say what mapweave runs on."),
-    "completion": ("mapweave.cli.completion:completion", "Print completion for bash, zsh or fish."),
+COMMANDS: dict[str, tuple[str, str, str]] = {
+    # verb: where its command lives, imported only when that command is asked for; what it does, in a line; an example,
+    # "" where commands below have theirs
+    "demo": ("mapweave.cli.demo:demo", "Simulate, map and score a small team: a first look.", "demo"),
+    "map": (
+        "mapweave.cli.map:map_logs",
+        "Make one map of the logs of a team.",
+        "map robot1.bag robot2.mcap --out result",
+    ),
+    "view": ("mapweave.cli.view:view", "Open a result's report and map.", "view result"),
+    "evaluate": (
+        "mapweave.cli.evaluate:evaluate",
+        "Score a result against the truth.",
+        "evaluate result --truth MRCLAM_Dataset6.zip",
+    ),
+    "fuse": ("mapweave.cli.fuse:fuse", "Make one map of several results.", "fuse monday tuesday --out both"),
+    "localize": (
+        "mapweave.cli.localize:localize",
+        "Follow a robot in a finished laser map.",
+        "localize log.mcap --map result --out where",
+    ),
+    "locate": (
+        "mapweave.cli.locate:locate",
+        "Find every robot of a swarm from bearings.",
+        "locate sightings.csv --out result --anchor a=0,0 --anchor b=10,0",
+    ),
+    "explore": (
+        "mapweave.cli.explore:explore",
+        "Let a simulated team decide where to drive.",
+        "explore office --robots 3 --out result",
+    ),
+    "live": ("mapweave.cli.live:app", "Map a team that drives now, over a network.", ""),
+    "simulate": ("mapweave.cli.simulate:app", "Make logs of simulated robots, and their truth.", ""),
+    "solve": ("mapweave.cli.solve:solve", "Solve and draw a pose graph of any origin.", "solve FILE.g2o --out result"),
+    "reproduce": ("mapweave.cli.reproduce:app", "Repeat a paper's experiment.", ""),
+    "config": (
+        "mapweave.cli.config:config",
+        "Print every setting of a job with default and meaning.",
+        "config map > settings.toml",
+    ),
+    "doctor": ("mapweave.cli.doctor:doctor", "Check the installation.", "doctor"),
+    "completion": (
+        "mapweave.cli.completion:completion",
+        "Print what completes commands in bash, zsh or fish.",
+        "completion bash > mapweave.bash",
+    ),
 }
 
 
@@ -49,9 +78,11 @@ def make_app() -> "App":
         version_flags=["--version"],
         help_formatter=FlowingHelp(),
         help_format="plaintext",  # Markdown costs a tenth of a second to import
+        help_epilogue="`mapweave demo` is a first look; `mapweave COMMAND --help` tells the options of a command.",
     )
-    for name, (where, told) in COMMANDS.items():
-        app.command(where, name=name, help=told)
+    for place, (name, (where, told, example)) in enumerate(COMMANDS.items()):
+        shown = {"help_epilogue": f"Example: mapweave {example}"} if example else {}
+        app.command(where, name=name, help=told, sort_key=place, **shown)
     return app
 
 

@@ -8,6 +8,7 @@ from cyclopts import Parameter
 
 def explore(
     scenario: str,
+    /,
     *,
     out: Path,
     robots: int | None = None,

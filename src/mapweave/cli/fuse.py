@@ -33,7 +33,7 @@ def fuse(
     config
         A TOML file with settings of fusing; options on the command line win.
     seed
-        Kept in metrics.json.
+        Kept in metrics.json; the result does not depend on it.
     force
         Write into the folder even when something other than a result stands there.
     """

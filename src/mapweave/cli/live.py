@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ..api.live_ros2 import RosOptions
     from ..live.transport import Network
 
-app = App(name="live", help="A team that drives now, over a real network.", help_format="plaintext")
+app = App(name="live", help="A team that drives now, over a real network.", help_format="plaintext", help_epilogue="")
 Endpoints = Annotated[list[str] | None, Parameter(negative="", consume_multiple=True)]
 
 
@@ -53,7 +53,7 @@ class Link:
 NEEDS = {"zenoh": "eclipse-zenoh", "msgspec": "msgspec", "cryptography": "cryptography"}
 
 
-@app.command
+@app.command(help_epilogue="Example: mapweave live robot --name r1 --source sim:office")
 def robot(
     *,
     name: str,
@@ -155,7 +155,7 @@ def robot(
         say(f"{done.name}: {done.messages} messages, {done.heard_by} map processes have all of them")
 
 
-@app.command(name="map")
+@app.command(name="map", help_epilogue="Example: mapweave live map --out result --robots r1,r2")
 def map_team(
     *,
     out: Path,
@@ -231,7 +231,7 @@ def map_team(
     say(f"report: {out / 'report.html'}")
 
 
-@app.command
+@app.command(help_epilogue="Example: mapweave live view")
 def view(
     *,
     port: int = 8642,
@@ -258,7 +258,7 @@ def view(
         live_view(port=port, host=host, browser=browser, network=network, stop=stop, say=say)
 
 
-@app.command
+@app.command(help_epilogue="Example: mapweave live demo --world office")
 def demo(
     *,
     out: Path = Path("live-demo"),
@@ -297,7 +297,7 @@ def demo(
         )
 
 
-@app.command
+@app.command(help_epilogue="Example: mapweave live keys --out keys --robots r1,r2")
 def keys(
     *,
     out: Path,

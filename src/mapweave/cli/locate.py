@@ -42,7 +42,7 @@ def locate(
         The known position of a robot, as a=0,0 or a=0,0,0; repeat it for more. With fewer than two only the shape is
         found.
     dim
-        2 or 3; by default as the table's columns say.
+        2: in the plane; 3: in space; by default as the table's columns say.
     sigma
         Standard deviation of a bearing with its unit, as 0.5deg or 0.0087rad; overrides the table's own
         column. Without either, 1 degree.
@@ -71,7 +71,7 @@ def locate(
     filtered
         For moving robots: estimates from the sightings up to each instant, instead of from all sightings.
     seed
-        The same seed gives the same result, to the byte.
+        Kept in metrics.json; the result does not depend on it.
     force
         Write into the folder even when something other than a result stands there.
     """

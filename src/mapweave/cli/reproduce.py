@@ -19,7 +19,7 @@ Force = Annotated[
     bool, Parameter(negative="", help="Write into the folder even when something other than a result stands there.")
 ]
 
-app = App(name="reproduce", help="Repeat a paper's experiment and set its figures beside ours.")
+app = App(name="reproduce", help="Repeat a paper's experiment and set its figures beside ours.", help_epilogue="")
 
 
 @app.command

@@ -75,9 +75,9 @@ def corridor(
     out
         The MCAP file to write; the true poses go to NAME.truth.tum beside it.
     long_leg
-        Metres along the middle of the corridor.
+        Metres along the middle of a long side of the ring.
     short_leg
-        Metres along the middle of the corridor.
+        Metres along the middle of a short side of the ring.
     width
         Metres from wall to wall.
     recess
@@ -87,7 +87,7 @@ def corridor(
     corner
         Radius of the driven corners, metres.
     start
-        Metres after the first corner of a long leg.
+        Where the drive begins: metres after the first corner of a long leg.
     seed
         The same seed gives the same log.
     """

@@ -37,7 +37,7 @@ def swarm(
     robots
         How many robots, about one in every cell of 10 m.
     dim
-        2 or 3.
+        2: in the plane; 3: in space.
     layout
         grid: cells of 10 m, jittered by 3 m either way; random; clusters.
     k
