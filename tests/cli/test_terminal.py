@@ -64,6 +64,15 @@ def test_a_closed_stdout_ends_silently():
     assert shell(f"{SHELL} config map >&-").stderr == ""
 
 
+@pytest.mark.parametrize("end", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_job_is_done_whatever_its_caller_closed(end, tmp_path):
+    table = tmp_path / "swarm.csv"
+    assert shell(f"{SHELL} simulate swarm --out {table} --robots 9").returncode == 0
+    done = shell(f"{SHELL} locate {table} --out {tmp_path / 'out'} {end}")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "out" / "report.html").exists()
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_a_full_disk_behind_stdout_is_told_in_one_line():
     done = shell(f"{SHELL} config map > /dev/full")

@@ -72,6 +72,15 @@ def test_a_dollar_in_a_name_is_a_dollar():
     assert not ax.title.get_parse_math()
 
 
+def test_a_letter_that_the_font_lacks_is_no_warning(tmp_path, recwarn):
+    with figure(tmp_path / "a.png") as (_, ax):
+        ax.plot([0, 1], [0, 1], label="\u65e5\u672c")
+        name_points(ax, ["\u65e5", "\u672c"], np.eye(2))
+        ax.legend()
+    assert [str(told.message) for told in recwarn] == []
+    assert (tmp_path / "a.png").exists()
+
+
 @pytest.mark.parametrize(("apart", "some"), [(3.0, 21), (0.4, 7), (0.0, 4)])
 def test_names_of_points_cover_no_other_and_are_left_out_where_they_would(tmp_path, apart, some):
     rng = np.random.default_rng(0)

@@ -88,13 +88,13 @@ def make_app() -> "App":
 
 def main(tokens: list[str] | None = None) -> None:
     """Exit 0 done, 1 the data or the estimate is bad, 2 bad usage, 130 interrupted."""
+    _open_what_is_closed()
     _say_whatever_the_terminal_can_show()
     code = 130
     with Interruption() as interruption:
         try:
             code = _run(sys.argv[1:] if tokens is None else tokens, interruption)
-            if sys.stdout is not None:
-                sys.stdout.flush()
+            sys.stdout.flush()
         except BrokenPipeError:
             code = _stop_writing()
         except KeyboardInterrupt:
@@ -108,6 +108,14 @@ def main(tokens: list[str] | None = None) -> None:
                 raise
             code = _failed(error, asked=True)  # what was raised came of it
     sys.exit(code)
+
+
+def _open_what_is_closed() -> None:
+    """A stdin, stdout or stderr that the caller closed is the null device: no file opened later takes its number."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            lowest_free = os.open(os.devnull, os.O_RDWR)
+            setattr(sys, name, open(lowest_free, mode, encoding="utf-8", closefd=False))  # noqa: SIM115
 
 
 def _say_whatever_the_terminal_can_show() -> None:

@@ -1,5 +1,6 @@
 """How every figure looks: one palette for any colour vision, units on both axes, small files."""
 
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -88,8 +89,12 @@ Target = Path | Sheet
 
 @contextmanager
 def figure(path: Target, width: float = 7.0, height: float = 5.0, **layout: Any) -> Iterator[tuple[Figure, Any]]:
-    """A figure of `width` x `height` inches and its axes (`layout`: as `Figure.subplots`); saved or left on a sheet."""
-    with mpl.rc_context(_RC):
+    """A figure of `width` x `height` inches and its axes (`layout`: as `Figure.subplots`); saved or left on a sheet.
+
+    A letter of a robot's name that the font lacks is a box in the picture, and no warning: the report's page shows it.
+    """
+    with mpl.rc_context(_RC), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
         fig = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
         FigureCanvasAgg(fig)
         axes = fig.subplots(**layout)
