@@ -2,8 +2,9 @@
 
     python benchmarks/gallery.py [--only NAME]... [--page]
 
-Every command runs in one folder, in order; the pictures go to `docs/images/gallery/`, made light. `--page` writes the
-page `docs/gallery.md` alone.
+Every command runs in one folder, in order; the pictures go to `docs/images/gallery/`, and those of other pages to
+`docs/images/`, made light. `--page` writes the page `docs/gallery.md` alone. MAPWEAVE_DATA is the folder with
+`mrclam/`; without it the picture of real bearings stays as it is.
 """
 
 import argparse
@@ -20,11 +21,17 @@ from PIL import Image
 TOP = Path(__file__).resolve().parents[1]
 PAGE, PICTURES = TOP / "docs" / "gallery.md", TOP / "docs" / "images" / "gallery"
 WIDEST, COLOURS = 900, 256  # [pixels], of the palette
+SET_6 = Path(os.environ.get("MAPWEAVE_DATA", "")).resolve() / "mrclam" / "MRCLAM_Dataset6.zip"
+
+CORNERS = "--anchor 1=0.822,-1.381 --anchor 36=50.775,52.563"  # where two robots of seed 0 stand
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """One picture: the file that the commands write, and the commands since the picture before."""
+    """One picture: the file that the commands write, and the commands since the picture before.
+
+    title: in the gallery, or the page that shows it.
+    """
 
     name: str
     title: str
@@ -34,7 +41,7 @@ class Picture:
 
     @property
     def image(self) -> Path:
-        return PICTURES / f"{self.name}.png"
+        return (PICTURES if self.caption else PICTURES.parent) / f"{self.name}.png"
 
 
 GALLERY = (
@@ -109,6 +116,44 @@ GALLERY = (
     ),
 )
 
+OTHERS = (  # of other pages, which print the commands where they are told
+    Picture("demo", "README.md", "", "mapweave-demo/figures/fused_map.png", ("mapweave demo",)),
+    Picture(
+        "locate-network",
+        "docs/locate.md",
+        "",
+        "bearings/figures/network.png",
+        (
+            "mapweave simulate swarm --out swarm.csv --robots 36 --sigma 0.5deg",
+            f"mapweave locate swarm.csv --out bearings --truth swarm.truth.csv {CORNERS}",
+        ),
+    ),
+    Picture(
+        "locate-shape",
+        "docs/locate.md",
+        "",
+        "shape/figures/shape.png",
+        (
+            "mapweave simulate swarm --out shape.csv --robots 9 --seed 1",
+            "mapweave locate shape.csv --out shape --truth shape.truth.csv",
+        ),
+    ),
+    Picture(
+        "locate-tracks",
+        "docs/locate.md",
+        "",
+        "driven/figures/tracks.png",
+        (f"mapweave locate {SET_6} --out driven --truth {SET_6}",),
+    ),
+    Picture(
+        "explore-office",
+        "docs/methods/active-exploration.md",
+        "",
+        "office/figures/map.png",
+        ("mapweave explore office-1000 --robots 4 --out office",),
+    ),
+)
+
 
 def page() -> str:
     """The page as it stands in the documentation."""
@@ -141,7 +186,7 @@ def lighten(source: Path, target: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", action="append", choices=[p.name for p in GALLERY], metavar="NAME")
+    parser.add_argument("--only", action="append", choices=[p.name for p in (*GALLERY, *OTHERS)], metavar="NAME")
     parser.add_argument("--page", action="store_true")
     asked = parser.parse_args()
     PAGE.write_text(page(), encoding="utf-8")
@@ -149,8 +194,10 @@ def main() -> None:
         return
     env = {**os.environ, "PYTHONPATH": str(TOP / "src")}
     with tempfile.TemporaryDirectory() as folder:
-        for picture in GALLERY:
-            if asked.only and picture.name not in asked.only:
+        for picture in (*GALLERY, *OTHERS):
+            if (asked.only and picture.name not in asked.only) or (
+                picture.name == "locate-tracks" and not SET_6.exists()
+            ):
                 continue
             for command in picture.commands:
                 words = [sys.executable, "-m", *shlex.split(command)]

@@ -5,8 +5,7 @@
 A case is a sensor, numbers of robots, and the rate: seconds of driving in one second. The map process is a process of
 its own; all robots are sessions of this one, which tells what real robots would (rows or scans, statuses, snapshots,
 computed beforehand, so that only the map process's work is measured). Robots of an office drive rounds from one dock,
-which the map process is told; at the end of a log they begin the next round. Printed is a table; with `--out` figures
-and curves of all cases are written too.
+which the map process is told; then the next round. `--out` writes figures and curves too, `--drawn` draws them anew.
 
 Heard: from putting a message on the network until it is in its place in the map process's store. In the map: until the
 process has told a map that holds it. Processor and memory are those of the map process, all its threads. In one map:
@@ -335,8 +334,7 @@ def table(rows: list[Row]) -> str:
     lines = [
         f"| {r['robots']} | {r['sensor']} | {r['rate']:g} | {1e3 * r['heard_p99_s']:.0f} ms | {r['p50_s']:.2f} s |"
         f" {r['p99_s']:.2f} s | {r['kB_a_robot_minute']:.0f} kB | {r['cpu_s_a_robot_minute']:.2f} s |"
-        f" {r['cores']:.2f} | {r['memory_MB']:.0f} MB |"
-        f" {r['tied']} |"
+        f" {r['cores']:.2f} | {r['memory_MB']:.0f} MB | {r['tied']} |"
         for r in rows
     ]
     return "\n".join([f"| {' | '.join(head)} |", "|---" * len(head) + "|", *lines])
@@ -344,15 +342,13 @@ def table(rows: list[Row]) -> str:
 
 def drawn(rows: list[Row], path: Path) -> None:
     """Curves over the number of robots at real time, and memory beside the area over time."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
     import matplotlib.pyplot as plt
 
+    plt.switch_backend("Agg")
     figure, axes = plt.subplots(2, 3, figsize=(11, 6), layout="constrained")
     wanted = (
-        ("p99_s", "in the map, p99 [s]"),
-        ("kB_a_robot_minute", "told a robot-minute [kB]"),
+        ("p99_s", "from robot to map, 99 % [s]"),
+        ("kB_a_robot_minute", "sent by a robot in a minute [kB]"),
         ("cores", "processor [cores]"),
         ("memory_MB", "memory [MB]"),
     )
@@ -361,16 +357,17 @@ def drawn(rows: list[Row], path: Path) -> None:
             at = [r for r in rows if r["sensor"] == sensor and r["rate"] == 1.0]
             axis.plot([r["robots"] for r in at], [r[name] for r in at], STYLE[sensor], label=sensor)
         if name in EXPECTED:
-            axis.axhline(EXPECTED[name], color="0.6", lw=1)
+            axis.axhline(EXPECTED[name], color="0.6", lw=1, label="allowed")
         axis.set(xlabel="robots", ylabel=label, ylim=(0, None))
-    axes[0, 0].legend(frameon=False)
+    axes[0, 0].legend(frameon=False, loc="lower right")
     for r in (r for r in rows if r["sensor"] == "laser" and r["over_time"]):
         t, _, kB, area = np.array(r["over_time"]).T
-        label = f"{r['robots']} robots, {r['rate']:g} times"
-        axes[1, 1].plot(t * r["rate"] / 60, kB / 1024, label=label)
-        axes[1, 2].plot(t * r["rate"] / 60, area, label=label)
-    axes[1, 1].set(xlabel="minutes of the logs since the map began", ylabel="memory [MB]", ylim=(0, None))
-    axes[1, 2].set(xlabel="minutes of the logs since the map began", ylabel="squares drawn [m²]", ylim=(0, None))
+        label = f"{r['robots']} robot{'s' * (r['robots'] > 1)}" + (
+            f", {r['rate']:g} times as fast" * (r["rate"] != 1.0)
+        )
+        for axis, curve, name in ((axes[1, 1], kB / 1024, "memory [MB]"), (axes[1, 2], area, "area drawn [m²]")):
+            axis.plot(t * r["rate"] / 60, curve, label=label)
+            axis.set(xlabel="minutes driven", ylabel=name, ylim=(0, None))
     axes[1, 1].legend(frameon=False, fontsize=7)
     figure.savefig(path, dpi=110)
 
@@ -379,21 +376,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", default=CASES)
     parser.add_argument("--seconds", type=float, default=30.0)
-    parser.add_argument("--out", type=Path)
-    parser.add_argument("--mapping", type=Path)
+    for folder in ("--out", "--mapping", "--drawn"):
+        parser.add_argument(folder, type=Path)
     given = parser.parse_args()
-    if given.mapping is not None:
+    if given.drawn is not None:
+        drawn(json.loads((given.drawn / "live-load.json").read_text()), given.drawn / "live-load.png")
+    elif given.mapping is not None:
         mapping(given.mapping)
-        return
-    rows = []
-    for case in given.cases.split("/"):
+    rows: list[Row] = []
+    for case in given.cases.split("/") if given.drawn is given.mapping is None else ():
         sensor, numbers, rate = case.split(":")
         for robots in map(int, numbers.split(",")):
             rows.append(measured(sensor, robots, float(rate), given.seconds))
             told = {name: value for name, value in rows[-1].items() if name != "over_time"}
             print(json.dumps(told), file=sys.stderr, flush=True)
-    print(table(rows))
-    if given.out is not None:
+    print(table(rows) if rows else "")
+    if rows and given.out is not None:
         (given.out / "live-load.json").write_text(json.dumps(rows, indent=1) + "\n")
         drawn(rows, given.out / "live-load.png")
 
