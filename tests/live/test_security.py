@@ -12,6 +12,7 @@ import pytest
 
 from mapweave.api.live_keys import live_keys
 from mapweave.api.simulate_landmarks import simulate_landmarks
+from mapweave.cli import _run
 from mapweave.cli.live_door import FORGED, STRANGER, Denials, plain, reason_of
 from mapweave.core.errors import DataError, UsageError
 from mapweave.live import transport
@@ -247,3 +248,20 @@ def test_a_whole_team_with_certificates_maps_and_counts_what_it_refused(tmp_path
     assert f"refused: {FORGED}: r2 may not put on {TOPICS.log('r1')}" in fleet.said("map")
     told = re.search(rf"refused from others:.* (\d+) {FORGED}", fleet.said("map"))
     assert 1 <= int(told[1]) <= tries
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["robot", "--name", "r 1", "--source", "sim:landmarks"],
+        ["map", "--robots", "r1,r 2", "--out", "result"],
+        ["keys", "--robots", "r1,r/2", "--out", "keys"],
+    ],
+)
+def test_a_name_that_nobody_can_have_is_wrong_usage(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert _run(["live", *words]) == 2
+    err = capsys.readouterr().err
+    assert "expected letters, digits" in err
+    assert err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []

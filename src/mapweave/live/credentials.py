@@ -14,7 +14,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from ..core.errors import ReaderError, UsageError
+from ..core.errors import DataError, ReaderError, UsageError
 from ..io.directory import read_json, write_json
 from .messages import check_name
 from .topics import Topics
@@ -194,7 +194,8 @@ def _access(path: Path) -> tuple[str, dict[str, str]]:
     team, names = found.get("team"), found.get("names")
     if not isinstance(team, str) or not isinstance(names, dict) or not set(names.values()) <= {"robot", "map"}:
         raise ReaderError(path, "expected a team and names with their roles, robot or map")
-    return check_name(team, str(path)), {check_name(str(name), str(path)): str(role) for name, role in names.items()}
+    there = str(path)
+    return check_name(team, there, DataError), {check_name(str(n), there, DataError): str(r) for n, r in names.items()}
 
 
 def _check_pair(home: Path, now: dt.datetime) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import msgspec
 
-from ..core.errors import DataError
+from ..core.errors import DataError, MapweaveError, UsageError
 from .tile_bytes import SIDE, is_tile
 
 PROTOCOL = 2
@@ -252,10 +252,10 @@ def decode(payload: bytes) -> Message:
     return message
 
 
-def check_name(name: str, what: str = "--name") -> str:
-    """`name`, when it may be part of a key; raises DataError."""
+def check_name(name: str, what: str = "--name", wrong: type[MapweaveError] = UsageError) -> str:
+    """`name`, when it may be part of a key; raises `wrong`: another error than UsageError where it is no option."""
     if len(name) > LONGEST_NAME or not NAME.fullmatch(name):
-        raise DataError(f"{what}: expected letters, digits, '_', '-' or '.' (at most {LONGEST_NAME}), found {name!r}")
+        raise wrong(f"{what}: expected letters, digits, '_', '-' or '.' (at most {LONGEST_NAME}), found {name!r}")
     return name
 
 
