@@ -16,6 +16,9 @@ from mapweave.io.table import read_table
 from mapweave.report.exploration_scene import laser_exploration_scene
 from mapweave.report.html import Page
 from mapweave.report.scene import LEVELS
+from mapweave.report.style import drawn
+from mapweave.report.swarm_figures import track_errors_figure
+from mapweave.report.swarm_scene import moved_scene
 
 from .browser import CHROMIUM, seen_in_browser
 
@@ -129,6 +132,19 @@ def test_robots_that_move_are_on_the_page_through_time(moved):
         assert (track["t"][0], track["t"][-1]) == (0.0, 11.0)
         assert track["theta"] is None
         assert len(track["ellipses"]) == len(track["t"])
+
+
+def test_a_robot_that_moves_has_one_colour_in_every_picture(tmp_path):
+    anchors = sightings(tmp_path / "s.csv", 12)
+    found = mapweave.locate(tmp_path / "s.csv", anchors=anchors, sigma=0.01)
+    ids, track, known = found.given.table.ids, found.track, found.given.anchors
+    page = {ids.index(one["name"]): one["colour"] for one in moved_scene(ids, track, known, {}).data()["tracks"]}
+    truth = {k: one.position for k, one in track.tracks.items()}
+    errors = drawn(lambda sheet: track_errors_figure(sheet, ids, track, truth, known)).axes[0]
+    assert {ids.index(line.get_label()): line.get_color() for line in errors.lines if line.get_label() in ids} == page
+    ways = drawn(found.draw).axes[0]
+    assert {line.get_color() for line in ways.lines if len(line.get_xdata()) == 12} == set(page.values())
+    assert len(set(page.values())) == 3
 
 
 def test_a_pose_graph_on_the_page_has_its_edges_by_kind(solved):

@@ -14,7 +14,7 @@ from ..swarm.network import BearingNetwork
 from ..swarm.result import SwarmEstimate
 from .html import Page
 from .swarm_figures import (
-    MUTED_NOTE,
+    MOST_ERRORS,
     deviation_figure,
     network_figure,
     residual_figure,
@@ -25,6 +25,8 @@ from .swarm_figures import (
 from .swarm_scene import moved_scene, network_scenes, told_network
 
 ROWS = 40  # robots listed on the page
+FREE = "Known positions (--anchor) are too few to fix everything. The shape is found;"
+MORE = "Two known positions fix it, or one and a known distance."
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,17 +54,16 @@ def write_network_report(out: Path, story: NetworkStory, lines: Sequence[str], m
     net, estimate = story.network, story.estimate
     figures = out / "figures"
     page = Page("Where every robot is", lines[0])
-    page.cards(_cards(metrics))
-    for text in metrics["warnings"]:
-        page.text(text, warn=True)
+    page.cards(_cards(metrics, estimate), len(metrics["warnings"]))
     if estimate.gauge:
-        page.text(f"There are too few anchors to fix everything. The shape is found; {estimate.gauge}.", warn=True)
+        page.text(f"{FREE} {estimate.gauge}. {MORE}", warn=True)
     page.section("The network")
     scale = network_figure(figures / "network.png", net, estimate, story.truth)
     front, *sides = network_scenes(net, estimate, story.truth)
-    page.scene(front, f"{told_network(net, scale)} {MUTED_NOTE}", figures / "network.png")
+    page.scene(front, told_network(net, estimate, scale), figures / "network.png")
     for side in sides:
         page.scene(side, "The same from the side.")
+    page.warnings(metrics["warnings"])
     if estimate.gauge and story.truth is not None and story.aligned is not None:
         shape_figure(figures / "shape.png", net, estimate, story.aligned, story.truth)
         page.figure(figures / "shape.png", "The shape as answered, and fitted to the truth.")
@@ -87,10 +88,11 @@ def write_network_report(out: Path, story: NetworkStory, lines: Sequence[str], m
         residual_figure(figures / "residuals.png", residuals, estimate.outlier, left)
         page.figure(figures / "residuals.png", "Residuals of all sightings used, over their standard deviations.")
     page.section("Robots")
-    page.table(["id", *"xyz"[: net.dim], "std", "locatable"], _robots(estimate))
-    if len(estimate.ids) > ROWS:
-        page.text(f"The {ROWS} least sure of {len(estimate.ids)}; all stand in positions.csv.")
-    page.section("All that was said")
+    unit = "" if "scale free" in estimate.gauge else " [m]"
+    page.table(["robot", *(f"{axis}{unit}" for axis in "xyz"[: net.dim]), f"sd{unit}", "located"], _robots(estimate))
+    some = f"The {ROWS} least sure of {len(estimate.ids):,}; all stand in positions.csv. "
+    page.text(f"{some if len(estimate.ids) > ROWS else ''}sd: standard deviation of the position, over all axes.")
+    page.section("As the command told it")
     for text in lines:
         page.text(text)
     page.write(out / "report.html")
@@ -100,20 +102,20 @@ def write_moved_report(out: Path, story: MovedStory, lines: Sequence[str], metri
     """report.html and figures/ in `out`."""
     figures = out / "figures"
     page = Page("Where every robot went", lines[0])
-    page.cards(_cards(metrics))
-    for text in metrics["warnings"]:
-        page.text(text, warn=True)
-    page.section("Ways")
-    truth = dict(story.truth)
+    page.cards(_cards(metrics), len(metrics["warnings"]))
     if story.track.gauge:
-        page.text(f"There are too few anchors to fix everything: {story.track.gauge}.", warn=True)
+        page.text(f"{FREE} {story.track.gauge}. {MORE}", warn=True)
+    page.section("Trajectories")
+    truth = dict(story.truth)
     tracks_figure(figures / "tracks.png", story.ids, story.track, story.anchors, truth)
     scene = moved_scene(story.ids, story.track, story.anchors, truth)
-    page.scene(scene, "The trajectory of every robot, smoothed over all sightings.", figures / "tracks.png")
+    page.scene(scene, "The trajectory of every robot, and its 95 % ellipse at the time shown.", figures / "tracks.png")
+    page.warnings(metrics["warnings"])
     if truth and not story.track.gauge:
-        track_errors_figure(figures / "errors.png", story.track, truth, story.anchors)
-        page.figure(figures / "errors.png", "Errors against the truth, and what the covariances promise.")
-    page.section("All that was said")
+        track_errors_figure(figures / "errors.png", story.ids, story.track, truth, story.anchors)
+        first = f" The first {MOST_ERRORS} robots." if len(truth) > MOST_ERRORS else ""
+        page.figure(figures / "errors.png", f"Errors against the truth, and what the covariances promise.{first}")
+    page.section("As the command told it")
     for text in lines:
         page.text(text)
     page.write(out / "report.html")
@@ -131,14 +133,23 @@ def whitened(net: BearingNetwork, estimate: SwarmEstimate) -> Float[np.ndarray, 
     return np.asarray(model.angle_residual(np.asarray(z), p, q) / net.sigma[use])
 
 
-def _cards(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
-    cards = [("robots", str(metrics["robots"])), ("sightings", str(metrics["sightings"]))]
-    cards.append(("cannot be located", str(len(metrics["not_localisable"]))))
-    cards.append(("trusted", "yes" if metrics["reliable"] else "no"))
+def _cards(metrics: Mapping[str, Any], estimate: SwarmEstimate | None = None) -> list[tuple[str, str]]:
+    lost = len(metrics["not_localisable"])
+    cards = [
+        ("robots", f"{metrics['robots']:,}"),
+        ("sightings", f"{metrics['sightings']:,}"),
+        ("cannot be located", f"{lost:,}"),
+        ("reliable", "yes" if metrics["reliable"] else "no"),
+    ]
+    if estimate is not None and estimate.cov is not None and "scale free" not in estimate.gauge:
+        free = estimate.localisable & ~estimate.anchor
+        if free.any():
+            sd = np.median(np.sqrt(np.trace(estimate.cov[free], axis1=1, axis2=2)))
+            cards.append(("median sd of a position", f"{sd:.3g} m"))
     for key, name, form in (
-        ("rmse", "RMSE", "{:.3g} m"),
-        ("rmse_over_crlb", "RMSE over the Cramer-Rao bound", "{:.3f}"),
-        ("nees_per_dof", "NEES per degree of freedom", "{:.3f}"),
+        ("rmse", "RMSE against the truth", "{:.3g} m"),
+        ("rmse_over_crlb", "RMSE over the Cramér-Rao bound", "{:.2f}"),
+        ("nees_per_dof", "NEES per degree of freedom (honest: 1)", "{:.2f}"),
         ("distance_error", "distance error", "{:.3g} m"),
         ("angle_error_deg", "angle error", "{:.3g}°"),
     ):

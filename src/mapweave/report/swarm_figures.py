@@ -13,12 +13,12 @@ from ..evaluation.swarm import squared_errors
 from ..swarm.moving.result import SwarmTrack
 from ..swarm.network import BearingNetwork
 from ..swarm.result import SwarmEstimate
-from .style import PALETTE, SEQUENTIAL, TRUTH, Target, as_map, figure, name_points
+from .style import PALETTE, SEQUENTIAL, TRUTH, Target, as_map, colour, figure, name_points
 
 FEW = 60  # robots up to which each is named
+MOST_ERRORS = 8  # robots whose errors are drawn over time
 SOME = 1500  # up to which each has its ellipse and each sighting its line
 BLUE, ORANGE, RED = PALETTE[0], PALETTE[1], PALETTE[5]
-MUTED_NOTE = "Triangles are anchors; orange crosses are robots that cannot be located, drawn at a rough guess."
 PLANES = {2: ((0, 1),), 3: ((0, 1), (0, 2))}
 
 
@@ -41,7 +41,7 @@ def network_figure(
             if plane[1] == 2:
                 ax.set_ylabel(f"z [{unit}]")
             if k == 0:
-                ax.set_title("robots as located")
+                ax.set_title("Robots as located")
         shown = fig.axes[0].get_legend_handles_labels()
         fig.legend(*shown, loc="outside lower center", ncols=3)
         if bar:
@@ -61,8 +61,8 @@ def shape_figure(
     """The paper's Fig. 4: the shape is right; beside it the same, brought onto the truth."""
     with figure(path, 10.0, 4.8, ncols=2) as (_, axes):
         for ax, p, title, unit in (
-            (axes[0], estimate.position, "as answered: place and scale are free", "1"),
-            (axes[1], aligned, "the same shape, fitted to the truth", "m"),
+            (axes[0], estimate.position, "As answered: place and scale are free", "1"),
+            (axes[1], aligned, "The same shape, fitted to the truth", "m"),
         ):
             if p is aligned:
                 ax.plot(truth[:, 0], truth[:, 1], "o", mfc="none", mec=TRUTH, ms=_size(len(net)) + 3, label="truth")
@@ -93,8 +93,8 @@ def deviation_figure(
         else:
             ax.hist(std, bins=min(60, max(8, len(std) // 5)), color=BLUE)
             ax.set_ylabel("robots")
-        ax.set_title("standard deviation of each robot")
-        ax.set_xlabel(f"standard deviation [{unit}]")
+        ax.set_title("Standard deviation of each robot")
+        ax.set_xlabel("standard deviation, the scale being free" if unit == "1" else "standard deviation [m]")
         if honest and truth is not None and aligned is not None:
             e = (aligned - truth)[free]
             have = np.isfinite(e).all(axis=1)
@@ -104,7 +104,7 @@ def deviation_figure(
             axes[1].plot(said, d, ".", color=BLUE, ms=4)
             top = float(said.max(initial=1.0))
             axes[1].plot([0, top], [0, top], color=TRUTH, lw=1)
-            axes[1].set_title("squared errors over their covariances")
+            axes[1].set_title("Squared errors over their covariances")
             axes[1].set_xlabel(f"chi-square quantile, {estimate.dim} degrees of freedom")
             axes[1].set_ylabel("found")
 
@@ -123,7 +123,7 @@ def residual_figure(
         )
         x = np.linspace(-edge, edge, 200)
         ax.plot(x, np.exp(-0.5 * x * x / left) / np.sqrt(2.0 * np.pi * left), color=TRUTH, lw=1.2, label="expected")
-        ax.set_title(f"residuals over sigma ({int(outlier.sum())} outliers not used)")
+        ax.set_title(f"Residuals over sigma ({int(outlier.sum())} outliers not used)")
         ax.set_xlabel("residual / sigma (beyond 5: at 5)")
         ax.set_ylabel("density")
         ax.legend()
@@ -134,42 +134,43 @@ def tracks_figure(
 ) -> None:
     """Every robot's trajectory; with truth, thin beneath."""
     with figure(path, 7.2, 6.4) as (_, ax):
-        for i, (k, one) in enumerate(track.tracks.items()):
-            colour = PALETTE[i % len(PALETTE)]
+        for k, one in track.tracks.items():
+            tint = colour(k)
             if k in truth and k not in anchors:
                 label = "truth" if not any(h == "truth" for h in ax.get_legend_handles_labels()[1]) else None
                 ax.plot(truth[k][:, 0], truth[k][:, 1], color=TRUTH, lw=0.7, ls="--", label=label)
             if len(one.t) == 1 or k in anchors:
                 ax.plot(*one.position[0, :2], "^", color=TRUTH, ms=6)
             else:
-                ax.plot(one.position[:, 0], one.position[:, 1], color=colour, lw=1.3)
-                ax.plot(*one.position[-1, :2], "o", color=colour, ms=4)
+                ax.plot(one.position[:, 0], one.position[:, 1], color=tint, lw=1.3)
+                ax.plot(*one.position[-1, :2], "o", color=tint, ms=4)
         if len(track.tracks) <= FEW:
             ends = np.array([one.position[-1, :2] for one in track.tracks.values()]).reshape(-1, 2)
             name_points(ax, [ids[k] for k in track.tracks], ends, 7)
         ax.plot([], [], "^", color=TRUTH, ls="none", label="stands still")
         ax.plot([], [], "o-", color=BLUE, label="trajectory, and where it ends")
-        as_map(ax, "robots over time")
+        as_map(ax, "Robots over time")
         ax.legend(loc="best")
 
 
 def track_errors_figure(
-    path: Path, track: SwarmTrack, truth: dict[int, Float[np.ndarray, "k d"]], anchors: Any
+    path: Target, ids: tuple[str, ...], track: SwarmTrack, truth: dict[int, Float[np.ndarray, "k d"]], anchors: Any
 ) -> None:
     """Errors over time and the two standard deviations that were promised."""
     t0 = min(float(one.t[0]) for one in track.tracks.values())
     with figure(path, 8.0, 3.8) as (_, ax):
-        shown = [k for k in track.tracks if k in truth and k not in anchors][:8]
-        for i, k in enumerate(shown):
-            one, colour = track.tracks[k], PALETTE[i % len(PALETTE)]
+        shown = [k for k in track.tracks if k in truth and k not in anchors][:MOST_ERRORS]
+        for k in shown:
+            one, tint = track.tracks[k], colour(k)
             error = np.linalg.norm(one.position - truth[k], axis=1)
-            ax.plot(one.t - t0, error, color=colour, lw=0.9)
+            ax.plot(one.t - t0, error, color=tint, lw=0.9, label=ids[k])
             if one.cov is not None:
-                ax.plot(one.t - t0, 2.0 * np.sqrt(np.trace(one.cov, axis1=1, axis2=2)), color=colour, lw=0.7, ls=":")
-        ax.set_title("position error (solid) and two standard deviations (dotted)")
+                ax.plot(one.t - t0, 2.0 * np.sqrt(np.trace(one.cov, axis1=1, axis2=2)), color=tint, lw=0.7, ls=":")
+        ax.set_title("Position error (solid) and two standard deviations (dotted)")
         ax.set_xlabel("time [s]")
         ax.set_ylabel("error [m]")
         ax.set_ylim(bottom=0.0)
+        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
 def _plane(

@@ -23,12 +23,18 @@ def network_scenes(net: BearingNetwork, estimate: SwarmEstimate, truth: Float[np
     return [_network(net, estimate, truth, plane) for plane in PLANES[net.dim]]
 
 
-def told_network(net: BearingNetwork, scale: float) -> str:
+def told_network(net: BearingNetwork, estimate: SwarmEstimate, scale: float) -> str:
     """What the first of `network_scenes` shows; scale: how many times larger the picture beside draws ellipses."""
     if len(net) > SOME:
-        return "Robots as located, without their ellipses and sightings: there are too many."
-    larger = f" figures/network.png draws them {scale:g} times larger." if scale != 1.0 else ""
-    return f"Robots as located, with 95 % ellipses.{larger}"
+        told = "Robots as located, without their ellipses and sightings: there are too many."
+    else:
+        larger = f" figures/network.png draws them {scale:g} times larger." if scale != 1.0 else ""
+        told = f"Robots as located, with 95 % ellipses.{larger}"
+    if estimate.anchor.any():
+        told += " Triangles are anchors."
+    if not estimate.localisable.all():
+        told += " Orange crosses are robots that cannot be located, drawn at a rough guess."
+    return told
 
 
 def _network(net: BearingNetwork, estimate: SwarmEstimate, truth: Float[np.ndarray, "n d"] | None, plane: str) -> Scene:
