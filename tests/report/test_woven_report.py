@@ -89,7 +89,8 @@ def page(woven, tmp_path_factory):
 def test_the_page_says_who_hangs_together_and_decides_every_pair_in_words(page):
     _, html = page
     for words in (
-        "3 robots, 2 maps that nothing ties together.",
+        "3 robots, 2 maps that nothing ties together; 2 of them in the first.",
+        "Not in the first map: robot3. Why: robot1 and robot3: two places fit equally well; robot2",
         "robot1 and robot2 in one map: 5 x 3 m, in the frame of robot1&#x27;s first pose.",
         "robot3 alone",
         "robot1: its log goes on",
@@ -99,7 +100,20 @@ def test_the_page_says_who_hangs_together_and_decides_every_pair_in_words(page):
     ):
         assert words in html, words
     assert html.count(">not merged</td>") == 2
-    assert "2 of 4" in html  # closures believed
+    assert "of 4 loop closures tried 2 are believed" in html
+
+
+def test_the_head_of_the_page_is_the_map_and_who_is_not_in_it(page):
+    _, html = page
+    order = [html.index(words) for words in ("2 of 3", "Not in the first map", '<figure class="scene"', "Which robots")]
+    assert order == sorted(order)
+
+
+def test_a_robot_has_one_colour_in_all_maps_of_the_page(page):
+    _, html = page
+    drawn = re.findall(r'"name":"(robot\d)","colour":"(#\w+)"', html)
+    assert len(drawn) == 5, "two in the map of both, three in their own"
+    assert len(set(drawn)) == len({colour for _, colour in drawn}) == 3
 
 
 def test_a_picture_shows_every_pair_that_has_a_place(page):
@@ -109,10 +123,10 @@ def test_a_picture_shows_every_pair_that_has_a_place(page):
         "pair_robot1_robot3.png",
     ]
     wide = image.imread(folder / "figures" / "pair_robot1_robot3.png")
-    blue, orange = (_drawn(wide, c) for c in PALETTE[:2])
+    blue, pink = (_drawn(wide, robot_colour(k)) for k in (0, 2))
     assert blue[:, : wide.shape[1] // 2].any()
     assert blue[:, wide.shape[1] // 2 :].any()
-    assert orange.any()
+    assert pink.any()
 
 
 def test_robots_and_closures_are_drawn_in_colours_of_their_own(page):

@@ -47,7 +47,8 @@ class LaserResult(ResultBase):
     def draw(self, target: Target) -> None:
         """The map of most robots with their trajectories."""
         if self.components and len(self.components[0].robots) > 1:
-            draw_component(target, self.components[0], self.truth)
+            places = {made.robot: k for k, made in enumerate(self.maps)}
+            draw_component(target, self.components[0], self.truth, places)
             return
         first = self.maps[0]
         truth = self.truth.get(first.robot)
@@ -65,8 +66,8 @@ class LaserResult(ResultBase):
         """All files of the contract; a robot alone in its component has its own map's files there too."""
         write_laser_data(folder, self)
         told = [] if self.evaluation is None else self.evaluation.lines()
-        told_too = (*self.notes, *(f"warning: {text}" for text in self.metrics.get("warnings", ())))
-        write_laser_report(folder, self.maps, self.truth, told, self.components, self.merges, told_too)
+        doubts = self.metrics.get("warnings", ())
+        write_laser_report(folder, self.maps, self.truth, told, self.components, self.merges, self.notes, doubts)
         if not self.components and len(self.maps) == 1:
             _copied(folder, folder, self.maps[0].robot)
         for part, made in _parts(folder, self.components):

@@ -128,6 +128,16 @@ class Page:
         path.write_text(self.html(), encoding="utf-8", errors="backslashreplace")
 
 
+def told_list(words: Sequence[str]) -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def sentence_case(text: str) -> str:
+    """`text` with its first letter large, all others as they are."""
+    return text[:1].upper() + text[1:]
+
+
 def _picture(png: Path, caption: str) -> str:
     with Image.open(png) as image:
         wide, high = image.size

@@ -12,10 +12,20 @@ from ..laser.laser_map import LaserMap
 from ..laser.merge import Merge
 from ..laser.woven_map import WovenMap
 from .html import Page
-from .laser_figures import aligned, draw_calibration, draw_intensity, draw_map, draw_scans, draw_tracks, laser_scene
-from .style import colour
-from .woven import write_woven
+from .laser_figures import (
+    aligned,
+    draw_calibration,
+    draw_intensity,
+    draw_map,
+    draw_scans,
+    draw_tracks,
+    laser_scene,
+    median_deviation,
+)
+from .woven import not_in_first, write_maps, write_pairs
+from .woven_figures import robot_colour
 
+MOST_NAMED = 4  # logs in the title
 WHY = {
     "first": "the first scan: the map begins with it",
     "matched": "the match was taken",
@@ -35,53 +45,88 @@ def write_laser_report(
     components: Sequence[WovenMap] = (),
     merges: Sequence[Merge] = (),
     notes: Sequence[str] = (),
+    warnings: Sequence[str] = (),
 ) -> None:
     """`report.html` and `figures/` in `folder`, and each robot's `intensity.png` in `local/robotK/`.
 
-    truth: robot -> its true trajectory, in any frame; evaluation: lines to show; notes: what else there is to say.
+    truth: robot -> its true trajectory, in any frame; evaluation: lines to show; notes: what else there is to say;
+    warnings: of the whole, those of each robot stand in its own part.
     """
-    page = Page("Laser map", _lead(maps, components))
+    several = len(maps) > 1 and bool(components)
+    places = {made.robot: k for k, made in enumerate(maps)}
+    page = Page(_title(maps, components), _lead(maps, components))
+    if several:
+        page.cards(_shared(maps, components), len(warnings))
+        for sentence in not_in_first(components, merges):
+            page.text(sentence, warn=True)
+        write_maps(page, folder, components, truth, places)
+    for made in maps if len(maps) == 1 else ():
+        _robot(page, folder, made, truth.get(made.robot), 0)
+    page.warnings(warnings)
     for line in notes:
         page.text(line)
     if evaluation:
         page.section("Against the truth")
         for line in evaluation:
             page.text(line)
-    if len(maps) > 1 and components:
-        write_woven(page, folder, maps, components, merges, truth)
-    for made in maps:
-        _robot(page, folder, made, truth.get(made.robot))
+    if several:
+        write_pairs(page, folder, maps, components, merges, places)
+    for made in maps if len(maps) > 1 else ():
+        _robot(page, folder, made, truth.get(made.robot), places[made.robot])
     page.write(folder / "report.html")
+
+
+def _title(maps: Sequence[LaserMap], components: Sequence[WovenMap]) -> str:
+    names = [Path(made.source).name for made in maps]
+    logs = ", ".join(names) if len(names) <= MOST_NAMED else f"{len(names)} logs"
+    count = len(components) or len(maps)
+    return f"{'One map' if count == 1 else f'{count} maps'} from {logs}"
 
 
 def _lead(maps: Sequence[LaserMap], components: Sequence[WovenMap]) -> str:
     if len(maps) > 1 and components:
-        count = "one map" if len(components) == 1 else f"{len(components)} maps that nothing ties together"
-        return f"{len(maps)} robots, {count}."
+        tied = len(components[0].robots)
+        if len(components) == 1:
+            return f"{len(maps)} robots, all in one map."
+        return f"{len(maps)} robots, {len(components)} maps that nothing ties together; {tied} of them in the first."
     if len(maps) == 1:
-        return f"{Path(maps[0].source).name}, mapped with the {maps[0].method} method."
+        return f"One robot with a laser scanner, mapped with the {maps[0].method} method."
     return f"{len(maps)} logs, each mapped on its own, in the frame of its own first pose."
 
 
-def _robot(page: Page, folder: Path, made: LaserMap, truth: Track | None) -> None:
+def _shared(maps: Sequence[LaserMap], components: Sequence[WovenMap]) -> list[tuple[str, str]]:
+    """Headline figures of the first map."""
+    made = components[0]
+    x0, x1, y0, y1 = made.grid.extent
+    cards = [
+        ("robots in the map", f"{len(made.robots)} of {len(maps)}"),
+        ("size", f"{x1 - x0:.0f} x {y1 - y0:.0f} m"),
+        ("closures between robots", str(sum(c.accepted and c.robot_a != c.robot_b for c in made.closures))),
+    ]
+    sd = [d for robot in made.robots if (d := median_deviation(made.tracks[robot])) is not None]
+    return [*cards, ("median sd of a position", f"{np.median(sd):.3f} m")] if sd else cards
+
+
+def _robot(page: Page, folder: Path, made: LaserMap, truth: Track | None, k: int) -> None:
+    """The part of one robot, the `k`-th of all."""
     name = robot_name(made.robot)
     figures = folder / "figures"
     page.section(f"Robot {made.robot}: {Path(made.source).name}")
     page.cards(_headline(made))
-    for warning in made.warnings:
-        page.text(warning, warn=True)
-    for reason, count in made.dropped.items():
-        page.text(f"left out: {count} x {reason}")
     seen = None if truth is None else aligned(truth, made.track)
     draw_map(figures / f"{name}_map.png", made, seen)
     others = {} if made.dead_reckoning is None else {"odometry alone": made.dead_reckoning}
     others |= {} if seen is None else {"truth": seen}
-    scene = laser_scene(made.grid, {made.robot: made.track}, {made.robot: colour(0)}, others=others)
+    scene = laser_scene(made.grid, {made.robot: made.track}, {made.robot: robot_colour(k)}, others=others)
     page.scene(
         scene,
         "Walls stand out, known free ground is plain, over unknown ground the grid lines go on.",
         figures / f"{name}_map.png",
     )
+    for warning in made.warnings:
+        page.text(warning, warn=True)
+    for reason, count in made.dropped.items():
+        page.text(f"Left out: {count:,} x {reason}.")
     light = folder / "local" / name / "intensity.png"
     draw_intensity(light, made.grid, made.feature, f"robot {made.robot}")
     if made.feature != "none":
@@ -113,13 +158,15 @@ def _headline(made: LaserMap) -> list[tuple[str, str]]:
     steps = np.diff(made.track.pose[:, :2], axis=0)
     x0, x1, y0, y1 = made.grid.extent
     cards = [
-        ("scans", str(len(made.scans))),
+        ("scans", f"{len(made.scans):,}"),
         ("driven", f"{np.hypot(steps[:, 0], steps[:, 1]).sum():.0f} m"),
-        ("map", f"{x1 - x0:.0f} x {y1 - y0:.0f} m"),
+        ("size", f"{x1 - x0:.0f} x {y1 - y0:.0f} m"),
         ("method", made.method + (f", {made.particles} particles" if made.method == "particle" else "")),
         ("returned light", {"none": "not used"}.get(made.feature, made.feature)),
         ("odometry", ODOMETRY.get(made.odometry, made.odometry)),
     ]
+    if (sd := median_deviation(made.track)) is not None:
+        cards.append(("median sd of a position", f"{sd:.3f} m"))
     if made.dead_reckoning is not None:
         off = made.track.pose[-1, :2] - made.dead_reckoning.pose[-1, :2]
         cards.append(("odometry corrected by", f"{np.hypot(*off):.2f} m at the end"))

@@ -148,6 +148,13 @@ def draw_calibration(path: Path, calibration: IntensityCalibration) -> None:
         rest.legend()
 
 
+def median_deviation(track: Track) -> float | None:
+    """Median standard deviation of the positions of `track` along one axis [m]; None where it has no covariances."""
+    if track.cov is None or not len(track.t):
+        return None
+    return float(np.sqrt(np.median(np.trace(track.cov[:, :2, :2], axis1=1, axis2=2) / 2)))
+
+
 def aligned(truth: Track, estimate: Track) -> Track:
     """The truth carried to the estimate by the one rigid motion that fits both best where they overlap."""
     inside = (truth.t >= estimate.t[0]) & (truth.t <= estimate.t[-1])

@@ -11,11 +11,11 @@ from ..laser.laser_map import GridMap
 from ..team.mixed import MixedMap
 from ..team.robot_part import PARAMETERS
 from ..team.smooth import Smoothed, is_observed
-from .html import Page
-from .laser_figures import draw_occupancy, walls
+from .html import Page, sentence_case
+from .laser_figures import draw_occupancy, median_deviation, walls
 from .scene import Scene, landmark_points
 from .style import Target, as_map, colour, figure, name_points
-from .team import measured
+from .team import measured, named
 from .team_figures import legend_beside, thinned
 from .woven import told_merge
 
@@ -42,7 +42,7 @@ class MixedStory:
 def words(story: MixedStory) -> list[str]:
     """How the robots are connected, in sentences."""
     out = [
-        f"{_names(tie.a)} and {_names(tie.b)} were tied by {BY.get(tie.by, f'{tie.agree} of {tie.of} sightings')}"
+        f"{named(tie.a)} and {named(tie.b)} were tied by {BY.get(tie.by, f'{tie.agree} of {tie.of} sightings')}"
         for tie in story.map.layout.ties
     ]
     out += [f"walls: {told_merge(merge)}" for merge in story.map.merges]
@@ -52,7 +52,7 @@ def words(story: MixedStory) -> list[str]:
     ]
     for path in story.map.paths:
         first, last, between = path.robots[0], path.robots[-1], path.robots[1:-1]
-        through = f"through {_names(between)}" if between else "directly"
+        through = f"through {named(between)}" if between else "directly"
         steps = [
             f"{n} sightings" if n else f"{m} landmarks" for n, m in zip(path.sightings, path.landmarks, strict=True)
         ]
@@ -96,29 +96,34 @@ def _scene(story: MixedStory, k: int) -> Scene:
 def write_mixed_report(folder: Path, story: MixedStory) -> None:
     """`report.html` and `figures/*.png` in `folder`."""
     whole = story.map.components
-    tied = len(whole[0].map.robots)
-    page = Page(story.title, f"{tied} of {len(story.robots)} robots in one map.")
-    page.cards(
-        [
-            ("robots in the map", f"{tied} of {len(story.robots)}"),
-            ("landmarks", str(len(whole[0].map.landmarks))),
-            ("factors", f"{sum(whole[0].used.values()):,}"),
-        ]
-    )
-    for warning in story.warnings:
-        page.text(warning, warn=True)
+    tied, of = len(whole[0].map.robots), len(story.robots)
+    told = "all in one map" if tied == of else f"{tied} of {of} in the first of {len(whole)} maps"
+    count = "One map" if len(whole) == 1 else f"{len(whole)} maps"
+    page = Page(story.title.replace("One map", count, 1), f"{sentence_case(named(story.robots))}, {told}.")
+    cards = [
+        ("robots in the map", f"{tied} of {of}"),
+        ("landmarks", str(len(whole[0].map.landmarks))),
+        ("measurements", f"{sum(whole[0].used.values()):,}"),
+    ]
+    sd = [d for track in whole[0].map.tracks.values() if (d := median_deviation(track)) is not None]
+    page.cards([*cards, ("median sd of a position", f"{np.median(sd):.3f} m")] if sd else cards, len(story.warnings))
+    if tied < of:
+        left = named([robot for robot in story.robots if robot not in whole[0].map.robots])
+        page.text(f"Not in the first map: {left}. What was tried stands under How they were tied.", warn=True)
     for k, component in enumerate(whole):
-        page.section("Map" if k == 0 else f"Component {k + 1}: {_names(component.map.robots)}")
+        page.section("Map" if k == 0 else f"Component {k + 1}: {named(component.map.robots)}")
         png = folder / "figures" / ("map.png" if k == 0 else f"component_{k + 1}.png")
         draw_mixed(png, story, k)
         page.scene(_scene(story, k), "Walls as lasers saw them, landmarks, and where every robot went.", png)
+        if k == 0:
+            page.warnings(story.warnings)
     if story.lines:
-        page.section("Beside the truth")
+        page.section("Against the truth")
         for line in story.lines:
             page.text(line)
     page.section("How they were tied")
-    for sentence in words(story) or ["No robots could be connected."]:
-        page.text(sentence)
+    for sentence in words(story) or ["no robots could be connected"]:
+        page.text(f"{sentence_case(sentence)}.")
     page.section("The whole team at once")
     for k, component in enumerate(whole, 1):
         page.text(_told(component) if len(whole) == 1 else f"Component {k}: {_told(component)}")
@@ -127,9 +132,11 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
     page.table(
         ["robot", "carries", "poses", "from [s]", "to [s]", "median sd [m]"],
         [_robot(story, r, began) for r in story.robots],
+        [colour(k) for k in range(len(story.robots))],
     )
     page.text("Seconds since the first pose of all robots.")
-    found = {robot: known for s in whole for robot, known in s.calibration.items() if known}
+    every = {robot: known for s in whole for robot, known in s.calibration.items() if known}
+    found = {robot: every[robot] for robot in story.robots if robot in every}
     if found:
         head = ["robot", *(name.replace("_", " ") for name in PARAMETERS)]
         prior = whole[0].prior
@@ -145,7 +152,7 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
             ]
             for r, known in found.items()
         ]
-        page.table(head, rows)
+        page.table(head, rows, [colour(story.robots.index(r)) for r in found])
         page.text("With one standard deviation. An asterisk: the data added little to what was assumed.")
     page.write(folder / "report.html")
 
@@ -160,19 +167,11 @@ def _robot(story: MixedStory, robot: str, began: float) -> list[object]:
     track = next((s.map.tracks[robot] for s in story.map.components if robot in s.map.tracks), None)
     if track is None or not len(track.t):
         return [robot_key(robot), story.kinds[robot], 0, None, None, None]
-    sd = None
-    if track.cov is not None:
-        sd = float(np.sqrt(np.median(np.trace(track.cov[:, :2, :2], axis1=1, axis2=2) / 2)))
     return [
         robot_key(robot),
         story.kinds[robot],
         len(track.t),
         f"{track.t[0] - began:.1f}",
         f"{track.t[-1] - began:.1f}",
-        sd,
+        median_deviation(track),
     ]
-
-
-def _names(robots: Sequence[str]) -> str:
-    keys = [robot_key(robot) for robot in robots]
-    return f"robot {keys[0]}" if len(keys) == 1 else f"robots {', '.join(keys[:-1])} and {keys[-1]}"

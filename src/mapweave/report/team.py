@@ -13,7 +13,7 @@ from ..team.robot_part import PARAMETERS
 from ..team.smooth import is_observed
 from ..team.team_map import TeamMap
 from . import style, team_figures
-from .html import Page
+from .html import Page, sentence_case, told_list
 from .scene import Scene, landmark_points
 from .score import growth, landmark_errors, track_errors
 from .team_figures import TeamStory
@@ -80,7 +80,7 @@ def _map(page: Page, png: Path, story: TeamStory, team: TeamMap) -> None:
 
 def _lead(story: TeamStory) -> str:
     tied, of = len(story.maps[0].robots), len(story.robots)
-    told = f"{named(story.robots)}, ".capitalize() if of <= MOST_NAMED else ""
+    told = f"{sentence_case(named(story.robots))}, " if of <= MOST_NAMED else ""
     if len(story.maps) == 1:
         return f"{told}{'all' if tied == of else f'{tied} of {of}'} in one map."
     return f"{told}in {len(story.maps)} maps that nothing ties together; {tied} of {of} in the first."
@@ -97,7 +97,7 @@ def _left_out(story: TeamStory) -> list[str]:
     out = []
     for why, robots in reasons.items():
         several = len(robots) > 1
-        told = f"{named(robots).capitalize()} {'are' if several else 'is'} not in the first map: {why}."
+        told = f"{sentence_case(named(robots))} {'are' if several else 'is'} not in the first map: {why}."
         parts = sorted({where[r] for r in robots if r in where})
         if parts:
             many = "s" if len(parts) > 1 else ""
@@ -111,11 +111,6 @@ def named(robots: Sequence[str]) -> str:
     """`robot 1`, `robots 1, 2 and 3`."""
     keys = [robot_key(robot) for robot in robots]
     return f"robot{'s' * (len(keys) > 1)} {told_list(keys)}"
-
-
-def told_list(words: Sequence[str]) -> str:
-    """`a`, `a and b`, `a, b and c`."""
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def _headline(story: TeamStory) -> list[tuple[str, str]]:

@@ -29,11 +29,17 @@ def robot_colour(k: int) -> str:
     return colour(ROBOTS[k % len(ROBOTS)])
 
 
-def draw_component(path: Target, made: WovenMap, truths: Mapping[str, Track]) -> None:
-    """The map with every robot's trajectory in a colour of its own, and the truth where there is one."""
+def draw_component(
+    path: Target, made: WovenMap, truths: Mapping[str, Track], places: Mapping[str, int] | None = None
+) -> None:
+    """The map with every robot's trajectory in a colour of its own, and the truth where there is one.
+
+    places: robot -> its place among all robots, which gives it its colour; without them its place in this map.
+    """
     with figure(path, *map_size(made.grid)) as (fig, ax):
         draw_occupancy(ax, made.grid)
-        for k, (robot, track) in enumerate(made.tracks.items()):
+        for i, (robot, track) in enumerate(made.tracks.items()):
+            k = i if places is None else places[robot]
             style = STYLES[k // len(ROBOTS) % len(STYLES)]
             ax.plot(*track.pose[:, :2].T, style, color=robot_colour(k), label=robot_name(robot), linewidth=1.2)
             ax.plot(*track.pose[0, :2], "o", color=robot_colour(k), markeredgecolor="white", markersize=6)
@@ -74,14 +80,16 @@ def draw_closures(path: Target, made: WovenMap) -> None:
         ax.set_aspect("equal", adjustable="box")
 
 
-def draw_pair(path: Target, merge: Merge, a: RobotGraph, b: RobotGraph) -> None:
+def draw_pair(
+    path: Target, merge: Merge, a: RobotGraph, b: RobotGraph, tints: tuple[str, str] = (colour(0), colour(1))
+) -> None:
     """The walls of both robots under the transform looked at, and beside it under the next best one where refused."""
     ways: list[tuple[str, np.ndarray]] = []
     if merge.best is not None:
         name = "merged" if merge.merged else "not merged: the best place"
-        ways.append((name, merge.best if merge.transform is None else merge.transform))
+        ways.append((f"{name[0].upper()}{name[1:]}", merge.best if merge.transform is None else merge.transform))
     if merge.rival is not None and not merge.merged:
-        ways.append(("the next best place", merge.rival))
+        ways.append(("The next best place", merge.rival))
     one, other = _walls(a), _walls(b)
     laid = [se2.act(T, other) for _, T in ways]
     every = np.concatenate([one, *laid])
@@ -93,8 +101,8 @@ def draw_pair(path: Target, merge: Merge, a: RobotGraph, b: RobotGraph) -> None:
         axes,
     ):
         for ax, (name, T), points in zip(axes[0], ways, laid, strict=False):
-            ax.plot(*one.T, ".", color=colour(0), markersize=1.6, label=robot_name(merge.a))
-            ax.plot(*points.T, ".", color=colour(1), markersize=1.6, label=robot_name(merge.b))
+            ax.plot(*one.T, ".", color=tints[0], markersize=1.6, label=robot_name(merge.a))
+            ax.plot(*points.T, ".", color=tints[1], markersize=1.6, label=robot_name(merge.b))
             ax.set_xlim(low[0], high[0])
             ax.set_ylim(low[1], high[1])
             as_map(ax, name)
