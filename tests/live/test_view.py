@@ -1,5 +1,6 @@
 """The page in a real browser: 50 robots, whatever words the decisions hold."""
 
+import json
 import re
 import shutil
 import socket
@@ -17,7 +18,8 @@ import pytest
 from mapweave.core.errors import UsageError
 from mapweave.live.messages import LandmarkState, MapState, RobotState, Tile
 from mapweave.live.tile_bytes import SIDE, pack
-from mapweave.live.view import Board, served
+from mapweave.live.view import PAGE, Board, served
+from mapweave.report.style import PALETTE
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
@@ -186,3 +188,9 @@ def test_a_port_in_use_is_told_in_one_line():
             pass
     with pytest.raises(UsageError, match="0 to 65535"), served(Board(), "127.0.0.1", 70000):
         pass
+
+
+def test_robots_have_the_colours_that_reports_give_them():
+    told = re.search(r"const COLOURS = (\[.*?\]);", PAGE.read_text(encoding="utf-8"))
+    assert told is not None
+    assert tuple(json.loads(told[1])) == PALETTE
