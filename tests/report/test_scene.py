@@ -188,6 +188,15 @@ def test_nothing_that_is_not_finite_reaches_the_page():
     assert data(scene)["points"][0]["x"] == [0.0]
 
 
+def test_what_is_hidden_at_first_does_not_shrink_the_rest():
+    scene = Scene("a hall and where wheels alone would be", hidden=["odometry"])
+    scene.path("robot 1", np.array([[0.0, 0.0], [4.0, 2.0]]), "#000")
+    scene.path("odometry", np.array([[0.0, 0.0], [90.0, -70.0]]), "#000")
+    assert data(scene)["extent"] == [0.0, 4.0, 0.0, 2.0]
+    scene.hidden.append("robot 1")
+    assert data(scene)["extent"] == [0.0, 90.0, -70.0, 2.0]
+
+
 def test_an_empty_scene_is_left_out():
     page = Page("Empty")
     page.scene(Scene("nothing"), "nothing")

@@ -10,6 +10,7 @@ from mapweave.evaluation.team import score_team
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.report import score as figures
 from mapweave.report.html import Page
+from mapweave.report.score import headline_scores
 from mapweave.report.team import measured
 from mapweave.report.team_figures import TeamStory
 from mapweave.team.team_map import TeamMap
@@ -40,6 +41,13 @@ def test_words_stand_left_and_numbers_right():
 def test_measurements_are_called_by_what_they_measure():
     told = measured({"robot": 12, "landmark": 1234})
     assert told == "1,234 sightings of landmarks, 12 sightings of robots"
+
+
+def test_a_score_on_top_of_a_page_has_the_figures_that_there_are():
+    told = {"landmark_rmse": None, "mean_ate": 0.04096, "nees_per_dof": 1.234}
+    assert [value for _, value in headline_scores(told)] == ["1.23", "0.041 m"]
+    assert headline_scores({"relations": {"trans_mean": 0.0339}}) == [("mean error of relations", "0.034 m")]
+    assert headline_scores({"relations": {"trans_mean": None}}) == []
 
 
 def test_errors_are_drawn_in_the_frame_of_the_map(tmp_path, monkeypatch):

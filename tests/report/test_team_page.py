@@ -40,7 +40,7 @@ def test_who_is_not_in_the_map_is_told_with_the_reason_before_the_map(apart):
     first_screen = apart[: apart.index('<figure class="scene"')]
     assert "<h1>2 maps from" in first_screen
     assert "Robots 1, 2 and 3, in 2 maps that nothing ties together; 2 of 3 in the first." in first_screen
-    assert "Robot 3 is not in the first map: shares fewer than 2 landmarks with the others." in first_screen
+    assert "Not in the first map: robot 3. Why: shares fewer than 2 landmarks with the others." in first_screen
     assert "<h2>Component 2: robot 3</h2>" in apart
 
 

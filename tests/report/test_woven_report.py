@@ -13,7 +13,7 @@ from mapweave.laser.merge import Merge
 from mapweave.laser.pose_graph import PoseGraph
 from mapweave.laser.robot_graph import RobotGraph
 from mapweave.laser.woven_map import ClosureRow, WovenMap
-from mapweave.report.laser import write_laser_report
+from mapweave.report.laser import MOST_PARTS, write_laser_report
 from mapweave.report.style import PALETTE
 from mapweave.report.woven import MOST_PICTURES
 from mapweave.report.woven_figures import robot_colour, truths_in
@@ -90,7 +90,7 @@ def test_the_page_says_who_hangs_together_and_decides_every_pair_in_words(page):
     _, html = page
     for words in (
         "3 robots, 2 maps that nothing ties together; 2 of them in the first.",
-        "Not in the first map: robot3. Why: robot1 and robot3: two places fit equally well; robot2",
+        "Not in the first map: robot3. Why: robot1 and robot3: two places fit equally well; 1 more in the table of",
         "robot1 and robot2 in one map: 5 x 3 m, in the frame of robot1&#x27;s first pose.",
         "robot3 alone",
         "robot1: its log goes on",
@@ -146,6 +146,17 @@ def test_of_many_pairs_the_page_shows_some_and_counts_the_others(woven, tmp_path
     html = (tmp_path / "report.html").read_text()
     assert "3 more pairs are in the table only." in html
     assert len(re.findall("<figcaption>robot1 and robot2: merged", html)) == MOST_PICTURES
+
+
+def test_of_many_robots_the_page_holds_some_and_a_row_of_each(woven, tmp_path):
+    maps, components, _ = woven
+    many = [replace(maps[0], robot=str(k)) for k in range(1, MOST_PARTS + 4)]
+    one = replace(components[0], robots=tuple(m.robot for m in many), tracks={m.robot: m.track for m in many})
+    write_laser_report(tmp_path, many, {}, [], [one], ())
+    html = (tmp_path / "report.html").read_text()
+    assert len(re.findall(r"<h2>Robot \d+: ", html)) == MOST_PARTS
+    assert len(re.findall(r'<td[^>]*><i style="background:#\w+"></i>robot\d+</td>', html)) == len(many)
+    assert len(list((tmp_path / "figures").glob("*_scans.png"))) == len(many)
 
 
 def test_the_truth_of_all_robots_is_moved_by_one_motion(woven):

@@ -19,6 +19,7 @@ from ..laser.woven_map import WovenMap
 from ..report.laser import write_laser_report
 from ..report.laser_figures import aligned, draw_map
 from ..report.result import ResultBase, Rows
+from ..report.score import headline_scores
 from ..report.style import Target
 from ..report.woven import told_component, told_merge
 from ..report.woven_figures import draw_component
@@ -67,7 +68,8 @@ class LaserResult(ResultBase):
         write_laser_data(folder, self)
         told = [] if self.evaluation is None else self.evaluation.lines()
         doubts = self.metrics.get("warnings", ())
-        write_laser_report(folder, self.maps, self.truth, told, self.components, self.merges, self.notes, doubts)
+        top = [] if self.evaluation is None else headline_scores(self.evaluation.as_json())
+        write_laser_report(folder, self.maps, self.truth, told, self.components, self.merges, self.notes, doubts, top)
         if not self.components and len(self.maps) == 1:
             _copied(folder, folder, self.maps[0].robot)
         for part, made in _parts(folder, self.components):

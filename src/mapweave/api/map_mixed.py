@@ -45,6 +45,7 @@ from ..laser.mapping import map_laser
 from ..laser.occupancy_mapper import render
 from ..report.mixed import MixedStory, draw_mixed, words, write_mixed_report
 from ..report.result import ResultBase, Rows
+from ..report.score import headline_scores
 from ..report.style import Target
 from ..team.camera_clock import CameraClockConfig, on_camera_clock
 from ..team.config import SmoothingConfig
@@ -343,12 +344,15 @@ def _scored(result: MixedResult, options: MapOptions) -> MixedResult:
         _write_data(Path(folder), result)
         write_json(Path(folder) / "metrics.json", result.metrics)
         score = judged(Path(folder), options.truth)
+    told = score.as_json()
     reason = [f"the truth: nothing to score: {score.unscored}"] if score.unscored else []
     warnings = [*result.story.warnings, *reason]
     return replace(
         result,
-        story=replace(result.story, lines=tuple(score.lines()), warnings=tuple(warnings)),
-        metrics={**result.metrics, "warnings": warnings, "evaluation": score.as_json()},
+        story=replace(
+            result.story, lines=tuple(score.lines()), warnings=tuple(warnings), scores=tuple(headline_scores(told))
+        ),
+        metrics={**result.metrics, "warnings": warnings, "evaluation": told},
         evaluation=score,
     )
 

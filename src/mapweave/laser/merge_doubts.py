@@ -89,5 +89,6 @@ def slides(pair: Pair, best: Candidate) -> str | None:
 
 
 def words(T: Float[np.ndarray, "3"]) -> str:
-    """A transform for people to read."""
-    return f"({T[0]:.1f} m, {T[1]:.1f} m, {np.degrees(T[2]):.0f} degrees)"
+    """A transform for people to read, without a minus before nought."""
+    x, y, turn = np.round([T[0], T[1], 0.1 * np.degrees(T[2])], 1) + 0.0
+    return f"({x:.1f} m, {y:.1f} m, {10 * turn:.0f} degrees)"

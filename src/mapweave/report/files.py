@@ -10,6 +10,7 @@ from .html import Page
 HOLDS = {
     "calibration.csv": "gain of intensity over range, found from the log",
     "calibration.json": "what was found of every robot: speed, turns, lag, bearing bias, range scale",
+    "claims.md": "the paper's claims, each with what became of it here",
     "closures.csv": "every loop closure tried, with the reason why it was believed or refused",
     "components": "maps that nothing ties to this one",
     "dropped.csv": "rows that were left out, and why",
@@ -32,6 +33,7 @@ HOLDS = {
     "runs.csv": "a row for each run, with its scores",
     "scans.csv": "a row for each scan: pose, innovation, decision",
     "state": "what --resume needs to go on",
+    "tables": "the tables of this page in Markdown",
     "trajectories": "where each robot went: TUM or CSV, covariances beside",
 }
 

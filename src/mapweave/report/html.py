@@ -25,7 +25,7 @@ font:15px/1.5 system-ui,sans-serif}h1{font-size:1.6rem;margin:0}h2{font-size:1.1
 border-bottom:1px solid var(--line);padding-bottom:.3rem}p.lead{margin:.3rem 0 1rem;opacity:.85}
 table{border-collapse:collapse;margin:.5rem 0 1rem;font-variant-numeric:tabular-nums;display:block;overflow-x:auto}
 th,td{padding:.25rem .7rem;border-bottom:1px solid var(--line);text-align:right;white-space:nowrap}
-th:first-child,td:first-child,th.word,td.word,th.text,td.text{text-align:left}td.text{white-space:normal;min-width:14rem}td i{display:inline-block;
+th:first-child,td:first-child,th.word,td.word,th.text,td.text{text-align:left}td.text{white-space:normal;min-width:14rem;max-width:30rem;overflow-wrap:anywhere}td i{display:inline-block;
 width:.7em;height:.7em;border-radius:50%;margin-right:.45em}th{background:var(--soft);font-weight:600}
 figure{margin:1rem 0}figure img{max-width:100%;height:auto;background:#fff;border:1px solid var(--line);border-radius:6px}
 @media screen and (prefers-color-scheme:dark){figure img{filter:invert(.9) hue-rotate(180deg)}}

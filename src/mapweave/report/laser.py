@@ -26,6 +26,11 @@ from .woven import not_in_first, write_maps, write_pairs
 from .woven_figures import robot_colour
 
 MOST_NAMED = 4  # logs in the title
+MOST_PARTS = 8  # robots that have a part of their own on the page of a team
+ROBOTS_HEAD = (
+    *("robot", "log", "scans", "driven [m]", "matches refused", "left out", "warnings"),
+    *("odometry corrected by [m]", "median sd [m]"),
+)
 WHY = {
     "first": "the first scan: the map begins with it",
     "matched": "the match was taken",
@@ -46,22 +51,23 @@ def write_laser_report(
     merges: Sequence[Merge] = (),
     notes: Sequence[str] = (),
     warnings: Sequence[str] = (),
+    scores: Sequence[tuple[str, str]] = (),
 ) -> None:
     """`report.html` and `figures/` in `folder`, and each robot's `intensity.png` in `local/robotK/`.
 
     truth: robot -> its true trajectory, in any frame; evaluation: lines to show; notes: what else there is to say;
-    warnings: of the whole, those of each robot stand in its own part.
+    warnings: of the whole, those of each robot stand in its own part; scores: headline figures against the truth.
     """
     several = len(maps) > 1 and bool(components)
     places = {made.robot: k for k, made in enumerate(maps)}
     page = Page(_title(maps, components), _lead(maps, components))
     if several:
-        page.cards(_shared(maps, components), len(warnings))
+        page.cards([*_shared(maps, components), *scores], len(warnings))
         for sentence in not_in_first(components, merges):
             page.text(sentence, warn=True)
         write_maps(page, folder, components, truth, places)
-    for made in maps if len(maps) == 1 else ():
-        _robot(page, folder, made, truth.get(made.robot), 0)
+    if len(maps) == 1:
+        _robot(page, folder, maps[0], truth.get(maps[0].robot), 0, scores)
     page.warnings(warnings)
     for line in notes:
         page.text(line)
@@ -71,8 +77,8 @@ def write_laser_report(
             page.text(line)
     if several:
         write_pairs(page, folder, maps, components, merges, places)
-    for made in maps if len(maps) > 1 else ():
-        _robot(page, folder, made, truth.get(made.robot), places[made.robot])
+    if len(maps) > 1:
+        _robots(page, folder, maps, truth)
     page.write(folder / "report.html")
 
 
@@ -107,14 +113,42 @@ def _shared(maps: Sequence[LaserMap], components: Sequence[WovenMap]) -> list[tu
     return [*cards, ("median sd of a position", f"{np.median(sd):.3f} m")] if sd else cards
 
 
-def _robot(page: Page, folder: Path, made: LaserMap, truth: Track | None, k: int) -> None:
+def _robots(page: Page, folder: Path, maps: Sequence[LaserMap], truth: Mapping[str, Track]) -> None:
+    """A row for every robot, a part for some; the pictures of all."""
+    page.section("Robots")
+    page.table(ROBOTS_HEAD, [_row(made) for made in maps], [robot_colour(k) for k in range(len(maps))])
+    if len(maps) > MOST_PARTS:
+        page.text(f"Below are the first {MOST_PARTS} robots; the pictures of all are in figures/ and local/.")
+    for k, made in enumerate(maps):
+        _robot(page if k < MOST_PARTS else Page(""), folder, made, truth.get(made.robot), k)
+
+
+def _row(made: LaserMap) -> list[object]:
+    counts = Counter(made.scans.decision)
+    off = None
+    if made.dead_reckoning is not None:
+        off = float(np.hypot(*(made.track.pose[-1, :2] - made.dead_reckoning.pose[-1, :2])))
+    return [
+        *(robot_name(made.robot), Path(made.source).name, len(made.scans), f"{_driven(made.track):.0f}"),
+        *(counts["odometry"], sum(made.dropped.values()), len(made.warnings), off, median_deviation(made.track)),
+    ]
+
+
+def _driven(track: Track) -> float:
+    steps = np.diff(track.pose[:, :2], axis=0)
+    return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+
+
+def _robot(
+    page: Page, folder: Path, made: LaserMap, truth: Track | None, k: int, scores: Sequence[tuple[str, str]] = ()
+) -> None:
     """The part of one robot, the `k`-th of all."""
     name = robot_name(made.robot)
     figures = folder / "figures"
     page.section(f"Robot {made.robot}: {Path(made.source).name}")
-    page.cards(_headline(made))
+    page.cards([*_headline(made), *scores])
     seen = None if truth is None else aligned(truth, made.track)
-    draw_map(figures / f"{name}_map.png", made, seen)
+    draw_map(figures / f"{name}_map.png", made, seen, robot_colour(k))
     others = {} if made.dead_reckoning is None else {"odometry alone": made.dead_reckoning}
     others |= {} if seen is None else {"truth": seen}
     scene = laser_scene(made.grid, {made.robot: made.track}, {made.robot: robot_colour(k)}, others=others)
@@ -136,7 +170,7 @@ def _robot(page: Page, folder: Path, made: LaserMap, truth: Track | None, k: int
         tracks["odometry"] = made.dead_reckoning
     if seen is not None:
         tracks["truth"] = seen
-    draw_tracks(figures / f"{name}_trajectory.png", tracks)
+    draw_tracks(figures / f"{name}_trajectory.png", tracks, robot_colour(k))
     page.figure(figures / f"{name}_trajectory.png", "The estimate against odometry alone, from the same first pose.")
     draw_scans(figures / f"{name}_scans.png", made)
     page.figure(
@@ -155,11 +189,10 @@ def _robot(page: Page, folder: Path, made: LaserMap, truth: Track | None, k: int
 
 
 def _headline(made: LaserMap) -> list[tuple[str, str]]:
-    steps = np.diff(made.track.pose[:, :2], axis=0)
     x0, x1, y0, y1 = made.grid.extent
     cards = [
         ("scans", f"{len(made.scans):,}"),
-        ("driven", f"{np.hypot(steps[:, 0], steps[:, 1]).sum():.0f} m"),
+        ("driven", f"{_driven(made.track):.0f} m"),
         ("size", f"{x1 - x0:.0f} x {y1 - y0:.0f} m"),
         ("method", made.method + (f", {made.particles} particles" if made.method == "particle" else "")),
         ("returned light", {"none": "not used"}.get(made.feature, made.feature)),

@@ -22,14 +22,14 @@ PASSED_BY = 0.3  # occupancy up to which a cell's returns were of things that mo
 UNSEEN = 0.86  # the grey of cells no beam reached
 
 
-def draw_map(path: Target, made: LaserMap, truth: Track | None) -> None:
-    """Walls black, free space white, unknown grey; the trajectory on top, the truth where there is one."""
+def draw_map(path: Target, made: LaserMap, truth: Track | None, tint: str = colour(0)) -> None:
+    """Walls black, free space white, unknown grey; the trajectory on top in `tint`, the truth where there is one."""
     with figure(path, *map_size(made.grid)) as (fig, ax):
         draw_occupancy(ax, made.grid)
-        ax.plot(*made.track.pose[:, :2].T, color=colour(0), label="estimate", linewidth=1.0)
+        ax.plot(*made.track.pose[:, :2].T, color=tint, label="estimate", linewidth=1.0)
         if truth is not None:
             ax.plot(*truth.pose[:, :2].T, color=TRUTH, label="truth", linewidth=0.8, linestyle="--")
-        _ends(ax, made.track)
+        _ends(ax, made.track, tint)
         map_window(ax, made.grid)
         fig.legend(loc="outside lower center", ncols=4)
         as_map(ax, f"robot {made.robot}: {made.method}, feature {made.feature}")
@@ -70,9 +70,9 @@ def draw_intensity(path: Path, grid: GridMap, feature: str, who: str) -> None:
         ax.set_aspect("equal", adjustable="box")
 
 
-def draw_tracks(path: Path, tracks: Mapping[str, Track]) -> None:
-    """Trajectories under their names; odometry and truth have colours of their own."""
-    colours = {"estimate": colour(0), "odometry": colour(1), "truth": TRUTH}
+def draw_tracks(path: Path, tracks: Mapping[str, Track], tint: str = colour(0)) -> None:
+    """Trajectories under their names: the estimate in `tint`, odometry grey, truth black."""
+    colours = {"estimate": tint, "odometry": MUTED, "truth": TRUTH}
     with figure(path, 7.0, 5.0) as (_, ax):
         for k, (name, track) in enumerate(tracks.items()):
             line = "--" if name == "truth" else "-"
@@ -86,8 +86,10 @@ def draw_scans(path: Path, made: LaserMap) -> None:
     """Along time: innovations, matched share, what was decided, effective number of particles."""
     scans = made.scans
     t = scans.t - scans.t[0]
-    with figure(path, 9.0, 7.5, nrows=4, sharex=True) as (_, axes):
-        step, turn, share, count = axes
+    weighed = bool(np.isfinite(scans.n_eff).any())  # there were particles
+    rows = 4 if weighed else 3
+    with figure(path, 9.0, 1.9 * rows, nrows=rows, sharex=True) as (_, axes):
+        step, turn, share = axes[:3]
         step.plot(t, 100 * scans.innovation[:, 0], ".", color=colour(0), markersize=2, label="ahead")
         step.plot(t, 100 * scans.innovation[:, 1], ".", color=colour(1), markersize=2, label="aside")
         step.set_ylabel("innovation [cm]")
@@ -108,8 +110,9 @@ def draw_scans(path: Path, made: LaserMap) -> None:
         share.set_ylim(-3, 103)
         share.set_ylabel("returns matched [%]")
         share.legend(loc="lower left", ncols=4, **READABLE)
-        _draw_n_eff(count, t, made)
-        count.set_xlabel("time [s]")
+        if weighed:
+            _draw_n_eff(axes[3], t, made)
+        axes[-1].set_xlabel("time [s]")
 
 
 def draw_calibration(path: Path, calibration: IntensityCalibration) -> None:
@@ -168,16 +171,12 @@ def aligned(truth: Track, estimate: Track) -> Track:
 def _draw_n_eff(ax: Any, t: Float[np.ndarray, " n"], made: LaserMap) -> None:
     scans = made.scans
     known = np.isfinite(scans.n_eff)
-    if not known.any():
-        ax.text(0.5, 0.5, "one hypothesis: no particles to weigh", ha="center", va="center", transform=ax.transAxes)
-        ax.set_yticks([])
-        return
     ax.plot(t[known], scans.n_eff[known], color=colour(0), linewidth=0.8, label="effective particles")
     again = known & scans.resampled
     ax.plot(t[again], scans.n_eff[again], "v", color=colour(5), markersize=3, label=f"resampled ({again.sum()})")
-    ax.set_ylim(0, 1.05 * made.particles)
-    ax.set_ylabel("N_eff")
-    ax.legend(loc="lower left", ncols=2, **READABLE)
+    ax.set_ylim(0, 1.3 * made.particles)  # room for the legend
+    ax.set_ylabel("effective particles")
+    ax.legend(loc="upper left", ncols=2, **READABLE)
 
 
 def draw_occupancy(ax: Any, grid: GridMap) -> None:
@@ -187,9 +186,9 @@ def draw_occupancy(ax: Any, grid: GridMap) -> None:
     ax.grid(visible=False)
 
 
-def _ends(ax: Any, track: Track) -> None:
-    ax.plot(*track.pose[0, :2], "o", color=colour(2), markersize=5, label="start")
-    ax.plot(*track.pose[-1, :2], "s", color=colour(5), markersize=5, label="end")
+def _ends(ax: Any, track: Track, tint: str) -> None:
+    ax.plot(*track.pose[0, :2], "o", color=tint, mfc="white", mew=1.6, markersize=7, ls="none", label="start")
+    ax.plot(*track.pose[-1, :2], "s", color=tint, mec="white", markersize=7, ls="none", label="end")
 
 
 def map_window(ax: Any, grid: GridMap) -> None:
@@ -239,9 +238,10 @@ def laser_scene(
 ) -> Scene:
     """Walls and paths, in one frame. tracks: robot -> its path; colours: robot -> colour; others: layer -> more.
 
-    Closures that were refused and other ways are hidden at first.
+    Closures and other trajectories are hidden at first: they cover the map.
     """
-    scene = Scene("Laser map with the trajectories of its robots", hidden=["closures refused", *(others or {})])
+    hidden = ["closures believed", "closures refused", *(others or {})]
+    scene = Scene("Laser map with the trajectories of its robots", hidden=hidden)
     walls(scene, grid)
     for accepted, layer, shade in ((True, "closures believed", BELIEVED), (False, "closures refused", REFUSED)):
         rows = [c for c in closures if c.accepted == accepted]

@@ -15,7 +15,7 @@ from .html import Page, sentence_case
 from .laser_figures import draw_occupancy, median_deviation, walls
 from .scene import Scene, landmark_points
 from .style import Target, as_map, colour, figure, name_points
-from .team import measured, named
+from .team import CALIBRATED, measured, named
 from .team_figures import legend_beside, thinned
 from .woven import told_merge
 
@@ -25,7 +25,7 @@ MANY = 40  # landmarks from which names would cover the map
 
 @dataclass(frozen=True, slots=True)
 class MixedStory:
-    """kinds: robot -> what it carries; grids: one a component, None without a laser; lines: of the score."""
+    """kinds: robot -> what it carries; grids: one a component, None without a laser; lines, scores: of the score."""
 
     title: str
     map: MixedMap
@@ -33,6 +33,7 @@ class MixedStory:
     kinds: Mapping[str, str]
     lines: Sequence[str]
     warnings: Sequence[str]
+    scores: Sequence[tuple[str, str]] = ()
 
     @property
     def robots(self) -> tuple[str, ...]:
@@ -42,7 +43,7 @@ class MixedStory:
 def words(story: MixedStory) -> list[str]:
     """How the robots are connected, in sentences."""
     out = [
-        f"{named(tie.a)} and {named(tie.b)} were tied by {BY.get(tie.by, f'{tie.agree} of {tie.of} sightings')}"
+        f"{_sorted(tie.a)} and {_sorted(tie.b)} were tied by {BY.get(tie.by, f'{tie.agree} of {tie.of} sightings')}"
         for tie in story.map.layout.ties
     ]
     out += [f"walls: {told_merge(merge)}" for merge in story.map.merges]
@@ -97,7 +98,8 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
     """`report.html` and `figures/*.png` in `folder`."""
     whole = story.map.components
     tied, of = len(whole[0].map.robots), len(story.robots)
-    told = "all in one map" if tied == of else f"{tied} of {of} in the first of {len(whole)} maps"
+    first = "the map" if len(whole) == 1 else "the first map"
+    told = "all in one map" if tied == of else f"{tied} of {of} in {first}"
     count = "One map" if len(whole) == 1 else f"{len(whole)} maps"
     page = Page(story.title.replace("One map", count, 1), f"{sentence_case(named(story.robots))}, {told}.")
     cards = [
@@ -106,10 +108,11 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
         ("measurements", f"{sum(whole[0].used.values()):,}"),
     ]
     sd = [d for track in whole[0].map.tracks.values() if (d := median_deviation(track)) is not None]
-    page.cards([*cards, ("median sd of a position", f"{np.median(sd):.3f} m")] if sd else cards, len(story.warnings))
+    cards += [("median sd of a position", f"{np.median(sd):.3f} m")] if sd else []
+    page.cards([*cards, *story.scores], len(story.warnings))
     if tied < of:
         left = named([robot for robot in story.robots if robot not in whole[0].map.robots])
-        page.text(f"Not in the first map: {left}. What was tried stands under How they were tied.", warn=True)
+        page.text(f"Not in {first}: {left}. Why, the warnings and How they were tied tell, below the map.", warn=True)
     for k, component in enumerate(whole):
         page.section("Map" if k == 0 else f"Component {k + 1}: {named(component.map.robots)}")
         png = folder / "figures" / ("map.png" if k == 0 else f"component_{k + 1}.png")
@@ -138,7 +141,7 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
     every = {robot: known for s in whole for robot, known in s.calibration.items() if known}
     found = {robot: every[robot] for robot in story.robots if robot in every}
     if found:
-        head = ["robot", *(name.replace("_", " ") for name in PARAMETERS)]
+        head = ["robot", *CALIBRATED]
         prior = whole[0].prior
         rows = [
             [
@@ -175,3 +178,7 @@ def _robot(story: MixedStory, robot: str, began: float) -> list[object]:
         f"{track.t[-1] - began:.1f}",
         median_deviation(track),
     ]
+
+
+def _sorted(robots: Sequence[str]) -> str:
+    return named(sorted(robots, key=in_order))

@@ -38,6 +38,7 @@ Shape = Literal["dot", "ring", "star", "cross", "triangle"]
 class Scene:
     """What is drawn in one frame [m], in layers that can be switched off; `label` says what it is to who cannot see.
 
+    hidden: layers that are off at first; the picture is as large as the others.
     Later points stand on earlier ones; robots on all. axes: what the picture's corner says of its axes; clock: unit of
     the tracks' stamps. What is drawn black is drawn white on a dark page.
     """
@@ -50,7 +51,7 @@ class Scene:
     _tracks: list[dict[str, object]] = field(default_factory=list)
     _points: list[dict[str, object]] = field(default_factory=list)
     _lines: list[dict[str, object]] = field(default_factory=list)
-    _corners: list[Float[np.ndarray, "n 2"]] = field(default_factory=list)
+    _corners: list[tuple[str, Float[np.ndarray, "n 2"]]] = field(default_factory=list)  # with their layer
 
     def grid(
         self, layer: str, known: Bool[np.ndarray, "rows columns"], occupied: Bool[np.ndarray, "rows columns"],
@@ -76,7 +77,7 @@ class Scene:
             level = np.ceil(LEVELS * (known_at - begin) / max(end - begin, 1e-9))
             earliest = _earliest(np.where(np.isfinite(known_at), level, LEVELS), join).astype(np.uint8)
             self._grid |= {"since": _png(Image.fromarray(earliest[::-1])), "begin": begin, "end": end, "levels": LEVELS}
-        self._corners.append(np.array([[x0, y0], [x1, y1]]))
+        self._corners.append((layer, np.array([[x0, y0], [x1, y1]])))
 
     def path(self, layer: str, at: Float[np.ndarray, "n 2"], colour: str) -> None:
         """A line through `at` that no robot drives along: always there, whatever the time shown."""
@@ -85,7 +86,7 @@ class Scene:
             self._tracks.append(
                 {"layer": layer, "name": "", "colour": colour, "t": [], "x": _short(at[:, 0]), "y": _short(at[:, 1])}
             )
-            self._corners.append(at)
+            self._corners.append((layer, at))
 
     def track(
         self, layer: str, name: str, track: Track, colour: str, *, heads: bool = True, leaves: bool = False,
@@ -108,7 +109,7 @@ class Scene:
             "leaves": leaves, "notes": notes, "gaps": broken.tolist(),
             "ellipses": None if track.cov is None else [_ellipse(c[:2, :2]) for c in track.cov[at]],
         })  # fmt: skip
-        self._corners.append(pose[:, :2])
+        self._corners.append((layer, pose[:, :2]))
 
     def points(
         self, layer: str, names: Sequence[str], at: Float[np.ndarray, "n 2"], colour: str, texts: Sequence[str] = (),
@@ -131,7 +132,7 @@ class Scene:
             "since": [None if t is None else round(float(t), 2) for t in since] or None,
         })  # fmt: skip
         if not stray:
-            self._corners.append(at)
+            self._corners.append((layer, at))
 
     def lines(
         self,
@@ -149,7 +150,7 @@ class Scene:
         self._lines.append(
             {"layer": layer, "colour": colour, "segments": segments, "texts": list(texts), "dashed": dashed}
         )
-        self._corners += [ends[:, :2], ends[:, 2:]]
+        self._corners += [(layer, ends[:, :2]), (layer, ends[:, 2:])]
 
     @property
     def empty(self) -> bool:
@@ -157,7 +158,8 @@ class Scene:
 
     def data(self) -> Mapping[str, object]:
         """What the script draws."""
-        corners = np.concatenate(self._corners) if self._corners else np.zeros((1, 2))
+        shown = [at for layer, at in self._corners if layer not in self.hidden] or [at for _, at in self._corners]
+        corners = np.concatenate(shown) if shown else np.zeros((1, 2))
         low, high = corners.min(axis=0), corners.max(axis=0)
         return {
             "label": self.label, "hidden": self.hidden, "axes": self.axes, "clock": self.clock,

@@ -4,6 +4,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,17 @@ from .style import Target, colour, figure
 from .team_figures import FACTORS, MANY, TeamStory, legend_beside, shape, thinned
 
 MOST = 40  # errors drawn one by one
+
+
+def headline_scores(told: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The figures of a score, as `metrics.json` holds it, that belong on top of a page."""
+    figures = (
+        ("landmark RMSE", told.get("landmark_rmse"), "{:.3f} m"),
+        ("NEES per degree of freedom (honest: 1)", told.get("nees_per_dof"), "{:.2f}"),
+        ("mean ATE", told.get("mean_ate"), "{:.3f} m"),
+        ("mean error of relations", (told.get("relations") or {}).get("trans_mean"), "{:.3f} m"),
+    )
+    return [(name, form.format(value)) for name, value, form in figures if value is not None]
 
 
 def write_score_report(

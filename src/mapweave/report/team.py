@@ -20,6 +20,7 @@ from .team_figures import TeamStory
 
 APART = ": left in its own component"  # the end of a reason, of which the page tells where it is drawn
 MOST_NAMED = 12  # robots in the page's first sentence
+CALIBRATED = ("speed scale", "turn scale", "lag [s]", "bearing bias [rad]", "range scale")  # heads of PARAMETERS
 KINDS = {
     "landmark": "sightings of landmarks",
     "robot": "sightings of robots",
@@ -92,16 +93,16 @@ def _left_out(story: TeamStory) -> list[str]:
     reasons: dict[str, list[str]] = {}
     for d in story.fusion.decisions:
         if where.get(d.robot) != 1:
-            why = d.reason.removesuffix(APART) if d.decision == "refused" else "shares too few landmarks with it"
+            why = d.reason.partition(";")[0] if d.decision == "refused" else "shares too few landmarks with it"
             reasons.setdefault(why, []).append(d.robot)
     out = []
     for why, robots in reasons.items():
-        several = len(robots) > 1
-        told = f"{sentence_case(named(robots))} {'are' if several else 'is'} not in the first map: {why}."
+        first = "the map" if len(story.maps) == 1 else "the first map"
+        told = f"Not in {first}: {named(robots)}. Why: {why.removesuffix(APART)}."
         parts = sorted({where[r] for r in robots if r in where})
         if parts:
-            many = "s" if len(parts) > 1 else ""
-            told += f" Drawn below as component{many} {told_list([str(k) for k in parts])}."
+            told += f" Below: component{'s' * (len(parts) > 1)} {told_list([str(k) for k in parts])}."
+        if why.endswith(APART):
             told += " Where a robot is known to have started, the option --start ties it in."
         out.append(told)
     return out
@@ -188,7 +189,7 @@ def _smoothing(page: Page, story: TeamStory) -> None:
     every = {robot: known for s in story.smoothed for robot, known in s.calibration.items()}
     found = {robot: every[robot] for robot in story.robots if robot in every}
     if found:
-        head = ["robot", "speed scale", "turn scale", "lag [s]", "bearing bias [rad]", "range scale"]
+        head = ["robot", *CALIBRATED]
         rows = [[robot_key(robot), *(_told(known, p, story) for p in PARAMETERS)] for robot, known in found.items()]
         page.table(head, rows, [_tint(story, robot) for robot in found])
         page.text("With one standard deviation. An asterisk: the data added little to what was assumed.")

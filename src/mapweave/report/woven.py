@@ -12,7 +12,7 @@ from .html import Page, told_list
 from .laser_figures import draw_intensity, laser_scene
 from .woven_figures import draw_closures, draw_component, draw_pair, robot_colour, truths_in
 
-MOST_REASONS = 3  # pairs by which the head of the page says why a robot is not in the first map
+MOST_REASONS = 1  # pairs by which the head of the page says why a robot is not in the first map
 MOST_PICTURES = 12  # of pairs of robots
 
 
@@ -37,7 +37,7 @@ def not_in_first(components: Sequence[WovenMap], merges: Sequence[Merge]) -> lis
         there = {*made.robots}
         tried = [m for m in merges if (m.a in inside and m.b in there) or (m.b in inside and m.a in there)]
         why = "; ".join(f"{robot_name(m.a)} and {robot_name(m.b)}: {m.reason}" for m in tried[:MOST_REASONS])
-        more = f"; {len(tried) - MOST_REASONS} more pairs below" if len(tried) > MOST_REASONS else ""
+        more = f"; {len(tried) - MOST_REASONS} more in the table of pairs" if len(tried) > MOST_REASONS else ""
         names = told_list([robot_name(r) for r in made.robots])
         why = f"{why}{more}" if tried else "no pair of robots could be tried"
         out.append(f"Not in the first map: {names}. Why: {why}.")
