@@ -42,7 +42,7 @@ def rows(told: list[Told]) -> list[str]:
     for statement, limit, number in told:
         numbers.setdefault((statement, limit), []).append(number)
     return [
-        f"| {statement} | {limit} | {(min if limit.startswith('>') else max)(found):.3g} |"
+        f"| {statement} | {limit} | {(min if limit.startswith('>') else max)(found):#.3g}".rstrip(".") + " |"
         for (statement, limit), found in numbers.items()
     ]
 
