@@ -231,7 +231,11 @@ def test_a_score_is_added_to_the_report_and_takes_the_place_of_an_earlier_one(re
     page = (out / "report.html").read_text()
     assert page.count("<h2>Score against team</h2>") == 1
     assert page.index("Score against team") < page.index("<footer>")
-    assert page.partition("<!-- score: begin -->")[0] + page.partition("<!-- score: end -->")[2] == plain
+    assert page.index("Score against team") < page.index("<h2>Files</h2>")
+    assert page.index("<p>Against team: ") < page.index('<div class="cards">')
+    for name in ("score", "score-top"):
+        page = page.partition(f"<!-- {name}: begin -->")[0] + page.partition(f"<!-- {name}: end -->")[2]
+    assert page == plain
     assert (out / "figures" / "score.png").stat().st_size > 1000
     (out / "report.html").unlink()
     assert run("evaluate", out, "--truth", recording)[0] == 0

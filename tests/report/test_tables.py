@@ -6,7 +6,7 @@ import numpy as np
 
 from mapweave.core import se2
 from mapweave.core.truth import Survey
-from mapweave.evaluation.team import score_team
+from mapweave.evaluation.team import as_json, score_team
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.report import score as figures
 from mapweave.report.html import Page
@@ -48,6 +48,14 @@ def test_a_score_on_top_of_a_page_has_the_figures_that_there_are():
     assert [value for _, value in headline_scores(told)] == ["1.23", "0.041 m"]
     assert headline_scores({"relations": {"trans_mean": 0.0339}}) == [("mean error of relations", "0.034 m")]
     assert headline_scores({"relations": {"trans_mean": None}}) == []
+
+
+def test_a_score_is_told_in_words_for_people(tmp_path):
+    team = TeamMap((), LandmarkMap((), np.zeros((0, 2)), np.zeros((0, 0))))
+    score = score_team([team], {}, Survey(("1",), np.zeros((1, 2))), {})
+    rows = [(name, 0.5) for name, value in as_json(score).items() if not isinstance(value, list | dict)]
+    figures.write_score_report(tmp_path, [], rows, lambda png: figures.draw_bars(png, {}))
+    assert not re.findall(r"<td[^>]*>[^<]*_", (tmp_path / "report.html").read_text())
 
 
 def test_errors_are_drawn_in_the_frame_of_the_map(tmp_path, monkeypatch):

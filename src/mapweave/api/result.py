@@ -75,7 +75,7 @@ class EvaluationBase(ResultBase):
         if report.is_file():
             from ..report.score import add_score  # noqa: PLC0415  (figures cost half a second)
 
-            add_score(report, [p.name for p in truth], self.lines(), self.headline()[1], self.draw)
+            add_score(report, [p.name for p in truth], self.lines(), self.headline()[1], self.draw, self.as_json())
         with result_file(metrics) as work:
             write_json(work, {**held, "evaluation": self.as_json()})
 

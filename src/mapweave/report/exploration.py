@@ -42,7 +42,7 @@ def write_exploration(folder: Path, result: ExploreResult) -> None:
             ("steps, mean", f"{s['steps_mean']:.0f}"),
             ("map error", _unit(s["map_error_m"], "m")),
             ("uncertainty C/N", _unit(s["c_per_n_m2"], "m²")),
-            ("NEES per degree of freedom", _unit(s["nees_per_dof"], "")),
+            ("NEES per degree of freedom (honest: 1)", _unit(s["nees_per_dof"], "")),
         ]
     )
     page.section("The first run")
@@ -85,7 +85,7 @@ def write_exploration(folder: Path, result: ExploreResult) -> None:
     page.text(
         "A step is one control of every robot. Map error is the mean distance of mapped landmarks to the true ones in "
         "the global frame, without alignment. C/N is the mean area pi sqrt det of a landmark's covariance. NEES per "
-        "degree of freedom is 1 for an honest map; above 1 it is overconfident. The log folder replays with `map`."
+        "degree of freedom is 1 for an honest map; above 1 it is overconfident. mapweave map replays log/."
     )
     page.write(folder / "report.html")
 

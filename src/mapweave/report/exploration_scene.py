@@ -71,7 +71,7 @@ def landmark_scene(run: LandmarkRunRecord, first: Float[np.ndarray, "rows column
 
 def laser_exploration_scene(run: LaserRunRecord) -> Scene:
     """The first run of a laser world: cells of the final map as they came to be known."""
-    hidden = ["true walls", "truth", "loops refused"]
+    hidden = ["true walls", "truth", "loops closed", "loops refused"]
     scene = Scene("The merged map, as it came about, and where the robots drove", hidden=hidden)
     known = ~run.map.unknown
     since = np.full(known.shape, np.nan)

@@ -102,16 +102,22 @@ class Page:
             self.scenes += 1
             self.parts.append(scene.html(caption, still))
 
-    def put_into(self, html: str, name: str) -> str:
-        """`html`, a finished page, with this one as its last part, in place of the one put there by that name before.
+    def put_into(self, html: str, name: str, *, top: bool = False) -> str:
+        """`html`, a finished page, with this one in it, in place of the one put there by that name before.
 
-        Scenes are left out: the other page may not hold what moves them.
+        It is the last part before the files; with `top` it follows the page's first sentence. Scenes are left out: the
+        other page may not hold what moves them.
         """
         begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
         before, _, rest = html.partition(begin)
         after = rest.partition(end)[2] if rest else ""
         page = before + after
-        at = page.rfind("<footer>") if "<footer>" in page else len(page)
+        if top:
+            lead = re.search(r'<p class="lead">.*?</p>', page, re.DOTALL)
+            at = lead.end() if lead else len(page)
+        else:
+            ends = (page.rfind(mark) for mark in ("<!-- files: begin -->", "<footer>"))
+            at = next((found for found in ends if found >= 0), len(page))
         return f"{page[:at]}{begin}{''.join(self.parts)}{end}{page[at:]}"
 
     def html(self) -> str:

@@ -34,7 +34,7 @@ def write_laser_exploration(folder: Path, result: LaserExploreResult) -> None:
             ("collisions", str(s["collisions"])),
             ("map error", _unit(s["map_error_m"], "m")),
             ("trajectory RMSE", _unit(s["trajectory_rmse_m"], "m")),
-            ("loops closed, a run", f"{s['closures']:.0f}"),
+            ("loops closed per run", f"{s['closures']:.0f}"),
         ]
     )
     for name, count in zip(first.robots, first.collisions, strict=True):
@@ -79,7 +79,7 @@ def write_laser_exploration(folder: Path, result: LaserExploreResult) -> None:
         "what of it the merged map knows to be free. Map error is the mean distance of the map's occupied cells to the "
         "nearest true wall, in the frame of the first robot's start, without alignment. NEES per degree of freedom is "
         "the mean over keyframe poses: 1 for honest covariances, above 1 overconfident. The logs replay with "
-        "`mapweave map`."
+        "mapweave map."
     )
     page.write(folder / "report.html")
 

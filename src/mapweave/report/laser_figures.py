@@ -16,6 +16,7 @@ from .scene import Scene
 from .style import LANDMARK, MUTED, SEQUENTIAL, TRUTH, Target, as_map, colour, figure
 
 DECISIONS = {"matched": 0, "odometry": 5, "skipped": 4, "empty": 3}  # decision -> colour
+MOST_LAYERS = 12  # robots with a switch of their own below the map
 MOST_Q = 1.0  # of the colour scale
 READABLE: Any = {"frameon": True, "framealpha": 0.85, "edgecolor": "none"}  # a legend over data
 PASSED_BY = 0.3  # occupancy up to which a cell's returns were of things that moved
@@ -251,7 +252,8 @@ def laser_scene(
     for layer, track in (others or {}).items():
         scene.track(layer, layer, track, LANDMARK)
     for robot, track in tracks.items():
-        scene.track(robot_name(robot), robot_name(robot), track, colours[robot])
+        layer = robot_name(robot) if len(tracks) <= MOST_LAYERS else "robots"
+        scene.track(layer, robot_name(robot), track, colours[robot])
     return scene
 
 

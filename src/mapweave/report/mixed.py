@@ -12,7 +12,7 @@ from ..team.mixed import MixedMap
 from ..team.robot_part import PARAMETERS
 from ..team.smooth import Smoothed, is_observed
 from .html import Page, sentence_case
-from .laser_figures import draw_occupancy, median_deviation, walls
+from .laser_figures import MOST_LAYERS, draw_occupancy, median_deviation, walls
 from .scene import Scene, landmark_points
 from .style import Target, as_map, colour, figure, name_points
 from .team import CALIBRATED, measured, named
@@ -89,7 +89,12 @@ def _scene(story: MixedStory, k: int) -> Scene:
         walls(scene, grid)
     for robot in team.robots:
         name = f"robot {robot_key(robot)}"
-        scene.track(name, f"{name}, {story.kinds[robot]}", team.tracks[robot], colour(story.robots.index(robot)))
+        scene.track(
+            name if len(team.robots) <= MOST_LAYERS else "robots",
+            f"{name}, {story.kinds[robot]}",
+            team.tracks[robot],
+            colour(story.robots.index(robot)),
+        )
     landmark_points(scene, team, team.landmarks)
     return scene
 

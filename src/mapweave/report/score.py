@@ -17,16 +17,39 @@ from ..evaluation.trajectory import paired
 from ..io.directory import result_file
 from . import style
 from .html import Page
-from .style import Target, colour, figure
+from .style import Target, figure
 from .team_figures import FACTORS, MANY, TeamStory, legend_beside, shape, thinned
 
 MOST = 40  # errors drawn one by one
+WORDS = {
+    "landmark_rmse": "landmark RMSE [m]",
+    "landmark_n": "landmarks scored",
+    "landmark_unsurveyed": "landmarks without a survey",
+    "nees_per_dof": "NEES per degree of freedom (honest: 1)",
+    "dof": "degrees of freedom",
+    "mean_single_rmse": "landmark RMSE of one robot alone, mean [m]",
+    "naive_rmse": "landmark RMSE of the plain average [m]",
+    "ratio_to_naive": "of the plain average's RMSE",
+    "ratio_to_mean_single": "of one robot's RMSE",
+    "mean_ate": "mean ATE [m]",
+    "rmse": "RMSE [m]",
+    "crlb_rmse": "Cramér-Rao bound of the RMSE [m]",
+    "rmse_over_crlb": "RMSE over the bound",
+    "distance_error": "distance error [m]",
+    "angle_error_deg": "angle error [°]",
+}
+
+
+def _in_words(rows: Sequence[Sequence[object]]) -> list[Sequence[object]]:
+    """Rows of a score under names for people."""
+    return [(WORDS.get(str(name), str(name).replace("_", " ")), *values) for name, *values in rows]
 
 
 def headline_scores(told: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The figures of a score, as `metrics.json` holds it, that belong on top of a page."""
     figures = (
         ("landmark RMSE", told.get("landmark_rmse"), "{:.3f} m"),
+        ("RMSE", told.get("rmse"), "{:.3g} m"),
         ("NEES per degree of freedom (honest: 1)", told.get("nees_per_dof"), "{:.2f}"),
         ("mean ATE", told.get("mean_ate"), "{:.3f} m"),
         ("mean error of relations", (told.get("relations") or {}).get("trans_mean"), "{:.3f} m"),
@@ -43,7 +66,7 @@ def write_score_report(
         page.text(line)
     draw(folder / "figures" / "errors.png")
     page.figure(folder / "figures" / "errors.png", "Errors against the truth.")
-    page.table(("what", "value"), rows)
+    page.table(("what", "value"), _in_words(rows))
     page.write(folder / "report.html")
 
 
@@ -53,10 +76,12 @@ def add_score(
     lines: Sequence[str],
     rows: Sequence[Sequence[object]],
     draw: Callable[[Target], object],
+    told: Mapping[str, Any],
 ) -> None:
-    """The page `report` ends in the score against `truth`, in place of the one added before.
+    """The page `report` tells the score against `truth` on top and before its files, in place of the one before.
 
-    The picture stands beside too, as `figures/score.png`. Each file is replaced whole.
+    told: the score as `metrics.json` holds it. The picture stands beside too, as `figures/score.png`. Each file is
+    replaced whole.
     """
     page = Page("")
     page.section(f"Score against {', '.join(truth)}")
@@ -68,8 +93,13 @@ def add_score(
         page.figure(png, "Errors against the truth.")
         with result_file(report.parent / "figures" / png.name) as work:
             shutil.copyfile(png, work)
-    page.table(("what", "value"), rows)
+    page.table(("what", "value"), _in_words(rows))
     text = page.put_into(report.read_text(encoding="utf-8", errors="replace"), "score")
+    top = Page("")
+    if figures := headline_scores(told):
+        said = ", ".join(f"{name.partition(' (')[0]} {value}" for name, value in figures)
+        top.text(f"Against {', '.join(truth)}: {said}.")
+    text = top.put_into(text, "score-top", top=True)
     with result_file(report) as work:
         work.write_text(text, encoding="utf-8", errors="backslashreplace")
 
@@ -88,8 +118,8 @@ def draw_bars(target: Target, groups: Mapping[str, Mapping[str, float]]) -> None
     shown = {name: bars for name, bars in groups.items() if bars} or {"nothing was scored": {}}
     most = max(1, *(len(bars) for bars in shown.values()))
     with figure(target, 4.2 * len(shown) + 0.4, 0.22 * most + 1.1, ncols=len(shown), squeeze=False) as (_, axes):
-        for k, (ax, (name, bars)) in enumerate(zip(axes[0], shown.items(), strict=True)):
-            ax.barh(list(bars)[::-1], list(bars.values())[::-1], color=colour(k), height=0.7)
+        for ax, (name, bars) in zip(axes[0], shown.items(), strict=True):
+            ax.barh(list(bars)[::-1], list(bars.values())[::-1], color=style.LANDMARK, height=0.7)
             ax.set_xlabel(name)
             ax.grid(visible=False, axis="y")
 

@@ -22,11 +22,11 @@ def write_solve_report(
     page = Page("Pose graph", f"{name}: the poses that agree best with its edges.")
     page.cards(
         [
-            ("poses", str(len(solved.graph))),
-            ("edges", str(solved.graph.edges)),
-            ("chi-square before", f"{solved.chi2_before:.6g}"),
-            ("chi-square after", f"{solved.chi2:.6g}"),
-            ("degrees of freedom", str(solved.dof)),
+            ("poses", f"{len(solved.graph):,}"),
+            ("edges", f"{solved.graph.edges:,}"),
+            ("chi-square before", f"{solved.chi2_before:.4g}"),
+            ("chi-square after", f"{solved.chi2:.4g}"),
+            ("degrees of freedom", f"{solved.dof:,}"),
             ("iterations", str(solved.iterations)),
             ("edges dropped", str(len(solved.dropped))),
             ("parts", str(int(solved.component.max()) + 1)),

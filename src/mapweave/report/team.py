@@ -19,7 +19,7 @@ from .score import growth, landmark_errors, track_errors
 from .team_figures import TeamStory
 
 APART = ": left in its own component"  # the end of a reason, of which the page tells where it is drawn
-MOST_NAMED = 12  # robots in the page's first sentence
+MOST_NAMED = 12  # robots in the page's first sentence, and with a switch of their own below the map
 CALIBRATED = ("speed scale", "turn scale", "lag [s]", "bearing bias [rad]", "range scale")  # heads of PARAMETERS
 KINDS = {
     "landmark": "sightings of landmarks",
@@ -67,10 +67,11 @@ def _map(page: Page, png: Path, story: TeamStory, team: TeamMap) -> None:
     """One component to move about in, its picture kept beside."""
     caption = team_figures.fused_map(png, story, team)
     scene = Scene("Map of landmarks and of where the robots drove")
+    many = len(team.robots) > MOST_NAMED
     for robot in team.robots:
         if robot in team.tracks:
             name = f"robot {robot_key(robot)}"
-            scene.track(name, name, team.tracks[robot], style.colour(story.colour_of(robot)))
+            scene.track("robots" if many else name, name, team.tracks[robot], style.colour(story.colour_of(robot)))
     landmark_points(scene, team, team_figures.shape(team.landmarks))
     told = (
         "Landmarks with the 95 % ellipses of the map's shape, and where the robots drove: a ring where each began, an "
@@ -81,7 +82,7 @@ def _map(page: Page, png: Path, story: TeamStory, team: TeamMap) -> None:
 
 def _lead(story: TeamStory) -> str:
     tied, of = len(story.maps[0].robots), len(story.robots)
-    told = f"{sentence_case(named(story.robots))}, " if of <= MOST_NAMED else ""
+    told = f"{sentence_case(named(story.robots)) if of <= MOST_NAMED else f'{of} robots'}, "
     if len(story.maps) == 1:
         return f"{told}{'all' if tied == of else f'{tied} of {of}'} in one map."
     return f"{told}in {len(story.maps)} maps that nothing ties together; {tied} of {of} in the first."
