@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.report.style import PALETTE, drawn, figure, name_points
+from mapweave.report.team_figures import exaggeration, half_axis
 
 # Linear RGB as seen with full protanopia, deuteranopia and tritanopia (Machado, Oliveira, Fernandes 2009)
 VISIONS = {
@@ -91,3 +93,14 @@ def test_names_of_points_cover_no_other_and_are_left_out_where_they_would(tmp_pa
     boxes = [text.get_window_extent() for text in ax.texts if text.get_visible()]
     assert all(box.count_overlaps(boxes) == 1 for box in boxes)
     assert some <= len(boxes) <= 22
+
+
+@pytest.mark.parametrize("n", [4, 30, 200])
+def test_ellipses_of_landmarks_do_not_cover_their_neighbours(n):
+    side = 10.0 * np.sqrt(n)
+    places = np.random.default_rng(0).uniform(0, side, (n, 2))
+    team = LandmarkMap(tuple(map(str, range(n))), places, 1e-4 * np.eye(2 * n))
+    drawn_half = exaggeration(team) * half_axis(team)
+    assert half_axis(team) == pytest.approx(0.01 * np.sqrt(5.991), rel=1e-3)
+    assert drawn_half < 0.5 * 0.5 * side / np.sqrt(n), "landmarks spread evenly are twice that apart"
+    assert drawn_half > 0.004 * side, "and can be seen"

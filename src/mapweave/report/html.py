@@ -44,7 +44,7 @@ ul.warn{margin:.8rem 0;padding:.5rem .9rem .5rem 1.9rem;border-left:4px solid va
 a.card{color:var(--warn);text-decoration:none}footer{margin-top:3rem;font-size:.82rem;opacity:.7}
 @media print{:root{color-scheme:light}body{max-width:none;padding:0;font-size:10pt;print-color-adjust:exact;-webkit-print-color-adjust:exact}
 h2{break-after:avoid;margin-top:1.4rem}figure,tr,.cards{break-inside:avoid}.scene canvas{height:auto}
-.scene .bar button,.scene .bar input,.scene .bar output,.scene figcaption span{display:none}
+.scene .bar button,.scene .bar input,.scene .bar output,.scene .bar label:has(input:not(:checked)),.scene figcaption span{display:none}
 table{display:table;font-size:8.5pt}th,td{white-space:normal;padding:.2rem .45rem}td.text{min-width:0}footer{margin-top:1rem}}
 """
 

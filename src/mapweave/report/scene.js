@@ -284,7 +284,7 @@ function showScene(figure) {
     return `${points.names[i]} (${points.layer})\n${data.axes.slice(0, 4)} = ${points.x[i].toFixed(3)}, ${points.y[i].toFixed(3)}${sd}`;
   }
   function poseText(track, i) {
-    const sure = track.ellipses ? `\n95 % within ${metres(track.ellipses[i][0])} × ${metres(track.ellipses[i][1])}` : "";
+    const sure = track.ellipses ? `\n95 % ellipse, half axes ${both(...track.ellipses[i])}` : "";
     const at = `(${track.x[i].toFixed(2)}, ${track.y[i].toFixed(2)}) m`;
     const heading = track.theta ? `, ${((track.theta[i] * 180) / Math.PI).toFixed(0)}°` : "";
     const notes = track.notes ? `\n${track.notes}` : "";
@@ -471,6 +471,9 @@ async function pixelsOf(png) {
 }
 function number(value, step) {
   return value.toFixed(Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));
+}
+function both(a, b) {
+  return a < 0.1 ? `${(1000 * a).toFixed(0)} × ${(1000 * b).toFixed(0)} mm` : `${a.toFixed(2)} × ${b.toFixed(2)} m`;
 }
 function metres(value) {
   return value < 0.1 ? `${(1000 * value).toFixed(0)} mm` : `${value.toFixed(2)} m`;

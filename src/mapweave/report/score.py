@@ -18,7 +18,7 @@ from ..io.directory import result_file
 from . import style
 from .html import Page
 from .style import Target, figure
-from .team_figures import FACTORS, MANY, TeamStory, legend_beside, shape, thinned
+from .team_figures import MANY, TeamStory, half_axis, larger, legend_beside, shape, thinned
 
 MOST = 40  # errors drawn one by one
 WORDS = {
@@ -135,7 +135,8 @@ def landmark_errors(path: Path, story: TeamStory, score: TeamScore) -> str:
     errors = aligned.mean - true
     size = float(np.ptp(true, axis=0).max())
     typical = float(np.median(np.hypot(*errors.T)))
-    grow = ([f for f in FACTORS if f * typical < 0.04 * size] or [1])[-1]
+    grow = min(larger(typical, 0.04 * size), larger(half_axis(aligned), 0.06 * size))
+    times, both = (f", {grow} times", f", both drawn {grow} times larger") if grow > 1 else ("", "")
     with style.figure(path, 8.4, 6.0) as (_, ax):
         for robot in story.maps[0].robots:
             if robot in story.truths and robot in story.maps[0].tracks:
@@ -151,12 +152,12 @@ def landmark_errors(path: Path, story: TeamStory, score: TeamScore) -> str:
             ax.annotate("", p + grow * e, p, arrowprops={"arrowstyle": "-|>", "color": style.colour(5), "lw": 1.4})
         if len(true) <= MANY:
             style.name_points(ax, aligned.ids, true)
-        ax.plot([], [], color=style.colour(5), label=f"error, {grow} times")
-        ax.plot([], [], color=style.colour(0), label=f"95 % ellipse, {grow} times")
+        ax.plot([], [], color=style.colour(5), label=f"error{times}")
+        ax.plot([], [], color=style.colour(0), label=f"95 % ellipse{times}")
         style.as_map(ax, "The fused map beside the survey")
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return (
-        f"Errors (arrows) and 95 % ellipses, both drawn {grow} times larger, at the surveyed places: in an honest map "
+        f"Errors (arrows) and 95 % ellipses{both}, at the surveyed places: in an honest map "
         "about one arrow in twenty leaves its ellipse. Faint: where the robots truly drove."
     )
 

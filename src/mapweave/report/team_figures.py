@@ -61,6 +61,7 @@ def thinned(track: Track, most: int = 3000) -> np.ndarray:
 
 FACTORS = (1, 2, 5, 10, 20, 50, 100)
 MOST_PANELS = 12
+MOST_TOLD = 2 * len(style.PALETTE)  # entries of a legend
 MANY = 40  # landmarks from which labels would cover the map
 # parameter, its name, and the value that changes nothing
 CALIBRATION = (
@@ -80,22 +81,30 @@ def shape(landmarks: LandmarkMap) -> LandmarkMap:
 
 
 def legend_beside(ax: Axes, rows: int, title: str | None = None) -> None:
-    """A legend right of the axes, in columns of `rows`; none where three columns would not hold it."""
+    """A legend right of the axes, in columns of `rows`; none of so many that colours come again and again."""
     count = len(ax.get_legend_handles_labels()[0])
-    if 0 < count <= 3 * rows:
+    if 0 < count <= min(3 * rows, MOST_TOLD):
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), title=title, ncols=-(-count // rows))
 
 
 def exaggeration(landmarks: LandmarkMap) -> int:
-    """How many times larger ellipses are drawn, so that a typical one can be seen beside the map."""
-    if len(landmarks) < 2:
+    """How many times larger ellipses are drawn, so that a typical one is seen and does not cover its neighbours'."""
+    n = len(landmarks)
+    if n < 2:
         return 1
     size = float(np.ptp(landmarks.mean, axis=0).max())
-    half = float(
-        np.median([ellipse(landmarks.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2])[0] for i in range(len(landmarks))])
-    )
-    fitting = [f for f in FACTORS if f * half < 0.035 * size]
-    return fitting[-1] if fitting else 1
+    return larger(half_axis(landmarks), size * min(0.035, 0.15 / np.sqrt(n)))
+
+
+def half_axis(landmarks: LandmarkMap) -> float:
+    """The larger half axis of the 95 % ellipse of a typical landmark [m]."""
+    blocks = (landmarks.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for i in range(len(landmarks)))
+    return float(np.median([ellipse(block)[0] for block in blocks]))
+
+
+def larger(typical: float, most: float) -> int:
+    """The largest round factor by which `typical` stays below `most`, at least 1."""
+    return ([f for f in FACTORS if f * typical < most] or [1])[-1]
 
 
 def fused_map(path: style.Target, story: TeamStory, team: TeamMap) -> str:
@@ -109,9 +118,9 @@ def fused_map(path: style.Target, story: TeamStory, team: TeamMap) -> str:
         _draw_landmarks(ax, landmarks, grow)
         style.as_map(ax, "The fused map")
         legend_beside(ax, 20, "driven by")
-    larger = f", drawn {grow} times larger" if grow > 1 else ""
+    times = f", drawn {grow} times larger" if grow > 1 else ""
     return (
-        f"Landmarks with their 95 % ellipses (the frame left free{larger}), and where the robots drove. "
+        f"Landmarks with their 95 % ellipses (the frame left free{times}), and where the robots drove. "
         "A ring marks where each began."
     )
 
@@ -128,7 +137,7 @@ def local_against_fused(path: Path, story: TeamStory) -> str:
     laid = {r: _laid_over(own[r], scales.get(r, 1.0), team.landmarks) for r in robots}  # 1: a robot placed afterwards
     size = float(np.ptp(team.landmarks.mean, axis=0).max())
     typical = float(np.median(np.concatenate([np.hypot(*(p - q).T) for p, q in laid.values()])))
-    grow = ([f for f in FACTORS if f * typical < 0.04 * size] or [1])[-1]
+    grow = larger(typical, 0.04 * size)
     with style.figure(path, 3.3 * columns + 0.4, 2.9 * rows + 0.3, nrows=rows, ncols=columns, squeeze=False) as (
         _,
         axes,
@@ -145,15 +154,13 @@ def local_against_fused(path: Path, story: TeamStory) -> str:
                 ax.plot(*end, style.marker(k), color=style.colour(k), ms=3.5, mfc="white", mew=1.1, zorder=3)
             far = f", {100 * np.sqrt(np.mean(np.sum((placed - fused) ** 2, axis=1))):.1f} cm off" if len(placed) else ""
             style.as_map(ax, f"robot {robot_key(robot)}\n{len(own[robot])} landmarks{far}")
+    apart = f"; differences drawn {grow} times larger" if grow > 1 else ""
     some = (
         f" Robots {robot_key(robots[0])} to {robot_key(robots[-1])} of {len(there)}."
         if len(robots) < len(there)
         else ""
     )
-    return (
-        f"Each robot's own landmarks beside the fused ones (grey dots), aligned; differences drawn {grow} times larger."
-        + some
-    )
+    return f"Each robot's own landmarks beside the fused ones (grey dots), aligned{apart}." + some
 
 
 def uncertainty(path: Path, story: TeamStory) -> str:
@@ -163,19 +170,15 @@ def uncertainty(path: Path, story: TeamStory) -> str:
     names = sorted(fused, key=in_order)
     at = {name: i for i, name in enumerate(names)}
     with style.figure(path, 8.4, 3.4) as (_, ax):
+        many = len(team.robots) > MOST_PANELS
         for m in story.local:
             if m.robot in team.robots:
                 own = {name: sd for name, sd in deviations(shape(m.submap.landmarks)).items() if name in at}
                 k = story.colour_of(m.robot)
-                ax.plot(
-                    [at[n] for n in own],
-                    list(own.values()),
-                    style.marker(k),
-                    color=style.colour(k),
-                    mfc="none",
-                    ms=5,
-                    label=f"robot {robot_key(m.robot)}",
-                )
+                look: Any = {"color": style.colour(k), "mfc": "none", "ms": 5, "label": f"robot {robot_key(m.robot)}"}
+                if many:
+                    look = {"color": style.MUTED, "ms": 2.5, "mew": 0, "label": None if ax.lines else "a robot alone"}
+                ax.plot([at[n] for n in own], list(own.values()), "o" if many else style.marker(k), ls="none", **look)
         ax.plot(range(len(names)), [fused[n] for n in names], "_", color=style.INK, ms=11, mew=2.2, label="fused")
         ax.set_yscale("log")
         ax.set_ylabel("standard deviation of position [m]")
