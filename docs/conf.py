@@ -42,6 +42,7 @@ napoleon_google_docstring = False
 napoleon_use_ivar = True
 suppress_warnings = ["misc.highlighting_failure"]
 
+LITERAL = re.compile(r'<span class="pre">[^<]{20,}</span>')
 ORDER = ("Verbs", "Results and records", "Configuration", "Errors")
 
 
@@ -85,18 +86,33 @@ def plain_text(_app: Sphinx, _what: str, _name: str, _thing: object, _options: o
         lines[k] = "".join(part for pair in zip(text, [*parts[1::2], ""], strict=True) for part in pair)
 
 
+def mathml(tex: str, display: str = "inline") -> str:
+    """A formula; names with a digit stay one word, and a tilde is a relation: the converter knows neither."""
+    named = re.sub(r"\\operatorname\{(\w*\d\w*)\}", r"\\text{\1}", tex)
+    return convert(named, display=display).replace("<mi>&#x0007E;</mi>", "<mo>&#x0223C;</mo>")
+
+
+def breakable(
+    _app: Sphinx, _page: str, _template: str, context: dict[str, Any], _doctree: nodes.document | None
+) -> None:
+    """Long names of files and lists of columns may go on in the next line where a part of them ends."""
+    if "body" in context:
+        context["body"] = LITERAL.sub(lambda m: re.sub(r"(?<=[/,_:])(?=[\w.])", "<wbr>", m[0]), context["body"])
+
+
 def math_inline(self: HTML5Translator, node: nodes.math) -> None:
-    self.body.append(convert(node.astext()))
+    self.body.append(mathml(node.astext()))
     raise nodes.SkipNode
 
 
 def math_block(self: HTML5Translator, node: nodes.math_block) -> None:
-    self.body.append(f'<div class="math">{convert(node.astext(), display="block")}</div>\n')
+    self.body.append(f'<div class="math">{mathml(node.astext(), "block")}</div>\n')
     raise nodes.SkipNode
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
     app.add_html_math_renderer("mathml", (math_inline, None), (math_block, None))
+    app.connect("html-page-context", breakable)
     app.connect("autodoc-process-docstring", plain_text, priority=900)
     page = Path(app.srcdir) / "reference" / "index.md"
     page.parent.mkdir(exist_ok=True)

@@ -41,6 +41,16 @@ def test_the_command_line_takes_what_a_page_tells(page, line):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_a_command_within_a_sentence_can_be_typed_as_it_stands(page):
+    text = BLOCK.sub("", page.read_text(encoding="utf-8"))
+    for code in re.findall(r"`(mapweave [^`]*)`", text.replace("\n", " ")):
+        words = [word for word in shlex.split(code.replace("[", "").replace("]", ""))[1:] if word.strip(".")]
+        if "|" in code or len(words) < 2 or words[0].isupper() or (len(words) == 2 and words[1].isupper()):
+            continue  # a verb alone, or one that stands for several
+        make_app().parse_args(words, print_error=False, exit_on_error=False)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_tests_that_a_page_names_are_there(page):
     missing = []
     for file, name in TEST.findall(page.read_text(encoding="utf-8")):
