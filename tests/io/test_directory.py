@@ -130,6 +130,18 @@ def test_a_target_below_a_file_is_bad_usage(tmp_path):
         check_target(tmp_path / "file" / "a" / "b")
 
 
+def test_a_target_that_holds_what_is_read_is_bad_usage_even_by_force(tmp_path):
+    out = tmp_path / "out"
+    (out / "recording").mkdir(parents=True)
+    (out / "metrics.json").write_text('{"version": 1}')
+    (tmp_path / "link").symlink_to(out)
+    check_target(out, reads=(tmp_path / "log", str(tmp_path), None, {"t": [0.0]}))
+    for read in (out, str(out / "recording"), tmp_path / "link" / "recording"):
+        for force in (False, True):
+            with pytest.raises(UsageError, match="the result would replace it"):
+                check_target(out, force=force, reads=(tmp_path / "log", read))
+
+
 def test_what_a_living_process_holds_is_held_and_is_not_when_it_is_killed(tmp_path):
     code = (
         "import sys, time; from pathlib import Path; from mapweave.io.exchange import held\n"

@@ -22,6 +22,7 @@ from ..exploration.landmarks.experiment import (
 from ..exploration.landmarks.scenario import check_rasters, find_scenario, make_field
 from ..exploration.laser.scenario import find_laser_scenario
 from ..exploration.planner_interface import find_planner
+from ..io.directory import check_target
 from .exploration_result import LandmarkExploration, LaserExploration
 from .explore_laser import explore_laser
 from .explore_options import ExploreOptions, check_magnitudes, end_of, factor_of, kills_of
@@ -135,6 +136,9 @@ def explore(
         force=force,
         on_progress=on_progress,
     )
+    if out is not None:
+        files = [scenario] if Path(scenario).is_file() else []  # a built-in name is none
+        check_target(Path(out), force=force, reads=(*files, config))
     laser = find_laser_scenario(scenario)
     return _among_landmarks(scenario, options) if laser is None else explore_laser(scenario, laser, options)
 

@@ -80,7 +80,8 @@ def fuse(
     if not given:
         raise UsageError("expected a result of map, found none")
     if out is not None:
-        check_target(Path(out), force=force)
+        inside = [path for path in given if path.resolve() != Path(out).resolve()]  # a result itself may be replaced
+        check_target(Path(out), force=force, reads=(*inside, *paths_of(truth, "truth"), config))
     for folder in given:
         if not folder.is_dir():
             raise ReaderError(folder, "no such folder")

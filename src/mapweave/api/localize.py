@@ -187,7 +187,7 @@ def localize(
     True
     """
     if out is not None:
-        check_target(Path(out), force=force)
+        check_target(Path(out), force=force, reads=(log, map, truth, config))
     if start is not None and len(start) != 3:
         raise UsageError(f"--start: expected x,y,theta, found {len(start)} numbers")
     asked = laser or LaserOptions()

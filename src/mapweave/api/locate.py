@@ -141,7 +141,7 @@ def locate(
     if method not in get_args(Method):
         raise UsageError(f"--method {method}: expected one of {', '.join(get_args(Method))}")
     if out is not None:
-        check_target(Path(out), force=force)
+        check_target(Path(out), force=force, reads=(sightings, odometry, initial, truth, config))
     began = perf_counter()
     on_progress("reading", 0, 1)
     source, log = _source(sightings)

@@ -177,19 +177,16 @@ def map(  # noqa: A001  (the verb)
         on_progress=on_progress,
     )
     options.check()
+    several = list(logs) if isinstance(logs, Sequence) and not isinstance(logs, str) else [] if logs is None else [logs]
     if out is not None:
-        check_target(Path(out), force=force)
+        check_target(Path(out), force=force, reads=(*several, *options.truth, options.config, options.survey))
     elif mcap:
         raise UsageError("mcap: expected a folder to write to (out), found none")
     if logs is not None and not (scans is None and odometry is None and sightings is None):
         raise UsageError("expected either logs or tables in memory (scans, odometry, sightings), found both")
     with cluster_executor(cluster, executor) as workers:
         options = replace(options, executor=workers)
-        if logs is None:
-            result = _in_memory(scans, odometry, sightings, options)
-        else:
-            several = list(logs) if isinstance(logs, Sequence) and not isinstance(logs, str) else [logs]
-            result = _of_logs(several, options)
+        result = _in_memory(scans, odometry, sightings, options) if logs is None else _of_logs(several, options)
     if out is not None:
         with result_directory(Path(out), force=force) as work:
             result.write_into(work)

@@ -140,7 +140,7 @@ def solve_pose_graph(
         For an `out` that holds something other than a result. Nothing is written then.
     """
     if out is not None:
-        check_target(Path(out), force=force)
+        check_target(Path(out), force=force, reads=(file,))
     started = perf_counter()
     held = read_g2o_file(path_of(file, "file"), parts=True)
     read = perf_counter()

@@ -9,7 +9,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -25,11 +25,15 @@ SETTLED = 60.0  # [s] after which what stands aside and is held by nobody was le
 LONGEST = 40  # letters of a target's name that the name aside repeats
 
 
-def check_target(out: Path, *, force: bool = False) -> None:
+def check_target(out: Path, *, force: bool = False, reads: Iterable[object] = ()) -> None:
     """Raises UsageError unless `out` may be (re)placed: absent, empty, an earlier mapweave result, or `force`.
 
-    Raises it also where the folder that `out` belongs to cannot be written.
+    Raises it also where the folder that `out` belongs to cannot be written, and, `force` or not, where replacing `out`
+    would take away what the job reads: one of `reads` (paths; anything else is passed over) is `out` or lies in it.
     """
+    for path in reads:
+        if isinstance(path, str | os.PathLike) and Path(path).resolve().is_relative_to(out.resolve()):
+            raise UsageError(f"{out}: {path} is read from there, and the result would replace it; give another --out")
     if out.exists() and not out.is_dir():
         raise UsageError(f"{out}: exists and is not a directory")
     there = next(p for p in out.absolute().parents if p.exists())
