@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from mapweave.core import se2
 from mapweave.core.records import Event
 from mapweave.kernels._jit import parallel_kernel, prange, set_threads
-from mapweave.kernels.laser.icp import intensity_icp
+from mapweave.kernels.laser.icp import IcpRules, intensity_icp
 from mapweave.laser import particle_slam
 from mapweave.laser.beam import beams
 from mapweave.laser.config import PAPER_FILTER, LaserConfig
@@ -111,7 +111,7 @@ def matching(*, quick: bool) -> dict:
     repeat = 50 if quick else 300
 
     def ours() -> np.ndarray:
-        return intensity_icp(reference, scan, start, 1.0, 0.4, 0.1, 0.8, 10, 0.0, 20, 0.1)[0]
+        return intensity_icp(reference, scan, start, IcpRules(1.0, 0.4, 0.1, 0.8, 10, 0.0, 20, 0.1))[0]
 
     def tree() -> np.ndarray:
         return tree_icp(reference, scan, start, 10)

@@ -15,8 +15,8 @@ from mapweave.kernels.laser.local_map import (
     rotate_information,
     solve3,
 )
-from mapweave.kernels.laser.refine import refine
-from mapweave.kernels.laser.windows import score
+from mapweave.kernels.laser.refine import ScanCost, refine
+from mapweave.kernels.laser.windows import NearestRule, score
 from mapweave.laser.particle_grid import CellConfig, ParticleGrid
 
 pytestmark = pytest.mark.kernel
@@ -226,8 +226,8 @@ def test_a_step_of_refining_a_particle_is_the_dense_one_against_its_own_map():
 
     def refined(iterations):
         return refine(
-            grid.pool, grid.table, int(grid.shape[1]), grid.origin, CELL, np.arange(2), starts,
-            feet, normal, ALPHA, cap, information, tangent, KAPPA, prior, iterations, least,
+            grid.tile_maps, np.arange(2), starts, feet, normal,
+            NearestRule(ALPHA, cap), ScanCost(information, tangent, KAPPA), prior, iterations, least,
         )  # fmt: skip
 
     def step(which, pose):
@@ -258,7 +258,5 @@ def test_a_step_of_refining_a_particle_is_the_dense_one_against_its_own_map():
         np.testing.assert_allclose(refined(2)[which], step(which, once), atol=1e-4)
     np.testing.assert_array_equal(refined(0), starts)
     weighed = np.empty_like(least)
-    score(
-        grid.pool, grid.table, int(grid.shape[1]), grid.origin, CELL, np.arange(2), starts, feet, ALPHA, cap, weighed
-    )  # fmt: skip
+    score(grid.tile_maps, np.arange(2), starts, feet, NearestRule(ALPHA, cap), weighed)
     np.testing.assert_array_equal(least, weighed)

@@ -87,7 +87,9 @@ def test_a_folder_that_cannot_hold_an_entry_costs_the_entry_alone(house):
 REFINED = """
 import hashlib
 import numpy as np
-from mapweave.kernels.laser.refine import refine
+from mapweave.kernels.laser.refine import ScanCost, refine
+from mapweave.kernels.laser.tiles import TileMaps
+from mapweave.kernels.laser.windows import NearestRule
 
 rng = np.random.default_rng(1)
 pool = rng.uniform(0.0, 1.6, 4 * 256).astype(np.float32)
@@ -95,9 +97,10 @@ table = rng.integers(0, 4, (6, 4)).astype(np.int32)
 poses = np.column_stack([rng.uniform(0.5, 1.0, (60, 2)), rng.uniform(-3.0, 3.0, 60)])
 points = np.column_stack([rng.uniform(-1.0, 1.0, (50, 2)), rng.uniform(0.0, 1.0, 50)])
 normals = np.column_stack([np.cos(points[:, 0]), np.sin(points[:, 0])])
-grid = pool, table, 2, np.zeros(2), 0.1, rng.integers(0, 6, 60).astype(np.int32)
+grid, rows = TileMaps(pool, table, 2, np.zeros(2), 0.1), rng.integers(0, 6, 60).astype(np.int32)
+rule, cost = NearestRule(0.5, 1.0), ScanCost(1e3, 0.3, 0.1)
 least = np.empty((60, 50), np.float32)
-out = refine(*grid, poses, points, normals, 0.5, 1.0, 1e3, 0.3, 0.1, 50.0 * np.eye(3), 4, least)
+out = refine(grid, rows, poses, points, normals, rule, cost, 50.0 * np.eye(3), 4, least)
 print(hashlib.sha256(out.tobytes()).hexdigest(), sum(refine.stats.cache_hits.values()))
 """
 

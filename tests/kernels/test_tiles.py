@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from mapweave.kernels.laser.refine import refine
+from mapweave.kernels.laser.refine import ScanCost, refine
 from mapweave.kernels.laser.resample import systematic
+from mapweave.kernels.laser.windows import NearestRule
 from mapweave.laser.particle_grid import CellConfig, ParticleGrid
 
 pytestmark = pytest.mark.kernel
@@ -205,8 +206,8 @@ def test_a_beam_is_compared_with_all_nine_cells_around_it_however_many_beams_the
     assert 0.0 < (got < CFG.cap).mean() <= 1.0
     least, normals = np.full((3, n), -1.0, np.float32), np.tile([1.0, 0.0], (n, 1))
     moved = refine(
-        fast.pool, fast.table, int(fast.shape[1]), fast.origin, CFG.size, np.arange(3), poses, points, normals,
-        CFG.alpha, CFG.cap, 1e4, 0.5, 0.1, np.eye(3), 3, least,
+        fast.tile_maps, np.arange(3), poses, points, normals,
+        NearestRule(CFG.alpha, CFG.cap), ScanCost(1e4, 0.5, 0.1), np.eye(3), 3, least,
     )  # fmt: skip
     assert np.abs(moved - poses).max() > 1e-3
     np.testing.assert_array_equal(least, fast.score(np.arange(3), moved, points))

@@ -19,7 +19,7 @@ def test_the_point_found_on_the_grid_is_the_one_of_least_distance_brightness_inc
     for guess in (-1, 5):
         for z in np.column_stack([rng.uniform(-2.2, 2.2, (40, 2)), rng.uniform(0, 1, 40)]):
             D = ((ordered - z) ** 2 * [1, 1, 0.5]).sum(axis=1)
-            k, d = nearest(ordered, starts, corner, cols, cell, *z, 0.5, 0.4**2, guess)
+            k, d = nearest(ordered, starts, corner, cols, cell, tuple(z), 0.5, 0.4**2, guess)
             if D.min() <= 0.4**2:
                 assert k == D.argmin()
                 assert abs(d - D.min()) < 1e-12
@@ -141,6 +141,6 @@ def test_a_point_far_off_the_grid_finds_what_lies_within_its_limit():
         for away in ([0.0, -0.9], [0.0, 0.9], [-0.9, 0.0], [0.9, 0.0]):
             z = np.array([*(points[7, :2] + away), 0.0])
             D = ((ordered - z) ** 2).sum(axis=1)
-            k, d = nearest(ordered, starts, corner, cols, 0.15, *z, 1.0, 4.0, -1)
+            k, d = nearest(ordered, starts, corner, cols, 0.15, tuple(z), 1.0, 4.0, -1)
             assert d == pytest.approx(D.min())
             assert D[k] == pytest.approx(D.min())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.kernels.laser.joint_scans import beams_by_direction, match_beam, match_pairs, refine_poses
+from mapweave.kernels.laser.joint_scans import LineGate, beams_by_direction, match_beam, match_pairs, refine_poses
 from mapweave.laser.joint_pass import (
     JointPassConfig,
     joint_pass,
@@ -47,7 +47,7 @@ def test_a_pair_of_scans_is_matched_as_by_trying_every_return():
     relative = np.add(se2.between(poses[0], poses[1]), [0.03, -0.02, 0.02])
     gate, width = 0.3, 0.1
     H, g, matched, near = match_pairs(
-        np.array([0]), np.array([1]), relative[None], cloud.lines, cloud.index(720), gate, 0.5, width
+        np.array([0]), np.array([1]), relative[None], cloud.lines, cloud.index(720), LineGate(gate, 0.5), width
     )
     a, b = slice(0, cloud.start[1]), slice(cloud.start[1], cloud.start[2])
     lines, normals = cloud.points[a][cloud.lined[a]], cloud.normals[a][cloud.lined[a]]
@@ -82,7 +82,9 @@ def test_a_point_finds_the_nearest_return_as_by_trying_every_one_wherever_it_lie
         for reach in (0.05, 0.3):
             at = lines[k] + rng.normal(0, 0.8 * reach, 2)
             d = np.where(normals @ normals[k] >= 0.5, np.hypot(*(lines - at).T), np.inf)
-            got = match_beam(table, cloud.points, cloud.normals, *sensor[0], *at, *normals[k], reach, 0.5)
+            got = match_beam(
+                table, cloud.points, cloud.normals, tuple(sensor[0]), tuple(at), tuple(normals[k]), reach, 0.5
+            )
             if d.min() >= reach:
                 assert got == -1
                 missed += 1
@@ -102,8 +104,8 @@ def test_a_lone_return_nearly_a_gate_aside_is_found_in_every_direction(r):
             aside = direction + side * 2 * np.arcsin(0.5 * 0.98 * gate / r)
             point = sensor + r * np.array([[np.cos(aside), np.sin(aside)]])
             table = beams_by_direction(start, point, lined, sensor, 200)[0]
-            assert match_beam(table, point, normal, *sensor[0], *at, 1.0, 0.0, gate, 0.5) == 0
-            assert match_beam(table, point, normal, *sensor[0], *at, 1.0, 0.0, 0.95 * gate, 0.5) == -1
+            assert match_beam(table, point, normal, tuple(sensor[0]), tuple(at), (1.0, 0.0), gate, 0.5) == 0
+            assert match_beam(table, point, normal, tuple(sensor[0]), tuple(at), (1.0, 0.0), 0.95 * gate, 0.5) == -1
 
 
 @pytest.mark.kernel
@@ -117,8 +119,8 @@ def test_a_step_of_laying_a_scan_on_keyframes_is_the_dense_one():
 
     def laid(widths, begun=start):
         return refine_poses(
-            begun[None], scan.lines, near, keyframes, cloud.lines, cloud.index(720), gate, 0.5, np.array(widths),
-            per_return, sd,
+            begun[None], scan.lines, near, keyframes, cloud.lines, cloud.index(720), LineGate(gate, 0.5),
+            np.array(widths), per_return, sd,
         )[0]  # fmt: skip
 
     def step(pose):

@@ -10,7 +10,8 @@ from mapweave.core.truth import Relations
 from mapweave.evaluation.relations import exact_pairs, nearest, score_relations
 from mapweave.io.laser_logs import read_laser
 from mapweave.io.relations import read_relations
-from mapweave.kernels.laser.refine import refine
+from mapweave.kernels.laser.refine import ScanCost, refine
+from mapweave.kernels.laser.windows import NearestRule
 from mapweave.laser.beam import beams
 from mapweave.laser.config import LaserConfig
 from mapweave.laser.mapping import map_laser
@@ -60,20 +61,13 @@ def test_a_place_seen_again_lies_where_it_was_seen_first(data, name):
         if (first.score(row, poses[k][None], points) < 0.04).mean() < 0.5:
             continue
         found = refine(
-            first.pool,
-            first.table,
-            int(first.shape[1]),
-            first.origin,
-            cfg.cells.size,
+            first.tile_maps,
             row,
             poses[k][None],
             points,
             seen[k].normal,
-            1.0,
-            0.04,
-            60 / 0.02**2,
-            0.03,
-            0.1,
+            NearestRule(1.0, 0.04),
+            ScanCost(60 / 0.02**2, 0.03, 0.1),
             np.diag([4.0, 4.0, 9.0]),
             10,
             np.empty((0, len(points)), np.float32),

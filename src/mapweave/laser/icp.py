@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.config import config
-from ..kernels.laser.icp import intensity_icp
+from ..kernels.laser.icp import IcpRules, intensity_icp
 
 CELL = 0.1  # [m] of the grid the nearest points are found on; the result does not depend on it
 
@@ -42,18 +42,14 @@ def match(
     inside the gate. Second step: the pose of least F = mean |m_s - T z_s|^2 # [Hara07] eq. 2, in closed form.
     Third step: the scan moved by it # [Hara07] eq. 3, and again.
     """
+    rules = IcpRules(
+        cfg.alpha, cfg.gate, cfg.least_gate, cfg.gate_decay, cfg.iterations, cfg.tolerance, cfg.least_pairs, CELL
+    )
     pose, pairs, iterations, mean2, _ = intensity_icp(
         np.ascontiguousarray(reference, dtype=float),
         np.ascontiguousarray(scan, dtype=float),
         np.ascontiguousarray(start, dtype=float),
-        cfg.alpha,
-        cfg.gate,
-        cfg.least_gate,
-        cfg.gate_decay,
-        cfg.iterations,
-        cfg.tolerance,
-        cfg.least_pairs,
-        CELL,
+        rules,
     )
     status = "failed" if pairs < cfg.least_pairs else "stopped" if iterations == cfg.iterations else "converged"
     pose[2] = se2.wrap_angle(pose[2])

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from ..core import se2
 from ..core.config import config
 from ..core.records import frozen
-from ..kernels.laser.joint_scans import BeamIndex, ScanLines, beams_by_direction, match_pairs, refine_poses
+from ..kernels.laser.joint_scans import BeamIndex, LineGate, ScanLines, beams_by_direction, match_pairs, refine_poses
 from ..solve import Factor, Information, Pattern, Problem, SingularError, wrapping
 from .beam import Beams
 from .pose_graph import PoseGraph, edge_factor
@@ -161,8 +161,7 @@ def joint_pass(
             np.asarray(se2.between(pose[a], pose[b])),
             cloud.lines,
             index,
-            cfg.gate * width,
-            cfg.agree,
+            LineGate(cfg.gate * width, cfg.agree),
             width,
         )
         H, g = without_scatter(H, g, cfg.blur)
@@ -261,8 +260,7 @@ def lay_scans(
         np.ascontiguousarray(keyframes),
         cloud.lines,
         cloud.index(cfg.sectors),
-        cfg.gate,
-        cfg.agree,
+        LineGate(cfg.gate, cfg.agree),
         np.asarray(cfg.scan_widths, dtype=float),
         cfg.temper / cfg.sigma**2,
         np.array([cfg.step_xy, cfg.step_xy, cfg.step_turn]),

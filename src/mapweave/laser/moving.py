@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from ..core import se2
 from ..core.config import config
 from ..core.records import Scan, frozen
-from ..kernels.laser.moving import Thing, moving_returns
+from ..kernels.laser.moving import BeamRanges, Thing, moving_returns
 
 
 @config
@@ -75,16 +75,12 @@ class MovingReturns:
             return scan
         poses = np.array([se2.between(one.pose, sensor) for one in asked])
         moves = moving_returns(
-            scan.ranges,
-            scan.hit,
-            scan.angle_min,
-            scan.angle_increment,
+            BeamRanges(scan.ranges, scan.hit, scan.angle_min, scan.angle_increment, float(min(scan.range_max, 1e6))),
             np.array([one.ranges for one in asked]),
             np.array([one.hit for one in asked]),
             poses,
             c.blur + c.blur_share * np.abs(poses[:, 2]),
             Thing(c.jump, c.jump_share, c.ahead, c.widest, c.margin, c.same),
-            float(min(scan.range_max, 1e6)),
         )
         moving = int(moves.sum())
         if not 0 < moving <= c.most_share * int(scan.hit.sum()):

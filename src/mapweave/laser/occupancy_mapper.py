@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from ..core import se2
 from ..core.config import config
-from ..kernels.laser.sweep import UNIT, WEIGHT, lay_sweep
+from ..kernels.laser.sweep import UNIT, WEIGHT, CellCounts, lay_sweep
 from .beam import Beams, insertion_weight
 from .laser_map import GridMap
 from .robot_graph import RobotGraph
@@ -161,20 +161,8 @@ class OccupancyMapper:
         eye = se2.act(pose, sweep.origin)
         points, ends = se2.act(pose, sweep.points), se2.act(pose, sweep.ends)
         light = sweep.light if sweep.light is not None else np.tile([0.0, 1.0], (len(points), 1))
-        lay_sweep(
-            self.hits,
-            self.far,
-            self.passes,
-            self.sums,
-            self.corner,
-            self.resolution,
-            eye,
-            points,
-            light,
-            ends,
-            self.cfg.near,
-            sign,
-        )
+        counts = CellCounts(self.hits, self.far, self.passes, self.sums, self.corner, self.resolution)
+        lay_sweep(counts, eye, points, light, ends, self.cfg.near, sign)
 
     def _bounds(self, sweep: LaidScan, pose: np.ndarray) -> np.ndarray:
         """Lower and upper cell [x0 y0 x1 y1] the sweep touches."""

@@ -8,7 +8,8 @@ from jaxtyping import Float, Int
 
 from ..core.config import config
 from ..kernels.laser import tile_writing, tiles
-from ..kernels.laser.windows import score
+from ..kernels.laser.tiles import TileBooks, TileMaps
+from ..kernels.laser.windows import NearestRule, score
 
 Rows = Int[np.ndarray, " p"]
 Poses = Float[np.ndarray, "p 3"]
@@ -59,6 +60,15 @@ class ParticleGrid:
         return np.asarray(self.corner * self.tile)
 
     @property
+    def tile_maps(self) -> TileMaps:
+        """The maps as kernels take them, until something is inserted or resampled."""
+        return TileMaps(self.pool, self.table, int(self.shape[1]), self.origin, self.cfg.size)
+
+    @property
+    def _books(self) -> TileBooks:
+        return TileBooks(self.used, self.n_used, self.refs, self.free, self.n_free)
+
+    @property
     def tiles_in_use(self) -> int:
         return len(self.refs) - 1 - self.n_free
 
@@ -74,20 +84,7 @@ class ParticleGrid:
     def score(self, rows: Rows, poses: Poses, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "p n"]:
         """Least D of each beam in each map, at most `cap`; (P, n) float32."""
         out = np.empty((len(poses), len(points)), np.float32)
-        c = self.cfg
-        score(
-            self.pool,
-            self.table,
-            int(self.shape[1]),
-            self.origin,
-            c.size,
-            rows,
-            poses,
-            points,
-            c.alpha,
-            c.cap,
-            out,
-        )
+        score(self.tile_maps, rows, poses, points, NearestRule(self.cfg.alpha, self.cfg.cap), out)
         return out
 
     def insert(
@@ -98,12 +95,12 @@ class ParticleGrid:
             return
         reach = float(np.sqrt((points[:, :2] ** 2).sum(axis=1).max())) + self.cfg.size
         self._cover(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
-        args = (self.table, int(self.shape[1]), self.origin, self.cfg.size, rows)
         places = np.empty((len(rows), len(points)), np.int64)
         jobs, done = 0, False
         while not done:
-            held = (self.used, self.n_used, self.refs, self.free, self.n_free)
-            self.n_free, jobs, done = tile_writing.touch(*args, *held, poses, points, self.jobs, jobs, places)
+            self.n_free, jobs, done = tile_writing.touch(
+                self.tile_maps, rows, self._books, poses, points, self.jobs, jobs, places
+            )
             if not done and self.n_free == 0:
                 self._allocate(len(self.refs) // 2)
             elif not done:
@@ -114,9 +111,7 @@ class ParticleGrid:
     def resample(self, ancestors: Rows) -> None:
         """Map i becomes a copy of map ancestors[i]; who is an ancestor stays in its own place."""
         dead = np.flatnonzero(ancestors != np.arange(len(ancestors)))
-        self.n_free = tiles.inherit(
-            self.table, self.used, self.n_used, self.refs, self.free, self.n_free, dead, ancestors[dead]
-        )
+        self.n_free = tiles.inherit(self.table, self._books, dead, ancestors[dead])
 
     def cells(
         self, row: int, centre: Float[np.ndarray, "2"] | None = None, reach: float = 1e9

@@ -11,8 +11,9 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.records import Event, Scan
-from ..kernels.laser.refine import refine
+from ..kernels.laser.refine import ScanCost, refine
 from ..kernels.laser.resample import systematic
+from ..kernels.laser.windows import NearestRule
 from .beam import STEERING, Beams, IntensityCalibration, beams
 from .config import FilterConfig, LaserConfig
 from .particle_grid import ParticleGrid
@@ -184,25 +185,22 @@ def _refined(
     state: ParticleState, points: Float[np.ndarray, "n 3"], b: Beams, f: FilterConfig
 ) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, "r n"]]:
     """Refined poses, and the least D of every beam there, which a single particle has no use for."""
-    m, c = state.maps, state.maps.cfg
+    m = state.maps
     least = np.empty((len(m) if len(m) > 1 else 0, len(points)), np.float32)
     prior = np.diag([f.refine_sd_xy**-2.0, f.refine_sd_xy**-2.0, f.refine_sd_turn**-2.0])
     steers = state.feature in STEERING
     poses = refine(
-        m.pool,
-        m.table,
-        int(m.shape[1]),
-        m.origin,
-        c.size,
+        m.tile_maps,
         np.arange(len(m)),
         state.poses,
         points,
         b.normal,
-        c.alpha if steers else 0.0,
-        c.cap,
-        f.refine_neff / f.refine_sigma**2,
-        f.refine_tangent if steers else f.refine_bare_tangent,
-        f.refine_kappa,
+        NearestRule(m.cfg.alpha if steers else 0.0, m.cfg.cap),
+        ScanCost(
+            f.refine_neff / f.refine_sigma**2,
+            f.refine_tangent if steers else f.refine_bare_tangent,
+            f.refine_kappa,
+        ),
         prior,
         f.refine_iterations,
         least,

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core import se2
-from ..kernels.laser.sweep import lay_sweep
+from ..kernels.laser.sweep import CellCounts, lay_sweep
 from .driven import Seen
 from .tile_bytes import SIDE, pack
 from .tiles import COARSER, LEVELS, Cells, cells_of, coarser
@@ -125,20 +125,8 @@ class Canvas:
         low, high = np.floor(every.min(axis=0)).astype(np.int64), np.floor(every.max(axis=0)).astype(np.int64)
         columns, rows = (high - low + 1).tolist()
         hits, passes = np.zeros((2, rows * SIDE, columns * SIDE), np.int32)
-        lay_sweep(
-            hits,
-            hits,
-            passes,
-            _unread(hits.shape),
-            SIDE * low,
-            self.resolution,
-            eye,
-            points,
-            np.zeros((len(points), 2)),
-            NO_ENDS,
-            np.inf,
-            1,
-        )
+        counts = CellCounts(hits, hits, passes, _unread(hits.shape), SIDE * low, self.resolution)
+        lay_sweep(counts, eye, points, np.zeros((len(points), 2)), NO_ENDS, np.inf, 1)
         for j in range(rows):
             for i in range(columns):
                 square = np.s_[SIDE * j : SIDE * (j + 1), SIDE * i : SIDE * (i + 1)]

@@ -65,11 +65,15 @@ def drive_rows(
 
 @kernel
 def drive_and_update(
-    belief: Belief, t: float, now: float, commands: Commands, at: int, seen: CameraFrame, noise: Noise,
+    belief: Belief, span: tuple[float, float], commands: Commands, at: int, seen: CameraFrame, noise: Noise,
     places: LandmarkTable, fit: UpdateOutcomes, pose: Array, cov: Array,
 ) -> int:  # fmt: skip
-    """Drives to `now` and works one camera frame in; fills pose (3) and cov (6); returns the command in force."""
+    """Drives from the first stamp of `span` [s] to the second and works one camera frame in.
+
+    Fills pose (3) and cov (6); returns the command in force.
+    """
     x, P, Phi, Q = belief
+    t, now = span
     if noise.speed > 0.0:
         if now > t:
             coast(x, P, len(x), now - t, noise)
@@ -112,7 +116,7 @@ def replay(
             given = Commands(commands.t[:i], commands.v, commands.w)
             used = UpdateOutcomes(fit.nis[first:j], fit.weight[first:j])
             pose_now, cov_now = track.pose[done], track.cov[done]
-            at = drive_and_update(belief, t, now, given, at, seen, noise, places, used, pose_now, cov_now)
+            at = drive_and_update(belief, (t, now), given, at, seen, noise, places, used, pose_now, cov_now)
             t = now
         else:
             end = done + 1

@@ -1,10 +1,24 @@
 """Iterative closest point with a feature in the distance: nearest under D on a grid, pose in closed form."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from .._jit import kernel
+
+
+class IcpRules(NamedTuple):
+    """How scans are laid on each other; see `IcpConfig` of the laser room. cell: [m] of the grid of nearest points."""
+
+    alpha: float
+    gate: float
+    least_gate: float
+    decay: float
+    iterations: int
+    tolerance: float
+    least_pairs: int
+    cell: float
 
 
 @kernel
@@ -39,17 +53,16 @@ def nearest(
     corner: np.ndarray,
     cols: int,
     cell: float,
-    x: float,
-    y: float,
-    q: float,
+    point: tuple[float, float, float],
     alpha: float,
     limit: float,
     guess: int,
 ) -> tuple[int, float]:
-    """The point of least D to (x, y, q) and that D, among those with D <= `limit` [m^2]; -1 when there is none.
+    """The point of least D to `point` (x, y, q) and that D, among those with D <= `limit` [m^2]; -1 without one.
 
     `guess`: a point to begin with, or -1; the answer does not depend on it.
     """
+    x, y, q = point
     best, found = limit, -1
     if guess >= 0:
         dx, dy, dq = ordered[guess, 0] - x, ordered[guess, 1] - y, ordered[guess, 2] - q
@@ -83,20 +96,14 @@ def intensity_icp(
     reference: np.ndarray,
     scan: np.ndarray,
     start: np.ndarray,
-    alpha: float,
-    gate: float,
-    least_gate: float,
-    decay: float,
-    iterations: int,
-    tolerance: float,
-    least_pairs: int,
-    cell: float,
+    rules: IcpRules,
 ) -> tuple[np.ndarray, int, int, float, np.ndarray]:
     """(pose (3,), pairs, iterations, mean squared distance, pair of each scan point or -1).
 
     reference: (m, 3) x, y, q in the map; scan: (n, 3) in the robot frame. Pairs under `least_pairs`: it failed, and
     `pose` is where it stood. The pairs name rows of `sort_into_cells(reference, cell)`.
     """
+    alpha, gate, least_gate, decay, iterations, tolerance, least_pairs, cell = rules
     pose = start.copy()
     n = scan.shape[0]
     pairs = np.full(n, -1, np.int64)
@@ -119,9 +126,7 @@ def intensity_icp(
                 corner,
                 cols,
                 cell,
-                pose[0] + c * px - s * py,
-                pose[1] + s * px + c * py,
-                scan[i, 2],
+                (pose[0] + c * px - s * py, pose[1] + s * px + c * py, scan[i, 2]),
                 alpha,
                 limit,
                 pairs[i] if pairs[i] >= 0 else before,

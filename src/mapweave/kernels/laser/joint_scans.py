@@ -14,6 +14,7 @@ from .._jit import kernel, parallel_kernel, prange
 from .local_map import solve3
 
 WIDEST = 12  # sectors to either side that are searched at most
+Pair = tuple[float, float]  # numbers side by side cost what two arguments cost, a row of an array much more
 
 
 class ScanLines(NamedTuple):
@@ -30,6 +31,13 @@ class BeamIndex(NamedTuple):
 
     table: np.ndarray
     sensor: np.ndarray
+
+
+class LineGate(NamedTuple):
+    """Which line a return belongs to: one within `gate`, whose normal has a cosine of `agree` at least with its own."""
+
+    gate: float
+    agree: float
 
 
 @kernel
@@ -58,19 +66,17 @@ def match_beam(
     table: np.ndarray,
     points: np.ndarray,
     normals: np.ndarray,
-    ex: float,
-    ey: float,
-    x: float,
-    y: float,
-    nx: float,
-    ny: float,
+    eye: Pair,
+    place: Pair,
+    normal: Pair,
     gate: float,
     agree: float,
 ) -> int:
-    """The return nearest to (x, y) within `gate` [m] whose normal agrees with (nx, ny); -1 when there is none.
+    """The return nearest to `place` [m] within `gate` [m] whose normal agrees with `normal`; -1 when there is none.
 
-    table: one row, of the scan taken with its scanner at (ex, ey).
+    table: one row, of the scan taken with its scanner at `eye` [m].
     """
+    (ex, ey), (x, y), (nx, ny) = eye, place, normal
     sectors = table.shape[0]
     dx, dy = x - ex, y - ey
     r = math.sqrt(dx * dx + dy * dy)
@@ -97,8 +103,7 @@ def match_pairs(
     relative: np.ndarray,
     scans: ScanLines,
     index: BeamIndex,
-    gate: float,
-    agree: float,
+    rule: LineGate,
     width: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Every scan `second[k]` against the lines of `first[k]`, at pose `relative[k]` (3,) of second in first.
@@ -106,7 +111,7 @@ def match_pairs(
     Information (p, 3, 3) and gradient (p, 3) of half the sum of Geman-McClure costs of `width` [m], unit sigma, over
     x, y, theta of `relative`; returns that found a line within `gate` (p,); those of them within `width` (p,).
     """
-    (start, points, normals, lined), (table, sensor) = scans, index
+    (start, points, normals, lined), (table, sensor), (gate, agree) = scans, index, rule
     p = first.shape[0]
     H, g = np.zeros((p, 3, 3)), np.zeros((p, 3))
     matched, near = np.zeros(p, np.int64), np.zeros(p, np.int64)
@@ -121,7 +126,8 @@ def match_pairs(
             rx, ry = c * points[k, 0] - s * points[k, 1], s * points[k, 0] + c * points[k, 1]
             nx, ny = c * normals[k, 0] - s * normals[k, 1], s * normals[k, 0] + c * normals[k, 1]
             x, y = relative[m, 0] + rx, relative[m, 1] + ry
-            at = match_beam(table[i], points, normals, sensor[i, 0], sensor[i, 1], x, y, nx, ny, gate, agree)
+            eye = sensor[i, 0], sensor[i, 1]
+            at = match_beam(table[i], points, normals, eye, (x, y), (nx, ny), gate, agree)
             if at < 0:
                 continue
             mx, my = normals[at, 0], normals[at, 1]
@@ -155,19 +161,18 @@ def refine_poses(
     keyframe_pose: np.ndarray,
     keyframes: ScanLines,
     index: BeamIndex,
-    gate: float,
-    agree: float,
+    rule: LineGate,
     widths: np.ndarray,
     per_return: float,
     sd: np.ndarray,
 ) -> np.ndarray:
     """(s, 3): each scan's pose after one Gauss-Newton step for each of `widths` [m] against the lines of keyframes.
 
-    near: (s, k) the keyframes each scan is matched against, -1 for none; gate: (m) a return's line is within
-    `gate` widths; per_return: information [1/m^2] of one matched return; sd: (3,) [m, m, rad] of the pose given.
+    near: (s, k) the keyframes each scan is matched against, -1 for none; the gate of `rule` counts in
+    widths; per_return: information [1/m^2] of one matched return; sd: (3,) [m, m, rad] of the pose given.
     """
     scan_start, scan_points, scan_normals, scan_lined = scans
-    (_, points, normals, _), (table, sensor) = keyframes, index
+    (_, points, normals, _), (table, sensor), (gate, agree) = keyframes, index, rule
     out = pose.copy()
     for m in prange(pose.shape[0]):
         x0, y0, t0 = pose[m, 0], pose[m, 1], pose[m, 2]
@@ -197,7 +202,8 @@ def refine_poses(
                     nx = c * scan_normals[k, 0] - s * scan_normals[k, 1]
                     ny = s * scan_normals[k, 0] + c * scan_normals[k, 1]
                     x, y = lx + rx, ly + ry
-                    at = match_beam(table[i], points, normals, sensor[i, 0], sensor[i, 1], x, y, nx, ny, reach, agree)
+                    eye = sensor[i, 0], sensor[i, 1]
+                    at = match_beam(table[i], points, normals, eye, (x, y), (nx, ny), reach, agree)
                     if at < 0:
                         continue
                     mx, my = normals[at, 0], normals[at, 1]

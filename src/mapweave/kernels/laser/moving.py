@@ -13,6 +13,16 @@ LEAST_RUN = 3  # returns beside each other that seem to move, where they do not 
 BESIDE = 2  # returns on either side of such a run that move with it, where their ranges go on
 
 
+class BeamRanges(NamedTuple):
+    """A scan: ranges (n,) [m], which of them are returns, hit (n,), beam k at `first + k step` [rad], range_max [m]."""
+
+    ranges: np.ndarray
+    hit: np.ndarray
+    first: float
+    step: float
+    range_max: float
+
+
 class Thing(NamedTuple):
     """What a thing is, and what counts as its having moved, in metres; see `moving_returns`."""
 
@@ -26,21 +36,17 @@ class Thing(NamedTuple):
 
 @kernel
 def moving_returns(
-    ranges: np.ndarray,
-    hit: np.ndarray,
-    first: float,
-    step: float,
+    scan: BeamRanges,
     earlier_ranges: np.ndarray,
     earlier_hit: np.ndarray,
     poses: np.ndarray,
     blur: np.ndarray,
     thing: Thing,
-    range_max: float,
 ) -> np.ndarray:
-    """(n,) which returns belong to something that moves.
+    """(n,) which returns of `scan` belong to something that moves.
 
-    ranges, hit: (n,) the scan, beam k at `first + k step` [rad]; earlier_ranges, earlier_hit: (m, n) scans of the same
-    sensor, poses: (m, 3) of the sensor now as each of them sees it, blur: (m,) [rad] by which its heading may be wrong.
+    earlier_ranges, earlier_hit: (m, n) scans of the same sensor, poses: (m, 3) of the sensor now as each of them sees
+    it, blur: (m,) [rad] by which its heading may be wrong.
 
     An earlier scan that has a return within `same` [m] of one says that it stands; one that saw `margin` [m] beyond it,
     or was blocked there by something through which the scan now sees, that it moved; a return moved when more say so.
@@ -48,6 +54,7 @@ def moving_returns(
     `widest` [m] wide, with nothing on either side nearer than `ahead` [m] behind it, moves as a whole when half of its
     returns did; in others runs of returns that moved do, no wider than that.
     """
+    ranges, hit, step = scan.ranges, scan.hit, scan.step
     n = ranges.shape[0]
     moved = np.zeros(n, dtype=np.bool_)
     for b in range(n):
@@ -55,10 +62,7 @@ def moving_returns(
             votes = 0
             for j in range(earlier_ranges.shape[0]):
                 slack = thing.margin + SLANT * _slope(ranges, hit, b, thing.jump, thing.jump_share)
-                votes += _vote(
-                    ranges, hit, first, step, b, earlier_ranges[j], earlier_hit[j], poses[j], blur[j], slack,
-                    thing.same, range_max,
-                )  # fmt: skip
+                votes += _vote(scan, b, earlier_ranges[j], earlier_hit[j], poses[j], blur[j], slack, thing.same)
             moved[b] = votes >= VOTES
     out = np.zeros(n, dtype=np.bool_)
     i = 0
@@ -126,10 +130,7 @@ def _stands_free(ranges: np.ndarray, hit: np.ndarray, i: int, k: int, step: floa
 
 @kernel
 def _vote(
-    ranges: np.ndarray,
-    hit: np.ndarray,
-    first: float,
-    step: float,
+    scan: BeamRanges,
     b: int,
     earlier: np.ndarray,
     earlier_hit: np.ndarray,
@@ -137,9 +138,9 @@ def _vote(
     blur: float,
     margin: float,
     same: float,
-    range_max: float,
 ) -> int:
     """1 when an earlier scan says that the return of beam b was not there, -1 when it was, 0 when it does not know."""
+    ranges, first, step, range_max = scan.ranges, scan.first, scan.step, scan.range_max
     n = ranges.shape[0]
     reach = 1 + int(blur / abs(step))
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -161,24 +162,14 @@ def _vote(
         return 1
     if nearest < r - margin and earlier_hit[found]:
         before = first + found * step
-        return 1 if _gone(ranges, hit, first, step, nearest, before, pose, reach, margin, range_max) else 0
+        return 1 if _gone(scan, nearest, before, pose, reach, margin) else 0
     return 0
 
 
 @kernel
-def _gone(
-    ranges: np.ndarray,
-    hit: np.ndarray,
-    first: float,
-    step: float,
-    r: float,
-    angle: float,
-    pose: np.ndarray,
-    reach: int,
-    margin: float,
-    range_max: float,
-) -> bool:
+def _gone(scan: BeamRanges, r: float, angle: float, pose: np.ndarray, reach: int, margin: float) -> bool:
     """Whether the scan now sees through what an earlier one saw at `r` [m] under `angle` [rad]."""
+    ranges, hit, first, step, range_max = scan
     dx, dy = r * math.cos(angle) - pose[0], r * math.sin(angle) - pose[1]
     c, s = math.cos(pose[2]), math.sin(pose[2])
     x, y = c * dx + s * dy, -s * dx + c * dy

@@ -1,16 +1,40 @@
 """A few Gauss-Newton steps of many particles, each against its own map, by the scan's own lines."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from .._jit import inlined_kernel, kernel, parallel_kernel, prange
 from .local_map import solve3
-from .windows import BEAMS, CHUNKS, blocks_of, cells_of, frame_of, nearest, read_windows, scored
+from .tiles import TileMaps
+from .windows import (
+    BEAMS,
+    CHUNKS,
+    BlockMemory,
+    MapCells,
+    NearestRule,
+    blocks_of,
+    cells_of,
+    frame_of,
+    nearest,
+    read_windows,
+    scored,
+)
 
 OWN = 6 * BEAMS  # what a block of beams has in the particle's frame: x, y, normal, lever arms along normal and tangent
 TERMS = 9 * BEAMS  # what a block of beams adds to the normal equations: h00 h01 h02 h11 h12 h22 g0 g1 g2
 Sums = tuple[float, float, float, float, float, float, float, float, float]
+
+
+class ScanCost(NamedTuple):
+    """What a scan that lies beside its map costs: `information` [1/m^2] of all beams together, the share of it that
+    counts along a line, `tangent`, and the width of the robust cost, `kappa` [m].
+    """
+
+    information: float
+    tangent: float
+    kappa: float
 
 
 @kernel
@@ -77,20 +101,13 @@ def stepped(
 
 @parallel_kernel
 def refine(  # noqa: PLR0915  (what a beam adds is said here, where the compiler sees that no arrays overlap)
-    pool: np.ndarray,
-    table: np.ndarray,
-    width: int,
-    origin: np.ndarray,
-    cell: float,
+    grid: TileMaps,
     rows: np.ndarray,
     poses: np.ndarray,
     points: np.ndarray,
     normals: np.ndarray,
-    alpha: float,
-    cap: float,
-    information: float,
-    tangent: float,
-    kappa: float,
+    rule: NearestRule,
+    cost: ScanCost,
     prior: np.ndarray,
     iterations: int,
     least: np.ndarray,
@@ -104,9 +121,9 @@ def refine(  # noqa: PLR0915  (what a beam adds is said here, where the compiler
     worked out where it has no rows.
     """
     n, particles = points.shape[0], poses.shape[0]
-    frame = frame_of(width, table.shape[1], origin, cell)
-    a, most = np.float32(alpha), np.float32(cap)
-    per_beam, k2 = information / max(n, 1), kappa * kappa
+    pool, table, width, frame = grid.pool, grid.table, grid.width, frame_of(grid)
+    alpha, cap = np.float32(rule.alpha), np.float32(rule.cap)
+    per_beam, tangent, k2 = cost.information / max(n, 1), cost.tangent, cost.kappa * cost.kappa
     plain = blocks_of(points)
     size = plain.shape[0] // 2
     own = own_of(points, normals, size)
@@ -120,6 +137,8 @@ def refine(  # noqa: PLR0915  (what a beam adds is said here, where the compiler
     terms = np.empty(chunks * TERMS)
     for chunk in prange(chunks):
         at, of, to = chunk * BEAMS, chunk * size, chunk * TERMS
+        maps = MapCells(pool, table, width, frame, alpha, cap)
+        memory = BlockMemory(x, y, cells, moved, ex, ey, d, held, windows, at, of)
         for p in range(chunk * particles // chunks, (chunk + 1) * particles // chunks):
             row = np.uint64(rows[p])
             tx, ty, th = poses[p, 0], poses[p, 1], poses[p, 2]
@@ -132,8 +151,8 @@ def refine(  # noqa: PLR0915  (what a beam adds is said here, where the compiler
                     count, own_at = min(BEAMS, n - first), first * 6
                     carried_steps(own, own_at, tx, ty, c, s, x, y, at)
                     cells_of(x, y, at, frame, cells)
-                    read_windows(pool, table, row, width, a, points, first, count, cells, moved, at, held, of, windows)
-                    nearest(windows, (of + first) * 27, x, y, at, most, ex, ey, d)
+                    read_windows(maps, row, points, first, count, memory)
+                    nearest(memory, first, cap)
                     for i in range(BEAMS):
                         mx, my = own[np.uint64(own_at + 2 * BEAMS + i)], own[np.uint64(own_at + 3 * BEAMS + i)]
                         j2, i2 = own[np.uint64(own_at + 4 * BEAMS + i)], own[np.uint64(own_at + 5 * BEAMS + i)]
@@ -144,7 +163,7 @@ def refine(  # noqa: PLR0915  (what a beam adds is said here, where the compiler
                         w = per_beam * robust * robust
                         robust = k2 / (k2 + f * f)
                         v = per_beam * tangent * robust * robust
-                        hit = d[np.uint64(at + i)] < most
+                        hit = d[np.uint64(at + i)] < cap
                         w, v = w if hit else 0.0, v if hit else 0.0
                         wx, wy, vx, vy = w * mx, w * my, v * mx, v * my
                         terms[np.uint64(to + i)] = wx * mx + vy * my
@@ -165,8 +184,5 @@ def refine(  # noqa: PLR0915  (what a beam adds is said here, where the compiler
                 )  # fmt: skip
             out[p, 0], out[p, 1], out[p, 2] = tx, ty, th
             if least.shape[0]:
-                scored(
-                    pool, table, row, width, frame, a, most, points, plain, tx, ty, th,
-                    cells, moved, held, of, windows, x, y, ex, ey, d, at, least, p,
-                )  # fmt: skip
+                scored(maps, row, points, plain, (tx, ty, th), memory, least, p)
     return out

@@ -1,6 +1,7 @@
 """One scan laid into, or taken out of, a dense grid in whole numbers."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,14 +11,24 @@ UNIT = 1 << 16  # parts of a cell, and of a feature of 1, that sums count in
 WEIGHT = 1 << 24  # parts of a weight of 1: sums stay within 63 bits for eight million returns a cell
 
 
+class CellCounts(NamedTuple):
+    """Cells of `cell` [m], of which `corner` (2,) int64 is that of entry [0, 0], and what was seen in them.
+
+    hits, far, passes: (rows, cols) int32, returns, returns from far, beams that went through; sums: (rows, cols, 4)
+    int64, of the returns' weight times (offset in the cell x and y, feature, 1), in parts of `UNIT` and `WEIGHT`.
+    """
+
+    hits: np.ndarray
+    far: np.ndarray
+    passes: np.ndarray
+    sums: np.ndarray
+    corner: np.ndarray
+    cell: float
+
+
 @kernel
 def lay_sweep(
-    hits: np.ndarray,
-    far: np.ndarray,
-    passes: np.ndarray,
-    sums: np.ndarray,
-    corner: np.ndarray,
-    cell: float,
+    counts: CellCounts,
     eye: np.ndarray,
     points: np.ndarray,
     light: np.ndarray,
@@ -25,14 +36,14 @@ def lay_sweep(
     near: float,
     sign: int,
 ) -> None:
-    """`hits`, `far`, `passes` (rows, cols) int32 count and `sums` (rows, cols, 4) int64 gather, times `sign`.
+    """`counts` hold one scan more (`sign` 1) or less (-1).
 
-    sums: weight times (offset in the cell x and y, feature, 1), in parts of `UNIT` and `WEIGHT`. corner: (2,) int64
-    cell of entry [0, 0]; eye: (2,) sensor; points: (n, 2) returns; ends: (m, 2) where beams that came to nothing were
-    last known free, all [m] in the map; light: (n, 2) feature and weight of every return. Returns from beyond `near`
-    [m] count as `far` ones. A beam passes every cell it crosses before the one it ends in; a beam without return passes
-    that one too. The same pose counts the same, wherever the corner lies.
+    eye: (2,) sensor; points: (n, 2) returns; ends: (m, 2) where beams that came to nothing were last known free, all
+    [m] in the map; light: (n, 2) feature and weight of every return. Returns from beyond `near` [m] count as `far`
+    ones. A beam passes every cell it crosses before the one it ends in; a beam without return passes that one too. The
+    same pose counts the same, wherever the corner lies.
     """
+    hits, far, passes, sums, corner, cell = counts
     for i in range(points.shape[0]):
         jx, jy = walk(passes, corner, cell, eye[0], eye[1], points[i, 0], points[i, 1], sign)
         if 0 <= jy < hits.shape[0] and 0 <= jx < hits.shape[1]:

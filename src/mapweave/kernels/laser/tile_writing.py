@@ -5,22 +5,15 @@ import math
 import numpy as np
 
 from .._jit import kernel, parallel_kernel, prange
-from .tiles import FLOATS, INSIDE, SHIFT
+from .tiles import FLOATS, INSIDE, SHIFT, TileBooks, TileMaps
 from .windows import BEAMS, CHUNKS, blocks_of, carried, cells_of, frame_of
 
 
 @kernel
 def touch(
-    table: np.ndarray,
-    width: int,
-    origin: np.ndarray,
-    cell: float,
+    maps: TileMaps,
     rows: np.ndarray,
-    used: np.ndarray,
-    n_used: np.ndarray,
-    refs: np.ndarray,
-    free: np.ndarray,
-    n_free: int,
+    books: TileBooks,
     poses: np.ndarray,
     points: np.ndarray,
     jobs: np.ndarray,
@@ -29,13 +22,15 @@ def touch(
 ) -> tuple[int, int, bool]:
     """Every tile the scan will write to is owned by its map alone; what must be copied first stands in `jobs`.
 
-    used[r, :n_used[r]]: keys of map r that are not tile 0; free[:n_free]: unused tiles; jobs: (tiles, 2) int32
-    (from, to), of which `n_jobs` are filled; places: (P, n) int64, where in the pool the cell of every beam stands
-    then. Returns (free tiles left, jobs filled, whether all is done): when free tiles or room in `used` run out, the
-    caller makes more and calls again.
+    rows: (P,) the maps that the scan is laid into, at `poses` (P, 3); points: (n, 3) float32 (x, y, q) in the robot
+    frame; jobs: (tiles, 2) int32 (from, to), of which `n_jobs` are filled; places: (P, n) int64, where in the pool the
+    cell of every beam stands then. Returns (free tiles left, jobs filled, whether all is done): when free tiles or room
+    in `used` run out, the caller makes more and calls again.
     """
     n = points.shape[0]
-    frame = frame_of(width, table.shape[1], origin, cell)
+    table, width = maps.table, maps.width
+    used, n_used, refs, free, n_free = books
+    frame = frame_of(maps)
     own = blocks_of(points)
     x, y, cells = np.empty(BEAMS, np.float32), np.empty(BEAMS, np.float32), np.empty(BEAMS, np.int64)
     for p in range(poses.shape[0]):

@@ -6,6 +6,8 @@ search needs no test for emptiness. `table[row, key]` names the tile of one map 
 `key = ty * width + tx`; `refs[k]` counts the entries that name tile k. All indices are clamped into the table.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from .._jit import kernel, parallel_kernel, prange
@@ -14,6 +16,26 @@ FAR = 1e6  # [m]
 SHIFT = 3  # 2 ** SHIFT cells along a tile
 CELLS, INSIDE = 1 << SHIFT, (1 << SHIFT) - 1
 FLOATS = CELLS * CELLS * 4  # in a tile
+
+
+class TileMaps(NamedTuple):
+    """Rows of `table` (maps, tiles) over `pool`, `width` tiles along x from `origin` (2,) [m]; cell: its side [m]."""
+
+    pool: np.ndarray
+    table: np.ndarray
+    width: int
+    origin: np.ndarray
+    cell: float
+
+
+class TileBooks(NamedTuple):
+    """used[r, :n_used[r]]: keys of map r that are not tile 0; refs: of every tile; free[:n_free]: unused tiles."""
+
+    used: np.ndarray
+    n_used: np.ndarray
+    refs: np.ndarray
+    free: np.ndarray
+    n_free: int
 
 
 @parallel_kernel
@@ -26,20 +48,12 @@ def copy_tiles(pool: np.ndarray, jobs: np.ndarray, n_jobs: int) -> None:
 
 
 @kernel
-def inherit(
-    table: np.ndarray,
-    used: np.ndarray,
-    n_used: np.ndarray,
-    refs: np.ndarray,
-    free: np.ndarray,
-    n_free: int,
-    dead: np.ndarray,
-    parent: np.ndarray,
-) -> int:
+def inherit(table: np.ndarray, books: TileBooks, dead: np.ndarray, parent: np.ndarray) -> int:
     """Map dead[k] becomes a copy of map parent[k] by sharing its tiles; returns the free tiles left.
 
     No parent may be among the dead.
     """
+    used, n_used, refs, free, n_free = books
     for k in range(dead.shape[0]):
         r, a = dead[k], parent[k]
         for j in range(n_used[r]):

@@ -9,22 +9,63 @@ given a part of one, so that the compiler may take all of them to be apart.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from .._jit import inlined_kernel, kernel, parallel_kernel, prange
-from .tiles import CELLS, FLOATS, INSIDE, SHIFT
+from .tiles import CELLS, FLOATS, INSIDE, SHIFT, TileMaps
 
 BEAMS = 64  # beams in a block
 CHUNKS = 16  # at most, of particles that are worked on in the same memory
 Frame = tuple[np.float32, np.float32, np.float32, np.float32, np.float32]
 
 
+class NearestRule(NamedTuple):
+    """What a difference in the feature counts, `alpha` [m^2 per q^2], and the greatest D, `cap` [m^2]."""
+
+    alpha: float
+    cap: float
+
+
+class MapCells(NamedTuple):
+    """What a search reads of the maps: `TileMaps`, `frame_of` them, and a `NearestRule` in float32."""
+
+    pool: np.ndarray
+    table: np.ndarray
+    width: int
+    frame: Frame
+    alpha: np.float32
+    cap: np.float32
+
+
+class BlockMemory(NamedTuple):
+    """Memory for the blocks of one chunk of particles, a part of flat arrays that all chunks have in common.
+
+    Of one block, from `at` on: x, y [m] the beams in the map, cells they are in, ex, ey, least of `nearest`, and moved,
+    scratch. Of all blocks of a scan, from `of` on: held, the cells that the windows are of, -1 where there are none;
+    from `27 of` on: windows.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    cells: np.ndarray
+    moved: np.ndarray
+    ex: np.ndarray
+    ey: np.ndarray
+    least: np.ndarray
+    held: np.ndarray
+    windows: np.ndarray
+    at: int
+    of: int
+
+
 @kernel
-def frame_of(width: int, tiles: int, origin: np.ndarray, cell: float) -> Frame:
+def frame_of(maps: TileMaps) -> Frame:
     """Corner x, y [m], cells in a metre, and the greatest cell along x and y that has neighbours on both sides."""
-    far_x, far_y = np.float32(width * CELLS - 2), np.float32(tiles // width * CELLS - 2)
-    return np.float32(origin[0]), np.float32(origin[1]), np.float32(1.0 / cell), far_x, far_y
+    tiles, corner = maps.table.shape[1], maps.origin
+    far_x, far_y = np.float32(maps.width * CELLS - 2), np.float32(tiles // maps.width * CELLS - 2)
+    return np.float32(corner[0]), np.float32(corner[1]), np.float32(1.0 / maps.cell), far_x, far_y
 
 
 @inlined_kernel
@@ -40,14 +81,13 @@ def cells_of(x: np.ndarray, y: np.ndarray, at: int, frame: Frame, cells: np.ndar
 
 @inlined_kernel
 def read_windows(
-    pool: np.ndarray, table: np.ndarray, row: np.uint64, width: int, alpha: np.float32, points: np.ndarray,
-    first: int, count: int, cells: np.ndarray, moved: np.ndarray, at: int, held: np.ndarray, of: int,
-    windows: np.ndarray,
-) -> int:  # fmt: skip
-    """Windows of the `count` beams from `first` on are those of `cells[at:]`; how many had to be read.
-
-    held[of:]: the cells that the windows of the whole scan are of, -1 where there are none; moved[at:]: scratch.
-    """
+    maps: MapCells, row: np.uint64, points: np.ndarray, first: int, count: int, memory: BlockMemory
+) -> int:
+    """Windows of the `count` beams from `first` on are those of map `row` at their cells; how many had to be read."""
+    pool, table, width, alpha = maps.pool, maps.table, maps.width, maps.alpha
+    cells, moved, held, windows, at, of = (
+        memory.cells, memory.moved, memory.held, memory.windows, memory.at, memory.of,
+    )  # fmt: skip
     many = 0
     for i in range(count):
         moved[np.uint64(at + many)] = i
@@ -84,14 +124,13 @@ def read_windows(
 
 
 @inlined_kernel
-def nearest(
-    windows: np.ndarray, of: int, x: np.ndarray, y: np.ndarray, at: int, cap: np.float32,
-    ex: np.ndarray, ey: np.ndarray, least: np.ndarray,
-) -> None:  # fmt: skip
-    """least[at + i] = the least D = ex^2 + ey^2 + alpha eq^2 [m^2] in the window of beam i of a block, `cap` at most.
+def nearest(memory: BlockMemory, first: int, cap: np.float32) -> None:
+    """least[at + i] = the least D = ex^2 + ey^2 + alpha eq^2 [m^2] in the window of beam `first + i`, `cap` at most.
 
     (ex, ey) [m] leads from the beam to that cell; it is 0 where no D is below `cap`. Of equals the first counts.
     """
+    x, y, ex, ey, least, windows = memory.x, memory.y, memory.ex, memory.ey, memory.least, memory.windows
+    at, of = memory.at, (memory.of + first) * 27
     for i in range(BEAMS):
         best, bx, by = cap, np.float32(0.0), np.float32(0.0)
         px, py = x[np.uint64(at + i)], y[np.uint64(at + i)]
@@ -129,44 +168,34 @@ def carried(
 
 @inlined_kernel
 def scored(
-    pool: np.ndarray, table: np.ndarray, row: np.uint64, width: int, frame: Frame, alpha: np.float32, cap: np.float32,
-    points: np.ndarray, own: np.ndarray, x0: float, y0: float, th: float,
-    cells: np.ndarray, moved: np.ndarray, held: np.ndarray, of: int, windows: np.ndarray,
-    x: np.ndarray, y: np.ndarray, ex: np.ndarray, ey: np.ndarray, least: np.ndarray, at: int, out: np.ndarray, p: int,
+    maps: MapCells, row: np.uint64, points: np.ndarray, own: np.ndarray, pose: tuple[float, float, float],
+    memory: BlockMemory, out: np.ndarray, p: int,
 ) -> None:  # fmt: skip
-    """out[p, i] = least D of beam i of a particle at (x0, y0, th); own: `blocks_of` its beams."""
+    """out[p, i] = least D of beam i of a particle at `pose` in map `row`; own: `blocks_of` its beams."""
+    x0, y0, th = pose
+    x, y, at, least = memory.x, memory.y, memory.at, memory.least
     px, py, c, s = np.float32(x0), np.float32(y0), np.float32(math.cos(th)), np.float32(math.sin(th))
     for first in range(0, points.shape[0], BEAMS):
         count = min(BEAMS, points.shape[0] - first)
         carried(own, 2 * first, px, py, c, s, x, y, at)
-        cells_of(x, y, at, frame, cells)
-        read_windows(pool, table, row, width, alpha, points, first, count, cells, moved, at, held, of, windows)
-        nearest(windows, (of + first) * 27, x, y, at, cap, ex, ey, least)
+        cells_of(x, y, at, maps.frame, memory.cells)
+        read_windows(maps, row, points, first, count, memory)
+        nearest(memory, first, maps.cap)
         for i in range(count):
             out[p, first + i] = least[np.uint64(at + i)]
 
 
 @parallel_kernel
 def score(
-    pool: np.ndarray,
-    table: np.ndarray,
-    width: int,
-    origin: np.ndarray,
-    cell: float,
-    rows: np.ndarray,
-    poses: np.ndarray,
-    points: np.ndarray,
-    alpha: float,
-    cap: float,
-    out: np.ndarray,
+    grid: TileMaps, rows: np.ndarray, poses: np.ndarray, points: np.ndarray, rule: NearestRule, out: np.ndarray
 ) -> None:
     """out[p, i] = least D of beam i at pose p over the 3x3 cells of map rows[p], at most `cap` [m^2].
 
     poses: (P, 3) float64; points: (n, 3) float32 (x, y, q) in the robot frame; out: (P, n) float32.
     """
     particles = poses.shape[0]
-    frame = frame_of(width, table.shape[1], origin, cell)
-    a, most = np.float32(alpha), np.float32(cap)
+    pool, table, width, frame = grid.pool, grid.table, grid.width, frame_of(grid)
+    alpha, cap = np.float32(rule.alpha), np.float32(rule.cap)
     own = blocks_of(points)
     size = own.shape[0] // 2
     chunks = min(particles, CHUNKS)
@@ -177,11 +206,10 @@ def score(
     cells, moved = np.empty(chunks * BEAMS, np.int64), np.empty(chunks * BEAMS, np.int32)
     for chunk in prange(chunks):
         at, of = chunk * BEAMS, chunk * size
+        maps = MapCells(pool, table, width, frame, alpha, cap)
+        memory = BlockMemory(x, y, cells, moved, ex, ey, least, held, windows, at, of)
         for p in range(chunk * particles // chunks, (chunk + 1) * particles // chunks):
             for i in range(size):
                 held[np.uint64(of + i)] = -1
-            scored(
-                pool, table, np.uint64(rows[p]), width, frame, a, most, points, own,
-                poses[p, 0], poses[p, 1], poses[p, 2],
-                cells, moved, held, of, windows, x, y, ex, ey, least, at, out, p,
-            )  # fmt: skip
+            pose = poses[p, 0], poses[p, 1], poses[p, 2]
+            scored(maps, np.uint64(rows[p]), points, own, pose, memory, out, p)

@@ -91,7 +91,7 @@ def cast_in_grid(
                 r, slant = meet_disc(px, py, ux, uy, discs[i, k])
                 if r < best:
                     best, hit, across = r, s + k, slant
-            r, wall, slant = _first_wall(px, py, ux, uy, best, segments, corner, cell, cols, first, items)
+            r, wall, slant = _first_wall((px, py), (ux, uy), best, segments, corner, cell, cols, first, items)
             if wall != NONE:
                 best, hit, across = r, wall, slant
             if hit != NONE:
@@ -101,10 +101,8 @@ def cast_in_grid(
 
 @kernel
 def _first_wall(
-    px: float,
-    py: float,
-    ux: float,
-    uy: float,
+    eye: tuple[float, float],
+    ray: tuple[float, float],
     far: float,
     segments: np.ndarray,
     corner: np.ndarray,
@@ -113,7 +111,11 @@ def _first_wall(
     first: np.ndarray,
     items: np.ndarray,
 ) -> tuple[float, int, float]:
-    """Range, number and cosine of incidence of the first wall along a beam, bucket by bucket; -1 without one."""
+    """Range, number and cosine of incidence of the first wall along a beam, bucket by bucket; -1 without one.
+
+    eye: where the beam begins [m]; ray: its direction, a unit vector.
+    """
+    (px, py), (ux, uy) = eye, ray
     rows = (first.shape[0] - 1) // cols
     best, hit, across = far, NONE, 0.0
     gone, until = _inside(px - corner[0], py - corner[1], ux, uy, cols * cell, rows * cell)

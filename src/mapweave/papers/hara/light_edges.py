@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from ...core import se2
 from ...core.config import config
-from ...kernels.laser.joint_scans import BeamIndex, match_pairs
+from ...kernels.laser.joint_scans import BeamIndex, LineGate, match_pairs
 from ...laser.beam import Beams
 from ...laser.joint_pass import ScanCloud, scan_cloud, without_scatter
 from ...solve import Cauchy, Factor, Problem, Solution, SolveConfig, minimise, wrapping
@@ -213,7 +213,7 @@ class WallReturns:
         """How the second of each pair stands to the first by their walls; along a bare one nothing is said."""
         a, b = np.concatenate([self.pairs, self.pairs[:, ::-1]]).T
         relative = np.asarray(se2.between(pose[a], pose[b]))
-        H, g, _, near = match_pairs(a, b, relative, self.cloud.lines, self.index, 3.0 * width, 0.5, width)
+        H, g, _, near = match_pairs(a, b, relative, self.cloud.lines, self.index, LineGate(3.0 * width, 0.5), width)
         H, g = without_scatter(H, g, cfg.blur)
         enough = near >= 15
         H, g, a, b, relative = (v[enough] for v in (H, g, a, b, relative))
