@@ -211,8 +211,8 @@ def test_a_start_is_never_less_likely_than_that_it_is_false():
     assert start.likelihood(np.array([50.0, 2.0, 0.5]), MergeConfig()) == pytest.approx(0.05)
     off = start.likelihood(se2.compose(start.transform, np.array([np.hypot(0.5, 0.3), 0.0, 0.0])), MergeConfig())
     assert off == pytest.approx(0.05 + 0.95 * np.exp(-0.5))
-    assert start.near(np.array([2.5, 2.0, 0.6]))
-    assert not start.near(np.array([2.5, 2.0, 0.9]))
+    assert start.near(np.array([2.5, 2.0, 0.6]), MergeConfig())
+    assert not start.near(np.array([2.5, 2.0, 0.9]), MergeConfig())
 
 
 def test_what_one_saw_through_speaks_against_a_transform(pair):

@@ -12,6 +12,7 @@ from mapweave.api.weave_laser import starts_among
 from mapweave.core import se2
 from mapweave.laser.config import LaserConfig
 from mapweave.laser.merge import MapClosure, Merge, merge_maps
+from mapweave.laser.merge_search import MergeConfig
 from mapweave.laser.occupancy_mapper import Returns, render_returns
 from mapweave.laser.session import LaserSession
 from mapweave.live import pair_search
@@ -60,7 +61,7 @@ def filled(path, share=1.0):
 
 
 def docked(names):
-    return starts_among(names, dict.fromkeys(names, (0.0, 0.0, 0.0)))
+    return starts_among(names, dict.fromkeys(names, (0.0, 0.0, 0.0)), MergeConfig())
 
 
 def woven(team):

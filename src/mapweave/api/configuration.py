@@ -12,7 +12,7 @@ JOBS: dict[tuple[str, bool], str] = {
     ("fuse", False): "mapweave.fusion.config:FuseConfig",
     ("fuse", True): "mapweave.api.map_laser:LaserMapConfig",
     ("locate", False): "mapweave.api.locate:LocateConfig",
-    ("localize", True): "mapweave.api.map_laser:LaserMapConfig",
+    ("localize", True): "mapweave.api.localize:LocalizeJobConfig",
     ("explore", False): "mapweave.exploration.landmarks.config:ExploreConfig",
     ("explore", True): "mapweave.exploration.laser.config:LaserMissionConfig",
 }

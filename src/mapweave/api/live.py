@@ -256,7 +256,9 @@ def live_map(
             process = MapProcess(name, opened, Topics(network.team), kept, inbox, say, wall, at_the_door)
             process.shared.cfg, process.ekf = landmarks.fuse, landmarks.ekf
             process.laser = weaving
-            process.starts = lambda names: starts_among(names, {k: v for k, v in known.items() if k in names})
+            process.starts = lambda names: starts_among(
+                names, {k: v for k, v in known.items() if k in names}, weaving.merge
+            )
             process.join()
             say(f"{name}: team {network.team}, heard so far kept in {path}")
             process.run(stop or Event(), every, lambda inbox: _all_told(inbox, robots))

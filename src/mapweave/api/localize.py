@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..core import se2
+from ..core.config import config as configuration
 from ..core.config import load
 from ..core.errors import ReaderError, UsageError
 from ..core.laser_log import LaserLog
@@ -23,17 +24,26 @@ from ..io.laser_map import NAME, read_grid, write_scans
 from ..io.table import Columns
 from ..io.tum import read_tum, write_tum
 from ..laser.beam import IntensityCalibration
+from ..laser.config import LaserConfig
 from ..laser.laser_map import GridMap
 from ..laser.localise import Localisation, localise
+from ..laser.localise_filter import LocaliseConfig
 from ..laser.localise_trust import Evidence
 from ..report.localize import draw_where, write_localisation_report
 from ..report.result import ResultBase, Rows
 from ..report.style import Target
 from .laser_result import LaserResult, write_laser_data
-from .map_laser import LaserMapConfig
 from .map_options import LaserOptions, path_of
 
 NEAR, NEAR_ANGLE = 0.5, np.radians(10.0)  # a start that errs by less than this, once found, was right
+
+
+@configuration
+class LocalizeJobConfig:
+    """Settings of `localize`: the table `[laser]`, as of `map`, and `[localize]`."""
+
+    laser: LaserConfig = LaserConfig(method="graph")
+    localize: LocaliseConfig = LocaliseConfig()
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,16 +208,18 @@ def localize(
         sensor_pose=asked.sensor_pose,
         mirrored=asked.mirrored,
     )
-    cfg = load(
-        LaserMapConfig, None if config is None else Path(config), {"laser": {"particles": asked.particles}}
-    ).laser
+    settings = load(
+        LocalizeJobConfig, None if config is None else Path(config), {"laser": {"particles": asked.particles}}
+    )
+    cfg = settings.laser
     cfg.check()
     recording = _recording(log, odometry, source)
     place = None if start is None else np.array(start, dtype=float)
     wanted = asked.feature or feature
     if wanted not in {feature, "none"}:
         raise UsageError(f"--feature {wanted}: the map holds {feature}")
-    found = localise(recording, grid, calibration, wanted, cfg, place, robot_rng(seed, recording.robot), on_progress)
+    rng = robot_rng(seed, recording.robot)
+    found = localise(recording, grid, calibration, wanted, cfg, place, rng, on_progress, settings.localize)
     score = None if truth is None else score_start(found, read_tum(Path(truth)))
     result = LocalizeResult(
         found, grid, _metrics(found, str(map) if isinstance(map, Path | str) else "in memory", seed, score), score

@@ -29,7 +29,7 @@ Job = tuple[Path | LaserLog, str, LaserSource, LaserConfig, int, float]
 
 @config
 class LaserMapConfig:
-    """Settings of `map` and `localize` for laser logs: the table `[laser]` of the configuration file."""
+    """Settings of `map` for laser logs: the table `[laser]` of the configuration file."""
 
     laser: LaserConfig = LaserConfig(method="graph")
 

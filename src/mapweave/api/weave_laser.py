@@ -18,14 +18,13 @@ from ..io.tum import read_tum
 from ..laser.config import LaserConfig
 from ..laser.laser_map import LaserMap
 from ..laser.merge import Merge
-from ..laser.merge_search import Start
+from ..laser.merge_search import MergeConfig, Start
 from ..laser.weave import weave
 from ..laser.woven_map import WovenMap, own_map, woven_maps
 from .evaluate import judged
 from .laser_result import LaserResult, laser_metrics, write_laser_data
 
 LEAST_WAY = 1.0  # [m] driven: less, and a map is what was seen from one place
-START_SD, START_TURN_SD = 0.5, 0.1  # [m, rad] of a start that is given without
 
 
 def same_logs(maps: Sequence[LaserMap]) -> tuple[LaserMap, LaserMap] | None:
@@ -64,7 +63,7 @@ def woven_result(
             "expected every log once"
         )
     made = [_storable(m, alone=len(maps) == 1) for m in maps]
-    told = starts_among([m.robot for m in made], starts or {})
+    told = starts_among([m.robot for m in made], starts or {}, cfg.merge)
     began = perf_counter()
     if len(made) > 1:
         on_progress("weave", 0, 1)
@@ -124,7 +123,7 @@ def scored(result: LaserResult, truth: Sequence[Path]) -> LaserResult:
     return replace(result, metrics={**metrics, "evaluation": score.as_json()}, evaluation=score, truth=tracks)
 
 
-def starts_among(robots: Sequence[str], given: Mapping[str, Sequence[float]]) -> dict[int, Start]:
+def starts_among(robots: Sequence[str], given: Mapping[str, Sequence[float]], cfg: MergeConfig) -> dict[int, Start]:
     """Where robots start in the frame of the first, by place among them; raises UsageError for one that is not."""
     if missing := [robot for robot in given if robot not in robots]:
         there = ", ".join(robot_name(r) for r in robots)
@@ -134,9 +133,9 @@ def starts_among(robots: Sequence[str], given: Mapping[str, Sequence[float]]) ->
     for robot, numbers in given.items():
         if robot == robots[0]:
             continue
-        sd = float(numbers[3]) if len(numbers) > 3 else START_SD
+        sd = float(numbers[3]) if len(numbers) > 3 else cfg.start_sd
         place = se2.between(home, np.asarray(numbers[:3], dtype=float))
-        out[robots.index(robot)] = Start(place, np.array([sd, sd, START_TURN_SD]))
+        out[robots.index(robot)] = Start(place, np.array([sd, sd, cfg.start_turn_sd]))
     return out
 
 

@@ -30,6 +30,9 @@ class ClosureConfig:
     least_information: float = 1.0  # [1/m^2] across the second weakest direction: less, and the place looks alike
     gate: float = 16.27  # chi-square of the innovation, 3 degrees of freedom, 99.9 %
     search: float = 0.25  # [m] uncertainty of the relative place beyond which a grid of starts is searched
+    match_sd: float = 3.0  # [sd] by which the match may move the scan,
+    match_xy: float = 0.3  # [m] and
+    match_turn: float = 0.1  # [rad] at least
     search_sd: float = 2.5  # [sd] how far the grid reaches,
     search_xy: float = 3.0  # [m] at most and
     search_turn: float = 0.3  # [rad] to either side
@@ -104,7 +107,7 @@ class Matcher:
         fe.hold(place.scans)
         sd = np.sqrt(np.diag(cov))
         start = predicted if max(sd[0], sd[1]) < c.search else self._search(b, predicted, sd)
-        match = fe.match(b, start, np.maximum(3.0 * sd, [0.3, 0.3, 0.1]))
+        match = fe.match(b, start, np.maximum(c.match_sd * sd, [c.match_xy, c.match_xy, c.match_turn]))
         innovation = se2.between(predicted, match.pose)
         share = match.matches / max(match.beams, 1)
         refused = Matched(False, "", match.pose, np.zeros((3, 3)), innovation, share, None)

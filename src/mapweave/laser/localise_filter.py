@@ -17,27 +17,33 @@ from .localise_trust import TrustConfig
 
 @config
 class LocaliseConfig:
+    """How a robot is found and followed in a finished map, and when it is believed to be there."""
+
     spacing: float = 0.2  # [m] between places tried and
-    turn: float = np.radians(5.0)  # [rad] between headings tried, when the start is searched everywhere
+    turn: float = float(np.radians(5.0))  # [rad] between headings tried, when the start is searched everywhere
     most: int = 20_000  # particles while the start is not found, at most
     least: int = 2_000  # and at least
     per_bin: int = 20  # particles for each bin that is held likely
-    bin: tuple[float, float] = (0.5, np.radians(15.0))  # [m], [rad]
+    bin: tuple[float, float] = (0.5, float(np.radians(15.0)))  # [m], [rad] sides of such a bin
     beams: int = 60  # of a scan are asked, spread over it
-    update_distance: float = 0.25  # [m] or
+    update_distance: float = 0.25  # [m] moved, or
     update_turn: float = 0.25  # [rad] moved before weights change
-    sd_xy: float = 0.02  # [m] + sd_xy_per_m d
-    sd_xy_per_m: float = 0.08
+    sd_xy: float = 0.02  # [m] + sd_xy_per_m d: spread of the particles' moves
+    sd_xy_per_m: float = 0.08  # and so much more a metre driven
     sd_turn: float = 0.01  # [rad] + sd_turn_per_m d
-    sd_turn_per_m: float = 0.02
+    sd_turn_per_m: float = 0.02  # [rad] and so much more a metre driven
     neff: float = 10.0  # independent returns in a scan
     search_sigma: float = 0.2  # [m] of each while searching
-    search_cap: float = 0.25  # [m^2]
+    search_cap: float = 0.25  # [m^2] greatest squared distance a beam is charged while searching
     sigma: float = 0.07  # [m] of each once found
-    cap: float = 0.06  # [m^2]
+    cap: float = 0.06  # [m^2] and once found
     found_xy: float = 0.3  # [m] and
-    found_turn: float = np.radians(8.0)  # [rad]: spread under which the start counts as found
-    found_share: float = 0.95  # of the weight within `found_xy` times 2 of its middle
+    found_turn: float = float(np.radians(8.0))  # [rad]: spread under which the start counts as found
+    found_share: float = 0.95  # of the weight at one place, at least
+    one_xy: float = 1.0  # [m] and
+    one_turn: float = float(np.radians(20.0))  # [rad] round the heaviest particle: one place
+    start_xy: float = 0.2  # [m] and
+    start_turn: float = float(np.radians(5.0))  # [rad] sd of the particles round a start that is given
     trusted: float = 0.6  # share of the returns the map must explain
     doubts: int = 8  # updates in a row whose mean share is less: the place found was wrong, the search begins anew
     trust: TrustConfig = TrustConfig()
@@ -54,13 +60,13 @@ class Cloud:
         w = np.exp(self.log_weight - self.log_weight.max())
         return np.asarray(w / w.sum())
 
-    def middle(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], float]:
+    def middle(self, how: LocaliseConfig) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], float]:
         """Mean pose round the heaviest particle, spread there [m, m, rad], and the share of the weight it holds."""
         w = self.shares()
         best = self.poses[int(np.argmax(w))]
         off = self.poses - best
         off[:, 2] = se2.wrap_angle(off[:, 2])
-        close = (np.hypot(off[:, 0], off[:, 1]) < 1.0) & (np.abs(off[:, 2]) < np.radians(20.0))
+        close = (np.hypot(off[:, 0], off[:, 1]) < how.one_xy) & (np.abs(off[:, 2]) < how.one_turn)
         share = float(w[close].sum())
         v = w[close] / share
         mean = v @ off[close]
@@ -91,7 +97,7 @@ class PlaceFilter:
         how = self.how
         self.found = start is not None
         if start is not None:
-            spread = np.array([0.2, 0.2, np.radians(5.0)])
+            spread = np.array([how.start_xy, how.start_xy, how.start_turn])
             poses = start + spread * self.rng.standard_normal((max(how.least, self.particles), 3))
             self.cloud = Cloud(poses, np.zeros(len(poses)))
             self.weigh(points)
@@ -124,13 +130,13 @@ class PlaceFilter:
         mean, _ = self.walls.score(self.cloud.poses, points, alpha=self.alpha, cap=cap)
         self.cloud.log_weight = self.cloud.log_weight + self._gain(mean)
         if not self.found:
-            _, spread, share = self.cloud.middle()
+            _, spread, share = self.cloud.middle(how)
             narrow = max(spread[0], spread[1]) < how.found_xy and spread[2] < how.found_turn
             self.found = narrow and share > how.found_share
 
     def posterior(self, b: Beams) -> tuple[Float[np.ndarray, "3"], int, float, bool]:
         """The estimate, its matched returns, the effective number before drawing anew, and whether that was done."""
-        pose, _, _ = self.cloud.middle()
+        pose, _, _ = self.cloud.middle(self.how)
         every = np.column_stack([b.s, b.q])
         _, matched = self.walls.score(pose[None], every, alpha=self.alpha, cap=1.0)
         w = self.cloud.shares()

@@ -15,8 +15,6 @@ from ..kernels.laser.place_refine import fit_normals
 from .submaps import gathered
 
 MOST_BINS, LEAST_BINS = 360, 60  # directions of a keyframe's view, wider than its beams are apart
-LINE, THICK, SIDED = 0.5, 0.3, 0.2  # [m] wall points this near make a line this thin at most; cosine to its side
-COARSE = 0.2  # [m] of the points compared
 _BESIDE = np.array([[-1], [0], [1]])  # a direction and those beside it
 
 
@@ -27,9 +25,14 @@ class OverlapConfig:
     views: int = 60  # keyframes whose views are asked, at most
     reach: float = 8.0  # [m] views are compared up to
     through: float = 0.4  # [m] by which a view goes on behind a wall that was seen through
-    same: float = 0.2  # [m] within which a wall of the view is the same wall
+    same: float = 0.2  # [m] and, of its range,
+    same_share: float = 0.02  # [m/m] within which a wall of the view is the same wall
     close: float = 0.6  # [m] from its walls a point seen through may be a wall of a bent map
     wall: float = 0.2  # [m] within which walls overlap
+    coarse: float = 0.2  # [m] between the points of walls that are compared
+    line: float = 0.5  # [m] points this near make a line,
+    thick: float = 0.3  # which may be so thick, of its length, to have a side
+    sided: float = 0.2  # cosine from which on a wall was seen from that side
     lit: int = 150  # points of walls that meet, at least, whose brightness is compared,
     uneven: float = 0.05  # and the standard deviation of their brightness, at least
 
@@ -44,13 +47,15 @@ class KeyframeMap:
     pose: (n, 3); points: of each keyframe (k, 2) [m] in its own frame; q: their brightness, or None; path: (n,) [m]
     driven up to each; walls: (w, 2) [m] all points in the map's frame, thinned; walls_q: (w,) their brightness;
     walls_side: (w, 2) unit normals on the side they were seen from, zero where that was both or they make no line;
-    views: (n, bins) [m] of each keyframe the nearest return in each direction, infinite where there is none.
+    views: (n, bins) [m] of each keyframe the nearest return in each direction, infinite where there is none; cfg: how
+    thin walls are and when they have a side.
     """
 
     robot: str
     pose: Float[np.ndarray, "n 3"]
     points: Sequence[Float[np.ndarray, "_ 2"]]
     q: Sequence[Float[np.ndarray, " _"]] | None = None
+    cfg: OverlapConfig = OVERLAP
     path: Float[np.ndarray, " n"] = field(init=False)
     walls: Float[np.ndarray, "w 2"] = field(init=False, repr=False)
     walls_q: Float[np.ndarray, " w"] | None = field(init=False, repr=False)
@@ -63,22 +68,23 @@ class KeyframeMap:
             raise DataError(f"map of {self.robot}: {len(self.pose)} keyframes and points of {len(self.points)}")
         steps = np.hypot(*np.diff(self.pose[:, :2], axis=0).T) if len(self.pose) > 1 else np.zeros(0)
         object.__setattr__(self, "path", frozen(np.concatenate([[0.0], np.cumsum(steps)])))
-        cloud, q = gathered(self.pose, self.points, range(len(self.pose)), np.zeros(3), COARSE, self.q)
+        cloud, q = gathered(self.pose, self.points, range(len(self.pose)), np.zeros(3), self.cfg.coarse, self.q)
         object.__setattr__(self, "walls", frozen(cloud))
         object.__setattr__(self, "walls_q", None if q is None else frozen(q))
         object.__setattr__(self, "walls_side", frozen(self._sides()))
         object.__setattr__(self, "views", frozen(self._views()))
 
     def _sides(self) -> Float[np.ndarray, "w 2"]:
+        cfg, every = self.cfg, range(len(self.pose))
         home = [-p / np.maximum(np.hypot(*p.T), 1e-9)[:, None] for p in self.points]
         back = [u @ se2.rotation(float(pose[2])).T for u, pose in zip(home, self.pose, strict=True)]
         seen = [
-            gathered(self.pose, self.points, range(len(self.pose)), np.zeros(3), COARSE, [u[:, k] for u in back])[1]
+            gathered(self.pose, self.points, every, np.zeros(3), cfg.coarse, [u[:, k] for u in back])[1]
             for k in range(2)
         ]
-        lines = fit_normals(self.walls, LINE)
+        lines = fit_normals(self.walls, cfg.line)
         facing = sum(lines[:, k] * np.asarray(seen[k]) for k in range(2))
-        told = (np.abs(facing) > SIDED) & (lines[:, 2] < THICK)
+        told = (np.abs(facing) > cfg.sided) & (lines[:, 2] < cfg.thick)
         return np.asarray(lines[:, :2] * (np.sign(facing) * told)[:, None])
 
     def _views(self) -> Float[np.ndarray, "n bins"]:
@@ -137,9 +143,9 @@ def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray, cfg: 
         r, at = _polar(se2.act(se2.inverse(a.pose[k]), walls[seen]), bins)
         around = a.views[k][(at + _BESIDE) % bins]
         known = np.isfinite(around).all(axis=0)
-        like = known & (np.abs(around - r) < cfg.same + 0.02 * r).any(axis=0)
+        like = known & (np.abs(around - r) < cfg.same + cfg.same_share * r).any(axis=0)
         facing = ((a.pose[k, :2] - walls[seen]) * side[seen]).sum(axis=1)
-        same[seen] += like & (facing > -SIDED * r)
+        same[seen] += like & (facing > -cfg.sided * r)
         through[seen] += known & ~like & (around.min(axis=0) - r > cfg.through)
     judged = same + through > 0
     alike, unlike = judged & (same >= through), judged & (same < through)

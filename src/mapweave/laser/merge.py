@@ -122,7 +122,7 @@ def merge_maps(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig | None = None, s
         reason = f"near the start that was given: {near.reason}; everywhere: {free.reason}{held}"
         return held if isinstance(held, Merge) else replace(free, reason=reason)
     away = se2.between(start.transform, free.transform)
-    if (np.abs(away) > 3.0 * np.asarray(start.sd)).any():
+    if (np.abs(away) > cfg.start_sds * np.asarray(start.sd)).any():
         how_far = f"{np.hypot(*away[:2]):.2f} m and {np.degrees(abs(away[2])):.1f} degrees"
         free = replace(free, reason=f"{free.reason}; the scans overrule the start that was given, by {how_far}")
     return free
@@ -139,7 +139,7 @@ def _held_by_start(pair: Pair, near: Merge, free: Merge) -> Merge | str:
     if not slid or start is None:
         return ""
     away = "; the start alone does not hold them: "
-    if (way := along_start(a, b, place, start, cfg)) is None or not start.near(way.transform):
+    if (way := along_start(a, b, place, start, cfg)) is None or not start.near(way.transform, cfg):
         return away + "no wall of theirs lies on another where it puts them"
     T = way.transform
     seen = seen_alike(a, b, T, cfg.overlap)
@@ -196,7 +196,7 @@ def _decided(pair: Pair) -> Merge:
     tried, asked = 0, stages(b, cfg)
     for k, stage in enumerate(asked):
         more, count = hypotheses(b, place, stage, cfg, start)
-        found += [h for h in more if start is None or start.near(h.transform)]
+        found += [h for h in more if start is None or start.near(h.transform, cfg)]
         tried += count
         if k + 1 < len(asked) and len(found) < cfg.sure:
             continue
@@ -214,7 +214,7 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], tried: int) -> Merge:
     a, b, place, cfg, start = pair[:5]
     pair = pair.lit_by(ways)
     best = max(ways, key=pair.evidence)
-    if start is not None and not start.near(best.transform):
+    if start is not None and not start.near(best.transform, cfg):
         elsewhere = f"{robot_name(b.robot)} at {words(best.transform)} in the map of {robot_name(a.robot)}"
         return Merge(a.robot, b.robot, False, f"no place fits there as well as elsewhere: {elsewhere}")
     checked = _closures(pair, best)
@@ -353,8 +353,8 @@ def _ways(m: KeyframeMap, at: Sequence[int], cfg: MergeConfig) -> np.ndarray:
     path = m.path[list(at)]
     length = np.abs(path[:, None] - path[None, :])
     out = np.zeros((*length.shape, 3, 3))
-    out[..., 0, 0] = out[..., 1, 1] = np.square(0.02 + cfg.drift * length)
-    out[..., 2, 2] = np.square(0.002 + cfg.drift_turn * np.sqrt(length))
+    out[..., 0, 0] = out[..., 1, 1] = np.square(cfg.bend_path + cfg.drift * length)
+    out[..., 2, 2] = np.square(cfg.bend_turn + cfg.drift_turn * np.sqrt(length))
     return out
 
 

@@ -27,7 +27,9 @@ class MergeConfig:
     every: int = 12  # keyframes between submaps searched for everywhere
     small: int = 4  # keyframes around the middle of the small ones searched for beside them
     dense: int = 4  # keyframes between submaps that confirm a transform
-    most_dense: int = 60  # of those
+    most_dense: int = 60  # of those,
+    dense_reach: float = 6.0  # [m] from a keyframe of the other map
+    least_points: int = 30  # of a submap that is searched for
     least: float = 0.3  # score of a hypothesis
     least_ratio: float = 0.7  # of its submap's best: a second place that is a hypothesis too
     score: float = 0.6  # more: a submap that confirms,
@@ -39,6 +41,11 @@ class MergeConfig:
     known_votes: int = 3  # at least, inside the window of a start that was given
     known_alike: float = 0.8  # share of what both saw on which they agree there,
     start_along: float = 1.0  # [m] sd, at most, of a start that alone holds maps along a corridor
+    start_sds: float = 3.0  # standard deviations of a start within which it is looked for,
+    start_reach: float = 1.0  # [m] and
+    start_turn: float = 0.2  # [rad] to either side at least
+    start_sd: float = 0.5  # [m] and
+    start_turn_sd: float = 0.1  # [rad] standard deviations of a start that is given without
     slip: float = 0.3  # [m] and
     slip_turn: float = 0.05  # [rad] that a map's first keyframes may be off the rest, beside what a start may be off
     blunder: float = 0.05  # chance that a start is false: what its likelihood never falls below
@@ -58,7 +65,11 @@ class MergeConfig:
     slide: tuple[float, ...] = (0.8, 1.6, 3.0)  # [m] the map is pushed along its worst direction as a test
     ties_alike: float = 12.0  # submaps that confirm count as one measurement, since their errors are alike
     drift: float = 0.01  # [m per m] sd of a map's own trajectories,
-    drift_turn: float = 0.002  # [rad per sqrt m] and of their headings
+    drift_turn: float = 0.002  # [rad per sqrt m] and of their headings,
+    bend: float = 0.03  # [m] to which this is added where maps meet,
+    bend_turn: float = 0.002  # [rad] in headings,
+    bend_submap: float = 0.005  # [rad] in headings of submaps,
+    bend_path: float = 0.02  # [m] and between two keyframes of one map
     cycle_gate: float = 4.0 * 11.34  # squared sd of a cycle: twice the 99 % of 3 degrees of freedom in sd, maps bend
     whole: int = 1000  # points of a whole map that are searched with
     correlation: CorrelationConfig = CorrelationConfig()
@@ -77,10 +88,11 @@ class Start(NamedTuple):
     transform: Float[np.ndarray, "3"]
     sd: Float[np.ndarray, "3"]
 
-    def near(self, T: Float[np.ndarray, "3"]) -> bool:
-        """Whether it allows a transform, which lies within three standard deviations, or as near as is searched."""
-        sd, e = np.asarray(self.sd), se2.between(self.transform, T)
-        return bool(np.hypot(*e[:2]) <= max(3.0 * np.hypot(*sd[:2]), 1.0) and abs(e[2]) <= max(3.0 * sd[2], 0.2))
+    def near(self, T: Float[np.ndarray, "3"], cfg: MergeConfig) -> bool:
+        """Whether it allows a transform, which lies within some standard deviations, or as near as is searched."""
+        sd, e = cfg.start_sds * np.asarray(self.sd), se2.between(self.transform, T)
+        reach = max(cfg.start_sds * np.hypot(*self.sd[:2]), cfg.start_reach)
+        return bool(np.hypot(*e[:2]) <= reach and abs(e[2]) <= max(sd[2], cfg.start_turn))
 
     def likelihood(self, T: Float[np.ndarray, "3"], cfg: MergeConfig) -> float:
         """Of a transform, 1 where it is said to be; never under `cfg.blunder`, the chance that what was said is false.
@@ -156,10 +168,10 @@ def hypotheses(
     tried = 0
     for anchor, around in asked:
         query = query_around(b.pose, b.points, anchor, b.q, _sized(cfg.submap, around))
-        if len(query.points) < 30:
+        if len(query.points) < cfg.least_points:
             continue
         tried += 1
-        window = everywhere(place) if start is None else _start_window(start, b.pose[anchor])
+        window = everywhere(place) if start is None else _start_window(start, b.pose[anchor], cfg)
         places = search(place, query.points, window, query.q, least=cfg.least, least_ratio=cfg.least_ratio)
         hits = [hit for hit in (places.best, places.second) if hit is not None]
         found += [_hypothesis(b, place, query, hit, places.ratio) for hit in hits]
@@ -196,7 +208,7 @@ def whole_candidates(
         Window(found.transform, (2.0 * cfg.agree,) * 2, cfg.agree_turn) for found in map_places(a, b, cfg.correlation)
     ]
     if start is not None:
-        windows.append(_start_window(start, np.zeros(3)))
+        windows.append(_start_window(start, np.zeros(3), cfg))
     out: list[Candidate] = []
     for window in windows:
         close = search(place, thin, window).best
@@ -228,7 +240,7 @@ def along_start(
     a: KeyframeMap, b: KeyframeMap, place: LikelihoodField, start: Start, cfg: MergeConfig
 ) -> AlongStart | None:
     """The place near a start in a corridor, whose walls hold nothing along it; None where no wall fits."""
-    window = _start_window(start, np.zeros(3))
+    window = _start_window(start, np.zeros(3), cfg)
     thin = b.walls[np.linspace(0, len(b.walls) - 1, min(len(b.walls), cfg.whole)).round().astype(int)]
     close = search(place, thin, window).best
     if close is None:
@@ -248,9 +260,9 @@ def along_start(
     A = np.eye(3)
     A[:2, :2] -= np.outer(v, v)
     there = int(np.argmin(cKDTree(a.pose[:, :2]).query(se2.compose(T, b.pose)[:, :2])[0]))
-    bent = 0.002 + cfg.drift_turn * np.sqrt(float(np.ptp(a.path) + np.ptp(b.path)))
+    bent = cfg.bend_turn + cfg.drift_turn * np.sqrt(float(np.ptp(a.path) + np.ptp(b.path)))
     swung = bent * float(np.hypot(*b.pose[there, :2]) + np.hypot(*T[:2]))  # bent from where they meet to the origins
-    P = fit.covariance + np.diag(np.square([0.03 + swung, 0.03 + swung, bent]))
+    P = fit.covariance + np.diag(np.square([cfg.bend + swung, cfg.bend + swung, bent]))
     P = A @ P @ A.T
     P[:2, :2] += variance * np.outer(v, v)
     return AlongStart(T, symmetrise(P), u, float(np.sqrt(variance)))
@@ -265,7 +277,8 @@ def _whole(
     tree = cKDTree(a.pose[:, :2])
     anchor = int(np.argmin(tree.query(at[:, :2])[0]))
     far = np.abs(b.path - b.path[anchor]).max()
-    P = symmetrise(fit.covariance + np.diag(np.square([0.03, 0.03, 0.002 + 0.5 * cfg.drift_turn * np.sqrt(far)])))
+    bent = cfg.bend_turn + 0.5 * cfg.drift_turn * np.sqrt(far)
+    P = symmetrise(fit.covariance + np.diag(np.square([cfg.bend, cfg.bend, bent])))
     A = adjoint(se2.inverse(b.pose[anchor]))
     seen_there = replace(fit, pose=at[anchor], covariance=symmetrise(A @ P @ A.T))
     member = Hypothesis(anchor, fit.pose, score, 0.0, seen_there)
@@ -286,13 +299,13 @@ def confirmed(
     """Every submap of b that would overlap a under `transform`, searched for near where it should lie."""
     there = se2.compose(transform, b.pose)
     d = np.hypot(*(there[:, None, :2] - a.pose[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
-    near = [k for k in range(0, len(b.pose), cfg.dense) if d[k] < 6.0]
+    near = [k for k in range(0, len(b.pose), cfg.dense) if d[k] < cfg.dense_reach]
     if len(near) > cfg.most_dense:
         near = [near[k] for k in np.linspace(0, len(near) - 1, cfg.most_dense).round().astype(int).tolist()]
     size, out = _sized(cfg.submap, 2 * cfg.small), []
     for anchor in near:
         query = query_around(b.pose, b.points, anchor, b.q, size)
-        if len(query.points) < 30:
+        if len(query.points) < cfg.least_points:
             continue
         window = Window(there[anchor], (2.0 * cfg.agree, 2.0 * cfg.agree), 2.0 * cfg.agree_turn)
         places = search(place, query.points, window, query.q, least=cfg.least)
@@ -336,7 +349,8 @@ def meeting(
     z, information = [], []
     for h in group:
         far = abs(float(b.path[h.anchor]) - middle)
-        bent = np.array([0.03 + cfg.drift * far, 0.03 + cfg.drift * far, 0.005 + cfg.drift_turn * np.sqrt(far)])
+        aside = cfg.bend + cfg.drift * far
+        bent = np.array([aside, aside, cfg.bend_submap + cfg.drift_turn * np.sqrt(far)])
         A = adjoint(b.pose[h.anchor])
         z.append(h.transform)
         information.append(symmetrise(np.linalg.inv(A @ (h.fit.covariance + np.diag(bent**2)) @ A.T)))
@@ -366,8 +380,8 @@ def _sized(cfg: LaserSubmapConfig, around: int) -> LaserSubmapConfig:
     )
 
 
-def _start_window(start: Start, pose: np.ndarray) -> Window:
-    """Three standard deviations round where the start puts a keyframe, a metre and 0.2 rad at least."""
-    sd = np.maximum(3.0 * np.asarray(start.sd), [1.0, 1.0, 0.2])
+def _start_window(start: Start, pose: np.ndarray, cfg: MergeConfig) -> Window:
+    """Some standard deviations round where the start puts a keyframe."""
+    sd = np.maximum(cfg.start_sds * np.asarray(start.sd), [cfg.start_reach, cfg.start_reach, cfg.start_turn])
     reach = float(np.hypot(sd[0], sd[1]) + min(float(sd[2]), 1.0) * np.hypot(*pose[:2]))
     return Window(se2.compose(start.transform, pose), (reach, reach), float(sd[2]))

@@ -54,7 +54,8 @@ class FrontEndConfig:
     alone_xy: float = 0.25  # [m] a robot without odometry may move in a step, one sigma, and
     alone_turn: float = 0.35  # [rad] turn
     alone_search: float = 1.3  # [rad] turns tried to either side of such a robot's last heading
-    alone_tries: int = 5  # of them, those that most returns match are refined
+    alone_tries: int = 5  # of them, those that most returns match are refined,
+    alone_apart: float = 2.5  # times `wide_step` apart from each other at least
     alone_loss: float = 0.04  # share of the returns that a change of its motion must win: so much times
     alone_steady: float = 0.1  # ln(1 + (change of the step / this [m])^2 + (change of the turn / the next)^2)
     alone_steady_turn: float = 0.15  # [rad] change of the turn that weighs as much
@@ -136,7 +137,7 @@ class FrontEnd:
         for k in np.argsort(-scores, kind="stable").tolist():
             if len(starts) >= 2 + c.alone_tries:
                 break
-            if all(abs(se2.wrap_angle(at[k, 2] - s[2])) > 2.5 * c.wide_step for s in starts):
+            if all(abs(se2.wrap_angle(at[k, 2] - s[2])) > c.alone_apart * c.wide_step for s in starts):
                 starts.append(at[k])
         found = []
         for start in starts:

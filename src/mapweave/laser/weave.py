@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from ..core import se2
 from .joint_pass import JointPassConfig, joint_pass, keyframe_cloud
-from .map_overlap import KeyframeMap
+from .map_overlap import OVERLAP, KeyframeMap, OverlapConfig
 from .merge import Merge, merge_maps
 from .merge_search import MergeConfig, Start
 from .pose_graph import PoseGraph
@@ -33,11 +33,11 @@ class Woven:
     joint: SolvedGraph
 
 
-def keyframe_map(graph: RobotGraph) -> KeyframeMap:
+def keyframe_map(graph: RobotGraph, cfg: OverlapConfig = OVERLAP) -> KeyframeMap:
     """The keyframes of one robot as merging wants them."""
     rows = [graph.rows(i) for i in range(len(graph))]
     q = None if graph.q is None else [graph.q[r] for r in rows]
-    return KeyframeMap(graph.robot, graph.pose, [graph.points[r] for r in rows], q)
+    return KeyframeMap(graph.robot, graph.pose, [graph.points[r] for r in rows], q, cfg)
 
 
 def weave(
@@ -60,7 +60,7 @@ def weave(
     robots, when there was less of them: taken as it stands, its closures by their keyframes. executor: where pairs are
     tried side by side, those too that are not needed then: what comes of it is the same.
     """
-    maps = [keyframe_map(r) for r in robots]
+    maps = [keyframe_map(r, cfg.overlap if cfg else OVERLAP) for r in robots]
     offset = np.concatenate([[0], np.cumsum([len(r) for r in robots])])
     start = np.concatenate([r.pose for r in robots])
     graph = _side_by_side([r.graph() for r in robots], start)

@@ -9,12 +9,11 @@ from jaxtyping import Float, Int
 
 from ..core import se2
 from ..kernels.laser.sweep import CellCounts, lay_sweep
+from ..laser.occupancy_mapper import AT_ONCE
 from .driven import Seen
 from .tile_bytes import SIDE, pack
 from .tiles import COARSER, LEVELS, Cells, cells_of, coarser
 
-SHIFT = 0.5  # [cells] that a pose moves before its returns are laid anew, or
-TURN = float(np.radians(0.5))  # [rad] that it turns
 NO_ENDS = np.zeros((0, 2))
 SquareKey = tuple[int, int, int]  # level, column and row
 
@@ -62,8 +61,8 @@ class Canvas:
             old = self._aligned(robot, ids, seen)
             d = pose - old
             new = np.isnan(d[:, 0])
-            far = np.hypot(d[:, 0], d[:, 1]) > SHIFT * self.resolution
-            turned = np.abs(se2.wrap_angle(np.where(new, 0.0, d[:, 2]))) > TURN
+            far = np.hypot(d[:, 0], d[:, 1]) > AT_ONCE.shift * self.resolution
+            turned = np.abs(se2.wrap_angle(np.where(new, 0.0, d[:, 2]))) > AT_ONCE.turn
             fresh += [(robot, int(k)) for k in np.flatnonzero(new)]
             moved += [(robot, int(k)) for k in np.flatnonzero(far | turned)[::-1]]
         off = [*fresh, *moved]

@@ -68,6 +68,7 @@ class KnownConfig:
     surveyed: float = 0.02  # [m] of a surveyed point
     outlier: float = 2.5  # standard deviations from which a known place counts less: surveys exchange labels
     told: float = 3.0  # standard deviations from which a known place that the map contradicts is told
+    near: float = 0.5  # [m] within which a known place agrees with where the others put it, when the frame is sought
 
 
 @config

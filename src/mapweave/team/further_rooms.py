@@ -31,7 +31,6 @@ from .relative_frame import (
 )
 from .team_map import TeamMap
 
-REACH = 0.5  # [s] from a pose that is known, within which the robot is where its track says
 LEAST = 2  # landmarks of a room
 
 
@@ -63,7 +62,7 @@ def with_further_rooms(
         names = [name for name in room.landmarks.ids if name not in team.landmarks.ids]
         if len(names) < LEAST:
             continue
-        seen = _between(team, here, room, there, by)
+        seen = _between(team, here, room, there, by, placing.room_reach)
         relation = relate(seen, placing)
         if relation is None or not is_sure(relation, placing):
             continue
@@ -99,12 +98,16 @@ def _between(
     room: TeamMap,
     there: Mapping[str, Float[np.ndarray, " r"]],
     logs: Mapping[str, LandmarkLog],
+    reach: float,
 ) -> MutualSightings:
-    """What robots while in the one map saw of others while in the other; here, there: stamps at which they were."""
+    """What robots while in the one map saw of others while in the other.
+
+    here, there: stamps at which they were, within `reach` [s] of which they are where their tracks say.
+    """
     parts = [
         mutual_sightings(
-            Body({a: team.tracks[a]}, {}, {a: here[a]}, {a: REACH}),
-            Body({b: room.tracks[b]}, {}, {b: there[b]}, {b: REACH}),
+            Body({a: team.tracks[a]}, {}, {a: here[a]}, {a: reach}),
+            Body({b: room.tracks[b]}, {}, {b: there[b]}, {b: reach}),
             logs,
             {},
         )

@@ -27,12 +27,13 @@ class PlacePriors:
     """starts: robot -> its first pose (3,) and the sd [m] of its place; points: landmark -> place (2,) and sd [m].
 
     All in one frame, which becomes the map's. own_frame: the map's frame stays the first pose of its first robot (of
-    which no start is known), and starts are told in it.
+    which no start is known), and starts are told in it. near: [m] within which one agrees with where others put it.
     """
 
     starts: Mapping[str, tuple[Float[np.ndarray, "3"], float]] = field(default_factory=dict)
     points: Mapping[str, tuple[Float[np.ndarray, "2"], float]] = field(default_factory=dict)
     own_frame: bool = False
+    near: float = KnownConfig().near
 
     @classmethod
     def of(
@@ -49,6 +50,7 @@ class PlacePriors:
             {robot: (np.array(pose, float), start_sd.get(robot, cfg.start)) for robot, pose in starts.items()},
             {n: (np.array([x, y], float), cfg.surveyed if sd is None else sd) for n, (x, y, sd) in points.items()},
             own_frame=not points and first not in starts,
+            near=cfg.near,
         )
 
     def __bool__(self) -> bool:
@@ -73,9 +75,9 @@ class PlacePriors:
                 tried.append(se2.align(here[[i, j]], there[[i, j]]))
         if not tried:
             return None
-        cost = [np.log1p(np.square(se2.act(T, here) - there).sum(axis=1) / 0.25).sum() for T in tried]
+        cost = [np.log1p(np.square(se2.act(T, here) - there).sum(axis=1) / self.near**2).sum() for T in tried]
         T = tried[int(np.argmin(cost))]
-        near = np.linalg.norm(se2.act(T, here) - there, axis=1) < 0.5
+        near = np.linalg.norm(se2.act(T, here) - there, axis=1) < self.near
         return se2.align(here[near], there[near]) if near.sum() > 2 else np.asarray(T)
 
     def holds(self, robots: Sequence[str], landmarks: Sequence[str]) -> bool:

@@ -31,8 +31,6 @@ from .relative_frame import (
     sharpened,
 )
 
-SAME = np.diag([0.05**2, 0.05**2, 0.02**2])  # covariance of a tie by the same robot's two tracks
-
 
 @dataclass(frozen=True, slots=True)
 class Tie:
@@ -143,7 +141,7 @@ def _tie(
     """How b lies in a, and by how much the clock of the one that has its own is ahead; None when that is not sure."""
     shared = [robot for robot in a.robots if robot in b.tracks]
     if shared:
-        return _by_same_robot(a.tracks[shared[0]], b.tracks[shared[0]]), 0.0
+        return _by_same_robot(a.tracks[shared[0]], b.tracks[shared[0]], cfg), 0.0
     swap = a.own_clock and not b.own_clock
     first, second = (b, a) if swap else (a, b)
     seen = mutual_sightings(first, second, logs, labels)
@@ -179,14 +177,14 @@ def _with_clock(
     if found is None or (none is not None and (worth(none) - worth(found)) * found.of < cfg.clock_lead):
         return plain, 0.0
     step = 0.5 * cfg.clock_step
-    while step > 0.01:
+    while step > cfg.clock_still:
         near = {c: at(c) for c in (best - step, best, best + step)}
         best = min(near, key=lambda clock: (worth(near[clock]), abs(clock)))
         step = 0.5 * step
     return relate(mutual_sightings(a, replace(b, clock=best), logs, labels), cfg), float(best)
 
 
-def _by_same_robot(a: Track, b: Track) -> Relation:
+def _by_same_robot(a: Track, b: Track, cfg: PlacingConfig) -> Relation:
     """How two tracks of one robot lie: the motion that lays most short pieces of one on the other."""
     t = np.arange(max(a.t[0], b.t[0]), min(a.t[-1], b.t[-1]), 1.0)
     if len(t) < 3:
@@ -196,7 +194,7 @@ def _by_same_robot(a: Track, b: Track) -> Relation:
     for _ in range(5):
         e = np.linalg.norm(se2.act(T, q[:, :2]) - p[:, :2], axis=1)
         T = se2.align(q[:, :2], p[:, :2], 1.0 / (1.0 + np.square(e / max(float(np.median(e)), 0.02))))
-    return Relation(T, SAME, len(t), len(t), 0.0)
+    return Relation(T, np.diag([cfg.same_xy**2, cfg.same_xy**2, cfg.same_theta**2]), len(t), len(t), 0.0)
 
 
 def _placed_next(
@@ -295,7 +293,7 @@ def _windows(
     base = se2.interpolate(t, carrier.t, carrier.pose)
     rows = np.searchsorted(t, times)
     pose = blended(base, rows, anchors) if driven else se2.interpolate(t, times, anchors)
-    body = Body({robot: Track(t, pose)}, {}, {robot: times}, {robot: 0.7 * found.length})
+    body = Body({robot: Track(t, pose)}, {}, {robot: times}, {robot: cfg.window_reach * found.length})
     return body, found.agree, len(found.seen)
 
 
@@ -327,6 +325,6 @@ def _agreeing(
     way = np.hypot(said[:, 0], said[:, 1]) if driven else np.diff(t)
     fits = np.hypot(miss[:, 0], miss[:, 1]) < cfg.near + cfg.near_share * way
     if driven:
-        fits &= np.abs(miss[:, 2]) < cfg.near + cfg.near_share * np.abs(said[:, 2]) + 0.05 * np.diff(t)
+        fits &= np.abs(miss[:, 2]) < cfg.near + cfg.near_share * np.abs(said[:, 2]) + cfg.near_drift * np.diff(t)
     keep = np.append(fits, False) | np.append(False, fits)
     return t[keep], place[keep]

@@ -42,6 +42,7 @@ class PlacingConfig:
     sure_theta: float = 0.3  # [rad] sd of its turn, at most
     window: float = 12.0  # [s] over which bare wheels are trusted,
     window_still: float = 1.2  # [s] over which a robot without wheels is taken to stand
+    window_reach: float = 0.7  # of such a window, either way of its middle, in which the robot is where it says
     loose_share: float = 0.25  # share of a loose robot's sightings that must agree with where they place it
     regained_share: float = 0.3  # the same of a robot whose own map does not fit the others',
     regained_window: float = 6.0  # [s] over which its wheels are trusted,
@@ -49,7 +50,8 @@ class PlacingConfig:
     better: float = 1.1  # times as many must agree with another
     fixed_window: float = 2.0  # [s] either way, in which sightings must fix a robot without wheels
     clock: float = 3.0  # [s] largest offset of a clock that is looked for
-    clock_step: float = 0.25  # [s] between two that are tried
+    clock_step: float = 0.25  # [s] between two that are tried, which is halved
+    clock_still: float = 0.01  # [s] down to this
     clock_lead: float = 10.0  # cost by which an offset must be better than none
     clock_sure: float = 3.0  # standard deviations from which a fine offset is believed,
     clock_rounds: int = 3  # smoothing again after each,
@@ -60,6 +62,10 @@ class PlacingConfig:
     lever: float = 2.0  # times as far as a tie may be off where robots meet, frames may be off where they begin
     near: float = 0.5  # [m] by which two places of one loose robot may contradict its wheels, and
     near_share: float = 0.3  # as a share of what they drove, or [m/s] of a robot without
+    near_drift: float = 0.05  # [rad/s] that the same wheels may turn more than they say
+    same_xy: float = 0.05  # [m] and
+    same_theta: float = 0.02  # [rad] sd of a tie by two tracks of one robot
+    room_reach: float = 0.5  # [s] of a known pose in which a robot sights those of landmarks mapped apart
     leap: float = 4.0  # standard deviations of its speed that a robot without odometry cannot have gone
     unsure: float = 1.0  # [m] sd of a landmark that bearings alone place, when the smoothing begins
     guessed: float = 3.0  # [rad^2] variance of a heading from which a pose is a guess between pieces of a map

@@ -25,8 +25,6 @@ from ...landmarks.submap_slam import SubmapConfig
 from .config import LapSearchConfig
 
 Plan = tuple[Float[np.ndarray, "r k 2"], Int[np.ndarray, " r"]]
-HOPELESS = ((8, 0.85), (24, 0.92))  # after so many layouts a plan is given up whose error, times this, is too much
-HOPELESS_BY_NOW = ((1, 0.85), (2, 0.9), (4, 0.94))  # under way, layouts share what is known
 MEAN_OF_RMS = 0.886  # mean distance over its root mean square, for a round Gaussian
 
 
@@ -137,7 +135,7 @@ class LapJudge:
             max(1, every // search.looks),
         )
         odometry = odometry_information(whole, every, s.Q)
-        limits = dict(HOPELESS_BY_NOW if self.step else HOPELESS)
+        limits = dict(search.hopeless_by_now if self.step else search.hopeless)
         total = 0.0  # of landmarks seen: those missed are dear already
         for k, marks in enumerate(self.layouts):
             S = odometry.copy()

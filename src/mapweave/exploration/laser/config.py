@@ -30,7 +30,8 @@ class FollowerConfig:
 
     lookahead: float = 2.0  # [m] of path that is looked ahead: three seconds at full speed
     reverse_speed: float = 1 / 3  # of the top speed backwards, to leave a tight spot
-    heading_cost: float = 0.8  # [m/rad] that a wrong heading counts as
+    heading_cost: float = 0.8  # [m/rad] that a wrong heading counts as,
+    heading_near: float = 0.3  # [m] from the place, and less nearer by
     reverse_cost: float = 0.25  # [m] that driving backwards counts as: turning round is better where there is room
     arc_sample: float = 0.02  # [m] between the samples of an arc: half of `guard`
     closeness_cost: float = 0.3  # [m] that a metre of clearance below `roomy` counts as

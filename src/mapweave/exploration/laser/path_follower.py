@@ -59,7 +59,8 @@ def steer(
     goal = se2.act(se2.inverse(pose), target)
     d = goal - ends[:, :2]
     distance = np.hypot(d[:, 0], d[:, 1])
-    error = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - ends[:, 2])) * np.minimum(1.0, distance / 0.3)
+    error = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - ends[:, 2]))
+    error = error * np.minimum(1.0, distance / cfg.follower.heading_near)
     tight = np.clip(cfg.roomy - clearance, 0.0, cfg.roomy)
     backwards = cfg.follower.reverse_cost * (commands[:, 0] < 0.0)
     cost = np.where(

@@ -31,12 +31,12 @@ def grow(problem: PoseProblem, cfg: TrackConfig, on_progress: Progress = no_prog
     robust = replace(cfg, kernel=cfg.kernel or 3.0)
     sigma = float(np.median(problem.table.sigma))
     # The rms bearing error under which a meeting is believed: noise, and what the odometry turns astray meanwhile.
-    good = float(np.sqrt((1.5 * sigma) ** 2 + cfg.turn_floor**2 * cfg.window)) + 0.01
+    good = float(np.sqrt((cfg.meeting * sigma) ** 2 + cfg.turn_floor**2 * cfg.window)) + cfg.meeting_floor
     windows = [*range(begin, count), *range(begin - 1, -1, -1), *range(begin, count)]
     for done, w in enumerate(windows):
         on_progress("growing tracks", done, len(windows))
         low, high = edges[w], edges[w + 1]
-        _join(problem, x, placed, window == w, good, cfg.enough)
+        _join(problem, x, placed, window == w, good, cfg)
         still = ~np.isin(problem.line.robot, list(problem.odometry))
         inside = (problem.line.t >= low - cfg.window) & (problem.line.t <= high + cfg.window * (w < begin))
         reached = _reached(problem, w, begin, edges)
@@ -71,7 +71,9 @@ def _busiest(problem: PoseProblem, rows: np.ndarray) -> int:
     return int(np.bincount(both).argmax())
 
 
-def _join(problem: PoseProblem, x: np.ndarray, placed: set[int], rows: np.ndarray, good: float, enough: int) -> None:
+def _join(
+    problem: PoseProblem, x: np.ndarray, placed: set[int], rows: np.ndarray, good: float, cfg: TrackConfig
+) -> None:
     """Robots that the sightings `rows` tie to those placed are placed too, the best tied first; x is changed."""
     refused: set[int] = set()
     while True:
@@ -82,14 +84,18 @@ def _join(problem: PoseProblem, x: np.ndarray, placed: set[int], rows: np.ndarra
         counts = np.bincount(other[tie], minlength=len(problem.table.ids))
         counts[list(refused)] = 0
         new = int(counts.argmax())
-        if counts[new] < enough:
+        if counts[new] < cfg.enough:
             return
         use = np.flatnonzero(tie & (other == new))
         by_placed = inside[0][use]
         here = np.where(by_placed, problem.line.observer[use], problem.line.target[use])
         there = np.where(by_placed, problem.line.target[use], problem.line.observer[use])
         T, error = relative_odometry_frame(
-            x[problem.index[here]], problem.own[there], problem.table.bearing()[use], by_placed, 3.0 * good
+            x[problem.index[here]],
+            problem.own[there],
+            problem.table.bearing()[use],
+            by_placed,
+            cfg.meeting_outlier * good,
         )
         if np.sqrt(error) > good:
             refused.add(new)

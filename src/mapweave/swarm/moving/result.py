@@ -33,7 +33,10 @@ class TrackConfig:
     outlier: float = 4.0  # standard deviations beyond which a sighting is an outlier, with a kernel
     first_instants: int = 3  # that are smoothed together before filtering begins
     relinearise: int = 3  # times that one instant's sightings are linearised by the filter
-    enough: int = 6  # sightings that place a robot, where a start without common axes is grown
+    enough: int = 6  # sightings that place a robot, where a start without common axes is grown,
+    meeting: float = 1.5  # times the error of one sighting, and what wheels turn astray in a `window`, and
+    meeting_floor: float = 0.01  # [rad] more: the rms error of a meeting that is believed, of which
+    meeting_outlier: float = 3.0  # times as much count as no more
 
 
 @dataclass(frozen=True, slots=True)
