@@ -41,9 +41,9 @@ class LapSearchConfig:
     rough_layouts: int = 8  # of landmarks on which the map's error of first plans is judged
     layouts: int = 24  # the same of the finalists: on 8 the best plan is the one that suits just these
     hopeless: tuple[tuple[int, float], ...] = ((8, 0.85), (24, 0.92))
-    """After so many layouts a plan is given up whose error, times this, is too much."""
+    """after so many layouts a plan is given up whose error, times this, is too much"""
     hopeless_by_now: tuple[tuple[int, float], ...] = ((1, 0.85), (2, 0.9), (4, 0.94))
-    """The same under way, where layouts share what is known."""
+    """the same under way, where layouts share what is known"""
     fine_layouts: int = 96  # the same of the chosen one
     looks: int = 1  # that are counted for each of those poses, evenly spread around it
     sight_margin: float = 0.0  # [m] of the reach in which landmarks are not counted on to be seen
