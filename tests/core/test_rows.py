@@ -1,9 +1,9 @@
-"""Rows kept in one array."""
+"""Rows kept in one array, and those that stand for all."""
 
 import numpy as np
 import pytest
 
-from mapweave.core.rows import RowBuffer
+from mapweave.core.rows import RowBuffer, spread
 
 
 @pytest.mark.parametrize("shape", [(), (3,), (3, 3)])
@@ -47,3 +47,16 @@ def test_only_the_newest_row_is_kept(count):
     rows.append([7.0, 8.0])
     assert rows[-1].tolist() == [7.0, 8.0]
     assert len(rows) == min(count, 1) + 1
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 7, 50])
+@pytest.mark.parametrize("most", [1, 2, 7, 12, 50, 60])
+def test_rows_that_stand_for_all_are_as_many_as_asked_for_each_once_and_evenly_apart(n, most):
+    rows = spread(n, most)
+    assert len(rows) == min(n, most)
+    assert len(np.unique(rows)) == len(rows)
+    if n:
+        assert rows[0] == 0
+    if len(rows) > 1:
+        assert rows[-1] == n - 1
+        assert np.ptp(np.diff(rows)) <= 1

@@ -1,11 +1,17 @@
-"""Buffers of rows of numbers that come one by one: the bytes of the numbers and hardly more."""
+"""Rows of numbers: buffers for those that come one by one, and which of many are asked."""
 
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from jaxtyping import Int
 
 PIECE = 128  # rows of one array
+
+
+def spread(n: int, most: int) -> Int[np.ndarray, " k"]:
+    """Which of n rows stand for all: `most` of them, evenly spread from the first to the last, or all n."""
+    return np.arange(n) if n <= most else np.linspace(0, n - 1, most).round().astype(np.int64)
 
 
 class RowBuffer:

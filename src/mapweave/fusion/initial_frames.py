@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 
 from ..core import se2
 from ..core.names import in_order
+from ..core.rows import spread
 from ..landmarks.landmark_map import LandmarkMap
 from .alignment import align_robust, joint_fit, log_evidence, spread_area
 from .cluster import Cluster
@@ -65,9 +66,7 @@ def same_place(source: LandmarkMap, target: LandmarkMap, cfg: FuseConfig) -> Fra
     """
     there = set(target.ids)
     shared = tuple(name for name in source.ids if name in there)
-    weighed = shared
-    if len(shared) > cfg.weighed:
-        weighed = tuple(shared[i] for i in np.linspace(0, len(shared) - 1, cfg.weighed).round().astype(np.intp))
+    weighed = tuple(shared[i] for i in spread(len(shared), cfg.weighed))
     a, b = _distrusted(source.select(weighed), cfg), _distrusted(target.select(weighed), cfg)
     rough = align_robust(a.mean, b.mean, np.full(len(weighed), cfg.gate))
     apart = np.hypot(*(se2.act(rough.T_target_source, a.mean) - b.mean).T)

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -264,6 +265,12 @@ def _doubles(raw: RawScan, before: list[RawScan]) -> bool:
         if np.array_equal(other.T_robot_sensor, raw.T_robot_sensor):
             return True
     return False
+
+
+@np.errstate(invalid="ignore")
+def floats(values: Any) -> np.ndarray:
+    """As 64-bit numbers, whatever kind of NaN is among them."""
+    return np.asarray(values, dtype=float)
 
 
 def is_sound(raw: RawScan) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..core.laser_log import LaserLog
-from .assemble import RawLog, RawScan
+from .assemble import RawLog, RawScan, floats
 from .bag import bag_hash, open_bag
 from .bag_robots import ODOMETRY, SCAN, TF, BagRobot, bag_robots, choose_robot
 from .transforms import Transforms, frame, planar, rigid
@@ -118,11 +118,11 @@ def _add_scans(raw: RawLog, messages: Sequence[Stamped], tf: Transforms, base: s
         pose, upside_down = places[name]
         n, sign = len(message.ranges), -1.0 if upside_down else 1.0
         step = message.angle_increment or (message.angle_max - message.angle_min) / max(1, n - 1)
-        light = _floats(message.intensities)
+        light = floats(message.intensities)
         raw.scans.append(
             RawScan(
                 t,
-                _floats(message.ranges),
+                floats(message.ranges),
                 light if len(light) else None,
                 sign * float(message.angle_min),
                 sign * float(step),
@@ -131,12 +131,6 @@ def _add_scans(raw: RawLog, messages: Sequence[Stamped], tf: Transforms, base: s
                 pose,
             )
         )
-
-
-@np.errstate(invalid="ignore")
-def _floats(values: np.ndarray) -> np.ndarray:
-    """As 64-bit numbers, whatever kind of NaN is among them."""
-    return np.asarray(values, dtype=float)
 
 
 def _stamp(header: Any, recorded: int) -> float:

@@ -25,7 +25,7 @@ class Transforms:
         """One TransformStamped; one that holds NaN, infinity or absurd numbers is refused."""
         edge = frame(message.header.frame_id), frame(message.child_frame_id)
         told = rigid(message.transform.translation, message.transform.rotation)
-        if (np.abs(told[0]) < FARTHEST).all() and (np.abs(told[1]) < LARGEST_TURN).all():
+        if in_range(told):
             self.seen.setdefault(edge, []).append((t, told))
         else:
             self.refused += 1
@@ -86,6 +86,12 @@ def rigid(translation: Any, rotation: Any) -> Rigid:
         np.array([translation.x, translation.y, translation.z]),
         np.array([rotation.x, rotation.y, rotation.z, rotation.w]),
     )
+
+
+def in_range(transform: Rigid) -> bool:
+    """Whether its numbers are finite and none is absurd."""
+    shift, turn = transform
+    return bool((np.abs(shift) < FARTHEST).all() and (np.abs(turn) < LARGEST_TURN).all())
 
 
 def planar(transform: Rigid) -> tuple[float, float, float]:

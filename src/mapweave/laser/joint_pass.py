@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from ..core import se2
 from ..core.config import config
 from ..core.records import frozen
+from ..core.rows import spread
 from ..kernels.laser.joint_scans import BeamIndex, LineGate, ScanLines, beams_by_direction, match_pairs, refine_poses
 from ..solve import Factor, Information, Pattern, Problem, SingularError, wrapping
 from .beam import Beams
@@ -78,10 +79,7 @@ class ScanCloud:
 
 def scan_cloud(scans: Sequence[Beams], sensor: Float[np.ndarray, "n 2"], most: int) -> ScanCloud:
     """At most `most` returns of each scan, spread evenly over it."""
-    kept = [
-        np.arange(len(b.q)) if len(b.q) <= most else np.linspace(0, len(b.q) - 1, most).round().astype(np.int64)
-        for b in scans
-    ]
+    kept = [spread(len(b.q), most) for b in scans]
     start = np.concatenate([[0], np.cumsum([len(k) for k in kept])]).astype(np.int64)
     none = np.zeros((0, 2))
     return ScanCloud(
@@ -100,8 +98,8 @@ def keyframe_cloud(robots: Sequence[RobotGraph], most: int) -> ScanCloud:
     rows, counts, offset = [], [], 0
     for r in robots:
         for i in range(len(r)):
-            at, n = r.rows(i), r.rows(i).stop - r.rows(i).start
-            kept = np.arange(n) if n <= most else np.linspace(0, n - 1, most).round().astype(np.int64)
+            at = r.rows(i)
+            kept = spread(at.stop - at.start, most)
             rows.append(offset + at.start + kept)
             counts.append(len(kept))
         offset += len(r.points)

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from ..core import se2
 from ..core.config import config
+from ..core.rows import spread
 from .beam import Beams
 from .laser_map import GridMap
 from .likelihood_field import NearestField, wall_cells
@@ -75,7 +76,7 @@ def evidence(
     walls: of `grid`; light: whether brightness takes part; searched: whether the place was searched everywhere, so that
     another that fits as well is a reason for doubt.
     """
-    some = [seen[k] for k in np.unique(np.linspace(0, len(seen) - 1, cfg.scans).round().astype(int))]
+    some = [seen[k] for k in spread(len(seen), cfg.scans)]
     here = _agreement(some, walls, np.zeros(3), light=light, cfg=cfg)
     ratio, rival = _rival(seen, grid, light=light, cfg=cfg) if searched else (0.0, None)
     doubt = _doubt(here, cfg)
@@ -118,7 +119,7 @@ def _agreement(
     known: list[np.ndarray] = []
     for one in seen:
         b, pose = one.beams, se2.compose(moved, one.pose)
-        pick = np.linspace(0, len(b.q) - 1, min(cfg.beams, len(b.q))).round().astype(int)
+        pick = spread(len(b.q), cfg.beams)
         points = se2.act(pose, b.s[pick])
         near = walls.nearest(points, NOWHERE)
         d = np.hypot(*(near[:, :2] - points).T)

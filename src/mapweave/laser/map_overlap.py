@@ -11,6 +11,7 @@ from ..core import se2
 from ..core.config import config
 from ..core.errors import DataError
 from ..core.records import frozen
+from ..core.rows import spread
 from ..kernels.laser.place_refine import fit_normals
 from .submaps import gathered
 
@@ -68,20 +69,23 @@ class KeyframeMap:
             raise DataError(f"map of {self.robot}: {len(self.pose)} keyframes and points of {len(self.points)}")
         steps = np.hypot(*np.diff(self.pose[:, :2], axis=0).T) if len(self.pose) > 1 else np.zeros(0)
         object.__setattr__(self, "path", frozen(np.concatenate([[0.0], np.cumsum(steps)])))
-        cloud, q = gathered(self.pose, self.points, range(len(self.pose)), np.zeros(3), self.cfg.coarse, self.q)
+        cloud, q = self.cloud(self.cfg.coarse, self.q)
         object.__setattr__(self, "walls", frozen(cloud))
         object.__setattr__(self, "walls_q", None if q is None else frozen(q))
         object.__setattr__(self, "walls_side", frozen(self._sides()))
         object.__setattr__(self, "views", frozen(self._views()))
 
+    def cloud(
+        self, voxel: float, values: Sequence[Float[np.ndarray, " _"]] | None = None
+    ) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, " m"] | None]:
+        """All points in the map's frame, one in a square of side `voxel` [m], and the mean of `values` there."""
+        return gathered(self.pose, self.points, range(len(self.pose)), np.zeros(3), voxel, values)
+
     def _sides(self) -> Float[np.ndarray, "w 2"]:
-        cfg, every = self.cfg, range(len(self.pose))
+        cfg = self.cfg
         home = [-p / np.maximum(np.hypot(*p.T), 1e-9)[:, None] for p in self.points]
         back = [u @ se2.rotation(float(pose[2])).T for u, pose in zip(home, self.pose, strict=True)]
-        seen = [
-            gathered(self.pose, self.points, every, np.zeros(3), cfg.coarse, [u[:, k] for u in back])[1]
-            for k in range(2)
-        ]
+        seen = [self.cloud(cfg.coarse, [u[:, k] for u in back])[1] for k in range(2)]
         lines = fit_normals(self.walls, cfg.line)
         facing = sum(lines[:, k] * np.asarray(seen[k]) for k in range(2))
         told = (np.abs(facing) > cfg.sided) & (lines[:, 2] < cfg.thick)
@@ -134,8 +138,7 @@ def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray, cfg: 
     side = b.walls_side @ se2.rotation(float(transform[2])).T
     around_each = cKDTree(walls).query_ball_point(a.pose[:, :2], cfg.reach, return_sorted=False)
     near = [k for k, seen in enumerate(around_each) if len(seen) > 10]
-    if len(near) > cfg.views:
-        near = [near[k] for k in np.linspace(0, len(near) - 1, cfg.views).round().astype(int).tolist()]
+    near = [near[k] for k in spread(len(near), cfg.views).tolist()]
     bins = a.views.shape[1]
     same, through = np.zeros(len(walls), dtype=np.int64), np.zeros(len(walls), dtype=np.int64)
     for k in near:
@@ -174,7 +177,7 @@ def wall_overlap(
     walls: Float[np.ndarray, "m 2"], b: KeyframeMap, transform: Float[np.ndarray, "3"], cfg: OverlapConfig = OVERLAP
 ) -> float:
     """Share of b's walls that lie on `walls` of map a, or of those on b's, whichever is more."""
-    other = se2.act(transform, gathered(b.pose, b.points, range(len(b.pose)), np.zeros(3), 0.1)[0])
+    other = se2.act(transform, b.cloud(0.1)[0])
     to_walls, to_other = cKDTree(walls).query(other)[0], cKDTree(other).query(walls)[0]
     return float(max(np.mean(to_walls < cfg.wall), np.mean(to_other < cfg.wall)))
 

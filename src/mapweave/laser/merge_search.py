@@ -1,6 +1,6 @@
 """How two maps may lie: submaps of one searched for in the whole of the other, and transforms on which they agree."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -11,13 +11,14 @@ from scipy.spatial import cKDTree
 from ..core import se2
 from ..core.config import config
 from ..core.gaussian import symmetrise
+from ..core.rows import spread
 from .consistency import adjoint, largest_clique
 from .map_correlation import CorrelationConfig, map_places
 from .map_overlap import KeyframeMap, OverlapConfig, SeenAlike, lit_alike, seen_alike
 from .place_search import Fit, Hit, LikelihoodField, PlaceConfig, Window, everywhere, likelihood_field, refine, search
 from .pose_graph import PoseGraph
 from .robust_graph import RobustGraphConfig, solve_graph
-from .submaps import LaserSubmapConfig, Query, gathered, query_around
+from .submaps import LaserSubmapConfig, Query, query_around
 
 ALONG_TIMES = 2  # maps are moved along a corridor to where a start has them, and laid on its walls again
 
@@ -103,6 +104,15 @@ class Start(NamedTuple):
         return float(cfg.blunder + (1.0 - cfg.blunder) * np.exp(-0.5 * e @ e))
 
 
+def start_between(starts: Mapping[int, Start], i: int, j: int) -> Start | None:
+    """Where robot j's frame is said to lie in robot i's; None when either is not told (the first one's is zero)."""
+    zero = Start(np.zeros(3), np.zeros(3))
+    a, b = (starts.get(k, zero if k == 0 else None) for k in (i, j))
+    if a is None or b is None or not starts:
+        return None
+    return Start(se2.between(a.transform, b.transform), np.hypot(a.sd, b.sd))
+
+
 class Hypothesis(NamedTuple):
     """The submap around keyframe `anchor` of map b lies at `fit.pose` in map a; so the maps lie as `transform` says.
 
@@ -137,7 +147,7 @@ class Candidate(NamedTuple):
 
 def whole_place(a: KeyframeMap, cfg: MergeConfig, *, featured: bool) -> LikelihoodField:
     """All walls of a map as one place; with brightness when it has some and it is `featured`."""
-    cloud, q = gathered(a.pose, a.points, range(len(a.pose)), np.zeros(3), cfg.submap.voxel, a.q if featured else None)
+    cloud, q = a.cloud(cfg.submap.voxel, a.q if featured else None)
     return likelihood_field(cloud, q, cfg.place)
 
 
@@ -203,7 +213,7 @@ def whole_candidates(
 
     Most evidence comes first.
     """
-    thin = b.walls[np.linspace(0, len(b.walls) - 1, min(len(b.walls), cfg.whole)).round().astype(int)]
+    thin = b.walls[spread(len(b.walls), cfg.whole)]
     windows = [
         Window(found.transform, (2.0 * cfg.agree,) * 2, cfg.agree_turn) for found in map_places(a, b, cfg.correlation)
     ]
@@ -241,7 +251,7 @@ def along_start(
 ) -> AlongStart | None:
     """The place near a start in a corridor, whose walls hold nothing along it; None where no wall fits."""
     window = _start_window(start, np.zeros(3), cfg)
-    thin = b.walls[np.linspace(0, len(b.walls) - 1, min(len(b.walls), cfg.whole)).round().astype(int)]
+    thin = b.walls[spread(len(b.walls), cfg.whole)]
     close = search(place, thin, window).best
     if close is None:
         return None
@@ -300,8 +310,7 @@ def confirmed(
     there = se2.compose(transform, b.pose)
     d = np.hypot(*(there[:, None, :2] - a.pose[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
     near = [k for k in range(0, len(b.pose), cfg.dense) if d[k] < cfg.dense_reach]
-    if len(near) > cfg.most_dense:
-        near = [near[k] for k in np.linspace(0, len(near) - 1, cfg.most_dense).round().astype(int).tolist()]
+    near = [near[k] for k in spread(len(near), cfg.most_dense).tolist()]
     size, out = _sized(cfg.submap, 2 * cfg.small), []
     for anchor in near:
         query = query_around(b.pose, b.points, anchor, b.q, size)

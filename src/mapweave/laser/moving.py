@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from ..core import se2
 from ..core.config import config
 from ..core.records import Scan, frozen
+from ..core.rows import spread
 from ..kernels.laser.moving import BeamRanges, Thing, moving_returns
 
 
@@ -103,5 +104,4 @@ class MovingReturns:
         recent = [one for one in old if one.t >= t - c.most_age]
         if not recent:
             return old[-1:]
-        pick = np.unique(np.linspace(0, len(recent) - 1, c.earlier).round().astype(int))
-        return [recent[k] for k in pick]
+        return [recent[k] for k in spread(len(recent), c.earlier)]

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.config import config
 from ..core.records import frozen
+from ..core.rows import spread
 from .place_search import (
     Fit,
     LikelihoodField,
@@ -159,7 +160,6 @@ def locate(
 
 
 def _thinned(anchor: int, cloud: Cloud, light: Float[np.ndarray, " n"] | None, cfg: LaserSubmapConfig) -> Query:
-    if len(cloud) > cfg.query_points:
-        keep = np.linspace(0, len(cloud) - 1, cfg.query_points).round().astype(int)
-        cloud, light = cloud[keep], None if light is None else light[keep]
+    keep = spread(len(cloud), cfg.query_points)
+    cloud, light = cloud[keep], None if light is None else light[keep]
     return Query(anchor, frozen(cloud), None if light is None else frozen(light))

@@ -11,7 +11,7 @@ from ..core import se2
 from .joint_pass import JointPassConfig, joint_pass, keyframe_cloud
 from .map_overlap import OVERLAP, KeyframeMap, OverlapConfig
 from .merge import Merge, merge_maps
-from .merge_search import MergeConfig, Start
+from .merge_search import MergeConfig, Start, start_between
 from .pose_graph import PoseGraph
 from .robot_graph import RobotGraph
 from .robust_graph import RobustGraphConfig, SolvedGraph, connected, solve_graph
@@ -100,9 +100,9 @@ def _tried(
 ) -> Callable[[int, int], Merge]:
     """What is decided on robots i < j. With an executor all pairs begin at once, else each when it is asked for."""
     if executor is None:
-        return lambda i, j: known.get((i, j)) or merge_maps(maps[i], maps[j], cfg, _between_robots(starts, i, j))
+        return lambda i, j: known.get((i, j)) or merge_maps(maps[i], maps[j], cfg, start_between(starts, i, j))
     running = {
-        (i, j): executor.submit(merge_maps, maps[i], maps[j], cfg, _between_robots(starts, i, j))
+        (i, j): executor.submit(merge_maps, maps[i], maps[j], cfg, start_between(starts, i, j))
         for j in range(1, len(maps))
         for i in range(j)
         if (i, j) not in known
@@ -168,15 +168,6 @@ def _last_pass(robots: Sequence[RobotGraph], ties: PoseGraph, cfg: JointPassConf
     moved = joint_pass(steps, keyframe_cloud(robots, cfg.beams), cfg, ties, owner)
     origin = se2.compose(moved[0], se2.inverse(robots[0].pose[0]))
     return [np.asarray(p) for p in np.split(se2.between(origin, moved), np.cumsum(size)[:-1])]
-
-
-def _between_robots(starts: Mapping[int, Start], i: int, j: int) -> Start | None:
-    """Where robot j's frame is said to lie in robot i's; None when either is not told (the first one's is zero)."""
-    zero = Start(np.zeros(3), np.zeros(3))
-    a, b = (starts.get(k, zero if k == 0 else None) for k in (i, j))
-    if a is None or b is None or not starts:
-        return None
-    return Start(se2.between(a.transform, b.transform), np.hypot(a.sd, b.sd))
 
 
 def _ties(found: Merge, start: np.ndarray, at_a: int, at_b: int, alike: float) -> PoseGraph:

@@ -12,13 +12,13 @@ import numpy as np
 
 from ..core import se2
 from ..laser.config import LaserConfig
-from ..laser.merge_search import Start
+from ..laser.merge_search import Start, start_between
 from .canvas import Canvas, Standing
 from .common_ground import WallCells, in_common
 from .driven import DrivenSession
 from .laser_stream import LaserRecord
 from .messages import Header, Scans, decode
-from .pair_search import PairSearch, PairTrial, between
+from .pair_search import PairSearch, PairTrial
 from .placed import ALONE, Placed
 from .store import Store
 from .tiles import TileKey
@@ -133,7 +133,7 @@ class LiveLaserTeam:
         pair = self.search.next(sizes, common)
         if pair is None:
             return None
-        start = between(starts, names.index(pair[0]), names.index(pair[1]))
+        start = start_between(starts, names.index(pair[0]), names.index(pair[1]))
         sessions = [self.robots[name].session for name in pair]
         graphs = [graph for session in sessions if (graph := session.keyframes) is not None]
         a, b = (np.array(graph.pose) for graph in graphs)

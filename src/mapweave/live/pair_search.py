@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core import se2
 from ..laser.map_overlap import KeyframeMap
 from ..laser.merge import MapClosure, Merge, merge_maps
 from ..laser.merge_search import MergeConfig, Start
@@ -185,15 +184,6 @@ def _place(then: Int[np.ndarray, " n"], now: Int[np.ndarray, " m"], k: int) -> i
     """Which of the keyframes `now` number `k` of `then` is; None when it has left."""
     at = int(np.searchsorted(now, then[k]))
     return at if at < len(now) and now[at] == then[k] else None
-
-
-def between(starts: Mapping[int, Start], i: int, j: int) -> Start | None:
-    """Where robot j's frame is said to lie in robot i's; None when either is not told (the first one's is zero)."""
-    zero = Start(np.zeros(3), np.zeros(3))
-    a, b = (starts.get(k, zero if k == 0 else None) for k in (i, j))
-    if a is None or b is None or not starts:
-        return None
-    return Start(se2.between(a.transform, b.transform), np.hypot(a.sd, b.sd))
 
 
 def _pairs(names: Sequence[str]) -> Iterator[Pair]:

@@ -14,6 +14,7 @@ from ..core import se2
 from ..core.config import config
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Odometry
+from ..core.rows import spread
 from ..landmarks.ekf_slam import is_landmark
 from .commanded_motion import CommandedMotion
 from .config import CalibrationPrior, MotionNoise
@@ -73,7 +74,7 @@ def _pairs(log: LandmarkLog, cfg: CameraClockConfig) -> Int[np.ndarray, "p 2"]:
         found.append(np.column_stack([rows[:-1][near], rows[1:][near]]) if len(rows) else found[0])
     pairs = np.concatenate(found)
     pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]
-    return pairs[np.linspace(0, len(pairs) - 1, min(len(pairs), cfg.most)).round().astype(np.int64)]
+    return np.asarray(pairs[spread(len(pairs), cfg.most)])
 
 
 def _costs(

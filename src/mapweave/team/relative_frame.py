@@ -16,6 +16,7 @@ from ..core import se2
 from ..core.config import config
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Track
+from ..core.rows import spread
 from ..kernels.landmarks.relation import relation_normal
 from .robot_part import all_seen
 
@@ -150,8 +151,7 @@ def relate(z: MutualSightings, cfg: PlacingConfig) -> Relation | None:
     """Where frame b lies in a; None where too few sightings agree, or another heading explains them as well."""
     if len(z) < cfg.least:
         return None
-    if len(z) > cfg.most:
-        z = z.select(np.linspace(0, len(z) - 1, cfg.most).round().astype(int))
+    z = z.select(spread(len(z), cfg.most))
     heading = 2 * np.pi * np.arange(cfg.headings) / cfg.headings
     T = np.column_stack([_shifts(z, heading, cfg), heading])
     cost = costs(z, T, cfg)

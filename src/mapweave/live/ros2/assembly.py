@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ...core.records import Scan, Track, frozen
-from ...io.assemble import LARGEST, RawScan, is_sound, poses_at, scan_of
-from ...io.transforms import Transforms, frame, planar, rigid
+from ...io.assemble import RawScan, floats, is_sound, poses_at, scan_of
+from ...io.transforms import Transforms, frame, in_range, planar, rigid
 from ..laser_stream import MOST_BEAMS
 from ..messages import RefusedError
 
@@ -166,7 +166,7 @@ class Assembly:
 
     def _raw(self, message: Any) -> RawScan:
         """Raises RefusedError when its numbers do not make a scan."""
-        ranges, light = _floats(message.ranges), _floats(message.intensities)
+        ranges, light = floats(message.ranges), floats(message.intensities)
         n = len(ranges)
         if not 2 <= n <= MOST_BEAMS:
             raise RefusedError("malformed", f"a scan of {n} beams")
@@ -269,15 +269,9 @@ class Assembly:
 
 
 def _sound(told: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]) -> bool:
-    shift, turn = told
-    in_range = (np.abs(shift) < LARGEST).all() and (np.abs(turn) < 2.0).all()
-    return bool(in_range and abs(float(turn @ turn) - 1.0) < 0.1)
+    turn = told[1]
+    return in_range(told) and abs(float(turn @ turn) - 1.0) < 0.1
 
 
 def _stamp(header: Any) -> float:
     return float((header.stamp.sec * 10**9 + header.stamp.nanosec) / 1e9)
-
-
-def _floats(values: Any) -> np.ndarray:
-    with np.errstate(invalid="ignore"):
-        return np.asarray(values, dtype=float)
