@@ -8,7 +8,7 @@ from mapweave.core.walls import WallIndex
 from mapweave.exploration.laser.config import LaserExploreConfig
 from mapweave.exploration.laser.planner_state import PLANNERS, LaserBelief
 from mapweave.exploration.planner_interface import find_planner
-from mapweave.kernels.laser.sweep import lay_sweep
+from mapweave.kernels.laser.scan_laying import CellCounts, lay_scan
 from mapweave.laser.occupancy import FREE, OCCUPIED, Occupancy, from_counts
 from mapweave.sim.laser_team import LaserTeamSim
 from mapweave.sim.laser_world import LaserWorld
@@ -57,8 +57,8 @@ class Team:
         wall = scan.hit & np.all([np.hypot(*(there - o).T) > 0.45 for o in others] or [scan.hit], axis=0)
         far, sums = np.zeros_like(self.hits), np.zeros((*self.hits.shape, 4), np.int64)
         light = np.tile([0.0, 1.0], (int(wall.sum()), 1))
-        lay_sweep(self.hits, far, self.passes, sums, self.low, self.cfg.resolution, pose[:2], there[wall], light,
-                  there[~scan.hit], np.inf, 1)  # fmt: skip
+        counts = CellCounts(self.hits, far, self.passes, sums, self.low, self.cfg.resolution)
+        lay_scan(counts, pose[:2], there[wall], light, there[~scan.hit], np.inf, 1)
         return points[scan.hit]
 
     def belief(self) -> LaserBelief:

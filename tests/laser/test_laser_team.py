@@ -9,7 +9,7 @@ from mapweave.core import se2
 from mapweave.core.records import Scan
 from mapweave.laser.closures import Matched
 from mapweave.laser.config import LaserTeamConfig
-from mapweave.laser.keyframes import Sweep
+from mapweave.laser.keyframes import KeyframeScan
 from mapweave.laser.occupancy_mapper import LayingConfig, OccupancyMapper
 from mapweave.laser.team import LaserTeam
 
@@ -38,7 +38,7 @@ def watched(ring_run):
     def watch(k, team):
         own.append([track.local.copy() for track in team.tracks])
         if k % 7 == 0:
-            laid.append(team.mapper(0.1).update(team.sweeps, team.sweep_poses()))
+            laid.append(team.mapper(0.1).update(team.scans, team.scan_poses()))
 
     return estimate(ring_run, after=watch), sum(laid), np.array(own)
 
@@ -92,14 +92,14 @@ def test_the_same_scans_give_the_same_map_to_the_last_bit(office, office_team):
 def test_a_map_kept_up_to_date_is_exactly_the_map_drawn_anew(watched):
     team, laid, _ = watched
     kept = team.grid(0.1)
-    assert laid > len(team.sweeps)  # some were laid anew
+    assert laid > len(team.scans)  # some were laid anew
     mapper = team.mapper(0.1)
     fresh = type(mapper)(0.1, mapper.cfg)
-    fresh.update(team.sweeps, mapper.laid)
+    fresh.update(team.scans, mapper.laid)
     again = fresh.grid()
     for name in ("origin", "hits", "passes", "mean"):
         assert np.array_equal(getattr(kept, name), getattr(again, name)), name
-    d = team.sweep_poses() - mapper.laid
+    d = team.scan_poses() - mapper.laid
     assert np.hypot(d[:, 0], d[:, 1]).max() <= 0.05
     assert np.abs(se2.wrap_angle(d[:, 2])).max() <= np.radians(0.5)
 
@@ -186,7 +186,7 @@ def test_what_teammates_send_back_is_not_a_wall():
 def test_a_wall_seen_from_near_is_not_drawn_again_from_afar():
     none = np.zeros((0, 2))
     mapper = OccupancyMapper(0.1, LayingConfig(near=6.0))
-    near = Sweep(0, 0, 0.0, np.zeros(3), np.array([[2.05, 0.05]]), none, np.zeros(2))
+    near = KeyframeScan(0, 0, 0.0, np.zeros(3), np.array([[2.05, 0.05]]), none, np.zeros(2))
     far = near._replace(points=np.array([[8.15, 0.05], [8.15, 3.05]]))
     mapper.update([near, far], np.array([[0.0, 0.0, 0.0], [-6.0, 0.0, 0.0]]))
     grid = mapper.grid()

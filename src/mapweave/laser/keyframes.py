@@ -91,7 +91,7 @@ class Keyframe(NamedTuple):
     beams: Beams
 
 
-class Sweep(NamedTuple):
+class KeyframeScan(NamedTuple):
     """One scan. offset: (3,) pose in keyframe `number`; points: (n, 2) returns and ends: (m, 2) how far beams that
     did not come back are free, both [m] in the robot frame; light: (n, 2) feature and weight of the returns.
     """

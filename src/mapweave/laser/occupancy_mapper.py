@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from ..core import se2
 from ..core.config import config
-from ..kernels.laser.sweep import UNIT, WEIGHT, CellCounts, lay_sweep
+from ..kernels.laser.scan_laying import UNIT, WEIGHT, CellCounts, lay_scan
 from .beam import Beams, insertion_weight
 from .laser_map import GridMap
 from .robot_graph import RobotGraph
@@ -107,22 +107,22 @@ class OccupancyMapper:
         self.far = np.zeros((0, 0), np.int32)  # returns from beyond `cfg.near`
         self.passes = np.zeros((0, 0), np.int32)
         self.sums = np.zeros((0, 0, 4), np.int64)
-        self.laid = np.zeros((0, 3))  # where each sweep lies now
+        self.laid = np.zeros((0, 3))  # where each scan lies now
 
-    def update(self, sweeps: Sequence[LaidScan], poses: Float[np.ndarray, "n 3"]) -> int:
-        """Every sweep lies within `shift` and `turn` of its pose; returns how many were laid anew."""
+    def update(self, scans: Sequence[LaidScan], poses: Float[np.ndarray, "n 3"]) -> int:
+        """Every scan lies within `shift` and `turn` of its pose; returns how many were laid anew."""
         old = self.laid
         d = poses[: len(old)] - old
         far = np.hypot(d[:, 0], d[:, 1]) > self.cfg.shift * self.resolution
         moved = np.flatnonzero(far | (np.abs(se2.wrap_angle(d[:, 2])) > self.cfg.turn))
         for k in moved.tolist():
-            self._lay(sweeps[k], self.laid[k], -1)
-        new = [*moved.tolist(), *range(len(old), len(sweeps))]
+            self._lay(scans[k], self.laid[k], -1)
+        new = [*moved.tolist(), *range(len(old), len(scans))]
         self.laid = np.concatenate([self.laid, poses[len(old) :]])
-        self._grow([self._bounds(sweeps[k], poses[k]) for k in new])
+        self._grow([self._bounds(scans[k], poses[k]) for k in new])
         for k in new:
             self.laid[k] = poses[k]
-            self._lay(sweeps[k], self.laid[k], 1)
+            self._lay(scans[k], self.laid[k], 1)
         return len(new)
 
     def grid(self, frame: str = "map") -> GridMap:
@@ -157,16 +157,16 @@ class OccupancyMapper:
         weight[row, col] = sums[:, 3] / WEIGHT * hits[row, col] / returns  # of those returns that count
         return GridMap(h, low * h, hits, passes, mean, feature, weight, frame)
 
-    def _lay(self, sweep: LaidScan, pose: np.ndarray, sign: int) -> None:
-        eye = se2.act(pose, sweep.origin)
-        points, ends = se2.act(pose, sweep.points), se2.act(pose, sweep.ends)
-        light = sweep.light if sweep.light is not None else np.tile([0.0, 1.0], (len(points), 1))
+    def _lay(self, scan: LaidScan, pose: np.ndarray, sign: int) -> None:
+        sensor = se2.act(pose, scan.origin)
+        points, ends = se2.act(pose, scan.points), se2.act(pose, scan.ends)
+        light = scan.light if scan.light is not None else np.tile([0.0, 1.0], (len(points), 1))
         counts = CellCounts(self.hits, self.far, self.passes, self.sums, self.corner, self.resolution)
-        lay_sweep(counts, eye, points, light, ends, self.cfg.near, sign)
+        lay_scan(counts, sensor, points, light, ends, self.cfg.near, sign)
 
-    def _bounds(self, sweep: LaidScan, pose: np.ndarray) -> np.ndarray:
-        """Lower and upper cell [x0 y0 x1 y1] the sweep touches."""
-        every = se2.act(pose, np.concatenate([sweep.origin[None], sweep.points, sweep.ends])) / self.resolution
+    def _bounds(self, scan: LaidScan, pose: np.ndarray) -> np.ndarray:
+        """Lower and upper cell [x0 y0 x1 y1] the scan touches."""
+        every = se2.act(pose, np.concatenate([scan.origin[None], scan.points, scan.ends])) / self.resolution
         return np.concatenate([np.floor(every.min(axis=0)), np.floor(every.max(axis=0))]).astype(np.int64)
 
     def _grow(self, bounds: list[np.ndarray]) -> None:

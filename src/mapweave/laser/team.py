@@ -13,7 +13,7 @@ from .beam import Beams, beams
 from .closures import Closure, ClosureConfig, Matcher
 from .config import LaserTeamConfig
 from .keyframe_graph import KeyframeGraph
-from .keyframes import Keyframe, KeyframeOdometry, Sweep
+from .keyframes import Keyframe, KeyframeOdometry, KeyframeScan
 from .laser_map import GridMap
 from .occupancy_mapper import OccupancyMapper
 from .pose_graph import PoseGraph
@@ -79,13 +79,13 @@ class LaserTeam:
         self.tracks = [KeyframeOdometry(j, self.cfg.graph.keyframes, self.cfg.front_end) for j in range(M)]
         self.team = KeyframeGraph(self.cfg.graph, self.starts)
         self.loops = LoopSearch(self.cfg.graph.closures, Matcher(self.cfg.graph.closures, self.cfg.front_end), M)
-        self.sweeps: list[Sweep] = []
-        self._node: list[int] = []  # the keyframe of each sweep
-        self._waiting: list[list[Keyframe | Sweep]] = [[] for _ in range(M)]
+        self.scans: list[KeyframeScan] = []
+        self._node: list[int] = []  # the keyframe of each scan
+        self._waiting: list[list[Keyframe | KeyframeScan]] = [[] for _ in range(M)]
         self._stamp = np.full(M, -np.inf)
         self._now = self.starts.copy()  # each robot's latest pose
         self._moved = np.zeros(M)  # [m] it drove before its latest scan
-        self._offset = np.zeros((0, 3))  # of each sweep in its keyframe
+        self._offset = np.zeros((0, 3))  # of each scan in its keyframe
         self._gone = np.zeros(M, dtype=bool)
         self._mapper: dict[float, OccupancyMapper] = {}
 
@@ -104,7 +104,7 @@ class LaserTeam:
         if track.last is not None:
             offset = se2.between(track.last.local, local)
             eye = np.array(scan.T_robot_sensor[:2], dtype=float)
-            self._waiting[j].append(Sweep(j, track.last.number, t, offset, b.s, self._open_ends(scan), eye))
+            self._waiting[j].append(KeyframeScan(j, track.last.number, t, offset, b.s, self._open_ends(scan), eye))
         self._stamp[j], self._moved[j] = t, np.hypot(*track.step[:2])
         self._now[j] = self._latest(j)
         return np.array(self._now[j])
@@ -120,7 +120,7 @@ class LaserTeam:
                 self.loops.offer(self.team, self.team.add(message))
                 came += 1
             else:
-                self.sweeps.append(message)
+                self.scans.append(message)
                 self._node.append(self.team.of[j][message.number])
         self._waiting[j] = []
         self.loops.step(self.team, j)
@@ -179,23 +179,23 @@ class LaserTeam:
 
     def trajectory(self, j: int) -> Track:
         """Robot j's poses in `map` at the stamps of its scans that reached the team."""
-        mine = [k for k, sweep in enumerate(self.sweeps) if sweep.robot == j]
-        stamps = np.array([self.sweeps[k].t for k in mine], dtype=float)
-        return Track(stamps, self.sweep_poses()[mine].reshape(-1, 3))
+        mine = [k for k, scan in enumerate(self.scans) if scan.robot == j]
+        stamps = np.array([self.scans[k].t for k in mine], dtype=float)
+        return Track(stamps, self.scan_poses()[mine].reshape(-1, 3))
 
     def grid(self, resolution: float) -> GridMap:
         """The merged map of all delivered scans; kept between calls, only scans that moved are laid in anew."""
         mapper = self.mapper(resolution)
-        mapper.update(self.sweeps, self.sweep_poses())
+        mapper.update(self.scans, self.scan_poses())
         return mapper.grid()
 
     def mapper(self, resolution: float) -> OccupancyMapper:
         """What `grid` keeps at this resolution [m]."""
         return self._mapper.setdefault(resolution, OccupancyMapper(resolution, self.cfg.map))
 
-    def sweep_poses(self) -> Float[np.ndarray, "n 3"]:
+    def scan_poses(self) -> Float[np.ndarray, "n 3"]:
         """Where each delivered scan was taken, in `map`."""
-        new = [sweep.offset for sweep in self.sweeps[len(self._offset) :]]
+        new = [scan.offset for scan in self.scans[len(self._offset) :]]
         self._offset = np.concatenate([self._offset, np.reshape(new, (-1, 3))])
         return np.asarray(se2.compose(self.team.pose[self._node], self._offset))
 

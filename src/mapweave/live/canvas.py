@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core import se2
-from ..kernels.laser.sweep import CellCounts, lay_sweep
+from ..kernels.laser.scan_laying import CellCounts, lay_scan
 from ..laser.occupancy_mapper import AT_ONCE
 from .driven import Seen
 from .tile_bytes import SIDE, pack
@@ -125,7 +125,7 @@ class Canvas:
         columns, rows = (high - low + 1).tolist()
         hits, passes = np.zeros((2, rows * SIDE, columns * SIDE), np.int32)
         counts = CellCounts(hits, hits, passes, _unread(hits.shape), SIDE * low, self.resolution)
-        lay_sweep(counts, eye, points, np.zeros((len(points), 2)), NO_ENDS, np.inf, 1)
+        lay_scan(counts, eye, points, np.zeros((len(points), 2)), NO_ENDS, np.inf, 1)
         for j in range(rows):
             for i in range(columns):
                 square = np.s_[SIDE * j : SIDE * (j + 1), SIDE * i : SIDE * (i + 1)]

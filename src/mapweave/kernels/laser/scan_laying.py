@@ -27,9 +27,9 @@ class CellCounts(NamedTuple):
 
 
 @kernel
-def lay_sweep(
+def lay_scan(
     counts: CellCounts,
-    eye: np.ndarray,
+    sensor: np.ndarray,
     points: np.ndarray,
     light: np.ndarray,
     ends: np.ndarray,
@@ -38,16 +38,16 @@ def lay_sweep(
 ) -> None:
     """`counts` hold one scan more (`sign` 1) or less (-1).
 
-    eye: (2,) sensor; points: (n, 2) returns; ends: (m, 2) where beams that came to nothing were last known free, all
-    [m] in the map; light: (n, 2) feature and weight of every return. Returns from beyond `near` [m] count as `far`
-    ones. A beam passes every cell it crosses before the one it ends in; a beam without return passes that one too. The
-    same pose counts the same, wherever the corner lies.
+    sensor: (2,); points: (n, 2) returns; ends: (m, 2) where beams that came to nothing were last known free, all [m] in
+    the map; light: (n, 2) feature and weight of every return. Returns from beyond `near` [m] count as `far` ones. A
+    beam passes every cell it crosses before the one it ends in; a beam without return passes that one too. The same
+    pose counts the same, wherever the corner lies.
     """
     hits, far, passes, sums, corner, cell = counts
     for i in range(points.shape[0]):
-        jx, jy = walk(passes, corner, cell, eye[0], eye[1], points[i, 0], points[i, 1], sign)
+        jx, jy = walk(passes, corner, cell, sensor[0], sensor[1], points[i, 0], points[i, 1], sign)
         if 0 <= jy < hits.shape[0] and 0 <= jx < hits.shape[1]:
-            away = (points[i, 0] - eye[0]) ** 2 + (points[i, 1] - eye[1]) ** 2 > near * near
+            away = (points[i, 0] - sensor[0]) ** 2 + (points[i, 1] - sensor[1]) ** 2 > near * near
             if away:
                 far[jy, jx] += sign
             else:
@@ -59,7 +59,7 @@ def lay_sweep(
             sums[jy, jx, 2] += weight * np.int64(light[i, 0] * UNIT)
             sums[jy, jx, 3] += weight
     for i in range(ends.shape[0]):
-        jx, jy = walk(passes, corner, cell, eye[0], eye[1], ends[i, 0], ends[i, 1], sign)
+        jx, jy = walk(passes, corner, cell, sensor[0], sensor[1], ends[i, 0], ends[i, 1], sign)
         if 0 <= jy < hits.shape[0] and 0 <= jx < hits.shape[1]:
             passes[jy, jx] += sign
 
