@@ -37,21 +37,21 @@ class RowBuffer:
         return iter(self.array)
 
     def append(self, row: Any) -> None:
-        """One more."""
+        """Add a row at the end."""
         if self._count == PIECE * len(self._pieces):
             self._pieces.append(np.zeros((PIECE, *self._shape), self._dtype))
         self._pieces[-1][self._count % PIECE] = row
         self._count += 1
 
     def keep_last(self) -> None:
-        """Only the newest is there any more, and the room for those before it is given back, but for one array."""
+        """Remove all rows but the newest; the memory of the others is given back, but for one array."""
         if self._count:
             self._pieces[0][0] = self[-1]
             del self._pieces[1:]
             self._count = 1
 
     def clear(self) -> None:
-        """No row is there any more."""
+        """Remove all rows."""
         del self._pieces[1:]
         self._count = 0
 

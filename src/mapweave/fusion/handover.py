@@ -73,7 +73,7 @@ def hand_over(
 
 
 def _apart(G: GlobalMap, names: list[str], far: float) -> frozenset[tuple[str, str]]:
-    """Landmarks of one submap are told apart by it; of those far from each other nobody will ever ask."""
+    """Pairs of landmarks that are surely two: one submap holds both. Those `far` [m] apart need no such word."""
     at = [G.mean[G.ids.index(name)] for name in names]
     return frozenset(
         ordered_pair(a, b)

@@ -38,7 +38,7 @@ class StepNoise:
 
 
 def carried(cov: Float[np.ndarray, "3 3"], step: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """A covariance in the frame before `step`, seen in the frame after it (a later pose errs by turns before)."""
+    """A pose's covariance in its own axes, carried to the pose `step` ahead: an error of heading moves that aside."""
     c, s = np.cos(step[2]), np.sin(step[2])
     R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     J = R @ np.array([[1.0, 0.0, -step[1]], [0.0, 1.0, step[0]], [0.0, 0.0, 1.0]])

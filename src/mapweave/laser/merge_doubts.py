@@ -36,13 +36,13 @@ class Pair(NamedTuple):
         return seen * told * (self.cfg.blunder if self.darkened(c) else 1.0)
 
     def darkened(self, c: Candidate) -> bool:
-        """Whether walls shine there unlike each other, while at another place bright lies on bright."""
+        """Whether brightness speaks against a transform: walls that meet under it shine unlike, elsewhere alike."""
         if self.light is None or c.light is None:
             return False
         return self.light >= self.cfg.light and c.light < self.cfg.light_rival * self.light
 
     def lit_by(self, ways: Sequence[Candidate]) -> "Pair":
-        """The same pair when it lies in one of these ways."""
+        """The same pair with `light` set: the best correlation of brightness among these transforms."""
         seen = [c.light for c in ways if c.light is not None and c.seen.share >= self.alike]
         return self._replace(light=max(seen, default=None))
 

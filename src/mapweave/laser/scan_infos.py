@@ -31,7 +31,7 @@ class ScanInfos:
         return len(self._rows)
 
     def append(self, info: ScanInfo) -> None:
-        """One scan more."""
+        """Add what the next scan did."""
         informed = info.information is not None
         self._rows.append(
             (
@@ -47,7 +47,7 @@ class ScanInfos:
         )
 
     def clear(self) -> None:
-        """As before the first scan."""
+        """Remove all rows."""
         self._rows.clear()
 
     def records(self, t: Float[np.ndarray, " m"], host: tuple[str, ...], pose: Float[np.ndarray, "m 3"]) -> ScanRecords:

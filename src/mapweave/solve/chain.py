@@ -72,7 +72,7 @@ class Gauss:
 
 @dataclass(frozen=True, slots=True)
 class Passed:
-    """A link that was passed: what goes on, and the a ends that came in: `w - W rest`."""
+    """A link eliminated. on: the information it leaves on what follows; w - W rest: the a variables that came in."""
 
     on: Gauss
     W: Float[np.ndarray, "a r"]

@@ -71,7 +71,7 @@ def agree_on_axis(
 
 
 def _averaged(net: BearingNetwork) -> Traffic:
-    """What finding headings up to one turn takes: word from one robot to all, then the sweeps."""
+    """The messages that `mutual_headings` takes: along a spanning tree from one robot to all, then in every sweep."""
     a, _ = mutual_pairs(net)
     each = 2 * len(a)
     rounds = SWEEPS + (_depth(net) if each else 0)

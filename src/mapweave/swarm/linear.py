@@ -82,7 +82,7 @@ def linear_pattern(net: BearingNetwork, parts: Components) -> tuple[Pattern, Boo
 
 
 def _usual_distance(net: BearingNetwork, still: np.ndarray, pulled: np.ndarray, chosen: np.ndarray) -> float:
-    """The r that is the median distance of the sightings it leads to."""
+    """The typical distance r: positions `still + r pulled` have r as their median sighting; found by iterating."""
     rows = chosen[net.observer]
     a = (still[net.target] - still[net.observer])[rows]
     b = (pulled[net.target] - pulled[net.observer])[rows]

@@ -49,7 +49,7 @@ def grow(problem: PoseProblem, cfg: TrackConfig, on_progress: Progress = no_prog
 
 
 def _tied(problem: PoseProblem, rows: np.ndarray, enough: int) -> tuple[int, float]:
-    """How many robots sightings `rows` connect, and how many sightings the weakest link of them has."""
+    """The size of the largest group of robots that sightings `rows` connect, and the sightings of its weakest link."""
     counts: dict[tuple[int, int], int] = {}
     for a, b in zip(problem.table.observer[rows].tolist(), problem.table.target[rows].tolist(), strict=True):
         counts[min(a, b), max(a, b)] = counts.get((min(a, b), max(a, b)), 0) + 1
