@@ -10,6 +10,8 @@ from ...core.config import config
 from ...fusion.map_and_submap import PairingConfig
 from ...landmarks.submap_slam import SubmapConfig
 
+Limits = tuple[tuple[int, float], ...]  # (layouts, share of the error)
+
 
 @config
 class SteeringConfig:
@@ -40,10 +42,8 @@ class LapSearchConfig:
     overlap: float = 1.2  # of its share of the ring that a robot may go round, on into the next one's
     rough_layouts: int = 8  # of landmarks on which the map's error of first plans is judged
     layouts: int = 24  # the same of the finalists: on 8 the best plan is the one that suits just these
-    hopeless: tuple[tuple[int, float], ...] = ((8, 0.85), (24, 0.92))
-    """after so many layouts a plan is given up whose error, times this, is too much"""
-    hopeless_by_now: tuple[tuple[int, float], ...] = ((1, 0.85), (2, 0.9), (4, 0.94))
-    """the same under way, where layouts share what is known"""
+    hopeless: Limits = ((8, 0.85), (24, 0.92))  # after so many a plan is given up whose error, times this, is too much
+    hopeless_by_now: Limits = ((1, 0.85), (2, 0.9), (4, 0.94))  # the same under way, when layouts share what is known
     fine_layouts: int = 96  # the same of the chosen one
     looks: int = 1  # that are counted for each of those poses, evenly spread around it
     sight_margin: float = 0.0  # [m] of the reach in which landmarks are not counted on to be seen
