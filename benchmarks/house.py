@@ -121,7 +121,7 @@ def draw(path: Path) -> None:
             ax.text(
                 right - 0.12, y + 0.25, f"{lines / 1000:.1f}k lines", ha="right", va="center", fontsize=7, color=INK
             )
-            says = fill(doc.replace("`", "").rstrip("."), 150 if room in GROUND else 40, max_lines=3)
+            says = fill(doc.replace("`", "").rstrip("."), 150 if room in GROUND else 38, max_lines=3)
             ax.text(left + 0.12, y + 0.06, says, va="top", fontsize=7, linespacing=1.15)
         ax.set_xlim(0, wide)
         ax.set_ylim(min(y for _, y, _ in spot.values()) - 0.6, 0.6)

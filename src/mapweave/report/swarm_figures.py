@@ -59,7 +59,7 @@ def shape_figure(
     truth: Float[np.ndarray, "n d"],
 ) -> None:
     """The paper's Fig. 4: the shape is right; beside it the same, brought onto the truth."""
-    with figure(path, 10.0, 4.8, ncols=2) as (_, axes):
+    with figure(path, 10.0, 4.8, ncols=2) as (fig, axes):
         for ax, p, title, unit in (
             (axes[0], estimate.position, "As answered: place and scale are free", "1"),
             (axes[1], aligned, "The same shape, fitted to the truth", "m"),
@@ -69,7 +69,7 @@ def shape_figure(
             ok = estimate.localisable
             ax.plot(p[ok, 0], p[ok, 1], "*", color=BLUE, ms=_size(len(net)), ls="none", label="located")
             as_map(ax, title, unit)
-            ax.legend(loc="best")
+        fig.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=2)
 
 
 def deviation_figure(

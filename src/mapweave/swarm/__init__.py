@@ -1,1 +1,1 @@
-"""Where every robot of a swarm is, from bearings alone. [Hamatani], and beyond it."""
+"""Where every robot of a swarm is, from bearings alone. [Hamatani], and what goes beyond."""
