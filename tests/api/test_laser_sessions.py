@@ -36,10 +36,9 @@ def sessions(logs, tmp_path_factory):
 
 
 def written(folder):
-    """Every file but the page, which tells how long things took; metrics without their times."""
+    """Every file; metrics without their times."""
     out = {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
     metrics = json.loads(out.pop("metrics.json"))
-    del out["report.html"]
     return out, {**metrics, "timing": None}
 
 

@@ -159,6 +159,17 @@ def test_of_many_robots_the_page_holds_some_and_a_row_of_each(woven, tmp_path):
     assert len(list((tmp_path / "figures").glob("*_scans.png"))) == len(many)
 
 
+def test_the_page_does_not_depend_on_how_long_the_work_took(woven, tmp_path):
+    maps, components, merges = woven
+    slow = [replace(made, timing={**made.timing, "ms_per_scan": 77.7}) for made in maps]
+    pages = []
+    for k, some in enumerate((maps, slow)):
+        (tmp_path / str(k)).mkdir()
+        write_laser_report(tmp_path / str(k), some, {}, [], components, merges)
+        pages.append((tmp_path / str(k) / "report.html").read_bytes())
+    assert pages[0] == pages[1]
+
+
 def test_the_truth_of_all_robots_is_moved_by_one_motion(woven):
     (one, _) = woven[1]
     away = np.array([3.0, 1.0, 0.7])

@@ -203,6 +203,4 @@ def _headline(made: LaserMap) -> list[tuple[str, str]]:
     if made.dead_reckoning is not None:
         off = made.track.pose[-1, :2] - made.dead_reckoning.pose[-1, :2]
         cards.append(("odometry corrected by", f"{np.hypot(*off):.2f} m at the end"))
-    if "ms_per_scan" in made.timing:
-        cards.append(("a scan took", f"{made.timing['ms_per_scan']:.1f} ms"))
     return cards

@@ -19,12 +19,12 @@ def write_localisation_report(folder: Path, found: Localisation, grid: GridMap, 
     page = Page("Localisation", f"{Path(found.source).name}, followed in a finished map.")
     page.cards(
         [
-            ("scans", str(len(found.scans))),
-            ("start", found.start),
-            ("returned light", "not used" if found.feature == "none" else found.feature),
-            ("particles", str(found.particles)),
-            ("returns explained", f"{100 * found.matched:.0f} %"),
             ("trusted", "yes" if found.trusted else "no"),
+            ("returns explained", f"{100 * found.matched:.0f} %"),
+            ("start", found.start),
+            ("scans", f"{len(found.scans):,}"),
+            ("particles", str(found.particles)),
+            ("returned light", "not used" if found.feature == "none" else found.feature),
         ]
     )
     for line in lines:

@@ -144,8 +144,10 @@ function showScene(figure) {
 
   // a number of the graticule, which names keep clear of
   function mark(text, x, y) {
+    const wide = context.measureText(text).width;
+    if (x + wide > canvas.clientWidth || y < letters()) return; // it would be cut off
     context.fillText(text, x, y);
-    written.push([x - 2, y - letters(), x + context.measureText(text).width + 2, y + 3]);
+    written.push([x - 2, y - letters(), x + wide + 2, y + 3]);
   }
 
   function drawGraticule(w, h, ink, line) {

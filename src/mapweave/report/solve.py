@@ -32,7 +32,7 @@ def write_solve_report(
             ("parts", str(int(solved.component.max()) + 1)),
         ]
     )
-    for line in lines:
+    for line in lines[0 if not solved.converged else 1 :]:  # the first one tells what the cards do
         page.text(line, warn=not solved.converged)
     where, squares = folder / "figures" / "graph.png", folder / "figures" / "edges.png"
     draw_graph(where, before, solved)
