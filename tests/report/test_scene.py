@@ -12,6 +12,7 @@ from PIL import Image
 from mapweave.core.records import Track
 from mapweave.report.html import Page
 from mapweave.report.scene import INK, MOST_CELLS, MOST_POSES, Scene
+from mapweave.report.style import PALETTE
 from mapweave.report.team_figures import thinned
 
 from .browser import CHROMIUM, seen_in_browser
@@ -231,3 +232,35 @@ def test_the_map_lives_in_a_browser(tmp_path, width, dark):
     assert seen["printed"]["after"] == 0
     assert seen["marks"] == 5, "every layer of one look has its mark; walls have none"
     assert seen["figure"] == pytest.approx(min(924, max(0.8 * 924, seen["column"])), abs=2), "text stays readable"
+
+
+DARKENED = """<script>
+window.addEventListener("load", () => {
+  const image = document.querySelector("figure img"), sheet = document.createElement("canvas");
+  [sheet.width, sheet.height] = [image.naturalWidth, image.naturalHeight];
+  const pen = sheet.getContext("2d", {willReadFrequently: true});
+  pen.filter = getComputedStyle(image).filter;
+  pen.drawImage(image, 0, 0);
+  const seen = [...Array(sheet.width / 20).keys()].map((k) => [...pen.getImageData(20 * k + 10, 10, 1, 1).data]);
+  document.documentElement.dataset.seen = JSON.stringify(seen);
+});
+</script>"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+def test_on_a_dark_page_paper_is_dark_ink_is_light_and_robots_keep_their_colours(tmp_path):
+    colours = ["#FFFFFF", "#2B2F33", "#000000", *PALETTE]
+    image = Image.new("RGB", (20 * len(colours), 20))
+    for k, one in enumerate(colours):
+        image.paste(one, (20 * k, 0, 20 * k + 20, 20))
+    image.save(tmp_path / "f.png")
+    page = Page("Dark")
+    page.figure(tmp_path / "f.png", "colours")
+    seen = seen_in_browser(page.html().replace("<head>", "<head>" + DARKENED), tmp_path, 900, dark=True)
+    paper, ink, black, *robots = (np.array(pixel[:3]) for pixel in seen)
+    assert paper.max() < 40
+    assert ink.min() > 150
+    assert black.min() > 200
+    for one, was in zip(robots, PALETTE, strict=True):
+        assert np.abs(one - [int(was[i : i + 2], 16) for i in (1, 3, 5)]).max() < 30, was

@@ -28,7 +28,7 @@ th,td{padding:.25rem .7rem;border-bottom:1px solid var(--line);text-align:right;
 th:first-child,td:first-child,th.word,td.word,th.text,td.text{text-align:left}td.text{white-space:normal;min-width:14rem;max-width:30rem;overflow-wrap:anywhere}td i{display:inline-block;
 width:.7em;height:.7em;border-radius:50%;margin-right:.45em}th{background:var(--soft);font-weight:600}
 figure{margin:1rem 0}figure img{max-width:100%;height:auto;background:#fff;border:1px solid var(--line);border-radius:6px}
-@media screen and (prefers-color-scheme:dark){figure img{filter:invert(.9) hue-rotate(180deg)}}
+@media screen and (prefers-color-scheme:dark){figure img{filter:url(#dark)}}
 figcaption{font-size:.88rem;opacity:.8;margin-top:.25rem}.cards{display:flex;flex-wrap:wrap;gap:.75rem}
 .card{background:var(--soft);border-radius:8px;padding:.6rem .9rem;min-width:9rem}.card b{display:block;font-size:1.25rem}
 .scene .view{position:relative}.scene canvas{display:block;width:100%;height:min(70vh,34rem);border:1px solid var(--line);border-radius:6px;
@@ -47,6 +47,17 @@ h2{break-after:avoid;margin-top:1.4rem}figure,tr,.cards{break-inside:avoid}.scen
 .scene .bar button,.scene .bar input,.scene .bar output,.scene .bar label:has(input:not(:checked)),.scene figcaption span{display:none}
 table{display:table;font-size:8.5pt}th,td{white-space:normal;padding:.2rem .45rem}td.text{min-width:0}footer{margin-top:1rem}}
 """
+
+
+# On a dark screen paper becomes dark and ink light, and colours stay what they are: the grey of a pixel is turned where it
+# is near white or black, its difference to that grey is kept.
+_DARK = (
+    '<svg width="0" height="0" aria-hidden="true" style="position:absolute"><filter id="dark" '
+    'color-interpolation-filters="sRGB"><feColorMatrix values=".2126 .7152 .0722 0 0 .2126 .7152 .0722 0 0 .2126 .7152 '
+    '.0722 0 0 0 0 0 1 0" result="grey"/><feComposite operator="arithmetic" in="SourceGraphic" in2="grey" k2=".5" '
+    'k3="-.5" k4=".5" result="rest"/><feComponentTransfer in="grey" result="turned">{}</feComponentTransfer>'
+    '<feComposite operator="arithmetic" in="rest" in2="turned" k2="2" k3="1" k4="-1"/></filter></svg>'
+).format("".join(f'<feFunc{c} type="table" tableValues=".92 .8 .6 .4 .4 .42 .62 .55 .27 .16 .09"/>' for c in "RGB"))
 
 
 @dataclass(slots=True)
@@ -125,7 +136,7 @@ class Page:
         return (
             '<!doctype html><html lang="en"><head><meta charset="utf-8">'
             '<meta name="viewport" content="width=device-width,initial-scale=1">'
-            f"<title>{escape(self.title)}</title><style>{_CSS}</style></head><body><h1>{escape(self.title)}</h1>"
+            f"<title>{escape(self.title)}</title><style>{_CSS}</style></head><body>{_DARK}<h1>{escape(self.title)}</h1>"
             f'<p class="lead">{escape(self.lead)}</p>{"".join(self.parts)}'
             f"<footer>mapweave {escape(__version__)}</footer>{moving}</body></html>\n"
         )
