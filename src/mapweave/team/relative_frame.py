@@ -34,6 +34,8 @@ class PlacingConfig:
     range_floor: float = 0.25  # [m] error of a range,
     range_share: float = 0.1  # and as a share of it
     bearing: float = 0.08  # [rad] error of a bearing
+    sharp_range: float = 0.5  # of the error of a range, and
+    sharp_bearing: float = 0.4  # of a bearing, that is the sighting's own: as along tracks that are good
     inlier: float = 3.0  # standard deviations within which a sighting agrees
     least: int = 4  # sightings that agree,
     share: float = 0.45  # and their share of all
@@ -75,11 +77,9 @@ class PlacingConfig:
 
 def sharpened(cfg: PlacingConfig) -> PlacingConfig:
     """The same with the noise of sightings alone, as from tracks that are good."""
+    s = cfg.sharp_range
     return replace(
-        cfg,
-        range_floor=0.5 * cfg.range_floor,
-        range_share=0.5 * cfg.range_share,
-        bearing=0.4 * cfg.bearing,
+        cfg, range_floor=s * cfg.range_floor, range_share=s * cfg.range_share, bearing=cfg.sharp_bearing * cfg.bearing
     )
 
 

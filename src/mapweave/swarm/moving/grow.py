@@ -28,7 +28,7 @@ def grow(problem: PoseProblem, cfg: TrackConfig, on_progress: Progress = no_prog
     x[problem.index] = problem.own
     root = _busiest(problem, window == begin)
     placed = {root}
-    robust = replace(cfg, kernel=cfg.kernel or 3.0)
+    robust = replace(cfg, kernel=cfg.kernel or cfg.grow_kernel)
     sigma = float(np.median(problem.table.sigma))
     # The rms bearing error under which a meeting is believed: noise, and what the odometry turns astray meanwhile.
     good = float(np.sqrt((cfg.meeting * sigma) ** 2 + cfg.turn_floor**2 * cfg.window)) + cfg.meeting_floor

@@ -33,10 +33,11 @@ class TrackConfig:
     outlier: float = 4.0  # standard deviations beyond which a sighting is an outlier, with a kernel
     first_instants: int = 3  # that are smoothed together before filtering begins
     relinearise: int = 3  # times that one instant's sightings are linearised by the filter
-    enough: int = 6  # sightings that place a robot, where a start without common axes is grown,
-    meeting: float = 1.5  # times the error of one sighting, and what wheels turn astray in a `window`, and
-    meeting_floor: float = 0.01  # [rad] more: the rms error of a meeting that is believed, of which
-    meeting_outlier: float = 3.0  # times as much count as no more
+    enough: int = 6  # sightings that place a robot, where a start without common axes is grown
+    grow_kernel: float = 3.0  # [standard deviations] Cauchy kernel on sightings for that start, where `kernel` is 0
+    meeting: float = 1.5  # times the error of one sighting, with what wheels turn astray in a `window`, and
+    meeting_floor: float = 0.01  # [rad] more: rms error up to which a meeting of two robots is believed
+    meeting_outlier: float = 3.0  # times that error: a sighting further off counts as this much off
 
 
 @dataclass(frozen=True, slots=True)
