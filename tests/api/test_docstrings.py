@@ -4,6 +4,8 @@ import doctest
 import inspect
 import pydoc
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -105,3 +107,19 @@ def test_the_help_of_the_package_begins_with_what_it_does_and_names_every_verb()
     first, *_ = lines = inspect.getdoc(mapweave).splitlines()
     assert first == "One map, with honest uncertainty, from the logs of many robots."
     assert not [name for name, _ in public(inspect.isfunction) if not re.search(rf"\b{name}\b", "\n".join(lines[6:]))]
+
+
+def test_help_on_what_a_result_is_and_holds_is_readable_without_its_name_having_been_asked_for():
+    code = (
+        "import pydoc\n"
+        "from mapweave.api.team import TeamResult\n"
+        "from mapweave.api.laser_result import LaserResult\n"
+        "from mapweave.laser.woven_map import WovenMap\n"
+        "from mapweave.team.team_map import TeamMap\n"
+        "for kind in (TeamResult, LaserResult, WovenMap, TeamMap):\n"
+        "    print(pydoc.plain(pydoc.render_doc(kind, renderer=pydoc.plaintext)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
+    wide = [line for line in done.stdout.splitlines() if len(line) > 120]
+    assert done.stdout.count("  __init__(") == 4
+    assert not wide, "\n".join(wide)

@@ -69,3 +69,13 @@ def test_a_part_of_a_readable_signature_is_readable_and_what_is_not_ours_stays()
 
     readable(foreign)
     assert not isinstance(inspect.signature(foreign), ReadableSignature)
+
+
+def test_what_a_readable_class_holds_is_readable_too():
+    def weigh(self, path: Path) -> Path: ...
+
+    weigh.__module__ = "mapweave.somewhere"
+    part = type("Part", (), {"weigh": weigh, "__module__": "mapweave.somewhere"})
+    hints = {"parts": tuple[part, ...] | None, "path": Path}
+    readable(type("Whole", (), {"__annotations__": hints, "__module__": "mapweave.somewhere"}))
+    assert str(inspect.signature(weigh)) == "(self, path: Path) -> Path"

@@ -6,7 +6,7 @@ They hold what Python's own hold (the same parameters, the same annotations as o
 import inspect
 import re
 from types import FunctionType
-from typing import Any
+from typing import Any, get_args
 
 WIDTH = 80  # columns that a signature may take before it gets a line for every parameter
 LONGEST_DEFAULT = 40  # letters; a longer one is told by its type alone
@@ -77,19 +77,27 @@ def short_default(value: object) -> str:
 
 
 def readable(value: object) -> None:
-    """The signature of a function of this package, or those of a class's methods, are readable from now on."""
-    if isinstance(value, FunctionType):
-        _make_readable(value)
-    elif isinstance(value, type):
-        for base in value.__mro__:
-            if base.__module__.partition(".")[0] == PACKAGE:
-                for member in vars(base).values():
-                    _make_readable(getattr(member, "__func__", member))
+    """The signature of a function of this package is readable from now on, or those of a class's methods.
+
+    Those of the classes that its fields hold too: one asks for help on what a result is made of.
+    """
+    waiting, seen = [value], set()
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, FunctionType):
+            _make_readable(one)
+        elif isinstance(one, type) and one not in seen and _is_ours(one):
+            seen.add(one)
+            waiting += one.__bases__
+            for member in vars(one).values():
+                _make_readable(getattr(member, "__func__", member))
+            for kind in inspect.get_annotations(one).values():
+                waiting += [kind, *get_args(kind), *(inner for arg in get_args(kind) for inner in get_args(arg))]
 
 
 def _make_readable(function: object) -> None:
     """`function` has a signature of its own; what is none, or does not come from this package, stays as it is."""
-    if not isinstance(function, FunctionType) or function.__module__.partition(".")[0] != PACKAGE:
+    if not isinstance(function, FunctionType) or not _is_ours(function):
         return
     plain = inspect.signature(function)
     if not isinstance(plain, ReadableSignature):
@@ -98,3 +106,7 @@ def _make_readable(function: object) -> None:
             for p in plain.parameters.values()
         ]
         function.__signature__ = ReadableSignature(given, return_annotation=plain.return_annotation)  # type: ignore[attr-defined]
+
+
+def _is_ours(thing: type | FunctionType) -> bool:
+    return thing.__module__.partition(".")[0] == PACKAGE

@@ -7,6 +7,7 @@ from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
 
+from ..core.signatures import readable
 from ..io.directory import result_directory
 from .files import list_files
 
@@ -29,6 +30,11 @@ class ResultBase(ABC):
     """Base of results. A subclass has `metrics` too: what stands in `metrics.json`."""
 
     __slots__ = ()
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """`help` on a result tells its signatures as that on a verb does."""
+        super().__init_subclass__(**options)
+        readable(cls)
 
     @abstractmethod
     def lines(self) -> list[str]:
