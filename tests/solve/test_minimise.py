@@ -178,6 +178,26 @@ def test_a_robust_kernel_is_square_near_zero_and_its_weight_is_its_slope(kernel)
     np.testing.assert_allclose(kernel.weight(s), slope, rtol=1e-5)
     assert kernel.cost(s)[0] == pytest.approx(s[0], rel=1e-6)
     assert (np.diff(kernel.cost(s)) > 0).all()
+    fading = -s * (kernel.weight(s + h) - kernel.weight(s - h)) / (2 * h)
+    np.testing.assert_allclose(kernel.fading(s), fading, rtol=1e-4, atol=1e-7)
+
+
+@pytest.mark.parametrize("kernel", [None, Huber(1.0), Cauchy(1.0)])
+@pytest.mark.parametrize("rows", [2, 3])
+def test_the_curvature_of_a_factor_is_the_mean_second_derivative_of_its_costs(kernel, rows):
+    x = np.random.default_rng(2).normal(size=200 * rows)
+    columns = np.arange(len(x)).reshape(-1, rows)
+    unit = np.broadcast_to(np.eye(rows), (200, rows, rows))
+    factor = Factor(columns, lambda x: x[columns], lambda _: unit, rows, kernel=kernel)
+    h, curved = 1e-4, 0.0
+    for k in range(rows):
+        step = np.zeros(len(x))
+        step[columns[:, k]] = h
+        ahead, behind = (factor.costs(x + d).sum() for d in (step, -step))
+        curved += (ahead + behind - 2 * factor.costs(x).sum()) / (2 * h * h)
+    told = np.einsum("mii->", factor.normal(x)[0])
+    assert factor.curvature(x) == pytest.approx(curved / told, rel=1e-3)
+    assert (factor.curvature(x) < 0.9) == (kernel is not None)
 
 
 @pytest.mark.parametrize("kernel", [Huber(), Cauchy()])

@@ -26,10 +26,12 @@ class World:
 
 
 @cache
-def world(seed: int, robots: int = 3, minutes: float = 3.0, misreads: float = 0.0) -> World:
+def world(seed: int, robots: int = 3, minutes: float = 3.0, misreads: float = 0.0, noise: float = 1.0) -> World:
     with TemporaryDirectory() as folder:
         home = Path(folder) / "team"
-        mapweave.simulate_landmarks(home, robots=robots, landmarks=12, minutes=minutes, misreads=misreads, seed=seed)
+        mapweave.simulate_landmarks(
+            home, robots=robots, landmarks=12, minutes=minutes, misreads=misreads, noise=noise, seed=seed
+        )
         logs = tuple(read_landmark_logs(home, None))
         truth = read_team_truth([home], [log.robot for log in logs])
     local = [local_map(log) for log in logs]

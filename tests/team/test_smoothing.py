@@ -84,6 +84,18 @@ def test_covariances_of_landmarks_and_poses_hold(long_runs):
     assert 0.25 < np.mean(poses) < 1.6  # careful: real cameras err together for longer than simulated ones
 
 
+@pytest.mark.parametrize(
+    "team", [{"robots": 1, "minutes": 4.0}, {"robots": 2, "minutes": 2.0}, {"robots": 3, "minutes": 3.0, "noise": 3.0}]
+)
+def test_covariances_of_few_sightings_and_of_noisy_sensors_hold(team):
+    nees = []
+    for seed in range(60, 65):
+        w = world(seed, **team)
+        nees.append(errors(w, smoothed(w))[2].landmarks.nees_per_dof)
+    assert 0.5 < np.mean(nees) < 1.5
+    assert np.max(nees) < 3.0
+
+
 def test_the_calibration_found_agrees_with_one_that_is_given():
     w = world(3)
     found = smoothed(w).calibration

@@ -12,17 +12,10 @@ from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.solve import SolveStatus
 from mapweave.team.commanded_motion import CommandedMotion, random_walk
 from mapweave.team.config import CalibrationPrior, MotionNoise, SmoothingConfig
-from mapweave.team.covariance import (
-    Groups,
-    _correlation,
-    _Known,
-    _motions,
-    _priors,
-    scores,
-    team_covariance,
-)
+from mapweave.team.covariance import _correlation, _Known, _motions, _priors, team_covariance
 from mapweave.team.problem import HELD_TOGETHER, TeamProblem, _nodes, team_problem
 from mapweave.team.robot_part import PARAMETERS, Instants, instants_of
+from mapweave.team.scatter import MOST_TAKEN, Groups, scatter, scores, taken_out
 from mapweave.team.smooth import _dense, is_observed, smooth
 from mapweave.team.team_map import TeamMap
 
@@ -66,12 +59,19 @@ def solved():
     return team, team.solve(CFG)
 
 
-def dense_information(team, x, free):
-    H = np.zeros((len(x), len(x)))
-    for term in team.problem.terms:
-        for columns, block in zip(term.columns, term.normal(x)[0], strict=True):
-            H[np.ix_(columns, columns)] += block
-    return H[np.ix_(free, free)]
+def dense_information(team, x, free, length=None):
+    """As the costs are curved; with `length`, of every group of one robot's factors so many seconds long: a list."""
+    begin = min(part.instants.t[0] for part in team.parts)
+    of = {}
+    for term, origin in zip(team.problem.terms, team.origins, strict=True):
+        if origin is None and length is not None:
+            continue
+        for i, (columns, block) in enumerate(zip(term.columns, term.normal(x)[0], strict=True)):
+            group = 0 if length is None else (origin.robot, int((origin.t[i] - begin) // length))
+            H = of.setdefault(group, np.zeros((len(x), len(x))))
+            H[np.ix_(columns, columns)] += term.curvature(x) * block
+    found = [H[np.ix_(free, free)] for H in of.values()]
+    return found[0] if length is None else found
 
 
 def frame_of_the_body(team, x):
@@ -101,7 +101,7 @@ def test_model_covariances_of_poses_are_those_of_the_dense_inverse_in_the_frame_
     P[np.ix_(free, free)] = np.linalg.inv(dense_information(team, solution.x, free))
     T = frame_of_the_body(team, solution.x)
     P = T @ P @ T.T
-    got = np.concatenate(_Known.of(team, solution, CFG.cluster).pose_blocks())
+    got = np.concatenate(_Known.of(team, solution, Groups.of(team, CFG.cluster)).pose_blocks())
     for k in range(len(got)):
         at = 3 * k + np.arange(3)
         np.testing.assert_allclose(got[k], P[np.ix_(at, at)], rtol=1e-4, atol=1e-9)
@@ -150,42 +150,75 @@ def test_landmarks_have_the_sandwich_of_the_dense_inverse(solved):
     middle = taken_out * scores.T @ scores + known.T @ known
     T = frame_of_the_body(team, x)
     wanted = T @ inverse @ middle @ inverse @ T.T
-    known = _Known.of(team, solution, cfg.cluster)
+    known = _Known.of(team, solution, Groups.of(team, cfg.cluster))
     hubs = np.arange(team.landmark_start, len(x))
     moved = known.moved(hubs, cfg.most_corrected)
     np.testing.assert_allclose(moved.T @ moved, wanted[np.ix_(hubs, hubs)], rtol=1e-3, atol=1e-9)
 
 
-def test_with_few_groups_landmarks_have_the_models_covariance_times_how_much_sightings_hang_together(solved):
+def scattered_by(team, x, free):
+    """The number on the model's covariance where groups are few, and the dense covariance of the landmarks."""
+    H = dense_information(team, x, free)
+    P = np.zeros((len(x), len(x)))
+    P[np.ix_(free, free)] = np.linalg.inv(H)
+    T, at = frame_of_the_body(team, x), team.landmark_columns
+    model = (T @ P @ T.T)[np.ix_(at, at)]
+    value, vector = np.linalg.eigh(model)
+    white = vector[:, 3:] / np.sqrt(value[3:])
+    looked = (T[at].T @ white)[free]
+    found = pulls(team, x, CFG.cluster)[:, free] @ np.linalg.inv(H) @ looked
+    known = _priors(team, x).toarray()[:, free] @ np.linalg.inv(H) @ looked
+    shown = np.square(found).sum() / (white.shape[1] - np.square(known).sum())
+    C = np.linalg.inv(H) @ looked
+    each = dense_information(team, x, free, CFG.cluster)
+    taken = sum(np.trace(C.T @ G @ np.linalg.inv(H) @ G @ C) for G in each) / sum(np.trace(C.T @ G @ C) for G in each)
+    return shown, taken, model, known @ np.linalg.pinv(white)
+
+
+def test_how_groups_scatter_and_what_residuals_lack_are_those_of_the_dense_inverse(solved):
     team, solution = solved
     x, free = solution.x, solution.free
-    inverse = np.zeros((len(x), len(x)))
-    inverse[np.ix_(free, free)] = np.linalg.inv(dense_information(team, x, free))
-    T = frame_of_the_body(team, x)
-    at = np.ix_(team.landmark_columns, team.landmark_columns)
-    cov = team_covariance(team, solution, CFG, np.eye(10))
-    seen = [
-        sum(
-            len(t.columns)
-            for t, o in zip(team.factors, team.origins, strict=True)
-            if o is not None and o.robot == k and t.name == "landmark"
-        )
-        for k in range(len(team.parts))
-    ]
-    factor = np.average(cov.inflation, weights=seen)
-    few = cov.landmarks - CFG.position_floor**2 * np.eye(10)
-    np.testing.assert_allclose(few, factor * (T @ inverse @ T.T)[at], rtol=1e-3, atol=1e-9)
+    shown, taken, model, _ = scattered_by(team, x, free)
+    groups = Groups.of(team, CFG.cluster)
+    known = _Known.of(team, solution, groups)
+    white, looked = known.whitened(known.model())
+    assert white.shape == (len(model), len(model) - 3)
+    moved = known.moved(team.landmark_columns, 1.0) @ white
+    assert scatter(moved, known.groups) == pytest.approx(shown, rel=1e-4)
+    assert 0.1 < taken < MOST_TAKEN
+    assert taken_out(team, x, groups, known.information, free, looked) == pytest.approx(taken, rel=1e-4)
 
 
-def test_a_robots_covariances_have_their_floor_and_its_own_factor(solved):
+@pytest.mark.parametrize("noise", [0.2, 1.0, 3.0])
+def test_with_few_groups_landmarks_have_the_models_covariance_times_how_much_the_groups_scatter(noise):
+    logs, landmarks, tracks = logs_and_map(noise)
+    team = team_problem(logs, landmarks, tracks, {}, {}, CFG)
+    solution = team.solve(CFG)
+    shown, taken, model, known = scattered_by(team, solution.x, solution.free)
+    by = (1.0 + CFG.few_raised) * (shown + taken * max(1.0, shown / (1.0 - taken)))
+    priors = known.T @ known
+    few = team_covariance(team, solution, CFG, np.eye(10)).landmarks - CFG.position_floor**2 * np.eye(10)
+    np.testing.assert_allclose(few, by * (model - priors) + priors, rtol=2e-3, atol=1e-8)
+    assert noise > 1.0 or 0.0 < shown < 1.0  # the noise that is assumed is twice the usual scatter
+
+
+def test_a_robots_covariances_have_their_floor_and_the_larger_of_both_factors(solved):
     team, solution = solved
     cov = team_covariance(team, solution, CFG, 0.01 * np.eye(10))
-    blocks = _Known.of(team, solution, CFG.cluster).pose_blocks()
+    blocks = _Known.of(team, solution, Groups.of(team, CFG.cluster)).pose_blocks()
     floor = np.diag([CFG.position_floor**2, CFG.position_floor**2, CFG.heading_floor**2])
+    shown, taken, *_ = scattered_by(team, solution.x, solution.free)
+    by = (1.0 + CFG.few_raised) * (shown + taken * max(1.0, shown / (1.0 - taken)))
     for k, (P, model) in enumerate(zip(cov.poses, blocks, strict=True)):
-        assert cov.inflation[k] == _correlation(team, k, solution.x, CFG.memory)
+        assert cov.inflation[k] == pytest.approx(max(by, _correlation(team, k, solution.x, CFG.memory)), rel=1e-4)
         np.testing.assert_allclose(P, cov.inflation[k] * model + floor, atol=1e-12)
     assert all((sd > 0).all() for sd in cov.calibration)
+
+
+def test_pulls_that_show_nothing_leave_the_model_as_it_is():
+    assert scatter(np.zeros((3, 0)), 2) == 1.0
+    assert scatter(np.ones((1, 4)), 0) == 1.0
+    assert scatter(np.array([[3.0, 0.0], [0.0, 1.0], [0.0, 0.5]]), 2) == pytest.approx(10.0 / 1.75)
 
 
 def test_sightings_that_err_together_are_told_from_those_that_do_not():

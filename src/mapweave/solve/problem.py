@@ -18,10 +18,14 @@ Values = Float[np.ndarray, " m"]
 
 @runtime_checkable
 class Kernel(Protocol):
-    """`s` (m,): squared whitened norms. `weight` is the derivative of `cost`, in (0, 1], and scales the information."""
+    """`s` (m,): squared whitened norms. `weight` is the derivative of `cost`, in (0, 1], and scales the information.
+
+    `fading` is `-s` times the derivative of `weight`, 0 or more: what the cost's own curvature lacks of it.
+    """
 
     def cost(self, s: Values) -> Values: ...
     def weight(self, s: Values) -> Values: ...
+    def fading(self, s: Values) -> Values: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +40,9 @@ class Huber:
     def weight(self, s: Values) -> Values:
         return np.asarray(self.k / np.maximum(np.sqrt(s), self.k))
 
+    def fading(self, s: Values) -> Values:
+        return np.where(s <= self.k**2, 0.0, 0.5 * self.weight(s))
+
 
 @dataclass(frozen=True, slots=True)
 class Cauchy:
@@ -49,6 +56,10 @@ class Cauchy:
     def weight(self, s: Values) -> Values:
         return 1.0 / (1.0 + s / self.k**2)
 
+    def fading(self, s: Values) -> Values:
+        w = self.weight(s)
+        return np.asarray(w * (1.0 - w))
+
 
 @dataclass(frozen=True, slots=True)
 class GemanMcClure:
@@ -61,6 +72,9 @@ class GemanMcClure:
 
     def weight(self, s: Values) -> Values:
         return (self.k**2 / (self.k**2 + s)) ** 2
+
+    def fading(self, s: Values) -> Values:
+        return np.asarray(2.0 * self.weight(s) * s / (self.k**2 + s))
 
 
 Vector = Float[np.ndarray, " n"]
@@ -123,6 +137,19 @@ class Factor:
     def weights(self, x: Vector) -> Float[np.ndarray, " m"]:
         """How much each factor counts at x: 1 without a kernel, towards 0 for an outlier."""
         return np.ones(len(self.columns)) if self.kernel is None else self.kernel.weight(self.squares(x))
+
+    def curvature(self, x: Vector) -> float:
+        """What the costs are curved by over what their weights say, in the mean over factors and directions; 0 to 1.
+
+        `normal` is what a solver needs, not the second derivative: a cost that flattens out is curved less than its
+        weights say, by `2 fading / rows` in a direction drawn at random. An M-estimator errs by the inverse of this
+        curvature (Huber, 1964, eq. 25; `E psi'` in place of `E w`).
+        """
+        if self.kernel is None or not len(self.columns):
+            return 1.0
+        s = self.squares(x)
+        w = float(self.kernel.weight(s).sum())
+        return max(0.0, 1.0 - 2.0 * float(self.kernel.fading(s).sum()) / (self.rows * w))
 
     def normal(self, x: Vector) -> tuple[Float[np.ndarray, "m d d"], Float[np.ndarray, "m d"]]:
         r, J, W = self.whitened(x), self.jacobian(x), self.sqrt_info

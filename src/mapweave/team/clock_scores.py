@@ -17,8 +17,8 @@ from scipy.sparse.csgraph import connected_components
 
 from ..solve import Solution
 from .clocks import RobotClock
-from .covariance import Groups, scores
 from .problem import Origin, TeamProblem
+from .scatter import Groups, scores
 
 
 @dataclass(frozen=True, slots=True)

@@ -103,6 +103,7 @@ class SmoothingConfig:
     cluster: float = 20.0  # [s] errors of one robot are taken to be independent after this long
     memory: float = 5.0  # [s] over which errors of one robot's sightings of one landmark are taken to be correlated
     groups: float = 3.0  # of factors, for each landmark coordinate and calibration parameter, that a sandwich wants
+    few_raised: float = 0.5  # share added to what fewer groups tell, as of Morel, Bokossa and Neerchal (2003)
     most_corrected: float = 4.0  # largest factor for what landmarks and calibration took out of the residuals
     position_floor: float = 0.01  # [m] added to every standard deviation of a place
     heading_floor: float = 0.003  # [rad] added to every standard deviation of a heading

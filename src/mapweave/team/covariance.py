@@ -13,12 +13,14 @@ import scipy.sparse as sp
 from jaxtyping import Float, Int
 
 from ..core.gaussian import symmetrise
-from ..solve import Factor, Information, SingularError, Solution
+from ..solve import Factor, Information, Pattern, SingularError, Solution
 from .config import SmoothingConfig
-from .problem import Origin, TeamProblem
+from .problem import TeamProblem
 from .robot_part import PARAMETERS
+from .scatter import Groups, curved, scatter, scores, taken_out
 
 TINY = 1e-12  # keeps the factor of a prior of rank one
+UNTOLD = 1e-9  # share of the largest variance: less is a motion of the whole, taken off
 CHUNK = 96  # columns of the covariance held at once
 
 
@@ -36,30 +38,50 @@ class TeamCovariance:
 
 
 def team_covariance(
-    team: TeamProblem, solution: Solution, cfg: SmoothingConfig, before: Float[np.ndarray, "n n"]
+    team: TeamProblem,
+    solution: Solution,
+    cfg: SmoothingConfig,
+    before: Float[np.ndarray, "n n"],
+    pattern: Pattern | None = None,
 ) -> TeamCovariance:
     """The covariances at `solution`, told in the frame that the landmarks as a body are.
 
     The map's origin is one robot's first pose, whose own errors would stand in every covariance; so all of them are
-    taken off the motions of the landmarks as a whole (Baarda's S-transformation). Landmarks and calibration are
-    sandwiches. A pose has too few groups of its own for one: it has the model's covariance, times how much more its
-    robot's sightings (where it made none, those of it) within a few seconds pull together than if they were
-    independent. So have landmarks and calibration, with the mean factor of those who saw landmarks, where there are
-    fewer than `cfg.groups` groups for each of these variables: a sandwich would be too sure of itself. before:
-    (2n, 2n), the landmarks' covariance when the smoothing began, which says how well the size of a map is known that
-    nothing but ranges tells. Raises SingularError where the problem leaves something free.
+    taken off the motions of the landmarks as a whole (Baarda's S-transformation). Information is that of the costs'
+    curvature. Landmarks and calibration are sandwiches. Where there are fewer than `cfg.groups` groups for each of
+    these variables, a sandwich would be too sure of itself: what they have from sightings and steps is then the model's
+    covariance times one number, by how much all groups together scatter more than the model says. For the share of
+    errors that residuals lack the rest speaks, or the model where it says more; and `cfg.few_raised` is added, since
+    few groups do not tell a covariance well. A pose has too few groups of its own for either: it has the model's
+    covariance, times that number or how much more its robot's sightings (where it made none, those of it) within a few
+    seconds pull together than if they were independent, whichever is larger. In a team with a laser both numbers are 1
+    and the information is the solver's: noise is wide there for the same reasons.
+
+    before: (2n, 2n), the landmarks' covariance when the smoothing began, which says how well the size of a map is known
+    that nothing but ranges tells; pattern: of the problem, where it is known already. Raises SingularError where the
+    problem leaves something free.
     """
-    known = _Known.of(team, solution, cfg.cluster)
+    groups = Groups.of(team, cfg.cluster)
+    known = _Known.of(team, solution, groups, pattern)
     hubs = np.arange(team.landmark_start, len(solution.x))
     m = 2 * len(team.landmarks)
-    factors = [_correlation(team, k, solution.x, cfg.memory) for k in range(len(team.parts))]
-    if known.scores.shape[0] - known.priors < cfg.groups * np.count_nonzero(solution.free >= team.landmark_start):
-        S = _mean_factor(team, factors) * known.model()
+    few = known.groups < cfg.groups * np.count_nonzero(solution.free >= team.landmark_start)
+    moved, model = known.moved(hubs, 1.0 if few else cfg.most_corrected), known.model()
+    by = 1.0
+    if not team.has_laser:
+        white, told = known.whitened(model)
+        by = scatter(moved[:, :m] @ white, known.groups)
+        if few:
+            taken = taken_out(team, solution.x, groups, known.information, known.free, told)
+            by = (1.0 + cfg.few_raised) * (by + taken * max(1.0, by / (1.0 - taken)))
+    factors = [max(by, _correlation(team, k, solution.x, cfg.memory)) for k in range(len(team.parts))]
+    if few:
+        priors = moved[known.groups :].T @ moved[known.groups :]
+        S = symmetrise(by * (model - priors) + priors)
     else:
-        moved = known.moved(hubs, cfg.most_corrected)
         S = symmetrise(moved.T @ moved)
     floor = np.diag([cfg.position_floor**2, cfg.position_floor**2, cfg.heading_floor**2])
-    poses = [f * model + floor for f, model in zip(factors, known.pose_blocks(), strict=True)]
+    poses = [f * P + floor for f, P in zip(factors, known.pose_blocks(), strict=True)]
     deviations = np.sqrt(np.maximum(np.diag(S)[m:], 0.0)).reshape(-1, len(PARAMETERS))
     landmarks = S[:m, :m] + cfg.position_floor**2 * np.eye(m)
     if team.size_is_held:
@@ -107,9 +129,10 @@ class _Known:
     taken: Float[np.ndarray, "3 h"]
 
     @classmethod
-    def of(cls, team: TeamProblem, solution: Solution, length: float) -> "_Known":
+    def of(cls, team: TeamProblem, solution: Solution, groups: Groups, pattern: Pattern | None = None) -> "_Known":
         if solution.information is None:
             raise SingularError("the team's problem is singular: something in it is not observed")
+        information = solution.information if team.has_laser else curved(team, solution.x, pattern or team.pattern)
         n = len(solution.x)
         position = np.full(n, -1)
         position[solution.free] = np.arange(len(solution.free))
@@ -117,9 +140,24 @@ class _Known:
         taken = np.zeros((3, n - team.landmark_start))
         if len(team.landmarks) > 1:
             taken[:, : 2 * len(team.landmarks)] = np.linalg.pinv(motions[team.landmark_columns])
-        known, own = _priors(team, solution.x), scores(team, solution.x, Groups.of(team, length))
+        known, own = _priors(team, solution.x), scores(team, solution.x, groups)
         pulls = sp.csr_matrix(sp.vstack([own[np.diff(own.indptr) > 0], known]))[:, solution.free]
-        return cls(team, solution.information, position, solution.free, pulls, known.shape[0], motions, taken)
+        return cls(team, information, position, solution.free, pulls, known.shape[0], motions, taken)
+
+    @property
+    def groups(self) -> int:
+        return int(self.scores.shape[0]) - self.priors
+
+    def whitened(self, model: Float[np.ndarray, "h h"]) -> tuple[Float[np.ndarray, "m q"], Float[np.ndarray, "n q"]]:
+        """What the map's shape is measured by in standard deviations of `model`: of landmarks, and of x, frame free."""
+        at = self.team.landmark_columns
+        value, vector = np.linalg.eigh(model[: len(at), : len(at)])
+        shape = value > UNTOLD * np.max(value, initial=0.0)
+        white = vector[:, shape] / np.sqrt(value[shape])
+        of_x = np.zeros((len(self.position), white.shape[1]))
+        of_x[at] = white
+        of_x[self.team.landmark_start :] -= self.taken.T @ (self.motions[at].T @ white)
+        return white, of_x
 
     def model(self) -> Float[np.ndarray, "h h"]:
         """The model's covariance of landmarks and calibration, their motions as a whole taken off."""
@@ -190,41 +228,6 @@ def _motions(team: TeamProblem, x: Float[np.ndarray, " n"]) -> Float[np.ndarray,
     return out
 
 
-@dataclass(frozen=True, slots=True)
-class Groups:
-    """One robot's factors within `length` [s] are a group: `many` of them for each of `robots`, from `begin` [s] on."""
-
-    begin: float
-    length: float
-    many: int
-    robots: int
-
-    @classmethod
-    def of(cls, team: TeamProblem, length: float) -> "Groups":
-        begin = min(float(part.instants.t[0]) for part in team.parts)
-        end = max(float(part.instants.t[-1]) for part in team.parts)
-        return cls(begin, length, int((end - begin) // length) + 1, len(team.parts))
-
-    def __len__(self) -> int:
-        return self.many * self.robots
-
-    def rows(self, origin: Origin) -> Int[np.ndarray, " m"]:
-        """The group of each factor of a term."""
-        k = np.clip((origin.t - self.begin) // self.length, 0, self.many - 1)
-        return np.asarray(origin.robot * self.many + k.astype(int))
-
-
-def scores(team: TeamProblem, x: Float[np.ndarray, " n"], groups: Groups) -> sp.csr_matrix:
-    """The pull on every variable of each group of factors, (groups, n)."""
-    out = sp.csr_matrix((len(groups), len(x)))
-    for term, origin in zip(team.problem.terms, team.origins, strict=True):
-        if origin is not None:
-            g = term.normal(x)[1]
-            row = np.repeat(groups.rows(origin), g.shape[1])
-            out = out + sp.csr_matrix((g.ravel(), (row, term.columns.ravel())), shape=out.shape)
-    return out
-
-
 def _priors(team: TeamProblem, x: Float[np.ndarray, " n"]) -> sp.csr_matrix:
     """What one standard deviation of error of each prior and of each trajectory from scans would pull, (priors, n)."""
     rows = [sp.csr_matrix((0, len(x)))]
@@ -248,22 +251,13 @@ def _pulls(term: Factor, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "p d"]
     return np.asarray((np.sqrt(term.weights(x))[:, None, None] * J).reshape(-1, J.shape[2]))
 
 
-def _mean_factor(team: TeamProblem, factors: Sequence[float]) -> float:
-    """The mean of the robots' factors, each as often as it saw landmarks."""
-    seen = np.zeros(len(factors))
-    for term, origin in zip(team.factors, team.origins, strict=True):
-        if origin is not None and term.name == "landmark":
-            seen[origin.robot] += len(term.columns)
-    return float(np.average(factors, weights=seen)) if seen.any() else float(np.max(factors))
-
-
 def _correlation(team: TeamProblem, robot: int, x: Float[np.ndarray, " n"], length: float) -> float:
     """How much more a robot's sightings of one landmark within `length` [s] pull together than if independent; >= 1.
 
     Of a robot that saw no landmark, the others' sightings of it. In a team with a laser 1: scans give the trajectories,
     and the noise of sightings is so wide there because their errors last, which would count twice.
     """
-    if any(p.scans is not None for p in team.parts):
+    if team.has_laser:
         return 1.0
     part = team.parts[robot]
     pairs = [(t, o) for t, o in zip(team.factors, team.origins, strict=True) if o is not None]

@@ -96,6 +96,10 @@ class TeamProblem:
         return any(term.name == "size" for term in self.factors)
 
     @property
+    def has_laser(self) -> bool:
+        return any(part.scans is not None for part in self.parts)
+
+    @property
     def factors(self) -> list[Factor]:
         return [term for term in self.problem.terms if isinstance(term, Factor)]
 

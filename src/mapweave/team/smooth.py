@@ -109,7 +109,7 @@ def smooth(
     if solution.status in {SolveStatus.SINGULAR, SolveStatus.DIVERGED} or not np.isfinite(solution.x).all():
         return _kept(team, cfg, f"the problem of the whole team is {solution.status}", problem, solution)
     try:
-        cov = team_covariance(problem, solution, cfg, start.landmarks.cov)
+        cov = team_covariance(problem, solution, cfg, start.landmarks.cov, pattern)
     except SingularError as error:
         return _kept(team, cfg, str(error), problem, solution)
     tracks = dict(team.tracks)
