@@ -37,9 +37,10 @@ def house(tmp_path):
     (package / "callee.py").write_text(CALLEE.format(constant=1.0))
     environ = os.environ | {"NUMBA_CACHE_DIR": str(cache), "NUMBA_DISABLE_JIT": "0"}
 
-    def ask():
+    def ask(program=PROGRAM, home=None):
+        env = environ if home is None else environ | {"HOME": home, "XDG_CACHE_HOME": home}
         done = subprocess.run(  # noqa: S603
-            [sys.executable, "-c", PROGRAM], cwd=tmp_path, env=environ, capture_output=True, text=True, check=False
+            [sys.executable, "-c", program], cwd=tmp_path, env=env, capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stderr
         value, hits = done.stdout.split()
@@ -82,6 +83,30 @@ def test_a_folder_that_cannot_hold_an_entry_costs_the_entry_alone(house):
     assert (value, hits) == (4.0, 0)
     assert "not kept" in said
     assert "Traceback" not in said
+
+
+READ_ONLY = """
+import tempfile
+
+def refused(*_, **__):
+    raise OSError(30, "Read-only file system")
+
+tempfile.TemporaryFile = refused  # by which Numba tries whether a folder can be written
+"""
+
+
+def test_what_a_folder_holds_is_used_where_nothing_can_be_written(house):
+    assert house()[:2] == (4.0, 0)
+    assert house(READ_ONLY + PROGRAM) == (4.0, 1, "")
+
+
+def test_without_any_folder_kernels_are_compiled_and_that_is_told_once(house, tmp_path):
+    (tmp_path / "cache").touch()
+    (house.package / "__pycache__").touch()
+    value, hits, said = house(home="/dev/null")
+    assert (value, hits) == (4.0, 0)
+    assert said.count("NUMBA_CACHE_DIR") == 1
+    assert said.count("\n") == 1
 
 
 REFINED = """

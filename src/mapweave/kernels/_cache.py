@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 
 import numba
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
 from .compiling import tell_compiled, tell_compiling
 
@@ -25,11 +25,30 @@ log = logging.getLogger(__name__)
 BROKEN = (pickle.UnpicklingError, EOFError, ValueError, TypeError, AttributeError, ImportError, IndexError, KeyError)
 
 
+LOCATORS = CompileResultCacheImpl._locator_classes  # noqa: SLF001  (first that of NUMBA_CACHE_DIR, then beside the source)
+
+
+class NothingWritable:
+    """Where entries are looked for when no folder takes any: that of NUMBA_CACHE_DIR, else beside the kernel."""
+
+    @staticmethod
+    def from_function(kernel: Callable[..., object], file: str) -> object:
+        return LOCATORS[0 if numba.config.CACHE_DIR else 1](kernel, file)
+
+
+class Places(CompileResultCacheImpl):
+    """Where Numba keeps entries, and where it would raise, those that are there already."""
+
+    _locator_classes = (*LOCATORS, NothingWritable)
+
+
 class KernelCache(FunctionCache):
     """The entries of one kernel, in files whose names carry the digest of all that its code depends on.
 
     A torn entry is told, put aside and built anew; where nothing can be written the kernel is compiled and not kept.
     """
+
+    _impl_class = Places
 
     def __init__(self, kernel: Callable[..., object], options: str) -> None:
         super().__init__(kernel)
@@ -56,7 +75,7 @@ class KernelCache(FunctionCache):
         except BROKEN:
             self._put_aside()
         except OSError as error:
-            log.warning("%s: compiled, but not kept in %s: %s", self._stem, self.cache_path, error)
+            _tell_not_kept(error.strerror or str(error))
         tell_compiled(self._stem)
         for old in self._files():
             if self._digest not in old.name:
@@ -103,6 +122,12 @@ def _imported(file: Path) -> tuple[Path, ...]:
             names = [base.with_suffix(".py"), base / "__init__.py", *(base / f"{a.name}.py" for a in node.names)]
             out += [name for name in names if name.is_file()]
     return tuple(out)
+
+
+@cache
+def _tell_not_kept(reason: str) -> None:
+    """Once a process and reason, whatever the number of kernels."""
+    log.warning("compiled code is not kept (%s), every run compiles anew: NUMBA_CACHE_DIR names a folder", reason)
 
 
 def _remove(file: Path) -> None:
