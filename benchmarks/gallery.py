@@ -143,7 +143,7 @@ OTHERS = (  # of other pages, which print the commands where they are told
         "docs/locate.md",
         "",
         "driven/figures/tracks.png",
-        (f"mapweave locate {SET_6} --out driven --truth {SET_6}",),
+        (f"mapweave locate {SET_6} --out driven --sigma 0.6deg --truth {SET_6}",),
     ),
     Picture(
         "explore-office",
