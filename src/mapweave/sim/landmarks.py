@@ -4,7 +4,6 @@ wrong for seconds on end, sightings of each other, misread barcodes. What real l
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.signal import lfilter
 
 from ..core import se2
 from ..core.config import config
@@ -127,6 +126,8 @@ def camera_frames(
 
 def _remembered(shape: tuple[int, ...], memory: float, white: float, rng: np.random.Generator) -> np.ndarray:
     """Errors of unit variance along axis 0, each column its own: a share `white`, the rest fading over `memory`."""
+    from scipy.signal import lfilter  # noqa: PLC0415  (costs half a second; simulated logs alone need it)
+
     a = np.exp(-FRAME / memory)
     drive = rng.normal(size=shape)
     drive[1:] *= np.sqrt(1 - a * a)
