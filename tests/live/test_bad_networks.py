@@ -10,6 +10,7 @@ import pytest
 
 from mapweave.api.live import live_map, live_robot
 from mapweave.api.simulate_landmarks import simulate_landmarks
+from mapweave.cli import _run
 from mapweave.live.transport import Network
 
 from .bad_network import LossyRelay, Relay, ip, lossy, two_namespaces
@@ -38,6 +39,7 @@ def fleet(tmp_path, source):
     made.end()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("delay", "lease"), [(0.9, "3"), pytest.param(2.0, "10", marks=pytest.mark.long)])
 def test_late_and_cut_off_twice_the_map_is_the_same(fleet, direct, delay, lease):
     relay = Relay(fleet.at, delay)
@@ -79,7 +81,8 @@ def test_a_line_that_loses_a_fifth_of_its_packets_and_breaks_off_at_random_chang
     same_result(direct, fleet.folder / "out-map")
 
 
-@pytest.mark.parametrize("bad", ["cut", pytest.param("lossy", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("bad", ["cut", "lossy"])
 def test_in_namespaces_whose_link_goes_down_or_loses_packets_the_map_is_the_same(fleet, direct, bad):
     with two_namespaces() as names:
         if names is None:
@@ -102,6 +105,7 @@ def test_in_namespaces_whose_link_goes_down_or_loses_packets_the_map_is_the_same
     same_result(direct, fleet.folder / "out-map")
 
 
+@pytest.mark.slow
 def test_a_clock_five_seconds_ahead_is_measured_and_told(tmp_path, source):
     at = (free_endpoint(),)
     said, stop = [], threading.Event()
@@ -129,6 +133,7 @@ def test_a_clock_five_seconds_ahead_is_measured_and_told(tmp_path, source):
     assert told[0].startswith("r1: its clock is 5.0 s ahead (within 0.0")
 
 
+@pytest.mark.slow
 def test_a_robot_on_a_full_disk_drives_on_and_tells_nothing_it_could_lose(fleet):
     """A file may not grow beyond 60 kB here, which the disk of a robot does not either once it is full."""
     fleet.prefix = {"r1": ["bash", "-c", 'ulimit -f 60; exec "$@"', "bash"]}
@@ -141,6 +146,7 @@ def test_a_robot_on_a_full_disk_drives_on_and_tells_nothing_it_could_lose(fleet)
     assert "Traceback" not in fleet.said("r1")
 
 
+@pytest.mark.slow
 def test_a_map_on_a_full_disk_keeps_what_it_hears_in_memory(fleet, direct, tmp_path):
     small = tmp_path / "small"
     small.mkdir()
@@ -176,14 +182,15 @@ def test_a_map_on_a_full_disk_keeps_what_it_hears_in_memory(fleet, direct, tmp_p
         (["demo", "--robots", "0"], "--robots: expected 1 to 20, found 0"),
     ],
 )
-def test_what_cannot_be_is_told_in_one_line(tmp_path, source, words, told):
-    command = [sys.executable, "-m", "mapweave", "live", *(word.format(source=source) for word in words)]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)  # noqa: S603
-    assert done.returncode in {1, 2}
-    assert told in done.stderr
-    assert done.stderr.count("\n") == 1
+def test_what_cannot_be_is_told_in_one_line(tmp_path, monkeypatch, capsys, source, words, told):
+    monkeypatch.chdir(tmp_path)
+    assert _run(["live", *(word.format(source=source) for word in words)]) in {1, 2}
+    said = capsys.readouterr().err
+    assert told in said
+    assert said.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_second_robot_of_one_name_is_refused_at_once(fleet):
     fleet.robot("r1", "--listen", fleet.at, "--connect", fleet.at, rate="1")
     fleet.hears("r1", "history in")
