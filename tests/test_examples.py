@@ -41,7 +41,11 @@ def test_every_example_is_short_and_known_here():
     assert all(len(path.read_text(encoding="utf-8").splitlines()) < 60 for path in SCRIPTS)
 
 
-@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
+QUICK = {"exploration", "swarm"}
+EXAMPLES = [pytest.param(p, id=p.stem, marks=() if p.stem in QUICK else pytest.mark.slow) for p in SCRIPTS]
+
+
+@pytest.mark.parametrize("path", EXAMPLES)
 def test_an_example_runs_silently_on_stderr_and_leaves_nothing_behind(path, tmp_path):
     done = run(path, tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
@@ -49,6 +53,7 @@ def test_an_example_runs_silently_on_stderr_and_leaves_nothing_behind(path, tmp_
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_maps_of_two_places_are_not_made_one(tmp_path):
     said = run(HERE / "fuse_results.py", tmp_path).stdout
     assert "elsewhere/robot1: refused" in said

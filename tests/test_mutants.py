@@ -91,6 +91,7 @@ def test_every_area_names_sources_and_tests_that_exist(area):
     assert area.files()
 
 
+@pytest.mark.slow
 def test_every_mistake_that_is_said_to_change_nothing_can_be_made_and_has_a_reason():
     for known in areas.EQUIVALENT:
         assert mutants.mistakes(known)
@@ -111,6 +112,7 @@ def test_a_source_or_a_test_that_has_gone_is_named():
         replace(areas.AREAS[0], first=("tests/gone.py",)).check_tests()
 
 
+@pytest.mark.slow
 def test_the_same_seed_draws_the_same_mistakes_whatever_else_is_drawn_from():
     area = next(a for a in areas.AREAS if a.name == "outlier rejection")
     ten = mutants.draw(area, 10, 3)

@@ -57,6 +57,7 @@ def stopped_after(log, n):
     return replace(early, scans=log.scans[:n], source=log.source, odometry=replace(early.odometry, pose=pose))
 
 
+@pytest.mark.slow
 def test_a_log_that_was_cut_goes_on_as_the_same_robot_with_the_bytes_of_one_run(logs, sessions, tmp_path):
     n = int(np.random.default_rng(7).integers(20, len(logs[0].scans) - 5))
     mapweave.map([stopped_after(logs[0], n), logs[1]], tmp_path / "stopped", seed=4)
@@ -103,6 +104,7 @@ def test_the_log_that_is_there_already_is_refused(logs, sessions):
         mapweave.map([replace(logs[0], source="again.mcap")], laser=LaserOptions(resume=sessions / "first"))
 
 
+@pytest.mark.slow
 def test_a_start_told_in_the_first_session_holds_in_the_second(logs, sessions, tmp_path):
     start = {"1": (1.0, 2.0, 0.5)}
     mapweave.map([logs[0]], tmp_path / "first", method="graph", start=start)
@@ -199,6 +201,7 @@ def test_only_the_graph_method_goes_on(sessions, logs):
         mapweave.map([logs[1]], method="particle", laser=LaserOptions(resume=sessions / "first"))
 
 
+@pytest.mark.slow
 def test_finished_results_are_fused_by_the_same_decision_as_one_run(sessions, logs, tmp_path):
     mapweave.map([logs[1]], tmp_path / "second", method="graph", seed=4)
     fused = mapweave.fuse([sessions / "first", tmp_path / "second"], tmp_path / "fused")
@@ -214,6 +217,7 @@ def test_finished_results_are_fused_by_the_same_decision_as_one_run(sessions, lo
     assert again.metrics["components"] == [["fused/first/robot1", "fused/second/robot1"]]
 
 
+@pytest.mark.slow
 def test_what_it_takes_to_merge_is_a_setting(sessions, tmp_path):
     (tmp_path / "hard.toml").write_text("[laser.merge]\nvotes = 1000\ncertain = 1000000\n")
     fused = mapweave.fuse(sessions / "both", config=tmp_path / "hard.toml")

@@ -76,6 +76,7 @@ def test_the_folder_is_that_of_map_to_the_byte(drive, tmp_path):
     assert len(ours.closures) == len(theirs.closures)
 
 
+@pytest.mark.slow
 def test_light_is_used_in_the_result_as_map_uses_it_and_at_once_when_its_calibration_is_known(drive):
     scans, odometry = tables(drive.log, light=True)
     path = {"scans": scans, "odometry": odometry, "method": "graph"}
@@ -114,6 +115,7 @@ def test_poses_come_with_covariances_that_hold_the_truth(drive):
     assert (grid.occupancy() > 0.65).sum() > 0.5 * (whole.occupancy() > 0.65).sum()
 
 
+@pytest.mark.slow
 def test_a_result_can_be_localised_in(drive, tmp_path):
     slam = fed(mapweave.LaserSlam(), drive.log)
     slam.save(tmp_path / "map")

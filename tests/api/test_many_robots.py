@@ -2,9 +2,12 @@
 
 import warnings
 
+import pytest
+
 import mapweave
 
 
+@pytest.mark.slow
 def test_the_report_of_many_robots_is_drawn_without_complaint(tmp_path):
     mapweave.simulate_landmarks(tmp_path / "team", robots=16, landmarks=60, minutes=0.7, seed=1)
     with warnings.catch_warnings():

@@ -105,6 +105,7 @@ def test_the_graph_method_leaves_its_graph_its_closures_and_covariances(log, tmp
     assert graph.log_hash == robot["log_hash"]
 
 
+@pytest.mark.slow
 def test_several_logs_are_mapped_each_on_its_own_whatever_the_number_of_processes(tmp_path):
     logs = [str(rolling(tmp_path / "a.mcap")), str(rolling(tmp_path / "b.bag", 12))]
     outs = [tmp_path / "one", tmp_path / "two"]

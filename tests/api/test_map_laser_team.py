@@ -173,6 +173,7 @@ def test_two_places_that_fit_are_refused_and_a_start_decides(tmp_path):
     assert np.hypot(*(first - start)[:2]) < 0.3
 
 
+@pytest.mark.slow
 def test_a_wrong_start_is_overruled_by_the_scans_and_that_is_told(team, woven):
     logs, _ = team
     right = woven[0].merges[0].transform
@@ -234,6 +235,7 @@ def test_a_robot_that_saw_nothing_does_not_keep_the_others_from_their_map(team):
     assert all(np.isfinite(c.tracks[r].pose).all() for c in result.components for r in c.robots)
 
 
+@pytest.mark.slow
 def test_the_same_team_is_mapped_the_same_from_files_at_the_command_line(tmp_path, capsys):
     drives = [tmp_path / f"{name}.mcap" for name in "ab"]
     for k, drive in enumerate(drives, 1):

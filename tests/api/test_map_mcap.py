@@ -9,6 +9,7 @@ from rosbags.typesys import Stores, get_typestore
 import mapweave
 
 
+@pytest.mark.slow
 def test_a_landmark_map_is_written_as_messages_too(tmp_path):
     mapweave.simulate_landmarks(tmp_path / "team", robots=2, landmarks=8, minutes=0.5, seed=1)
     mapweave.map(tmp_path / "team", tmp_path / "plain")

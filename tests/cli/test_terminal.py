@@ -45,6 +45,7 @@ def test_the_version_is_one_line():
     assert done.stdout.startswith("mapweave ")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["<&-", "</dev/null"])
 def test_a_closed_stdin_is_no_trouble(end):
     done = shell(f"{SHELL} config map {end}")
@@ -52,6 +53,7 @@ def test_a_closed_stdin_is_no_trouble(end):
     assert "[ekf]" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_reader_that_stops_after_one_line_ends_it_silently():
     for command in ("explore --help", "config explore --laser"):
         done = shell(f"{SHELL} {command} | head -1")
@@ -60,6 +62,7 @@ def test_a_reader_that_stops_after_one_line_ends_it_silently():
         assert done.returncode == 0
 
 
+@pytest.mark.slow
 def test_a_closed_stdout_ends_silently():
     assert shell(f"{SHELL} config map >&-").stderr == ""
 
@@ -81,6 +84,7 @@ def test_a_full_disk_behind_stdout_is_told_in_one_line():
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env", [{"LANG": "C", "LC_ALL": "C"}, {"PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"}])
 def test_a_terminal_without_letters_shows_what_it_can(env, tmp_path):
     name = tmp_path / "s\u00e4le.csv"
@@ -123,6 +127,7 @@ def test_an_interruption_that_a_callback_swallowed_is_one_all_the_same(monkeypat
     assert signal.getsignal(signal.SIGINT) is before
 
 
+@pytest.mark.slow
 def test_a_target_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").write_text("no folder\n", encoding="utf-8")
     done = run("simulate", "landmarks", "--out", tmp_path / "file" / "team", "--minutes", "0.1")
@@ -132,6 +137,7 @@ def test_a_target_that_cannot_be_written_is_one_line(tmp_path):
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_a_message_of_several_lines_becomes_one():
     done = run("locate", "a\nb.csv", "--out", "c")
     assert done.returncode == 1

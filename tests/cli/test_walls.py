@@ -46,6 +46,7 @@ def names(folder):
     return sorted(p.name for p in folder.iterdir())
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_told_and_the_earlier_result_stays(team, tmp_path):
     out = tmp_path / "out"
     assert run("map", team, "--out", out).returncode == 0
@@ -70,6 +71,7 @@ def test_a_target_in_a_folder_that_is_read_only_is_refused_before_the_work(team,
     assert capsys.readouterr().err == said
 
 
+@pytest.mark.slow
 def test_without_a_home_and_with_a_cache_that_cannot_be_written_a_team_is_mapped(team, tmp_path):
     (tmp_path / "file").write_text("no folder")
     env = {k: v for k, v in os.environ.items() if k not in {"HOME", "XDG_CACHE_HOME"}}
@@ -80,6 +82,7 @@ def test_without_a_home_and_with_a_cache_that_cannot_be_written_a_team_is_mapped
     assert (tmp_path / "out" / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_names_that_are_no_letters_are_read_and_written(team, tmp_path):
     try:
         odd = Path(os.fsdecode(os.fsencode(tmp_path) + b"/t\xff\xfe"))
@@ -97,6 +100,7 @@ def test_names_that_are_no_letters_are_read_and_written(team, tmp_path):
     told(run("evaluate", out, "--truth", odd.parent / "none\udcff", env=env), "none")
 
 
+@pytest.mark.slow
 def test_a_reader_that_stops_after_one_line_of_a_summary_ends_it_silently(team, tmp_path):
     line = f"{SHELL} map {team} --out {tmp_path / 'out'} --no-refine | head -1"
     done = subprocess.run(  # noqa: S603

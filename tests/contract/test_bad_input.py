@@ -216,6 +216,7 @@ def test_evaluating_what_is_no_result_or_against_nothing_is_refused(recording, t
     assert "s.csv:3" in refused(tmp_path, "evaluate", tmp_path / "a", "--truth", tmp_path / "s.csv")
 
 
+@pytest.mark.slow
 def test_a_score_is_added_to_the_report_and_takes_the_place_of_an_earlier_one(recording, tmp_path):
     out = tmp_path / "out"
     run("map", recording, "--out", out, "--no-refine")

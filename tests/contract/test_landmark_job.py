@@ -139,6 +139,7 @@ def test_a_landmark_survey_and_tum_files_are_truth_too(world, made):
     assert told["robots"]["2"]["truth"] == "TUM"
 
 
+@pytest.mark.slow
 def test_equal_runs_differ_in_timing_alone_whoever_does_the_work(world):
     run("map", world / "team", "--out", world / "b", "--truth", world / "team", "--seed", 3, "--jobs", 2)
     one, two = (json.loads((world / d / "metrics.json").read_text()) for d in "ab")
@@ -165,6 +166,7 @@ def test_a_zip_is_read_as_its_folder(world):
     assert tree(world / "a", "landmarks.*") == tree(world / "z", "landmarks.*")
 
 
+@pytest.mark.slow
 def test_fusing_saved_maps_names_robots_after_their_folders(world):
     run("map", world / "team", "--out", world / "one", "--robots", "1,2")
     run("map", world / "team", "--out", world / "two", "--robots", "3")

@@ -47,6 +47,7 @@ def test_a_type_checker_reads_the_same_names_from_the_same_modules():
     assert seen == {name: (home, name) for name, home in mapweave._HOMES.items()}
 
 
+@pytest.mark.slow
 def test_without_the_extra_every_name_is_there_and_those_of_a_live_team_say_what_is_missing():
     code = (
         "import sys\n"

@@ -89,6 +89,7 @@ def test_the_area_term_is_worth_its_steps_with_the_same_escape_on_both_sides(spe
     assert mean(blind, "steps") >= least * mean(whole, "steps")
 
 
+@pytest.mark.slow
 def test_without_the_escape_no_run_ends():
     (shut,) = runs_of([mission(escape_uncertainty=-1.0, stall_steps=10**9, max_steps=300)], 2)
     assert not any(r.finished for r in shut)
@@ -204,6 +205,7 @@ def test_lost_messages_and_a_death_among_four_are_survived():
     assert mean(runs, "nees_per_dof") <= 1.3
 
 
+@pytest.mark.slow
 def test_laps_planned_together_survive_a_death_and_budgets_longer_than_they_are():
     few = {"joint": JointConfig(search=LapSearchConfig(tries=40))}
     dead, long = runs_of(

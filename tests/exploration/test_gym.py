@@ -40,6 +40,7 @@ def test_an_episode_runs_to_its_end_with_rewards_for_new_ground(name):
     assert sum(total.values()) > 10
 
 
+@pytest.mark.slow
 def test_a_planner_sees_more_ground_than_chance():
     def explored(name):
         env = ExplorationEnv(robots=2, until=40)

@@ -64,6 +64,7 @@ def half_the_messages_and_a_death(path):
     return explore_laser_once(mission, 3)[0]
 
 
+@pytest.mark.slow
 def test_lost_messages_and_a_death_are_survived(rooms):
     told = in_a_fresh_process(half_the_messages_and_a_death, str(rooms))
     assert told.finished
@@ -118,6 +119,7 @@ def test_a_run_writes_its_scores_and_map_and_a_log_that_map_can_read(rooms, tmp_
     assert explore(str(replay), until=3).runs[0].steps == 3
 
 
+@pytest.mark.slow
 def test_the_same_seed_is_the_same_run_and_processes_change_nothing(rooms):
     def figures(result):
         told = result.metrics

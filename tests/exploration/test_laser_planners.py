@@ -46,6 +46,7 @@ def test_the_loop_planner_ends_where_it_began():
     assert np.hypot(*(team.sim.true_poses - team.sim.starts)[:, :2].T).max() < 1.0
 
 
+@pytest.mark.slow
 def test_more_robots_need_fewer_steps():
     steps = []
     for robots in (1, 3):

@@ -33,6 +33,7 @@ def contents(folder):
     return out | {"runs.csv": rows, "metrics.json": metrics}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", ["office-200", "yuan"])
 def test_one_thread_and_two_write_the_same_bytes(tmp_path, scenario):
     one, two = (contents(explored(scenario, tmp_path / str(n), n)) for n in (1, 2))

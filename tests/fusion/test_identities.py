@@ -28,7 +28,7 @@ def lies_right(found, T, source):
     return np.hypot(*(se2.act(found, source.mean) - se2.act(T, source.mean)).T).max() < 0.15
 
 
-@pytest.mark.parametrize("common", [6, 8, 14])
+@pytest.mark.parametrize("common", [6, *(pytest.param(n, marks=pytest.mark.slow) for n in (8, 14))])
 def test_with_six_in_common_or_more_nearly_every_alignment_is_right_and_believed(common):
     right = believed = 0
     for draw in range(20):
@@ -44,7 +44,7 @@ def test_with_six_in_common_or_more_nearly_every_alignment_is_right_and_believed
     assert believed >= (18 if common == 6 else 19)
 
 
-@pytest.mark.parametrize("common", [0, 2, 4])
+@pytest.mark.parametrize("common", [4, *(pytest.param(n, marks=pytest.mark.slow) for n in (0, 2))])
 def test_with_too_few_in_common_a_match_is_refused_with_the_reason(common):
     wrong, reasons = 0, []
     for draw in range(20):

@@ -85,6 +85,7 @@ def test_no_two_simulated_teams_become_one_and_each_team_does(tmp_path):
         assert all(len({robot.split("/")[0] for robot in c.robots}) == 1 for c in fused.components)
 
 
+@pytest.mark.slow
 def test_results_of_two_rooms_stay_two_maps_and_the_reason_names_landmarks(tmp_path):
     for k in (1, 2):
         simulate_landmarks(tmp_path / f"log{k}", robots=2, landmarks=8, minutes=5.0, seed=k)

@@ -446,6 +446,7 @@ def test_an_error_is_one_line_whatever_the_file_is_called():
     assert isinstance(ReaderError("a", "b"), MapweaveError)
 
 
+@pytest.mark.slow
 def test_a_short_seeded_fuzz_of_every_format_finds_nothing(tmp_path):
     words = [sys.executable, str(ROOT / "benchmarks" / "fuzz.py"), "--inputs", "40", "--keep", str(tmp_path)]
     path = os.pathsep.join([str(ROOT / "src"), str(ROOT)])

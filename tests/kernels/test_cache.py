@@ -61,8 +61,8 @@ def test_an_edited_function_in_another_file_is_compiled_anew_into_its_caller(hou
     assert not set(house.entries()) & set(before)
 
 
-@pytest.mark.parametrize("end", [".nbi", ".nbc"])
-@pytest.mark.parametrize("left", [0, 0.5])
+@pytest.mark.parametrize("end", [".nbi", pytest.param(".nbc", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("left", [pytest.param(0, marks=pytest.mark.slow), 0.5])
 def test_a_torn_entry_is_told_and_built_anew(house, end, left):
     house()
     entry = next(f for f in house.entries() if f.suffix == end)
@@ -74,6 +74,7 @@ def test_a_torn_entry_is_told_and_built_anew(house, end, left):
     assert house() == (4.0, 1, "")
 
 
+@pytest.mark.slow
 def test_a_folder_that_cannot_hold_an_entry_costs_the_entry_alone(house):
     house()
     for entry in house.entries():
@@ -130,6 +131,7 @@ print(hashlib.sha256(out.tobytes()).hexdigest(), sum(refine.stats.cache_hits.val
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="nothing is compiled here")
 def test_a_kernel_just_compiled_gives_the_bytes_of_the_one_on_disk(tmp_path):
     environ = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_DISABLE_JIT": "0"}

@@ -42,6 +42,7 @@ def test_a_reflectance_law_the_estimator_was_not_told_does_no_harm():
     assert seen <= 0.05 * odometry
 
 
+@pytest.mark.slow
 def test_a_self_calibrated_feature_maps_as_well_as_the_true_law():
     sim = simulate_corridor(LOOP, seed=32)
     knots = np.linspace(0.0, 6.0, 31)

@@ -153,6 +153,7 @@ def small_office():
     return drive_pair(Walls.of(parts), np.array([-10.0, -4.0]), np.array([10.0, 4.0]), 1.0, rng, SMALL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off", [(0.3, -0.3, 0.05), (-0.7, 0.4, -0.1)])
 def test_of_two_places_that_fit_alike_a_start_decides(small_office, off):
     made = small_office
@@ -255,6 +256,7 @@ def test_maps_that_hold_nothing_are_told():
     assert not merge_maps(lonely, lonely).merged
 
 
+@pytest.mark.slow
 def test_along_a_flush_corridor_a_start_alone_holds_the_maps_and_no_better_than_it_says():
     walls = Walls.of(np.array(box(-25.0, 0.0, 65.0, 2.5)))
     cfg = PairConfig(keyframes=70, beams=120)
@@ -286,6 +288,7 @@ def test_along_a_flush_corridor_a_start_alone_holds_the_maps_and_no_better_than_
     assert "a corridor" in vague.reason
 
 
+@pytest.mark.slow
 def test_a_start_holds_a_short_map_to_a_longer_one_as_well_and_says_why_where_it_does_not():
     """Seen from the longer map's robot, what a start says of its heading would leave metres open far away."""
     walls = Walls.of(np.array(box(-25.0, 0.0, 65.0, 2.5)))

@@ -176,6 +176,7 @@ def office():
     return simulate_office(replace(cfg, drive=replace(cfg.drive, scan_every=0.1, scanner=scanner)), 3)
 
 
+@pytest.mark.slow
 def test_a_log_whose_wheels_stand_is_mapped_from_its_scans_alone_and_warned_of(office):
     log = office.log
     still = replace(

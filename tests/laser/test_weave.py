@@ -3,6 +3,7 @@
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import pytest
 
 from mapweave.core import se2
 from mapweave.core.walls import Walls
@@ -38,6 +39,7 @@ def robot_graph(m, name):
     )
 
 
+@pytest.mark.slow
 def test_robots_that_meet_are_woven_and_a_stranger_stays_alone():
     floor = office_floor(600.0, 3)
     made = drive_pair(

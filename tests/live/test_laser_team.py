@@ -95,6 +95,7 @@ def test_a_laser_robot_told_message_by_message_stands_where_its_scans_one_by_one
     assert robot.t == log.stamps()[-1]
 
 
+@pytest.mark.slow
 def test_simulated_sources_give_each_robot_its_own_way_and_all_the_same_walls():
     one, two = (open_source("sim:office", f"r{k}", None, 2) for k in (1, 2))
     assert (one.robot, two.robot) == ("robot1", "robot2")

@@ -107,6 +107,7 @@ def test_robots_are_one_map_while_they_drive_and_stand_where_they_are_in_it(tmp_
             assert np.sqrt(told[0, 0] + told[1, 1]) < 0.3
 
 
+@pytest.mark.slow
 def test_what_was_decided_on_a_pair_stands_until_the_maps_have_grown(tmp_path, monkeypatch):
     searched = []
     monkeypatch.setattr(pair_search, "merge_maps", lambda *a: searched.append(1) or merge_maps(*a))

@@ -61,6 +61,7 @@ def test_robots_drive_with_nobody_listening_and_a_map_that_comes_late_gets_the_p
     same_result(direct, fleet.folder / "out-map")
 
 
+@pytest.mark.slow
 def test_a_map_process_hands_the_past_of_a_robot_that_left_to_another(fleet, direct):
     fleet.map(robots="r1,r2,r3")  # waits on for one that never comes
     fleet.robot("r1", rate="inf")

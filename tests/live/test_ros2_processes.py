@@ -91,6 +91,7 @@ def same_scans(log, simulated):
         np.testing.assert_allclose(ours.T_robot_sensor, MOUNT, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_one_process_drives_several_robots_each_with_a_history_of_its_own(fleet, ros):
     session = ros[1]
     made = {"tb1": drive(1), "tb2": drive(2)}
@@ -296,6 +297,7 @@ def test_nonsense_in_the_graph_is_told_in_a_line_each_and_the_drive_is_as_withou
     held.undeclare()
 
 
+@pytest.mark.slow
 def test_a_robot_started_again_goes_on_where_its_history_ends(ros, tmp_path):
     at, session = ros
     made = drive(4)
@@ -380,6 +382,7 @@ def test_with_listen_it_is_the_router_and_what_others_publish_as_map_stays_their
     same_scans(record(tmp_path / "r-1.sqlite", "r-1")[0], made.log)
 
 
+@pytest.mark.slow
 def test_a_graph_without_type_hashes_is_answered_without_them(ros, tmp_path):
     at, session = ros
     none = "TypeHashNotSupported"
@@ -398,6 +401,7 @@ def test_a_graph_without_type_hashes_is_answered_without_them(ros, tmp_path):
     same_scans(record(tmp_path / "r1.sqlite", "r1")[0], made.log)
 
 
+@pytest.mark.slow
 def test_when_the_router_goes_and_comes_back_the_drive_goes_on(tmp_path):
     at = free_endpoint()
     router = open_session(at, "router")

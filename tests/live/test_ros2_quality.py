@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pytest
 
 from mapweave.api.live_robots import live_robots
 from mapweave.api.live_ros2 import RosOptions
@@ -101,6 +102,7 @@ def woven(logs):
     return made
 
 
+@pytest.mark.slow
 def test_two_scanners_and_two_robots_through_ros_map_as_well_as_their_recordings(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(assembly, "PATIENCE", RATE * assembly.PATIENCE)  # as long by our clock

@@ -221,6 +221,7 @@ def test_a_robot_that_listens_is_not_accused_of_what_it_never_said():
     )
 
 
+@pytest.mark.slow
 def test_a_whole_team_with_certificates_maps_and_counts_what_it_refused(tmp_path, keys):
     simulate_landmarks(tmp_path / "team", robots=2, minutes=0.3, seed=3)
     fleet = Fleet(tmp_path, tmp_path / "team")

@@ -26,6 +26,7 @@ def reproduction(tmp_path_factory):
     return reproduce_hara(out, quick=True, seed=3, loop=LOOP), out
 
 
+@pytest.mark.slow
 def test_every_method_of_the_paper_is_compared_and_drawn(reproduction):
     result, out = reproduction
     head, rows = result.table()
@@ -46,6 +47,7 @@ def test_every_method_of_the_paper_is_compared_and_drawn(reproduction):
     assert {p.stem for p in (out / "tables").iterdir()} == {"methods", "gate", "walls", "bounds", "alpha", "starts"}
 
 
+@pytest.mark.slow
 def test_no_trusted_start_is_wrong_and_light_tells_what_walls_cannot(reproduction):
     result, _ = reproduction
     light, walls = (counts(result.starts, feature) for feature in ("normalised", "none"))
@@ -59,6 +61,7 @@ def test_no_trusted_start_is_wrong_and_light_tells_what_walls_cannot(reproductio
     assert sum(int(row[3]) + int(row[4]) + int(row[5]) for row in rows if row[0] == "all") == len(result.starts)
 
 
+@pytest.mark.slow
 def test_the_best_geometry_is_the_least_of_all_rows_without_intensity(reproduction):
     result, _ = reproduction
     name, error = result.best("geometry")

@@ -65,6 +65,7 @@ def test_the_trace_falls_at_every_update_and_settles_only_when_map_1_is_the_prio
             assert late[0] / late[1] == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_full_weights_used_once_are_honest_eq_14_is_too_cautious_and_700_uses_are_not(
     record_property,
 ):
@@ -113,6 +114,7 @@ def test_weights_pay_when_maps_are_unequal_and_share_more_than_two_landmarks(une
     assert frames <= 0.50
 
 
+@pytest.mark.slow
 def test_full_weights_vary_by_less_than_3_percent_whichever_pair_is_the_baseline(unequal_rows, record_property):
     landmark = np.array([unequal_rows[rule, "full"].landmark_rmse for rule in ("certain", "widest", "narrowest")])
     said = "full weights, certain, widest or narrowest pair: spread over least"

@@ -45,6 +45,7 @@ def test_every_figure_is_there_and_shows_something(page):
         assert (pixels.min(axis=2) < 0.95).mean() > 0.01, path.name
 
 
+@pytest.mark.slow
 def test_the_intensity_picture_uses_the_colour_scale_for_any_colour_vision(page):
     from matplotlib import colormaps
 

@@ -139,6 +139,7 @@ def test_robots_and_closures_are_drawn_in_colours_of_their_own(page):
     assert (folder / "intensity.png").is_file()
 
 
+@pytest.mark.slow
 def test_of_many_pairs_the_page_shows_some_and_counts_the_others(woven, tmp_path):
     maps, components, merges = woven
     many = (merges[0],) * (MOST_PICTURES + 3)

@@ -26,7 +26,10 @@ def ratios(outliers, draws, **scene):
     return np.array(found)
 
 
-@pytest.mark.parametrize(("outliers", "limit"), [(0.05, 1.25), (0.1, 1.25), (0.2, 1.6)])
+@pytest.mark.parametrize(
+    ("outliers", "limit"),
+    [(0.05, 1.25), *(pytest.param(*p, marks=pytest.mark.slow) for p in [(0.1, 1.25), (0.2, 1.6)])],
+)
 def test_mutual_sightings_carry_outliers_at_little_cost(outliers, limit):
     assert np.median(ratios(outliers, 15, visibility="mutual")) <= limit
 
@@ -78,6 +81,7 @@ def test_outliers_in_space_are_found():
     assert rmse < 1.3 * bound
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("anchors", [(0, 99), "corners"])
 def test_single_sightings_with_few_outliers_are_located_right_or_said_to_be_unsure(anchors):
     sure = 0

@@ -113,6 +113,7 @@ def test_nobody_is_cut_in_a_real_room(data):
     assert all(a is b for a, b in zip(cut_of(logs), logs, strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_landmarks_that_drive_about_carry_nobody(data):
     """Of robots whose own logs are missing, one in a half of the log seems to stand still."""

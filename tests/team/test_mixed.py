@@ -152,6 +152,7 @@ def test_every_pose_has_a_covariance_that_can_be(one_room):
         assert (np.diff(track.t) > 0).all()
 
 
+@pytest.mark.slow
 def test_lasers_that_see_no_common_wall_are_tied_through_those_who_see_both(two_rooms):
     w, made = two_rooms
     assert made.components[0].map.robots == tuple(log.robot for log in w.logs)
@@ -208,6 +209,7 @@ def test_a_robot_that_sees_nothing_and_nobody_sees_is_named(one_room):
     np.testing.assert_allclose(more.components[0].map.landmarks.mean, made.components[0].map.landmarks.mean, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_clock_that_is_ahead_is_found():
     w = mixed(6, lasers=2, cameras=4, bearings=0, minutes=5.0, noise=0.3, clock=1.5)
     assert max(abs(c) for c in w.clocks.values()) > 0.5
@@ -262,6 +264,7 @@ def test_a_sighting_without_a_range_says_nothing_of_distance(one_room):
         assert np.abs(term.whitened(problem.problem.x0)[:, 1]).max() > 0
 
 
+@pytest.mark.slow
 def test_a_robot_whose_filter_was_lost_comes_back_by_what_it_saw():
     w = mixed(1, lasers=0, cameras=3, bearings=0, minutes=4.0, outliers=0.3, calibration="random")
     maps, told = regained(w.mapped, w.logs, {}, SmoothingConfig(), PlacingConfig())

@@ -108,6 +108,7 @@ def test_robots_without_wheels_wait_for_the_end_and_it_is_told():
     assert "robot3" not in mixed.team.members
 
 
+@pytest.mark.slow
 def test_a_robot_put_down_elsewhere_is_cut_there_while_the_logs_play_too(monkeypatch, tmp_path):
     drive = simulator.drive_team
 

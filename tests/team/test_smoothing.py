@@ -57,6 +57,7 @@ def long_runs():
     return [(w, smoothed(w)) for w in (world(seed, robots=4, minutes=10.0) for seed in range(20, 24))]
 
 
+@pytest.mark.slow
 def test_smoothing_beats_the_fused_filters(long_runs):
     for w, result in long_runs:
         filters = score_team([w.map], {}, w.truth.survey, w.truth.robots)
@@ -66,6 +67,7 @@ def test_smoothing_beats_the_fused_filters(long_runs):
         assert rmse < filters.landmarks.rmse + 0.006
 
 
+@pytest.mark.slow
 def test_covariances_of_landmarks_and_poses_hold(long_runs):
     nees, poses = [], []
     for w, result in long_runs:
@@ -121,6 +123,7 @@ def test_the_order_of_the_logs_does_not_matter():
     np.testing.assert_allclose(a.map.landmarks.cov, b.map.landmarks.cov, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_robot_without_odometry_is_carried_by_those_who_saw_it(long_runs):
     w, _ = long_runs[0]
     logs = [replace(log, odometry=None) if log.robot == "robot3" else log for log in w.logs]
