@@ -50,7 +50,8 @@ def place(item) -> int:
 
 def pytest_collection_modifyitems(config, items):
     """Slow and long tests are left out unless asked for: by --all and --long, by -m, or by their own name."""
-    items.sort(key=place)
+    if config.args == config.getini("testpaths"):
+        items.sort(key=place)
     if config.option.markexpr or any("::" in word for word in config.args):
         return
     asked = {"slow": config.option.all or config.option.long, "long": config.option.long}
