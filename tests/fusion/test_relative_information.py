@@ -80,7 +80,7 @@ def test_with_one_common_pair_and_diagonal_weights_the_solver_gives_the_closed_f
     difference[:, 2] = se2.wrap_angle(difference[:, 2])
     worst = max(np.abs(fused.points - [points[n] for n in fused.ids]).max(), np.abs(difference).max())
     said = "one pair, diagonal weights: solver against closed form, 2 and 5 robots"
-    record_property("asserted", (said, "< 1e-12 m, rad", worst))
+    record_property("asserted", (said, "< 1e-12 m, rad", float(worst)))
     assert worst < 1e-12
 
 
@@ -179,7 +179,7 @@ def test_repeating_k_times_divides_the_covariance_by_k_and_delta_k_undoes_it_bel
     same = ((seven.x, once.x), (undone.x, once.x), (undone.covariance(), once.covariance()))
     worst = max(np.abs(a - b).max() for a, b in same)
     said = r"a map used K times is where it was, and $\delta = K$ undoes it"
-    record_property("asserted", (said, "< 1e-10 m, rad, m²", worst))
+    record_property("asserted", (said, "< 1e-10 m, rad, m²", float(worst)))
     assert worst < 1e-10
     assert seven.warnings
     assert not once.warnings
@@ -244,9 +244,9 @@ def test_a_narrow_pair_ruins_diagonal_weights_and_leaves_full_weights_alone(reco
     bad = rmse(fuse_relative(maps, diagonal, pairs=narrow), truth)
     full = rmse(fuse_relative(maps, pairs=narrow), truth)
     corridor = "50 robots in a corridor, narrow pairs: landmark error with diagonal weights"
-    record_property("asserted", (corridor, "> 30 m", bad))
-    record_property("asserted", ("the same over that of certain pairs", "> 10", bad / good))
-    record_property("asserted", ("the same over that of narrow pairs and full weights", "> 100", bad / full))
+    record_property("asserted", (corridor, "> 30 m", float(bad)))
+    record_property("asserted", ("the same over that of certain pairs", "> 10", float(bad / good)))
+    record_property("asserted", ("the same over that of narrow pairs and full weights", "> 100", float(bad / full)))
     assert bad > 30.0
     assert bad > 10 * good
     assert bad > 100 * full

@@ -67,7 +67,7 @@ def test_jacobians_agree_with_central_differences_below_1e_8(record_property):
         x = np.concatenate([frame, points.ravel()])
         N = numeric(lambda v: relative_information.predict(v[:3], v[3:].reshape(-1, 2)), x, angles, 1e-4)
         worst = np.abs(H - N).max()
-        record_property("asserted", (JACOBIANS, "< 1e-8", worst))
+        record_property("asserted", (JACOBIANS, "< 1e-8", float(worst)))
         assert worst < 1e-8
 
 
@@ -78,7 +78,7 @@ def test_sighting_jacobians_agree_with_central_differences_below_1e_8(record_pro
         x[6:8] += 6.0
         N = numeric(lambda v: robot_sightings.predict(*v.reshape(4, 3)), x, np.array([False, True]), 1e-4)
         worst = np.abs(robot_sightings.by_poses(*x.reshape(4, 3)) - N).max()
-        record_property("asserted", (JACOBIANS, "< 1e-8", worst))
+        record_property("asserted", (JACOBIANS, "< 1e-8", float(worst)))
         assert worst < 1e-8
 
 

@@ -46,7 +46,7 @@ def test_theorem_1_the_determinant_falls_strictly_with_every_update(seed, record
         assert sign > 0
         logdet.append(value)
     said = r"$\log\lvert P_k\rvert$, change at an update"
-    record_property("asserted", (said, "< 0", np.diff(logdet).max()))
+    record_property("asserted", (said, "< 0", float(np.diff(logdet).max())))
     assert (np.diff(logdet) < 0).all()
 
 
@@ -60,7 +60,7 @@ def test_log_det_falls_with_log_k_at_the_rank_of_h(seed, record_property):
     slope = np.diff(logdet)[0] / np.diff(np.log(k))[0]
     assert np.linalg.matrix_rank(H) == 10
     said = r"slope of $\log\lvert P_k\rvert$ in $\log k$, off $-\operatorname{rank} H$"
-    record_property("asserted", (said, "< 0.01", abs(slope + 10)))
+    record_property("asserted", (said, "< 0.01", float(abs(slope + 10))))
     assert abs(slope + 10) < 0.01
 
 
@@ -84,7 +84,7 @@ def test_theorem_2_corrected_k_times_the_error_is_constant_within_1_percent(seed
     k = [100.0, 300.0, 1000.0, 3000.0, 10000.0]
     scaled = np.array([at * np.linalg.norm(limits.after(information, H, told.R, at) - P_inf) for at in k])
     said = r"$k \lVert P_k - P_\infty\rVert$ for k = 100 .. 10,000: spread over mean"
-    record_property("asserted", (said, "< 0.01", np.ptp(scaled) / scaled.mean()))
+    record_property("asserted", (said, "< 0.01", float(np.ptp(scaled) / scaled.mean())))
     assert np.ptp(scaled) < 0.01 * scaled.mean()
     assert np.linalg.matrix_rank(P_inf, tol=1e-9) == layout.size - 10
 
@@ -114,7 +114,7 @@ def test_the_printed_limit_is_exact_when_the_map_holds_every_landmark_and_wrong_
         true = limits.limit(information, H)
         error = np.abs(printed - true).max() / np.abs(true).max()
         said, least = ("$N = n$", "< 1e-9") if exact else ("$N > n$", "> 1e-3")
-        record_property("asserted", (f"eq. 24-27 against the limit, {said}, relative", least, error))
+        record_property("asserted", (f"eq. 24-27 against the limit, {said}, relative", least, float(error)))
         assert error < 1e-9 if exact else error > 1e-3
 
 
