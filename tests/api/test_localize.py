@@ -11,7 +11,7 @@ from mapweave.api.map import map as map_logs
 from mapweave.api.map_options import LaserOptions
 from mapweave.cli import _run
 from mapweave.core import se2
-from mapweave.core.errors import ReaderError, UsageError
+from mapweave.core.errors import ConfigError, ReaderError, UsageError
 from mapweave.core.records import Track
 from mapweave.io.mcap import write_mcap
 from mapweave.io.tum import read_tum, write_tum
@@ -71,6 +71,16 @@ def test_a_given_start_is_used_at_once(world):
     found = localize(world / "second.mcap", world / "map", start=(5.0, 0.0, 0.0)).found
     assert (found.start, found.found_scans, found.trusted) == ("given", 1, True)
     assert np.abs(found.track.pose[-1] - [12.0, 0.0, 0.0]).max() < 0.2
+
+
+def test_what_is_believed_is_a_setting_of_the_table_localize(world, tmp_path):
+    strict = tmp_path / "strict.toml"
+    strict.write_text("[localize.trust]\nleast_explained = 1.01\n")
+    found = localize(world / "second.mcap", world / "map", start=(5.0, 0.0, 0.0), config=strict).found
+    assert (found.start, found.trusted) == ("given", False)
+    strict.write_text("[localize]\nleast_explained = 1.01\n")
+    with pytest.raises(ConfigError, match=r"localize.least_explained: unknown key"):
+        localize(world / "second.mcap", world / "map", config=strict)
 
 
 def test_along_a_flush_corridor_intensity_finds_the_start_and_geometry_alone_does_not_know(world):
