@@ -31,6 +31,8 @@ FIXED = {
     "team/fixed_stretches.py: SHORTEST": "guard against dividing by a time that is hardly any",
     "team/online.py: MARGIN": "limit on memory",
     "team/problem.py: (WIDER, LONGEST)": "limit on memory",
+    "team/scatter.py: LEAST_CURVED": "guard: information stays positive",
+    "team/scatter.py: MOST_TAKEN": "guard against dividing by a share that is hardly any",
     "team/smooth.py: OBSERVED": "a word in reports",
     "team/stretch.py: BEFORE": "limit on memory",
     "team/walls.py: NEAR": "rounding of stamps",
