@@ -16,6 +16,7 @@ from ..core import se2
 from ..core.errors import DataError
 from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
+from .false_returns import without_false_returns
 from .scan_agreement import ScanAgreementConfig, scan_agreement
 
 PAIRS = 400  # scan pairs looked at, at most
@@ -116,10 +117,13 @@ class RawLog:
     dropped: Counter = field(default_factory=Counter)
     warnings: list[str] = field(default_factory=list)
 
-    def finish(self, *, mirrored: bool = False, sensor_pose: Sequence[float] | None = None) -> LaserLog:
+    def finish(
+        self, *, mirrored: bool = False, sensor_pose: Sequence[float] | None = None, used: bool = False
+    ) -> LaserLog:
         """The log; `mirrored` turns the sense of all beam angles, `sensor_pose` replaces every `T_robot_sensor`.
 
-        Raises DataError when there is no scan at all.
+        used: the scans went into a map already, as they are: false returns are told, not left out. Raises DataError
+        when there is no scan at all.
         """
         good = [raw for raw in self.scans if is_sound(raw)]
         if len(good) < len(self.scans):
@@ -136,6 +140,7 @@ class RawLog:
         made = self._with_odometry(
             [scan_of(raw, mirrored=mirrored, sensor_pose=sensor_pose) for raw in scans], scans, odometry
         )
+        made = self._without_false_returns(made, used=used)
         if made[0].odometry is None:
             self.odometry_from = "none"
             self.warnings.append("no odometry: poses come from scan matching alone")
@@ -159,6 +164,14 @@ class RawLog:
             tuple(self.warnings),
             self.log_hash,
         )
+
+    def _without_false_returns(self, made: list[Scan], *, used: bool) -> list[Scan]:
+        kept, left = without_false_returns(made)
+        if used:
+            self.warnings += [f"{n} returns seem false and are in the map: {what}" for what, n in left.items()]
+            return made
+        self.dropped.update(left)
+        return kept
 
     def _odometry(self) -> Track | None:
         rows = np.array(self.odometry, dtype=float).reshape(-1, 4)

@@ -1,0 +1,78 @@
+"""The robot's own body and greatest ranges that stand for nothing are left out and counted; walls are not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapweave.io.assemble import RawLog, RawScan
+from mapweave.io.false_returns import GREATEST, OWN, without_false_returns
+
+from .test_scan_agreement import drive
+
+
+def changed(scans, change):
+    return [replace(scan, ranges=change(np.array(scan.ranges)), hit=np.ones(len(scan.hit), bool)) for scan in scans]
+
+
+def body(ranges, at=slice(60, 90), depth=0.2):
+    ranges[at] = depth
+    return ranges
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_walls_are_left_alone(seed):
+    scans = drive(seed)
+    out, left = without_false_returns(scans)
+    assert not left
+    assert all(a is b for a, b in zip(out, scans, strict=True))
+
+
+def test_beams_that_see_the_robot_itself_are_left_out_and_counted():
+    scans = drive(1)
+    out, left = without_false_returns(changed(scans, body))
+    assert left == {OWN: 30 * len(scans)}
+    for scan, before in zip(out, scans, strict=True):
+        assert not scan.hit[60:90].any()
+        assert np.array_equal(scan.ranges[:60], before.ranges[:60])
+
+
+def test_a_wall_beside_a_robot_that_drives_straight_on_is_no_part_of_it():
+    scans = drive(1)
+    still = [replace(scan, odometry=scan.odometry * [1.0, 1.0, 0.0]) for scan in changed(scans, body)]
+    assert not without_false_returns(still)[1]
+    alone = [replace(scan, odometry=None) for scan in changed(scans, body)]
+    assert not without_false_returns(alone)[1]
+
+
+@pytest.mark.parametrize("limit", [4.8, 5.5])
+def test_a_greatest_range_that_many_returns_have_exactly_is_no_return(limit):
+    scans = drive(2)
+    seen = changed(scans, lambda r: np.minimum(r, limit))
+    out, left = without_false_returns(seen)
+    assert left == {GREATEST: sum(int((scan.ranges == limit).sum()) for scan in seen)}
+    assert left[GREATEST] > 1000
+    assert all((scan.ranges[scan.hit] < limit).all() for scan in out)
+    rounded = changed(scans, lambda r: np.round(np.minimum(r, limit), 2))
+    assert without_false_returns(rounded)[1][GREATEST] >= left[GREATEST]
+
+
+def test_ranges_rounded_to_centimetres_and_a_robot_that_stands_have_no_such_range():
+    assert not without_false_returns(changed(drive(3), lambda r: np.round(r, 2)))[1]
+    (one,) = drive(3)[:1]
+    rng = np.random.default_rng(1)
+    still = changed([one] * 300, lambda r: np.round(r + rng.normal(0.0, 0.01, len(r)), 2))
+    assert not without_false_returns(still)[1]
+
+
+@pytest.mark.parametrize("used", [False, True])
+def test_a_log_leaves_false_returns_out_or_says_that_a_map_has_them_already(used):
+    log = RawLog("1", "here", "")
+    for k, scan in enumerate(changed(drive(4), body)):
+        log.scans.append(
+            RawScan(0.2 * k, scan.ranges, None, scan.angle_min, scan.angle_increment, 0.0, 30.0, odometry=scan.odometry)
+        )
+    made = log.finish(used=used)
+    n = 30 * len(made.scans)
+    assert made.dropped.get(OWN, 0) == (0 if used else n)
+    assert (f"{n} returns seem false and are in the map: {OWN}" in made.warnings) == used
