@@ -8,14 +8,17 @@ from ..core.errors import ConfigError
 from .beam import FEATURES, BeamConfig, CalibrationConfig
 from .icp import IcpConfig
 from .joint_pass import JointPassConfig
+from .jumps import JumpCheck
 from .keyframe_graph import KeyframeGraphConfig
 from .keyframes import KeyframeConfig, StepNoise
 from .known_places import KnownPlacesConfig
 from .merge_search import MergeConfig
+from .motion_agreement import MotionCheck
 from .moving import MovingConfig
 from .occupancy_mapper import LayingConfig
 from .particle_grid import CellConfig
 from .scan_matching import FrontEndConfig
+from .stamp_lag import LagCheck
 from .submap_loops import SubmapLoopConfig
 
 METHODS = ("particle", "graph", "gated", "icp")
@@ -117,6 +120,9 @@ class LaserConfig:
     beam: BeamConfig = BeamConfig()
     moving: MovingConfig = MovingConfig()
     wheels: WheelCheck = WheelCheck()
+    motion: MotionCheck = MotionCheck()
+    jump: JumpCheck = JumpCheck()
+    lag: LagCheck = LagCheck()
     moment: MomentConfig = MomentConfig()
     cells: CellConfig = CellConfig()
     front_end: FrontEndConfig = FrontEndConfig()

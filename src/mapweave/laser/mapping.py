@@ -19,12 +19,15 @@ from ..core.records import Track
 from ..core.workers import Progress, no_progress
 from .beam import STEERING, IntensityCalibration, beams, calibrate, raw_scale
 from .config import LaserConfig, MomentConfig, WheelCheck
+from .jumps import jumps
 from .laser_map import LaserMap
+from .motion_agreement import instead_of, motion_agreement
 from .occupancy_mapper import render
 from .robot_graph import RobotGraph
 from .scan_infos import ScanInfos
 from .scan_odometry import STILL, blended
 from .session import Feature, LaserSession
+from .stamp_lag import lag_told, stamp_lag
 from .unfound_places import unfound_places
 
 
@@ -137,8 +140,13 @@ def map_session(
     finalised = perf_counter()
     clean = replace(log, scans=session.cleaned(log.scans))
     result = finish(clean, session.cfg, feature, poses, session.infos, graph)
+    agreement = motion_agreement(result.scans.pose, clean.scans, session.cfg.beam, session.cfg.motion)
+    told = agreement.told(session.cfg.motion)
+    lag = stamp_lag(log.scan_t, np.unwrap(result.scans.pose[:, 2]), log.odometry, session.cfg.lag)
     disagreement = (
-        *wheels_disagree(result.track, result.dead_reckoning, session.cfg.wheels),
+        *lag_told(lag, session.cfg.lag),
+        *jumps(result.scans, log.scans, session.cfg.jump),
+        *wheels_disagree(result.track, result.dead_reckoning, session.cfg.wheels, agreement.factor(session.cfg.motion)),
         *wheels_stand(result.track, result.dead_reckoning, session.cfg.wheels),
     )
     moved = {"return of something that moves": session.moving.count} if session.moving.count else {}
@@ -148,7 +156,7 @@ def map_session(
         result,
         scan_hash=log.scan_hash(),
         dropped={**result.dropped, **moved, **left},
-        warnings=(*result.warnings, *disagreement, *unfound),
+        warnings=(*instead_of(result.warnings, told), *disagreement, *unfound),
     )
     timing = {
         **spent,
@@ -169,17 +177,18 @@ def left_graph(graph: RobotGraph) -> dict[str, int]:
     }
 
 
-def wheels_disagree(track: Track, dead: Track | None, cfg: WheelCheck) -> tuple[str, ...]:
+def wheels_disagree(track: Track, dead: Track | None, cfg: WheelCheck, factor: float = 1.0) -> tuple[str, ...]:
     """A warning where the motion from scans and the motion from wheels differ for long.
 
-    dead: dead reckoning at the stamps of `track`. Both are cut where the wheels have driven `cfg.stretch` on;
-    stretches that differ in length by a share of `cfg.share` add up while they follow each other.
+    dead: dead reckoning at the stamps of `track`; factor: of its ways, which is told already. Both are cut where the
+    wheels have driven `cfg.stretch` on; stretches that differ in length by a share of `cfg.share` add up while they
+    follow each other.
     """
     if dead is None or len(dead.t) != len(track.t) or len(track.t) < 2:
         return ()
     driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(dead.pose[:, :2], axis=0).T))])
     cuts = np.searchsorted(driven, np.arange(0.0, driven[-1], cfg.stretch))
-    wheels = np.hypot(*np.diff(dead.pose[cuts, :2], axis=0).T)
+    wheels = factor * np.hypot(*np.diff(dead.pose[cuts, :2], axis=0).T)
     scans = np.hypot(*np.diff(track.pose[cuts, :2], axis=0).T)
     far = np.abs(scans - wheels) > cfg.share * np.maximum(wheels, 0.5 * cfg.stretch)
     most, run, end = 0, 0, 0

@@ -1,0 +1,211 @@
+"""How far, which way and how much the matched scans moved, against the wheels: other units, a scanner mounted turned.
+
+Scan matching needs the wheels for a first guess alone: where walls stand across the motion the matched poses move as
+the scanner measured it, so that over short ways their motion over the wheels' is the factor between the two
+instruments. In a corridor walls say nothing along the way, and the poses move as the wheels do: such ways are left out.
+Turns are seen wherever there are walls.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core import se2
+from ..core.config import config
+from ..core.records import Scan
+from .beam import BeamConfig, Beams, beams
+
+GUESSED = ("the scans move ", "the scans tell ")  # how the reader's words of turned scanners and other units begin
+
+
+@config
+class MotionCheck:
+    """Which ways and turns are compared, and from which difference of scans and wheels it is a warning."""
+
+    way: float = 0.5  # [m] by the wheels, of each way,
+    way_turn: float = 0.5  # [rad] and at most turned in one
+    across: float = 0.1  # share of what a scan's walls tell that must be told along the motion
+    least_returns: int = 20  # on walls, in a scan
+    turn: float = 0.3  # [rad] by the wheels, of each turn
+    stiff: float = 1.5  # [rad] that scans turn while wheels that drive tell of none
+    least: int = 15  # ways, or turns, that are left
+    parts: int = 12  # of the log, at most, whose scatter tells the standard error,
+    part_of: int = 5  # ways or turns, at least
+    sure: float = 4.0  # standard errors, and
+    scale: float = 0.08  # of the wheels' way by which the scans' may differ,
+    turned: float = 0.07  # [rad] by which its direction may,
+    turn_scale: float = 0.08  # of the wheels' turns by which the scans' may
+    other: float = 0.5  # of a way, or of a turn, by which a motion is another one
+    most_other: float = 0.25  # share of ways that may be,
+    most_other_turns: float = 0.5  # and of turns, which are short
+
+
+@dataclass(frozen=True, slots=True)
+class MotionRatio:
+    """A median, its standard error, and of how many ways or turns."""
+
+    value: float
+    sd: float
+    n: int
+
+    def differs(self, other: float, by: float, cfg: MotionCheck) -> bool:
+        """Whether it differs from `other` by more than `by`, and by more than chance allows."""
+        return abs(self.value - other) > max(by, cfg.sure * self.sd)
+
+
+@dataclass(frozen=True, slots=True)
+class MotionAgreement:
+    """scale: of the scans' motion over the wheels'; direction: of it in the wheels' [rad], left positive; turn: of the
+    scans' turns over the wheels'. None where too little tells it. other, other_turns: shares of ways and of turns in
+    which scans and wheels move otherwise than by these.
+    """
+
+    scale: MotionRatio | None = None
+    direction: MotionRatio | None = None
+    turn: MotionRatio | None = None
+    other: float = 0.0
+    other_turns: float = 0.0
+
+    def told(self, cfg: MotionCheck) -> tuple[str, ...]:
+        """A warning for each that differs clearly and by more than instruments do."""
+        shares = f"in {100 * self.other:.0f} % of the ways and {100 * self.other_turns:.0f} % of the turns compared"
+        why = "the odometry is of another log or has a wrong sign or unit, or the scanner sees what the robot carries"
+        apart = self.other > cfg.most_other or self.other_turns > cfg.most_other_turns
+        out = [f"the scans and the wheels tell different motions {shares}: {why}"] if apart else []
+        if not apart and (s := self.scale) is not None and s.differs(1.0, cfg.scale, cfg):
+            out.append(
+                f"the scans move {s.value:.3f} +- {s.sd:.3f} times as far as the wheels tell: the ranges or the wheels "
+                "have another scale or unit; the map is as large as the ranges make it"
+            )
+        if not apart and (d := self.direction) is not None and d.differs(0.0, cfg.turned, cfg):
+            side = "left" if d.value > 0 else "right"
+            angle, sd = np.degrees(abs(d.value)), np.degrees(d.sd)
+            out.append(
+                f"the scans move {angle:.1f} +- {sd:.1f} degrees to the {side} of where the wheels lead: the scanner's "
+                "heading on the robot seems wrong by that (--sensor-pose), or the wheels' frame is"
+            )
+        same = self.other_turns <= cfg.most_other_turns
+        if same and (w := self.turn) is not None and w.differs(1.0, cfg.turn_scale, cfg):
+            out.append(
+                f"the scans turn {w.value:.3f} +- {w.sd:.3f} times as far as the wheels tell: the angles between the "
+                "beams are wrong, and the map is bent, or the wheels' turns have another scale"
+            )
+        return tuple(out)
+
+    def factor(self, cfg: MotionCheck) -> float:
+        """Of the wheels' ways that makes them as long as the scans', where such a factor is told; else 1."""
+        told = self.scale is not None and self.other <= cfg.most_other and self.scale.differs(1.0, cfg.scale, cfg)
+        return self.scale.value if told and self.scale is not None else 1.0
+
+
+def instead_of(warnings: Sequence[str], told: Sequence[str]) -> tuple[str, ...]:
+    """`warnings` of the log's reader and what was told after mapping, without the reader's guesses of the same."""
+    better = any(one.startswith("the scans move ") for one in told)
+    return (*(w for w in warnings if not (better and w.startswith(GUESSED))), *told)
+
+
+def motion_agreement(
+    poses: Float[np.ndarray, "m 3"], scans: Sequence[Scan], beam: BeamConfig, cfg: MotionCheck
+) -> MotionAgreement:
+    """What the matched `poses` of `scans` tell of the motion that their odometry reports: medians over ways and turns.
+
+    Standard errors come from how the medians of parts of the log scatter: wheels err for metres on end.
+    """
+    if not scans or scans[0].odometry is None:
+        return MotionAgreement()
+    wheels = np.array([scan.odometry for scan in scans], dtype=float)
+    turned = _turned(poses, wheels, cfg)[:, None]
+    driven = float(np.hypot(*np.diff(wheels[:, :2], axis=0).T).sum())
+    stiff = not len(turned) and driven > cfg.way and float(np.ptp(np.unwrap(poses[:, 2]))) > cfg.stiff
+    moved = _moved(poses, wheels, scans, beam, cfg)
+    turn, move = _measured(turned, cfg), _measured(moved, cfg)
+    scale = direction = None
+    if move is not None:
+        along, left = move
+        scale = MotionRatio(float(np.hypot(along.value, left.value)), along.sd, along.n)
+        direction = MotionRatio(float(np.arctan2(left.value, along.value)), left.sd / max(scale.value, 1e-9), left.n)
+    return MotionAgreement(
+        scale,
+        direction,
+        None if turn is None else turn[0],
+        0.0 if move is None else _other(moved, cfg),
+        float(stiff) if turn is None else _other(turned, cfg),
+    )
+
+
+def _moved(
+    poses: Float[np.ndarray, "m 3"],
+    wheels: Float[np.ndarray, "m 3"],
+    scans: Sequence[Scan],
+    beam: BeamConfig,
+    cfg: MotionCheck,
+) -> Float[np.ndarray, "n 2"]:
+    """Of each way whose walls tell it: the scans' motion ahead and to the left of the wheels', over its length."""
+    out = []
+    seen: dict[int, Beams] = {}
+    for i, j in ways(wheels, cfg):
+        step = se2.between(wheels[i], wheels[j])
+        length = float(np.hypot(step[0], step[1]))
+        ahead = step[:2] / length
+        after = se2.rotation(-float(step[2])) @ ahead
+        seen = {k: seen[k] if k in seen else beams(scans[k], "none", None, beam) for k in (i, j)}
+        if min(told_along(seen[i], ahead, cfg), told_along(seen[j], after, cfg)) >= cfg.across:
+            moved = se2.between(poses[i], poses[j])[:2] / length
+            out.append([moved @ ahead, ahead[0] * moved[1] - ahead[1] * moved[0]])
+    return np.array(out).reshape(-1, 2)
+
+
+def _turned(
+    poses: Float[np.ndarray, "m 3"], wheels: Float[np.ndarray, "m 3"], cfg: MotionCheck
+) -> Float[np.ndarray, " n"]:
+    """Of each turn of the wheels, from where they have turned by `cfg.turn` to the next: the scans' over it."""
+    by, seen = np.unwrap(wheels[:, 2]), np.unwrap(poses[:, 2])
+    out, first = [], 0
+    for k in range(len(by)):
+        if abs(by[k] - by[first]) >= cfg.turn:
+            out.append((seen[k] - seen[first]) / (by[k] - by[first]))
+            first = k
+    return np.array(out)
+
+
+def _measured(values: Float[np.ndarray, "n k"], cfg: MotionCheck) -> tuple[MotionRatio, ...] | None:
+    """Of each column; None where there are too few rows."""
+    n = len(values)
+    if n < cfg.least:
+        return None
+    parts = np.array_split(values, max(2, min(cfg.parts, n // cfg.part_of)))
+    scatter = np.std([np.median(part, axis=0) for part in parts], axis=0, ddof=1)
+    sd = np.sqrt(np.pi / 2 / len(parts)) * scatter
+    return tuple(MotionRatio(float(v), float(s), n) for v, s in zip(np.median(values, axis=0), sd, strict=True))
+
+
+def _other(values: Float[np.ndarray, "n k"], cfg: MotionCheck) -> float:
+    """The share of rows that are far from their median, or all if that is next to no motion."""
+    middle = np.median(values, axis=0)
+    if float(np.linalg.norm(middle)) < cfg.other / 2:
+        return 1.0
+    return float(np.mean(np.linalg.norm(values - middle, axis=1) > cfg.other * max(1.0, float(np.linalg.norm(middle)))))
+
+
+def ways(wheels: Float[np.ndarray, "m 3"], cfg: MotionCheck) -> list[tuple[int, int]]:
+    """(scan, later scan) between which the wheels drive `cfg.way` and turn little; none begins before the last ends."""
+    place, heading = wheels[:, :2], np.unwrap(wheels[:, 2])
+    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(place, axis=0).T))])
+    last = np.searchsorted(driven, driven + cfg.way)
+    there = np.minimum(last, len(wheels) - 1)
+    chord = np.hypot(*(place[there] - place).T)
+    straight = (np.abs(heading[there] - heading) <= cfg.way_turn) & (chord >= cfg.way / 2) & (chord <= 3 * cfg.way)
+    out, end = [], 0
+    for i in np.flatnonzero(straight & (last < len(wheels))).tolist():
+        if i >= end:
+            end = int(there[i])
+            out.append((i, end))
+    return out
+
+
+def told_along(b: Beams, direction: Float[np.ndarray, "2"], cfg: MotionCheck) -> float:
+    """The share of what the walls of a scan tell that they tell along `direction`, in the robot's frame."""
+    lined = b.support >= 3
+    return float(np.mean((b.normal[lined] @ direction) ** 2)) if lined.sum() >= cfg.least_returns else 0.0

@@ -1,0 +1,54 @@
+"""A scene that changes at once while the wheels stand is told; one that changes because the robot drives on is not."""
+
+import numpy as np
+import pytest
+
+from mapweave.core.records import Scan
+from mapweave.laser.jumps import JumpCheck, jumps
+from mapweave.laser.laser_map import ScanRecords
+
+CFG = JumpCheck()
+
+
+def drive(share, way=0.1, turn=0.0, beams=100):
+    n = len(share)
+    numbers = np.zeros(n)
+    records = ScanRecords(
+        10.0 + np.arange(n),
+        ("",) * n,
+        np.zeros((n, 3)),
+        np.zeros((n, 3)),
+        np.full(n, beams),
+        np.round(beams * np.array(share)).astype(int),
+        ("matched",) * n,
+        numbers,
+        numbers.astype(bool),
+    )
+    poses = np.column_stack([way * np.arange(n), numbers, turn * np.arange(n)])
+    ranges, hit = np.ones(beams), np.ones(beams, bool)
+    return records, [Scan(ranges, hit, None, -1.0, 0.02, 30.0, odometry=pose) for pose in poses]
+
+
+def test_a_scene_that_changes_at_once_is_told_with_when_and_by_how_much():
+    (told,) = jumps(*drive([1.0, 0.9, 0.95, 0.2, 0.8, 0.9, 0.1]), CFG)
+    assert told.startswith("at 13.0 s (and 1 times more) the scene changes at once: 20 % of the returns lie on walls")
+    assert "of the last scan 95 %, while the wheels tell 0.10 m" in told
+
+
+@pytest.mark.parametrize(
+    "quiet",
+    [
+        drive([1.0, 0.9, 0.7, 0.45, 0.3, 0.6]),  # new walls come into view
+        drive([1.0, 0.9, 0.95, 0.3, 0.8], way=0.6),
+        drive([1.0, 0.9, 0.95, 0.3, 0.8], turn=1.5),
+        drive([1.0, 0.1, 0.9, 0.9]),  # there is no map before the first scan
+        drive([1.0, 0.9, 0.95, 0.1, 0.8], beams=20),
+    ],
+)
+def test_scenes_that_change_as_robots_drive_are_not_told(quiet):
+    assert jumps(*quiet, CFG) == ()
+
+
+def test_without_odometry_nothing_is_told():
+    records, scans = drive([1.0, 0.9, 0.95, 0.1, 0.8])
+    assert jumps(records, [Scan(s.ranges, s.hit, None, -1.0, 0.02, 30.0) for s in scans], CFG) == ()

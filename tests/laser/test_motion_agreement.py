@@ -1,0 +1,102 @@
+"""Scans that move as far as the wheels, or farther: the factor is found where walls tell it, and nowhere else."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from mapweave.core import se2
+from mapweave.laser.beam import BeamConfig
+from mapweave.laser.motion_agreement import MotionAgreement, MotionCheck, motion_agreement, ways
+
+from ..io.test_scan_agreement import drive
+
+CFG, BEAM = MotionCheck(), BeamConfig()
+
+
+def moved(scans, change=lambda step: step, noise=0.0, seed=0):
+    """Poses that go on as the wheels do, each step changed and with noise [m]."""
+    rng = np.random.default_rng(seed)
+    wheels = np.array([scan.odometry for scan in scans])
+    out = [np.zeros(3)]
+    for step in se2.between(wheels[:-1], wheels[1:]):
+        out.append(np.asarray(se2.compose(out[-1], change(step))))
+    return np.array(out) + noise * rng.standard_normal((len(out), 3)) * [1.0, 1.0, 0.1]
+
+
+def turned(step, by):
+    return np.concatenate([se2.rotation(by) @ step[:2], step[2:]])
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_scans_that_move_as_the_wheels_do_are_left_alone(seed):
+    scans = drive(seed)
+    found = motion_agreement(moved(scans, noise=0.01, seed=seed), scans, BEAM, CFG)
+    assert found.scale.value == pytest.approx(1.0, abs=0.02)
+    assert found.direction.value == pytest.approx(0.0, abs=0.02)
+    assert found.told(CFG) == ()
+
+
+@pytest.mark.parametrize("scale", [0.8, 1.2])
+def test_scans_that_move_farther_or_less_far_are_told_with_the_factor_and_its_standard_error(scale):
+    scans = drive(4)
+    found = motion_agreement(moved(scans, lambda s: s * [scale, scale, 1.0], 0.01), scans, BEAM, CFG)
+    assert abs(found.scale.value - scale) < max(4 * found.scale.sd, 0.01)
+    assert 0 < found.scale.sd < 0.02
+    (told,) = found.told(CFG)
+    number = f"{found.scale.value:.3f} +- {found.scale.sd:.3f}"
+    assert told.startswith(f"the scans move {number} times as far as the wheels tell")
+
+
+def test_scans_that_move_to_the_side_of_the_wheels_way_are_told():
+    scans = drive(5)
+    found = motion_agreement(moved(scans, lambda s: turned(s, -0.15), 0.01), scans, BEAM, CFG)
+    assert found.direction.value == pytest.approx(-0.15, abs=0.02)
+    (told,) = found.told(CFG)
+    assert (
+        f"{np.degrees(-found.direction.value):.1f} +- {np.degrees(found.direction.sd):.1f} degrees to the right" in told
+    )
+
+
+def test_a_difference_that_may_be_chance_or_is_small_is_not_told():
+    scans = drive(6)
+    found = motion_agreement(moved(scans, lambda s: s * [1.2, 1.2, 1.0]), scans, BEAM, CFG)
+    assert len(found.told(CFG)) == 1
+    assert replace(found, scale=replace(found.scale, sd=0.06)).told(CFG) == ()
+    assert replace(found, scale=replace(found.scale, value=1.04, sd=0.001)).told(CFG) == ()
+
+
+@pytest.mark.parametrize("scale", [0.9, 1.15])
+def test_scans_that_turn_farther_or_less_far_than_the_wheels_are_told(scale):
+    scans = drive(8)
+    found = motion_agreement(moved(scans, lambda s: s * [1.0, 1.0, scale], 0.01), scans, BEAM, CFG)
+    assert found.turn.value == pytest.approx(scale, abs=0.02)
+    told = " ".join(found.told(CFG))
+    assert f"the scans turn {found.turn.value:.3f} +- {found.turn.sd:.3f} times as far as the wheels tell" in told
+
+
+def test_a_bare_corridor_tells_nothing_of_the_way_along_it():
+    scans = drive(7, (400.0, 2.0))
+    along = [scan for scan in scans if abs(np.sin(scan.odometry[2])) < 0.1]
+    assert len(along) > 20
+    assert motion_agreement(1.2 * np.array([s.odometry for s in along]), along, BEAM, CFG).scale is None
+
+
+def test_without_odometry_there_is_nothing_to_say():
+    scans = [replace(scan, odometry=None) for scan in drive(7)]
+    assert motion_agreement(np.zeros((len(scans), 3)), scans, BEAM, CFG) == MotionAgreement()
+    assert motion_agreement(np.zeros((0, 3)), [], BEAM, CFG).told(CFG) == ()
+
+
+def test_ways_follow_each_other_and_leave_turns_and_standing_out():
+    x = np.concatenate([np.arange(0.0, 2.0, 0.1), np.full(30, 2.0), np.arange(2.0, 4.0, 0.1)])
+    wheels = np.column_stack([x, 0 * x, np.where(x < 3.0, 0.0, 0.8 * (x - 3.0) / 0.5)])
+    found = ways(wheels, CFG)
+    assert len(found) > 4
+    assert all(end <= begin for (_, end), (begin, _) in pairwise(found))
+    for i, j in found:
+        step = se2.between(wheels[i], wheels[j])
+        assert abs(step[2]) <= CFG.turn
+        assert np.hypot(step[0], step[1]) >= CFG.way / 2
+    assert ways(np.zeros((50, 3)), CFG) == []

@@ -1,0 +1,42 @@
+"""A lag between the clocks of scanner and odometry is found from turns; without turns, or in disorder, none is told."""
+
+import numpy as np
+import pytest
+
+from mapweave.core.records import Track
+from mapweave.laser.stamp_lag import LagCheck, lag_told, stamp_lag
+
+CFG = LagCheck()
+
+
+def turns(seed, lag, n=600, noise=0.003):
+    """Stamps of scans, headings matched then, and odometry ten times a second; scans are stamped `lag` late [s]."""
+    rng = np.random.default_rng(seed)
+    t = 0.1 * np.arange(10 * n // 4)
+    rate = np.repeat(rng.choice([-0.8, 0.0, 0.0, 0.6], len(t) // 15 + 1), 15)[: len(t)]
+    heading = np.concatenate([[0.0], np.cumsum(rate[:-1] * 0.1)])
+    at = np.arange(4.0, t[-1] - 4.0, 0.25)
+    seen = np.interp(at - lag, t, heading) + noise * rng.standard_normal(len(at))
+    return at, seen, Track(t, np.column_stack([0 * t, 0 * t, np.angle(np.exp(1j * heading))]))
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.5, 2.0, -0.5])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_lag_of_scans_behind_odometry_is_found(seed, lag):
+    found = stamp_lag(*turns(seed, lag), CFG)
+    assert (found is None or found == 0.0) if lag == 0.0 else found == pytest.approx(lag, abs=0.051)
+
+
+def test_a_lag_is_told_with_its_length_and_which_comes_later():
+    (late,), (early,) = lag_told(0.5, CFG), lag_told(-0.35, CFG)
+    assert late.startswith("the scans bear stamps 0.50 s after those of the odometry")
+    assert early.startswith("the scans bear stamps 0.35 s before those of the odometry")
+    assert lag_told(None, CFG) == lag_told(0.1, CFG) == ()
+
+
+def test_nothing_is_found_where_nothing_turns_or_headings_have_nothing_in_common():
+    t, seen, odometry = turns(3, 0.5)
+    assert stamp_lag(t, 0.0 * seen, odometry, CFG) is None
+    assert stamp_lag(t, turns(4, 0.5)[1], odometry, CFG) is None
+    assert stamp_lag(t, seen, None, CFG) is None
+    assert stamp_lag(t[:1], seen[:1], odometry, CFG) is None
