@@ -12,7 +12,7 @@ from mapweave.laser.closures import ClosureConfig, Matched, Matcher, Place
 from mapweave.laser.config import ALL_ROUND
 from mapweave.laser.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
 from mapweave.laser.keyframes import Keyframe, believed, carried
-from mapweave.laser.place_search import Hit, Places
+from mapweave.laser.place_search import Hit, PlacesFound
 from mapweave.laser.pose_graph import PoseGraph, Solved, problem
 from mapweave.laser.submap_loops import SubmapLoopConfig, SubmapLoops
 from mapweave.laser.team import LoopSearch
@@ -204,9 +204,9 @@ def test_false_closures_are_found_out_however_many(share):
 )
 def test_where_light_fits_one_place_alone_walls_that_fit_elsewhere_too_do_not_matter(light, best, second, ambiguous):
     loops = SubmapLoops(SubmapLoopConfig(), light=light)
-    places = Places(Hit(np.zeros(3), best), Hit(np.array([1.0, 0.0, 0.0]), second))
+    places = PlacesFound(Hit(np.zeros(3), best), Hit(np.array([1.0, 0.0, 0.0]), second))
     assert loops.ambiguous(places) is ambiguous
-    assert not loops.ambiguous(Places(Hit(np.zeros(3), best), None))
+    assert not loops.ambiguous(PlacesFound(Hit(np.zeros(3), best), None))
 
 
 def test_covariances_of_a_solved_graph_are_those_of_the_dense_inverse():

@@ -100,7 +100,7 @@ class Hit:
 
 
 @dataclass(frozen=True, slots=True)
-class Places:
+class PlacesFound:
     """best: where the scan fits best; second: the best that is another place; None where nothing scores `least`."""
 
     best: Hit | None
@@ -188,7 +188,7 @@ def search(
     *,
     least: float = 0.0,
     least_ratio: float = 0.0,
-) -> Places:
+) -> PlacesFound:
     """The best and the second-best place of `points` (n, 2) [m, the scan's frame] in `place`: of all in the window.
 
     Brightness counts when both the place and the scan have it. Nothing that scores under `least` is looked for, nor a
@@ -196,7 +196,7 @@ def search(
     """
     cfg, points = place.cfg, np.ascontiguousarray(points, dtype=float)
     if not len(points):
-        return Places(None, None)
+        return PlacesFound(None, None)
     if len(points) > MOST_POINTS:
         raise DataError(f"a place is searched with at most {MOST_POINTS} points, found {len(points)}")
     turns = headings(window, cfg.turn)
@@ -215,7 +215,7 @@ def search(
         near = np.abs(se2.wrap_angle(turns - turns[a])) <= cfg.apart_turn
         barred = np.concatenate([[a, ox, oy, int((cfg.apart / cfg.cell) ** 2 + 1e-9)], near]).astype(np.int64)
         lowest = max(lowest, int(np.ceil(least_ratio * score)))
-    return Places(found[0] if found else None, found[1] if len(found) > 1 else None)
+    return PlacesFound(found[0] if found else None, found[1] if len(found) > 1 else None)
 
 
 class _Asked(NamedTuple):

@@ -11,7 +11,7 @@ from ..core.config import config
 from ..core.gaussian import mahalanobis2, symmetrise
 from .closures import Matched
 from .keyframe_graph import KeyframeGraph
-from .place_search import Fit, PlaceConfig, Places, Window
+from .place_search import Fit, PlaceConfig, PlacesFound, Window
 from .submaps import Clouds, LaserSubmap, LaserSubmapConfig, Lights, PlaceMatch, Query, locate, query_at, submap_around
 
 NOTHING = np.zeros((3, 3))
@@ -168,7 +168,7 @@ class SubmapLoops:
         )
         return next((reason for doubtful, reason in doubts if doubtful), "")
 
-    def ambiguous(self, places: Places) -> bool:
+    def ambiguous(self, places: PlacesFound) -> bool:
         """Whether another place fits about as well. Light on walls makes one place fit all but perfectly, while others
         still have most of its score: they share the walls.
         """

@@ -18,7 +18,7 @@ from .place_search import (
     Fit,
     LikelihoodField,
     PlaceConfig,
-    Places,
+    PlacesFound,
     Window,
     everywhere,
     likelihood_field,
@@ -66,7 +66,7 @@ class PlaceMatch:
     fit: None where nothing was found. moved: [m] between the found pose and the refined one.
     """
 
-    places: Places
+    places: PlacesFound
     fit: Fit | None
     moved: float
 
