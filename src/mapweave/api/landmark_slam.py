@@ -9,6 +9,7 @@ from ..core.errors import DataError, EstimateError, UsageError
 from ..core.names import robot_key, robot_name
 from ..core.records import Event, Odometry, Sightings
 from ..core.run import Runner
+from ..core.se2 import wrap_angle
 from ..core.workers import one_blas_thread
 from ..landmarks import ekf_slam
 from ..landmarks.ekf_slam import EkfSlamState
@@ -81,7 +82,7 @@ class LandmarkSlam:
         """
         self._check(t, distance, bearing)
         if not landmark.strip():
-            raise DataError(f"sighting at {t!r} s: expected a name, found none")
+            raise DataError(f"sighting at {t} s: expected a name, found none")
         what = Sightings((landmark,), np.array([distance], float), np.array([bearing], float))
         self._push(t, what)
         self._seen.append((float(t), landmark, float(distance), float(bearing)))
@@ -94,7 +95,8 @@ class LandmarkSlam:
         if state is None:
             return PoseEstimate(np.zeros(3), np.zeros((3, 3)))
         submap = state.submap
-        return PoseEstimate(np.array(submap.pose), np.array(submap.cov[:3, :3]))
+        x, y, theta = submap.pose
+        return PoseEstimate(np.array([x, y, wrap_angle(theta)]), np.array(submap.cov[:3, :3]))
 
     def landmarks(self) -> LandmarkMap:
         """The landmarks so far with their joint covariance."""
@@ -136,13 +138,13 @@ class LandmarkSlam:
         except TypeError:
             finite = False
         if not finite:
-            raise DataError(f"row at {t!r} s: expected finite numbers, found {(t, *values)}")
+            raise DataError(f"row at {t} s: expected finite numbers, found ({', '.join(map(str, (t, *values)))})")
         if t < self._latest:
-            raise DataError(f"row at {t!r} s: expected a stamp from the latest one on, {self._latest!r} s")
+            raise DataError(f"row at {t} s: expected a stamp from the latest one on, {self._latest} s")
 
     def _push(self, t: float, record: Odometry | Sightings) -> None:
         try:
             self._runner.push(Event(float(t), self.robot, record))
         except ZeroDivisionError:
-            raise EstimateError(f"{self.robot}: EKF-SLAM left finite numbers at {t!r} s") from None
+            raise EstimateError(f"{self.robot}: EKF-SLAM left finite numbers at {t} s") from None
         self._latest = float(t)

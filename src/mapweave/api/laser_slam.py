@@ -117,7 +117,7 @@ class LaserSlam:
             For a scan that cannot be; the map is as before.
         """
         if self._calibrated and intensities is None:
-            raise DataError(f"scan at {t!r} s: expected intensities beside their calibration, found none")
+            raise DataError(f"scan at {t} s: expected intensities beside their calibration, found none")
         began = perf_counter()
         event = self._stream.add(
             t,

@@ -55,7 +55,7 @@ class LaserStream:
         (n,) [rad] evenly spaced, counter-clockwise from the sensor's x; odometry (3,) `T_odom_robot` at `t`;
         intensities (n,); sensor_pose `T_robot_sensor` [m, m, rad].
         """
-        where = f"scan at {t!r} s"
+        where = f"scan at {t} s"
         r, direction = _array(ranges, "ranges", where), _array(angles, "angles", where)
         light = None if intensities is None else _array(intensities, "intensities", where)
         pose = None if odometry is None else frozen(_array(odometry, "odometry", where))
