@@ -103,8 +103,7 @@ class LocalizeResult(ResultBase):
             start = "the start was not found"
         else:
             after = made.found_t - made.scans.t[0]
-            took = made.timing.get("global_start", 0.0)
-            start = f"the start was found after {after:.1f} s, {made.found_scans} scans ({took:.1f} s of work)"
+            start = f"the start was found after {after:.1f} s, {made.found_scans} scans"
         explained = f"the map explains {100 * made.matched:.0f} % of the returns"
         lines = [f"robot1: {start}; {explained}", *made.warnings]
         if made.doubt and made.found_t is not None:
