@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import pytest
 
 from mapweave.core import se2
 from mapweave.core.truth import Survey
@@ -10,7 +11,7 @@ from mapweave.evaluation.team import as_json, score_team
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.report import score as figures
 from mapweave.report.html import Page
-from mapweave.report.score import headline_scores
+from mapweave.report.score import headline_scores, nees_name
 from mapweave.report.team import measured
 from mapweave.report.team_figures import TeamStory
 from mapweave.team.team_map import TeamMap
@@ -48,6 +49,15 @@ def test_a_score_on_top_of_a_page_has_the_figures_that_there_are():
     assert [value for _, value in headline_scores(told)] == ["1.23", "0.041 m"]
     assert headline_scores({"relations": {"trans_mean": 0.0339}}) == [("mean error of relations", "0.034 m")]
     assert headline_scores({"relations": {"trans_mean": None}}) == []
+
+
+@pytest.mark.parametrize("dof", [3, 27, 400])
+def test_the_values_called_honest_are_those_of_19_in_20_honest_maps(dof):
+    low, high = (float(v) for v in re.findall(r"\d+\.\d", nees_name(dof)))
+    drawn = np.random.default_rng(1).chisquare(dof, 20000) / dof
+    assert np.mean(drawn < low - 0.05) < 0.025 < np.mean(drawn < low + 0.05)
+    assert np.mean(drawn > high + 0.05) < 0.025 < np.mean(drawn > high - 0.05)
+    assert nees_name(None).endswith("(honest: 1)")
 
 
 def test_a_score_is_told_in_words_for_people(tmp_path):

@@ -40,6 +40,14 @@ WORDS = {
 }
 
 
+def nees_name(dof: int | None) -> str:
+    """What NEES per degree of freedom is called: with the values between which 95 % of honest maps lie."""
+    if not dof:
+        return "NEES per degree of freedom (honest: 1)"
+    low, high = (chi2_quantile(share, float(dof)) / dof for share in (0.025, 0.975))
+    return f"NEES per degree of freedom (honest: {low:.1f} to {high:.1f})"
+
+
 def _in_words(rows: Sequence[Sequence[object]]) -> list[Sequence[object]]:
     """Rows of a score under names for people."""
     return [(WORDS.get(str(name), str(name).replace("_", " ")), *values) for name, *values in rows]
@@ -50,7 +58,7 @@ def headline_scores(told: Mapping[str, Any]) -> list[tuple[str, str]]:
     figures = (
         ("landmark RMSE", told.get("landmark_rmse"), "{:.3f} m"),
         ("RMSE", told.get("rmse"), "{:.3g} m"),
-        ("NEES per degree of freedom (honest: 1)", told.get("nees_per_dof"), "{:.2f}"),
+        (nees_name(told.get("dof")), told.get("nees_per_dof"), "{:.2f}"),
         ("mean ATE", told.get("mean_ate"), "{:.3f} m"),
         ("mean error of relations", (told.get("relations") or {}).get("trans_mean"), "{:.3f} m"),
     )

@@ -15,7 +15,7 @@ from ..team.team_map import TeamMap
 from . import style, team_figures
 from .html import Page, sentence_case, told_list
 from .scene import Scene, landmark_points
-from .score import growth, landmark_errors, track_errors
+from .score import growth, landmark_errors, nees_name, track_errors
 from .team_figures import TeamStory
 
 APART = ": left in its own component"  # the end of a reason, of which the page tells where it is drawn
@@ -128,7 +128,7 @@ def _headline(story: TeamStory) -> list[tuple[str, str]]:
     if story.score is not None and story.score.landmarks.rmse is not None:
         cards.append(("landmark RMSE", f"{story.score.landmarks.rmse:.3f} m"))
         if story.score.landmarks.nees_per_dof is not None:
-            cards.append(("NEES per degree of freedom (honest: 1)", f"{story.score.landmarks.nees_per_dof:.2f}"))
+            cards.append((nees_name(story.score.landmarks.dof), f"{story.score.landmarks.nees_per_dof:.2f}"))
     if story.score is not None:
         ates = [r.ate for r in story.score.robots.values() if r.ate is not None]
         if ates:
