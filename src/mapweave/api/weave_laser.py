@@ -16,6 +16,7 @@ from ..core.records import Track
 from ..core.workers import Progress, no_progress, worker_pool
 from ..io.tum import read_tum
 from ..laser.config import LaserConfig
+from ..laser.copied_scans import copies_told
 from ..laser.laser_map import LaserMap
 from ..laser.merge import Merge
 from ..laser.merge_search import MergeConfig, Start
@@ -74,8 +75,9 @@ def woven_result(
         on_progress("weave", 1, 1)
     timing = {"weave": perf_counter() - began} if len(made) > 1 else {}
     metrics = laser_metrics(made, seed, components, merges, timing)
-    if warnings:
-        metrics["warnings"] = list(warnings)
+    copies = copies_told([m.graph for m in made if m.graph is not None], cfg.copies)
+    if warnings or copies:
+        metrics["warnings"] = [*warnings, *copies]
     result = LaserResult(
         tuple(made), metrics, components=components, merges=merges, starts=starts or {}, notes=tuple(notes)
     )

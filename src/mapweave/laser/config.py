@@ -6,6 +6,7 @@ from jaxtyping import Float
 from ..core.config import config
 from ..core.errors import ConfigError
 from .beam import FEATURES, BeamConfig, CalibrationConfig
+from .copied_scans import CopyCheck
 from .icp import IcpConfig
 from .joint_pass import JointPassConfig
 from .jumps import JumpCheck
@@ -123,6 +124,7 @@ class LaserConfig:
     motion: MotionCheck = MotionCheck()
     jump: JumpCheck = JumpCheck()
     lag: LagCheck = LagCheck()
+    copies: CopyCheck = CopyCheck()
     moment: MomentConfig = MomentConfig()
     cells: CellConfig = CellConfig()
     front_end: FrontEndConfig = FrontEndConfig()
