@@ -20,6 +20,7 @@ from .team_figures import legend_beside, thinned
 from .woven import told_merge
 
 BY = {"walls": "walls that both saw", "known": "where they are known to be"}
+TIES = "How they were tied"
 MANY = 40  # landmarks from which names would cover the map
 
 
@@ -117,7 +118,7 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
     page.cards([*cards, *story.scores], len(story.warnings))
     if tied < of:
         left = named([robot for robot in story.robots if robot not in whole[0].map.robots])
-        page.text(f"Not in {first}: {left}. Why, the warnings and How they were tied tell, below the map.", warn=True)
+        page.text(f"Not in {first}: {left}. The reason is told below it, in the warnings or under {TIES}.", warn=True)
     for k, component in enumerate(whole):
         page.section("Map" if k == 0 else f"Component {k + 1}: {named(component.map.robots)}")
         png = folder / "figures" / ("map.png" if k == 0 else f"component_{k + 1}.png")
@@ -129,7 +130,7 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
         page.section("Against the truth")
         for line in story.lines:
             page.text(line)
-    page.section("How they were tied")
+    page.section(TIES)
     for sentence in words(story) or ["no robots could be connected"]:
         page.text(f"{sentence_case(sentence)}.")
     page.section("The whole team at once")
