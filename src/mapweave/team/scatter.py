@@ -51,7 +51,9 @@ def scores(team: TeamProblem, x: Float[np.ndarray, " n"], groups: Groups) -> sp.
     out = sp.csr_matrix((len(groups), len(x)))
     for term, origin in zip(team.problem.terms, team.origins, strict=True):
         if origin is not None:
-            out = out + _by_group(term.normal(x)[1], term.columns, groups.rows(origin), out.shape)
+            g = term.normal(x)[1]
+            row = np.repeat(groups.rows(origin), g.shape[1])
+            out = out + sp.csr_matrix((g.ravel(), (row, term.columns.ravel())), shape=out.shape)
     return out
 
 
@@ -85,27 +87,28 @@ def taken_out(
     What few groups saw is fitted to their errors. Errors of group g, whose information is `H_g`, leave
     `H_g - H_g H^-1 H_g` of it in its pull (Bell and McCaffrey, 2002), and move what is `looked` at by
     `C^T H_g C`, `C = H^-1 looked`: the share is the sum of `C^T H_g H^-1 H_g C` over that of `C^T H_g C`, traces over
-    the columns of `looked`, or over some of them where all would be long work.
+    the columns of `looked`, or over some of them and some groups where all would be long work.
     """
     if not looked.shape[1]:
         return 0.0
     many = min(max(FEWEST, SOLVES // len(groups)), looked.shape[1])
     some = ((np.arange(many) + 0.5) * looked.shape[1] / many).astype(int)  # spread evenly
+    chosen = np.arange(0, len(groups), -(-many * len(groups) // SOLVES))
     C = np.zeros((len(x), len(some)))
     C[free] = information.solve(looked[np.ix_(free, some)])
-    held = [
-        (term.columns, _share(term, x) * term.normal(x)[0], groups.rows(origin))
-        for term, origin in zip(team.factors, team.origins, strict=True)
-        if origin is not None
-    ]
+    held, row, column = [], [np.zeros(0, int)], [np.zeros(0, int)]
+    for term, origin in zip(team.factors, team.origins, strict=True):
+        if origin is not None:
+            held.append((term.columns, _share(term, x) * term.normal(x)[0]))
+            row.append(np.repeat(groups.rows(origin), term.columns.shape[1]))
+            column.append(term.columns.ravel())
+    at, shape = (np.concatenate(row), np.concatenate(column)), (len(groups), len(x))
     missing = total = 0.0
     for c in C.T:
-        pull = sp.csr_matrix((len(groups), len(x)))
-        for columns, block, rows in held:
-            pull = pull + _by_group(np.einsum("nij,nj->ni", block, c[columns]), columns, rows, pull.shape)
-        pull = sp.csr_matrix(pull[:, free])
+        pulls = [np.einsum("nij,nj->ni", block, c[columns]).ravel() for columns, block in held]
+        pull = sp.csr_matrix((np.concatenate([np.zeros(0), *pulls]), at), shape=shape)[chosen][:, free]
         total += float(np.sum(pull @ c[free]))
-        for a in range(0, len(groups), CHUNK):
+        for a in range(0, len(chosen), CHUNK):
             u = pull[a : a + CHUNK].toarray()
             missing += float(np.sum(u * information.solve(u.T).T))
     return min(missing / total, MOST_TAKEN) if total > 0 else 0.0
@@ -113,13 +116,3 @@ def taken_out(
 
 def _share(term: Factor, x: Float[np.ndarray, " n"]) -> float:
     return max(LEAST_CURVED, term.curvature(x))
-
-
-def _by_group(
-    pulls: Float[np.ndarray, "m d"],
-    columns: Int[np.ndarray, "m d"],
-    rows: Int[np.ndarray, " m"],
-    shape: tuple[int, int],
-) -> sp.csr_matrix:
-    row = np.repeat(rows, pulls.shape[1])
-    return sp.csr_matrix((pulls.ravel(), (row, columns.ravel())), shape=shape)
