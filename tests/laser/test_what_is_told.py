@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
+from mapweave.core.errors import DataError
 from mapweave.io.assemble import RawLog, RawScan
 from mapweave.laser.config import LaserConfig
 from mapweave.laser.mapping import map_laser
@@ -87,3 +88,9 @@ def test_a_robot_that_is_carried_to_another_room_is_told_with_the_time(office):
     log = replace(office, scan_t=office.scan_t[kept], scans=tuple(office.scans[k] for k in kept))
     (line,) = [text for text in told(log, rows=joined) if "the scene changes at once" in text]
     assert line.startswith(f"at {jump:.1f} s ")
+
+
+@pytest.mark.parametrize(("far", "said"), [(1.0, "no beam came back"), (1000.0, r"the middle of the ranges is \d{4}")])
+def test_ranges_in_millimetres_are_refused_with_the_log_and_how_long_they_are(office, far, said):
+    with pytest.raises(DataError, match=f"office: {said}: expected returns between 0.02 and 25 m; are the ranges in"):
+        told(office, lambda raw: replace(raw, ranges=1000.0 * raw.ranges, range_max=far * raw.range_max))

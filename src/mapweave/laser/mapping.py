@@ -30,6 +30,8 @@ from .session import Feature, LaserSession
 from .stamp_lag import lag_told, stamp_lag
 from .unfound_places import unfound_places
 
+MANY = 20  # scans without a single return are no accident
+
 
 def choose_feature(log: LaserLog, cfg: LaserConfig) -> Feature:
     """The feature asked for where the log's intensity allows it, else `none` with a warning."""
@@ -113,6 +115,7 @@ def map_laser(
     cfg.check()
     if not len(log.scans):
         raise DataError(f"{log.source}: no scans")
+    _check_reach(log, cfg)
     began = perf_counter()
     feature = choose_feature(log, cfg)
     calibrated = perf_counter()
@@ -122,6 +125,20 @@ def map_laser(
             on_progress(f"robot {log.robot}", len(session.infos), len(log.scans))
     spent = {"calibrate": calibrated - began, "estimate": perf_counter() - calibrated}
     return map_session(session, log, feature, spent, on_progress)
+
+
+def _check_reach(log: LaserLog, cfg: LaserConfig) -> None:
+    """Raises DataError where no scan of many has a return that can be used, as where ranges are in other units."""
+    near, far = cfg.beam.least_range, cfg.beam.greatest_range
+    if len(log.scans) < MANY or any(
+        (scan.hit & (scan.ranges > near) & (scan.ranges < far)).any() for scan in log.scans
+    ):
+        return
+    seen = np.concatenate([scan.ranges[scan.hit] for scan in log.scans[:1000]])
+    middle = f"the middle of the ranges is {np.median(seen):.4g}" if len(seen) else "no beam came back"
+    raise DataError(
+        f"{log.source}: {middle}: expected returns between {near:g} and {far:g} m; are the ranges in metres?"
+    )
 
 
 def map_session(
