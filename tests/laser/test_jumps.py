@@ -1,5 +1,7 @@
 """A scene that changes at once while the wheels stand is told; one that changes because the robot drives on is not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -52,3 +54,11 @@ def test_scenes_that_change_as_robots_drive_are_not_told(quiet):
 def test_without_odometry_nothing_is_told():
     records, scans = drive([1.0, 0.9, 0.95, 0.1, 0.8])
     assert jumps(records, [Scan(s.ranges, s.hit, None, -1.0, 0.02, 30.0) for s in scans], CFG) == ()
+
+
+def test_a_second_scanner_that_sees_walls_the_first_has_not_seen_is_no_jump():
+    records, scans = drive([1.0, 0.1, 0.95, 0.15, 0.9, 0.2, 0.95, 0.3], way=0.02)
+    behind = np.array([-0.3, 0.0, np.pi])
+    both = [replace(scan, T_robot_sensor=behind) if k % 2 else scan for k, scan in enumerate(scans)]
+    assert jumps(records, both, CFG) == ()
+    assert jumps(records, scans, CFG) != ()

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Int
 
 from ..core import se2
 from ..core.config import config
@@ -25,20 +26,33 @@ def jumps(records: ScanRecords, scans: Sequence[Scan], cfg: JumpCheck) -> tuple[
     if len(scans) < 3 or scans[0].odometry is None:
         return ()
     wheels = np.array([scan.odometry for scan in scans], dtype=float)
-    step = se2.between(wheels[:-1], wheels[1:])
-    way = np.hypot(step[:, 0], step[:, 1])
     share = records.matches / np.maximum(records.beams, 1)
-    enough = records.beams >= cfg.least_returns
+    before, after = _one_to_the_next(scans)
+    step = se2.between(wheels[before], wheels[after])
+    way = np.hypot(step[:, 0], step[:, 1])
+    enough = np.minimum(records.beams[before], records.beams[after]) >= cfg.least_returns
     allowed = cfg.drop + cfg.drop_per_m * way + cfg.drop_per_rad * np.abs(step[:, 2])
-    gone = enough[:-1] & enough[1:] & (share[:-1] - share[1:] >= allowed)
-    gone[0] = False  # the first scan is its own map
-    at = np.flatnonzero(gone) + 1
-    if not len(at):
+    gone = np.flatnonzero(enough & (before > 0) & (share[before] - share[after] >= allowed))  # the first is its own map
+    if not len(gone):
         return ()
-    k = int(at[0])
-    more = f" (and {len(at) - 1} times more)" if len(at) > 1 else ""
-    now, last = (f"{100 * s:.0f} %" for s in (share[k], share[k - 1]))
-    seen = f"{now} of the returns lie on walls seen before, of the last scan {last}"
-    moved = f"while the wheels tell {way[k - 1]:.2f} m"
+    row = gone[np.argmin(after[gone])]
+    k, last = int(after[row]), int(before[row])
+    more = f" (and {len(gone) - 1} times more)" if len(gone) > 1 else ""
+    now, then = (f"{100 * s:.0f} %" for s in (share[k], share[last]))
+    seen = f"{now} of the returns lie on walls seen before, of the last scan {then}"
+    moved = f"while the wheels tell {way[row]:.2f} m"
     why = "the robot was carried, drives were joined to one log, or the view was blocked; the map goes on by the wheels"
     return (f"at {records.t[k]:.1f} s{more} the scene changes at once: {seen}, {moved}: {why}",)
+
+
+def _one_to_the_next(scans: Sequence[Scan]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Each scan but the first of a scanner after the one before it of the same scanner: before and after."""
+    latest: dict[bytes, int] = {}
+    pairs = []
+    for k, scan in enumerate(scans):
+        mount = scan.T_robot_sensor.tobytes()
+        if mount in latest:
+            pairs.append((latest[mount], k))
+        latest[mount] = k
+    before, after = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+    return before, after
