@@ -41,7 +41,7 @@ def test_every_example_is_short_and_known_here():
     assert all(len(path.read_text(encoding="utf-8").splitlines()) < 60 for path in SCRIPTS)
 
 
-QUICK = {"exploration", "swarm"}
+QUICK = {"live_team", "swarm"}
 EXAMPLES = [pytest.param(p, id=p.stem, marks=() if p.stem in QUICK else pytest.mark.slow) for p in SCRIPTS]
 
 
@@ -72,6 +72,7 @@ def test_notebooks_hold_all_code_of_their_scripts_and_nothing_else(tmp_path, cap
         assert ast.dump(ast.parse("\n\n".join(code))) == ast.dump(ast.Module(whole.body[1:], []))
 
 
+@pytest.mark.slow
 def test_a_notebooks_code_runs_cell_by_cell(tmp_path):
     make_notebooks.main(tmp_path / "notebooks")
     made = json.loads((tmp_path / "notebooks" / "swarm.ipynb").read_text(encoding="utf-8"))

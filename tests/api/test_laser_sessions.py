@@ -130,6 +130,7 @@ def test_a_result_of_another_version_is_refused(sessions, logs, tmp_path):
     assert "expected state of version 3, found 99, which mapweave 7.0 wrote" in refused(folder, logs)
 
 
+@pytest.mark.slow
 def test_a_result_of_landmarks_one_without_graphs_and_no_result_are_refused(logs, tmp_path):
     mapweave.simulate_landmarks(tmp_path / "team", robots=2, landmarks=8, minutes=0.3, seed=1)
     mapweave.map(tmp_path / "team", tmp_path / "landmarks")

@@ -90,6 +90,7 @@ def test_the_same_seed_gives_the_same_files_and_only_timing_differs(mapped, log,
     assert {**a, "timing": 0} == {**b, "timing": 0}
 
 
+@pytest.mark.slow
 def test_the_graph_method_leaves_its_graph_its_closures_and_covariances(log, tmp_path):
     out = tmp_path / "graph"
     assert _run(["map", str(log), "--out", str(out), "--method", "graph", "--no-loops", "--particles", "5"]) == 0

@@ -142,6 +142,7 @@ def test_a_robot_is_followed_through_the_parts_of_the_map_that_two_robots_saw(wo
     assert np.hypot(*(found.found.track.pose[-1] - second.pose[at])[:2]) < 0.3
 
 
+@pytest.mark.slow
 def test_robots_that_are_not_to_be_merged_stand_each_in_a_component(team, tmp_path):
     logs, _ = team
     out = tmp_path / "out"

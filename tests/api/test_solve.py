@@ -66,6 +66,7 @@ def test_a_graph_is_solved_written_and_read_again(tmp_path, capsys):
     assert "standard deviations from what the rest says" in page
 
 
+@pytest.mark.slow
 def test_the_same_file_gives_the_same_bytes(tmp_path):
     ring(tmp_path / "ring.g2o", false=2)
     for name in ("a", "b"):

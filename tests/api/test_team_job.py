@@ -44,6 +44,7 @@ def test_any_executor_gives_the_same_map(team):
     assert np.array_equal(here.maps[0].landmarks.cov, there.maps[0].landmarks.cov)
 
 
+@pytest.mark.slow
 def test_barcodes_exchanged_in_the_table_are_named_by_evaluate(team, tmp_path):
     out = tmp_path / "out"
     mapweave.map(team, out)

@@ -76,6 +76,7 @@ def test_a_job_is_done_whatever_its_caller_closed(end, tmp_path):
     assert (tmp_path / "out" / "report.html").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_a_full_disk_behind_stdout_is_told_in_one_line():
     done = shell(f"{SHELL} config map > /dev/full")
@@ -200,6 +201,7 @@ def test_compiling_is_told_when_it_compiles_and_only_then(monkeypatch, capsys):
         told(capsys, "mapweave: robots, 25 %")
 
 
+@pytest.mark.slow
 def test_a_kernel_that_is_kept_is_not_compiled_again(tmp_path):
     code = (
         "import sys\nfrom mapweave.kernels.compiling import compiling_told\nfrom mapweave.kernels._jit import kernel\n"

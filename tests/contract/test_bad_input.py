@@ -162,6 +162,7 @@ def test_a_configuration_is_refused_with_all_its_mistakes_at_once(recording, tmp
     assert "fuse.speed" in err
 
 
+@pytest.mark.slow
 def test_a_folder_with_something_else_in_it_is_not_overwritten_without_force(recording, tmp_path):
     target = tmp_path / "mine"
     target.mkdir()

@@ -180,6 +180,7 @@ def test_fusing_saved_maps_names_robots_after_their_folders(world):
     assert json.loads(out)["robots"]["two/robot3"]["ate"] < 1.5
 
 
+@pytest.mark.slow
 def test_the_same_log_twice_counts_once(world):
     run("map", world / "team", "--out", world / "again", "--robots", "1")
     run("map", world / "team", "--out", world / "also", "--robots", "1")
@@ -202,6 +203,7 @@ def test_view_tells_where_the_report_is_when_there_is_no_display(world, monkeypa
     assert str(world / "a" / "report.html") in out
 
 
+@pytest.mark.slow
 def test_fused_while_the_logs_play_the_last_map_is_the_offline_one(world):
     code, _, err = run("map", world / "team", "--out", world / "on", "--seed", 3, "--fuse-every", 20)
     assert (code, err) == (0, "")

@@ -32,6 +32,7 @@ def two():
         yield
 
 
+@pytest.mark.slow
 def test_locate_writes_the_same_bytes_with_one_thread_and_with_two(tmp_path):
     found = []
     for count in ("1", "2"):

@@ -106,6 +106,7 @@ def test_the_names_of_all_scenarios_are_told():
         find_scenario("office")
 
 
+@pytest.mark.slow
 def test_ones_own_planner_may_stand_in_the_folder_one_is_in(tmp_path, monkeypatch):
     from mapweave.cli import explore as command
 

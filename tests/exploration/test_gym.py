@@ -19,7 +19,7 @@ def test_the_same_seed_gives_the_same_environment():
     parallel_seed_test(lambda: ExplorationEnv(cfg=ExploreConfig(mission=MissionConfig(max_steps=15))), num_cycles=10)
 
 
-@pytest.mark.parametrize("name", ["random", "coverage"])
+@pytest.mark.parametrize("name", ["random", pytest.param("coverage", marks=pytest.mark.slow)])
 def test_an_episode_runs_to_its_end_with_rewards_for_new_ground(name):
     env = ExplorationEnv("yuan", robots=3, until=25)
     seen, _ = env.reset(seed=4)

@@ -177,7 +177,8 @@ def undisturbed(tmp_path_factory):
     return told_of(folder / "out")
 
 
-@pytest.mark.parametrize("how", [pytest.param(signal.SIGKILL, marks=pytest.mark.slow), signal.SIGINT])
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
 def test_runs_that_were_killed_or_interrupted_go_on_to_the_same_result(tmp_path, how, undisturbed):
     cache = tmp_path / "cache" / "parts"
     going = exploring(tmp_path / "out", tmp_path / "cache", waits=True)

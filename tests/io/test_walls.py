@@ -293,6 +293,7 @@ def test_a_text_that_memory_does_not_hold_is_refused_with_its_size(tmp_path, mon
         read_laser(tmp_path / "log.gz", "1")
 
 
+@pytest.mark.slow
 def test_a_recording_with_a_chunk_that_unpacks_to_gigabytes_is_refused(tmp_path):
     zeros = bytes(LARGEST_CHUNK + 1)
     packed = zstd.compress(zeros)

@@ -53,6 +53,7 @@ def office_team(office):
     return estimate(office)
 
 
+@pytest.mark.slow
 def test_loops_that_close_take_the_drift_out_of_the_map(ring_run, watched):
     closed, open_ = watched[0], estimate(ring_run, NO_LOOPS)
     e, without = errors(closed, ring_run)[0], errors(open_, ring_run)[0]

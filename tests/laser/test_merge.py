@@ -85,6 +85,7 @@ def test_the_other_order_gives_the_inverse(pair, merge):
     assert np.hypot(*(seen - se2.compose(back.transform, pair.a.pose[c.second]))[:2]) < 0.6
 
 
+@pytest.mark.slow
 def test_a_start_that_is_wrong_is_overruled_by_the_scans(pair, merge):
     false = Start(se2.compose(merge.transform, np.array([9.0, 4.0, 1.2])), np.array([0.5, 0.5, 0.1]))
     told = merge_maps(pair.a, pair.b, start=false)

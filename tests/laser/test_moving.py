@@ -127,6 +127,7 @@ def error(made, truth):
     return float(np.sqrt(np.mean(np.square(se2.act(T, made.track.pose[:, :2]) - truth.pose[at, :2]).sum(axis=1))))
 
 
+@pytest.mark.slow
 def test_three_walkers_in_a_tunnel_do_not_drag_the_robot_along_and_ways_that_disagree_are_told(tunnel):
     cfg = LaserConfig(method="graph", feature="none")
     blind = map_laser(tunnel.log, replace(cfg, moving=replace(cfg.moving, leave_out=False)), 0)

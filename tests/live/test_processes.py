@@ -31,6 +31,7 @@ def fleet(tmp_path, source):
     made.end()
 
 
+@pytest.mark.slow
 def test_a_team_that_drives_gives_the_map_of_its_logs_whoever_is_killed_meanwhile(fleet, direct):
     fleet.map()
     fleet.robot("r1")

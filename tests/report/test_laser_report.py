@@ -56,6 +56,7 @@ def test_the_intensity_picture_uses_the_colour_scale_for_any_colour_vision(page)
     assert len(found) > 50
 
 
+@pytest.mark.slow
 def test_a_map_without_intensity_has_no_calibration_section_but_a_picture(tmp_path):
     write_laser_report(tmp_path, [made_laser_map(light=False)], {}, [])
     assert (tmp_path / "local/robot1/intensity.png").exists()

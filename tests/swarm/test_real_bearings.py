@@ -43,6 +43,7 @@ def test_a_folder_without_bearings_is_named(tmp_path):
         read_angulation(tmp_path)
 
 
+@pytest.mark.slow
 def test_robots_that_drive_are_found_from_bearings_of_each_other_and_odometry(data):
     found = benchmark().team(data / "mrclam" / "MRCLAM_Dataset6.zip", seconds=300.0)
     assert found["rmse"] < 0.4

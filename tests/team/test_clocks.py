@@ -93,7 +93,14 @@ def test_right_clocks_are_smoothed_once_and_as_ever(count):
     )
 
 
-@pytest.mark.parametrize("ahead", [{"robot1": -3.0}, {"robot2": 2.0, "robot4": -1.5}, {"robot3": 10.0}])
+@pytest.mark.parametrize(
+    "ahead",
+    [
+        {"robot1": -3.0},
+        pytest.param({"robot2": 2.0, "robot4": -1.5}, marks=pytest.mark.slow),
+        pytest.param({"robot3": 10.0}, marks=pytest.mark.slow),
+    ],
+)
 def test_clocks_that_are_off_are_found_and_put_right(ahead):
     w = world(31, robots=4, minutes=3.0)
     made = on_one_clock_of(off(w, ahead))
@@ -108,6 +115,7 @@ def test_clocks_that_are_off_are_found_and_put_right(ahead):
         assert scored.robots[robot].ate < 1.2 * as_ever.robots[robot].ate
 
 
+@pytest.mark.slow
 def test_of_two_robots_the_first_has_the_clock():
     w = world(33, robots=2, minutes=4.0)
     made = on_one_clock_of(off(w, {"robot1": 2.0}))

@@ -67,6 +67,7 @@ def test_a_robot_put_down_elsewhere_is_found_and_harms_no_map(carry, tmp_path):
     assert "put down elsewhere" in (tmp_path / "out" / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_where_a_robot_saw_nothing_when_it_was_carried_its_way_is_left_out(carry, tmp_path):
     carry(2, 90.0, (0.5, 0.8, 2.5))
     mapweave.simulate_landmarks(tmp_path / "logs", robots=3, minutes=3, seed=104)

@@ -110,6 +110,7 @@ def test_walls_that_fit_far_from_where_sightings_put_a_robot_are_not_believed(on
         assert bool(walls.crossings) == merged
 
 
+@pytest.mark.slow
 def test_robots_with_lasers_and_cameras_are_tied_by_walls_too():
     w = mixed(31, lasers=2, cameras=0, bearings=0, minutes=2.0, everything=True)
     made = w.map(laser=LASER)
@@ -174,6 +175,7 @@ def test_lasers_that_see_no_common_wall_are_tied_through_those_who_see_both(two_
     assert abs(se2.wrap_angle((said - true)[2])) < 0.06
 
 
+@pytest.mark.slow
 def test_the_order_of_robots_does_not_matter(two_rooms):
     w, made = two_rooms
     back = w.map(w.logs[::-1], dict(reversed(w.scanned.items())), w.mapped[::-1])
@@ -183,6 +185,7 @@ def test_the_order_of_robots_does_not_matter(two_rooms):
     assert back.paths == made.paths
 
 
+@pytest.mark.slow
 def test_those_whom_nothing_ties_stay_apart(two_rooms):
     w, _ = two_rooms
     deaf = [
@@ -276,6 +279,7 @@ def test_a_robot_whose_filter_was_lost_comes_back_by_what_it_saw():
     assert all(r.ate < 0.2 for r in w.score(made).robots.values())
 
 
+@pytest.mark.slow
 def test_robots_whose_filters_did_well_are_left_alone(two_rooms):
     w, _ = two_rooms
     maps, told = regained(w.mapped, w.logs, {}, SmoothingConfig(), PlacingConfig())

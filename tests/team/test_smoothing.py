@@ -87,7 +87,12 @@ def test_covariances_of_landmarks_and_poses_hold(long_runs):
 
 
 @pytest.mark.parametrize(
-    "team", [{"robots": 1, "minutes": 4.0}, {"robots": 2, "minutes": 2.0}, {"robots": 3, "minutes": 3.0, "noise": 3.0}]
+    "team",
+    [
+        pytest.param({"robots": 1, "minutes": 4.0}, marks=pytest.mark.slow),
+        {"robots": 2, "minutes": 2.0},
+        pytest.param({"robots": 3, "minutes": 3.0, "noise": 3.0}, marks=pytest.mark.slow),
+    ],
 )
 def test_covariances_of_few_sightings_and_of_noisy_sensors_hold(team):
     nees = []
@@ -116,6 +121,7 @@ def test_a_wrong_calibration_that_is_held_makes_the_map_worse():
     assert errors(w, smoothed(w, calibration=wrong))[0] > 2 * errors(w, smoothed(w))[0]
 
 
+@pytest.mark.slow
 def test_the_order_of_the_logs_does_not_matter():
     w = world(4)
     a, b = smoothed(w), smoothed(w, logs=w.logs[::-1])
@@ -197,6 +203,7 @@ def test_a_team_whose_size_ranges_alone_tell_is_enlarged_by_what_they_fall_short
     assert spread[0] == pytest.approx(np.sqrt(np.square(begun - begun.mean(axis=0)).sum()), rel=3e-3)
 
 
+@pytest.mark.slow
 def test_a_team_of_too_many_poses_is_smoothed_with_longer_steps_and_told():
     w = world(27, minutes=4.0)
     whole = smoothed(w)
