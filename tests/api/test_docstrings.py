@@ -109,6 +109,7 @@ def test_the_help_of_the_package_begins_with_what_it_does_and_names_every_verb()
     assert not [name for name, _ in public(inspect.isfunction) if not re.search(rf"\b{name}\b", "\n".join(lines[6:]))]
 
 
+@pytest.mark.slow
 def test_help_on_what_a_result_is_and_holds_is_readable_without_its_name_having_been_asked_for():
     code = (
         "import pydoc\n"

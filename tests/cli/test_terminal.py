@@ -67,7 +67,9 @@ def test_a_closed_stdout_ends_silently():
     assert shell(f"{SHELL} config map >&-").stderr == ""
 
 
-@pytest.mark.parametrize("end", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize(
+    "end", [*(pytest.param(e, marks=pytest.mark.slow) for e in ("<&-", ">&-", "2>&-")), "<&- >&- 2>&-"]
+)
 def test_a_job_is_done_whatever_its_caller_closed(end, tmp_path):
     table = tmp_path / "swarm.csv"
     assert shell(f"{SHELL} simulate swarm --out {table} --robots 9").returncode == 0

@@ -114,6 +114,7 @@ def test_a_reader_that_stops_after_one_line_of_a_summary_ends_it_silently(team, 
     assert (tmp_path / "out" / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_closed_stdin_and_stdout_leave_a_whole_result(team, tmp_path):
     line = f"{SHELL} map {team} --out {tmp_path / 'out'} --no-refine <&- >&-"
     done = subprocess.run(["bash", "-c", line], capture_output=True, timeout=300, check=False)  # noqa: S603, S607

@@ -149,6 +149,7 @@ def test_of_many_pairs_the_page_shows_some_and_counts_the_others(woven, tmp_path
     assert len(re.findall("<figcaption>robot1 and robot2: merged", html)) == MOST_PICTURES
 
 
+@pytest.mark.slow
 def test_of_many_robots_the_page_holds_some_and_a_row_of_each(woven, tmp_path):
     maps, components, _ = woven
     many = [replace(maps[0], robot=str(k)) for k in range(1, MOST_PARTS + 4)]
@@ -160,6 +161,7 @@ def test_of_many_robots_the_page_holds_some_and_a_row_of_each(woven, tmp_path):
     assert len(list((tmp_path / "figures").glob("*_scans.png"))) == len(many)
 
 
+@pytest.mark.slow
 def test_the_page_does_not_depend_on_how_long_the_work_took(woven, tmp_path):
     maps, components, merges = woven
     slow = [replace(made, timing={**made.timing, "ms_per_scan": 77.7}) for made in maps]

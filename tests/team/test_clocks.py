@@ -140,6 +140,7 @@ def test_what_a_clock_seems_off_is_what_minimising_over_it_gives():
     assert seems == pytest.approx(-0.5 * slope / bend, abs=0.06)
 
 
+@pytest.mark.slow
 def test_the_map_tells_a_clock_that_was_put_right(tmp_path):
     home = tmp_path / "team"
     mapweave.simulate_landmarks(home, robots=3, minutes=3.0, seed=7022)
