@@ -62,3 +62,12 @@ def test_a_second_scanner_that_sees_walls_the_first_has_not_seen_is_no_jump():
     both = [replace(scan, T_robot_sensor=behind) if k % 2 else scan for k, scan in enumerate(scans)]
     assert jumps(records, both, CFG) == ()
     assert jumps(records, scans, CFG) != ()
+
+
+def test_a_drive_with_another_scanner_joined_to_a_log_is_a_jump():
+    records, scans = drive([1.0] * 60 + [0.2] + [0.9] * 10)
+    other = [
+        replace(scan, T_robot_sensor=np.array([0.4, 0.0, 0.0])) if k >= 60 else scan for k, scan in enumerate(scans)
+    ]
+    (told,) = jumps(records, other, CFG)
+    assert told.startswith("at 70.0 s the scene changes at once: 20 % of the returns")

@@ -19,6 +19,7 @@ class JumpCheck:
     drop_per_m: float = 1.0  # so much more for a metre between the two and
     drop_per_rad: float = 0.3  # for a radian of turn: new places come into view
     least_returns: int = 30  # in either scan
+    late: int = 50  # scans, after which the first of a scanner belongs to another drive
 
 
 def jumps(records: ScanRecords, scans: Sequence[Scan], cfg: JumpCheck) -> tuple[str, ...]:
@@ -27,7 +28,7 @@ def jumps(records: ScanRecords, scans: Sequence[Scan], cfg: JumpCheck) -> tuple[
         return ()
     wheels = np.array([scan.odometry for scan in scans], dtype=float)
     share = records.matches / np.maximum(records.beams, 1)
-    before, after = _one_to_the_next(scans)
+    before, after = _one_to_the_next(scans, cfg.late)
     step = se2.between(wheels[before], wheels[after])
     way = np.hypot(step[:, 0], step[:, 1])
     enough = np.minimum(records.beams[before], records.beams[after]) >= cfg.least_returns
@@ -45,14 +46,17 @@ def jumps(records: ScanRecords, scans: Sequence[Scan], cfg: JumpCheck) -> tuple[
     return (f"at {records.t[k]:.1f} s{more} the scene changes at once: {seen}, {moved}: {why}",)
 
 
-def _one_to_the_next(scans: Sequence[Scan]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Each scan but the first of a scanner after the one before it of the same scanner: before and after."""
+def _one_to_the_next(scans: Sequence[Scan], late: int) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Each scan after the one before it of the same scanner: before and after.
+
+    The first scan of a scanner that joins late follows the last of any: scanners of one robot begin together.
+    """
     latest: dict[bytes, int] = {}
     pairs = []
     for k, scan in enumerate(scans):
         mount = scan.T_robot_sensor.tobytes()
-        if mount in latest:
-            pairs.append((latest[mount], k))
+        if mount in latest or k >= late:
+            pairs.append((latest.get(mount, k - 1), k))
         latest[mount] = k
     before, after = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
     return before, after
