@@ -1,10 +1,10 @@
-"""Maps tied by where a robot is known to have started."""
+"""Maps tied by where a robot is known to have started, or by single sightings."""
 
 import numpy as np
 
 from mapweave.core import se2
 from mapweave.core.gaussian import is_positive_definite
-from mapweave.fusion.result import Component, Decision, Fusion, tie_by_starts
+from mapweave.fusion.result import APART, Component, Decision, Fusion, placed_by_sightings, tie_by_starts
 from mapweave.landmarks.landmark_map import LandmarkMap
 
 
@@ -57,3 +57,19 @@ def test_a_start_that_contradicts_the_landmarks_is_told():
     after = tie_by_starts(before, {"robot2": (5.0, 0.0, 0.0)})
     assert any("5.00 m from the one given" in w for w in after.warnings)
     assert after.components == before.components
+
+
+def test_a_refused_robot_that_single_sightings_place_is_merged_and_one_that_stays_apart_is_not():
+    decisions = (
+        Decision("robot1", 9, "reference", "its first pose is the map's frame"),
+        Decision("robot2", 0, "refused", f"shares fewer than 2 landmarks with the others{APART}"),
+        Decision("robot3", 3, "refused", "contradicts robot1"),
+        Decision("robot4", 5, "refused", "contradicts robot1"),
+    )
+    fusion = Fusion((), decisions)
+    before = [["robot1"], ["robot2"], ["robot3", "robot4"]]
+    told = placed_by_sightings(fusion, before, [["robot1", "robot2"], ["robot3", "robot4"]]).decisions
+    assert [d.decision for d in told] == ["reference", "merged", "refused", "refused"]
+    assert told[1].reason == "shares fewer than 2 landmarks with the others; placed by single sightings"
+    assert placed_by_sightings(fusion, before, before) == fusion
+    assert placed_by_sightings(fusion, before, []) == fusion

@@ -13,7 +13,7 @@ from ..core.workers import worker_pool
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse
 from ..fusion.mirrored import MirrorConfig, mirror_images, unmirrored
-from ..fusion.result import Fusion, tie_by_starts
+from ..fusion.result import Fusion, placed_by_sightings, tie_by_starts
 from ..io.kept import parts
 from ..io.landmark_logs import is_landmark_log, landmark_logs_of, read_landmark_logs
 from ..io.points import read_points
@@ -149,6 +149,7 @@ def _map_read(
     smoothed, run = (
         _smoothed(maps, stretches, fusion, cfg, known, options, run, placing) if options.refine else ((), run)
     )
+    fusion = placed_by_sightings(fusion, [m.robots for m in maps], [s.map.robots for s in smoothed])
     stamps = {log.robot: log.stamps for log in on_time}
     maps = tuple(at_every_stamp(m, stamps, {}) for m in maps)
     smoothed = tuple(

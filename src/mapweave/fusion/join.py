@@ -15,7 +15,7 @@ from .full_covariance import join
 from .identities import identify
 from .initial_frames import ENOUGH, PlaceTest, arrange, as_cluster
 from .relative import RelativeConfig, fuse_relative
-from .result import Component, Decision, Fusion
+from .result import APART, Component, Decision, Fusion
 from .robot_sightings import FrameSightings, frame_sightings, sighting_factor
 
 
@@ -180,7 +180,7 @@ def _decide(
     if refused is not None:
         return Decision(robot, shared, "refused", refused, scale, factor)
     if len(robots) == 1 and not first:
-        why = f"shares fewer than {ENOUGH} landmarks with the others: left in its own component"
+        why = f"shares fewer than {ENOUGH} landmarks with the others{APART}"
         return Decision(robot, shared, "refused", why, scale, factor)
     if i == 0:
         return Decision(robot, shared, "reference", "its first pose is the map's frame", scale, factor)

@@ -3,7 +3,7 @@
 Components that share too little to be tied by landmarks are tied by where a robot is known to have started.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,6 +13,8 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.names import in_order
 from ..landmarks.landmark_map import LandmarkMap
+
+APART = ": left in its own component"  # the end of a reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +102,21 @@ def tie_by_starts(fusion: Fusion, starts: Mapping[str, tuple[float, float, float
     decisions = tuple(_placed(d, placed, first) for d in fusion.decisions)
     components = sorted([tied, *others], key=lambda c: -len(c.robots))
     return replace(fusion, components=tuple(components), decisions=decisions, warnings=tuple(warnings))
+
+
+def placed_by_sightings(fusion: Fusion, before: Sequence[Sequence[str]], after: Sequence[Sequence[str]]) -> Fusion:
+    """The fusion with every refused robot merged that a later step tied to others by single sightings.
+
+    before, after: the robots of each map, as they were fused and as they are now.
+    """
+    old = {robot: set(robots) for robots in before for robot in robots}
+    tied = {r for robots in after for r in robots if len(robots) > 1 and set(robots) - old.get(r, {r})}
+    why = {
+        d.robot: f"{d.reason.removesuffix(APART)}; placed by single sightings"
+        for d in fusion.decisions
+        if d.decision == "refused" and d.robot in tied
+    }
+    return replace(fusion, decisions=tuple(_placed(d, why, None) for d in fusion.decisions))
 
 
 def _placed(decision: Decision, placed: Mapping[str, str], first: str | None) -> Decision:

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..core.names import robot_key
 from ..evaluation.consistency import mean_or_none
+from ..fusion.result import APART
 from ..landmarks.landmark_map import LocalMap
 from ..team.online_run import OnlineRun
 from ..team.robot_part import PARAMETERS
@@ -18,7 +19,6 @@ from .scene import Scene, landmark_points
 from .score import growth, landmark_errors, nees_name, track_errors
 from .team_figures import TeamStory
 
-APART = ": left in its own component"  # the end of a reason, of which the page tells where it is drawn
 MOST_NAMED = 12  # robots in the page's first sentence, and with a switch of their own below the map
 CALIBRATED = ("speed scale", "turn scale", "lag [s]", "bearing bias [rad]", "range scale")  # heads of PARAMETERS
 KINDS = {
