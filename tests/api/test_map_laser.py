@@ -119,6 +119,7 @@ def test_several_logs_are_mapped_each_on_its_own_whatever_the_number_of_processe
     assert json.loads((outs[0] / "metrics.json").read_text())["components"] == [["1"], ["2"]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "feature", "near"),
     [

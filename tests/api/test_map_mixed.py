@@ -75,6 +75,7 @@ def test_what_a_robot_carries_is_told(made):
     assert "<img" in (out / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_files_one_by_one_are_the_folder(made, team):
     result, _ = made
     paths = [team / "robot1.mcap", team / "sightings.csv", team / "odometry.csv"]

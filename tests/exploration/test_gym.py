@@ -54,6 +54,7 @@ def test_a_planner_sees_more_ground_than_chance():
     assert explored("coverage") > 1.3 * explored("random")
 
 
+@pytest.mark.slow
 def test_the_example_in_the_documentation_runs(capsys):
     page = Path(__file__).parents[2] / "docs" / "methods" / "active-exploration.md"
     blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)

@@ -58,6 +58,7 @@ def test_fused_local_maps_are_right_and_honest(data, number, most):
     assert not any(m.down_weighted > 0.3 * sum(m.sightings.values()) for m in maps)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", SETS)
 def test_odometry_that_turns_six_tenths_of_what_it_says_does_not_matter(data, number):
     maps = []

@@ -80,6 +80,7 @@ def test_keyframes_closures_and_scans_are_bounded_whatever_the_laps(sizes_and_sl
     assert (sizes[SETTLED:, 2] <= sizes[SETTLED - 1, 2] + 0.7 * len(sizes_and_slam[1]) / LAPS).all()
 
 
+@pytest.mark.slow
 def test_what_left_is_told_and_the_way_is_as_true_as_with_all_keyframes(sim, mapped):
     whole = map_laser(sim.log, replace(EASY, graph=replace(EASY.graph, known_places=KnownPlacesConfig(enough=0))), 0)
     assert "keyframe in a place known well" not in whole.dropped

@@ -376,6 +376,7 @@ def test_keyframes_of_a_driven_estimate_leave_as_those_of_a_log_and_are_known_by
     assert driven.seen(int(driven.ids[-1])).points.tobytes() == driven.keyframes.nodes[-1].beams.s.tobytes()
 
 
+@pytest.mark.slow
 def test_a_team_whose_keyframes_leave_stays_one_map_of_those_that_stay(tmp_path):
     store, heard = filled(tmp_path / "s.sqlite")
     with store:

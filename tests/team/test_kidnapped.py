@@ -80,6 +80,7 @@ def test_where_a_robot_saw_nothing_when_it_was_carried_its_way_is_left_out(carry
     assert "or within 35.9 s from there" in told
 
 
+@pytest.mark.slow
 def test_a_lone_robot_put_down_elsewhere_is_found_by_its_own_halves(carry, tmp_path):
     carry(1, 150.0, (0.0, 0.0, np.pi))
     mapweave.simulate_landmarks(tmp_path / "logs", robots=1, seed=7, **WORLD)

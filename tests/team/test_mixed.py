@@ -97,6 +97,7 @@ def test_lasers_that_nobody_saw_are_tied_by_the_walls_that_both_saw(one_room):
     np.testing.assert_allclose(body.tracks["robot2"].pose[:, :2], second.track.pose[:, :2], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_walls_that_fit_far_from_where_sightings_put_a_robot_are_not_believed(one_room):
     w, _ = one_room
     graphs = w.scanned

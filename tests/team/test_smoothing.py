@@ -138,6 +138,7 @@ def test_a_robot_without_odometry_is_carried_by_those_who_saw_it(long_runs):
     assert ate < 0.8 * alone
 
 
+@pytest.mark.slow
 def test_wrong_labels_hardly_matter():
     clean, wrong = world(4), world(4, misreads=0.1)
     assert errors(wrong, smoothed(wrong))[0] < 1.5 * errors(clean, smoothed(clean))[0] + 0.005
