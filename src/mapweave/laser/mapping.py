@@ -128,17 +128,21 @@ def map_laser(
 
 
 def _check_reach(log: LaserLog, cfg: LaserConfig) -> None:
-    """Raises DataError where no scan of many has a return that can be used, as where ranges are in other units."""
+    """Raises DataError where many scans have returns and none that can be used, as where ranges are in other units.
+
+    A scanner whose beams never come back has an empty map, and its reader says so.
+    """
     near, far = cfg.beam.least_range, cfg.beam.greatest_range
     if len(log.scans) < MANY or any(
         (scan.hit & (scan.ranges > near) & (scan.ranges < far)).any() for scan in log.scans
     ):
         return
-    seen = np.concatenate([scan.ranges[scan.hit] for scan in log.scans[:1000]])
-    middle = f"the middle of the ranges is {np.median(seen):.4g}" if len(seen) else "no beam came back"
-    raise DataError(
-        f"{log.source}: {middle}: expected returns between {near:g} and {far:g} m; are the ranges in metres?"
-    )
+    seen = np.concatenate([scan.ranges[scan.hit] for scan in log.scans])
+    if len(seen):
+        raise DataError(
+            f"{log.source}: the median of the ranges is {np.median(seen):.4g}: expected returns between {near:g} and "
+            f"{far:g} m; are the ranges in metres?"
+        )
 
 
 def map_session(

@@ -96,9 +96,12 @@ class SubmapLoops:
                 window = self._window(cov)
                 if np.hypot(*(graph.pose[k, :2] - graph.pose[i, :2])) > window + self.cfg.reach:
                     continue
+                submap = self._submap(graph, k)
+                if submap is None:
+                    continue
                 query = query or self._query(graph, i)
                 predicted = se2.between(graph.pose[k], graph.pose[i])
-                match = self.match(self._submap(graph, k), query, predicted, cov, window)
+                match = self.match(submap, query, predicted, cov, window)
                 graph.close(k, i, match)
                 if match.accepted:
                     moved = mahalanobis2(match.innovation, cov + 1e-12 * np.eye(3))
@@ -188,11 +191,14 @@ class SubmapLoops:
         q = [node.beams.q for node in nodes] if self.light else None
         return query_at(graph.pose[first : i + 1], [node.beams.s for node in nodes], i - first, q, self.cfg.submap)
 
-    def _submap(self, graph: KeyframeGraph, k: int) -> LaserSubmap:
-        """The submap around keyframe `k`, as it lay when it was first asked for."""
+    def _submap(self, graph: KeyframeGraph, k: int) -> LaserSubmap | None:
+        """The submap around keyframe `k`, as it lay when it was first asked for; None where no beam came back there."""
         built = self._built.pop(k, None)
         if built is None:
-            built = self._lying(graph, k).built(self.cfg)
+            lying = self._lying(graph, k)
+            if not any(len(cloud) for cloud in lying.points):
+                return None
+            built = lying.built(self.cfg)
         self._built[k] = built
         for oldest in list(self._built)[:-BUILT]:
             del self._built[oldest]
