@@ -4,10 +4,9 @@
 
 Without options every table is measured anew: hours. `--only` measures one. `--check` says which tables of the pages
 are not those of `docs/figures/NAME.json`, exit status 1 where there is one. `--adopt` takes a table as it stands on its
-page, with the date of the commit that put it there (of today where none did): for figures that their command prints for
-people, and for tables that were measured before. The tables are listed in `docs_tables.py`; numbers in sentences that
-name a table (`docs_prose.py`) follow it. Every record says whether its command was run at its commit (`run`) or the
-table was taken as it stood.
+page, with the date of the commit that put it there (of today where none did): for tables that were measured before. The
+tables are listed in `docs_tables.py`; numbers in sentences that name a table (`docs_prose.py`) follow it. Every record
+says whether its command was run at its commit (`run`) or the table was taken as it stood.
 """
 
 import argparse
@@ -159,9 +158,6 @@ def measure(tables: Sequence[Table]) -> None:
 
 def keep(table: Table, said: str, out: Path) -> None:
     """Writes the table that its command gave: `said` on stdout, or as a file in `out`."""
-    if table.written == "reader":
-        print(f"{table.name}: put these figures into {table.page}, then --adopt {table.name!r}")
-        return
     if table.written == "stdout":
         text = "\n".join(line for line in said.splitlines() if line.startswith("|"))
     elif table.written == "page":

@@ -17,13 +17,13 @@ class Table:
     """One table. page: "" of one whose numbers stand in sentences alone. written: how the command gives it.
 
     stdout: as the Markdown table that it prints; page: into the page itself, between the marks; a file's name, which
-    ends in `.md`: as that file in {out}; reader: as figures for people, which whoever runs it puts on the page.
+    ends in `.md`: as that file in {out}.
     """
 
     name: str
     page: str
     command: tuple[str, ...]
-    written: str = "reader"
+    written: str = "stdout"
 
     @property
     def told(self) -> str:
@@ -110,11 +110,12 @@ TABLES = (
     *paper("hara", LASER, (), ("methods", "gate", "starts", "bounds", "alpha", "walls")),
     Table("harder missions", EXPLORE, bench("exploration_laser", "--hard"), "stdout"),
     Table("wheels", "", bench("wheels"), "stdout"),
-    Table("laser exploration", EXPLORE, bench("exploration_laser", "--seeds", "2"), "stdout"),
+    Table("laser exploration", EXPLORE, bench("exploration_laser", "--tables", "{out}"), "exploration.md"),
+    Table("laser missions", EXPLORE, bench("exploration_laser", "--tables", "{out}"), "missions.md"),
+    Table("laser ring", EXPLORE, bench("exploration_ring"), "stdout"),
     Table("yuan other seeds", EXPLORE, bench("exploration_seeds"), "stdout"),
     *paper("yuan", EXPLORE, ("table1", "turning", "area", "seen", "unseen", "goals", "stability"), ("ablation",)),
     Table("among walls", EXPLORE, bench("exploration", "--table", "walls"), "stdout"),
     Table("submaps", EXPLORE, bench("exploration", "--table", "submaps"), "stdout"),
-    Table("planning alone", EXPLORE, bench("exploration_laser")),
-    Table("laser missions", EXPLORE, bench("exploration_laser")),
+    Table("planning alone", EXPLORE, bench("exploration_planning"), "stdout"),
 )
