@@ -98,4 +98,5 @@ def test_ranges_in_millimetres_are_refused_with_the_log_and_how_long_they_are(of
 
 def test_a_log_whose_beams_all_lie_beyond_the_scanners_range_is_told(office):
     lines = told(office, lambda raw: replace(raw, ranges=1000.0 * raw.ranges))
-    assert lines == (f"none of {len(office.scans)} scans has a return within the greatest range: are they in metres?",)
+    n = len(office.scans)
+    assert lines == (f"{n} of {n} scans have no return at all: are the ranges in metres?",)

@@ -50,8 +50,6 @@ def map_logs(logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResul
     cfg = _configured(options)
     jobs = [(log, key, source, cfg, options.seed, options.share.get(key, 1.0)) for key, (log, source) in held.items()]
     maps = tuple(_told(made, options) for made in _worked(jobs, options))
-    if not any(made.scans.beams.any() for made in maps):
-        raise DataError(f"{', '.join(made.source for made in maps)}: no beam of any scan came back: nothing to map")
     if cfg.method != "graph":
         return scored(LaserResult(maps, laser_metrics(maps, options.seed)), options.truth)
     return _woven(maps, cfg, options, options.starts(), ())

@@ -229,10 +229,9 @@ class RawLog:
             told = ", ".join(f"{n} beams in {k} scans" for n, k in counts.most_common())
             self.warnings.append(f"the beam count changes: {told}")
         empty = sum(not _hit(raw).any() for raw in scans)
-        if empty and empty == every:
-            self.warnings.append(f"none of {every} scans has a return within the greatest range: are they in metres?")
-        elif empty:
-            self.warnings.append(f"{empty} of {every} scans have no return at all: odometry carries over them")
+        if empty:
+            why = "odometry carries over them" if empty < every else "are the ranges in metres?"
+            self.warnings.append(f"{empty} of {every} scans have no return at all: {why}")
         if nan := sum(int(np.isnan(raw.ranges).sum()) for raw in scans):
             self.warnings.append(f"{nan} ranges are not a number: read as no return")
 
