@@ -30,7 +30,7 @@ from .session import Feature, LaserSession
 from .stamp_lag import lag_told, stamp_lag
 from .unfound_places import unfound_places
 
-MANY = 20  # scans without a single return are no accident
+MANY = 20  # scans of which none has a return in reach are no accident
 
 
 def choose_feature(log: LaserLog, cfg: LaserConfig) -> Feature:
