@@ -279,3 +279,28 @@ def test_sightings_of_one_place_agree_from_wherever_and_whichever_way_the_robot_
         )
         np.testing.assert_allclose(waiting[0, len(said) - 1], place)
     assert said == [False, False, False, True]
+
+
+@pytest.mark.parametrize("said", [{"range_floor": 0.3}, {"range_share": 0.07}, {"bearing": 0.05}, {"bearing": 0.2}])
+@pytest.mark.parametrize("away", [0.99, 1.01])
+def test_two_sightings_agree_within_three_deviations_of_their_distance(said, away):
+    x, _ = random_state(9)
+    noise = PLAIN._replace(**({"range_floor": 0.02, "range_share": 0.03, "bearing": 0.01, "agree": 2} | said))
+    r, b = 4.0 / x[ekf_state.RANGE_SCALE], 0.4
+    one = noise.range_floor**2 + (noise.range_share * r) ** 2 + (noise.bearing * r) ** 2
+    place = models.locate(x[:3], np.array([r, b - x[ekf_state.BEARING_BIAS]]))
+    for side in np.array([[1.0, 0.0], [0.0, -1.0], [-0.6, 0.8]]):
+        waiting, count = np.zeros((1, ekf_start.CANDIDATES, 2)), np.ones(1, np.int64)
+        waiting[0, 0] = place + away * 3.0 * np.sqrt(2.0 * one) * side
+        assert ekf_start.consider(x, 0, 4.0, b, noise, waiting, count) == (away < 1.0)
+
+
+def test_only_the_last_few_sightings_of_a_landmark_that_waits_are_remembered():
+    x, _ = random_state(9)
+    noise = PLAIN._replace(agree=2)
+    for others in range(2 * ekf_start.CANDIDATES):
+        waiting, count = np.zeros((1, ekf_start.CANDIDATES, 2)), np.zeros(1, np.int64)
+        ranges = [4.0, *(10.0 * 2.0**k for k in range(others)), 4.0]
+        said = [ekf_start.consider(x, 0, r, 0.4, noise, waiting, count) for r in ranges]
+        assert said[:-1] == [False] * (others + 1)
+        assert said[-1] == (others < ekf_start.CANDIDATES)

@@ -49,3 +49,12 @@ def test_which_of_two_landmarks_at_one_place_is_a_coin_toss():
     p = pairing_probabilities(pairs, np.zeros((4, 2)), 0.1 * np.eye(8), 1e-4)
     assert np.allclose(p, 0.5, atol=0.01)
     assert pairing_probabilities(pairs[:0], np.zeros((0, 2)), np.zeros((0, 0)), 1e-4).shape == (0,)
+
+
+@pytest.mark.parametrize("density", [1e-300, 1e300])
+def test_two_places_that_fit_as_well_share_the_probability_however_rare_or_common_landmarks_are(density):
+    p = pairing_probabilities(np.array([[0, 1], [0, 2]]), np.zeros((2, 2)), 0.1 * np.eye(4), density)
+    assert np.allclose(p, 0.5 if density < 1 else 0.0, atol=1e-9)
+    many = np.array([[k, 20 + k] for k in range(6)])
+    p = pairing_probabilities(many, np.zeros((6, 2)), 0.1 * np.eye(12), density)
+    assert np.allclose(p, 1.0 if density < 1 else 0.0, atol=1e-9)
