@@ -94,13 +94,13 @@ def test_pairs_are_told_with_their_distance_and_its_variance_and_short_ones_are_
     assert (0, len(source)) not in found
 
 
-def enumerated(source, target):
+def enumerated(source, target, cfg=CFG):
     """Where every pair laid on every pair as long puts the source's origin -> how long the source's pair is."""
     out = {}
-    (i, j, long, u), (k, l, far, v) = _pairs(source, CFG), _pairs(target, CFG)
+    (i, j, long, u), (k, l, far, v) = _pairs(source, cfg), _pairs(target, cfg)
     for a in range(len(long)):
         for b in range(len(far)):
-            if abs(long[a] - far[b]) >= CFG.gate * np.sqrt(u[a] + v[b] + (CFG.scale_sigma * long[a]) ** 2):
+            if abs(long[a] - far[b]) >= cfg.gate * np.sqrt(u[a] + v[b] + (cfg.scale_sigma * long[a]) ** 2):
                 continue
             for p, q in ((k[b], l[b]), (l[b], k[b])):
                 s, t = source.mean[[i[a], j[a]]], target.mean[[p, q]]
@@ -121,6 +121,20 @@ def test_hypotheses_are_every_pair_laid_on_every_pair_as_long_both_ways_round():
     wanted = enumerated(source, target)
     assert set(placed(shift)) == set(wanted)
     assert len(turn) == len(shift) == len(wanted)
+
+
+@pytest.mark.parametrize(
+    ("sigmas", "noise", "scale_sigma"),
+    [((0.3, 0.02), 0.0, 1e-3), ((0.02, 0.3), 0.0, 1e-3), ((0.02, 0.02), 0.1, 1e-3), ((0.02, 0.02), 0.0, 0.1)],
+)
+def test_no_hypothesis_is_overlooked_whatever_makes_the_lengths_unsure(sigmas, noise, scale_sigma):
+    cfg = replace(CFG, noise=noise, scale_sigma=scale_sigma)
+    rng = np.random.default_rng(6)
+    source, target = (a_map(rng.uniform(-4, 4, (7, 2)), sigma * np.geomspace(0.1, 1.0, 7)) for sigma in sigmas)
+    turn, shift = _hypotheses(source, target, cfg)
+    wanted = enumerated(source, target, cfg)
+    assert set(placed(shift)) == set(wanted)
+    assert len(turn) == len(wanted) > 20
 
 
 def test_with_too_many_hypotheses_those_of_the_longest_pairs_are_tried():
@@ -221,6 +235,16 @@ def test_a_proposal_is_worked_out_to_the_true_links_and_the_scale_between_the_ma
         assert {tuple(l) for l in found} == {tuple(l) for l in links}
         assert told.scale == pytest.approx(scale, abs=0.01)
         assert told.single.max() <= 18.0
+
+
+def test_an_alignment_under_which_fewer_than_two_landmarks_meet_stays_what_was_proposed():
+    for meet in (0, 1):
+        points = np.array([[1.0, 2.0], [4.0, -3.0], [-2.0, 5.0]])
+        there = se2.act(T, points) + 30.0 * np.arange(1 - meet, 4 - meet)[:, None]
+        links, told = _worked_out(a_map(points), a_map(there), T, CFG)
+        assert links.tolist() == [[0, 0]][:meet]
+        np.testing.assert_array_equal(told.T, T)
+        assert told.scale == 1.0
 
 
 def test_a_link_that_alone_adds_too_much_is_let_go():

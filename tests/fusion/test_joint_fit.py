@@ -1,6 +1,8 @@
 """Two maps laid over each other with both covariances whole, against dense least squares, and rigid fits that survive
 wrong points."""
 
+from itertools import combinations, permutations
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -182,3 +184,34 @@ def test_the_evidence_for_links_is_the_integral_over_every_transform_and_scale(l
     integral *= (spread[1] * (steps[1] - steps[0])) ** 2 / (2 * np.pi * area)
     want = np.log(integral) + links * np.log(area)
     assert alignment.log_evidence(*maps, pairs, fit, area, NOISE, SCALE) == pytest.approx(want, abs=0.05)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_known_of_transform_and_scale_is_the_numeric_jacobian_weighed_with_both_covariances(seed):
+    source, target, links, T = pair(seed)
+    V, N = alignment._precision(source, target, links, T, NOISE, SCALE)
+    x, h = np.append(T, 1.0), 1e-6
+    J = [
+        whitened(x + h * u, T[2], source, target, links) - whitened(x - h * u, T[2], source, target, links)
+        for u in np.eye(4)
+    ]
+    J = np.stack(J, axis=1) / (2 * h)
+    np.testing.assert_allclose(N, J.T @ J, rtol=1e-5, atol=1e-5 * np.abs(N).max())
+    W = _Linked(source, target, links, NOISE, SCALE).linearised(x)[0]
+    np.testing.assert_allclose(V @ W, np.eye(2 * len(links)), atol=1e-9)
+
+
+@pytest.mark.parametrize(("n", "m"), [(1, 1), (4, 4), (3, 5), (5, 2)])
+def test_the_ways_in_which_landmarks_can_correspond_are_those_that_are_counted_one_by_one(n, m):
+    for k in range(min(n, m) + 1):
+        ways = sum(1 for _ in combinations(range(n), k) for _ in permutations(range(m), k))
+        assert alignment.log_correspondences(k, n, m) == pytest.approx(np.log(ways), abs=1e-12)
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 300])
+def test_the_area_of_landmarks_is_that_of_a_disc_spread_as_widely(n):
+    at = np.linspace(0.0, 2 * np.pi, 6, endpoint=False)
+    ring = np.stack([np.cos(at), np.sin(at)], axis=1)
+    points = np.concatenate([np.sqrt((k + 0.5) / n) * ring for k in range(n)])
+    m = LandmarkMap(tuple(map(str, range(6 * n))), 3.0 * points + [50.0, -70.0], np.eye(12 * n))
+    assert alignment.spread_area(m) == pytest.approx(9 * np.pi, rel=1e-9)  # a disc of 3 m in rings of equal area
