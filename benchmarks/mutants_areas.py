@@ -231,11 +231,13 @@ AREAS = (
             "team:step_factor",
             "team:team_problem",
             "team:sighting_factors",
+            "team:scan_factor",
             "team:Smoothed",
         ),
         (
             "tests/team/test_commanded_motion.py",
             "tests/team/test_team_algebra.py",
+            "tests/team/test_scan_factors.py",
             "tests/team/test_smoothing.py::test_all_derivatives_are_those_of_differences",
         ),
         ("tests/team/test_smoothing.py",),
@@ -354,6 +356,24 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "for a, b in zip(*linear_sum_assignment(np.minimum(distance, 1e3)), strict=True):",
         "for a, b in zip(*linear_sum_assignment((distance)), strict=True):",
         "distances beyond a kilometre, and those of what nobody else holds, are beyond every gate either way",
+    ),
+    Equivalent(
+        "core:align",
+        "a, b = source - ms, target - mt",
+        "a, b = source - ms, target",
+        "products with points that lie about their own middle sum to the same wherever the others' middle is",
+    ),
+    Equivalent(
+        "core:align",
+        "a, b = source - ms, target - mt",
+        "a, b = source, target - mt",
+        "products with points that lie about their own middle sum to the same wherever the others' middle is",
+    ),
+    Equivalent(
+        "solve:minimise",
+        "damping, raised = damping * max(1 / 3, 1 - (2 * min(gain, 1.0) - 1) ** 3), 2.0",
+        "damping, raised = damping * max(1 / 3, 1 - (2 * (gain) - 1) ** 3), 2.0",
+        "where the gain is more than one, the damping falls to a third either way; the bound keeps the cube finite",
     ),
     Equivalent(
         "solve:minimise",

@@ -124,6 +124,23 @@ def test_what_an_edge_counts_is_the_weight_of_least_cost_with_what_dropping_it_c
     assert truncated_weights(np.array([high * (1 - 1e-12)]), gate, control)[0] >= FADED
 
 
+@pytest.mark.parametrize("astray", ["what is given", "what the search for contradictions ends at"])
+def test_of_the_minima_that_two_starts_lead_to_the_lower_is_taken(monkeypatch, astray):
+    truth, graph = laps(np.random.default_rng(1), n=20, closures=0)
+    ring = graph.joined(PoseGraph.of(graph.pose, [(19, 0)], [se2.between(truth[19], truth[0])], [np.diag(SD**-2.0)]))
+    wound = truth.copy()
+    wound[:, 2] += 2 * np.pi / 20 * np.arange(20)  # the headings go round once too often: a minimum of its own
+    wound[:, 2] = se2.wrap_angle(wound[:, 2])
+    given, found = (wound, truth) if astray == "what is given" else (truth, wound)
+    all_of_them = np.ones(ring.edges, dtype=bool)
+    monkeypatch.setattr(robust_graph, "_believed", lambda *_: (all_of_them, found, 1, 1))
+    solved = solve_graph(replace(ring, pose=given), RobustGraphConfig(gate=1e9, chance=1e-300))
+    plain = [solve_graph(replace(ring, pose=start), PLAIN).chi2 for start in (truth, wound)]
+    assert plain[1] > 10 * plain[0]
+    assert solved.chi2 == pytest.approx(plain[0], rel=1e-6)
+    assert solved.used.all()
+
+
 def test_without_a_search_for_contradictions_a_graph_is_solved_once():
     _, graph = laps(np.random.default_rng(1), n=24, closures=6)
     plain = solve_graph(graph, PLAIN)
