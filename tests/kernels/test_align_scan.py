@@ -15,7 +15,7 @@ from mapweave.kernels.laser.local_map import (
     rotate_information,
     solve3,
 )
-from mapweave.kernels.laser.refine import ScanCost, refine
+from mapweave.kernels.laser.refine import ScanCost, refine, stepped
 from mapweave.kernels.laser.windows import NearestRule, score
 from mapweave.laser.particle_grid import CellConfig, ParticleGrid
 
@@ -260,3 +260,18 @@ def test_a_step_of_refining_a_particle_is_the_dense_one_against_its_own_map():
     weighed = np.empty_like(least)
     score(grid.tile_maps, np.arange(2), starts, feet, NearestRule(ALPHA, cap), weighed)
     np.testing.assert_array_equal(least, weighed)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_step_is_the_dense_one_of_what_beams_say_here_and_the_start_says_in_its_own_axes(seed):
+    rng = np.random.default_rng(seed)
+    start, off = rng.uniform(-2, 2, 3), rng.normal(0, 0.3, 3)
+    pose = start + off
+    A, B, g = rng.normal(size=(3, 3)), rng.normal(size=(3, 3)), rng.normal(size=3)
+    H, prior = A @ A.T + 0.3 * np.eye(3), 3.0 * B @ B.T
+    sums = (*H[np.triu_indices(3)], *g)
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    here, there = se2.turn(float(pose[2])), se2.turn(float(start[2]))
+    W = there @ prior @ there.T
+    wanted = pose - np.linalg.solve(here @ H @ here.T + W, here @ g + W @ off)
+    np.testing.assert_allclose(stepped(*pose, *start, c, s, prior, sums), wanted, atol=1e-9)

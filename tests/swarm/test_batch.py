@@ -5,7 +5,7 @@ import pytest
 
 from mapweave.core.errors import DataError
 from mapweave.swarm.locate import locate
-from mapweave.swarm.network import BearingNetwork
+from mapweave.swarm.network import BearingNetwork, Distance
 from mapweave.swarm.result import SwarmStatus
 
 from .swarms import score, simulated
@@ -34,6 +34,20 @@ def test_joint_covariance_agrees_with_the_blocks_and_anchors_have_none():
     np.testing.assert_allclose(blocks, estimate.cov, atol=1e-12)
     assert not estimate.cov[estimate.anchor].any()
     assert np.linalg.eigvalsh(joint).min() > -1e-12
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.3])
+def test_a_known_distance_is_as_sure_as_it_says_and_an_exact_one_ten_thousand_times_as_any_sighting(sigma):
+    places = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, -10.0]])
+    who, whom = np.array([0, 2]), np.array([1, 1])
+    net = BearingNetwork(
+        ("a", "b", "c"), 2, who, whom, np.array([0.0, np.pi / 2]), np.array([0.05, 0.01]),
+        {0: places[0], 2: places[2]}, (Distance(0, 1, 4.0, sigma),),
+    )  # fmt: skip
+    estimate = locate(net)
+    np.testing.assert_allclose(estimate.position, places, atol=1e-6)
+    along = (sigma or 4.0 * 1e-4 * 0.01) ** -2.0 + (10.0 * 0.01) ** -2.0
+    np.testing.assert_allclose(estimate.cov[1], np.diag([1.0 / along, (4.0 * 0.05) ** 2]), rtol=1e-4, atol=1e-13)
 
 
 def test_no_sightings_is_an_error():

@@ -1,5 +1,7 @@
 """The paper's filter does what its equations say, and the batch estimator does better."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -35,6 +37,21 @@ def test_the_iterated_update_ends_at_the_most_likely_positions():
     net, _ = simulated(4, robots=36, sigma=2.0)
     filtered = locate(net, SwarmConfig(method="iekf", prior_sigma=1e4))
     np.testing.assert_allclose(filtered.position, locate(net).position, atol=1e-3)
+
+
+@pytest.mark.parametrize("form", ["ekf", "iekf", "fej"])
+def test_sets_of_sightings_and_turns_are_counted_over_all_updates(form):
+    rng = np.random.default_rng(4)
+    net = complete(PAPER, 0.5, rng, anchors=(0, 1))
+    state = filter_start(net, PAPER + rng.normal(size=PAPER.shape))
+    turns = []
+    for k in range(3):
+        alone = update(replace(state, updates=0, iterations=0), net, form)
+        state = update(state, net, form)
+        turns.append(alone.iterations)
+        assert (alone.updates, state.updates) == (1, k + 1)
+        assert state.iterations == sum(turns)
+    assert (min(turns) > 1) == (form == "iekf")
 
 
 def test_exact_sightings_are_taken_in_although_the_matrix_of_the_paper_is_singular():
