@@ -112,6 +112,17 @@ def test_other_records_than_scans_and_empty_scans_move_nothing():
     assert same.poses is poses
 
 
+@pytest.mark.parametrize(("matched", "weighed", "moves"), [(10, 10, True), (100, 10, False), (10, 100, False)])
+def test_a_scan_of_fewer_returns_than_matching_or_weighing_asks_for_moves_no_particle(matched, weighed, moves):
+    cfg = small()
+    front = replace(cfg.front_end, least_beams=matched)
+    cfg = replace(cfg, filter=replace(cfg.filter, least_beams=weighed), front_end=front)
+    state, infos = driven([0.0, 2.0], cfg)
+    assert (infos[1].decision == "empty") == (matched == 100)
+    assert len(state.history) == 1 + moves
+    assert np.isfinite(infos[1].n_eff) == moves
+
+
 def test_the_trajectory_goes_through_the_ancestors_of_the_likeliest_particle():
     cfg = small()
     state, _ = driven([0.0, 0.5, 1.0], cfg)

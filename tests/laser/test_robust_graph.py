@@ -102,6 +102,7 @@ def test_false_closures_are_dropped_and_told(method, share):
             assert d.nis > 16.27
             assert (d.first, d.second) == (bad.first[d.edge], bad.second[d.edge])
             assert f"{np.sqrt(d.nis):.1f} standard deviations" in d.reason
+            assert "the limit is 4.0" in d.reason
         assert clean.used.sum() >= graph.edges - 1
         cost = squares(replace(graph, pose=solved.graph.pose))[clean.used].sum()
         assert cost <= 1.05 * clean.chi2
@@ -201,6 +202,11 @@ def test_a_false_closure_that_bends_the_graph_to_itself_is_found():
     assert solve_graph(bad, PLAIN).nis[-1] < 16.27
     assert not solved.used[-1]
     assert solved.used[:-1].all()
+    (told,) = solved.dropped
+    assert ("most others" in told.reason) == (told.nis <= 16.27)
+    fits = robust_graph._dropped(bad, 4, 16.0, 16.27, 0.25)
+    assert (fits.edge, fits.first, fits.second, fits.nis) == (4, bad.first[4], bad.second[4], 16.0)
+    assert fits.reason == "it lies 4.0 standard deviations from what the rest says, most others 0.50"
 
 
 @pytest.mark.data

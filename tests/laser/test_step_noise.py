@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mapweave.core import se2
 from mapweave.laser.graph_slam import GONE
 from mapweave.laser.keyframes import (
     KeyframeConfig,
@@ -76,3 +77,29 @@ def test_a_keyframes_step_drifts_with_the_way_since_the_last_one():
     assert not first.cov.any()
     still = step_covariance(lines, 2 * wheel_noise(step, NOISE), 0.0, NOISE)
     assert second.cov[2, 2] - still[2, 2] == pytest.approx(NOISE.drift_turn**2, rel=0.05)
+
+
+def test_keyframes_are_counted_and_their_steps_lead_from_each_to_the_next():
+    rng = np.random.default_rng(2)
+    cfg = KeyframeConfig(distance=0.9, turn=0.45)
+    maker, pose, path, made = KeyframeMaker(3, cfg), np.array([1.0, -2.0, 0.5]), 0.0, []
+    maker.advance(pose, np.zeros(3), np.zeros((3, 3)))
+    for k in range(60):
+        before = made[-1].local if made else None
+        new = maker.keyframe(float(k), GONE)
+        far = before is None or np.hypot(*(pose - before)[:2]) >= 0.9 or abs(se2.wrap_angle(pose - before)[2]) >= 0.45
+        assert (new is not None) == far
+        if new is not None:
+            assert (new.robot, new.number, new.t) == (3, len(made), float(k))
+            assert new.path == pytest.approx(path)
+            np.testing.assert_array_equal(new.local, pose)
+            if before is not None:
+                np.testing.assert_allclose(se2.compose(before, new.step), pose, atol=1e-12)
+            assert maker.last is new
+            made.append(new)
+        step = np.array([*rng.uniform(-0.2, 0.4, 2), rng.uniform(-0.4, 0.4)])
+        pose = se2.compose(pose, step)
+        path += np.hypot(*step[:2])
+        maker.advance(pose, step, 1e4 * np.eye(3))
+    turned = sum(np.hypot(*k.step[:2]) < 0.9 for k in made[1:])
+    assert 3 < turned < len(made) - 4
