@@ -110,3 +110,39 @@ def test_false_closures_stand_outside_the_largest_consistent_set(false):
         near = (squares <= 20.0) & ~np.eye(n, dtype=bool)
         found = largest_clique(near)
         assert found.members == tuple(range(10))
+
+
+def random_covariances(rng, *shape):
+    A = 0.05 * rng.normal(size=(*shape, 3, 3))
+    return A @ A.swapaxes(-1, -2) + 1e-4 * np.eye(3)
+
+
+@pytest.mark.parametrize("ways", ["none", "first", "second", "both"])
+def test_a_cycles_error_is_weighed_with_what_small_errors_of_its_parts_make_of_it(ways):
+    rng = np.random.default_rng(11)
+    n, h = 4, 1e-6
+    first, second, measured = sampled(rng, n, np.array([0.3, 0.2, 0.1]), np.zeros(3))
+    own, one, two = random_covariances(rng, n), random_covariances(rng, n, n), random_covariances(rng, n, n)
+    one, two = (one if ways in ("first", "both") else None), (two if ways in ("second", "both") else None)
+    squares = cycle_squares(first, second, measured, own, one, two)
+    assert not np.diag(squares).any()
+    for k in range(n):
+        for l in range(k + 1, n):
+
+            def error(d, k=k, l=l):
+                u = se2.compose(se2.between(first[l], first[k]), d[:3])
+                v = se2.compose(se2.between(second[k], second[l]), d[9:])
+                ahead = se2.compose(u, se2.compose(se2.compose(measured[k], d[3:6]), v))
+                return se2.between(se2.compose(measured[l], d[6:9]), ahead)
+
+            e = error(np.zeros(12))
+            J = np.stack([se2.between(e, error(h * d)) / h for d in np.eye(12)], axis=1)
+            S = np.zeros((12, 12))
+            S[3:6, 3:6], S[6:9, 6:9] = own[k], own[l]
+            if one is not None:
+                S[:3, :3] = one[l, k]
+            if two is not None:
+                S[9:, 9:] = two[k, l]
+            wanted = e @ np.linalg.solve(J @ S @ J.T, e)
+            assert squares[k, l] == pytest.approx(wanted, rel=1e-4)
+            assert squares[l, k] == squares[k, l]

@@ -260,6 +260,44 @@ def test_priors_hold_the_graph_where_they_say():
     assert solved.prior_nis.shape == (2,)
 
 
+def test_how_far_a_prior_lies_from_the_rest_is_what_solving_without_it_says():
+    truth, graph = laps(np.random.default_rng(9), n=16, closures=8)
+    rng = np.random.default_rng(10)
+    B = rng.normal(size=(3, 3, 3))
+    priors = [
+        Prior(k, se2.compose(truth[k], rng.normal(0, 0.1, 3)), 100.0 * (b @ b.T + np.eye(3)))
+        for k, b in zip((2, 7, 12), B, strict=True)
+    ]
+    told = solve_graph(graph, PLAIN, priors=priors)
+    for k, prior in enumerate(priors):
+        less = solve_graph(graph, PLAIN, priors=[p for p in priors if p is not prior])
+        r = se2.between(prior.pose, less.graph.pose[prior.vertex])
+        J = se2.turn(-float(prior.pose[2]))
+        S = J @ less.covariances()[prior.vertex] @ J.T + np.linalg.inv(prior.information)
+        assert told.prior_nis[k] == pytest.approx(r @ np.linalg.solve(S, r), rel=0.15, abs=0.05)
+    assert told.prior_nis.max() > 1.0
+
+
+def test_how_far_held_poses_lie_from_the_rest_is_told_with_the_first_of_each_part_alone_held():
+    _, graph = laps(np.random.default_rng(6), n=30, closures=0)
+    keep = graph.second != 15
+    cut = PoseGraph(graph.pose, graph.first[keep], graph.second[keep], graph.measured[keep], graph.information[keep])
+    moved = cut.pose.copy()
+    held = (3, 9, 14, 20, 28)
+    moved[[9, 14, 28]] += np.array([[0.1, -0.2, 0.05], [0.0, 0.3, 0.1], [-0.2, 0.1, -0.1]])
+    told = solve_graph(replace(cut, pose=moved), PLAIN, fixed=held)
+    free = solve_graph(replace(cut, pose=moved), PLAIN, fixed=(3, 20))
+    P = free.covariances()
+    for k, at in enumerate(held):
+        off = moved[at] - free.graph.pose[at]
+        off[2] = se2.wrap_angle(off[2])
+        wanted = 0.0 if at in (3, 20) else off @ np.linalg.solve(P[at], off)
+        assert told.fixed_nis[k] == pytest.approx(wanted, rel=1e-4, abs=1e-9)
+        np.testing.assert_allclose(told.graph.pose[at], moved[at], atol=1e-14)
+    assert told.fixed_nis[1] > 1.0
+    assert not solve_graph(cut, PLAIN, fixed=(3, 20)).fixed_nis.any()
+
+
 def test_graphs_nobody_can_solve_are_refused():
     _, graph = laps(np.random.default_rng(8), n=10, closures=2)
     information = graph.information.copy()
