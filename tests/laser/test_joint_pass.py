@@ -162,6 +162,57 @@ def test_keyframes_that_stand_wrong_are_moved_to_where_their_walls_agree():
     assert np.hypot(*after[:, :2].T).max() < 0.025
 
 
+def test_a_round_is_the_dense_step_of_steps_ties_and_all_pairs_that_enough_returns_tell():
+    truth = around(8)
+    rng = np.random.default_rng(3)
+    pose = truth + rng.normal(0, [0.02, 0.02, 0.01], truth.shape)
+    steps, cloud = steps_of(truth, pose), cloud_at(truth, most=60)
+    drift = se2.compose(steps.measured, rng.normal(0, 0.02, (7, 3)))
+    steps = replace(steps, measured=np.asarray(drift))
+    ties = PoseGraph.of(pose, [(1, 6)], [se2.between(truth[1], truth[6])], [np.diag([2e4, 1e4, 3e4])])
+    cfg = replace(
+        CFG,
+        widths=(0.08,),
+        before=2,
+        around=2,
+        least_matches=20,
+        least_share=0.7,
+        sigma=0.03,
+        temper=0.2,
+        step_trust=0.6,
+    )
+    x, n = pose.ravel(), len(pose)
+    H, g = np.zeros((3 * n, 3 * n)), np.zeros(3 * n)
+    H[:3, :3] = 1e8 * np.eye(3)
+    edges = [(i, i + 1, drift[i], 0.6 * steps.information[i] + np.diag([400.0, 400.0, 1 / 0.03**2])) for i in range(7)]
+    edges.append((1, 6, ties.measured[0], ties.information[0]))
+
+    def added(i, j, W, pull):
+        at, h = np.r_[3 * i : 3 * i + 3, 3 * j : 3 * j + 3], 1e-6
+        moved = x[at] + np.concatenate([h * np.eye(6), -h * np.eye(6)])
+        there = se2.between(moved[:, :3], moved[:, 3:])
+        J = (there[:6] - there[6:]).T / (2 * h)
+        H[np.ix_(at, at)] += J.T @ W @ J
+        g[at] += J.T @ pull
+
+    for i, j, z, information in edges:
+        here, R = se2.between(pose[i], pose[j]), se2.turn(-float(z[2]))  # residuals are in the frame that is measured
+        added(i, j, R.T @ information @ R, R.T @ information @ se2.between(z, here))
+    counted, index, pairs = 0, cloud.index(cfg.sectors), paired(pose, cfg)
+    for i, j in [*pairs.tolist(), *pairs[:, ::-1].tolist()]:
+        ends = np.array([i]), np.array([j]), np.asarray(se2.between(pose[i], pose[j]))[None]
+        W, pull, _, near = match_pairs(*ends, cloud.lines, index, LineGate(cfg.gate * 0.08, cfg.agree), 0.08)
+        if near[0] >= 20 and near[0] >= 0.7 * cloud.lined[cloud.start[j] : cloud.start[j + 1]].sum():
+            W, pull = without_scatter(W, pull, cfg.blur)
+            added(i, j, 0.2 / 0.03**2 * W[0], 0.2 / 0.03**2 * pull[0])
+            counted += 1
+    assert 4 < counted < 2 * len(pairs)
+    wanted = (x - np.linalg.solve(H, g)).reshape(-1, 3)
+    moved = se2.between(wanted, joint_pass(steps, cloud, cfg, ties))
+    np.testing.assert_allclose(moved, 0.0, atol=1e-6)
+    assert np.abs(wanted - pose).max() > 1e-3
+
+
 def test_scans_are_laid_on_the_keyframes_around_them_but_not_on_themselves():
     truth = around()
     cloud = cloud_at(truth)

@@ -132,6 +132,20 @@ def test_brightness_decides_where_walls_alone_cannot():
     assert fit.covariance[0, 0] > 25 * fit.covariance[1, 1]
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.2, 0.25, 3.0, np.pi, 4.0])
+@pytest.mark.parametrize("step", [0.05, 0.1, 0.11])
+def test_headings_are_evenly_spaced_about_the_middle_and_of_a_full_circle_all_the_way_round(turn, step):
+    found = headings(Window(np.array([1.0, 2.0, -2.5]), (1.0, 1.0), turn), step)
+    if turn >= np.pi:
+        gaps = np.diff([*found, found[0] + 2 * np.pi])
+        np.testing.assert_allclose(gaps, gaps[0])
+        assert step - step**2 / 6 < gaps[0] <= step
+        return
+    np.testing.assert_allclose(np.diff(found), step)
+    np.testing.assert_allclose(found + found[::-1], -5.0)
+    assert turn - step < found[-1] + 2.5 <= turn + 1e-12
+
+
 def test_a_refined_pose_lies_within_its_own_covariance():
     rng = np.random.default_rng(2)
     place = walls(rng, 14)
