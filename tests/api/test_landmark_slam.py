@@ -1,11 +1,14 @@
 """Rows that come one by one: the same map as of their tables, the filter's poses on the way, bad rows refused."""
 
+import json
+
 import numpy as np
 import pytest
 
 import mapweave
 from mapweave.core.errors import DataError, UsageError
 from mapweave.io.landmark_logs import read_landmark_logs
+from mapweave.io.local_map import read_local_map
 
 
 @pytest.fixture(scope="module")
@@ -72,3 +75,22 @@ def test_a_row_that_cannot_be_is_refused_and_leaves_the_map_as_it_was(log):
     assert np.array_equal(slam.pose.pose, before)
     with pytest.raises(UsageError, match="whole number"):
         mapweave.LandmarkSlam(robot="left")
+
+
+def test_what_one_robot_saw_of_others_stays_in_its_local_map(log, tmp_path):
+    """Robot 7 stands where the first landmark does."""
+    slam = mapweave.LandmarkSlam()
+    first = log.sightings.ids[log.sightings.what[0]]
+    times = 0
+    for name, args in rows(log):
+        getattr(slam, name)(*args)
+        if args[1] == first:
+            slam.add_sighting(args[0], "robot7", *args[2:])
+            slam.add_sighting(args[0], "robot1", *args[2:])
+            times += 1
+    slam.save(tmp_path / "one")
+    seen = read_local_map(tmp_path / "one" / "local" / "robot1").robot_sightings
+    assert set(seen.target) == {"robot7"}
+    assert len(seen.t) > 0.8 * times
+    told = json.loads((tmp_path / "one" / "metrics.json").read_text(encoding="utf-8"))["robots"]["1"]
+    assert told["dropped"]["sighting of itself or of no robot"] == times

@@ -1,10 +1,11 @@
 """Landmark logs opened, whatever holds them: an MRCLAM data set (folder or zip) or a folder of plain CSV.
 
 The folder holds `odometry.csv` (t,robot,v,w) and `sightings.csv` (t,robot,id,range,bearing). The header line is needed
-and may order the columns freely. Robots are whole numbers; an id `robotK` names a robot. A sighting whose range is
-empty, or a table without that column, tells bearings alone.
+and may order the columns freely. Robots are whole numbers; an id `robotK` names a robot, which in the log of several is
+one of them. A sighting whose range is empty, or a table without that column, tells bearings alone.
 """
 
+import re
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
@@ -107,6 +108,8 @@ def _logs(
     if missing:
         raise DataError(f"{path}: no robot {missing[0]}; there are {', '.join(map(str, found))}")
     names = {f"robot{k}" for k in found} | set(others or ())
+    if len(found) == 1:  # one robot's own log: whoever it saw has one elsewhere
+        names |= {name for name in seen[2] if re.fullmatch(r"robot\d+", name)}
     logs = []
     for k in found if robots is None else robots:
         mend = landmark_log.Mending()
