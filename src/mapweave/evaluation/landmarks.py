@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.truth import Survey
+from ..fusion.cluster import ENOUGH, average, clusters
 from ..landmarks.landmark_map import LandmarkMap
 from .consistency import gauge_free_nees
 
@@ -97,42 +98,21 @@ def find_exchanges(landmarks: LandmarkMap, survey: Survey) -> tuple[tuple[Exchan
     return tuple(exchanges), _exchanged(survey, exchanges)
 
 
-def naive_mean(maps: Sequence[LandmarkMap], rounds: int = 20) -> LandmarkMap | None:
+def naive_mean(maps: Sequence[LandmarkMap]) -> LandmarkMap | None:
     """The equal-weight Procrustes mean: what one would do without covariances. Its covariance is the identity.
 
-    Every map is aligned to the mean so far over what they share, most in common first; then all again, until still.
-    A map that shares fewer than two landmarks with the rest is left out.
+    Of the maps that hang together by two shared landmarks or more each; None where no map has two landmarks.
     """
-    waiting = sorted((m for m in maps if len(m) > 1), key=lambda m: -len(m))
-    if not waiting:
+    usable = [m for m in maps if len(m) >= ENOUGH]
+    if not usable:
         return None
-    placed = [waiting.pop(0)]
-    mean = dict(zip(placed[0].ids, placed[0].mean, strict=True))
-    while waiting:
-        waiting.sort(key=lambda m: -sum(name in mean for name in m.ids))
-        if sum(name in mean for name in waiting[0].ids) < 2:
-            break
-        placed.append(waiting.pop(0))
-        mean = _average([_fit(m, mean) for m in placed])
-    for _ in range(rounds):
-        mean = _average([_fit(m, mean) for m in placed])
-    ids = tuple(sorted(mean))
-    return LandmarkMap(ids, np.array([mean[name] for name in ids]), np.eye(2 * len(ids)))
+    largest = clusters(usable)[0]
+    joined = average([usable[k] for k in largest.members], largest)
+    return LandmarkMap(joined.ids, joined.mean, np.eye(2 * len(joined.ids)))
 
 
 def _gain(exchange: Exchange) -> float:
     return exchange.before - exchange.after
-
-
-def _fit(landmarks: LandmarkMap, mean: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    both = [i for i, name in enumerate(landmarks.ids) if name in mean]
-    T = se2.align(landmarks.mean[both], np.array([mean[landmarks.ids[i]] for i in both]))
-    return dict(zip(landmarks.ids, se2.act(T, landmarks.mean), strict=True))
-
-
-def _average(placed: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    names = dict.fromkeys(name for one in placed for name in one)
-    return {name: np.mean([one[name] for one in placed if name in one], axis=0) for name in names}
 
 
 def _common(landmarks: LandmarkMap, survey: Survey) -> tuple[LandmarkMap, Float[np.ndarray, "n 2"]]:
