@@ -1,6 +1,6 @@
 """Fusing local maps through relative information: every map a measurement, all solved together, sparse.
 
-The recursive form is in `relative_rls`; here the same measurements are summed in information form,
+The paper's recursive form is in `papers/kojima/rls.py`; here the same measurements are summed in information form,
 `Lambda += H^T R^-1 H`, and iterated to convergence from a Procrustes start. Source: [Kojima12], made exact.
 """
 
