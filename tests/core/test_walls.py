@@ -1,10 +1,12 @@
 """Walls against brute force: distance, touch, inside, the raster of places too near, and walls of a raster."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
 from mapweave.core.walls import Walls, walls_of_raster
-from mapweave.kernels.walls.segments import distance_of_moves
+from mapweave.kernels.walls.segments import distance_of_moves, touches
 
 RNG = np.random.default_rng(5)
 SEGMENTS = RNG.uniform(-6, 6, (14, 4))
@@ -56,6 +58,19 @@ def test_a_move_touches_a_wall_exactly_when_the_lines_meet():
 def test_ends_and_parallel_moves_count_as_touching(a, b, touches):
     wall = np.array([[2.0, -1.0, 2.0, 2.0]])
     assert (distance_of_moves(np.array([a], float), np.array([b], float), wall) == 0).tolist() == [touches]
+
+
+@pytest.mark.kernel
+@pytest.mark.parametrize("along", [(1, 0), (0, 1), (1, 1), (2, -1)])
+def test_a_move_along_the_line_of_a_wall_touches_it_exactly_when_their_spans_overlap(along):
+    u, places = np.array(along, float), range(4)
+    for c, d in product(places, places):
+        wall = np.concatenate([c * u, d * u])[None] + 0.5
+        for a, b in product(places, places):
+            overlap = max(min(a, b), min(c, d)) <= min(max(a, b), max(c, d))
+            start, end = a * u + 0.5, b * u + 0.5
+            assert touches(*start, *end, wall, 0) == overlap, (a, b, c, d)
+            assert (distance_of_moves(start[None], end[None], wall)[0] == 0) == overlap, (a, b, c, d)
 
 
 @pytest.mark.kernel
