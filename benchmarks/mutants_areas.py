@@ -162,6 +162,7 @@ AREAS = (
         ),
         (
             "tests/swarm/test_bearing_model.py",
+            "tests/swarm/test_factors.py",
             "tests/swarm/test_gauge.py",
             "tests/swarm/test_network.py",
             "tests/swarm/test_contradiction.py",
@@ -370,10 +371,40 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "products with points that lie about their own middle sum to the same wherever the others' middle is",
     ),
     Equivalent(
+        "core:align",
+        "a, b = source - ms, target - mt",
+        "a, b = source - ms, target + mt",
+        "products with points that lie about their own middle sum to the same wherever the others' middle is",
+    ),
+    Equivalent(
+        "core:align",
+        "a, b = source - ms, target - mt",
+        "a, b = source + ms, target - mt",
+        "products with points that lie about their own middle sum to the same wherever the others' middle is",
+    ),
+    Equivalent(
         "solve:minimise",
         "damping, raised = damping * max(1 / 3, 1 - (2 * min(gain, 1.0) - 1) ** 3), 2.0",
         "damping, raised = damping * max(1 / 3, 1 - (2 * (gain) - 1) ** 3), 2.0",
         "where the gain is more than one, the damping falls to a third either way; the bound keeps the cube finite",
+    ),
+    Equivalent(
+        "kernels/exploration:lap_sightings",
+        "if dx * dx + dy * dy > SURELY_BEYOND * reach * reach:",
+        "if dx * dx > SURELY_BEYOND * reach * reach:",
+        "a look that is surely beyond is left without asking exactly; those that are asked are not in view either",
+    ),
+    Equivalent(
+        "kernels/exploration:lap_sightings",
+        "if dx * dx + dy * dy > SURELY_BEYOND * reach * reach:",
+        "if (dy * dy) > SURELY_BEYOND * reach * reach:",
+        "a look that is surely beyond is left without asking exactly; those that are asked are not in view either",
+    ),
+    Equivalent(
+        "team:team_covariance",
+        "information = term.normal(x)[0] + TINY * np.eye(term.columns.shape[1])",
+        "information = term.normal(x)[0] - TINY * np.eye(term.columns.shape[1])",
+        "far below the information of any prior, and lost in its rounding",
     ),
     Equivalent(
         "solve:minimise",

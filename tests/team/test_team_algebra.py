@@ -23,6 +23,7 @@ CFG = SmoothingConfig()
 POINTS = np.array([[2.0, 1.0], [3.5, -1.0], [0.5, 2.5], [4.0, 2.0], [1.0, -2.0]])
 NAMES = tuple("abcde")
 SOLVE = TeamProblem.solve
+FIELDS = ("t", "what", "range", "bearing")
 
 
 def driven(robot, start, rng, seconds=18.0, noise=1.0, odometry=True):
@@ -247,6 +248,38 @@ def test_sightings_that_err_together_are_told_from_those_that_do_not():
         assert factor == pytest.approx(max(1.0, together / alone))
     assert factors[0] > 1.5
     assert _correlation(team, 0, x, 1e-3) == 1.0
+
+
+def test_of_a_robot_that_saw_no_landmark_the_others_sightings_of_it_are_asked():
+    rng = np.random.default_rng(8)
+    (one, two), landmarks, tracks = logs_and_map()
+    stamps = np.arange(1.0, 17.0, 0.4)
+    eye, there = (se2.interpolate(stamps, tracks[r].t, tracks[r].pose) for r in ("robot1", "robot2"))
+    d = se2.between(eye, there)
+    r = np.hypot(d[:, 0], d[:, 1]) + 0.3 * np.sin(0.3 * stamps) + 0.02 * rng.normal(size=len(stamps))
+    own = one.sightings
+    seen, order = np.concatenate([own.t, stamps]), np.argsort(np.concatenate([own.t, stamps]), kind="stable")
+    table = SightingTable(
+        seen[order],
+        np.concatenate([own.what, np.full(len(stamps), 5)])[order],
+        np.concatenate([own.range, r])[order],
+        np.concatenate([own.bearing, np.arctan2(d[:, 1], d[:, 0])])[order],
+        (*own.ids, "robot2"),
+    )
+    blind = replace(two, sightings=replace(two.sightings, **{f: getattr(two.sightings, f)[:0] for f in FIELDS}))
+    team = team_problem([replace(one, sightings=table), blind], landmarks, tracks, {}, {}, CFG)
+    x = team.problem.x0
+    ((term, origin),) = ((t, o) for t, o in zip(team.problem.terms, team.origins, strict=True) if t.name == "robot")
+    assert origin.robot == 0
+    np.testing.assert_array_equal(origin.t, stamps)
+    g = term.normal(x)[1][:, 3:5]
+    slots = [stamps // CFG.memory == slot for slot in range(5)]
+    together = sum(np.square(g[rows].sum(axis=0)).sum() for rows in slots)
+    factor = _correlation(team, 1, x, CFG.memory)
+    assert factor == pytest.approx(together / np.square(g).sum())
+    assert factor > 1.5
+    alone = team_problem([one, blind], landmarks, tracks, {}, {}, CFG)
+    assert _correlation(alone, 1, alone.problem.x0, CFG.memory) == 1.0
 
 
 def test_heading_that_wanders_moves_a_robot_aside_as_its_integral_does():
