@@ -407,6 +407,30 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "far below the information of any prior, and lost in its rounding",
     ),
     Equivalent(
+        "solve:Pattern",
+        "if 4 * len(where) > len(into):",
+        "if 4 * len(where) <= len(into):",
+        "both ways add up the same numbers in the same order; the choice is one of time alone",
+    ),
+    Equivalent(
+        "solve:Pattern",
+        "if 4 * len(where) > len(into):",
+        "if 40.0 * len(where) > len(into):",
+        "both ways add up the same numbers in the same order; the choice is one of time alone",
+    ),
+    Equivalent(
+        "solve:Pattern",
+        "if 4 * len(where) > len(into):",
+        "if 4 / len(where) > len(into):",
+        "both ways add up the same numbers in the same order; the choice is one of time alone",
+    ),
+    Equivalent(
+        "kernels/laser:intensity_icp",
+        "max(math.floor((bx - reach) * inverse), 0),",
+        "max(math.floor((-(reach)) * inverse), 0),",
+        "cells farther left are looked into too, and nothing there is nearer",
+    ),
+    Equivalent(
         "solve:minimise",
         "if cfg.damping == 0 or new < cost or (small and new <= cost * (1 + ROUNDING)):",
         "if cfg.damping == 0 or new < cost or (small and new <= cost / (1 + ROUNDING)):",

@@ -75,6 +75,26 @@ def test_joining_equals_dense_weighted_least_squares():
     assert joined.dof == 36 - 6 - 16
 
 
+def test_scales_are_held_at_one_or_pulled_to_it_by_their_deviation():
+    maps, start, _, _ = world(np.random.default_rng(3), robots=3, landmarks=8, seen=6)
+    covariances = [m.cov for m in maps]
+    held, _ = build(maps, start, covariances, None)
+    free, layout = build(maps, start, covariances, 0.02)
+    scales = 3 * 3 + np.arange(3)
+    assert not set(scales) & set(held.free)
+    assert set(free.free) == set(held.free) | set(scales)
+    (prior,) = (t for t in free.terms if not isinstance(t, MapTerm))
+    x = free.x0.copy()
+    assert not prior.squares(x).any()
+    x[scales] = [1.02, 0.94, 1.0]
+    np.testing.assert_allclose(prior.squares(x), [1.0, 9.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(prior.normal(x)[0][:, 0, 0], 0.02**-2.0)
+    np.testing.assert_allclose(prior.normal(x)[1][:, 0], (x[scales] - 1.0) / 0.02**2)
+    assert layout.size == len(x)
+    tight, _ = build(maps, start, covariances, 1e-7)
+    np.testing.assert_allclose(minimise(tight).x, minimise(held).x, atol=1e-5)
+
+
 @pytest.mark.slow
 def test_the_error_a_full_join_states_is_the_error_it_makes():
     total, dof = 0.0, 0

@@ -186,6 +186,23 @@ def test_a_match_walks_to_where_its_own_step_is_nothing():
     assert cost < 1.05 * there
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.5 * np.pi])
+def test_a_match_against_one_wall_walks_on_while_it_still_moves_towards_it(turn):
+    u = np.linspace(-0.9, 0.9, 40)
+    R = se2.rotation(turn)
+    wall, facing = np.column_stack([np.full(40, 1.13), u]) @ R.T, np.tile([-1.0, 0.0], (40, 1)) @ R.T
+    _, lines = built(wall, facing, np.zeros(40))
+    cost = MatchCost(ALPHA, AGREE, 60.0 / 0.02**2, 0.0, 0.05)
+    start = np.array([*(R @ [0.08, 0.0]), 0.0])
+    ends = [
+        align_scan(lines, CELL, ScanPoints(wall, facing, np.zeros(40)), cost, start, start, np.full(3, 5.0), n)[0]
+        for n in (1, 2, 60)
+    ]
+    left = [np.hypot(*end[:2]) for end in ends]
+    assert left[0] > 1.1 * left[1] > 0
+    assert left[2] < 1e-3
+
+
 def test_matches_are_points_within_reach_of_their_line():
     rng = np.random.default_rng(5)
     _, lines = built(*walls(rng))

@@ -1,5 +1,7 @@
 """The noise gathered while driving equals dense textbook algebra: what earlier noise becomes, and what is added."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -45,6 +47,26 @@ def test_noise_gathered_before_is_carried_on_and_the_arcs_own_is_added(v, w, dt)
     F[:2, 2] = -shift[1], shift[0]
     np.testing.assert_allclose(got, F @ Q @ F.T + added(v, w, dt, heading), atol=1e-12)
     np.testing.assert_array_equal(got, got.T)
+
+
+def arc_end(turn_scale, v, w, dt):
+    """Where an arc from the origin with HEADING ends, exact for complex turn scales as well."""
+    h = 0.5 * turn_scale * w * dt
+    sinc = sum((-1) ** k * h ** (2 * k) / math.factorial(2 * k + 1) for k in range(12))
+    return V_SCALE * v * dt * sinc * np.array([np.cos(HEADING + h), np.sin(HEADING + h)])
+
+
+@pytest.mark.parametrize("h", [0.0, 1e-7, -1e-5, 0.95e-4, -1.05e-4, 1e-3, 0.6])
+def test_arcs_and_their_derivative_by_the_turn_scale_are_exact_however_slight_the_turn(h):
+    v, dt = 0.4, 0.5
+    w = h / (0.5 * TURN_SCALE * dt)
+    x = np.array([0.0, 0.0, HEADING, V_SCALE, TURN_SCALE, 0.1, 0.0, 1.0])
+    Phi, Q = np.zeros((3, 8)), np.zeros((3, 3))
+    ekf_apply_drive.clear(Phi, Q)
+    ekf_drive.arc(x, Phi, Q, v, w, dt, NOISE, True)
+    np.testing.assert_allclose(x[:2], arc_end(TURN_SCALE, v, w, dt), rtol=1e-13)
+    by_scale = arc_end(TURN_SCALE + 1e-30j, v, w, dt).imag / 1e-30
+    np.testing.assert_allclose(Phi[:2, ekf_state.TURN_SCALE], by_scale, rtol=1e-7)
 
 
 @pytest.mark.parametrize("known", [True, False])

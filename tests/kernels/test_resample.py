@@ -31,3 +31,15 @@ def test_over_all_draws_a_particle_has_as_many_children_as_its_share():
     draws = (np.arange(1000) + 0.5) / 1000
     count = sum(np.bincount(systematic(w, u), minlength=4) for u in draws)
     np.testing.assert_allclose(count / 1000, 4 * w, atol=2e-3)
+
+
+@pytest.mark.parametrize("dead", [0, 1, 3])
+def test_what_rounding_leaves_undrawn_falls_to_the_last_particle_that_has_any_weight(dead):
+    w = np.concatenate([np.random.default_rng(4).random(5) + 0.1, np.zeros(dead)])
+    last = np.nextafter(1.0, 0.0)  # so late a draw that the last point lies at the sum itself
+    ancestors = systematic(w, last)
+    count = np.bincount(ancestors, minlength=len(w))
+    assert count.sum() == len(w)
+    assert not count[5:].any()
+    np.testing.assert_array_equal(count, np.bincount(systematic(w, 1.0 - 1e-9), minlength=len(w)))
+    assert all(ancestors[k] == k for k in np.flatnonzero(count))

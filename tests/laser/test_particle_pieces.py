@@ -134,6 +134,24 @@ def test_the_trajectory_goes_through_the_ancestors_of_the_likeliest_particle():
     np.testing.assert_allclose(trajectory(state), [[0, 0.3, 0], [1, 0.1, 0], [2, 0.2, 0]], atol=1e-9)
 
 
+def test_the_latest_pose_is_the_likeliest_particles_and_as_sure_as_the_weighed_others_lie_round_it():
+    cfg = small()
+    state, _ = driven([0.0, 0.5], cfg)
+    rng = np.random.default_rng(2)
+    state.poses = np.column_stack([rng.normal(0, 1, (6, 2)), np.pi + rng.normal(0, 0.1, 6)])
+    state.log_weight, state.total = rng.normal(0, 1, 6) - 700.0, rng.normal(0, 1, 6)
+    told = particle_slam.current(state)
+    best, share = int(np.argmax(state.total)), np.exp(state.log_weight + 700.0)
+    off = state.poses - state.poses[best]
+    off[:, 2] = se2.wrap_angle(off[:, 2])
+    wanted = sum(s * np.outer(o, o) for s, o in zip(share / share.sum(), off, strict=True))
+    np.testing.assert_allclose(se2.between(state.poses[best], told.pose), 0.0, atol=1e-12)
+    np.testing.assert_allclose(told.cov, wanted, atol=1e-12)
+    nothing = particle_slam.current(init("r", cfg, rng, feature="none"))
+    assert not nothing.pose.any()
+    assert not nothing.cov.any()
+
+
 def test_what_a_scan_adds_is_added_to_the_weights_and_to_what_was_inherited(monkeypatch):
     cfg = small()
     state, _ = driven([0.0, 0.5], cfg)

@@ -269,6 +269,10 @@ def test_how_far_a_prior_lies_from_the_rest_is_what_solving_without_it_says():
         for k, b in zip((2, 7, 12), B, strict=True)
     ]
     told = solve_graph(graph, PLAIN, priors=priors)
+    for pose, chi2 in ((graph.pose, told.chi2_before), (told.graph.pose, told.chi2)):
+        off = se2.between(np.array([p.pose for p in priors]), pose[[2, 7, 12]])
+        both = sum(r @ p.information @ r for r, p in zip(off, priors, strict=True))
+        assert chi2 == pytest.approx(squares(replace(graph, pose=pose)).sum() + both)
     for k, prior in enumerate(priors):
         less = solve_graph(graph, PLAIN, priors=[p for p in priors if p is not prior])
         r = se2.between(prior.pose, less.graph.pose[prior.vertex])

@@ -73,6 +73,24 @@ def test_a_number_of_steps_is_taken_as_asked():
     assert short.status is SolveStatus.MAX_ITERATIONS
 
 
+@pytest.mark.parametrize("tolerance", [0.5, 1e-2, 1e-5])
+@pytest.mark.parametrize("share", [2.0, 0.55])
+def test_steps_end_with_the_first_that_changes_the_cost_by_no_more_than_the_share_asked_for(tolerance, share):
+    costs, x = [], 3.0  # each step goes 1 / share of the way: to half of it, or beyond
+    while len(costs) < 2 or abs(costs[-1] - costs[-2]) > tolerance * max(costs[-2:]):
+        costs.append(x * x + 1.0)
+        x -= x / share
+    found = gauss_newton(
+        lambda x: (share * np.eye(1), x, float(x @ x) + 1.0),
+        np.array([3.0]),
+        max_iterations=99,
+        cost_tolerance=tolerance,
+    )
+    assert found.converged
+    assert found.iterations == len(costs) - 1
+    assert found.cost == pytest.approx(costs[-1])
+
+
 def test_failures_are_a_status():
     blind = gauss_newton(lambda _x: (np.zeros((2, 2)), np.zeros(2), 0.0), np.ones(2), max_iterations=3)
     assert blind.status is SolveStatus.SINGULAR
