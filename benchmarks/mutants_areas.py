@@ -239,6 +239,7 @@ AREAS = (
             "tests/team/test_commanded_motion.py",
             "tests/team/test_team_algebra.py",
             "tests/team/test_scan_factors.py",
+            "tests/team/test_smooth_pieces.py",
             "tests/team/test_smoothing.py::test_all_derivatives_are_those_of_differences",
         ),
         ("tests/team/test_smoothing.py",),
@@ -429,6 +430,12 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "max(math.floor((bx - reach) * inverse), 0),",
         "max(math.floor((-(reach)) * inverse), 0),",
         "cells farther left are looked into too, and nothing there is nearer",
+    ),
+    Equivalent(
+        "team:Smoothed",
+        "span = np.maximum(at[k + 1] - at[k], 1e-9) if len(at) > 1 else np.ones(len(t))",
+        "span = (at[k + 1] - at[k]) if len(at) > 1 else np.ones(len(t))",
+        "a robot's instants are stamps that differ by more",
     ),
     Equivalent(
         "solve:minimise",

@@ -11,6 +11,7 @@ from mapweave.laser.robot_graph import RobotGraph
 from mapweave.team.config import SmoothingConfig
 from mapweave.team.problem import team_problem
 from mapweave.team.scan_factors import InterRobotEdge
+from mapweave.team.smooth import _dense
 
 CFG = SmoothingConfig()
 POINTS = np.array([[2.0, 1.0], [3.5, -1.0], [0.5, 2.5]])
@@ -104,12 +105,25 @@ def test_a_robot_of_one_keyframe_lies_where_another_saw_it():
     np.testing.assert_allclose(team.solve(CFG, x).x[at], team.problem.x0[at], atol=1e-3)
 
 
+@pytest.mark.parametrize("n", [1, 4])
+def test_between_keyframes_a_track_is_as_sure_as_both_share_it_and_of_one_keyframe_it_is_that(n):
+    team, (graph,) = made(n)
+    x = team.problem.x0.copy()
+    part = team.parts[1]
+    x[part.start : part.start + 3 * n] += np.tile([0.1, -0.2, 0.0], n)
+    cov = np.eye(3) * np.arange(1.0, n + 1)[:, None, None]
+    track = _dense(part, x, cov)
+    np.testing.assert_array_equal(track.t, graph.t)
+    np.testing.assert_allclose(track.pose, graph.pose + np.array([0.1, -0.2, 0.0]), atol=1e-9)
+    np.testing.assert_allclose(track.cov, cov)
+
+
 def test_matched_keyframes_hold_two_robots_as_they_were_measured():
     z = np.array([0.4, -1.0, 2.0])
     crossings = [InterRobotEdge("robot2", "robot3", 2, 1, z, np.diag([400.0, 900.0, 1600.0]))]
     crossings.append(InterRobotEdge("robot2", "stranger", 0, 0, z, np.eye(3)))  # who is not of the team counts nothing
     team, (one, two) = made(3, crossings, lasers=2)
-    assert team.used["crossing"] == 1
+    assert team.used == {"landmark": 15, "scan": 2 + 2, "crossing": 1}
     solution = team.solve(CFG)
     x, n = solution.x, len(solution.x)
     np.testing.assert_allclose(se2.between(poses(team, 1, x)[2], poses(team, 2, x)[1]), z, atol=1e-3)
