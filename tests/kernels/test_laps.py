@@ -134,3 +134,19 @@ def test_a_landmark_that_a_robot_drives_over_is_known_from_elsewhere():
     assert np.isfinite(S).all()
     assert np.isfinite(errors).all()
     assert errors[1] == pytest.approx(errors[0], rel=1e-6)
+
+
+@pytest.mark.kernel
+@pytest.mark.parametrize(("moved", "counts"), [((0, 0, 0), 0), ((0.01, 0, 0), 8), ((0, 0.01, 0), 8), ((0, 0, 0.01), 8)])
+def test_looks_of_a_robot_that_stands_still_count_once_and_any_motion_counts_anew(moved, counts):
+    track = (np.array([1.0, -2.0, 0.3]) + np.arange(9)[:, None] * np.array(moved, float))[None]
+    point = np.array([[4.0, -1.0]])
+    sensor = LandmarkSensor(Sector(6.0, np.pi / 2), np.diag([0.04, 0.01]), 0.01, 8, 0.0, 1)
+    own = lap_sightings(track, 4, point, sensor).own[0]
+    want = np.zeros((2, 2))
+    for pose in track[0, : 1 + counts]:
+        d = point[0] - pose[:2]
+        r = np.hypot(*d)
+        J = np.array([d / r, [-d[1] / r**2, d[0] / r**2]])
+        want += J.T @ np.diag([1 / 0.04, 1 / 0.01]) @ J
+    np.testing.assert_allclose(own, [want[0, 0], want[0, 1], want[1, 1]])

@@ -10,6 +10,7 @@ from mapweave.kernels.laser.joint_scans import LineGate, beams_by_direction, mat
 from mapweave.laser.joint_pass import (
     JointPassConfig,
     joint_pass,
+    keyframe_cloud,
     lay_scans,
     neighbours,
     paired,
@@ -18,6 +19,7 @@ from mapweave.laser.joint_pass import (
 )
 from mapweave.laser.pose_graph import PoseGraph
 
+from ..io.test_robot_graph import graph
 from .test_closures import seen
 
 CFG = JointPassConfig()
@@ -226,6 +228,23 @@ def test_scans_are_laid_on_the_keyframes_around_them_but_not_on_themselves():
     near = neighbours(poses, truth, 5, CFG, own)
     assert 0 not in near[2]
     assert 1 not in near[3]
+
+
+@pytest.mark.parametrize("most", [1, 3, 90])
+def test_a_cloud_holds_so_many_returns_of_every_keyframe_of_all_robots_from_its_first_to_its_last(most):
+    robots = [graph(n=4), graph(n=6, light=False)]
+    cloud = keyframe_cloud(robots, most)
+    assert len(cloud) == 10
+    keyframes = [(r, i) for r in robots for i in range(len(r))]
+    for k, (r, i) in enumerate(keyframes):
+        here, own = slice(cloud.start[k], cloud.start[k + 1]), r.rows(i)
+        n = own.stop - own.start
+        assert here.stop - here.start == min(n, most)
+        at = own.start + np.arange(n) if n <= most else own.start + np.linspace(0, n - 1, most).round().astype(int)
+        for name in ("points", "normals", "lined"):
+            np.testing.assert_array_equal(getattr(cloud, name)[here], getattr(r, name)[at])
+        np.testing.assert_array_equal(cloud.sensor[k], r.sensor[i])
+    assert cloud.start[-1] == len(cloud.points)
 
 
 def test_keyframes_are_paired_once_with_neighbours_in_the_drive_and_in_space():
