@@ -416,12 +416,6 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(
         "solve:Pattern",
         "if 4 * len(where) > len(into):",
-        "if 40.0 * len(where) > len(into):",
-        "both ways add up the same numbers in the same order; the choice is one of time alone",
-    ),
-    Equivalent(
-        "solve:Pattern",
-        "if 4 * len(where) > len(into):",
         "if 4 / len(where) > len(into):",
         "both ways add up the same numbers in the same order; the choice is one of time alone",
     ),
