@@ -187,6 +187,7 @@ AREAS = (
             "tests/kernels/test_align_scan.py",
             "tests/kernels/test_field.py",
             "tests/laser/test_scan_matching.py",
+            "tests/laser/test_front_end.py",
             "tests/laser/test_match_information.py",
             "tests/laser/test_icp.py",
         ),
@@ -206,6 +207,7 @@ AREAS = (
         ("laser:Closure", "laser:edge_factor", "laser:cycle_squares", "laser:solve_graph", "laser:step_covariance"),
         (
             "tests/laser/test_step_noise.py",
+            "tests/laser/test_front_end.py",
             "tests/laser/test_consistency.py",
             "tests/laser/test_robust_graph.py",
             "tests/laser/test_closures.py",
@@ -358,6 +360,12 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "for a, b in zip(*linear_sum_assignment(np.minimum(distance, 1e3)), strict=True):",
         "for a, b in zip(*linear_sum_assignment((distance)), strict=True):",
         "distances beyond a kilometre, and those of what nobody else holds, are beyond every gate either way",
+    ),
+    Equivalent(
+        "core:log",
+        "d = np.where(small, 1.0, w)",
+        "d = np.where(small, 10.0, w)",
+        "where the turn is small the series stands, and this only keeps zero from being divided by",
     ),
     Equivalent(
         "core:align",

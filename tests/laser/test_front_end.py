@@ -1,0 +1,118 @@
+"""The local map as one robot fills it, the match without odometry, and the search round an old place."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapweave.core import se2
+from mapweave.kernels.laser.local_map import count_matches
+from mapweave.laser.beam import BeamConfig, beams
+from mapweave.laser.closures import ClosureConfig, Matcher, Place
+from mapweave.laser.scan_matching import FrontEnd, FrontEndConfig
+
+from .test_scan_matching import box_scan
+
+CFG = FrontEndConfig(size=256)
+SD = np.array([0.25, 0.25, 0.35])
+
+
+def seen(pose, n=61, half=(3.0, 2.0)):
+    return beams(box_scan(np.asarray(pose, float), n, half), "none", None, BeamConfig())
+
+
+def mapped(*poses, cfg=CFG, **room):
+    fe = FrontEnd(cfg)
+    for pose in poses:
+        fe.insert(seen(pose, **room), np.asarray(pose, float))
+    return fe
+
+
+def test_a_scan_becomes_a_keyframe_far_enough_from_the_last_in_place_or_heading():
+    fe, kept, last = FrontEnd(CFG), 0, None
+    rng = np.random.default_rng(1)
+    pose = np.zeros(3)
+    for _ in range(40):
+        d = np.full(3, np.inf) if last is None else se2.between(last, pose)
+        far = np.hypot(d[0], d[1]) >= CFG.keyframe_distance or abs(d[2]) >= CFG.keyframe_turn
+        assert fe.insert(seen(pose), pose) == far
+        if far:
+            last, kept = pose, kept + 1
+        pose = se2.compose(pose, np.array([*rng.uniform(-0.1, 0.2, 2), rng.uniform(-0.2, 0.2)]))
+        pose[:2] = np.clip(pose[:2], -1.0, 1.0)
+    assert 5 < kept < 35
+    assert len(fe.keyframes) == kept
+
+
+def test_a_local_map_holds_the_last_keyframes_and_nothing_else():
+    poses = [[0.0, 0.0, 0.0], [0.5, 0.0, 0.1], [0.9, 0.3, -0.2], [0.4, 0.4, 0.5], [-0.2, 0.3, 1.0]]
+    few = mapped(*poses, cfg=replace(CFG, keyframes=3))
+    fresh = mapped(*poses[2:], cfg=CFG)
+    held = mapped([0.3, -0.4, 2.0])
+    held.hold([(seen(pose), np.array(pose)) for pose in poses[2:]])
+    for other in (fresh, held):
+        for a, b in zip(few.sums, other.sums, strict=True):
+            np.testing.assert_allclose(a, b, atol=2e-3)
+    held.hold([])
+    assert not any(np.abs(level).max() > 1e-3 for level in held.sums)
+    assert held.insert(seen(poses[0]), np.array(poses[0]))
+
+
+@pytest.mark.parametrize(
+    ("last", "step", "moved"),
+    [
+        ([0.0, 0.0, 0.0], [0.2, 0.0, 0.1], [0.25, 0.02, 0.12]),  # it drove on
+        ([0.2, 0.1, 0.3], [0.3, 0.0, 0.0], [0.0, 0.0, 0.02]),  # it stopped
+        ([-0.3, 0.2, -0.2], [0.1, 0.0, 0.0], [0.1, 0.05, 0.9]),  # it turned as nobody could know
+        ([0.0, 0.0, 0.4], [0.1, 0.0, 0.1], [0.1, -0.05, -0.8]),
+    ],
+)
+def test_without_odometry_a_scan_is_found_wherever_the_robot_turned(last, step, moved):
+    fe = mapped([0.0, 0.0, 0.0], [0.2, 0.0, 0.9], [0.0, 0.1, -0.9], [0.1, 0.0, 1.8], [0.0, 0.0, -1.8])
+    last, step = np.array(last), np.array(step)
+    true = se2.compose(last, np.array(moved))
+    found = fe.match_alone(seen(true), last, step, SD)
+    assert np.abs(se2.between(true, found.pose)).max() < 0.04
+    assert found.matches > 0.7 * found.beams
+    np.testing.assert_allclose(se2.compose(se2.compose(last, step), found.innovation), found.pose, atol=1e-9)
+
+
+def test_along_a_bare_corridor_a_robot_without_odometry_drives_on_as_it_did():
+    room = {"half": (400.0, 1.0)}
+    way = [np.array([0.5 * k, 0.0, 0.0]) for k in range(6)]
+    fe = mapped(*way, cfg=FrontEndConfig(), **room)
+    for step in ([0.3, 0.0, 0.0], [0.5, 0.0, 0.0]):
+        true = se2.compose(way[-1], np.array(step))
+        found = fe.match_alone(seen(true, **room), way[-1], np.array(step), SD)
+        assert np.abs(se2.between(true, found.pose)).max() < 0.1
+
+
+@pytest.mark.parametrize("sd", [[0.3, 0.26, 0.05], [0.1, 0.5, 0.02], [2.0, 2.0, 1.0]])
+def test_a_search_begins_where_most_returns_match_of_all_starts_within_reach(sd):
+    cfg = ClosureConfig(search_xy=0.9, search_turn=0.1, search_beams=30)
+    matcher, sd = Matcher(cfg, CFG), np.array(sd)
+    matcher.front_end.hold([(seen(p), np.array(p)) for p in ([0.0, 0.0, 0.0], [0.2, 0.0, 1.0], [0.0, 0.1, -1.0])])
+    b, predicted = seen([0.3, 0.2, 0.1]), np.array([-0.1, 0.5, 0.15])
+    thin = slice(None, None, len(b.q) // 30)
+
+    def fits(pose):
+        s, normal, q = (np.ascontiguousarray(a[thin]) for a in (b.s, b.normal, b.q))
+        return count_matches(matcher.front_end.coarse, CFG.coarse, s, normal, q, 0.0, CFG.agree, pose, cfg.search_reach)
+
+    reach = np.minimum(cfg.search_sd * sd, [0.9, 0.9, 0.1])
+    steps = np.array([cfg.search_step, cfg.search_step, cfg.search_turn_step])
+    axes = [h * np.arange(-20, 21) for h in steps]
+    axes = [axis[np.abs(axis) <= r + 1e-12] for axis, r in zip(axes, reach, strict=True)]
+    starts = [se2.compose(predicted, np.array([x, y, a])) for x in axes[0] for y in axes[1] for a in axes[2]]
+    counts = [fits(pose) for pose in starts]
+    np.testing.assert_allclose(matcher._search(b, predicted, sd), starts[int(np.argmax(counts))], atol=1e-12)
+    assert max(counts) > min(counts)
+
+
+def test_only_an_unsure_place_is_searched(monkeypatch):
+    matcher, asked = Matcher(ClosureConfig(least_matches=10), CFG), []
+    monkeypatch.setattr(matcher, "_search", lambda _b, predicted, _sd: asked.append(predicted) or predicted)
+    place, at = Place([(seen([0.0, 0.0, 0.0]), np.zeros(3))]), np.array([0.1, 0.0, 0.05])
+    for sd, searched in (([0.24, 0.24], 0), ([0.26, 0.1], 1), ([0.1, 0.26], 2)):
+        matcher.match(place, seen(at), at, np.diag([*np.square(sd), 1e-4]))
+        assert len(asked) == searched
