@@ -163,6 +163,7 @@ AREAS = (
         (
             "tests/swarm/test_bearing_model.py",
             "tests/swarm/test_factors.py",
+            "tests/swarm/test_headings.py",
             "tests/swarm/test_gauge.py",
             "tests/swarm/test_network.py",
             "tests/swarm/test_contradiction.py",
@@ -362,6 +363,12 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "distances beyond a kilometre, and those of what nobody else holds, are beyond every gate either way",
     ),
     Equivalent(
+        "solve:Cholesky",
+        "Z[:p, :p] = 0.5 * (own + own.T)",
+        "Z[:p, :p] = 0.5 * (own + own)",
+        "both halves are the same but for rounding",
+    ),
+    Equivalent(
         "core:log",
         "d = np.where(small, 1.0, w)",
         "d = np.where(small, 10.0, w)",
@@ -444,12 +451,6 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "if cfg.damping == 0 or new < cost or (small and new <= cost * (1 + ROUNDING)):",
         "if cfg.damping == 0 or new < cost or (small and new <= cost / (1 + ROUNDING)):",
         "a step below the tolerance that changes the cost by rounding is left instead of taken; both end converged",
-    ),
-    Equivalent(
-        "solve:minimise",
-        "damping, raised = max(damping, 1e-12) * raised, 2 * raised",
-        "damping, raised = max(damping, 1e-12) * raised, 2 / raised",
-        "damping rises all the same, in more tries; the minimum reached is the same",
     ),
 )
 

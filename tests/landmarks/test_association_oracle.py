@@ -95,6 +95,17 @@ def test_the_joint_hypothesis_is_the_longest_then_nearest_whose_every_beginning_
     assert found.landmark == best[0]
 
 
+@pytest.mark.parametrize("odd", range(4))
+def test_an_observation_at_odds_with_all_the_others_gives_way_to_them_wherever_it_stands_among_them(odd):
+    zhat = np.array([[5.0, 0.0], [9.0, 4.0], [2.0, 8.0], [-4.0, -3.0]])
+    S = np.kron(np.ones((4, 4)), np.eye(2)) + 1e-6 * np.eye(8)  # they all err together
+    z = zhat + np.array([0.8, -0.3])
+    z[odd] = zhat[odd] - np.array([0.8, -0.3])
+    found = jcbb(z, zhat, S, 0.01 * np.eye(2), GATE, NEW)
+    assert found.landmark == tuple(None if k == odd else k for k in range(4))
+    assert not any(found.new)
+
+
 def test_the_joint_gate_of_another_dimension_than_two_holds_99_percent():
     S, noise = np.zeros((1, 1)), np.eye(1)
     inside, outside = (np.sqrt(chi2_quantile(0.99, 1.0)) * s for s in (0.99, 1.01))

@@ -38,6 +38,40 @@ def test_a_linear_problem_is_solved_in_one_step_as_dense_least_squares_does():
     assert solution.dof == 160 - 30
 
 
+@pytest.mark.parametrize("damping", [5.0, 0.3])
+def test_each_step_that_does_what_was_predicted_is_damped_a_third_as_much_as_the_one_before(damping):
+    line = Factor(np.array([[0]]), lambda x: x[:, None] - 4.0, lambda _: np.ones((1, 1, 1)), 1, np.array([[2.0]]))
+    limits = SolveConfig(damping=damping, max_iterations=6, step_tolerance=0.0, cost_tolerance=0.0)
+    solution = minimise(Problem(np.zeros(1), [line]), limits)
+    left, want = 4.0, [64.0]
+    for k in range(6):
+        by = damping / 3.0**k
+        left *= by / (1.0 + by)
+        want.append((2.0 * left) ** 2)
+    np.testing.assert_allclose(solution.costs, want, rtol=1e-4)
+    assert solution.x[0] == pytest.approx(4.0 - left)
+    assert solution.iterations == 6
+
+
+def test_steps_that_fail_are_damped_twice_then_four_then_eight_times_as_much():
+    tried = []
+
+    def residual(x):
+        tried.append(float(x[0]))
+        return np.where(x >= 3.0, 10.0 * x, 1e3)[:, None]  # every step is far worse
+
+    jump = Factor(np.array([[0]]), residual, lambda _: 10.0 * np.ones((1, 1, 1)), 1)
+    stuck = minimise(Problem(np.full(1, 3.0), [jump]), SolveConfig(damping=1.0, max_iterations=5, step_tolerance=0.0))
+    assert stuck.x[0] == 3.0
+    steps = [3.0 - x for x in tried if x < 3.0]
+    damping, wanted = 1.0, []
+    for k in range(len(steps)):
+        wanted.append(3.0 / (1.0 + damping))
+        damping *= 2.0 ** (k + 1)
+    assert len(steps) == 5
+    np.testing.assert_allclose(steps, wanted, rtol=1e-9)
+
+
 def test_marginals_equal_the_dense_inverse():
     rng = np.random.default_rng(2)
     factor, A, _ = random_linear(rng)
