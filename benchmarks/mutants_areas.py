@@ -369,6 +369,12 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "both halves are the same but for rounding",
     ),
     Equivalent(
+        "fusion:align_robust",
+        "if n * (n - 1) // 2 <= HYPOTHESES:",
+        "if n * (n) // 2 <= HYPOTHESES:",
+        "it asks another way of 35 points alone, whose spread is all pairs as well",
+    ),
+    Equivalent(
         "core:log",
         "d = np.where(small, 1.0, w)",
         "d = np.where(small, 10.0, w)",
