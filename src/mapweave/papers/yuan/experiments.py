@@ -203,7 +203,14 @@ def _stability() -> list[Case]:
     return out
 
 
-STABILITY = (("coverage", "radius"), ("loop", "rate"), ("joint", "rate"), ("joint", "error_weight"))
+STABILITY = (
+    ("coverage", "rate"),
+    ("coverage", "error_weight"),
+    ("coverage", "tour_radius"),
+    ("loop", "rate"),
+    ("joint", "rate"),
+    ("joint", "error_weight"),
+)
 
 
 def run(

@@ -8,6 +8,7 @@ from .experiments import Outcome
 
 # [steps], map error [m] and c_per_n that each planner should reach, None where none is asked
 GOALS = {"joint": (180.0, 0.282, 0.18), "coverage": (195.0, 0.33, None), "loop": (None, 0.30, None)}
+SHARE = 0.01  # of a mean, which a constant 1 % off may move it by and count as stable
 CHANGED = ("steps", "map_error", "expected_error")  # what a constant 1 % off is told to change
 
 
@@ -51,6 +52,29 @@ def changes(outcomes: Sequence[Outcome]) -> Rows:
         cells = (f"{steps[0]:+.1f} ± {steps[1]:.1f}", *(f"{by:+.3f} ± {error:.3f}" for by, error in errors))
         rows.append((o.case.name, len(o.runs), *cells, ", ".join(beyond) or "nothing"))
     return head, rows
+
+
+def moved(outcomes: Sequence[Outcome]) -> tuple[str, str, int]:
+    """Of which planners steps or map error move by more than `SHARE` at some constant 1 % off, and of which by less.
+
+    In words, each with its largest mean change; and over how many runs.
+    """
+    more: list[str] = []
+    less: list[str] = []
+    changed = _changed(outcomes)
+    for planner, (goal, *_) in GOALS.items():
+        before = as_it_is(outcomes, planner)
+        for what, digits, unit in (("steps", 1, "steps"), ("map_error", 3, "m")):
+            tried = [(*o.change(before, what), o) for o in changed if _planner(o) == planner]
+            by, error, worst = max(tried, key=lambda told: abs(told[0]))
+            mean = before.mean(what)
+            asked = f", goal {goal:g}" if what == "steps" and goal is not None else ""
+            told = (
+                f"{what.replace('_', ' ')} of {planner} ({worst.case.name}: {by:+.{digits}f} ± {error:.{digits}f} of "
+                f"{mean:.{digits}f} {unit}{asked})"
+            )
+            (more if abs(by) > SHARE * mean else less).append(told)
+    return ", ".join(more) or "none", ", ".join(less) or "none", len(changed[0].runs)
 
 
 def as_it_is(outcomes: Sequence[Outcome], planner: str, name: str = "") -> Outcome:
