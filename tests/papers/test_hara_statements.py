@@ -15,7 +15,7 @@ from mapweave.laser.particle_grid import ParticleGrid
 from mapweave.laser.scan_infos import ScanInfos
 from mapweave.papers.hara.bounds import geometry_bound
 from mapweave.papers.hara.experiments import on_rims
-from mapweave.papers.hara.methods import GRAPH, ICP, WHEELS_KNOWN, WHEELS_PROPOSE, score
+from mapweave.papers.hara.methods import GRAPH, ICP, PRINTED, WHEELS_KNOWN, WHEELS_PROPOSE, score
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 
 SEEDS = range(6)
@@ -27,6 +27,7 @@ METHODS = {
     "icp": ICP,
     "geometry": replace(FULL, feature="none", filter=WHEELS_PROPOSE),
     "geometry, default": replace(FULL, feature="none"),
+    "printed": replace(PRINTED, particles=512),
     "512": FULL,
     "128": LaserConfig(particles=128),
     "graph": GRAPH,
@@ -66,6 +67,16 @@ def test_our_filter_with_intensity_errs_a_fraction_of_geometry_and_of_odometry(e
     assert ours.mean() <= 0.40 * min(errors("geometry").mean(), errors("geometry, default").mean())
     assert ours.mean() <= 0.05 * errors("odometry").mean()
     assert ours.max() <= 0.30
+    assert (ours <= 0.9 * errors("icp")).all()
+
+
+@pytest.mark.long
+def test_the_printed_filter_does_not_close_the_loop_where_matching_alone_does_not(errors):
+    """Measured: 0.58 m against 0.46 m; less than matching alone in two of six drives."""
+    printed, icp = errors("printed"), errors("icp")
+    assert np.mean(printed <= 0.9 * icp) < 0.5
+    assert printed.mean() > 0.9 * icp.mean()
+    assert (printed <= 0.25 * errors("odometry")).all()
 
 
 @pytest.mark.long
@@ -80,7 +91,8 @@ def test_intensity_errs_a_seventh_of_the_best_geometry_and_of_the_least_that_geo
 
 
 @pytest.mark.long
-def test_intensity_icp_errs_less_than_icp_on_geometry(errors):
+def test_intensity_icp_errs_half_of_odometry_at_most_and_less_than_icp_on_geometry(errors):
+    assert (errors("icp") <= 0.5 * errors("odometry")).all()
     assert errors("icp").mean() <= 0.75 * errors("icp geometry").mean()
 
 
