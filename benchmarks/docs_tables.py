@@ -114,7 +114,9 @@ TABLES = (
     Table("laser missions", EXPLORE, bench("exploration_laser", "--tables", "{out}"), "missions.md"),
     Table("laser ring", EXPLORE, bench("exploration_ring"), "stdout"),
     Table("yuan other seeds", EXPLORE, bench("exploration_seeds"), "stdout"),
-    *paper("yuan", EXPLORE, ("table1", "turning", "area", "seen", "unseen", "goals", "stability"), ("ablation",)),
+    *paper(
+        "yuan", EXPLORE, ("table1", "turning", "area", "seen", "unseen", "goals", "stability", "changes"), ("ablation",)
+    ),
     Table("among walls", EXPLORE, bench("exploration", "--table", "walls"), "stdout"),
     Table("submaps", EXPLORE, bench("exploration", "--table", "submaps"), "stdout"),
     Table("planning alone", EXPLORE, bench("exploration_planning"), "stdout"),

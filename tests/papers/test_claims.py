@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
@@ -9,6 +10,7 @@ from mapweave.papers.hamatani.claims import CLAIMS as HAMATANI
 from mapweave.papers.hara.claims import CLAIMS as HARA
 from mapweave.papers.kojima.claims import CLAIMS as KOJIMA
 from mapweave.papers.reproduction import CLAIMS_HEAD, markdown
+from mapweave.papers.verdicts import Typed, Verdict
 from mapweave.papers.yuan.claims import CLAIMS as YUAN
 
 TOP = Path(__file__).parent.parent.parent
@@ -29,6 +31,11 @@ def test_a_claims_code_test_and_command_are_there(page, claim):
     assert claim.command.split()[0] in {"reproduce", "explore", "localize"}
 
 
+def test_a_word_is_typed_of_a_proof_and_of_a_drawing_alone():
+    typed = {claim.here: claim.rule.text for claims in PAGES.values() for claim in claims if type(claim.rule) is Typed}
+    assert typed == {"drawn": "a drawing", "independent": "a proof, held by the test"}
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_a_page_ends_in_the_table_that_its_command_writes(page):
     text = (TOP / "docs" / "methods" / page).read_text(encoding="utf-8")
@@ -40,8 +47,9 @@ def test_a_page_ends_in_the_table_that_its_command_writes(page):
     for line, claim in zip(table[2:], PAGES[page], strict=True):
         cells = [cell.strip() for cell in line.strip("|").split(" | ")]
         assert cells[:4] == [claim.claim, f"`{claim.code}`", f"`{claim.test}`", claim.printed]
-        assert cells[5] == claim.verdict
-        assert cells[7] in {f"`{claim.command}`", f"`{claim.command} --quick`"}
+        assert cells[5] in get_args(Verdict)
+        assert cells[6] == claim.rule.text
+        assert cells[8] in {f"`{claim.command}`", f"`{claim.command} --quick`"}
         assert cells[4]
 
 

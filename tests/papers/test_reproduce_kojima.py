@@ -24,6 +24,7 @@ from mapweave.papers.kojima.identity_trials import (
 )
 from mapweave.papers.kojima.reproduce import reproduce_kojima
 from mapweave.papers.kojima.world import KojimaConfig, draw_worlds, run_filters
+from mapweave.papers.reproduction import CLAIMS_HEAD
 
 
 @pytest.fixture(scope="module")
@@ -144,14 +145,14 @@ def test_the_command_prints_both_tables_and_writes_the_report(tmp_path, capsys):
     assert written == {"local", "global", "table2", "trace", "settling", "honesty", "unequal", "identities"}
     closing = (out / "claims.md").read_text().splitlines()
     assert len(closing) == 2 + len(CLAIMS)
-    assert all(line.count(" | ") == 6 for line in closing[2:])
+    assert all(line.count(" | ") == len(CLAIMS_HEAD) - 1 for line in closing[2:])
     again = reproduce_kojima(quick=True, seed=3).metrics
     assert again["table2"][0]["robot_rmse"] == metrics["table2"][0]["robot_rmse"]
     assert again["unequal"] == metrics["unequal"]
 
 
 @pytest.mark.long
-def test_identities_are_found_in_98_of_100_trials_with_six_in_common_and_hardly_ever_wrongly_believed():
+def test_with_six_in_common_98_alignments_of_100_are_right_but_not_98_are_believed_and_none_wrongly():
     """Seeds of its own. Six in common and all six needed: what chance explains as well is a refusal."""
     for row in identity_trials(100, 7, (0, 2, 6, 8)):
         assert row.wrong == 0
@@ -159,6 +160,7 @@ def test_identities_are_found_in_98_of_100_trials_with_six_in_common_and_hardly_
         if row.common >= 6:
             assert row.found >= 98
             assert row.right >= (72 if row.common == 6 else 98)
+            assert row.right < 98 or row.common > 6
             assert row.right >= oracle((row,), row.common) - 2
         else:
             assert row.refused >= 95

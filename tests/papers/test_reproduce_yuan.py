@@ -9,7 +9,7 @@ import pytest
 from mapweave.exploration.landmarks.experiment import explore_many
 from mapweave.papers.yuan import reproduce as module
 from mapweave.papers.yuan.experiments import HEAD, PRINTED, cases, expected_error, moving, plain_neighbour, run
-from mapweave.papers.yuan.goals import GOALS, as_it_is
+from mapweave.papers.yuan.goals import GOALS, as_it_is, moved
 from mapweave.papers.yuan.reproduce import AREA, TITLES, implied_error, reproduce_yuan
 
 
@@ -56,6 +56,50 @@ def test_goals_are_judged_on_seeds_that_nothing_was_chosen_on(told):
     assert [row[3] for row in rows] == ["≤ 180", "≤ 195", ""]
     assert all(row[-1] == "reached" or row[-1].startswith("missed: ") for row in rows)
     assert not {c.first_seed for c in cases()} - {0, 100}
+
+
+def test_words_on_claims_change_with_the_runs_that_they_are_judged_by(told):
+    _, result = told
+
+    def words(of):
+        return {claim.here: row[5] for claim, row in zip(of.claims, of.claims_table()[1], strict=True)}
+
+    def runs_of(name, **what):
+        return replace(
+            result,
+            outcomes=tuple(
+                replace(o, runs=tuple(replace(r, **what) for r in o.runs)) if o.case.name == name else o
+                for o in result.outcomes
+            ),
+        )
+
+    one = "one robot, calibrated noise"
+    assert words(runs_of(one, steps=503))["efficiency"] == "holds"
+    assert words(runs_of(one, steps=1))["efficiency"] == "does not hold"
+    assert words(runs_of(one, map_error=0.361, c_per_n=0.49))["accuracy_one"] == "holds"
+    assert words(runs_of(one, map_error=0.361, c_per_n=4.9))["accuracy_one"] == "in part"
+    assert words(runs_of(one, map_error=3.61, c_per_n=4.9))["accuracy_one"] == "does not hold"
+    assert words(runs_of("no distance to others", steps=500))["apart"] == "holds"
+    dead = "one of two dead after 100 steps"
+    assert words(runs_of(dead, finished=True, nees_per_dof=1.0))["dead"] == "holds"
+    assert words(runs_of(dead, finished=False, nees_per_dof=1.0))["dead"] == "in part"
+
+
+def test_what_1_percent_moves_by_more_than_1_percent_is_named_with_its_standard_error(told):
+    _, result = told
+    more, less, runs = moved(result.outcomes)
+    assert (more, runs) == ("none", 2)
+    assert "steps of joint (joint.rate x 0.99: +0.0 ± 0.0 of 12.0 steps, goal 180)" in less
+    longer = tuple(
+        replace(o, runs=tuple(replace(r, steps=r.steps + 2 * k) for k, r in enumerate(o.runs)))
+        if o.case.name == "joint.rate x 0.99"
+        else o
+        for o in result.outcomes
+    )
+    more, less, _ = moved(longer)
+    assert more == "steps of joint (joint.rate x 0.99: +1.0 ± 1.0 of 12.0 steps, goal 180)"
+    assert "steps of joint" not in less
+    assert more in " ".join(replace(result, outcomes=longer).differences())
 
 
 def test_a_change_is_told_with_the_standard_error_of_the_runs_on_the_same_seeds(told):

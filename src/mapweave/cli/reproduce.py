@@ -114,7 +114,10 @@ def _tell(reproduce: "Callable[[Progress], Reproduction]", out: Path | None) -> 
         say(f"- {sentence}")
     say("\nClaim by claim")
     _, rows = result.claims_table()
-    for claim, code, test, printed, here, verdict, over, command in rows:
-        say(f"- {claim}: {verdict}: printed {printed}; here {here}, over {over} ({command}; {code}, {test})")
+    for claim, code, test, printed, here, verdict, judged, over, command in rows:
+        say(
+            f"- {claim}: {verdict}: printed {printed}; here {here}, over {over}; judged by: {judged} "
+            f"({command}; {code}, {test})"
+        )
     if out is not None:
         say(f"\nreport: {out / 'report.html'}")

@@ -4,17 +4,23 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Literal, cast
+from typing import ClassVar, cast
 
 from ..io.directory import write_json
 from ..report.html import Page
 from ..report.result import HasMetrics, ResultBase, Rows
 from ..report.style import Target
+from .verdicts import Numbers, Rule, Typed
 
-CLAIMS_HEAD = ("claim of the paper", "in the code", "held by", "printed", "here", "verdict", "over", "command")
+CLAIMS_HEAD = (
+    "claim of the paper", "in the code", "held by", "printed", "here", "verdict", "judged by", "over", "command",
+)  # fmt: skip
+JUDGED = (
+    "A claim holds where every number measured for it is as the column 'judged by' asks, holds in part where half of "
+    "them are, and else does not hold."
+)
 CLAIMS_FILE = "claims.md"
 TABLES_FOLDER = "tables"
-Verdict = Literal["holds", "in part", "does not hold", "answered"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +53,7 @@ class Claim:
 
     code: a file under `src/mapweave`; test: `file::function` under `tests`; printed: the paper's figure; here: the
     name under which `Reproduction.measured` gives ours; over: how many draws ours is of, with `measured` names in
-    braces; command: what prints it; verdict: on the claim by the whole experiment, "answered" of what the paper leaves
-    open or assumes.
+    braces; command: what prints it; rule: how `Reproduction.numbers` tell whether it holds.
     """
 
     claim: str
@@ -58,7 +63,7 @@ class Claim:
     here: str
     over: str
     command: str
-    verdict: Verdict
+    rule: Rule | Typed
 
 
 class Reproduction(ResultBase):
@@ -99,12 +104,16 @@ class Reproduction(ResultBase):
     def measured(self) -> Mapping[str, str]:
         """Figures of this run by the names that `claims` uses."""
 
+    @abstractmethod
+    def numbers(self) -> Numbers:
+        """What verdicts go by, by the names that the rules of `claims` use."""
+
     def claims_table(self) -> Rows:
         """Head and rows of the closing table."""
-        told = self.measured()
+        told, numbers = self.measured(), self.numbers()
         rows = [
             (
-                *(c.claim, c.code, c.test, c.printed, told[c.here], c.verdict),
+                *(c.claim, c.code, c.test, c.printed, told[c.here], c.rule.verdict(numbers), c.rule.text),
                 *(c.over.format_map(told), c.command + self.form),
             )
             for c in self.claims
@@ -136,6 +145,7 @@ class Reproduction(ResultBase):
         for sentence in self.differences():
             page.text(sentence)
         page.section("Claim by claim")
+        page.text(JUDGED)
         page.table(*self.claims_table())
         page.write(folder / "report.html")
         self._write_tables(folder)

@@ -26,3 +26,4 @@ PRINTED: dict[int, dict[tuple[float, float], float]] = {  # by table: (variance 
         (25, 25): 0.0786,
     },
 }
+WITHIN = {1: 2.0, 2: 1.3, 3: 2.0}  # by table: the factor up to which a cell counts as reproduced

@@ -15,18 +15,19 @@ from ...report.result import Rows
 from ...report.style import Target
 from ...swarm.locate import locate
 from ..reproduction import Claim, Drawing, Reproduction, Section, sentences
+from ..verdicts import Numbers
 from . import figures
 from .beyond import CASES, Beyond, beyond
 from .claims import CLAIMS
 from .experiments import LAYOUT, UPDATES, VARIANCES, Cell, TableCell, measure, run_filter, side_error, sightings
-from .printed import PRINTED
+from .judged import numbers
+from .printed import PRINTED, WITHIN
 
 TITLES = {
     1: "Table 1: error of a side of 10 m, nothing known [m]",
     2: "Table 2: error of an angle, nothing known [deg]",
     3: "Table 3: error of a side of 10 m, robots 1 and 2 known [m]",
 }
-WITHIN = {1: 2.0, 2: 1.3, 3: 2.0}  # the factor up to which a cell counts as reproduced
 DRIFT = (
     TableCell(0.0, 0.01, known=False),
     TableCell(0.0, 0.01, known=False, form="fej"),
@@ -241,6 +242,9 @@ class HamataniReproduction(Reproduction):
             "many": bounds(large),
             "space": bounds(space),
         }
+
+    def numbers(self) -> Numbers:
+        return numbers(self)
 
     def _all_cells(self) -> dict[str, str]:
         """What the paper says of all cells with noisy bearings together."""

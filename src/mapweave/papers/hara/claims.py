@@ -1,6 +1,8 @@
-"""What the paper claims, where each claim stands in the code, and the test that holds it."""
+"""What the paper claims, where each claim stands in the code, the test that holds it, and how it is judged."""
 
+from ...sim.corridor import CorridorConfig
 from ..reproduction import Claim
+from ..verdicts import Check, question, rule
 
 COMMAND = "reproduce hara"
 LOOP = "papers/test_reproduce_hara.py"
@@ -15,17 +17,17 @@ CLAIMS = (
         "odometry",
         "{drives} drives",
         COMMAND,
-        "holds",
+        rule(Check("odometry", "ATE [m], each drive, beyond the corridor's width", least=CorridorConfig().width)),
     ),
     Claim(
         "Intensity-ICP is better than odometry (Fig. 5)",
         "laser/icp_slam.py",
-        f"{STATEMENTS}::test_intensity_icp_errs_less_than_icp_on_geometry",
+        f"{STATEMENTS}::test_intensity_icp_errs_half_of_odometry_at_most_and_less_than_icp_on_geometry",
         "drawn",
         "icp",
         "{drives} drives",
         COMMAND,
-        "holds",
+        rule(Check("icp", "ATE / odometry's, each drive", most=0.5)),
     ),
     Claim(
         "Matching fails on the way and the map turns away; the gate refuses it and carries the map (Figs. 5, 6)",
@@ -35,17 +37,21 @@ CLAIMS = (
         "gate",
         "{drives} drives",
         COMMAND,
-        "holds",
+        rule(
+            Check("gate_fails", "ATE without the gate, widest pairs / narrowest", least=2.0),
+            Check("gate_saves", "ATE with the gate / without, widest pairs", most=0.75),
+            Check("gate_right", "share of refusals that are right", least=0.95),
+        ),
     ),
     Claim(
         "The particle filter closes the loop where one hypothesis cannot (Fig. 7), as printed",
         "papers/hara/methods.py",
-        f"{LOOP}::test_every_method_of_the_paper_is_compared_and_drawn",
+        f"{STATEMENTS}::test_the_printed_filter_does_not_close_the_loop_where_matching_alone_does_not",
         "drawn",
         "printed",
         "{drives} drives",
         COMMAND,
-        "does not hold",
+        rule(Check("printed", "ATE / Intensity-ICP's, each drive", most=0.9)),
     ),
     Claim(
         "The same, our filter with calibrated intensity",
@@ -55,7 +61,7 @@ CLAIMS = (
         "ours",
         "{drives} drives",
         COMMAND,
-        "holds",
+        rule(Check("ours", "ATE / Intensity-ICP's, each drive", most=0.9)),
     ),
     Claim(
         "Intensity tells places apart where geometry does not",
@@ -65,7 +71,10 @@ CLAIMS = (
         "geometry",
         "{drives} drives",
         COMMAND,
-        "holds",
+        rule(
+            Check("geometry", "ATE / best geometry's", most=0.15),
+            Check("geometry_bound", "root mean square / the least that geometry can", most=0.15),
+        ),
     ),
     Claim(
         "Future work: the best weight of intensity",
@@ -75,7 +84,7 @@ CLAIMS = (
         "alpha",
         "{drives} drives",
         COMMAND,
-        "answered",
+        question(Check("alpha", "ATE at the alpha found / at the best tried", most=1.25)),
     ),
     Claim(
         "Future work: light as a feature that range and angle leave alone",
@@ -85,7 +94,7 @@ CLAIMS = (
         "feature",
         "{drives} drives",
         COMMAND,
-        "answered",
+        question(Check("feature", "ATE of our filter / of the paper's", most=0.5)),
     ),
     Claim(
         "Future work: localisation with intensity in a finished map",
@@ -93,8 +102,11 @@ CLAIMS = (
         f"{LOOP}::test_no_trusted_start_is_wrong_and_light_tells_what_walls_cannot",
         "not tried",
         "localised",
-        "{starts} starts",
+        "{starts} starts with light, {bare_starts} with geometry alone, which knows no twins",
         COMMAND,
-        "answered",
+        question(
+            Check("starts_wrong", "wrong, with light and without", most=0.0),
+            Check("starts_right", "share of starts in the building that light finds", least=0.75),
+        ),
     ),
 )

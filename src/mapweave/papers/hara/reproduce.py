@@ -16,6 +16,7 @@ from ...report.result import Rows
 from ...report.style import Target
 from ...sim.corridor import CorridorConfig
 from ..reproduction import Claim, Drawing, Reproduction, Section, sentences
+from ..verdicts import Numbers
 from . import figures
 from .along import AlongRow, try_along
 from .alpha import AlphaCurve, alpha_curve
@@ -24,6 +25,7 @@ from .claims import CLAIMS
 from .experiments import Picture, compare
 from .gate import GateRow, try_gate
 from .hard_world import HardConfig
+from .judged import numbers
 from .methods import Method, methods
 from .starts import SCANS, LocalisedStart, counts, starts_table, try_starts
 
@@ -200,8 +202,12 @@ class HaraReproduction(Reproduction):
 
     def error(self, name: str) -> float:
         """Mean ATE [m] of the method whose name, the number of particles left out, is `name`."""
+        return float(self.drives(name).mean())
+
+    def drives(self, name: str) -> Float[np.ndarray, " s"]:
+        """ATE [m] of that method in each drive."""
         names = [m.name.replace(f"RBPF-{self.particles}", "RBPF") for m in self.methods]
-        return float(self.errors[names.index(name)].mean())
+        return np.asarray(self.errors[names.index(name)])
 
     def best(self, what: str, *, squared: bool = False) -> tuple[str, float]:
         """The method that errs least of those whose name tells `what`: its name, and its mean or rms ATE [m]."""
@@ -212,14 +218,14 @@ class HaraReproduction(Reproduction):
         ]
         return min(known, key=lambda pair: pair[1])
 
-    def _refusals(self) -> tuple[int, int]:
+    def refusals(self) -> tuple[int, int]:
         """Matches the gate refused in all gated rows, and how many of them rightly."""
         rows = [r for r in self.gate if r.name.startswith("gated")]
         return int(sum(r.outside.sum() for r in rows)), int(sum(r.rightly.sum() for r in rows))
 
     def measured(self) -> dict[str, str]:
         alone, gated = self.gate[-2], self.gate[-1]
-        outside, rightly = self._refusals()
+        outside, rightly = self.refusals()
         name, geometry = self.best("geometry")
         most, light_error = self.best("intensity")
         ours = self.error("our RBPF, intensity")
@@ -228,6 +234,7 @@ class HaraReproduction(Reproduction):
         light, walls = counts(self.starts, "normalised"), counts(self.starts, "none")
         return {
             "starts": str(1 + max((s.start for s in self.starts), default=-1)),
+            "bare_starts": str(walls.total()),
             "localised": "; ".join(
                 f"{name}: {n['right']} right, {n['wrong']} wrong, {n['not sure']} not sure"
                 for name, n in (("intensity", light), ("geometry", walls))
@@ -239,7 +246,7 @@ class HaraReproduction(Reproduction):
                 f"{alone.ate.mean():.2f} m without, {gated.ate.mean():.2f} m with the gate (pairs up to "
                 f"{gated.farthest:g} m); {rightly} of {outside} refusals right"
             ),
-            "printed": (f"{raw:.2f} m; on geometry {bare:.2f} m"),
+            "printed": f"{raw:.2f} m, on geometry {bare:.2f} m; Intensity-ICP {self.error('Intensity-ICP'):.2f} m",
             "ours": f"{ours:.3f} m",
             "feature": f"our filter {ours:.2f} m; raw intensity, the paper's filter {raw:.2f} m",
             "geometry": (
@@ -252,8 +259,11 @@ class HaraReproduction(Reproduction):
             ),
         }
 
+    def numbers(self) -> Numbers:
+        return numbers(self)
+
     def differences(self) -> tuple[str, ...]:
-        outside, rightly = self._refusals()
+        outside, rightly = self.refusals()
         floor, light = _rms(self.bounds.geometry), self.best("intensity", squared=True)[1]
         return sentences(
             WHY,

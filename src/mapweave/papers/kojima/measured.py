@@ -8,6 +8,7 @@ from jaxtyping import Float
 from ...core import se2
 from ...fusion.relative_information import Weights
 from ...report.result import Rows
+from ..verdicts import Numbers
 from .experiments import Rule, Run, Unequal
 from .identity_trials import IdentityTrials
 from .settling import Settling
@@ -55,6 +56,32 @@ class Measured:
         """How much lower the proposed weights' errors are than plain RLS's (robot, landmark), as a share of 1."""
         plain, proposed = self.run(reading, "constant"), self.run(reading, "paper")
         return 1 - proposed.robot_rmse / plain.robot_rmse, 1 - proposed.landmark_rmse / plain.landmark_rmse
+
+    def numbers(self) -> Numbers:
+        """What claims are judged by: root mean square errors [m], shares and ratios; traces [m² + rad²]."""
+        plain, proposed = self.run("prior", "constant"), self.run("prior", "paper")
+        robot, landmark = self.relative_difference("prior")
+        (robot_0, landmark_0), (robot_1, landmark_1) = PRINTED["constant"], PRINTED["paper"]
+        bare = {u.rule: u.landmark_rmse for u in self.unequal if u.weights == "constant"}
+        named = [t for t in self.identities if t.told]
+        enough = [t for t in named if t.common >= 6]
+        own = next(t for t in self.settled if (t.maps, t.delta) == ("the experiment's", self.cfg.delta))
+        return {
+            "local": [float(np.sqrt(np.mean(np.sum((self.maps.mean - self.local_truth()) ** 2, axis=-1))))],
+            "merged": [plain.landmark_rmse, proposed.landmark_rmse],
+            "robot": [robot],
+            "robot_half": [robot / (1 - robot_1 / robot_0)],
+            "landmark": [landmark],
+            "landmark_half": [landmark / (1 - landmark_1 / landmark_0)],
+            "unequal": [u.landmark_rmse / bare[u.rule] for u in self.unequal if u.weights in {"paper", "full"}],
+            "falls": [float(np.mean(np.diff(r.trace) < 0)) for r in self.runs],
+            "settles": [r.limit for r in self.runs],
+            "closed": [float(np.median(own.printed))],
+            "speed": [float(t.early.max()) for t in self.settled],
+            "alignments": [t.found / t.trials for t in enough],
+            "believed": [min(t.right / t.trials for t in enough)],
+            "wrong": [float(sum(t.wrong for t in named))],
+        }
 
     def table2(self) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
         """Head and rows: errors in cm, the root mean square over all worlds and the spread between worlds."""

@@ -18,7 +18,7 @@ from ..reproduction import Claim, Drawing, Reproduction, Section, sentences
 from . import figures
 from .claims import CLAIMS
 from .experiments import honesty, merge_online, unequal
-from .identity_trials import identity_trials, oracle, price_text
+from .identity_trials import identities_text, identity_trials, oracle, price_text
 from .measured import CASES, NAMES, PRINTED, Measured
 from .settling import settling
 from .world import KojimaConfig, draw_worlds
@@ -202,9 +202,8 @@ class KojimaReproduction(Measured, Reproduction):
     def measured(self) -> dict[str, str]:
         plain, proposed = self.run("prior", "constant"), self.run("prior", "paper")
         robot, landmark = self.relative_difference("prior")
-        wide = {u.weights: u.landmark_rmse for u in self.unequal if u.rule == "widest"}
-        named = [t for t in self.identities if t.told]
-        enough = [t for t in named if t.common >= 6]
+        by_rule = {(u.rule, u.weights): u.landmark_rmse for u in self.unequal}
+        named = tuple(t for t in self.identities if t.told)
         by = {(t.maps, t.delta): t for t in self.settled}
         own, loose = (by[maps, self.cfg.delta] for maps in ("the experiment's", "less certain"))
         sharp = by["the experiment's", 1.0]
@@ -220,9 +219,10 @@ class KojimaReproduction(Measured, Reproduction):
             "landmark": (
                 f"{100 * plain.landmark_rmse:.3f} to {100 * proposed.landmark_rmse:.3f} cm ({-100 * landmark:+.2f} %)"
             ),
-            "unequal": (
-                f"eq. 14 {100 * (wide['paper'] / wide['constant'] - 1):+.0f} %, "
-                f"full {100 * (wide['full'] / wide['constant'] - 1):+.0f} %"
+            "unequal": "; ".join(
+                f"{pair}: eq. 14 {100 * (by_rule[pair, 'paper'] / by_rule[pair, 'constant'] - 1):+.0f} %, "
+                f"full {100 * (by_rule[pair, 'full'] / by_rule[pair, 'constant'] - 1):+.0f} %"
+                for pair in ("certain", "widest")
             ),
             "falls": "falls" if all((np.diff(r.trace) < 0).all() for r in self.runs) else "does not",
             "settles": f"at {proposed.limit:.3e}, map 1 the prior; to zero as 1/k, map 1 a measurement",
@@ -232,11 +232,7 @@ class KojimaReproduction(Measured, Reproduction):
                 f"{100 * own.early.max():.1f} % off, less certain maps {100 * loose.early.min():.0f} to "
                 f"{100 * loose.early.max():.0f} %"
             ),
-            "identities": (
-                f"right {min(t.found for t in enough)} of {named[0].trials} at least; believed "
-                f"{min(t.right for t in enough)}, where the true links have such odds in {oracle(tuple(enough), 6)}; "
-                f"wrongly believed {sum(t.wrong for t in named)}"
-            ),
+            "identities": identities_text(named),
         }
 
     def draw(self, target: Target) -> None:
