@@ -24,6 +24,7 @@ from mapweave.fusion.identities import (
     _rivals,
     _weighed,
     _worked_out,
+    identify,
     match_maps,
 )
 from mapweave.landmarks.landmark_map import LandmarkMap
@@ -335,6 +336,47 @@ def test_a_place_that_repeats_itself_is_refused_and_its_rival_counted():
     assert once.accepted
     assert once.rival < 6
     assert once.dof == 9
+
+
+def several(seed, sees):
+    """A map of the landmarks `sees[k]` of one place for each robot, in its own frame, order and names."""
+    rng = np.random.default_rng([seed, 71])
+    points = rng.uniform(-6, 6, (24, 2))
+    maps = []
+    for k, mine in enumerate(sees):
+        order = rng.permutation(mine)
+        frame = np.array([*rng.uniform(-5, 5, 2), rng.uniform(-3, 3)])
+        at = se2.act(frame, points[order]) + 0.005 * rng.normal(size=(len(order), 2))
+        names = tuple(f"{chr(97 + k) if k else ''}{i}" for i in order)
+        maps.append(LandmarkMap(names, at, 1e-4 * np.eye(2 * len(order))))
+    return maps
+
+
+def test_landmarks_of_three_maps_have_one_name_each_and_the_others_keep_their_own():
+    sees = (range(12), range(4, 16), range(8, 20))
+    maps = several(1, sees)
+    found = identify(maps, ["one", "two", "three"])
+    for k, (before, after) in enumerate(zip(maps, found.maps, strict=True)):
+        np.testing.assert_array_equal(after.mean, before.mean)
+        for old, new in zip(before.ids, after.ids, strict=True):
+            number = int(old.strip("abc"))
+            first = next(j for j, mine in enumerate(sees) if number in mine)
+            assert new == f"{chr(97 + first) if first else ''}{number}"
+            assert found.labels[k].get(old, old) == new
+            assert (old in found.labels[k]) == (old != new)
+    assert not found.reasons
+
+
+def test_a_map_that_nobody_shares_keeps_its_landmarks_and_is_told_why_and_equal_names_are_told_apart():
+    maps = several(2, (range(10), range(10), range(14, 24)))
+    same = [LandmarkMap(tuple(i.strip("abc") for i in m.ids), m.mean, m.cov) for m in maps]
+    third = LandmarkMap(tuple(str(k) for k in range(10)), same[2].mean, same[2].cov)
+    found = identify([*same[:2], third], ["one", "two", "three"])
+    assert set(found.maps[0].ids) == set(found.maps[1].ids) == {str(k) for k in range(10)}
+    assert found.maps[0].ids == same[0].ids
+    assert set(found.maps[2].ids) == {f"three:{k}" for k in range(10)}
+    assert list(found.reasons) == [2]
+    assert found.reasons[2].startswith("with one: ")
 
 
 def test_maps_with_nothing_alike_are_refused_with_the_reason():

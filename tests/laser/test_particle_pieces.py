@@ -1,6 +1,7 @@
 """The particle filter's parts: what a scan leaves in a cell, how particles are weighed and drawn, when they move."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -132,6 +133,42 @@ def test_the_trajectory_goes_through_the_ancestors_of_the_likeliest_particle():
     state.history[:] = [(k, now[k], ancestors[k]) for k in range(3)]
     state.total = np.array([0.0, 1.0, 9.0, 2.0, 3.0, 8.0])  # particle 2, from 1, from 3
     np.testing.assert_allclose(trajectory(state), [[0, 0.3, 0], [1, 0.1, 0], [2, 0.2, 0]], atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_lives_of_a_history_leads_every_particle_through_the_poses_it_came_by(seed):
+    rng = np.random.default_rng(seed)
+    whole = [(3 * k, rng.normal(size=(6, 3)), rng.integers(0, 6, 6) if k else np.arange(6)) for k in range(9)]
+    whole[5] = (15, whole[5][1], np.arange(6))  # an update that drew nobody anew
+
+    def ways(history):
+        out = []
+        for particle in range(6):
+            way, at = [], particle
+            for row, poses, ancestors in reversed(history):
+                way.append((row, *poses[at]))
+                at = int(ancestors[at])
+            out.append(way)
+        return np.array(out)
+
+    kept = particle_slam.living(whole)
+    np.testing.assert_array_equal(ways(kept), ways(whole))
+    for (_, poses, _), later in pairwise(kept):
+        assert set(range(len(poses))) == set(later[2].tolist())  # nobody is kept without a child
+    np.testing.assert_array_equal(ways(particle_slam.living(kept)), ways(whole))
+    assert particle_slam.living([]) == []
+
+
+def test_particles_scatter_in_their_own_frames_as_far_as_the_way_says_and_a_single_one_does_not():
+    cfg, rng = LaserConfig().filter, np.random.default_rng(3)
+    poses = np.column_stack([rng.uniform(-5, 5, (4000, 2)), rng.uniform(-3, 3, 4000)])
+    u = np.array([0.6, -0.8, 0.3])
+    off = se2.between(poses, particle_slam.move(poses, u, cfg, rng)) - u
+    sd = [cfg.sd_xy + cfg.sd_xy_per_m, cfg.sd_xy + cfg.sd_xy_per_m, cfg.sd_turn + cfg.sd_turn_per_m]
+    np.testing.assert_allclose(off.std(axis=0), sd, rtol=0.06)
+    np.testing.assert_allclose(off.mean(axis=0), 0.0, atol=5 * max(sd) / np.sqrt(4000))
+    alone = particle_slam.move(poses[:1], u, cfg, rng)
+    np.testing.assert_allclose(se2.between(poses[0], alone[0]), u, atol=1e-12)
 
 
 def test_the_latest_pose_is_the_likeliest_particles_and_as_sure_as_the_weighed_others_lie_round_it():
