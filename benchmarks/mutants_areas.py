@@ -58,6 +58,7 @@ HAND_OVER = (
     "a_landmark_that_may_be_new_stays_one_until_more_is_known",
     "distances_of_pairs_after_a_constraint_are_those_of_the_constrained_covariance",
     "of_two_that_a_landmark_may_be_the_one_known_well_is_merged_first",
+    "pairs_are_weighed_together_with_the_covariance_of_all_their_differences_after_what_was_merged",
     "which_duplicates_are_surest_depends_on_the_covariances_of_the_pairs_themselves",
 )
 
@@ -373,6 +374,12 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "if n * (n - 1) // 2 <= HYPOTHESES:",
         "if n * (n) // 2 <= HYPOTHESES:",
         "it asks another way of 35 points alone, whose spread is all pairs as well",
+    ),
+    Equivalent(
+        "fusion:MapAndSubmap",
+        "return [], frozenset()",
+        "pass",
+        "without any pair the way on ends at the same return, which comes twice",
     ),
     Equivalent(
         "core:log",

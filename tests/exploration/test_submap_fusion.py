@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
+from mapweave.fusion import map_and_submap
 from mapweave.fusion.handover import hand_over
-from mapweave.fusion.map_and_submap import FLOOR, MapAndSubmap, merge_duplicates
+from mapweave.fusion.map_and_submap import FLOOR, MapAndSubmap, PairingConfig, _Merging, merge_duplicates
 from mapweave.kernels.landmarks import submap as kernels
 from mapweave.landmarks.landmark_map import GlobalMap, Submap, known_starts
 from mapweave.landmarks.submap_slam import (
@@ -397,6 +398,41 @@ def test_which_duplicates_are_surest_depends_on_the_covariances_of_the_pairs_the
         merged, pairs = merge_duplicates(G)
         assert pairs == ((("a", "b"), ("c", "d"))[loose // 2],)
         assert len(merged.ids) == 4
+
+
+@pytest.mark.parametrize("merged", [False, True])
+def test_pairs_are_weighed_together_with_the_covariance_of_all_their_differences_after_what_was_merged(
+    monkeypatch, merged
+):
+    rng = np.random.default_rng(21)
+    mean = np.array([[0.0, 0.0], [0.2, 0.1], [9.0, 0.0], [9.1, 0.2], [0.1, -0.2], [20.0, 1.0], [9.2, 0.1]])
+    G = GlobalMap(("one", "two"), np.zeros((2, 3)), tuple("abcdefg"), mean, random_psd(rng, 20))
+    made, told = _Merging(G), []
+    x, P = np.concatenate([np.zeros(6), mean.ravel()]), G.cov.copy()
+
+    def difference(a, b):
+        H = np.zeros((2, 20))
+        H[:, 6 + 2 * a : 8 + 2 * a], H[:, 6 + 2 * b : 8 + 2 * b] = np.eye(2), -np.eye(2)
+        return H
+
+    if merged:
+        made.merge(0, 4)
+        H = difference(0, 4)
+        K = P @ H.T @ np.linalg.inv(H @ P @ H.T)
+        x, P = x - K @ (H @ x), P - K @ H @ P
+
+    def weighed(pairs, e, S, density):
+        told.append((pairs, e, S))
+        return np.zeros(len(pairs))
+
+    monkeypatch.setattr(map_and_submap, "pairing_probabilities", weighed)
+    assert made.surest(PairingConfig(gate=1e9)) is None
+    ((pairs, e, S),) = told
+    near = {(0, 1), (2, 3), (2, 6), (3, 6)} | (set() if merged else {(0, 4), (1, 4)})
+    assert {tuple(map(int, p)) for p in pairs} == near
+    H = np.concatenate([difference(a, b) for a, b in pairs])
+    np.testing.assert_allclose(e.ravel(), H @ x, atol=1e-7)
+    np.testing.assert_allclose(S, H @ P @ H.T, atol=1e-7)
 
 
 def test_of_two_that_a_landmark_may_be_the_one_known_well_is_merged_first():
