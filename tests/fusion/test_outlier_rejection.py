@@ -190,6 +190,22 @@ def test_exchanged_labels_of_two_maps_are_found_in_each_and_the_doubt_they_threw
     assert {d.owner for d in found} == {2}
 
 
+def test_what_is_doubted_in_one_map_has_no_part_in_an_exchange_of_another():
+    points, shift = places(), np.array([1.5, 0.7])
+    views = ["abcdefgh", "abcdefg", "bcdefgh", "abcdefgh"]
+    swapped = [(2, "c", "d"), (2, "d", "c")]
+    made = maps(views, points, moved=[(1, "a", shift), (3, "h", -shift)], exchanged=swapped)
+    cluster = laid(made)
+    found = {(d.owner, d.id): d for d in find_exchanged(cluster, find_outliers(cluster))}
+    assert {key: d.belongs_to for key, d in found.items()} == {
+        (1, "a"): None,
+        (2, "c"): "d",
+        (2, "d"): "c",
+        (3, "h"): None,
+    }
+    assert found[1, "a"].residual == pytest.approx(np.hypot(*shift), abs=0.3)
+
+
 def test_labels_are_put_back_and_doubted_places_made_to_hardly_count():
     rng = np.random.default_rng(3)
     root = rng.normal(size=(6, 6))
