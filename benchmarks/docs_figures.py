@@ -1,6 +1,6 @@
 """Writes the measured tables of the documentation, and keeps beside each what was measured, when, and at which commit.
 
-    MAPWEAVE_DATA=... python benchmarks/docs_figures.py [--list] [--check] [--only NAME]... [--adopt NAME]...
+    MAPWEAVE_DATA=... python benchmarks/docs_figures.py [--list] [--check] [--only NAME]... [--adopt NAME]... [--jobs N]
 
 Without options every table is measured anew: hours. `--only` measures one. `--check` says which tables of the pages
 are not those of `docs/figures/NAME.json`, exit status 1 where there is one. `--adopt` takes a table as it stands on its
@@ -138,12 +138,17 @@ def adopt(table: Table) -> None:
     )
 
 
-def measure(tables: Sequence[Table]) -> None:
-    """Runs the command that these tables have in common, once, and writes what it gives."""
+def measure(tables: Sequence[Table], jobs: int = 1) -> None:
+    """Runs the command that these tables have in common, once, and writes what it gives.
+
+    jobs: how many runs at once, of commands that have such an option; the tables are the same.
+    """
     first = tables[0]
     with tempfile.TemporaryDirectory() as folder:
         stands_for = {PYTHON: sys.executable, "{page}": str(TOP / first.page), "{out}": f"{folder}/out"}
         words = [stands_for.get(word, word) for word in first.command]
+        if jobs > 1 and words[:3] == ["mapweave", "reproduce", "yuan"]:
+            words += ["--jobs", str(jobs)]
         if words[0] == "mapweave":
             words = [sys.executable, "-m", *words]
         env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(TOP / "src"), os.environ.get("PYTHONPATH", "")])}
@@ -177,6 +182,7 @@ def main() -> None:
     parser.add_argument("--check", action="store_true")
     parser.add_argument("--only", action="append", choices=names, metavar="NAME")
     parser.add_argument("--adopt", action="append", choices=[*names, "all"], metavar="NAME")
+    parser.add_argument("--jobs", type=int, default=1)
     asked = parser.parse_args()
     chosen = [t for t in TABLES if t.name in (asked.only or asked.adopt or names) or asked.adopt == ["all"]]
     if asked.list:
@@ -193,7 +199,7 @@ def main() -> None:
             adopt(table)
     else:
         for command in dict.fromkeys((t.command, t.page if t.written == "page" else "") for t in chosen):
-            measure([t for t in chosen if (t.command, t.page if t.written == "page" else "") == command])
+            measure([t for t in chosen if (t.command, t.page if t.written == "page" else "") == command], asked.jobs)
 
 
 if __name__ == "__main__":
