@@ -6,8 +6,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import dijkstra
 
 from mapweave.kernels.dense import extend_add
-from mapweave.solve.dissection import _hops, dissect, hop_coordinates
-from mapweave.solve.elimination import Elimination
+from mapweave.solve.elimination import Elimination, _hops, dissect, hop_coordinates
 from mapweave.solve.information import Information, SingularError
 from mapweave.solve.multifrontal import Cholesky, NotPositiveError
 

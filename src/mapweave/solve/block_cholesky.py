@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from jaxtyping import Float, Int
 
 from ..kernels.block_cholesky import block_cholesky, block_inverse, block_solve, elimination_tree, factor_columns
-from .least_fill import least_fill
+from .elimination import least_fill
 from .multifrontal import NotPositiveError
 
 BLOCK = 3  # variables that go together
