@@ -8,13 +8,11 @@ import pytest
 import mapweave
 from mapweave.core.landmark_log import LandmarkLog
 from mapweave.evaluation.team import score_team
-from mapweave.team import on_one_clock
-from mapweave.team.clock_scores import clocks_of
-from mapweave.team.clocks import of_another_time
+from mapweave.team import smooth as smoothing
+from mapweave.team.clocks import clocks_of, of_another_time
 from mapweave.team.config import SmoothingConfig
-from mapweave.team.on_one_clock import smooth_on_one_clock
 from mapweave.team.problem import team_problem
-from mapweave.team.smooth import smooth
+from mapweave.team.smooth import smooth, smooth_on_one_clock
 
 from .teams import World, world
 
@@ -78,7 +76,7 @@ def count(monkeypatch):
         calls.append(1)
         return smooth(*args, **options)
 
-    monkeypatch.setattr(on_one_clock, "smooth", counted)
+    monkeypatch.setattr(smoothing, "smooth", counted)
     return calls
 
 

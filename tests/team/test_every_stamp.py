@@ -4,8 +4,7 @@ import numpy as np
 
 from mapweave.core.records import Track
 from mapweave.landmarks.landmark_map import LandmarkMap
-from mapweave.team.every_stamp import at_every_stamp
-from mapweave.team.team_map import TeamMap
+from mapweave.team.team_map import TeamMap, at_every_stamp
 
 
 def team(left_out=()):

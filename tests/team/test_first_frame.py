@@ -8,12 +8,11 @@ from mapweave.core.records import Track
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.team.clocks import RobotClock
 from mapweave.team.config import KnownConfig
-from mapweave.team.first_frame import in_first_frame
 from mapweave.team.known import PlacePriors
 from mapweave.team.mixed import MixedMap
 from mapweave.team.placing import Layout
 from mapweave.team.smooth import Smoothed
-from mapweave.team.team_map import TeamMap
+from mapweave.team.team_map import TeamMap, in_first_frame
 
 
 def team(first):

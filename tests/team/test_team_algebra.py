@@ -12,10 +12,20 @@ from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.solve import SolveStatus
 from mapweave.team.commanded_motion import CommandedMotion, random_walk
 from mapweave.team.config import CalibrationPrior, MotionNoise, SmoothingConfig
-from mapweave.team.covariance import _correlation, _Known, _motions, _priors, team_covariance
+from mapweave.team.covariance import (
+    MOST_TAKEN,
+    Groups,
+    _correlation,
+    _Known,
+    _motions,
+    _priors,
+    scatter,
+    scores,
+    taken_out,
+    team_covariance,
+)
 from mapweave.team.problem import HELD_TOGETHER, TeamProblem, _nodes, team_problem
 from mapweave.team.robot_part import PARAMETERS, Instants, instants_of
-from mapweave.team.scatter import MOST_TAKEN, Groups, scatter, scores, taken_out
 from mapweave.team.smooth import _dense, is_observed, smooth
 from mapweave.team.team_map import TeamMap
 

@@ -28,18 +28,15 @@ from ..landmarks.sifting import SiftConfig, sifted
 from ..team.camera_clock import CameraClockConfig, on_camera_clock
 from ..team.clocks import of_another_time
 from ..team.config import OnlineConfig, SmoothingConfig
-from ..team.every_stamp import at_every_stamp
-from ..team.first_frame import in_first_frame
 from ..team.further_rooms import with_further_rooms
 from ..team.kidnapped import cut_kidnapped, with_stretches
 from ..team.known import PlacePriors, framed
 from ..team.mixed import regained
-from ..team.on_one_clock import smooth_on_one_clock
 from ..team.online_run import OnlineMap, OnlineRun
 from ..team.relative_frame import PlacingConfig
 from ..team.relocations import KidnapConfig
-from ..team.smooth import Smoothed
-from ..team.team_map import TeamMap
+from ..team.smooth import Smoothed, smooth_on_one_clock
+from ..team.team_map import TeamMap, at_every_stamp, in_first_frame
 from .map_options import LANDMARK_METHODS, MapOptions
 from .online import fuse_online, times_of
 from .smooth_online import closed, closing_start, smooth_online

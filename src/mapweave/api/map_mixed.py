@@ -49,14 +49,12 @@ from ..report.score import headline_scores
 from ..report.style import Target
 from ..team.camera_clock import CameraClockConfig, on_camera_clock
 from ..team.config import SmoothingConfig
-from ..team.every_stamp import at_every_stamp
-from ..team.first_frame import in_first_frame
 from ..team.kidnapped import Cut, cut_kidnapped, with_stretches
 from ..team.known import PlacePriors
 from ..team.mixed import MixedMap, map_mixed, regained
 from ..team.relative_frame import PlacingConfig
 from ..team.relocations import KidnapConfig
-from ..team.team_map import TeamMap
+from ..team.team_map import TeamMap, at_every_stamp, in_first_frame
 from ..team.walls import Scanned
 from .evaluate import Evaluation, judged
 from .map_landmarks import known_calibration

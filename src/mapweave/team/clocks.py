@@ -1,11 +1,25 @@
-"""How far a robot's clock is ahead of the others', from what they saw of each other along their smoothed paths."""
+"""How far a robot's clock is ahead of the others', from what they saw of each other: along paths, or in a solution.
 
-from collections.abc import Mapping, Sequence
+`clock_of` moves the stamps along smoothed paths as they are. `clocks_of` asks how the sightings in a smoothed team's
+problem still pull. Were a robot's stamps moved by `a`, it would have been seen where it was at another time: its place
+at the stamp moves along its velocity v, so that `J_a = J_p v` for the one that was seen and `-J_p v` for the one that
+saw it. At the minimum over all else (x) the clocks' own minimum is one step away: `a = -S^-1 g` with
+`S = H_aa - H_ax H_xx^-1 H_xa`, the trajectories being free to bend (a score test; Rao, 1948). Its scatter is measured
+by groups of factors, as that of landmarks and calibration is.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float, Int
+from scipy.sparse.csgraph import connected_components
 
 from ..core.landmark_log import LandmarkLog
+from ..solve import Solution
+from .covariance import Groups, scores
+from .problem import Origin, TeamProblem
 from .relative_frame import Body, Labels, PlacingConfig, costs, mutual_sightings, sharpened
 from .team_map import TeamMap
 
@@ -60,3 +74,130 @@ def of_another_time(logs: Sequence[LandmarkLog]) -> dict[str, float]:
         if gaps and min(everybody) > 0.0:
             out[robot] = min(everybody)
     return out
+
+
+@dataclass(frozen=True, slots=True)
+class _Met:
+    """m sightings of robots by the robot of `origin`. target: (m,) whom; columns: (m, d) entries of x they are of.
+
+    pull: (m,) on the target's clock, and the other way on the observer's; information: (m,) on it; across: (m, d) on it
+    and the entries of x.
+    """
+
+    origin: Origin
+    target: Int[np.ndarray, " m"]
+    columns: Int[np.ndarray, "m d"]
+    pull: Float[np.ndarray, " m"]
+    information: Float[np.ndarray, " m"]
+    across: Float[np.ndarray, "m d"]
+
+
+def clocks_of(
+    team: TeamProblem, solution: Solution, suspect: float, length: float, also: Collection[str] = ()
+) -> dict[str, RobotClock]:
+    """The clocks of robots that look off, robot -> how far ahead of the usual one [s]; and of those of `also`.
+
+    suspect: [s] from which one looks off while trajectories are held, which shows a part of what it is off; length: [s]
+    over which errors are correlated. The usual clock of robots connected by sightings of each other is that of the one
+    in their middle; of two, the first one's.
+    """
+    met = _met(team, solution.x)
+    if not met or solution.information is None:
+        return {}
+    R = len(team.parts)
+    C, g = np.zeros((R, R)), np.zeros(R)
+    for z in met:
+        k, a, b = z.origin.robot, np.bincount(z.target, z.information, R), np.bincount(z.target, z.pull, R)
+        C += np.diag(a)
+        C[k, k] += a.sum()
+        C[k] -= a
+        C[:, k] -= a
+        g += b
+        g[k] -= b.sum()
+    named = {k for k, part in enumerate(team.parts) if part.robot in also}
+    chosen = _suspects(C, g, suspect, named)
+    if not len(chosen):
+        return {}
+    B, pulls = _coupling(solution, met, chosen, Groups.of(team, length))
+    K = solution.information.solve(B)
+    try:
+        P = np.linalg.inv(C[np.ix_(chosen, chosen)] - B.T @ K)
+    except np.linalg.LinAlgError:
+        return {}
+    of_all = scores(team, solution.x, Groups.of(team, length))[:, solution.free]
+    ahead, sd = -P @ g[chosen], np.sqrt(np.square((pulls - of_all @ K) @ P).sum(axis=0))
+    found = zip(chosen.tolist(), ahead.tolist(), sd.tolist(), strict=True)
+    return {team.parts[k].robot: RobotClock(a, s) for k, a, s in found if np.isfinite(a) and np.isfinite(s)}
+
+
+def _suspects(
+    C: Float[np.ndarray, "r r"], g: Float[np.ndarray, " r"], suspect: float, named: Collection[int]
+) -> Int[np.ndarray, " s"]:
+    """Robots whose clocks pull away from their group's usual one, trajectories held, and those named.
+
+    Of every group one stays the clock that the others are told against.
+    """
+    held = -np.linalg.pinv(C, rcond=1e-9, hermitian=True) @ g
+    group = connected_components(sp.csr_array(C), directed=False)[1]
+    out: list[int] = []
+    for k in np.unique(group):
+        robots = np.flatnonzero(group == k)
+        middle = float(np.median(held[robots]))
+        usual = min(robots.tolist(), key=lambda r: (r in named, round(abs(held[r] - middle), 9), r))
+        off = [r for r in robots.tolist() if r in named or abs(held[r] - held[usual]) >= suspect]
+        out += [r for r in off if r != usual]
+    return np.array(sorted(out), np.int64)
+
+
+def _coupling(
+    solution: Solution, met: Sequence[_Met], chosen: Int[np.ndarray, " s"], groups: Groups
+) -> tuple[Float[np.ndarray, "f s"], Float[np.ndarray, "groups s"]]:
+    """The information on the chosen clocks and the free variables, and the pull of each group on the clocks."""
+    n = len(solution.free)
+    position = np.full(len(solution.x), n)
+    position[solution.free] = np.arange(n)
+    B, pulls = np.zeros((n + 1, len(chosen))), np.zeros((len(groups), len(chosen)))
+    for z in met:
+        row = groups.rows(z.origin)
+        for column, k in enumerate(chosen.tolist()):
+            seen = np.flatnonzero(z.target == k)
+            sign, m = (-1.0, np.arange(len(row))) if k == z.origin.robot else (1.0, seen)
+            if len(m):
+                np.add.at(B[:, column], position[z.columns[m]], sign * z.across[m])
+                pulls[:, column] += sign * np.bincount(row[m], z.pull[m], len(groups))
+    return B[:n], pulls
+
+
+def _met(team: TeamProblem, x: Float[np.ndarray, " n"]) -> list[_Met]:
+    starts, velocities = np.array([p.start for p in team.parts]), {}
+    out = []
+    for term, origin in zip(team.factors, team.origins, strict=True):
+        if origin is None or term.name != "robot":
+            continue
+        W, J = term.sqrt_info, term.jacobian(x)
+        J = J if W is None else W[..., None] * J
+        target = np.searchsorted(starts, term.columns[:, 3], side="right") - 1
+        v = np.empty((len(target), 2))
+        for k in np.unique(target).tolist():
+            if k not in velocities:
+                velocities[k] = _velocity(team, k, x)
+            rows, at = np.flatnonzero(target == k), team.parts[k].instants.t
+            v[rows] = np.stack([np.interp(origin.t[rows], at, velocities[k][:, c]) for c in (0, 1)], axis=-1)
+        by_clock, weight = np.einsum("mkd,md->mk", J[:, :, 3:5], v), term.weights(x)
+        out.append(
+            _Met(
+                origin,
+                target,
+                term.columns,
+                weight * (by_clock * term.whitened(x)).sum(axis=1),
+                weight * np.square(by_clock).sum(axis=1),
+                weight[:, None] * np.einsum("mk,mkd->md", by_clock, J),
+            )
+        )
+    return out
+
+
+def _velocity(team: TeamProblem, k: int, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "k 2"]:
+    part = team.parts[k]
+    place = x[part.start : part.start + 3 * len(part.instants.t)].reshape(-1, 3)[:, :2]
+    return np.gradient(place, part.instants.t, axis=0) if len(place) > 1 else np.zeros_like(place)

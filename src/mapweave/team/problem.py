@@ -20,7 +20,7 @@ from ..laser.robot_graph import RobotGraph
 from ..solve import Cauchy, Factor, Pattern, Problem, Solution, SolveConfig, minimise, wrapping
 from .commanded_motion import CommandedMotion
 from .config import CalibrationPrior, SmoothingConfig
-from .factors import sighting_factors, step_factor
+from .factors import InterRobotEdge, inter_robot_factor, scan_factor, sighting_factors, step_factor
 from .known import PlacePriors
 from .robot_part import (
     LAG,
@@ -34,7 +34,6 @@ from .robot_part import (
     instants_of,
     keyframe_instants,
 )
-from .scan_factors import InterRobotEdge, inter_robot_factor, scan_factor
 
 WIDER, LONGEST = 1.25, 30.0  # times as long are steps made at a time where poses are too many, and [s] at most
 HELD_TOGETHER = 0.001  # share of the size of a map that nothing but ranges tells: so firmly it is held

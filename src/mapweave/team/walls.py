@@ -17,9 +17,9 @@ from ..laser.merge_search import Start
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import blended
 from ..laser.weave import Woven, keyframe_map, weave
+from .factors import InterRobotEdge
 from .placing import Layout, Tie
 from .relative_frame import Body, PlacingConfig, moved_track
-from .scan_factors import InterRobotEdge
 
 NEAR = 0.01  # [s] by which a stamp may lie outside a track
 
