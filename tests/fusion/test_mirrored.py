@@ -6,7 +6,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.landmark_log import LandmarkLog, SightingTable
 from mapweave.core.records import Odometry
-from mapweave.fusion.mirrored import mirror_images, unmirrored
+from mapweave.fusion.compared_logs import mirror_images, unmirrored
 
 from .worlds import local_map
 

@@ -10,9 +10,9 @@ from ..core.errors import DataError, UsageError
 from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order, robot_key, robot_name
 from ..core.workers import worker_pool
+from ..fusion.compared_logs import CopiesConfig, MirrorConfig, mirror_images, unmirrored, with_copies_marked
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse
-from ..fusion.mirrored import MirrorConfig, mirror_images, unmirrored
 from ..fusion.result import Fusion, placed_by_sightings, tie_by_starts
 from ..io.kept import parts
 from ..io.landmark_logs import is_landmark_log, landmark_logs_of, read_landmark_logs
@@ -21,7 +21,6 @@ from ..io.table import Columns
 from ..io.team_map import read_calibration
 from ..landmarks.agreement import AgreementConfig, with_wheels_checked
 from ..landmarks.config import EkfSlamConfig
-from ..landmarks.copies import CopiesConfig, with_copies_marked
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import Growth, grow, without_impossible
 from ..landmarks.sifting import SiftConfig, sifted

@@ -15,6 +15,7 @@ from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key, robot_name
 from ..core.workers import worker_pool
+from ..fusion.compared_logs import CopiesConfig, with_copies_marked
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse
 from ..fusion.result import Fusion
@@ -34,7 +35,6 @@ from ..io.team_map import (
 )
 from ..landmarks.agreement import AgreementConfig, with_wheels_checked
 from ..landmarks.config import EkfSlamConfig
-from ..landmarks.copies import CopiesConfig, with_copies_marked
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import local_map, without_impossible
 from ..landmarks.sifting import SiftConfig, sifted

@@ -7,7 +7,7 @@ import pytest
 
 from mapweave.core.landmark_log import LandmarkLog, SightingTable
 from mapweave.core.records import Odometry
-from mapweave.landmarks.copies import with_copies_marked
+from mapweave.fusion.compared_logs import with_copies_marked
 
 
 def a_log(robot: str, seed: int, n: int = 60) -> LandmarkLog:
