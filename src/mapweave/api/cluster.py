@@ -27,15 +27,12 @@ class ClusterExecutor(Executor):
 
 
 @contextmanager
-def cluster_executor(address: str | None, executor: Executor | None) -> Iterator[Executor | None]:
-    """`executor`, or one on the cluster whose scheduler is at `address` (`tcp://host:8786`), closed at the end.
+def cluster_executor(address: str, executor: Executor | None) -> Iterator[Executor]:
+    """An executor on the cluster whose scheduler is at `address` (`tcp://host:8786`), closed at the end.
 
-    Raises UsageError where both are given, Dask is not installed, nobody answers there, or no worker is there;
+    Raises UsageError where an `executor` is given too, Dask is not installed, nobody answers there, or no worker is there;
     EstimateError where the workers are lost on the way.
     """
-    if address is None:
-        yield executor
-        return
     if executor is not None:
         raise UsageError("--cluster: expected it or an executor, found both")
     try:

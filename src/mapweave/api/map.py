@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import nullcontext
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -184,7 +185,7 @@ def map(  # noqa: A001  (the verb)
         raise UsageError("mcap: expected a folder to write to (out), found none")
     if logs is not None and not (scans is None and odometry is None and sightings is None):
         raise UsageError("expected either logs or tables in memory (scans, odometry, sightings), found both")
-    with cluster_executor(cluster, executor) as workers:
+    with nullcontext(executor) if cluster is None else cluster_executor(cluster, executor) as workers:
         options = replace(options, executor=workers)
         result = _in_memory(scans, odometry, sightings, options) if logs is None else _of_logs(several, options)
     if out is not None:

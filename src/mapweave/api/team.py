@@ -242,7 +242,7 @@ def team_result(
         maps=maps,
         local=tuple(local),
         fusion=fusion,
-        growth=growth(online, survey),
+        growth=growth(online, survey) if online else (),
         score=score,
         truth=known,
         smoothed=tuple(smoothed),
