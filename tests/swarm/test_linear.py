@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mapweave.swarm.linear import bias, linear_pattern, linear_start
 from mapweave.swarm.network import Distance, components
+from mapweave.swarm.start import bias, linear_pattern, linear_start
 
 from .swarms import simulated
 

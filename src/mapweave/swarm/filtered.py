@@ -10,11 +10,10 @@ from .factors import bearing_factor, width
 from .gauge import gauge_of
 from .headings import headings_at
 from .kalman import FilterState, Form, filter_start, update
-from .linear import linear_pattern, linear_start
 from .network import BearingNetwork, components
 from .observability import observe
 from .result import JointInformation, SwarmEstimate, SwarmStatus
-from .start import prepare
+from .start import linear_pattern, linear_start, prepare
 from .verdict import chi2_warnings, layout_warnings
 
 TOO_MANY = 6000  # sightings beyond which a dense update would need gigabytes

@@ -19,12 +19,11 @@ from .config import ROBUST, RobustConfig, SwarmConfig
 from .factors import bearing_factor
 from .fallen import fallen_together, unchecked
 from .headings import mutual_pairs, world_directions
-from .linear import linear_pattern, linear_start
 from .network import BearingNetwork, components, effective_sigma
 from .posterior import posterior
 from .relocation import relocated, unsupported
 from .result import SwarmEstimate
-from .start import SwarmStart, prepare
+from .start import SwarmStart, linear_pattern, linear_start, prepare
 from .verdict import fallen_warnings, support_warnings, trust_warnings
 
 
