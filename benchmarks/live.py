@@ -29,7 +29,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from mapweave.api.weave_laser import starts_among
+from mapweave.api.laser_result import starts_among
 from mapweave.core import se2
 from mapweave.core.landmark_log import LandmarkLog
 from mapweave.core.laser_log import LaserLog

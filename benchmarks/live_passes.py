@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from live import memory, one_round, prepared, renamed, warmed
-from mapweave.api.weave_laser import starts_among
+from mapweave.api.laser_result import starts_among
 from mapweave.core import se2
 from mapweave.core.workers import keep_one_blas_thread
 from mapweave.laser.config import LaserConfig

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import mapweave
-from mapweave.report.files import HOLDS
+from mapweave.report.html import HOLDS
 
 HEAD = 8_000  # bytes of a page's head, however large the result
 

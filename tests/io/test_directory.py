@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from mapweave.core.errors import UsageError
-from mapweave.io import directory, exchange
+from mapweave.io import directory
 from mapweave.io.directory import check_target, result_directory, result_file
 
 KILLED = """
@@ -82,7 +82,7 @@ def test_what_a_killed_process_left_is_removed_by_the_next_and_what_somebody_wri
 
 
 def test_where_names_cannot_be_exchanged_the_result_is_replaced_all_the_same(tmp_path, monkeypatch):
-    monkeypatch.setattr(exchange, "_exchange_call", lambda: None)
+    monkeypatch.setattr(directory, "_exchange_call", lambda: None)
     for text in "12":
         with result_directory(tmp_path / "out") as work:
             fill(work, text)
@@ -144,12 +144,12 @@ def test_a_target_that_holds_what_is_read_is_bad_usage_even_by_force(tmp_path):
 
 def test_what_a_living_process_holds_is_held_and_is_not_when_it_is_killed(tmp_path):
     code = (
-        "import sys, time; from pathlib import Path; from mapweave.io.exchange import held\n"
+        "import sys, time; from pathlib import Path; from mapweave.io.directory import held\n"
         "with held(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
     )
     words = [sys.executable, "-c", code, str(tmp_path)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as going:  # noqa: S603
         assert going.stdout.readline() == "held\n"
-        assert exchange.is_held(tmp_path)
+        assert directory.is_held(tmp_path)
         going.kill()
-    assert not exchange.is_held(tmp_path)
+    assert not directory.is_held(tmp_path)

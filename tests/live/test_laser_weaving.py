@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from mapweave.api.weave_laser import starts_among
+from mapweave.api.laser_result import starts_among
 from mapweave.core import se2
 from mapweave.laser.config import LaserConfig
 from mapweave.laser.merge import MapClosure, Merge, merge_maps

@@ -4,8 +4,7 @@ import re
 from html import unescape
 from urllib.parse import unquote
 
-from mapweave.report.files import list_files
-from mapweave.report.html import Page
+from mapweave.report.html import Page, list_files
 
 
 def test_every_file_beside_the_page_is_linked_once_whatever_its_name(tmp_path):

@@ -17,8 +17,8 @@ from mapweave.report.exploration_scene import laser_exploration_scene
 from mapweave.report.html import Page
 from mapweave.report.scene import LEVELS
 from mapweave.report.style import drawn
+from mapweave.report.swarm import moved_scene
 from mapweave.report.swarm_figures import track_errors_figure
-from mapweave.report.swarm_scene import moved_scene
 
 from .browser import CHROMIUM, seen_in_browser
 

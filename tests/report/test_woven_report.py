@@ -15,8 +15,7 @@ from mapweave.laser.robot_graph import RobotGraph
 from mapweave.laser.woven_map import ClosureRow, WovenMap
 from mapweave.report.laser import MOST_PARTS, write_laser_report
 from mapweave.report.style import PALETTE
-from mapweave.report.woven import MOST_PICTURES
-from mapweave.report.woven_figures import robot_colour, truths_in
+from mapweave.report.woven import MOST_PICTURES, robot_colour, truths_in
 
 from ..io.made_laser_map import made_laser_map
 

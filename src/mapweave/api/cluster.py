@@ -30,8 +30,8 @@ class ClusterExecutor(Executor):
 def cluster_executor(address: str, executor: Executor | None) -> Iterator[Executor]:
     """An executor on the cluster whose scheduler is at `address` (`tcp://host:8786`), closed at the end.
 
-    Raises UsageError where an `executor` is given too, Dask is not installed, nobody answers there, or no worker is there;
-    EstimateError where the workers are lost on the way.
+    Raises UsageError where an `executor` is given too, Dask is not installed, nobody answers there, or no worker is
+    there; EstimateError where the workers are lost on the way.
     """
     if executor is not None:
         raise UsageError("--cluster: expected it or an executor, found both")

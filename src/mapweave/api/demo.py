@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 from ..core.workers import Progress, no_progress
 from ..io.directory import check_target, result_directory
 from ..io.mrclam import write_mrclam
-from ..report.files import list_files
+from ..report.html import list_files
 from ..sim.landmarks import TeamWorld, simulate_team
 from .map_landmarks import map_logs
 from .map_options import MapOptions

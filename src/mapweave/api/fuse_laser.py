@@ -10,9 +10,8 @@ from ..core.names import robot_name
 from ..core.workers import Progress
 from ..io.laser_state import holds_state, laser_homes, read_laser_states
 from ..laser.laser_map import LaserMap
-from .laser_result import LaserResult
+from .laser_result import LaserResult, same_logs, woven_result
 from .map_laser import LaserMapConfig
-from .weave_laser import same_logs, woven_result
 
 
 def are_laser_results(folders: Sequence[Path]) -> bool:

@@ -26,14 +26,13 @@ from ..live.sources import messages, open_source
 from ..live.store import Store
 from ..live.topics import Topics
 from ..live.transport import LISTENING, Network, session
-from .laser_result import LaserResult
+from .laser_result import LaserResult, starts_among
 from .live_ros2 import RosOptions, drive_ros2
 from .map_landmarks import LandmarkMapConfig, map_landmark_logs
 from .map_laser import LaserMapConfig
 from .map_laser import map_logs as map_lasers
 from .map_options import MapOptions
 from .team import TeamResult
-from .weave_laser import starts_among
 
 ROS2 = "ros2"
 

@@ -14,7 +14,7 @@ from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.directory import check_target, result_directory
 from ..io.kept import kept_parts
 from ..io.table import Columns
-from ..report.files import list_files
+from ..report.html import list_files
 from .cluster import cluster_executor
 from .map_options import LaserOptions, MapOptions, expect_there, key_of, path_of, paths_of
 from .result import MapResult

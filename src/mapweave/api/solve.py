@@ -17,7 +17,7 @@ from ..io.g2o import G2oFile, read_g2o_file, write_g2o
 from ..io.table import open_text
 from ..io.tum import write_track_covariance, write_tum
 from ..laser.robust_graph import RobustGraphConfig, SolvedGraph, solve_graph
-from ..report.files import list_files
+from ..report.html import list_files
 from ..report.result import ResultBase
 from ..report.solve import draw_graph, write_solve_report
 from ..report.style import Target

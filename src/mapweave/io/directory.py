@@ -1,28 +1,34 @@
 """Results appear whole or not at all: written aside, then put in place, whenever the process ends.
 
-What a killed process left aside is removed by the next that writes to the same place.
+What a killed process left aside is removed by the next that writes to the same place. Two names change places in one
+step, and a lock says who still writes where: what file systems offer beyond Python's own.
 """
 
+import ctypes
 import json
 import math
 import os
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..core.errors import ReaderError, UsageError
-from .exchange import held, is_held, put_in_place
 
 MARKERS = ("metrics.json", "simulation.json")  # what tells an earlier result from anything else
 ASIDE = ".unfinished-"  # in the name of whatever is not in place yet
 SETTLED = 60.0  # [s] after which what stands aside and is held by nobody was left behind
 LONGEST = 40  # letters of a target's name that the name aside repeats
+HERE = {"linux": -100, "darwin": -2}  # AT_FDCWD: names are relative to the working directory
+SWAP = 2  # RENAME_EXCHANGE of Linux, RENAME_SWAP of Darwin
+TRIES = 10  # of changing names, while others do
 
 
 def check_target(out: Path, *, force: bool = False, reads: Iterable[object] = ()) -> None:
@@ -170,3 +176,75 @@ def _has_version(path: Path) -> bool:
         return "version" in read_json(path)
     except ReaderError:
         return False
+
+
+def put_in_place(work: Path, target: Path) -> None:
+    """The directory `work` stands at `target`, in one step; what stood there before stands at `work`, if anything.
+
+    Where the file system cannot exchange names there is an instant at which nothing stands at `target`.
+    """
+    for _ in range(TRIES):  # another process may put its own there, or take it away, between two steps
+        if not target.exists():
+            with suppress(OSError):
+                work.rename(target)
+                return
+        elif _exchanged(work, target):
+            return
+    old = Path(tempfile.mkdtemp(prefix=work.name, dir=work.parent))
+    target.replace(old)
+    try:
+        work.rename(target)
+    except OSError:
+        old.replace(target)
+        raise
+    old.rename(work)
+
+
+@contextmanager
+def held(path: Path) -> Iterator[None]:
+    """Within, `is_held(path)` is true in every process, until this one ends in whatever way."""
+    try:
+        handle = os.open(path, os.O_RDONLY)
+    except OSError:  # directories cannot be opened everywhere
+        yield
+        return
+    try:
+        _lock(handle)
+        yield
+    finally:
+        os.close(handle)
+
+
+def is_held(path: Path) -> bool:
+    """Whether a process that lives holds `path`; true also where the file system cannot tell."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        return not _lock(handle)
+    finally:
+        os.close(handle)
+
+
+def _lock(handle: int) -> bool:
+    try:
+        import fcntl  # noqa: PLC0415  (not on every system)
+
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (ImportError, OSError):
+        return False
+    return True
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    call = _exchange_call()
+    return call is not None and call(HERE[sys.platform], bytes(one), HERE[sys.platform], bytes(other), SWAP) == 0
+
+
+@cache
+def _exchange_call() -> "ctypes._NamedFuncPointer | None":
+    names = {"linux": "renameat2", "darwin": "renameatx_np"}
+    try:
+        call = ctypes.CDLL(None, use_errno=True)[names[sys.platform]]
+    except (KeyError, OSError, AttributeError):
+        return None
+    call.argtypes = [ctypes.c_int, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_uint]
+    return call

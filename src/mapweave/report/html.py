@@ -1,4 +1,7 @@
-"""One HTML file that needs nothing beside it: figures inside, light and dark, printable."""
+"""One HTML file that needs nothing beside it: figures inside, light and dark, printable.
+
+It ends in a list of the files that stand there all the same, to open or save, and what each holds.
+"""
 
 import base64
 import math
@@ -8,14 +11,45 @@ from dataclasses import dataclass, field
 from html import escape
 from itertools import zip_longest
 from pathlib import Path
+from urllib.parse import quote
 
 from PIL import Image
 
 from ..core.version import __version__
+from ..io.directory import result_file
 from .scene import Scene, script
 
 ALIKE = 1000.0  # numbers of a column that differ by less have the same number of decimals
 LONGEST_NUMBER = 24  # letters of a cell, beyond which it is a sentence
+HOLDS = {
+    "calibration.csv": "gain of intensity over range, found from the log",
+    "calibration.json": "what was found of every robot: speed, turns, lag, bearing bias, range scale",
+    "claims.md": "the paper's claims, each with what became of it here",
+    "closures.csv": "every loop closure tried, with the reason why it was believed or refused",
+    "components": "maps that nothing ties to this one",
+    "dropped.csv": "rows that were left out, and why",
+    "figures": "every figure as PNG",
+    "grid.npz": "the occupancy grid as arrays",
+    "intensity.png": "light that the walls send back",
+    "landmarks.csv": "landmarks with their covariances, a row each",
+    "landmarks.npz": "landmarks with their joint covariance",
+    "local": "each robot's own map",
+    "log": "the recordings, which map reads again",
+    "map.pgm": "occupancy, as ROS navigation reads it",
+    "map.yaml": "resolution and origin of map.pgm",
+    "metrics.json": "all that the page says, for programs",
+    "network.npz": "who sighted whom, and the joint information matrix",
+    "pose_graph.g2o": "poses and edges, for GTSAM, g2o and others",
+    "positions.csv": "where each robot is, with covariances",
+    "recording": "the simulated recordings, which map reads again",
+    "result.mcap": "map, paths and landmarks, for RViz and Foxglove",
+    "robot_graph.npz": "keyframes with their returns, steps and closures",
+    "runs.csv": "a row for each run, with its scores",
+    "scans.csv": "a row for each scan: pose, innovation, decision",
+    "state": "what --resume needs to go on",
+    "tables": "the tables of this page in Markdown",
+    "trajectories": "where each robot went: TUM or CSV, covariances beside",
+}
 _NUMBER = re.compile(r"[-+−±]?\.?\d")
 _CSS = """
 :root{color-scheme:light dark;--fg:#1b1f24;--bg:#fff;--line:#d9dde2;--soft:#f4f6f8;--accent:#0072B2;--warn:#b25400}
@@ -187,3 +221,21 @@ def _kind(column: Sequence[str]) -> str:
         return ' class="text"'
     told = [text for text in column if text not in {"", "–"}]
     return ' class="word"' if told and not any(_NUMBER.match(text) for text in told) else ""
+
+
+def list_files(folder: Path) -> None:
+    """`report.html` in `folder` ends in a table of the other files and folders there, in place of one put before."""
+    report = folder / "report.html"
+    if not report.is_file():
+        return
+    page = Page("")
+    page.section("Files")
+    rows = []
+    for path in sorted(p for p in folder.iterdir() if p != report):
+        name = f"{path.name}/" if path.is_dir() else path.name
+        link = f'<a href="{quote(name)}">{escape(name)}</a>'
+        rows.append(f'<tr><td>{link}</td><td class="text">{escape(HOLDS.get(path.name, ""))}</td></tr>')
+    page.parts.append(f"<table><tbody>{''.join(rows)}</tbody></table>")
+    text = page.put_into(report.read_text(encoding="utf-8", errors="replace"), "files")
+    with result_file(report) as work:
+        work.write_text(text, encoding="utf-8", errors="backslashreplace")

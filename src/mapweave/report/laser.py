@@ -22,8 +22,7 @@ from .laser_figures import (
     laser_scene,
     median_deviation,
 )
-from .woven import not_in_first, write_maps, write_pairs
-from .woven_figures import robot_colour
+from .woven import not_in_first, robot_colour, write_maps, write_pairs
 
 MOST_NAMED = 4  # logs in the title
 MOST_PARTS = 8  # robots that have a part of their own on the page of a team

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
 
 from ..core.signatures import readable
 from ..io.directory import result_directory
-from .files import list_files
+from .html import list_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,16 +1,153 @@
-"""The part of a laser report that tells how robots are connected, and why two of them do or do not."""
+"""The part of a laser report that tells how robots are connected, and why two of them do or do not.
+
+With its figures: all robots in one map, closures believed and refused, two maps laid on each other.
+"""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+from matplotlib.collections import LineCollection
+
+from ..core import se2
 from ..core.names import robot_name
 from ..core.records import Track
-from ..laser.laser_map import LaserMap
+from ..laser.laser_map import GridMap, LaserMap
 from ..laser.merge import Merge
-from ..laser.woven_map import WovenMap
+from ..laser.robot_graph import RobotGraph
+from ..laser.submaps import gathered
+from ..laser.woven_map import ClosureRow, WovenMap
 from .html import Page, told_list
-from .laser_figures import draw_intensity, laser_scene
-from .woven_figures import draw_closures, draw_component, draw_pair, robot_colour, truths_in
+from .laser_figures import draw_intensity, draw_occupancy, laser_scene, map_size, map_window
+from .style import MUTED, TRUTH, Target, as_map, colour, figure
+
+ROBOTS = (0, 1, 3, 4, 6, 2, 5)  # places in the palette, those of closures last
+STYLES = ("-", "-.", ":")  # of lines, for robots beyond the palette
+TIE, LOOP, REFUSED = 2, 0, 5  # colours of closures between robots, within one, and of those refused
+WALLS = 0.1  # [m] of the points two maps are drawn with
+
+
+def robot_colour(k: int) -> str:
+    """The colour of the k-th robot of a component."""
+    return colour(ROBOTS[k % len(ROBOTS)])
+
+
+def draw_component(
+    path: Target, made: WovenMap, truths: Mapping[str, Track], places: Mapping[str, int] | None = None
+) -> None:
+    """The map with every robot's trajectory in a colour of its own, and the truth where there is one.
+
+    places: robot -> its place among all robots, which gives it its colour; without them its place in this map.
+    """
+    with figure(path, *map_size(made.grid)) as (fig, ax):
+        draw_occupancy(ax, made.grid)
+        for i, (robot, track) in enumerate(made.tracks.items()):
+            k = i if places is None else places[robot]
+            style = STYLES[k // len(ROBOTS) % len(STYLES)]
+            ax.plot(*track.pose[:, :2].T, style, color=robot_colour(k), label=robot_name(robot), linewidth=1.2)
+            ax.plot(*track.pose[0, :2], "o", color=robot_colour(k), markeredgecolor="white", markersize=6)
+            ax.plot(*track.pose[-1, :2], "s", color=robot_colour(k), markeredgecolor="white", markersize=6)
+        for k, track in enumerate(truths_in(made, truths)):
+            name = "truth" if k == 0 else None
+            ax.plot(*track.pose[:, :2].T, color=TRUTH, label=name, linewidth=0.8, linestyle="--")
+        map_window(ax, made.grid)
+        fig.legend(loc="outside lower center", ncols=6)
+        as_map(ax, "One map; a dot where a robot begins, a square where it ends")
+        ax.set_aspect("equal", adjustable="box")
+
+
+def draw_closures(path: Target, made: WovenMap) -> None:
+    """Where closures were tried: those believed, within a robot and between two, and those refused."""
+    both = {*made.robots}
+    rows = [c for c in made.closures if c.robot_a in both and c.robot_b in both]
+    kinds = (
+        (f"within a robot ({_count(rows, tie=False)})", LOOP, "-", [c for c in rows if c.accepted and not _ties(c)]),
+        (f"between robots ({_count(rows, tie=True)})", TIE, "-", [c for c in rows if c.accepted and _ties(c)]),
+        (f"refused ({sum(not c.accepted for c in rows)})", REFUSED, ":", [c for c in rows if not c.accepted]),
+    )
+    with figure(path, *map_size(made.grid)) as (fig, ax):
+        draw_faint(ax, made.grid)
+        for robot in made.robots:
+            ax.plot(*made.tracks[robot].pose[:, :2].T, color=MUTED, linewidth=0.8)
+        for name, k, style, held in reversed(kinds):
+            if not held:
+                continue
+            ends = [c.at for c in held]
+            ax.add_collection(LineCollection(ends, colors=colour(k), linewidths=1.4, linestyles=style, label=name))
+            mark = "x" if k == REFUSED else "."
+            ax.plot(*np.concatenate(ends).T, mark, color=colour(k), markersize=4, markeredgewidth=0.8)
+        map_window(ax, made.grid)
+        if rows:
+            fig.legend(loc="outside lower center", ncols=4)
+        as_map(ax, "Closures tried")
+        ax.set_aspect("equal", adjustable="box")
+
+
+def draw_pair(
+    path: Target, merge: Merge, a: RobotGraph, b: RobotGraph, tints: tuple[str, str] = (colour(0), colour(1))
+) -> None:
+    """The walls of both robots under the transform looked at, and beside it under the next best one where refused."""
+    ways: list[tuple[str, np.ndarray]] = []
+    if merge.best is not None:
+        name = "merged" if merge.merged else "not merged: the best place"
+        ways.append((f"{name[0].upper()}{name[1:]}", merge.best if merge.transform is None else merge.transform))
+    if merge.rival is not None and not merge.merged:
+        ways.append(("The next best place", merge.rival))
+    one, other = _walls(a), _walls(b)
+    laid = [se2.act(T, other) for _, T in ways]
+    every = np.concatenate([one, *laid])
+    low, high = every.min(axis=0) - 1.0, every.max(axis=0) + 1.0
+    tall = (high[1] - low[1]) / max(high[0] - low[0], 1e-6)
+    wide = 9.0 / max(1, len(ways))
+    with figure(path, 9.0, float(np.clip(wide * tall + 0.9, 3.2, 8.0)), ncols=max(1, len(ways)), squeeze=False) as (
+        fig,
+        axes,
+    ):
+        for ax, (name, T), points in zip(axes[0], ways, laid, strict=False):
+            ax.plot(*one.T, ".", color=tints[0], markersize=1.6, label=robot_name(merge.a))
+            ax.plot(*points.T, ".", color=tints[1], markersize=1.6, label=robot_name(merge.b))
+            ax.set_xlim(low[0], high[0])
+            ax.set_ylim(low[1], high[1])
+            as_map(ax, name)
+            ax.set_aspect("equal", adjustable="box")
+            ax.set_xlabel(f"x [m]; moved {T[0]:.1f}, {T[1]:.1f} m, turned {np.degrees(T[2]):.0f} deg")
+        handles, labels = axes[0][0].get_legend_handles_labels()
+        fig.legend(handles, labels, loc="outside lower center", ncols=2, markerscale=6)
+
+
+def truths_in(made: WovenMap, truths: Mapping[str, Track]) -> list[Track]:
+    """The true trajectories of the robots of a component, by the one rigid motion that fits them all best."""
+    known = [(truths[r], made.tracks[r]) for r in made.robots if r in truths]
+    pairs = []
+    for truth, track in known:
+        inside = (truth.t >= track.t[0]) & (truth.t <= track.t[-1])
+        pairs.append((truth.pose[inside, :2], se2.interpolate(truth.t[inside], track.t, track.pose)[:, :2]))
+    if sum(len(a) for a, _ in pairs) < 2:
+        return []
+    T = se2.align(np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs]))
+    return [Track(truth.t, se2.compose(T, truth.pose)) for truth, _ in known]
+
+
+def draw_faint(ax: Any, grid: GridMap) -> None:
+    """The occupancy in greys so light that lines stand out on it."""
+    draw_occupancy(ax, grid)
+    ax.images[-1].set_alpha(0.45)
+
+
+def _ties(c: ClosureRow) -> bool:
+    return c.robot_a != c.robot_b
+
+
+def _count(rows: Sequence[ClosureRow], *, tie: bool) -> int:
+    return sum(c.accepted and _ties(c) == tie for c in rows)
+
+
+def _walls(graph: RobotGraph) -> Float[np.ndarray, "m 2"]:
+    clouds = [graph.points[graph.rows(k)] for k in range(len(graph))]
+    return gathered(graph.pose, clouds, range(len(graph)), np.zeros(3), WALLS)[0]
+
 
 MOST_REASONS = 1  # pairs by which the head of the page says why a robot is not in the first map
 MOST_PICTURES = 12  # of pairs of robots

@@ -3,7 +3,7 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from ..result import ExplorationResult
+from ..mission import ExplorationResult
 from .experiment import LandmarkMission, LandmarkRunRecord, LandmarkRunScore
 
 

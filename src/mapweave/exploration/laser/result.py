@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
 from ...laser.closures import Closure
-from ..result import ExplorationResult
+from ..mission import ExplorationResult
 from .experiment import LaserMission, LaserRunRecord
 from .score import LaserScore
 
