@@ -17,7 +17,7 @@ from mapweave.laser import particle_slam
 from mapweave.laser.beam import IntensityCalibration, beams
 from mapweave.laser.config import LaserConfig
 from mapweave.laser.mapping import choose_feature, finish, map_laser
-from mapweave.laser.scan_infos import ScanInfos
+from mapweave.laser.session import ScanInfos
 from mapweave.papers.hara.methods import score
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 from mapweave.sim.laser import DriveConfig

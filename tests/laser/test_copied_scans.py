@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.laser.config import LaserConfig
-from mapweave.laser.copied_scans import CopyCheck, copies_told
+from mapweave.laser.log_warnings import CopyCheck, copies_told
 from mapweave.laser.mapping import map_laser
 from mapweave.sim.office import OfficeConfig, simulate_office
 

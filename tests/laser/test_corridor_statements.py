@@ -58,7 +58,7 @@ def _mapped_with(sim, feature, calibration):
 
     from mapweave.laser import particle_slam
     from mapweave.laser.mapping import finish
-    from mapweave.laser.scan_infos import ScanInfos
+    from mapweave.laser.session import ScanInfos
 
     rng = np.random.default_rng(0)
     state = particle_slam.init("1", CFG, rng, feature="normalised", calibration=calibration)

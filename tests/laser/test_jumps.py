@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mapweave.core.records import Scan
-from mapweave.laser.jumps import JumpCheck, jumps
 from mapweave.laser.laser_map import ScanRecords
+from mapweave.laser.log_warnings import JumpCheck, jumps
 
 CFG = JumpCheck()
 

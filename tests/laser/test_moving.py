@@ -8,8 +8,9 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.records import Scan, Track
 from mapweave.kernels.walls.raycast import cast
-from mapweave.laser.config import LaserConfig, WheelCheck
-from mapweave.laser.mapping import map_laser, wheels_disagree, wheels_stand
+from mapweave.laser.config import LaserConfig
+from mapweave.laser.log_warnings import WheelCheck, wheels_disagree, wheels_stand
+from mapweave.laser.mapping import map_laser
 from mapweave.laser.moving import MovingConfig, MovingReturns
 from mapweave.sim.office import OfficeConfig, simulate_office
 from mapweave.sim.tunnel import TunnelConfig, simulate_tunnel

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.records import Track
-from mapweave.laser.stamp_lag import LagCheck, lag_told, stamp_lag
+from mapweave.laser.log_warnings import LagCheck, lag_told, stamp_lag
 
 CFG = LagCheck()
 

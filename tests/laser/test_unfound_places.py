@@ -5,8 +5,8 @@ import pytest
 
 from mapweave.laser.closures import Closure
 from mapweave.laser.config import GraphConfig
+from mapweave.laser.log_warnings import unfound_places
 from mapweave.laser.robot_graph import RobotGraph
-from mapweave.laser.unfound_places import unfound_places
 
 IN_A_ROW = GraphConfig().unfound
 

@@ -12,7 +12,7 @@ from mapweave.laser.beam import IntensityCalibration, beams
 from mapweave.laser.config import LaserConfig
 from mapweave.laser.mapping import choose_feature, finish, map_laser
 from mapweave.laser.particle_grid import ParticleGrid
-from mapweave.laser.scan_infos import ScanInfos
+from mapweave.laser.session import ScanInfos
 from mapweave.papers.hara.bounds import geometry_bound
 from mapweave.papers.hara.experiments import on_rims
 from mapweave.papers.hara.methods import GRAPH, ICP, PRINTED, WHEELS_KNOWN, WHEELS_PROPOSE, score

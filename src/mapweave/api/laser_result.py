@@ -25,8 +25,8 @@ from ..io.laser_map import write_closure_rows, write_laser_map, write_woven_map,
 from ..io.laser_state import write_laser_states
 from ..io.tum import read_tum, write_track_covariance, write_tum
 from ..laser.config import LaserConfig
-from ..laser.copied_scans import copies_told
 from ..laser.laser_map import LaserMap
+from ..laser.log_warnings import copies_told
 from ..laser.merge import Merge
 from ..laser.merge_search import MergeConfig, Start
 from ..laser.weave import weave

@@ -6,20 +6,18 @@ from jaxtyping import Float
 from ..core.config import config
 from ..core.errors import ConfigError
 from .beam import FEATURES, BeamConfig, CalibrationConfig
-from .copied_scans import CopyCheck
 from .icp import IcpConfig
 from .joint_pass import JointPassConfig
-from .jumps import JumpCheck
 from .keyframe_graph import KeyframeGraphConfig
 from .keyframes import KeyframeConfig, StepNoise
 from .known_places import KnownPlacesConfig
+from .log_warnings import CopyCheck, JumpCheck, LagCheck, WheelCheck
 from .merge_search import MergeConfig
 from .motion_agreement import MotionCheck
 from .moving import MovingConfig
 from .occupancy_mapper import LayingConfig
 from .particle_grid import CellConfig
 from .scan_matching import FrontEndConfig
-from .stamp_lag import LagCheck
 from .submap_loops import SubmapLoopConfig
 
 METHODS = ("particle", "graph", "gated", "icp")
@@ -79,17 +77,6 @@ class GraphConfig:
     loop_search: SubmapLoopConfig = SubmapLoopConfig()
     known_places: KnownPlacesConfig = KnownPlacesConfig()
     joint: JointPassConfig = JointPassConfig()
-
-
-@config
-class WheelCheck:
-    """When the motion from scans and the motion from wheels differ so long that it is a warning."""
-
-    stretch: float = 2.0  # [m] driven, whose lengths are compared
-    share: float = 0.2  # by which they differ
-    long: float = 8.0  # [m] on end
-    stand: float = 2.0  # [m] that scans tell, on end, while wheels report no motion,
-    stand_step: float = 0.5  # [m] from one place to the next
 
 
 @config

@@ -19,8 +19,8 @@ from .laser_map import GridMap, IntensityCalibration, ScanRecords
 from .likelihood_field import nearest_field
 from .localise_filter import LocaliseConfig, PlaceFilter
 from .localise_trust import Evidence, LocalisedScan, evidence
-from .scan_infos import ScanInfos
 from .scan_odometry import ScanInfo, ScanOdometry, blended
+from .session import ScanInfos
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,17 +18,14 @@ from ..core.laser_log import LaserLog
 from ..core.records import Track
 from ..core.workers import Progress, no_progress
 from .beam import STEERING, IntensityCalibration, beams, calibrate, raw_scale
-from .config import LaserConfig, MomentConfig, WheelCheck
-from .jumps import jumps
+from .config import LaserConfig, MomentConfig
 from .laser_map import LaserMap
+from .log_warnings import jumps, lag_told, stamp_lag, unfound_places, wheels_disagree, wheels_stand
 from .motion_agreement import instead_of, motion_agreement
 from .occupancy_mapper import render
 from .robot_graph import RobotGraph
-from .scan_infos import ScanInfos
-from .scan_odometry import STILL, blended
-from .session import Feature, LaserSession
-from .stamp_lag import lag_told, stamp_lag
-from .unfound_places import unfound_places
+from .scan_odometry import blended
+from .session import Feature, LaserSession, ScanInfos
 
 MANY = 20  # scans of which none has a return in reach are no accident
 
@@ -196,60 +193,6 @@ def left_graph(graph: RobotGraph) -> dict[str, int]:
         "keyframe in a place known well": len(graph.revisits),
         "closure of such a keyframe": graph.revisits.closures,
     }
-
-
-def wheels_disagree(track: Track, dead: Track | None, cfg: WheelCheck, factor: float = 1.0) -> tuple[str, ...]:
-    """A warning where the motion from scans and the motion from wheels differ for long.
-
-    dead: dead reckoning at the stamps of `track`; factor: of its ways, which is told already. Both are cut where the
-    wheels have driven `cfg.stretch` on; stretches that differ in length by a share of `cfg.share` add up while they
-    follow each other.
-    """
-    if dead is None or len(dead.t) != len(track.t) or len(track.t) < 2:
-        return ()
-    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(dead.pose[:, :2], axis=0).T))])
-    cuts = np.searchsorted(driven, np.arange(0.0, driven[-1], cfg.stretch))
-    wheels = factor * np.hypot(*np.diff(dead.pose[cuts, :2], axis=0).T)
-    scans = np.hypot(*np.diff(track.pose[cuts, :2], axis=0).T)
-    far = np.abs(scans - wheels) > cfg.share * np.maximum(wheels, 0.5 * cfg.stretch)
-    most, run, end = 0, 0, 0
-    for k, differs in enumerate(far.tolist()):
-        run = run + 1 if differs else 0
-        if run > most:
-            most, end = run, k + 1
-    if most * cfg.stretch < cfg.long:
-        return ()
-    part = slice(end - most, end)
-    first, last = track.t[cuts[end - most]], track.t[cuts[end]]
-    ways = f"the scans tell a way of {scans[part].sum():.1f} m and the wheels one of {wheels[part].sum():.1f} m"
-    why = "something moved along, the walls tell nothing along the way, or the wheels slip"
-    return (f"from {first:.1f} s to {last:.1f} s {ways}: {why}",)
-
-
-def wheels_stand(track: Track, dead: Track | None, cfg: WheelCheck) -> tuple[str, ...]:
-    """A warning where the wheels report no motion at all while the scans tell of one.
-
-    dead: dead reckoning at the stamps of `track`. The motion from scans counts in steps of `cfg.stand_step`, so that
-    how poses of a robot that stands jump about is none.
-    """
-    if dead is None or len(dead.t) != len(track.t) or len(track.t) < 2:
-        return ()
-    stood = (np.abs(np.diff(dead.pose, axis=0)) <= STILL).all(axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], stood.astype(np.int8), [0]])))
-    whole, told = 0.0, []
-    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        way, at = 0.0, track.pose[first, :2]
-        for place in track.pose[first + 1 : last + 1, :2]:
-            if (d := float(np.hypot(*(place - at)))) >= cfg.stand_step:
-                way, at = way + d, place
-        if way >= cfg.stand:
-            whole += way
-            told.append(f"from {track.t[first]:.1f} s to {track.t[last]:.1f} s")
-    if not told:
-        return ()
-    more = f" and {len(told) - 1} times more" if len(told) > 1 else ""
-    ways = f"the wheels report no motion {told[0]}{more}, while the scans tell a way of {whole:.1f} m"
-    return (f"{ways}: nothing but the scans tells it, and along walls that look alike it may be wrong",)
 
 
 def between_keyframes(t: Float[np.ndarray, " n"], graph: RobotGraph) -> Float[np.ndarray, "n 3 3"]:

@@ -1,4 +1,7 @@
-"""One robot's laser estimator fed event by event: what a finished log and a robot that drives now have in common."""
+"""One robot's laser estimator fed event by event: what a finished log and a robot that drives now have in common.
+
+What every scan did to the estimate is kept while a log goes on: some 120 bytes a scan.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,6 +12,7 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.records import Event, Scan, frozen
+from ..core.rows import RowBuffer
 from ..core.run import Runner
 from ..core.workers import Progress, no_progress
 from ..kernels._jit import set_threads
@@ -18,11 +22,13 @@ from .config import LaserConfig
 from .graph_slam import GraphState
 from .icp_slam import IcpState
 from .keyframes import KeyframeOdometry
+from .laser_map import ScanRecords
 from .moving import MovingReturns
 from .particle_slam import ParticleState
 from .robot_graph import RobotGraph
-from .scan_infos import ScanInfos
 from .scan_odometry import PoseEstimate, ScanInfo
+
+DECISIONS = ("first", "empty", "odometry", "matched", "skipped")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +73,63 @@ class Finalised(NamedTuple):
 
     poses: Float[np.ndarray, "m 3"]
     graph: RobotGraph | None
+
+
+class ScanInfos:
+    """The `ScanInfo` of every scan, 119 bytes of each. `append` and `clear` change it."""
+
+    def __init__(self) -> None:
+        self._rows = RowBuffer(
+            dtype=[
+                ("innovation", np.float64, 3),
+                ("information", np.float64, (3, 3)),
+                ("n_eff", np.float64),
+                ("beams", np.int32),
+                ("matches", np.int32),
+                ("decision", np.uint8),
+                ("resampled", np.bool_),
+                ("informed", np.bool_),
+            ]
+        )
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def append(self, info: ScanInfo) -> None:
+        """Add what the next scan did."""
+        informed = info.information is not None
+        self._rows.append(
+            (
+                info.innovation,
+                info.information if informed else 0.0,
+                info.n_eff,
+                info.beams,
+                info.matches,
+                DECISIONS.index(info.decision),
+                info.resampled,
+                informed,
+            )
+        )
+
+    def clear(self) -> None:
+        """Remove all rows."""
+        self._rows.clear()
+
+    def records(self, t: Float[np.ndarray, " m"], host: tuple[str, ...], pose: Float[np.ndarray, "m 3"]) -> ScanRecords:
+        """The per-scan record of scans with these stamps, hosts and poses."""
+        rows = self._rows.array
+        return ScanRecords(
+            t,
+            host,
+            pose,
+            rows["innovation"],
+            rows["beams"].astype(np.int64),
+            rows["matches"].astype(np.int64),
+            tuple(DECISIONS[k] for k in rows["decision"].tolist()),
+            rows["n_eff"],
+            rows["resampled"],
+            rows["information"] if len(rows) and rows["informed"].all() else None,
+        )
 
 
 class LaserSession:

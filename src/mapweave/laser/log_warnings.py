@@ -1,0 +1,248 @@
+"""What a finished laser log is warned of: clocks, wheels, jumps, places not found again, copies.
+
+Stamps. A scanner's driver that stamps late, or a second computer whose clock is off, gives every scan the odometry of
+another moment: straight on that does little, in turns it lays walls crooked. The turns that matching finds come later
+than those of the wheels by the lag.
+
+Wheels. Where the motion from scans and that from wheels differ for long, one of the two is wrong.
+
+Jumps. Where the scene changes at once though the wheels hardly moved, the robot was carried, or logs were joined.
+
+Places. A trajectory that says it passes by places seen before, where none of them is found again, is told.
+
+Copies. Robots whose logs are copies of one drive hold the same returns, with other stamps or other scans left out:
+noise never comes twice.
+"""
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..core import se2
+from ..core.config import config
+from ..core.names import robot_name
+from ..core.records import Scan, Track
+from .laser_map import ScanRecords
+from .robot_graph import RobotGraph
+from .scan_odometry import STILL
+
+
+@config
+class LagCheck:
+    """Which lags are tried, and when one is a warning."""
+
+    most: float = 3.0  # [s] tried to either side,
+    step: float = 0.05  # [s] apart
+    turn: float = 0.02  # [rad] from scan to scan, and more: what stands or drives straight tells nothing
+    turns: int = 40  # of them at least
+    capped: float = 0.1  # [rad] more difference than this counts as this
+    parts: int = 8  # of the log, each asked by itself,
+    agree: float = 0.75  # share of them that must find the same lag
+    within: float = 0.1  # [s] of each other
+    gain: float = 0.75  # of the difference without a lag, at most, must remain with it
+    least: float = 0.2  # [s] of lag that is told
+
+
+def stamp_lag(
+    t: Float[np.ndarray, " m"], heading: Float[np.ndarray, " m"], odometry: Track | None, cfg: LagCheck
+) -> float | None:
+    """By how much [s] the stamps of scans lag behind those of odometry, ahead of them if negative; None where unsure.
+
+    t, heading: of the scans as they were matched, headings unwrapped.
+    """
+    if odometry is None or len(odometry.t) < 2 or len(t) < 2:
+        return None
+    turned = np.diff(heading)
+    told = np.abs(turned) >= cfg.turn
+    if told.sum() < cfg.turns:
+        return None
+    wheels = np.unwrap(odometry.pose[:, 2])
+    lags = cfg.step * np.arange(-round(cfg.most / cfg.step), round(cfg.most / cfg.step) + 1)
+    by = np.array([np.diff(np.interp(t - lag, odometry.t, wheels))[told] for lag in lags])
+    apart = np.minimum(np.abs(turned[told] - by), cfg.capped)
+    whole = apart.mean(axis=1)
+    best = int(np.argmin(whole))
+    own = lags[[int(np.argmin(part.mean(axis=1))) for part in np.array_split(apart, cfg.parts, axis=1)]]
+    sure = np.mean(np.abs(own - lags[best]) <= cfg.within + 1e-9) >= cfg.agree
+    return float(lags[best]) if sure and whole[best] <= cfg.gain * whole[len(lags) // 2] else None
+
+
+def lag_told(lag: float | None, cfg: LagCheck) -> tuple[str, ...]:
+    """A warning for a lag that matters."""
+    if lag is None or abs(lag) < cfg.least - 1e-9:
+        return ()
+    way = "after" if lag > 0 else "before"
+    stamps = f"the scans bear stamps {abs(lag):.2f} s {way} those of the odometry of the same moments"
+    return (f"{stamps}: every scan is given the odometry of another moment, and walls may lie wrong after turns",)
+
+
+@config
+class WheelCheck:
+    """When the motion from scans and the motion from wheels differ so long that it is a warning."""
+
+    stretch: float = 2.0  # [m] driven, whose lengths are compared
+    share: float = 0.2  # by which they differ
+    long: float = 8.0  # [m] on end
+    stand: float = 2.0  # [m] that scans tell, on end, while wheels report no motion,
+    stand_step: float = 0.5  # [m] from one place to the next
+
+
+def wheels_disagree(track: Track, dead: Track | None, cfg: WheelCheck, factor: float = 1.0) -> tuple[str, ...]:
+    """A warning where the motion from scans and the motion from wheels differ for long.
+
+    dead: dead reckoning at the stamps of `track`; factor: of its ways, which is told already. Both are cut where the
+    wheels have driven `cfg.stretch` on; stretches that differ in length by a share of `cfg.share` add up while they
+    follow each other.
+    """
+    if dead is None or len(dead.t) != len(track.t) or len(track.t) < 2:
+        return ()
+    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(dead.pose[:, :2], axis=0).T))])
+    cuts = np.searchsorted(driven, np.arange(0.0, driven[-1], cfg.stretch))
+    wheels = factor * np.hypot(*np.diff(dead.pose[cuts, :2], axis=0).T)
+    scans = np.hypot(*np.diff(track.pose[cuts, :2], axis=0).T)
+    far = np.abs(scans - wheels) > cfg.share * np.maximum(wheels, 0.5 * cfg.stretch)
+    most, run, end = 0, 0, 0
+    for k, differs in enumerate(far.tolist()):
+        run = run + 1 if differs else 0
+        if run > most:
+            most, end = run, k + 1
+    if most * cfg.stretch < cfg.long:
+        return ()
+    part = slice(end - most, end)
+    first, last = track.t[cuts[end - most]], track.t[cuts[end]]
+    ways = f"the scans tell a way of {scans[part].sum():.1f} m and the wheels one of {wheels[part].sum():.1f} m"
+    why = "something moved along, the walls tell nothing along the way, or the wheels slip"
+    return (f"from {first:.1f} s to {last:.1f} s {ways}: {why}",)
+
+
+def wheels_stand(track: Track, dead: Track | None, cfg: WheelCheck) -> tuple[str, ...]:
+    """A warning where the wheels report no motion at all while the scans tell of one.
+
+    dead: dead reckoning at the stamps of `track`. The motion from scans counts in steps of `cfg.stand_step`, so that
+    how poses of a robot that stands jump about is none.
+    """
+    if dead is None or len(dead.t) != len(track.t) or len(track.t) < 2:
+        return ()
+    stood = (np.abs(np.diff(dead.pose, axis=0)) <= STILL).all(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], stood.astype(np.int8), [0]])))
+    whole, told = 0.0, []
+    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        way, at = 0.0, track.pose[first, :2]
+        for place in track.pose[first + 1 : last + 1, :2]:
+            if (d := float(np.hypot(*(place - at)))) >= cfg.stand_step:
+                way, at = way + d, place
+        if way >= cfg.stand:
+            whole += way
+            told.append(f"from {track.t[first]:.1f} s to {track.t[last]:.1f} s")
+    if not told:
+        return ()
+    more = f" and {len(told) - 1} times more" if len(told) > 1 else ""
+    ways = f"the wheels report no motion {told[0]}{more}, while the scans tell a way of {whole:.1f} m"
+    return (f"{ways}: nothing but the scans tells it, and along walls that look alike it may be wrong",)
+
+
+@config
+class JumpCheck:
+    """When one scan to the next shows another place: far fewer of its returns lie on walls known by then."""
+
+    drop: float = 0.4  # of the share of returns on known walls from one scan to the next, and
+    drop_per_m: float = 1.0  # so much more for a metre between the two and
+    drop_per_rad: float = 0.3  # for a radian of turn: new places come into view
+    least_returns: int = 30  # in either scan
+    late: int = 50  # scans, after which the first of a scanner belongs to another drive
+
+
+def jumps(records: ScanRecords, scans: Sequence[Scan], cfg: JumpCheck) -> tuple[str, ...]:
+    """A warning for the first scan that shows little of what the one before it saw, and how many more there are."""
+    if len(scans) < 3 or scans[0].odometry is None:
+        return ()
+    wheels = np.array([scan.odometry for scan in scans], dtype=float)
+    share = records.matches / np.maximum(records.beams, 1)
+    before, after = _one_to_the_next(scans, cfg.late)
+    step = se2.between(wheels[before], wheels[after])
+    way = np.hypot(step[:, 0], step[:, 1])
+    enough = np.minimum(records.beams[before], records.beams[after]) >= cfg.least_returns
+    allowed = cfg.drop + cfg.drop_per_m * way + cfg.drop_per_rad * np.abs(step[:, 2])
+    gone = np.flatnonzero(enough & (before > 0) & (share[before] - share[after] >= allowed))  # the first is its own map
+    if not len(gone):
+        return ()
+    row = gone[np.argmin(after[gone])]
+    k, last = int(after[row]), int(before[row])
+    more = f" (and {len(gone) - 1} times more)" if len(gone) > 1 else ""
+    now, then = (f"{100 * s:.0f} %" for s in (share[k], share[last]))
+    seen = f"{now} of the returns lie on walls seen before, of the last scan {then}"
+    moved = f"while the wheels tell {way[row]:.2f} m"
+    why = "the robot was carried, drives were joined to one log, or the view was blocked; the map goes on by the wheels"
+    return (f"at {records.t[k]:.1f} s{more} the scene changes at once: {seen}, {moved}: {why}",)
+
+
+def _one_to_the_next(scans: Sequence[Scan], late: int) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Each scan after the one before it of the same scanner: before and after.
+
+    The first scan of a scanner that joins late follows the last of any: scanners of one robot begin together.
+    """
+    latest: dict[bytes, int] = {}
+    pairs = []
+    for k, scan in enumerate(scans):
+        mount = scan.T_robot_sensor.tobytes()
+        if mount in latest or k >= late:
+            pairs.append((latest.get(mount, k - 1), k))
+        latest[mount] = k
+    before, after = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+    return before, after
+
+
+def unfound_places(graph: RobotGraph, in_a_row: int) -> tuple[str, ...]:
+    """A warning for the longest stretch of searches for old places, one after the other, that found none.
+
+    Searches are made where the estimate says that the robot is near a place of its own that it saw long ago. A heading
+    or a trajectory along a corridor that went wrong once makes all later ones fail, and no closure is there to
+    contradict it. in_a_row: searches from which it is a warning, since along a right trajectory some fail too.
+    """
+    found: dict[int, bool] = {}
+    for c in graph.closures:
+        if c.robots[0] == c.robots[1]:
+            found[c.second] = found.get(c.second, False) or c.accepted
+    longest: list[int] = []
+    run: list[int] = []
+    for keyframe in sorted(found):
+        run = [] if found[keyframe] else [*run, keyframe]
+        longest = max(longest, run, key=len)
+    if len(longest) < in_a_row:
+        return ()
+    first, last = graph.t[longest[0]], graph.t[longest[-1]]
+    searched = f"places seen before were searched for {len(longest)} times in a row and none was found again"
+    why = "the trajectory may be wrong from there on, or the place looks different now"
+    return (f"from {first:.1f} s to {last:.1f} s {searched}: {why}",)
+
+
+@config
+class CopyCheck:
+    """When two logs are taken for copies of one drive."""
+
+    least_returns: int = 30  # of a keyframe that is compared,
+    scans: int = 5  # that are equal, at least, and
+    share: float = 0.05  # of the keyframes of the robot that has fewer
+
+
+def copies_told(graphs: Sequence[RobotGraph], cfg: CopyCheck) -> list[str]:
+    """A warning for each pair of robots of which keyframes have the same returns, to the last digit."""
+    seen = [_keyframes(graph, cfg) for graph in graphs]
+    out = []
+    for a, b in combinations(range(len(graphs)), 2):
+        equal, fewer = len(seen[a] & seen[b]), min(len(seen[a]), len(seen[b]))
+        if equal >= max(cfg.scans, cfg.share * fewer):
+            names = f"{robot_name(graphs[a].robot)} and {robot_name(graphs[b].robot)}"
+            out.append(
+                f"{names} hold the same scans at {equal} of {fewer} keyframes: their logs seem to be copies of one "
+                "drive, which counts twice, and the map is surer than it should be"
+            )
+    return out
+
+
+def _keyframes(graph: RobotGraph, cfg: CopyCheck) -> set[bytes]:
+    """The returns of each keyframe, each told from all others."""
+    pairs = zip(graph.start[:-1].tolist(), graph.start[1:].tolist(), strict=True)
+    return {graph.points[i:j].tobytes() for i, j in pairs if j - i >= cfg.least_returns}
