@@ -45,7 +45,7 @@ from mapweave.live.messages import Header, Message, Status, encode
 from mapweave.live.robot import pause_after
 from mapweave.live.sources import messages
 from mapweave.live.store import Store
-from mapweave.live.tile_bytes import SIDE
+from mapweave.live.tiles import SIDE
 from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, put, session
 from mapweave.sim.landmarks import TeamWorld, simulate_team

@@ -26,8 +26,7 @@ from mapweave.live.pair_search import PairSearch, PairTrial
 from mapweave.live.placed import Placed
 from mapweave.live.shared_map import SharedMap
 from mapweave.live.store import Store
-from mapweave.live.tile_bytes import SIDE, is_tile, pack
-from mapweave.live.tiles import COARSER, LEVELS
+from mapweave.live.tiles import COARSER, LEVELS, SIDE, is_tile, pack
 from mapweave.sim.laser import drive
 from mapweave.sim.office import OfficeConfig, office_route, office_world
 

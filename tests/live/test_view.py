@@ -17,7 +17,7 @@ import pytest
 
 from mapweave.core.errors import UsageError
 from mapweave.live.messages import LandmarkState, MapState, RobotState, Tile
-from mapweave.live.tile_bytes import SIDE, pack
+from mapweave.live.tiles import SIDE, pack
 from mapweave.live.view import PAGE, Board, served
 from mapweave.report.style import PALETTE
 

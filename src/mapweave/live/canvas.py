@@ -11,8 +11,7 @@ from ..core import se2
 from ..kernels.laser.scan_laying import CellCounts, lay_scan
 from ..laser.occupancy_mapper import AT_ONCE
 from .driven import Seen
-from .tile_bytes import SIDE, pack
-from .tiles import COARSER, LEVELS, Cells, cells_of, coarser
+from .tiles import COARSER, LEVELS, SIDE, Cells, cells_of, coarser, pack
 
 NO_ENDS = np.zeros((0, 2))
 SquareKey = tuple[int, int, int]  # level, column and row

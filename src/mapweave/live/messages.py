@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import msgspec
 
 from ..core.errors import DataError, MapweaveError, UsageError
-from .tile_bytes import SIDE, is_tile
+from .tiles import SIDE, is_tile
 
 PROTOCOL = 2
 LARGEST = 1 << 20  # bytes of a message: beyond, it is refused unread

@@ -1,17 +1,32 @@
 """An occupancy map in square tiles of three levels, as a map process tells them and a browser draws them."""
 
+import zlib
 from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Int, UInt8
 
-from .tile_bytes import SIDE
-
-LEVELS = 3
+SIDE = 128  # cells of a tile
+LEVELS = 3  # of tiles
 COARSER = 4  # from level to level
-UNSEEN = 0
+UNSEEN = 0  # a cell of which nobody told
 TileKey = tuple[int, int, int, int]  # component, level, column and row of the tile, counted from the origin
 Cells = UInt8[np.ndarray, "side side"]
+
+
+def pack(tile: UInt8[np.ndarray, "side side"]) -> bytes:
+    """A zlib stream of the bytes, row by row from below."""
+    return zlib.compress(np.ascontiguousarray(tile).tobytes(), 6)
+
+
+def is_tile(data: bytes) -> bool:
+    """Whether `data` is what `pack` gives, of the right size."""
+    stream = zlib.decompressobj()
+    try:
+        cells = stream.decompress(data, SIDE * SIDE + 1)
+    except zlib.error:
+        return False
+    return len(cells) == SIDE * SIDE and stream.eof and not stream.unused_data
 
 
 def cells_of(hits: Int[np.ndarray, "side side"], passes: Int[np.ndarray, "side side"]) -> Cells:

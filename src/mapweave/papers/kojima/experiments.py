@@ -12,7 +12,7 @@ from ...core.workers import Progress, no_progress
 from ...fusion.relative_information import Weights, baseline_pair
 from ...fusion.relative_measurement import Measurement, RelativeLayout, measurement
 from . import limits, rls
-from .dense import solve_all
+from .rls import solve_all
 from .settling import LAYOUT, prior_information
 from .unequal_maps import UnequalConfig, UnequalMaps, draw_unequal
 from .world import SEEN, KojimaConfig, LocalMaps, Worlds, run_filters

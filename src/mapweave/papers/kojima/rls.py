@@ -1,6 +1,7 @@
 """Recursive least squares over relative information, dense, as the paper runs it: one map after another.
 
-Everything broadcasts over leading axes, so that many worlds are updated at once.
+Everything broadcasts over leading axes, so that many worlds are updated at once; `solve_all` takes all measurements of
+each together.
 """
 
 from collections.abc import Sequence
@@ -56,3 +57,34 @@ def _correct(
     AP = P - K @ np.swapaxes(PHT, -1, -2)  # [Kojima12] eq. 12, completed to the Joseph form below
     P = AP - AP[..., columns] @ HT @ KT + K @ R @ KT
     return Estimate(x, np.asarray(0.5 * (P + np.swapaxes(P, -1, -2))))
+
+
+def solve_all(
+    layout: RelativeLayout,
+    x0: Float[np.ndarray, "*b size"],
+    measurements: Sequence[Measurement],
+    *,
+    repeats: int = 1,
+    iterations: int = 12,
+) -> Estimate:
+    """Every world's least-squares estimate from its start, without any prior, and its covariance.
+
+    x0: (..., size); the measurements carry the same leading axes. Plain Gauss-Newton: the start must be good.
+    """
+    x = np.array(x0)
+    R_inv = [repeats * np.linalg.inv(m.R) for m in measurements]
+    size = layout.size
+    for _ in range(iterations):
+        Lambda, eta = np.zeros((*x.shape, size)), np.zeros_like(x)
+        for m, weight in zip(measurements, R_inv, strict=True):
+            e, H = m.linearise(layout, x)
+            columns = m.columns(layout)
+            HTW = np.swapaxes(H, -1, -2) @ weight
+            Lambda[..., columns[:, None], columns] += HTW @ H
+            eta[..., columns] += (HTW @ e[..., None])[..., 0]
+        step = np.linalg.solve(Lambda, eta[..., None])[..., 0]
+        x = x + step
+        x[..., layout.angles] = wrap_angle(x[..., layout.angles])
+        if np.abs(step).max() < 1e-11:
+            break
+    return Estimate(x, np.linalg.inv(Lambda))
