@@ -38,9 +38,9 @@ if TYPE_CHECKING:
     from .api.evaluate_relations import RelationEvaluation as RelationEvaluation
     from .api.evaluate_swarm import SwarmEvaluation as SwarmEvaluation
     from .api.evaluate_team import TeamEvaluation as TeamEvaluation
-    from .api.exploration_result import LandmarkExploration as LandmarkExploration
-    from .api.exploration_result import LaserExploration as LaserExploration
+    from .api.explore import LandmarkExploration as LandmarkExploration
     from .api.explore import explore as explore
+    from .api.explore_laser import LaserExploration as LaserExploration
     from .api.fuse import fuse as fuse
     from .api.landmark_slam import LandmarkSlam as LandmarkSlam
     from .api.laser_result import LaserResult as LaserResult
@@ -146,11 +146,11 @@ _HOMES: dict[str, str] = {
     # what verbs return
     "Diagnosis": "api.doctor",
     "Evaluation": "api.evaluate",
-    "LandmarkExploration": "api.exploration_result",
+    "LandmarkExploration": "api.explore",
     "HamataniReproduction": "papers.hamatani.reproduce",
     "HaraReproduction": "papers.hara.reproduce",
     "KojimaReproduction": "papers.kojima.reproduce",
-    "LaserExploration": "api.exploration_result",
+    "LaserExploration": "api.explore_laser",
     "LaserResult": "api.laser_result",
     "LocalizeResult": "api.localize",
     "Located": "api.located",

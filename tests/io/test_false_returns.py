@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.io.assemble import RawLog, RawScan
-from mapweave.io.false_returns import GREATEST, OWN, without_false_returns
+from mapweave.io.scan_checks import GREATEST, OWN, without_false_returns
 
 from .test_scan_agreement import drive
 

@@ -9,7 +9,7 @@ from mapweave.core import se2
 from mapweave.core.errors import DataError
 from mapweave.core.records import Scan
 from mapweave.io.assemble import RawLog, RawScan
-from mapweave.io.scan_agreement import ScanAgreementConfig, scan_agreement
+from mapweave.io.scan_checks import ScanAgreementConfig, scan_agreement
 
 CFG = ScanAgreementConfig()
 REACH = 30.0

@@ -7,7 +7,7 @@ import pytest
 
 import mapweave
 from mapweave.core.landmark_log import LandmarkLog
-from mapweave.team.camera_clock import CameraClockConfig, camera_ahead, on_camera_clock
+from mapweave.team.clocks import CameraClockConfig, camera_ahead, on_camera_clock
 
 from .teams import world
 

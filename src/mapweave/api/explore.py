@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
@@ -13,6 +14,7 @@ from ..exploration.landmarks.belief import PLANNERS
 from ..exploration.landmarks.config import ExploreConfig
 from ..exploration.landmarks.experiment import (
     CALIBRATED,
+    ExploreResult,
     LandmarkMission,
     explore_many,
     explore_once,
@@ -23,9 +25,12 @@ from ..exploration.landmarks.scenario import check_rasters, find_scenario, make_
 from ..exploration.laser.scenario import find_laser_scenario
 from ..exploration.planner_interface import find_planner
 from ..io.directory import check_target
-from .exploration_result import LandmarkExploration, LaserExploration
-from .explore_laser import explore_laser
+from ..report.result import ResultBase, Rows
+from .explore_laser import LaserExploration, explore_laser
 from .explore_options import ExploreOptions, check_magnitudes, end_of, factor_of, kills_of
+
+if TYPE_CHECKING:
+    from ..report.style import Target
 
 NOISE = {"printed": 1.0, "calibrated": CALIBRATED}
 POSITIVE = (
@@ -39,6 +44,31 @@ POSITIVE = (
     *("submap.range_sd", "submap.bearing_sd", "submap.gate"),
 )
 ASSOCIATIONS = ("known", "nn", "jcbb")
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class LandmarkExploration(ResultBase, ExploreResult):
+    """What `explore` gives among landmarks: the scores of all runs, and the first run in full."""
+
+    def lines(self) -> list[str]:
+        return ExploreResult.lines(self)
+
+    def headline(self) -> Rows:
+        head = ("seed", "finished", "steps", "map error [m]", "C/N [m²]", "NEES/dof")
+        return head, [(r.seed, r.finished, r.steps, r.map_error, r.c_per_n, r.nees_per_dof) for r in self.runs]
+
+    def write_into(self, folder: Path) -> None:
+        """runs.csv, metrics.json, the first run's log and figures, report.html."""
+        from ..io.exploration import write_runs  # noqa: PLC0415
+        from ..report.exploration import write_exploration  # noqa: PLC0415  (figures cost a second)
+
+        write_runs(folder, self.runs, self.metrics, self.first)
+        write_exploration(folder, self)
+
+    def draw(self, target: "Target") -> None:
+        from ..report.exploration import draw_map  # noqa: PLC0415
+
+        draw_map(target, self.first)
 
 
 @one_blas_thread()

@@ -1,17 +1,24 @@
 """Exploration with lasers: many seeded runs of one laser world, scored."""
 
+from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
 from ..exploration.laser.config import LaserMissionConfig, with_odometry_noise
 from ..exploration.laser.experiment import LaserMission, explore_laser_many, explore_laser_once
 from ..exploration.laser.planner_state import PLANNERS
+from ..exploration.laser.result import LaserExploreResult
 from ..exploration.laser.scenario import LaserScenarioConfig, make_place
 from ..exploration.planner_interface import find_planner
 from ..exploration.world import check_cells
-from .exploration_result import LaserExploration
+from ..report.result import ResultBase, Rows
 from .explore_options import ExploreOptions, check_magnitudes, end_of, factor_of, kills_of
+
+if TYPE_CHECKING:
+    from ..report.style import Target
 
 POSITIVE = (
     *("robots.radius", "robots.speed", "robots.turn", "robots.period", "robots.scanner.beams", "robots.scanner.far"),
@@ -24,6 +31,35 @@ COARSEST = 1.0  # [m], cells that could still show a door
 FARTHEST_BEAM = 1000.0  # [m]
 MOST_BEAMS = 20_000  # of one scan, each cast through all walls
 DEAREST = 255  # what a metre of way may count as
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class LaserExploration(ResultBase, LaserExploreResult):
+    """What `explore` gives with lasers: the scores of all runs, and the first run in full."""
+
+    def lines(self) -> list[str]:
+        return LaserExploreResult.lines(self)
+
+    def headline(self) -> Rows:
+        head = ("seed", "finished", "steps", "area mapped", "map error [m]", "trajectory RMSE [m]", "collisions")
+        rows = [
+            (r.seed, r.finished, r.steps, r.area_mapped, r.map_error, r.trajectory_rmse, r.collisions)
+            for r in self.runs
+        ]
+        return head, rows
+
+    def write_into(self, folder: Path) -> None:
+        """runs.csv, metrics.json, the first run's logs, map and figures, report.html."""
+        from ..io.exploration import write_laser_runs  # noqa: PLC0415
+        from ..report.laser_exploration import write_laser_exploration  # noqa: PLC0415  (figures cost a second)
+
+        write_laser_runs(folder, self.runs, self.metrics, self.first)
+        write_laser_exploration(folder, self)
+
+    def draw(self, target: "Target") -> None:
+        from ..report.laser_exploration_figures import draw_map  # noqa: PLC0415
+
+        draw_map(target, self.first)
 
 
 def explore_laser(name: str, scenario: LaserScenarioConfig, options: ExploreOptions) -> LaserExploration:

@@ -24,8 +24,7 @@ from ..landmarks.config import EkfSlamConfig
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import Growth, grow, without_impossible
 from ..landmarks.sifting import SiftConfig, sifted
-from ..team.camera_clock import CameraClockConfig, on_camera_clock
-from ..team.clocks import of_another_time
+from ..team.clocks import CameraClockConfig, of_another_time, on_camera_clock
 from ..team.config import OnlineConfig, SmoothingConfig
 from ..team.further_rooms import with_further_rooms
 from ..team.kidnapped import cut_kidnapped, with_stretches

@@ -47,7 +47,7 @@ from ..report.mixed import MixedStory, draw_mixed, words, write_mixed_report
 from ..report.result import ResultBase, Rows
 from ..report.score import headline_scores
 from ..report.style import Target
-from ..team.camera_clock import CameraClockConfig, on_camera_clock
+from ..team.clocks import CameraClockConfig, on_camera_clock
 from ..team.config import SmoothingConfig
 from ..team.kidnapped import Cut, cut_kidnapped, with_stretches
 from ..team.known import PlacePriors

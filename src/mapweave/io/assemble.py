@@ -16,8 +16,7 @@ from ..core import se2
 from ..core.errors import DataError
 from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
-from .false_returns import without_false_returns
-from .scan_agreement import ScanAgreementConfig, scan_agreement
+from .scan_checks import ScanAgreementConfig, scan_agreement, without_false_returns
 
 PAIRS = 400  # scan pairs looked at, at most
 VOTES = 10  # pairs that must speak before anything is said

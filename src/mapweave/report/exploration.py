@@ -11,8 +11,7 @@ from matplotlib.patches import Polygon
 from PIL import Image
 from scipy.spatial import ConvexHull, QhullError
 
-from ..exploration.landmarks.experiment import LandmarkRunRecord
-from ..exploration.landmarks.result import ExploreResult
+from ..exploration.landmarks.experiment import ExploreResult, LandmarkRunRecord
 from .exploration_scene import first_seen, landmark_scene
 from .html import Page
 from .style import MUTED, SEQUENTIAL, TRUTH, Sheet, Target, as_map, colour, draw_ellipse, figure, marker
