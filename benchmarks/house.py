@@ -199,25 +199,44 @@ def jobs(work: Path) -> dict[str, tuple[Callable[[], object], Callable[[], objec
     return {name: (partial(job, 1), partial(job, 2)) for name, job in kinds.items()}
 
 
+def stages(files: list[str]) -> dict[str, list[str]]:
+    """The files by room, rooms in the order in which they are first entered; `io` twice, where it reads and writes."""
+    out: dict[str, list[str]] = {}
+    estimated = False
+    for file in files:
+        room = file.split("/", maxsplit=1)[0]
+        estimated = estimated or room in ESTIMATORS
+        stage = f"`{room}/`" + ((", writing" if estimated else ", reading") if room == "io" else "")
+        out.setdefault(stage, []).append(file)
+    return out
+
+
 def walk(name: str, once: Callable[[], object], twice: Callable[[], object]) -> str:
-    """The files entered, in two lists: those that handle the event and those that set the stage, as Markdown.
+    """The files entered, a row a room: those that handle the event and those that set the stage, as Markdown.
 
     A file handles the event when a function of it is given or gives what carries one, or runs more often for more
     events. Compiled kernels are not seen: each is called from a file of the room that its folder is named after.
     """
     once()  # imports and caches stay out of what is noted below
     few, many = entered(once), entered(twice)
-    handle = [f for f, e in few.items() if e.carries or (f in many and many[f].calls > GROWN * e.calls)]
-    stage = [f for f in few if f not in handle]
-    way, rest = (" → ".join(f"`{f}`" for f in files) for files in (handle, stage))
-    return (
-        f"**What {name} enters**, {len(few)} files. {len(handle)} handle the event: {way}.\n\n"
-        f"{len(stage)} set the stage: {rest}."
-    )
+    handle = {f for f, e in few.items() if e.carries or (f in many and many[f].calls > GROWN * e.calls)}
+    lines = sum(len((SOURCE / f).read_text(encoding="utf-8").splitlines()) for f in few)
+    told = f"{len(few)} files, {lines:,} lines in all; {len(handle)} handle the event, {len(few) - len(handle)} do not"
+    rows = [
+        f"**What {name} enters**: {told}.\n",
+        "| room | handle the event | set the stage |",
+        "| --- | --- | --- |",
+    ]
+    for stage, files in stages(list(few)).items():
+        short = {f: f"`{f.split('/', maxsplit=1)[1]}`" for f in files}
+        way = " → ".join(short[f] for f in files if f in handle)
+        rest = ", ".join(short[f] for f in files if f not in handle)
+        rows.append(f"| {stage} | {way} | {rest} |")
+    return "\n".join(rows)
 
 
 def walks() -> str:
-    """A paragraph of files for each kind of event, as Markdown."""
+    """A table of files for each kind of event, as Markdown."""
     with tempfile.TemporaryDirectory() as folder:
         return "\n\n".join(walk(name, *pair) for name, pair in jobs(Path(folder)).items())
 
