@@ -9,8 +9,8 @@ from mapweave.core.records import Track
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.laser.robot_graph import RobotGraph
 from mapweave.team.config import SmoothingConfig
+from mapweave.team.factors import InterRobotEdge
 from mapweave.team.problem import team_problem
-from mapweave.team.scan_factors import InterRobotEdge
 from mapweave.team.smooth import _dense
 
 CFG = SmoothingConfig()
