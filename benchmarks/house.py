@@ -199,13 +199,16 @@ def jobs(work: Path) -> dict[str, tuple[Callable[[], object], Callable[[], objec
     return {name: (partial(job, 1), partial(job, 2)) for name, job in kinds.items()}
 
 
-def stages(files: list[str]) -> dict[str, list[str]]:
-    """The files by room, rooms in the order in which they are first entered; `io` twice, where it reads and writes."""
+def stages(files: list[str], handle: set[str]) -> dict[str, list[str]]:
+    """The files by room, in the order in which rooms are first entered; those of `io` before an estimator and after.
+
+    handle: the files that handle the event, of which one estimates first.
+    """
     out: dict[str, list[str]] = {}
     estimated = False
     for file in files:
         room = file.split("/", maxsplit=1)[0]
-        estimated = estimated or room in ESTIMATORS
+        estimated = estimated or (room in ESTIMATORS and file in handle and not file.endswith("config.py"))
         stage = f"`{room}/`" + ((", writing" if estimated else ", reading") if room == "io" else "")
         out.setdefault(stage, []).append(file)
     return out
@@ -227,7 +230,7 @@ def walk(name: str, once: Callable[[], object], twice: Callable[[], object]) -> 
         "| room | handle the event | set the stage |",
         "| --- | --- | --- |",
     ]
-    for stage, files in stages(list(few)).items():
+    for stage, files in stages(list(few), handle).items():
         short = {f: f"`{f.split('/', maxsplit=1)[1]}`" for f in files}
         way = " → ".join(short[f] for f in files if f in handle)
         rest = ", ".join(short[f] for f in files if f not in handle)
