@@ -200,22 +200,23 @@ def jobs(work: Path) -> dict[str, tuple[Callable[[], object], Callable[[], objec
 
 
 def stages(files: list[str], handle: set[str]) -> dict[str, list[str]]:
-    """The files by room, in the order in which rooms are first entered; those of `io` before an estimator and after.
+    """The files by folder, folders as they are first entered; those of `io` before an estimator and those after it.
 
     handle: the files that handle the event, of which one estimates first.
     """
     out: dict[str, list[str]] = {}
     estimated = False
     for file in files:
-        room = file.split("/", maxsplit=1)[0]
+        folder = file.rsplit("/", maxsplit=1)[0]
+        room = folder.split("/", maxsplit=1)[0]
         estimated = estimated or (room in ESTIMATORS and file in handle and not file.endswith("config.py"))
-        stage = f"`{room}/`" + ((", writing" if estimated else ", reading") if room == "io" else "")
+        stage = f"`{folder}/`" + ((", writing" if estimated else ", reading") if room == "io" else "")
         out.setdefault(stage, []).append(file)
     return out
 
 
 def walk(name: str, once: Callable[[], object], twice: Callable[[], object]) -> str:
-    """The files entered, a row a room: those that handle the event and those that set the stage, as Markdown.
+    """The files entered, a row a folder: those that handle the event and those that set the stage, as Markdown.
 
     A file handles the event when a function of it is given or gives what carries one, or runs more often for more
     events. Compiled kernels are not seen: each is called from a file of the room that its folder is named after.
@@ -227,11 +228,11 @@ def walk(name: str, once: Callable[[], object], twice: Callable[[], object]) -> 
     told = f"{len(few)} files, {lines:,} lines in all; {len(handle)} handle the event, {len(few) - len(handle)} do not"
     rows = [
         f"**What {name} enters**: {told}.\n",
-        "| room | handle the event | set the stage |",
+        "| folder | handle the event | set the stage |",
         "| --- | --- | --- |",
     ]
     for stage, files in stages(list(few), handle).items():
-        short = {f: f"`{f.split('/', maxsplit=1)[1]}`" for f in files}
+        short = {f: f"`{f.rsplit('/', maxsplit=1)[1]}`" for f in files}
         way = " → ".join(short[f] for f in files if f in handle)
         rest = ", ".join(short[f] for f in files if f not in handle)
         rows.append(f"| {stage} | {way} | {rest} |")

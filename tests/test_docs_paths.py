@@ -10,7 +10,7 @@ import pytest
 TOP = Path(__file__).parent.parent
 SOURCE = TOP / "src" / "mapweave"
 NAMED = re.compile(r"`((?:[a-z_]+/)+(?:[a-z_0-9]+\.py)?)`")
-WALKED = re.compile(r"^\| `([a-z]+/)`[^|]*\| ([^|]*)\| ([^|]*)\|$", re.MULTILINE)
+WALKED = re.compile(r"^\| `((?:[a-z]+/)+)`[^|]*\| ([^|]*)\| ([^|]*)\|$", re.MULTILINE)
 PAGES = sorted([*TOP.glob("docs/**/*.md"), TOP / "README.md"])
 CALLED = re.compile(r"`(?:\w+\.)*([a-z][a-z0-9]*(?:_[a-z0-9]+)+)(?:\([^`]*\))?`")
 OTHERS = {"local_k", "small_gicp"}  # a frame, a library to compare with
@@ -51,10 +51,10 @@ def test_a_name_that_no_code_has_would_be_found():
     assert "replace_map" not in names()
 
 
-def test_every_file_that_an_event_is_said_to_enter_is_in_that_room():
+def test_every_file_that_an_event_is_said_to_enter_is_in_that_folder():
     page = (TOP / "docs" / "architecture.md").read_text(encoding="utf-8")
     named = [
-        room + name for room, *cells in WALKED.findall(page) for c in cells for name in re.findall(r"`([^`]+)`", c)
+        folder + name for folder, *cells in WALKED.findall(page) for c in cells for name in re.findall(r"`([^`]+)`", c)
     ]
     assert len(named) > 100
     assert not [name for name in named if not (SOURCE / name).is_file()]
