@@ -135,6 +135,21 @@ def test_the_trajectory_goes_through_the_ancestors_of_the_likeliest_particle():
     np.testing.assert_allclose(trajectory(state), [[0, 0.3, 0], [1, 0.1, 0], [2, 0.2, 0]], atol=1e-9)
 
 
+@pytest.mark.parametrize("gated", [True, False])
+@pytest.mark.parametrize("decision", ["matched", "odometry"])
+def test_only_a_gated_trajectory_whose_match_was_refused_is_not_refined(monkeypatch, gated, decision):
+    cfg, rng, refined = small(), np.random.default_rng(0), []
+    state = init("r", cfg, rng, gated=gated)
+    assert len(state.poses) == (1 if gated else 6)
+    advance = state.odometry.advance
+    monkeypatch.setattr(state.odometry, "advance", lambda scan, b: replace(advance(scan, b), decision=decision))
+    monkeypatch.setattr(particle_slam, "_refined", lambda s, *_: refined.append(1) or (s.poses, None))
+    for k, x in enumerate((0.0, 1.0, 2.0)):
+        state, _ = step(state, Event(float(k), "r", scan_at(np.array([x, 0.1, 0.05]))), cfg, rng)
+    assert len(state.history) == 3
+    assert len(refined) == (0 if gated and decision == "odometry" else 2)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_what_lives_of_a_history_leads_every_particle_through_the_poses_it_came_by(seed):
     rng = np.random.default_rng(seed)
