@@ -125,6 +125,18 @@ def test_what_an_edge_counts_is_the_weight_of_least_cost_with_what_dropping_it_c
     assert truncated_weights(np.array([high * (1 - 1e-12)]), gate, control)[0] >= FADED
 
 
+@pytest.mark.parametrize(("weight", "ends"), [(1.0, True), (FADED, True), (0.5, False), (0.999, False)])
+def test_weights_are_sought_until_every_edge_counts_whole_or_not_at_all(monkeypatch, weight, ends):
+    rng = np.random.default_rng(2)
+    _, graph = laps(rng, n=12, closures=4)
+    bad = with_false(graph, 1, rng)
+    held, may, cfg = (0,), np.arange(bad.edges) >= 11, RobustGraphConfig(most_rounds=60)
+    monkeypatch.setattr(robust_graph, "truncated_weights", lambda s, *_: np.full(len(s), weight))
+    rounds = robust_graph._believed(bad, cfg, held, (), may)[2]
+    assert (rounds < 60) == ends
+    assert rounds > 5  # the cost that is asked for has to become the truncated one first
+
+
 @pytest.mark.parametrize("astray", ["what is given", "what the search for contradictions ends at"])
 def test_of_the_minima_that_two_starts_lead_to_the_lower_is_taken(monkeypatch, astray):
     truth, graph = laps(np.random.default_rng(1), n=20, closures=0)
