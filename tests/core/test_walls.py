@@ -5,11 +5,12 @@ from itertools import product
 import numpy as np
 import pytest
 
+from mapweave.core.records import frozen
 from mapweave.core.walls import Walls, walls_of_raster
 from mapweave.kernels.walls.segments import distance_of_moves, touches
 
 RNG = np.random.default_rng(5)
-SEGMENTS = RNG.uniform(-6, 6, (14, 4))
+SEGMENTS = frozen(RNG.uniform(-6, 6, (14, 4)))
 
 
 def dense_distance(point, segments):
@@ -56,7 +57,7 @@ def test_a_move_touches_a_wall_exactly_when_the_lines_meet():
     ],
 )
 def test_ends_and_parallel_moves_count_as_touching(a, b, touches):
-    wall = np.array([[2.0, -1.0, 2.0, 2.0]])
+    wall = frozen([[2.0, -1.0, 2.0, 2.0]])
     assert (distance_of_moves(np.array([a], float), np.array([b], float), wall) == 0).tolist() == [touches]
 
 

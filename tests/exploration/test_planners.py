@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
+from mapweave.core.records import frozen
 from mapweave.exploration.landmarks.belief import Explored
 from mapweave.exploration.landmarks.objective import distance_to_hull
 from mapweave.kernels.exploration.objective import (
@@ -26,10 +27,10 @@ def test_new_cells_are_those_a_look_from_there_would_mark():
     explored = np.zeros((20, 30), dtype=bool)
     explored[:, :12] = True
     poses = np.array([[10.0, 10.0, 0.0], [25.0, 3.0, 2.0], [10.0, 10.0, np.pi]])
-    counted = unexplored_cells(explored, poses, Sector(6.0, np.pi / 2), Raster(np.zeros(2), 1.0))
+    counted = unexplored_cells(explored, poses, Sector(6.0, np.pi / 2), Raster(frozen(np.zeros(2)), 1.0))
     for pose, n in zip(poses, counted, strict=True):
         after = explored.copy()
-        mark_half_disc(after, pose, Sector(6.0, np.pi / 2), Raster(np.zeros(2), 1.0))
+        mark_half_disc(after, pose, Sector(6.0, np.pi / 2), Raster(frozen(np.zeros(2)), 1.0))
         assert after.sum() - explored.sum() == n
     assert counted[0] > 20
     assert counted[2] == 0
@@ -46,7 +47,7 @@ def test_expected_uncertainty_is_that_of_a_filter_that_sees_what_is_in_view():
     cfg = SubmapConfig(association="known")
     controls = np.array([[1.0, 0.5], [2.0, -1.0]])
     model = MotionAndSight(cfg.period, cfg.Q, cfg.R, Sector(cfg.reach, cfg.half_angle))
-    got = expected_uncertainty(m.pose.copy(), m.mean.copy(), m.cov.copy(), controls, model)
+    got = expected_uncertainty(m.pose, m.mean, m.cov, controls, model)
     for u, C in zip(controls, got, strict=True):
         p = predict(m, u, cfg)
         z = predicted_observation(p.pose, p.mean[:1])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
+from mapweave.core.records import frozen
 from mapweave.kernels.laser.likelihood_field import score_field
 from mapweave.laser.laser_map import GridMap
 from mapweave.laser.likelihood_field import nearest_field
@@ -16,7 +17,7 @@ def test_scores_equal_a_plain_computation():
     origin, cell = np.array([-1.0, -0.5]), 0.1
     poses = np.column_stack([rng.uniform(-1, 2, (7, 2)), rng.uniform(-3, 3, 7)])
     points = np.column_stack([rng.uniform(-1, 1, (9, 2)), rng.uniform(0, 1, 9)])
-    mean, matched = score_field(near, origin, cell, poses, points, 0.7, 2.0, 1.0)
+    mean, matched = score_field(frozen(near), frozen(origin), cell, poses, points, 0.7, 2.0, 1.0)
     for p, pose in enumerate(poses):
         world = se2.act(pose, points[:, :2])
         index = np.floor((world - origin) / cell).astype(int)

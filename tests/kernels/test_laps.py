@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mapweave.core.records import frozen
 from mapweave.exploration.landmarks import coverage
 from mapweave.exploration.landmarks.config import ExploreConfig
 from mapweave.exploration.landmarks.steering import steer
@@ -54,10 +55,10 @@ def test_planned_laps_are_driven_as_the_robots_steer():
 def test_robots_stand_still_when_their_places_are_passed_and_nothing_seen_is_forgotten():
     track = drive(150)
     assert np.array_equal(track[0, -1], track[0, -2])
-    share = seen_shares(track, np.zeros((30, 40), dtype=bool), Sector(6.0, np.pi / 2), Raster(LOWER, 1.0))
+    share = seen_shares(track, np.zeros((30, 40), dtype=bool), Sector(6.0, np.pi / 2), Raster(frozen(LOWER), 1.0))
     first = np.zeros((30, 40), dtype=bool)
     for pose in STARTS:
-        mark_half_disc(first, pose, Sector(6.0, np.pi / 2), Raster(LOWER, 1.0))
+        mark_half_disc(first, pose, Sector(6.0, np.pi / 2), Raster(frozen(LOWER), 1.0))
     assert share[0] == first.mean()
     assert np.all(np.diff(share) >= 0)
     assert share[-1] > 2 * share[0]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.gaussian import joseph
+from mapweave.core.records import frozen
 from mapweave.core.se2 import wrap_angle
 from mapweave.kernels.exploration.objective import (
     MotionAndSight,
@@ -51,7 +52,9 @@ def test_expected_uncertainty_is_that_of_a_dense_kalman_filter(heading):
     landmarks = pose[:2] + away[:, None] * np.stack([np.cos(ahead), np.sin(ahead)], axis=1)
     cov, Q, R = drawn(rng, 13), np.diag([0.01, 0.02, 0.003]), np.array([[0.04, 0.002], [0.002, 0.01]])
     controls = np.array([[0.0, 0.0], [0.8, 0.5], [1.0, -0.6]])
-    got = expected_uncertainty(pose, landmarks, cov, controls, MotionAndSight(0.9, Q, R, SECTOR))
+    got = expected_uncertainty(
+        frozen(pose), frozen(landmarks), frozen(cov), controls, MotionAndSight(0.9, frozen(Q), frozen(R), SECTOR)
+    )
     for (v, w), value in zip(controls, got, strict=True):
         step = 0.9 * v * np.array([np.cos(heading), np.sin(heading)])
         after = pose + np.array([*step, 0.9 * w])
@@ -89,7 +92,7 @@ def held(pose, shape, raster):
 @pytest.mark.parametrize("corner", [(0.0, 0.0), (5.0, -3.0), (-4.0, 2.0)])
 def test_new_ground_is_what_the_sector_holds_and_was_not_explored(corner):
     rng = np.random.default_rng(2)
-    raster = Raster(np.array(corner), 0.7)
+    raster = Raster(frozen(corner), 0.7)
     places = np.array(corner) + rng.uniform(-1.0, [12.0, 10.0], (12, 2))
     poses = np.column_stack([places, rng.uniform(-3, 3, 12)])
     explored = rng.random((13, 16)) < 0.4

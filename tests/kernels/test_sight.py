@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mapweave.core.records import frozen
 from mapweave.kernels.walls.segments import (
     Raster,
     Sector,
@@ -14,7 +15,7 @@ from mapweave.kernels.walls.segments import (
 from mapweave.kernels.walls.sight import mark_in_sight, nearest_views, points_in_sight, unexplored_in_sight
 
 RNG = np.random.default_rng(2)
-SEGMENTS = RNG.uniform(0, 20, (7, 4))
+SEGMENTS = frozen(RNG.uniform(0, 20, (7, 4)))
 
 
 def hidden(a, b):
@@ -38,7 +39,7 @@ def dense_view(pose, shape, reach, half_angle, origin, cell):
 
 @pytest.mark.kernel
 def test_cells_come_into_view_when_near_ahead_and_not_hidden():
-    origin, cell = np.array([-1.0, 0.5]), 0.9
+    origin, cell = frozen([-1.0, 0.5]), 0.9
     for pose in np.column_stack([RNG.uniform(2, 18, (6, 2)), RNG.uniform(-3, 3, 6)]):
         seen = np.zeros((21, 23), dtype=bool)
         mark_in_sight(seen, pose, Sector(8.0, np.pi / 2), Raster(origin, cell), SEGMENTS)
@@ -51,10 +52,10 @@ def test_new_cells_among_walls_are_those_a_look_from_there_would_mark():
     explored = RNG.random((20, 20)) < 0.4
     place = np.array([7.0, 9.0])
     poses = np.array([[*place, 0.0], [*place, 1.0], [12.0, 5.0, 1.0], [*place, 1.0]])
-    counted = unexplored_in_sight(explored, poses, Sector(7.0, np.pi / 2), Raster(np.zeros(2), 1.0), SEGMENTS)
+    counted = unexplored_in_sight(explored, poses, Sector(7.0, np.pi / 2), Raster(frozen(np.zeros(2)), 1.0), SEGMENTS)
     for pose, n in zip(poses, counted, strict=True):
         after = explored.copy()
-        mark_in_sight(after, pose, Sector(7.0, np.pi / 2), Raster(np.zeros(2), 1.0), SEGMENTS)
+        mark_in_sight(after, pose, Sector(7.0, np.pi / 2), Raster(frozen(np.zeros(2)), 1.0), SEGMENTS)
         assert after.sum() - explored.sum() == n > 0
 
 
@@ -70,9 +71,9 @@ def test_points_in_sight_are_near_and_not_hidden():
 @pytest.mark.parametrize("neighbours", [0, 3])
 def test_the_nearest_view_of_a_point_is_the_nearest_place_that_sees_it_with_enough_others_around(neighbours):
     stand = RNG.random((14, 15)) < 0.5
-    lower, cell = np.array([-1.2, 0.7]), 1.4
+    lower, cell = frozen([-1.2, 0.7]), 1.4
     centres = lower + cell * (np.stack(np.meshgrid(np.arange(15), np.arange(14)), axis=-1) + 0.5)
-    points = RNG.uniform(0, 20, (25, 2))
+    points = frozen(RNG.uniform(0, 20, (25, 2)))
     found = nearest_views(points, stand, Raster(lower, cell), 6.0, SEGMENTS, neighbours)
     for point, at in zip(points, found, strict=True):
         sees = np.array([[stand[i] and not hidden(centres[i], point) for i in np.ndindex(14, 15)]]).reshape(14, 15)
@@ -87,14 +88,14 @@ def test_the_nearest_view_of_a_point_is_the_nearest_place_that_sees_it_with_enou
 
 @pytest.mark.kernel
 def test_a_disc_moves_until_it_would_touch_a_wall_and_away_from_one_it_touches():
-    wall = np.array([[5.0, -10.0, 5.0, 10.0]])
-    a = np.array([0.0, 0.0])
-    assert free_share(a, np.array([4.0, 1.0]), 0.5, wall) == 1.0
-    assert free_share(a, np.array([9.0, 0.0]), 0.5, wall) == pytest.approx(0.5)
-    touching = np.array([4.6, 0.0])
-    assert free_share(touching, np.array([4.0, 0.0]), 0.5, wall) == 1.0
-    assert free_share(touching, np.array([4.6, 3.0]), 0.5, wall) == 1.0
-    assert free_share(touching, np.array([4.7, 0.0]), 0.5, wall) == pytest.approx(0.0, abs=1e-6)
+    wall = frozen([[5.0, -10.0, 5.0, 10.0]])
+    a = frozen([0.0, 0.0])
+    assert free_share(a, frozen([4.0, 1.0]), 0.5, wall) == 1.0
+    assert free_share(a, frozen([9.0, 0.0]), 0.5, wall) == pytest.approx(0.5)
+    touching = frozen([4.6, 0.0])
+    assert free_share(touching, frozen([4.0, 0.0]), 0.5, wall) == 1.0
+    assert free_share(touching, frozen([4.6, 3.0]), 0.5, wall) == 1.0
+    assert free_share(touching, frozen([4.7, 0.0]), 0.5, wall) == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.kernel
@@ -114,7 +115,7 @@ def test_the_distance_of_a_move_is_the_least_along_it():
 @pytest.mark.kernel
 @pytest.mark.parametrize("corner", [(0.0, 0.0), (3.0, 5.0), (-2.0, -3.5)])
 def test_cells_are_near_a_wall_where_their_centres_are_wherever_the_raster_lies(corner):
-    corner, cell = np.array(corner), 0.8
+    corner, cell = frozen(corner), 0.8
     near = np.zeros((19, 23), dtype=bool)
     mark_near(near, SEGMENTS, 1.3, Raster(corner, cell))
     centres = corner + cell * (np.stack(np.meshgrid(np.arange(23), np.arange(19)), axis=-1) + 0.5)
@@ -127,7 +128,7 @@ def test_cells_are_near_a_wall_where_their_centres_are_wherever_the_raster_lies(
 @pytest.mark.kernel
 @pytest.mark.parametrize("corner", [(0.0, 0.0), (4.0, 3.0), (-3.0, -6.0)])
 def test_a_view_over_the_edge_of_the_raster_counts_what_is_on_it(corner):
-    raster, sector = Raster(np.array(corner), 1.1), Sector(6.0, np.pi / 2)
+    raster, sector = Raster(frozen(corner), 1.1), Sector(6.0, np.pi / 2)
     edges = np.array(corner) + 1.1 * np.array([[0.6, 0.4], [11.3, 0.7], [0.4, 9.2], [11.3, 9.6], [6.1, 5.3]])
     for place in edges:
         for heading in (0.3, 2.0, -2.5):

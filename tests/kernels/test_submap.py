@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mapweave.core.records import frozen
 from mapweave.core.se2 import wrap_angle
 from mapweave.kernels import dense
 from mapweave.kernels.landmarks import submap
@@ -12,12 +13,12 @@ pytestmark = pytest.mark.kernel
 
 def random_state(rng, n):
     A = 0.1 * rng.normal(size=(3 + 2 * n, 3 + 2 * n))
-    return rng.normal(size=3), rng.uniform(2, 9, (n, 2)), A @ A.T + 1e-4 * np.eye(len(A))
+    return tuple(map(frozen, (rng.normal(size=3), rng.uniform(2, 9, (n, 2)), A @ A.T + 1e-4 * np.eye(len(A)))))
 
 
 def noise(rng, n):
     A = 0.1 * rng.normal(size=(n, n))
-    return A @ A.T + 1e-4 * np.eye(n)
+    return frozen(A @ A.T + 1e-4 * np.eye(n))
 
 
 def test_a_drive_carries_the_covariance_as_the_dense_product_does():
@@ -96,8 +97,8 @@ def test_a_mirrored_matrix_has_its_lower_triangle_twice(n):
 def test_a_landmark_close_by_is_corrected_as_a_place_by_the_textbook_update():
     rng = np.random.default_rng(3)
     pose, mean, P = random_state(rng, 3)
-    mean[1] = pose[0] + 0.5, pose[1] + 0.3
-    R, z = np.diag([0.04, 0.0016]), np.array([0.9, 0.4])
+    mean = frozen([mean[0], (pose[0] + 0.5, pose[1] + 0.3), mean[2]])
+    R, z = frozen(np.diag([0.04, 0.0016])), np.array([0.9, 0.4])
 
     def place(x):
         d, c, s = x[5:7] - x[:2], np.cos(x[2]), np.sin(x[2])
@@ -117,15 +118,14 @@ def test_a_landmark_close_by_is_corrected_as_a_place_by_the_textbook_update():
 
 
 def test_only_landmarks_within_their_spread_are_too_near():
-    P = np.diag([0.0, 0.0, 0.0, 0.02, 0.02, 0.02, 0.02, 0.5, 0.5])
-    mean = np.array([[0.9, 0.0], [1.1, 0.0], [0.5, 0.0]])  # five deviations are 1 m; the last is known too badly
-    near = submap.too_near(np.zeros(3), mean, P, np.arange(3), 5.0, np.diag([0.04, 0.0016]))
+    P, R = frozen(np.diag([0.0, 0.0, 0.0, 0.02, 0.02, 0.02, 0.02, 0.5, 0.5])), frozen(np.diag([0.04, 0.0016]))
+    mean = frozen([[0.9, 0.0], [1.1, 0.0], [0.5, 0.0]])  # five deviations are 1 m; the last is known too badly
+    near = submap.too_near(frozen(np.zeros(3)), mean, P, np.arange(3), 5.0, R)
     assert near.tolist() == [True, False, False]
 
 
 def test_a_first_reading_of_no_range_does_not_make_a_landmark_certain():
-    marks, out = submap.grown(
-        np.zeros(3), np.zeros((0, 2)), np.zeros((3, 3)), np.array([[-0.01, 0.0]]), np.diag([0.04, 0.0016])
-    )
+    nothing = map(frozen, (np.zeros(3), np.zeros((0, 2)), np.zeros((3, 3))))
+    marks, out = submap.grown(*nothing, np.array([[-0.01, 0.0]]), frozen(np.diag([0.04, 0.0016])))
     assert np.allclose(marks, [[-0.01, 0.0]])
     assert np.sqrt(out[4, 4]) == pytest.approx(0.04 * 0.6)

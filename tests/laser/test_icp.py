@@ -135,7 +135,7 @@ def test_a_match_does_not_end_before_the_gate_is_at_its_least():
 
 def test_a_point_far_off_the_grid_finds_what_lies_within_its_limit():
     row = np.column_stack([np.linspace(0, 2, 30), np.full(30, 5.0), np.zeros(30)])
-    column = row[:, [1, 0, 2]]
+    column = np.ascontiguousarray(row[:, [1, 0, 2]])
     for points in (row, column):
         ordered, starts, corner, cols = sort_into_cells(points, 0.15)
         for away in ([0.0, -0.9], [0.0, 0.9], [-0.9, 0.0], [0.9, 0.0]):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
+from mapweave.core.records import frozen
 from mapweave.kernels.laser.joint_scans import LineGate, beams_by_direction, match_beam, match_pairs, refine_poses
 from mapweave.laser.joint_pass import (
     JointPassConfig,
@@ -75,7 +76,7 @@ def test_a_pair_of_scans_is_matched_as_by_trying_every_return():
 @pytest.mark.kernel
 def test_a_point_finds_the_nearest_return_as_by_trying_every_one_wherever_it_lies():
     cloud = cloud_at(np.array([[0.4, -0.2, 0.3]]), most=240)
-    sensor = np.array([[0.15, -0.1]])
+    sensor = frozen([[0.15, -0.1]])
     table = beams_by_direction(cloud.start, cloud.points, cloud.lined, sensor, 720)[0]
     lines, normals = cloud.points[cloud.lined], cloud.normals[cloud.lined]
     rng = np.random.default_rng(7)
@@ -98,13 +99,13 @@ def test_a_point_finds_the_nearest_return_as_by_trying_every_one_wherever_it_lie
 @pytest.mark.kernel
 @pytest.mark.parametrize("r", [0.9, 1.0, 1.5, 3.0])
 def test_a_lone_return_nearly_a_gate_aside_is_found_in_every_direction(r):
-    start, lined, sensor, gate = np.array([0, 1]), np.ones(1, bool), np.array([[0.3, -0.2]]), 0.3
-    normal = np.array([[1.0, 0.0]])
+    start, lined = frozen([0, 1], np.int64), frozen([True], np.bool_)
+    sensor, normal, gate = frozen([[0.3, -0.2]]), frozen([[1.0, 0.0]]), 0.3
     for direction in np.linspace(-np.pi, np.pi, 33):
         for side in (-1, 1):
             at = sensor[0] + r * np.array([np.cos(direction), np.sin(direction)])
             aside = direction + side * 2 * np.arcsin(0.5 * 0.98 * gate / r)
-            point = sensor + r * np.array([[np.cos(aside), np.sin(aside)]])
+            point = frozen(sensor + r * np.array([[np.cos(aside), np.sin(aside)]]))
             table = beams_by_direction(start, point, lined, sensor, 200)[0]
             assert match_beam(table, point, normal, tuple(sensor[0]), tuple(at), (1.0, 0.0), gate, 0.5) == 0
             assert match_beam(table, point, normal, tuple(sensor[0]), tuple(at), (1.0, 0.0), 0.95 * gate, 0.5) == -1

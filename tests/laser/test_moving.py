@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.core.records import Scan, Track
+from mapweave.core.records import Scan, Track, frozen
 from mapweave.kernels.walls.raycast import cast
 from mapweave.laser.config import LaserConfig
 from mapweave.laser.log_warnings import WheelCheck, wheels_disagree, wheels_stand
@@ -23,7 +23,7 @@ NOBODY = np.zeros((1, 0, 3))
 def scan(pose, discs=NOBODY, walls=HALL, far=20.0, sensor=(0.0, 0.0, 0.0)):
     """What a scanner at `pose` sees of the walls and of round bodies (x, y, radius)."""
     bodies = np.array(discs, float).reshape(1, -1, 3)
-    r, what, _ = cast(np.array(pose, float)[None], ANGLES, walls, bodies, 30.0)
+    r, what, _ = cast(np.array(pose, float)[None], ANGLES, frozen(walls), bodies, 30.0)
     hit = (what[0] >= 0) & (r[0] < far)
     return Scan(np.where(hit, r[0], far), hit, None, ANGLES[0], ANGLES[1] - ANGLES[0], far, np.array(sensor))
 

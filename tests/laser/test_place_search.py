@@ -5,6 +5,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.errors import DataError
+from mapweave.core.records import frozen
 from mapweave.kernels.laser.place_refine import fit_normals, lay_onto_lines
 from mapweave.laser.place_search import (
     FULL,
@@ -230,13 +231,13 @@ def test_a_field_is_the_likelihood_of_the_nearest_wall_point_as_far_as_it_matter
 @pytest.mark.kernel
 def test_lines_are_the_principal_axes_of_what_lies_around():
     points = walls(np.random.default_rng(6), count=5, size=1.5)
-    lines = fit_normals(points, 0.3)
+    lines = fit_normals(frozen(points), 0.3)
     for k in range(0, len(points), 7):
         around = points[np.hypot(*(points - points[k]).T) <= 0.3]
         values, vectors = np.linalg.eigh(np.cov(around.T, bias=True))
         assert abs(vectors[:, 0] @ lines[k, :2]) == pytest.approx(1.0, abs=1e-6) or values[0] > 0.9 * values[1]
         assert lines[k, 2] == pytest.approx(max(values[0], 0.0) / values[1], abs=1e-6)
-    assert fit_normals(np.array([[0.0, 0.0], [9.0, 9.0]]), 0.3)[:, 2].tolist() == [1.0, 1.0]
+    assert fit_normals(frozen([[0.0, 0.0], [9.0, 9.0]]), 0.3)[:, 2].tolist() == [1.0, 1.0]
 
 
 @pytest.mark.kernel
@@ -251,7 +252,7 @@ def test_a_scan_is_laid_where_its_costs_pull_no_more_and_what_is_told_there_is_t
     width, gate = 0.1, 0.2
     start = truth + np.array([0.05, -0.04, 0.02])
     pose, H, count, mean2 = lay_onto_lines(
-        points, start, field.points, field.lines, field.nearest, field.origin, cfg.cell, gate,
+        frozen(points), frozen(start), field.points, field.lines, field.nearest, field.origin, cfg.cell, gate,
         np.array([0.3, width]), 1e-7,
     )  # fmt: skip
     assert np.abs(se2.between(truth, pose)).max() < 0.02

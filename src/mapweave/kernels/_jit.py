@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from numba.core.types import unliteral
 
 from ._cache import KernelCache
 
@@ -16,7 +17,7 @@ prange = numba.prange
 
 def kernel(fn: F) -> F:
     """`fn` compiled, cached on disk, exact IEEE arithmetic, one thread, without the GIL."""
-    return _cached(numba.njit(nogil=True)(fn), fn, "kernel")
+    return _cached(_compiled(fn), fn, "kernel")
 
 
 def inlined_kernel(fn: F) -> F:
@@ -25,7 +26,7 @@ def inlined_kernel(fn: F) -> F:
     In the loops of a `parallel_kernel` whose arrays are arguments or made outside of them, none is a part of another
     and none has a second name, the compiler knows that no two arrays overlap, and works on several numbers at once.
     """
-    return _cached(numba.njit(nogil=True, forceinline=True)(fn), fn, "inlined")
+    return _cached(_compiled(fn, forceinline=True), fn, "inlined")
 
 
 def parallel_kernel(fn: F) -> F:
@@ -34,7 +35,7 @@ def parallel_kernel(fn: F) -> F:
     Its arithmetic is exact IEEE too: where sums may be reordered, a kernel that was just compiled and the same one read
     from the disk are optimised differently and differ in the last digit.
     """
-    return _cached(numba.njit(nogil=True, parallel=True)(fn), fn, "parallel")
+    return _cached(_compiled(fn, parallel=True), fn, "parallel")
 
 
 def set_threads(n: int) -> None:
@@ -46,6 +47,20 @@ def set_threads(n: int) -> None:
     if n == 0:
         n = round(most - os.getloadavg()[0]) if hasattr(os, "getloadavg") else most
     numba.set_num_threads(max(1, min(n, most)))
+
+
+def _compiled(fn: F, **options: bool) -> Any:
+    """The dispatcher of `fn`: compiled for an int, and not again for each constant that another kernel hands it.
+
+    Nobody takes a kernel's address, so that the wrapper that C would call is not made: what compiles is smaller.
+    """
+    dispatcher = numba.njit(nogil=True, no_cfunc_wrapper=True, **options)(fn)
+    if dispatcher is not fn:
+        any_int = dispatcher.get_call_template
+        dispatcher.get_call_template = lambda args, kws: any_int(
+            [unliteral(a) for a in args], {name: unliteral(a) for name, a in kws.items()}
+        )
+    return dispatcher
 
 
 def _cached(dispatcher: Any, fn: F, options: str) -> F:

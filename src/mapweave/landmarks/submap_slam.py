@@ -151,7 +151,7 @@ def _correct(m: Submap, index: np.ndarray, z: np.ndarray, cfg: SubmapConfig) -> 
     if not near.all():
         pose, mean, P = kernels.corrected(pose, mean, P, index[~near], z[~near], cfg.R)
     for k in np.flatnonzero(near):
-        pose, mean, P = kernels.placed(pose, mean, P, index[k], z[k], cfg.R)
+        pose, mean, P = kernels.placed(owned(pose), owned(mean), owned(P), index[k], z[k], cfg.R)
     return Submap(m.robot, owned(pose), m.ids, owned(mean), owned(P), m.frame)
 
 

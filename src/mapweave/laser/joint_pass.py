@@ -146,7 +146,7 @@ def joint_pass(
     for now in cfg.widths:
         if now != width or pattern is None:
             width, pairs = now, paired(pose, cfg, robot)
-            a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
+            a, b = np.ascontiguousarray(np.concatenate([pairs, pairs[:, ::-1]]).T)
             ends = np.concatenate([3 * a[:, None] + np.arange(3), 3 * b[:, None] + np.arange(3)], axis=1)
             shape = [
                 *terms,

@@ -76,7 +76,13 @@ class MovingReturns:
             return scan
         poses = np.array([se2.between(one.pose, sensor) for one in asked])
         moves = moving_returns(
-            BeamRanges(scan.ranges, scan.hit, scan.angle_min, scan.angle_increment, float(min(scan.range_max, 1e6))),
+            BeamRanges(
+                frozen(scan.ranges),
+                frozen(scan.hit, dtype=np.bool_),
+                scan.angle_min,
+                scan.angle_increment,
+                float(min(scan.range_max, 1e6)),
+            ),
             np.array([one.ranges for one in asked]),
             np.array([one.hit for one in asked]),
             poses,

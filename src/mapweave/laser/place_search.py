@@ -194,7 +194,7 @@ def search(
     Brightness counts when both the place and the scan have it. Nothing that scores under `least` is looked for, nor a
     second place under `least_ratio` of the best: the higher they are, the faster the search.
     """
-    cfg, points = place.cfg, np.ascontiguousarray(points, dtype=float)
+    cfg, points = place.cfg, frozen(points)
     if not len(points):
         return PlacesFound(None, None)
     if len(points) > MOST_POINTS:
@@ -238,7 +238,7 @@ def _asked(
 ) -> _Asked:
     cfg, size = place.cfg, 2**place.cfg.levels
     featured = place.q is not None and q is not None
-    none = np.zeros((cfg.levels + 1, 0, 0), np.uint8)
+    none = owned(np.zeros((cfg.levels + 1, 0, 0), np.uint8))
     light = np.exp(-0.5 * (cfg.q_weight * np.arange(256) / (Q_LEVELS * cfg.sigma)) ** 2)
     cells = turned_cells(points, window.centre[:2], turns, place.origin, cfg.cell)
     high = np.floor(np.asarray(window.reach) / cfg.cell + 1e-9).astype(np.int64)
@@ -307,10 +307,10 @@ def everywhere(place: LikelihoodField) -> Window:
 
 def refine(place: LikelihoodField, points: Float[np.ndarray, "n 2"], start: Float[np.ndarray, "3"]) -> Fit:
     """`points` [m, the scan's frame] laid onto the walls' lines from pose `start` on."""
-    cfg, points = place.cfg, np.ascontiguousarray(points, dtype=float)
+    cfg, points = place.cfg, frozen(points)
     pose, H, matches, mean2 = lay_onto_lines(
         points,
-        np.ascontiguousarray(start, dtype=float),
+        frozen(start),
         place.points,
         place.lines,
         place.nearest,

@@ -195,7 +195,9 @@ class PoseEdges:
     def squares(self, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
         """Squared whitened residual of each edge."""
         g = self.graph
-        return np.asarray(self.weight * edge_squares(x.reshape(-1, 3), g.first, g.second, g.measured, g.information))
+        return np.asarray(
+            self.weight * edge_squares(frozen(x).reshape(-1, 3), g.first, g.second, g.measured, g.information)
+        )
 
     def costs(self, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
         """Robust cost of each edge."""
@@ -206,5 +208,5 @@ class PoseEdges:
         """Information and gradient of each edge, robust weights in them."""
         g = self.graph
         weight = self.weight if self.kernel is None else self.weight * self.kernel.weight(self.squares(x))
-        H, b = edge_normal(x.reshape(-1, 3), g.first, g.second, g.measured, g.information, weight)
+        H, b = edge_normal(frozen(x).reshape(-1, 3), g.first, g.second, g.measured, g.information, weight)
         return H, b

@@ -113,7 +113,7 @@ def laps(
 def _ways(floor: FloorPlan, poses: np.ndarray, places: np.ndarray) -> Float[np.ndarray, "r n"]:
     """Length [m] of the path from each pose to each place; FAR where none leads."""
     at = floor.ground.cells(places)
-    return np.asarray(np.minimum(floor.from_places(poses[:, :2])[:, at[:, 0], at[:, 1]], FAR))
+    return np.ascontiguousarray(np.minimum(floor.from_places(poses[:, :2])[:, at[:, 0], at[:, 1]], FAR))
 
 
 def _approach(floor: FloorPlan, poses: np.ndarray, places: np.ndarray, turn_cost: float) -> Float[np.ndarray, "r n"]:

@@ -152,7 +152,7 @@ def discs_over(
         np.linspace(lo + step, hi - step, max(2, round((hi - lo - 2 * step) / step) + 1))
         for lo, hi in zip(lower, upper, strict=True)
     )
-    return to_the_middle(greedy_cover(cells, xs, ys, radius), cells, radius)
+    return to_the_middle(greedy_cover(np.ascontiguousarray(cells), xs, ys, radius), cells, radius)
 
 
 def to_the_middle(places: np.ndarray, cells: np.ndarray, radius: float) -> np.ndarray:

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.ndimage import distance_transform_edt, label
 
 from ...core.errors import DataError
+from ...core.records import frozen
 from ...core.walls import Walls
 from ...kernels.walls.segments import Raster, sight_on_raster
 from ...kernels.walls.sight import nearest_views, points_in_sight
@@ -46,9 +47,10 @@ class FloorPlan:
 
     def stand(self, points: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n 2"]:
         """For each point the ground (row, col) to stand on: its own, the nearest in sight, or else the nearest."""
-        points = np.ascontiguousarray(points, dtype=float)
         r = self.ground
-        out = nearest_views(points, r.free, Raster(r.lower, r.cell), self.cfg.search_radius, self.walls.segments, 0)
+        out = nearest_views(
+            frozen(points), r.free, Raster(r.lower, r.cell), self.cfg.search_radius, self.walls.segments, 0
+        )
         lost = np.flatnonzero(out[:, 0] < 0)
         if len(lost):
             free = np.argwhere(r.free)
@@ -118,7 +120,9 @@ class FloorPlan:
 
     def sees(self, place: Float[np.ndarray, "2"], points: Float[np.ndarray, "n 2"], far: float) -> np.ndarray:
         """Which points lie within `far` [m] of `place` with no wall between."""
-        return np.asarray(points_in_sight(np.ascontiguousarray(place), points, far, self.walls.segments))
+        return np.asarray(
+            points_in_sight(np.ascontiguousarray(place), np.ascontiguousarray(points), far, self.walls.segments)
+        )
 
 
 def survey_floor(world: Field, walls: Walls, cfg: ExploreConfig) -> FloorPlan:
@@ -131,7 +135,7 @@ def survey_floor(world: Field, walls: Walls, cfg: ExploreConfig) -> FloorPlan:
     lower, cell = np.asarray(world.lower), cfg.walls.path_cell
     raster = Raster(lower, cell)
     free = ~walls.blocked(lower, world.upper, cell, room)
-    starts = np.ascontiguousarray(world.starts[:, :2])
+    starts = frozen(world.starts[:, :2])
     at = nearest_views(starts, free, raster, cfg.walls.search_radius, walls.segments, 0)
     for j in np.flatnonzero(at[:, 0] < 0):
         x, y = starts[j]
@@ -144,13 +148,11 @@ def survey_floor(world: Field, walls: Walls, cfg: ExploreConfig) -> FloorPlan:
     ground = Ground.of(free, lower, cell, weight=weight)
     nx, ny = (int(np.ceil((world.upper[k] - lower[k]) / cfg.mission.cell - 1e-9)) for k in (0, 1))
     x, y = (lower[k] + (np.arange(n) + 0.5) * cfg.mission.cell for k, n in ((0, nx), (1, ny)))
-    centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    centres = frozen(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
     far = cfg.submap.reach - cfg.walls.view_margin
     views = nearest_views(centres, ground.free, raster, far, walls.segments, cfg.walls.view_neighbours)
     views[walls.inside(centres)] = -1
-    marks = nearest_views(
-        np.asarray(world.landmarks), ground.free, raster, far, walls.segments, cfg.walls.view_neighbours
-    )
+    marks = nearest_views(frozen(world.landmarks), ground.free, raster, far, walls.segments, cfg.walls.view_neighbours)
     seen = (views[:, 0] >= 0).reshape(ny, nx)
     return FloorPlan(
         walls,

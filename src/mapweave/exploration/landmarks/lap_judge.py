@@ -75,7 +75,7 @@ class LapJudge:
         self.here = self.past.trail[:, -1].copy()
         self.movers = np.flatnonzero(self.past.live)
         self.landmarks = max(1, round(task.density * float(np.prod(self.upper - self.lower))))
-        self.layouts = self._draw(layouts, np.random.default_rng(1))
+        self.layouts = np.ascontiguousarray(self._draw(layouts, np.random.default_rng(1)))
 
     def _draw(self, layouts: int, rng: np.random.Generator) -> np.ndarray:
         """Landmarks (layouts, n, 2): the known ones, and as many as are to be expected where nobody has been."""

@@ -60,7 +60,7 @@ def plan_laps(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> 
     chosen = coverage.discs(belief, cells, cfg.loop.radius)
     first = coverage.approach_cost(poses[live], chosen, cfg.coverage.turn_cost)
     between = np.linalg.norm(chosen[:, None] - chosen[None], axis=-1)
-    last = np.linalg.norm(chosen[None] - poses[live][:, None, :2], axis=-1)
+    last = np.ascontiguousarray(np.linalg.norm(chosen[None] - poses[live][:, None, :2], axis=-1))
     tours, counts = balanced_tours(first, between, last, cfg.coverage.balance)
     return {int(j): [*(chosen[i] for i in tours[k, : counts[k]]), poses[j, :2].copy()] for k, j in enumerate(live)}
 

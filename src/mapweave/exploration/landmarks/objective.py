@@ -7,6 +7,7 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
 from ...core import se2
+from ...core.records import owned
 from ...kernels.exploration.objective import MotionAndSight, expected_uncertainty, map_uncertainty
 from ...kernels.walls.segments import Sector
 from .belief import LandmarkBelief
@@ -89,12 +90,12 @@ def _choose_one(
 
 def _within_sight(belief: LandmarkBelief, j: int, pose: np.ndarray, cfg: ExploreConfig) -> np.ndarray:
     """Landmarks (n, 2) of robot j's submap; those that walls hide from where it is are put out of reach."""
-    marks = np.asarray(belief.submaps[j].mean)
+    marks = belief.submaps[j].mean
     if belief.floor is None:
         return marks
     there = se2.act(belief.global_map.frames[j], marks)
     hidden = ~belief.floor.sees(pose[:2], there, 1.5 * cfg.submap.reach)
-    return np.where(hidden[:, None], OUT_OF_REACH, marks)
+    return owned(np.where(hidden[:, None], OUT_OF_REACH, marks))
 
 
 def _submap_points(belief: LandmarkBelief, i: int, pose: np.ndarray) -> np.ndarray:

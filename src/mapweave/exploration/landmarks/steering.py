@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
+from ...core.records import owned
 from ...core.se2 import wrap_angle
 from ...fusion.handover import pose_in_map
 from ...kernels.exploration.objective import unexplored_cells
@@ -50,7 +51,7 @@ def clear_controls(
     of it; where that is not kept either, the robot turns on the spot, to the side on which it can drive on that is
     nearest to its heading, or to the way `towards` a place.
     """
-    obstacles = np.vstack([floor.walls.segments, np.hstack([belief.contacts, belief.contacts])])
+    obstacles = owned(np.vstack([floor.walls.segments, np.hstack([belief.contacts, belief.contacts])]))
     comfort = cfg.walls.comfort
     if towards is not None:
         step = towards - pose[:2]

@@ -133,7 +133,7 @@ def keep_commitments(problem: AllocationProblem, chosen: dict[int, int], cfg: La
 
 def by_tours(problem: AllocationProblem, cfg: LaserExploreConfig) -> dict[int, int]:
     """Robot -> piece: the first of its tour, the tours short in the longest and then in the sum."""
-    first, between = problem.first + cfg.service, problem.between + cfg.service
+    first, between = (np.ascontiguousarray(cost + cfg.service) for cost in (problem.first, problem.between))
     tours, counts = balanced_tours(first, between, np.zeros_like(first), cfg.allocation.balance)
     improve_tours(first, between, tours, counts, cfg.allocation.stretch)
     chosen = {j: int(tours[r, 0]) for r, j in enumerate(problem.robots) if counts[r]}

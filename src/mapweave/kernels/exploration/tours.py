@@ -193,4 +193,4 @@ def balanced_tours(
                     a += 1
         if not helped:
             break
-    return tours[:, :n], counts
+    return tours[:, :n].copy(), counts

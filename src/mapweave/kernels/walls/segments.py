@@ -191,7 +191,7 @@ def free_share(a: np.ndarray, b: np.ndarray, radius: float, segments: np.ndarray
 
     1 where the whole move is clear. A disc that stands nearer already may move as long as it does not come nearer.
     """
-    here, there = a.reshape(1, 2), np.empty((1, 2))
+    here, there = a.copy().reshape(1, 2), np.empty((1, 2))
     least = min(radius, distance_of_moves(here, here, segments)[0]) - 1e-9
     there[0] = b
     if distance_of_moves(here, there, segments)[0] >= least:

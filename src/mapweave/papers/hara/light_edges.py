@@ -211,7 +211,7 @@ class WallReturns:
 
     def relations(self, pose: Float[np.ndarray, "n 3"], width: float, cfg: LightEdgeConfig) -> RelativePoses:
         """How the second of each pair stands to the first by their walls; along a bare one nothing is said."""
-        a, b = np.concatenate([self.pairs, self.pairs[:, ::-1]]).T
+        a, b = np.ascontiguousarray(np.concatenate([self.pairs, self.pairs[:, ::-1]]).T)
         relative = np.asarray(se2.between(pose[a], pose[b]))
         H, g, _, near = match_pairs(a, b, relative, self.cloud.lines, self.index, LineGate(3.0 * width, 0.5), width)
         H, g = without_scatter(H, g, cfg.blur)
