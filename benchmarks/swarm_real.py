@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import mapweave
-from mapweave.api.locate import COMMANDED
+from mapweave.api.locate import LocateConfig
 from mapweave.core import se2
 from mapweave.evaluation.swarm_shape import similarity
 from mapweave.io.angulation import as_sightings, read_angulation
@@ -107,7 +107,7 @@ def tracked(table, odometry, truth):
     sigma = np.full(len(table.observer), np.radians(0.6))
     ready = BearingTable(table.ids, table.observer, table.target, table.direction, sigma, table.t, axis=False)
     track = smooth_driving(
-        ready, {k: odometry[name] for k, name in enumerate(table.ids)}, {}, COMMANDED, covariance=False
+        ready, {k: odometry[name] for k, name in enumerate(table.ids)}, {}, LocateConfig().commanded, covariance=False
     )
     return track, {k: (one, *_true(truth, table.ids[k], one.t)) for k, one in track.tracks.items()}
 
@@ -125,7 +125,7 @@ def _dead_reckoning(table, odometry, truth) -> float:
     for name in table.ids:
         t = np.arange(max(table.t[0], odometry[name].t[0]), min(table.t[-1], odometry[name].t[-1]), 0.5)
         ok, at = _true(truth, name, t)
-        p = odometry_steps(odometry[name], t, COMMANDED).pose[ok, :2]
+        p = odometry_steps(odometry[name], t, LocateConfig().commanded).pose[ok, :2]
         errors.append(np.sum((se2.act(se2.align(p, at), p) - at) ** 2, axis=1))
     return float(np.sqrt(np.mean(np.concatenate(errors))))
 

@@ -10,6 +10,7 @@ from mapweave.api.configuration import JOBS, configuration_class
 HOUSE = Path(mapweave.__file__).parent
 FACES = {"io", "papers", "report", "viewer", "cli", "live", "sim"}  # whole numbers there are formats, counts and codes
 ESTIMATING = ("landmarks", "fusion", "laser", "swarm", "team", "exploration")  # rooms whose thresholds decide results
+COMPUTING = (*ESTIMATING, "kernels", "solve")  # and those that work for them
 SCALE = 1e-3, 1e3  # what lies outside is so small or so large that it stands for nothing or for everything
 FIXED = {
     # floats that stay at the top of a module of those rooms, and why
@@ -19,6 +20,10 @@ FIXED = {
     "exploration/landmarks/scenario.py: BUILT_IN": "names of worlds",
     "exploration/laser/scenario.py: OFFICE": "name of a world",
     "exploration/laser/scenario.py: FINEST": "a raster on which a world is checked",
+    "kernels/elimination.py: (SMALL_ZEROS, MIDDLE_ZEROS, MOST_ZEROS)": "limits on memory",
+    "kernels/exploration/laps.py: SURELY_BEYOND": "rounding",
+    "kernels/landmarks/ekf_apply_drive.py: COAST_STEP": "a step of integration",
+    "kernels/landmarks/submap.py: CLOSE": "mathematics: where a range's noise reaches nothing",
     "landmarks/agreement.py: SPEED_UNITS": "units",
     "landmarks/association.py: HOPELESS": "limit on time: a probability of e^-25 changes nothing",
     "laser/icp.py: CELL": "limit on time: the result does not depend on it",
@@ -36,6 +41,11 @@ FIXED = {
     "team/smooth.py: OBSERVED": "a word in reports",
     "team/stretch.py: BEFORE": "limit on memory",
     "team/walls.py: NEAR": "rounding of stamps",
+}
+DEFAULTS = {
+    # floats that an argument has by itself in those rooms, and why
+    "swarm/headings.py: relative_odometry_frame(limit)": "callers in the package name their own",
+    "swarm/kalman.py: filter_start(sigma)": "the paper's",
 }
 LITERALS = (ast.Constant, ast.Tuple, ast.List, ast.Dict, ast.UnaryOp, ast.BinOp, ast.operator, ast.unaryop, ast.Load)
 
@@ -57,6 +67,20 @@ def floats(source):
             numbers = [p.value for p in ast.walk(node.value) if isinstance(p, ast.Constant) and type(p.value) is float]
             if (bare or turned) and any(SCALE[0] < abs(v) < SCALE[1] for v in numbers):
                 found.append(ast.unparse(node.targets[0]))
+    return found
+
+
+def float_defaults(source):
+    """`function(argument)` of each that is given a float of a `SCALE` that can decide anything, 1 excepted."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            plain = [*node.args.posonlyargs, *node.args.args]
+            given = [*zip(plain[::-1], node.args.defaults[::-1], strict=False)]
+            for arg, default in [*given, *zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True)]:
+                value = default.value if isinstance(default, ast.Constant) else None
+                if type(value) is float and SCALE[0] < abs(value) < SCALE[1] and value != 1.0:
+                    found.append(f"{node.name}({arg.arg})")
     return found
 
 
@@ -88,10 +112,18 @@ def test_every_number_at_the_top_of_a_module_says_what_it_is():
 
 def test_a_float_that_could_decide_a_result_is_configuration_or_fixed_for_a_reason():
     found = set()
-    for room in ESTIMATING:
+    for room in COMPUTING:
         for path in (HOUSE / room).rglob("*.py"):
             found |= {f"{path.relative_to(HOUSE)}: {name}" for name in floats(path.read_text())}
     assert found == set(FIXED)
+
+
+def test_no_threshold_hides_as_the_default_of_an_argument():
+    found = set()
+    for room in COMPUTING:
+        for path in (HOUSE / room).rglob("*.py"):
+            found |= {f"{path.relative_to(HOUSE)}: {name}" for name in float_defaults(path.read_text())}
+    assert found == set(DEFAULTS)
 
 
 def test_every_class_of_settings_of_the_estimating_rooms_is_printed_for_some_job():
@@ -116,3 +148,4 @@ def test_a_bare_number_is_found():
     assert not unexplained("GATE = 3.0  # standard deviations\n# of its length [m]\nSIDE = 4\nNAME = 'x'\n")
     assert not unexplained("VERSION = 3\n", whole=False)
     assert not unexplained("FLAG = True\nCFG = Config(gate=3.0)\n")
+    assert float_defaults("def f(a, b=0.3, *, c=1.0, d=0.0, e=2.5): ...") == ["f(b)", "f(e)"]

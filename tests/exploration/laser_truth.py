@@ -45,7 +45,9 @@ class Team:
         self.given: Occupancy | None = None
 
     def grid(self) -> Occupancy:
-        return self.given or from_counts(self.cfg.resolution, self.corner, self.hits, self.passes)
+        return self.given or from_counts(
+            self.cfg.resolution, self.corner, self.hits, self.passes, self.cfg.occupied_share
+        )
 
     def look(self, j: int) -> np.ndarray:
         """Robot j's scan is drawn into the map, other robots left out; its points in the robot's frame."""

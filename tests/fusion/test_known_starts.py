@@ -4,8 +4,11 @@ import numpy as np
 
 from mapweave.core import se2
 from mapweave.core.gaussian import is_positive_definite
+from mapweave.fusion.config import FuseConfig
 from mapweave.fusion.result import APART, Component, Decision, Fusion, placed_by_sightings, tie_by_starts
 from mapweave.landmarks.landmark_map import LandmarkMap
+
+TOLERANCE = FuseConfig().start_tolerance
 
 
 def component(robots, ids, seed):
@@ -25,7 +28,7 @@ def a_fusion():
 def test_a_known_start_places_a_whole_component_into_the_lowest_robots_map():
     start = (4.0, -1.0, 0.8)
     before = a_fusion()
-    after = tie_by_starts(before, {"robot3": start})
+    after = tie_by_starts(before, {"robot3": start}, TOLERANCE)
     (one,) = after.components
     assert one.robots == ("robot1", "robot2", "robot3")
     assert one.map.ids == ("6", "9", "10", "11")
@@ -48,13 +51,13 @@ def test_a_known_start_places_a_whole_component_into_the_lowest_robots_map():
 
 def test_without_a_start_nothing_changes():
     before = a_fusion()
-    assert tie_by_starts(before, {}) is before
-    assert len(tie_by_starts(before, {"robot1": (0.0, 0.0, 0.0)}).components) == 2
+    assert tie_by_starts(before, {}, TOLERANCE) is before
+    assert len(tie_by_starts(before, {"robot1": (0.0, 0.0, 0.0)}, TOLERANCE).components) == 2
 
 
 def test_a_start_that_contradicts_the_landmarks_is_told():
-    before = tie_by_starts(a_fusion(), {"robot2": (0.0, 0.0, 0.0)})
-    after = tie_by_starts(before, {"robot2": (5.0, 0.0, 0.0)})
+    before = tie_by_starts(a_fusion(), {"robot2": (0.0, 0.0, 0.0)}, TOLERANCE)
+    after = tie_by_starts(before, {"robot2": (5.0, 0.0, 0.0)}, TOLERANCE)
     assert any("5.00 m from the one given" in w for w in after.warnings)
     assert after.components == before.components
 

@@ -38,7 +38,7 @@ def test_the_table_names_the_nearest_occupied_cell_and_ignores_what_was_mostly_s
     y, x = np.mgrid[0:12, 0:17]
     mean = np.stack([0.1 * x + 0.05, 0.1 * y + 0.05], axis=-1)
     grid = GridMap(0.1, np.zeros(2), hits, passes, mean, np.zeros((12, 17)), (hits > 0).astype(float))
-    walls = nearest_field(grid)
+    walls = nearest_field(grid, 0.3)
     rows, cols = np.nonzero((hits > 0) & (passes < 50))
     for row in range(12):
         for col in range(17):
@@ -47,4 +47,4 @@ def test_the_table_names_the_nearest_occupied_cell_and_ignores_what_was_mostly_s
             assert np.hypot(*(at - mean[row, col])) == pytest.approx(d, abs=1e-6)
     empty = GridMap(0.1, np.zeros(2), hits * 0, passes, mean, np.zeros((12, 17)), np.zeros((12, 17)))
     with pytest.raises(ValueError, match="no cell"):
-        nearest_field(empty)
+        nearest_field(empty, 0.3)

@@ -27,7 +27,7 @@ def test_cells_with_returns_are_listed_with_their_mean_point_feature_and_weight(
 
 
 def test_free_cells_are_those_beams_went_through():
-    assert np.allclose(small_grid().free_cells(), [[0.15, 0.05]])
+    assert np.allclose(small_grid().free_cells(2), [[0.15, 0.05]])
 
 
 def test_the_gain_is_linear_in_logarithm_between_knots_and_held_outside():

@@ -58,7 +58,14 @@ def asked(made, part, believed, light=True, searched=True, **cfg):
     for x in np.arange(2.0, 3.0, 0.3):
         pose = np.array([x, 1.5, 0.2])
         seen.append(LocalisedScan(se2.compose(np.array(believed), pose), scan(part, pose), np.zeros(2)))
-    return evidence(seen, made, nearest_field(made), light=light, searched=searched, cfg=replace(TrustConfig(), **cfg))
+    return evidence(
+        seen,
+        made,
+        nearest_field(made, TrustConfig().least_occupancy),
+        light=light,
+        searched=searched,
+        cfg=replace(TrustConfig(), **cfg),
+    )
 
 
 def test_the_only_place_that_fits_is_believed():

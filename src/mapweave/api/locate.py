@@ -32,17 +32,22 @@ from .located import Located, Settings, standing_swarm
 from .moving_result import Moved
 from .swarm_input import Place, SwarmInput, is_team_log, prepare, read_truth
 
-# Odometry of real robots says what was commanded: turns are off by a tenth, a few sightings are gross.
-COMMANDED = TrackConfig(slip_floor=0.003, slip=0.04, turn_floor=0.005, turn=0.05, scale_w=0.1, kernel=2.0)
 MANY = 20_000  # robots beyond which covariances are left out unless asked for
 
 
 @configuration
 class LocateConfig:
-    """Settings of `locate`: the tables `[swarm]` (all robots) and `[motion]` (robots that move)."""
+    """Settings of `locate`: the tables `[swarm]` (all robots), `[motion]` (robots that move) and `[commanded]`.
+
+    commanded: `[motion]` for a team's own log, whose odometry says what was commanded: turns are off by a tenth, a few
+    sightings are gross. A `[motion]` that was changed counts there, too.
+    """
 
     swarm: SwarmConfig = SwarmConfig()
     motion: TrackConfig = TrackConfig()
+    commanded: TrackConfig = TrackConfig(
+        slip_floor=0.003, slip=0.04, turn_floor=0.005, turn=0.05, scale_w=0.1, kernel=2.0
+    )
 
 
 @one_blas_thread()
@@ -171,7 +176,7 @@ def locate(
     if odometry is not None:
         result = _drive(given, settings, read_swarm_odometry(_rows(odometry)), motion or TrackConfig(), on_progress)
     elif log is not None:
-        result = _drive(given, settings, log, motion or COMMANDED, on_progress)
+        result = _drive(given, settings, log, motion or cfg.commanded, on_progress)
     elif stamped:
         still = None if motion is not None or filtered else _stood_still(given, settings, covariance=covariance)
         result = still or _move(given, settings, motion, filtered=filtered)

@@ -1,5 +1,7 @@
 """Names of robots: `robotK` in code and folders, `K` in tables; a robot of a fused result is `DIR/robotK` in both."""
 
+from collections.abc import Collection
+
 
 def robot_key(robot: str) -> str:
     """`K` of `robotK`; any other name as it is."""
@@ -10,6 +12,14 @@ def robot_key(robot: str) -> str:
 def robot_name(key: str) -> str:
     """`robotK` of `K`; any other name as it is."""
     return f"robot{key}" if key.isdecimal() else key
+
+
+def unused(prefix: str, taken: Collection[str]) -> str:
+    """`prefix` with a number behind it that makes a name which is not among those `taken`."""
+    k = len(taken)
+    while f"{prefix}{k}" in taken:
+        k += 1
+    return f"{prefix}{k}"
 
 
 def in_order(name: str) -> tuple[tuple[tuple[int, int, str], ...], str]:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.gaussian import symmetrise
+from ..core.names import unused
 from ..core.records import owned
 from ..landmarks.landmark_map import GlobalMap, Submap
 from .map_and_submap import PAIRING, MapAndSubmap, PairingConfig, merge_duplicates, ordered_pair
@@ -92,7 +93,7 @@ def _names(
         if i in torn:
             names.append(None)
             continue
-        label = G.ids[pairs[i]] if i in pairs else name if known else _unused(prefix, taken)
+        label = G.ids[pairs[i]] if i in pairs else name if known else unused(prefix, taken)
         taken.add(label)
         names.append(label)
     return tuple(names)
@@ -124,13 +125,6 @@ def _forward(G: GlobalMap, Y: MapAndSubmap, names: tuple[str | None, ...], new: 
     frames[Y.frame[0] // 3] = se2.compose(old, pose)
     mean = np.vstack([Y.marks, se2.act(old, points)])
     return GlobalMap(G.robots, frames, (*G.ids, *(str(names[i]) for i in new)), mean, owned(P), G.apart)
-
-
-def _unused(prefix: str, taken: set[str]) -> str:
-    k = len(taken)
-    while f"{prefix}{k}" in taken:
-        k += 1
-    return f"{prefix}{k}"
 
 
 def _follow(name: str | None, renamed: dict[str, str]) -> str | None:

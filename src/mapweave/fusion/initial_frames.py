@@ -18,11 +18,10 @@ from ..core.names import in_order
 from ..core.rows import spread
 from ..landmarks.landmark_map import LandmarkMap
 from .alignment import align_robust, joint_fit, log_evidence, spread_area
-from .cluster import Cluster
+from .cluster import ENOUGH, Cluster
 from .config import FuseConfig
 from .consensus import Consensus, Entries, overlaps
 
-ENOUGH = 2  # landmarks in common that fix a rigid transform
 LISTED = 8  # contradicting landmarks told by name
 SEEDS, PARTNERS = 12, 8  # how many maps are tried as the first, each against how many others
 

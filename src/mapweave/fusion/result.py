@@ -71,7 +71,7 @@ class Fusion:
         return tuple(w.removeprefix(start) for w in self.warnings if w.startswith(start))
 
 
-def tie_by_starts(fusion: Fusion, starts: Mapping[str, tuple[float, float, float]], tolerance: float = 0.5) -> Fusion:
+def tie_by_starts(fusion: Fusion, starts: Mapping[str, tuple[float, float, float]], tolerance: float) -> Fusion:
     """The fusion with every component that holds a robot of known start placed into the lowest-numbered robot's map.
 
     starts: robot -> first pose in `map` [m, m, rad], taken as exact. Robots tied by landmarks stay as they are: a start

@@ -33,7 +33,7 @@ class BagRobot:
 
 
 @dataclass(slots=True)
-class _Seen:
+class _Topics:
     """frames: of each scan topic the sensor's, of each odometry topic the robot's; tf: transforms of each tf topic."""
 
     frames: dict[str, str] = field(default_factory=dict)
@@ -106,8 +106,8 @@ def _topic(bag: Bag, wanted: str, kinds: Sequence[str], what: str) -> str:
     raise ReaderError(bag.path, f"no {what} topic {wanted!r}; there are {bag.listing() or 'no topics'}")
 
 
-def _look(bag: Bag, scans: Sequence[str], odometry: Sequence[str], tf: Sequence[str]) -> _Seen:
-    seen = _Seen(tf={topic: Transforms() for topic in tf})
+def _look(bag: Bag, scans: Sequence[str], odometry: Sequence[str], tf: Sequence[str]) -> _Topics:
+    seen = _Topics(tf={topic: Transforms() for topic in tf})
     for topic, ns, message in bag.messages({*scans, *odometry, *tf}, once={*scans, *odometry}):
         if topic in seen.tf:
             for transform in message.transforms:
@@ -157,7 +157,7 @@ def _near(home: Place, tf: Iterable[str], homes: Iterable[Place]) -> list[str]:
 
 
 def _grouped(
-    scans: Sequence[str], homes: dict[str, Place], seen: _Seen, trees: dict[Place, list[str]], odometry: Sequence[str]
+    scans: Sequence[str], homes: dict[str, Place], seen: _Topics, trees: dict[Place, list[str]], odometry: Sequence[str]
 ) -> list[list[str]]:
     """Scan topics of one robot together, the fullest first."""
     groups: list[list[str]] = []
@@ -169,7 +169,7 @@ def _grouped(
 
 
 def _same(
-    a: str, b: str, homes: dict[str, Place], seen: _Seen, trees: dict[Place, list[str]], odometry: Sequence[str]
+    a: str, b: str, homes: dict[str, Place], seen: _Topics, trees: dict[Place, list[str]], odometry: Sequence[str]
 ) -> bool:
     """Whether two scan topics come from one robot."""
     one, two = homes[a], homes[b]
@@ -210,7 +210,7 @@ def _odometry_of(
     home: Place,
     odometry: Sequence[str],
     homes: set[Place],
-    seen: _Seen,
+    seen: _Topics,
     tf: Sequence[str],
 ) -> tuple[tuple[str, ...], str]:
     """The odometry topics that may be a group's, the best first; and why it cannot be told which, where it cannot."""
@@ -236,7 +236,7 @@ def _odometry_of(
     return tuple(topic for _, topic in mine), ""
 
 
-def _evidence(topic: str, group: Sequence[str], seen: _Seen, tree: Transforms) -> tuple[int, int]:
+def _evidence(topic: str, group: Sequence[str], seen: _Topics, tree: Transforms) -> tuple[int, int]:
     """Whether odometry and scans are of one robot (1), of two (-1) or it is not said (0); and how much names agree."""
     place = _place(topic)
     said, shared = [], []
@@ -258,7 +258,7 @@ def _linked(tree: Transforms, sensor: str, base: str) -> int:
     return int(all(spaces) and spaces[0] == spaces[1])
 
 
-def _name(group: Sequence[str], home: Place, rivals: Sequence[Sequence[str]], seen: _Seen) -> str:
+def _name(group: Sequence[str], home: Place, rivals: Sequence[Sequence[str]], seen: _Topics) -> str:
     if home and len(rivals) == 1:
         return "/".join(home)
     return "/".join(_frame_space(seen.frames.get(group[0], "")) or _namespace(group[0]) or home)

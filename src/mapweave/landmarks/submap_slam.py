@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.config import config
+from ..core.names import unused
 from ..core.records import owned
 from ..core.se2 import wrap_angle
 from ..kernels.landmarks import submap as kernels
@@ -123,7 +124,7 @@ def _labels(m: Submap, seen: Observations, fresh: list[int], cfg: SubmapConfig, 
     taken = set(m.ids)
     labels = []
     for _ in fresh:
-        labels.append(_unused(name, taken))
+        labels.append(unused(name, taken))
         taken.add(labels[-1])
     return labels
 
@@ -159,10 +160,3 @@ def _add(m: Submap, labels: list[str], z: np.ndarray, cfg: SubmapConfig) -> Subm
     """New landmarks by inverse observation, with their cross-covariances."""
     mean, P = kernels.grown(m.pose, m.mean, m.cov, z, cfg.R)
     return Submap(m.robot, m.pose, (*m.ids, *labels), owned(mean), owned(P), m.frame)
-
-
-def _unused(name: str, taken: set[str]) -> str:
-    k = len(taken)
-    while f"{name}{k}" in taken:
-        k += 1
-    return f"{name}{k}"

@@ -65,8 +65,8 @@ class GridMap:
             [self.mean[rows, cols].astype(float), self.feature[rows, cols], self.weight[rows, cols]]
         ).astype(float)
 
-    def free_cells(self, least_passes: int = 2) -> Float[np.ndarray, "n 2"]:
-        """Centres [m] of the cells that beams went through and (nearly) none ended in."""
+    def free_cells(self, least_passes: int) -> Float[np.ndarray, "n 2"]:
+        """Centres [m] of the cells that beams went through, `least_passes` at least, and (nearly) none ended in."""
         rows, cols = np.nonzero((self.passes >= least_passes) & (self.passes > 5 * self.hits))
         return np.asarray(self.origin + self.resolution * (np.column_stack([cols, rows]) + 0.5))
 

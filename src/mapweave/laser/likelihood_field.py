@@ -37,9 +37,9 @@ class NearestField:
         *,
         alpha: float,
         cap: float,
-        matched_under: float = 0.04,
+        matched_under: float = 0.0,
     ) -> tuple[Float[np.ndarray, " p"], Int[np.ndarray, " p"]]:
-        """Mean of `min(D, cap)` over the beams, and how many beams match, for every pose."""
+        """Mean of `min(D, cap)` [m^2] over the beams, and how many beams have a D below `matched_under`, a pose."""
         return score_field(
             self.near,
             self.origin,
@@ -57,7 +57,7 @@ def wall_cells(grid: GridMap, least_occupancy: float) -> Bool[np.ndarray, "rows 
     return np.asarray((grid.weight > 0) & (grid.occupancy() > least_occupancy))
 
 
-def nearest_field(grid: GridMap, least_occupancy: float = 0.3) -> NearestField:
+def nearest_field(grid: GridMap, least_occupancy: float) -> NearestField:
     """The table of the walls of `grid`. Raises ValueError when no cell of it is occupied."""
     there = wall_cells(grid, least_occupancy)
     if not there.any():

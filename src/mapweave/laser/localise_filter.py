@@ -37,6 +37,8 @@ class LocaliseConfig:
     search_cap: float = 0.25  # [m^2] greatest squared distance a beam is charged while searching
     sigma: float = 0.07  # [m] of each once found
     cap: float = 0.06  # [m^2] and once found
+    matched: float = 0.04  # [m^2] squared distance below which a return of the estimate counts as matched
+    free_passes: int = 2  # beams that went through a cell in which the robot may start, at least
     found_xy: float = 0.3  # [m] and
     found_turn: float = float(np.radians(8.0))  # [rad]: spread under which the start counts as found
     found_share: float = 0.95  # of the weight at one place, at least
@@ -102,7 +104,7 @@ class PlaceFilter:
             self.cloud = Cloud(poses, np.zeros(len(poses)))
             self.weigh(points)
             return
-        places = _spaced(self.grid.free_cells(), how.spacing)
+        places = _spaced(self.grid.free_cells(how.free_passes), how.spacing)
         if not len(places):
             raise DataError("the map has no free place a robot could be in")
         headings = np.arange(-np.pi, np.pi, how.turn)
@@ -138,7 +140,7 @@ class PlaceFilter:
         """The estimate, its matched returns, the effective number before drawing anew, and whether that was done."""
         pose, _, _ = self.cloud.middle(self.how)
         every = np.column_stack([b.s, b.q])
-        _, matched = self.walls.score(pose[None], every, alpha=self.alpha, cap=1.0)
+        _, matched = self.walls.score(pose[None], every, alpha=self.alpha, cap=1.0, matched_under=self.how.matched)
         w = self.cloud.shares()
         n_eff = float(1.0 / (w @ w))
         wanted = max(self.particles, 50) if self.found else self._wanted(w)

@@ -27,6 +27,10 @@ class MovingConfig:
     widest: float = 1.2  # [m] a thing that moves
     margin: float = 0.25  # [m] beyond a place that a scan must see to have seen through it
     same: float = 0.12  # [m] and less between ranges: the same thing
+    slant: float = 1.5  # times the range's change to the next beam: more of a margin for what is seen at a slant
+    votes: int = 2  # more earlier scans that say that a return moved than say the opposite
+    least_run: int = 3  # returns beside each other that seem to move, where they do not stand free
+    beside: int = 2  # returns on either side of such a run that move with it, where their ranges go on
     blur: float = 0.01  # [rad] the heading between scans may be wrong, and
     blur_share: float = 0.2  # [rad/rad] so much more of what was turned between
     astray: float = 0.006  # [rad] mean error of headings before matching from which on nothing is left out
@@ -87,7 +91,7 @@ class MovingReturns:
             np.array([one.hit for one in asked]),
             poses,
             c.blur + c.blur_share * np.abs(poses[:, 2]),
-            Thing(c.jump, c.jump_share, c.ahead, c.widest, c.margin, c.same),
+            Thing(c.jump, c.jump_share, c.ahead, c.widest, c.margin, c.same, c.slant, c.votes, c.least_run, c.beside),
         )
         moving = int(moves.sum())
         if not 0 < moving <= c.most_share * int(scan.hit.sum()):

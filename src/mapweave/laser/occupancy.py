@@ -54,7 +54,7 @@ def from_counts(
     origin: Float[np.ndarray, "2"],
     hits: Int[np.ndarray, "rows cols"],
     passes: Int[np.ndarray, "rows cols"],
-    share: float = 0.2,
+    share: float,
 ) -> Occupancy:
     """Occupied where at least `share` of a cell's beams ended, free where others went through, unknown elsewhere.
 
@@ -67,8 +67,8 @@ def from_counts(
     return Occupancy(resolution, origin, state)
 
 
-def of_grid(grid: GridMap, share: float = 0.2) -> Occupancy:
-    """The occupancy of a grid map, cell by cell."""
+def of_grid(grid: GridMap, share: float) -> Occupancy:
+    """The occupancy of a grid map, cell by cell; see `from_counts`."""
     return from_counts(grid.resolution, grid.origin, grid.hits, grid.passes, share)
 
 

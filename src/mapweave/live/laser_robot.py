@@ -5,11 +5,10 @@ import numpy as np
 from ..laser.config import LaserConfig
 from ..laser.laser_map import GridMap
 from ..laser.occupancy_mapper import render_keyframes
+from .columns import TRIANGLE
 from .driven import DrivenSession
 from .laser_stream import LaserRecord
 from .messages import Header, Numbered, Snapshot
-
-TRIANGLE = np.triu_indices(3)
 
 
 class LaserRobot:

@@ -26,15 +26,13 @@ from .messages import LARGEST, MapState, Numbers, RefusedError, RobotState, Snap
 from .shared_map import Fused, SharedMap
 from .store import Store
 from .topics import Topics
-from .transport import SETTLE, ask, ask_parameters, put, there_is
+from .transport import SETTLE, answer, ask, put, there_is
 
 WAITING = 20_000  # messages not worked in yet: beyond, they are let go and asked for later
 TICK = 0.05  # [s]
 SWITCH = 0.0005  # [s] between threads: who follows robots comes back from each kernel to one who searches
 STATE_EVERY = 1.0  # [s], and as soon as landmark robots are fused
 CLOCK_EVERY = 5.0  # [s]
-MOST_ANSWERS = 500
-NAME_PATIENCE = 4.0  # [s]
 FUSED = 0.25  # of the time between two solutions of laser robots: how often landmark robots are fused at most
 FUSING_REST = 0.25  # the time without fusing is at least so many times what fusing took
 TELL_CLOCK = 1.0  # [s] that a clock is off before it is told
@@ -98,7 +96,7 @@ class MapProcess:
         """From now on robots are heard; raises UsageError when a map process of this name is there."""
         t, s, callback = self._topics, self._session, zenoh.handlers.Callback
         time.sleep(SETTLE)
-        if there_is(s, t.map_alive(self.name), NAME_PATIENCE):
+        if there_is(s, t.map_alive(self.name)):
             raise UsageError(f"--name {self.name}: a map process of that name is in team {t.team} already")
         hear = callback(self._hear)
         remote = zenoh.Locality.REMOTE
@@ -369,11 +367,8 @@ class MapProcess:
     def _answer(self, query: zenoh.Query) -> None:
         """The past of any robot that is kept here, for those who come late."""
         with query:
-            wanted = ask_parameters(query)
             robot = self._topics.robot_of(str(query.key_expr))
-            if wanted is None or robot == "*":
-                query.reply_err(b"expected first=A;last=B")
+            if robot == "*":
+                query.reply_err(b"expected the name of a robot")
                 return
-            first, last = wanted
-            for _, payload in self._store.get(robot, first, min(last, first + MOST_ANSWERS - 1)):
-                query.reply(query.key_expr, payload)
+            answer(query, str(query.key_expr), partial(self._store.get, robot))

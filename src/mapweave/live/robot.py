@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from threading import Event
 from typing import Protocol, runtime_checkable
 
@@ -12,14 +13,12 @@ from ..core.errors import DataError, UsageError
 from .messages import LARGEST, Correction, Header, MapState, Numbered, RefusedError, Snapshot, Status, decode, encode
 from .store import Store
 from .topics import Topics
-from .transport import SETTLE, ask_parameters, put, there_is
+from .transport import MOST_ANSWERS, SETTLE, answer, put, there_is
 
 STATUS_EVERY = 0.5  # [s]
 SNAPSHOT_PAUSES = 0.5, 2.0  # [s] from snapshot to snapshot at least, and at most
 SNAPSHOT_RATE = 12_000.0  # [bytes / s] that snapshots take while the longest pause allows it
-NAME_PATIENCE = 4.0  # [s] that the token of a robot that was killed may last
 DISK_AGAIN = 1.0  # [s] until a full disk is tried again
-MOST_ANSWERS = 500  # messages that one question is answered with
 TICK = 0.05  # [s] that a feed is waited for
 UNHEARD = 5.0  # [s] until it is told that no map process was heard of
 GRACE = 1.0  # [s] after the last message, for a map process to be heard of
@@ -117,7 +116,7 @@ class RobotProcess:
     def join(self) -> None:
         """Others hear of this robot from now on; raises UsageError when one of its name is there."""
         time.sleep(SETTLE)
-        if there_is(self._session, self._topics.alive(self.name), NAME_PATIENCE):
+        if there_is(self._session, self._topics.alive(self.name)):
             raise UsageError(f"--name {self.name}: a robot of that name is in team {self._topics.team} already")
         t, s = self._topics, self._session
         callback = zenoh.handlers.Callback
@@ -333,13 +332,7 @@ class RobotProcess:
     def _answer(self, query: zenoh.Query) -> None:
         """The numbered messages that are asked for, as they were told."""
         with query:
-            wanted = ask_parameters(query)
-            if wanted is None:
-                query.reply_err(b"expected first=A;last=B")
-                return
-            first, last = wanted
-            for _, payload in self._store.get(self.name, first, min(last, first + MOST_ANSWERS - 1)):
-                query.reply(self._topics.history(self.name), payload)
+            answer(query, self._topics.history(self.name), partial(self._store.get, self.name))
 
     def _tell_time(self, query: zenoh.Query) -> None:
         with query:

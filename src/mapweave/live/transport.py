@@ -16,6 +16,8 @@ OPENING = 30_000  # [ms] that a handshake may take, in four messages
 PORTS = 20  # tried one after the other where any will do
 ANY_PORT = ":0"
 LISTENING = "listening at "
+MOST_ANSWERS = 500  # messages that one question is answered with
+NAME_PATIENCE = 4.0  # [s] that the token of a process that was killed may last
 SETTLE = 0.3  # [s] for declarations to reach those who are there
 
 
@@ -154,15 +156,21 @@ def ask(
     )
 
 
-def ask_parameters(query: zenoh.Query) -> tuple[int, int] | None:
-    """First and last number of `?first=A;last=B`; None when they are none."""
+def answer(query: zenoh.Query, key: str, messages: Callable[[int, int], Sequence[tuple[int, bytes]]]) -> None:
+    """Answers `?first=A;last=B` under `key` with the payloads of `messages(A, B)`, or with an error when it is none.
+
+    messages: numbers and payloads from one number to another, in order; no more are asked for than one answer may hold.
+    """
     words = [query.parameters.get(name) or "" for name in ("first", "last")]
     if not all(word.isdecimal() and len(word) < 16 for word in words):
-        return None
-    return int(words[0]), int(words[1])
+        query.reply_err(b"expected first=A;last=B")
+        return
+    first, last = map(int, words)
+    for _, payload in messages(first, min(last, first + MOST_ANSWERS - 1)):
+        query.reply(key, payload)
 
 
-def there_is(where: zenoh.Session, token: str, patience: float) -> bool:
+def there_is(where: zenoh.Session, token: str, patience: float = NAME_PATIENCE) -> bool:
     """Whether somebody holds the liveliness token still after `patience` [s]; False as soon as nobody does."""
     end = time.monotonic() + patience
     while True:

@@ -17,6 +17,7 @@ from ..core.gaussian import symmetrise
 from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order
 from ..core.records import Track
+from ..fusion.cluster import ENOUGH
 from ..landmarks.landmark_map import LandmarkMap
 from ..laser.scan_odometry import blended
 from ..solve.chain import Gauss, Passed, SchurComplement, passed, solve
@@ -28,7 +29,6 @@ from .stretch import Stretch, stretch_of
 HELD = 1e-6  # standard deviation of a calibration parameter that is held
 LOOSE = 1e-6  # information [1/m^2] on a landmark, so that one nobody has seen again stays where it is
 FRAME = 1e8  # information [1/m^2] on the landmarks as a body, which are the frame
-ENOUGH = 2  # landmarks that make a frame
 MARGIN = 3.0  # [s] of a robot's own trajectory before a stretch
 Labels = Mapping[str, Mapping[str, str]]
 

@@ -80,6 +80,7 @@ class LaserExploreConfig:
     turn: float = 1.0  # [rad/s], the fastest
     reach: float = 12.0  # [m] of the scanner
     resolution: float = 0.2  # [m], cells of the grid that is planned on: a robot's radius
+    occupied_share: float = 0.2  # of a cell's beams that end in it make it a wall: along a wall's face most go through
     margin: float = 0.1  # [m] beyond the radius that planned paths keep from walls: half a cell
     guard: float = 0.04  # [m] beyond the radius that a driven arc keeps from every point of the present scan
     apart: float = 0.12  # [m] beyond two radii that a driven arc keeps from the path another robot just chose

@@ -109,7 +109,7 @@ def explore_laser_once(
     if moments and snapshots[-1].step != mission_run.step:
         snapshots.append(MapSnapshot(mission_run.step, mission_run.grid, moments[-1].poses, moments[-1].explored))
     grid = mission_run.team.grid(mission.cfg.map_resolution)
-    merged = without_gaps(of_grid(grid))
+    merged = without_gaps(of_grid(grid, mission.cfg.plan.occupied_share))
     run_score = score(mission_run, moments, merged, run, perf_counter() - began)
     M = len(mission_run.robots)
     record = LaserRunRecord(
@@ -174,7 +174,7 @@ def _score_only(mission: LaserMission, seed: int, run: int) -> LaserScore:
     began = perf_counter()
     team, _ = start(mission, seed)
     moments = [replace(m, scans=()) for m in team.play()]  # scans are many and the score needs none
-    merged = without_gaps(of_grid(team.team.grid(mission.cfg.map_resolution)))
+    merged = without_gaps(of_grid(team.team.grid(mission.cfg.map_resolution), mission.cfg.plan.occupied_share))
     return score(team, moments, merged, run, perf_counter() - began)
 
 

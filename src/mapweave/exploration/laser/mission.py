@@ -167,7 +167,7 @@ class LaserRun:
             scans.append(scan)
         middle = perf_counter()
         self.team.optimise()
-        self.grid = of_grid(self.team.grid(self.plan.resolution))
+        self.grid = of_grid(self.team.grid(self.plan.resolution), self.plan.occupied_share)
         self.timing["look"] += middle - before
         self.timing["map"] += perf_counter() - middle
         return tuple(scans)

@@ -7,11 +7,6 @@ import numpy as np
 
 from .._jit import kernel
 
-SLANT = 1.5  # times the range's change to the next beam: more of a margin for what is seen at a slant
-VOTES = 2  # more earlier scans that say so than say the opposite
-LEAST_RUN = 3  # returns beside each other that seem to move, where they do not stand free
-BESIDE = 2  # returns on either side of such a run that move with it, where their ranges go on
-
 
 class BeamRanges(NamedTuple):
     """A scan: ranges (n,) [m], which of them are returns, hit (n,), beam k at `first + k step` [rad], range_max [m]."""
@@ -24,7 +19,7 @@ class BeamRanges(NamedTuple):
 
 
 class Thing(NamedTuple):
-    """What a thing is, and what counts as its having moved, in metres; see `moving_returns`."""
+    """What a thing is, and what counts as its having moved, lengths in metres; see `moving_returns`."""
 
     jump: float
     jump_share: float  # of the range
@@ -32,6 +27,10 @@ class Thing(NamedTuple):
     widest: float
     margin: float
     same: float
+    slant: float  # times the range's change to the next beam: more of a margin for what is seen at a slant
+    votes: int  # more earlier scans that say so than say the opposite
+    least_run: int  # returns beside each other that seem to move, where they do not stand free
+    beside: int  # returns on either side of such a run that move with it, where their ranges go on
 
 
 @kernel
@@ -61,9 +60,9 @@ def moving_returns(
         if hit[b]:
             votes = 0
             for j in range(earlier_ranges.shape[0]):
-                slack = thing.margin + SLANT * _slope(ranges, hit, b, thing.jump, thing.jump_share)
+                slack = thing.margin + thing.slant * _slope(ranges, hit, b, thing.jump, thing.jump_share)
                 votes += _vote(scan, b, earlier_ranges[j], earlier_hit[j], poses[j], blur[j], slack, thing.same)
-            moved[b] = votes >= VOTES
+            moved[b] = votes >= thing.votes
     out = np.zeros(n, dtype=np.bool_)
     i = 0
     while i < n:
@@ -77,7 +76,7 @@ def moving_returns(
             if 2 * np.sum(moved[i : k + 1]) >= k - i + 1:
                 out[i : k + 1] = True
         else:
-            _mark_runs(out, moved, ranges, i, k, step, thing.widest)
+            _mark_runs(out, moved, ranges, i, k, step, thing)
         i = k + 1
     return out
 
@@ -96,7 +95,7 @@ def _slope(ranges: np.ndarray, hit: np.ndarray, b: int, jump: float, jump_share:
 
 @kernel
 def _mark_runs(
-    out: np.ndarray, moved: np.ndarray, ranges: np.ndarray, i: int, k: int, step: float, widest: float
+    out: np.ndarray, moved: np.ndarray, ranges: np.ndarray, i: int, k: int, step: float, thing: Thing
 ) -> None:
     """`out` has the runs of beams i to k that moved, and what goes on beside them."""
     b = i
@@ -107,8 +106,8 @@ def _mark_runs(
         e = b
         while e < k and moved[e + 1]:
             e += 1
-        if e - b + 1 >= LEAST_RUN and _across(ranges[b], ranges[e], (e - b) * step) <= widest:
-            out[max(i, b - BESIDE) : min(k, e + BESIDE) + 1] = True
+        if e - b + 1 >= thing.least_run and _across(ranges[b], ranges[e], (e - b) * step) <= thing.widest:
+            out[max(i, b - thing.beside) : min(k, e + thing.beside) + 1] = True
         b = e + 1
 
 
