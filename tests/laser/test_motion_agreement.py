@@ -35,7 +35,7 @@ def test_scans_that_move_as_the_wheels_do_are_left_alone(seed):
     found = motion_agreement(moved(scans, noise=0.01, seed=seed), scans, BEAM, CFG)
     assert found.scale.value == pytest.approx(1.0, abs=0.02)
     assert found.direction.value == pytest.approx(0.0, abs=0.02)
-    assert found.told(CFG) == ()
+    assert found.warnings(CFG) == ()
 
 
 @pytest.mark.parametrize("scale", [0.8, 1.2])
@@ -44,7 +44,7 @@ def test_scans_that_move_farther_or_less_far_are_told_with_the_factor_and_its_st
     found = motion_agreement(moved(scans, lambda s: s * [scale, scale, 1.0], 0.01), scans, BEAM, CFG)
     assert abs(found.scale.value - scale) < max(4 * found.scale.sd, 0.01)
     assert 0 < found.scale.sd < 0.02
-    (told,) = found.told(CFG)
+    (told,) = found.warnings(CFG)
     number = f"{found.scale.value:.3f} +- {found.scale.sd:.3f}"
     assert told.startswith(f"the scans move {number} times as far as the wheels tell")
 
@@ -53,7 +53,7 @@ def test_scans_that_move_to_the_side_of_the_wheels_way_are_told():
     scans = drive(5)
     found = motion_agreement(moved(scans, lambda s: turned(s, -0.15), 0.01), scans, BEAM, CFG)
     assert found.direction.value == pytest.approx(-0.15, abs=0.02)
-    (told,) = found.told(CFG)
+    (told,) = found.warnings(CFG)
     assert (
         f"{np.degrees(-found.direction.value):.1f} +- {np.degrees(found.direction.sd):.1f} degrees to the right" in told
     )
@@ -62,9 +62,9 @@ def test_scans_that_move_to_the_side_of_the_wheels_way_are_told():
 def test_a_difference_that_may_be_chance_or_is_small_is_not_told():
     scans = drive(6)
     found = motion_agreement(moved(scans, lambda s: s * [1.2, 1.2, 1.0]), scans, BEAM, CFG)
-    assert len(found.told(CFG)) == 1
-    assert replace(found, scale=replace(found.scale, sd=0.06)).told(CFG) == ()
-    assert replace(found, scale=replace(found.scale, value=1.04, sd=0.001)).told(CFG) == ()
+    assert len(found.warnings(CFG)) == 1
+    assert replace(found, scale=replace(found.scale, sd=0.06)).warnings(CFG) == ()
+    assert replace(found, scale=replace(found.scale, value=1.04, sd=0.001)).warnings(CFG) == ()
 
 
 @pytest.mark.parametrize("scale", [0.9, 1.15])
@@ -72,7 +72,7 @@ def test_scans_that_turn_farther_or_less_far_than_the_wheels_are_told(scale):
     scans = drive(8)
     found = motion_agreement(moved(scans, lambda s: s * [1.0, 1.0, scale], 0.01), scans, BEAM, CFG)
     assert found.turn.value == pytest.approx(scale, abs=0.02)
-    told = " ".join(found.told(CFG))
+    told = " ".join(found.warnings(CFG))
     assert f"the scans turn {found.turn.value:.3f} +- {found.turn.sd:.3f} times as far as the wheels tell" in told
 
 
@@ -86,7 +86,7 @@ def test_a_bare_corridor_tells_nothing_of_the_way_along_it():
 def test_without_odometry_there_is_nothing_to_say():
     scans = [replace(scan, odometry=None) for scan in drive(7)]
     assert motion_agreement(np.zeros((len(scans), 3)), scans, BEAM, CFG) == MotionAgreement()
-    assert motion_agreement(np.zeros((0, 3)), [], BEAM, CFG).told(CFG) == ()
+    assert motion_agreement(np.zeros((0, 3)), [], BEAM, CFG).warnings(CFG) == ()
 
 
 def test_ways_follow_each_other_and_leave_turns_and_standing_out():

@@ -184,7 +184,7 @@ def test_submaps_hold_their_keyframes_in_the_frame_of_the_one_in_the_middle():
     assert match.fit is not None
     truth = se2.between(poses[20], poses[25])
     assert np.abs(se2.between(match.fit.pose, truth)).max() < 0.02
-    assert match.moved < 0.15
+    assert match.correction < 0.15
     assert len(query_around(poses, clouds, 25, q).points) == 400
     assert gathered(poses, clouds, [], poses[0], 0.1)[0].shape == (0, 2)
 

@@ -29,7 +29,7 @@ class IcpState:
     poses: list[np.ndarray] = field(default_factory=list)
     last: Float[np.ndarray, "n 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     odometry: np.ndarray | None = None
-    moved: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    motion: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
 
 def init(
@@ -75,7 +75,7 @@ def step(
 
 def _increment(state: IcpState, scan: Scan, cfg: LaserConfig) -> tuple[np.ndarray, np.ndarray]:
     if scan.odometry is None:
-        return state.moved, alone_sd(cfg.front_end)
+        return state.motion, alone_sd(cfg.front_end)
     u = np.zeros(3) if state.odometry is None else se2.between(state.odometry, scan.odometry)
     state.odometry = np.asarray(scan.odometry)
     return u, allowed_sd(u, cfg.front_end)
@@ -83,7 +83,7 @@ def _increment(state: IcpState, scan: Scan, cfg: LaserConfig) -> tuple[np.ndarra
 
 def _accept(state: IcpState, b: Beams, pose: np.ndarray) -> IcpState:
     if state.poses:
-        state.moved = se2.between(state.poses[-1], pose)
+        state.motion = se2.between(state.poses[-1], pose)
     state.poses.append(pose)
     state.last = np.column_stack([se2.act(pose, b.s), b.q])
     state.maps.insert(ONE, pose[None], as_points(b), b.w.astype(np.float32))

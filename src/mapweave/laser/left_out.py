@@ -15,17 +15,17 @@ from .pose_graph import PoseGraph
 HOLDS_ALONE = 1e-6  # share of an edge's covariance that is left over: less, and nothing else tells what it tells
 
 
-def left_out_squares(graph: PoseGraph, found: Solution, rows: Int[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """How far edges `rows`, which `found` rests on, lie from the solution without each [squared sd].
+def left_out_squares(graph: PoseGraph, solution: Solution, rows: Int[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """How far edges `rows`, which `solution` rests on, lie from the solution without each [squared sd].
 
     With residual r, covariance R and that of what is predicted J P J^T it is `r^T (R - J P J^T)^-1 r`; 0 in directions
     that no other edge tells.
     """
     i, j = graph.first[rows], graph.second[rows]
     block = np.full(len(graph), -1)
-    block[found.free[::3] // 3] = np.arange(len(found.free) // 3)
+    block[solution.free[::3] // 3] = np.arange(len(solution.free) // 3)
     both = (block[i] >= 0) & (block[j] >= 0)
-    diagonal, tied = _factor(found).pairs(block[i][both], block[j][both])
+    diagonal, tied = _factor(solution).pairs(block[i][both], block[j][both])
     at_home = np.concatenate([diagonal, np.zeros((1, 3, 3))])  # a pose that is held: number -1
     P = np.zeros((len(rows), 6, 6))
     P[:, :3, :3], P[:, 3:, 3:] = at_home[block[i]], at_home[block[j]]
@@ -51,7 +51,7 @@ def without_it(
     return np.asarray((np.square(along) * left / np.where(left, values, 1.0)).sum(axis=1))
 
 
-def _factor(found: Solution) -> BlockCholesky:
-    assert found.information is not None  # noqa: S101  (asked before)
-    factor: BlockCholesky = found.information.factor
+def _factor(solution: Solution) -> BlockCholesky:
+    assert solution.information is not None  # noqa: S101  (asked before)
+    factor: BlockCholesky = solution.information.factor
     return factor

@@ -88,29 +88,29 @@ def localise(
     way = _follow(log, particles, cfg, how, (feature, calibration), start, on_progress)
     if not way.at:
         raise DataError(f"{log.source}: no scan with enough returns to be placed in the map")
-    since = way.found or 0
+    since = way.converged_row or 0
     first = way.at.index(since) if since in way.at else 0
     poses = blended(way.carried.array, np.array(way.at[first:]), np.array(way.corrected[first:]))
     scans = way.infos.records(log.scan_t, tuple(scan.host for scan in log.scans), poses)
-    told = (np.array(scans.decision) == "matched") & (np.arange(len(scans)) >= since)
-    matched = int(scans.matches[told].sum()) / max(1, int(scans.beams[told].sum()))
-    if way.found is None:
+    counted = (np.array(scans.decision) == "matched") & (np.arange(len(scans)) >= since)
+    matched = int(scans.matches[counted].sum()) / max(1, int(scans.beams[counted].sum()))
+    if way.converged_row is None:
         warnings.append("the start was not found: the hypotheses never became one")
     if way.restarts:
         warnings.append(f"places found that did not explain the scans and were given up: {way.restarts}")
-    found, doubt = None, "the start was not found"
-    if way.found is not None:
+    support, doubt = None, "the start was not found"
+    if way.converged_row is not None:
         on_progress("other places", 0, 1)
-        rows = [(row, pose) for row, pose in zip(way.at, way.corrected, strict=True) if row >= way.found]
+        rows = [(row, pose) for row, pose in zip(way.at, way.corrected, strict=True) if row >= way.converged_row]
         seen = [
             LocalisedScan(
                 pose, beams(log.scans[row], feature, calibration, cfg.beam), np.array(log.scans[row].T_robot_sensor[:2])
             )
             for row, pose in _kept(rows, how.trust.scans)
         ]
-        found = evidence(seen, grid, walls, light=feature != "none", searched=start is None, cfg=how.trust)
+        support = evidence(seen, grid, walls, light=feature != "none", searched=start is None, cfg=how.trust)
         few = f"the map explains {100 * matched:.0f} % of the returns"
-        doubt = found.doubt or ("" if matched >= how.trusted else few)
+        doubt = support.doubt or ("" if matched >= how.trusted else few)
         on_progress("other places", 1, 1)
     total = perf_counter() - began
     return Localisation(
@@ -119,10 +119,10 @@ def localise(
         _filled(log, poses),
         scans,
         "global" if start is None else "given",
-        None if way.found is None else float(log.scan_t[way.found]),
-        None if way.found is None else way.found + 1,
+        None if way.converged_row is None else float(log.scan_t[way.converged_row]),
+        None if way.converged_row is None else way.converged_row + 1,
         float(matched),
-        found,
+        support,
         doubt,
         feature,
         cfg.particles,
@@ -136,15 +136,15 @@ def localise(
 class _Way:
     """What following the log gave: poses carried to every scan, corrected ones at the rows `at`, a record a scan.
 
-    found: the row at which the hypotheses had become one; searched: seconds spent until then; restarts: how often the
-    place found turned out wrong and the search began anew.
+    converged_row: the row at which the hypotheses had become one; searched: seconds spent until then; restarts: how
+    often the place found turned out wrong and the search began anew.
     """
 
     carried: RowBuffer
     infos: ScanInfos = field(default_factory=ScanInfos)
     at: list[int] = field(default_factory=list)
     corrected: list[np.ndarray] = field(default_factory=list)
-    found: int | None = None
+    converged_row: int | None = None
     searched: float = 0.0
     restarts: int = 0
 
@@ -166,27 +166,27 @@ def _follow(
         info = odometry.advance(scan, b)
         on_progress("scans", row + 1, len(log.scans))
         points = _some(b, how.beams)
-        moved = se2.between(odometry.poses[way.at[-1]], odometry.poses[row]) if way.at else np.zeros(3)
-        far = np.hypot(moved[0], moved[1]) >= how.update_distance or abs(moved[2]) >= how.update_turn
+        motion = se2.between(odometry.poses[way.at[-1]], odometry.poses[row]) if way.at else np.zeros(3)
+        far = np.hypot(motion[0], motion[1]) >= how.update_distance or abs(motion[2]) >= how.update_turn
         if len(points) < cfg.filter.least_beams or (way.at and not far):
             way.infos.append(ScanInfo(info.innovation, info.beams, 0, "skipped" if len(points) else "empty"))
             continue
         clock = perf_counter()
         if way.at:
-            particles.move(moved)
+            particles.move(motion)
             particles.weigh(points)
             if start is None and len(explained) >= how.doubts and np.mean(explained[-how.doubts :]) < how.trusted:
                 particles.begin(None, points)
-                way.found, explained = None, []
+                way.converged_row, explained = None, []
                 way.restarts += 1
         else:
             particles.begin(start, points)
         pose, matches, n_eff, resampled = particles.posterior(b)
         if particles.found:
             explained.append(matches / max(1, len(b.q)))
-        if way.found is None:
+        if way.converged_row is None:
             way.searched += perf_counter() - clock
-            way.found = row if particles.found else None
+            way.converged_row = row if particles.found else None
         way.at.append(row)
         way.corrected.append(pose)
         way.infos.append(ScanInfo(info.innovation, info.beams, matches, "matched", n_eff, resampled))

@@ -81,8 +81,8 @@ def evidence(
     ratio, rival = _rival(seen, grid, light=light, cfg=cfg) if searched else (0.0, None)
     doubt = _doubt(here, cfg)
     if not doubt and rival is not None and ratio > cfg.most_ratio:
-        moved = se2.compose(rival, se2.inverse(seen[-1].pose))
-        there = _agreement(some, walls, moved, light=light, cfg=cfg)
+        shift = se2.compose(rival, se2.inverse(seen[-1].pose))
+        there = _agreement(some, walls, shift, light=light, cfg=cfg)
         ahead = 0.0 if here.light is None or there.light is None else here.light - there.light
         if ahead < cfg.light_ahead:
             x, y, turn = rival
@@ -110,15 +110,15 @@ def _doubt(here: _Agreement, cfg: TrustConfig) -> str:
 
 
 def _agreement(
-    seen: Sequence[LocalisedScan], walls: NearestField, moved: Float[np.ndarray, "3"], *, light: bool, cfg: TrustConfig
+    seen: Sequence[LocalisedScan], walls: NearestField, shift: Float[np.ndarray, "3"], *, light: bool, cfg: TrustConfig
 ) -> _Agreement:
     """How the scans agree with the map when all their poses are moved rigidly."""
     far: list[np.ndarray] = []
     passed: list[np.ndarray] = []
-    told: list[np.ndarray] = []
+    measured: list[np.ndarray] = []
     known: list[np.ndarray] = []
     for one in seen:
-        b, pose = one.beams, se2.compose(moved, one.pose)
+        b, pose = one.beams, se2.compose(shift, one.pose)
         pick = spread(len(b.q), cfg.beams)
         points = se2.act(pose, b.s[pick])
         near = walls.nearest(points, NOWHERE)
@@ -126,13 +126,13 @@ def _agreement(
         far.append(d)
         steep = (b.c[pick] >= cfg.least_cosine) & (b.r[pick] > 2.0 * cfg.margin)
         passed.append(_through(walls, se2.act(pose, one.eye), points[steep], cfg))
-        told.append(b.q[pick][d < cfg.near])
+        measured.append(b.q[pick][d < cfg.near])
         known.append(near[d < cfg.near, 2])
     every, through = np.concatenate(far), np.concatenate(passed)
     return _Agreement(
         float(np.mean(every < cfg.near)) if len(every) else 0.0,
         float(through.mean()) if len(through) else 0.0,
-        _correlation(np.concatenate(told), np.concatenate(known), cfg.contrast) if light else None,
+        _correlation(np.concatenate(measured), np.concatenate(known), cfg.contrast) if light else None,
     )
 
 

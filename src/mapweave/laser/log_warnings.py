@@ -55,13 +55,13 @@ def stamp_lag(
     if odometry is None or len(odometry.t) < 2 or len(t) < 2:
         return None
     turned = np.diff(heading)
-    told = np.abs(turned) >= cfg.turn
-    if told.sum() < cfg.turns:
+    turning = np.abs(turned) >= cfg.turn
+    if turning.sum() < cfg.turns:
         return None
     wheels = np.unwrap(odometry.pose[:, 2])
     lags = cfg.step * np.arange(-round(cfg.most / cfg.step), round(cfg.most / cfg.step) + 1)
-    by = np.array([np.diff(np.interp(t - lag, odometry.t, wheels))[told] for lag in lags])
-    apart = np.minimum(np.abs(turned[told] - by), cfg.capped)
+    by = np.array([np.diff(np.interp(t - lag, odometry.t, wheels))[turning] for lag in lags])
+    apart = np.minimum(np.abs(turned[turning] - by), cfg.capped)
     whole = apart.mean(axis=1)
     best = int(np.argmin(whole))
     own = lags[[int(np.argmin(part.mean(axis=1))) for part in np.array_split(apart, cfg.parts, axis=1)]]
@@ -127,7 +127,7 @@ def wheels_stand(track: Track, dead: Track | None, cfg: WheelCheck) -> tuple[str
         return ()
     stood = (np.abs(np.diff(dead.pose, axis=0)) <= STILL).all(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], stood.astype(np.int8), [0]])))
-    whole, told = 0.0, []
+    whole, stretches = 0.0, []
     for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         way, at = 0.0, track.pose[first, :2]
         for place in track.pose[first + 1 : last + 1, :2]:
@@ -135,11 +135,11 @@ def wheels_stand(track: Track, dead: Track | None, cfg: WheelCheck) -> tuple[str
                 way, at = way + d, place
         if way >= cfg.stand:
             whole += way
-            told.append(f"from {track.t[first]:.1f} s to {track.t[last]:.1f} s")
-    if not told:
+            stretches.append(f"from {track.t[first]:.1f} s to {track.t[last]:.1f} s")
+    if not stretches:
         return ()
-    more = f" and {len(told) - 1} times more" if len(told) > 1 else ""
-    ways = f"the wheels report no motion {told[0]}{more}, while the scans tell a way of {whole:.1f} m"
+    more = f" and {len(stretches) - 1} times more" if len(stretches) > 1 else ""
+    ways = f"the wheels report no motion {stretches[0]}{more}, while the scans tell a way of {whole:.1f} m"
     return (f"{ways}: nothing but the scans tells it, and along walls that look alike it may be wrong",)
 
 
@@ -173,9 +173,9 @@ def jumps(records: ScanRecords, scans: Sequence[Scan], cfg: JumpCheck) -> tuple[
     more = f" (and {len(gone) - 1} times more)" if len(gone) > 1 else ""
     now, then = (f"{100 * s:.0f} %" for s in (share[k], share[last]))
     seen = f"{now} of the returns lie on walls seen before, of the last scan {then}"
-    moved = f"while the wheels tell {way[row]:.2f} m"
+    by_wheels = f"while the wheels tell {way[row]:.2f} m"
     why = "the robot was carried, drives were joined to one log, or the view was blocked; the map goes on by the wheels"
-    return (f"at {records.t[k]:.1f} s{more} the scene changes at once: {seen}, {moved}: {why}",)
+    return (f"at {records.t[k]:.1f} s{more} the scene changes at once: {seen}, {by_wheels}: {why}",)
 
 
 def _one_to_the_next(scans: Sequence[Scan], late: int) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
@@ -201,14 +201,14 @@ def unfound_places(graph: RobotGraph, in_a_row: int) -> tuple[str, ...]:
     or a trajectory along a corridor that went wrong once makes all later ones fail, and no closure is there to
     contradict it. in_a_row: searches from which it is a warning, since along a right trajectory some fail too.
     """
-    found: dict[int, bool] = {}
+    closed: dict[int, bool] = {}
     for c in graph.closures:
         if c.robots[0] == c.robots[1]:
-            found[c.second] = found.get(c.second, False) or c.accepted
+            closed[c.second] = closed.get(c.second, False) or c.accepted
     longest: list[int] = []
     run: list[int] = []
-    for keyframe in sorted(found):
-        run = [] if found[keyframe] else [*run, keyframe]
+    for keyframe in sorted(closed):
+        run = [] if closed[keyframe] else [*run, keyframe]
         longest = max(longest, run, key=len)
     if len(longest) < in_a_row:
         return ()

@@ -64,7 +64,7 @@ def map_places(a: KeyframeMap, b: KeyframeMap, cfg: CorrelationConfig) -> list[M
     beneath = binary_dilation(one.walls).astype(np.float32) - cfg.through * one.free.astype(np.float32)
     of_walls = fft.rfft2(beneath, shape)
     of_free = fft.rfft2(-cfg.through * one.walls.astype(np.float32), shape)
-    found: list[tuple[float, float, int, int]] = []
+    candidates: list[tuple[float, float, int, int]] = []
     for heading in np.arange(0.0, 2.0 * np.pi, cfg.turn).tolist():
         turn = se2.rotation(heading).T
         stood = fft.rfft2(_stamped(walls @ turn, radius, cell, shape))
@@ -72,12 +72,12 @@ def map_places(a: KeyframeMap, b: KeyframeMap, cfg: CorrelationConfig) -> list[M
         spectrum = of_walls * stood.conj() + of_free * seen.conj()
         score = np.roll(fft.irfft2(spectrum, shape), (size, size), (0, 1)).ravel()
         most = np.argpartition(score, -3 * cfg.places)[-3 * cfg.places :].tolist()
-        found += [(-float(score[k]), heading, k // shape[1] - size, k % shape[1] - size) for k in most]
-    return _apart(sorted(found), one.lower + radius, middle, cell, cfg)
+        candidates += [(-float(score[k]), heading, k // shape[1] - size, k % shape[1] - size) for k in most]
+    return _apart(sorted(candidates), one.lower + radius, middle, cell, cfg)
 
 
 def _apart(
-    found: list[tuple[float, float, int, int]],
+    candidates: list[tuple[float, float, int, int]],
     corner: np.ndarray,
     middle: np.ndarray,
     cell: float,
@@ -86,8 +86,8 @@ def _apart(
     """The best of every place, in b's own frame. corner: where a shift of zero puts the middle of b's walls in a."""
     out: list[MapPlace] = []
     held: list[np.ndarray] = []
-    for score, heading, u, v in found:
-        if len(out) == cfg.places or -score <= cfg.least * max(-found[0][0], 0.0):
+    for score, heading, u, v in candidates:
+        if len(out) == cfg.places or -score <= cfg.least * max(-candidates[0][0], 0.0):
             break
         at = np.array([*(corner + cell * np.array([u, v])), heading])
         near = (

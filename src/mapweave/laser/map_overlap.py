@@ -88,8 +88,8 @@ class KeyframeMap:
         seen = [self.cloud(cfg.coarse, [u[:, k] for u in back])[1] for k in range(2)]
         lines = fit_normals(self.walls, cfg.line)
         facing = sum(lines[:, k] * np.asarray(seen[k]) for k in range(2))
-        told = (np.abs(facing) > cfg.sided) & (lines[:, 2] < cfg.thick)
-        return np.asarray(lines[:, :2] * (np.sign(facing) * told)[:, None])
+        sided = (np.abs(facing) > cfg.sided) & (lines[:, 2] < cfg.thick)
+        return np.asarray(lines[:, :2] * (np.sign(facing) * sided)[:, None])
 
     def _views(self) -> Float[np.ndarray, "n bins"]:
         views = np.full((len(self.pose), _bins(self.points)), np.inf)

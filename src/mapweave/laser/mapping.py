@@ -159,7 +159,7 @@ def map_session(
     clean = replace(log, scans=session.cleaned(log.scans))
     result = finish(clean, session.cfg, feature, poses, session.infos, graph)
     agreement = motion_agreement(result.scans.pose, clean.scans, session.cfg.beam, session.cfg.motion)
-    told = agreement.told(session.cfg.motion)
+    motion_warnings = agreement.warnings(session.cfg.motion)
     lag = stamp_lag(log.scan_t, np.unwrap(result.scans.pose[:, 2]), log.odometry, session.cfg.lag)
     disagreement = (
         *lag_told(lag, session.cfg.lag),
@@ -167,14 +167,14 @@ def map_session(
         *wheels_disagree(result.track, result.dead_reckoning, session.cfg.wheels, agreement.factor(session.cfg.motion)),
         *wheels_stand(result.track, result.dead_reckoning, session.cfg.wheels),
     )
-    moved = {"return of something that moves": session.moving.count} if session.moving.count else {}
+    moving_returns = {"return of something that moves": session.moving.count} if session.moving.count else {}
     left = {} if graph is None else left_graph(graph)
     unfound = () if graph is None else unfound_places(graph, session.cfg.graph.unfound)
     result = replace(
         result,
         scan_hash=log.scan_hash(),
-        dropped={**result.dropped, **moved, **left},
-        warnings=(*instead_of(result.warnings, told), *disagreement, *unfound),
+        dropped={**result.dropped, **moving_returns, **left},
+        warnings=(*instead_of(result.warnings, motion_warnings), *disagreement, *unfound),
     )
     timing = {
         **spent,
@@ -251,12 +251,12 @@ def of_one_moment(
     """
     first = np.searchsorted(t, t - cfg.within, side="left")
     end = np.searchsorted(t, t + cfg.within, side="right")
-    out, moved = np.array(pose), np.zeros(len(t), dtype=bool)
+    out, replaced = np.array(pose), np.zeros(len(t), dtype=bool)
     for k in np.flatnonzero(end - first > 1).tolist():
         rows = slice(first[k], end[k])
         seen = se2.between(pose[k], pose[rows])
         if (np.hypot(seen[:, 0], seen[:, 1]) <= cfg.apart).all() and (np.abs(seen[:, 2]) <= cfg.turned).all():
             continue
         middle = np.median(np.repeat(seen, np.where(scan[rows], cfg.scan_counts, 1), axis=0), axis=0)
-        out[k], moved[k] = se2.compose(pose[k], middle), True
-    return out, moved
+        out[k], replaced[k] = se2.compose(pose[k], middle), True
+    return out, replaced

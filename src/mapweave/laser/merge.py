@@ -135,7 +135,7 @@ def _held_by_start(pair: Pair, near: Merge, free: Merge) -> Merge | str:
     neither found a corridor.
     """
     a, b, place, cfg, start = pair[:5]
-    slid = [told for told in (near, free) if told.reason.startswith("a corridor")]
+    slid = [merge for merge in (near, free) if merge.reason.startswith("a corridor")]
     if not slid or start is None:
         return ""
     away = "; the start alone does not hold them: "
@@ -164,11 +164,13 @@ def _held_by_start(pair: Pair, near: Merge, free: Merge) -> Merge | str:
         reason="it confirms the transform: the start that was given, and the walls across it",
     )
     degrees = np.degrees(np.arctan2(way.along[1], way.along[0])) % 180.0
-    told = f"along {degrees:.0f} degrees in the map of {robot_name(a.robot)} nothing else holds it, to {way.sd:.2f} m"
+    direction = (
+        f"along {degrees:.0f} degrees in the map of {robot_name(a.robot)} nothing else holds it, to {way.sd:.2f} m"
+    )
     return replace(
         slid[0],
         merged=True,
-        reason=f"merged on the start that was given: a corridor, {told} (standard deviation)",
+        reason=f"merged on the start that was given: a corridor, {direction} (standard deviation)",
         transform=frozen(T),
         covariance=frozen(way.covariance),
         overlap=wall_overlap(place.points, b, T, cfg.overlap),
@@ -187,26 +189,26 @@ def _decided(pair: Pair) -> Merge:
     """
     a, b, place, cfg, start = pair[:5]
     whole = whole_candidates(a, b, place, cfg, start)
-    told = Merge(a.robot, b.robot, False, "too little overlap: no place of one map in the other is free of walls")
+    merge = Merge(a.robot, b.robot, False, "too little overlap: no place of one map in the other is free of walls")
     if whole and start is None:
-        told = _weighed(pair, whole, 0)
-        if told.merged or not told.reason.startswith("too little overlap"):
-            return told
-    found: list[Hypothesis] = []
+        merge = _weighed(pair, whole, 0)
+        if merge.merged or not merge.reason.startswith("too little overlap"):
+            return merge
+    matches: list[Hypothesis] = []
     tried, asked = 0, stages(b, cfg)
     for k, stage in enumerate(asked):
         more, count = hypotheses(b, place, stage, cfg, start)
-        found += [h for h in more if start is None or start.near(h.transform, cfg)]
+        matches += [h for h in more if start is None or start.near(h.transform, cfg)]
         tried += count
-        if k + 1 < len(asked) and len(found) < cfg.sure:
+        if k + 1 < len(asked) and len(matches) < cfg.sure:
             continue
-        ways = [*candidates(a, b, found, cfg), *whole]
-        if not (found or (start is not None and whole)):
-            return replace(told, reason=f"too little overlap: none of {tried} submaps is found in the other map")
-        told = _weighed(pair, ways, tried)
-        if told.merged and told.agreeing >= cfg.sure:
+        ways = [*candidates(a, b, matches, cfg), *whole]
+        if not (matches or (start is not None and whole)):
+            return replace(merge, reason=f"too little overlap: none of {tried} submaps is found in the other map")
+        merge = _weighed(pair, ways, tried)
+        if merge.merged and merge.agreeing >= cfg.sure:
             break
-    return told
+    return merge
 
 
 def _weighed(pair: Pair, ways: Sequence[Candidate], tried: int) -> Merge:
@@ -229,7 +231,7 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], tried: int) -> Merge:
     others = [c for c in ways if not same_place(b, c.transform, best.transform, cfg)]
     rival = max(others, key=lambda c: (allowed(pair, c, best), pair.evidence(c)), default=None)
     score = _score(held or best.members)
-    told = Merge(
+    merge = Merge(
         a.robot,
         b.robot,
         merged=False,
@@ -244,9 +246,9 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], tried: int) -> Merge:
         best=frozen(best.transform),
         closures=tuple(c for _, c in checked),
     )
-    why = _why_refused(pair, told, best, rival, tried, needed)
+    why = _why_refused(pair, merge, best, rival, tried, needed)
     if why:
-        return replace(told, reason=why, overlap=None if "too little overlap" in why else told.overlap)
+        return replace(merge, reason=why, overlap=None if "too little overlap" in why else merge.overlap)
     on = f"{len(held)} closures that agree within {_spread(held, b, best.transform):.2f} m"
     if needed == 1:
         on = f"the whole maps: {best.seen.alike} places of walls that both saw agree"
@@ -254,7 +256,7 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], tried: int) -> Merge:
     if any(pair.darkened(c) for c in ways):
         reason += ", and at other places their walls do not shine alike"
     return replace(
-        told, merged=True, reason=reason, transform=frozen(best.transform), covariance=frozen(best.covariance)
+        merge, merged=True, reason=reason, transform=frozen(best.transform), covariance=frozen(best.covariance)
     )
 
 
@@ -263,7 +265,7 @@ def _certain(best: Candidate, cfg: MergeConfig) -> bool:
     return best.evidence(cfg.alike) >= cfg.certain and best.seen.clear >= cfg.clear
 
 
-def _why_refused(pair: Pair, told: Merge, best: Candidate, rival: Candidate | None, tried: int, needed: int) -> str:
+def _why_refused(pair: Pair, merge: Merge, best: Candidate, rival: Candidate | None, tried: int, needed: int) -> str:
     """The reason in words, empty when there is none. The most telling cause comes first."""
     cfg = pair.cfg
     good = best.seen.share >= pair.alike and best.seen.alike >= cfg.least_seen
@@ -280,22 +282,22 @@ def _why_refused(pair: Pair, told: Merge, best: Candidate, rival: Candidate | No
             f"{words(best.transform)} in the map of {robot_name(pair.a.robot)}, each robot saw "
             f"through walls of the other ({100 * best.seen.share:.0f} % alike, {100 * pair.alike:.0f} % are needed)"
         )
-    if not good or told.agreeing < needed:
-        return f"too little overlap: {told.agreeing} submaps agree on a place, {needed} are needed"
+    if not good or merge.agreeing < needed:
+        return f"too little overlap: {merge.agreeing} submaps agree on a place, {needed} are needed"
     return ""
 
 
 def _closures(pair: Pair, best: Candidate) -> list[tuple[Hypothesis, MapClosure]]:
     """Every submap near the other map under the best transform, and whether it confirms it."""
     a, b, place, cfg = pair[:4]
-    found = confirmed(a, b, place, best.transform, cfg)
-    rows = [_closure(a, b, h, best, cfg) for h in found]
+    matches = confirmed(a, b, place, best.transform, cfg)
+    rows = [_closure(a, b, h, best, cfg) for h in matches]
     fit = [k for k, c in enumerate(rows) if c.accepted]
-    held = {fit[k] for k in _consistent(pair, [found[k] for k in fit], [rows[k] for k in fit])}
+    held = {fit[k] for k in _consistent(pair, [matches[k] for k in fit], [rows[k] for k in fit])}
     for k in fit:
         if k not in held:
             rows[k] = replace(rows[k], accepted=False, reason="it contradicts the other closures")
-    return list(zip(found, rows, strict=True))
+    return list(zip(matches, rows, strict=True))
 
 
 def _closure(
@@ -330,13 +332,13 @@ def _closure(
     )
 
 
-def _consistent(pair: Pair, found: Sequence[Hypothesis], rows: Sequence[MapClosure]) -> list[int]:
+def _consistent(pair: Pair, matches: Sequence[Hypothesis], rows: Sequence[MapClosure]) -> list[int]:
     """The largest set of closures whose cycles are all within the covariances of matches and trajectories."""
     if not rows:
         return []
     a, b, _, cfg = pair[:4]
     first, second = [c.first for c in rows], [c.second for c in rows]
-    P = np.array([h.fit.covariance for h in found])
+    P = np.array([h.fit.covariance for h in matches])
     squares = cycle_squares(
         a.pose[first],
         b.pose[second],

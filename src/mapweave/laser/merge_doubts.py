@@ -32,8 +32,8 @@ class Pair(NamedTuple):
         seen = c.evidence(self.alike)
         if seen <= 0.0:
             return seen
-        told = 1.0 if self.start is None else self.start.likelihood(c.transform, self.cfg)
-        return seen * told * (self.cfg.blunder if self.darkened(c) else 1.0)
+        likelihood = 1.0 if self.start is None else self.start.likelihood(c.transform, self.cfg)
+        return seen * likelihood * (self.cfg.blunder if self.darkened(c) else 1.0)
 
     def darkened(self, c: Candidate) -> bool:
         """Whether brightness speaks against a transform: walls that meet under it shine unlike, elsewhere alike."""

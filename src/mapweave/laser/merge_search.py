@@ -174,7 +174,7 @@ def hypotheses(
     """Where the submaps `asked` of b may lie in the place, the best and the second of each; and how many of them hold
     enough to be searched for.
     """
-    found: list[Hypothesis] = []
+    matches: list[Hypothesis] = []
     tried = 0
     for anchor, around in asked:
         query = query_around(b.pose, b.points, anchor, b.q, _sized(cfg.submap, around))
@@ -184,24 +184,24 @@ def hypotheses(
         window = everywhere(place) if start is None else _start_window(start, b.pose[anchor], cfg)
         places = search(place, query.points, window, query.q, least=cfg.least, least_ratio=cfg.least_ratio)
         hits = [hit for hit in (places.best, places.second) if hit is not None]
-        found += [_hypothesis(b, place, query, hit, places.ratio) for hit in hits]
-    return found, tried
+        matches += [_hypothesis(b, place, query, hit, places.ratio) for hit in hits]
+    return matches, tried
 
 
-def candidates(a: KeyframeMap, b: KeyframeMap, found: Sequence[Hypothesis], cfg: MergeConfig) -> list[Candidate]:
+def candidates(a: KeyframeMap, b: KeyframeMap, matches: Sequence[Hypothesis], cfg: MergeConfig) -> list[Candidate]:
     """The transforms that most hypotheses agree on, each from hypotheses of its own; most evidence first."""
-    agreeing = agreement(b, found, cfg)
-    left = list(range(len(found)))
+    agreeing = agreement(b, matches, cfg)
+    left = list(range(len(matches)))
     out: list[Candidate] = []
     while left and len(out) < cfg.candidates:
         members = largest_clique(agreeing[np.ix_(left, left)]).members
         if len(members) < 2:  # of single ones the best scores
-            left.sort(key=lambda k: -found[k].score)
+            left.sort(key=lambda k: -matches[k].score)
             members = (0,)
-        group = [found[left[k]] for k in members]
+        group = [matches[left[k]] for k in members]
         out.append(candidate(a, b, group, cfg))
         at = [out[-1].transform]
-        gone = {left[k] for k in members} | {k for k in left if same_place(b, found[k].transform, at[0], cfg)}
+        gone = {left[k] for k in members} | {k for k in left if same_place(b, matches[k].transform, at[0], cfg)}
         left = [k for k in left if k not in gone]
     return sorted(out, key=lambda c: -c.evidence(cfg.alike))
 
@@ -215,7 +215,8 @@ def whole_candidates(
     """
     thin = b.walls[spread(len(b.walls), cfg.whole)]
     windows = [
-        Window(found.transform, (2.0 * cfg.agree,) * 2, cfg.agree_turn) for found in map_places(a, b, cfg.correlation)
+        Window(map_place.transform, (2.0 * cfg.agree,) * 2, cfg.agree_turn)
+        for map_place in map_places(a, b, cfg.correlation)
     ]
     if start is not None:
         windows.append(_start_window(start, np.zeros(3), cfg))
@@ -323,12 +324,12 @@ def confirmed(
     return out
 
 
-def agreement(b: KeyframeMap, found: Sequence[Hypothesis], cfg: MergeConfig) -> Bool[np.ndarray, "n n"]:
+def agreement(b: KeyframeMap, matches: Sequence[Hypothesis], cfg: MergeConfig) -> Bool[np.ndarray, "n n"]:
     """Which hypotheses put each other's submap into the same place; those of one submap never do."""
-    if not found:
+    if not matches:
         return np.zeros((0, 0), dtype=bool)
-    T = np.array([h.transform for h in found])
-    anchor = np.array([h.anchor for h in found], dtype=np.int64)
+    T = np.array([h.transform for h in matches])
+    anchor = np.array([h.anchor for h in matches], dtype=np.int64)
     at = b.pose[anchor]
     here = se2.compose(T[:, None], at[None, :])  # [k, l]: submap l as hypothesis k has it
     own = se2.compose(T, at)

@@ -68,7 +68,7 @@ class MotionAgreement:
     other: float = 0.0
     other_turns: float = 0.0
 
-    def told(self, cfg: MotionCheck) -> tuple[str, ...]:
+    def warnings(self, cfg: MotionCheck) -> tuple[str, ...]:
         """A warning for each that differs clearly and by more than instruments do."""
         shares = f"in {100 * self.other:.0f} % of the ways and {100 * self.other_turns:.0f} % of the turns compared"
         why = "the odometry is of another log or has a wrong sign or unit, or the scanner sees what the robot carries"
@@ -96,14 +96,14 @@ class MotionAgreement:
 
     def factor(self, cfg: MotionCheck) -> float:
         """Of the wheels' ways that makes them as long as the scans', where such a factor is told; else 1."""
-        told = self.scale is not None and self.other <= cfg.most_other and self.scale.differs(1.0, cfg.scale, cfg)
-        return self.scale.value if told and self.scale is not None else 1.0
+        clear = self.scale is not None and self.other <= cfg.most_other and self.scale.differs(1.0, cfg.scale, cfg)
+        return self.scale.value if clear and self.scale is not None else 1.0
 
 
-def instead_of(warnings: Sequence[str], told: Sequence[str]) -> tuple[str, ...]:
+def instead_of(warnings: Sequence[str], measured: Sequence[str]) -> tuple[str, ...]:
     """`warnings` of the log's reader and what was told after mapping, without the reader's guesses of the same."""
-    better = any(one.startswith("the scans move ") for one in told)
-    return (*(w for w in warnings if not (better and w.startswith(GUESSED))), *told)
+    better = any(one.startswith("the scans move ") for one in measured)
+    return (*(w for w in warnings if not (better and w.startswith(GUESSED))), *measured)
 
 
 def motion_agreement(
@@ -119,8 +119,8 @@ def motion_agreement(
     turned = _turned(poses, wheels, cfg)[:, None]
     driven = float(np.hypot(*np.diff(wheels[:, :2], axis=0).T).sum())
     stiff = not len(turned) and driven > cfg.way and float(np.ptp(np.unwrap(poses[:, 2]))) > cfg.stiff
-    moved = _moved(poses, wheels, scans, beam, cfg)
-    turn, move = _measured(turned, cfg), _measured(moved, cfg)
+    motions = _motions(poses, wheels, scans, beam, cfg)
+    turn, move = _measured(turned, cfg), _measured(motions, cfg)
     scale = direction = None
     if move is not None:
         along, left = move
@@ -130,12 +130,12 @@ def motion_agreement(
         scale,
         direction,
         None if turn is None else turn[0],
-        0.0 if move is None else _other(moved, cfg),
+        0.0 if move is None else _other(motions, cfg),
         float(stiff) if turn is None else _other(turned, cfg),
     )
 
 
-def _moved(
+def _motions(
     poses: Float[np.ndarray, "m 3"],
     wheels: Float[np.ndarray, "m 3"],
     scans: Sequence[Scan],
@@ -152,8 +152,8 @@ def _moved(
         after = se2.rotation(-float(step[2])) @ ahead
         seen = {k: seen[k] if k in seen else beams(scans[k], "none", None, beam) for k in (i, j)}
         if min(told_along(seen[i], ahead, cfg), told_along(seen[j], after, cfg)) >= cfg.across:
-            moved = se2.between(poses[i], poses[j])[:2] / length
-            out.append([moved @ ahead, ahead[0] * moved[1] - ahead[1] * moved[0]])
+            motion = se2.between(poses[i], poses[j])[:2] / length
+            out.append([motion @ ahead, ahead[0] * motion[1] - ahead[1] * motion[0]])
     return np.array(out).reshape(-1, 2)
 
 

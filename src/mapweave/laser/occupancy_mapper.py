@@ -114,10 +114,10 @@ class OccupancyMapper:
         old = self.laid
         d = poses[: len(old)] - old
         far = np.hypot(d[:, 0], d[:, 1]) > self.cfg.shift * self.resolution
-        moved = np.flatnonzero(far | (np.abs(se2.wrap_angle(d[:, 2])) > self.cfg.turn))
-        for k in moved.tolist():
+        shifted = np.flatnonzero(far | (np.abs(se2.wrap_angle(d[:, 2])) > self.cfg.turn))
+        for k in shifted.tolist():
             self._lay(scans[k], self.laid[k], -1)
-        new = [*moved.tolist(), *range(len(old), len(scans))]
+        new = [*shifted.tolist(), *range(len(old), len(scans))]
         self.laid = np.concatenate([self.laid, poses[len(old) :]])
         self._grow([self._bounds(scans[k], poses[k]) for k in new])
         for k in new:

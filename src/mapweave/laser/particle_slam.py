@@ -112,8 +112,8 @@ def current(state: ParticleState) -> PoseEstimate:
     """The latest pose of the particle with the greatest accumulated likelihood, and how the others lie round it."""
     if not state.history:
         return PoseEstimate(np.zeros(3), np.zeros((3, 3)))
-    moved = se2.between(state.odometry.poses[state.history[-1][0]], state.odometry.pose)
-    poses = se2.compose(state.poses, moved)
+    motion = se2.between(state.odometry.poses[state.history[-1][0]], state.odometry.pose)
+    poses = se2.compose(state.poses, motion)
     best = poses[int(np.argmax(state.total))]
     off = poses - best
     off[:, 2] = se2.wrap_angle(off[:, 2])

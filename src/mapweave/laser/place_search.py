@@ -202,7 +202,7 @@ def search(
     turns = headings(window, cfg.turn)
     asked = _asked(place, points, q, window, turns)
     lowest = max(1, int(np.ceil(least * asked.most)))
-    found: list[Hit] = []
+    hits: list[Hit] = []
     barred = np.zeros(0, np.int64)
     most = int(asked.bounds.max(initial=0)) * asked.scale
     for _ in range(2):
@@ -211,11 +211,11 @@ def search(
             break
         most = score
         x, y = window.centre[0] + ox * cfg.cell, window.centre[1] + oy * cfg.cell
-        found.append(Hit(frozen([x, y, se2.wrap_angle(turns[a])]), score / asked.most))
+        hits.append(Hit(frozen([x, y, se2.wrap_angle(turns[a])]), score / asked.most))
         near = np.abs(se2.wrap_angle(turns - turns[a])) <= cfg.apart_turn
         barred = np.concatenate([[a, ox, oy, int((cfg.apart / cfg.cell) ** 2 + 1e-9)], near]).astype(np.int64)
         lowest = max(lowest, int(np.ceil(least_ratio * score)))
-    return PlacesFound(found[0] if found else None, found[1] if len(found) > 1 else None)
+    return PlacesFound(hits[0] if hits else None, hits[1] if len(hits) > 1 else None)
 
 
 class _Asked(NamedTuple):
@@ -321,10 +321,10 @@ def refine(place: LikelihoodField, points: Float[np.ndarray, "n 2"], start: Floa
         1e-5,
     )
     pose[2] = se2.wrap_angle(pose[2])
-    told = cfg.temper * H / max(cfg.noise**2, mean2)
-    P = np.linalg.inv(told + np.diag([1.0 / 3.0**2, 1.0 / 3.0**2, 1.0]))  # where no wall holds: 3 m, 1 rad
+    information = cfg.temper * H / max(cfg.noise**2, mean2)
+    P = np.linalg.inv(information + np.diag([1.0 / 3.0**2, 1.0 / 3.0**2, 1.0]))  # where no wall holds: 3 m, 1 rad
     P = symmetrise(P) + np.diag([cfg.floor**2, cfg.floor**2, cfg.floor_turn**2])
-    position = told[:2, :2] - np.outer(told[:2, 2], told[2, :2]) / max(told[2, 2], 1e-12)
+    position = information[:2, :2] - np.outer(information[:2, 2], information[2, :2]) / max(information[2, 2], 1e-12)
     values, vectors = np.linalg.eigh(symmetrise(position))
     weak = se2.rotation(float(pose[2])) @ vectors[:, 0]
     near = inliers(place, points, pose)
@@ -335,13 +335,13 @@ def refine(place: LikelihoodField, points: Float[np.ndarray, "n 2"], start: Floa
 def inliers(place: LikelihoodField, points: Float[np.ndarray, "n 2"], pose: Float[np.ndarray, "3"]) -> np.ndarray:
     """(n,) bool: which points, seen from `pose`, lie within the inlier distance of a wall's line."""
     cfg = place.cfg
-    moved = se2.act(pose, points)
-    at = np.floor((moved - place.origin) / cfg.cell).astype(int)
+    in_map = se2.act(pose, points)
+    at = np.floor((in_map - place.origin) / cfg.cell).astype(int)
     rows, cols = place.nearest.shape
     inside = (at[:, 0] >= 0) & (at[:, 0] < cols) & (at[:, 1] >= 0) & (at[:, 1] < rows)
     k = np.full(len(points), -1)
     k[inside] = place.nearest[at[inside, 1], at[inside, 0]]
-    d = moved - place.points[np.maximum(k, 0)]
+    d = in_map - place.points[np.maximum(k, 0)]
     n = place.lines[np.maximum(k, 0)]
     across = np.square((d * n[:, :2]).sum(axis=1))
     along = np.square(d).sum(axis=1) - across

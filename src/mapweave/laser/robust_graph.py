@@ -140,19 +140,19 @@ def solve_graph(
     for _ in range(REVISIONS):
         component, held = _components(graph, used, first, priors)
         problem = _problem(replace(graph, pose=x), used.astype(float), held, priors, None)
-        found = minimise(problem, cfg.solve, Pattern.of(problem).in_threes())
-        iterations += found.iterations
+        solution = minimise(problem, cfg.solve, Pattern.of(problem).in_threes())
+        iterations += solution.iterations
         if cfg.method != "none":
             again = minimise(replace(problem, x0=graph.pose.ravel()), cfg.solve, Pattern.of(problem).in_threes())
             iterations += again.iterations
-            found = again if again.cost < (1.0 - SAME) * found.cost else found
-        x = found.x.reshape(-1, 3)
+            solution = again if again.cost < (1.0 - SAME) * solution.cost else solution
+        x = solution.x.reshape(-1, 3)
         now = replace(graph, pose=x)
         back = ~used & ~refused & (_squares(now) <= cfg.gate)
         used = used | back  # an edge that fits once the others are gone is believed again
         if back.any():
             continue
-        worst = None if cfg.method == "none" else _worst(now, found, used & may, cfg)
+        worst = None if cfg.method == "none" else _worst(now, solution, used & may, cfg)
         if worst is None:
             break
         used[worst], refused[worst] = False, True
@@ -164,7 +164,7 @@ def solve_graph(
         graph=solved,
         used=frozen(used, bool),
         nis=frozen(nis),
-        prior_nis=frozen(_left_out_priors(priors, found)),
+        prior_nis=frozen(_left_out_priors(priors, solution)),
         fixed_nis=frozen(_fixed_squares(solved, used, component, held, priors, cfg)),
         component=frozen(component, np.int64),
         fixed=held,
@@ -175,12 +175,12 @@ def solve_graph(
             for k in np.flatnonzero(~used).tolist()
         ),
         chi2_before=float(before[used].sum() + prior_before.sum()),
-        chi2=found.chi2,
-        dof=found.dof,
+        chi2=solution.chi2,
+        dof=solution.dof,
         iterations=iterations,
         rounds=rounds,
-        status=found.status,
-        solution=found,
+        status=solution.status,
+        solution=solution,
     )
 
 
@@ -196,17 +196,17 @@ def _believed(
     weight = np.ones(graph.edges)
     if cfg.method == "cauchy":
         problem = _problem(graph, weight, held, priors, Cauchy(cfg.kernel), may)
-        found = minimise(problem, cfg.solve, Pattern.of(problem).in_threes())
-        pose = found.x.reshape(-1, 3)
+        solution = minimise(problem, cfg.solve, Pattern.of(problem).in_threes())
+        pose = solution.x.reshape(-1, 3)
         beyond = may & (_squares(replace(graph, pose=pose)) > cfg.gate)
-        return ~beyond, pose, 1, found.iterations
+        return ~beyond, pose, 1, solution.iterations
     step = replace(cfg.solve, max_iterations=10, step_tolerance=1e-5, cost_tolerance=1e-5)
     pattern = Pattern.of(_problem(graph, weight, held, priors, None)).in_threes()
     pose, iterations, control = graph.pose, 0, 0.0
     for rounds in range(1, cfg.most_rounds + 1):
         problem = _problem(replace(graph, pose=pose), weight, held, priors, None)
-        found = minimise(problem, step, pattern)
-        pose, iterations = found.x.reshape(-1, 3), iterations + found.iterations
+        solution = minimise(problem, step, pattern)
+        pose, iterations = solution.x.reshape(-1, 3), iterations + solution.iterations
         s = _squares(replace(graph, pose=pose))
         if rounds == 1:
             worst = float(s[may].max())
@@ -222,16 +222,16 @@ def _believed(
     return ~may | (s <= cfg.gate), pose, rounds, iterations
 
 
-def _worst(graph: PoseGraph, found: Solution, asked: np.ndarray, cfg: RobustGraphConfig) -> int | None:
+def _worst(graph: PoseGraph, solution: Solution, asked: np.ndarray, cfg: RobustGraphConfig) -> int | None:
     """Of the edges `asked` the one that contradicts all others most, if it does beyond what chance gives.
 
     A false edge that bends the graph to itself fits: it shows by how far it lies from the solution without it. Where
     edges scatter less than they say, less is a contradiction.
     """
     rows = np.flatnonzero(asked)
-    if not len(rows) or found.information is None:
+    if not len(rows) or solution.information is None:
         return None
-    nis = left_out_squares(graph, found, rows)
+    nis = left_out_squares(graph, solution, rows)
     worst = int(np.argmax(nis))
     scatter = float(np.median(nis)) / chi2_quantile(0.5, 3.0)
     narrower = min(1.0, max(cfg.tails * scatter, cfg.narrowest)) if len(rows) >= cfg.enough else 1.0
@@ -239,14 +239,14 @@ def _worst(graph: PoseGraph, found: Solution, asked: np.ndarray, cfg: RobustGrap
     return int(rows[worst]) if nis[worst] > limit else None
 
 
-def _left_out_priors(priors: Sequence[Prior], found: Solution) -> Float[np.ndarray, " k"]:
+def _left_out_priors(priors: Sequence[Prior], solution: Solution) -> Float[np.ndarray, " k"]:
     """How far each prior lies from the solution without it [squared sd]."""
-    if not priors or found.information is None:
-        return _prior_squares(priors, found.x.reshape(-1, 3))
+    if not priors or solution.information is None:
+        return _prior_squares(priors, solution.x.reshape(-1, 3))
     at = np.array([p.vertex for p in priors])
-    P = found.blocks(_columns(at))
+    P = solution.blocks(_columns(at))
     z = np.array([p.pose for p in priors])
-    pose = found.x.reshape(-1, 3)[at]
+    pose = solution.x.reshape(-1, 3)[at]
     return without_it(
         se2.between(z, pose), se2.between_jacobians(z, pose)[1], P, np.array([p.information for p in priors])
     )

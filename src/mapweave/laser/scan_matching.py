@@ -139,7 +139,7 @@ class FrontEnd:
                 break
             if all(abs(se2.wrap_angle(at[k, 2] - s[2])) > c.alone_apart * c.wide_step for s in starts):
                 starts.append(at[k])
-        found = []
+        matches = []
         for start in starts:
             pose, H, _ = self._refine(b, start, start, sd)
             count = self._count(self.fine, c.fine, b, pose, c.reach)
@@ -147,8 +147,8 @@ class FrontEnd:
             turned = min(abs(float(change[2])), abs(float(se2.wrap_angle(pose[2] - last[2]))))
             away = float(np.hypot(change[0], change[1])) / c.alone_steady
             cost = c.alone_loss * n * np.log1p(away**2 + (turned / c.alone_steady_turn) ** 2)
-            found.append((count - cost, ScanMatch(pose, H, change, count, n)))
-        return max(found, key=lambda one: one[0])[1]
+            matches.append((count - cost, ScanMatch(pose, H, change, count, n)))
+        return max(matches, key=lambda one: one[0])[1]
 
     def insert(self, b: Beams, pose: Float[np.ndarray, "3"]) -> bool:
         """True when `pose` was far enough from the last keyframe for its scan to become one."""

@@ -38,21 +38,21 @@ class PoseEstimate(NamedTuple):
 
 
 def blended(
-    carrier: Float[np.ndarray, "n 3"], at: Int[np.ndarray, " k"], corrected: Float[np.ndarray, "k 3"]
+    trajectory: Float[np.ndarray, "n 3"], at: Int[np.ndarray, " k"], corrected: Float[np.ndarray, "k 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Poses along `carrier` (a drifting trajectory, in order) that pass through `corrected` at its rows `at`.
+    """Poses along `trajectory` (one that drifts, in order) that pass through `corrected` at its rows `at`.
 
     Between two corrected rows the pose is carried from both and blended by the share of the distance; before the first
     and after the last it is carried from the one there is. at: ascending, k >= 1.
     """
-    n = len(carrier)
-    step = se2.between(carrier[:-1], carrier[1:])
+    n = len(trajectory)
+    step = se2.between(trajectory[:-1], trajectory[1:])
     way = np.concatenate([[0.0], np.cumsum(np.hypot(step[:, 0], step[:, 1]) + 0.5 * np.abs(step[:, 2]) + 1e-6)])
     before = np.searchsorted(at, np.arange(n), side="right") - 1
     first, second = np.maximum(before, 0), np.minimum(before + 1, len(at) - 1)
     i, j = at[first], at[second]
-    a = se2.compose(corrected[first], se2.between(carrier[i], carrier))
-    b = se2.compose(corrected[second], se2.between(carrier[j], carrier))
+    a = se2.compose(corrected[first], se2.between(trajectory[i], trajectory))
+    b = se2.compose(corrected[second], se2.between(trajectory[j], trajectory))
     share = np.where(j > i, (way - way[i]) / np.maximum(way[j] - way[i], 1e-12), 0.0)
     d = b - a
     d[:, 2] = se2.wrap_angle(d[:, 2])

@@ -146,7 +146,7 @@ class LaserSession:
         self.infos = ScanInfos()
         self.scans: list[Scan] = []
         self.moving = MovingReturns(cfg.moving)
-        self._last = self._moved = np.zeros(3)
+        self._last = self._motion = np.zeros(3)
         self._odometry: Float[np.ndarray, 3] | None = None
         self._runner = Runner(estimator(cfg, feature), cfg, seed)
 
@@ -164,17 +164,17 @@ class LaserSession:
         for row in self.unneeded:
             self.scans[row] = LET_GO
         local = self._local()
-        self._moved, self._last = se2.between(self._last, local), local
+        self._motion, self._last = se2.between(self._last, local), local
         self._odometry = record.odometry
         self.moving.correct(local)
         return info
 
     def _predicted(self, scan: Scan) -> Float[np.ndarray, "3"]:
         """Where the front end will be at the scan as wheels have it; without wheels it goes on as before."""
-        moved = self._moved
+        motion = self._motion
         if scan.odometry is not None:
-            moved = np.zeros(3) if self._odometry is None else se2.between(self._odometry, scan.odometry)
-        return np.asarray(se2.compose(self._last, moved))
+            motion = np.zeros(3) if self._odometry is None else se2.between(self._odometry, scan.odometry)
+        return np.asarray(se2.compose(self._last, motion))
 
     def _local(self) -> Float[np.ndarray, "3"]:
         """The latest pose of the front end, which drifts and never jumps."""

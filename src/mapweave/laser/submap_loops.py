@@ -104,8 +104,8 @@ class SubmapLoops:
                 match = self.match(submap, query, predicted, cov, window)
                 graph.close(k, i, match)
                 if match.accepted:
-                    moved = mahalanobis2(match.innovation, cov + 1e-12 * np.eye(3))
-                    graph.due |= bool(moved > graph.cfg.resolve_innovation**2)
+                    distance2 = mahalanobis2(match.innovation, cov + 1e-12 * np.eye(3))
+                    graph.due |= bool(distance2 > graph.cfg.resolve_innovation**2)
 
     def candidates(self, graph: KeyframeGraph, i: int) -> list[int]:
         """Anchors of old submaps that may be near keyframe `i`, the nearest first."""
@@ -127,12 +127,12 @@ class SubmapLoops:
         """Where the query lies in the submap. predicted: (3,) in its frame; cov: (3, 3) in the query's frame."""
         c = self.cfg
         searched = Window(predicted, (window, window), c.window_turn)
-        found = locate(query, submap.field, searched, least=0.7 * c.least_score, least_ratio=0.9 * c.most_ratio)
-        best, fit = found.places.best, found.fit
+        place = locate(query, submap.field, searched, least=0.7 * c.least_score, least_ratio=0.9 * c.most_ratio)
+        best, fit = place.places.best, place.fit
         refused = Matched(False, "", predicted, NOTHING, np.zeros(3), 0.0, None)
         if best is None or fit is None:
             return refused._replace(reason="nothing like it within the window")
-        second = found.places.second
+        second = place.places.second
         innovation = se2.between(predicted, fit.pose)
         refused = refused._replace(
             measured=fit.pose,
@@ -141,10 +141,10 @@ class SubmapLoops:
             score=best.score,
             runner_up=0.0 if second is None else second.score,
         )
-        if reason := self._doubt(found, best.score, fit):
+        if reason := self._doubt(place, best.score, fit):
             return refused._replace(reason=reason)
         P = fit.covariance
-        if found.places.ratio > c.most_ratio:  # light alone tells where it lies along the walls, to the search's step
+        if place.places.ratio > c.most_ratio:  # light alone tells where it lies along the walls, to the search's step
             weak = se2.rotation(-float(fit.pose[2])) @ fit.weak
             P = P + np.square(0.5 * c.place.cell) * np.pad(np.outer(weak, weak), (0, 1))
         nis = mahalanobis2(innovation, cov + P)
@@ -159,14 +159,14 @@ class SubmapLoops:
             reason=f"{100 * fit.share:.0f} % of the returns match, {sd} from the estimate",
         )
 
-    def _doubt(self, found: PlaceMatch, score: float, fit: Fit) -> str:
+    def _doubt(self, place: PlaceMatch, score: float, fit: Fit) -> str:
         """Why a match is not believed, whatever was expected; nothing where it is."""
         c = self.cfg
         doubts = (
             (score < c.least_score, f"it fits too little: score {score:.2f}"),
-            (self.ambiguous(found.places), f"two places fit alike: {found.places.ratio:.2f} of the best score"),
+            (self.ambiguous(place.places), f"two places fit alike: {place.places.ratio:.2f} of the best score"),
             (fit.share < c.least_share, f"too few returns match: {100 * fit.share:.0f} %"),
-            (found.moved > c.most_moved, f"search and refined match differ by {found.moved:.2f} m"),
+            (place.correction > c.most_moved, f"search and refined match differ by {place.correction:.2f} m"),
             (fit.held[0] < c.least_held, "the place looks alike along one direction"),
         )
         return next((reason for doubtful, reason in doubts if doubtful), "")

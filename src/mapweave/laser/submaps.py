@@ -63,12 +63,12 @@ class Query:
 class PlaceMatch:
     """A query in a place: where it fits, how well compared with the second place, and the refined pose.
 
-    fit: None where nothing was found. moved: [m] between the found pose and the refined one.
+    fit: None where nothing was found. correction: [m] between the found pose and the refined one.
     """
 
     places: PlacesFound
     fit: Fit | None
-    moved: float
+    correction: float
 
 
 def submap_around(

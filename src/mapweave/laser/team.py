@@ -49,8 +49,8 @@ class LoopSearch:
                 )
                 graph.close(k, i, match)
                 if match.accepted:
-                    moved = match.innovation @ np.linalg.solve(cov + 1e-12 * np.eye(3), match.innovation)
-                    graph.due |= bool(moved > graph.cfg.resolve_innovation**2)
+                    distance2 = match.innovation @ np.linalg.solve(cov + 1e-12 * np.eye(3), match.innovation)
+                    graph.due |= bool(distance2 > graph.cfg.resolve_innovation**2)
 
     def candidates(self, graph: KeyframeGraph, i: int) -> list[int]:
         """Solved keyframes near in the estimate, one a chain (another robot, or this one long ago), nearest first."""
@@ -84,7 +84,7 @@ class LaserTeam:
         self._waiting: list[list[Keyframe | KeyframeScan]] = [[] for _ in range(M)]
         self._stamp = np.full(M, -np.inf)
         self._now = self.starts.copy()  # each robot's latest pose
-        self._moved = np.zeros(M)  # [m] it drove before its latest scan
+        self._driven = np.zeros(M)  # [m] it drove before its latest scan
         self._offset = np.zeros((0, 3))  # of each scan in its keyframe
         self._gone = np.zeros(M, dtype=bool)
         self._mapper: dict[float, OccupancyMapper] = {}
@@ -105,7 +105,7 @@ class LaserTeam:
             offset = se2.between(track.last.local, local)
             eye = np.array(scan.T_robot_sensor[:2], dtype=float)
             self._waiting[j].append(KeyframeScan(j, track.last.number, t, offset, b.s, self._open_ends(scan), eye))
-        self._stamp[j], self._moved[j] = t, np.hypot(*track.step[:2])
+        self._stamp[j], self._driven[j] = t, np.hypot(*track.step[:2])
         self._now[j] = self._latest(j)
         return np.array(self._now[j])
 
@@ -228,6 +228,6 @@ class LaserTeam:
         track = self.tracks[j]
         here = se2.compose(self._now[j], se2.between(track.local, track.predict(scan.odometry)))
         at = se2.act(se2.inverse(here), self._now[others, :2])
-        reach = self.cfg.teammate + np.where(self._stamp[others] < t, self._moved[others], 0.0)
+        reach = self.cfg.teammate + np.where(self._stamp[others] < t, self._driven[others], 0.0)
         near = (np.hypot(*(b.s[:, None] - at).transpose(2, 0, 1)) < reach).any(axis=1)
         return Beams(*(a[~near] for a in b)) if near.any() else b

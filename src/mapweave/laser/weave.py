@@ -72,23 +72,25 @@ def weave(
         for i in range(j):
             if group[i] == group[j]:
                 continue
-            found = tried(i, j)
-            merges.append(found)
-            if found.transform is None:
+            decision = tried(i, j)
+            merges.append(decision)
+            if decision.transform is None:
                 continue
-            graph = graph.joined(_ties(found, start, int(offset[i]), int(offset[j]), (cfg or MergeConfig()).ties_alike))
-            moved = se2.compose(se2.compose(frame[i], found.transform), se2.inverse(frame[j]))
+            graph = graph.joined(
+                _ties(decision, start, int(offset[i]), int(offset[j]), (cfg or MergeConfig()).ties_alike)
+            )
+            shift = se2.compose(se2.compose(frame[i], decision.transform), se2.inverse(frame[j]))
             old, new = max(group[i], group[j]), min(group[i], group[j])
             if group[i] != new:  # robot i's component is the one that moves
-                moved = se2.inverse(moved)
+                shift = se2.inverse(shift)
             for k, g in enumerate(group):
                 if g == old:
-                    frame[k], group[k] = se2.compose(moved, frame[k]), new
+                    frame[k], group[k] = se2.compose(shift, frame[k]), new
     placed = np.concatenate([se2.compose(f, r.pose) for f, r in zip(frame, robots, strict=True)])
     graph = PoseGraph(placed, graph.first, graph.second, graph.measured, graph.information)
     doubtful = np.arange(graph.edges) >= within
     joint = solve_graph(graph, RobustGraphConfig(method="cauchy"), doubtful=doubtful)
-    return _told(robots, joint, within, tuple(merges), last or JointPassConfig())
+    return _placed(robots, joint, within, tuple(merges), last or JointPassConfig())
 
 
 def _tried(
@@ -123,7 +125,7 @@ def _side_by_side(graphs: Sequence[PoseGraph], pose: Float[np.ndarray, "n 3"]) -
     return out
 
 
-def _told(
+def _placed(
     robots: Sequence[RobotGraph], joint: SolvedGraph, within: int, merges: tuple[Merge, ...], last: JointPassConfig
 ) -> Woven:
     """Components and poses once the joint graph is solved; its edges from number `within` on tie robots."""
@@ -135,8 +137,8 @@ def _told(
         members = np.flatnonzero(component == c).tolist()
         if len(members) > 1:
             ties = _held_ties(joint, within, [range(offset[k], offset[k + 1]) for k in members])
-            moved = _last_pass([robots[k] for k in members], ties, last)
-            for k, new in zip(members, moved, strict=True):
+            refined = _last_pass([robots[k] for k in members], ties, last)
+            for k, new in zip(members, refined, strict=True):
                 pose[k] = new
     return Woven(merges, component, tuple(pose), joint)
 
@@ -165,17 +167,17 @@ def _last_pass(robots: Sequence[RobotGraph], ties: PoseGraph, cfg: JointPassConf
     size = [len(r) for r in robots]
     steps = _side_by_side([r.steps() for r in robots], ties.pose)
     owner = np.repeat(np.arange(len(robots)), size)
-    moved = joint_pass(steps, keyframe_cloud(robots, cfg.beams), cfg, ties, owner)
-    origin = se2.compose(moved[0], se2.inverse(robots[0].pose[0]))
-    return [np.asarray(p) for p in np.split(se2.between(origin, moved), np.cumsum(size)[:-1])]
+    refined = joint_pass(steps, keyframe_cloud(robots, cfg.beams), cfg, ties, owner)
+    origin = se2.compose(refined[0], se2.inverse(robots[0].pose[0]))
+    return [np.asarray(p) for p in np.split(se2.between(origin, refined), np.cumsum(size)[:-1])]
 
 
-def _ties(found: Merge, start: np.ndarray, at_a: int, at_b: int, alike: float) -> PoseGraph:
+def _ties(merge: Merge, start: np.ndarray, at_a: int, at_b: int, alike: float) -> PoseGraph:
     """The closures a merge was decided on, over the poses of all robots.
 
     alike: so many of them count as one measurement: their submaps overlap, and both maps are bent alike for all.
     """
-    held = [c for c in found.closures if c.accepted]
+    held = [c for c in merge.closures if c.accepted]
     least = min(alike, float(len(held)))
     pairs = [(at_a + c.first, at_b + c.second) for c in held]
     return PoseGraph.of(start, pairs, [c.measured for c in held], [c.information / least for c in held])

@@ -90,26 +90,26 @@ def woven_maps(maps: Sequence[LaserMap], woven: Woven, resolution: float, unsure
     )
 
 
-def own_map(made: LaserMap) -> WovenMap:
+def own_map(local_map: LaserMap) -> WovenMap:
     """The component of a robot of which there is no other: its map as it is."""
-    graph = _graph(made)
-    rows = _rows([graph], [graph.pose], np.array([0, len(graph)]), (), {}, {made.robot: 0})
-    return _alone(made, rows.get(0, ()))
+    graph = _graph(local_map)
+    rows = _rows([graph], [graph.pose], np.array([0, len(graph)]), (), {}, {local_map.robot: 0})
+    return _alone(local_map, rows.get(0, ()))
 
 
-def _graph(made: LaserMap) -> RobotGraph:
-    assert made.graph is not None  # noqa: S101  (only the graph method is woven)
-    return made.graph
+def _graph(local_map: LaserMap) -> RobotGraph:
+    assert local_map.graph is not None  # noqa: S101  (only the graph method is woven)
+    return local_map.graph
 
 
-def _alone(made: LaserMap, closures: Sequence[ClosureRow]) -> WovenMap:
-    graph = _graph(made)
+def _alone(local_map: LaserMap, closures: Sequence[ClosureRow]) -> WovenMap:
+    graph = _graph(local_map)
     return WovenMap(
-        robots=(made.robot,),
-        tracks={made.robot: made.track},
-        grid=made.grid,
-        feature=made.feature,
-        calibration=made.calibration,
+        robots=(local_map.robot,),
+        tracks={local_map.robot: local_map.track},
+        grid=local_map.grid,
+        feature=local_map.feature,
+        calibration=local_map.calibration,
         graph=graph.graph(),
         owner=np.zeros(len(graph), np.int64),
         t=graph.t,
@@ -162,9 +162,9 @@ def _component(
     )
 
 
-def _track(made: LaserMap, pose: Float[np.ndarray, "n 3"], cov: Float[np.ndarray, "n 3 3"]) -> Track:
+def _track(local_map: LaserMap, pose: Float[np.ndarray, "n 3"], cov: Float[np.ndarray, "n 3 3"]) -> Track:
     """The robot's trajectory where its keyframes stand at `pose`: between them as in its own map."""
-    graph, own = _graph(made), made.track
+    graph, own = _graph(local_map), local_map.track
     placed = RobotGraph(
         **{name: getattr(graph, name) for name in RobotGraph.__slots__ if name not in {"pose", "cov"}},
         pose=pose,
@@ -172,8 +172,8 @@ def _track(made: LaserMap, pose: Float[np.ndarray, "n 3"], cov: Float[np.ndarray
     )
     t, before, _ = graph.way()
     rows = np.searchsorted(own.t, t)
-    moved = se2.compose(placed.way()[1], se2.between(before, own.pose[rows]))
-    return Track(own.t, blended(own.pose, rows, moved), between_keyframes(own.t, placed), FRAME)
+    corrected = se2.compose(placed.way()[1], se2.between(before, own.pose[rows]))
+    return Track(own.t, blended(own.pose, rows, corrected), between_keyframes(own.t, placed), FRAME)
 
 
 def _grid(
@@ -219,8 +219,8 @@ def _rows(
         i, j = number[m.a], number[m.b]
         for tie in m.closures:
             held = m.merged and tie.accepted
-            told = dropped.get((int(offset[i]) + tie.first, int(offset[j]) + tie.second)) if held else None
-            reason = tie.reason if told is None else DROPPED + told
+            why_dropped = dropped.get((int(offset[i]) + tie.first, int(offset[j]) + tie.second)) if held else None
+            reason = tie.reason if why_dropped is None else DROPPED + why_dropped
             row = ClosureRow(
                 m.a,
                 float(graphs[i].t[tie.first]),
@@ -232,7 +232,7 @@ def _rows(
                 tie.ratio,
                 tie.share,
                 tie.nis,
-                held and told is None,
+                held and why_dropped is None,
                 reason if m.merged or not tie.accepted else f"the maps are not merged: {m.reason}",
             )
             out.setdefault(min(home[m.a], home[m.b]), []).append(row)
