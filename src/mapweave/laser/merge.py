@@ -19,7 +19,7 @@ from ..core.names import robot_name
 from ..core.records import frozen
 from .consistency import adjoint, cycle_squares, largest_clique
 from .map_overlap import KeyframeMap, seen_alike, wall_overlap
-from .merge_doubts import Pair, allowed, doubtful, slides, words
+from .merge_ambiguity import Pair, allowed, doubtful, slides, words
 from .merge_search import (
     Candidate,
     Hypothesis,
