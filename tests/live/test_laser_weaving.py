@@ -16,7 +16,6 @@ from mapweave.laser.merge_search import MergeConfig
 from mapweave.laser.occupancy_mapper import Returns, render_returns
 from mapweave.laser.session import LaserSession
 from mapweave.live import pair_search
-from mapweave.live.canvas import Canvas, Standing
 from mapweave.live.driven import DrivenSession, Seen
 from mapweave.live.laser_stream import messages_of_laser
 from mapweave.live.laser_team import LiveLaserTeam, WovenTeam, nobody
@@ -26,6 +25,7 @@ from mapweave.live.pair_search import PairSearch, PairTrial
 from mapweave.live.placed import Placed
 from mapweave.live.shared_map import SharedMap
 from mapweave.live.store import Store
+from mapweave.live.tile_mapper import Standing, TileMapper
 from mapweave.live.tiles import COARSER, LEVELS, SIDE, is_tile, pack
 from mapweave.sim.laser import drive
 from mapweave.sim.office import OfficeConfig, office_route, office_world
@@ -181,14 +181,14 @@ def unpacked(data):
 
 def test_squares_hold_the_map_of_all_keyframes_wherever_they_were_before():
     poses, seen = scans()
-    canvas = Canvas(0.05)
+    mapper = TileMapper(0.05)
     shaken = poses + np.random.default_rng(1).normal(0, 0.3, poses.shape)
-    assert canvas.update(standing(shaken[:7]), lambda _, k: seen[k], 100) == 0
-    canvas.draw()
-    assert canvas.update(standing(poses), lambda _, k: seen[k], 4) == 8
+    assert mapper.update(standing(shaken[:7]), lambda _, k: seen[k], 100) == 0
+    mapper.draw()
+    assert mapper.update(standing(poses), lambda _, k: seen[k], 4) == 8
     for left in (4, 0, 0):
-        assert canvas.update(standing(poses), lambda _, k: seen[k], 4) == left
-    drawn = canvas.draw()
+        assert mapper.update(standing(poses), lambda _, k: seen[k], 4) == left
+    drawn = mapper.draw()
     mapped = render_returns(
         [Returns(s.points, np.zeros((0, 2)), s.sensor, np.zeros((len(s.points), 2))) for s in seen], poses, 0.05, "map"
     )
@@ -221,28 +221,28 @@ def test_only_what_moved_by_half_a_cell_is_laid_anew():
         asked.append(k)
         return seen[k]
 
-    canvas = Canvas(0.05)
-    canvas.update(standing(poses), saw, 100)
+    mapper = TileMapper(0.05)
+    mapper.update(standing(poses), saw, 100)
     moved = poses.copy()
     moved[:, 0] += 0.024
     moved[3, 1] += 0.03
     moved[5, 2] += 0.01 + 2 * np.pi
     del asked[:]
-    canvas.update(standing(moved), saw, 100)
+    mapper.update(standing(moved), saw, 100)
     assert sorted(asked) == [3, 5]
     del asked[:]
     grown = np.concatenate([moved + 1.0, poses[:1]])
-    assert canvas.update(standing(grown), lambda r, k: saw(r, k % 12), 2) == 11
+    assert mapper.update(standing(grown), lambda r, k: saw(r, k % 12), 2) == 11
     assert asked == [0, 11]  # the new one, then the latest of those that moved
 
 
 def test_a_square_that_nothing_is_in_any_more_goes():
-    canvas = Canvas(0.05)
+    mapper = TileMapper(0.05)
     seen = Seen(np.array([[0.5, 0.0]]), np.zeros(2))
-    canvas.update(standing(np.array([[1.0, 1.0, 0.0]])), lambda *_: seen, 10)
-    assert {key[1:] for key in canvas.draw()} == {(0, 0)}
-    canvas.update(standing(np.array([[-1.0, 1.0, np.pi]])), lambda *_: seen, 10)
-    assert {key[1:] for key in canvas.draw()} == {(-1, 0)}
+    mapper.update(standing(np.array([[1.0, 1.0, 0.0]])), lambda *_: seen, 10)
+    assert {key[1:] for key in mapper.draw()} == {(0, 0)}
+    mapper.update(standing(np.array([[-1.0, 1.0, np.pi]])), lambda *_: seen, 10)
+    assert {key[1:] for key in mapper.draw()} == {(-1, 0)}
 
 
 @pytest.mark.parametrize(
@@ -385,23 +385,23 @@ def test_a_team_whose_keyframes_leave_stays_one_map_of_those_that_stay(tmp_path)
                 pass
             drawn = woven(team)
             assert {name: p.component for name, p in drawn.placed.items()} == {"r1": 1, "r2": 1}
-        afresh = Canvas(CFG.resolution)
+        afresh = TileMapper(CFG.resolution)
         for name, robot in team.robots.items():
             assert not robot.session.left
-            afresh.update({name: team._canvases[0].laid[name]}, lambda _, k, at=robot: at.session.seen(k), 10_000)
-            np.testing.assert_array_equal(team._canvases[0].laid[name].ids, robot.session.ids)
+            afresh.update({name: team._mappers[0].laid[name]}, lambda _, k, at=robot: at.session.seen(k), 10_000)
+            np.testing.assert_array_equal(team._mappers[0].laid[name].ids, robot.session.ids)
         assert {(1, *key): cells for key, cells in afresh.draw().items()} == drawn.tiles
         assert sum(len(robot.session.graph(covariances=False).revisits) for robot in team.robots.values()) > 5
 
 
 def test_what_a_keyframe_laid_goes_with_it():
     poses, seen = scans()
-    canvas, left = Canvas(0.05), Canvas(0.05)
-    canvas.update(standing(poses), lambda _, k: seen[k], 100)
+    mapper, left = TileMapper(0.05), TileMapper(0.05)
+    mapper.update(standing(poses), lambda _, k: seen[k], 100)
     stay = [0, 1, 2, 6, 7, 11]
-    assert canvas.update(standing(poses[stay], stay), lambda _, k: seen[k], 0) == 0
+    assert mapper.update(standing(poses[stay], stay), lambda _, k: seen[k], 0) == 0
     left.update(standing(poses[stay], stay), lambda _, k: seen[k], 100)
-    assert canvas.draw() == left.draw()
+    assert mapper.draw() == left.draw()
 
 
 def test_a_tie_counts_the_keyframes_that_are_there_and_goes_with_the_last_of_them():

@@ -13,7 +13,6 @@ import numpy as np
 from ..core import se2
 from ..laser.config import LaserConfig
 from ..laser.merge_search import Start, start_between
-from .canvas import Canvas, Standing
 from .common_ground import WallCells, in_common
 from .driven import DrivenSession
 from .laser_stream import LaserRecord
@@ -21,6 +20,7 @@ from .messages import Header, Scans, decode
 from .pair_search import PairSearch, PairTrial
 from .placed import ALONE, Placed
 from .store import Store
+from .tile_mapper import Standing, TileMapper
 from .tiles import TileKey
 from .weaving import Weaving, WovenGraphs
 
@@ -84,7 +84,7 @@ class LiveLaserTeam:
     _placed: dict[str, Placed] = field(default_factory=dict)
     _standing: dict[str, Standing] = field(default_factory=dict)  # as they were woven last
     _decisions: list[str] = field(default_factory=list)
-    _canvases: list[Canvas] = field(default_factory=list)
+    _mappers: list[TileMapper] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         merge = self.cfg.merge
@@ -171,14 +171,14 @@ class LiveLaserTeam:
         self._place_new()
         for name, placed in self._placed.items():
             parts.setdefault(placed.component, {})[name] = self._now(name)
-        self._canvases, before = [], self._canvases
+        self._mappers, before = [], self._mappers
         tiles: dict[TileKey, bytes] = {}
         self.unlaid = 0
         for part, standing in sorted(parts.items()):
-            canvas = _kept(before, standing.keys()) or Canvas(self.cfg.resolution)
-            self.unlaid += canvas.update(standing, lambda name, k: self.robots[name].session.seen(k), LAID_AT_ONCE)
-            self._canvases.append(canvas)
-            tiles |= {(part, *key): cells for key, cells in canvas.draw().items()}
+            mapper = _kept(before, standing.keys()) or TileMapper(self.cfg.resolution)
+            self.unlaid += mapper.update(standing, lambda name, k: self.robots[name].session.seen(k), LAID_AT_ONCE)
+            self._mappers.append(mapper)
+            tiles |= {(part, *key): cells for key, cells in mapper.draw().items()}
         for robot in self.robots.values():
             robot.session.left.clear()
         worked = {name: robot.next for name, robot in self.robots.items()}
@@ -206,10 +206,10 @@ class LiveLaserTeam:
         return Standing(ids, np.concatenate([known, np.asarray(since).reshape(-1, 3)]))
 
 
-def _kept(canvases: list[Canvas], robots: Iterable[str]) -> Canvas | None:
-    """The canvas with the most keyframes of `robots` alone, taken out of `canvases`."""
-    fit = [c for c in canvases if c.laid.keys() <= set(robots)]
+def _kept(mappers: list[TileMapper], robots: Iterable[str]) -> TileMapper | None:
+    """The mapper with the most keyframes of `robots` alone, taken out of `mappers`."""
+    fit = [c for c in mappers if c.laid.keys() <= set(robots)]
     best = max(fit, key=lambda c: sum(len(laid.ids) for laid in c.laid.values()), default=None)
     if best is not None:
-        canvases.remove(best)
+        mappers.remove(best)
     return best

@@ -12,9 +12,9 @@ from ..laser.merge import Merge
 from ..laser.merge_search import MergeConfig
 from ..laser.robot_graph import RobotGraph
 from ..laser.weave import Woven, weave
-from .canvas import Standing
 from .pair_search import UNTRIED
 from .placed import ALONE, Placed
+from .tile_mapper import Standing
 
 UNTOUCHED = JointPassConfig(widths=())  # keyframes stay as the joint graph has them: the last pass is left to the end
 MOST_TOLD = 60  # pairs of robots

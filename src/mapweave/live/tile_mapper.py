@@ -28,7 +28,7 @@ NOTHING = Standing(np.zeros(0, np.int64), np.zeros((0, 3)))
 
 
 @dataclass(slots=True)
-class Canvas:
+class TileMapper:
     """Counts of returns and beams in cells of `resolution` [m], kept for the squares in which anything was seen.
 
     laid: robot -> where each of its keyframes lies now, NaN before it is laid; packed: the squares of every level as
