@@ -51,9 +51,9 @@ def lap_task(
     )
 
 
-def begin(belief: LandmarkBelief, task: LapTask, found: tuple[Laps, int]) -> None:
-    """`found` are the laps from now on."""
-    laps, end = found
+def begin(belief: LandmarkBelief, task: LapTask, planned: tuple[Laps, int]) -> None:
+    """`planned` are the laps from now on."""
+    laps, end = planned
     belief.memory.update(task=task, found=laps, laps=[list(lap) for lap in laps], laps_end=end)
 
 

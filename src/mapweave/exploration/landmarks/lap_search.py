@@ -76,12 +76,12 @@ def _first_plans(task: LapTask) -> list[Plan]:
     around = starts[:, :2] - starts[:, :2].mean(axis=0)
     place = np.argsort(np.argsort(np.arctan2(around[:, 1], around[:, 0])))
     plans, search = [], task.search
-    share = 2 * np.pi / len(starts)
-    for turn in (share, -share, search.overlap * share, -search.overlap * share):
+    arc = 2 * np.pi / len(starts)
+    for turn in (arc, -arc, search.overlap * arc, -search.overlap * arc):
         for first in np.arange(8) * np.pi / 4:
             ways, counts = np.zeros((len(starts), search.most_places, 2)), np.zeros(len(starts), dtype=np.int64)
             for j, k in enumerate(place):
-                lap = [*_on_the_ring(lower, upper, first + share * k, turn, search.border), starts[j, :2]]
+                lap = [*_on_the_ring(lower, upper, first + arc * k, turn, search.border), starts[j, :2]]
                 ways[j, : len(lap)], counts[j] = lap, len(lap)
             plans.append((ways, counts))
     return plans

@@ -76,16 +76,16 @@ class Bumper:
 class Truth:
     """What only the simulator and the score know: true poses, who saw what, which landmark an estimate stems from.
 
-    origin: for each robot, submap landmark -> how many of its sightings were of which true landmark; told: the same of
-    the map's landmarks. An estimate is of the landmark that most of its sightings were of: where two landmarks close
-    together were exchanged after a first sighting, it comes to lie on the other one.
+    origin: for each robot, submap landmark -> how many of its sightings were of which true landmark; sightings: the
+    same of the map's landmarks. An estimate is of the landmark that most of its sightings were of: where two landmarks
+    close together were exchanged after a first sighting, it comes to lie on the other one.
     """
 
     poses: Float[np.ndarray, "r 3"]
     safe: set[int] = field(default_factory=set)  # landmarks in the global map
     pending: list[set[int]] = field(default_factory=list)  # seen in a submap that is not handed over yet
     origin: list[dict[str, Counter[int]]] = field(default_factory=list)
-    told: dict[str, Counter[int]] = field(default_factory=dict)
+    sightings: dict[str, Counter[int]] = field(default_factory=dict)
     misassociations: int = 0
 
     def seen(self) -> set[int]:
@@ -94,7 +94,7 @@ class Truth:
     @property
     def source(self) -> dict[str, int]:
         """Global landmark -> true landmark."""
-        return {name: _mostly(sightings) for name, sightings in self.told.items()}
+        return {name: _mostly(sightings) for name, sightings in self.sightings.items()}
 
     def hand_over(self, j: int, ids: tuple[str, ...], done: Handover) -> None:
         """What robot j's submap landmarks `ids` were of is told of the map's; matches that are wrong are counted.
@@ -109,12 +109,12 @@ class Truth:
             if name is not None:
                 self._join(name, sightings)
         for kept, gone in done.merged:
-            if gone in self.told:
-                self._join(kept, self.told.pop(gone))
+            if gone in self.sightings:
+                self._join(kept, self.sightings.pop(gone))
         self.origin[j] = {}
 
     def _join(self, name: str, sightings: Counter[int]) -> None:
-        known = self.told.setdefault(name, Counter())
+        known = self.sightings.setdefault(name, Counter())
         self.misassociations += bool(known) and _mostly(known) != _mostly(sightings)
         known.update(sightings)
 

@@ -92,7 +92,7 @@ class LaserRun:
     def play(self) -> Iterator[LaserStepRecord]:
         """A look around, then steps until the planner has finished, `until` steps are done or every robot is dead."""
         still = np.zeros((len(self.robots), 2))
-        yield self._moment(still, self._look(), 0.0, 0)
+        yield self._moment(still, self._scan(), 0.0, 0)
         while self.alive.any() and self.step < self.plan.max_steps:
             if isinstance(self.until, int) and self.step >= self.until:
                 self.finished = True
@@ -108,7 +108,7 @@ class LaserRun:
             commands[~self.alive] = 0.0
             self._timed("drive", lambda u=commands: self.sim.step(u))
             self.step += 1
-            yield self._moment(commands, self._look(), seconds, decisions)
+            yield self._moment(commands, self._scan(), seconds, decisions)
         for j in map(int, np.flatnonzero(self.alive)):
             self.team.deliver(j)
         self._timed("map", lambda: self.team.optimise(force=True))
@@ -147,7 +147,7 @@ class LaserRun:
                 self.team.remove_robot(j)
                 self._points[j] = np.zeros((0, 2))
 
-    def _look(self) -> tuple[Scan | None, ...]:
+    def _scan(self) -> tuple[Scan | None, ...]:
         """Every live robot scans, tells the team unless its message is lost, and the map is brought up to date."""
         scans: list[Scan | None] = []
         before = perf_counter()
@@ -187,7 +187,7 @@ class LaserRun:
         self, commands: np.ndarray, scans: tuple[Scan | None, ...], seconds: float, decisions: int
     ) -> LaserStepRecord:
         g = self.grid
-        share = known_at(self._sample, g.free, g.origin, g.resolution)
+        known = known_at(self._sample, g.free, g.origin, g.resolution)
         return LaserStepRecord(
             self.step,
             self.sim.t,
@@ -195,7 +195,7 @@ class LaserRun:
             self.sim.true_poses.copy(),
             self.team.poses(),
             scans,
-            float(share.mean()) if len(share) else 0.0,
+            float(known.mean()) if len(known) else 0.0,
             sum(c.accepted for c in self.team.closures),
             seconds,
             decisions,

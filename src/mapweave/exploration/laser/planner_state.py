@@ -135,8 +135,8 @@ def planner_state_of(belief: LaserBelief, poses: np.ndarray, cfg: LaserExploreCo
         state.still = np.zeros(M, dtype=np.int64)
         state.about = np.column_stack([poses[:, :2], np.full(M, belief.step)])
     else:
-        moved = np.hypot(*(poses[:, :2] - state.last[:, :2]).T) > cfg.right_of_way.standing
-        state.still = np.where(moved, 0, state.still + 1)
+        moving = np.hypot(*(poses[:, :2] - state.last[:, :2]).T) > cfg.right_of_way.standing
+        state.still = np.where(moving, 0, state.still + 1)
         left = np.hypot(*(poses[:, :2] - state.about[:, :2]).T) > cfg.right_of_way.left_place
         state.about[left] = np.column_stack([poses[left, :2], np.full(int(left.sum()), belief.step)])
     state.last = poses.copy()
