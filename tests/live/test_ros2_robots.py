@@ -183,7 +183,7 @@ def test_a_scan_in_an_unknown_frame_is_refused_after_a_while():
     fed(made, odometry(11.0 + PATIENCE), scan(11.0 + PATIENCE))
     assert [t for t, _ in made.ready()[0]] == [11.0 + PATIENCE]
     assert made.refused == {"frame": 1}
-    assert made.told["frame"] == "frame: a scan in 'camera', which no transform places on 'base'"
+    assert made.first_refusals["frame"] == "frame: a scan in 'camera', which no transform places on 'base'"
 
 
 def test_a_place_given_by_hand_serves_where_no_transform_tells_it():
@@ -211,7 +211,7 @@ def test_scans_for_which_no_odometry_comes_at_all_do_not_wait_for_ever():
 def test_a_clock_that_is_set_back_is_refused_until_it_has_passed():
     made = fed(Assembly(), mounted(), odometry(10.0), scan(10.0), scan(7.0), odometry(7.0), scan(10.0))
     assert made.refused == {"clock": 3}
-    assert made.told["clock"] == "clock: a scan 3 s before the last one: refused until past it"
+    assert made.first_refusals["clock"] == "clock: a scan 3 s before the last one: refused until past it"
     fed(made, odometry(10.1), scan(10.1))
     assert [t for t, _ in made.ready()[0]] == [10.0, 10.1]
 

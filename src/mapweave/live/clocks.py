@@ -13,12 +13,12 @@ class ClockOffset:
 
     _heard: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=KEPT))
 
-    def add(self, asked: float, told: float, answered: float) -> None:
-        """`told`: the other's clock; asked, answered: ours around it [s]. Raises ValueError for what is no time."""
-        if not math.isfinite(told):
-            raise ValueError(told)
+    def add(self, asked: float, remote: float, answered: float) -> None:
+        """`remote`: the other's clock; asked, answered: ours around it [s]. Raises ValueError for what is no time."""
+        if not math.isfinite(remote):
+            raise ValueError(remote)
         if answered >= asked:  # else our own clock was set back meanwhile
-            self._heard.append((0.5 * (answered - asked), told - 0.5 * (asked + answered)))
+            self._heard.append((0.5 * (answered - asked), remote - 0.5 * (asked + answered)))
 
     @property
     def known(self) -> bool:

@@ -51,16 +51,16 @@ def in_common(walls: Mapping[str, WallCells], starts: Mapping[int, Start]) -> di
     either is not told are left out.
     """
     names = list(walls)
-    told = [k for k in range(len(names)) if k in starts or k == 0] if starts else []
+    placed = [k for k in range(len(names)) if k in starts or k == 0] if starts else []
     seen = []
-    for k in told:
+    for k in placed:
         frame = starts[k].transform if k in starts else np.zeros(3)
         seen.append(np.unique(_coded(np.asarray(se2.act(frame, walls[names[k]].centres)), COARSE)))
     every, column = np.unique(np.concatenate([np.zeros(0, np.int64), *seen]), return_inverse=True)
     first = np.concatenate([[0], np.cumsum([len(s) for s in seen])]).astype(np.int64)
-    holds = csr_array((np.ones(len(column), np.int64), column, first), shape=(len(told), len(every)))
+    holds = csr_array((np.ones(len(column), np.int64), column, first), shape=(len(placed), len(every)))
     both = (holds @ holds.T).toarray()
-    return {(names[told[i]], names[told[j]]): int(both[i, j]) for i, j in _pairs(len(told))}
+    return {(names[placed[i]], names[placed[j]]): int(both[i, j]) for i, j in _pairs(len(placed))}
 
 
 def _coded(points: Float[np.ndarray, "n 2"], side: float) -> Int[np.ndarray, " cells"]:

@@ -153,15 +153,15 @@ def _authority(folder: Path, team: str, now: dt.datetime) -> Authority:
     key = ec.generate_private_key(ec.SECP256R1())
     name = f"mapweave authority of {team}"
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
-    made = (
+    root = (
         _builder(name, subject, now, now + dt.timedelta(days=3650))
         .public_key(key.public_key())
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .sign(key, hashes.SHA256())
     )
     _write_secret(secret, key)
-    certificate.write_bytes(made.public_bytes(serialization.Encoding.PEM))
-    return Authority(made, key)
+    certificate.write_bytes(root.public_bytes(serialization.Encoding.PEM))
+    return Authority(root, key)
 
 
 def _builder(name: str, issuer: x509.Name, begin: dt.datetime, end: dt.datetime) -> x509.CertificateBuilder:
@@ -190,8 +190,8 @@ def _known(folder: Path) -> dict[str, str]:
 
 
 def _access(path: Path) -> tuple[str, dict[str, str]]:
-    found = read_json(path)
-    team, names = found.get("team"), found.get("names")
+    access = read_json(path)
+    team, names = access.get("team"), access.get("names")
     if not isinstance(team, str) or not isinstance(names, dict) or not set(names.values()) <= {"robot", "map"}:
         raise ReaderError(path, "expected a team and names with their roles, robot or map")
     there = str(path)

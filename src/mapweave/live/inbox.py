@@ -224,13 +224,13 @@ class Inbox:
 
     def hearsay(self, robots: Iterable[RobotState], now: float) -> None:
         """Another map process has these messages: what is missing here is asked for."""
-        for told in robots:
+        for state in robots:
             try:
-                self._expect(told.robot)
-                ledger = self._ledger(told.robot, told.run)
+                self._expect(state.robot)
+                ledger = self._ledger(state.robot, state.run)
             except RefusedError:
                 continue
-            ledger.last = max(ledger.last, told.have - 1)
+            ledger.last = max(ledger.last, state.have - 1)
             self._note_gap(ledger, now)
 
     def save(self) -> None:
@@ -264,15 +264,15 @@ class Inbox:
             return None
         if isinstance(record, LandmarkRecord):
             rows = LandmarkRecord.begin(record.header)
-            for message in self._told(ledger):
+            for message in self._messages(ledger):
                 if isinstance(message, Rows):
                     rows.add(message)
             return rows.log
         again = LaserRecord(record.header)
-        parts = (again.add(message) for message in self._told(ledger) if isinstance(message, Scans))
+        parts = (again.add(message) for message in self._messages(ledger) if isinstance(message, Scans))
         return whole_log(record.header, (part for part in parts if part is not None))
 
-    def _told(self, ledger: Ledger) -> Iterator[Message]:
+    def _messages(self, ledger: Ledger) -> Iterator[Message]:
         """The messages before `next`, from the store and from what it does not hold yet."""
         unsaved = {seq: payload for robot, seq, payload in self._unsaved if robot == ledger.robot}
         for first in range(0, ledger.next, ANSWER):

@@ -205,9 +205,9 @@ class MapProcess:
                     self._remembering = name, self._beside.submit(again)
                     return
         elif self._remembering[1].done():
-            name, made = self._remembering
+            name, future = self._remembering
             self._remembering, ledger = None, self.inbox.ledgers[name]
-            ledger.snapshot = ledger.snapshot or made.result()
+            ledger.snapshot = ledger.snapshot or future.result()
 
     def _tell_corrections(self) -> None:
         for robot, placed in self.shared.placed.items():
@@ -326,12 +326,12 @@ class MapProcess:
         """A line a robot: what was heard and what was refused."""
         out = []
         for name, ledger in sorted(self.inbox.ledgers.items()):
-            told = f"{name}: {ledger.next} messages"
+            line = f"{name}: {ledger.next} messages"
             if ledger.missing > 0 or ledger.held:
-                told += f", {max(ledger.missing, 0)} missing: used up to the first gap"
+                line += f", {max(ledger.missing, 0)} missing: used up to the first gap"
             if ledger.fault:
-                told += f"; from there on refused: {ledger.fault}"
-            out.append(told + (f"; refused: {count(ledger.refused)}" if ledger.refused else ""))
+                line += f"; from there on refused: {ledger.fault}"
+            out.append(line + (f"; refused: {count(ledger.refused)}" if ledger.refused else ""))
         others = {**self.inbox.refused, **self._door}
         return out + ([f"refused from others: {count(others)}"] if others else [])
 

@@ -219,8 +219,8 @@ Message = Header | Rows | Scans | Closed | Status | Snapshot | Correction | MapS
 class RefusedError(DataError):
     """A message that is not used. `reason` is one of a few words that refusals are counted by."""
 
-    def __init__(self, reason: str, told: str) -> None:
-        super().__init__(f"{reason}: {told}")
+    def __init__(self, reason: str, detail: str) -> None:
+        super().__init__(f"{reason}: {detail}")
         self.reason = reason
 
 
@@ -242,9 +242,9 @@ def decode(payload: bytes) -> Message:
     if len(payload) > LARGEST:
         raise RefusedError("oversized", f"{len(payload)} bytes, at most {LARGEST}")
     try:
-        found = _version.decode(payload).v
-        if found != PROTOCOL:
-            raise RefusedError("version", f"protocol {found}, this is {PROTOCOL}")
+        version = _version.decode(payload).v
+        if version != PROTOCOL:
+            raise RefusedError("version", f"protocol {version}, this is {PROTOCOL}")
         message = _decoder.decode(payload)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise RefusedError("malformed", str(error)) from None
@@ -342,9 +342,9 @@ def _finite(*numbers: float) -> None:
     _expect(all(math.isfinite(x) for x in numbers), "a number that is not finite")
 
 
-def _expect(true: bool, told: str) -> None:  # noqa: FBT001
+def _expect(true: bool, detail: str) -> None:  # noqa: FBT001
     if not true:
-        raise RefusedError("malformed", told)
+        raise RefusedError("malformed", detail)
 
 
 def count(counts: Mapping[str, int]) -> str:

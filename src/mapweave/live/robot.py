@@ -261,9 +261,9 @@ class RobotProcess:
             self._full_until = now + DISK_AGAIN
             return
         self._full_until = 0.0
-        told, self._unsaved = self._unsaved, []
-        self.last = told[-1][1]
-        for _, _, payload in told:
+        sent, self._unsaved = self._unsaved, []
+        self.last = sent[-1][1]
+        for _, _, payload in sent:
             put(self._session, self._topics.log(self.name), payload)
 
     def _tell_status(self, driving: Driving, *, finished: bool) -> None:
@@ -313,7 +313,7 @@ class RobotProcess:
     def _linger(self, driving: Driving, pace: Pace, stop: Event, *, finished: bool) -> None:
         """Answers until nobody needs it any more; a status now and then."""
         begin = time.monotonic()
-        told = float("-inf")
+        last_status = float("-inf")
         while not stop.is_set():
             now = time.monotonic()
             nobody = not (self.listeners.there or self.listeners.ever or pace.expected)
@@ -323,8 +323,8 @@ class RobotProcess:
                 return
             if pace.expected and now > begin + UNHEARD:
                 self._tell_unheard()
-            if now >= told + STATUS_EVERY:
-                told = now
+            if now >= last_status + STATUS_EVERY:
+                last_status = now
                 self._tell_status(driving, finished=finished)
             self._tell_snapshot(driving, fresh=False)
             stop.wait(0.1)

@@ -77,17 +77,17 @@ class SharedMap:
 
     def fusing(self, ledgers: Iterable[Ledger]) -> Fusing | None:
         """The newest snapshots where any is fresher than those of the map; None when none is."""
-        told = [
+        snapshots = [
             (ledger, ledger.snapshot)
             for ledger in ledgers
             if ledger.snapshot is not None and isinstance(ledger.record, LandmarkRecord) and not ledger.fault
         ]
-        used = {ledger.robot: s.last for ledger, s in told}
+        used = {ledger.robot: s.last for ledger, s in snapshots}
         if used.items() <= self.used.items():
             return None
         maps: dict[str, LocalMap] = {}
         refused: list[str] = []
-        for ledger, snapshot in told:
+        for ledger, snapshot in snapshots:
             if not snapshot.ids:
                 continue
             try:

@@ -80,8 +80,8 @@ def _laser(path: Path, key: str | None, name: str, *, asked: bool) -> LaserLog:
 def _office(k: int, seed: int) -> LaserLog:
     """Robot k's round through the office of `seed`, by a way of its own."""
     cfg, own = OfficeConfig(), k + ROUTES * seed
-    made = drive(office_world(cfg, seed), office_route(cfg, own), cfg.drive, own)
-    return replace(made.log, robot=robot_name(str(k)), source=f"{OFFICE}-{seed}-{k}")
+    simulated = drive(office_world(cfg, seed), office_route(cfg, own), cfg.drive, own)
+    return replace(simulated.log, robot=robot_name(str(k)), source=f"{OFFICE}-{seed}-{k}")
 
 
 def _whole(key: str | None, name: str) -> int:

@@ -62,10 +62,10 @@ def squeeze(values: Float[np.ndarray, " n"]) -> bytes:
         if kind.numbers(whole).tobytes() != values.tobytes():
             continue
         steps = np.diff(whole, prepend=0)
-        told = [letter.encode() + zlib.compress(_planes(whole), 6)]
+        encodings = [letter.encode() + zlib.compress(_planes(whole), 6)]
         if (np.abs(steps) <= LARGEST_WHOLE).all():
-            told.append(letter.upper().encode() + zlib.compress(_planes(steps), 6))
-        return min(told, key=len)
+            encodings.append(letter.upper().encode() + zlib.compress(_planes(steps), 6))
+        return min(encodings, key=len)
     return EXACT.encode() + zlib.compress(values.astype("<f8").tobytes(), 6)
 
 

@@ -34,7 +34,7 @@ class Store:
             self._db = sqlite3.connect(path, check_same_thread=False, isolation_level=None, timeout=1.0)
         except sqlite3.Error as error:
             raise UsageError(f"{path}: {error}") from None
-        with self._told(), self._closed_on_error():
+        with self._locked(), self._closed_on_error():
             self._db.execute("PRAGMA locking_mode=EXCLUSIVE")
             self._db.execute("PRAGMA journal_mode=WAL")
             self._db.execute("PRAGMA synchronous=FULL")
@@ -50,25 +50,25 @@ class Store:
         tables = {name for (name,) in self._db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         if "about" not in tables:
             raise UsageError(f"{self.path}: a database of something else")
-        version, found = self.about("version"), self.about("owner")
+        version, holder = self.about("version"), self.about("owner")
         if version != VERSION:
             raise UsageError(f"{self.path}: a store of version {version}, this is {VERSION}")
-        if found != owner:
-            raise UsageError(f"{self.path}: holds {found}, expected {owner}")
+        if holder != owner:
+            raise UsageError(f"{self.path}: holds {holder}, expected {owner}")
 
     def about(self, name: str) -> str | None:
         """A word kept beside the messages."""
-        with self._told():
+        with self._locked():
             row = self._db.execute("SELECT value FROM about WHERE name = ?", (name,)).fetchone()
         return None if row is None else str(row[0])
 
     def set_about(self, name: str, value: str) -> None:
-        with self._told():
+        with self._locked():
             self._db.execute("INSERT OR REPLACE INTO about VALUES (?, ?)", (name, value))
 
     def put(self, messages: Sequence[tuple[str, int, bytes]]) -> None:
         """(robot, number, payload) each, all of them or none; one that is there already stays as it is."""
-        with self._told():
+        with self._locked():
             self._db.execute("BEGIN IMMEDIATE")
             try:
                 self._db.executemany("INSERT OR IGNORE INTO messages VALUES (?, ?, ?)", messages)
@@ -81,26 +81,26 @@ class Store:
     def get(self, robot: str, first: int, last: int) -> list[tuple[int, bytes]]:
         """Numbers and payloads from `first` to `last`, in order; those not there are left out."""
         question = "SELECT seq, payload FROM messages WHERE robot = ? AND seq BETWEEN ? AND ? ORDER BY seq"
-        with self._told(), closing(self._db.execute(question, (robot, first, last))) as rows:
+        with self._locked(), closing(self._db.execute(question, (robot, first, last))) as rows:
             return [(int(seq), bytes(payload)) for seq, payload in rows]
 
     def numbers(self, robot: str) -> list[int]:
         """All numbers of `robot`, ascending."""
-        with self._told():
+        with self._locked():
             return [
                 int(n) for (n,) in self._db.execute("SELECT seq FROM messages WHERE robot = ? ORDER BY seq", (robot,))
             ]
 
     def clear(self) -> None:
         """All messages forgotten, and every word but version and owner."""
-        with self._told():
+        with self._locked():
             self._db.execute("BEGIN IMMEDIATE")
             self._db.execute("DELETE FROM messages")
             self._db.execute("DELETE FROM about WHERE name NOT IN ('version', 'owner')")
             self._db.execute("COMMIT")
 
     def close(self) -> None:
-        with self._told():
+        with self._locked():
             self._db.close()
 
     def __enter__(self) -> "Store":  # noqa: PYI034  (Self cannot be checked outside of its class)
@@ -112,15 +112,15 @@ class Store:
         self.close()
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _locked(self) -> Iterator[None]:
         try:
             with self._lock:
                 yield
         except sqlite3.DatabaseError as error:
-            told = str(error)
-            if "locked" in told:
-                told = "another process holds it"
-            raise DataError(f"{self.path}: {told}") from None
+            reason = str(error)
+            if "locked" in reason:
+                reason = "another process holds it"
+            raise DataError(f"{self.path}: {reason}") from None
 
     @contextmanager
     def _closed_on_error(self) -> Iterator[None]:

@@ -55,7 +55,7 @@ class TileMapper:
         of those that went too.
         """
         fresh: list[tuple[str, int]] = []
-        moved: list[tuple[str, int]] = []
+        shifted: list[tuple[str, int]] = []
         for robot, (ids, pose) in standing.items():
             old = self._aligned(robot, ids, seen)
             d = pose - old
@@ -63,8 +63,8 @@ class TileMapper:
             far = np.hypot(d[:, 0], d[:, 1]) > AT_ONCE.shift * self.resolution
             turned = np.abs(se2.wrap_angle(np.where(new, 0.0, d[:, 2]))) > AT_ONCE.turn
             fresh += [(robot, int(k)) for k in np.flatnonzero(new)]
-            moved += [(robot, int(k)) for k in np.flatnonzero(far | turned)[::-1]]
-        off = [*fresh, *moved]
+            shifted += [(robot, int(k)) for k in np.flatnonzero(far | turned)[::-1]]
+        off = [*fresh, *shifted]
         for robot, k in off[:most]:
             ids, pose = standing[robot]
             self._lay(robot, k, pose[k], seen(robot, int(ids[k])))

@@ -90,9 +90,9 @@ class Board:
             last_x, last_y, component, stretch = trail[-1][1]
             if before is not None and now.size and component == robot.component:
                 last = np.array([last_x, last_y, 0.0])
-                moved = se2.compose(now, se2.between(before, last))  # the last point as the map has it today
-                if np.hypot(*(moved - last)[:2]) > CORRECTED:
-                    last_x, last_y, stretch = float(moved[0]), float(moved[1]), stretch + 1
+                corrected = se2.compose(now, se2.between(before, last))  # the last point as the map has it today
+                if np.hypot(*(corrected - last)[:2]) > CORRECTED:
+                    last_x, last_y, stretch = float(corrected[0]), float(corrected[1]), stretch + 1
                     trail.append((self.version, (last_x, last_y, component, stretch)))
             if component == robot.component and (x - last_x) ** 2 + (y - last_y) ** 2 < STEP**2:
                 return
@@ -115,8 +115,8 @@ class Board:
         """Version and JSON of all states, with the trails and which tiles there are."""
         with self._changed:
             states = list(self.states.values())
-            told = {"states": states, "trails": self._walked(0), "tiles": self._newer(0)}
-            return self.version, msgspec.json.encode(told)
+            content = {"states": states, "trails": self._walked(0), "tiles": self._newer(0)}
+            return self.version, msgspec.json.encode(content)
 
     def after(self, version: int, patience: float) -> tuple[int, bytes | None]:
         """Version and JSON of what came after `version`; None when nothing came within `patience` [s]."""
@@ -125,8 +125,8 @@ class Board:
             if self.version <= version:
                 return version, None
             fresh = [s for name, s in self.states.items() if self._fresh[name] > version]
-            told = {"states": fresh, "steps": self._walked(version), "tiles": self._newer(version)}
-            return self.version, msgspec.json.encode(told)
+            content = {"states": fresh, "steps": self._walked(version), "tiles": self._newer(version)}
+            return self.version, msgspec.json.encode(content)
 
     def close(self) -> None:
         """Nothing more comes: those who wait go."""
@@ -140,16 +140,16 @@ def follow(session: zenoh.Session, topics: Topics, board: Board) -> object:
 
     def take(payload: bytes, name: str | None = None) -> None:
         try:
-            told = decode(payload)
+            message = decode(payload)
         except RefusedError:
             return
-        if isinstance(told, MapState) and told.map == name:
+        if isinstance(message, MapState) and message.map == name:
             new = name not in board.states
-            board.take(told)
+            board.take(message)
             if new:  # what it has drawn so far is asked for
                 ask(session, topics.tiles(name), "", take, lambda: None)
-        elif isinstance(told, Tile) and name in {None, told.map}:
-            board.take_tile(told)
+        elif isinstance(message, Tile) and name in {None, message.map}:
+            board.take_tile(message)
 
     def hear(sample: zenoh.Sample) -> None:
         take(sample.payload.to_bytes(), topics.map_of(str(sample.key_expr)))

@@ -84,15 +84,15 @@ def _decisions(names: Sequence[str], merges: Sequence[Merge], placed: Mapping[st
     merges = [m for m in merges if m.merged or placed[m.a].component != placed[m.b].component]
     tried = [m for m in merges if m.reason != UNTRIED]
     tied = [m for m in tried if m.merged]
-    told = [
+    lines = [
         f"{m.a} and {m.b}: {m.reason if m.merged else f'not merged, {m.reason}'}"
         for m in (tried if len(tried) <= MOST_TOLD else tied)
     ]
     if len(tried) > MOST_TOLD:
-        told.append(f"{len(tried) - len(tied)} pairs not merged")
+        lines.append(f"{len(tried) - len(tied)} pairs not merged")
     if len(tried) < len(merges):
-        told.append(f"{len(merges) - len(tried)} pairs {UNTRIED}")
+        lines.append(f"{len(merges) - len(tried)} pairs {UNTRIED}")
     parts = len({p.component for p in placed.values()})
     if len(names) == 1:
         return [f"{names[0]}: the only one so far"]
-    return told if parts == 1 else [*told, f"{parts} parts that nothing ties"]
+    return lines if parts == 1 else [*lines, f"{parts} parts that nothing ties"]

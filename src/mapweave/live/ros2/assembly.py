@@ -54,13 +54,13 @@ class Assembly:
     """What one robot's messages make. `scan`, `odometry` and `transforms` change it; `ready` takes what is whole.
 
     wheels: where odometry comes from: "poses", "tf" or "none". sensor_pose: `T_robot_sensor`, where no transform
-    tells it. refused: messages not used, by reason; told: the first of each reason.
+    tells it. refused: messages not used, by reason; first_refusals: the first of each reason.
     """
 
     def __init__(self, wheels: str = POSES, sensor_pose: Sequence[float] | None = None) -> None:
         self.wheels = wheels
         self.refused: Counter[str] = Counter()
-        self.told: dict[str, str] = {}
+        self.first_refusals: dict[str, str] = {}
         self.odom_frame = self.base_frame = self.sensor_frame = ""
         self.latest: Row | None = None
         self._given = None if sensor_pose is None else frozen(sensor_pose)
@@ -82,14 +82,14 @@ class Assembly:
     def refuse(self, error: RefusedError) -> None:
         """Counted; the first of each reason is kept in words."""
         self.refused[error.reason] += 1
-        self.told.setdefault(error.reason, str(error))
+        self.first_refusals.setdefault(error.reason, str(error))
 
     def transforms(self, message: Any) -> None:
         """Of each edge the first transform, and whether it ever moved; odometry where that comes from tf."""
         for one in message.transforms:
             edge = frame(one.header.frame_id), frame(one.child_frame_id)
-            told = rigid(one.transform.translation, one.transform.rotation)
-            if not (edge[0] and edge[1] and _sound(told)):
+            pose = rigid(one.transform.translation, one.transform.rotation)
+            if not (edge[0] and edge[1] and _sound(pose)):
                 self.refuse(RefusedError("malformed", f"a transform from {edge[0]!r} to {edge[1]!r} that is none"))
                 continue
             if edge not in self._tf.seen:
@@ -99,7 +99,7 @@ class Assembly:
                 self._tf.add(0.0, one)
                 if not self._tf.moves(edge):
                     self._tf.seen[edge].pop()
-            row = _stamp(one.header), planar(told), edge
+            row = _stamp(one.header), planar(pose), edge
             if self.wheels == BY_TF and edge == self.odometry_edge:
                 self._row(*row)
             elif self.wheels == POSES and not self._rows:
@@ -121,12 +121,12 @@ class Assembly:
 
     def odometry(self, message: Any) -> None:
         """One Odometry."""
-        told = rigid(message.pose.pose.position, message.pose.pose.orientation)
-        if not _sound(told):
+        pose = rigid(message.pose.pose.position, message.pose.pose.orientation)
+        if not _sound(pose):
             self.refuse(RefusedError("malformed", "odometry that is no pose"))
         elif self.wheels == POSES:
             self._row(
-                _stamp(message.header), planar(told), (frame(message.header.frame_id), frame(message.child_frame_id))
+                _stamp(message.header), planar(pose), (frame(message.header.frame_id), frame(message.child_frame_id))
             )
 
     def _row(self, t: float, pose: tuple[float, float, float], edge: tuple[str, str]) -> None:
@@ -252,12 +252,12 @@ class Assembly:
             base = self.base_frame
             if not base and self.wheels == NO_ODOMETRY:
                 base = self._tf.chain(name)[-1]
-            found = self._tf.sensor_pose(base, name) if base else None
-            if found is None and self._given is not None and name == self.sensor_frame:
-                found = self._given, False
-            if found is None:
+            place = self._tf.sensor_pose(base, name) if base else None
+            if place is None and self._given is not None and name == self.sensor_frame:
+                place = self._given, False
+            if place is None:
                 return None
-            self._places[name] = found
+            self._places[name] = place
             self.base_frame = base
         return self._places[name]
 
@@ -268,9 +268,9 @@ class Assembly:
         del self._rows[:keep]
 
 
-def _sound(told: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]) -> bool:
-    turn = told[1]
-    return in_range(told) and abs(float(turn @ turn) - 1.0) < 0.1
+def _sound(pose: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]) -> bool:
+    turn = pose[1]
+    return in_range(pose) and abs(float(turn @ turn) - 1.0) < 0.1
 
 
 def _stamp(header: Any) -> float:

@@ -34,8 +34,8 @@ def decode(payload: bytes, kind: str) -> Any:
     try:
         return STORE.deserialize_cdr(payload, kind)
     except BROKEN as error:
-        told = " ".join(str(error).split())[:80] or type(error).__name__
-        raise RefusedError("malformed", f"no {kind} in {len(payload)} bytes: {told}") from None
+        detail = " ".join(str(error).split())[:80] or type(error).__name__
+        raise RefusedError("malformed", f"no {kind} in {len(payload)} bytes: {detail}") from None
 
 
 def encode(message: Any, kind: str) -> bytes:

@@ -60,10 +60,10 @@ class Member:
     def declare(self, kind: str, topic: Topic | None = None) -> Entity:
         """Others see it from now on."""
         who = str(self.session.info.zid())
-        made = Entity(self.domain, who, 0, self.entities, kind, self.namespace, self.node, topic)
+        entity = Entity(self.domain, who, 0, self.entities, kind, self.namespace, self.node, topic)
         self.entities += 1
-        self.held.append(self.session.liveliness().declare_token(made.token()))
-        return made
+        self.held.append(self.session.liveliness().declare_token(entity.token()))
+        return entity
 
 
 class RosFeed:
@@ -217,16 +217,16 @@ class RosFeed:
         """Whether this is the next message of its publisher, or a later one; what is between them was lost."""
         if attachment is None:
             raise RefusedError("attachment", f"a message on {topic.name} without one")
-        told = Attachment.decode(attachment)
-        before = self._sequences.get(told.gid)
-        if before is not None and told.sequence <= before:
+        header = Attachment.decode(attachment)
+        before = self._sequences.get(header.gid)
+        if before is not None and header.sequence <= before:
             self.lost["doubled"] += 1
             return False
-        if before is not None and told.sequence > before + 1:
-            self.lost["lost"] += told.sequence - before - 1
+        if before is not None and header.sequence > before + 1:
+            self.lost["lost"] += header.sequence - before - 1
         if len(self._sequences) > MOST_PUBLISHERS:
             self._sequences.clear()
-        self._sequences[told.gid] = told.sequence
+        self._sequences[header.gid] = header.sequence
         return True
 
     def _choose(self) -> None:
@@ -238,21 +238,21 @@ class RosFeed:
         self._seen = self._seen or now
         if now < self._seen + SETTLE:
             return
-        found = chosen(robots, self.asked.name, self.asked.pattern)
-        if found is None:
+        choice = chosen(robots, self.asked.name, self.asked.pattern)
+        if choice is None:
             there = ", ".join(robot.name or "one without a namespace" for robot in robots)
             self._once(f"no robot fits {self.asked.pattern!r} yet; there are {there}")
             return
-        self.robot = found
-        wheels = found.odometry.name if found.odometry else "tf, if that tells any"
-        scanners = found.scanners if self.asked.all_scanners else ()
-        left = [*([] if scanners else [t.name for t in found.scanners]), *found.beside]
+        self.robot = choice
+        wheels = choice.odometry.name if choice.odometry else "tf, if that tells any"
+        scanners = choice.scanners if self.asked.all_scanners else ()
+        left = [*([] if scanners else [t.name for t in choice.scanners]), *choice.beside]
         beside = f"; not heard: {', '.join(left)}" if left else ""
-        self.member = Member(self._session, self.asked.domain, f"/{found.name}", node_name(self.asked.name))
+        self.member = Member(self._session, self.asked.domain, f"/{choice.name}", node_name(self.asked.name))
         self.member.declare("NN")
         self._last = now
-        self._heard_topics((*found.topics, *scanners))
-        scans = " and ".join(topic.name for topic in (found.scan, *scanners))
+        self._heard_topics((*choice.topics, *scanners))
+        scans = " and ".join(topic.name for topic in (choice.scan, *scanners))
         self._once(f"hears {scans}, odometry from {wheels}{beside}")
 
     def _heard_topics(self, topics: Sequence[Topic]) -> None:
@@ -273,8 +273,8 @@ class RosFeed:
 
     def _tell(self) -> None:
         """A line of each kind of thing that went wrong, once; that the robot is gone or silent, and is back."""
-        for told in (*self.graph.refused.values(), *self.assembly.told.values()):
-            self._once(f"refused: {told}")
+        for refusal in (*self.graph.refused.values(), *self.assembly.first_refusals.values()):
+            self._once(f"refused: {refusal}")
         if self._let_go:
             self.lost["too many at once"] += self._let_go
             self._let_go = 0

@@ -56,17 +56,19 @@ class Graph:
 
         Another hash is another definition of the message: it is told in `refused`.
         """
-        found: dict[str, Topic] = {}
+        topics: dict[str, Topic] = {}
         for token, entity in sorted(self.entities.items()):
             topic = entity.topic
             if entity.kind != PUBLISHER or topic is None or topic.kind != kind:
                 continue
             if topic.type_hash in {type_hash(kind), NO_HASH}:
-                found.setdefault(topic.name, topic)
+                topics.setdefault(topic.name, topic)
             else:
-                told = f"hash: {topic.name} is {kind} of another definition, {topic.type_hash}; ours {type_hash(kind)}"
-                self.refused.setdefault(token, told)
-        return [found[name] for name in sorted(found)]
+                refusal = (
+                    f"hash: {topic.name} is {kind} of another definition, {topic.type_hash}; ours {type_hash(kind)}"
+                )
+                self.refused.setdefault(token, refusal)
+        return [topics[name] for name in sorted(topics)]
 
     def publishers_of(self, name: str, but: str) -> list[str]:
         """Nodes that publish the topic `name` in sessions other than `but`."""

@@ -39,12 +39,12 @@ class Publisher:
 
     entity: Entity
     out: zenoh.ext.AdvancedPublisher
-    told: int = 0
+    sequence: int = 0
 
     def put(self, message: Any) -> None:
         assert self.entity.topic is not None  # noqa: S101  (of a publisher)
-        self.told += 1
-        attachment = Attachment(self.told, time.time_ns(), self.entity.gid())
+        self.sequence += 1
+        attachment = Attachment(self.sequence, time.time_ns(), self.entity.gid())
         self.out.put(encode(message, self.entity.topic.kind), attachment=attachment.encode())
 
 
@@ -183,5 +183,5 @@ def pose_of(ns: int, frame: str, pose: Float[np.ndarray, "3"], triangle: Float[n
     cov = np.zeros((6, 6))
     cov[PLANE[np.triu_indices(3)[0]], PLANE[np.triu_indices(3)[1]]] = triangle
     cov = cov + np.triu(cov, 1).T
-    told = message_type("PoseWithCovariance")(pose=pose_message(pose), covariance=cov.ravel())
-    return message_type(POSE)(header=header_message(ns, frame), pose=told)
+    estimate = message_type("PoseWithCovariance")(pose=pose_message(pose), covariance=cov.ravel())
+    return message_type(POSE)(header=header_message(ns, frame), pose=estimate)

@@ -109,10 +109,10 @@ class Attachment:
     @classmethod
     def decode(cls, data: bytes) -> "Attachment":
         """Three fields in a row, or each after its name, as releases before 0.2.4 had it; RefusedError of others."""
-        found = ATTACHMENT.fullmatch(data)
-        if found is None:
+        match = ATTACHMENT.fullmatch(data)
+        if match is None:
             raise RefusedError("attachment", f"{len(data)} bytes that are none of rmw_zenoh's")
-        sequence, source_ns, gid = found.groups()
+        sequence, source_ns, gid = match.groups()
         return cls(int.from_bytes(sequence, "little", signed=True), int.from_bytes(source_ns, "little"), gid)
 
 
@@ -135,10 +135,10 @@ def _parts(token: str) -> tuple[str, str, str, str, str, str, str, Topic | None]
 
 
 def _topic(name: str, kind: str, type_hash: str, qos: str) -> Topic:
-    found = ROS_TYPE.fullmatch(kind)
-    if found is None:
+    match = ROS_TYPE.fullmatch(kind)
+    if match is None:
         raise ValueError(kind)
-    return Topic(_plain(name), "/".join(found.groups()), type_hash, Qos.read(qos))
+    return Topic(_plain(name), "/".join(match.groups()), type_hash, Qos.read(qos))
 
 
 def _mangled(name: str) -> str:
