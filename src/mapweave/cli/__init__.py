@@ -80,9 +80,9 @@ def make_app() -> "App":
         help_format="plaintext",  # Markdown costs a tenth of a second to import
         help_epilogue="`mapweave demo` is a first look; `mapweave COMMAND --help` tells the options of a command.",
     )
-    for place, (name, (where, told, example)) in enumerate(COMMANDS.items()):
+    for place, (name, (where, help_text, example)) in enumerate(COMMANDS.items()):
         shown = {"help_epilogue": f"Example: mapweave {example}"} if example else {}
-        app.command(where, name=name, help=told, sort_key=place, **shown)
+        app.command(where, name=name, help=help_text, sort_key=place, **shown)
     return app
 
 

@@ -16,12 +16,12 @@ def doctor(*, json: Annotated[bool, Parameter(negative="")] = False) -> None:
     from ..api.doctor import doctor as examine
     from .terminal import say
 
-    found = examine()
+    diagnosis = examine()
     if json:
         from json import dumps
 
-        say(dumps(found.metrics, indent=1))
+        say(dumps(diagnosis.metrics, indent=1))
     else:
-        say(found.summary())
-    if not found.healthy:
+        say(diagnosis.summary())
+    if not diagnosis.healthy:
         raise SystemExit(1)

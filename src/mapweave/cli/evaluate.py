@@ -30,9 +30,9 @@ def evaluate(
     from ..api.evaluate import evaluate as score
     from .terminal import say, warn
 
-    told = score(directory, truth)
+    evaluation = score(directory, truth)
     try:
-        told.add_to(directory, truth)
+        evaluation.add_to(directory, truth)
     except OSError as error:
         warn(f"{error.filename}: {error.strerror}: the report is left as it is")
     if json:
@@ -40,6 +40,6 @@ def evaluate(
 
         from ..io.directory import plain
 
-        say(dumps(plain(told.as_json()), indent=1, ensure_ascii=False))
+        say(dumps(plain(evaluation.as_json()), indent=1, ensure_ascii=False))
         return
-    say(told.summary())
+    say(evaluation.summary())

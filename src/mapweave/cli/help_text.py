@@ -15,9 +15,9 @@ class FlowingHelp:
         from rich.text import Text
 
         for entry in panel.entries:
-            told = entry.description
-            if isinstance(told, InlineText) and isinstance(told.primary_renderable, Text):
-                told.primary_renderable = Text(" ".join(told.primary_renderable.plain.split()))
+            description = entry.description
+            if isinstance(description, InlineText) and isinstance(description.primary_renderable, Text):
+                description.primary_renderable = Text(" ".join(description.primary_renderable.plain.split()))
         DefaultFormatter()(console, options, panel)
 
     def render_usage(self, console: "Console", options: "ConsoleOptions", usage: object) -> None:

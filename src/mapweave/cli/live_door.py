@@ -72,20 +72,20 @@ class Denials:
 
     def said(self, line: str) -> bool:
         """Whether this one is about a word that was said."""
-        found = DENIED.search(line)
-        if found is None or not HEARD_THERE.match(found["key"]):
+        denial = DENIED.search(line)
+        if denial is None or not HEARD_THERE.match(denial["key"]):
             return True
-        pair = (found["who"], found["key"])
-        if found["what"] == FIRST_JUDGED:
+        pair = (denial["who"], denial["key"])
+        if denial["what"] == FIRST_JUDGED:
             self._judged.add(pair)
         return pair not in self._judged
 
 
 def plain(reason: str, line: str) -> str:
     """A refusal in words: who was refused what."""
-    found = DENIED.search(line)
-    if reason == FORGED and found is not None:
-        return f"refused: {reason}: {found['who']} may not {found['what'].lower()} on {found['key']}"
+    denial = DENIED.search(line)
+    if reason == FORGED and denial is not None:
+        return f"refused: {reason}: {denial['who']} may not {denial['what'].lower()} on {denial['key']}"
     if reason == STRANGER:
         why = line.rpartition("unicast: ")[2].partition(". Hint")[0].strip()
         return f"refused: {reason}: a process without a valid certificate of this team's authority ({why})"
@@ -97,10 +97,10 @@ def _read(reading: int, counts: Counter[str]) -> None:
     with os.fdopen(reading, encoding="utf-8", errors="replace") as lines:
         for line in lines:
             known, reason = reason_of(line)
-            told = COLOUR.sub("", line)
-            if reason is not None and (reason != FORGED or denials.said(told)):
+            text = COLOUR.sub("", line)
+            if reason is not None and (reason != FORGED or denials.said(text)):
                 counts[reason] += 1
                 if counts[reason] == 1:
-                    print(plain(reason, told), file=sys.stderr)  # noqa: T201
+                    print(plain(reason, text), file=sys.stderr)  # noqa: T201
             elif not known:
                 sys.stderr.write(line)

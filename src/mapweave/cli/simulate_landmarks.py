@@ -47,7 +47,7 @@ def landmarks(
     from ..api.simulate_landmarks import simulate_landmarks
     from .terminal import say
 
-    made = simulate_landmarks(
+    recording = simulate_landmarks(
         out,
         robots=robots,
         landmarks=landmarks,
@@ -59,4 +59,4 @@ def landmarks(
         seed=seed,
         force=force,
     )
-    say(f"{out}: {made.summary()}")
+    say(f"{out}: {recording.summary()}")

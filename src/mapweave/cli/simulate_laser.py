@@ -172,7 +172,7 @@ def _drive(given: DriveOptions | None, end_error: tuple[float, float]) -> "Drive
 
     drive = given or DriveOptions()
     law = SECOND_LAW if drive.law == "second" else Reflectance()
-    told = {"falloff": drive.falloff, "exponent": drive.exponent, "specular": drive.specular}
+    overrides = {"falloff": drive.falloff, "exponent": drive.exponent, "specular": drive.specular}
     low, high = numbers(drive.end_error, 2, "--end-error") if drive.end_error else end_error
     x, y, theta = numbers(drive.sensor_pose, 3, "--sensor-pose")
     return DriveConfig(
@@ -182,7 +182,7 @@ def _drive(given: DriveOptions | None, end_error: tuple[float, float]) -> "Drive
         people=drive.people,
         sensor_pose=(x, y, theta),
         scanner=Scanner(beams=drive.beams, far=drive.range_),
-        law=replace(law, **{name: value for name, value in told.items() if value is not None}),
+        law=replace(law, **{name: value for name, value in overrides.items() if value is not None}),
         drift=DriftConfig(end_error=(low, high) if high > 0 else None),
     )
 
@@ -191,6 +191,6 @@ def _write(out: Path, world: "World", seed: int) -> None:
     from ..api.simulate_laser import simulate_laser
     from .terminal import say
 
-    made = simulate_laser(out, world, seed=seed)
-    say(f"{out}: {made.summary()}")
+    recording = simulate_laser(out, world, seed=seed)
+    say(f"{out}: {recording.summary()}")
     say(f"truth: {out.with_suffix('.truth.tum')}")

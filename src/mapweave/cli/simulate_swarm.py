@@ -93,8 +93,10 @@ def swarm(
         interval=interval,
         drive=drive,
     )
-    made = simulate_swarm(out, scene, seed=seed)
-    say(f"{out}: {robots} robots in {dim}D, {len(made.table.observer)} sightings, sigma {sigma}, seed {seed}")
-    places = made.position[0].tolist()
-    told = [f"--anchor {made.table.ids[c]}=" + ",".join(f"{v:.9f}" for v in places[c]) for c in made.corners]
-    say("robots at the corners, as anchors: " + " ".join(told))
+    simulated = simulate_swarm(out, scene, seed=seed)
+    say(f"{out}: {robots} robots in {dim}D, {len(simulated.table.observer)} sightings, sigma {sigma}, seed {seed}")
+    places = simulated.position[0].tolist()
+    anchors = [
+        f"--anchor {simulated.table.ids[c]}=" + ",".join(f"{v:.9f}" for v in places[c]) for c in simulated.corners
+    ]
+    say("robots at the corners, as anchors: " + " ".join(anchors))

@@ -65,7 +65,7 @@ def team(
     from ..api.simulate_team import simulate_team
     from .terminal import say
 
-    made = simulate_team(
+    recording = simulate_team(
         out,
         lasers=lasers,
         cameras=cameras,
@@ -83,4 +83,4 @@ def team(
         seed=seed,
         force=force,
     )
-    say(f"{out}: {made.summary()}")
+    say(f"{out}: {recording.summary()}")

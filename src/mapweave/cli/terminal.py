@@ -179,7 +179,7 @@ class Interruption:
         ours = current_thread() is main_thread() and signal.getsignal(signal.SIGINT) is signal.default_int_handler
         if ours:
             signal.signal(signal.SIGINT, self._ask)
-            self._told, sys.unraisablehook = sys.unraisablehook, self._swallowed
+            self._hook_before, sys.unraisablehook = sys.unraisablehook, self._swallowed
             self._mine = True
         return self
 
@@ -188,7 +188,7 @@ class Interruption:
     ) -> None:
         if self._mine:
             signal.signal(signal.SIGINT, signal.default_int_handler)
-            sys.unraisablehook = self._told
+            sys.unraisablehook = self._hook_before
 
     def _ask(self, number: int, frame: FrameType | None) -> None:
         self.asked = True
@@ -197,7 +197,7 @@ class Interruption:
     def _swallowed(self, what: "sys.UnraisableHookArgs") -> None:
         """An exception nobody can catch: an interruption is asked for again a little later."""
         if not self.asked:
-            self._told(what)
+            self._hook_before(what)
         elif what.exc_type is KeyboardInterrupt:
             again = Timer(AGAIN, interrupt_main)
             again.daemon = True

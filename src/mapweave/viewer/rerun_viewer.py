@@ -58,8 +58,8 @@ def _show(name: str, part: Finished) -> None:
     if part.swarm is not None:
         _show_swarm(f"{name}/swarm", part.swarm)
     if part.decisions:
-        told = "\n".join(f"- {line}" for line in part.decisions)
-        rr.log(f"{name}/decisions", rr.TextDocument(told, media_type=rr.MediaType.MARKDOWN), static=True)
+        text = "\n".join(f"- {line}" for line in part.decisions)
+        rr.log(f"{name}/decisions", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
 
 
 def _show_closures(entity: str, closures: Closures) -> None:
