@@ -46,8 +46,8 @@ def write_exploration(folder: Path, result: ExploreResult) -> None:
     )
     page.section("The first run")
     scene = landmark_scene(first, seen_at, m.cfg.mission.cell)
-    told = "What was seen when, where the robots truly were, and the map; figures/map.png has the submaps' borders."
-    page.scene(scene, told, folder / "figures" / "map.png")
+    caption = "What was seen when, where the robots truly were, and the map; figures/map.png has the submaps' borders."
+    page.scene(scene, caption, folder / "figures" / "map.png")
     page.figure(folder / "figures" / "explored.png", "When each cell was first seen; lines: the frontier at quarters")
     every = "; steps and errors of all runs" if len(result.runs) > 1 else ""
     page.figure(folder / "figures" / "progress.png", f"Explored share of the field{every}")

@@ -56,16 +56,16 @@ def landmark_scene(run: LandmarkRunRecord, first: Float[np.ndarray, "rows column
     marks = run.map.landmarks
     n = len(marks)
     cov = marks.cov.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
-    told = []
+    labels = []
     for name, (x, y), P in zip(marks.ids, marks.mean, cov, strict=True):
         source = run.source.get(name)
         off = "" if source is None else f"\n{np.hypot(*(true[source] - (x, y))):.3f} m from its true place"
-        told.append(
+        labels.append(
             f"landmark {name}, as mapped\n({x:.3f}, {y:.3f}) m\nsd {np.sqrt(np.trace(P) / 2):.3f} m an axis{off}"
         )
     cells = np.clip(((marks.mean - run.world.lower) / cell).astype(int), 0, [columns - 1, rows - 1])
     since = [None if np.isnan(step) else float(step) for step in first[cells[:, 1], cells[:, 0]]]
-    scene.points("mapped landmarks", marks.ids, marks.mean, MAPPED, told, cov, named=False, since=since)
+    scene.points("mapped landmarks", marks.ids, marks.mean, MAPPED, labels, cov, named=False, since=since)
     return scene
 
 
@@ -92,8 +92,8 @@ def laser_exploration_scene(run: LaserRunRecord) -> Scene:
     for layer, accepted in (("loops closed", True), ("loops refused", False)):
         those = [c for c in run.closures if c.accepted == accepted]
         ends = np.array([[*pose[c.first], *pose[c.second]] for c in those]).reshape(-1, 4)
-        told = [f"{run.robots[c.robots[0]]} and {run.robots[c.robots[1]]}\n{c.reason}" for c in those]
-        scene.lines(layer, ends, PALETTE[2] if accepted else REFUSED, told, dashed=not accepted)
+        labels = [f"{run.robots[c.robots[0]]} and {run.robots[c.robots[1]]}\n{c.reason}" for c in those]
+        scene.lines(layer, ends, PALETTE[2] if accepted else REFUSED, labels, dashed=not accepted)
     for true in run.truths:
         scene.path("truth", true.pose[:, :2], TRUTH)
     for j, name in enumerate(run.robots):

@@ -132,8 +132,8 @@ class Page:
         marks = [f'<i style="background:{colour}"></i>' for colour in colours] or [""] * len(cells)
         body = ""
         for row, mark in zip(cells, marks, strict=True):
-            told = [f"<td{kind}>{escape(text)}</td>" for text, kind in zip(row, kinds, strict=False)]
-            body += f"<tr>{''.join(told).replace('>', f'>{mark}', 1)}</tr>"
+            data = [f"<td{kind}>{escape(text)}</td>" for text, kind in zip(row, kinds, strict=False)]
+            body += f"<tr>{''.join(data).replace('>', f'>{mark}', 1)}</tr>"
         self.parts.append(f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>")
 
     def figure(self, png: Path, caption: str) -> None:
@@ -162,7 +162,7 @@ class Page:
             at = lead.end() if lead else len(page)
         else:
             ends = (page.rfind(mark) for mark in ("<!-- files: begin -->", "<footer>"))
-            at = next((found for found in ends if found >= 0), len(page))
+            at = next((place for place in ends if place >= 0), len(page))
         return f"{page[:at]}{begin}{''.join(self.parts)}{end}{page[at:]}"
 
     def html(self) -> str:
@@ -219,8 +219,8 @@ def _kind(column: Sequence[str]) -> str:
     """The class of a column: of sentences, of words, or none of numbers."""
     if any(len(text) > LONGEST_NUMBER for text in column):
         return ' class="text"'
-    told = [text for text in column if text not in {"", "–"}]
-    return ' class="word"' if told and not any(_NUMBER.match(text) for text in told) else ""
+    filled = [text for text in column if text not in {"", "–"}]
+    return ' class="word"' if filled and not any(_NUMBER.match(text) for text in filled) else ""
 
 
 def list_files(folder: Path) -> None:

@@ -58,7 +58,7 @@ def write_laser_report(
     warnings: of the whole, those of each robot stand in its own part; scores: headline figures against the truth.
     """
     several = len(maps) > 1 and bool(components)
-    places = {made.robot: k for k, made in enumerate(maps)}
+    places = {local_map.robot: k for k, local_map in enumerate(maps)}
     page = Page(_title(maps, components), _lead(maps, components))
     if several:
         page.cards([*_shared(maps, components), *scores], len(warnings))
@@ -82,7 +82,7 @@ def write_laser_report(
 
 
 def _title(maps: Sequence[LaserMap], components: Sequence[WovenMap]) -> str:
-    names = [Path(made.source).name for made in maps]
+    names = [Path(local_map.source).name for local_map in maps]
     logs = ", ".join(names) if len(names) <= MOST_NAMED else f"{len(names)} logs"
     count = len(components) or len(maps)
     return f"{'One map' if count == 1 else f'{count} maps'} from {logs}"
@@ -101,35 +101,46 @@ def _lead(maps: Sequence[LaserMap], components: Sequence[WovenMap]) -> str:
 
 def _shared(maps: Sequence[LaserMap], components: Sequence[WovenMap]) -> list[tuple[str, str]]:
     """Headline figures of the first map."""
-    made = components[0]
-    x0, x1, y0, y1 = made.grid.extent
+    woven = components[0]
+    x0, x1, y0, y1 = woven.grid.extent
     cards = [
-        ("robots in the map", f"{len(made.robots)} of {len(maps)}"),
+        ("robots in the map", f"{len(woven.robots)} of {len(maps)}"),
         ("size", f"{x1 - x0:.0f} x {y1 - y0:.0f} m"),
-        ("closures between robots", str(sum(c.accepted and c.robot_a != c.robot_b for c in made.closures))),
+        ("closures between robots", str(sum(c.accepted and c.robot_a != c.robot_b for c in woven.closures))),
     ]
-    sd = [d for robot in made.robots if (d := median_deviation(made.tracks[robot])) is not None]
+    sd = [d for robot in woven.robots if (d := median_deviation(woven.tracks[robot])) is not None]
     return [*cards, ("median sd of a position", f"{np.median(sd):.3f} m")] if sd else cards
 
 
 def _robots(page: Page, folder: Path, maps: Sequence[LaserMap], truth: Mapping[str, Track]) -> None:
     """A row for every robot, a part for some; the pictures of all."""
     page.section("Robots")
-    page.table(ROBOTS_HEAD, [_row(made) for made in maps], [robot_colour(k) for k in range(len(maps))])
+    page.table(ROBOTS_HEAD, [_row(local_map) for local_map in maps], [robot_colour(k) for k in range(len(maps))])
     if len(maps) > MOST_PARTS:
         page.text(f"Below are the first {MOST_PARTS} robots; the pictures of all are in figures/ and local/.")
-    for k, made in enumerate(maps):
-        _robot(page if k < MOST_PARTS else Page(""), folder, made, truth.get(made.robot), k)
+    for k, local_map in enumerate(maps):
+        _robot(page if k < MOST_PARTS else Page(""), folder, local_map, truth.get(local_map.robot), k)
 
 
-def _row(made: LaserMap) -> list[object]:
-    counts = Counter(made.scans.decision)
+def _row(local_map: LaserMap) -> list[object]:
+    counts = Counter(local_map.scans.decision)
     off = None
-    if made.dead_reckoning is not None:
-        off = float(np.hypot(*(made.track.pose[-1, :2] - made.dead_reckoning.pose[-1, :2])))
+    if local_map.dead_reckoning is not None:
+        off = float(np.hypot(*(local_map.track.pose[-1, :2] - local_map.dead_reckoning.pose[-1, :2])))
     return [
-        *(robot_name(made.robot), Path(made.source).name, len(made.scans), f"{_driven(made.track):.0f}"),
-        *(counts["odometry"], sum(made.dropped.values()), len(made.warnings), off, median_deviation(made.track)),
+        *(
+            robot_name(local_map.robot),
+            Path(local_map.source).name,
+            len(local_map.scans),
+            f"{_driven(local_map.track):.0f}",
+        ),
+        *(
+            counts["odometry"],
+            sum(local_map.dropped.values()),
+            len(local_map.warnings),
+            off,
+            median_deviation(local_map.track),
+        ),
     ]
 
 
@@ -139,67 +150,69 @@ def _driven(track: Track) -> float:
 
 
 def _robot(
-    page: Page, folder: Path, made: LaserMap, truth: Track | None, k: int, scores: Sequence[tuple[str, str]] = ()
+    page: Page, folder: Path, local_map: LaserMap, truth: Track | None, k: int, scores: Sequence[tuple[str, str]] = ()
 ) -> None:
     """The part of one robot, the `k`-th of all."""
-    name = robot_name(made.robot)
+    name = robot_name(local_map.robot)
     figures = folder / "figures"
-    page.section(f"Robot {made.robot}: {Path(made.source).name}")
-    page.cards([*_headline(made), *scores])
-    seen = None if truth is None else aligned(truth, made.track)
-    draw_map(figures / f"{name}_map.png", made, seen, robot_colour(k))
-    others = {} if made.dead_reckoning is None else {"odometry alone": made.dead_reckoning}
+    page.section(f"Robot {local_map.robot}: {Path(local_map.source).name}")
+    page.cards([*_headline(local_map), *scores])
+    seen = None if truth is None else aligned(truth, local_map.track)
+    draw_map(figures / f"{name}_map.png", local_map, seen, robot_colour(k))
+    others = {} if local_map.dead_reckoning is None else {"odometry alone": local_map.dead_reckoning}
     others |= {} if seen is None else {"truth": seen}
-    scene = laser_scene(made.grid, {made.robot: made.track}, {made.robot: robot_colour(k)}, others=others)
+    scene = laser_scene(
+        local_map.grid, {local_map.robot: local_map.track}, {local_map.robot: robot_colour(k)}, others=others
+    )
     page.scene(
         scene,
         "Walls stand out, known free ground is plain, over unknown ground the grid lines go on.",
         figures / f"{name}_map.png",
     )
-    for warning in made.warnings:
+    for warning in local_map.warnings:
         page.text(warning, warn=True)
-    for reason, count in made.dropped.items():
+    for reason, count in local_map.dropped.items():
         page.text(f"Left out: {count:,} x {reason}.")
     light = folder / "local" / name / "intensity.png"
-    draw_intensity(light, made.grid, made.feature, f"robot {made.robot}")
-    if made.feature != "none":
+    draw_intensity(light, local_map.grid, local_map.feature, f"robot {local_map.robot}")
+    if local_map.feature != "none":
         page.figure(light, "How bright every occupied cell is; grid.npz holds the same as numbers.")
-    tracks = {"estimate": made.track}
-    if made.dead_reckoning is not None:
-        tracks["odometry"] = made.dead_reckoning
+    tracks = {"estimate": local_map.track}
+    if local_map.dead_reckoning is not None:
+        tracks["odometry"] = local_map.dead_reckoning
     if seen is not None:
         tracks["truth"] = seen
     draw_tracks(figures / f"{name}_trajectory.png", tracks, robot_colour(k))
     page.figure(figures / f"{name}_trajectory.png", "The estimate against odometry alone, from the same first pose.")
-    draw_scans(figures / f"{name}_scans.png", made)
+    draw_scans(figures / f"{name}_scans.png", local_map)
     page.figure(
         figures / f"{name}_scans.png",
         "Innovation: the matched pose seen from the one odometry predicted. scans.csv holds every number.",
     )
-    counts = Counter(made.scans.decision)
+    counts = Counter(local_map.scans.decision)
     page.table(["decision", "scans", "meaning"], [[d, counts[d], why] for d, why in WHY.items() if counts[d]])
-    if made.calibration is not None and made.feature == "normalised":
-        draw_calibration(figures / f"{name}_calibration.png", made.calibration)
+    if local_map.calibration is not None and local_map.feature == "normalised":
+        draw_calibration(figures / f"{name}_calibration.png", local_map.calibration)
         page.figure(
             figures / f"{name}_calibration.png",
-            f"Estimated from this log itself, from {made.calibration.samples} returns; the residual is what range, "
-            "incidence and place leave unexplained.",
+            f"Estimated from this log itself, from {local_map.calibration.samples} returns; the residual is what "
+            "range, incidence and place leave unexplained.",
         )
 
 
-def _headline(made: LaserMap) -> list[tuple[str, str]]:
-    x0, x1, y0, y1 = made.grid.extent
+def _headline(local_map: LaserMap) -> list[tuple[str, str]]:
+    x0, x1, y0, y1 = local_map.grid.extent
     cards = [
-        ("scans", f"{len(made.scans):,}"),
-        ("driven", f"{_driven(made.track):.0f} m"),
+        ("scans", f"{len(local_map.scans):,}"),
+        ("driven", f"{_driven(local_map.track):.0f} m"),
         ("size", f"{x1 - x0:.0f} x {y1 - y0:.0f} m"),
-        ("method", made.method + (f", {made.particles} particles" if made.method == "particle" else "")),
-        ("returned light", {"none": "not used"}.get(made.feature, made.feature)),
-        ("odometry", ODOMETRY.get(made.odometry, made.odometry)),
+        ("method", local_map.method + (f", {local_map.particles} particles" if local_map.method == "particle" else "")),
+        ("returned light", {"none": "not used"}.get(local_map.feature, local_map.feature)),
+        ("odometry", ODOMETRY.get(local_map.odometry, local_map.odometry)),
     ]
-    if (sd := median_deviation(made.track)) is not None:
+    if (sd := median_deviation(local_map.track)) is not None:
         cards.append(("median sd of a position", f"{sd:.3f} m"))
-    if made.dead_reckoning is not None:
-        off = made.track.pose[-1, :2] - made.dead_reckoning.pose[-1, :2]
+    if local_map.dead_reckoning is not None:
+        off = local_map.track.pose[-1, :2] - local_map.dead_reckoning.pose[-1, :2]
         cards.append(("odometry corrected by", f"{np.hypot(*off):.2f} m at the end"))
     return cards

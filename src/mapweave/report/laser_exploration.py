@@ -42,8 +42,8 @@ def write_laser_exploration(folder: Path, result: LaserExploreResult) -> None:
             page.text(f"{name} was stopped by a wall or another robot {count} times in the first run", warn=True)
     page.section("The first run")
     draw_map(figures / "map.png", first)
-    told = "The merged map as it came to be known, and where the robots drove; each cell as it was in the end."
-    page.scene(laser_exploration_scene(first), told, figures / "map.png")
+    caption = "The merged map as it came to be known, and where the robots drove; each cell as it was in the end."
+    page.scene(laser_exploration_scene(first), caption, figures / "map.png")
     draw_stages(figures / "stages.png", first)
     page.figure(figures / "stages.png", "The map at each quarter of the run, with its frontiers and the robots")
     draw_explored(figures / "explored.png", first)

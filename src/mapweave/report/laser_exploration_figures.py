@@ -28,9 +28,9 @@ def draw_map(path: Target, run: LaserRunRecord) -> None:
         _occupancy(ax, run.map)
         _walls(ax, run, 0.5, "true wall")
         for j, name in enumerate(run.robots):
-            look = "-" if j < len(PALETTE) else "--"
+            line_style = "-" if j < len(PALETTE) else "--"
             way = run.tracks[j].pose[:, :2]
-            ax.plot(*way.T, color=colour(j), lw=0.9, ls=look, label=f"{name}, estimate", zorder=4)
+            ax.plot(*way.T, color=colour(j), lw=0.9, ls=line_style, label=f"{name}, estimate", zorder=4)
             ax.plot(*run.place.starts[j, :2], marker=_marker(j), color=colour(j), mec=TRUTH, mew=0.5, ms=6, zorder=5)
         _frame(ax, run)
         fig.legend(loc="outside lower center", ncols=4)
@@ -139,8 +139,8 @@ def draw_progress(path: Path, run: LaserRunRecord) -> None:
         loops.set_ylim(bottom=0)
         for j, name in enumerate(run.robots):
             alive = np.array([m.scans[j] is not None for m in run.moments])
-            look = "-" if j < len(PALETTE) else "--"
-            error.plot(steps[alive], 100 * off[alive, j], color=colour(j), lw=0.8, ls=look, label=name)
+            line_style = "-" if j < len(PALETTE) else "--"
+            error.plot(steps[alive], 100 * off[alive, j], color=colour(j), lw=0.8, ls=line_style, label=name)
         error.set(xlabel="step", ylabel="error of place [cm]")
         error.set_ylim(bottom=0)
         fig.legend(loc="outside lower center", ncols=8)

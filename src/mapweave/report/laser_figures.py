@@ -23,17 +23,17 @@ PASSED_BY = 0.3  # occupancy up to which a cell's returns were of things that mo
 UNSEEN = 0.86  # the grey of cells no beam reached
 
 
-def draw_map(path: Target, made: LaserMap, truth: Track | None, tint: str = colour(0)) -> None:
+def draw_map(path: Target, local_map: LaserMap, truth: Track | None, tint: str = colour(0)) -> None:
     """Walls black, free space white, unknown grey; the trajectory on top in `tint`, the truth where there is one."""
-    with figure(path, *map_size(made.grid)) as (fig, ax):
-        draw_occupancy(ax, made.grid)
-        ax.plot(*made.track.pose[:, :2].T, color=tint, label="estimate", linewidth=1.0)
+    with figure(path, *map_size(local_map.grid)) as (fig, ax):
+        draw_occupancy(ax, local_map.grid)
+        ax.plot(*local_map.track.pose[:, :2].T, color=tint, label="estimate", linewidth=1.0)
         if truth is not None:
             ax.plot(*truth.pose[:, :2].T, color=TRUTH, label="truth", linewidth=0.8, linestyle="--")
-        _ends(ax, made.track, tint)
-        map_window(ax, made.grid)
+        _ends(ax, local_map.track, tint)
+        map_window(ax, local_map.grid)
         fig.legend(loc="outside lower center", ncols=4)
-        as_map(ax, f"robot {made.robot}: {made.method}, feature {made.feature}")
+        as_map(ax, f"robot {local_map.robot}: {local_map.method}, feature {local_map.feature}")
         ax.set_aspect("equal", adjustable="box")
 
 
@@ -83,9 +83,9 @@ def draw_tracks(path: Path, tracks: Mapping[str, Track], tint: str = colour(0)) 
         as_map(ax, "Where the robot drove")
 
 
-def draw_scans(path: Path, made: LaserMap) -> None:
+def draw_scans(path: Path, local_map: LaserMap) -> None:
     """Along time: innovations, matched share, what was decided, effective number of particles."""
-    scans = made.scans
+    scans = local_map.scans
     t = scans.t - scans.t[0]
     weighed = bool(np.isfinite(scans.n_eff).any())  # there were particles
     rows = 4 if weighed else 3
@@ -112,7 +112,7 @@ def draw_scans(path: Path, made: LaserMap) -> None:
         share.set_ylabel("returns matched [%]")
         share.legend(loc="lower left", ncols=4, **READABLE)
         if weighed:
-            _draw_n_eff(axes[3], t, made)
+            _draw_n_eff(axes[3], t, local_map)
         axes[-1].set_xlabel("time [s]")
 
 
@@ -169,13 +169,13 @@ def aligned(truth: Track, estimate: Track) -> Track:
     return Track(truth.t, se2.compose(T, truth.pose), None, estimate.frame)
 
 
-def _draw_n_eff(ax: Any, t: Float[np.ndarray, " n"], made: LaserMap) -> None:
-    scans = made.scans
+def _draw_n_eff(ax: Any, t: Float[np.ndarray, " n"], local_map: LaserMap) -> None:
+    scans = local_map.scans
     known = np.isfinite(scans.n_eff)
     ax.plot(t[known], scans.n_eff[known], color=colour(0), linewidth=0.8, label="effective particles")
     again = known & scans.resampled
     ax.plot(t[again], scans.n_eff[again], "v", color=colour(5), markersize=3, label=f"resampled ({again.sum()})")
-    ax.set_ylim(0, 1.3 * made.particles)  # room for the legend
+    ax.set_ylim(0, 1.3 * local_map.particles)  # room for the legend
     ax.set_ylabel("effective particles")
     ax.legend(loc="upper left", ncols=2, **READABLE)
 
@@ -248,7 +248,7 @@ def laser_scene(
         rows = [c for c in closures if c.accepted == accepted]
         if rows:
             ends = np.array([c.at.ravel() for c in rows])
-            scene.lines(layer, ends, shade, [_told(c) for c in rows], dashed=not accepted)
+            scene.lines(layer, ends, shade, [_closure_text(c) for c in rows], dashed=not accepted)
     for layer, track in (others or {}).items():
         scene.track(layer, layer, track, LANDMARK)
     for robot, track in tracks.items():
@@ -257,7 +257,7 @@ def laser_scene(
     return scene
 
 
-def _told(c: ClosureRow) -> str:
+def _closure_text(c: ClosureRow) -> str:
     ends = (
         f"{robot_name(robot)} at {stamp:.1f} s" for robot, stamp in ((c.robot_a, c.stamp_a), (c.robot_b, c.stamp_b))
     )

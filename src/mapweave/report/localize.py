@@ -14,43 +14,43 @@ from .scene import Scene
 from .style import Target, as_map, colour, figure
 
 
-def write_localisation_report(folder: Path, found: Localisation, grid: GridMap, lines: Sequence[str]) -> None:
+def write_localisation_report(folder: Path, localisation: Localisation, grid: GridMap, lines: Sequence[str]) -> None:
     """`report.html` and `figures/` in `folder`."""
-    page = Page("Localisation", f"{Path(found.source).name}, followed in a finished map.")
+    page = Page("Localisation", f"{Path(localisation.source).name}, followed in a finished map.")
     page.cards(
         [
-            ("trusted", "yes" if found.trusted else "no"),
-            ("returns explained", f"{100 * found.matched:.0f} %"),
-            ("start", found.start),
-            ("scans", f"{len(found.scans):,}"),
-            ("particles", str(found.particles)),
-            ("returned light", "not used" if found.feature == "none" else found.feature),
+            ("trusted", "yes" if localisation.trusted else "no"),
+            ("returns explained", f"{100 * localisation.matched:.0f} %"),
+            ("start", localisation.start),
+            ("scans", f"{len(localisation.scans):,}"),
+            ("particles", str(localisation.particles)),
+            ("returned light", "not used" if localisation.feature == "none" else localisation.feature),
         ]
     )
     for line in lines:
-        page.text(line, warn=not found.trusted)
+        page.text(line, warn=not localisation.trusted)
     where, scans = folder / "figures" / "where.png", folder / "figures" / "scans.png"
-    draw_where(where, found, grid)
-    t = found.track.t
-    known = t >= (np.inf if found.found_t is None else found.found_t)
+    draw_where(where, localisation, grid)
+    t = localisation.track.t
+    known = t >= (np.inf if localisation.found_t is None else localisation.found_t)
     ways = {"before the start was found": ~known, "robot": known}
     scene = Scene("The finished map and the robot in it")
     walls(scene, grid)
     for shade, (layer, rows) in zip((1, 0), ways.items(), strict=True):
-        cov = None if found.track.cov is None else found.track.cov[rows]
-        way = Track(t[rows], found.track.pose[rows], cov)
+        cov = None if localisation.track.cov is None else localisation.track.cov[rows]
+        way = Track(t[rows], localisation.track.pose[rows], cov)
         scene.track(layer, layer, way, colour(shade), leaves=shade == 1)
     page.scene(scene, "The finished map and the robot in it.", where)
-    _draw_scans(scans, found)
+    _draw_scans(scans, localisation)
     page.figure(scans, "How much of every scan the map explains, and how many hypotheses still count.")
     page.write(folder / "report.html")
 
 
-def draw_where(path: Target, found: Localisation, grid: GridMap) -> None:
+def draw_where(path: Target, localisation: Localisation, grid: GridMap) -> None:
     with figure(path, *map_size(grid)) as (fig, ax):
         draw_occupancy(ax, grid)
-        pose, t = found.track.pose, found.track.t
-        known = t >= (np.inf if found.found_t is None else found.found_t)
+        pose, t = localisation.track.pose, localisation.track.t
+        known = t >= (np.inf if localisation.found_t is None else localisation.found_t)
         ax.plot(pose[:, 0], pose[:, 1], color=colour(1), linewidth=0.6, label="before the start was found")
         if known.any():
             ax.plot(pose[known, 0], pose[known, 1], color=colour(0), linewidth=1.3, label="estimate")
@@ -61,8 +61,8 @@ def draw_where(path: Target, found: Localisation, grid: GridMap) -> None:
         fig.legend(loc="outside lower center", ncols=3)
 
 
-def _draw_scans(path: Path, found: Localisation) -> None:
-    scans = found.scans
+def _draw_scans(path: Path, localisation: Localisation) -> None:
+    scans = localisation.scans
     t = scans.t - scans.t[0]
     with figure(path, 9.0, 4.2, nrows=2, sharex=True) as (_, (share, count)):
         asked = np.array(scans.decision) == "matched"
@@ -75,7 +75,7 @@ def _draw_scans(path: Path, found: Localisation) -> None:
         count.set_yscale("log")
         count.set_ylabel("N_eff")
         count.set_xlabel("time [s]")
-        if found.found_t is not None:
+        if localisation.found_t is not None:
             for ax in (share, count):
-                ax.axvline(found.found_t - scans.t[0], color=colour(5), linestyle="--", label="start found")
+                ax.axvline(localisation.found_t - scans.t[0], color=colour(5), linestyle="--", label="start found")
         count.legend(loc="upper right", **READABLE)

@@ -105,9 +105,9 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
     whole = story.map.components
     tied, of = len(whole[0].map.robots), len(story.robots)
     first = "the map" if len(whole) == 1 else "the first map"
-    told = "all in one map" if tied == of else f"{tied} of {of} in {first}"
+    connected = "all in one map" if tied == of else f"{tied} of {of} in {first}"
     count = "One map" if len(whole) == 1 else f"{len(whole)} maps"
-    page = Page(story.title.replace("One map", count, 1), f"{sentence_case(named(story.robots))}, {told}.")
+    page = Page(story.title.replace("One map", count, 1), f"{sentence_case(named(story.robots))}, {connected}.")
     cards = [
         ("robots in the map", f"{tied} of {of}"),
         ("landmarks", str(len(whole[0].map.landmarks))),
@@ -135,7 +135,7 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
         page.text(f"{sentence_case(sentence)}.")
     page.section("The whole team at once")
     for k, component in enumerate(whole, 1):
-        page.text(_told(component) if len(whole) == 1 else f"Component {k}: {_told(component)}")
+        page.text(_smoothing_text(component) if len(whole) == 1 else f"Component {k}: {_smoothing_text(component)}")
     page.section("Robots")
     began = min((float(track.t[0]) for s in whole for track in s.map.tracks.values() if len(track.t)), default=0.0)
     page.table(
@@ -145,8 +145,8 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
     )
     page.text("Seconds since the first pose of all robots.")
     every = {robot: known for s in whole for robot, known in s.calibration.items() if known}
-    found = {robot: every[robot] for robot in story.robots if robot in every}
-    if found:
+    calibrations = {robot: every[robot] for robot in story.robots if robot in every}
+    if calibrations:
         head = ["robot", *CALIBRATED]
         prior = whole[0].prior
         rows = [
@@ -159,14 +159,14 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
                     for p in PARAMETERS
                 ),
             ]
-            for r, known in found.items()
+            for r, known in calibrations.items()
         ]
-        page.table(head, rows, [colour(story.robots.index(r)) for r in found])
+        page.table(head, rows, [colour(story.robots.index(r)) for r in calibrations])
         page.text("With one standard deviation. An asterisk: the data added little to what was assumed.")
     page.write(folder / "report.html")
 
 
-def _told(s: Smoothed) -> str:
+def _smoothing_text(s: Smoothed) -> str:
     if s.refused:
         return f"laid out, not smoothed: {s.refused}."
     return f"{s.poses:,} poses; {measured(s.used)}. {s.iterations} iterations, {s.status}."

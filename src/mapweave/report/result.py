@@ -50,8 +50,8 @@ class ResultBase(ABC):
 
     def headline(self) -> Rows:
         """Head and rows of the table that tells the most; here the plain figures among the metrics."""
-        told = cast("HasMetrics", self).metrics
-        plain = [(name, value) for name, value in told.items() if isinstance(value, str | Real)]
+        metrics = cast("HasMetrics", self).metrics
+        plain = [(name, value) for name, value in metrics.items() if isinstance(value, str | Real)]
         return ("what", "value"), plain
 
     def summary(self) -> str:
@@ -76,16 +76,16 @@ class ResultBase(ABC):
     def _repr_html_(self) -> str:
         """The head of a page for notebooks: what `summary` says and the table that tells the most, a few KB."""
         lines = self.lines()
-        told = "<br>".join(escape(_cut(line)) for line in lines[:MOST_LINES])
+        text = "<br>".join(escape(_cut(line)) for line in lines[:MOST_LINES])
         if len(lines) > MOST_LINES:
-            told += f"<br>and {len(lines) - MOST_LINES} lines more in <code>summary()</code>"
+            text += f"<br>and {len(lines) - MOST_LINES} lines more in <code>summary()</code>"
         head, rows = self.headline()
         top = "".join(f"<th>{escape(_cut(name))}</th>" for name in head)
         cells = ["".join(f"<td>{escape(_cell(v))}</td>" for v in row) for row in rows[:MOST_ROWS]]
         body = "".join(f"<tr>{row}</tr>" for row in cells)
         more = f"<p>and {len(rows) - MOST_ROWS} rows more</p>" if len(rows) > MOST_ROWS else ""
         return (
-            f"<div><b>{escape(type(self).__name__)}</b><p>{told}</p>"
+            f"<div><b>{escape(type(self).__name__)}</b><p>{text}</p>"
             f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>{more}</div>"
         )
 

@@ -53,14 +53,14 @@ def _in_words(rows: Sequence[Sequence[object]]) -> list[Sequence[object]]:
     return [(WORDS.get(str(name), str(name).replace("_", " ")), *values) for name, *values in rows]
 
 
-def headline_scores(told: Mapping[str, Any]) -> list[tuple[str, str]]:
+def headline_scores(score: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The figures of a score, as `metrics.json` holds it, that belong on top of a page."""
     figures = (
-        ("landmark RMSE", told.get("landmark_rmse"), "{:.3f} m"),
-        ("RMSE", told.get("rmse"), "{:.3g} m"),
-        (nees_name(told.get("dof")), told.get("nees_per_dof"), "{:.2f}"),
-        ("mean ATE", told.get("mean_ate"), "{:.3f} m"),
-        ("mean error of relations", (told.get("relations") or {}).get("trans_mean"), "{:.3f} m"),
+        ("landmark RMSE", score.get("landmark_rmse"), "{:.3f} m"),
+        ("RMSE", score.get("rmse"), "{:.3g} m"),
+        (nees_name(score.get("dof")), score.get("nees_per_dof"), "{:.2f}"),
+        ("mean ATE", score.get("mean_ate"), "{:.3f} m"),
+        ("mean error of relations", (score.get("relations") or {}).get("trans_mean"), "{:.3f} m"),
     )
     return [(name, form.format(value)) for name, value, form in figures if value is not None]
 
@@ -84,11 +84,11 @@ def add_score(
     lines: Sequence[str],
     rows: Sequence[Sequence[object]],
     draw: Callable[[Target], object],
-    told: Mapping[str, Any],
+    score: Mapping[str, Any],
 ) -> None:
     """The page `report` tells the score against `truth` on top and before its files, in place of the one before.
 
-    told: the score as `metrics.json` holds it. The picture stands beside too, as `figures/score.png`. Each file is
+    score: the score as `metrics.json` holds it. The picture stands beside too, as `figures/score.png`. Each file is
     replaced whole.
     """
     page = Page("")
@@ -104,7 +104,7 @@ def add_score(
     page.table(("what", "value"), _in_words(rows))
     text = page.put_into(report.read_text(encoding="utf-8", errors="replace"), "score")
     top = Page("")
-    if figures := headline_scores(told):
+    if figures := headline_scores(score):
         said = ", ".join(f"{name.partition(' (')[0]} {value}" for name, value in figures)
         top.text(f"Against {', '.join(truth)}: {said}.")
     text = top.put_into(text, "score-top", top=True)

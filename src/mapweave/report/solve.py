@@ -36,8 +36,8 @@ def write_solve_report(
         page.text(line, warn=not solved.converged)
     where, squares = folder / "figures" / "graph.png", folder / "figures" / "edges.png"
     draw_graph(where, before, solved)
-    told = "The solved poses and the edges between poses that do not follow each other."
-    page.scene(graph_scene(before, solved, ids), told, where)
+    caption = "The solved poses and the edges between poses that do not follow each other."
+    page.scene(graph_scene(before, solved, ids), caption, where)
     if solved.graph.edges:
         _draw_squares(squares, solved)
         page.figure(squares, "Squared residual of every edge in standard deviations, and what chance alone would give.")
@@ -69,12 +69,12 @@ def graph_scene(before: np.ndarray, solved: SolvedGraph, ids: Sequence[int]) -> 
         shown = every[np.unique(np.linspace(0, len(every) - 1, min(len(every), MOST_EDGES)).astype(int))]
         left = f" ({len(shown):,} of {len(every):,})" if len(shown) < len(every) else ""
         first, second = graph.first[shown], graph.second[shown]
-        told = [
+        labels = [
             f"edge {e}: {ids[i]} to {ids[j]}\nsquared residual {solved.nis[e]:.3g} sd²{reasons.get(e, '')}"
             for e, i, j in zip(shown.tolist(), first.tolist(), second.tolist(), strict=True)
         ]
         ends = np.concatenate([pose[first], pose[second]], axis=1)
-        scene.lines(layer + left, ends, tint, () if layer == "steps" else told, dashed=layer == "dropped")
+        scene.lines(layer + left, ends, tint, () if layer == "steps" else labels, dashed=layer == "dropped")
     held = list(solved.fixed)
     scene.points("held", [str(ids[i]) for i in held], pose[held], colour(1), shape="triangle")
     return scene

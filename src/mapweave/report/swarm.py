@@ -193,15 +193,15 @@ def network_scenes(net: BearingNetwork, estimate: SwarmEstimate, truth: Float[np
 def told_network(net: BearingNetwork, estimate: SwarmEstimate, scale: float) -> str:
     """What the first of `network_scenes` shows; scale: how many times larger the picture beside draws ellipses."""
     if len(net) > SOME:
-        told = "Robots as located, without their ellipses and sightings: there are too many."
+        caption = "Robots as located, without their ellipses and sightings: there are too many."
     else:
         larger = f" figures/network.png draws them {scale:g} times larger." if scale != 1.0 else ""
-        told = f"Robots as located, with 95 % ellipses.{larger}"
+        caption = f"Robots as located, with 95 % ellipses.{larger}"
     if estimate.anchor.any():
-        told += " Triangles are anchors."
+        caption += " Triangles are anchors."
     if not estimate.localisable.all():
-        told += " Orange crosses are robots that cannot be located, drawn at a rough guess."
-    return told
+        caption += " Orange crosses are robots that cannot be located, drawn at a rough guess."
+    return caption
 
 
 def _network(net: BearingNetwork, estimate: SwarmEstimate, truth: Float[np.ndarray, "n d"] | None, plane: str) -> Scene:

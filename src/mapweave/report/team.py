@@ -73,19 +73,19 @@ def _map(page: Page, png: Path, story: TeamStory, team: TeamMap) -> None:
             name = f"robot {robot_key(robot)}"
             scene.track("robots" if many else name, name, team.tracks[robot], style.colour(story.colour_of(robot)))
     landmark_points(scene, team, team_figures.shape(team.landmarks))
-    told = (
+    legend = (
         "Landmarks with the 95 % ellipses of the map's shape, and where the robots drove: a ring where each began, an "
         "arrow with its 95 % ellipse where it was at the time shown."
     )
-    page.scene(scene, told if not scene.empty else caption, png)
+    page.scene(scene, legend if not scene.empty else caption, png)
 
 
 def _lead(story: TeamStory) -> str:
     tied, of = len(story.maps[0].robots), len(story.robots)
-    told = f"{sentence_case(named(story.robots)) if of <= MOST_NAMED else f'{of} robots'}, "
+    who = f"{sentence_case(named(story.robots)) if of <= MOST_NAMED else f'{of} robots'}, "
     if len(story.maps) == 1:
-        return f"{told}{'all' if tied == of else f'{tied} of {of}'} in one map."
-    return f"{told}in {len(story.maps)} maps that nothing ties together; {tied} of {of} in the first."
+        return f"{who}{'all' if tied == of else f'{tied} of {of}'} in one map."
+    return f"{who}in {len(story.maps)} maps that nothing ties together; {tied} of {of} in the first."
 
 
 def _left_out(story: TeamStory) -> list[str]:
@@ -99,13 +99,13 @@ def _left_out(story: TeamStory) -> list[str]:
     out = []
     for why, robots in reasons.items():
         first = "the map" if len(story.maps) == 1 else "the first map"
-        told = f"Not in {first}: {named(robots)}. Why: {why.removesuffix(APART)}."
+        sentence = f"Not in {first}: {named(robots)}. Why: {why.removesuffix(APART)}."
         parts = sorted({where[r] for r in robots if r in where})
         if parts:
-            told += f" Below: component{'s' * (len(parts) > 1)} {told_list([str(k) for k in parts])}."
+            sentence += f" Below: component{'s' * (len(parts) > 1)} {told_list([str(k) for k in parts])}."
         if why.endswith(APART):
-            told += " Where a robot is known to have started, the option --start ties it in."
-        out.append(told)
+            sentence += " Where a robot is known to have started, the option --start ties it in."
+        out.append(sentence)
     return out
 
 
@@ -188,11 +188,14 @@ def _smoothing(page: Page, story: TeamStory) -> None:
             rows.append([name, score.landmarks.rmse, ate, score.landmarks.nees_per_dof])
         page.table(["map", "landmark RMSE [m]", "mean ATE [m]", "NEES / dof"], rows)
     every = {robot: known for s in story.smoothed for robot, known in s.calibration.items()}
-    found = {robot: every[robot] for robot in story.robots if robot in every}
-    if found:
+    calibrations = {robot: every[robot] for robot in story.robots if robot in every}
+    if calibrations:
         head = ["robot", *CALIBRATED]
-        rows = [[robot_key(robot), *(_told(known, p, story) for p in PARAMETERS)] for robot, known in found.items()]
-        page.table(head, rows, [_tint(story, robot) for robot in found])
+        rows = [
+            [robot_key(robot), *(_calibration_text(known, p, story) for p in PARAMETERS)]
+            for robot, known in calibrations.items()
+        ]
+        page.table(head, rows, [_tint(story, robot) for robot in calibrations])
         page.text("With one standard deviation. An asterisk: the data added little to what was assumed.")
 
 
@@ -209,7 +212,7 @@ def _online(page: Page, run: OnlineRun) -> None:
     names = (("a step", "step"), ("lag: oldest row to map", "lag"))
     page.table(
         ["", "mean [s]", "99 % [s]", "longest [s]"],
-        [[told, *(timing[f"{key}_{which}"] for which in ("mean", "p99", "max"))] for told, key in names],
+        [[label, *(timing[f"{key}_{which}"] for which in ("mean", "p99", "max"))] for label, key in names],
     )
     if run.landmarks_moved is not None:
         ways = "" if run.ways_moved is None else f", trajectories by {run.ways_moved:.4f} m"
@@ -219,7 +222,7 @@ def _online(page: Page, run: OnlineRun) -> None:
         )
 
 
-def _told(known: Mapping[str, tuple[float, float]], name: str, story: TeamStory) -> str:
+def _calibration_text(known: Mapping[str, tuple[float, float]], name: str, story: TeamStory) -> str:
     if name not in known:
         return ""
     value, sd = known[name]

@@ -175,10 +175,10 @@ def uncertainty(path: Path, story: TeamStory) -> str:
             if m.robot in team.robots:
                 own = {name: sd for name, sd in deviations(shape(m.submap.landmarks)).items() if name in at}
                 k = story.colour_of(m.robot)
-                look: Any = {"color": style.colour(k), "mfc": "none", "ms": 5, "label": f"robot {robot_key(m.robot)}"}
+                marks: Any = {"color": style.colour(k), "mfc": "none", "ms": 5, "label": f"robot {robot_key(m.robot)}"}
                 if many:
-                    look = {"color": style.MUTED, "ms": 2.5, "mew": 0, "label": None if ax.lines else "a robot alone"}
-                ax.plot([at[n] for n in own], list(own.values()), "o" if many else style.marker(k), ls="none", **look)
+                    marks = {"color": style.MUTED, "ms": 2.5, "mew": 0, "label": None if ax.lines else "a robot alone"}
+                ax.plot([at[n] for n in own], list(own.values()), "o" if many else style.marker(k), ls="none", **marks)
         ax.plot(range(len(names)), [fused[n] for n in names], "_", color=style.INK, ms=11, mew=2.2, label="fused")
         ax.set_yscale("log")
         ax.set_ylabel("standard deviation of position [m]")

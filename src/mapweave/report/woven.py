@@ -35,42 +35,42 @@ def robot_colour(k: int) -> str:
 
 
 def draw_component(
-    path: Target, made: WovenMap, truths: Mapping[str, Track], places: Mapping[str, int] | None = None
+    path: Target, woven: WovenMap, truths: Mapping[str, Track], places: Mapping[str, int] | None = None
 ) -> None:
     """The map with every robot's trajectory in a colour of its own, and the truth where there is one.
 
     places: robot -> its place among all robots, which gives it its colour; without them its place in this map.
     """
-    with figure(path, *map_size(made.grid)) as (fig, ax):
-        draw_occupancy(ax, made.grid)
-        for i, (robot, track) in enumerate(made.tracks.items()):
+    with figure(path, *map_size(woven.grid)) as (fig, ax):
+        draw_occupancy(ax, woven.grid)
+        for i, (robot, track) in enumerate(woven.tracks.items()):
             k = i if places is None else places[robot]
             style = STYLES[k // len(ROBOTS) % len(STYLES)]
             ax.plot(*track.pose[:, :2].T, style, color=robot_colour(k), label=robot_name(robot), linewidth=1.2)
             ax.plot(*track.pose[0, :2], "o", color=robot_colour(k), markeredgecolor="white", markersize=6)
             ax.plot(*track.pose[-1, :2], "s", color=robot_colour(k), markeredgecolor="white", markersize=6)
-        for k, track in enumerate(truths_in(made, truths)):
+        for k, track in enumerate(truths_in(woven, truths)):
             name = "truth" if k == 0 else None
             ax.plot(*track.pose[:, :2].T, color=TRUTH, label=name, linewidth=0.8, linestyle="--")
-        map_window(ax, made.grid)
+        map_window(ax, woven.grid)
         fig.legend(loc="outside lower center", ncols=6)
         as_map(ax, "One map; a dot where a robot begins, a square where it ends")
         ax.set_aspect("equal", adjustable="box")
 
 
-def draw_closures(path: Target, made: WovenMap) -> None:
+def draw_closures(path: Target, woven: WovenMap) -> None:
     """Where closures were tried: those believed, within a robot and between two, and those refused."""
-    both = {*made.robots}
-    rows = [c for c in made.closures if c.robot_a in both and c.robot_b in both]
+    both = {*woven.robots}
+    rows = [c for c in woven.closures if c.robot_a in both and c.robot_b in both]
     kinds = (
         (f"within a robot ({_count(rows, tie=False)})", LOOP, "-", [c for c in rows if c.accepted and not _ties(c)]),
         (f"between robots ({_count(rows, tie=True)})", TIE, "-", [c for c in rows if c.accepted and _ties(c)]),
         (f"refused ({sum(not c.accepted for c in rows)})", REFUSED, ":", [c for c in rows if not c.accepted]),
     )
-    with figure(path, *map_size(made.grid)) as (fig, ax):
-        draw_faint(ax, made.grid)
-        for robot in made.robots:
-            ax.plot(*made.tracks[robot].pose[:, :2].T, color=MUTED, linewidth=0.8)
+    with figure(path, *map_size(woven.grid)) as (fig, ax):
+        draw_faint(ax, woven.grid)
+        for robot in woven.robots:
+            ax.plot(*woven.tracks[robot].pose[:, :2].T, color=MUTED, linewidth=0.8)
         for name, k, style, held in reversed(kinds):
             if not held:
                 continue
@@ -78,7 +78,7 @@ def draw_closures(path: Target, made: WovenMap) -> None:
             ax.add_collection(LineCollection(ends, colors=colour(k), linewidths=1.4, linestyles=style, label=name))
             mark = "x" if k == REFUSED else "."
             ax.plot(*np.concatenate(ends).T, mark, color=colour(k), markersize=4, markeredgewidth=0.8)
-        map_window(ax, made.grid)
+        map_window(ax, woven.grid)
         if rows:
             fig.legend(loc="outside lower center", ncols=4)
         as_map(ax, "Closures tried")
@@ -117,9 +117,9 @@ def draw_pair(
         fig.legend(handles, labels, loc="outside lower center", ncols=2, markerscale=6)
 
 
-def truths_in(made: WovenMap, truths: Mapping[str, Track]) -> list[Track]:
+def truths_in(woven: WovenMap, truths: Mapping[str, Track]) -> list[Track]:
     """The true trajectories of the robots of a component, by the one rigid motion that fits them all best."""
-    known = [(truths[r], made.tracks[r]) for r in made.robots if r in truths]
+    known = [(truths[r], woven.tracks[r]) for r in woven.robots if r in truths]
     pairs = []
     for truth, track in known:
         inside = (truth.t >= track.t[0]) & (truth.t <= track.t[-1])
@@ -159,10 +159,10 @@ def told_merge(merge: Merge) -> str:
     return f"{robot_name(merge.a)} and {robot_name(merge.b)}: {words}"
 
 
-def told_component(made: WovenMap) -> str:
+def told_component(woven: WovenMap) -> str:
     """Which robots are connected, for people."""
-    x0, x1, y0, y1 = made.grid.extent
-    names = [robot_name(r) for r in made.robots]
+    x0, x1, y0, y1 = woven.grid.extent
+    names = [robot_name(r) for r in woven.robots]
     who = f"{', '.join(names[:-1])} and {names[-1]} in one map" if len(names) > 1 else f"{names[0]} alone"
     return f"{who}: {x1 - x0:.0f} x {y1 - y0:.0f} m, in the frame of {names[0]}'s first pose"
 
@@ -170,12 +170,12 @@ def told_component(made: WovenMap) -> str:
 def not_in_first(components: Sequence[WovenMap], merges: Sequence[Merge]) -> list[str]:
     """Which robots the first map lacks and why none of its robots could be merged with them, a sentence a map."""
     inside, out = set(components[0].robots), []
-    for made in components[1:]:
-        there = {*made.robots}
+    for woven in components[1:]:
+        there = {*woven.robots}
         tried = [m for m in merges if (m.a in inside and m.b in there) or (m.b in inside and m.a in there)]
         why = "; ".join(f"{robot_name(m.a)} and {robot_name(m.b)}: {m.reason}" for m in tried[:MOST_REASONS])
         more = f"; {len(tried) - MOST_REASONS} more in the table of pairs" if len(tried) > MOST_REASONS else ""
-        names = told_list([robot_name(r) for r in made.robots])
+        names = told_list([robot_name(r) for r in woven.robots])
         why = f"{why}{more}" if tried else "no pair of robots could be tried"
         out.append(f"Not in the first map: {names}. Why: {why}.")
     return out
@@ -189,9 +189,9 @@ def write_maps(
     places: Mapping[str, int],
 ) -> None:
     """The maps of several robots on `page`, their figures in `folder/figures`, and intensity.png of each."""
-    for k, made in enumerate(components, 1):
-        if len(made.robots) > 1:
-            _component(page, folder, made, k, truth, places)
+    for k, woven in enumerate(components, 1):
+        if len(woven.robots) > 1:
+            _component(page, folder, woven, k, truth, places)
 
 
 def write_pairs(
@@ -204,11 +204,11 @@ def write_pairs(
 ) -> None:
     """On `page` which robots hang together, and of every pair why it was merged or not."""
     page.section("Which robots are in one map")
-    for made in components:
-        page.text(f"{told_component(made)}.")
+    for woven in components:
+        page.text(f"{told_component(woven)}.")
     if merges:
         _pairs(page, merges)
-    graphs = {made.robot: made.graph for made in maps if made.graph is not None}
+    graphs = {local_map.robot: local_map.graph for local_map in maps if local_map.graph is not None}
     shown = [m for m in merges if m.best is not None and m.a in graphs and m.b in graphs]
     if shown:
         page.section("Pairs of maps on top of each other")
@@ -238,35 +238,35 @@ def _pairs(page: Page, merges: Sequence[Merge]) -> None:
 
 
 def _component(
-    page: Page, folder: Path, made: WovenMap, k: int, truth: Mapping[str, Track], places: Mapping[str, int]
+    page: Page, folder: Path, woven: WovenMap, k: int, truth: Mapping[str, Track], places: Mapping[str, int]
 ) -> None:
-    names = told_list([robot_name(r) for r in made.robots])
+    names = told_list([robot_name(r) for r in woven.robots])
     page.section(f"The map of {names}")
-    accepted = sum(c.accepted for c in made.closures)
-    driven = [f"{robot_name(r)} {_way(made.tracks[r]):.0f} m" for r in made.robots]
+    accepted = sum(c.accepted for c in woven.closures)
+    driven = [f"{robot_name(r)} {_way(woven.tracks[r]):.0f} m" for r in woven.robots]
     figures = folder / "figures"
-    draw_component(figures / f"component{k}_map.png", made, truth, places)
-    colours = {robot: robot_colour(places[robot]) for robot in made.robots}
-    seen = [robot for robot in made.robots if robot in truth]
-    others = {f"truth of {robot_name(r)}": t for r, t in zip(seen, truths_in(made, truth), strict=False)}
-    scene = laser_scene(made.grid, made.tracks, colours, made.closures, others)
+    draw_component(figures / f"component{k}_map.png", woven, truth, places)
+    colours = {robot: robot_colour(places[robot]) for robot in woven.robots}
+    seen = [robot for robot in woven.robots if robot in truth]
+    others = {f"truth of {robot_name(r)}": t for r, t in zip(seen, truths_in(woven, truth), strict=False)}
+    scene = laser_scene(woven.grid, woven.tracks, colours, woven.closures, others)
     page.scene(
         scene,
         "Walls stand out, known free ground is plain, over unknown ground the grid lines go on.",
         figures / f"component{k}_map.png",
     )
     page.text(
-        f"Driven: {', '.join(driven)}. {len(made.graph):,} keyframes; of {len(made.closures):,} loop closures tried "
-        f"{accepted:,} are believed. The frame is the first pose of {robot_name(made.robots[0])}."
+        f"Driven: {', '.join(driven)}. {len(woven.graph):,} keyframes; of {len(woven.closures):,} loop closures tried "
+        f"{accepted:,} are believed. The frame is the first pose of {robot_name(woven.robots[0])}."
     )
-    draw_closures(figures / f"component{k}_closures.png", made)
+    draw_closures(figures / f"component{k}_closures.png", woven)
     page.figure(
         figures / f"component{k}_closures.png",
         "From keyframe to keyframe; closures.csv says why each was accepted or refused.",
     )
-    if made.feature != "none":
+    if woven.feature != "none":
         light = (folder if k == 1 else folder / "components" / str(k)) / "intensity.png"
-        draw_intensity(light, made.grid, made.feature, names)
+        draw_intensity(light, woven.grid, woven.feature, names)
         page.figure(light, "How bright every occupied cell is; grid.npz holds the same as numbers.")
 
 
