@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
-from numba.core.types import unliteral
+from numba.core.types.misc import unliteral
 
 from ._cache import KernelCache
 
