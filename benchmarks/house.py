@@ -225,7 +225,8 @@ def walk(name: str, once: Callable[[], object], twice: Callable[[], object]) -> 
     few, many = entered(once), entered(twice)
     handle = {f for f, e in few.items() if e.carries or (f in many and many[f].calls > GROWN * e.calls)}
     lines = sum(len((SOURCE / f).read_text(encoding="utf-8").splitlines()) for f in few)
-    told = f"{len(few)} files, {lines:,} lines in all; {len(handle)} handle the event, {len(few) - len(handle)} do not"
+    lines, rest = round(lines, -2), len(few) - len(handle)
+    told = f"{len(few)} files, about {lines:,} lines in all; {len(handle)} handle the event, {rest} do not"
     rows = [
         f"**What {name} enters**: {told}.\n",
         "| folder | handle the event | set the stage |",
@@ -234,8 +235,8 @@ def walk(name: str, once: Callable[[], object], twice: Callable[[], object]) -> 
     for stage, files in stages(list(few), handle).items():
         short = {f: f"`{f.rsplit('/', maxsplit=1)[1]}`" for f in files}
         way = " → ".join(short[f] for f in files if f in handle)
-        rest = ", ".join(short[f] for f in files if f not in handle)
-        rows.append(f"| {stage} | {way} | {rest} |")
+        others = ", ".join(short[f] for f in files if f not in handle)
+        rows.append(f"| {stage} | {way} | {others} |")
     return "\n".join(rows)
 
 
