@@ -46,8 +46,8 @@ def configuration_class(job: str, *, laser: bool = False) -> type:
     where = JOBS.get((job, laser or job == "localize"))
     if where is None:
         known = ", ".join(f"{verb} --laser" if of_laser else verb for verb, of_laser in JOBS if verb != "localize")
-        found = f"{job} --laser" if laser else job
-        raise UsageError(f"expected one of {known}, localize, found {found!r}")
+        asked = f"{job} --laser" if laser else job
+        raise UsageError(f"expected one of {known}, localize, found {asked!r}")
     module, _, name = where.partition(":")
     found_class: type = getattr(import_module(module), name)
     return found_class

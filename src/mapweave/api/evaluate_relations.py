@@ -44,9 +44,9 @@ class RelationEvaluation(EvaluationBase):
     def draw(self, target: "Target") -> None:
         from ..report.score import draw_bars  # noqa: PLC0415  (figures cost half a second)
 
-        told = {"all": self.relations, "of exact stamps": self.relations_exact}
-        shift = {name: s.trans_mean for name, s in told.items() if s.trans_mean is not None}
-        turn = {name: s.rot_mean_deg for name, s in told.items() if s.rot_mean_deg is not None}
+        scores = {"all": self.relations, "of exact stamps": self.relations_exact}
+        shift = {name: s.trans_mean for name, s in scores.items() if s.trans_mean is not None}
+        turn = {name: s.rot_mean_deg for name, s in scores.items() if s.rot_mean_deg is not None}
         draw_bars(target, {"translation error, mean [m]": shift, "rotation error, mean [deg]": turn})
 
     def as_json(self) -> dict[str, Any]:
@@ -79,9 +79,9 @@ def evaluate(directory: Path, truth: Sequence[Path]) -> RelationEvaluation:
     tracks: dict[str, Track] = {}
     scans: dict[str, Scans] = {}
     for home in homes:
-        found = _component(directory, home / "trajectories")
-        tracks |= {name: track for name, (track, _) in found.items()}
-        scans |= {name: seen for name, (_, seen) in found.items()}
+        component = _component(directory, home / "trajectories")
+        tracks |= {name: track for name, (track, _) in component.items()}
+        scans |= {name: seen for name, (_, seen) in component.items()}
     if not tracks:
         raise ReaderError(directory / "trajectories", "expected trajectories, found none")
     return evaluate_tracks(tracks, scans, relations)
@@ -103,8 +103,12 @@ def _component(directory: Path, folder: Path) -> dict[str, tuple[Track, Scans]]:
 
 def _one_map(directory: Path, names: Sequence[str]) -> bool:
     """Whether the result says that these robots are connected: their trajectories are in one frame."""
-    told = read_metrics(directory).get("components")
-    groups = [set(map(str, group)) for group in told if isinstance(group, list)] if isinstance(told, list) else []
+    components = read_metrics(directory).get("components")
+    groups = (
+        [set(map(str, group)) for group in components if isinstance(group, list)]
+        if isinstance(components, list)
+        else []
+    )
     return {robot_key(name) for name in names} in groups
 
 
@@ -115,11 +119,11 @@ def evaluate_tracks(
 ) -> RelationEvaluation:
     """As `evaluate`, on trajectories in memory; `scans`: stamps [s] and hosts of every robot's scans."""
 
-    def found(robot: str) -> int:
+    def covered(robot: str) -> int:
         t = tracks[robot].t
         return int((nearest(t, relations.t1)[1] & nearest(t, relations.t2)[1]).sum())
 
-    robot = max(sorted(tracks, key=in_order), key=found)
+    robot = max(sorted(tracks, key=in_order), key=covered)
     exact = relations.select(exact_pairs(relations, *scans[robot]))
     track = tracks[robot]
     return RelationEvaluation(robot, score_relations(track, relations), score_relations(track, exact))

@@ -64,28 +64,28 @@ def evaluate(directory: Path, truth: Sequence[Path]) -> SwarmEvaluation:
     """
     metrics = _metrics(directory / "metrics.json")
     true = read_truth(truth[0])
-    found = read_positions(directory / "positions.csv")
-    if not set(true.ids) & set(found.ids):
+    positions = read_positions(directory / "positions.csv")
+    if not set(true.ids) & set(positions.ids):
         raise DataError(f"{truth[0]}: the truth names none of the robots of {directory}")
     anchors, gauge = frozenset(map(str, metrics.get("anchors") or ())), str(metrics.get("gauge") or "")
     if metrics.get("moving"):
-        score = _moving(directory, found, anchors, gauge, true)
+        score = _moving(directory, positions, anchors, gauge, true)
     else:
-        pairs, information = read_network(directory / "network.npz", len(found.ids))
-        anchor = np.array([name in anchors for name in found.ids], dtype=bool)
-        cov = found.cov if np.isfinite(found.cov[found.localisable]).all() else None
-        told = metrics.get("sigma_deg")
-        sigma = float(np.radians(told)) if isinstance(told, float | int) else None
+        pairs, information = read_network(directory / "network.npz", len(positions.ids))
+        anchor = np.array([name in anchors for name in positions.ids], dtype=bool)
+        cov = positions.cov if np.isfinite(positions.cov[positions.localisable]).all() else None
+        degrees = metrics.get("sigma_deg")
+        sigma = float(np.radians(degrees)) if isinstance(degrees, float | int) else None
         standing = StandingSwarm(
-            found.ids, found.position, cov, found.localisable, anchor, gauge, pairs, information, sigma
+            positions.ids, positions.position, cov, positions.localisable, anchor, gauge, pairs, information, sigma
         )
         score = score_standing(standing, true).score
-    return SwarmEvaluation(score, int((~found.localisable).sum()))
+    return SwarmEvaluation(score, int((~positions.localisable).sum()))
 
 
-def _moving(directory: Path, found: Positions, anchors: frozenset[str], gauge: str, true: SwarmTruth) -> SwarmScore:
-    lost = {name for name, ok in zip(found.ids, found.localisable.tolist(), strict=True) if not ok}
-    paths = {name: directory / "trajectories" / file for name, file in track_files(found.ids).items()}
+def _moving(directory: Path, positions: Positions, anchors: frozenset[str], gauge: str, true: SwarmTruth) -> SwarmScore:
+    lost = {name for name, ok in zip(positions.ids, positions.localisable.tolist(), strict=True) if not ok}
+    paths = {name: directory / "trajectories" / file for name, file in track_files(positions.ids).items()}
     tracks = {name: read_track(path) for name, path in paths.items() if name not in lost or path.is_file()}
     return score_moving(tracks, anchors | lost, gauge, true)[0]
 

@@ -112,7 +112,7 @@ def unscored(score: TeamScore) -> str:
 
 def team_lines(score: TeamScore) -> list[str]:
     """The score for people: metres, degrees where angles are meant."""
-    told = as_json(score)
+    metrics = as_json(score)
     out = []
     if score.landmarks.rmse is not None:
         nees = _figure(score.landmarks.nees_per_dof, "{:.2f}")
@@ -122,7 +122,8 @@ def team_lines(score: TeamScore) -> list[str]:
         )
         out.append(
             f"  mean single map {_figure(score.mean_single_rmse)} m, naive average {_figure(score.naive_rmse)} m "
-            f"(ratios {_figure(told['ratio_to_mean_single'], '{:.2f}')}, {_figure(told['ratio_to_naive'], '{:.2f}')})"
+            f"(ratios {_figure(metrics['ratio_to_mean_single'], '{:.2f}')}, "
+            f"{_figure(metrics['ratio_to_naive'], '{:.2f}')})"
         )
     if score.landmarks.unsurveyed:
         out.append(f"  {score.landmarks.unsurveyed} landmarks have no survey and are left out")

@@ -107,9 +107,9 @@ def _check_sizes(cfg: LaserMissionConfig, where: str) -> None:
         ("robots.scanner.far", cfg.robots.scanner.far, FARTHEST_BEAM),
         ("robots.scanner.beams", cfg.robots.scanner.beams, MOST_BEAMS),
     )
-    told = [f"{key}: expected at most {most:g}, found {value:g}" for key, value, most in limits if value > most]
-    if told:
-        raise ConfigError(f"{where}: {'; '.join(told)}")
+    out_of_range = [f"{key}: expected at most {most:g}, found {value:g}" for key, value, most in limits if value > most]
+    if out_of_range:
+        raise ConfigError(f"{where}: {'; '.join(out_of_range)}")
 
 
 def _factor(noise: str | float) -> float:

@@ -77,24 +77,24 @@ class ExploreOptions:
         result: Callable[[tuple[Score, ...], Record], Result],
         *,
         ours: bool,
-        **told: Callable[[int, float], None],
+        **callbacks: Callable[[int, float], None],
     ) -> Result:
         """The result of all runs, numbered from 0, written to `out` if given; a folder that is refused stops it first.
 
         once: seed -> score and record of the first run; many: (how many, the seed of the first, where to run them) ->
         scores; result: (scores, the first run's record) -> what `explore` gives; ours: no module and no file beside
         decides what happens, so that finished runs can be kept;
-        told: who hears of the first run, by the names that `once` knows.
+        callbacks: who hears of the first run, by the names that `once` knows.
         """
         if self.out is not None:
             check_target(Path(self.out), force=self.force)
         self.on_progress("exploring", 0, self.runs)
         with kept_parts() if ours else nullcontext():
-            score, first = part(once, self.seed, **told)
-            found = result(self._scored(score, many), first)
+            score, first = part(once, self.seed, **callbacks)
+            exploration = result(self._scored(score, many), first)
             if self.out is not None:
-                found.write(self.out, force=self.force)
-        return found
+                exploration.write(self.out, force=self.force)
+        return exploration
 
     def _scored(self, first: Score, many: Callable[[int, int, Executor | None], list[Score]]) -> tuple[Score, ...]:
         scores = [first]

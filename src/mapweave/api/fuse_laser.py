@@ -38,11 +38,13 @@ def fuse_laser(
     maps: list[LaserMap] = []
     for k, (folder, name) in enumerate(zip(folders, names, strict=True)):
         on_progress("reading", k, len(folders))
-        maps += [_renamed(made, f"{name}/{robot_name(made.robot)}") for made in read_laser_states(folder).maps]
+        maps += [
+            _renamed(local_map, f"{name}/{robot_name(local_map.robot)}") for local_map in read_laser_states(folder).maps
+        ]
     warnings = []
     while (twice := same_logs(maps)) is not None:
         first, again = twice
-        maps = [made for made in maps if made is not again]
+        maps = [local_map for local_map in maps if local_map is not again]
         warnings.append(f"{again.robot} is the same log as {first.robot}: it counts once")
     if config is None:
         cfg = replace(cfg, resolution=maps[0].grid.resolution)
@@ -56,6 +58,6 @@ def fuse_laser(
     )
 
 
-def _renamed(made: LaserMap, robot: str) -> LaserMap:
-    graph = None if made.graph is None else replace(made.graph, robot=robot)
-    return replace(made, robot=robot, graph=graph)
+def _renamed(local_map: LaserMap, robot: str) -> LaserMap:
+    graph = None if local_map.graph is None else replace(local_map.graph, robot=robot)
+    return replace(local_map, robot=robot, graph=graph)

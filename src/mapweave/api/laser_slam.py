@@ -164,10 +164,10 @@ class LaserSlam:
         log = self._stream.log()
         feature = self._session.feature if self._calibrated else choose_feature(log, self.cfg)
         if feature.name == self._session.feature.name:
-            made = map_session(self._session, log, feature, {"estimate": self._spent}, on_progress)
+            local_map = map_session(self._session, log, feature, {"estimate": self._spent}, on_progress)
         else:
-            made = map_laser(log, self.cfg, self.seed, on_progress)
-        return result_of([made], self.cfg, seed=self.seed)
+            local_map = map_laser(log, self.cfg, self.seed, on_progress)
+        return result_of([local_map], self.cfg, seed=self.seed)
 
     def save(self, folder: Path | str, *, force: bool = False) -> LaserResult:
         """`result`, written to a folder as `map` writes it: `localize`, `fuse`, `evaluate` and `view` read it.

@@ -120,8 +120,8 @@ def _passed_on(mapping: subprocess.Popen[bytes], say: Say) -> tuple[str, Thread]
     assert mapping.stdout is not None  # noqa: S101  (a pipe)
     lines = (line.decode(errors="replace").rstrip("\n") for line in mapping.stdout)
     for line in lines:
-        _, told, at = line.partition(LISTENING)
-        if told:
+        _, listening, at = line.partition(LISTENING)
+        if listening:
             hearing = Thread(target=_say_on, args=(lines, say), name="said", daemon=True)
             hearing.start()
             return at, hearing

@@ -96,31 +96,31 @@ def drive_ros2(
             view.show(driving)
 
         try:
-            told = process.follow(feed, begin, Pace(linger=linger), stop, shown)
+            sent = process.follow(feed, begin, Pace(linger=linger), stop, shown)
         except RefusedError as error:
             raise UsageError(str(error).partition(": ")[2]) from None
         if refused := feed.summary():
             say(f"{name}: refused {refused}")
-        return told, process.heard_by
+        return sent, process.heard_by
 
 
 def _graph_network(options: RosOptions, network: Network) -> Network:
     """The session with the graph: a client of its router, or the router itself where nothing else listens."""
     extra = network.extra | {"timestamping/enabled": True}
     if options.graph is not None:
-        made = Network((options.graph,), (), None, network.team, network.lease, extra=extra)
+        joined = Network((options.graph,), (), None, network.team, network.lease, extra=extra)
     elif network.listen:
         return replace(network, extra=extra | {"scouting/gossip/enabled": True})
     else:
-        made = replace(network, connect=network.connect or (ROUTER,), extra=extra)
+        joined = replace(network, connect=network.connect or (ROUTER,), extra=extra)
     waiting = {"mode": "client", "connect/timeout_ms": AGAIN, "connect/exit_on_failure": True}
-    return replace(made, extra=made.extra | waiting)
+    return replace(joined, extra=joined.extra | waiting)
 
 
 @contextmanager
 def _reached(network: Network, stop: Event, say: Say) -> Iterator[zenoh.Session | None]:
     """The session, as soon as there is a router; None when `stop` is set before."""
-    told = False
+    announced = False
     while not stop.is_set():
         with ExitStack() as opening:
             try:
@@ -128,8 +128,8 @@ def _reached(network: Network, stop: Event, say: Say) -> Iterator[zenoh.Session 
             except UsageError as error:
                 if network.listen:
                     raise
-                if not told:
-                    told = True
+                if not announced:
+                    announced = True
                     say(f"waits for {', '.join(network.connect)}: {error}")
                 stop.wait(AGAIN / 1000)
                 continue

@@ -113,8 +113,10 @@ def _map_read(
         read = [unmirrored(log) if log.robot in mirrored else log for log in read]
         again = iter(_local_maps([log for log in read if log.robot in mirrored], cfg, times, options))
         grown = [next(again) if log.robot in mirrored else g for log, g in zip(read, grown, strict=True)]
-    made, placing, local = _Made(cfg), cfg.placing, [g.whole for g in grown]
-    cut = cut_kidnapped(read, local, made.join(local), cfg.smoothing, placing, cfg.kidnap, made.mapper, made.join)
+    builders, placing, local = _Builders(cfg), cfg.placing, [g.whole for g in grown]
+    cut = cut_kidnapped(
+        read, local, builders.join(local), cfg.smoothing, placing, cfg.kidnap, builders.mapper, builders.join
+    )
     watch.lap("estimate")
     local, fusion = list(cut.local), cut.fusion
     online: tuple[OnlineMap, ...] = ()
@@ -128,12 +130,12 @@ def _map_read(
         fusion, online = fuse_online(cut.main, [g.at(fused) for g in grown], cfg.fuse, fused, options.on_progress)
     starts = {robot_name(key): pose for key, pose in options.start.items()}
     fusion = tie_by_starts(fusion, starts, cfg.fuse.start_tolerance)
-    maps, stretches, told = with_stretches(team_maps(local, fusion), cut, cfg.smoothing, placing)
+    maps, stretches, stretch_warnings = with_stretches(team_maps(local, fusion), cut, cfg.smoothing, placing)
     rooms: tuple[str, ...] = ()
     if any(log.odometry is None for log in cut.main):
-        first, rooms = with_further_rooms(maps[0], local, cut.main, placing, made.mapper, made.join, team_maps)
+        first, rooms = with_further_rooms(maps[0], local, cut.main, placing, builders.mapper, builders.join, team_maps)
         maps = (first, *maps[1:])
-    fusion = replace(fusion, warnings=(*fusion.warnings, *told, *rooms, *_wrong_clocks(read)))
+    fusion = replace(fusion, warnings=(*fusion.warnings, *stretch_warnings, *rooms, *_wrong_clocks(read)))
     watch.lap("fuse")
     run = None
     known = known_calibration(read, options)
@@ -187,7 +189,7 @@ def known_calibration(logs: Sequence[LandmarkLog], options: MapOptions) -> dict[
 
 
 @dataclass(frozen=True, slots=True)
-class _Made:
+class _Builders:
     """How local maps are made, and fused, where logs are looked at again."""
 
     cfg: LandmarkMapConfig
@@ -225,14 +227,14 @@ def _smoothed(
         done = smooth_on_one_clock(start, logs, fusion.labels, cfg, known, far, places)
         if done.refused and start is not team:
             done = smooth_on_one_clock(team, logs, fusion.labels, cfg, known, far, places)
-        told = (
+        notes = (
             *done.notes,
             *(back if k == 0 else ()),
             *(() if places is None else places.contradicted(done.map, cfg.known)),
         )
         if run is not None and k == 0:
             run = closed(run, start, done, perf_counter() - began)
-        out.append(replace(done, notes=told))
+        out.append(replace(done, notes=notes))
     options.on_progress("smoothing", len(maps), len(maps))
     return tuple(out), run
 

@@ -50,7 +50,7 @@ def map_logs(logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResul
     held = _robots(logs, options, [])
     cfg = _configured(options)
     jobs = [(log, key, source, cfg, options.seed, options.share.get(key, 1.0)) for key, (log, source) in held.items()]
-    maps = tuple(_told(made, options) for made in _worked(jobs, options))
+    maps = tuple(_with_idle_options(local_map, options) for local_map in _worked(jobs, options))
     if cfg.method != "graph":
         return scored(LaserResult(maps, laser_metrics(maps, options.seed)), options.truth)
     return _woven(maps, cfg, options, options.starts(), ())
@@ -64,14 +64,14 @@ def _going_on(before: Path, logs: Sequence[Path | LaserLog], options: MapOptions
         raise UsageError(f"--resume: goes on with --method graph, found {cfg.method}")
     held = _robots(logs, options, [m.robot for m in state.maps])
     read = [_read(log, key, source, options.share.get(key, 1.0)) for key, (log, source) in held.items()]
-    found = resumed(before, state, read)
+    resumption = resumed(before, state, read)
     sources = [source for _, source in held.values()]
     jobs = [
         (log, robot, source, cfg, options.seed, 1.0)
-        for log, robot, source in zip(read, found.robots, sources, strict=True)
+        for log, robot, source in zip(read, resumption.robots, sources, strict=True)
     ]
-    maps = found.maps([_told(made, options) for made in _worked(jobs, options)])
-    return _woven(maps, cfg, options, {**state.starts, **options.starts()}, found.notes)
+    maps = resumption.maps([_with_idle_options(local_map, options) for local_map in _worked(jobs, options)])
+    return _woven(maps, cfg, options, {**state.starts, **options.starts()}, resumption.notes)
 
 
 def _woven(
@@ -144,8 +144,8 @@ def map_one(
     on_progress(f"{name}: reading", 0, None)
     log = _read(path, robot, source, share)
     on_progress(f"{name}: reading", 1, 1)
-    made = map_laser(log, cfg, seed, on_progress)
-    return replace(made, called=source.name or "")
+    local_map = map_laser(log, cfg, seed, on_progress)
+    return replace(local_map, called=source.name or "")
 
 
 def _read(path: Path | LaserLog, robot: str, source: LaserSource, share: float) -> LaserLog:
@@ -198,7 +198,7 @@ def _with_threads(job: Job, threads: int) -> Job:
     return path, robot, source, replace(cfg, threads=cfg.threads or threads), seed, share
 
 
-def _told(made: LaserMap, options: MapOptions) -> LaserMap:
+def _with_idle_options(local_map: LaserMap, options: MapOptions) -> LaserMap:
     """With a word about options that mean nothing to this method."""
     alone = "each laser log is mapped on its own"
     woven = "laser maps are woven by their graphs"
@@ -209,11 +209,11 @@ def _told(made: LaserMap, options: MapOptions) -> LaserMap:
         ("--online", options.online),
         ("--calibration", options.calibration),
     ]
-    if made.method != "graph":
+    if local_map.method != "graph":
         asked += [("--start", options.start), ("--no-merge", options.laser.no_merge)]
     idle = [name for name, given in asked if given]
-    more = tuple(f"{name} has no effect: {woven if made.method == 'graph' else alone}" for name in idle)
-    return replace(made, warnings=(*made.warnings, *more))
+    more = tuple(f"{name} has no effect: {woven if local_map.method == 'graph' else alone}" for name in idle)
+    return replace(local_map, warnings=(*local_map.warnings, *more))
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,8 +226,8 @@ class Resumed:
 
     def maps(self, fresh: Sequence[LaserMap]) -> tuple[LaserMap, ...]:
         """Every robot's map: the old ones, those that went on in their place, then the new ones."""
-        by_robot = {made.robot: made for made in fresh}
-        old = [by_robot.pop(made.robot, made) for made in self.state.maps]
+        by_robot = {local_map.robot: local_map for local_map in fresh}
+        old = [by_robot.pop(local_map.robot, local_map) for local_map in self.state.maps]
         return (*old, *by_robot.values())
 
 
@@ -246,9 +246,9 @@ def resumed(folder: Path, state: LaserState, logs: Sequence[LaserLog]) -> Resume
     """
     robots: list[str] = []
     notes: list[str] = []
-    fresh = next_robots([made.robot for made in state.maps], len(logs))
+    fresh = next_robots([local_map.robot for local_map in state.maps], len(logs))
     for log in logs:
-        own = next((made for made in state.maps if _begins_as(log, made)), None)
+        own = next((local_map for local_map in state.maps if _begins_as(log, local_map)), None)
         if own is None:
             robots.append(fresh.pop(0))
             continue
@@ -262,6 +262,6 @@ def resumed(folder: Path, state: LaserState, logs: Sequence[LaserLog]) -> Resume
     return Resumed(state, tuple(robots), tuple(notes))
 
 
-def _begins_as(log: LaserLog, made: LaserMap) -> bool:
-    n = len(made.scans)
-    return 0 < n <= len(log.scans) and made.scan_hash == log.scan_hash(n)
+def _begins_as(log: LaserLog, local_map: LaserMap) -> bool:
+    n = len(local_map.scans)
+    return 0 < n <= len(log.scans) and local_map.scan_hash == log.scan_hash(n)

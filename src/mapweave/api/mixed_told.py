@@ -30,7 +30,7 @@ def warnings_of(
     read: Sequence[LandmarkLog],
     lasers: Mapping[str, LaserMap],
     fusion: Fusion | None,
-    made: MixedMap,
+    mixed: MixedMap,
     apart: Mapping[str, float],
 ) -> tuple[str, ...]:
     out = [] if fusion is None else list(fusion.warnings)
@@ -43,12 +43,12 @@ def warnings_of(
             f"robot {robot_key(robot)}: its clock has nothing in common with the others': {gap:.0f} s lie between "
             "their stamps and its own; it stays apart"
         )
-    for robot in made.layout.lost:
+    for robot in mixed.layout.lost:
         out.append(f"robot {robot_key(robot)}: nothing that it saw, and nobody who saw it, tells where it was")
-    for component in made.components[1:]:
+    for component in mixed.components[1:]:
         keys = ", ".join(map(robot_key, component.map.robots))
         out.append(f"robot {keys}: not tied to the largest map: too few sightings that agree")
-    for component in made.components:
+    for component in mixed.components:
         out += component.warnings
     return tuple(out)
 
@@ -76,7 +76,7 @@ def robot_metrics(
 
 
 def mixed_metrics(
-    made: MixedMap,
+    mixed: MixedMap,
     kinds: Mapping[str, str],
     robots: Mapping[str, Mapping[str, Any]],
     warnings: Sequence[str],
@@ -90,12 +90,12 @@ def mixed_metrics(
             robot_key(r): {
                 **robots[r],
                 "carries": kind,
-                "clock": {"ahead": made.clocks[r].ahead, "sd": made.clocks[r].sd} if r in made.clocks else None,
+                "clock": {"ahead": mixed.clocks[r].ahead, "sd": mixed.clocks[r].sd} if r in mixed.clocks else None,
             }
             for r, kind in kinds.items()
         },
-        "components": [[robot_key(r) for r in s.map.robots] for s in made.components],
-        "lost": [robot_key(r) for r in made.layout.lost],
+        "components": [[robot_key(r) for r in s.map.robots] for s in mixed.components],
+        "lost": [robot_key(r) for r in mixed.layout.lost],
         "ties": [
             {
                 "a": [robot_key(r) for r in tie.a],
@@ -105,7 +105,7 @@ def mixed_metrics(
                 "by": tie.by,
                 "clock": tie.clock,
             }
-            for tie in made.layout.ties
+            for tie in mixed.layout.ties
         ],
         "through": [
             {
@@ -113,7 +113,7 @@ def mixed_metrics(
                 "sightings": list(path.sightings),
                 "landmarks": list(path.landmarks),
             }
-            for path in made.paths
+            for path in mixed.paths
         ],
         "refined": [
             {
@@ -123,9 +123,9 @@ def mixed_metrics(
                 "factors": dict(s.used),
                 "refused": s.refused or None,
             }
-            for s in made.components
+            for s in mixed.components
         ],
-        "left_out": told_gaps([s.map for s in made.components]),
-        "fusion": [merge.row() for merge in made.merges],
+        "left_out": told_gaps([s.map for s in mixed.components]),
+        "fusion": [merge.row() for merge in mixed.merges],
         "warnings": list(warnings),
     }

@@ -51,27 +51,27 @@ def smooth_online(
     seconds, lag, linearised, laid_out, growth = [], [], [], [], list[OnlineMap]()
     renewed, free = 0, first
     steps = np.arange(first + cfg.step, last + cfg.step, cfg.step)
-    look = 0
+    next_look = 0
     for k, stamp in enumerate(steps):
         t = min(float(stamp), last)
         began = perf_counter()
-        looking = look < len(looks) and t >= looks[look]
-        told = NO_STEP
+        looking = next_look < len(looks) and t >= looks[next_look]
+        step = NO_STEP
         try:
             if looking:
-                fuser = fuser.update(*[m for m in (g.maps[look] for g in grown) if m is not None])
-                look += 1
+                fuser = fuser.update(*[m for m in (g.maps[next_look] for g in grown) if m is not None])
+                next_look += 1
                 if _adopted(team, t, fuser):
                     laid_out.append(round(t - first, 3))
                 on_progress("smoothing online", k, len(steps))
-            told = team.advance(t)
+            step = team.advance(t)
         except SingularError:  # too little is known yet of something: it is laid out anew at the next look
             team.forget()
         seconds.append(perf_counter() - began)
         free = max(free, t) + seconds[-1]
         lag.append(free - (t - cfg.step))
-        linearised.append(told.linearised)
-        renewed += told.renewed
+        linearised.append(step.linearised)
+        renewed += step.renewed
         if team.members and looking:
             growth.append(OnlineMap(t - first, len(team.members), team.landmarks))
     team.update_poses()
@@ -84,15 +84,15 @@ def smooth_online(
 
 def _adopted(team: OnlineTeam, t: float, fuser: OnlineFuser) -> bool:
     """Whether the filters' fused map held robots, landmarks or labels that were new."""
-    found = fuser.largest
-    if found is None or not len(found.map):
+    fused = fuser.largest
+    if fused is None or not len(fused.map):
         return False
     factor = {d.robot: d.variance_factor or 1.0 for d in fuser.fusion.decisions}
     ways = {
-        r: carried(fuser.latest[r].track, found.frames[r], found.frame_cov[r], found.scales.get(r, 1.0), factor[r])
-        for r in found.robots
+        r: carried(fuser.latest[r].track, fused.frames[r], fused.frame_cov[r], fused.scales.get(r, 1.0), factor[r])
+        for r in fused.robots
     }
-    return team.adopt(t, found.robots, found.map, ways, fuser.fusion.labels)
+    return team.adopt(t, fused.robots, fused.map, ways, fuser.fusion.labels)
 
 
 def closing_start(run: OnlineRun, filters: TeamMap, far: float) -> TeamMap:
@@ -147,7 +147,7 @@ def closed(run: OnlineRun, start: TeamMap, done: Smoothed, seconds: float) -> On
             there = (after.t >= played[0]) & (after.t <= played[-1])
             was = se2.compose(T, se2.interpolate(after.t[there], before.t, before.pose))
             ways.append(np.square(was[:, :2] - after.pose[there, :2]).sum(axis=1))
-    moved = float(np.sqrt(np.concatenate(ways).mean())) if ways else None
+    ways_moved = float(np.sqrt(np.concatenate(ways).mean())) if ways else None
     return replace(
-        run, closing=seconds, landmarks_moved=float(np.sqrt(np.square(off).sum(axis=1).mean())), ways_moved=moved
+        run, closing=seconds, landmarks_moved=float(np.sqrt(np.square(off).sum(axis=1).mean())), ways_moved=ways_moved
     )
