@@ -54,13 +54,13 @@ class BearingTable:
 
 def parse_angle(text: str) -> float:
     """`0.5deg` or `0.0087rad` in radians; raises UsageError for a bare number, which could be either."""
-    found = _ANGLE.match(text)
-    if found is None:
+    match = _ANGLE.match(text)
+    if match is None:
         raise UsageError(f"angle {text!r}: expected a positive number with its unit, such as 0.5deg or 0.0087rad")
-    value = float(found[1])
+    value = float(match[1])
     if value <= 0.0:
         raise UsageError(f"angle {text!r}: expected a positive number")
-    return float(np.deg2rad(value)) if found[2] == "deg" else value
+    return float(np.deg2rad(value)) if match[2] == "deg" else value
 
 
 def unit(angle: Float[np.ndarray, " m"]) -> Float[np.ndarray, "m 2"]:

@@ -31,9 +31,9 @@ _TYPES = {"str", "int", "float", "bool", "none"}  # how a union's members are ca
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 def config(cls: type[T]) -> type[T]:
     """A frozen, keyword-only dataclass that refuses unknown keys and NaN when it is read from a file."""
-    made = dataclass(frozen=True, slots=True, kw_only=True)(cls)
-    made.__pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # type: ignore[attr-defined]
-    return made
+    config_class = dataclass(frozen=True, slots=True, kw_only=True)(cls)
+    config_class.__pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # type: ignore[attr-defined]
+    return config_class
 
 
 def build(cls: type[T], values: dict[str, Any], where: str = "configuration") -> T:
@@ -43,8 +43,8 @@ def build(cls: type[T], values: dict[str, Any], where: str = "configuration") ->
     try:
         return TypeAdapter(cls).validate_python(values)
     except ValidationError as error:
-        told = [_told(cls, _place(e["loc"]), e["type"], e["msg"]) for e in error.errors()]
-        raise ConfigError(f"{where}: {'; '.join(dict.fromkeys(told))}") from None
+        problems = [_problem(cls, _place(e["loc"]), e["type"], e["msg"]) for e in error.errors()]
+        raise ConfigError(f"{where}: {'; '.join(dict.fromkeys(problems))}") from None
 
 
 def load(
@@ -75,21 +75,21 @@ def load(
 
 def expect_positive(cfg: object, where: str, *names: str) -> None:
     """Raises ConfigError that lists all of `names` (dotted fields, numbers or lists of them) that are not above 0."""
-    told = []
+    problems = []
     for name in names:
         value: Any = cfg
         for part in name.split("."):
             value = getattr(value, part)
         numbers = value if isinstance(value, tuple) else (value,)
         if not numbers or not all(v > 0 for v in numbers):
-            told.append(
+            problems.append(
                 f"{name}: expected {'numbers' if isinstance(value, tuple) else 'a number'} above 0, found {value}"
             )
-    if told:
-        raise ConfigError(f"{where}: {'; '.join(told)}")
+    if problems:
+        raise ConfigError(f"{where}: {'; '.join(problems)}")
 
 
-def _told(cls: type, place: str, kind: str, message: str) -> str:
+def _problem(cls: type, place: str, kind: str, message: str) -> str:
     new = getattr(cls, "MOVED", {}).get(place) if kind == "unexpected_keyword_argument" else None
     return f"{place}: is now {new}" if new else f"{place}: {_WORDS.get(kind, message)}"
 

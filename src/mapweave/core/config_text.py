@@ -29,14 +29,14 @@ class Key:
 
 def keys(cfg: object, path: tuple[str, ...] = ()) -> Iterator[Key]:
     """Every key of `cfg`, an instance of a configuration class, those of a table before its inner tables."""
-    told = meanings(type(cfg))
+    meaning = meanings(type(cfg))
     inner = []
     for field in fields(cfg):  # type: ignore[arg-type]
         value = getattr(cfg, field.name)
         if is_dataclass(value):
             inner.append((field.name, value))
         else:
-            yield Key(path, field.name, value, told.get(field.name, ""))
+            yield Key(path, field.name, value, meaning.get(field.name, ""))
     for name, value in inner:
         yield from keys(value, (*path, name))
 
@@ -50,16 +50,16 @@ def meanings(cls: type) -> dict[str, str]:
         for token in tokenize.generate_tokens(io.StringIO(source).readline)
         if token.type == tokenize.COMMENT
     }
-    told: dict[str, str] = {}
+    meaning: dict[str, str] = {}
     before = ""
     for node in getattr(tree, "body", []):
         if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
             before = node.target.id
             lines = range(node.lineno, (node.end_lineno or node.lineno) + 1)
-            told[before] = " ".join(comments[k] for k in lines if k in comments)
+            meaning[before] = " ".join(comments[k] for k in lines if k in comments)
         elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and before:
-            told[before] = " ".join(str(node.value.value).split())
-    return told
+            meaning[before] = " ".join(str(node.value.value).split())
+    return meaning
 
 
 def as_toml(cfg: object, head: str = "") -> str:

@@ -37,7 +37,7 @@ class EstimateError(MapweaveError):
 
 
 def expect_at_most(limits: Mapping[str, tuple[float, float]]) -> None:
-    """Raises UsageError for the first option of which more was asked (or NaN) than `limits` allow: (found, most)."""
-    for option, (found, most) in limits.items():
-        if not found <= most:
-            raise UsageError(f"{option}: expected at most {most:,.10g}, found {found:,.10g}")
+    """Raises UsageError for the first option of which more was asked (or NaN) than `limits` allow: (value, most)."""
+    for option, (value, most) in limits.items():
+        if not value <= most:
+            raise UsageError(f"{option}: expected at most {most:,.10g}, found {value:,.10g}")

@@ -21,7 +21,7 @@ class ScanDigest:
         self._sha.update(np.ascontiguousarray(np.where(scan.hit, scan.ranges, 0.0), dtype=float).tobytes())
 
     @property
-    def told(self) -> str:
+    def hexdigest(self) -> str:
         return self._sha.hexdigest()
 
 
@@ -62,7 +62,7 @@ class LaserLog:
         digest = ScanDigest()
         for t, scan in zip(self.scan_t[:first].tolist(), self.scans[:first], strict=True):
             digest.add(t, scan)
-        return digest.told
+        return digest.hexdigest
 
     def stamps(self) -> Float[np.ndarray, " n"]:
         """Every odometry and every scan stamp once, ascending: where a trajectory has to give a pose."""

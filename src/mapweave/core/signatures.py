@@ -22,10 +22,10 @@ class ReadableParameter(inspect.Parameter):
 
     def __str__(self) -> str:
         stars = "*" if self.kind is self.VAR_POSITIONAL else "**" if self.kind is self.VAR_KEYWORD else ""
-        told, equals = stars + self.name, "="
+        text, equals = stars + self.name, "="
         if self.annotation is not self.empty:
-            told, equals = f"{told}: {short_name(self.annotation)}", " = "
-        return told if self.default is self.empty else f"{told}{equals}{short_default(self.default)}"
+            text, equals = f"{text}: {short_name(self.annotation)}", " = "
+        return text if self.default is self.empty else f"{text}{equals}{short_default(self.default)}"
 
 
 class ReadableSignature(inspect.Signature):
@@ -70,10 +70,10 @@ def short_default(value: object) -> str:
     """The text of a default: a function or type by its name, one whose text is long by its type's."""
     if isinstance(value, FunctionType | type):
         return value.__name__
-    told = repr(value)
-    if told.startswith("<"):  # what a dataclass makes anew for every object
+    text = repr(value)
+    if text.startswith("<"):  # what a dataclass makes anew for every object
         return "..."
-    return told if len(told) <= LONGEST_DEFAULT else f"{type(value).__name__}(...)"
+    return text if len(text) <= LONGEST_DEFAULT else f"{type(value).__name__}(...)"
 
 
 def readable(value: object) -> None:

@@ -98,7 +98,7 @@ class LaserStream:
         """Everything so far as a log; raises DataError when nothing came."""
         scans = [raw if raw.kept else self._remembered(row) for row, raw in enumerate(self._raw)]
         raw = RawLog(self.robot, self.source, self._digest.hexdigest(), scans, odometry_from="poses")
-        return replace(raw.finish(used=True), told_hash=self._scans.told)
+        return replace(raw.finish(used=True), told_hash=self._scans.hexdigest)
 
     def _remembered(self, row: int) -> RawScan:
         """What is left of a scan that was forgotten."""
