@@ -76,8 +76,8 @@ def dissect(graph: sp.csr_array, coordinates: Float[np.ndarray, "n d"] | None = 
         a = np.where(upper[row], col, row)[cut]  # lower ends
         b = np.where(upper[row], row, col)[cut]
         separator = _vertex_cover(a, b, n)
-        moved = ~done & ~separator
-        part[moved] = 2 * part[moved] + upper[moved]
+        split = ~done & ~separator
+        part[split] = 2 * part[split] + upper[split]
         done |= separator
     return Dissection(part)
 
