@@ -66,8 +66,8 @@ class Scale:
     @classmethod
     def of(cls, commanded: Float[np.ndarray, " p"], seen: Float[np.ndarray, " p"], sure: float) -> "Scale":
         """The factor of least absolute errors: the median of the ratios, weighted by what was commanded."""
-        told = np.abs(commanded) > 0
-        x, y = commanded[told], seen[told]
+        nonzero = np.abs(commanded) > 0
+        x, y = commanded[nonzero], seen[nonzero]
         whole = float(np.abs(y).sum())
         if not len(x) or whole == 0.0:
             return cls(0.0, 0.0, 0.0, len(x))
@@ -127,31 +127,33 @@ def with_wheels_checked(log: LandmarkLog, ekf: EkfSlamConfig, cfg: AgreementConf
     _check_bearings(log, cfg)
     if wheels is None or not len(seen):
         return log
-    found = Agreement.of(seen, wheels, ekf, cfg)
-    told: list[str] = []
-    turn, speed = found.turn, found.speed
+    agreement = Agreement.of(seen, wheels, ekf, cfg)
+    warnings: list[str] = []
+    turn, speed = agreement.turn, agreement.speed
     if turn.elsewhere(cfg.turn_scale, cfg):
         unit = _unit(turn.value, TURN_UNITS, cfg)
         if unit is None and abs(turn.value) < cfg.with_it:
-            told.append(
+            warnings.append(
                 f"its bearings do not follow its turns ({turn.value:.2f} of them): its odometry is of another robot or "
                 "another time, or wrong"
             )
         elif turn.value < 0:
-            told.append(
+            warnings.append(
                 f"its bearings run against its turns ({turn.value:.2f} of them): one of the two has the wrong sign, "
                 "and if it is the bearings', what it maps is mirrored"
             )
         else:
-            told.append(f"its bearings change {_times(turn.value)} what its turns say")
+            warnings.append(f"its bearings change {_times(turn.value)} what its turns say")
         if unit is None:
-            return _without_wheels(log, told)
-        told[-1] += f"; its turns are taken {_taken(unit, turn.value)}"
+            return _without_wheels(log, warnings)
+        warnings[-1] += f"; its turns are taken {_taken(unit, turn.value)}"
         wheels = Odometry(wheels.t, wheels.v, wheels.w * np.copysign(TURN_UNITS[unit], turn.value))
-    if found.looks_aside(cfg):
-        side = "left" if found.aside.value > 0 else "right"
-        told.append(f"what its bearings call its {side} lies ahead: its sensor is mounted turned by about 90 degrees")
-        return _without_wheels(log, told)
+    if agreement.looks_aside(cfg):
+        side = "left" if agreement.aside.value > 0 else "right"
+        warnings.append(
+            f"what its bearings call its {side} lies ahead: its sensor is mounted turned by about 90 degrees"
+        )
+        return _without_wheels(log, warnings)
     if speed.elsewhere(cfg.speed_scale, cfg):
         if speed.value > cfg.unit:
             raise DataError(
@@ -159,16 +161,16 @@ def with_wheels_checked(log: LandmarkLog, ekf: EkfSlamConfig, cfg: AgreementConf
                 "expected metres"
             )
         unit = _unit(speed.value, SPEED_UNITS, cfg)
-        told.append(
+        warnings.append(
             "its ranges grow where its speed leads towards what it sees: its speed or its sensor is reversed"
             if speed.value < 0
             else f"its ranges change {_times(speed.value)} what its speed says: one of the two is not in metres"
         )
         if unit is None:
-            return _without_wheels(log, told)
-        told[-1] += f"; its speeds are taken {_taken(unit, speed.value)}"
+            return _without_wheels(log, warnings)
+        warnings[-1] += f"; its speeds are taken {_taken(unit, speed.value)}"
         wheels = Odometry(wheels.t, wheels.v * np.copysign(SPEED_UNITS[unit], speed.value), wheels.w)
-    return replace(log, odometry=wheels, warnings=(*log.warnings, *told)) if told else log
+    return replace(log, odometry=wheels, warnings=(*log.warnings, *warnings)) if warnings else log
 
 
 def _check_bearings(log: LandmarkLog, cfg: AgreementConfig) -> None:
@@ -193,8 +195,8 @@ def _taken(unit: str, scale: float) -> str:
     return " and ".join([*signed, *([f"as {unit}"] if unit else [])])
 
 
-def _without_wheels(log: LandmarkLog, told: Sequence[str]) -> LandmarkLog:
-    return replace(log, odometry=None, warnings=(*log.warnings, *told, "its odometry is left out"))
+def _without_wheels(log: LandmarkLog, warnings: Sequence[str]) -> LandmarkLog:
+    return replace(log, odometry=None, warnings=(*log.warnings, *warnings, "its odometry is left out"))
 
 
 def _times(ratio: float) -> str:

@@ -126,14 +126,14 @@ def nearest_neighbour(
     z: (m, d) observed; zhat: (n, d) predicted; S: (n d, n d) joint covariance of zhat without noise; R: (d, d).
     """
     D2, logdet, _ = individual_costs(z, zhat, S, R, wrap_columns)
-    found: list[int | None] = [None] * len(z)
+    matches: list[int | None] = [None] * len(z)
     if D2.size:
         allowed = gate > D2
         cost = np.where(allowed, D2 + logdet - (gate + logdet.max() + 1.0), 0.0)
         for k, j in zip(*linear_sum_assignment(cost), strict=True):
             if allowed[k, j]:
-                found[int(k)] = int(j)
-    return Assignment(tuple(found), _new(D2, found, new_gate))
+                matches[int(k)] = int(j)
+    return Assignment(tuple(matches), _new(D2, matches, new_gate))
 
 
 def jcbb(
@@ -156,10 +156,10 @@ def jcbb(
     candidates = [[int(j) for j in np.argsort(row, kind="stable") if row[j] < gate] for row in D2]
     search = _Search(S, R, e, candidates, limits)
     search.grow(0, [], 0.0)
-    found: list[int | None] = [None] * m
+    matches: list[int | None] = [None] * m
     for k, j in search.best:
-        found[k] = j
-    return Assignment(tuple(found), _new(D2, found, new_gate))
+        matches[k] = j
+    return Assignment(tuple(matches), _new(D2, matches, new_gate))
 
 
 @dataclass(slots=True)
@@ -202,7 +202,7 @@ class _Search:
 
 
 def certain(
-    found: Assignment,
+    assignment: Assignment,
     z: Float[np.ndarray, "m 2"],
     zhat: Float[np.ndarray, "n 2"],
     S: Float[np.ndarray, "k k"],
@@ -219,22 +219,22 @@ def certain(
     time, so one whose own is sure keeps no other from being new.
     """
     if not len(zhat) or not len(z):
-        return found
+        return assignment
     D2, _, e = individual_costs(z, zhat, S, R, wrap_columns)
     k, j = np.nonzero(gate > D2)
     rows = (2 * j[:, None] + np.arange(2)).ravel()
     C = S[np.ix_(rows, rows)] + np.kron(k[:, None] == k[None], R)
     p = pairing_probabilities(np.stack([k, len(z) + j], axis=1), e[k, j], C, density[k])
     good = {(int(a), int(b)) for a, b, q in zip(k, j, p, strict=True) if q > sure}
-    landmark = tuple(a if (i, a) in good else None for i, a in enumerate(found.landmark))
+    landmark = tuple(a if (i, a) in good else None for i, a in enumerate(assignment.landmark))
     D2[:, [a for a in landmark if a is not None]] = np.inf
-    torn = [a is not None and b is None for a, b in zip(found.landmark, landmark, strict=True)]
+    torn = [a is not None and b is None for a, b in zip(assignment.landmark, landmark, strict=True)]
     new = tuple(
         a is None and not t and bool(row.min() > new_gate) for a, t, row in zip(landmark, torn, D2, strict=True)
     )
     return Assignment(landmark, new)
 
 
-def _new(D2: np.ndarray, found: list[int | None], new_gate: float) -> tuple[bool, ...]:
-    far = D2.min(axis=1) > new_gate if D2.shape[1] else np.ones(len(found), dtype=bool)
-    return tuple(a is None and bool(far[k]) for k, a in enumerate(found))
+def _new(D2: np.ndarray, matches: list[int | None], new_gate: float) -> tuple[bool, ...]:
+    far = D2.min(axis=1) > new_gate if D2.shape[1] else np.ones(len(matches), dtype=bool)
+    return tuple(a is None and bool(far[k]) for k, a in enumerate(matches))

@@ -57,8 +57,8 @@ def map_of(
         stays = np.array([other != name for other in kept.sightings.ids], bool)
         kept = replace(kept, sightings=kept.sightings.select(stays[kept.sightings.what]))
         done = replay(kept, cfg) if cfg.odometry else replay_in_pieces(kept, cfg)
-    made = _result(log, cfg, done, dropped, [*warnings, *done.warnings])
-    return replace(made, restless=tuple(left_out)), first
+    own_map = _result(log, cfg, done, dropped, [*warnings, *done.warnings])
+    return replace(own_map, restless=tuple(left_out)), first
 
 
 def robot_sightings(log: LandmarkLog) -> RobotSightings:
@@ -77,22 +77,22 @@ def without_impossible(log: LandmarkLog, cfg: EkfSlamConfig) -> LandmarkLog:
     """The log without rows beyond what `cfg` lets a robot drive or see, which are counted and told."""
     seen, odometry = log.sightings, log.odometry
     sane = (np.abs(seen.range) <= cfg.most_range) & (np.abs(seen.bearing) <= cfg.most_bearing)
-    told = {"sighting: impossible": int((~sane).sum())}
+    dropped = {"sighting: impossible": int((~sane).sum())}
     if odometry is not None:
         drives = (np.abs(odometry.v) <= cfg.most_speed) & (np.abs(odometry.w) <= cfg.most_turn)
-        told["odometry: impossible"] = int((~drives).sum())
+        dropped["odometry: impossible"] = int((~drives).sum())
         odometry = Odometry(odometry.t[drives], odometry.v[drives], odometry.w[drives])
-    told = {reason: n for reason, n in told.items() if n}
-    if not told:
+    dropped = {reason: n for reason, n in dropped.items() if n}
+    if not dropped:
         return log
     warnings = [
-        f"{n} {reason.split(':')[0]} rows held numbers beyond any robot: left out" for reason, n in told.items()
+        f"{n} {reason.split(':')[0]} rows held numbers beyond any robot: left out" for reason, n in dropped.items()
     ]
     return replace(
         log,
         odometry=odometry,
         sightings=seen.select(sane),
-        dropped={**log.dropped, **told},
+        dropped={**log.dropped, **dropped},
         warnings=(*log.warnings, *warnings),
     )
 

@@ -131,14 +131,14 @@ def _adjust(
     held = np.arange(size) < 3
     angles = wrapping(np.arange(2, first, 3))
     solution = gauss_newton(normal, x0, max_iterations=STEPS, step_tolerance=STILL, held=held, retract=angles)
-    found = {k: solution.x[3 * a : 3 * a + 3] for a, k in enumerate(order)}
+    adjusted = {k: solution.x[3 * a : 3 * a + 3] for a, k in enumerate(order)}
     worst = int(np.argmax(misfits[1:])) + 1 if len(order) > 1 else 0
     misfit = float(misfits[worst])
     try:
         cov = solution.covariance()
     except np.linalg.LinAlgError:
         cov, misfit = np.full((size, size), np.inf), np.inf
-    return JoinedPieces(root, found, ids, solution.x[first:].reshape(-1, 2), cov), order[worst], misfit
+    return JoinedPieces(root, adjusted, ids, solution.x[first:].reshape(-1, 2), cov), order[worst], misfit
 
 
 def _linearise(

@@ -76,23 +76,23 @@ def sifted(log: LandmarkLog, ekf: EkfSlamConfig, cfg: SiftConfig | None = None) 
         return log
     if _clean(log, ekf, cfg):
         return log
-    found = witnesses(log.sightings, log.odometry, ekf, cfg)
+    support = witnesses(log.sightings, log.odometry, ekf, cfg)
     scales = () if log.odometry is None else cfg.turn_scales
     for turning in (replace(ekf, turn_scale=scale * ekf.turn_scale) for scale in scales):
         other = witnesses(log.sightings, log.odometry, turning, cfg)
-        if other.contradicted(cfg).sum() < found.contradicted(cfg).sum():
-            found, ekf = other, turning
+        if other.contradicted(cfg).sum() < support.contradicted(cfg).sum():
+            support, ekf = other, turning
     if _clean(log, ekf, cfg):
         return log
-    keep = found.borne_out(cfg)
+    keep = support.borne_out(cfg)
     keep &= ~_misread(log.sightings, keep, log.odometry, ekf, cfg)
     gone = int((~keep).sum())
-    told = f"{gone} of {len(keep)} sightings contradict those of the same name moments before and after: left out"
+    warning = f"{gone} of {len(keep)} sightings contradict those of the same name moments before and after: left out"
     return replace(
         log,
         sightings=log.sightings.select(keep),
         dropped={**log.dropped, "sighting: contradicted": gone},
-        warnings=(*log.warnings, told),
+        warnings=(*log.warnings, warning),
     )
 
 
@@ -200,5 +200,5 @@ def _driven(
     heading = np.cumsum(angle) - 0.5 * angle
     steps = [way * np.cos(heading), way * np.sin(heading), angle, np.abs(way), np.abs(angle)]
     then = wheels.t + ekf.lag
-    told = np.stack([np.interp(t, then, np.append(0.0, np.cumsum(s)[:-1])) for s in steps], axis=-1)
-    return np.column_stack([told[:, :2], told[:, 2]]), told[:, 3], told[:, 4]
+    path = np.stack([np.interp(t, then, np.append(0.0, np.cumsum(s)[:-1])) for s in steps], axis=-1)
+    return np.column_stack([path[:, :2], path[:, 2]]), path[:, 3], path[:, 4]

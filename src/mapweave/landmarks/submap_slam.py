@@ -140,9 +140,9 @@ def _associate(m: Submap, seen: Observations, cfg: SubmapConfig) -> Assignment:
     zhat = predicted_observation(m.pose, m.mean)
     S = kernels.innovation(m.pose, m.mean, m.cov, np.arange(len(m.ids)))[1]
     rule = nearest_neighbour if cfg.association == "nn" else jcbb
-    found = rule(seen.z, zhat, S, cfg.R, cfg.gate, cfg.new_gate, wrap_columns=(1,))
+    assignment = rule(seen.z, zhat, S, cfg.R, cfg.gate, cfg.new_gate, wrap_columns=(1,))
     around = cfg.hidden * np.maximum(seen.z[:, 0], cfg.range_sd)
-    return certain(found, seen.z, zhat, S, cfg.R, cfg.gate, cfg.new_gate, (1,), around, cfg.sure)
+    return certain(assignment, seen.z, zhat, S, cfg.R, cfg.gate, cfg.new_gate, (1,), around, cfg.sure)
 
 
 def _correct(m: Submap, index: np.ndarray, z: np.ndarray, cfg: SubmapConfig) -> Submap:

@@ -36,12 +36,12 @@ def replay_in_pieces(log: LandmarkLog, cfg: EkfSlamConfig, known: Known | None =
     frame = played[0].submap.frame
     landmarks = LandmarkMap(tied.ids, tied.mean, tied.landmark_cov).moved(T_local_root, frame)
     track = _track(played, tied, where, T_local_root, cfg.astray)
-    told: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     if len(where) < len(played):
-        told = (f"{len(played) - len(where)} of {len(played)} stretches of its log share too little: left out",)
+        warnings = (f"{len(played) - len(where)} of {len(played)} stretches of its log share too little: left out",)
     nis, weight = (np.concatenate([getattr(done, name) for done in played]) for name in ("nis", "weight"))
-    made = _submap(log.robot, landmarks, track, played, tied, where, T_local_root)
-    return ReplayedLog(log.sightings, played[first].x, played[first].P, made, track, nis, weight, told)
+    submap = _submap(log.robot, landmarks, track, played, tied, where, T_local_root)
+    return ReplayedLog(log.sightings, played[first].x, played[first].P, submap, track, nis, weight, warnings)
 
 
 def _play_parts(log: LandmarkLog, cfg: EkfSlamConfig, known: Known) -> list[ReplayedLog]:
