@@ -60,13 +60,13 @@ def mirror_images(maps: Sequence[LocalMap], cfg: MirrorConfig = MIRROR) -> tuple
 def unmirrored(log: LandmarkLog) -> LandmarkLog:
     """The log with bearings and turns of the other sign, and a warning."""
     wheels = log.odometry
-    told = "its map is the mirror image of the others': its bearings and turns are taken with the other sign"
+    warning = "its map is the mirror image of the others': its bearings and turns are taken with the other sign"
     return replace(
         log,
         sightings=_other_side(log.sightings),
         bearings=_other_side(log.bearings),
         odometry=None if wheels is None else Odometry(wheels.t, wheels.v, -wheels.w),
-        warnings=(*log.warnings, told),
+        warnings=(*log.warnings, warning),
     )
 
 
@@ -107,8 +107,8 @@ def with_copies_marked(logs: Sequence[LandmarkLog], cfg: CopiesConfig = COPIES) 
         if first is None or known[first].log_hash == log.log_hash:
             known.append(log)
             continue
-        told = f"its sightings are those of {logs[first].robot}: one log under two names, counted once"
-        known.append(replace(log, log_hash=known[first].log_hash, warnings=(*log.warnings, told)))
+        warning = f"its sightings are those of {logs[first].robot}: one log under two names, counted once"
+        known.append(replace(log, log_hash=known[first].log_hash, warnings=(*log.warnings, warning)))
     return known
 
 

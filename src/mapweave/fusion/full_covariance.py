@@ -152,11 +152,11 @@ def _sampled(terms: Sequence[MapTerm], own: Sequence[np.ndarray], solution: Solu
         white = rng.normal(size=(term.size, DRAWS))
         pull[term.where] += J.T @ (L @ white)  # J^T A w, where w = L^-T white has covariance A^-1
         drawn.append((J, np.linalg.solve(L.T, white)))
-    moved = np.zeros_like(pull)
+    deviation = np.zeros_like(pull)
     if solution.information is not None:
-        moved[solution.free] = solution.information.solve(pull[solution.free])
+        deviation[solution.free] = solution.information.solve(pull[solution.free])
     for term, part, (J, w) in zip(terms, own, drawn, strict=True):
-        Ar = term.information @ (w - J @ moved[term.where])
+        Ar = term.information @ (w - J @ deviation[term.where])
         yield float(np.einsum("id,ij,jd->", Ar, part, Ar, optimize=True)) / DRAWS
 
 

@@ -57,11 +57,11 @@ def hand_over(
             Y.constrain(list(pairs.items()))
     else:
         while True:
-            found, torn = Y.sure_pairs(pairs, cfg)
-            if not found:
+            sure, torn = Y.sure_pairs(pairs, cfg)
+            if not sure:
                 break
-            Y.constrain(found)
-            pairs.update(found)
+            Y.constrain(sure)
+            pairs.update(sure)
     names = _names(G, L, pairs, torn, known=known, prefix=prefix)
     out = _forward(G, Y, names, [i for i, name in enumerate(names) if name is not None and i not in pairs])
     merged: tuple[tuple[str, str], ...] = ()

@@ -74,16 +74,16 @@ class AlignmentCandidate:
 def match_maps(source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig | None = None) -> Match:
     """The landmarks that `source` and `target` have in common, names ignored; refused with a reason when unsure."""
     cfg = cfg or IdentityConfig()
-    found = [_weighed(source, target, T, cfg) for T in _proposals(source, target, cfg)]
-    found = [c for c in found if len(c.links) >= 2]
-    if not found:
+    candidates = [_weighed(source, target, T, cfg) for T in _proposals(source, target, cfg)]
+    candidates = [c for c in candidates if len(c.links) >= 2]
+    if not candidates:
         none = np.zeros((0, 2), dtype=np.intp)
         return Match(
             none, np.zeros(3), 0.0, 0, 0, accepted=False, reason="no two landmarks lie equally far apart in both"
         )
-    found.sort(key=lambda c: (len(c.links) < cfg.links, -c.evidence, -len(c.links)))
-    best = found[0]
-    rivals = [c for c in found[1:] if _rivals(c, best, source, target, cfg)]
+    candidates.sort(key=lambda c: (len(c.links) < cfg.links, -c.evidence, -len(c.links)))
+    best = candidates[0]
+    rivals = [c for c in candidates[1:] if _rivals(c, best, source, target, cfg)]
     rival = max((len(c.links) for c in rivals), default=0)
     lead = best.evidence - max((c.evidence for c in rivals), default=-np.inf)
     k = len(best.links)
@@ -137,15 +137,15 @@ def _weighed(
     for noise, scale_sigma, share in models:
         kept, before = links, -np.inf
         while True:
-            told = joint_fit(source, target, kept, fit.T, noise, scale_sigma)
-            known = log_evidence(source, target, kept, told, area, noise, scale_sigma) + np.log(share)
+            refit = joint_fit(source, target, kept, fit.T, noise, scale_sigma)
+            known = log_evidence(source, target, kept, refit, area, noise, scale_sigma) + np.log(share)
             evidence = known - log_correspondences(len(kept), len(source), len(target))
             if evidence <= before:
                 break
             best, before = max(best, (evidence, kept), key=lambda b: b[0]), evidence
             if len(kept) <= max(cfg.links, 3):
                 break
-            kept = np.delete(kept, int(np.argmax(told.single)), axis=0)
+            kept = np.delete(kept, int(np.argmax(refit.single)), axis=0)
     if len(best[1]) < len(links):
         links = best[1]
         fit = joint_fit(source, target, links, fit.T, cfg.noise, cfg.scale_sigma)
@@ -185,8 +185,8 @@ def _proposals(source: LandmarkMap, target: LandmarkMap, cfg: IdentityConfig) ->
     score = np.empty(len(turn))
     step = max(1, CHUNK // (len(s) * len(t)))
     for a in range(0, len(turn), step):
-        moved = turn[a : a + step, None] * s + shift[a : a + step, None]
-        d = moved[:, :, None] - t
+        aligned = turn[a : a + step, None] * s + shift[a : a + step, None]
+        d = aligned[:, :, None] - t
         near = 1.0 - (d.real**2 + d.imag**2) / gates2
         score[a : a + step] = np.maximum(near.max(axis=2), 0.0).sum(axis=1)
     out: list[np.ndarray] = []
@@ -266,10 +266,10 @@ def _worked_out(
 
 
 def _assigned(
-    moved: Float[np.ndarray, "n 2"], there: Float[np.ndarray, "m 2"], gates2: Float[np.ndarray, "n m"]
+    aligned: Float[np.ndarray, "n 2"], there: Float[np.ndarray, "m 2"], gates2: Float[np.ndarray, "n m"]
 ) -> Int[np.ndarray, "k 2"]:
     """Links within their gates of least squared distance together."""
-    cost = np.minimum(np.square(moved[:, None] - there).sum(axis=2) / gates2, 1.0)
+    cost = np.minimum(np.square(aligned[:, None] - there).sum(axis=2) / gates2, 1.0)
     rows, columns = linear_sum_assignment(cost)
     near = cost[rows, columns] < 1.0
     return np.stack([rows[near], columns[near]], axis=1)
@@ -292,10 +292,10 @@ def _exchanged(
 
 
 def _neighbours(
-    moved: Float[np.ndarray, "n 2"], there: Float[np.ndarray, "m 2"], links: np.ndarray, gates: np.ndarray
+    aligned: Float[np.ndarray, "n 2"], there: Float[np.ndarray, "m 2"], links: np.ndarray, gates: np.ndarray
 ) -> Sequence[np.ndarray]:
     """Assignments one exchange away in which everything still lies within twice its gate."""
-    near = np.hypot(*np.moveaxis(moved[:, None] - there, -1, 0)) < 2 * gates
+    near = np.hypot(*np.moveaxis(aligned[:, None] - there, -1, 0)) < 2 * gates
     out = []
     free = np.setdiff1d(np.arange(len(there)), links[:, 1])
     for a in range(len(links)):

@@ -74,10 +74,10 @@ def fuse(
     return Fusion(tuple(components), in_given_order, tuple(warnings), labels)
 
 
-def _relabel(labels: dict[str, dict[str, str]], m: LocalMap, moved: dict[str, str]) -> None:
+def _relabel(labels: dict[str, dict[str, str]], m: LocalMap, corrected: dict[str, str]) -> None:
     """`labels` of this robot with labels that were put back taken into account."""
     known = labels.get(m.robot, {})
-    new = {own: moved[known.get(own, own)] for own in m.submap.ids}
+    new = {own: corrected[known.get(own, own)] for own in m.submap.ids}
     changed = {own: name for own, name in new.items() if own != name}
     labels.pop(m.robot, None)
     if changed:
@@ -134,14 +134,14 @@ def _join(
 def _relative(
     maps: Sequence[LandmarkMap], start: Cluster, cfg: RelativeConfig, seen: Sequence[FrameSightings]
 ) -> JoinedMap:
-    found = fuse_relative(maps, cfg, start=start, sightings=seen)
-    one, landmarks, solution = np.ones(len(maps)), found.landmarks(), found.solution
+    fused = fuse_relative(maps, cfg, start=start, sightings=seen)
+    one, landmarks, solution = np.ones(len(maps)), fused.landmarks(), fused.solution
     return JoinedMap(
-        ids=found.ids,
+        ids=fused.ids,
         mean=landmarks.mean,
         cov=landmarks.cov,
-        frames=found.frames,
-        frame_cov=found.frame_cov(),
+        frames=fused.frames,
+        frame_cov=fused.frame_cov(),
         scales=one,
         variance_factors=one,
         chi2=solution.chi2,
@@ -213,11 +213,11 @@ def _outlier_warnings(names: Sequence[str], outliers: Sequence[Outlier]) -> list
     warnings: list[str] = []
     for k in sorted({d.owner for d in outliers}):
         mine = [d for d in outliers if d.owner == k]
-        moved = [d for d in mine if d.belongs_to]
-        if moved:
-            labels = " and ".join(sorted((d.id for d in moved), key=in_order))
-            which = " (or the other robot's: only two see them)" if any(d.alone for d in moved) else ""
-            worst = max(d.residual for d in moved)
+        exchanged = [d for d in mine if d.belongs_to]
+        if exchanged:
+            labels = " and ".join(sorted((d.id for d in exchanged), key=in_order))
+            which = " (or the other robot's: only two see them)" if any(d.alone for d in exchanged) else ""
+            worst = max(d.residual for d in exchanged)
             warnings.append(
                 f"{names[k]}: labels {labels} look exchanged{which}, {worst:.2f} m off as they are: put back"
             )

@@ -108,15 +108,15 @@ class MapAndSubmap:
         used = self.residuals(pairs)[2]
         rows = self.rows(used)
         block = rows[:, used]
-        start, moved = self.x.copy(), np.zeros(len(self.x))
+        start, shift = self.x.copy(), np.zeros(len(self.x))
         for _ in range(ITERATIONS):
             h, H, _ = self.residuals(pairs)
             S = symmetrise(H @ block @ H.T)
             S[np.diag_indices_from(S)] += FLOOR * np.trace(S) / len(S) + 1e-300
-            last, moved = moved, -(solve_psd(S, h - H @ moved[used]) @ H) @ rows
-            self.x[:] = start + moved
+            last, shift = shift, -(solve_psd(S, h - H @ shift[used]) @ H) @ rows
+            self.x[:] = start + shift
             self.x[self.angles] = se2.wrap_angle(self.x[self.angles])
-            if np.abs(moved - last).max() < CONVERGED:
+            if np.abs(shift - last).max() < CONVERGED:
                 break
         U = solve_triangular(np.linalg.cholesky(S), H, lower=True, check_finite=False) @ rows
         self.U = np.vstack([self.U, U])

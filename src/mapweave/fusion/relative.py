@@ -112,8 +112,8 @@ def fuse_relative(
     solution = _converge(Problem(x0, terms, retract=wrapping(layout.angles)), solve)
     if solution.information is None or not solution.converged:
         raise EstimateError(f"the maps could not be fused: the solver ended {solution.status.value}")
-    told = () if cfg.repeats == 1 else (f"every map was counted {cfg.repeats} times: overconfident by that factor",)
-    return RelativeFusion(layout, start.ids, solution.x, pairs, solution, told)
+    warnings = () if cfg.repeats == 1 else (f"every map was counted {cfg.repeats} times: overconfident by that factor",)
+    return RelativeFusion(layout, start.ids, solution.x, pairs, solution, warnings)
 
 
 def baselines(maps: Sequence[LandmarkMap]) -> tuple[tuple[str, str], ...]:
@@ -195,8 +195,8 @@ def _converge(problem: Problem, solve: SolveConfig | None) -> Solution:
 def _start(maps: Sequence[LandmarkMap]) -> Cluster:
     parts = clusters(maps)
     if len(parts) != 1:
-        told = "; ".join(", ".join(str(i + 1) for i in part.members) for part in parts)
+        listing = "; ".join(", ".join(str(i + 1) for i in part.members) for part in parts)
         raise EstimateError(
-            f"expected maps that hang together by two shared landmarks, found the parts {told or 'none'}"
+            f"expected maps that hang together by two shared landmarks, found the parts {listing or 'none'}"
         )
     return parts[0]

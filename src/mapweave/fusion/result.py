@@ -130,9 +130,9 @@ def _placed(decision: Decision, placed: Mapping[str, str], first: str | None) ->
 def _beside(base: Component, other: Component, T: np.ndarray) -> Component:
     """Both components in the first one's frame, `T_base_other` exactly known."""
     new = [name for name in other.map.ids if name not in base.map.ids]
-    moved = other.map.select(new).moved(T, base.map.frame)
+    aligned = other.map.select(new).moved(T, base.map.frame)
     ids = (*base.map.ids, *new)
-    both = LandmarkMap(ids, np.vstack([base.map.mean, moved.mean]), sla.block_diag(base.map.cov, moved.cov))
+    both = LandmarkMap(ids, np.vstack([base.map.mean, aligned.mean]), sla.block_diag(base.map.cov, aligned.cov))
     members = {**{n: other.members[n] for n in other.map.ids}, **base.members}
     for name in set(base.members) & set(other.members):
         members[name] = tuple(sorted({*base.members[name], *other.members[name]}, key=in_order))
