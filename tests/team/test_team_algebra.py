@@ -163,7 +163,7 @@ def test_landmarks_have_the_sandwich_of_the_dense_inverse(solved):
     wanted = T @ inverse @ middle @ inverse @ T.T
     known = _Known.of(team, solution, Groups.of(team, cfg.cluster))
     hubs = np.arange(team.landmark_start, len(x))
-    moved = known.moved(hubs, cfg.most_corrected)
+    moved = known.influence(hubs, cfg.most_corrected)
     np.testing.assert_allclose(moved.T @ moved, wanted[np.ix_(hubs, hubs)], rtol=1e-3, atol=1e-9)
 
 
@@ -194,7 +194,7 @@ def test_how_groups_scatter_and_what_residuals_lack_are_those_of_the_dense_inver
     known = _Known.of(team, solution, groups)
     white, looked = known.whitened(known.model())
     assert white.shape == (len(model), len(model) - 3)
-    moved = known.moved(team.landmark_columns, 1.0) @ white
+    moved = known.influence(team.landmark_columns, 1.0) @ white
     assert scatter(moved, known.groups) == pytest.approx(shown, rel=1e-4)
     assert 0.1 < taken < MOST_TAKEN
     assert taken_out(team, x, groups, known.information, free, looked) == pytest.approx(taken, rel=1e-4)

@@ -59,8 +59,8 @@ def on_camera_clock(log: LandmarkLog, cfg: CameraClockConfig | None = None) -> L
     if not ahead or log.odometry is None:
         return log
     where = "ahead of" if ahead > 0 else "behind"
-    told = f"its camera's stamps are {abs(ahead):.1f} s {where} its wheels', which were moved to them"
-    return replace(log, odometry=replace(log.odometry, t=log.odometry.t + ahead), warnings=(*log.warnings, told))
+    warning = f"its camera's stamps are {abs(ahead):.1f} s {where} its wheels', which were moved to them"
+    return replace(log, odometry=replace(log.odometry, t=log.odometry.t + ahead), warnings=(*log.warnings, warning))
 
 
 def camera_ahead(log: LandmarkLog, cfg: CameraClockConfig) -> float:
@@ -81,13 +81,13 @@ def camera_ahead(log: LandmarkLog, cfg: CameraClockConfig) -> float:
 
 def _pairs(log: LandmarkLog, cfg: CameraClockConfig) -> Int[np.ndarray, "p 2"]:
     """Sightings of a landmark and the next of the same one, spread over the log."""
-    seen, found = log.sightings, [np.zeros((0, 2), np.int64)]
+    seen, successive = log.sightings, [np.zeros((0, 2), np.int64)]
     for k, name in enumerate(seen.ids):
         rows = np.flatnonzero(seen.what == k) if is_landmark(name) else np.zeros(0, np.int64)
         gap = np.diff(seen.t[rows])
         near = (gap > 0.0) & (gap <= cfg.apart)
-        found.append(np.column_stack([rows[:-1][near], rows[1:][near]]) if len(rows) else found[0])
-    pairs = np.concatenate(found)
+        successive.append(np.column_stack([rows[:-1][near], rows[1:][near]]) if len(rows) else successive[0])
+    pairs = np.concatenate(successive)
     pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]
     return np.asarray(pairs[spread(len(pairs), cfg.most)])
 
@@ -216,8 +216,8 @@ def clocks_of(
         return {}
     of_all = scores(team, solution.x, Groups.of(team, length))[:, solution.free]
     ahead, sd = -P @ g[chosen], np.sqrt(np.square((pulls - of_all @ K) @ P).sum(axis=0))
-    found = zip(chosen.tolist(), ahead.tolist(), sd.tolist(), strict=True)
-    return {team.parts[k].robot: RobotClock(a, s) for k, a, s in found if np.isfinite(a) and np.isfinite(s)}
+    offsets = zip(chosen.tolist(), ahead.tolist(), sd.tolist(), strict=True)
+    return {team.parts[k].robot: RobotClock(a, s) for k, a, s in offsets if np.isfinite(a) and np.isfinite(s)}
 
 
 def _suspects(

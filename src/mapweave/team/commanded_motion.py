@@ -46,8 +46,8 @@ class CommandedMotion:
         """
         heading = turn * _before(self.w * self.dt)
         by_turn = _before(self.w * self.dt)
-        moved, moved_by_turn = _arc(self.v, self.w, self.dt, heading, by_turn, turn)
-        origin, origin_by_turn = _before(moved), _before(moved_by_turn)
+        step, step_by_turn = _arc(self.v, self.w, self.dt, heading, by_turn, turn)
+        origin, origin_by_turn = _before(step), _before(step_by_turn)
         k, part, running = self._row(t - lag)
         v, w = self.v[k], self.w[k]
         more, more_by_turn = _arc(v, w, part, heading[k], by_turn[k], turn)

@@ -68,18 +68,18 @@ def scores(team: TeamProblem, x: Float[np.ndarray, " n"], groups: Groups) -> sp.
 
 def curved(team: TeamProblem, x: Float[np.ndarray, " n"], pattern: Pattern) -> Information:
     """The information as the costs are curved: that of the solver, but for what the kernels flatten in each term."""
-    parts = ((_share(term, x) * block, g) for term in team.factors for block, g in (term.normal(x),))
+    parts = ((_curvature(term, x) * block, g) for term in team.factors for block, g in (term.normal(x),))
     return Information.of(pattern.added(parts)[0], pattern.elimination)
 
 
-def scatter(moved: Float[np.ndarray, "rows q"], groups: int) -> float:
+def scatter(influence: Float[np.ndarray, "rows q"], groups: int) -> float:
     """By how much the groups' errors scatter more than the model says, squared, in the mean; 1 where nothing shows it.
 
-    moved: how far each of `groups` moves what is looked at, in the model's standard deviations, then each prior, which
-    says itself how much it errs and is left out on both sides.
+    influence: how far each of `groups` moves what is looked at, in the model's standard deviations, then each prior,
+    which says itself how much it errs and is left out on both sides.
     """
-    squares = np.square(moved).sum(axis=1)
-    left = moved.shape[1] - float(squares[groups:].sum())
+    squares = np.square(influence).sum(axis=1)
+    left = influence.shape[1] - float(squares[groups:].sum())
     return float(squares[:groups].sum()) / left if groups and left > 1.0 - MOST_TAKEN else 1.0
 
 
@@ -108,7 +108,7 @@ def taken_out(
     held, row, column = [], [np.zeros(0, int)], [np.zeros(0, int)]
     for term, origin in zip(team.factors, team.origins, strict=True):
         if origin is not None:
-            held.append((term.columns, _share(term, x) * term.normal(x)[0]))
+            held.append((term.columns, _curvature(term, x) * term.normal(x)[0]))
             row.append(np.repeat(groups.rows(origin), term.columns.shape[1]))
             column.append(term.columns.ravel())
     at, shape = (np.concatenate(row), np.concatenate(column)), (len(groups), len(x))
@@ -123,7 +123,7 @@ def taken_out(
     return min(missing / total, MOST_TAKEN) if total > 0 else 0.0
 
 
-def _share(term: Factor, x: Float[np.ndarray, " n"]) -> float:
+def _curvature(term: Factor, x: Float[np.ndarray, " n"]) -> float:
     return max(LEAST_CURVED, term.curvature(x))
 
 
@@ -169,20 +169,20 @@ def team_covariance(
     hubs = np.arange(team.landmark_start, len(solution.x))
     m = 2 * len(team.landmarks)
     few = known.groups < cfg.groups * np.count_nonzero(solution.free >= team.landmark_start)
-    moved, model = known.moved(hubs, 1.0 if few else cfg.most_corrected), known.model()
+    influence, model = known.influence(hubs, 1.0 if few else cfg.most_corrected), known.model()
     by = 1.0
     if not team.has_laser:
-        white, told = known.whitened(model)
-        by = scatter(moved[:, :m] @ white, known.groups)
+        white, directions = known.whitened(model)
+        by = scatter(influence[:, :m] @ white, known.groups)
         if few:
-            taken = taken_out(team, solution.x, groups, known.information, known.free, told)
+            taken = taken_out(team, solution.x, groups, known.information, known.free, directions)
             by = (1.0 + cfg.few_raised) * (by + taken * max(1.0, by / (1.0 - taken)))
     factors = [max(by, _correlation(team, k, solution.x, cfg.memory)) for k in range(len(team.parts))]
     if few:
-        priors = moved[known.groups :].T @ moved[known.groups :]
+        priors = influence[known.groups :].T @ influence[known.groups :]
         S = symmetrise(by * (model - priors) + priors)
     else:
-        S = symmetrise(moved.T @ moved)
+        S = symmetrise(influence.T @ influence)
     floor = np.diag([cfg.position_floor**2, cfg.position_floor**2, cfg.heading_floor**2])
     poses = [f * P + floor for f, P in zip(factors, known.pose_blocks(), strict=True)]
     deviations = np.sqrt(np.maximum(np.diag(S)[m:], 0.0)).reshape(-1, len(PARAMETERS))
@@ -271,7 +271,7 @@ class _Known:
         A = np.eye(len(P)) - self.motions[self.team.landmark_start :] @ self.taken
         return symmetrise(A @ P @ A.T)
 
-    def moved(self, index: Int[np.ndarray, " k"], most: float) -> Float[np.ndarray, "groups k"]:
+    def influence(self, index: Int[np.ndarray, " k"], most: float) -> Float[np.ndarray, "groups k"]:
         """How far the errors of each group and of each prior move the entries `index` of x.
 
         most: the largest factor for what landmarks and calibration themselves took out of the residuals.
@@ -279,8 +279,8 @@ class _Known:
         The rows' outer products add up to a covariance.
         """
         hubs = np.arange(self.team.landmark_start, len(self.position))
-        of_hubs = self._moved(hubs)
-        own = of_hubs if np.array_equal(index, hubs) else self._moved(index)
+        of_hubs = self._influence(hubs)
+        own = of_hubs if np.array_equal(index, hubs) else self._influence(index)
         out = own - (of_hubs @ self.taken.T) @ self.motions[index].T
         groups = float(len(out) - self.priors)
         shared = float(np.count_nonzero(self.free >= self.team.landmark_start))
@@ -288,7 +288,7 @@ class _Known:
             out[: len(out) - self.priors] *= np.sqrt(groups / max(groups - shared, groups / most))
         return np.asarray(out)
 
-    def _moved(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "groups k"]:
+    def _influence(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "groups k"]:
         at = self.position[index]
         free = np.flatnonzero(at >= 0)
         out = np.zeros((self.scores.shape[0], len(index)))
@@ -364,18 +364,18 @@ def _correlation(team: TeamProblem, robot: int, x: Float[np.ndarray, " n"], leng
         return 1.0
     part = team.parts[robot]
     pairs = [(t, o) for t, o in zip(team.factors, team.origins, strict=True) if o is not None]
-    found = [(t, o, np.arange(len(o.t))) for t, o in pairs if o.robot == robot and t.name == "landmark"]
-    alike = not found  # they all see this one robot
+    terms = [(t, o, np.arange(len(o.t))) for t, o in pairs if o.robot == robot and t.name == "landmark"]
+    alike = not terms  # they all see this one robot
     if alike:
         last = part.start + 3 * len(part.instants.t)
         of_it = [(t.columns[:, 3] >= part.start) & (t.columns[:, 3] < last) for t, _ in pairs]
-        found = [
+        terms = [
             (t, o, np.flatnonzero(mine))
             for (t, o), mine in zip(pairs, of_it, strict=True)
             if o.robot != robot and t.name == "robot" and mine.any()
         ]
     together = alone = 0.0
-    for term, origin, rows in found:
+    for term, origin, rows in terms:
         g = term.normal(x)[1][rows, 3:5]
         what = np.zeros(len(g), int) if alike else term.columns[rows, 3]
         group = np.unique(np.stack([origin.t[rows] // length, what], axis=-1), axis=0, return_inverse=True)[1].ravel()

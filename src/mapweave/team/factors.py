@@ -37,13 +37,13 @@ def step_factor(part: RobotPart, cfg: SmoothingConfig, lag: float) -> Factor:
 
     def residual(x: np.ndarray) -> np.ndarray:
         speed, turn, lag = x[parameters[0]]
-        r = _moved(x[columns])[0] / [speed, speed, 1.0] - commanded(turn, lag).step[k]
+        r = _relative_pose(x[columns])[0] / [speed, speed, 1.0] - commanded(turn, lag).step[k]
         r[:, 2] = se2.wrap_angle(r[:, 2])
         return np.asarray(r)
 
     def jacobian(x: np.ndarray) -> np.ndarray:
         speed, turn, lag = x[parameters[0]]
-        z, J = _moved(x[columns])
+        z, J = _relative_pose(x[columns])
         J[:, :2] /= speed
         by = -commanded(turn, lag).by_calibration[k]
         by[:, :2, SPEED] = -z[:, :2] / speed**2
@@ -65,10 +65,10 @@ def _wandering(part: RobotPart, columns: Int[np.ndarray, "m 6"], cfg: SmoothingC
     whiten = np.linalg.inv(np.linalg.cholesky(random_walk(part.instants.t, cfg.motion, keeps)[part.instants.steps]))
 
     def residual(x: np.ndarray) -> np.ndarray:
-        return np.asarray(_halfway(*_moved(x[columns]))[0] * [x[scale], x[scale], 1.0])
+        return np.asarray(_halfway(*_relative_pose(x[columns]))[0] * [x[scale], x[scale], 1.0])
 
     def jacobian(x: np.ndarray) -> np.ndarray:
-        z, J = _halfway(*_moved(x[columns]))
+        z, J = _halfway(*_relative_pose(x[columns]))
         J[:, :2] *= x[scale]
         by = np.zeros((len(columns), 3, 1))
         by[:, :2, 0] = z[:, :2]
@@ -78,7 +78,7 @@ def _wandering(part: RobotPart, columns: Int[np.ndarray, "m 6"], cfg: SmoothingC
     return Factor(with_scale, residual, jacobian, 3, whiten, None, "wandering")
 
 
-def _moved(x: Float[np.ndarray, "m 6"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 6"]]:
+def _relative_pose(x: Float[np.ndarray, "m 6"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 6"]]:
     """The second pose seen from the first, and its derivatives by both."""
     c, s = np.cos(x[:, 2]), np.sin(x[:, 2])
     dx, dy = x[:, 3] - x[:, 0], x[:, 4] - x[:, 1]

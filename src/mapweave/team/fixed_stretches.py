@@ -50,7 +50,7 @@ def fixed_stretches(
     No pose is that lies within `cfg.fixed_window` of a leap. A robot of which less than two poses are fixed is left
     out of the map.
     """
-    tracks, gaps, told = dict(team.tracks), dict(team.left_out), []
+    tracks, gaps, notes = dict(team.tracks), dict(team.left_out), []
     for robot in robots:
         track = team.tracks[robot]
         keep = _fixed(track, _partners(robot, team, logs, labels, cfg), cfg) & ~_near_leaps(track, cfg, motion)
@@ -59,15 +59,15 @@ def fixed_stretches(
         gone = int((~keep).sum())
         if keep.sum() < LEAST:
             del tracks[robot]
-            told.append(f"robot {robot_key(robot)}: too few sightings fix where it was: it is left out")
+            notes.append(f"robot {robot_key(robot)}: too few sightings fix where it was: it is left out")
             continue
         cov = None if track.cov is None else track.cov[keep]
         tracks[robot] = Track(track.t[keep], track.pose[keep], cov, track.frame)
         gaps[robot] = _between_kept(track.t, keep)
         why = "too few sightings fix where it was then"
-        told.append(f"robot {robot_key(robot)}: {gone} of {len(keep)} poses are left out: {why}")
+        notes.append(f"robot {robot_key(robot)}: {gone} of {len(keep)} poses are left out: {why}")
     names = tuple(name for name in team.robots if name in tracks)
-    return replace(team, robots=names, tracks=tracks, left_out=gaps), tuple(told)
+    return replace(team, robots=names, tracks=tracks, left_out=gaps), tuple(notes)
 
 
 def _between_kept(t: Float[np.ndarray, " n"], keep: Bool[np.ndarray, " n"]) -> tuple[tuple[float, float], ...]:
@@ -83,8 +83,8 @@ def _partners(
     own = Body({robot: team.tracks[robot]}, {})
     others = [Body({name: track}, {}) for name, track in team.tracks.items() if name != robot]
     others += [Body({}, {name: at}) for name, at in zip(team.landmarks.ids, team.landmarks.mean, strict=True)]
-    found = [mutual_sightings(other, own, logs, labels) for other in others]
-    return [_seen(z, cfg) for z in found if len(z)]
+    sightings = [mutual_sightings(other, own, logs, labels) for other in others]
+    return [_seen(z, cfg) for z in sightings if len(z)]
 
 
 def _seen(z: MutualSightings, cfg: PlacingConfig) -> _Seen:

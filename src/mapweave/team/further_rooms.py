@@ -49,15 +49,15 @@ def with_further_rooms(
     their fusion and the team's maps come about. A team in which everybody tells odometry comes back as it is.
     """
     own = {m.robot: _known(m.track, placing) for m in local}
-    bare = [log for log in logs if log.odometry is None and log.robot in team.tracks and not own[log.robot].all()]
-    left = [_rest(log, team.tracks[log.robot].t[~own[log.robot]]) for log in bare]
+    wheelless = [log for log in logs if log.odometry is None and log.robot in team.tracks and not own[log.robot].all()]
+    left = [_rest(log, team.tracks[log.robot].t[~own[log.robot]]) for log in wheelless]
     apart = [m for m in map(mapper, [log for log in left if len(log.sightings)]) if len(m.submap.ids) >= LEAST]
     if not apart or not len(team.landmarks):
         return team, ()
     here = {robot: track.t[_placed(track, own[robot], placing)] for robot, track in team.tracks.items() if robot in own}
     there = {m.robot: m.track.t[_known(m.track, placing)] for m in apart}
     by = {log.robot: log for log in logs}
-    told = []
+    notes = []
     for room in carry(apart, join(apart)):
         names = [name for name in room.landmarks.ids if name not in team.landmarks.ids]
         if len(names) < LEAST:
@@ -67,13 +67,13 @@ def with_further_rooms(
         if relation is None or not is_sure(relation, placing):
             continue
         robots = ", ".join(robot_key(robot) for robot in sorted(room.robots, key=in_order))
-        told.append(
+        notes.append(
             f"{len(names)} landmarks that robots {robots} mapped apart are tied by {relation.agree} of {relation.of} "
             "sightings of each other"
         )
         team = _joined(team, here, room, there, names, relation)
         here = {r: np.union1d(t, there[r]) if r in room.tracks else t for r, t in here.items()}
-    return team, tuple(told)
+    return team, tuple(notes)
 
 
 def _known(track: Track, cfg: PlacingConfig) -> Bool[np.ndarray, " n"]:
@@ -130,10 +130,10 @@ def _joined(
     T, more = relation.transform, room.landmarks.select(list(names))
     mean = se2.act(T, more.mean)
     R = np.kron(np.eye(len(more)), se2.rotation(float(T[2])))
-    moved = np.zeros((2 * len(more), 3))
-    moved[0::2, 0] = moved[1::2, 1] = 1.0
-    moved[0::2, 2], moved[1::2, 2] = -(mean[:, 1] - T[1]), mean[:, 0] - T[0]
-    cov = R @ more.cov @ R.T + moved @ relation.cov @ moved.T
+    J = np.zeros((2 * len(more), 3))
+    J[0::2, 0] = J[1::2, 1] = 1.0
+    J[0::2, 2], J[1::2, 2] = -(mean[:, 1] - T[1]), mean[:, 0] - T[0]
+    cov = R @ more.cov @ R.T + J @ relation.cov @ J.T
     landmarks = LandmarkMap(
         (*team.landmarks.ids, *more.ids),
         np.concatenate([team.landmarks.mean, mean]),

@@ -60,24 +60,24 @@ def cut_kidnapped(
     for _ in range(cfg.most):
         by = {log.robot: log for log in main}
         suspects = _suspects(maps, fusion, by, cfg, placing, smoothing)
-        found = None
+        relocated = None
         for robot in suspects:
             k = next(i for i, log in enumerate(main) if log.robot == robot)
             if robot in cleared or main[k] is not logs[k]:
                 continue
             moments = _moments(main[k], maps, fusion, cfg, placing, smoothing, mapper, join)
             if moments:
-                found = k, moments
+                relocated = k, moments
                 break
             cleared.add(robot)
-        if found is None:
+        if relocated is None:
             break
-        k, moments = found
+        k, moments = relocated
         whole[k] = replace(logs[k], cuts=tuple(np.unique(moments).tolist()))
         stretches = whole[k].stretches()
         main[k] = max(stretches, key=lambda part: len(part.sightings))
-        made = mapper(main[k])
-        maps[k] = replace(made, warnings=(*made.warnings, _told(logs[k], moments)))
+        local_map = mapper(main[k])
+        maps[k] = replace(local_map, warnings=(*local_map.warnings, _warning(logs[k], moments)))
         fusion = join(maps)
         cleared.clear()
     return Cut(tuple(whole), tuple(main), tuple(maps), fusion)
@@ -90,7 +90,7 @@ def with_stretches(
 
     Also a sentence for each stretch that nothing places, which is left out.
     """
-    out, logs, told = list(maps), list(cut.logs), []
+    out, logs, notes = list(maps), list(cut.logs), []
     for i, log in enumerate(cut.logs):
         k = next((j for j, team in enumerate(out) if log.robot in team.tracks), None)
         if not log.cuts or k is None:
@@ -109,13 +109,13 @@ def with_stretches(
                 kept.append(part)
             elif len(part):
                 a, b = (end - log.span[0] for end in part.span)
-                told.append(f"robot {robot_key(log.robot)}: nothing places it from {a:.1f} to {b:.1f} s of its log")
+                notes.append(f"robot {robot_key(log.robot)}: nothing places it from {a:.1f} to {b:.1f} s of its log")
         ends = [(float(a.t[-1]), float(b.t[0])) for a, b in pairwise(pieces)]
         gaps = tuple(end for end, (a, b) in zip(ends, pairwise(kept), strict=True) if _rows_between(log, a, b))
         left = {**team.left_out, log.robot: gaps} if gaps else team.left_out
         out[k] = replace(team, tracks={**team.tracks, log.robot: _in_one(pieces)}, left_out=left)
         logs[i] = replace(_in_one_log(log, kept), cuts=tuple(part.span[0] for part in kept[1:]))
-    return tuple(out), tuple(logs), tuple(told)
+    return tuple(out), tuple(logs), tuple(notes)
 
 
 def _rows_between(log: LandmarkLog, a: LandmarkLog, b: LandmarkLog) -> bool:
@@ -155,7 +155,7 @@ def _in_one_log(log: LandmarkLog, parts: Sequence[LandmarkLog]) -> LandmarkLog:
     return log.chosen(chosen)
 
 
-def _told(log: LandmarkLog, moments: Sequence[Relocation]) -> str:
+def _warning(log: LandmarkLog, moments: Sequence[Relocation]) -> str:
     begin, when = log.span[0], []
     for a, b in moments:
         after = f"{a:.1f} (after {a - begin:.1f} s of its log)"
@@ -238,23 +238,23 @@ def _moments(
         if own is not None and len(own.submap.ids) >= cfg.landmarks:
             known = _calibrated(smoothing, own)
             reference = _landmarks(own.submap.landmarks)
-            found = jumps(reference, log, {}, cfg, placing, known)
-            if found and not denied(found, reference, log, {}, restless, cfg, placing, known):
-                return found
+            relocations = jumps(reference, log, {}, cfg, placing, known)
+            if relocations and not denied(relocations, reference, log, {}, restless, cfg, placing, known):
+                return relocations
     others = join([m for m in maps if m.robot != log.robot])
     first = others.components[0] if others.components else None
     if first is None or len(first.robots) < 2 or len(first.map) < cfg.landmarks:
         return ()
     reference = _landmarks(first.map)
-    found = jumps(reference, log, fusion.labels, cfg, placing, smoothing)
-    refuted = found and denied(found, reference, log, fusion.labels, restless, cfg, placing, smoothing)
-    return () if refuted else found
+    relocations = jumps(reference, log, fusion.labels, cfg, placing, smoothing)
+    refuted = relocations and denied(relocations, reference, log, fusion.labels, restless, cfg, placing, smoothing)
+    return () if refuted else relocations
 
 
 def _calibrated(smoothing: SmoothingConfig, m: LocalMap) -> SmoothingConfig:
     """With the wheels as a map of the robot's own found them."""
-    found = {name: m.calibration[name][0] for name in ("turn_scale", "lag") if name in m.calibration}
-    return replace(smoothing, calibration=replace(smoothing.calibration, **found))
+    calibration = {name: m.calibration[name][0] for name in ("turn_scale", "lag") if name in m.calibration}
+    return replace(smoothing, calibration=replace(smoothing.calibration, **calibration))
 
 
 def _landmarks(m: LandmarkMap) -> Body:

@@ -110,9 +110,9 @@ def map_mixed(
                 break
             team = _with_clocks(team, wrong)
         loosely = [robot for robot in done.map.tracks if robot not in held and by[robot].odometry is None]
-        cut, told = fixed_stretches(done.map, loosely, by, labels, placing, smoothing.motion)
+        cut, notes = fixed_stretches(done.map, loosely, by, labels, placing, smoothing.motion)
         against = known.contradicted(done.map, smoothing.known)
-        components.append(replace(done, map=cut, notes=(*done.notes, *told, *against)))
+        components.append(replace(done, map=cut, notes=(*done.notes, *notes, *against)))
     return MixedMap(tuple(components), layout, _paths(components, walls, by), clocks, walls.merges)
 
 
@@ -151,11 +151,11 @@ def regained(
         return tuple(maps), ()
     spread = {name: _variance(maps[k].landmarks, i) for i, name in enumerate(maps[k].landmarks.ids)}
     rest = [team for j, team in enumerate(maps) if j != k and not set(team.robots) & set(back)]
-    told = tuple(
+    notes = tuple(
         f"robot {robot_key(robot)}: its own map did not fit the others', {n} of {of} sightings place it"
         for robot, (n, of) in back.items()
     )
-    return (_team(_with_more_landmarks(body, by, labels, cfg), spread, by, labels, cfg), *rest), told
+    return (_team(_with_more_landmarks(body, by, labels, cfg), spread, by, labels, cfg), *rest), notes
 
 
 def _body(team: TeamMap) -> Body:
@@ -199,15 +199,15 @@ def _late(
     """How far [s] the clocks of `robots` are ahead, where the smoothed paths show it; `clocks` is updated."""
     wrong = {}
     for robot in robots:
-        found = clock_of(robot, team, logs, labels, cfg) if robot in team.tracks else None
-        if found is None:
+        clock = clock_of(robot, team, logs, labels, cfg) if robot in team.tracks else None
+        if clock is None:
             continue
         before = clocks.get(robot, RobotClock(0.0, 0.0)).ahead
-        if abs(found.ahead) > cfg.clock_sure * found.sd or (before and abs(found.ahead) > found.sd):
-            wrong[robot] = found.ahead
-            clocks[robot] = RobotClock(before + found.ahead, found.sd)
+        if abs(clock.ahead) > cfg.clock_sure * clock.sd or (before and abs(clock.ahead) > clock.sd):
+            wrong[robot] = clock.ahead
+            clocks[robot] = RobotClock(before + clock.ahead, clock.sd)
         elif before:
-            clocks[robot] = RobotClock(before, found.sd)
+            clocks[robot] = RobotClock(before, clock.sd)
     return wrong
 
 
@@ -249,8 +249,8 @@ def _with_more_landmarks(body: Body, logs: Mapping[str, LandmarkLog], labels: La
                     table.t[rows],
                 )
             )
-    found = {name: point_seen(MutualSightings.joined(parts), cfg) for name, parts in seen.items()}
-    return replace(body, landmarks={**body.landmarks, **{name: p for name, p in found.items() if p is not None}})
+    positions = {name: point_seen(MutualSightings.joined(parts), cfg) for name, parts in seen.items()}
+    return replace(body, landmarks={**body.landmarks, **{name: p for name, p in positions.items() if p is not None}})
 
 
 def _team(

@@ -35,12 +35,12 @@ Labels = Mapping[str, Mapping[str, str]]
 
 @dataclass(frozen=True, slots=True)
 class OnlineStep:
-    """What one step did. linearised: stretches taken anew; renewed: older ones of these; moved: the last change."""
+    """What one step did. linearised: stretches taken anew; renewed: older ones of these; change: the last one."""
 
     iterations: int
     linearised: int
     renewed: int
-    moved: float
+    change: float
 
 
 class OnlineTeam:
@@ -181,22 +181,22 @@ class OnlineTeam:
         tracks = {r: ways[r] if r in ways else self._onward(r, k, begin, now) for r in there}
         n = 2 * len(self.names)
         places = LandmarkMap(self.names, self.h[:n].reshape(-1, 2), np.zeros((n, n)))
-        made = stretch_of(
+        stretch = stretch_of(
             [self.logs[r] for r in there], tracks, (begin, end), places, self.labels,
             [r for r in there if r in before], [r for r in there if r in after], self.smoothing, self.calibration,
             self.members[0] if k == self._first() and len(self.names) < ENOUGH else None,
         )  # fmt: skip
-        x = made.problem.x0.copy()
-        for part in made.parts:
+        x = stretch.problem.x0.copy()
+        for part in stretch.parts:
             angles = part.start + 3 * np.arange(len(part.instants.t)) + 2
             x[angles] = np.unwrap(x[angles])
-            if part.robot in made.entry:  # the same pose as the end of the stretch before, on the same turn
+            if part.robot in stretch.entry:  # the same pose as the end of the stretch before, on the same turn
                 last = self.x[k - 1][self.stretches[k - 1].columns(part.robot, -1)]
                 x[angles] += 2 * np.pi * np.round((last[2] - x[angles[0]]) / (2 * np.pi))
-                x[made.columns(part.robot, 0)] = last
-        x[made.landmark_start :] = self.h[self._hubs(made)]
+                x[stretch.columns(part.robot, 0)] = last
+        x[stretch.landmark_start :] = self.h[self._hubs(stretch)]
         del self.stretches[k:], self.x[k:], self._links[k:], self._entries[k + 1 :], self._passed[k:]
-        self.stretches.append(made)
+        self.stretches.append(stretch)
         self.x.append(x)
         self._links.append(None)
 
@@ -277,11 +277,11 @@ class OnlineTeam:
         cfg, n = self.online, len(self.stretches)
         first = 0 if everything else max(0, n - cfg.window)
         linearised = renewed = i = 0
-        moved = np.inf
+        change = np.inf
         for i in range(iterations):
-            anew = {k for k in range(first, n) if self._moved(k) > (0.1 if everything else 0.5) * cfg.still}
+            anew = {k for k in range(first, n) if self._change(k) > (0.1 if everything else 0.5) * cfg.still}
             if i == 0 and older and not everything:
-                moves = {k: m for k in range(first) if (m := self._moved(k)) > cfg.move}
+                moves = {k: m for k in range(first) if (m := self._change(k)) > cfg.move}
                 far = sorted(moves, key=lambda k: -moves[k])[: cfg.renewed]
                 renewed = len(far)
                 anew |= set(far)
@@ -289,12 +289,12 @@ class OnlineTeam:
                 self._links[k] = self.stretches[k].linearised(self.x[k])
             linearised += len(anew)
             self._forward(min(anew, default=n))
-            moved = self._back(first)
-            if moved < cfg.still:
+            change = self._back(first)
+            if change < cfg.still:
                 break
-        return OnlineStep(i + 1, linearised, renewed, moved)
+        return OnlineStep(i + 1, linearised, renewed, change)
 
-    def _moved(self, k: int) -> float:
+    def _change(self, k: int) -> float:
         """How far what stretch k shares has moved since it was linearised."""
         link = self._links[k]
         return np.inf if link is None else float(np.abs(self.x[k][link.shared] - link.x[link.shared]).max(initial=0.0))

@@ -49,8 +49,8 @@ class OnlineRun:
     def warnings(self) -> tuple[str, ...]:
         """A sentence where nothing, or not every robot, could be smoothed before the end."""
         if self.team is not None and self.team.members:
-            told = ", ".join(map(robot_key, self.waited))
-            return (f"--online: no wheels: smoothed when the logs ended: robot {told}",) if told else ()
+            robots = ", ".join(map(robot_key, self.waited))
+            return (f"--online: no wheels: smoothed when the logs ended: robot {robots}",) if robots else ()
         return ("--online: no robot with wheels had a map while the logs played: all was smoothed at their end",)
 
     def timing(self) -> dict[str, float]:
@@ -58,6 +58,6 @@ class OnlineRun:
         out: dict[str, float] = {}
         for name, values in (("step", self.seconds), ("lag", self.lag)):
             if len(values):
-                told = (values.mean(), np.quantile(values, 0.99), values.max())
-                out |= {f"{name}_{k}": float(v) for k, v in zip(("mean", "p99", "max"), told, strict=True)}
+                statistics = (values.mean(), np.quantile(values, 0.99), values.max())
+                out |= {f"{name}_{k}": float(v) for k, v in zip(("mean", "p99", "max"), statistics, strict=True)}
         return out | {"closing": self.closing}

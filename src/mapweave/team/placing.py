@@ -110,18 +110,18 @@ def _merged(
     clocks: dict[str, float],
 ) -> list[Body]:
     """The groups after every tie that is sure, the surest first."""
-    found: dict[tuple[int, int], tuple[Relation, float] | None] = {}
+    candidates: dict[tuple[int, int], tuple[Relation, float] | None] = {}
     alive = dict(enumerate(groups))
     while True:
         for i, a in alive.items():
             for j, b in alive.items():
-                if i < j and (i, j) not in found:
-                    found[i, j] = _tie(a, b, logs, labels, cfg)
-        sure = [(tie[0].spread, pair) for pair, tie in found.items() if tie is not None]
+                if i < j and (i, j) not in candidates:
+                    candidates[i, j] = _tie(a, b, logs, labels, cfg)
+        sure = [(tie[0].spread, pair) for pair, tie in candidates.items() if tie is not None]
         if not sure:
             return list(alive.values())
         i, j = min(sure)[1]
-        relation, clock = found[i, j]  # type: ignore[misc]
+        relation, clock = candidates[i, j]  # type: ignore[misc]
         a, b = alive[i], alive[j]
         if b.own_clock:
             b = replace(b, clock=clock, own_clock=False)
@@ -132,7 +132,7 @@ def _merged(
         ties.append(Tie(a.robots, b.robots, relation.agree, relation.of, clock))
         alive[i] = a.joined(b.moved(relation.transform))
         del alive[j]
-        found = {pair: tie for pair, tie in found.items() if not {i, j} & set(pair)}
+        candidates = {pair: tie for pair, tie in candidates.items() if not {i, j} & set(pair)}
 
 
 def _tie(
@@ -164,17 +164,17 @@ def _with_clock(
     sharp = sharpened(cfg)
 
     def at(clock: float) -> Relation | None:
-        found = relate(mutual_sightings(a, replace(b, clock=clock), logs, labels), sharp)
-        return None if found is None or found.of < 5 * cfg.least else found
+        relation = relate(mutual_sightings(a, replace(b, clock=clock), logs, labels), sharp)
+        return None if relation is None or relation.of < 5 * cfg.least else relation
 
-    def worth(found: Relation | None) -> float:
-        return np.inf if found is None else found.cost / found.of
+    def worth(relation: Relation | None) -> float:
+        return np.inf if relation is None else relation.cost / relation.of
 
     steps = round(cfg.clock / cfg.clock_step)
     tried = {k * cfg.clock_step: at(k * cfg.clock_step) for k in range(-steps, steps + 1)}
     best = min(tried, key=lambda clock: (worth(tried[clock]), abs(clock)))
-    found, none = tried[best], tried[0.0]
-    if found is None or (none is not None and (worth(none) - worth(found)) * found.of < cfg.clock_lead):
+    relation, none = tried[best], tried[0.0]
+    if relation is None or (none is not None and (worth(none) - worth(relation)) * relation.of < cfg.clock_lead):
         return plain, 0.0
     step = 0.5 * cfg.clock_step
     while step > cfg.clock_still:
@@ -208,13 +208,13 @@ def _placed_next(
     """The loose robot that most windows place, in which group, and its track there."""
     best: tuple[int, int, LandmarkLog, Body, int, int] | None = None
     for log in waiting:
-        carrier = carried_by_wheels(log, logs, smoothing)
-        if not len(carrier.t):
+        wheel_track = carried_by_wheels(log, logs, smoothing)
+        if not len(wheel_track.t):
             continue
         for k, group in enumerate(groups):
-            found = _windows(group, log, carrier, logs, labels, cfg)
-            if found is not None and (best is None or len(found[0].anchors[log.robot]) > best[0]):
-                best = (len(found[0].anchors[log.robot]), k, log, *found)
+            placed = _windows(group, log, wheel_track, logs, labels, cfg)
+            if placed is not None and (best is None or len(placed[0].anchors[log.robot]) > best[0]):
+                best = (len(placed[0].anchors[log.robot]), k, log, *placed)
     return None if best is None else best[1:]
 
 
@@ -249,52 +249,52 @@ class Windows:
 def placed_windows(
     group: Body,
     log: LandmarkLog,
-    carrier: Track,
+    wheel_track: Track,
     logs: Mapping[str, LandmarkLog],
     labels: Labels,
     cfg: PlacingConfig,
 ) -> Windows:
     """Where sightings place the robot in the group, each window on its own; those that are not sure are left out."""
-    seen = mutual_sightings(group, Body({log.robot: carrier}, {}), logs, labels)
+    seen = mutual_sightings(group, Body({log.robot: wheel_track}, {}), logs, labels)
     seen = seen.select(np.argsort(seen.t, kind="stable"))
     length = cfg.window_still if log.odometry is None else cfg.window
     number = ((seen.t - seen.t[:1]) // length).astype(int)
     at, place, agree = [], [], 0
     for k in np.unique(number).tolist():
         part = seen.select(number == k)
-        found = relate(part, cfg)
-        if found is None or not is_sure(found, cfg):
+        relation = relate(part, cfg)
+        if relation is None or not is_sure(relation, cfg):
             continue
         middle = float(np.median(part.t))
-        there = se2.interpolate(np.array([middle]), carrier.t, carrier.pose)[0]
+        there = se2.interpolate(np.array([middle]), wheel_track.t, wheel_track.pose)[0]
         at.append(middle)
-        place.append(se2.compose(found.transform, there))
-        agree += found.agree
+        place.append(se2.compose(relation.transform, there))
+        agree += relation.agree
     return Windows(np.array(at), np.array(place).reshape(-1, 3), agree, seen, length)
 
 
 def _windows(
     group: Body,
     log: LandmarkLog,
-    carrier: Track,
+    wheel_track: Track,
     logs: Mapping[str, LandmarkLog],
     labels: Labels,
     cfg: PlacingConfig,
 ) -> tuple[Body, int, int] | None:
     """The robot's track in the group's frame, bent through every window that places it; how many sightings agree."""
     robot, driven = log.robot, log.odometry is not None
-    found = placed_windows(group, log, carrier, logs, labels, cfg)
-    if len(found.seen) < cfg.least or not len(found.t) or found.agree < cfg.loose_share * len(found.seen):
+    windows = placed_windows(group, log, wheel_track, logs, labels, cfg)
+    if len(windows.seen) < cfg.least or not len(windows.t) or windows.agree < cfg.loose_share * len(windows.seen):
         return None
-    times, anchors = _agreeing(found.t, found.place, carrier, cfg, driven=driven)
+    times, anchors = _agreeing(windows.t, windows.place, wheel_track, cfg, driven=driven)
     if not len(times):
         return None
-    t = np.unique(np.concatenate([carrier.t, times]))
-    base = se2.interpolate(t, carrier.t, carrier.pose)
+    t = np.unique(np.concatenate([wheel_track.t, times]))
+    base = se2.interpolate(t, wheel_track.t, wheel_track.pose)
     rows = np.searchsorted(t, times)
     pose = blended(base, rows, anchors) if driven else se2.interpolate(t, times, anchors)
-    body = Body({robot: Track(t, pose)}, {}, {robot: times}, {robot: cfg.window_reach * found.length})
-    return body, found.agree, len(found.seen)
+    body = Body({robot: Track(t, pose)}, {}, {robot: times}, {robot: cfg.window_reach * windows.length})
+    return body, windows.agree, len(windows.seen)
 
 
 def placed_alone(
@@ -306,20 +306,20 @@ def placed_alone(
     smoothing: SmoothingConfig,
 ) -> Track | None:
     """The trajectory of `log`'s robot, not in the group, where its sightings place it there; None where they do not."""
-    carrier = carried_by_wheels(log, logs, smoothing)
-    inside = (carrier.t >= log.span[0]) & (carrier.t <= log.span[1])
-    carrier = Track(carrier.t[inside], carrier.pose[inside])
-    found = _windows(group, log, carrier, logs, labels, cfg)
-    return None if found is None else found[0].tracks[log.robot]
+    wheel_track = carried_by_wheels(log, logs, smoothing)
+    inside = (wheel_track.t >= log.span[0]) & (wheel_track.t <= log.span[1])
+    wheel_track = Track(wheel_track.t[inside], wheel_track.pose[inside])
+    placed = _windows(group, log, wheel_track, logs, labels, cfg)
+    return None if placed is None else placed[0].tracks[log.robot]
 
 
 def _agreeing(
-    t: Float[np.ndarray, " k"], place: Float[np.ndarray, "k 3"], carrier: Track, cfg: PlacingConfig, *, driven: bool
+    t: Float[np.ndarray, " k"], place: Float[np.ndarray, "k 3"], wheel_track: Track, cfg: PlacingConfig, *, driven: bool
 ) -> tuple[Float[np.ndarray, " j"], Float[np.ndarray, "j 3"]]:
     """The places that follow from a neighbour as the wheels say, as far as that can be told."""
     if len(t) < 3:
         return t, place
-    base = se2.interpolate(t, carrier.t, carrier.pose)
+    base = se2.interpolate(t, wheel_track.t, wheel_track.pose)
     said = se2.between(base[:-1], base[1:])
     miss = se2.between(se2.compose(place[:-1], said), place[1:])
     way = np.hypot(said[:, 0], said[:, 1]) if driven else np.diff(t)

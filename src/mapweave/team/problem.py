@@ -165,8 +165,8 @@ def team_problem(
         if part.scans is None and len(part.instants.steps):
             terms.append(step_factor(part, cfg, float(prior[k][0][LAG])))
             origins.append(Origin(k, part.instants.t[part.instants.steps]))
-        found = sighting_factors(part, {p.robot: p for p in parts}, labels.get(part.robot, {}), where, x0, cfg)
-        for term, t in found:
+        sighting_terms = sighting_factors(part, {p.robot: p for p in parts}, labels.get(part.robot, {}), where, x0, cfg)
+        for term, t in sighting_terms:
             terms.append(term)
             origins.append(Origin(k, t))
             used[term.name] = used.get(term.name, 0) + len(term.columns)
@@ -204,7 +204,7 @@ def _scan_terms(parts: Sequence[RobotPart], crossings: Sequence[InterRobotEdge],
     for crossing in crossings:
         if crossing.a in by and crossing.b in by:
             pairs.setdefault((crossing.a, crossing.b), []).append(crossing)
-    return terms + [inter_robot_factor(by[a], by[b], found, cfg.motion.outlier) for (a, b), found in pairs.items()]
+    return terms + [inter_robot_factor(by[a], by[b], edges, cfg.motion.outlier) for (a, b), edges in pairs.items()]
 
 
 def _first_of_groups(

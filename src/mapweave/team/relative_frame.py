@@ -181,20 +181,20 @@ def point_seen(z: MutualSightings, cfg: PlacingConfig) -> Float[np.ndarray, "2"]
     if len(z) < cfg.least:
         return None
     origin = replace(z, point=np.zeros((len(z), 2)), forward=np.ones(len(z), bool))
-    found = _refined(origin, np.append(_shifts(origin, np.zeros(1), cfg)[0], 0.0), cfg, turns=False)
-    if found is None:
+    estimate = _refined(origin, np.append(_shifts(origin, np.zeros(1), cfg)[0], 0.0), cfg, turns=False)
+    if estimate is None:
         return None
-    transform, cov = found
+    transform, cov = estimate
     agree = int((np.square(residuals(origin, transform, cfg)).sum(axis=-1) < cfg.inlier**2).sum())
     enough = agree >= max(cfg.least, cfg.share * len(z))
     return transform[:2] if enough and np.sqrt(np.diag(cov)[:2].max()) < cfg.sure_xy else None
 
 
-def is_sure(found: Relation | None, cfg: PlacingConfig) -> bool:
+def is_sure(relation: Relation | None, cfg: PlacingConfig) -> bool:
     """Whether a relation is known well enough to be a tie."""
-    if found is None:
+    if relation is None:
         return False
-    sd = np.sqrt(np.diag(found.cov))
+    sd = np.sqrt(np.diag(relation.cov))
     return bool(max(sd[0], sd[1]) < cfg.sure_xy and sd[2] < cfg.sure_theta)
 
 
@@ -206,10 +206,10 @@ def _shifts(z: MutualSightings, heading: Float[np.ndarray, " k"], cfg: PlacingCo
     ray = np.stack([np.cos(w), np.sin(w)], axis=-1)
     side = np.stack([-ray[..., 1], ray[..., 0]], axis=-1)
     inside = np.where(z.forward[:, None], z.point, z.pose[:, :2])
-    moved = np.einsum("kij,mj->kmi", R, inside)
+    rotated = np.einsum("kij,mj->kmi", R, inside)
     known = np.where(z.forward[:, None], z.pose[:, :2], z.point)
     sign = np.where(z.forward, 1.0, -1.0)
-    offset = known - moved
+    offset = known - rotated
     ranged = np.isfinite(z.range)
     r = np.where(ranged, z.range, 0.0)
     along = np.einsum("kmi,kmi->km", ray, offset) + sign * r
@@ -238,14 +238,14 @@ def _refined(
     z: MutualSightings, T: Float[np.ndarray, "3"], cfg: PlacingConfig, *, turns: bool = True
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]] | None:
     """The minimum of the robust cost near `T`, and the covariance there; None where something is free."""
-    forward, pose, point, told, bearing = (
+    forward, pose, point, distance, bearing = (
         np.ascontiguousarray(column) for column in (z.forward, z.pose, z.point, z.range, z.bearing)
     )
 
     def normal(T: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Cost, gradient and information; a heading that does not turn is known to 1 rad."""
         cost, g, H = relation_normal(
-            forward, pose, point, told, bearing, T, cfg.range_floor, cfg.range_share, cfg.bearing
+            forward, pose, point, distance, bearing, T, cfg.range_floor, cfg.range_share, cfg.bearing
         )
         if not turns:
             g[2] = H[2, :2] = H[:2, 2] = 0.0

@@ -65,15 +65,15 @@ def jumps(
     smoothing: SmoothingConfig,
 ) -> tuple[Relocation, ...]:
     """The moments across which places in `reference` do not follow from each other, though they do on either side."""
-    carrier = carried_by_wheels(log, {}, smoothing)
+    wheel_track = carried_by_wheels(log, {}, smoothing)
     for length, least in ((cfg.window, cfg.run), (cfg.long_window, cfg.long_run)):
         windowed = replace(placing, window=length)
-        windows = placed_windows(reference, log, carrier, {log.robot: log}, labels, windowed)
+        windows = placed_windows(reference, log, wheel_track, {log.robot: log}, labels, windowed)
         out = []
-        for before, after in pairwise(_runs(windows, carrier, least, cfg)):
+        for before, after in pairwise(_runs(windows, wheel_track, least, cfg)):
             i, j = before[-1], after[0]
-            if _carried(windows, i, j, carrier, cfg):
-                out.append(_moment(windows, i, j, carrier, placing, cfg.blind))
+            if _carried(windows, i, j, wheel_track, cfg):
+                out.append(_moment(windows, i, j, wheel_track, placing, cfg.blind))
         if out:
             return tuple(out)
     return ()
@@ -94,18 +94,18 @@ def denied(
     still = Body({}, {name: place for name, place in reference.landmarks.items() if name not in names})
     if not names or len(still.landmarks) < cfg.landmarks or jumps(still, log, labels, cfg, placing, smoothing):
         return False
-    carrier = carried_by_wheels(log, {}, smoothing)
-    windows = placed_windows(still, log, carrier, {log.robot: log}, labels, replace(placing, window=cfg.window))
-    placed = [windows.t[k] for run in _runs(windows, carrier, cfg.run, cfg) for k in (run[0], run[-1])]
+    wheel_track = carried_by_wheels(log, {}, smoothing)
+    windows = placed_windows(still, log, wheel_track, {log.robot: log}, labels, replace(placing, window=cfg.window))
+    placed = [windows.t[k] for run in _runs(windows, wheel_track, cfg.run, cfg) for k in (run[0], run[-1])]
     return bool(placed) and all(min(placed) < m.begin and m.end < max(placed) for m in moments)
 
 
-def _runs(windows: Windows, carrier: Track, least: int, cfg: KidnapConfig) -> list[list[int]]:
+def _runs(windows: Windows, wheel_track: Track, least: int, cfg: KidnapConfig) -> list[list[int]]:
     """At least `least` windows that follow from each other; runs that begin inside another are left out."""
     runs: list[list[int]] = []
     for k in range(len(windows.t)):
         near = [run for run in runs if k - run[-1] <= cfg.back]
-        fits = [run for run in near if _follows(windows, run[-1], k, carrier, cfg.fits, cfg.fits, cfg.fits_share)]
+        fits = [run for run in near if _follows(windows, run[-1], k, wheel_track, cfg.fits, cfg.fits, cfg.fits_share)]
         if fits:
             max(fits, key=len).append(k)
         else:
@@ -119,41 +119,41 @@ def _runs(windows: Windows, carrier: Track, least: int, cfg: KidnapConfig) -> li
     return out
 
 
-def _follows(windows: Windows, i: int, j: int, carrier: Track, floor: float, turn: float, share: float) -> bool:
+def _follows(windows: Windows, i: int, j: int, wheel_track: Track, floor: float, turn: float, share: float) -> bool:
     """Whether window j lies where the wheels lead from window i, give or take."""
-    said, miss = _missed(windows, i, j, carrier)
-    angle = _driven(carrier, windows.t[i], windows.t[j])[1]
+    said, miss = _missed(windows, i, j, wheel_track)
+    angle = _driven(wheel_track, windows.t[i], windows.t[j])[1]
     near = float(np.hypot(miss[0], miss[1])) < floor + share * float(np.hypot(said[0], said[1]))
     return near and abs(float(miss[2])) < turn + share * angle
 
 
-def _carried(windows: Windows, i: int, j: int, carrier: Track, cfg: KidnapConfig) -> bool:
+def _carried(windows: Windows, i: int, j: int, wheel_track: Track, cfg: KidnapConfig) -> bool:
     """Whether window j lies where no wheels lead from window i, however far off their scales may be.
 
     What they may err by grows with all that was driven in between, to and fro, and sideways with the angle too, half
     the way on average after the turn: over minutes without a place they tell nothing.
     """
-    miss = _missed(windows, i, j, carrier)[1]
-    way, angle = _driven(carrier, windows.t[i], windows.t[j])
+    miss = _missed(windows, i, j, wheel_track)[1]
+    way, angle = _driven(wheel_track, windows.t[i], windows.t[j])
     away = float(np.hypot(miss[0], miss[1])) >= cfg.carried + cfg.carried_share * way * (1.0 + 0.5 * angle)
     return away or abs(float(miss[2])) >= cfg.carried_turn + cfg.carried_share * angle
 
 
-def _missed(windows: Windows, i: int, j: int, carrier: Track) -> tuple[np.ndarray, np.ndarray]:
+def _missed(windows: Windows, i: int, j: int, wheel_track: Track) -> tuple[np.ndarray, np.ndarray]:
     """The motion that the wheels tell from window i to window j, and where j lies as seen from its end."""
-    base = se2.interpolate(windows.t[[i, j]], carrier.t, carrier.pose)
+    base = se2.interpolate(windows.t[[i, j]], wheel_track.t, wheel_track.pose)
     said = se2.between(base[0], base[1])
     return said, se2.between(se2.compose(windows.place[i], said), windows.place[j])
 
 
-def _driven(carrier: Track, begin: float, end: float) -> tuple[float, float]:
+def _driven(wheel_track: Track, begin: float, end: float) -> tuple[float, float]:
     """The distance [m] and the angle [rad] that wheels tell, to and fro."""
-    inside = carrier.pose[(carrier.t >= begin) & (carrier.t <= end)]
+    inside = wheel_track.pose[(wheel_track.t >= begin) & (wheel_track.t <= end)]
     way = np.hypot(*np.diff(inside[:, :2], axis=0).T)
     return float(way.sum()), float(np.abs(se2.wrap_angle(np.diff(inside[:, 2]))).sum())
 
 
-def _moment(windows: Windows, i: int, j: int, carrier: Track, placing: PlacingConfig, blind: float) -> Relocation:
+def _moment(windows: Windows, i: int, j: int, wheel_track: Track, placing: PlacingConfig, blind: float) -> Relocation:
     """The moment between two windows up to which sightings agree with the one, and from which with the other.
 
     Where long nothing was seen in between, both ends of that time: nobody knows when in it the robot was carried.
@@ -163,7 +163,7 @@ def _moment(windows: Windows, i: int, j: int, carrier: Track, placing: PlacingCo
     if len(z):
         cost = []
         for k in (i, j):
-            base = se2.interpolate(windows.t[[k]], carrier.t, carrier.pose)[0]
+            base = se2.interpolate(windows.t[[k]], wheel_track.t, wheel_track.pose)[0]
             T = se2.compose(windows.place[k], se2.inverse(base))
             cost.append(np.minimum(np.square(residuals(z, T, placing)).sum(axis=-1), placing.inlier**2))
         total = np.append(0.0, np.cumsum(cost[0])) + np.append(np.cumsum(cost[1][::-1])[::-1], 0.0)

@@ -96,12 +96,12 @@ def smooth(
     if any(log.robot in scans for log in chosen):
         cfg = replace(cfg, camera=_beside_laser(cfg.camera))
     wider = with_fewer_poses(chosen, cfg, scans)
-    told = () if wider is cfg else (_told_of_steps(wider),)
+    notes = () if wider is cfg else (_told_of_steps(wider),)
     cfg, start = wider, team
     if all(log.odometry is None and log.robot not in scans for log in chosen) and len(team.landmarks) > 2:
-        bare = cfg.calibration.bare_range_scale
-        cfg = replace(cfg, calibration=replace(cfg.calibration, range_scale=bare))
-        start = _enlarged(team, 1.0 / bare)
+        range_scale = cfg.calibration.bare_range_scale
+        cfg = replace(cfg, calibration=replace(cfg.calibration, range_scale=range_scale))
+        start = _enlarged(team, 1.0 / range_scale)
     problem = team_problem(
         chosen, start.landmarks, start.tracks, labels, calibration or {}, cfg, scans, crossings, known=known
     )
@@ -132,7 +132,7 @@ def smooth(
         iterations=solution.iterations,
         status=str(solution.status),
         prior=_prior(cfg),
-        notes=told,
+        notes=notes,
         cost=solution.cost,
         clocks=clocks_of(problem, solution, cfg.clocks.suspect, cfg.cluster, clocks),
     )
@@ -249,10 +249,10 @@ def smooth_on_one_clock(
     """
 
     def on(clocks: Mapping[str, float]) -> Smoothed:
-        moved = [_moved(log, clocks.get(log.robot, 0.0)) for log in logs]
+        shifted = [_with_earlier_stamps(log, clocks.get(log.robot, 0.0)) for log in logs]
         tracks = {r: replace(track, t=track.t - clocks.get(r, 0.0)) for r, track in team.tracks.items()}
         first = replace(team, tracks=tracks) if clocks else team
-        return smooth(first, moved, labels, cfg, calibration, soften=soften, known=known, clocks=clocks)
+        return smooth(first, shifted, labels, cfg, calibration, soften=soften, known=known, clocks=clocks)
 
     limits = cfg.clocks
     as_is = done = on({})
@@ -263,27 +263,29 @@ def smooth_on_one_clock(
             break
         ahead.update({robot: ahead.get(robot, 0.0) + by for robot, by in wrong.items()})
         done = on(ahead)
-    found = {
+    offsets = {
         r: RobotClock(by, float(np.hypot(done.clocks[r].sd, limits.still)))
         for r, by in ahead.items()
         if r in done.clocks and not done.refused
     }
     gain = _gain(as_is, done)
-    sure = {r: c for r, c in found.items() if _off(c, limits.sure, limits) and gain >= limits.gain_sure}
-    told = {r: c for r, c in found.items() if r not in sure and _off(c, limits.told, limits) and gain >= limits.gain}
+    sure = {r: c for r, c in offsets.items() if _off(c, limits.sure, limits) and gain >= limits.gain_sure}
+    doubtful = {
+        r: c for r, c in offsets.items() if r not in sure and _off(c, limits.told, limits) and gain >= limits.gain
+    }
     if set(sure) != set(ahead):
         done = on({r: c.ahead for r, c in sure.items()}) if sure else as_is
     notes = [*done.notes, *(_sentence(r, c, right=True) for r, c in _in_order(sure))]
-    notes += [_sentence(r, c, right=False) for r, c in _in_order(told)]
+    notes += [_sentence(r, c, right=False) for r, c in _in_order(doubtful)]
     return replace(done, notes=tuple(notes), clocks=sure)
 
 
-def _wrong(done: Smoothed, moved: Mapping[str, float], cfg: ClockConfig) -> dict[str, float]:
+def _wrong(done: Smoothed, corrected: Mapping[str, float], cfg: ClockConfig) -> dict[str, float]:
     """By how much [s] the stamps are to be moved yet; those of robots moved before, until they are still."""
     return {
         robot: clock.ahead
         for robot, clock in done.clocks.items()
-        if abs(clock.ahead) >= (cfg.still if robot in moved else max(cfg.least, cfg.tried * clock.sd))
+        if abs(clock.ahead) >= (cfg.still if robot in corrected else max(cfg.least, cfg.tried * clock.sd))
     }
 
 
@@ -297,7 +299,7 @@ def _gain(before: Smoothed, after: Smoothed) -> float:
     return before.cost * min(1.0, left / max(n, 1)) - after.cost
 
 
-def _moved(log: LandmarkLog, ahead: float) -> LandmarkLog:
+def _with_earlier_stamps(log: LandmarkLog, ahead: float) -> LandmarkLog:
     """The log with its stamps `ahead` [s] earlier."""
     if not ahead:
         return log

@@ -140,32 +140,32 @@ def _near_the_layout(
                     np.asarray(se2.between(*(_frame({robots[k]: scanned[robots[k]]}, body, layout) for k in (i, j)))),
                     sd,
                 )
-                found = merge_maps(maps[i], maps[j], cfg.merge, start)
-                if found.transform is not None:
-                    found = _unless_far(found, start, scanned[robots[j]].track, placing)
-                out[i, j] = found
-                if found.merged:
+                merge = merge_maps(maps[i], maps[j], cfg.merge, start)
+                if merge.transform is not None:
+                    merge = _unless_far(merge, start, scanned[robots[j]].track, placing)
+                out[i, j] = merge
+                if merge.merged:
                     group = {k: group[i] if g == group[j] else g for k, g in group.items()}
     return out
 
 
-def _unless_far(found: Merge, start: Start, track: Track, placing: PlacingConfig) -> Merge:
+def _unless_far(merge: Merge, start: Start, track: Track, placing: PlacingConfig) -> Merge:
     """The merge; refused where walls put the second robot's trajectory elsewhere than sightings of the team do."""
-    assert found.transform is not None  # noqa: S101  (merged)
-    ways = [se2.act(T, track.pose[:, :2]) for T in (start.transform, found.transform)]
+    assert merge.transform is not None  # noqa: S101  (merged)
+    ways = [se2.act(T, track.pose[:, :2]) for T in (start.transform, merge.transform)]
     away = float(np.hypot(*(ways[1] - ways[0]).T).mean())
     if away <= placing.walls_off * np.sqrt(2.0) * placing.sure_xy:
-        return found
+        return merge
     reason = f"their walls fit {away:.1f} m from where sightings of the team place them"
-    return replace(found, merged=False, transform=None, covariance=None, reason=reason)
+    return replace(merge, merged=False, transform=None, covariance=None, reason=reason)
 
 
 def _bent(own: Scanned, pose: np.ndarray) -> Scanned:
     """The robot's map with its keyframes at `pose`, its trajectory between them as it was."""
     graph, track = own.graph, own.track
     rows = np.searchsorted(track.t, graph.t)
-    moved = se2.compose(pose, se2.between(graph.pose, track.pose[rows]))
-    return Scanned(replace(graph, pose=pose), Track(track.t, blended(track.pose, rows, moved), track.cov))
+    keyframes = se2.compose(pose, se2.between(graph.pose, track.pose[rows]))
+    return Scanned(replace(graph, pose=pose), Track(track.t, blended(track.pose, rows, keyframes), track.cov))
 
 
 def _crossings(robots: Sequence[str], graphs: Sequence[RobotGraph], woven: Woven) -> tuple[InterRobotEdge, ...]:
