@@ -39,8 +39,8 @@ def score_relations(track: Track, relations: Relations) -> RelationScore:
     n, m = len(relations), int(used.sum())
     if not m:
         return RelationScore(n, 0, None, None, None, None, None)
-    moved = se2.between(track.pose[first[used]], track.pose[second[used]])
-    error = se2.between(relations.pose[used], moved)  # relation^-1 (+) (pose(t1)^-1 (+) pose(t2))
+    motion = se2.between(track.pose[first[used]], track.pose[second[used]])
+    error = se2.between(relations.pose[used], motion)  # relation^-1 (+) (pose(t1)^-1 (+) pose(t2))
     trans = np.hypot(error[:, 0], error[:, 1])
     rot = np.degrees(np.abs(error[:, 2]))
     return RelationScore(

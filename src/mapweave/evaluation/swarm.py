@@ -155,23 +155,23 @@ def _doubts_standing(
 
     spread = spread_of(true)
     chance = another_order_fits(len(both), error, spread)
-    moved = _moved(truth, swarm.ids)
-    told = [
+    motion = _largest_motion(truth, swarm.ids)
+    doubts = [
         few_known("robots", int(np.isfinite(places).all(axis=1).sum()), len(places)),
         by_chance("robots", len(both), error(np.arange(len(both)))) if chance else beyond(nees),
     ]
-    if len(both) > 1 and moved > STANDING * spread:
-        told.append(f"the truth's robots move by up to {moved:.3g} m, the result's stand: its first places count")
+    if len(both) > 1 and motion > STANDING * spread:
+        doubts.append(f"the truth's robots move by up to {motion:.3g} m, the result's stand: its first places count")
     off = seen_angle_error(swarm.position, places, swarm.pairs[fit[swarm.pairs].all(axis=1)])
     if off is not None and swarm.sigma and off > MEASURED * swarm.sigma and not chance:
-        told.append(
+        doubts.append(
             f"angles between robots that are seen are off by {np.degrees(off):.3g} deg where bearings are good to "
             f"{np.degrees(swarm.sigma):.2g} deg: the truth may be of another recording"
         )
-    return tuple(filter(None, told))
+    return tuple(filter(None, doubts))
 
 
-def _moved(truth: SwarmTruth, ids: Sequence[str]) -> float:
+def _largest_motion(truth: SwarmTruth, ids: Sequence[str]) -> float:
     """The greatest distance between two true places of one of the robots `ids` [m]: the diagonal of all its places."""
     known = np.isin(np.array(truth.ids), list(ids)) if truth.t is not None else np.zeros(len(truth.ids), bool)
     if not known.any():
@@ -209,7 +209,7 @@ def score_moving(
     if not gauge and free and len(cov) == len(free):
         nees = marginal_nees(error[have], np.concatenate(cov)[have])
     missing = sum(name not in there for name in tracks)
-    doubts = _doubts_moving(tracks, free, gauge, truth) or ((told,) if (told := beyond(nees)) else ())
+    doubts = _doubts_moving(tracks, free, gauge, truth) or ((doubt,) if (doubt := beyond(nees)) else ())
     return SwarmScore(rms(error[have]), nees, alignment, len(free), missing, doubts=doubts), in_frame
 
 
@@ -230,14 +230,14 @@ def _doubts_moving(
         s, R, t = similarity(p[have], q[have], scale=False, turn=True) if gauge else (1.0, np.eye(p.shape[1]), 0.0)
         return rms(s * p[have] @ R.T + t - q[have]) or 0.0
 
-    told = [few_known("robots", sum(name in truth.ids for name in tracks), len(tracks))]
+    doubts = [few_known("robots", sum(name in truth.ids for name in tracks), len(tracks))]
     if len(names) > 2:
         own = error(np.arange(len(names)))
         places = np.concatenate([ways[k][name] for k, name in enumerate(names)])
         spread = spread_of(places[np.isfinite(places).all(axis=1)])
         if np.isfinite(own) and another_order_fits(len(names), error, spread):
-            told.append(by_chance("robots", len(free), own))
-    return tuple(filter(None, told))
+            doubts.append(by_chance("robots", len(free), own))
+    return tuple(filter(None, doubts))
 
 
 def _thinned(one: RobotTrajectory) -> RobotTrajectory:

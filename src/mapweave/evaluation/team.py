@@ -125,7 +125,7 @@ def _doubts(
 
         if another_order_fits(len(ids), error, spread_of(true)):
             return (by_chance("landmarks", len(score.ids), score.rmse),)
-        return (told,) if (told := beyond(score.nees_per_dof)) else ()
+        return (doubt,) if (doubt := beyond(score.nees_per_dof)) else ()
     tracks = {name: track for one in maps for name, track in one.tracks.items()}
     return tuple(
         f"robot {robot_key(name)}: a robot that stands in the middle of the true way is as near to it "
