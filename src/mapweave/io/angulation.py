@@ -32,7 +32,7 @@ def read_angulation(
         raise ReaderError(folder / "landmark.csv", "expected x and y of every beacon")
     if bearings.shape[2] != len(beacons):
         raise ReaderError(folder, f"expected {len(beacons)} bearings a row, found {bearings.shape[2]}")
-    places = [[float(v) for v in found.groups()] for p in files if (found := NAME.search(p.name))]
+    places = [[float(v) for v in match.groups()] for p in files if (match := NAME.search(p.name))]
     return bearings, np.array(places), beacons[:, :2]
 
 

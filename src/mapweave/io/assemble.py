@@ -136,27 +136,27 @@ class RawLog:
         scans = self._in_order()
         scans = self._with_intensities(scans)
         self._tell_beams(scans)
-        made = self._with_odometry(
+        log_scans = self._with_odometry(
             [scan_of(raw, mirrored=mirrored, sensor_pose=sensor_pose) for raw in scans], scans, odometry
         )
-        made = self._without_false_returns(made, used=used)
-        if made[0].odometry is None:
+        log_scans = self._without_false_returns(log_scans, used=used)
+        if log_scans[0].odometry is None:
             self.odometry_from = "none"
             self.warnings.append("no odometry: poses come from scan matching alone")
-        elif looks_mirrored(made):
+        elif looks_mirrored(log_scans):
             self.warnings.append(
                 "the scans turn against the odometry: beam angles seem to have the wrong sign (try --mirrored)"
             )
         else:
-            _check_speed(made, np.array([raw.t for raw in scans]), self.source)
-            agreement, cfg = scan_agreement(made), ScanAgreementConfig()
-            told = None if agreement is None else agreement.told(cfg)
-            self.warnings += [told] if told is not None else []
+            _check_speed(log_scans, np.array([raw.t for raw in scans]), self.source)
+            agreement, cfg = scan_agreement(log_scans), ScanAgreementConfig()
+            warning = None if agreement is None else agreement.warning(cfg)
+            self.warnings += [warning] if warning is not None else []
         return LaserLog(
             self.robot,
             self.source,
             np.array([raw.t for raw in scans]),
-            tuple(made),
+            tuple(log_scans),
             odometry,
             self.odometry_from,
             dict(self.dropped),
@@ -164,11 +164,11 @@ class RawLog:
             self.log_hash,
         )
 
-    def _without_false_returns(self, made: list[Scan], *, used: bool) -> list[Scan]:
-        kept, left = without_false_returns(made)
+    def _without_false_returns(self, scans: list[Scan], *, used: bool) -> list[Scan]:
+        kept, left = without_false_returns(scans)
         if used:
             self.warnings += [f"{n} returns seem false and are in the map: {what}" for what, n in left.items()]
-            return made
+            return scans
         self.dropped.update(left)
         return kept
 
@@ -225,8 +225,8 @@ class RawLog:
         every, scans = len(scans), [raw for raw in scans if raw.kept]
         counts = Counter(len(raw.ranges) for raw in scans)
         if len(counts) > 1:
-            told = ", ".join(f"{n} beams in {k} scans" for n, k in counts.most_common())
-            self.warnings.append(f"the beam count changes: {told}")
+            listing = ", ".join(f"{n} beams in {k} scans" for n, k in counts.most_common())
+            self.warnings.append(f"the beam count changes: {listing}")
         empty = sum(not _hit(raw).any() for raw in scans)
         if empty:
             why = "odometry carries over them" if empty < every else "are the ranges in metres?"
@@ -234,17 +234,17 @@ class RawLog:
         if nan := sum(int(np.isnan(raw.ranges).sum()) for raw in scans):
             self.warnings.append(f"{nan} ranges are not a number: read as no return")
 
-    def _with_odometry(self, made: list[Scan], scans: list[RawScan], odometry: Track | None) -> list[Scan]:
+    def _with_odometry(self, log_scans: list[Scan], scans: list[RawScan], odometry: Track | None) -> list[Scan]:
         own = [raw.odometry for raw in scans]
         if odometry is None or all(pose is not None for pose in own):
             if any(pose is None for pose in own):
-                return [replace(scan, odometry=None) for scan in made]
-            return [replace(scan, odometry=frozen(pose)) for scan, pose in zip(made, own, strict=True)]
+                return [replace(scan, odometry=None) for scan in log_scans]
+            return [replace(scan, odometry=frozen(pose)) for scan, pose in zip(log_scans, own, strict=True)]
         outside = sum(not odometry.t[0] - 0.5 <= raw.t <= odometry.t[-1] + 0.5 for raw in scans)
         if outside:
             self.warnings.append(f"{outside} of {len(scans)} scans are outside the time of the odometry: it is held")
         poses = poses_at(np.array([raw.t for raw in scans]), odometry)
-        return [replace(scan, odometry=frozen(pose)) for scan, pose in zip(made, poses, strict=True)]
+        return [replace(scan, odometry=frozen(pose)) for scan, pose in zip(log_scans, poses, strict=True)]
 
 
 def poses_at(t: Float[np.ndarray, " m"], track: Track) -> Float[np.ndarray, "m 3"]:

@@ -110,12 +110,12 @@ def open_bag(path: Path, kinds_read: Collection[str]) -> Bag:
             for _ in reader.messages(connections=wanted) if wanted else ():
                 pass
     except DAMAGE as error:
-        found = salvage(path) if path.is_file() else Salvage()
-        if not found.messages:
+        salvaged = salvage(path) if path.is_file() else Salvage()
+        if not salvaged.messages:
             raise ReaderError(path, f"not a readable ROS recording: {_short(error)}") from None
-        lost = f"cut short or damaged ({_short(error)}): {len(found.messages)} messages could be read"
-        counts = Counter(topic for topic, _, _ in found.messages)
-        return Bag(path, _named(found.kinds), dict(counts), lost, _salvaged=found)
+        lost = f"cut short or damaged ({_short(error)}): {len(salvaged.messages)} messages could be read"
+        counts = Counter(topic for topic, _, _ in salvaged.messages)
+        return Bag(path, _named(salvaged.kinds), dict(counts), lost, _salvaged=salvaged)
     return Bag(path, kinds, dict(counts), "")
 
 
@@ -150,16 +150,16 @@ def _single(path: Path) -> Path:
     return path
 
 
-def _unpacked(bag: Bag, found: Salvage, topics: Collection[str]) -> Iterator[tuple[str, int, Callable[[], Any]]]:
+def _unpacked(bag: Bag, salvaged: Salvage, topics: Collection[str]) -> Iterator[tuple[str, int, Callable[[], Any]]]:
     ros1 = bag.path.suffix == ".bag"
     store = get_typestore(Stores.EMPTY if ros1 else Stores.ROS2_HUMBLE)
-    for kind, text in found.definitions.items():
+    for kind, text in salvaged.definitions.items():
         try:
             known = get_types_from_msg(text, kind)
             store.register({name: fields for name, fields in known.items() if name not in store.fielddefs})
         except DAMAGE:  # messages of this type cannot be unpacked, and are counted as such
             continue
-    for topic, ns, data in found.messages:
+    for topic, ns, data in salvaged.messages:
         if topic in topics:
             kind = bag.kinds[topic]
             yield topic, ns, partial(store.deserialize_ros1 if ros1 else store.deserialize_cdr, data, kind)

@@ -57,7 +57,7 @@ def bag_robots(bag: Bag) -> tuple[BagRobot, ...]:
     tf = bag.topics(*TF)
     if len(scans) <= 1 and len(odometry) <= 1:
         return (BagRobot("", tuple(scans), tuple(odometry), tuple(tf)),) if scans else ()
-    seen = _look(bag, scans, odometry, tf)
+    seen = _frames_and_transforms(bag, scans, odometry, tf)
     homes = {topic: _home(topic, (*odometry, *tf)) for topic in scans}
     trees = {home: _near(home, tf, set(homes.values())) for home in set(homes.values())}
     groups = _grouped(scans, homes, seen, trees, odometry)
@@ -106,7 +106,7 @@ def _topic(bag: Bag, wanted: str, kinds: Sequence[str], what: str) -> str:
     raise ReaderError(bag.path, f"no {what} topic {wanted!r}; there are {bag.listing() or 'no topics'}")
 
 
-def _look(bag: Bag, scans: Sequence[str], odometry: Sequence[str], tf: Sequence[str]) -> _Topics:
+def _frames_and_transforms(bag: Bag, scans: Sequence[str], odometry: Sequence[str], tf: Sequence[str]) -> _Topics:
     seen = _Topics(tf={topic: Transforms() for topic in tf})
     for topic, ns, message in bag.messages({*scans, *odometry, *tf}, once={*scans, *odometry}):
         if topic in seen.tf:
@@ -200,8 +200,8 @@ def _joined(tree: Transforms, a: str, b: str) -> bool | None:
 
 def _numbered(a: Place, b: Place) -> bool:
     """Whether two namespaces differ, and in numbers alone: `robot1` and `robot2`."""
-    bare = [tuple(re.sub(r"[0-9]+", "#", word) for word in place) for place in (a, b)]
-    return a != b and bare[0] == bare[1]
+    patterns = [tuple(re.sub(r"[0-9]+", "#", word) for word in place) for place in (a, b)]
+    return a != b and patterns[0] == patterns[1]
 
 
 def _odometry_of(

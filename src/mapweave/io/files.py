@@ -64,8 +64,8 @@ class TextLog:
         """Line numbers from 1 and lines without their ends; raises ReaderError for one too long to cut into words."""
         for number, line in enumerate(self.text.splitlines(), start=1):
             if len(line) > LONGEST:
-                found = f"expected lines of at most {LONGEST} characters, found one of {len(line)}"
-                raise ReaderError(self.path, found, number)
+                problem = f"expected lines of at most {LONGEST} characters, found one of {len(line)}"
+                raise ReaderError(self.path, problem, number)
             yield number, line
 
     def head(self, n: int = 60) -> list[list[str]]:
@@ -108,8 +108,8 @@ class Files:
                 return (self.where / name).read_bytes()
             entry = self.archive.getinfo(name)
             if entry.file_size > max(LARGEST_SMALL, LARGEST_RATIO * entry.compress_size):
-                told = f"{entry.compress_size} bytes unpack to {entry.file_size}: no log is packed so well"
-                raise ReaderError(self.label(name), told)
+                problem = f"{entry.compress_size} bytes unpack to {entry.file_size}: no log is packed so well"
+                raise ReaderError(self.label(name), problem)
             return self.archive.read(name)
         except OSError as error:
             raise ReaderError(self.label(name), f"cannot be read: {error.strerror or error}") from None
@@ -123,8 +123,8 @@ class Files:
         """The one folder ('' or 'name/') that holds all `names`; raises ReaderError when they lie in several."""
         folders = sorted({name.rpartition("/")[0] for name in names})
         if len(folders) > 1:
-            told = ", ".join(f or "(top)" for f in folders)
-            raise ReaderError(self.where, f"expected one data set, found files of {len(folders)} mixed: {told}")
+            listing = ", ".join(f or "(top)" for f in folders)
+            raise ReaderError(self.where, f"expected one data set, found files of {len(folders)} mixed: {listing}")
         return f"{folders[0]}/" if folders and folders[0] else ""
 
 

@@ -43,9 +43,9 @@ class G2oFile:
     @property
     def warnings(self) -> tuple[str, ...]:
         """One sentence where rows of unknown kinds were passed over."""
-        told = _kinds(self.unread)
+        unread = _kinds(self.unread)
         kinds = f"{VERTEX}, {EDGE}, {PRIOR} and {FIX}"
-        return (f"rows of other kinds than {kinds} are passed over: {told}",) if told else ()
+        return (f"rows of other kinds than {kinds} are passed over: {unread}",) if unread else ()
 
 
 @dataclass(slots=True)
@@ -105,14 +105,14 @@ def read_g2o_file(path: Path, *, parts: bool = False) -> G2oFile:
 
 def _kinds(unread: Mapping[str, int]) -> str:
     """How many rows there are of the first few kinds, long names cut, and how many kinds more."""
-    told = [f"{n} {kind[:TOLD_LETTERS]}" for kind, n in list(unread.items())[:TOLD_KINDS]]
-    more = len(unread) - len(told)
-    return ", ".join([*told, *([f"{more} kinds more"] if more else [])])
+    counts = [f"{n} {kind[:TOLD_LETTERS]}" for kind, n in list(unread.items())[:TOLD_KINDS]]
+    more = len(unread) - len(counts)
+    return ", ".join([*counts, *([f"{more} kinds more"] if more else [])])
 
 
 def _priors(path: Path, rows: _Rows, index: dict[int, int]) -> tuple[Prior, ...]:
     out: dict[int, tuple[Prior, int]] = {}
-    told: list[Prior] = []
+    priors: list[Prior] = []
     for name, values, line in rows.priors:
         if name not in index:
             raise ReaderError(path, f"{PRIOR} {name}: there is no such vertex", line)
@@ -125,8 +125,8 @@ def _priors(path: Path, rows: _Rows, index: dict[int, int]) -> tuple[Prior, ...]
         if mahalanobis2(d, np.linalg.inv(other.information) + np.linalg.inv(prior.information)) > AGREE:
             apart = f"{np.hypot(*d[:2]):.3g} m and {np.degrees(abs(d[2])):.3g} degrees apart"
             raise ReaderError(path, f"{PRIOR} {name} contradicts that of line {at}: they lie {apart}", line)
-        told.append(prior)
-    return tuple(told)
+        priors.append(prior)
+    return tuple(priors)
 
 
 def _rows(path: Path) -> _Rows:
@@ -238,8 +238,8 @@ def _walked(
         queue = [int(left[0])]
     lost = np.flatnonzero(~np.isfinite(pose).all(axis=1))
     if len(lost):
-        told = ", ".join(str(names[k]) for k in lost[:3].tolist()) + (", ..." if len(lost) > 3 else "")
-        raise ReaderError(path, f"{len(lost)} poses have no vertex and no edge leads to them: {told}")
+        listing = ", ".join(str(names[k]) for k in lost[:3].tolist()) + (", ..." if len(lost) > 3 else "")
+        raise ReaderError(path, f"{len(lost)} poses have no vertex and no edge leads to them: {listing}")
     return pose
 
 

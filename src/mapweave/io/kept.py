@@ -97,13 +97,14 @@ def parts(
     names = [keeper.name(function, task) for task in tasks]
     earlier = [keeper.earlier(name) for name in names]
     running: list[Future[T] | None] = [
-        executor.submit(function, *task) if found is None else None for task, found in zip(tasks, earlier, strict=True)
+        executor.submit(function, *task) if finished is None else None
+        for task, finished in zip(tasks, earlier, strict=True)
     ]
     try:
-        for name, found, future in zip(names, earlier, running, strict=True):
+        for name, finished, future in zip(names, earlier, running, strict=True):
             if future is None:
-                assert found is not None  # noqa: S101  (one of the two is there)
-                out.append(found[0])
+                assert finished is not None  # noqa: S101  (one of the two is there)
+                out.append(finished[0])
             else:
                 out.append(future.result())
                 keeper.keep(name, out[-1])
@@ -125,7 +126,7 @@ class _Keeper:
         self.begun = time.monotonic()
         self.waiting: dict[str, object] = {}
         self.used: set[str] = set()
-        self.told = False
+        self.warned = False
 
     @property
     def finished(self) -> int:
@@ -133,9 +134,9 @@ class _Keeper:
 
     def part(self, function: Callable[..., T], arguments: Sequence[object], unseen: dict[str, Any]) -> T:
         name = self.name(function, arguments)
-        found = self.earlier(name)
-        if found is not None:
-            earlier: T = found[0]
+        finished = self.earlier(name)
+        if finished is not None:
+            earlier: T = finished[0]
             return earlier
         value = function(*arguments, **unseen)
         self.keep(name, value)
@@ -161,8 +162,8 @@ class _Keeper:
         except TORN:
             return None
         self.used.add(name)
-        if not self.told:
-            self.told = True
+        if not self.warned:
+            self.warned = True
             log.warning("going on with the finished parts of a run that was stopped")
         return (value,)
 

@@ -103,15 +103,15 @@ def _logs(
     others: Collection[str] | None = None,
 ) -> tuple[LandmarkLog, ...]:
     robot_of_drive = np.zeros(0, np.int64) if drive is None else drive[1]
-    found = sorted({*robot_of_drive.tolist(), *seen[1].tolist()})
-    missing = [k for k in robots or () if k not in found]
+    numbers = sorted({*robot_of_drive.tolist(), *seen[1].tolist()})
+    missing = [k for k in robots or () if k not in numbers]
     if missing:
-        raise DataError(f"{path}: no robot {missing[0]}; there are {', '.join(map(str, found))}")
-    names = {f"robot{k}" for k in found} | set(others or ())
-    if len(found) == 1:  # one robot's own log: whoever it saw has one elsewhere
+        raise DataError(f"{path}: no robot {missing[0]}; there are {', '.join(map(str, numbers))}")
+    names = {f"robot{k}" for k in numbers} | set(others or ())
+    if len(numbers) == 1:  # one robot's own log: whoever it saw has one elsewhere
         names |= {name for name in seen[2] if re.fullmatch(r"robot\d+", name)}
     logs = []
-    for k in found if robots is None else robots:
+    for k in numbers if robots is None else robots:
         mend = landmark_log.Mending()
         odometry = None
         if drive is not None:
@@ -144,9 +144,9 @@ def _sightings(
     stranger = np.array([ids[i] == own or (ids[i].startswith("robot") and ids[i] not in robots) for i in rows], bool)
     mend.drop("sighting of itself or of no robot", int(stranger.sum()))
     table = table[~stranger] if len(rows) else table
-    told = ~np.isnan(table[:, 2])
-    ranged = landmark_log.mended_sightings(table[told], label, mend)
-    directed = table[~told]
+    has_range = ~np.isnan(table[:, 2])
+    ranged = landmark_log.mended_sightings(table[has_range], label, mend)
+    directed = table[~has_range]
     directed[:, 2] = 1.0
     directed = landmark_log.mended_sightings(directed, label, mend) if len(directed) else directed
     directed[:, 2] = np.nan

@@ -51,14 +51,14 @@ def read_robot_truth(path: Path) -> dict[str, tuple[Track, str]]:
     if not path.is_dir() and path.suffix.lower() != ".zip":
         return out
     with open_files(path) as files:
-        found: dict[int, dict[str, str]] = {}
+        by_robot: dict[int, dict[str, str]] = {}
         for name in files.names:
             match = TRUTH_FILE.match(name.rpartition("/")[2])
             if match:
-                found.setdefault(int(match[1]), {})[match[2]] = name
-        for k in sorted(found):
-            kind = next(kind for kind in KINDS if kind in found[k])
-            out[f"robot{k}"] = (_poses(files, found[k][kind], EXTRA[kind]), LABELS[kind])
+                by_robot.setdefault(int(match[1]), {})[match[2]] = name
+        for k in sorted(by_robot):
+            kind = next(kind for kind in KINDS if kind in by_robot[k])
+            out[f"robot{k}"] = (_poses(files, by_robot[k][kind], EXTRA[kind]), LABELS[kind])
     return out
 
 

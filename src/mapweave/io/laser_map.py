@@ -127,29 +127,29 @@ CLOSURES = (
 )
 
 
-def write_laser_map(folder: Path, made: LaserMap) -> None:
+def write_laser_map(folder: Path, laser_map: LaserMap) -> None:
     """`folder` holds map.pgm, map.yaml, grid.npz, scans.csv, pose_graph.g2o and, if calibrated, calibration.csv.
 
     A map of the graph method has robot_graph.npz and closures.csv beside; its pose graph is that of its keyframes.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    write_ros_map(folder, made.grid)
-    write_grid(folder / NAME, made.grid, made.calibration, made.feature)
-    write_scans(folder / "scans.csv", made.scans)
-    write_g2o(folder / "pose_graph.g2o", scan_graph(made) if made.graph is None else made.graph.graph())
-    if made.graph is not None:
-        write_robot_graph(folder / GRAPH, made.graph)
-        write_closures(folder / "closures.csv", made.graph)
-    if made.calibration is not None:
-        write_calibration(folder / "calibration.csv", made.calibration)
+    write_ros_map(folder, laser_map.grid)
+    write_grid(folder / NAME, laser_map.grid, laser_map.calibration, laser_map.feature)
+    write_scans(folder / "scans.csv", laser_map.scans)
+    write_g2o(folder / "pose_graph.g2o", scan_graph(laser_map) if laser_map.graph is None else laser_map.graph.graph())
+    if laser_map.graph is not None:
+        write_robot_graph(folder / GRAPH, laser_map.graph)
+        write_closures(folder / "closures.csv", laser_map.graph)
+    if laser_map.calibration is not None:
+        write_calibration(folder / "calibration.csv", laser_map.calibration)
 
 
-def scan_graph(made: LaserMap) -> PoseGraph:
+def scan_graph(laser_map: LaserMap) -> PoseGraph:
     """Scan poses with an edge between neighbours, each with its own information."""
-    pose = made.scans.pose
+    pose = laser_map.scans.pose
     step = se2.between(pose[:-1], pose[1:])
     n = len(step)
-    given = made.scans.information
+    given = laser_map.scans.information
     if given is None:
         travel, turn = np.hypot(step[:, 0], step[:, 1]), np.abs(step[:, 2])
         information = np.zeros((n, 3, 3))
@@ -180,21 +180,21 @@ def write_calibration(path: Path, calibration: IntensityCalibration) -> None:
     write_table(path, ("range", "log_gain", "gain", "residual"), rows, number)
 
 
-def write_woven_map(folder: Path, made: WovenMap) -> None:
+def write_woven_map(folder: Path, woven: WovenMap) -> None:
     """`folder` holds map.pgm, map.yaml, grid.npz, pose_graph.g2o of all keyframes, closures.csv and trajectories."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_ros_map(folder, made.grid)
-    write_grid(folder / NAME, made.grid, made.calibration, made.feature)
-    write_g2o(folder / "pose_graph.g2o", made.graph)
-    write_closure_rows(folder / "closures.csv", made.closures)
-    if made.calibration is not None:
-        write_calibration(folder / "calibration.csv", made.calibration)
-    write_woven_tracks(folder, made)
+    write_ros_map(folder, woven.grid)
+    write_grid(folder / NAME, woven.grid, woven.calibration, woven.feature)
+    write_g2o(folder / "pose_graph.g2o", woven.graph)
+    write_closure_rows(folder / "closures.csv", woven.closures)
+    if woven.calibration is not None:
+        write_calibration(folder / "calibration.csv", woven.calibration)
+    write_woven_tracks(folder, woven)
 
 
-def write_woven_tracks(folder: Path, made: WovenMap) -> None:
+def write_woven_tracks(folder: Path, woven: WovenMap) -> None:
     """`folder/trajectories` holds every robot's trajectory in the component's frame, and its covariances."""
-    for robot, track in made.tracks.items():
+    for robot, track in woven.tracks.items():
         write_tum(folder / "trajectories" / f"{robot_name(robot)}.tum", track)
         write_track_covariance(folder / "trajectories" / f"{robot_name(robot)}.cov.csv", track)
 

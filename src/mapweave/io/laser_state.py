@@ -63,12 +63,18 @@ def write_laser_states(folder: Path, maps: Sequence[LaserMap], starts: Mapping[s
     Its index tells the SHA-256 of every file that is read: the robots' own in `local` have to be written before.
     """
     files: dict[str, str] = {}
-    for made in maps:
-        parts = _files(made.robot)
-        _write(folder / parts[0], made)
+    for laser_map in maps:
+        parts = _files(laser_map.robot)
+        _write(folder / parts[0], laser_map)
         files |= {part.as_posix(): _hash(folder / part) for part in parts}
-    told = {robot: list(numbers) for robot, numbers in starts.items()}
-    held = {"version": __version__, "state": VERSION, "robots": [m.robot for m in maps], "starts": told, "files": files}
+    start_lists = {robot: list(numbers) for robot, numbers in starts.items()}
+    held = {
+        "version": __version__,
+        "state": VERSION,
+        "robots": [m.robot for m in maps],
+        "starts": start_lists,
+        "files": files,
+    }
     write_json(folder / "state" / INDEX, held)
 
 
@@ -83,20 +89,20 @@ def read_laser_states(folder: Path) -> LaserState:
     index = folder / "state" / INDEX
     if not index.is_file():
         raise DataError(f"{folder}: {why_no_state(folder)}")
-    told = read_json(index)
-    if told.get("state") != VERSION:
+    state = read_json(index)
+    if state.get("state") != VERSION:
         raise ReaderError(
             index,
-            f"expected state of version {VERSION}, found {told.get('state')!r}, which mapweave {told.get('version')} "
+            f"expected state of version {VERSION}, found {state.get('state')!r}, which mapweave {state.get('version')} "
             f"wrote: {AGAIN}",
         )
-    robots = told.get("robots")
+    robots = state.get("robots")
     if not isinstance(robots, list) or not robots or not all(isinstance(r, str) for r in robots):
         raise ReaderError(index, "expected the names of its robots, found none")
-    starts = told.get("starts")
+    starts = state.get("starts")
     if not isinstance(starts, dict) or not all(_is_start(numbers) for numbers in starts.values()):
         raise ReaderError(index, "expected starts of robots as lists of 3 or 4 numbers, found something else")
-    files = told.get("files")
+    files = state.get("files")
     if not isinstance(files, dict):
         raise ReaderError(index, "expected the hashes of its files, found none")
     for robot in robots:
@@ -152,20 +158,20 @@ def laser_homes(folder: Path) -> list[Path]:
     return sorted((p.parent for p in (folder / "local").rglob(GRID)), key=lambda p: in_order(p.as_posix()))
 
 
-def _write(path: Path, made: LaserMap) -> None:
-    track, scans, dead = made.track, made.scans, made.dead_reckoning
-    if made.graph is None or track.cov is None:
-        raise DataError(f"robot {made.robot}: the {made.method} method keeps no graph to go on from")
+def _write(path: Path, laser_map: LaserMap) -> None:
+    track, scans, dead = laser_map.track, laser_map.scans, laser_map.dead_reckoning
+    if laser_map.graph is None or track.cov is None:
+        raise DataError(f"robot {laser_map.robot}: the {laser_map.method} method keeps no graph to go on from")
     words = (
-        *(made.robot, made.method, made.feature, track.frame, made.odometry),
-        *(made.source, made.log_hash, made.called, made.scan_hash),
+        *(laser_map.robot, laser_map.method, laser_map.feature, track.frame, laser_map.odometry),
+        *(laser_map.source, laser_map.log_hash, laser_map.called, laser_map.scan_hash),
     )
     held = {
         "words": np.array(words, dtype=np.str_),
-        "particles": np.array(made.particles),
-        "dropped": np.array(list(made.dropped), dtype=np.str_),
-        "dropped_counts": np.array(list(made.dropped.values()), dtype=np.int64),
-        "warnings": np.array(made.warnings, dtype=np.str_),
+        "particles": np.array(laser_map.particles),
+        "dropped": np.array(list(laser_map.dropped), dtype=np.str_),
+        "dropped_counts": np.array(list(laser_map.dropped.values()), dtype=np.int64),
+        "warnings": np.array(laser_map.warnings, dtype=np.str_),
         "t": track.t,
         "pose": track.pose,
         "cov": track.cov,

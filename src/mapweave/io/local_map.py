@@ -29,7 +29,7 @@ ARRAYS: dict[str, Spec] = {
 
 def read_local_map(folder: Path) -> LocalMap:
     """The local map saved in `folder`; raises ReaderError when a file is missing, damaged or of another format."""
-    held = _Told(folder / "local_map.json", read_json(folder / "local_map.json"))
+    held = _Header(folder / "local_map.json", read_json(folder / "local_map.json"))
     if held.values.get("format") != FORMAT:
         raise ReaderError(held.path, f"expected format {FORMAT}, found {held.values.get('format')!r:.40}")
     arrays = read_npz(folder / "local_map.npz", ARRAYS, {"track_cov": ("number", ("poses", 6))})
@@ -66,7 +66,7 @@ def read_local_map(folder: Path) -> LocalMap:
 
 
 @dataclass(frozen=True, slots=True)
-class _Told:
+class _Header:
     """The JSON beside the arrays; every value is checked when it is asked for, and an error names it."""
 
     path: Path
@@ -117,8 +117,8 @@ class _Told:
             raise self._wrong("calibration", "value and sd by name", value)
         return {name: (float(c["value"]), float(c["sd"])) for name, c in pairs}
 
-    def _wrong(self, name: str, expected: str, found: object) -> ReaderError:
-        return ReaderError(self.path, f"{name}: expected {expected}, found {found!r:.60}")
+    def _wrong(self, name: str, expected: str, value: object) -> ReaderError:
+        return ReaderError(self.path, f"{name}: expected {expected}, found {value!r:.60}")
 
 
 def _is_count(value: object) -> bool:
@@ -133,7 +133,7 @@ def write_local_map(folder: Path, local: LocalMap) -> None:
     """All of `local` in `folder` (made when absent); `read_local_map` gives it back to the bit."""
     folder.mkdir(parents=True, exist_ok=True)
     submap, track, seen = local.submap, local.track, local.robot_sightings
-    told = {
+    header = {
         "format": FORMAT,
         "robot": local.robot,
         "frame": submap.frame,
@@ -150,7 +150,7 @@ def write_local_map(folder: Path, local: LocalMap) -> None:
         "robot_sightings": {name: seen.target.count(name) for name in sorted(set(seen.target))},
         "poses": len(track.t),
     }
-    write_json(folder / "local_map.json", told)
+    write_json(folder / "local_map.json", header)
     names = sorted(set(seen.target))
     arrays: dict[str, Any] = {
         "pose": submap.pose,

@@ -45,16 +45,16 @@ def sorted_logs(paths: Sequence[Path], source: LaserSource) -> MixedLogs:
 
     Raises ReaderError for a path of no kind that is known, DataError for two laser logs of one robot.
     """
-    found: dict[str, list[Path]] = {"landmarks": [], "odometry": [], "sightings": [], "laser": []}
+    by_kind: dict[str, list[Path]] = {"landmarks": [], "odometry": [], "sightings": [], "laser": []}
     for path in _opened(paths):
         kind = _kind(path)
         if not kind:
             expected = "an MRCLAM data set, CSV logs, a table of sightings or commands, or a laser log"
             raise ReaderError(path, f"expected {expected}, found nothing that is known")
-        found[kind].append(path)
+        by_kind[kind].append(path)
     lasers: dict[str, LaserOf] = {}
     nameless: list[LaserOf] = []
-    for path in found["laser"]:
+    for path in by_kind["laser"]:
         number = IN_NAME.search(path.name)
         for name in robots_of(path, source):
             log = LaserOf(path, replace(source, name=name))
@@ -66,10 +66,10 @@ def sorted_logs(paths: Sequence[Path], source: LaserSource) -> MixedLogs:
             if robot in lasers:
                 raise DataError(f"{path}: {robot} has the laser log {lasers[robot].path} too")
             lasers[robot] = log
-    used = {*lasers, *(log.robot for path in found["landmarks"] for log in read_landmark_logs(path))}
+    used = {*lasers, *(log.robot for path in by_kind["landmarks"] for log in read_landmark_logs(path))}
     free = (f"robot{k}" for k in range(1, 10**6) if f"robot{k}" not in used)
     lasers.update(zip(free, nameless, strict=False))
-    return MixedLogs(tuple(found["landmarks"]), tuple(found["odometry"]), tuple(found["sightings"]), lasers)
+    return MixedLogs(tuple(by_kind["landmarks"]), tuple(by_kind["odometry"]), tuple(by_kind["sightings"]), lasers)
 
 
 def read_mixed_landmarks(logs: MixedLogs) -> list[LandmarkLog]:
@@ -87,7 +87,7 @@ def read_mixed_landmarks(logs: MixedLogs) -> list[LandmarkLog]:
             read[log.robot] = _together(read[log.robot], log) if log.robot in read else log
     for robot, laser in logs.lasers.items():
         read.setdefault(robot, LandmarkLog(robot, None, NOTHING_SEEN, source=str(laser.path)))
-    return [_told(read[robot]) for robot in sorted(read, key=in_order)]
+    return [_with_current_warnings(read[robot]) for robot in sorted(read, key=in_order)]
 
 
 def _named_in(paths: Sequence[Path]) -> set[str]:
@@ -99,7 +99,7 @@ def _rows_of(path: Path) -> Sequence[LandmarkLog]:
     return read_tables(path, None) if is_odometry else read_tables(None, path)
 
 
-def _told(log: LandmarkLog) -> LandmarkLog:
+def _with_current_warnings(log: LandmarkLog) -> LandmarkLog:
     """With the warnings that are still true once all files are together."""
     idle = {"it saw nothing"} if len(log.sightings) + len(log.bearings) else set()
     if log.odometry is not None:

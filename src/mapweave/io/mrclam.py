@@ -26,14 +26,16 @@ ENOUGH = 20  # sightings that make an unlisted barcode a landmark (its place is 
 def read_mrclam(path: Path, robots: Sequence[int] | None = None) -> tuple[LandmarkLog, ...]:
     """The logs of all robots (or of `robots`) in order of number; raises ReaderError on a damaged data set."""
     with open_files(path) as files:
-        found = _robot_files(files)
-        folder = files.folder_of([*(n for kinds in found.values() for n in kinds.values()), *_barcode_files(files)])
+        robot_files = _robot_files(files)
+        folder = files.folder_of(
+            [*(n for kinds in robot_files.values() for n in kinds.values()), *_barcode_files(files)]
+        )
         table = _barcodes(files, folder)
-        wanted = sorted(found) if robots is None else list(robots)
-        missing = [k for k in wanted if k not in found]
+        wanted = sorted(robot_files) if robots is None else list(robots)
+        missing = [k for k in wanted if k not in robot_files]
         if missing:
-            raise DataError(f"{path}: no robot {missing[0]}; there are {', '.join(map(str, sorted(found)))}")
-        logs = tuple(_robot(files, k, found, table) for k in wanted)
+            raise DataError(f"{path}: no robot {missing[0]}; there are {', '.join(map(str, sorted(robot_files)))}")
+        logs = tuple(_robot(files, k, robot_files, table) for k in wanted)
     landmark_log.check_one_recording({f"{log.robot}": log.span for log in logs if len(log)}, path)
     if not any(len(log.sightings) for log in logs):
         raise DataError(f"{path}: no robot saw anything")
@@ -49,17 +51,17 @@ def _barcode_files(files: Files) -> list[str]:
 
 
 def _robot_files(files: Files) -> dict[int, dict[str, str]]:
-    found: dict[int, dict[str, str]] = {}
+    by_robot: dict[int, dict[str, str]] = {}
     for name in files.names:
         match = ROBOT_FILE.match(name.rpartition("/")[2])
         if match:
-            kinds = found.setdefault(int(match[1]), {})
+            kinds = by_robot.setdefault(int(match[1]), {})
             if match[2] in kinds:
                 files.folder_of([kinds[match[2]], name])
             kinds[match[2]] = name
-    if not found:
+    if not by_robot:
         raise ReaderError(files.where, "expected RobotN_Odometry.dat or RobotN_Measurement.dat, found none")
-    return found
+    return by_robot
 
 
 def _barcodes(files: Files, folder: str) -> dict[int, int]:
@@ -83,9 +85,9 @@ def _barcodes(files: Files, folder: str) -> dict[int, int]:
     return seen
 
 
-def _robot(files: Files, k: int, found: dict[int, dict[str, str]], codes: dict[int, int]) -> LandmarkLog:
+def _robot(files: Files, k: int, robot_files: dict[int, dict[str, str]], codes: dict[int, int]) -> LandmarkLog:
     mend = landmark_log.Mending()
-    kinds = found[k]
+    kinds = robot_files[k]
     odometry = None
     if "Odometry" in kinds:
         name = kinds["Odometry"]
@@ -103,7 +105,7 @@ def _robot(files: Files, k: int, found: dict[int, dict[str, str]], codes: dict[i
         if len(wrong):
             line = line_of(data, label, int(wrong[0]))
             raise ReaderError(label, f"expected a whole number for barcode, found {table[wrong[0], 1]:g}", line)
-        seen, misread = _named(landmark_log.mended_sightings(table, label, mend), codes, set(found), k, mend)
+        seen, misread = _named(landmark_log.mended_sightings(table, label, mend), codes, set(robot_files), k, mend)
     if not len(seen):
         mend.warnings.append("it saw nothing")
     spans = {"its sightings": seen.t} if odometry is None else {"its odometry": odometry.t, "its sightings": seen.t}

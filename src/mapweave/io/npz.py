@@ -61,8 +61,8 @@ def read_npz(
 
     def specs(there: Collection[str]) -> dict[str, Spec | None]:
         if missing := [name for name in wanted if name not in there]:
-            told = ", ".join(sorted(there))[:200] or "none"
-            raise ReaderError(path, f"expected {what} with {missing[0]}, found {told}")
+            listing = ", ".join(sorted(there))[:200] or "none"
+            raise ReaderError(path, f"expected {what} with {missing[0]}, found {listing}")
         return {**wanted, **{name: spec for name, spec in (optional or {}).items() if name in there}}
 
     return _read(path, specs, what)
@@ -125,12 +125,12 @@ def _is_text(values: np.ndarray) -> bool:
 
 def _check_type(dtype: np.dtype[Any], shape: tuple[int, ...], spec: Spec | None, sizes: dict[str, int]) -> None:
     kind, wanted = spec or ("any", shape)
-    told = "x".join(map(str, wanted)) or "one"
+    expected = "x".join(map(str, wanted)) or "one"
     if dtype.kind not in KINDS[kind] or dtype.itemsize > (4096 if dtype.kind == "U" else 8):
-        raise _WrongError(f"expected {told} {kind}, found {dtype}")
+        raise _WrongError(f"expected {expected} {kind}, found {dtype}")
     fits = len(shape) == len(wanted) and all(n >= 0 for n in shape)
     if not fits or any(sizes.setdefault(w, n) != n if isinstance(w, str) else w != n for w, n in _pairs(wanted, shape)):
-        raise _WrongError(f"expected the shape {told}, found {'x'.join(map(str, shape)) or 'one'}")
+        raise _WrongError(f"expected the shape {expected}, found {'x'.join(map(str, shape)) or 'one'}")
 
 
 def _pairs(wanted: tuple[str | int, ...], shape: tuple[int, ...]) -> list[tuple[str | int, int]]:

@@ -50,15 +50,17 @@ def write_result_mcaps(folder: Path) -> None:
         _write(part)
 
 
-def _write(made: Finished) -> None:
-    landmarks = made.landmarks if made.landmarks is not None and len(made.landmarks) else None
-    types = {topic: kind for topic, kind in TYPES.items() if topic not in {"/map", "/walls"} or made.walls is not None}
+def _write(result: Finished) -> None:
+    landmarks = result.landmarks if result.landmarks is not None and len(result.landmarks) else None
+    types = {
+        topic: kind for topic, kind in TYPES.items() if topic not in {"/map", "/walls"} or result.walls is not None
+    }
     if landmarks is None:
         types.pop("/landmarks")
-    for robot in made.tracks:
+    for robot in result.tracks:
         types |= {f"/{robot}/path": PATH, f"/{robot}/pose": POSE}
     latched = {topic for topic in types if topic in {"/map", "/walls", "/landmarks"} or topic.endswith("/path")}
-    write_messages(made.folder / NAME, types, _messages(made.tracks, made.walls, landmarks), latched)
+    write_messages(result.folder / NAME, types, _messages(result.tracks, result.walls, landmarks), latched)
 
 
 def _messages(tracks: Mapping[str, Track], walls: RosMap | None, landmarks: LandmarkMap | None) -> Iterator[Message]:
@@ -79,8 +81,8 @@ def _messages(tracks: Mapping[str, Track], walls: RosMap | None, landmarks: Land
             frames = [transform_message(ns, FRAME, f"{robot}/base_link", pose)]
             yield ns, "/tf", message_type("tf2_msgs/msg/TFMessage")(transforms=frames)
             cov = np.zeros((6, 6)) if track.cov is None else _in_space(track.cov[i])
-            told = message_type("PoseWithCovariance")(pose=pose_message(pose), covariance=cov.ravel())
-            yield ns, f"/{robot}/pose", message_type(POSE)(header=header_message(ns, FRAME), pose=told)
+            estimate = message_type("PoseWithCovariance")(pose=pose_message(pose), covariance=cov.ravel())
+            yield ns, f"/{robot}/pose", message_type(POSE)(header=header_message(ns, FRAME), pose=estimate)
 
 
 def _shown(t: Float[np.ndarray, " n"]) -> list[int]:

@@ -48,7 +48,7 @@ def read_robot_graph(path: Path) -> RobotGraph:
         version = int(held["version"])
         if version != VERSION:
             raise ReaderError(path, f"expected a laser graph of version {VERSION}, found {version}")
-        return _made(held)
+        return _graph_of(held)
     except (KeyError, ValueError, IndexError, TypeError, OverflowError) as error:
         raise ReaderError(path, f"it is no laser graph, or damaged: {error}") from None
 
@@ -58,7 +58,7 @@ def _key(name: str) -> str:
     return "driven" if name == "path" else name
 
 
-def _made(held: dict[str, np.ndarray]) -> RobotGraph:
+def _graph_of(held: dict[str, np.ndarray]) -> RobotGraph:
     robot, feature, source, log_hash = (str(word) for word in held["text"])
     n, m = len(held["t"]), len(held["points"])
     shapes = {
@@ -75,14 +75,14 @@ def _made(held: dict[str, np.ndarray]) -> RobotGraph:
         **({"q": (m,)} if "q" in held else {}),
     }
     for name, shape in shapes.items():
-        found = held[_key(name)]
-        if found.shape != shape:
-            raise ValueError(f"{name} has shape {found.shape}, expected {shape}")
+        array = held[_key(name)]
+        if array.shape != shape:
+            raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
     for name, values in held.items():
         if (values.dtype.kind in "fiub") == (name in WORDS):
             raise ValueError(f"{name} has values of the type {values.dtype}")
-        told = values if values.dtype.kind == "f" else np.zeros(0)
-        wild = np.isinf(told) if name in GAPS else ~np.isfinite(told)
+        floats = values if values.dtype.kind == "f" else np.zeros(0)
+        wild = np.isinf(floats) if name in GAPS else ~np.isfinite(floats)
         if wild.any():
             raise ValueError(f"{name} has numbers that are not finite")
     start = held["start"]

@@ -106,15 +106,15 @@ def _add_scans(raw: RawLog, messages: Sequence[Stamped], tf: Transforms, base: s
     for t, _, message in messages:
         name = frame(message.header.frame_id)
         if name not in places:
-            found = tf.sensor_pose(base, name)
-            if found is None:
-                found = np.zeros(3), False
+            place = tf.sensor_pose(base, name)
+            if place is None:
+                place = np.zeros(3), False
                 if not given:
                     raw.warnings.append(
                         f"no transform from {base or 'the robot'} to {name or 'the laser'}: the sensor is taken to "
                         "stand at the robot's origin (give --sensor-pose if not)"
                     )
-            places[name] = found
+            places[name] = place
         pose, upside_down = places[name]
         n, sign = len(message.ranges), -1.0 if upside_down else 1.0
         step = message.angle_increment or (message.angle_max - message.angle_min) / max(1, n - 1)

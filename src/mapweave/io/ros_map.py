@@ -71,32 +71,32 @@ def read_ros_map(path: Path, *, most_pixels: int | None = None) -> RosMap:
     Raises ReaderError naming the file and what was expected when something is missing, damaged, out of range or larger
     than `most_pixels`.
     """
-    told = _read_yaml(path)
-    missing = [key for key in KEYS if key not in told]
+    header = _read_yaml(path)
+    missing = [key for key in KEYS if key not in header]
     if missing:
         raise ReaderError(path, f"expected a ROS map with {', '.join(KEYS)}; {', '.join(missing)} is missing")
-    mode = str(told.get("mode", "trinary")).lower()
+    mode = str(header.get("mode", "trinary")).lower()
     if mode not in ("trinary", "scale", "raw"):
         raise ReaderError(path, f"mode: expected trinary, scale or raw, found {mode!r}")
-    resolution = _number(path, told, "resolution")
+    resolution = _number(path, header, "resolution")
     if resolution <= 0:
         raise ReaderError(path, f"resolution: expected metres a pixel above 0, found {resolution:g}")
-    pixels = _read_image(path.parent / str(told["image"]), most_pixels)
+    pixels = _read_image(path.parent / str(header["image"]), most_pixels)
     if mode == "raw":
         p = np.where(pixels > 100, np.nan, pixels / 100.0)
     else:
-        negate = told.get("negate", 0)
+        negate = header.get("negate", 0)
         if negate not in (0, 1, True, False):
             raise ReaderError(path, f"negate: expected 0 or 1, found {negate!r}")
         p = pixels / 255.0 if negate else (255.0 - pixels) / 255.0
-    occupied = _number(path, told, "occupied_thresh", OCCUPIED_ABOVE)
-    free = _number(path, told, "free_thresh", FREE_BELOW)
+    occupied = _number(path, header, "occupied_thresh", OCCUPIED_ABOVE)
+    free = _number(path, header, "free_thresh", FREE_BELOW)
     if not 0 <= free <= occupied <= 1:
         raise ReaderError(path, f"expected 0 <= free_thresh <= occupied_thresh <= 1, found {free:g} and {occupied:g}")
     state = np.full(p.shape, UNKNOWN, dtype=np.int8)
     state[p < free] = FREE
     state[p > occupied] = OCCUPIED
-    return RosMap(state, resolution, _origin(path, told["origin"]))
+    return RosMap(state, resolution, _origin(path, header["origin"]))
 
 
 def read_plan(
@@ -165,8 +165,8 @@ def _value(text: str) -> Any:
         return text
 
 
-def _number(path: Path, told: dict[str, Any], key: str, default: float | None = None) -> float:
-    value = told.get(key, default)
+def _number(path: Path, header: dict[str, Any], key: str, default: float | None = None) -> float:
+    value = header.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
         raise ReaderError(path, f"{key}: expected a number, found {value!r:.60}")
     return float(value)

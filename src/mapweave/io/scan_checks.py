@@ -162,7 +162,7 @@ class ScanAgreement:
     across: float
     pairs: int
 
-    def told(self, cfg: ScanAgreementConfig) -> str | None:
+    def warning(self, cfg: ScanAgreementConfig) -> str | None:
         """What contradicts, in a sentence; None where nothing clearly does."""
         if self.pairs < cfg.least_pairs:
             return None
@@ -190,10 +190,10 @@ def scan_agreement(scans: Sequence[Scan], cfg: ScanAgreementConfig | None = None
     cfg = cfg or ScanAgreementConfig()
     rows, values, speaking = [np.zeros((0, 2))], [np.zeros(0)], 0
     for a, b, step in _straight(scans, cfg):
-        found = _changes(a, b, step, cfg)
-        if found is not None:
-            rows.append(found[0])
-            values.append(found[1])
+        changes = _changes(a, b, step, cfg)
+        if changes is not None:
+            rows.append(changes[0])
+            values.append(changes[1])
             speaking += 1
     A, y = np.concatenate(rows), np.concatenate(values)
     if speaking < 2:

@@ -74,8 +74,8 @@ def read_sightings(path: Path | Table, *, dim: int | None = None, axis: bool = T
     dropped = tuple(Dropped(file.lines[k], observer[k], target[k], reasons[k]) for k in np.flatnonzero(bad).tolist())
     keep = np.flatnonzero(~bad)
     if not len(keep):
-        told = f" ({len(dropped)} rows dropped: {dropped[0].reason})" if dropped else ""
-        raise DataError(f"{file.path}: no sightings{told}")
+        reason = f" ({len(dropped)} rows dropped: {dropped[0].reason})" if dropped else ""
+        raise DataError(f"{file.path}: no sightings{reason}")
     ids = natural_order(set(observer) | set(target))
     place = {name: k for k, name in enumerate(ids)}
     index = [np.fromiter((place[w] for w in names), np.int64, len(file))[keep] for names in (observer, target)]
@@ -119,15 +119,15 @@ def natural_order(names: set[str]) -> tuple[str, ...]:
 
 
 def _layout(file: Table, dim: int | None) -> tuple[str, ...]:
-    found = [names for names in LAYOUTS if all(name in file.columns for name in names)]
+    layouts = [names for names in LAYOUTS if all(name in file.columns for name in names)]
     if dim is not None:
-        found = [names for names in found if (len(names) == 1) == (dim == 2)]
-    if len(found) != 1:
+        layouts = [names for names in layouts if (len(names) == 1) == (dim == 2)]
+    if len(layouts) != 1:
         wanted = {2: "bearing", 3: "azimuth,elevation or bx,by,bz"}
         expected = wanted[dim] if dim else "one of bearing; azimuth,elevation; bx,by,bz"
         head = ",".join(file.columns)
         raise ReaderError(file.path, f"expected observer,target and {expected}; found {head}", 1)
-    return found[0]
+    return layouts[0]
 
 
 def _column(file: Table, *names: str) -> str:

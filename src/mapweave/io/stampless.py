@@ -17,8 +17,8 @@ FAR = 8.1  # [m]: the scanner says about 8.19 when nothing comes back
 
 
 def is_stampless(log: TextLog) -> bool:
-    found = {words[0] for words in log.head()}
-    return bool(found) and found <= {"Odometry", "Laser"}
+    kinds = {words[0] for words in log.head()}
+    return bool(kinds) and kinds <= {"Odometry", "Laser"}
 
 
 def read_stampless(

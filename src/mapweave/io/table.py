@@ -83,9 +83,9 @@ def write_rows(file: IO[str], fmt: str, rows: Float[np.ndarray, "n k"]) -> None:
     """
     if not np.isfinite(rows).all():
         k = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
-        found = " ".join(f"{v:g}" for v in rows[k].tolist())
+        values = " ".join(f"{v:g}" for v in rows[k].tolist())
         raise EstimateError(
-            f"{told_path(Path(file.name))}: row {k + 1} would hold a number that is not finite: {found}"
+            f"{told_path(Path(file.name))}: row {k + 1} would hold a number that is not finite: {values}"
         )
     file.writelines(row_texts(fmt, rows))
 
@@ -142,8 +142,8 @@ class Table:
         try:
             return float(word)
         except ValueError:
-            told = f"expected a number for {name}, found {word[:40]!r}"
-            raise ReaderError(self.path, told, self.lines[row]) from None
+            problem = f"expected a number for {name}, found {word[:40]!r}"
+            raise ReaderError(self.path, problem, self.lines[row]) from None
 
     def names(self, name: str) -> Sequence[str]:
         """A column as identifiers without surrounding blanks; raises ReaderError where one is empty."""
@@ -209,12 +209,12 @@ def read_table(path: Path) -> Table:
         raise ReaderError(path, "expected a header line, found an empty file", 1)
     rows = list(csv_rows(lines, path, kept))
     head = [name.strip().lower() for name in rows[0]]
-    told = ",".join(head)[:200]
+    listing = ",".join(head)[:200]
     if len(set(head)) != len(head):
-        raise ReaderError(path, f"a column is named twice: {told}", kept[0])
+        raise ReaderError(path, f"a column is named twice: {listing}", kept[0])
     for k, row in enumerate(rows):
         if len(row) != len(head):
-            raise ReaderError(path, f"expected {len(head)} fields ({told}), found {len(row)}", kept[k])
+            raise ReaderError(path, f"expected {len(head)} fields ({listing}), found {len(row)}", kept[k])
     body = zip(*rows[1:], strict=True) if len(rows) > 1 else ((),) * len(head)
     return Table(path, dict(zip(head, body, strict=True)), kept[1:])
 
@@ -320,8 +320,8 @@ def table_of(given: Columns, label: str) -> Table:
         columns[key] = values if numeric else [_as_text(v) for v in values.tolist()]
     sizes = {name: len(column) for name, column in columns.items()}
     if len(set(sizes.values())) > 1:
-        told = ", ".join(f"{name} {n}" for name, n in sizes.items())
-        raise DataError(f"{label}: expected columns of one length, found {told}")
+        lengths = ", ".join(f"{name} {n}" for name, n in sizes.items())
+        raise DataError(f"{label}: expected columns of one length, found {lengths}")
     return Table(label, columns, range(1, next(iter(sizes.values()), 0) + 1))
 
 
@@ -339,12 +339,12 @@ def array_of(given: Columns, name: str, label: str, dims: int) -> Float[np.ndarr
 
 
 def _names(given: Columns, label: str) -> list[Any]:
-    found = given.keys() if isinstance(given, Mapping) else getattr(given, "columns", None)
-    if found is None:
-        found = getattr(getattr(given, "dtype", None), "names", None)
-    if found is None:
+    names = given.keys() if isinstance(given, Mapping) else getattr(given, "columns", None)
+    if names is None:
+        names = getattr(getattr(given, "dtype", None), "names", None)
+    if names is None:
         raise DataError(f"{label}: expected columns by name, found {type(given).__name__}")
-    return list(found)
+    return list(names)
 
 
 def _as_text(value: object) -> str:

@@ -86,9 +86,9 @@ def write_calibration(path: Path, robots: Mapping[str, Calibration], prior: Cali
         {
             robot_key(robot): {
                 name: {"value": value, "sd": sd, "observed": is_observed(name, sd, prior)}
-                for name, (value, sd) in found.items()
+                for name, (value, sd) in calibration.items()
             }
-            for robot, found in robots.items()
+            for robot, calibration in robots.items()
         },
     )
 
@@ -148,9 +148,9 @@ def read_team_maps(folder: Path) -> tuple[TeamMap, ...]:
 
 def _left_out(path: Path) -> dict[str, tuple[tuple[float, float], ...]]:
     """Robot -> the spans of its track in which nothing says where it was, as the metrics tell them."""
-    told = read_json(path).get("left_out", {}) if path.is_file() else {}
+    left_out = read_json(path).get("left_out", {}) if path.is_file() else {}
     try:
-        return {robot_name(robot): tuple((float(a), float(b)) for a, b in spans) for robot, spans in told.items()}
+        return {robot_name(robot): tuple((float(a), float(b)) for a, b in spans) for robot, spans in left_out.items()}
     except (AttributeError, TypeError, ValueError):
         raise ReaderError(path, "left_out: expected lists of [begin, end] in seconds, found something else") from None
 
@@ -163,18 +163,18 @@ def told_gaps(maps: Sequence[TeamMap]) -> dict[str, list[list[float]]]:
 def read_single_maps(folder: Path) -> dict[str, LandmarkMap]:
     """Robot -> the landmarks of its own map, as far as the result holds them."""
     local = folder / "local"
-    found = sorted(local.rglob("landmarks.npz"), key=lambda p: in_order(p.as_posix()))
-    return {p.parent.relative_to(local).as_posix(): read_landmarks(p, "local") for p in found}
+    paths = sorted(local.rglob("landmarks.npz"), key=lambda p: in_order(p.as_posix()))
+    return {p.parent.relative_to(local).as_posix(): read_landmarks(p, "local") for p in paths}
 
 
 def _component(folder: Path, gaps: Mapping[str, tuple[tuple[float, float], ...]]) -> TeamMap:
     tracks = folder / "trajectories"
-    found = sorted(tracks.rglob("*.tum"), key=lambda p: in_order(p.as_posix()))
-    told = folder / "landmarks.csv"
-    members, sightings = read_members(told) if told.exists() else ({}, {})
+    paths = sorted(tracks.rglob("*.tum"), key=lambda p: in_order(p.as_posix()))
+    table = folder / "landmarks.csv"
+    members, sightings = read_members(table) if table.exists() else ({}, {})
     held = folder / "landmarks.npz"
     empty = LandmarkMap((), np.zeros((0, 2)), np.zeros((0, 0)))
-    by_robot = {p.relative_to(tracks).with_suffix("").as_posix(): read_tum(p) for p in found}
+    by_robot = {p.relative_to(tracks).with_suffix("").as_posix(): read_tum(p) for p in paths}
     return TeamMap(
         robots=tuple(by_robot),
         landmarks=read_landmarks(held) if held.exists() else empty,

@@ -24,9 +24,9 @@ class Transforms:
     def add(self, t: float, message: Any) -> None:
         """One TransformStamped; one that holds NaN, infinity or absurd numbers is refused."""
         edge = frame(message.header.frame_id), frame(message.child_frame_id)
-        told = rigid(message.transform.translation, message.transform.rotation)
-        if in_range(told):
-            self.seen.setdefault(edge, []).append((t, told))
+        transform = rigid(message.transform.translation, message.transform.rotation)
+        if in_range(transform):
+            self.seen.setdefault(edge, []).append((t, transform))
         else:
             self.refused += 1
 
