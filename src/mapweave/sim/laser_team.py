@@ -92,10 +92,10 @@ class LaserTeamSim:
         after[:, 2] = se2.wrap_angle(after[:, 2])
         self.collisions += stopped & ~self._touching
         self._touching = stopped
-        moved = se2.log(se2.between(self.true_poses, after))
+        twist = se2.log(se2.between(self.true_poses, after))
         for j, wheels in enumerate(self._wheels):
-            made = se2.compose(self.odometry[j], se2.exp(wheels.turned(moved[j])))
-            self.odometry[j] = (*made[:2], representable_heading(float(made[2])))
+            pose = se2.compose(self.odometry[j], se2.exp(wheels.turned(twist[j])))
+            self.odometry[j] = (*pose[:2], representable_heading(float(pose[2])))
         self.true_poses = after
         self.steps += 1
 

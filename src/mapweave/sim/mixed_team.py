@@ -67,9 +67,9 @@ class MixedWorld:
         """Raises UsageError when no world can be made of it."""
         least = {"lasers": 0, "cameras": 0, "bearing-cameras": 0, "bearings": 0, "rooms": 1, "landmarks": 0}
         for name, low in {**least, "noise": 0.0, "bias": 0.0, "clock": 0.0}.items():
-            found = getattr(self, name.replace("-", "_"))
-            if not low <= found < np.inf:
-                raise UsageError(f"--{name} must be {low:g} or more, found {found}")
+            value = getattr(self, name.replace("-", "_"))
+            if not low <= value < np.inf:
+                raise UsageError(f"--{name} must be {low:g} or more, found {value}")
         counts = {f"--{name}": (getattr(self, name.replace("-", "_")), MOST_ROBOTS) for name in least}
         expect_at_most({**counts, "--landmarks": (self.landmarks, MOST_LANDMARKS)})
         expect_at_most({"robots times --minutes": (len(self.kinds) * self.minutes, MOST_MINUTES)})
@@ -181,8 +181,8 @@ def _drives(
         if mine:
             rng = stream(seed, f"drive {r}")
             wide = 1.0 if world.calibration == "random" else 0.0
-            made = drive_team(len(mine), size, 60 * world.minutes, world.noise, world.bias, rng, wide)
-            for k, drive in zip(mine, made, strict=True):
+            drives = drive_team(len(mine), size, 60 * world.minutes, world.noise, world.bias, rng, wide)
+            for k, drive in zip(mine, drives, strict=True):
                 out[k] = replace(drive, pose=drive.pose + np.append(middle[r], 0.0))
     return [drive for drive in out if drive is not None]
 

@@ -70,16 +70,16 @@ def simulate_swarm(scene: SwarmScene, rng: np.random.Generator) -> Swarm:
         position = _drift(start, corners, scene, rng)
     blockers = _wander(start, scene, rng)
 
-    found = []
+    observed = []
     for k in range(scene.steps):
         pairs = pairs_seen(position[k], scene, rng)
         if scene.blockers:
             pairs = pairs[~_blocked(position[k], pairs, blockers, scene, rng, k)]
         pairs = pairs[rng.random(len(pairs)) >= scene.missing]
-        found.append((pairs, observe(position[k], heading[k], pairs, scene, rng), np.full(len(pairs), t[k])))
-    pairs = np.concatenate([rows[0] for rows in found])
-    direction = np.concatenate([rows[1] for rows in found])
-    stamps = np.concatenate([rows[2] for rows in found]) if scene.steps > 1 else None
+        observed.append((pairs, observe(position[k], heading[k], pairs, scene, rng), np.full(len(pairs), t[k])))
+    pairs = np.concatenate([rows[0] for rows in observed])
+    direction = np.concatenate([rows[1] for rows in observed])
+    stamps = np.concatenate([rows[2] for rows in observed]) if scene.steps > 1 else None
     ids = tuple(str(k + 1) for k in range(scene.robots))
     sigma = np.full(len(pairs), scene.sigma)
     table = BearingTable(ids, pairs[:, 0], pairs[:, 1], direction, sigma, stamps, scene.axis)
