@@ -41,7 +41,7 @@ def test_every_example_is_short_and_known_here():
     assert all(len(path.read_text(encoding="utf-8").splitlines()) < 60 for path in SCRIPTS)
 
 
-QUICK = {"live_team", "swarm"}
+QUICK = {"swarm"}
 EXAMPLES = [pytest.param(p, id=p.stem, marks=() if p.stem in QUICK else pytest.mark.slow) for p in SCRIPTS]
 
 

@@ -2,9 +2,12 @@
 
 import json
 
+import pytest
+
 from mapweave.api.demo import demo
 
 
+@pytest.mark.slow
 def test_the_demo_is_scored_and_its_metrics_name_the_recording_it_leaves(tmp_path):
     out = tmp_path / "demo"
     demo(out)

@@ -81,6 +81,7 @@ def test_metrics_hold_the_keys_of_the_contract_and_the_score(mapped):
     assert metrics["components"] == [["1"]]
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_files_and_only_timing_differs(mapped, log, tmp_path):
     out = tmp_path / "again"
     assert _run(["map", str(log), "--out", str(out), "--truth", str(log.with_suffix(".truth.tum")), *FEW]) == 0

@@ -157,6 +157,7 @@ def test_robots_that_are_not_to_be_merged_stand_each_in_a_component(team, tmp_pa
         assert len(read_g2o(part / "pose_graph.g2o")) > 3
 
 
+@pytest.mark.slow
 def test_two_places_that_fit_are_refused_and_a_start_decides(tmp_path):
     log, truth = office(2)
     n = len(log.scans)

@@ -159,6 +159,7 @@ def test_without_truth_the_map_is_the_same_to_the_byte(world):
     assert tree(world / "a", *wanted) == tree(world / "c", *wanted)
 
 
+@pytest.mark.slow
 def test_a_zip_is_read_as_its_folder(world):
     archive = shutil.make_archive(str(world / "team"), "zip", world, "team")
     code, _, err = run("map", archive, "--out", world / "z", "--seed", 3)

@@ -66,7 +66,7 @@ def test_moving_robots_with_any_name_are_scored_alike_by_locate_and_evaluate(tmp
     assert_same(told, scored)
 
 
-@pytest.mark.parametrize("anchored", [True, False])
+@pytest.mark.parametrize("anchored", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_standing_robots_are_scored_alike_by_locate_and_evaluate(tmp_path, capsys, anchored):
     made = mapweave.simulate_swarm(scene=SwarmScene(robots=60), seed=4)  # beyond 40: the paper's errors need the pairs
     known = named(tmp_path, made, [f"bot {k}" for k in range(60)])

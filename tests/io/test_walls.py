@@ -309,7 +309,7 @@ def test_a_recording_with_a_chunk_that_unpacks_to_gigabytes_is_refused(tmp_path)
             read_laser(tmp_path / name)
 
 
-@pytest.mark.parametrize("suffix", [".bag", ".db3", ".mcap"])
+@pytest.mark.parametrize("suffix", [*(pytest.param(s, marks=pytest.mark.slow) for s in (".bag", ".db3")), ".mcap"])
 def test_torn_recordings_give_what_is_left_or_one_line(tmp_path, suffix):
     whole = usual(tmp_path / f"a{suffix}", n=12).write().read_bytes()
     rng = np.random.default_rng(0)
