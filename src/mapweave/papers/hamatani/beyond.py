@@ -82,27 +82,27 @@ def beyond(
 
 def _tried(case: BeyondCase, draws: int, seed: int) -> Beyond:
     scene = SwarmScene(robots=case.robots, dim=case.dim, layout=case.layout, sigma=float(np.radians(case.degrees)))
-    told = np.empty((5, draws))
+    scores = np.empty((5, draws))
     failed = 0
     for draw in range(draws):
         rng = np.random.default_rng([seed, 6, draw, case.robots, case.dim, round(100 * case.degrees)])
         swarm = simulate_swarm(scene, rng)
         truth = swarm.position[0]
         net = network(swarm)
-        found = locate(net)
+        located = locate(net)
         at_truth = locate(net, replace(SwarmConfig(), max_iterations=0), truth)
-        scored = found.localisable & ~found.anchor
-        off = (found.position - truth)[scored]
-        value, dof = found.nees(truth)
-        told[:, draw] = (
+        scored = located.localisable & ~located.anchor
+        off = (located.position - truth)[scored]
+        value, dof = located.nees(truth)
+        scores[:, draw] = (
             np.sqrt(np.mean(np.sum(off**2, axis=1))),
             np.sqrt(np.trace(np.asarray(at_truth.cov)[scored], axis1=1, axis2=2).mean()),
             value / dof,
-            np.sum(~found.localisable),
-            found.reliable,
+            np.sum(~located.localisable),
+            located.reliable,
         )
-        failed += found.status is not SwarmStatus.CONVERGED
-    rmse, bound, nees, left, reliable = told
+        failed += located.status is not SwarmStatus.CONVERGED
+    rmse, bound, nees, left, reliable = scores
     return Beyond(case, rmse, bound, nees, left, reliable.astype(bool), failed)
 
 

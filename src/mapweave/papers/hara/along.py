@@ -50,7 +50,7 @@ def try_along(seeds: range, loop: CorridorConfig | None = None) -> tuple[AlongRo
 
 def along_error(poses: Float[np.ndarray, "m 3"], truth: Float[np.ndarray, "m 3"]) -> float:
     """Root mean square error [m] of the distance driven over stretches in which the robot does not turn."""
-    moved, true = (se2.between(p[:-STRETCH], p[STRETCH:]) for p in (poses, truth))
+    driven, true = (se2.between(p[:-STRETCH], p[STRETCH:]) for p in (poses, truth))
     straight = np.abs(true[:, 2]) < STRAIGHT
-    miss = np.hypot(moved[:, 0], moved[:, 1]) - np.hypot(true[:, 0], true[:, 1])
+    miss = np.hypot(driven[:, 0], driven[:, 1]) - np.hypot(true[:, 0], true[:, 1])
     return float(np.sqrt(np.mean(miss[straight] ** 2))) if straight.any() else float("nan")

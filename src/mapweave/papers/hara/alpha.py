@@ -46,31 +46,31 @@ def estimate_alpha(scans: Sequence[Beams], poses: Float[np.ndarray, "m 3"], cell
 
 @dataclass(frozen=True, slots=True)
 class AlphaCurve:
-    """ate: (alphas, seeds) [m] of Intensity-ICP; found: (seeds,) the estimate; at_found: (seeds,) [m] its error."""
+    """ate: (alphas, seeds) [m] of Intensity-ICP; estimate: (seeds,) by log; at_estimate: (seeds,) [m] its error."""
 
     alphas: tuple[float, ...]
     ate: Float[np.ndarray, "a s"]
-    found: Float[np.ndarray, " s"]
-    at_found: Float[np.ndarray, " s"]
+    estimate: Float[np.ndarray, " s"]
+    at_estimate: Float[np.ndarray, " s"]
 
 
 def alpha_curve(seeds: range, loop: CorridorConfig | None = None, on_progress: Progress = no_progress) -> AlphaCurve:
     """Intensity-ICP on the ring with every alpha, and with the one found from its own log."""
     ate = np.empty((len(ALPHAS), len(seeds)))
-    found, at_found = np.empty(len(seeds)), np.empty(len(seeds))
+    estimate, at_estimate = np.empty(len(seeds)), np.empty(len(seeds))
     for s, seed in enumerate(seeds):
         sim = simulate_corridor(loop, seed)
         feature = choose_feature(sim.log, ICP)
         seen = [beams(scan, feature.name, feature.calibration, ICP.beam) for scan in sim.log.scans]
-        found[s] = estimate_alpha(seen, np.array([scan.odometry for scan in sim.log.scans]))
-        for a, alpha in enumerate((*ALPHAS, float(found[s]))):
+        estimate[s] = estimate_alpha(seen, np.array([scan.odometry for scan in sim.log.scans]))
+        for a, alpha in enumerate((*ALPHAS, float(estimate[s]))):
             on_progress("alpha", s * (len(ALPHAS) + 1) + a, len(seeds) * (len(ALPHAS) + 1))
             error = score(map_laser(sim.log, with_alpha(ICP, alpha), seed).track, sim.truth)
             if a < len(ALPHAS):
                 ate[a, s] = error
             else:
-                at_found[s] = error
-    return AlphaCurve(ALPHAS, ate, found, at_found)
+                at_estimate[s] = error
+    return AlphaCurve(ALPHAS, ate, estimate, at_estimate)
 
 
 def with_alpha(cfg: LaserConfig, alpha: float) -> LaserConfig:

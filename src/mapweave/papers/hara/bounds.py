@@ -57,8 +57,8 @@ def geometry_bound(sim: LaserSimulation, cfg: CorridorConfig) -> float:
     C += np.diag(drift.translation**2 * ds)
     left = C[np.ix_(flush, flush)]
     if not flush.all():
-        told = C[np.ix_(flush, ~flush)]
-        left = left - told @ np.linalg.solve(C[np.ix_(~flush, ~flush)], told.T)
+        cross = C[np.ix_(flush, ~flush)]
+        left = left - cross @ np.linalg.solve(C[np.ix_(~flush, ~flush)], cross.T)
     move = np.diff(pose[:, :2], axis=0) / np.maximum(ds, 1e-12)[:, None]
     n = len(pose)
     after = np.tril(np.ones((n, n - 1)), -1)[:, flush]  # which steps lie before each scan

@@ -46,35 +46,37 @@ def compare(
             cfg = method.cfg or LaserConfig(method="icp", feature="none")
             if cfg not in known:
                 known[cfg] = part(map_laser, sim.log, cfg, seed)
-            made = known[cfg]
-            track = made.track if method.cfg else made.dead_reckoning
+            laser_map = known[cfg]
+            track = laser_map.track if method.cfg else laser_map.dead_reckoning
             if method.rims:
-                track = on_rims(sim.log, made)
+                track = on_rims(sim.log, laser_map)
             errors[m, s] = score(track, sim.truth) if track is not None else np.nan
             if seed == shown and track is not None:
-                pictures.append(_picture(method, made, sim, track))
+                pictures.append(_picture(method, laser_map, sim, track))
     on_progress("reproduce hara", 1, 1)
     return errors, tuple(pictures)
 
 
-def on_rims(log: LaserLog, made: LaserMap) -> Track:
-    """The poses of `made` at the scans of its `log`, moved until walls and rims are seen in one place each."""
-    poses = made.track.pose[np.searchsorted(made.track.t, log.scan_t)]
-    noise = 0.0 if made.calibration is None else made.calibration.residual
-    return Track(log.scan_t, sharpened(seen_scans(log, made), poses, noise), frame=made.track.frame)
+def on_rims(log: LaserLog, laser_map: LaserMap) -> Track:
+    """The poses of `laser_map` at the scans of its `log`, moved until walls and rims are seen in one place each."""
+    poses = laser_map.track.pose[np.searchsorted(laser_map.track.t, log.scan_t)]
+    noise = 0.0 if laser_map.calibration is None else laser_map.calibration.residual
+    return Track(log.scan_t, sharpened(seen_scans(log, laser_map), poses, noise), frame=laser_map.track.frame)
 
 
-def seen_scans(log: LaserLog, made: LaserMap) -> list[Beams]:
-    """The returns of all scans, their light as `made` reckons it."""
-    feature = "none" if made.calibration is None else "normalised"
-    return [beams(scan, feature, made.calibration, LaserConfig().beam) for scan in log.scans]
+def seen_scans(log: LaserLog, laser_map: LaserMap) -> list[Beams]:
+    """The returns of all scans, their light as `laser_map` reckons it."""
+    feature = "none" if laser_map.calibration is None else "normalised"
+    return [beams(scan, feature, laser_map.calibration, LaserConfig().beam) for scan in log.scans]
 
 
-def _picture(method: Method, made: LaserMap, sim: LaserSimulation, track: Track) -> Picture:
+def _picture(method: Method, laser_map: LaserMap, sim: LaserSimulation, track: Track) -> Picture:
     """The map as it was made, or laid anew along a `track` that is not its own."""
-    grid = made.grid
-    if track is not made.track:
+    grid = laser_map.grid
+    if track is not laser_map.track:
         at = np.searchsorted(track.t, sim.log.scan_t)
-        grid = render(seen_scans(sim.log, made), track.pose[at], np.zeros((len(at), 3)), grid.resolution, track.frame)
+        grid = render(
+            seen_scans(sim.log, laser_map), track.pose[at], np.zeros((len(at), 3)), grid.resolution, track.frame
+        )
     truth = se2.between(sim.truth.pose[0], sim.truth.pose)
     return Picture(method.name, method.figure, grid, track.pose[:, :2], truth[:, :2])

@@ -31,8 +31,10 @@ def draw_maps(path: Target, pictures: Sequence[Shown]) -> None:
     with figure(path, 11.0, 3.6 * down + 0.3, nrows=down, ncols=across, squeeze=False) as (_, axes):
         for ax, p in zip(axes.ravel(), pictures, strict=False):
             cells = p.grid.cells()
-            bare = not cells[:, 2].any()
-            colours = {"color": MUTED} if bare else {"c": cells[:, 2], "cmap": SEQUENTIAL, "vmin": 0.0, "vmax": 1.0}
+            no_intensity = not cells[:, 2].any()
+            colours = (
+                {"color": MUTED} if no_intensity else {"c": cells[:, 2], "cmap": SEQUENTIAL, "vmin": 0.0, "vmax": 1.0}
+            )
             ax.scatter(cells[:, 0], cells[:, 1], s=1.2, marker="s", linewidths=0, **colours)
             ax.plot(*p.track.T, color=colour(5), linewidth=0.8)
             ax.plot(*p.truth.T, color=TRUTH, linewidth=0.8, linestyle="--")
@@ -41,13 +43,13 @@ def draw_maps(path: Target, pictures: Sequence[Shown]) -> None:
             ax.set_visible(False)
 
 
-def draw_alpha(path: Target, alphas: Sequence[float], error: np.ndarray, found: np.ndarray, at: np.ndarray) -> None:
+def draw_alpha(path: Target, alphas: Sequence[float], error: np.ndarray, estimate: np.ndarray, at: np.ndarray) -> None:
     """Error against alpha, one line a drive and their mean, and the estimates where they fell."""
     with figure(path, 6.0, 3.6) as (_, ax):
         for each in error.T:
             ax.plot(alphas, each, color=MUTED, linewidth=0.8)
         ax.plot(alphas, error.mean(axis=1), "o-", color=colour(0), label="mean of the drives")
-        ax.plot(found, at, "*", color=TRUTH, markersize=10, linestyle="none", label="alpha found from the log")
+        ax.plot(estimate, at, "*", color=TRUTH, markersize=10, linestyle="none", label="alpha found from the log")
         ax.set_xscale("log")
         ax.set_ylim(bottom=0)
         ax.set_xlabel("alpha [m² per q²]")

@@ -49,7 +49,7 @@ PAIRS = (OURS, WIDE, WIDEST)  # the paper does not print how wrong pairs are kep
 
 def try_gate(seeds: range, hard: HardConfig | None = None, on_progress: Progress = no_progress) -> tuple[GateRow, ...]:
     """Odometry, and Intensity-ICP without and with the gate for all widths of pairing, on the hard ring."""
-    told: list[list[tuple[float, ...]]] = [[] for _ in range(1 + 2 * len(PAIRS))]
+    measured: list[list[tuple[float, ...]]] = [[] for _ in range(1 + 2 * len(PAIRS))]
     heads = [("odometry", "Fig. 4", np.nan, np.nan)]
     for pairs in PAIRS:
         heads += [("Intensity-ICP", "Fig. 5", pairs.gate, pairs.least_gate)]
@@ -59,14 +59,16 @@ def try_gate(seeds: range, hard: HardConfig | None = None, on_progress: Progress
         sim = simulate_hard(hard, seed).sim
         for row, cfg in enumerate(cases):
             on_progress("the gate", at * len(cases) + row, len(seeds) * len(cases))
-            made = map_laser(sim.log, cfg, seed)
-            if not row and made.dead_reckoning is not None:
-                told[0].append((score(made.dead_reckoning, sim.truth), len(sim.log.scans), 0, 0, 0, 0))
-            told[row + 1].append((score(made.track, sim.truth), len(sim.log.scans), *judged(made, sim, cfg)))
-    return tuple(GateRow(*head, *np.array(rows, float).T) for head, rows in zip(heads, told, strict=True))
+            laser_map = map_laser(sim.log, cfg, seed)
+            if not row and laser_map.dead_reckoning is not None:
+                measured[0].append((score(laser_map.dead_reckoning, sim.truth), len(sim.log.scans), 0, 0, 0, 0))
+            measured[row + 1].append(
+                (score(laser_map.track, sim.truth), len(sim.log.scans), *judged(laser_map, sim, cfg))
+            )
+    return tuple(GateRow(*head, *np.array(rows, float).T) for head, rows in zip(heads, measured, strict=True))
 
 
-def judged(made: LaserMap, sim: LaserSimulation, cfg: LaserConfig) -> tuple[int, int, int, int]:
+def judged(laser_map: LaserMap, sim: LaserSimulation, cfg: LaserConfig) -> tuple[int, int, int, int]:
     """few, outside, rightly, slipped of one drive; see `GateRow`."""
     truth = se2.interpolate(sim.log.scan_t, sim.truth.t, sim.truth.pose)
     step = se2.between(truth[:-1], truth[1:])
@@ -74,13 +76,13 @@ def judged(made: LaserMap, sim: LaserSimulation, cfg: LaserConfig) -> tuple[int,
     u = se2.between(odometry[:-1], odometry[1:])
     few = outside = rightly = slipped = 0
     for k in range(1, len(sim.log.scans)):
-        if made.scans.decision[k] not in {"matched", "odometry"}:
+        if laser_map.scans.decision[k] not in {"matched", "odometry"}:
             continue
-        if made.scans.matches[k] < cfg.icp.least_pairs:
+        if laser_map.scans.matches[k] < cfg.icp.least_pairs:
             few += 1
             continue
         eps = GATED.eps(allowed_sd(u[k - 1], WHEELS))
-        innovation = made.scans.innovation[k]
+        innovation = laser_map.scans.innovation[k]
         wrong = se2.between(step[k - 1], se2.compose(u[k - 1], innovation))
         if inside(innovation, eps):
             slipped += not inside(wrong, eps)

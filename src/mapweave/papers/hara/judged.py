@@ -32,7 +32,7 @@ def numbers(r: "HaraReproduction") -> Numbers:
         "ours": (ours / icp).tolist(),
         "geometry": [light / walls],
         "geometry_bound": [square / bound if bound > 0 else float("nan")],
-        "alpha": [float(r.alpha.at_found.mean() / r.alpha.ate.mean(axis=1).min())],
+        "alpha": [float(r.alpha.at_estimate.mean() / r.alpha.ate.mean(axis=1).min())],
         "feature": [float(ours.mean() / printed.mean())],
         "starts_wrong": [float(n["wrong"]) for n in (seen, bare)],
         "starts_right": [float(np.mean(inside)) if inside else float("nan")],

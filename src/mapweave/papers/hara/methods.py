@@ -63,5 +63,5 @@ def methods(particles: int) -> tuple[Method, ...]:
 def score(track: Track, truth: Track) -> float:
     """ATE [m] after one rigid alignment."""
     T = align_tracks([(track, truth, True)])
-    found, _ = ate(track, truth, T if T is not None else np.zeros(3), dense=True)
-    return float("nan") if found is None else found
+    error, _ = ate(track, truth, T if T is not None else np.zeros(3), dense=True)
+    return float("nan") if error is None else error

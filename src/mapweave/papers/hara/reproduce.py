@@ -91,8 +91,8 @@ class HaraReproduction(Reproduction):
         rows: list[tuple[object, ...]] = []
         for method, e in zip(self.methods, self.errors, strict=True):
             share = e.mean() / self.errors[0].mean()
-            told = (*(f"{v:.2f}" for v in e), f"{e.mean():.3f}", f"{e.max():.2f}", f"{share:.3f}")
-            rows.append((method.name, method.figure, *told))
+            cells = (*(f"{v:.2f}" for v in e), f"{e.mean():.3f}", f"{e.max():.2f}", f"{share:.3f}")
+            rows.append((method.name, method.figure, *cells))
         return head, rows
 
     def gate_table(self) -> Rows:
@@ -106,8 +106,8 @@ class HaraReproduction(Reproduction):
             counts = [int(c.sum()) for c in (r.scans, r.few, r.outside, r.rightly, r.slipped)]
             alone = r.name == "odometry"
             pairs = "" if alone else f"{r.farthest:g}, at last {r.nearest:g}"
-            told = (counts[0], *([""] * 4 if alone else counts[1:]))
-            rows.append((r.name, r.figure, pairs, f"{r.ate.mean():.2f}", f"{r.ate.max():.2f}", *told))
+            cells = (counts[0], *([""] * 4 if alone else counts[1:]))
+            rows.append((r.name, r.figure, pairs, f"{r.ate.mean():.2f}", f"{r.ate.max():.2f}", *cells))
         return head, rows
 
     def alpha_table(self) -> Rows:
@@ -117,9 +117,9 @@ class HaraReproduction(Reproduction):
             (f"{a:g}", f"{e.mean():.3f}", f"{e.max():.2f}")
             for a, e in zip(self.alpha.alphas, self.alpha.ate, strict=True)
         ]
-        found = self.alpha.found
-        e = self.alpha.at_found
-        rows.append((f"found, {found.min():.2f} to {found.max():.2f}", f"{e.mean():.3f}", f"{e.max():.2f}"))
+        estimate = self.alpha.estimate
+        e = self.alpha.at_estimate
+        rows.append((f"found, {estimate.min():.2f} to {estimate.max():.2f}", f"{e.mean():.3f}", f"{e.max():.2f}"))
         return head, rows
 
     def along_table(self) -> Rows:
@@ -182,7 +182,7 @@ class HaraReproduction(Reproduction):
                         "alpha.png",
                         "Error against alpha, and the alpha that each log tells of itself.",
                         lambda target: figures.draw_alpha(
-                            target, self.alpha.alphas, self.alpha.ate, self.alpha.found, self.alpha.at_found
+                            target, self.alpha.alphas, self.alpha.ate, self.alpha.estimate, self.alpha.at_estimate
                         ),
                     ),
                 ),
@@ -229,8 +229,8 @@ class HaraReproduction(Reproduction):
         name, geometry = self.best("geometry")
         most, light_error = self.best("intensity")
         ours = self.error("our RBPF, intensity")
-        raw, bare = (self.error(f"paper's RBPF, {what}") for what in ("raw intensity", "geometry"))
-        found, tried = self.alpha.found, self.alpha.ate.mean(axis=1)
+        raw, geom = (self.error(f"paper's RBPF, {what}") for what in ("raw intensity", "geometry"))
+        alphas, tried = self.alpha.estimate, self.alpha.ate.mean(axis=1)
         light, walls = counts(self.starts, "normalised"), counts(self.starts, "none")
         return {
             "starts": str(1 + max((s.start for s in self.starts), default=-1)),
@@ -246,7 +246,7 @@ class HaraReproduction(Reproduction):
                 f"{alone.ate.mean():.2f} m without, {gated.ate.mean():.2f} m with the gate (pairs up to "
                 f"{gated.farthest:g} m); {rightly} of {outside} refusals right"
             ),
-            "printed": f"{raw:.2f} m, on geometry {bare:.2f} m; Intensity-ICP {self.error('Intensity-ICP'):.2f} m",
+            "printed": f"{raw:.2f} m, on geometry {geom:.2f} m; Intensity-ICP {self.error('Intensity-ICP'):.2f} m",
             "ours": f"{ours:.3f} m",
             "feature": f"our filter {ours:.2f} m; raw intensity, the paper's filter {raw:.2f} m",
             "geometry": (
@@ -254,7 +254,7 @@ class HaraReproduction(Reproduction):
                 f"{geometry:.2f} m), of which none can err less than {_rms(self.bounds.geometry):.2f} m"
             ),
             "alpha": (
-                f"{found.min():.2f} to {found.max():.2f} found from the log: {self.alpha.at_found.mean():.2f} m; "
+                f"{alphas.min():.2f} to {alphas.max():.2f} found from the log: {self.alpha.at_estimate.mean():.2f} m; "
                 f"best of {len(tried)} tried {tried.min():.2f} m, worst {tried.max():.2f} m"
             ),
         }
@@ -325,8 +325,8 @@ class HaraReproduction(Reproduction):
             "alpha": {
                 "alphas": list(self.alpha.alphas),
                 "ate": self.alpha.ate,
-                "found": self.alpha.found,
-                "ate_at_found": self.alpha.at_found,
+                "found": self.alpha.estimate,
+                "ate_at_found": self.alpha.at_estimate,
             },
             "starts": [asdict(start) for start in self.starts],
             "notes": self.differences(),

@@ -157,12 +157,12 @@ def _piece(sim: LaserSimulation, first: int, scans: int) -> tuple[LaserLog, Trac
     return replace(log, scan_t=log.scan_t[first:end], scans=log.scans[first:end], odometry=rows), sim.truth
 
 
-def _off(found: Localisation, truth: Track) -> float:
+def _off(localisation: Localisation, truth: Track) -> float:
     """[m] median error of the poses since the start was found."""
-    since = found.track.t[0] if found.found_t is None else found.found_t
-    inside = found.track.t >= since
-    true = truth.pose[np.searchsorted(truth.t, found.track.t[inside])]
-    return float(np.median(np.hypot(*(found.track.pose[inside] - true)[:, :2].T)))
+    since = localisation.track.t[0] if localisation.found_t is None else localisation.found_t
+    inside = localisation.track.t >= since
+    true = truth.pose[np.searchsorted(truth.t, localisation.track.t[inside])]
+    return float(np.median(np.hypot(*(localisation.track.pose[inside] - true)[:, :2].T)))
 
 
 def _tried(k: int, seed: int, scans: int, places: dict[Kind, _Place], corridor: CorridorConfig) -> list[LocalisedStart]:
@@ -183,13 +183,21 @@ def _tried(k: int, seed: int, scans: int, places: dict[Kind, _Place], corridor: 
         if where == "twin" and feature == "none":
             continue
         chance = np.random.default_rng(k)
-        found = localise(log, place.grid, place.calibration, feature, CFG, None, chance, no_progress)
-        error = _off(found, truth) if where == "here" else None
+        localisation = localise(log, place.grid, place.calibration, feature, CFG, None, chance, no_progress)
+        error = _off(localisation, truth) if where == "here" else None
         right = error is not None and error < WRONG
-        answer: Answer = "not sure" if not found.trusted else "right" if right else "wrong"
+        answer: Answer = "not sure" if not localisation.trusted else "right" if right else "wrong"
         out.append(
             LocalisedStart(
-                k, kind, where, feature, answer, error, found.matched, found.found_t is not None, found.doubt
+                k,
+                kind,
+                where,
+                feature,
+                answer,
+                error,
+                localisation.matched,
+                localisation.found_t is not None,
+                localisation.doubt,
             )
         )
     return out

@@ -63,9 +63,9 @@ def merge_online(
     traces: dict[tuple, list[np.ndarray]] = {key: [_trace(estimates[key])] for key in keys}
     for step, local in enumerate(maps):
         on_progress("merging", step + 1, cfg.steps - cfg.drive_steps)
-        told = {w: [_measure(cfg, local, k, w) for k in (0, 1)] for w in SHORT}
+        measurements = {w: [_measure(cfg, local, k, w) for k in (0, 1)] for w in SHORT}
         for reading, weights in keys:
-            used = told[weights] if reading == "measurement" else told[weights][1:]
+            used = measurements[weights] if reading == "measurement" else measurements[weights][1:]
             estimates[reading, weights] = rls.repeat(LAYOUT, estimates[reading, weights], used)
             traces[reading, weights].append(_trace(estimates[reading, weights]))
     return tuple(_run(cfg, worlds, key, estimates[key], traces[key], first) for key in keys), first
@@ -131,8 +131,8 @@ def honesty(worlds: Worlds, local: LocalMaps, draws: int, rng: np.random.Generat
     out: dict[tuple[Weights, int], float] = {}
     cases: tuple[tuple[Weights, int], ...] = (("full", 1), ("paper", 1), ("full", 700))
     for weights, repeats in cases:
-        told = [measurement(k, SEEN[k], mean[:, k], cov[:, k], weights) for k in (0, 1)]
-        estimate = solve_all(LAYOUT, x, told, repeats=repeats)
+        measurements = [measurement(k, SEEN[k], mean[:, k], cov[:, k], weights) for k in (0, 1)]
+        estimate = solve_all(LAYOUT, x, measurements, repeats=repeats)
         e = estimate.x - x
         e[:, LAYOUT.angles] = se2.wrap_angle(e[:, LAYOUT.angles])
         nees = np.sum(e * np.linalg.solve(estimate.P, e[..., None])[..., 0], axis=1)
@@ -174,15 +174,15 @@ def unequal(
 def _fuse_unequal(
     cfg: UnequalConfig, layout: RelativeLayout, worlds: UnequalMaps, s: int, rule: Rule, weights: Weights
 ) -> Float[np.ndarray, " size"]:
-    told = []
+    measurements = []
     for k in (0, 1):
         mean, cov = worlds.mean[s, k], worlds.cov[s, k]
         pair = _pair(rule, mean, cov, cfg.m)
         order = np.array([*pair, *(i for i in range(cfg.n) if i not in pair)])
         rows = (2 * order[:, None] + np.arange(2)).ravel()
-        told.append(measurement(k, worlds.index[k][order], mean[order], cov[np.ix_(rows, rows)], weights))
+        measurements.append(measurement(k, worlds.index[k][order], mean[order], cov[np.ix_(rows, rows)], weights))
     x0 = np.concatenate([worlds.frame[s], worlds.landmarks[s].ravel()])
-    return solve_all(layout, x0, told, iterations=30).x
+    return solve_all(layout, x0, measurements, iterations=30).x
 
 
 def _pair(rule: Rule, mean: Float[np.ndarray, "n 2"], cov: Float[np.ndarray, "d d"], common: int) -> tuple[int, int]:

@@ -20,14 +20,14 @@ EXACT = IdentityConfig(noise=0.0, scale_sigma=1e-3, gate=3.5)  # maps that err a
 class IdentityTrials:
     """Of `trials` pairs of maps with `common` landmarks in both.
 
-    found: the alignment was right, believed or not; right, wrong: believed and so; refused: not believed, mostly for
-    `reason`. told: whether matching knew that covariances and scales are right, or took both for those of real maps.
+    aligned: the alignment was right, believed or not; right, wrong: believed and so; refused: not believed, mostly for
+    `reason`. exact: whether matching knew that covariances and scales are right, or took both for those of real maps.
     """
 
-    told: bool
+    exact: bool
     common: int
     trials: int
-    found: int
+    aligned: int
     right: int
     wrong: int
     refused: int
@@ -108,7 +108,7 @@ def identities_text(rows: tuple[IdentityTrials, ...]) -> str:
     share = "reached" if six.right >= 0.98 * six.trials else "missed"
     return (
         f"98 of 100 {share}: {six.right} of {six.trials} believed and right with six in common, where the true links "
-        f"have such odds in {oracle(rows, 6)}; the alignment is right in {six.found}, refused ones counted; of all "
+        f"have such odds in {oracle(rows, 6)}; the alignment is right in {six.aligned}, refused ones counted; of all "
         f"rows {sum(t.wrong for t in rows)} wrongly believed; for it to believe 98 {price_text(rows)}"
     )
 
@@ -134,15 +134,15 @@ def identity_trials(
     seed: int,
     commons: tuple[int, ...] = IN_COMMON,
     *,
-    told: bool = True,
+    exact: bool = True,
     on_progress: Progress = no_progress,
 ) -> tuple[IdentityTrials, ...]:
     """`trials` pairs for every number in common, every pair with a generator of its own."""
     out = []
-    cfg = EXACT if told else IdentityConfig()
+    cfg = EXACT if exact else IdentityConfig()
     for at, common in enumerate(commons):
         on_progress("identities", at, len(commons))
-        found = right = wrong = 0
+        aligned = right = wrong = 0
         reasons: dict[str, int] = {}
         evidence: dict[bool, list[float]] = {True: [], False: []}
         true: list[float] = []
@@ -151,7 +151,7 @@ def identity_trials(
             match = match_maps(source, target, cfg)
             off = se2.act(match.T_target_source, source.mean) - se2.act(T, source.mean)
             ok = bool(np.hypot(off[:, 0], off[:, 1]).max() < RIGHT)
-            found += ok
+            aligned += ok
             true += [true_evidence(source, target, T, links, EXACT)] if common > 2 else []
             right += match.accepted and ok
             wrong += match.accepted and not ok
@@ -163,7 +163,7 @@ def identity_trials(
         most = max(reasons, key=lambda kind: reasons[kind]) if reasons else ""
         refused = trials - right - wrong
         scores = tuple(evidence[True]), tuple(evidence[False]), tuple(true)
-        out.append(IdentityTrials(told, common, trials, found, right, wrong, refused, most, *scores))
+        out.append(IdentityTrials(exact, common, trials, aligned, right, wrong, refused, most, *scores))
     return tuple(out)
 
 

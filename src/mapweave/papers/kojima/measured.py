@@ -62,8 +62,8 @@ class Measured:
         plain, proposed = self.run("prior", "constant"), self.run("prior", "paper")
         robot, landmark = self.relative_difference("prior")
         (robot_0, landmark_0), (robot_1, landmark_1) = PRINTED["constant"], PRINTED["paper"]
-        bare = {u.rule: u.landmark_rmse for u in self.unequal if u.weights == "constant"}
-        named = [t for t in self.identities if t.told]
+        constant_weights = {u.rule: u.landmark_rmse for u in self.unequal if u.weights == "constant"}
+        named = [t for t in self.identities if t.exact]
         enough = [t for t in named if t.common >= 6]
         own = next(t for t in self.settled if (t.maps, t.delta) == ("the experiment's", self.cfg.delta))
         return {
@@ -73,12 +73,14 @@ class Measured:
             "robot_half": [robot / (1 - robot_1 / robot_0)],
             "landmark": [landmark],
             "landmark_half": [landmark / (1 - landmark_1 / landmark_0)],
-            "unequal": [u.landmark_rmse / bare[u.rule] for u in self.unequal if u.weights in {"paper", "full"}],
+            "unequal": [
+                u.landmark_rmse / constant_weights[u.rule] for u in self.unequal if u.weights in {"paper", "full"}
+            ],
             "falls": [float(np.mean(np.diff(r.trace) < 0)) for r in self.runs],
             "settles": [r.limit for r in self.runs],
             "closed": [float(np.median(own.printed))],
             "speed": [float(t.early.max()) for t in self.settled],
-            "alignments": [t.found / t.trials for t in enough],
+            "alignments": [t.aligned / t.trials for t in enough],
             "believed": [min(t.right / t.trials for t in enough)],
             "wrong": [float(sum(t.wrong for t in named))],
         }
@@ -187,7 +189,7 @@ class Measured:
         """Head and rows: what came of trials without names."""
         head = ("in common", "told", "alignment right", "believed, right", "believed, wrong", "refused", "mostly for")
         rows: list[tuple[object, ...]] = [
-            (t.common, "exact maps" if t.told else "nothing", t.found, t.right, t.wrong, t.refused, t.reason or "-")
+            (t.common, "exact maps" if t.exact else "nothing", t.aligned, t.right, t.wrong, t.refused, t.reason or "-")
             for t in self.identities
         ]
         return head, rows

@@ -100,17 +100,17 @@ class KojimaReproduction(Measured, Reproduction):
         }
 
     def _identity_figures(self) -> dict[str, int | str]:
-        enough = [t for t in self.identities if t.told and t.common >= 6]
-        few = [t for t in self.identities if not t.told and t.common < 6]
+        enough = [t for t in self.identities if t.exact and t.common >= 6]
+        few = [t for t in self.identities if not t.exact and t.common < 6]
         return {
-            "found": min(t.found for t in enough),
+            "found": min(t.aligned for t in enough),
             "believed": min(t.right for t in enough),
             "trials": enough[0].trials,
             "oracle": oracle(tuple(enough), 6),
             "even": oracle(tuple(enough), 6, 1.0),
             "chance": sum(t.wrong for t in few),
             "few": sum(t.trials for t in few),
-            "price": price_text(tuple(t for t in self.identities if not t.told)),
+            "price": price_text(tuple(t for t in self.identities if not t.exact)),
         }
 
     def sections(self) -> tuple[Section, ...]:
@@ -203,7 +203,7 @@ class KojimaReproduction(Measured, Reproduction):
         plain, proposed = self.run("prior", "constant"), self.run("prior", "paper")
         robot, landmark = self.relative_difference("prior")
         by_rule = {(u.rule, u.weights): u.landmark_rmse for u in self.unequal}
-        named = tuple(t for t in self.identities if t.told)
+        named = tuple(t for t in self.identities if t.exact)
         by = {(t.maps, t.delta): t for t in self.settled}
         own, loose = (by[maps, self.cfg.delta] for maps in ("the experiment's", "less certain"))
         sharp = by["the experiment's", 1.0]
@@ -285,10 +285,10 @@ class KojimaReproduction(Measured, Reproduction):
             ],
             "identities": [
                 {
-                    "told": t.told,
+                    "told": t.exact,
                     "in_common": t.common,
                     "trials": t.trials,
-                    "alignment_right": t.found,
+                    "alignment_right": t.aligned,
                     "believed_right": t.right,
                     "believed_wrong": t.wrong,
                     "refused": t.refused,
@@ -348,8 +348,8 @@ def reproduce_kojima(
     settled = settling(cfg, first, runs[0].final.x, np.random.default_rng([seed, 4]))
     identities = tuple(
         row
-        for told in (True, False)
-        for row in part(partial(identity_trials, told=told), trials, seed, on_progress=on_progress)
+        for exact in (True, False)
+        for row in part(partial(identity_trials, exact=exact), trials, seed, on_progress=on_progress)
     )
     timing = {"table2": merged - begun, "weights": weighed - merged, "identities": perf_counter() - weighed}
     result = KojimaReproduction(

@@ -64,10 +64,10 @@ def _settling(
     cov: Float[np.ndarray, "s 10 10"],
     x: Float[np.ndarray, "s n"],
 ) -> Settling:
-    told = measurement(1, index, mean, cov, "paper", delta=cfg.delta)
+    measured = measurement(1, index, mean, cov, "paper", delta=cfg.delta)
     information = prior_information(cfg)
     spreads = np.empty((4, len(x)))
-    for s, (H, R) in enumerate(zip(told.dense_jacobian(LAYOUT, x), told.R, strict=True)):
+    for s, (H, R) in enumerate(zip(measured.dense_jacobian(LAYOUT, x), measured.R, strict=True)):
         P_inf = limits.limit(information, H)
         for row, ks in enumerate((EARLY, LATE)):
             scaled = np.array([k * np.linalg.norm(limits.after(information, H, R, k) - P_inf) for k in ks])

@@ -135,14 +135,14 @@ def _predict(
     P: Float[np.ndarray, "s 2 13 13"],
     twist: Float[np.ndarray, "2 3"],
 ) -> tuple[Float[np.ndarray, "s 2 13"], Float[np.ndarray, "s 2 13 13"]]:
-    moved = se2.compose(x[..., :3], se2.exp(twist))
+    pose = se2.compose(x[..., :3], se2.exp(twist))
     F = np.broadcast_to(np.eye(3), (*x.shape[:-1], 3, 3)).copy()
-    F[..., 0, 2], F[..., 1, 2] = x[..., 1] - moved[..., 1], moved[..., 0] - x[..., 0]
+    F[..., 0, 2], F[..., 1, 2] = x[..., 1] - pose[..., 1], pose[..., 0] - x[..., 0]
     P = P.copy()
     P[..., :3, :] = F @ P[..., :3, :]
     P[..., :, :3] = P[..., :, :3] @ np.swapaxes(F, -1, -2)
     P[..., [0, 1, 2], [0, 1, 2]] += cfg.process_variance
-    return np.concatenate([moved, x[..., 3:]], axis=-1), P
+    return np.concatenate([pose, x[..., 3:]], axis=-1), P
 
 
 def _correct(
