@@ -45,10 +45,10 @@ if TYPE_CHECKING:
     from .api.landmark_slam import LandmarkSlam as LandmarkSlam
     from .api.laser_result import LaserResult as LaserResult
     from .api.laser_slam import LaserSlam as LaserSlam
-    from .api.live import LiveRobot as LiveRobot
     from .api.live import live_map as live_map
     from .api.live import live_robot as live_robot
     from .api.live_keys import live_keys as live_keys
+    from .api.live_result import LiveRobot as LiveRobot
     from .api.live_robots import live_robots as live_robots
     from .api.live_ros2 import RosOptions as RosOptions
     from .api.live_view import live_view as live_view
@@ -91,6 +91,7 @@ if TYPE_CHECKING:
     from .fusion.config import FuseConfig as FuseConfig
     from .landmarks.config import EkfSlamConfig as EkfSlamConfig
     from .laser.config import LaserConfig as LaserConfig
+    from .laser.pose_graph import PoseGraph as PoseGraph
     from .laser.scan_odometry import PoseEstimate as PoseEstimate
     from .live.transport import Network as Network
     from .papers.hamatani.reproduce import HamataniReproduction as HamataniReproduction
@@ -131,7 +132,7 @@ _HOMES: dict[str, str] = {
     "solve_pose_graph": "api.solve",
     "view": "api.view",
     # a team that drives now
-    "LiveRobot": "api.live",
+    "LiveRobot": "api.live_result",
     "Network": "live.transport",
     "RosOptions": "api.live_ros2",
     "live_keys": "api.live_keys",
@@ -186,6 +187,7 @@ _HOMES: dict[str, str] = {
     # data and progress
     "BearingTable": "core.bearings",
     "LaserLog": "core.laser_log",
+    "PoseGraph": "laser.pose_graph",
     "Progress": "core.workers",
     "Track": "core.records",
     # errors
@@ -232,6 +234,7 @@ __all__ = (
     "Network",
     "OfficeConfig",
     "PoseEstimate",
+    "PoseGraph",
     "Progress",
     "ReaderError",
     "RelationEvaluation",

@@ -11,7 +11,7 @@ import pytest
 
 import mapweave
 
-MAIN = ("configuration", "doctor", "evaluate", "explore", "fuse", "localize", "locate", "map")
+MAIN = ("configuration", "doctor", "evaluate", "explore", "fuse", "localize", "locate", "map", "solve_pose_graph")
 
 
 @pytest.mark.parametrize("name", MAIN)

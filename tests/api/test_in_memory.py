@@ -59,7 +59,7 @@ def test_mistakes_in_a_table_in_memory_are_told_as_those_of_a_file(swarm):
         mapweave.locate({name: table[name] for name in ("observer", "target")})
     with pytest.raises(mapweave.DataError, match="one length, found observer 3, target 2, bearing 3"):
         mapweave.locate({"observer": [1, 2, 3], "target": [2, 3], "bearing": [0.1, 0.2, 0.3]})
-    with pytest.raises(mapweave.DataError, match="expected columns by name, found list"):
+    with pytest.raises(mapweave.UsageError, match="sightings: expected a path or columns by name, found list"):
         mapweave.locate([1, 2, 3])
     with pytest.raises(mapweave.DataError, match=r"one value a row for bearing, found the shape \(3, 1\)"):
         mapweave.locate({"observer": [1, 2, 3], "target": [2, 3, 1], "bearing": np.zeros((3, 1))})

@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Any, Protocol, cast, runtime_checkable
 
 from ..core.errors import DataError, ReaderError, UsageError
+from ..core.paths import path_arguments
 from ..core.workers import one_blas_thread
-from .map_options import path_of, paths_of
+from ..report.result import ResultBase
+from .in_memory import Truths, result_folder, truth_files
 from .result import Result
 
 
@@ -44,18 +46,20 @@ RULE = (
 )
 
 
+@path_arguments
 @one_blas_thread()
-def evaluate(directory: Path | str, truth: Path | str | Sequence[Path | str]) -> Evaluation:
-    """Score the result in `directory` against what is true, by the rules that every table here is made with.
+def evaluate(directory: Path | str | ResultBase, truth: Truths) -> Evaluation:
+    """Score a result against what is true, by the rules that every table here is made with.
 
     Parameters
     ----------
     directory
-        What `map`, `fuse`, `locate` or `localize` wrote.
+        What `map`, `fuse`, `locate` or `localize` wrote, or gave.
     truth
         One or more files of one kind: an MRCLAM data set, a survey `id,x,y` (.csv), TUM trajectories (of robot K where
-        the name holds `robotK`, else in the order given), relations, or the true positions of a swarm. Lengths in
-        metres, angles in radians.
+        the name holds `robotK`, else in the order given), relations, or the true positions of a swarm. Or tables in
+        memory: a survey or a swarm with the columns id, x, y; trajectories with t, x, y, theta, and robot, or a table
+        each in the order of the robots (or `Track`s); relations with t1, t2, x, y, theta. Metres, radians, seconds.
 
     Raises
     ------
@@ -72,12 +76,18 @@ def evaluate(directory: Path | str, truth: Path | str | Sequence[Path | str]) ->
     >>> result = map("team", "out")
     >>> evaluate("out", "team").metrics["landmark_n"]
     7
+    >>> x, y = zip(*team.landmarks.values())
+    >>> survey = {"id": list(team.landmarks), "x": x, "y": y}
+    >>> evaluate(result, survey).metrics["landmark_n"]
+    7
     """
-    paths = paths_of(truth, "truth")
-    found = judged(path_of(directory, "directory"), paths)
-    if found.unscored:
-        raise DataError(f"{', '.join(map(str, paths))}: nothing to score: {found.unscored}; {RULE}")
-    return found
+    with result_folder(directory, "directory") as folder, truth_files(truth) as paths:
+        if not paths:
+            raise UsageError("truth: expected paths or tables in memory, found none")
+        found = judged(folder, paths)
+        if found.unscored:
+            raise DataError(f"{', '.join(map(str, paths))}: nothing to score: {found.unscored}; {RULE}")
+        return found
 
 
 def judged(folder: Path, truth: Sequence[Path]) -> Evaluation:

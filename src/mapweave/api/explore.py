@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
+from ..core.paths import path_arguments
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..exploration.landmarks.belief import PLANNERS
 from ..exploration.landmarks.config import ExploreConfig
@@ -71,9 +72,10 @@ class LandmarkExploration(ResultBase, ExploreResult):
         draw_map(target, self.first)
 
 
+@path_arguments
 @one_blas_thread()
 def explore(
-    scenario: str = "yuan",
+    scenario: Path | str = "yuan",
     out: Path | str | None = None,
     *,
     robots: int | None = None,
@@ -149,6 +151,7 @@ def explore(
     >>> len(result.runs), result.runs[0].steps
     (1, 2)
     """
+    scenario = str(scenario)
     options = ExploreOptions(
         robots=robots,
         runs=runs,

@@ -7,6 +7,7 @@ from pathlib import Path
 from ..core.config import load
 from ..core.errors import DataError, ReaderError, UsageError
 from ..core.names import in_order
+from ..core.paths import path_arguments
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse as join_maps
@@ -14,19 +15,20 @@ from ..io.directory import check_target
 from ..io.local_map import read_local_map
 from ..landmarks.landmark_map import LocalMap
 from .fuse_laser import are_laser_results, fuse_laser
+from .in_memory import Truths, result_folders, truth_files
 from .laser_result import LaserResult
-from .map_options import paths_of
 from .team import TeamResult, Watch, team_result
 
 
+@path_arguments
 @one_blas_thread()
 def fuse(
-    directories: Path | str | Sequence[Path | str],
+    directories: Path | str | TeamResult | LaserResult | Sequence[Path | str | TeamResult | LaserResult],
     out: Path | str | None = None,
     *,
     weights: str | None = None,
     identities: str | None = None,
-    truth: Path | str | Sequence[Path | str] = (),
+    truth: Truths = (),
     config: Path | str | None = None,
     seed: int = 0,
     force: bool = False,
@@ -34,13 +36,14 @@ def fuse(
 ) -> TeamResult | LaserResult:
     """Fuse the local maps of several results into one map; written to `out` if given.
 
-    Robots are called `DIR/robotK`. Every decision (merged or refused) has its reason in the result; the same log given
-    twice counts once, and is told.
+    Robots are called `DIR/robotK`, of results in memory `result1/robotK` and so on by their place. Every decision
+    (merged or refused) has its reason in the result; the same log given twice counts once, and is told.
 
     Parameters
     ----------
     directories
-        Results of `map` or `fuse`, all of landmark logs or all of laser logs (of the graph method).
+        Results of `map` or `fuse`, in memory or their folders, all of landmark logs or all of laser logs (of the graph
+        method).
     out
         The folder to write; an earlier result there is replaced whole.
     weights
@@ -75,48 +78,50 @@ def fuse(
     >>> one, two = map("team", "one", robots=["1"]), map("team", "two", robots=["2"])
     >>> fuse(["one", "two"]).maps[0].robots
     ('one/robot1', 'two/robot2')
+    >>> fuse([one, two]).maps[0].robots
+    ('result1/robot1', 'result2/robot2')
     """
-    given = list(paths_of(directories, "directories"))
-    if not given:
-        raise UsageError("expected a result of map, found none")
-    if out is not None:
-        inside = [path for path in given if path.resolve() != Path(out).resolve()]  # a result itself may be replaced
-        check_target(Path(out), force=force, reads=(*inside, *paths_of(truth, "truth"), config))
-    for folder in given:
-        if not folder.is_dir():
-            raise ReaderError(folder, "no such folder")
-    if are_laser_results(given):
-        idle = {"--weights": weights, "--identities": identities}
-        if asked := [name for name, value in idle.items() if value is not None]:
-            raise UsageError(f"{', '.join(asked)}: only for landmark results, found {given[0]}")
-        names, scores = distinct_names(given), paths_of(truth, "truth")
-        settings = None if config is None else Path(config)
-        woven = fuse_laser(given, names, config=settings, seed=seed, truth=scores, on_progress=on_progress)
+    settings = None if config is None else Path(config)
+    with result_folders(directories, "directories") as given, truth_files(truth) as scores:
+        if not given:
+            raise UsageError("expected a result of map, found none")
         if out is not None:
-            woven.write(out, force=force)
-        return woven
-    cfg = load(FuseConfig, None if config is None else Path(config), {"weights": weights, "identities": identities})
+            inside = [path for path in given if path.resolve() != Path(out).resolve()]  # itself it may be replaced
+            check_target(Path(out), force=force, reads=(*inside, *scores, config))
+        for folder in given:
+            if not folder.is_dir():
+                raise ReaderError(folder, "no such folder")
+        result: TeamResult | LaserResult
+        if are_laser_results(given):
+            idle = {"--weights": weights, "--identities": identities}
+            if asked := [name for name, value in idle.items() if value is not None]:
+                raise UsageError(f"{', '.join(asked)}: only for landmark results, found {given[0]}")
+            names = distinct_names(given)
+            result = fuse_laser(given, names, config=settings, seed=seed, truth=scores, on_progress=on_progress)
+        else:
+            cfg = load(FuseConfig, settings, {"weights": weights, "identities": identities})
+            result = _fuse_landmarks(given, cfg, seed, scores, on_progress)
+    if out is not None:
+        result.write(out, force=force)
+    return result
+
+
+def _fuse_landmarks(
+    given: Sequence[Path], cfg: FuseConfig, seed: int, truth: Sequence[Path], on_progress: Progress
+) -> TeamResult:
+    """One result of all robots in the folders `given`, called NAME/robotK."""
     watch = Watch()
     local: list[LocalMap] = []
     recordings: dict[str, str] = {}
-    for k, (path, label) in enumerate(zip(given, distinct_names(given), strict=True)):
+    names = distinct_names(given)
+    for k, (path, label) in enumerate(zip(given, names, strict=True)):
         on_progress("reading", k, len(given))
         read = _read_all(path, label)
         recordings |= {m.robot: f"{m.robot.rpartition('/')[0]}:{m.source}" for m in read}
         local += read
     watch.lap("read")
-    result = team_result(
-        f"One map fused from {', '.join(distinct_names(given))}",
-        seed,
-        local,
-        join_maps(local, cfg, recordings),
-        paths_of(truth, "truth"),
-        (),
-        watch,
-    )
-    if out is not None:
-        result.write(out, force=force)
-    return result
+    title = f"One map fused from {', '.join(names)}"
+    return team_result(title, seed, local, join_maps(local, cfg, recordings), truth, (), watch)
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:

@@ -91,6 +91,9 @@ class LaserResult(ResultBase):
                 _copied(part, folder, made.robots[0])
                 write_closure_rows(part / "closures.csv", made.closures)
 
+    def write_data(self, folder: Path) -> None:
+        write_laser_data(folder, self)
+
     def lines(self) -> list[str]:
         lines = []
         for made in self.maps:
@@ -269,7 +272,7 @@ def scored(result: LaserResult, truth: Sequence[Path]) -> LaserResult:
         return result
     metrics = result.metrics
     with tempfile.TemporaryDirectory() as folder:
-        write_laser_data(Path(folder), result)
+        result.write_data(Path(folder))
         score = judged(Path(folder), truth)
     known = {made.robot: _true_track(truth, k) for k, made in enumerate(result.maps)}
     tracks = {robot: track for robot, track in known.items() if track is not None}

@@ -4,7 +4,7 @@ import math
 import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from threading import Event
 
@@ -13,6 +13,7 @@ from ..core.errors import ConfigError, DataError, UsageError
 from ..core.landmark_log import LandmarkLog
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key
+from ..core.paths import path_arguments
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target
 from ..laser.config import LaserConfig
@@ -27,6 +28,7 @@ from ..live.store import Store
 from ..live.topics import Topics
 from ..live.transport import LISTENING, Network, session
 from .laser_result import LaserResult, starts_among
+from .live_result import LiveRobot
 from .live_ros2 import RosOptions, drive_ros2
 from .map_landmarks import LandmarkMapConfig, map_landmark_logs
 from .map_laser import LaserMapConfig
@@ -39,15 +41,7 @@ ROS2 = "ros2"
 Say = Callable[[str], None]
 
 
-@dataclass(frozen=True, slots=True)
-class LiveRobot:
-    """How a robot's live run ended. messages: sent, all on its disk; heard_by: map processes that have all."""
-
-    name: str
-    messages: int
-    heard_by: int
-
-
+@path_arguments
 @one_blas_thread()
 def live_robot(
     name: str,
@@ -128,7 +122,7 @@ def live_robot(
             run = _begun(store, "laser", period)
             options = ros or RosOptions()
             told, heard = drive_ros2(name, options, store, run, period, linger, settings, network, stop, say, wall)
-            return LiveRobot(name, told, heard)
+            return LiveRobot(name, told, heard, path, store.sizes(name))
     if ros is not None:
         raise UsageError(f"--domain, --pattern, --graph, --sensor-pose, --all-scanners: of --source {ROS2} alone")
     log = open_source(str(source), name, robot, seed)
@@ -145,7 +139,7 @@ def live_robot(
             say(f"{name}: {log.robot} of {source}, team {network.team}, history in {path}")
             expected = bool(network.connect or network.listen)
             told = process.run(messages(log, name, run, period), driving, Pace(rate, linger, expected), stop)
-            return LiveRobot(name, told, process.heard_by)
+            return LiveRobot(name, told, process.heard_by, path, store.sizes(name))
 
 
 def _driving(header: Header, settings: Path | None) -> LandmarkRobot | LaserRobot:
@@ -172,6 +166,7 @@ def _begun(store: Store, sensor: str, period: float) -> str:
     return run
 
 
+@path_arguments
 @one_blas_thread()
 def live_map(
     out: Path | str,

@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..core.errors import UsageError
+from ..core.paths import path_arguments
 from ..live.credentials import make_team
 from ..live.messages import check_name
 
 LONGEST = 3650.0  # [days] what the authority itself serves
 
 
+@path_arguments
 def live_keys(
     out: Path | str,
     *,

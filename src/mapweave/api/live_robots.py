@@ -7,13 +7,16 @@ from pathlib import Path
 from threading import Event
 
 from ..core.errors import UsageError
+from ..core.paths import path_arguments
 from ..live.transport import Network
-from .live import LiveRobot, live_robot
+from .live import live_robot
+from .live_result import LiveRobot
 from .live_ros2 import RosOptions
 
 LOOK = 0.2  # [s] until it is looked again whether to stop
 
 
+@path_arguments
 def live_robots(
     names: Sequence[str],
     patterns: Sequence[str] | None = None,

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from ..core.config import config as configuration
 from ..core.config import load
 from ..core.errors import ReaderError, UsageError
 from ..core.laser_log import LaserLog
+from ..core.paths import is_path, path_arguments, path_of
 from ..core.records import Track
 from ..core.run import robot_rng
 from ..core.version import __version__
@@ -21,7 +21,7 @@ from ..io.directory import check_target, write_json
 from ..io.laser_arrays import laser_log_of
 from ..io.laser_logs import LaserSource, read_laser
 from ..io.laser_map import NAME, read_grid, write_scans
-from ..io.table import Columns
+from ..io.table import Columns, columns_of
 from ..io.tum import read_tum, write_tum
 from ..laser.beam import IntensityCalibration
 from ..laser.config import LaserConfig
@@ -32,8 +32,9 @@ from ..laser.localise_trust import Evidence
 from ..report.localize import draw_where, write_localisation_report
 from ..report.result import ResultBase, Rows
 from ..report.style import Target
-from .laser_result import LaserResult, write_laser_data
-from .map_options import LaserOptions, path_of
+from .in_memory import Truth, result_folder, truth_files
+from .laser_result import LaserResult
+from .map_options import LaserOptions
 
 NEAR, NEAR_ANGLE = 0.5, np.radians(10.0)  # a start that errs by less than this, once found, was right
 
@@ -135,6 +136,7 @@ class LocalizeResult(ResultBase):
         ]
 
 
+@path_arguments
 @one_blas_thread()
 def localize(
     log: Path | str | LaserLog | Mapping[str, Any],
@@ -143,7 +145,7 @@ def localize(
     *,
     odometry: Columns | None = None,
     start: Sequence[float] | None = None,
-    truth: Path | str | None = None,
+    truth: Truth | None = None,
     config: Path | str | None = None,
     laser: LaserOptions | None = None,
     seed: int = 0,
@@ -167,7 +169,8 @@ def localize(
     start
         The robot's first pose in the map [m, m, rad] (searched everywhere).
     truth
-        A TUM trajectory in the map's frame, used for scoring alone; one in another frame is told.
+        A TUM trajectory in the map's frame, or a `Track` or a table in memory with the columns t [s], x [m], y [m],
+        theta [rad]; used for scoring alone; one in another frame is told.
     config
         A TOML file of settings, as `configuration("localize")` prints them; options here win.
     laser
@@ -199,6 +202,10 @@ def localize(
         check_target(Path(out), force=force, reads=(log, map, truth, config))
     if start is not None and len(start) != 3:
         raise UsageError(f"--start: expected x,y,theta, found {len(start)} numbers")
+    if not isinstance(log, LaserLog | Mapping):
+        log = path_of(log, "log", "a path, a LaserLog or scans in memory")
+    drive = None if odometry is None else columns_of(odometry, "odometry")
+    true = None if truth is None else _true_track(truth)
     asked = laser or LaserOptions()
     grid, calibration, feature = _read_map(map)
     source = LaserSource(
@@ -212,17 +219,15 @@ def localize(
     )
     cfg = settings.laser
     cfg.check()
-    recording = _recording(log, odometry, source)
+    recording = _recording(log, drive, source)
     place = None if start is None else np.array(start, dtype=float)
     wanted = asked.feature or feature
     if wanted not in {feature, "none"}:
         raise UsageError(f"--feature {wanted}: the map holds {feature}")
     rng = robot_rng(seed, recording.robot)
     found = localise(recording, grid, calibration, wanted, cfg, place, rng, on_progress, settings.localize)
-    score = None if truth is None else score_start(found, read_tum(Path(truth)))
-    result = LocalizeResult(
-        found, grid, _metrics(found, str(map) if isinstance(map, Path | str) else "in memory", seed, score), score
-    )
+    score = None if true is None else score_start(found, true)
+    result = LocalizeResult(found, grid, _metrics(found, str(map) if is_path(map) else "in memory", seed, score), score)
     if out is not None:
         result.write(out, force=force)
     return result
@@ -250,23 +255,25 @@ def score_start(found: Localisation, truth: Track) -> StartScore:
     )
 
 
-def _read_map(given: Path | str | LaserResult) -> tuple[GridMap, IntensityCalibration | None, str]:
+def _read_map(given: object) -> tuple[GridMap, IntensityCalibration | None, str]:
     """The map with its calibration and feature; one in memory as it would be read back."""
-    if isinstance(given, LaserResult):
-        with TemporaryDirectory() as folder:
-            write_laser_data(Path(folder), given)
-            return read_grid(_grid_path(Path(folder)))
-    return read_grid(_grid_path(path_of(given, "map")))
+    with result_folder(given, "map") as folder:
+        return read_grid(_grid_path(folder))
 
 
-def _recording(
-    log: Path | str | LaserLog | Mapping[str, Any], odometry: Columns | None, source: LaserSource
-) -> LaserLog:
+def _true_track(given: object) -> Track:
+    with truth_files(given) as files:
+        if len(files) != 1:
+            raise UsageError(f"truth: expected the trajectory of one robot, found {len(files)}")
+        return read_tum(files[0])
+
+
+def _recording(log: Path | LaserLog | Mapping[str, Any], odometry: Columns | None, source: LaserSource) -> LaserLog:
     if isinstance(log, Mapping):
         return laser_log_of(log, odometry, "1", source)
     if odometry is not None:
         raise UsageError("odometry: expected scans in memory beside it, found a log, which holds its own")
-    return log if isinstance(log, LaserLog) else read_laser(path_of(log, "log"), "1", source)
+    return log if isinstance(log, LaserLog) else read_laser(log, "1", source)
 
 
 def _grid_path(folder: Path) -> Path:

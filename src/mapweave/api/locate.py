@@ -12,12 +12,13 @@ from ..core.bearings import BearingTable
 from ..core.config import config as configuration
 from ..core.config import load
 from ..core.errors import DataError, UsageError
+from ..core.paths import is_path, path_arguments, path_of
 from ..core.records import Odometry
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..evaluation.swarm import StandingScore, score_moving, score_standing, scored_robots, true_places
 from ..io.directory import check_target
 from ..io.sightings import SwarmTruth, read_swarm_odometry, read_swarm_truth
-from ..io.table import Columns, Table, table_of
+from ..io.table import Columns, Table, columns_of, table_of
 from ..io.team_bearings import read_team_bearings
 from ..swarm.config import Method, SwarmConfig
 from ..swarm.locate import locate as locate_network
@@ -50,6 +51,7 @@ class LocateConfig:
     )
 
 
+@path_arguments
 @one_blas_thread()
 def locate(
     sightings: Path | str | BearingTable | Columns,
@@ -62,8 +64,8 @@ def locate(
     method: str | None = None,
     axis: bool | None = None,
     odometry: Path | str | Columns | None = None,
-    initial: Path | str | None = None,
-    truth: Path | str | None = None,
+    initial: Path | str | Columns | None = None,
+    truth: Path | str | Columns | None = None,
     covariance: bool | None = None,
     motion: TrackConfig | None = None,
     config: Path | str | None = None,
@@ -102,9 +104,10 @@ def locate(
     odometry
         Velocities of moving robots, a table or its file: t [s], robot, v [m/s], w [rad/s].
     initial
-        A table `id,x,y[,z]` [m] for the filters to start from.
+        Places for the filters to start from, a table or its file: id, x, y[, z] [m].
     truth
-        A table `id,x,y[,z]`, with t where robots move; used for scoring alone.
+        Where robots are truly, a table or its file: id, x, y[, z] [m], with t [s] where they move, or the folder or zip
+        of a landmark log; used for scoring alone.
     covariance
         Whether covariances are computed (up to 20,000 robots).
     motion
@@ -147,6 +150,10 @@ def locate(
         raise UsageError(f"--method {method}: expected one of {', '.join(get_args(Method))}")
     if out is not None:
         check_target(Path(out), force=force, reads=(sightings, odometry, initial, truth, config))
+    drives, start, true = (
+        None if one is None else _rows(one, name)
+        for one, name in ((odometry, "odometry"), (initial, "initial"), (truth, "truth"))
+    )
     began = perf_counter()
     on_progress("reading", 0, 1)
     source, log = _source(sightings)
@@ -165,23 +172,23 @@ def locate(
     read = perf_counter()
     on_progress("reading", 1, 1)
     on_progress("locating", 0, 1)
-    true = None if truth is None else read_truth(Path(truth))
-    settings = Settings(method, seed, {"read": read - began}, true, cfg.swarm)
+    places = None if true is None else read_truth(true)
+    settings = Settings(method, seed, {"read": read - began}, places, cfg.swarm)
     if settings.truth is not None and not set(settings.truth.ids) & set(given.table.ids):
-        raise DataError(f"{truth}: the truth names none of the robots")
+        raise DataError(f"{truth if is_path(truth) else 'truth'}: the truth names none of the robots")
     stamped = given.table.t is not None and len(np.unique(given.table.t)) > 1
-    if odometry is not None and given.table.t is None:
+    if drives is not None and given.table.t is None:
         raise UsageError("--odometry: the sightings bear no time stamps")
     result: Located | Moved
-    if odometry is not None:
-        result = _drive(given, settings, read_swarm_odometry(_rows(odometry)), motion or TrackConfig(), on_progress)
+    if drives is not None:
+        result = _drive(given, settings, read_swarm_odometry(drives), motion or TrackConfig(), on_progress)
     elif log is not None:
         result = _drive(given, settings, log, motion or cfg.commanded, on_progress)
     elif stamped:
         still = None if motion is not None or filtered else _stood_still(given, settings, covariance=covariance)
         result = still or _move(given, settings, motion, filtered=filtered)
     else:
-        result = _stand(given, settings, initial, covariance=covariance)
+        result = _stand(given, settings, start, covariance=covariance)
     result = _with_idle_options(
         result, {"--initial": initial is not None, "--filtered": filtered, "--acceleration": motion is not None}
     )
@@ -202,16 +209,17 @@ def _with_idle_options(result: Located | Moved, asked: Mapping[str, bool]) -> Lo
     return replace(result, given=replace(result.given, warnings=(*result.given.warnings, *told)))
 
 
-def _stand(given: SwarmInput, settings: Settings, initial: Path | str | None, *, covariance: bool | None) -> Located:
+def _stand(given: SwarmInput, settings: Settings, initial: Path | Table | None, *, covariance: bool | None) -> Located:
     began = perf_counter()
     net = given.network()
     wanted = len(net) <= MANY if covariance is None else covariance
     start = None
     if initial is not None:
-        start = true_places(read_swarm_truth(Path(initial)), net.ids, net.dim)
+        start = true_places(read_swarm_truth(initial), net.ids, net.dim)
         missing = np.flatnonzero(~np.isfinite(start).all(axis=1))
         if len(missing):
-            raise DataError(f"{initial}: no place for robot {net.ids[missing[0]]}")
+            told = initial.path if isinstance(initial, Table) else initial
+            raise DataError(f"{told}: no place for robot {net.ids[missing[0]]}")
     estimate = locate_network(net, replace(settings.swarm, method=_method(settings.method), covariance=wanted), start)
     solved = perf_counter()
     settings.timing["solve"] = solved - began
@@ -277,19 +285,20 @@ def _moved(given: SwarmInput, settings: Settings, track: SwarmTrack, seconds: fl
 
 
 def _source(
-    sightings: Path | str | BearingTable | Columns,
+    sightings: object,
 ) -> tuple[Path | BearingTable | Table, Mapping[str, Odometry] | None]:
     """The sightings, and the odometry where they come from a team's log, whose robots have axes of their own."""
     if isinstance(sightings, BearingTable):
         return sightings, None
-    if not isinstance(sightings, Path | str):
-        return table_of(sightings, "sightings"), None
-    path = Path(sightings)
-    return read_team_bearings(path) if is_team_log(path) else (path, None)
+    given = _rows(sightings, "sightings")
+    return read_team_bearings(given) if isinstance(given, Path) and is_team_log(given) else (given, None)
 
 
-def _rows(odometry: Path | str | Columns) -> Path | Table:
-    return Path(odometry) if isinstance(odometry, Path | str) else table_of(odometry, "odometry")
+def _rows(given: object, name: str) -> Path | Table:
+    """The file or the table that was given. name: of the argument."""
+    if is_path(given):
+        return path_of(given, name)
+    return table_of(columns_of(given, name, "a path or columns by name"), name)
 
 
 def _tuned(motion: TrackConfig | None, settings: Settings) -> TrackConfig:

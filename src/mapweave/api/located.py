@@ -178,6 +178,10 @@ class Located(ResultBase):
 
     def write_into(self, out: Path) -> None:
         """positions.csv, network.npz, metrics.json, report.html, figures/ and, for stamped sightings, trajectories/."""
+        self.write_data(out)
+        write_network_report(out, self.story(), self.lines(), self.metrics)
+
+    def write_data(self, out: Path) -> None:
         e = self.estimate
         seen, wild = self.counts()
         write_positions(
@@ -194,7 +198,6 @@ class Located(ResultBase):
                 place = np.tile(e.position[k], (len(at), 1))
                 cov = None if e.cov is None else np.tile(e.cov[k], (len(at), 1, 1))
                 write_track(out / "trajectories" / files[name], at, place, cov)
-        write_network_report(out, self.story(), self.lines(), self.metrics)
         write_rest(out, self.given, self.metrics)
 
     def counts(self) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:

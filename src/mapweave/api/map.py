@@ -10,13 +10,15 @@ from typing import Any, Protocol, cast, runtime_checkable
 
 from ..core.errors import ReaderError, UsageError
 from ..core.laser_log import LaserLog
+from ..core.paths import kind_of, path_arguments, path_of
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.directory import check_target, result_directory
 from ..io.kept import kept_parts
-from ..io.table import Columns
+from ..io.table import Columns, columns_of
 from ..report.html import list_files
 from .cluster import cluster_executor
-from .map_options import LaserOptions, MapOptions, expect_there, key_of, path_of, paths_of
+from .in_memory import Truths, truth_files
+from .map_options import LaserOptions, MapOptions, expect_there, key_of
 from .result import MapResult
 
 
@@ -38,6 +40,7 @@ MAPPERS: tuple[str, ...] = (
 )
 
 
+@path_arguments
 @one_blas_thread()
 @kept_parts()
 def map(  # noqa: A001  (the verb)
@@ -52,7 +55,7 @@ def map(  # noqa: A001  (the verb)
     weights: str | None = None,
     share: Mapping[str, float] | Mapping[int, float] | None = None,
     start: Mapping[str, Sequence[float]] | Mapping[int, Sequence[float]] | None = None,
-    truth: Path | str | Sequence[Path | str] | None = None,
+    truth: Truths | None = None,
     config: Path | str | None = None,
     seed: int = 0,
     jobs: int = 1,
@@ -164,7 +167,6 @@ def map(  # noqa: A001  (the verb)
         share={key_of(robot): part for robot, part in (share or {}).items()},
         start={key_of(robot): _start(key_of(robot), numbers) for robot, numbers in (start or {}).items()},
         start_sd={key_of(robot): float(numbers[3]) for robot, numbers in (start or {}).items() if len(numbers) > 3},
-        truth=paths_of(truth, "truth"),
         config=None if config is None else Path(config),
         seed=seed,
         jobs=jobs,
@@ -177,17 +179,19 @@ def map(  # noqa: A001  (the verb)
         executor=executor,
         on_progress=on_progress,
     )
-    options.check()
     several = list(logs) if isinstance(logs, Sequence) and not isinstance(logs, str) else [] if logs is None else [logs]
-    if out is not None:
-        check_target(Path(out), force=force, reads=(*several, *options.truth, options.config, options.survey))
-    elif mcap:
-        raise UsageError("mcap: expected a folder to write to (out), found none")
-    if logs is not None and not (scans is None and odometry is None and sightings is None):
-        raise UsageError("expected either logs or tables in memory (scans, odometry, sightings), found both")
-    with nullcontext(executor) if cluster is None else cluster_executor(cluster, executor) as workers:
-        options = replace(options, executor=workers)
-        result = _in_memory(scans, odometry, sightings, options) if logs is None else _of_logs(several, options)
+    with truth_files(truth) as true:
+        options = replace(options, truth=true)
+        options.check()
+        if out is not None:
+            check_target(Path(out), force=force, reads=(*several, *true, options.config, options.survey))
+        elif mcap:
+            raise UsageError("mcap: expected a folder to write to (out), found none")
+        if logs is not None and not (scans is None and odometry is None and sightings is None):
+            raise UsageError("expected either logs or tables in memory (scans, odometry, sightings), found both")
+        with nullcontext(executor) if cluster is None else cluster_executor(cluster, executor) as workers:
+            options = replace(options, executor=workers)
+            result = _in_memory(scans, odometry, sightings, options) if logs is None else _of_logs(several, options)
     if out is not None:
         with result_directory(Path(out), force=force) as work:
             result.write_into(work)
@@ -206,7 +210,7 @@ def _of_logs(logs: Sequence[Path | str | LaserLog], options: MapOptions) -> MapR
         if len(ready) < len(logs):
             raise UsageError("expected files or logs in memory, found both")
         return _laser(ready, options)
-    paths = [path_of(log, "logs") for log in logs]
+    paths = [path_of(log, "logs", "paths or LaserLogs") for log in logs]
     if _is_mixed(paths):
         from .map_mixed import map_logs  # noqa: PLC0415  (each kind of log imports what it needs)
 
@@ -227,12 +231,7 @@ def _is_mixed(paths: Sequence[Path]) -> bool:
     return all(path.exists() for path in paths) and is_mixed(paths)
 
 
-def _in_memory(
-    scans: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None,
-    odometry: Columns | Sequence[Columns] | None,
-    sightings: Columns | None,
-    options: MapOptions,
-) -> MapResult:
+def _in_memory(scans: object, odometry: object, sightings: object, options: MapOptions) -> MapResult:
     """The map of tables: sightings of landmarks, or the scans of one robot or of several."""
     if (scans is None) == (sightings is None):
         found = "both" if scans is not None else "neither"
@@ -242,20 +241,28 @@ def _in_memory(
 
         if isinstance(odometry, list | tuple):
             raise UsageError("odometry: expected one table of all robots (t,robot,v,w), found several")
+        rows = None if odometry is None else columns_of(odometry, "odometry")
         if given := options.laser.given():
             raise UsageError(f"{', '.join(given)}: only for laser logs, found sightings")
-        return map_tables(cast("Columns | None", odometry), sightings, options)
+        return map_tables(rows, columns_of(sightings, "sightings"), options)
     from ..io.laser_arrays import laser_log_of  # noqa: PLC0415
     from .map_laser import source_of  # noqa: PLC0415
 
-    each = [scans] if isinstance(scans, Mapping) else list(scans or ())
+    each = list(scans) if isinstance(scans, list | tuple) else [scans]
     drives = list(odometry) if isinstance(odometry, list | tuple) else [odometry] * min(1, len(each))
     if len(drives) != len(each):
         raise UsageError(f"expected as many tables of odometry as of scans, found {len(drives)} and {len(each)}")
     source = source_of(options)
     names = [str(k) for k in range(1, len(each) + 1)]
-    given_logs = zip(each, cast("list[Columns | None]", drives), names, strict=True)
-    return _laser([laser_log_of(one, drive, name, source) for one, drive, name in given_logs], options)
+    tables = [None if drive is None else columns_of(drive, "odometry") for drive in drives]
+    given_logs = zip(each, tables, names, strict=True)
+    return _laser([laser_log_of(_scans(one), drive, name, source) for one, drive, name in given_logs], options)
+
+
+def _scans(given: object) -> Mapping[str, Any]:
+    if isinstance(given, Mapping):
+        return given
+    raise UsageError(f"scans: expected columns by name, or a list of such, found {kind_of(given)}")
 
 
 def _laser(logs: Sequence[LaserLog], options: MapOptions) -> MapResult:

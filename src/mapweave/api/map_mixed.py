@@ -118,6 +118,10 @@ class MixedResult(ResultBase):
         write_mixed_report(folder, self.story)
         write_json(folder / "metrics.json", self.metrics)
 
+    def write_data(self, folder: Path) -> None:
+        _write_data(folder, self)
+        write_json(folder / "metrics.json", self.metrics)
+
 
 def applies(logs: Sequence[Path]) -> bool:
     """Whether `logs` are of several kinds, or a table of sightings beside them."""
@@ -339,8 +343,7 @@ def _scored(result: MixedResult, options: MapOptions) -> MixedResult:
     if not options.truth:
         return result
     with tempfile.TemporaryDirectory() as folder:
-        _write_data(Path(folder), result)
-        write_json(Path(folder) / "metrics.json", result.metrics)
+        result.write_data(Path(folder))
         score = judged(Path(folder), options.truth)
     told = score.as_json()
     reason = [f"the truth: nothing to score: {score.unscored}"] if score.unscored else []

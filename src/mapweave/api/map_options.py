@@ -1,10 +1,9 @@
 """The options of `map`, in Python's own types; and how the command line spells them."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from os import PathLike
 from pathlib import Path
 
 from ..core.errors import ConfigError, ReaderError, UsageError
@@ -103,22 +102,6 @@ class MapOptions:
     def starts(self) -> dict[str, tuple[float, ...]]:
         """Robot -> x, y, theta, and sigma where that is told."""
         return {r: (*pose, self.start_sd[r]) if r in self.start_sd else pose for r, pose in self.start.items()}
-
-
-def path_of(given: object, name: str) -> Path:
-    """The path that was given; raises UsageError for what is none. name: of the argument."""
-    if isinstance(given, str | PathLike):
-        return Path(given)
-    raise UsageError(f"{name}: expected a path, found {type(given).__name__}")
-
-
-def paths_of(given: Path | str | Sequence[Path | str] | None, name: str) -> tuple[Path, ...]:
-    """The paths that were given, one or several; raises UsageError for what is none. name: of the argument."""
-    if given is None:
-        return ()
-    if isinstance(given, str | PathLike) or not isinstance(given, Iterable):
-        return (path_of(given, name),)
-    return tuple(path_of(one, name) for one in given)
 
 
 def key_of(robot: object) -> str:

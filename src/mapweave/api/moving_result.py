@@ -118,6 +118,13 @@ class Moved(ResultBase):
 
     def write_into(self, out: Path) -> None:
         """trajectories/ID.csv, positions.csv (each robot's last), metrics.json, report.html and figures/."""
+        self.write_data(out)
+        story = MovedStory(
+            self.given.table.ids, self.track, self.given.anchors, self.truth if self.score is not None else {}
+        )
+        write_moved_report(out, story, self.lines(), self.metrics)
+
+    def write_data(self, out: Path) -> None:
         table, tracks = self.given.table, self.track.tracks
         n, d = len(table.ids), table.dim
         last, cov, located = np.full((n, d), np.nan), np.full((n, d, d), np.nan), np.zeros(n, dtype=bool)
@@ -129,6 +136,4 @@ class Moved(ResultBase):
                 cov[k] = one.cov[-1]
         seen, wild = counts(n, table.observer, table.target, self.track.outlier)
         write_positions(out / "positions.csv", table.ids, last, cov, located, seen, wild)
-        story = MovedStory(table.ids, self.track, self.given.anchors, self.truth if self.score is not None else {})
-        write_moved_report(out, story, self.lines(), self.metrics)
         write_rest(out, self.given, self.metrics)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.landmark_log import TeamRecording
+from ..core.paths import path_arguments
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target, write_json
@@ -52,6 +53,7 @@ class SimulatedTeam(ResultBase, TeamRecording):
         write_json(folder / "simulation.json", self.metrics)
 
 
+@path_arguments
 @one_blas_thread()
 def simulate_landmarks(
     out: Path | str | None = None,

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import UsageError, expect_at_most
+from ..core.paths import path_arguments, path_of
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.mcap import write_mcap
@@ -66,6 +67,7 @@ class SimulatedDrive(ResultBase, LaserSimulation):
         self.write(folder / "drive.mcap")
 
 
+@path_arguments
 @one_blas_thread()
 def simulate_laser(out: Path | str | None = None, world: World | None = None, *, seed: int = 0) -> SimulatedDrive:
     """Simulate a drive with a laser scanner that measures received light intensity.
@@ -103,7 +105,7 @@ def simulate_laser(out: Path | str | None = None, world: World | None = None, *,
 
 
 def _mcap(out: Path | str) -> Path:
-    path = Path(out)
+    path = path_of(out, "out")
     if path.suffix != ".mcap" or path.is_dir():
         raise UsageError(f"--out {path}: expected a file name such as corridor.mcap")
     return path

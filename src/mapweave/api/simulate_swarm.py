@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.errors import UsageError
+from ..core.paths import path_arguments, path_of
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.sightings import write_sightings
@@ -56,6 +57,7 @@ class SimulatedSwarm(ResultBase, Swarm):
         self.write(folder / "swarm.csv")
 
 
+@path_arguments
 @one_blas_thread()
 def simulate_swarm(out: Path | str | None = None, scene: SwarmScene | None = None, *, seed: int = 0) -> SimulatedSwarm:
     """Simulate a swarm of camera robots that measure bearings to each other.
@@ -88,7 +90,7 @@ def simulate_swarm(out: Path | str | None = None, scene: SwarmScene | None = Non
 
 
 def _table(out: Path | str) -> Path:
-    path = Path(out)
+    path = path_of(out, "out")
     if path.is_dir() or not path.suffix:
         raise UsageError(f"--out {path}: expected a file name such as swarm.csv or swarm.parquet")
     return path

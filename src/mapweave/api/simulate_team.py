@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from ..core.paths import path_arguments
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target, write_json
@@ -81,6 +82,7 @@ class SimulatedMixedTeam(ResultBase, MixedRecording):
         write_json(folder / "simulation.json", self.metrics)
 
 
+@path_arguments
 @one_blas_thread()
 def simulate_team(
     out: Path | str | None = None,

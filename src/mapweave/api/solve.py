@@ -1,5 +1,6 @@
 """Anybody's planar pose graph, solved."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
@@ -10,20 +11,23 @@ from jaxtyping import Float
 
 from ..core.errors import EstimateError
 from ..core.gaussian import chi2_quantile
+from ..core.paths import is_path, path_arguments, path_of
 from ..core.records import Track
 from ..core.version import __version__
 from ..io.directory import check_target, result_directory, write_json
 from ..io.g2o import G2oFile, read_g2o_file, write_g2o
+from ..io.graph_arrays import graph_of, is_graph
 from ..io.table import open_text
 from ..io.tum import write_track_covariance, write_tum
+from ..laser.pose_graph import PoseGraph
 from ..laser.robust_graph import RobustGraphConfig, SolvedGraph, solve_graph
 from ..report.html import list_files
 from ..report.result import ResultBase
 from ..report.solve import draw_graph, write_solve_report
 from ..report.style import Target
-from .map_options import path_of
 
 CHANCE = 1e-6  # that a sound graph is called doubtful, in each way it is looked at
+EXPECTED = "a path or a pose graph in memory"
 TOLD = 5  # dropped edges named one by one on the terminal
 
 
@@ -110,8 +114,13 @@ class SolveResult(ResultBase):
         write_solve_report(folder, self.source.name, self.file.graph.pose, self.solved, ids, self.lines())
 
 
+@path_arguments
 def solve_pose_graph(
-    file: Path | str, out: Path | str | None = None, *, robust: bool = False, force: bool = False
+    file: Path | str | PoseGraph | Mapping[str, Any],
+    out: Path | str | None = None,
+    *,
+    robust: bool = False,
+    force: bool = False,
 ) -> SolveResult:
     """Solve a planar pose graph, anybody's: the poses that agree best with its edges, and their covariances.
 
@@ -120,7 +129,10 @@ def solve_pose_graph(
     Parameters
     ----------
     file
-        A g2o file with VERTEX_SE2 and EDGE_SE2 rows.
+        A g2o file with VERTEX_SE2 and EDGE_SE2 rows. Or the graph in memory: a `PoseGraph`, or `edges`, a table with
+        the columns `from`, `to` (whole numbers), x [m], y [m], theta [rad] of the pose of `to` in the frame of `from`
+        and `information` (m, 3, 3) over these [1/m^2, 1/rad^2], beside `poses` to start from, a table with the columns
+        id, x, y, theta or rows of x, y, theta numbered from 0 (found by walking along the edges).
     out
         The folder to write; an earlier result there is replaced whole.
     robust
@@ -138,22 +150,30 @@ def solve_pose_graph(
         For a solve that failed.
     UsageError
         For an `out` that holds something other than a result. Nothing is written then.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> steps = {"from": [0, 1], "to": [1, 2], "x": [1.0, 1.0], "y": [0.0, 0.0], "theta": [0.0, 0.0]}
+    >>> solve_pose_graph({"edges": {**steps, "information": [100.0 * np.eye(3)] * 2}}).solved.graph.pose[2].tolist()
+    [2.0, 0.0, 0.0]
     """
     if out is not None:
         check_target(Path(out), force=force, reads=(file,))
     started = perf_counter()
-    held = read_g2o_file(path_of(file, "file"), parts=True)
+    held = graph_of(file, "file") if is_graph(file) else read_g2o_file(path_of(file, "file", EXPECTED), parts=True)
+    source = path_of(file, "file") if is_path(file) else Path("in memory")
     read = perf_counter()
     cfg = RobustGraphConfig(method="gnc" if robust else "none")
     solved = solve_graph(held.graph, cfg, fixed=held.fixed, priors=held.priors)
     if not np.isfinite(solved.graph.pose).all() or not np.isfinite(solved.chi2):
-        raise EstimateError(f"{file}: the solve ended with numbers that are not finite ({solved.status})")
+        raise EstimateError(f"{source}: the solve ended with numbers that are not finite ({solved.status})")
     done = perf_counter()
     covariance = solved.covariances() if solved.solution.information is not None else None
     timing = {"read": read - started, "solve": done - read, "covariance": perf_counter() - done}
     doubts = _doubts(held, solved, robust=robust)
     warnings = (*_warnings(held, solved), *doubts)
-    result = SolveResult(Path(file), held, solved, covariance, robust, doubts, warnings, timing)
+    result = SolveResult(source, held, solved, covariance, robust, doubts, warnings, timing)
     if out is not None:
         with result_directory(Path(out), force=force) as work:
             result.write_into(work)

@@ -114,9 +114,9 @@ def prepare(
     return SwarmInput(name, table, known, apart, sigma_source, dropped, tuple(warnings))
 
 
-def read_truth(path: Path) -> SwarmTruth:
+def read_truth(given: Path | Table) -> SwarmTruth:
     """The true places or poses of robots: a table `id,x,y[,z][,t]`, or the folder or zip of a landmark log."""
-    return read_team_truth(path) if is_team_log(path) else read_swarm_truth(path)
+    return read_team_truth(given) if isinstance(given, Path) and is_team_log(given) else read_swarm_truth(given)
 
 
 def is_team_log(path: Path) -> bool:

@@ -155,6 +155,10 @@ class TeamResult(ResultBase):
         """Everything into `folder`, `metrics.json` last."""
         write_team(folder, self.story, self.metrics)
 
+    def write_data(self, folder: Path) -> None:
+        write_team_data(folder, self.story)
+        write_json(folder / "metrics.json", self.metrics)
+
     def lines(self) -> list[str]:
         """What came out, in a few lines for people."""
         first = self.maps[0]
@@ -318,6 +322,18 @@ def _robot(m: LocalMap, fusion: Fusion) -> dict[str, Any]:
 def write_team(folder: Path, story: TeamStory, metrics: Mapping[str, Any]) -> None:
     """Landmarks and trajectories of every component, local maps, report and, last, `metrics.json`."""
     began = perf_counter()
+    write_team_data(folder, story)
+    wrote = perf_counter()
+    write_team_report(folder, story)
+    timing = dict(metrics["timing"])
+    parts = {k: timing.pop(k) for k in ("smoothing_online",) if k in timing}  # of a stage that is told already
+    timing |= {"write": wrote - began, "report": perf_counter() - wrote}
+    timing["total"] = sum(timing.values())
+    write_json(folder / "metrics.json", {**metrics, "timing": {**{k: round(v, 4) for k, v in timing.items()}, **parts}})
+
+
+def write_team_data(folder: Path, story: TeamStory) -> None:
+    """Landmarks and trajectories of every component, local maps and the calibration found."""
     for k, team in enumerate(story.maps, 1):
         _write_component(folder if k == 1 else folder / "components" / str(k), team)
     for local in story.local:
@@ -327,13 +343,6 @@ def write_team(folder: Path, story: TeamStory, metrics: Mapping[str, Any]) -> No
     if story.smoothed:
         found = {robot: known for s in story.smoothed for robot, known in s.calibration.items()}
         write_calibration(folder / "calibration.json", found, story.smoothed[0].prior)
-    wrote = perf_counter()
-    write_team_report(folder, story)
-    timing = dict(metrics["timing"])
-    parts = {k: timing.pop(k) for k in ("smoothing_online",) if k in timing}  # of a stage that is told already
-    timing |= {"write": wrote - began, "report": perf_counter() - wrote}
-    timing["total"] = sum(timing.values())
-    write_json(folder / "metrics.json", {**metrics, "timing": {**{k: round(v, 4) for k, v in timing.items()}, **parts}})
 
 
 def _write_component(folder: Path, team: TeamMap) -> None:

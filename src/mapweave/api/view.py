@@ -5,21 +5,27 @@ import sys
 import webbrowser
 from importlib.util import find_spec
 from pathlib import Path
+from tempfile import mkdtemp
 
 from ..core.errors import EstimateError, ReaderError, UsageError
+from ..core.paths import path_arguments, path_of
 from ..io.finished import read_finished
 from ..io.team_map import read_metrics
+from ..report.result import ResultBase
+from .in_memory import result_folder
 
 
+@path_arguments
 def view(
-    directory: Path | str, *, browser: bool = True, rerun: bool = False, save: Path | str | None = None
+    directory: Path | str | ResultBase, *, browser: bool = True, rerun: bool = False, save: Path | str | None = None
 ) -> list[str]:
     """Open the report of a result in the browser, or its map in the Rerun viewer; returns what was done, a line each.
 
     Parameters
     ----------
     directory
-        The result of any job.
+        The result of any job, in memory or its folder. The report of one in memory is written to a folder among the
+        system's temporary ones, which stays: a browser may ask for it long after.
     browser
         Open the report, unless there is no display (True).
     rerun
@@ -37,10 +43,16 @@ def view(
     EstimateError
         Where the viewer cannot start.
     """
-    folder = Path(directory)
-    read_metrics(folder)
     if rerun or save is not None:
-        return [_in_rerun(folder, None if save is None else Path(save))]
+        with result_folder(directory, "directory") as folder:
+            read_metrics(folder)
+            return [_in_rerun(folder, None if save is None else Path(save))]
+    if isinstance(directory, ResultBase):
+        folder = Path(mkdtemp(prefix="mapweave-")) / "result"
+        directory.write(folder)
+    else:
+        folder = path_of(directory, "directory", "a folder or a result in memory")
+    read_metrics(folder)
     report = folder / "report.html"
     if not report.is_file():
         raise ReaderError(folder, "expected report.html, found none")

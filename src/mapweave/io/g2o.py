@@ -49,8 +49,8 @@ class G2oFile:
 
 
 @dataclass(slots=True)
-class _Rows:
-    """Rows as the file gives them: poses by id, and edges with the line each stands on."""
+class GraphRows:
+    """Rows as they are given: poses by id, and edges, each with the numbers of its row and the line it stands on."""
 
     poses: dict[int, list[float]]
     ends: list[tuple[int, int]]
@@ -75,7 +75,11 @@ def read_g2o_file(path: Path, *, parts: bool = False) -> G2oFile:
     and for a graph that is not connected. With `parts` it need not, each part begins at zero, and an edge to a
     vertex that a file with vertices lacks is an error.
     """
-    rows = _rows(path)
+    return file_of(path, _rows(path), parts=parts)
+
+
+def file_of(path: Path | str, rows: GraphRows, *, parts: bool) -> G2oFile:
+    """What a file of these rows holds, checked and with its missing poses found; `path` as errors shall call it."""
     if not rows.ends and not rows.poses:
         raise ReaderError(path, f"expected {VERTEX} and {EDGE} rows, found {_kinds(rows.unread) or 'none'}")
     names = tuple(sorted({*rows.poses, *(i for pair in rows.ends for i in pair)}))
@@ -110,7 +114,7 @@ def _kinds(unread: Mapping[str, int]) -> str:
     return ", ".join([*counts, *([f"{more} kinds more"] if more else [])])
 
 
-def _priors(path: Path, rows: _Rows, index: dict[int, int]) -> tuple[Prior, ...]:
+def _priors(path: Path | str, rows: GraphRows, index: dict[int, int]) -> tuple[Prior, ...]:
     out: dict[int, tuple[Prior, int]] = {}
     priors: list[Prior] = []
     for name, values, line in rows.priors:
@@ -129,9 +133,9 @@ def _priors(path: Path, rows: _Rows, index: dict[int, int]) -> tuple[Prior, ...]
     return tuple(priors)
 
 
-def _rows(path: Path) -> _Rows:
+def _rows(path: Path) -> GraphRows:
     log = TextLog(path)
-    out = _Rows({}, [], [], [], {}, [], Counter())
+    out = GraphRows({}, [], [], [], {}, [], Counter())
     for line, text in log.lines():
         words = text.split()
         if not words or words[0].startswith("#"):
@@ -154,7 +158,7 @@ def _rows(path: Path) -> _Rows:
     return out
 
 
-def _take(path: Path, out: _Rows, kind: str, ids: list[int], values: list[float], line: int) -> None:
+def _take(path: Path, out: GraphRows, kind: str, ids: list[int], values: list[float], line: int) -> None:
     if kind == VERTEX:
         if ids[0] in out.poses:
             raise ReaderError(path, f"vertex {ids[0]} is told twice", line)
@@ -205,7 +209,7 @@ def _information(upper: Float[np.ndarray, "m 6"]) -> Float[np.ndarray, "m 3 3"]:
 
 @np.errstate(over="ignore", invalid="ignore")
 def _walked(
-    path: Path,
+    path: Path | str,
     start: Float[np.ndarray, "n 3"],
     ends: Int[np.ndarray, "m 2"],
     measured: Float[np.ndarray, "m 3"],

@@ -92,23 +92,23 @@ def read_sightings(path: Path | Table, *, dim: int | None = None, axis: bool = T
     return SwarmLog(str(file.path), table, lines, dropped, tuple(_warnings(file.path, layout, values)))
 
 
-def read_swarm_truth(path: Path) -> SwarmTruth:
-    """The truth in `path`: `id,x,y[,z]`, optional `t` and `heading`; a repeated id without `t` is an error."""
-    file = read_table(path)
+def read_swarm_truth(path: Path | Table) -> SwarmTruth:
+    """The truth in a file or table: `id,x,y[,z]`, optional `t` and `heading`; a repeated id without `t` is an error."""
+    file = path if isinstance(path, Table) else read_table(path)
     _need(file, ("id", "x", "y"))
     ids = tuple(file.names("id"))
     names = [name for name in ("x", "y", "z") if name in file.columns]
     position = np.column_stack([file.numbers(name) for name in names]) if len(file) else np.zeros((0, len(names)))
     if not np.all(np.isfinite(position)):
         row = int(np.flatnonzero(~np.isfinite(position).all(axis=1))[0])
-        raise ReaderError(path, f"expected finite {','.join(names)} for {ids[row]}", file.lines[row])
+        raise ReaderError(file.path, f"expected finite {','.join(names)} for {ids[row]}", file.lines[row])
     t = file.numbers("t") if "t" in file.columns else None
     if t is not None and not np.isfinite(t).all():
         row = int(np.flatnonzero(~np.isfinite(t))[0])
-        raise ReaderError(path, f"expected a finite t for {ids[row]}", file.lines[row])
+        raise ReaderError(file.path, f"expected a finite t for {ids[row]}", file.lines[row])
     if t is None and len(set(ids)) < len(ids):
         twice = Counter(ids).most_common(1)[0][0]
-        raise ReaderError(path, f"robot {twice} stands twice and there is no column t")
+        raise ReaderError(file.path, f"robot {twice} stands twice and there is no column t")
     heading = file.numbers("heading") if "heading" in file.columns else None
     return SwarmTruth(ids, position, t, heading)
 

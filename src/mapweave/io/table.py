@@ -9,12 +9,13 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Protocol, runtime_checkable
+from typing import IO, Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
-from ..core.errors import DataError, EstimateError, ReaderError
+from ..core.errors import DataError, EstimateError, ReaderError, UsageError
+from ..core.paths import kind_of
 from .directory import result_file
 
 BATCH = 2000
@@ -144,6 +145,13 @@ class Table:
         except ValueError:
             problem = f"expected a number for {name}, found {word[:40]!r}"
             raise ReaderError(self.path, problem, self.lines[row]) from None
+
+    def finite(self, name: str) -> Float[np.ndarray, " n"]:
+        """A column as floats; raises ReaderError naming the first line that holds none or one that is not finite."""
+        values = self.numbers(name)
+        for k in np.flatnonzero(~np.isfinite(values))[:1].tolist():
+            raise ReaderError(self.path, f"expected a finite {name}, found {values[k]:g}", self.lines[k])
+        return values
 
     def names(self, name: str) -> Sequence[str]:
         """A column as identifiers without surrounding blanks; raises ReaderError where one is empty."""
@@ -307,11 +315,11 @@ Columns = Mapping[str, Any] | Framed
 def table_of(given: Columns, label: str) -> Table:
     """The columns of `given` as a table that errors call `label`; its lines are its rows, counted from 1.
 
-    Numbers stay arrays, anything else becomes text. Raises DataError for what has no columns, for columns of unequal
-    length and for one of several dimensions.
+    Numbers stay arrays, anything else becomes text. Raises UsageError for what has no columns, DataError for columns of
+    unequal length and for one of several dimensions.
     """
     columns: dict[str, Sequence[str] | np.ndarray] = {}
-    for name in _names(given, label):
+    for name in column_names(given, label):
         values = np.asarray(given[name])
         if values.ndim != 1:
             raise DataError(f"{label}: expected one value a row for {name}, found the shape {values.shape}")
@@ -327,8 +335,8 @@ def table_of(given: Columns, label: str) -> Table:
 
 def array_of(given: Columns, name: str, label: str, dims: int) -> Float[np.ndarray, "..."]:
     """The entry `name` as floats of `dims` dimensions; raises DataError where it is missing or of another shape."""
-    if name not in _names(given, label):
-        raise DataError(f"{label}: expected {name}, found {', '.join(map(str, _names(given, label)))}")
+    if name not in column_names(given, label):
+        raise DataError(f"{label}: expected {name}, found {', '.join(map(str, column_names(given, label)))}")
     try:
         values = np.asarray(given[name], dtype=np.float64)
     except (TypeError, ValueError):
@@ -338,13 +346,31 @@ def array_of(given: Columns, name: str, label: str, dims: int) -> Float[np.ndarr
     return values
 
 
-def _names(given: Columns, label: str) -> list[Any]:
+def is_table(given: object) -> bool:
+    """Whether `given` has columns by name: a mapping, a structured array or a data frame."""
+    return _names_in(given) is not None
+
+
+def columns_of(given: object, name: str, expected: str = "columns by name") -> Columns:
+    """The table that was given; raises UsageError for what is none. name: of the argument; expected: in its message."""
+    if is_table(given):
+        return cast("Columns", given)
+    raise UsageError(f"{name}: expected {expected}, found {kind_of(given)}")
+
+
+def column_names(given: Columns, label: str) -> list[Any]:
+    """The names of the columns of `given`; raises UsageError where it has none."""
+    names = _names_in(given)
+    if names is None:
+        raise UsageError(f"{label}: expected columns by name, found {kind_of(given)}")
+    return names
+
+
+def _names_in(given: object) -> list[Any] | None:
     names = given.keys() if isinstance(given, Mapping) else getattr(given, "columns", None)
     if names is None:
         names = getattr(getattr(given, "dtype", None), "names", None)
-    if names is None:
-        raise DataError(f"{label}: expected columns by name, found {type(given).__name__}")
-    return list(names)
+    return list(names) if isinstance(names, Iterable) else None
 
 
 def _as_text(value: object) -> str:

@@ -91,6 +91,12 @@ class Store:
                 int(n) for (n,) in self._db.execute("SELECT seq FROM messages WHERE robot = ? ORDER BY seq", (robot,))
             ]
 
+    def sizes(self, robot: str) -> tuple[int, ...]:
+        """Bytes of every message of `robot`, in order."""
+        question = "SELECT LENGTH(payload) FROM messages WHERE robot = ? ORDER BY seq"
+        with self._locked():
+            return tuple(int(n) for (n,) in self._db.execute(question, (robot,)))
+
     def clear(self) -> None:
         """All messages forgotten, and every word but version and owner."""
         with self._locked():

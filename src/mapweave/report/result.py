@@ -7,6 +7,7 @@ from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
 
+from ..core.paths import path_of
 from ..core.signatures import readable
 from ..io.directory import result_directory
 from .html import list_files
@@ -44,6 +45,10 @@ class ResultBase(ABC):
     def write_into(self, folder: Path) -> None:
         """All files into `folder`, which is there and empty."""
 
+    def write_data(self, folder: Path) -> None:
+        """What other verbs read of `write_into`'s files, into `folder`; pages and pictures may be missing."""
+        self.write_into(folder)
+
     @abstractmethod
     def draw(self, target: "Target") -> object:
         """The main picture on `target`."""
@@ -63,7 +68,7 @@ class ResultBase(ABC):
 
         Raises UsageError when something other than a result stands there, unless `force`.
         """
-        with result_directory(Path(folder), force=force) as work:
+        with result_directory(path_of(folder, "folder"), force=force) as work:
             self.write_into(work)
             list_files(work)
 

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ...core.paths import path_arguments
 from ...core.version import __version__
 from ...core.workers import Progress, no_progress, one_blas_thread
 from ...io.directory import check_target
@@ -324,6 +325,7 @@ class HamataniReproduction(Reproduction):
         }
 
 
+@path_arguments
 @one_blas_thread()
 @kept_parts()
 def reproduce_hamatani(

@@ -1,0 +1,51 @@
+"""Arguments that are paths: what is handed over in place of one is refused by name, before anything is done."""
+
+import inspect
+from collections.abc import Callable
+from functools import wraps
+from os import PathLike
+from pathlib import Path
+from types import NoneType
+from typing import ParamSpec, TypeVar, get_args
+
+from .errors import UsageError
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def is_path(given: object) -> bool:
+    """Whether `given` is text or a path."""
+    return isinstance(given, str | PathLike)
+
+
+def path_of(given: object, name: str, expected: str = "a path") -> Path:
+    """The path that was given; raises UsageError for what is none. name: of the argument; expected: in its message."""
+    if isinstance(given, str | PathLike):
+        return Path(given)
+    raise UsageError(f"{name}: expected {expected}, found {kind_of(given)}")
+
+
+def kind_of(given: object) -> str:
+    """What `given` is, for a message: its type's name, None itself."""
+    return "None" if given is None else type(given).__name__
+
+
+def path_arguments(verb: Callable[P, T]) -> Callable[P, T]:
+    """`verb` raises UsageError for anything but a path where its annotation is `Path | str`, or that and None."""
+    parameters = inspect.signature(verb).parameters
+    names = tuple(parameters)
+    wanted: dict[str, bool] = {}
+    for name, parameter in parameters.items():
+        kinds = get_args(parameter.annotation)
+        if Path in kinds and all(kind in (Path, str, NoneType) for kind in kinds):
+            wanted[name] = NoneType in kinds
+
+    @wraps(verb)
+    def checked(*args: P.args, **options: P.kwargs) -> T:
+        for name, given in (*zip(names, args, strict=False), *options.items()):
+            if name in wanted and not (given is None and wanted[name]):
+                path_of(given, name)
+        return verb(*args, **options)
+
+    return checked
