@@ -1,7 +1,10 @@
 """Every verb's result has one face: metrics, summary, files, a page's head, the main picture."""
 
+import inspect
 import json
+import math
 import re
+from typing import get_args
 
 import pytest
 from matplotlib.figure import Figure
@@ -44,6 +47,13 @@ def triangle(home):
     edge = "EDGE_SE2 {} {} 1 0 2.0944 100 0 0 100 0 400\n"
     (home / "triangle.g2o").write_text("".join(edge.format(i, (i + 1) % 3) for i in range(3)), encoding="utf-8")
     return home / "triangle.g2o"
+
+
+def drives_live(home):
+    log, history = home / "team", home / "history.sqlite"
+    network = mapweave.Network(listen=("tcp/127.0.0.1:0",))
+    options = {"rate": math.inf, "linger": 0.0, "history": history, "network": network, "say": lambda _: None}
+    return mapweave.live_robot("r1", log, **options)
 
 
 RESULTS = {
@@ -94,6 +104,8 @@ RESULTS = {
         lambda home: mapweave.simulate_team(lasers=1, cameras=1, bearings=0, landmarks=8, minutes=0.5),
         "simulation.json",
     ),
+    "doctor": (mapweave.Diagnosis, lambda home: mapweave.doctor(), "metrics.json"),
+    "live robot": (mapweave.LiveRobot, drives_live, "metrics.json"),
     "solve": (mapweave.SolveResult, lambda home: mapweave.solve_pose_graph(triangle(home)), "metrics.json"),
     "reproduce hamatani": (
         mapweave.HamataniReproduction,
@@ -167,18 +179,49 @@ def test_a_result_writes_its_folder_whole_and_its_metrics_are_those_of_the_file(
 
 
 def kept_figures(made):
-    """Of results that are no map: statistics over many runs, and scores."""
-    return isinstance(made, mapweave.HamataniReproduction | mapweave.Evaluation)
+    """Of results that are no map: statistics over many runs, scores, checks and what was told."""
+    no_map = mapweave.HamataniReproduction | mapweave.Evaluation | mapweave.Diagnosis | mapweave.LiveRobot
+    return isinstance(made, no_map)
+
+
+FACE = {"metrics", "summary", "write", "plot", "_repr_html_"}
+NO_RESULT = {"configuration", "live_keys", "live_view", "view"}  # text, folders, nothing
+PROTOCOLS = {mapweave.Result, mapweave.MapResult, mapweave.Evaluation}
+
+
+def given_by(annotation):
+    """The types of this package that a verb of this annotation gives, one or several, in a list or not."""
+    inner = [kind for arg in get_args(annotation) for kind in given_by(arg)]
+    own = isinstance(annotation, type) and annotation.__module__.startswith("mapweave.")
+    return [annotation, *inner] if own else inner
+
+
+VERBS = {name: verb for name in mapweave.__all__ if inspect.isfunction(verb := getattr(mapweave, name))}
+
+
+@pytest.mark.parametrize("name", sorted(VERBS))
+def test_what_a_verb_gives_has_the_whole_face_of_a_result(name):
+    kinds = given_by(inspect.signature(VERBS[name]).return_annotation)
+    assert bool(kinds) == (name not in NO_RESULT)
+    for kind in kinds:
+        assert set(dir(kind)) >= FACE, kind
+        assert kind in PROTOCOLS or not inspect.isabstract(kind), kind
+
+
+def test_every_type_that_a_verb_gives_is_tried_here_or_is_a_reproduction():
+    kinds = {kind for verb in VERBS.values() for kind in given_by(inspect.signature(verb).return_annotation)}
+    left = kinds - PROTOCOLS - {kind for kind, _, _ in RESULTS.values()}
+    assert {kind.__name__ for kind in left} == {"HaraReproduction", "KojimaReproduction", "YuanReproduction"}
 
 
 def test_every_result_type_that_is_offered_is_tried_here_or_is_a_reproduction():
     kinds = {getattr(mapweave, name) for name in mapweave.__all__ if name != "__version__"}
     results = {kind for kind in kinds if isinstance(kind, type) and hasattr(kind, "_repr_html_")}
     tried = {kind for kind, _, _ in RESULTS.values()}
-    left = {kind.__name__ for kind in results - tried - {mapweave.Result, mapweave.MapResult, mapweave.Evaluation}}
+    left = {kind.__name__ for kind in results - tried - PROTOCOLS}
     papers = {"HaraReproduction", "KojimaReproduction", "YuanReproduction"}
     assert left == {*papers, "RelationEvaluation"}
     for name in left:
         kind = getattr(mapweave, name)
         assert not kind.__abstractmethods__
-        assert {"metrics", "summary", "write", "plot"} <= set(dir(kind))
+        assert set(dir(kind)) >= FACE

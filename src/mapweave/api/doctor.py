@@ -7,13 +7,18 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..core.version import __version__
+from ..io.directory import write_json
 from ..kernels._jit import cache_root, threads
 from ..kernels.walls.raycast import cast
+from ..report.result import ResultBase, Rows
+
+if TYPE_CHECKING:
+    from ..report.style import Target
 
 NEED = re.compile(r"^(?P<name>[\w.-]+)(?:\[[^]]*\])?(?P<range>[^;]*)(?:;.*extra\s*==\s*['\"](?P<extra>[\w-]+)['\"])?")
 FOR_USERS = ("viewer", "parquet", "gym", "cluster", "live")
@@ -35,8 +40,8 @@ class Package:
         return self.version is not None and _numbers(self.version) >= _numbers(self.least)
 
 
-@dataclass(frozen=True, slots=True)
-class Diagnosis:
+@dataclass(frozen=True, slots=True, repr=False)
+class Diagnosis(ResultBase):
     """What `doctor` found. cache: where compiled kernels are kept; first, second: [s] that two calls of one took."""
 
     python: str
@@ -77,7 +82,7 @@ class Diagnosis:
             "healthy": self.healthy,
         }
 
-    def summary(self) -> str:
+    def lines(self) -> list[str]:
         """All of it, a line each."""
         needed = ", ".join(f"{p.name} {_told(p)}" for p in self.packages if not p.extra)
         extras = ", ".join(
@@ -89,17 +94,51 @@ class Diagnosis:
             state = "writable" if self.writable else "NOT writable: every run compiles anew (set NUMBA_CACHE_DIR)"
             kept = f"{self.cache}, {self.kernels} kernels, {self.cache_bytes / 1e6:.1f} MB, {state}"
         tried = self.kernel_error or f"first call {self.first:.3f} s, second {1e3 * self.second:.3f} ms"
-        return "\n".join(
-            (
-                f"mapweave {__version__}, Python {self.python}, {self.system}",
-                f"packages: {needed}",
-                f"extras: {extras}",
-                f"cores: {self.cores}, threads of parallel kernels: {self.threads}",
-                f"compiled kernels: {kept}",
-                f"a kernel tried: {tried}",
-                "all is well" if self.healthy else "something is wrong: see above",
-            )
-        )
+        return [
+            f"mapweave {__version__}, Python {self.python}, {self.system}",
+            f"packages: {needed}",
+            f"extras: {extras}",
+            f"cores: {self.cores}, threads of parallel kernels: {self.threads}",
+            f"compiled kernels: {kept}",
+            f"a kernel tried: {tried}",
+            "all is well" if self.healthy else "something is wrong: see above",
+        ]
+
+    def checks(self) -> list[tuple[str, str, bool | None]]:
+        """What was looked at, what was found, and whether that is good; None: an extra that is not installed."""
+        kernel = self.kernel_error or "gave the right answer"
+        return [
+            *((p.name, _told(p), p.good) for p in self.packages if not p.extra),
+            *(
+                (
+                    f"extra {extra}",
+                    ", ".join(f"{p.name} {_told(p).replace('MISSING', 'not installed')}" for p in got),
+                    all(p.good for p in got) or None,
+                )
+                for extra, got in self._extras().items()
+            ),
+            ("cache of compiled kernels", "writable" if self.writable else "not writable", self.writable),
+            ("a kernel tried", kernel, not self.kernel_error),
+        ]
+
+    def headline(self) -> Rows:
+        words = {True: "good", False: "wrong", None: "not installed"}
+        return ("what", "found", "verdict"), [(name, found, words[good]) for name, found, good in self.checks()]
+
+    def draw(self, target: "Target") -> None:
+        """Every check and how it came out, and how long a kernel took at first and then."""
+        from ..report.small_pages import draw_checks  # noqa: PLC0415  (figures cost half a second)
+
+        draw_checks(target, self.checks(), [("first call", self.first), ("second call", self.second)])
+
+    def write_into(self, folder: Path) -> None:
+        """metrics.json, report.html and its picture: what to send along with a question."""
+        from ..report.small_pages import write_small_page  # noqa: PLC0415  (figures cost half a second)
+
+        png = folder / "figures" / "checks.png"
+        self.draw(png)
+        write_small_page(folder, "What mapweave runs on", self.lines(), self.headline(), png)
+        write_json(folder / "metrics.json", self.metrics)
 
     def _extras(self) -> dict[str, list[Package]]:
         named = {p.extra for p in self.packages}
