@@ -57,6 +57,7 @@ def test_an_example_runs_silently_on_stderr_and_leaves_nothing_behind(path, tmp_
 def test_maps_of_two_places_are_not_made_one(tmp_path):
     said = run(HERE / "fuse_results.py", tmp_path).stdout
     assert "elsewhere/robot1: refused" in said
+    assert "landmark RMSE 0." in said
 
 
 def test_notebooks_hold_all_code_of_their_scripts_and_nothing_else(tmp_path, capsys):
