@@ -198,8 +198,8 @@ def test_a_robot_is_localized_by_scans_and_a_map_in_memory_as_by_files(tmp_path)
     ):
         found = mapweave.localize(log, where, start=(0.0, 0.0, 0.0), odometry=odometry)
         assert found.metrics["localisation"]["map"] == (str(where) if where is not made else "in memory")
-        at_scans = np.searchsorted(files.found.track.t, found.found.scans.t)
-        np.testing.assert_allclose(found.found.scans.pose, files.found.track.pose[at_scans], atol=0.02)
+        at_scans = np.searchsorted(files.localisation.track.t, found.localisation.scans.t)
+        np.testing.assert_allclose(found.localisation.scans.pose, files.localisation.track.pose[at_scans], atol=0.02)
     with pytest.raises(mapweave.UsageError, match="odometry: expected scans in memory"):
         mapweave.localize(drive.log, made, odometry=wheels)
 

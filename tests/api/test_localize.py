@@ -63,12 +63,12 @@ def test_a_robot_is_found_anywhere_in_the_map_and_followed(world):
 
 
 def test_the_same_seed_gives_the_same_answer(world):
-    a, b = (localize(world / "second.mcap", world / "map", seed=3).found.track.pose for _ in range(2))
+    a, b = (localize(world / "second.mcap", world / "map", seed=3).localisation.track.pose for _ in range(2))
     assert np.array_equal(a, b)
 
 
 def test_a_given_start_is_used_at_once(world):
-    found = localize(world / "second.mcap", world / "map", start=(5.0, 0.0, 0.0)).found
+    found = localize(world / "second.mcap", world / "map", start=(5.0, 0.0, 0.0)).localisation
     assert (found.start, found.found_scans, found.trusted) == ("given", 1, True)
     assert np.abs(found.track.pose[-1] - [12.0, 0.0, 0.0]).max() < 0.2
 
@@ -76,7 +76,7 @@ def test_a_given_start_is_used_at_once(world):
 def test_what_is_believed_is_a_setting_of_the_table_localize(world, tmp_path):
     strict = tmp_path / "strict.toml"
     strict.write_text("[localize.trust]\nleast_explained = 1.01\n")
-    found = localize(world / "second.mcap", world / "map", start=(5.0, 0.0, 0.0), config=strict).found
+    found = localize(world / "second.mcap", world / "map", start=(5.0, 0.0, 0.0), config=strict).localisation
     assert (found.start, found.trusted) == ("given", False)
     strict.write_text("[localize]\nleast_explained = 1.01\n")
     with pytest.raises(ConfigError, match=r"localize.least_explained: unknown key"):
@@ -86,7 +86,7 @@ def test_what_is_believed_is_a_setting_of_the_table_localize(world, tmp_path):
 def test_along_a_flush_corridor_intensity_finds_the_start_and_geometry_alone_does_not_know(world):
     truth = world / "second.truth.tum"
     bare = localize(world / "second.mcap", world / "map", truth=truth, laser=LaserOptions(feature="none"))
-    assert bare.found.feature == "none"
+    assert bare.localisation.feature == "none"
     assert bare.score.right is not True
     assert localize(world / "second.mcap", world / "map", truth=truth).score.right is True
 
@@ -97,9 +97,9 @@ def test_a_robot_somewhere_else_is_not_trusted(world, tmp_path):
     office = simulate_office(OfficeConfig(rooms=2, visited=1, drive=DRIVE), 1)
     write_mcap(tmp_path / "office.mcap", office.log)
     result = localize(tmp_path / "office.mcap", world / "map")
-    assert not result.found.trusted
+    assert not result.localisation.trusted
     told = result.metrics["localisation"]
-    assert (told["trusted"], told["doubt"]) == (False, result.found.doubt)
+    assert (told["trusted"], told["doubt"]) == (False, result.localisation.doubt)
     assert "not to be trusted" in result.lines()[1] or "not found" in result.lines()[0]
 
 
@@ -129,7 +129,7 @@ def test_a_log_without_intensity_or_odometry_is_followed_all_the_same_and_says_s
     second = along(5.0, 7.0).log
     scans = tuple(replace(scan, intensities=None, odometry=None) for scan in second.scans)
     write_mcap(tmp_path / "bare.mcap", replace(second, scans=scans, odometry=None))
-    found = localize(tmp_path / "bare.mcap", world / "map", start=(5.0, 0.0, 0.0)).found
+    found = localize(tmp_path / "bare.mcap", world / "map", start=(5.0, 0.0, 0.0)).localisation
     assert found.feature == "none"
     assert any("geometry alone" in w for w in found.warnings)
     assert any("no odometry" in w for w in found.warnings)
@@ -140,7 +140,7 @@ def test_a_log_without_intensity_or_odometry_is_followed_all_the_same_and_says_s
 def test_scores_against_the_truth_are_not_aligned(world):
     from mapweave.api.localize import score_start
 
-    found = localize(world / "second.mcap", world / "map", start=(5.0, 0.0, 0.0)).found
+    found = localize(world / "second.mcap", world / "map", start=(5.0, 0.0, 0.0)).localisation
     moved = Track(found.track.t, se2.compose(np.array([2.0, 0, 0]), found.track.pose))
     assert score_start(found, found.track).right is True
     assert score_start(found, moved).right is False

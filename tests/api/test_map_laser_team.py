@@ -139,7 +139,7 @@ def test_a_robot_is_followed_through_the_parts_of_the_map_that_two_robots_saw(wo
     second = result.components[0].tracks["2"]
     at = np.searchsorted(second.t, third.scan_t[-1] + HOUR - 1e-6)
     assert found.metrics["localisation"]["trusted"]
-    assert np.hypot(*(found.found.track.pose[-1] - second.pose[at])[:2]) < 0.3
+    assert np.hypot(*(found.localisation.track.pose[-1] - second.pose[at])[:2]) < 0.3
 
 
 @pytest.mark.slow

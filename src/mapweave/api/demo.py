@@ -52,9 +52,9 @@ def demo(
         write_mrclam(recording, team)
         on_progress("simulating", 1, 1)
         options = MapOptions(share=SHARE, truth=(recording,), seed=seed, fuse_every=FUSE_EVERY, on_progress=on_progress)
-        made = map_logs([recording], options)
-    local = tuple(replace(m, source="recording") for m in made.local)  # where the log is in the result
-    result = replace(made, title="Four robots, one map", local=local)
+        mapped = map_logs([recording], options)
+    local = tuple(replace(m, source="recording") for m in mapped.local)  # where the log is in the result
+    result = replace(mapped, title="Four robots, one map", local=local)
     with result_directory(target, force=force) as work:
         result.write_into(work)
         write_mrclam(work / "recording", team)

@@ -84,7 +84,7 @@ class Diagnosis(ResultBase):
 
     def lines(self) -> list[str]:
         """All of it, a line each."""
-        needed = ", ".join(f"{p.name} {_told(p)}" for p in self.packages if not p.extra)
+        needed = ", ".join(f"{p.name} {_version_text(p)}" for p in self.packages if not p.extra)
         extras = ", ".join(
             f"{extra} {'installed' if all(p.good for p in got) else 'not installed'}"
             for extra, got in self._extras().items()
@@ -108,11 +108,11 @@ class Diagnosis(ResultBase):
         """What was looked at, what was found, and whether that is good; None: an extra that is not installed."""
         kernel = self.kernel_error or "gave the right answer"
         return [
-            *((p.name, _told(p), p.good) for p in self.packages if not p.extra),
+            *((p.name, _version_text(p), p.good) for p in self.packages if not p.extra),
             *(
                 (
                     f"extra {extra}",
-                    ", ".join(f"{p.name} {_told(p).replace('MISSING', 'not installed')}" for p in got),
+                    ", ".join(f"{p.name} {_version_text(p).replace('MISSING', 'not installed')}" for p in got),
                     all(p.good for p in got) or None,
                 )
                 for extra, got in self._extras().items()
@@ -123,7 +123,7 @@ class Diagnosis(ResultBase):
 
     def headline(self) -> Rows:
         words = {True: "good", False: "wrong", None: "not installed"}
-        return ("what", "found", "verdict"), [(name, found, words[good]) for name, found, good in self.checks()]
+        return ("what", "found", "verdict"), [(name, value, words[good]) for name, value, good in self.checks()]
 
     def draw(self, target: "Target") -> None:
         """Every check and how it came out, and how long a kernel took at first and then."""
@@ -193,15 +193,15 @@ def _packages() -> list[Package]:
         wanted = requires("mapweave") or []
     except PackageNotFoundError:
         wanted = []
-    found = []
+    packages = []
     for text in wanted:
         need = NEED.match(text)
         extra = (need["extra"] or "") if need else ""
         if need is None or (extra and extra not in FOR_USERS):
             continue
         least = re.search(r">=\s*([\d.]+)", need["range"])
-        found.append(Package(need["name"], extra, least[1] if least else "0", _installed(need["name"])))
-    return found
+        packages.append(Package(need["name"], extra, least[1] if least else "0", _installed(need["name"])))
+    return packages
 
 
 def _installed(name: str) -> str | None:
@@ -211,7 +211,7 @@ def _installed(name: str) -> str | None:
         return None
 
 
-def _told(package: Package) -> str:
+def _version_text(package: Package) -> str:
     if package.version is None:
         return "MISSING"
     return package.version if package.good else f"{package.version} (TOO OLD, needs {package.least})"

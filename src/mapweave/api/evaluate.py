@@ -84,10 +84,10 @@ def evaluate(directory: Path | str | ResultBase, truth: Truths) -> Evaluation:
     with result_folder(directory, "directory") as folder, truth_files(truth) as paths:
         if not paths:
             raise UsageError("truth: expected paths or tables in memory, found none")
-        found = judged(folder, paths)
-        if found.unscored:
-            raise DataError(f"{', '.join(map(str, paths))}: nothing to score: {found.unscored}; {RULE}")
-        return found
+        evaluation = judged(folder, paths)
+        if evaluation.unscored:
+            raise DataError(f"{', '.join(map(str, paths))}: nothing to score: {evaluation.unscored}; {RULE}")
+        return evaluation
 
 
 def judged(folder: Path, truth: Sequence[Path]) -> Evaluation:

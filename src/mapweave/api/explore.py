@@ -189,17 +189,17 @@ def _among_landmarks(scenario: str, options: ExploreOptions) -> LandmarkExplorat
         raise UsageError(f"--association: expected {', '.join(ASSOCIATIONS)}, found {cfg.submap.association!r}")
     if options.config is None or options.noise != "calibrated":
         cfg = with_noise(cfg, _noise(options.noise))
-    found = find_scenario(scenario)
-    world = make_field(found, options.robots, options.seed)
-    check_rasters(found, len(world.starts), cfg)
+    place = find_scenario(scenario)
+    world = make_field(place, options.robots, options.seed)
+    check_rasters(place, len(world.starts), cfg)
     until, kills = end_of(options.until, "landmarks", "field"), kills_of(options.kill or {}, len(world.starts))
-    mission = LandmarkMission(found, options.robots, planner, until, kills, options.drop, cfg)
+    mission = LandmarkMission(place, options.robots, planner, until, kills, options.drop, cfg)
     find_planner(planner, PLANNERS)
     return options.explore(
         partial(explore_once, mission),
         partial(explore_many, mission),
         partial(LandmarkExploration, scenario, mission, options.seed, noise_factor(cfg)),
-        ours=planner in PLANNERS and not isinstance(found.walls, str),
+        ours=planner in PLANNERS and not isinstance(place.walls, str),
     )
 
 

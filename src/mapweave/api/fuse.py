@@ -137,8 +137,8 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
 
 
 def _read_all(path: Path, label: str) -> list[LocalMap]:
-    found = [p.parent for p in (path / "local").rglob("local_map.json")]
-    homes = sorted(found, key=lambda p: in_order(p.as_posix()))
+    folders = [p.parent for p in (path / "local").rglob("local_map.json")]
+    homes = sorted(folders, key=lambda p: in_order(p.as_posix()))
     if not homes:
         raise DataError(f"{path}: expected a result with local maps, found none")
     return [_renamed(read_local_map(home), f"{label}/{home.relative_to(path / 'local').as_posix()}") for home in homes]

@@ -74,7 +74,7 @@ def _laid_down() -> Iterator[tuple[Path, dict[Path, str]]]:
             yield Path(folder), called
         except MapweaveError as error:
             for path, name in called.items():
-                error.args = tuple(str(told).replace(str(path), name) for told in error.args)
+                error.args = tuple(str(text).replace(str(path), name) for text in error.args)
                 if isinstance(error, ReaderError):
                     error.file = error.file.replace(str(path), name)
             raise

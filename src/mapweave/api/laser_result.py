@@ -62,7 +62,7 @@ class LaserResult(ResultBase):
     def draw(self, target: Target) -> None:
         """The map of most robots with their trajectories."""
         if self.components and len(self.components[0].robots) > 1:
-            places = {made.robot: k for k, made in enumerate(self.maps)}
+            places = {local_map.robot: k for k, local_map in enumerate(self.maps)}
             draw_component(target, self.components[0], self.truth, places)
             return
         first = self.maps[0]
@@ -72,41 +72,49 @@ class LaserResult(ResultBase):
     def headline(self) -> Rows:
         head = ("robot", "scans", "method", "feature", "map [m]")
         rows = []
-        for made in self.maps:
-            x0, x1, y0, y1 = made.grid.extent
-            rows.append((made.robot, len(made.scans), made.method, made.feature, f"{x1 - x0:.0f} x {y1 - y0:.0f}"))
+        for local_map in self.maps:
+            x0, x1, y0, y1 = local_map.grid.extent
+            rows.append(
+                (
+                    local_map.robot,
+                    len(local_map.scans),
+                    local_map.method,
+                    local_map.feature,
+                    f"{x1 - x0:.0f} x {y1 - y0:.0f}",
+                )
+            )
         return head, rows
 
     def write_into(self, folder: Path) -> None:
         """All files of the contract; a robot alone in its component has its own map's files there too."""
         write_laser_data(folder, self)
-        told = [] if self.evaluation is None else self.evaluation.lines()
+        lines = [] if self.evaluation is None else self.evaluation.lines()
         doubts = self.metrics.get("warnings", ())
         top = [] if self.evaluation is None else headline_scores(self.evaluation.as_json())
-        write_laser_report(folder, self.maps, self.truth, told, self.components, self.merges, self.notes, doubts, top)
+        write_laser_report(folder, self.maps, self.truth, lines, self.components, self.merges, self.notes, doubts, top)
         if not self.components and len(self.maps) == 1:
             _copied(folder, folder, self.maps[0].robot)
-        for part, made in _parts(folder, self.components):
-            if len(made.robots) == 1:
-                _copied(part, folder, made.robots[0])
-                write_closure_rows(part / "closures.csv", made.closures)
+        for part, woven in _parts(folder, self.components):
+            if len(woven.robots) == 1:
+                _copied(part, folder, woven.robots[0])
+                write_closure_rows(part / "closures.csv", woven.closures)
 
     def write_data(self, folder: Path) -> None:
         write_laser_data(folder, self)
 
     def lines(self) -> list[str]:
         lines = []
-        for made in self.maps:
-            refused = Counter(made.scans.decision)["odometry"]
-            x0, x1, y0, y1 = made.grid.extent
+        for local_map in self.maps:
+            refused = Counter(local_map.scans.decision)["odometry"]
+            x0, x1, y0, y1 = local_map.grid.extent
             lines.append(
-                f"{robot_name(made.robot)}: {len(made.scans)} scans, {made.method}, feature {made.feature}, "
-                f"map {x1 - x0:.0f} x {y1 - y0:.0f} m, {refused} matches refused"
+                f"{robot_name(local_map.robot)}: {len(local_map.scans)} scans, {local_map.method}, "
+                f"feature {local_map.feature}, map {x1 - x0:.0f} x {y1 - y0:.0f} m, {refused} matches refused"
             )
-            lines += [f"{robot_name(made.robot)}: {warning}" for warning in made.warnings]
+            lines += [f"{robot_name(local_map.robot)}: {warning}" for warning in local_map.warnings]
         lines += [told_merge(merge) for merge in self.merges]
         if len(self.maps) > 1 and self.components:
-            lines += [told_component(made) for made in self.components]
+            lines += [told_component(woven) for woven in self.components]
         lines += self.notes
         lines += [f"warning: {text}" for text in self.metrics.get("warnings", ())]
         return lines + ([] if self.evaluation is None else self.evaluation.lines())
@@ -124,45 +132,45 @@ def laser_metrics(
     return {
         "version": __version__,
         "seed": seed,
-        "robots": {made.robot: _robot_metrics(made) for made in maps},
-        "components": [list(c.robots) for c in components] or [[made.robot] for made in maps],
+        "robots": {local_map.robot: _robot_metrics(local_map) for local_map in maps},
+        "components": [list(c.robots) for c in components] or [[local_map.robot] for local_map in maps],
         "fusion": [merge.row() for merge in merges],
         "timing": {**spent, **(timing or {})},
     }
 
 
-def _robot_metrics(made: LaserMap) -> dict[str, Any]:
-    decisions = Counter(made.scans.decision)
-    c = made.calibration
-    told: dict[str, Any] = {
-        "source": made.source,
-        "odometry": made.odometry,
-        "sightings": len(made.scans),
-        "dropped": dict(made.dropped),
+def _robot_metrics(local_map: LaserMap) -> dict[str, Any]:
+    decisions = Counter(local_map.scans.decision)
+    c = local_map.calibration
+    metrics: dict[str, Any] = {
+        "source": local_map.source,
+        "odometry": local_map.odometry,
+        "sightings": len(local_map.scans),
+        "dropped": dict(local_map.dropped),
         "down_weighted": decisions["odometry"],
         "nis_median": None,
-        "warnings": list(made.warnings),
-        "method": made.method,
-        "feature": made.feature,
-        "particles": made.particles,
-        "log_hash": made.log_hash,
+        "warnings": list(local_map.warnings),
+        "method": local_map.method,
+        "feature": local_map.feature,
+        "particles": local_map.particles,
+        "log_hash": local_map.log_hash,
         "decisions": dict(sorted(decisions.items())),
         "calibration": None
         if c is None
         else {"exponent": c.exponent, "scale": c.scale, "residual": c.residual, "samples": c.samples},
     }
-    return {**told, "name": made.called} if made.called else told
+    return {**metrics, "name": local_map.called} if local_map.called else metrics
 
 
 def write_laser_data(folder: Path, result: LaserResult) -> None:
     """Every file but the report and the copies of lone robots' maps: what scores and what goes on is read from."""
     maps, components = result.maps, result.components
     write_json(folder / "metrics.json", result.metrics)
-    for made in maps:
-        write_laser_map(folder / "local" / robot_name(made.robot), made)
+    for local_map in maps:
+        write_laser_map(folder / "local" / robot_name(local_map.robot), local_map)
         if not components:
-            write_tum(folder / "trajectories" / f"{robot_name(made.robot)}.tum", made.track)
-            write_track_covariance(folder / "trajectories" / f"{robot_name(made.robot)}.cov.csv", made.track)
+            write_tum(folder / "trajectories" / f"{robot_name(local_map.robot)}.tum", local_map.track)
+            write_track_covariance(folder / "trajectories" / f"{robot_name(local_map.robot)}.cov.csv", local_map.track)
     for part, woven in _parts(folder, components):
         if len(woven.robots) == 1:
             write_woven_tracks(part, woven)
@@ -174,7 +182,7 @@ def write_laser_data(folder: Path, result: LaserResult) -> None:
 
 def _parts(folder: Path, components: Sequence[WovenMap]) -> list[tuple[Path, WovenMap]]:
     """Where each component stands: the first at the top."""
-    return [(folder if k == 1 else folder / "components" / str(k), made) for k, made in enumerate(components, 1)]
+    return [(folder if k == 1 else folder / "components" / str(k), woven) for k, woven in enumerate(components, 1)]
 
 
 def _copied(part: Path, folder: Path, robot: str) -> None:
@@ -190,10 +198,10 @@ LEAST_WAY = 1.0  # [m] driven: less, and a map is what was seen from one place
 def same_logs(maps: Sequence[LaserMap]) -> tuple[LaserMap, LaserMap] | None:
     """The first two robots whose logs hold the same scans."""
     seen: dict[str, LaserMap] = {}
-    for made in maps:
-        other = seen.setdefault(made.scan_hash, made)
-        if made.scan_hash and other is not made:
-            return other, made
+    for local_map in maps:
+        other = seen.setdefault(local_map.scan_hash, local_map)
+        if local_map.scan_hash and other is not local_map:
+            return other, local_map
     return None
 
 
@@ -222,23 +230,23 @@ def woven_result(
             f"{robot_name(a.robot)} ({a.source}) and {robot_name(b.robot)} ({b.source}) hold the same scans: "
             "expected every log once"
         )
-    made = [_storable(m, alone=len(maps) == 1) for m in maps]
-    told = starts_among([m.robot for m in made], starts or {}, cfg.merge)
+    stored = [_storable(m, alone=len(maps) == 1) for m in maps]
+    known_starts = starts_among([m.robot for m in stored], starts or {}, cfg.merge)
     began = perf_counter()
-    if len(made) > 1:
+    if len(stored) > 1:
         on_progress("weave", 0, 1)
-    pairs = len(made) * (len(made) - 1) // 2 if merge else 0
+    pairs = len(stored) * (len(stored) - 1) // 2 if merge else 0
     with worker_pool(jobs, pairs, executor if pairs > 1 else None) as pool:
-        components, merges = _woven(made, cfg, told, pool, merge=merge)
-    if len(made) > 1:
+        components, merges = _woven(stored, cfg, known_starts, pool, merge=merge)
+    if len(stored) > 1:
         on_progress("weave", 1, 1)
-    timing = {"weave": perf_counter() - began} if len(made) > 1 else {}
-    metrics = laser_metrics(made, seed, components, merges, timing)
-    copies = copies_told([m.graph for m in made if m.graph is not None], cfg.copies)
+    timing = {"weave": perf_counter() - began} if len(stored) > 1 else {}
+    metrics = laser_metrics(stored, seed, components, merges, timing)
+    copies = copies_told([m.graph for m in stored if m.graph is not None], cfg.copies)
     if warnings or copies:
         metrics["warnings"] = [*warnings, *copies]
     result = LaserResult(
-        tuple(made), metrics, components=components, merges=merges, starts=starts or {}, notes=tuple(notes)
+        tuple(stored), metrics, components=components, merges=merges, starts=starts or {}, notes=tuple(notes)
     )
     return scored(result, truth)
 
@@ -254,16 +262,16 @@ def _woven(
     return woven_maps(maps, woven, cfg.resolution, cfg.graph.unsure), woven.merges
 
 
-def _storable(made: LaserMap, *, alone: bool) -> LaserMap:
+def _storable(local_map: LaserMap, *, alone: bool) -> LaserMap:
     """The map as it is read back, with a word where there is too little of it to be tied to another."""
-    if made.graph is None:
-        return made
-    n, way = len(made.graph), float(made.graph.path[-1])
+    if local_map.graph is None:
+        return local_map
+    n, way = len(local_map.graph), float(local_map.graph.path[-1])
     still = (
         () if alone or way >= LEAST_WAY else (f"the robot hardly moved: {n} keyframe{'s' * (n > 1)} on {way:.1f} m",)
     )
-    told = tuple(w for w in still if w not in made.warnings)
-    return replace(made, graph=made.graph.stored(), warnings=(*made.warnings, *told))
+    warnings = tuple(w for w in still if w not in local_map.warnings)
+    return replace(local_map, graph=local_map.graph.stored(), warnings=(*local_map.warnings, *warnings))
 
 
 def scored(result: LaserResult, truth: Sequence[Path]) -> LaserResult:
@@ -274,7 +282,7 @@ def scored(result: LaserResult, truth: Sequence[Path]) -> LaserResult:
     with tempfile.TemporaryDirectory() as folder:
         result.write_data(Path(folder))
         score = judged(Path(folder), truth)
-    known = {made.robot: _true_track(truth, k) for k, made in enumerate(result.maps)}
+    known = {local_map.robot: _true_track(truth, k) for k, local_map in enumerate(result.maps)}
     tracks = {robot: track for robot, track in known.items() if track is not None}
     if score.unscored:
         metrics = {

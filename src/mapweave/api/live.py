@@ -121,8 +121,8 @@ def live_robot(
                 store.clear()
             run = _begun(store, "laser", period)
             options = ros or RosOptions()
-            told, heard = drive_ros2(name, options, store, run, period, linger, settings, network, stop, say, wall)
-            return LiveRobot(name, told, heard, path, store.sizes(name))
+            sent, heard = drive_ros2(name, options, store, run, period, linger, settings, network, stop, say, wall)
+            return LiveRobot(name, sent, heard, path, store.sizes(name))
     if ros is not None:
         raise UsageError(f"--domain, --pattern, --graph, --sensor-pose, --all-scanners: of --source {ROS2} alone")
     log = open_source(str(source), name, robot, seed)
@@ -138,8 +138,8 @@ def live_robot(
             process.join()
             say(f"{name}: {log.robot} of {source}, team {network.team}, history in {path}")
             expected = bool(network.connect or network.listen)
-            told = process.run(messages(log, name, run, period), driving, Pace(rate, linger, expected), stop)
-            return LiveRobot(name, told, process.heard_by, path, store.sizes(name))
+            sent = process.run(messages(log, name, run, period), driving, Pace(rate, linger, expected), stop)
+            return LiveRobot(name, sent, process.heard_by, path, store.sizes(name))
 
 
 def _driving(header: Header, settings: Path | None) -> LandmarkRobot | LaserRobot:
@@ -303,8 +303,8 @@ def _all_told(inbox: Inbox, robots: Sequence[str] | None) -> bool:
 
 def _final(inbox: Inbox, options: MapOptions) -> TeamResult | LaserResult:
     """The map of all that was heard up to each robot's first gap."""
-    told = [log for log in map(inbox.log, inbox.ledgers) if log is not None]
-    logs = sorted(told, key=lambda log: in_order(log.robot))
+    heard = [log for log in map(inbox.log, inbox.ledgers) if log is not None]
+    logs = sorted(heard, key=lambda log: in_order(log.robot))
     lasers = [log for log in logs if isinstance(log, LaserLog) and len(log.scans)]
     if lasers:
         return map_lasers(lasers, options)

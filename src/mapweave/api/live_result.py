@@ -38,8 +38,8 @@ class LiveRobot(ResultBase):
 
     def lines(self) -> list[str]:
         heard = f"{self.heard_by} map process{' has' if self.heard_by == 1 else 'es have'} all of them"
-        told = f"{self.name}: {self.messages} messages, {sum(self.sizes) / 1e3:.1f} kB, kept in {self.history}"
-        return [told, heard if self.heard_by else "no map process has all of them yet"]
+        sent = f"{self.name}: {self.messages} messages, {sum(self.sizes) / 1e3:.1f} kB, kept in {self.history}"
+        return [sent, heard if self.heard_by else "no map process has all of them yet"]
 
     def draw(self, target: "Target") -> None:
         """How much it told, message by message."""

@@ -74,41 +74,41 @@ class StartScore:
 class LocalizeResult(ResultBase):
     """What `localize` gives: the trajectory in the map, whether the start was found, and whether to trust it.
 
-    found: poses and the evidence for them; grid: the map; score: against truth, where truth was given.
+    localisation: poses and the evidence for them; grid: the map; score: against truth, where truth was given.
     """
 
-    found: Localisation
+    localisation: Localisation
     grid: GridMap
     metrics: dict[str, Any]
     score: StartScore | None = None
 
     def draw(self, target: Target) -> None:
         """The map and the robot in it."""
-        draw_where(target, self.found, self.grid)
+        draw_where(target, self.localisation, self.grid)
 
     def headline(self) -> Rows:
-        told = {**self.metrics["localisation"], **({} if self.score is None else self.score.as_json())}
-        return ("what", "value"), list(told.items())
+        metrics = {**self.metrics["localisation"], **({} if self.score is None else self.score.as_json())}
+        return ("what", "value"), list(metrics.items())
 
     def write_into(self, folder: Path) -> None:
         write_json(folder / "metrics.json", self.metrics)
-        write_tum(folder / "trajectories" / "robot1.tum", self.found.track)
-        write_scans(folder / "scans.csv", self.found.scans)
-        write_localisation_report(folder, self.found, self.grid, self.lines())
+        write_tum(folder / "trajectories" / "robot1.tum", self.localisation.track)
+        write_scans(folder / "scans.csv", self.localisation.scans)
+        write_localisation_report(folder, self.localisation, self.grid, self.lines())
 
     def lines(self) -> list[str]:
-        made = self.found
-        if made.start == "given":
+        localisation = self.localisation
+        if localisation.start == "given":
             start = "the start was given"
-        elif made.found_t is None:
+        elif localisation.found_t is None:
             start = "the start was not found"
         else:
-            after = made.found_t - made.scans.t[0]
-            start = f"the start was found after {after:.1f} s, {made.found_scans} scans"
-        explained = f"the map explains {100 * made.matched:.0f} % of the returns"
-        lines = [f"robot1: {start}; {explained}", *made.warnings]
-        if made.doubt and made.found_t is not None:
-            lines.insert(1, f"robot1: not to be trusted: {made.doubt}")
+            after = localisation.found_t - localisation.scans.t[0]
+            start = f"the start was found after {after:.1f} s, {localisation.found_scans} scans"
+        explained = f"the map explains {100 * localisation.matched:.0f} % of the returns"
+        lines = [f"robot1: {start}; {explained}", *localisation.warnings]
+        if localisation.doubt and localisation.found_t is not None:
+            lines.insert(1, f"robot1: not to be trusted: {localisation.doubt}")
         if self.score is not None and self.score.n:
             judged = "right" if self.score.right else "wrong"
             lines.append(
@@ -225,26 +225,28 @@ def localize(
     if wanted not in {feature, "none"}:
         raise UsageError(f"--feature {wanted}: the map holds {feature}")
     rng = robot_rng(seed, recording.robot)
-    found = localise(recording, grid, calibration, wanted, cfg, place, rng, on_progress, settings.localize)
-    score = None if true is None else score_start(found, true)
-    result = LocalizeResult(found, grid, _metrics(found, str(map) if is_path(map) else "in memory", seed, score), score)
+    localisation = localise(recording, grid, calibration, wanted, cfg, place, rng, on_progress, settings.localize)
+    score = None if true is None else score_start(localisation, true)
+    result = LocalizeResult(
+        localisation, grid, _metrics(localisation, str(map) if is_path(map) else "in memory", seed, score), score
+    )
     if out is not None:
         result.write(out, force=force)
     return result
 
 
-def score_start(found: Localisation, truth: Track) -> StartScore:
-    """The score of `found` against a truth in the same frame, without any alignment."""
-    since = found.track.t[0] if found.found_t is None else found.found_t
-    inside = (truth.t >= since) & (truth.t <= found.track.t[-1])
+def score_start(localisation: Localisation, truth: Track) -> StartScore:
+    """The score of `localisation` against a truth in the same frame, without any alignment."""
+    since = localisation.track.t[0] if localisation.found_t is None else localisation.found_t
+    inside = (truth.t >= since) & (truth.t <= localisation.track.t[-1])
     if not inside.any():
         return StartScore(0, None, None, None, None)
     kept = np.hypot(*np.ptp(truth.pose[inside, :2], axis=0))
-    at = se2.interpolate(truth.t[inside], found.track.t, found.track.pose)
+    at = se2.interpolate(truth.t[inside], localisation.track.t, localisation.track.pose)
     off = at - truth.pose[inside]
     far, turned = np.hypot(off[:, 0], off[:, 1]), np.abs(se2.wrap_angle(off[:, 2]))
     near, straight = float(np.median(far)), float(np.median(turned))
-    right = bool(found.found_t is not None and near < NEAR and straight < NEAR_ANGLE)
+    right = bool(localisation.found_t is not None and near < NEAR and straight < NEAR_ANGLE)
     rmse, heading = float(np.sqrt((far**2).mean())), float(np.degrees(straight))
     if right or kept < NEAR:  # a robot that stands still tells nothing of its frame
         return StartScore(int(inside.sum()), rmse, near, heading, right)
@@ -283,8 +285,8 @@ def _grid_path(folder: Path) -> Path:
     if not there:
         raise ReaderError(folder, f"expected a laser map with {NAME}, found none")
     if there[0] != folder / NAME and len(there) > 1:
-        told = ", ".join(str(path.parent) for path in there)
-        raise UsageError(f"--map {folder}: holds {len(there)} maps; give one of {told}")
+        folders = ", ".join(str(path.parent) for path in there)
+        raise UsageError(f"--map {folder}: holds {len(there)} maps; give one of {folders}")
     return there[0]
 
 
@@ -294,32 +296,32 @@ def _evidence(seen: Evidence) -> dict[str, Any]:
     return {"explained": seen.explained, "through_walls": seen.through, "light": seen.light, "next_place": rival}
 
 
-def _metrics(found: Localisation, where: str, seed: int, score: StartScore | None) -> dict[str, Any]:
-    after = None if found.found_t is None else found.found_t - float(found.scans.t[0])
+def _metrics(localisation: Localisation, where: str, seed: int, score: StartScore | None) -> dict[str, Any]:
+    after = None if localisation.found_t is None else localisation.found_t - float(localisation.scans.t[0])
     metrics: dict[str, Any] = {
         "version": __version__,
         "seed": seed,
         "robots": {
             "1": {
-                "source": found.source,
-                "sightings": len(found.scans),
-                "dropped": dict(found.dropped),
-                "warnings": list(found.warnings),
-                "feature": found.feature,
-                "particles": found.particles,
+                "source": localisation.source,
+                "sightings": len(localisation.scans),
+                "dropped": dict(localisation.dropped),
+                "warnings": list(localisation.warnings),
+                "feature": localisation.feature,
+                "particles": localisation.particles,
             }
         },
         "localisation": {
             "map": where,
-            "start": found.start,
-            "found": found.found_t is not None,
+            "start": localisation.start,
+            "found": localisation.found_t is not None,
             "found_after_s": after,
-            "found_after_scans": found.found_scans,
-            "matched": found.matched,
-            "trusted": found.trusted,
-            "doubt": found.doubt or None,
-            "evidence": None if found.evidence is None else _evidence(found.evidence),
+            "found_after_scans": localisation.found_scans,
+            "matched": localisation.matched,
+            "trusted": localisation.trusted,
+            "doubt": localisation.doubt or None,
+            "evidence": None if localisation.evidence is None else _evidence(localisation.evidence),
         },
-        "timing": dict(found.timing),
+        "timing": dict(localisation.timing),
     }
     return metrics if score is None else metrics | {"evaluation": score.as_json()}

@@ -205,8 +205,8 @@ def _with_idle_options(result: Located | Moved, asked: Mapping[str, bool]) -> Lo
     moving = isinstance(result, Moved)
     idle = ("--initial",) if moving else ("--filtered", "--acceleration")
     why = "the robots move" if moving else "the robots stand still"
-    told = tuple(f"{name} has no effect: {why}" for name in idle if asked[name])
-    return replace(result, given=replace(result.given, warnings=(*result.given.warnings, *told)))
+    warnings = tuple(f"{name} has no effect: {why}" for name in idle if asked[name])
+    return replace(result, given=replace(result.given, warnings=(*result.given.warnings, *warnings)))
 
 
 def _stand(given: SwarmInput, settings: Settings, initial: Path | Table | None, *, covariance: bool | None) -> Located:
@@ -218,8 +218,8 @@ def _stand(given: SwarmInput, settings: Settings, initial: Path | Table | None, 
         start = true_places(read_swarm_truth(initial), net.ids, net.dim)
         missing = np.flatnonzero(~np.isfinite(start).all(axis=1))
         if len(missing):
-            told = initial.path if isinstance(initial, Table) else initial
-            raise DataError(f"{told}: no place for robot {net.ids[missing[0]]}")
+            source = initial.path if isinstance(initial, Table) else initial
+            raise DataError(f"{source}: no place for robot {net.ids[missing[0]]}")
     estimate = locate_network(net, replace(settings.swarm, method=_method(settings.method), covariance=wanted), start)
     solved = perf_counter()
     settings.timing["solve"] = solved - began
@@ -258,7 +258,7 @@ def _move(given: SwarmInput, settings: Settings, motion: TrackConfig | None, *, 
     began = perf_counter()
     follow = follow_filtered if filtered else smooth
     track = follow(given.table, given.anchors, _tuned(motion, settings))
-    return _moved(given, settings, track, perf_counter() - began)
+    return _moving_result(given, settings, track, perf_counter() - began)
 
 
 def _drive(
@@ -270,10 +270,10 @@ def _drive(
         raise DataError("the odometry names no robot of the sightings")
     cfg = _tuned(motion, settings)
     track = smooth_driving(given.table, by_index, given.anchors, cfg, on_progress=on_progress)
-    return _moved(given, settings, track, perf_counter() - began)
+    return _moving_result(given, settings, track, perf_counter() - began)
 
 
-def _moved(given: SwarmInput, settings: Settings, track: SwarmTrack, seconds: float) -> Moved:
+def _moving_result(given: SwarmInput, settings: Settings, track: SwarmTrack, seconds: float) -> Moved:
     settings.timing["solve"] = seconds
     if settings.truth is None:
         return Moved(given, settings, track, None, {})

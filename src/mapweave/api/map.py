@@ -234,8 +234,8 @@ def _is_mixed(paths: Sequence[Path]) -> bool:
 def _in_memory(scans: object, odometry: object, sightings: object, options: MapOptions) -> MapResult:
     """The map of tables: sightings of landmarks, or the scans of one robot or of several."""
     if (scans is None) == (sightings is None):
-        found = "both" if scans is not None else "neither"
-        raise UsageError(f"expected logs, or scans of a laser, or sightings of landmarks, found {found}")
+        which = "both" if scans is not None else "neither"
+        raise UsageError(f"expected logs, or scans of a laser, or sightings of landmarks, found {which}")
     if sightings is not None:
         from .map_landmarks import map_tables  # noqa: PLC0415  (each kind of log imports what it needs)
 

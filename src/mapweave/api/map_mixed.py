@@ -132,12 +132,12 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     """One map of all robots in `logs`."""
     cfg = _configured(options)
     watch = Watch()
-    found = sorted_logs(logs, source_of(options))
-    read = read_mixed_landmarks(found)
-    read, found = _wanted(read, found, options)
+    by_kind = sorted_logs(logs, source_of(options))
+    read = read_mixed_landmarks(by_kind)
+    read, by_kind = _wanted(read, by_kind, options)
     known, places = known_calibration(read, options), _places(read, cfg, options)
     watch.lap("read")
-    scans, lasers = _lasers(found.lasers, cfg.laser, options)
+    scans, lasers = _lasers(by_kind.lasers, cfg.laser, options)
     apart = _apart(read, scans, cfg.smoothing.clocks.another_time)
     read = [log.share(options.share.get(robot_key(log.robot), 1.0)) for log in read]
     read = [on_camera_clock(log, cfg.camera_clock) for log in with_copies_marked(read, cfg.copies)]
@@ -155,9 +155,11 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     mapped = [team for team in maps if len(team.landmarks)]
     labels: Mapping[str, Mapping[str, str]] = {} if not local else fusion.labels
     fitted, back = regained(mapped, [log for log in read if log.robot not in apart], labels, cfg.smoothing, cfg.placing)
-    scanned = {m: Scanned(made.graph, made.track) for m, made in lasers.items() if made.graph is not None}
+    scanned = {
+        m: Scanned(laser_map.graph, laser_map.track) for m, laser_map in lasers.items() if laser_map.graph is not None
+    }
     options.on_progress("whole team", 0, 1)
-    made = map_mixed(
+    mixed = map_mixed(
         [log for log in read if log.robot in scanned or log.robot not in apart],
         scanned,
         fitted,
@@ -170,24 +172,24 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
         laser=None if options.laser.no_merge else cfg.laser,
         known=places,
     )
-    made = _finished(made, stamps, places)
+    mixed = _finished(mixed, stamps, places)
     options.on_progress("whole team", 1, 1)
     watch.lap("smooth")
-    grids = tuple(_grid(s.map, scans, made, cfg.laser) for s in made.components)
+    grids = tuple(_grid(s.map, scans, mixed, cfg.laser) for s in mixed.components)
     watch.lap("grid")
     carried = [f"robot {robot_key(m.robot)}: {w}" for m in local for w in m.warnings if cut_of[m.robot].cuts]
-    warnings = (*carried, *lost, *back, *warnings_of(read, lasers, fusion if local else None, made, apart))
+    warnings = (*carried, *lost, *back, *warnings_of(read, lasers, fusion if local else None, mixed, apart))
     kinds = {log.robot: carries(log, scanned) for log in read}
     own = {m.robot: m for m in local}
     robots = {x.robot: robot_metrics(x, own.get(x.robot), lasers.get(x.robot), warnings) for x in read}
-    story = MixedStory(f"One map from {', '.join(p.name for p in logs)}", made, grids, kinds, (), warnings)
+    story = MixedStory(f"One map from {', '.join(p.name for p in logs)}", mixed, grids, kinds, (), warnings)
     result = MixedResult(
-        maps=tuple(s.map for s in made.components),
+        maps=tuple(s.map for s in mixed.components),
         grids=grids,
         local=tuple(local),
         lasers=tuple(lasers.values()),
         story=story,
-        metrics=mixed_metrics(made, kinds, robots, warnings, options.seed),
+        metrics=mixed_metrics(mixed, kinds, robots, warnings, options.seed),
     )
     result = _scored(result, options)
     watch.lap("evaluate")
@@ -206,12 +208,12 @@ def _places(read: Sequence[LandmarkLog], cfg: MixedMapConfig, options: MapOption
     return PlacePriors.of(starts, sd, points, names, cfg.smoothing.known)
 
 
-def _finished(made: MixedMap, stamps: Mapping[str, np.ndarray], places: PlacePriors) -> MixedMap:
+def _finished(mixed: MixedMap, stamps: Mapping[str, np.ndarray], places: PlacePriors) -> MixedMap:
     """With a pose at every one of `stamps` [s], in the frame of the lowest robot's first pose where none is known."""
-    ahead = {robot: clock.ahead for robot, clock in made.clocks.items()}
-    maps = [at_every_stamp(s.map, stamps, ahead) for s in made.components]
+    ahead = {robot: clock.ahead for robot, clock in mixed.clocks.items()}
+    maps = [at_every_stamp(s.map, stamps, ahead) for s in mixed.components]
     maps = maps if places else [in_first_frame(m) for m in maps]
-    return replace(made, components=tuple(replace(s, map=m) for s, m in zip(made.components, maps, strict=True)))
+    return replace(mixed, components=tuple(replace(s, map=m) for s, m in zip(mixed.components, maps, strict=True)))
 
 
 def _configured(options: MapOptions) -> MixedMapConfig:
@@ -237,7 +239,7 @@ def _configured(options: MapOptions) -> MixedMapConfig:
     return cfg
 
 
-def _wanted(read: list[LandmarkLog], found: MixedLogs, options: MapOptions) -> tuple[list[LandmarkLog], MixedLogs]:
+def _wanted(read: list[LandmarkLog], logs: MixedLogs, options: MapOptions) -> tuple[list[LandmarkLog], MixedLogs]:
     """The logs of the robots asked for, without sightings of others.
 
     Raises DataError for one that is asked for and not there, UsageError for a `--share` of such a one.
@@ -252,11 +254,11 @@ def _wanted(read: list[LandmarkLog], found: MixedLogs, options: MapOptions) -> t
             if robot_name(key) not in names:
                 raise wrong(f"{option}: no robot {key}; there are {', '.join(map(robot_key, names))}")
     if options.robots is None:
-        return read, found
+        return read, logs
     chosen = {robot_name(key) for key in options.robots}
-    lasers = {robot: laser for robot, laser in found.lasers.items() if robot in chosen}
+    lasers = {robot: laser for robot, laser in logs.lasers.items() if robot in chosen}
     others = set(names) - chosen
-    return [_without(log, others) for log in read if log.robot in chosen], replace(found, lasers=lasers)
+    return [_without(log, others) for log in read if log.robot in chosen], replace(logs, lasers=lasers)
 
 
 def _without(log: LandmarkLog, robots: Collection[str]) -> LandmarkLog:
@@ -267,18 +269,18 @@ def _without(log: LandmarkLog, robots: Collection[str]) -> LandmarkLog:
 
     sightings, bearings = kept(log.sightings), kept(log.bearings)
     gone = len(log.sightings) + len(log.bearings) - len(sightings) - len(bearings)
-    told = {"sighting of a robot left out": gone} if gone else {}
-    return replace(log, sightings=sightings, bearings=bearings, dropped={**log.dropped, **told})
+    dropped = {"sighting of a robot left out": gone} if gone else {}
+    return replace(log, sightings=sightings, bearings=bearings, dropped={**log.dropped, **dropped})
 
 
 def _lasers(
-    found: Mapping[str, LaserOf], cfg: LaserConfig, options: MapOptions
+    lasers: Mapping[str, LaserOf], cfg: LaserConfig, options: MapOptions
 ) -> tuple[dict[str, LaserLog], dict[str, LaserMap]]:
     """Every laser log and its own map, in the order of the robots' numbers."""
     logs: dict[str, LaserLog] = {}
-    for robot in sorted(found, key=in_order):
+    for robot in sorted(lasers, key=in_order):
         key = robot_key(robot)
-        logs[robot] = first_part(read_laser(found[robot].path, key, found[robot].source), options.share.get(key, 1.0))
+        logs[robot] = first_part(read_laser(lasers[robot].path, key, lasers[robot].source), options.share.get(key, 1.0))
     with worker_pool(options.jobs, len(logs), options.executor) as pool:
         if pool is None:
             return logs, {r: map_laser(log, cfg, options.seed, options.on_progress) for r, log in logs.items()}
@@ -321,14 +323,14 @@ def _filtered(seeing: Sequence[LandmarkLog], cfg: MixedMapConfig, options: MapOp
     return local, fuse(local, cfg.fuse)
 
 
-def _grid(team: TeamMap, scans: Mapping[str, LaserLog], made: MixedMap, cfg: LaserConfig) -> GridMap | None:
+def _grid(team: TeamMap, scans: Mapping[str, LaserLog], mixed: MixedMap, cfg: LaserConfig) -> GridMap | None:
     """What all lasers of a component saw, laid at the poses found."""
     seen, poses, sensors = [], [], []
     for robot in team.robots:
         if robot not in scans:
             continue
         log, track = scans[robot], team.tracks[robot]
-        clock = made.clocks[robot].ahead if robot in made.clocks else 0.0
+        clock = mixed.clocks[robot].ahead if robot in mixed.clocks else 0.0
         at = np.clip(np.searchsorted(track.t, log.scan_t - clock - 1e-6), 0, len(track.t) - 1)
         seen += [beams(scan, "none", None, cfg.beam) for scan in log.scans]
         poses.append(track.pose[at])
@@ -345,15 +347,15 @@ def _scored(result: MixedResult, options: MapOptions) -> MixedResult:
     with tempfile.TemporaryDirectory() as folder:
         result.write_data(Path(folder))
         score = judged(Path(folder), options.truth)
-    told = score.as_json()
+    metrics = score.as_json()
     reason = [f"the truth: nothing to score: {score.unscored}"] if score.unscored else []
     warnings = [*result.story.warnings, *reason]
     return replace(
         result,
         story=replace(
-            result.story, lines=tuple(score.lines()), warnings=tuple(warnings), scores=tuple(headline_scores(told))
+            result.story, lines=tuple(score.lines()), warnings=tuple(warnings), scores=tuple(headline_scores(metrics))
         ),
-        metrics={**result.metrics, "warnings": warnings, "evaluation": told},
+        metrics={**result.metrics, "warnings": warnings, "evaluation": metrics},
         evaluation=score,
     )
 
@@ -370,7 +372,7 @@ def _write_data(folder: Path, result: MixedResult) -> None:
     for local in result.local:
         write_local_map(folder / "local" / local.robot, local)
         write_landmark_arrays(folder / "local" / local.robot, local.submap.landmarks)
-    for made in result.lasers:
-        write_laser_map(folder / "local" / robot_name(made.robot), made)
-    found = {robot: known for s in result.story.map.components for robot, known in s.calibration.items()}
-    write_calibration(folder / "calibration.json", found, result.story.map.components[0].prior)
+    for laser_map in result.lasers:
+        write_laser_map(folder / "local" / robot_name(laser_map.robot), laser_map)
+    calibrations = {robot: known for s in result.story.map.components for robot, known in s.calibration.items()}
+    write_calibration(folder / "calibration.json", calibrations, result.story.map.components[0].prior)

@@ -108,8 +108,8 @@ def simulate_landmarks(
     world.check()
     if out is not None:
         check_target(Path(out), force=force)
-    made = simulate_team(world, seed)
-    team = SimulatedTeam(made.barcodes, made.landmarks, made.robots, world, seed)
+    simulated = simulate_team(world, seed)
+    team = SimulatedTeam(simulated.barcodes, simulated.landmarks, simulated.robots, world, seed)
     if out is not None:
         team.write(out, force=force)
     return team

@@ -93,12 +93,14 @@ def simulate_laser(out: Path | str | None = None, world: World | None = None, *,
     if out is not None:
         _mcap(out)
     if isinstance(world, CorridorConfig):
-        made = simulate_corridor(world, seed)
+        simulated = simulate_corridor(world, seed)
     elif isinstance(world, OfficeConfig):
-        made = simulate_office(world, seed)
+        simulated = simulate_office(world, seed)
     else:
-        made = simulate_tunnel(world, seed)
-    result = SimulatedDrive(made.log, made.truth, made.reflectance, made.world, made.heading_bias, world, seed)
+        simulated = simulate_tunnel(world, seed)
+    result = SimulatedDrive(
+        simulated.log, simulated.truth, simulated.reflectance, simulated.world, simulated.heading_bias, world, seed
+    )
     if out is not None:
         result.write(out)
     return result

@@ -82,8 +82,8 @@ def simulate_swarm(out: Path | str | None = None, scene: SwarmScene | None = Non
     if out is not None:
         _table(out)
     scene = scene or SwarmScene()
-    made = simulate(scene, np.random.default_rng(seed))
-    result = SimulatedSwarm(**{f.name: getattr(made, f.name) for f in fields(made)}, scene=scene, seed=seed)
+    simulated = simulate(scene, np.random.default_rng(seed))
+    result = SimulatedSwarm(**{f.name: getattr(simulated, f.name) for f in fields(simulated)}, scene=scene, seed=seed)
     if out is not None:
         result.write(out)
     return result
@@ -96,27 +96,27 @@ def _table(out: Path | str) -> Path:
     return path
 
 
-def _write_truth(path: Path, made: Swarm) -> None:
-    moving = made.table.t is not None
-    turned = not made.table.axis or made.odometry is not None
-    head = ["id", "x", "y", "z"][: 1 + made.table.dim] + ["t"] * moving + ["heading"] * turned
+def _write_truth(path: Path, swarm: Swarm) -> None:
+    moving = swarm.table.t is not None
+    turned = not swarm.table.axis or swarm.odometry is not None
+    head = ["id", "x", "y", "z"][: 1 + swarm.table.dim] + ["t"] * moving + ["heading"] * turned
     rows = []
-    for k, t in enumerate(made.t.tolist()):
-        places, headings = made.position[k].tolist(), made.heading[k].tolist()
+    for k, t in enumerate(swarm.t.tolist()):
+        places, headings = swarm.position[k].tolist(), swarm.heading[k].tolist()
         rows += [
             (name, *place, *([t] if moving else []), *([heading] if turned else []))
-            for name, place, heading in zip(made.table.ids, places, headings, strict=True)
+            for name, place, heading in zip(swarm.table.ids, places, headings, strict=True)
         ]
     write_table(path, head, rows)
 
 
-def _write_odometry(path: Path, made: Swarm) -> None:
-    assert made.odometry is not None  # noqa: S101
-    still = set(made.corners)
+def _write_odometry(path: Path, swarm: Swarm) -> None:
+    assert swarm.odometry is not None  # noqa: S101
+    still = set(swarm.corners)
     rows = [
-        (t, name, *made.odometry[k, i].tolist())
-        for k, t in enumerate(made.t.tolist())
-        for i, name in enumerate(made.table.ids)
+        (t, name, *swarm.odometry[k, i].tolist())
+        for k, t in enumerate(swarm.t.tolist())
+        for i, name in enumerate(swarm.table.ids)
         if i not in still
     ]
     write_table(path, ["t", "robot", "v", "w"], rows)

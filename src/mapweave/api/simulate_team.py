@@ -158,8 +158,8 @@ def simulate_team(
     world.check()
     if out is not None:
         check_target(Path(out), force=force)
-    made = simulate_mixed(world, seed)
-    team = SimulatedMixedTeam(made.robots, made.landmarks, made.walls, world, seed)
+    simulated = simulate_mixed(world, seed)
+    team = SimulatedMixedTeam(simulated.robots, simulated.landmarks, simulated.walls, world, seed)
     if out is not None:
         team.write(out, force=force)
     return team

@@ -89,7 +89,7 @@ class SolveResult(ResultBase):
             lines.append(f"{len(s.dropped)} of {s.graph.edges} edges contradict the others and were dropped")
         ids = self.file.ids
         lines += [f"dropped edge {d.edge} ({ids[d.first]} to {ids[d.second]}): {d.reason}" for d in s.dropped[:TOLD]]
-        lines += [told for told in self.warnings if told not in self.doubts]
+        lines += [warning for warning in self.warnings if warning not in self.doubts]
         return [*lines, *(f"not to be trusted: {why}" for why in self.doubts)]
 
     def draw(self, target: Target) -> None:
@@ -182,9 +182,9 @@ def solve_pose_graph(
 
 
 def _warnings(held: G2oFile, solved: SolvedGraph) -> tuple[str, ...]:
-    told = list(held.warnings)
+    warnings = list(held.warnings)
     if not held.started.any():
-        told.append("the file has no vertices: the solve starts from poses found by walking along its edges")
+        warnings.append("the file has no vertices: the solve starts from poses found by walking along its edges")
     sizes = np.bincount(solved.component)
     if len(sizes) > 1:
         parts = ", ".join(
@@ -192,33 +192,33 @@ def _warnings(held: G2oFile, solved: SolvedGraph) -> tuple[str, ...]:
             for c, size in enumerate(sizes.tolist()[:6])
         )
         more = "" if len(sizes) <= 6 else f" and {len(sizes) - 6} more"
-        told.append(
+        warnings.append(
             f"the graph falls into {len(sizes)} parts that no edge ties, each solved in its own frame: {parts}{more}"
         )
-    return tuple(told)
+    return tuple(warnings)
 
 
 def _doubts(held: G2oFile, solved: SolvedGraph, *, robust: bool) -> tuple[str, ...]:
     """Why the solution is not to be trusted."""
-    told: list[str] = []
+    doubts: list[str] = []
     if not solved.converged:
-        told.append(f"the solve did not converge ({solved.status})")
+        doubts.append(f"the solve did not converge ({solved.status})")
     limit = chi2_quantile(1.0 - CHANCE, 3.0)
     for prior, nis in zip(held.priors, solved.prior_nis.tolist(), strict=True):
         if nis > limit:
             where = f"the prior of vertex {held.ids[prior.vertex]} contradicts the rest of the graph"
-            told.append(f"{where}: it lies {np.sqrt(nis):.1f} standard deviations from the solution without it")
+            doubts.append(f"{where}: it lies {np.sqrt(nis):.1f} standard deviations from the solution without it")
     for vertex, nis in zip(solved.fixed, solved.fixed_nis.tolist(), strict=True):
         if nis > limit:
             where = f"vertex {held.ids[vertex]} is held where the rest of the graph does not put it"
-            told.append(f"{where}: it lies {np.sqrt(nis):.1f} standard deviations from there")
+            doubts.append(f"{where}: it lies {np.sqrt(nis):.1f} standard deviations from there")
     ties = int((np.abs(solved.graph.second - solved.graph.first) != 1).sum())
     if 2 * len(solved.dropped) > ties:
-        told.append(f"{len(solved.dropped)} of {ties} edges beside the steps were dropped, more than were believed")
+        doubts.append(f"{len(solved.dropped)} of {ties} edges beside the steps were dropped, more than were believed")
     if solved.dof > 0 and solved.chi2 > chi2_quantile(1.0 - CHANCE, float(solved.dof)):
         mend = "" if robust else "; --robust drops those that contradict"
-        told.append(
+        doubts.append(
             f"edges contradict each other or are less sure than they say: chi-square {solved.chi2:.6g} with "
             f"{solved.dof} degrees of freedom{mend}"
         )
-    return tuple(told)
+    return tuple(doubts)

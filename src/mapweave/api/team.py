@@ -63,7 +63,7 @@ class TeamResult(ResultBase):
     @property
     def metrics(self) -> dict[str, Any]:
         """What stands in `metrics.json`."""
-        told: dict[str, Any] = {
+        metrics: dict[str, Any] = {
             "version": __version__,
             "seed": self.seed,
             "robots": {robot_key(m.robot): _robot(m, self.fusion) for m in self.local},
@@ -82,9 +82,9 @@ class TeamResult(ResultBase):
             "warnings": list(self.warnings),
         }
         if gaps := told_gaps(self.maps):
-            told["left_out"] = gaps
+            metrics["left_out"] = gaps
         if self.growth:
-            told["online"] = [
+            metrics["online"] = [
                 {
                     "t": p.t,
                     "robots": p.robots,
@@ -97,16 +97,16 @@ class TeamResult(ResultBase):
                 for p in self.growth
             ]
         if self.run is not None:
-            told["online_smoothing"] = run_metrics(self.run, self._survey)
+            metrics["online_smoothing"] = run_metrics(self.run, self._survey)
         if self.smoothed:
-            told["refined"] = {**_errors(self.score), "components": [_smoothing(s) for s in self.smoothed]}
-            told["filters"] = _errors(self.filter_score)
+            metrics["refined"] = {**_errors(self.score), "components": [_smoothing(s) for s in self.smoothed]}
+            metrics["filters"] = _errors(self.filter_score)
         if self.score is not None:
-            told["evaluation"] = as_json(self.score)
-        told["timing"] = {stage: round(s, 4) for stage, s in self.timing.items()}
+            metrics["evaluation"] = as_json(self.score)
+        metrics["timing"] = {stage: round(s, 4) for stage, s in self.timing.items()}
         if self.run is not None:
-            told["timing"]["smoothing_online"] = {k: round(s, 4) for k, s in self.run.timing().items()}
-        return told
+            metrics["timing"]["smoothing_online"] = {k: round(s, 4) for k, s in self.run.timing().items()}
+        return metrics
 
     @property
     def _survey(self) -> Survey:
@@ -175,10 +175,10 @@ def _errors(score: TeamScore | None) -> dict[str, float | None]:
     """Landmark RMSE and mean ATE, also with labels that look exchanged put back."""
     if score is None:
         return {"landmark_rmse": None, "ate": None}
-    told = {"landmark_rmse": score.landmarks.rmse, "ate": mean_or_none([r.ate for r in score.robots.values()])}
+    errors = {"landmark_rmse": score.landmarks.rmse, "ate": mean_or_none([r.ate for r in score.robots.values()])}
     if score.landmarks_exchanged is not None:
-        told["landmark_rmse_exchanged"] = score.landmarks_exchanged.rmse
-    return told
+        errors["landmark_rmse_exchanged"] = score.landmarks_exchanged.rmse
+    return errors
 
 
 def _smoothing(s: Smoothed) -> dict[str, Any]:
@@ -341,8 +341,8 @@ def write_team_data(folder: Path, story: TeamStory) -> None:
         write_local_map(home, local)
         write_landmark_arrays(home, local.submap.landmarks)
     if story.smoothed:
-        found = {robot: known for s in story.smoothed for robot, known in s.calibration.items()}
-        write_calibration(folder / "calibration.json", found, story.smoothed[0].prior)
+        calibrations = {robot: known for s in story.smoothed for robot, known in s.calibration.items()}
+        write_calibration(folder / "calibration.json", calibrations, story.smoothed[0].prior)
 
 
 def _write_component(folder: Path, team: TeamMap) -> None:

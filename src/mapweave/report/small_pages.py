@@ -34,10 +34,10 @@ def draw_checks(target: Target, checks: Sequence[Check], seconds: Sequence[tuple
     with figure(target, 9.0, 0.24 * len(checks) + 0.9, ncols=2, width_ratios=(3, 2)) as (_, axes):
         left: Axes
         left, right = axes
-        for row, (name, found, good) in zip(rows.tolist(), checks, strict=True):
+        for row, (name, value, good) in zip(rows.tolist(), checks, strict=True):
             tint, shape = (MUTED, "o") if good is None else (GOOD, "o") if good else (BAD, "X")
             left.plot([0.0], [row], shape, color=tint, markersize=8)
-            left.text(0.15, row, f"{name}: {found}", va="center")
+            left.text(0.15, row, f"{name}: {value}", va="center")
         left.set_xlim(-0.2, 4.0)
         left.set_ylim(-0.7, len(checks) - 0.3)
         left.set_title("checks")
@@ -52,9 +52,9 @@ def draw_checks(target: Target, checks: Sequence[Check], seconds: Sequence[tuple
 
 def draw_messages(target: Target, sizes: Sequence[int], heard_by: int) -> None:
     """How much a robot told its team, message by message [kB]."""
-    told = np.concatenate([[0.0], np.cumsum(np.asarray(sizes, dtype=np.float64))]) / 1e3
+    total = np.concatenate([[0.0], np.cumsum(np.asarray(sizes, dtype=np.float64))]) / 1e3
     with figure(target, 6.4, 3.2) as (_, ax):
-        ax.step(np.arange(len(told)), told, where="post", color=colour(0))
+        ax.step(np.arange(len(total)), total, where="post", color=colour(0))
         ax.set_xlabel("messages")
         ax.set_ylabel("told in all [kB]")
         ax.set_title(f"all heard by {heard_by} map process{'' if heard_by == 1 else 'es'}")
