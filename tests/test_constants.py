@@ -29,6 +29,7 @@ FIXED = {
     "laser/icp.py: CELL": "limit on time: the result does not depend on it",
     "laser/map_correlation.py: MARGIN": "limit on memory",
     "laser/place_search.py: Q_LEVELS": "format: levels of brightness",
+    "swarm/close_pairs.py: ANY_DIRECTION": "mathematics",
     "swarm/close_pairs.py: CLOSE": "mathematics: where a series ends",
     "swarm/headings.py: WILD": "a start, which the refinement goes on from",
     "swarm/kalman.py: ANY_HEADING": "mathematics",

@@ -47,3 +47,20 @@ def score(estimate, truth):
     bound = np.trace(estimate.cov[free], axis1=1, axis2=2)
     value, dof = estimate.nees(truth)
     return float(np.sqrt(error.mean())), float(np.sqrt(bound.mean())), value / dof
+
+
+def small(seed, sigma=1.0):
+    """4 to 11 robots, two of them known, who sight others at random, one bearing wrong; and the truth."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(4, 12))
+    truth = rng.uniform(0, 10 * np.sqrt(n), (n, 2))
+    pairs = np.argwhere(~np.eye(n, dtype=bool))
+    m = min(len(pairs), int(n * rng.integers(2, 5)))
+    i, j = pairs[np.sort(rng.choice(len(pairs), m, replace=False))].T
+    d = truth[j] - truth[i]
+    s = np.radians(sigma)
+    z = np.arctan2(d[:, 1], d[:, 0]) + rng.normal(0, s, m)
+    wrong = rng.integers(m)
+    z[wrong] += rng.uniform(-np.pi, np.pi)
+    z = (z + np.pi) % (2 * np.pi) - np.pi
+    return BearingNetwork(tuple(map(str, range(n))), 2, i, j, z, np.full(m, s), {0: truth[0], 1: truth[1]}), truth

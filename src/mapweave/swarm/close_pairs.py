@@ -16,6 +16,7 @@ from . import bearing, factors
 from .network import BearingNetwork
 
 CLOSE = 3.0  # standard deviations of its own length below which a sighting is close; beyond, r^2 errs by a tenth
+ANY_DIRECTION = float(np.pi / np.sqrt(3.0))  # [rad] standard deviation of a direction drawn at random
 ROUNDS = 3  # of lengthening: what is told of one pair changes what is known of others
 
 
@@ -33,7 +34,7 @@ def with_true_lengths(
 
     problem: whose first term are the sightings; deviation: (n,) [m] no less than that of each of the robots `chosen`
     along any direction. Where no sighting between those is close it is the very `information`.
-    unchecked: (m,) close sightings that may be wrong, and tell nothing.
+    unchecked: (m,) close sightings that may be wrong: they count as directions drawn at random, next to nothing.
     """
     u, r = bearing.predict(*_ends(net, x))
     apart = r < CLOSE * (deviation[net.observer] + deviation[net.target])
@@ -51,7 +52,8 @@ def with_true_lengths(
             return information, 0
         share = r / length
         if unchecked is not None:
-            share[unchecked & (share < 1.0)] = 0.0
+            anywhere = unchecked & (share < 1.0)
+            share[anywhere] *= np.minimum(net.sigma[anywhere] / ANY_DIRECTION, 1.0)
         wider = _weighed(sightings, share)
         H, _ = pattern.assemble([wider.normal(x)[0], *(a for a, _ in parts[1:])], [b for _, b in parts])
         try:

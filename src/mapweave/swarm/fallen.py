@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..solve import SingularError
 from . import bearing, factors
 from .batch import refine
 from .close_pairs import CLOSE
@@ -124,7 +125,11 @@ def _told(
     E = np.zeros((x.size, len(rows) * factor.rows))
     columns = np.arange(E.shape[1]).reshape(len(rows), factor.rows)
     np.add.at(E, (factor.columns[:, None, :], columns[:, :, None]), J)
-    return factor.squares(x), found.information.variances(E)[columns].max(axis=1)
+    try:
+        told = found.information.variances(E)[columns].max(axis=1)
+    except SingularError:  # something is not determined at all: whatever is sighted there tells everything
+        told = np.ones(len(rows))
+    return factor.squares(x), told
 
 
 def _confirmed(net: BearingNetwork, inlier: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
