@@ -13,7 +13,7 @@ from ..io.sightings import Dropped, SwarmTruth, read_sightings, read_swarm_truth
 from ..io.table import Table
 from ..io.team_bearings import read_team_truth
 from ..swarm.config import CONSISTENCY, ConsistencyConfig
-from ..swarm.network import DEFAULT_SIGMA, BearingNetwork, Distance, contradictions, shares_an_axis
+from ..swarm.network import DEFAULT_SIGMA, BearingNetwork, Distance, contradictions, copies, shares_an_axis
 
 Place = Sequence[float] | Float[np.ndarray, " d"]
 
@@ -94,24 +94,29 @@ def prepare(
         warnings.append(
             "mutual sightings do not point at each other: no common axis, so every robot's heading is estimated"
         )
-    bad = contradictions(table, filled, cfg)
+    at = np.arange(1, len(table.observer) + 1) if lines is None else np.asarray(lines)
+    again = copies(table, table.sigma, cfg)
+    if again.any():
+        dropped += _left_out(table, at, again, "copy of another row")
+        warnings.append(f"{int(again.sum())} rows are copies of other rows, to the last digit: each counts once")
+        table, at = table.rows(~again), at[~again]
+    bad = contradictions(table, table.sigma, cfg)
     if bad.any():
-        rows = np.flatnonzero(bad).tolist()
-        dropped += tuple(
-            Dropped(
-                lines[k] if lines is not None else k + 1,
-                table.ids[table.observer[k]],
-                table.ids[table.target[k]],
-                "contradicts another row",
-            )
-            for k in rows
-        )
-        warnings.append(f"{len(rows)} rows contradict another row of the same robots and were left out")
+        dropped += _left_out(table, at, bad, "contradicts another row")
+        warnings.append(f"{int(bad.sum())} rows contradict another row of the same robots and were left out")
         table = table.rows(~bad)
         if not len(table.observer):
             raise DataError(f"{name}: no sightings are left: all contradict each other")
     known, apart = _known(name, table, anchors, distances)
     return SwarmInput(name, table, known, apart, sigma_source, dropped, tuple(warnings))
+
+
+def _left_out(table: BearingTable, line: np.ndarray, rows: np.ndarray, reason: str) -> tuple[Dropped, ...]:
+    """The rows (mask), each with the line it stands at."""
+    return tuple(
+        Dropped(int(line[k]), table.ids[table.observer[k]], table.ids[table.target[k]], reason)
+        for k in np.flatnonzero(rows).tolist()
+    )
 
 
 def read_truth(given: Path | Table) -> SwarmTruth:

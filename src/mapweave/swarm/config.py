@@ -14,6 +14,7 @@ class ConsistencyConfig:
     """Which sightings cannot be, before anything is located."""
 
     gate: float = float(6.0 * np.sqrt(2.0))  # standard deviations by which two sightings of one pair may differ
+    rounded: float = 4.0  # times as often as rounding explains, equal readings without stamps are copies
     least_pairs: int = 5  # mutual pairs below which nothing is said about axes
     axis_angle: float = 0.5  # [rad] median miss of mutual sightings up to which axes count as common, or
     axis_sigmas: float = 20.0  # standard deviations of it
@@ -45,6 +46,20 @@ class FallenConfig:
     undecided: float = 0.5  # of the limit: a loss up to which a sighting called wrong may as well be right
     against: float = 6.0  # standard deviations of their difference beyond which two of a pair are not both right
     likely: float = 0.015  # probability of being wrong from which on a sighting may as well be
+
+
+@config
+class AlternativesConfig:
+    """Method `robust`, small networks: other sets of wrong sightings, and how likely they put a robot elsewhere."""
+
+    most: int = 100  # sightings up to which this is asked
+    rounds: int = 3  # of steps from the most likely sets to their neighbours
+    beam: int = 8  # sets a round whose neighbours are tried
+    unlikely: float = 14.0  # log of the odds against a set from which on its neighbours are not
+    swaps: int = 4  # sightings called wrong up to which one may stand in place of another
+    extent: float = 10.0  # median sighting lengths within which a robot is expected before anything is seen
+    gate: float = 1e-5  # probability to lie by chance outside the gate of a covariance
+    doubt: float = 0.02  # probability of lying outside from which on a robot's place is doubted
 
 
 @config
@@ -90,5 +105,6 @@ class SwarmConfig:
     consistency: ConsistencyConfig = ConsistencyConfig()
     robust: RobustConfig = RobustConfig()
     fallen: FallenConfig = FallenConfig()
+    alternatives: AlternativesConfig = AlternativesConfig()
     messages: MessagesConfig = MessagesConfig()
     verdict: VerdictConfig = VerdictConfig()

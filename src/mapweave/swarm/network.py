@@ -15,6 +15,7 @@ from ..core.names import in_order
 from ..core.records import frozen
 from .config import CONSISTENCY, ConsistencyConfig
 
+READINGS = 200  # of one pair that are compared with each other: 19,900 pairs
 DEFAULT_SIGMA = float(np.radians(1.0))  # [rad]; standard deviation of a bearing where none is said
 
 
@@ -228,6 +229,38 @@ def contradictions(
         if high - low == 2:
             bad[rows] = bad[rows].any()
     return bad
+
+
+def copies(
+    table: BearingTable, sigma: Float[np.ndarray, " m"], cfg: ConsistencyConfig = CONSISTENCY
+) -> Bool[np.ndarray, " m"]:
+    """Which rows repeat an earlier one to the bit: observer, target, direction, sigma (m,) [rad] and stamp.
+
+    Without stamps readings of one pair may be equal because they were rounded. Then the step they were rounded to shows
+    in the smallest difference between two of them, and equal ones are copies only where they are more often equal than
+    `cfg.rounded` times what that step and sigma explain; where no two differ, nothing tells of noise anew.
+    """
+    n, m = len(table.ids), len(table.observer)
+    columns = [table.observer[:, None], table.target[:, None], table.direction, sigma[:, None]]
+    if table.t is not None:
+        columns.append(table.t[:, None])
+    rows = np.ascontiguousarray(np.hstack(columns).astype(float) + 0.0)
+    _, first = np.unique(rows.view([("", rows.dtype)] * rows.shape[1]).ravel(), return_index=True)
+    again = np.ones(m, dtype=bool)
+    again[first] = False
+    if table.t is not None or not again.any():
+        return again
+    step, pairs, equal = np.inf, 0, 0
+    key = table.observer * n + table.target
+    order = np.argsort(key, kind="stable")
+    for group in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
+        i, j = np.triu_indices(min(len(group), READINGS), 1)
+        off = _angle(table.direction[group[i]], table.direction[group[j]])
+        same = (rows[group[i]] == rows[group[j]]).all(axis=1)
+        pairs, equal = pairs + len(off), equal + int(np.count_nonzero(same))
+        step = min(step, float(off[~same].min(initial=np.inf)))
+    chance = min(step / (2.0 * np.sqrt(np.pi) * max(float(np.median(sigma)), 1e-12)), 1.0) if np.isfinite(step) else 0.0
+    return again if equal > cfg.rounded * chance * pairs else np.zeros(m, dtype=bool)
 
 
 def shares_an_axis(table: BearingTable, sigma: Float[np.ndarray, " m"], cfg: ConsistencyConfig = CONSISTENCY) -> bool:

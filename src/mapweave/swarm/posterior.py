@@ -14,7 +14,7 @@ from .gauge import Gauge, gauge_basis, normalise
 from .network import BearingNetwork
 from .result import JointInformation, SwarmEstimate, SwarmStatus, Traffic
 from .start import SwarmStart
-from .verdict import barely_determined, chi2_warnings, close_remarks, layout_warnings
+from .verdict import barely_determined, chi2_warnings, close_remarks, faint_remarks, layout_warnings
 
 STATUS = {
     SolveStatus.CONVERGED: SwarmStatus.CONVERGED,
@@ -83,6 +83,8 @@ def posterior(
         doubts.append("the information matrix is singular: there is no covariance")
     weak = covariance is not None and covariance.weak
     remarks = [*notes, *layout_warnings(net, localisable, start.seen.in_line)]
+    if anyone and np.any(net.sigma > 0):
+        remarks += faint_remarks(chi2, dof, cfg.verdict)
     if covariance is not None:
         remarks += [*barely_determined(net, position, covariance.cov, localisable), *close_remarks(close)]
     if covariance is not None and weak:

@@ -38,6 +38,18 @@ def fallen_warnings(net: BearingNetwork, rows: np.ndarray) -> list[str]:
     return [f"{len(rows)} sightings may as well be wrong, and the two robots then stand further apart: {named}"]
 
 
+def doubtful_warnings(net: BearingNetwork, outside: np.ndarray, doubt: float) -> list[str]:
+    """What stands against places outside whose covariance robots are with probability `outside` (n,), over `doubt`."""
+    robots = np.flatnonzero(outside > doubt)
+    if not len(robots):
+        return []
+    robots = robots[np.argsort(-outside[robots], kind="stable")]
+    named = ", ".join(f"{net.ids[k]} ({100 * outside[k]:.0f} %)" for k in robots[:10].tolist())
+    named += ", .." if len(robots) > 10 else ""
+    whose = "a robot" if len(robots) == 1 else f"{len(robots)} robots"
+    return [f"other sightings may be the wrong ones, and {whose} then elsewhere (probability): {named}"]
+
+
 def support_warnings(net: BearingNetwork, robots: np.ndarray) -> list[str]:
     """What stands against the places of `robots` (indices), whose own sightings contradict each other too much."""
     if not len(robots):
@@ -55,6 +67,14 @@ def chi2_warnings(chi2: float, dof: int, cfg: VerdictConfig = VERDICT) -> list[s
         return []
     counted = f"chi-square {chi2:.4g} with {dof} degrees of freedom"
     return [f"the residuals are larger than sigma says ({counted}): outliers, a bias, or sigma too small"]
+
+
+def faint_remarks(chi2: float, dof: int, cfg: VerdictConfig = VERDICT) -> list[str]:
+    """What is said of residuals far smaller than sigma: the positions may well be right, their covariance is not."""
+    if dof <= 0 or chi2 >= chi2_quantile(cfg.doubt, float(dof)):
+        return []
+    counted = f"chi-square {chi2:.4g} with {dof} degrees of freedom"
+    return [f"the residuals are far smaller than sigma says ({counted}): sigma too large, or rows that are copies"]
 
 
 def barely_determined(net: BearingNetwork, position: np.ndarray, cov: np.ndarray, localisable: np.ndarray) -> list[str]:
