@@ -1,6 +1,6 @@
 """Whether a swarm's verdict can be believed: wrong answers called reliable, and right ones called unsure.
 
-`python benchmarks/swarm_trust.py [--draws 20] [--seed 1000] [--json FILE]`
+`python benchmarks/swarm_trust.py [--small] [--draws 20] [--seed 1000] [--json FILE]`
 
 Wrong is an answer whose NEES per degree of freedom exceeds twice its 99.9 % limit, or whose root mean square error
 exceeds three times the bound (of the true inliers, at the truth). The cases that trust a wrong answer or doubt a right
@@ -26,6 +26,7 @@ from mapweave.swarm.network import BearingNetwork
 
 LAYOUTS, VISIBILITIES = ("grid", "random", "clusters"), ("directed", "mutual", "single")
 SEEN = {"directed": "nearest neighbours", "mutual": "from both ends", "single": "from one end"}
+SMALL = (5, 8, 12)  # robots
 WILD = 5.0  # standard deviations from which a sighting is an outlier
 
 
@@ -57,12 +58,22 @@ def cases() -> list[tuple[str, SwarmScene, Method]]:
     return out
 
 
+def small_cases() -> list[tuple[str, SwarmScene, Method]]:
+    """Networks with hardly a sighting to spare, without wrong ones and with."""
+    out: list[tuple[str, SwarmScene, Method]] = []
+    for robots, seen in itertools.product(SMALL, VISIBILITIES):
+        scene = SwarmScene(robots=robots, layout="random", k=4, visibility=seen, sigma=float(np.radians(1.0)))
+        out.append((f"{robots} {seen} robust", scene, "robust"))
+        out.append((f"{robots} {seen} outliers", replace(scene, outliers=0.05), "robust"))
+    return out
+
+
 def network(scene: SwarmScene, seed: int) -> tuple[BearingNetwork, np.ndarray, np.ndarray]:
     """The network with corners known, the truth (n, d), and which sightings are outliers."""
     swarm = simulate_swarm(scene, np.random.default_rng(seed))
     table, truth = swarm.table, swarm.position[0]
     z = table.bearing() if table.dim == 2 else table.direction
-    anchors = {k: truth[k] for k in swarm.corners}
+    anchors = {k: truth[k] for k in (swarm.corners if scene.robots > max(SMALL) else (0, 1))}
     net = BearingNetwork(table.ids, table.dim, table.observer, table.target, z, table.sigma, anchors, (), table.axis)
     d = truth[table.target] - truth[table.observer]
     if not table.axis:
@@ -123,10 +134,11 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1000)
     parser.add_argument("--only", default="", help="part of a case's name")
+    parser.add_argument("--small", action="store_true")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     rows = []
-    for name, scene, method in cases():
+    for name, scene, method in small_cases() if args.small else cases():
         if args.only in name:
             row = tried(name, scene, method, range(args.seed, args.seed + args.draws))
             rows.append(row)

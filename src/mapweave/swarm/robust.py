@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 
 from ..core.gaussian import chi2_quantile
 from ..solve import GemanMcClure
+from .alternatives import doubts as alternatives
 from .batch import batch, refine
 from .config import ROBUST, RobustConfig, SwarmConfig
 from .factors import bearing_factor
@@ -24,7 +25,7 @@ from .posterior import posterior
 from .relocation import relocated, unsupported
 from .result import SwarmEstimate
 from .start import SwarmStart, linear_pattern, linear_start, prepare
-from .verdict import fallen_warnings, support_warnings, trust_warnings
+from .verdict import doubtful_warnings, fallen_warnings, support_warnings, trust_warnings
 
 
 def robust(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = None) -> SwarmEstimate:
@@ -60,6 +61,8 @@ def robust(net: BearingNetwork, cfg: SwarmConfig, initial: np.ndarray | None = N
         start = prepare_at(chosen, estimate.position.ravel(), start)
         x = refine(chosen, start, cfg, everyone=True)[0].x
         inlier = agreeing(net, x, cfg.inlier_gate)
+    outside = alternatives(net, inlier, estimate, cfg.alternatives)
+    doubts += doubtful_warnings(net, outside, cfg.alternatives.doubt)
     doubts += [*trust_warnings(net, ~inlier, cfg.verdict), *support_warnings(net, unsupported(net, ~inlier))]
     return replace(estimate, reliable=estimate.reliable and not doubts, warnings=(*doubts, *estimate.warnings))
 

@@ -1,0 +1,125 @@
+"""Other stories that the same sightings tell are found, weighed as a dense derivation weighs them, and told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapweave.core.gaussian import chi2_quantile
+from mapweave.swarm.alternatives import _Dense, _outside, doubts, told
+from mapweave.swarm.batch import batch
+from mapweave.swarm.config import AlternativesConfig, SwarmConfig
+from mapweave.swarm.locate import locate
+
+from .swarms import PAPER, complete, simulated, small
+
+ROBUST = SwarmConfig(method="robust")
+CFG = AlternativesConfig()
+
+
+def none_wrong(net):
+    return np.zeros(len(net.observer), dtype=bool)
+
+
+def test_the_first_story_is_the_answer_itself_with_its_covariance():
+    net = complete(PAPER, 1.0, np.random.default_rng(0), anchors=(0, 1))
+    found = batch(net, SwarmConfig())
+    stories = told(_Dense.of(net, found, CFG), none_wrong(net), CFG)
+    assert not stories.wrong[0].any()
+    np.testing.assert_allclose(stories.x[0].reshape(5, 2), found.position, atol=1e-4)
+    cov = stories.cov[0].reshape(5, 2, 5, 2)
+    for k in range(2, 5):
+        np.testing.assert_allclose(cov[k, :, k], found.cov[k], rtol=1e-3)
+
+
+def test_the_evidence_of_leaving_one_out_is_the_density_of_its_direction_given_all_others():
+    net = complete(PAPER, 0.2, np.random.default_rng(1), anchors=(0, 1))
+    found = batch(net, SwarmConfig())
+    problem = _Dense.of(net, found, CFG)
+    row, m = 13, len(net.observer)
+    without = none_wrong(net)
+    without[row] = True
+    every, less = problem.solved(none_wrong(net)[None]).evidence[0], problem.solved(without[None])
+    others = batch(net.select(~without), SwarmConfig())
+    p, q = others.position[net.observer[row]], others.position[net.target[row]]
+    d = q - p
+    J = np.array([-d[1], d[0]]) / (d @ d)
+    ends = [int(net.observer[row]), int(net.target[row])]
+    E = np.concatenate([-J, J])
+    free = [k for k in range(2) if ends[k] not in net.anchors]
+    P = np.zeros((4, 4))
+    if free:
+        at = np.concatenate([2 * k + np.arange(2) for k in free])
+        P[np.ix_(at, at)] = others.joint([ends[k] for k in free])
+    variance = float(E @ P @ E) + net.sigma[row] ** 2
+    miss = (net.bearing[row] - np.arctan2(d[1], d[0]) + np.pi) % (2 * np.pi) - np.pi
+    expected = np.exp(-0.5 * miss**2 / variance) / np.sqrt(2 * np.pi * variance) * (2 * np.pi)
+    prior = (m - 0.5) / 0.5  # Jeffreys: none wrong of m against one
+    np.testing.assert_allclose(np.exp(every - less.evidence[0]), expected * prior, rtol=0.02)
+
+
+def test_a_robot_that_two_sightings_place_is_doubted_and_one_that_many_place_is_not():
+    rng = np.random.default_rng(2)
+    truth = np.vstack([PAPER, [[3.0, 15.0]]])
+    net = complete(truth, 0.5, rng, anchors=(0, 1, 2))
+    sees = (net.observer == 5) | (net.target == 5)
+    twice = sees & (net.observer == 5) & (net.target < 2)
+    lone = net.select(~sees | twice)
+    outside = doubts(lone, ~none_wrong(lone), batch(lone, SwarmConfig()), CFG)
+    assert outside[5] > CFG.doubt
+    assert outside[:5].max() < CFG.doubt
+    assert doubts(net, ~none_wrong(net), batch(net, SwarmConfig()), CFG).max() < CFG.doubt
+
+
+def test_a_wrong_sighting_kept_in_place_of_a_right_one_is_found_by_swapping_them():
+    net = complete(PAPER, 0.5, np.random.default_rng(3), anchors=(0, 1))
+    bad = 12
+    z = net.bearing.copy()
+    z[bad] += 0.5
+    net = replace(net, bearing=z)
+    called = none_wrong(net)
+    called[7] = True  # a right one
+    found = batch(net.select(~called), SwarmConfig())
+    stories = told(_Dense.of(net, found, CFG), called, CFG)
+    assert np.flatnonzero(stories.wrong[np.argmax(stories.evidence)]).tolist() == [bad]
+    assert doubts(net, ~called, found, CFG).max() > 0.9
+
+
+def test_the_probability_outside_a_gate_is_that_of_a_normal_variable_along_its_worst_direction():
+    own = np.eye(2)[None]
+    limit = np.sqrt(chi2_quantile(1 - 1e-5, 2.0))
+    away = np.array([[[limit, 0.0]], [[0.0, 0.0]], [[100.0, 0.0]]])
+    cov = np.repeat(np.eye(2)[None, None], 3, axis=0) * 1e-6
+    np.testing.assert_allclose(_outside(away, cov, own, 1e-5)[:, 0], [0.5, 0.0, 1.0], atol=1e-12)
+    wide = np.diag([4.0 * limit**2, 1.0])[None, None]
+    np.testing.assert_allclose(_outside(away[1:2], wide, own, 1e-5), [[2 * 0.3085375]], rtol=1e-6)
+
+
+@pytest.mark.parametrize("scene", [{"dim": 3}, {"axis": False, "visibility": "mutual"}])
+def test_nothing_is_doubted_of_well_seen_robots_in_space_or_without_an_axis(scene):
+    net, _ = simulated(0, robots=8, sigma=0.5, **{"visibility": "mutual", **scene})
+    found = batch(net, SwarmConfig())
+    assert doubts(net, ~none_wrong(net), found, replace(CFG, rounds=1)).max() < CFG.doubt
+
+
+def test_without_anchors_the_shape_is_judged():
+    net = complete(PAPER, 0.5, np.random.default_rng(5))
+    found = batch(net, SwarmConfig())
+    assert doubts(net, ~none_wrong(net), found, CFG).max() < CFG.doubt
+    large, _ = simulated(0, robots=64)
+    assert not doubts(large, ~none_wrong(large), batch(large, SwarmConfig()), CFG).any()
+
+
+@pytest.mark.slow
+def test_of_small_networks_with_a_wrong_sighting_no_answer_called_reliable_is_wrong():
+    sure = 0
+    for seed in range(120):
+        net, truth = small(seed)
+        found = locate(net, ROBUST)
+        free = found.localisable & ~found.anchor
+        if not free.any() or not found.reliable:
+            continue
+        e = (found.position - truth)[free]
+        assert np.einsum("ni,nij,nj->n", e, np.linalg.inv(found.cov[free]), e).max() < chi2_quantile(1 - 1e-5, 2.0)
+        sure += 1
+    assert sure >= 40
