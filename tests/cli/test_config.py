@@ -45,7 +45,7 @@ def test_laser_and_landmark_keys_stand_in_tables():
     landmarks = looks | {"ekf", "fuse", "kidnap", "placing", "smoothing", "online"}
     for laser, tables in ((False, landmarks), (True, {"laser"})):
         assert set(tomllib.loads(configuration("map", laser=laser))) == tables
-    assert set(tomllib.loads(configuration("locate"))) == {"swarm", "motion"}
+    assert set(tomllib.loads(configuration("locate"))) == {"swarm", "motion", "commanded"}
 
 
 @config
