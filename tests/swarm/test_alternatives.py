@@ -1,4 +1,4 @@
-"""Other stories that the same sightings tell are found, weighed as a dense derivation weighs them, and told."""
+"""Other hypotheses about the same sightings are found, weighed as a dense derivation weighs them, and told."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.gaussian import chi2_quantile
-from mapweave.swarm.alternatives import _Dense, _outside, doubts, told
+from mapweave.swarm.alternatives import _Dense, _outside, doubts, hypotheses_near
 from mapweave.swarm.batch import batch
 from mapweave.swarm.config import AlternativesConfig, SwarmConfig
 from mapweave.swarm.locate import locate
@@ -21,13 +21,13 @@ def none_wrong(net):
     return np.zeros(len(net.observer), dtype=bool)
 
 
-def test_the_first_story_is_the_answer_itself_with_its_covariance():
+def test_the_first_hypothesis_is_the_answer_itself_with_its_covariance():
     net = complete(PAPER, 1.0, np.random.default_rng(0), anchors=(0, 1))
     found = batch(net, SwarmConfig())
-    stories = told(_Dense.of(net, found, CFG), none_wrong(net), CFG)
-    assert not stories.wrong[0].any()
-    np.testing.assert_allclose(stories.x[0].reshape(5, 2), found.position, atol=1e-4)
-    cov = stories.cov[0].reshape(5, 2, 5, 2)
+    hypotheses = hypotheses_near(_Dense.of(net, found, CFG), none_wrong(net), CFG)
+    assert not hypotheses.wrong[0].any()
+    np.testing.assert_allclose(hypotheses.x[0].reshape(5, 2), found.position, atol=1e-4)
+    cov = hypotheses.cov[0].reshape(5, 2, 5, 2)
     for k in range(2, 5):
         np.testing.assert_allclose(cov[k, :, k], found.cov[k], rtol=1e-3)
 
@@ -80,8 +80,8 @@ def test_a_wrong_sighting_kept_in_place_of_a_right_one_is_found_by_swapping_them
     called = none_wrong(net)
     called[7] = True  # a right one
     found = batch(net.select(~called), SwarmConfig())
-    stories = told(_Dense.of(net, found, CFG), called, CFG)
-    assert np.flatnonzero(stories.wrong[np.argmax(stories.evidence)]).tolist() == [bad]
+    hypotheses = hypotheses_near(_Dense.of(net, found, CFG), called, CFG)
+    assert np.flatnonzero(hypotheses.wrong[np.argmax(hypotheses.evidence)]).tolist() == [bad]
     assert doubts(net, ~called, found, CFG).max() > 0.9
 
 

@@ -1,4 +1,4 @@
-"""Other stories that the same sightings tell: which of them are wrong, where the robots then stand, how likely that is.
+"""Other hypotheses about the same sightings: which of them are wrong, where robots then stand, how likely that is.
 
 A small network has few sightings to spare, and a wrong one may be fitted by moving a robot. How much a sighting that is
 wrong moves a place is its external reliability [Baarda68]; whether the others would show it is a question of evidence.
@@ -9,7 +9,7 @@ from the most likely) is solved anew, from the places found and from the linear 
 
 with P the covariance without them, flat places within a wide extent, and every share of wrong sightings alike
 (Jeffreys). The middle term is what speaks against robots that fell together: almost nowhere else would they fit. The
-doubt of a robot is the probability, over all stories, that it stands outside the gate of the covariance told of it.
+doubt of a robot is the probability, over all hypotheses, that it stands outside the gate of its own covariance.
 """
 
 from dataclasses import dataclass, replace
@@ -24,16 +24,16 @@ from .config import AlternativesConfig
 from .network import BearingNetwork
 from .result import SwarmEstimate
 
-STEPS = 25  # of Levenberg-Marquardt for each story, at most
+STEPS = 25  # of Levenberg-Marquardt for each hypothesis, at most
 SAME = 1e-3  # of the extent: two minima of one set of sightings that are one
-CHUNK = 256  # stories solved together
+CHUNK = 256  # hypotheses solved together
 NUMERIC = 1e-12  # added to a matrix whose diagonal is 1, so that rounding leaves it positive
 GAINED = 1e-4  # of chi-square, below which a step is the last
 
 
 @dataclass(frozen=True, slots=True)
-class Stories:
-    """h stories over s state entries. wrong: (h, m); evidence: (h,) log, up to a constant; cov: of the whole state."""
+class Hypotheses:
+    """h hypotheses of s entries. wrong: (h, m); evidence: (h,) log, up to a constant; cov: of the whole state."""
 
     wrong: Bool[np.ndarray, "h m"]
     x: Float[np.ndarray, "h s"]
@@ -43,11 +43,11 @@ class Stories:
     def __len__(self) -> int:
         return len(self.evidence)
 
-    def rows(self, keep: np.ndarray) -> "Stories":
-        return Stories(self.wrong[keep], self.x[keep], self.evidence[keep], self.cov[keep])
+    def rows(self, keep: np.ndarray) -> "Hypotheses":
+        return Hypotheses(self.wrong[keep], self.x[keep], self.evidence[keep], self.cov[keep])
 
-    def joined(self, other: "Stories") -> "Stories":
-        return Stories(
+    def joined(self, other: "Hypotheses") -> "Hypotheses":
+        return Hypotheses(
             np.concatenate([self.wrong, other.wrong]),
             np.concatenate([self.x, other.x]),
             np.concatenate([self.evidence, other.evidence]),
@@ -56,21 +56,21 @@ class Stories:
 
 
 def doubts(
-    net: BearingNetwork, inlier: Bool[np.ndarray, " m"], found: SwarmEstimate, cfg: AlternativesConfig
+    net: BearingNetwork, inlier: Bool[np.ndarray, " m"], estimate: SwarmEstimate, cfg: AlternativesConfig
 ) -> Float[np.ndarray, " n"]:
     """(n,) probability that a robot stands outside the gate of its covariance; zero where that is not asked.
 
     It is asked of networks of up to `cfg.most` sightings with a covariance and noise.
     """
     none = np.zeros(len(net))
-    if found.cov is None or len(net.observer) > cfg.most or not np.any(net.sigma > 0):
+    if estimate.cov is None or len(net.observer) > cfg.most or not np.any(net.sigma > 0):
         return none
-    held = _held(net, found)
-    free = found.localisable & ~held.is_anchor
+    held = _held(net, estimate)
+    free = estimate.localisable & ~held.is_anchor
     if len(held.anchors) < 1 or not free.any():
         return none
     try:
-        none[free] = _asked(_Dense.of(held, found, cfg), ~inlier, found, free, cfg)
+        none[free] = _asked(_Dense.of(held, estimate, cfg), ~inlier, estimate, free, cfg)
     except np.linalg.LinAlgError:  # a covariance that is none: nothing may be believed of it
         none[free] = 1.0
     return none
@@ -79,38 +79,38 @@ def doubts(
 def _asked(
     problem: "_Dense",
     wrong: Bool[np.ndarray, " m"],
-    found: SwarmEstimate,
+    estimate: SwarmEstimate,
     free: Bool[np.ndarray, " n"],
     cfg: AlternativesConfig,
 ) -> Float[np.ndarray, " k"]:
     """(k,) the doubt of the robots `free`."""
     net = problem.net
-    stories = told(problem, wrong, cfg)
+    hypotheses = hypotheses_near(problem, wrong, cfg)
     w, d = factors.width(net), net.dim
     at = w * np.flatnonzero(free)[:, None] + np.arange(d)
-    own = stories.cov[0][at[:, :, None], at[:, None, :]] if found.gauge else np.asarray(found.cov)[free]
-    weight = np.exp(stories.evidence - stories.evidence.max())
+    own = hypotheses.cov[0][at[:, :, None], at[:, None, :]] if estimate.gauge else np.asarray(estimate.cov)[free]
+    weight = np.exp(hypotheses.evidence - hypotheses.evidence.max())
     outside = _outside(
-        stories.x[:, at] - problem.found[at], stories.cov[:, at[:, :, None], at[:, None, :]], own, cfg.gate
+        hypotheses.x[:, at] - problem.estimate[at], hypotheses.cov[:, at[:, :, None], at[:, None, :]], own, cfg.gate
     )
     return np.asarray((weight[:, None] * outside).sum(axis=0) / weight.sum())
 
 
-def told(problem: "_Dense", wrong: Bool[np.ndarray, " m"], cfg: AlternativesConfig) -> Stories:
-    """The stories near the one that calls the sightings `wrong` so, which comes first."""
+def hypotheses_near(problem: "_Dense", wrong: Bool[np.ndarray, " m"], cfg: AlternativesConfig) -> Hypotheses:
+    """The hypotheses near the one that calls the sightings `wrong` so, which comes first."""
     tried = {wrong.tobytes()}
-    stories = problem.solved(wrong[None, :])
+    hypotheses = problem.solved(wrong[None, :])
     expanded: set[bytes] = set()
     for _ in range(cfg.rounds):
-        order = np.argsort(-stories.evidence, kind="stable")
-        first = [k for k in [0, *order.tolist()] if stories.wrong[k].tobytes() not in expanded]
+        order = np.argsort(-hypotheses.evidence, kind="stable")
+        first = [k for k in [0, *order.tolist()] if hypotheses.wrong[k].tobytes() not in expanded]
         parents: list[np.ndarray] = []
         for k in first:
-            key = stories.wrong[k].tobytes()
-            likely = stories.evidence[k] > stories.evidence.max() - cfg.unlikely
+            key = hypotheses.wrong[k].tobytes()
+            likely = hypotheses.evidence[k] > hypotheses.evidence.max() - cfg.unlikely
             if key not in expanded and (likely or k == 0) and len(parents) < cfg.beam:
                 expanded.add(key)
-                parents.append(stories.wrong[k])
+                parents.append(hypotheses.wrong[k])
         fresh = [c for p in parents for c in _neighbours(p, cfg.swaps)]
         unseen = []
         for c in fresh:
@@ -121,11 +121,11 @@ def told(problem: "_Dense", wrong: Bool[np.ndarray, " m"], cfg: AlternativesConf
         if not unseen:
             break
         for a in range(0, len(unseen), CHUNK):
-            stories = stories.joined(problem.solved(np.array(unseen[a : a + CHUNK])))
-        keep = stories.evidence > stories.evidence.max() - 2.0 * cfg.unlikely
+            hypotheses = hypotheses.joined(problem.solved(np.array(unseen[a : a + CHUNK])))
+        keep = hypotheses.evidence > hypotheses.evidence.max() - 2.0 * cfg.unlikely
         keep[0] = True
-        stories = stories.rows(keep)
-    return stories
+        hypotheses = hypotheses.rows(keep)
+    return hypotheses
 
 
 def _neighbours(wrong: Bool[np.ndarray, " m"], swaps: int) -> list[np.ndarray]:
@@ -143,14 +143,14 @@ def _flipped(wrong: Bool[np.ndarray, " m"], rows: list[int]) -> Bool[np.ndarray,
     return out
 
 
-def _held(net: BearingNetwork, found: SwarmEstimate) -> BearingNetwork:
+def _held(net: BearingNetwork, estimate: SwarmEstimate) -> BearingNetwork:
     """The network with place and scale held: where they are free, by the two robots of the longest sighting."""
-    if not found.gauge:
+    if not estimate.gauge:
         return net
-    both = np.flatnonzero(found.localisable[net.observer] & found.localisable[net.target])
+    both = np.flatnonzero(estimate.localisable[net.observer] & estimate.localisable[net.target])
     if not len(both):
         return replace(net, anchors={})
-    p = found.position
+    p = estimate.position
     far = both[np.argmax(np.linalg.norm(p[net.target[both]] - p[net.observer[both]], axis=1))]
     pair = (int(net.observer[far]), int(net.target[far]))
     return replace(net, anchors={k: p[k] for k in {*pair, *net.anchors}})
@@ -161,39 +161,39 @@ class _Dense:
     """A small network for dense algebra: many sets of sightings are solved side by side."""
 
     net: BearingNetwork
-    found: Float[np.ndarray, " s"]
+    estimate: Float[np.ndarray, " s"]
     free: Int[np.ndarray, " f"]
     extent: float  # [m] within which a robot is expected
 
     @classmethod
-    def of(cls, net: BearingNetwork, found: SwarmEstimate, cfg: AlternativesConfig) -> "_Dense":
+    def of(cls, net: BearingNetwork, estimate: SwarmEstimate, cfg: AlternativesConfig) -> "_Dense":
         w = factors.width(net)
-        x = found.position if found.heading is None else np.column_stack([found.position, found.heading])
+        x = estimate.position if estimate.heading is None else np.column_stack([estimate.position, estimate.heading])
         fixed = np.zeros((len(net), w), dtype=bool)
         fixed[list(net.anchors), : net.dim] = True
-        p = found.position
+        p = estimate.position
         span = float(np.median(np.linalg.norm(p[net.target] - p[net.observer], axis=1))) or 1.0
         return cls(net, x.ravel(), np.flatnonzero(~fixed.ravel()), cfg.extent * span)
 
-    def solved(self, wrong: Bool[np.ndarray, "h m"]) -> Stories:
+    def solved(self, wrong: Bool[np.ndarray, "h m"]) -> Hypotheses:
         """The minima without the sightings `wrong`, from the places found and from the linear start."""
         weight = (~wrong).astype(float)
-        starts = [np.broadcast_to(self.found, (len(wrong), len(self.found)))]
+        starts = [np.broadcast_to(self.estimate, (len(wrong), len(self.estimate)))]
         if self.net.axis:
             starts.append(self._linear(weight))
-        out: Stories | None = None
+        out: Hypotheses | None = None
         for start in starts:
             x, chi2, H = self._descended(start, weight)
-            told = self._story(wrong, x, chi2, H)
+            minima = self._hypothesis(wrong, x, chi2, H)
             if out is None:
-                out = told
+                out = minima
             else:
-                other = np.abs(out.x - told.x).max(axis=1) > SAME * self.extent
-                out = out.joined(told.rows(other))
+                other = np.abs(out.x - minima.x).max(axis=1) > SAME * self.extent
+                out = out.joined(minima.rows(other))
         assert out is not None  # noqa: S101  (there is a start)
         return out
 
-    def _story(self, wrong: np.ndarray, x: np.ndarray, chi2: np.ndarray, H: np.ndarray) -> Stories:
+    def _hypothesis(self, wrong: np.ndarray, x: np.ndarray, chi2: np.ndarray, H: np.ndarray) -> Hypotheses:
         m, s = wrong.shape[1], x.shape[1]
         scale, flat = _scaled(H + np.diag(self._loose()), np.full(len(x), NUMERIC))
         logdet = np.linalg.slogdet(flat)[1] - 2.0 * np.log(scale).sum(axis=1)
@@ -203,7 +203,7 @@ class _Dense:
         prior = betaln(count + 0.5, m - count + 0.5)
         cov = np.zeros((len(x), s, s))
         cov[:, self.free[:, None], self.free[None, :]] = scale[:, :, None] * np.linalg.inv(flat) * scale[:, None, :]
-        return Stories(wrong, x, -0.5 * chi2 - 0.5 * logdet + wrong @ random + prior, cov)
+        return Hypotheses(wrong, x, -0.5 * chi2 - 0.5 * logdet + wrong @ random + prior, cov)
 
     def _loose(self) -> Float[np.ndarray, " f"]:
         """What is known of each free entry beforehand: a place within the extent, any heading."""
@@ -219,15 +219,15 @@ class _Dense:
         rows = self._spread(both[None], factors.columns(net))[0]
         W = np.tile(weight, (1, d - 1))
         A = np.einsum("hr,rf,rg->hfg", W, rows[:, self.free], rows[:, self.free], optimize=True)
-        b = -np.einsum("hr,rf,r->hf", W, rows[:, self.free], rows @ self.found, optimize=True)
+        b = -np.einsum("hr,rf,r->hf", W, rows[:, self.free], rows @ self.estimate, optimize=True)
         A += np.diag(np.full(len(self.free), 1e-6 * np.square(rows).max()))
-        x = np.repeat(self.found[None, :], len(weight), axis=0)
+        x = np.repeat(self.estimate[None, :], len(weight), axis=0)
         x[:, self.free] += np.linalg.solve(A, b[..., None])[..., 0]
         return x
 
     def _spread(self, J: Float[np.ndarray, "h m c k"], at: Int[np.ndarray, "m k"]) -> Float[np.ndarray, "h r s"]:
         """Rows over the whole state, those of one factor component after those of the other."""
-        out = np.zeros((J.shape[0], J.shape[2], J.shape[1], len(self.found)))
+        out = np.zeros((J.shape[0], J.shape[2], J.shape[1], len(self.estimate)))
         rows = np.arange(J.shape[1])
         for k in range(at.shape[1]):
             out[:, :, rows, at[:, k]] = J[..., k].swapaxes(1, 2)
