@@ -71,6 +71,7 @@ def missed(made, sim):
     return e, np.einsum("ni,nij,nj->n", e, np.linalg.inv(made.track.cov), e)[1:] / 3.0
 
 
+@pytest.mark.slow
 def test_keyframes_closures_and_scans_are_bounded_whatever_the_laps(sizes_and_slam):
     sizes, _ = sizes_and_slam
     lap = sizes[0, 0]
@@ -110,6 +111,7 @@ def test_poses_that_left_hang_on_the_map_and_are_never_surer_than_it(mapped):
     assert np.allclose(pose, se2.compose(np.array([3.0, -2.0, 1.0]), graph.way()[1]))
 
 
+@pytest.mark.slow
 def test_scans_one_by_one_and_from_a_log_give_the_same_way(sizes_and_slam, mapped, sim):
     made = sizes_and_slam[1].result().maps[0]
     assert np.array_equal(made.track.pose, mapped.track.pose)
@@ -118,6 +120,7 @@ def test_scans_one_by_one_and_from_a_log_give_the_same_way(sizes_and_slam, mappe
     assert made.warnings == mapped.warnings
 
 
+@pytest.mark.slow
 def test_of_scans_that_were_let_go_numbers_alone_are_kept_and_the_log_has_them(sizes_and_slam, sim):
     slam = sizes_and_slam[1]
     gone = [k for k, raw in enumerate(slam._stream._raw) if not raw.kept]

@@ -256,6 +256,7 @@ def follows(name, at, folder, stop, said, *, listen=False, **options):
     return thread
 
 
+@pytest.mark.slow
 def test_nonsense_in_the_graph_is_told_in_a_line_each_and_the_drive_is_as_without(ros, tmp_path):
     at, session = ros
     made = drive(3)
@@ -354,6 +355,7 @@ def _cut_off(path, last):
         store.put([("r1", seq, payload) for seq, payload in kept])
 
 
+@pytest.mark.slow
 def test_with_listen_it_is_the_router_and_what_others_publish_as_map_stays_theirs(tmp_path):
     at = free_endpoint()
     stop, said = threading.Event(), []

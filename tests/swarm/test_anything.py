@@ -44,7 +44,7 @@ def anything(seed):
     return BearingNetwork(tuple(map(str, range(n))), dim, i, j, z, np.full(len(i), sigma), anchors, distances, axis)
 
 
-@pytest.mark.parametrize("method", ["batch", "robust", "iekf", "distributed"])
+@pytest.mark.parametrize("method", ["batch", pytest.param("robust", marks=pytest.mark.slow), "iekf", "distributed"])
 def test_every_small_network_gives_an_answer_or_one_clear_error(method):
     answered = 0
     for seed in range(60):
