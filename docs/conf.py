@@ -42,7 +42,7 @@ napoleon_google_docstring = False
 napoleon_use_ivar = True
 suppress_warnings = ["misc.highlighting_failure"]
 
-LITERAL = re.compile(r'<span class="pre">[^<]{20,}</span>')
+LITERAL = re.compile(r'(?<=<span class="pre">)[^<]{20,}')  # the text alone: the slash of the closing tag ends no part
 ORDER = ("Verbs", "Results and records", "Configuration", "Errors")
 
 

@@ -1,6 +1,7 @@
 """The documentation names files that are there, and functions and settings that the code has."""
 
 import ast
+import importlib.util
 import re
 from functools import cache
 from pathlib import Path
@@ -58,3 +59,15 @@ def test_every_file_that_an_event_is_said_to_enter_is_in_that_folder():
     ]
     assert len(named) > 100
     assert not [name for name in named if not (SOURCE / name).is_file()]
+
+
+def test_a_long_name_may_go_on_in_the_next_line_and_is_otherwise_as_it_was():
+    pytest.importorskip("sphinx")
+    pytest.importorskip("latex2mathml")
+    spec = importlib.util.spec_from_file_location("docs_conf", TOP / "docs" / "conf.py")
+    conf = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(conf)
+    page = '<code class="docutils literal"><span class="pre">{}</span></code>'
+    context = {"body": page.format("solve/multifrontal_of.py")}
+    conf.breakable(None, "", "", context, None)
+    assert context["body"] == page.format("solve/<wbr>multifrontal_<wbr>of.py")
