@@ -17,7 +17,9 @@ from ..core.errors import MapweaveError, ReaderError, UsageError
 from ..core.names import in_order, robot_key, robot_name
 from ..core.paths import is_path, kind_of, path_of
 from ..core.records import Track
-from ..io.table import Columns, Framed, is_table, open_text, table_of, write_rows, write_table
+from ..io.relations import write_relations
+from ..io.table import Columns, Framed, is_table, table_of, write_table
+from ..io.tum import write_exact_tum
 from ..report.result import ResultBase
 
 Truth = Path | str | Columns | Track
@@ -107,10 +109,8 @@ def _truth(given: object, name: str, folder: Path) -> list[Path]:
         write_table(folder / "places.csv", wanted, zip(table.names("id"), *numbers, strict=True), repr)
         return [folder / "places.csv"]
     if has >= set(RELATION):
-        t1, t2, x, y, theta = (table.finite(column) for column in RELATION)
-        none = np.zeros(len(t1))
-        with open_text(folder / "truth.relations") as file:
-            write_rows(file, f"{' '.join(['%.17g'] * 8)}\n", np.column_stack([t1, t2, x, y, none, none, none, theta]))
+        t1, t2, *motion = (table.finite(column) for column in RELATION)
+        write_relations(folder / "truth.relations", t1, t2, np.column_stack(motion))
         return [folder / "truth.relations"]
     if has >= set(POSE):
         t, *pose = (table.finite(column) for column in POSE)
@@ -127,9 +127,6 @@ def _truth(given: object, name: str, folder: Path) -> list[Path]:
 
 
 def _poses(path: Path, t: Float[np.ndarray, " n"], pose: Float[np.ndarray, "n 3"]) -> Path:
-    """A TUM file of as many digits as the numbers have."""
-    half, none = 0.5 * pose[:, 2], np.zeros(len(t))
-    rows = np.column_stack([t, pose[:, :2], none, none, none, np.sin(half), np.cos(half)])
-    with open_text(path) as file:
-        write_rows(file, f"{' '.join(['%.17g'] * 8)}\n", rows)
+    """The poses as a file at `path`, which is returned."""
+    write_exact_tum(path, t, pose)
     return path

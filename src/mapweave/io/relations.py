@@ -3,10 +3,12 @@
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from ..core.errors import ReaderError
 from ..core.truth import Relations
 from .files import TextLog
+from .table import open_text, write_rows
 
 
 def is_relations(path: Path) -> bool:
@@ -37,3 +39,11 @@ def read_relations(path: Path) -> Relations:
         raise ReaderError(path, "expected relations, found none")
     a = np.array(rows)
     return Relations(a[:, 0], a[:, 1], a[:, [2, 3, 7]], str(path))
+
+
+def write_relations(
+    path: Path, t1: Float[np.ndarray, " n"], t2: Float[np.ndarray, " n"], motion: Float[np.ndarray, "n 3"]
+) -> None:
+    """`path` holds a line for each motion [x, y, theta] from `t1` to `t2`, with as many digits as the numbers have."""
+    with open_text(path) as file:
+        write_rows(file, "%.17g %.17g %.17g %.17g 0 0 0 %.17g\n", np.column_stack([t1, t2, motion]))

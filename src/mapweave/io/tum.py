@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from ..core import se2
 from ..core.errors import DataError, ReaderError
@@ -55,10 +56,19 @@ def write_tum(path: Path, track: Track) -> None:
     """`path` holds one line a stamp, ascending; z and roll and pitch are zero."""
     if len(track.t) > 1 and not (np.diff(track.t) > 0).all():
         raise DataError(f"{path.name}: stamps of a trajectory must ascend strictly")
-    half = 0.5 * track.pose[:, 2]
-    rows = np.column_stack([track.t, track.pose[:, :2], np.sin(half), np.cos(half)])
+    _write_lines(path, track.t, track.pose, "%.6f %.6f %.6f 0 0 0 %.9f %.9f\n")
+
+
+def write_exact_tum(path: Path, t: Float[np.ndarray, " n"], pose: Float[np.ndarray, "n 3"]) -> None:
+    """`path` holds one line a pose, in the order given, with as many digits as the numbers have."""
+    _write_lines(path, t, pose, "%.17g %.17g %.17g 0 0 0 %.17g %.17g\n")
+
+
+def _write_lines(path: Path, t: Float[np.ndarray, " n"], pose: Float[np.ndarray, "n 3"], line: str) -> None:
+    half = 0.5 * pose[:, 2]
+    rows = np.column_stack([t, pose[:, :2], np.sin(half), np.cos(half)])
     with open_text(path) as file:
-        write_rows(file, "%.6f %.6f %.6f 0 0 0 %.9f %.9f\n", rows + 0.0)
+        write_rows(file, line, rows + 0.0)
 
 
 def write_track_covariance(path: Path, track: Track) -> None:
