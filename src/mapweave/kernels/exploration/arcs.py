@@ -3,6 +3,7 @@
 import numpy as np
 
 from .._jit import kernel
+from ..cells import cell_of
 
 
 @kernel
@@ -30,7 +31,7 @@ def arc_clearance(commands: np.ndarray, period: float, points: np.ndarray, step:
     out = np.full(commands.shape[0], np.inf)
     for m in range(commands.shape[0]):
         v, w = commands[m, 0], commands[m, 1]
-        samples = int(np.ceil(abs(v) * period / step)) + 1
+        samples = cell_of(np.ceil(abs(v) * period / step)) + 1
         arc = arc_points(v, w, period, samples)
         least = np.inf
         for k in range(points.shape[0]):

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._jit import kernel
+from ..cells import cell_of
 from ..walls.segments import Raster, Sector
 
 
@@ -25,10 +26,10 @@ def mark_half_disc(explored: np.ndarray, pose: np.ndarray, sector: Sector, raste
     origin, cell = raster.corner, raster.cell
     c, s = np.cos(pose[2]), np.sin(pose[2])
     cos_half = np.cos(half_angle)
-    x0 = max(0, int(np.floor((pose[0] - reach - origin[0]) / cell)))
-    x1 = min(nx - 1, int(np.floor((pose[0] + reach - origin[0]) / cell)))
-    y0 = max(0, int(np.floor((pose[1] - reach - origin[1]) / cell)))
-    y1 = min(ny - 1, int(np.floor((pose[1] + reach - origin[1]) / cell)))
+    x0 = max(0, cell_of((pose[0] - reach - origin[0]) / cell))
+    x1 = min(nx - 1, cell_of((pose[0] + reach - origin[0]) / cell))
+    y0 = max(0, cell_of((pose[1] - reach - origin[1]) / cell))
+    y1 = min(ny - 1, cell_of((pose[1] + reach - origin[1]) / cell))
     for iy in range(y0, y1 + 1):
         dy = origin[1] + (iy + 0.5) * cell - pose[1]
         for ix in range(x0, x1 + 1):
@@ -49,10 +50,10 @@ def unexplored_cells(explored: np.ndarray, poses: np.ndarray, sector: Sector, ra
     for k in range(poses.shape[0]):
         px, py = poses[k, 0], poses[k, 1]
         c, s = np.cos(poses[k, 2]), np.sin(poses[k, 2])
-        x0 = max(0, int(np.floor((px - reach - origin[0]) / cell)))
-        x1 = min(nx - 1, int(np.floor((px + reach - origin[0]) / cell)))
-        y0 = max(0, int(np.floor((py - reach - origin[1]) / cell)))
-        y1 = min(ny - 1, int(np.floor((py + reach - origin[1]) / cell)))
+        x0 = max(0, cell_of((px - reach - origin[0]) / cell))
+        x1 = min(nx - 1, cell_of((px + reach - origin[0]) / cell))
+        y0 = max(0, cell_of((py - reach - origin[1]) / cell))
+        y1 = min(ny - 1, cell_of((py + reach - origin[1]) / cell))
         count = 0
         for iy in range(y0, y1 + 1):
             dy = origin[1] + (iy + 0.5) * cell - py

@@ -6,6 +6,7 @@ Between sightings the covariance is not touched: `Phi` and `Q` of `ekf_drive` ho
 import numpy as np
 
 from .._jit import kernel
+from ..cells import cell_of
 from .ekf_drive import arc
 from .ekf_state import HEAD, POSE, TURN_SCALE, V_SCALE, Array, Noise, plain
 
@@ -80,7 +81,7 @@ def coast(x: Array, P: Array, size: int, dt: float, noise: Noise) -> None:
 
     Then `x[V_SCALE]` is its speed [m/s] and `x[TURN_SCALE]` its turn rate [rad/s], each an Ornstein-Uhlenbeck process.
     """
-    steps = max(1, int(np.ceil(dt / COAST_STEP)))
+    steps = max(1, cell_of(np.ceil(dt / COAST_STEP)))
     h = dt / steps
     keep_v, keep_w = np.exp(-h / noise.speed_time), np.exp(-h / noise.spin_time)
     Phi, Q = np.zeros((POSE, HEAD)), np.zeros((POSE, POSE))

@@ -11,6 +11,7 @@ from typing import TypeAlias
 import numpy as np
 
 from .._jit import kernel
+from ..cells import cell_of
 from ..dense import add_product, product, put, solved, transposed
 from .ekf_apply_drive import COAST_STEP, clear
 from .ekf_drive import arc, drive
@@ -74,7 +75,7 @@ def fix(x: Array, P: Array, B: Array, slot: int, z_range: float, z_bearing: floa
 @kernel
 def coasted(x: Array, dt: float, noise: Noise, F: Array, Q: Array) -> None:
     """`ekf_apply_drive.coast` for the chain alone: moves `x[:5]`, fills its derivative F (5, 5) and noise Q (5, 5)."""
-    steps = max(1, int(np.ceil(dt / COAST_STEP)))
+    steps = max(1, cell_of(np.ceil(dt / COAST_STEP)))
     h = dt / steps
     keep_v, keep_w = np.exp(-h / noise.speed_time), np.exp(-h / noise.spin_time)
     Phi, own = np.zeros((POSE, HEAD)), np.zeros((POSE, POSE))

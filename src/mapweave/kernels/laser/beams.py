@@ -37,7 +37,8 @@ def beam_lines(
             sxx += dx * dx
             sxy += dx * dy
             syy += dy * dy
-        bx, by = -x[i] / r[i], -y[i] / r[i]
+        away = r[i] if r[i] != 0.0 else 1.0  # a return at the sensor has no direction
+        bx, by = -x[i] / away, -y[i] / away
         count[i] = m
         if m < 3:
             normal[i, 0], normal[i, 1] = bx, by

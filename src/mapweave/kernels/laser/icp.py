@@ -5,7 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._jit import kernel
+from .._jit import inlined_kernel, kernel
+from ..cells import cell_of
+
+MOST_CELLS = 4096  # along an axis: all of them together take 134 MB at most
 
 
 class IcpRules(NamedTuple):
@@ -21,19 +24,28 @@ class IcpRules(NamedTuple):
     cell: float
 
 
+@inlined_kernel
+def column_of(at: float, cell: float, many: int) -> int:
+    """Which of so `many` cells from 0 on holds `at` [m]; the first and the last hold what lies beyond them."""
+    return min(max(cell_of(at / cell), 0), many - 1)
+
+
 @kernel
 def sort_into_cells(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """Points (m, 3) ordered by cell, row-major; starts (rows * cols + 1,); corner (2,) [m]; cols."""
+    """Points (m, 3) ordered by cell, row-major; starts (rows * cols + 1,); corner (2,) [m]; cols.
+
+    There are `MOST_CELLS` along an axis at most: the first and the last hold what lies beyond.
+    """
     m = points.shape[0]
     x0, y0, x1, y1 = math.inf, math.inf, -math.inf, -math.inf
     for i in range(m):
         x0, x1 = min(x0, points[i, 0]), max(x1, points[i, 0])
         y0, y1 = min(y0, points[i, 1]), max(y1, points[i, 1])
-    cols, rows = int((x1 - x0) / cell) + 1, int((y1 - y0) / cell) + 1
+    cols, rows = column_of(x1 - x0, cell, MOST_CELLS) + 1, column_of(y1 - y0, cell, MOST_CELLS) + 1
     starts = np.zeros(rows * cols + 1, np.int64)
     key = np.empty(m, np.int64)
     for i in range(m):
-        key[i] = int((points[i, 1] - y0) / cell) * cols + int((points[i, 0] - x0) / cell)
+        key[i] = column_of(points[i, 1] - y0, cell, rows) * cols + column_of(points[i, 0] - x0, cell, cols)
         starts[key[i] + 1] += 1
     for k in range(rows * cols):
         starts[k + 1] += starts[k]
@@ -72,14 +84,10 @@ def nearest(
     reach, inverse = math.sqrt(best), 1.0 / cell
     rows = (starts.shape[0] - 1) // cols
     bx, by = x - corner[0], y - corner[1]
-    ix0, ix1 = (
-        max(math.floor((bx - reach) * inverse), 0),
-        min(math.floor((bx + reach) * inverse), cols - 1),
-    )
-    iy0, iy1 = (
-        max(math.floor((by - reach) * inverse), 0),
-        min(math.floor((by + reach) * inverse), rows - 1),
-    )
+    ix0, ix1 = max(cell_of((bx - reach) * inverse), 0), min(cell_of((bx + reach) * inverse), cols - 1)
+    iy0, iy1 = max(cell_of((by - reach) * inverse), 0), min(cell_of((by + reach) * inverse), rows - 1)
+    ix0 = min(ix0, cols - 1) if cols == MOST_CELLS else ix0  # the last one holds what lies beyond
+    iy0 = min(iy0, rows - 1) if rows == MOST_CELLS else iy0
     if ix0 > ix1:
         return found, best
     for iy in range(iy0, iy1 + 1):
@@ -150,7 +158,7 @@ def intensity_icp(
         c, s = math.cos(theta), math.sin(theta)
         x, y = (mx - c * zx + s * zy) / count, (my - s * zx - c * zy) / count
         turn = theta - pose[2]
-        turn -= 2.0 * math.pi * math.floor((turn + math.pi) / (2.0 * math.pi))
+        turn -= 2.0 * math.pi * np.floor((turn + math.pi) / (2.0 * math.pi))
         moved = max(abs(x - pose[0]), abs(y - pose[1]), abs(turn))
         pose[0], pose[1], pose[2] = x, y, theta
         if moved < tolerance and limit <= least_gate * least_gate * 1.0000001:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._jit import kernel, parallel_kernel, prange
+from ..cells import cell_of
 from .local_map import solve3
 
 WIDEST = 12  # sectors to either side that are searched at most
@@ -53,7 +54,7 @@ def beams_by_direction(
             if not lined[k]:
                 continue
             x, y = points[k, 0] - sensor[i, 0], points[k, 1] - sensor[i, 1]
-            at = int((math.atan2(y, x) + math.pi) * (sectors / (2.0 * math.pi))) % sectors
+            at = cell_of((math.atan2(y, x) + math.pi) * (sectors / (2.0 * math.pi))) % sectors
             r = x * x + y * y
             if r < held[at]:
                 held[at] = r
@@ -80,10 +81,10 @@ def match_beam(
     sectors = table.shape[0]
     dx, dy = x - ex, y - ey
     r = math.sqrt(dx * dx + dy * dy)
-    at = int((math.atan2(dy, dx) + math.pi) * (sectors / (2.0 * math.pi)))
+    at = cell_of((math.atan2(dy, dx) + math.pi) * (sectors / (2.0 * math.pi)))
     wide = WIDEST
     if r * WIDEST * 2.0 * math.pi > gate * sectors:
-        wide = int(gate / r * sectors / (2.0 * math.pi)) + 1
+        wide = cell_of(gate / r * sectors / (2.0 * math.pi)) + 1
     best, found = gate * gate, -1
     for d in range(-wide, wide + 1):
         k = table[(at + d) % sectors]

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from .._jit import parallel_kernel, prange
+from ..cells import cell_of
 
 
 @parallel_kernel
@@ -33,7 +34,7 @@ def score_field(
         for i in range(n):
             x = poses[p, 0] + c * points[i, 0] - s * points[i, 1]
             y = poses[p, 1] + s * points[i, 0] + c * points[i, 1]
-            col, row = math.floor((x - origin[0]) / cell), math.floor((y - origin[1]) / cell)
+            col, row = cell_of((x - origin[0]) / cell), cell_of((y - origin[1]) / cell)
             d = cap
             if 0 <= row < rows and 0 <= col < cols:
                 ex, ey = near[row, col, 0] - x, near[row, col, 1] - y

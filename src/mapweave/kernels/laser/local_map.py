@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._jit import kernel
+from ..cells import cell_of
 
 
 class ScanPoints(NamedTuple):
@@ -45,9 +46,8 @@ def add_points(
     """Points (n, 2) [m] with unit normals (n, 2) and features (n,) put in (`sign` 1) or taken out again (-1)."""
     mask = sums.shape[0] - 1
     for i in range(points.shape[0]):
-        fx = math.floor(points[i, 0] / cell)
-        fy = math.floor(points[i, 1] / cell)
-        ix, iy = np.int64(fx) & mask, np.int64(fy) & mask
+        fx, fy = cell_of(points[i, 0] / cell), cell_of(points[i, 1] / cell)
+        ix, iy = fx & mask, fy & mask
         if sums[iy, ix, 0] + sign < 0.5:
             for k in range(9):
                 sums[iy, ix, k] = 0.0
@@ -68,9 +68,9 @@ def add_points(
 def fit_lines(sums: np.ndarray, lines: np.ndarray, cell: float, points: np.ndarray) -> None:
     """`lines` follows `sums` in every cell that `points` (n, 2) [m], put in or taken out, had a part in."""
     mask = sums.shape[0] - 1
-    done_x, done_y = np.int64(-(2**40)), np.int64(-(2**40))
+    done_x, done_y = -(2**41), -(2**41)
     for i in range(points.shape[0]):
-        jx, jy = np.int64(math.floor(points[i, 0] / cell)), np.int64(math.floor(points[i, 1] / cell))
+        jx, jy = cell_of(points[i, 0] / cell), cell_of(points[i, 1] / cell)
         if jx == done_x and jy == done_y:
             continue
         done_x, done_y = jx, jy
@@ -129,9 +129,8 @@ def nearest_cell(
     infinite when none agrees.
     """
     mask = lines.shape[0] - 1
-    fx, fy = math.floor(wx / cell), math.floor(wy / cell)
-    jx, jy = np.int64(fx), np.int64(fy)
-    ox, oy = wx - fx * cell, wy - fy * cell
+    jx, jy = cell_of(wx / cell), cell_of(wy / cell)
+    ox, oy = wx - jx * cell, wy - jy * cell
     best = math.inf
     bx = by = bnx = bny = bw = 0.0
     for a in range(-1, 2):
@@ -243,7 +242,7 @@ def align_scan(  # noqa: PLR0915  (one loop over the beams)
         ex, ey = pose[0] - predicted[0], pose[1] - predicted[1]
         lx, ly = cp * ex + sp * ey, -sp * ex + cp * ey
         turn = pose[2] - predicted[2]
-        turn -= 2.0 * math.pi * math.floor((turn + math.pi) / (2.0 * math.pi))
+        turn -= 2.0 * math.pi * np.floor((turn + math.pi) / (2.0 * math.pi))
         wx, wy, wt = 1.0 / sd[0] ** 2, 1.0 / sd[1] ** 2, 1.0 / sd[2] ** 2
         h00 += cp * cp * wx + sp * sp * wy
         h01 += cp * sp * (wx - wy)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._jit import kernel
+from ..cells import cell_of
 
 
 class BeamRanges(NamedTuple):
@@ -56,6 +57,8 @@ def moving_returns(
     ranges, hit, step = scan.ranges, scan.hit, scan.step
     n = ranges.shape[0]
     moved = np.zeros(n, dtype=np.bool_)
+    if step == 0.0:  # of a single beam: nothing is beside it
+        return moved
     for b in range(n):
         if hit[b]:
             votes = 0
@@ -141,7 +144,7 @@ def _vote(
     """1 when an earlier scan says that the return of beam b was not there, -1 when it was, 0 when it does not know."""
     ranges, first, step, range_max = scan.ranges, scan.first, scan.step, scan.range_max
     n = ranges.shape[0]
-    reach = 1 + int(blur / abs(step))
+    reach = 1 + max(cell_of(blur / abs(step)), 0)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     angle = first + b * step
     px, py = ranges[b] * math.cos(angle), ranges[b] * math.sin(angle)
@@ -188,5 +191,5 @@ def _beam(angle: float, first: float, step: float) -> int:
     """The number of the beam nearest to `angle` [rad]; it may lie outside the scan."""
     turns = (angle - first) / step
     around = 2.0 * math.pi / abs(step)
-    turns -= around * math.floor(turns / around)
-    return int(turns + 0.5)
+    turns -= around * np.floor(turns / around)
+    return cell_of(turns + 0.5)

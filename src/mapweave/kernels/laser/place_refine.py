@@ -5,7 +5,8 @@ import math
 import numpy as np
 
 from .._jit import kernel
-from .icp import sort_into_cells
+from ..cells import cell_of
+from .icp import column_of, sort_into_cells
 from .local_map import solve3
 
 
@@ -26,7 +27,7 @@ def fit_normals(points: np.ndarray, reach: float) -> np.ndarray:
     rows = (starts.shape[0] - 1) // cols
     for j in range(n):
         x, y, i = ordered[j, 0], ordered[j, 1], int(ordered[j, 2])
-        cx, cy = int((x - corner[0]) / reach), int((y - corner[1]) / reach)
+        cx, cy = column_of(x - corner[0], reach, cols), column_of(y - corner[1], reach, rows)
         m, sx, sy, xx, xy, yy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
         for r in range(max(cy - 1, 0), min(cy + 2, rows)):
             for k in range(starts[r * cols + max(cx - 1, 0)], starts[r * cols + min(cx + 1, cols - 1) + 1]):
@@ -38,6 +39,9 @@ def fit_normals(points: np.ndarray, reach: float) -> np.ndarray:
                     xx += dx * dx
                     xy += dx * dy
                     yy += dy * dy
+        if m == 0:  # what is no number has nothing within reach, not even itself
+            out[i, 1], out[i, 2] = 1.0, 1.0
+            continue
         xx, xy, yy = xx - sx * sx / m, xy - sx * sy / m, yy - sy * sy / m
         half, gap = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
         along = 0.5 * math.atan2(2.0 * xy, xx - yy)
@@ -81,7 +85,7 @@ def lay_onto_lines(
         for i in range(points.shape[0]):
             px, py = points[i, 0], points[i, 1]
             x, y = pose[0] + c * px - s * py, pose[1] + s * px + c * py
-            col, row = math.floor((x - origin[0]) / cell), math.floor((y - origin[1]) / cell)
+            col, row = cell_of((x - origin[0]) / cell), cell_of((y - origin[1]) / cell)
             if not (0 <= row < rows and 0 <= col < cols):
                 continue
             k = nearest[row, col]

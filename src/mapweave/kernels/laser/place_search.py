@@ -11,8 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._jit import kernel, parallel_kernel, prange
+from ..cells import cell_of
 
 FULL = 256  # what `light` holds where brightness agrees
+BEYOND = 1 << 28  # cells that no shift brings back into a field; sums of a few stay within 32 bits
 COARSE = 4  # what a unit of `root_bounds` counts
 MOST_POINTS = 1023  # a quarter of 255 each, rounded up, of which the sum fits 16 bits
 
@@ -29,7 +31,7 @@ def stamp(
     nearest = np.full((rows, cols), -1, np.int32)
     for i in range(points.shape[0]):
         x, y = (points[i, 0] - origin[0]) / cell, (points[i, 1] - origin[1]) / cell
-        cx, cy = math.floor(x), math.floor(y)
+        cx, cy = cell_of(x), cell_of(y)
         for r in range(max(cy - reach, 0), min(cy + reach + 1, rows)):
             ey = r + 0.5 - y
             for c in range(max(cx - reach, 0), min(cx + reach + 1, cols)):
@@ -59,8 +61,8 @@ def turned_cells(points: np.ndarray, at: np.ndarray, turns: np.ndarray, origin: 
         for i in range(points.shape[0]):
             x = at[0] + c * points[i, 0] - s * points[i, 1]
             y = at[1] + s * points[i, 0] + c * points[i, 1]
-            out[a, i, 0] = math.floor((x - origin[0]) / cell)
-            out[a, i, 1] = math.floor((y - origin[1]) / cell)
+            out[a, i, 0] = min(max(cell_of((x - origin[0]) / cell), -BEYOND), BEYOND)
+            out[a, i, 1] = min(max(cell_of((y - origin[1]) / cell), -BEYOND), BEYOND)
     return out
 
 
@@ -109,23 +111,31 @@ def root_bounds(blocks: np.ndarray, wide: int, cells: np.ndarray, low: np.ndarra
     columns of which the last `tiles x` are zero: so all a point adds is one run of memory, and what runs over a row's
     end is zero.
     """
+    out = np.empty((cells.shape[0], tiles[1], tiles[0]), np.uint16)
+    for a in prange(cells.shape[0]):
+        square_bounds(blocks, wide, cells[a], low, tiles, out[a])
+    return out
+
+
+@kernel
+def square_bounds(
+    blocks: np.ndarray, wide: int, cells: np.ndarray, low: np.ndarray, tiles: np.ndarray, out: np.ndarray
+) -> None:
+    """`root_bounds` of one heading, into `out` (tiles y, tiles x)."""
     size, rows = blocks.shape[0], blocks.shape[2] // wide
     nx, ny = tiles[0], tiles[1]
-    out = np.empty((cells.shape[0], ny, nx), np.uint16)
-    for a in prange(cells.shape[0]):
-        total = np.zeros(ny * wide, np.uint16)
-        for i in range(cells.shape[1]):
-            c, r = cells[a, i, 0] + low[0] + size - 1, cells[a, i, 1] + low[1] + size - 1
-            bc, br = c // size, r // size
-            if bc <= -nx or bc >= wide - nx or br <= -ny or br >= rows:
-                continue
-            s = br * wide + bc
-            first, last = max(0, -s), min(ny * wide, rows * wide - s)
-            _add(total[first:last], blocks[r - br * size, c - bc * size, s + first : s + last])
-        for ty in range(ny):
-            for tx in range(nx):
-                out[a, ty, tx] = total[ty * wide + tx]
-    return out
+    total = np.zeros(ny * wide, np.uint16)
+    for i in range(cells.shape[0]):
+        c, r = cells[i, 0] + low[0] + size - 1, cells[i, 1] + low[1] + size - 1
+        bc, br = c // size, r // size
+        if bc <= -nx or bc >= wide - nx or br <= -ny or br >= rows:
+            continue
+        s = br * wide + bc
+        first, last = max(0, -s), min(ny * wide, rows * wide - s)
+        _add(total[first:last], blocks[r - br * size, c - bc * size, s + first : s + last])
+    for ty in range(ny):
+        for tx in range(nx):
+            out[ty, tx] = total[ty * wide + tx]
 
 
 @kernel

@@ -24,7 +24,7 @@ def systematic(weights: np.ndarray, u: float) -> np.ndarray:
             drawn += 1
     k = n - 1
     while drawn < n:  # rounding left some undrawn: the last particle of any weight takes them
-        while weights[k] <= 0.0:
+        while k > 0 and not weights[k] > 0.0:
             k -= 1
         count[k] += 1
         drawn += 1

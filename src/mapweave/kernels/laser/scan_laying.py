@@ -6,9 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from .._jit import kernel
+from ..cells import cell_of
 
 UNIT = 1 << 16  # parts of a cell, and of a feature of 1, that sums count in
 WEIGHT = 1 << 24  # parts of a weight of 1: sums stay within 63 bits for eight million returns a cell
+LONGEST = 1 << 20  # cells that a beam may cross: 50 km of 5 cm
 
 
 class CellCounts(NamedTuple):
@@ -54,8 +56,8 @@ def lay_scan(
                 hits[jy, jx] += sign
             vx, vy = points[i, 0] / cell, points[i, 1] / cell
             weight = sign * np.int64(light[i, 1] * WEIGHT)
-            sums[jy, jx, 0] += weight * np.int64((vx - math.floor(vx)) * UNIT)
-            sums[jy, jx, 1] += weight * np.int64((vy - math.floor(vy)) * UNIT)
+            sums[jy, jx, 0] += weight * np.int64((vx - np.floor(vx)) * UNIT)
+            sums[jy, jx, 1] += weight * np.int64((vy - np.floor(vy)) * UNIT)
             sums[jy, jx, 2] += weight * np.int64(light[i, 0] * UNIT)
             sums[jy, jx, 3] += weight
     for i in range(ends.shape[0]):
@@ -68,18 +70,23 @@ def lay_scan(
 def walk(
     passes: np.ndarray, corner: np.ndarray, cell: float, x0: float, y0: float, x1: float, y1: float, sign: int
 ) -> tuple[int, int]:
-    """`passes` changes by `sign` in every cell from (x0, y0) to before that of (x1, y1), whose column and row come."""
+    """`passes` changes by `sign` in every cell from (x0, y0) to before that of (x1, y1), whose column and row come.
+
+    A beam over `LONGEST` cells is none: it changes nothing, and ends outside.
+    """
     rows, cols = passes.shape
     ux, uy, vx, vy = x0 / cell, y0 / cell, x1 / cell, y1 / cell
-    fx, fy, gx, gy = math.floor(ux), math.floor(uy), math.floor(vx), math.floor(vy)
+    fx, fy, gx, gy = cell_of(ux), cell_of(uy), cell_of(vx), cell_of(vy)
     dx, dy = vx - ux, vy - uy
     sx, sy = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
     tx = math.inf if dx == 0.0 else (fx + (1 if dx > 0 else 0) - ux) / dx
     ty = math.inf if dy == 0.0 else (fy + (1 if dy > 0 else 0) - uy) / dy
     stepx = math.inf if dx == 0.0 else abs(1.0 / dx)
     stepy = math.inf if dy == 0.0 else abs(1.0 / dy)
-    ix, iy = np.int64(fx) - corner[0], np.int64(fy) - corner[1]
-    jx, jy = np.int64(gx) - corner[0], np.int64(gy) - corner[1]
+    ix, iy = fx - corner[0], fy - corner[1]
+    jx, jy = gx - corner[0], gy - corner[1]
+    if not abs(dx) + abs(dy) < LONGEST:
+        return -1, -1
     for _ in range(abs(jx - ix) + abs(jy - iy)):
         if 0 <= iy < rows and 0 <= ix < cols:
             passes[iy, ix] += sign

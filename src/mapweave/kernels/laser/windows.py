@@ -70,12 +70,15 @@ def frame_of(maps: TileMaps) -> Frame:
 
 @inlined_kernel
 def cells_of(x: np.ndarray, y: np.ndarray, at: int, frame: Frame, cells: np.ndarray) -> None:
-    """cells[at + i] = 2^32 iy + ix of the cell, with neighbours, in or next to which (x, y) [m] of beam i lies."""
+    """cells[at + i] = 2^32 iy + ix of the cell, with neighbours, in or next to which (x, y) [m] of beam i lies.
+
+    What is no number lies in the first one: `max` gives the first of two that do not compare.
+    """
     left, low, per_metre, far_x, far_y = frame
     one = np.float32(1.0)
     for i in range(BEAMS):
-        ix = np.int32(min(max((x[np.uint64(at + i)] - left) * per_metre, one), far_x))
-        iy = np.int32(min(max((y[np.uint64(at + i)] - low) * per_metre, one), far_y))
+        ix = np.int32(min(max(one, (x[np.uint64(at + i)] - left) * per_metre), far_x))
+        iy = np.int32(min(max(one, (y[np.uint64(at + i)] - low) * per_metre), far_y))
         cells[np.uint64(at + i)] = (np.int64(iy) << 32) + np.int64(ix)
 
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._jit import kernel
+from ..cells import cell_of
 
 
 class Raster(NamedTuple):
@@ -53,10 +54,10 @@ def mark_near(near: np.ndarray, segments: np.ndarray, radius: float, raster: Ras
     for k in range(segments.shape[0]):
         left, right = min(segments[k, 0], segments[k, 2]), max(segments[k, 0], segments[k, 2])
         low, high = min(segments[k, 1], segments[k, 3]), max(segments[k, 1], segments[k, 3])
-        x0 = max(0, int(np.floor((left - radius - origin[0]) / cell)))
-        x1 = min(nx - 1, int(np.floor((right + radius - origin[0]) / cell)))
-        y0 = max(0, int(np.floor((low - radius - origin[1]) / cell)))
-        y1 = min(ny - 1, int(np.floor((high + radius - origin[1]) / cell)))
+        x0 = max(0, cell_of((left - radius - origin[0]) / cell))
+        x1 = min(nx - 1, cell_of((right + radius - origin[0]) / cell))
+        y0 = max(0, cell_of((low - radius - origin[1]) / cell))
+        y1 = min(ny - 1, cell_of((high + radius - origin[1]) / cell))
         for iy in range(y0, y1 + 1):
             y = origin[1] + (iy + 0.5) * cell
             for ix in range(x0, x1 + 1):
@@ -118,13 +119,13 @@ def enclosed_cells(segments: np.ndarray, raster: Raster, rows: int, cols: int) -
     turns = np.zeros((rows, cols + 1), dtype=np.bool_)  # by how many columns' centres a crossing lies right of
     for k in range(segments.shape[0]):
         y0, y1 = segments[k, 1], segments[k, 3]
-        first = max(0, int(np.floor((min(y0, y1) - lower[1]) / cell - 0.5)))
-        last = min(rows, int(np.ceil((max(y0, y1) - lower[1]) / cell - 0.5)) + 1)
+        first = max(0, cell_of((min(y0, y1) - lower[1]) / cell - 0.5))
+        last = min(rows, cell_of(np.ceil((max(y0, y1) - lower[1]) / cell - 0.5)) + 1)
         for row in range(first, last):
             py = lower[1] + (row + 0.5) * cell
             if (y0 > py) != (y1 > py):
                 x = segments[k, 0] + (py - y0) * (segments[k, 2] - segments[k, 0]) / (y1 - y0)
-                col = min(cols, max(0, int(np.ceil((x - lower[0]) / cell - 0.5))))
+                col = min(cols, max(0, cell_of(np.ceil((x - lower[0]) / cell - 0.5))))
                 turns[row, col] = not turns[row, col]
     out = np.zeros((rows, cols), dtype=np.bool_)
     for row in range(rows):
@@ -143,8 +144,8 @@ def sight_on_raster(free: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
     A line through a cell's corner needs both cells beside the corner free. Outside `free` (ny, nx) nothing is.
     """
     ny, nx = free.shape
-    ix, iy = int(np.floor(a[0])), int(np.floor(a[1]))
-    ex, ey = int(np.floor(b[0])), int(np.floor(b[1]))
+    ix, iy = cell_of(a[0]), cell_of(a[1])
+    ex, ey = cell_of(b[0]), cell_of(b[1])
     dx, dy = b[0] - a[0], b[1] - a[1]
     sx, sy = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
     tx = ((ix + (dx > 0)) - a[0]) / dx if dx != 0.0 else np.inf

@@ -3,6 +3,7 @@
 import numpy as np
 
 from .._jit import kernel
+from ..cells import cell_of
 from .segments import Raster, Sector, _to_segment, touches
 
 
@@ -45,10 +46,10 @@ def mark_in_sight(explored: np.ndarray, pose: np.ndarray, sector: Sector, raster
     origin, cell = raster.corner, raster.cell
     near = _near(pose[0], pose[1], segments, reach)
     c, s, cos_half = np.cos(pose[2]), np.sin(pose[2]), np.cos(half_angle)
-    x0 = max(0, int(np.floor((pose[0] - reach - origin[0]) / cell)))
-    x1 = min(nx - 1, int(np.floor((pose[0] + reach - origin[0]) / cell)))
-    y0 = max(0, int(np.floor((pose[1] - reach - origin[1]) / cell)))
-    y1 = min(ny - 1, int(np.floor((pose[1] + reach - origin[1]) / cell)))
+    x0 = max(0, cell_of((pose[0] - reach - origin[0]) / cell))
+    x1 = min(nx - 1, cell_of((pose[0] + reach - origin[0]) / cell))
+    y0 = max(0, cell_of((pose[1] - reach - origin[1]) / cell))
+    y1 = min(ny - 1, cell_of((pose[1] + reach - origin[1]) / cell))
     for iy in range(y0, y1 + 1):
         y = origin[1] + (iy + 0.5) * cell
         for ix in range(x0, x1 + 1):
@@ -81,10 +82,10 @@ def unexplored_in_sight(
         if k == 0 or px != poses[k - 1, 0] or py != poses[k - 1, 1]:
             near = _near(px, py, segments, reach)
             count = 0
-            x0 = max(0, int(np.floor((px - reach - origin[0]) / cell)))
-            x1 = min(nx - 1, int(np.floor((px + reach - origin[0]) / cell)))
-            y0 = max(0, int(np.floor((py - reach - origin[1]) / cell)))
-            y1 = min(ny - 1, int(np.floor((py + reach - origin[1]) / cell)))
+            x0 = max(0, cell_of((px - reach - origin[0]) / cell))
+            x1 = min(nx - 1, cell_of((px + reach - origin[0]) / cell))
+            y0 = max(0, cell_of((py - reach - origin[1]) / cell))
+            y1 = min(ny - 1, cell_of((py + reach - origin[1]) / cell))
             for iy in range(y0, y1 + 1):
                 y = origin[1] + (iy + 0.5) * cell
                 for ix in range(x0, x1 + 1):
@@ -132,11 +133,11 @@ def nearest_views(
     """
     lower, cell = raster.corner, raster.cell
     out = np.full((points.shape[0], 2), -1, dtype=np.int64)
-    rings = int(np.ceil(reach / cell)) + 1
+    rings = cell_of(np.ceil(reach / cell)) + 1
     for i in range(points.shape[0]):
         x, y = points[i, 0], points[i, 1]
         near = _near(x, y, segments, reach + 2 * cell)
-        row, col = int(np.floor((y - lower[1]) / cell)), int(np.floor((x - lower[0]) / cell))
+        row, col = cell_of((y - lower[1]) / cell), cell_of((x - lower[0]) / cell)
         best = reach
         for ring in range(rings):
             if (ring - 1) * cell > best:

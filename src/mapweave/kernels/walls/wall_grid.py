@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._jit import kernel
+from ..cells import cell_of
 from .raycast import NONE, meet, meet_disc
 
 
@@ -239,4 +240,4 @@ def _inside(x: float, y: float, ux: float, uy: float, wide: float, high: float) 
 
 @kernel
 def _index(at: float, cell: float, count: int) -> int:
-    return min(count - 1, max(0, int(np.floor(at / cell))))
+    return min(count - 1, max(0, cell_of(at / cell)))
