@@ -307,8 +307,8 @@ def mapping(folder: Path) -> None:
 
 def warmed() -> None:
     """Kernels are there: what a first run compiles is no part of the load."""
-    from mapweave.laser.config import LaserConfig
     from mapweave.live.laser_team import LiveLaserTeam, nobody
+    from mapweave.mapping.config import LaserConfig
 
     with tempfile.TemporaryDirectory() as folder, Store(Path(folder, "s"), "a map") as store:
         made = [prepared("laser", k, 25.0, 1.0) for k in (1, 2)]

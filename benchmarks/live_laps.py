@@ -14,9 +14,9 @@ from pathlib import Path
 
 from live import memory, one_round, prepared, renamed
 from mapweave.core.workers import keep_one_blas_thread
-from mapweave.laser.config import LaserConfig
 from mapweave.live.laser_team import LiveLaserTeam, nobody
 from mapweave.live.store import Store
+from mapweave.mapping.config import LaserConfig
 
 AT_ONCE = 20  # messages between two maps
 SOLVED = 3  # maps between two solutions

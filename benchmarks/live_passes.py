@@ -25,10 +25,10 @@ from live import memory, one_round, prepared, renamed, warmed
 from mapweave.api.laser_result import starts_among
 from mapweave.core import se2
 from mapweave.core.workers import keep_one_blas_thread
-from mapweave.laser.config import LaserConfig
 from mapweave.live import laser_weaver
 from mapweave.live.laser_weaver import LaserWeaver
 from mapweave.live.store import Store
+from mapweave.mapping.config import LaserConfig
 
 WRONG = 0.5  # [m] that a closure of two robots is off the truth
 

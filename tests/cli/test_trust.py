@@ -1,6 +1,7 @@
 """What would give a wrong impression in silence is told: nothing to score, another frame, options without effect."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ import mapweave
 from mapweave.cli import _run
 from mapweave.core import se2
 from mapweave.core.records import Track
+from mapweave.io.laser_logs import read_laser
+from mapweave.io.mcap import write_mcap
 from mapweave.io.tum import read_tum, write_tum
 
 
@@ -108,3 +111,31 @@ def test_help_says_in_a_line_what_each_command_does(command, words, capsys):
     out = capsys.readouterr().out
     for word in words:
         assert word in out
+
+
+def test_a_strict_map_ends_with_1_unless_its_verdict_is_good_and_is_written_all_the_same(home, tmp_path, capsys):
+    logs = [str(home / "drive.mcap")]
+    few = read_laser(home / "drive.mcap")
+    write_mcap(tmp_path / "few.mcap", replace(few, scan_t=few.scan_t[:3], scans=few.scans[:3]))
+    for log, code, made in ((logs[0], 0, "good"), (str(tmp_path / "few.mcap"), 1, "doubtful")):
+        out = tmp_path / made
+        assert _run(["map", log, "--out", str(out), "--strict"]) == code
+        said = capsys.readouterr()
+        assert f"\nverdict: {made}" in said.out
+        assert said.out.splitlines()[-1].startswith("report: ")
+        told = json.loads((out / "metrics.json").read_text(encoding="utf-8"))
+        assert told["verdict"] == told["robots"]["1"]["verdict"] == made
+        assert (f"Verdict: {made}" in (out / "report.html").read_text(encoding="utf-8")) == (code in {0, 1})
+        assert ("few-scans" in [f["code"] for f in told["findings"]]) == (code == 1)
+        assert said.err.endswith("verdict: doubtful: few-scans (robot 1)\n") == (code == 1)
+    with pytest.raises(mapweave.VerdictError, match="doubtful: few-scans") as end:
+        mapweave.map(tmp_path / "few.mcap", strict=True)
+    assert end.value.result.verdict == "doubtful"
+    assert [f.code for f in end.value.result.findings if f.severity != "note"] == ["few-scans"]
+
+
+def test_landmark_maps_have_a_verdict_and_findings_too(home):
+    told = json.loads((home / "out" / "metrics.json").read_text(encoding="utf-8"))
+    assert told["verdict"] == "good"
+    assert {robot["verdict"] for robot in told["robots"].values()} == {"good"}
+    assert [f["text"] for f in told["findings"] if f["robot"] is None] == told["warnings"]

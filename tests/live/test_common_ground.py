@@ -6,9 +6,6 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.laser.config import LaserConfig
-from mapweave.laser.merge import Merge
-from mapweave.laser.merge_search import Start
 from mapweave.live.common_ground import COARSE, FINE, WallCells, in_common
 from mapweave.live.driven import DrivenSession
 from mapweave.live.laser_stream import messages_of_laser
@@ -16,6 +13,9 @@ from mapweave.live.laser_team import LiveLaserTeam
 from mapweave.live.messages import encode
 from mapweave.live.pair_search import LIKELY, PairSearch, PairTrial
 from mapweave.live.store import Store
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.merge import Merge
+from mapweave.mapping.merge_search import Start
 from mapweave.sim.laser import drive
 from mapweave.sim.office import OfficeConfig, office_route, office_world
 

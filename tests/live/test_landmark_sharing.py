@@ -8,11 +8,12 @@ import pytest
 
 from mapweave.landmarks.config import EkfSlamConfig
 from mapweave.live import robot as robots
+from mapweave.live.door import decode
 from mapweave.live.inbox import Inbox
 from mapweave.live.landmark_robot import LandmarkRobot
 from mapweave.live.landmark_stream import messages_of
 from mapweave.live.map_process import MapProcess
-from mapweave.live.messages import Rows, Snapshot, decode, encode
+from mapweave.live.messages import Rows, Snapshot, encode
 from mapweave.live.robot import Pace, RobotProcess, pause_after
 from mapweave.live.shared_map import SharedMap
 from mapweave.live.store import Store

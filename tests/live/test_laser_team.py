@@ -11,11 +11,12 @@ import pytest
 from mapweave.api.laser_slam import LaserSlam
 from mapweave.api.simulate_laser import simulate_laser
 from mapweave.core.errors import UsageError
-from mapweave.laser.config import LaserConfig
+from mapweave.live.door import decode
 from mapweave.live.laser_robot import LaserRobot
 from mapweave.live.laser_stream import LaserRecord, beams_of, messages_of_laser, scan_of, whole_log
-from mapweave.live.messages import LARGEST, RefusedError, Rows, Scans, decode, encode
+from mapweave.live.messages import LARGEST, RefusedError, Rows, Scans, encode
 from mapweave.live.sources import open_source
+from mapweave.mapping.config import LaserConfig
 from mapweave.sim.corridor import CorridorConfig
 from mapweave.sim.office import OfficeConfig
 
@@ -45,7 +46,7 @@ def test_a_laser_log_is_the_same_to_the_bit_once_told(period):
         assert (got.robot, got.source, got.log_hash, got.odometry_from) == (
             log.robot, log.source, log.log_hash, log.odometry_from,
         )  # fmt: skip
-        assert (got.dropped, got.warnings) == (log.dropped, log.warnings)
+        assert (got.dropped, got.findings) == (log.dropped, log.findings)
         assert got.scan_t.tobytes() == log.scan_t.tobytes()
         for a, b in zip(got.scans, log.scans, strict=True):
             for name in ("ranges", "hit", "intensities", "T_robot_sensor", "odometry"):

@@ -10,23 +10,24 @@ import pytest
 
 from mapweave.api.laser_result import starts_among
 from mapweave.core import se2
-from mapweave.laser.config import LaserConfig
-from mapweave.laser.merge import MapClosure, Merge, merge_maps
-from mapweave.laser.merge_search import MergeConfig
 from mapweave.laser.occupancy_mapper import Returns, render_returns
-from mapweave.laser.session import LaserSession
 from mapweave.live import pair_search
+from mapweave.live.door import decode
 from mapweave.live.driven import DrivenSession, Seen
 from mapweave.live.laser_stream import messages_of_laser
 from mapweave.live.laser_team import LiveLaserTeam, WovenTeam, nobody
 from mapweave.live.laser_weaver import LaserWeaver
-from mapweave.live.messages import Tile, decode, encode
+from mapweave.live.messages import Tile, encode
 from mapweave.live.pair_search import PairSearch, PairTrial
 from mapweave.live.placed import Placed
 from mapweave.live.shared_map import SharedMap
 from mapweave.live.store import Store
 from mapweave.live.tile_mapper import Standing, TileMapper
 from mapweave.live.tiles import COARSER, LEVELS, SIDE, is_tile, pack
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.merge import MapClosure, Merge, merge_maps
+from mapweave.mapping.merge_search import MergeConfig
+from mapweave.mapping.session import LaserSession
 from mapweave.sim.laser import drive
 from mapweave.sim.office import OfficeConfig, office_route, office_world
 

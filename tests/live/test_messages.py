@@ -10,6 +10,7 @@ import pytest
 from mapweave.landmarks.config import EkfSlamConfig
 from mapweave.landmarks.mapping import grow
 from mapweave.live.columns import pack, pack_triangle, unpack, unpack_triangle
+from mapweave.live.door import decode
 from mapweave.live.landmark_robot import LandmarkRobot
 from mapweave.live.landmark_stream import LandmarkRecord
 from mapweave.live.messages import (
@@ -26,7 +27,6 @@ from mapweave.live.messages import (
     Snapshot,
     Status,
     Tile,
-    decode,
     encode,
 )
 
@@ -37,7 +37,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "live.md").read_text()
 
 def same(a, b):
     assert a.log_hash == b.log_hash
-    assert (a.robot, a.dropped, a.warnings, a.source) == (b.robot, dict(b.dropped), b.warnings, b.source)
+    assert (a.robot, a.dropped, a.findings, a.source) == (b.robot, dict(b.dropped), b.findings, b.source)
     for name in ("t", "what", "range", "bearing"):
         assert getattr(a.sightings, name).tobytes() == getattr(b.sightings, name).tobytes()
 

@@ -11,12 +11,13 @@ from mapweave.api.live_robots import live_robots
 from mapweave.api.live_ros2 import RosOptions
 from mapweave.core import se2
 from mapweave.core.errors import UsageError
-from mapweave.laser.config import LaserConfig
+from mapweave.live.door import decode
 from mapweave.live.laser_robot import LaserRobot
 from mapweave.live.laser_stream import LaserRecord, whole_log
-from mapweave.live.messages import Closed, decode
+from mapweave.live.messages import Closed
 from mapweave.live.store import Store
 from mapweave.live.transport import Network
+from mapweave.mapping.config import LaserConfig
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 from mapweave.sim.laser import DriveConfig
 

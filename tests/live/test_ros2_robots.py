@@ -7,8 +7,9 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.laser.laser_map import GridMap
+from mapweave.live.door import decode
 from mapweave.live.laser_stream import beams_of, scan_of
-from mapweave.live.messages import RefusedError, Scans, decode, encode
+from mapweave.live.messages import RefusedError, Scans, encode
 from mapweave.live.ros2 import cdr
 from mapweave.live.ros2.assembly import GAP, LEAP, PATIENCE, Assembly
 from mapweave.live.ros2.graph import Graph, chosen

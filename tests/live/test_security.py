@@ -2,14 +2,17 @@
 
 import datetime as dt
 import json
+import math
 import re
 import shutil
 import time
 import warnings
-from threading import Event
+from pathlib import Path
+from threading import Event, Thread
 
 import pytest
 
+from mapweave.api.live import INSECURE, live_map, live_robot
 from mapweave.api.live_keys import live_keys
 from mapweave.api.simulate_landmarks import simulate_landmarks
 from mapweave.cli import _run
@@ -21,7 +24,7 @@ from mapweave.live.messages import encode
 from mapweave.live.robot import RobotProcess
 from mapweave.live.store import Store
 from mapweave.live.topics import Topics
-from mapweave.live.transport import Network, ask, endpoints, put, session, there_is
+from mapweave.live.transport import Network, ask, endpoints, is_open, put, session, there_is
 
 from .processes import Fleet, free_endpoint
 from .teams import messages, team
@@ -266,3 +269,39 @@ def test_a_name_that_nobody_can_have_is_wrong_usage(words, tmp_path, monkeypatch
     assert "expected letters, digits" in err
     assert err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("network", "opened"),
+    [
+        (Network(), True),
+        (Network(listen=("tcp/0.0.0.0:7447",)), True),
+        (Network(listen=("tcp/[::]:7447",)), True),
+        (Network(listen=("tcp/127.0.0.1:7447",), connect=("tcp/192.168.1.5:7447",)), True),
+        (Network(connect=("tcp/robot.example:7447",)), True),
+        (Network(listen=("tcp/127.0.0.1:7447",)), False),
+        (Network(listen=("tcp/[::1]:7447",), connect=("tcp/localhost:7448",)), False),
+        (Network(listen=("tls/0.0.0.0:7447",), tls=Path("keys/map")), False),
+    ],
+)
+def test_a_map_process_that_anyone_could_write_to_does_not_start_unasked(network, opened, tmp_path):
+    assert is_open(network) == opened
+    if opened:
+        with pytest.raises(UsageError, match="--insecure"):
+            live_map(tmp_path / "out", network=network)
+        assert not list(tmp_path.iterdir())
+
+
+def test_that_anyone_could_have_written_it_is_told_with_the_map(tmp_path):
+    at = (free_endpoint(),)
+    simulate_landmarks(tmp_path / "team", robots=1, minutes=0.3, seed=4)
+    said = []
+    heard = Network(listen=at, connect=("tcp/localhost.:9",), insecure=True)
+    mapping = Thread(target=lambda: live_map(tmp_path / "out", robots=["r1"], network=heard, say=said.append))
+    mapping.start()
+    network = Network(connect=at)
+    live_robot("r1", tmp_path / "team", rate=math.inf, history=tmp_path / "r1", network=network, say=lambda _: None)
+    mapping.join(120)
+    assert INSECURE in said
+    assert INSECURE in json.loads((tmp_path / "out" / "metrics.json").read_text())["warnings"]
+    assert "anyone who reaches the network" in (tmp_path / "out" / "report.html").read_text()

@@ -18,7 +18,7 @@ import pytest
 from mapweave.core.errors import UsageError
 from mapweave.live.messages import LandmarkState, MapState, RobotState, Tile
 from mapweave.live.tiles import SIDE, pack
-from mapweave.live.view import PAGE, Board, served
+from mapweave.live.view import KEPT_FRAMES, MOST_MAPS, MOST_TRAILS, PAGE, Board, is_named, served
 from mapweave.report.style import PALETTE
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -174,6 +174,81 @@ def test_anything_but_the_page_is_not_found_and_the_page_may_ask_nobody_else():
         with urllib.request.urlopen(address, timeout=10) as page:  # noqa: S310
             assert page.headers["Content-Security-Policy"].startswith("default-src 'none'")
             assert not re.search(rb"https?://", page.read())
+
+
+def asked(address, **headers):
+    request = urllib.request.Request(address, headers=headers)  # noqa: S310
+    with urllib.request.urlopen(request, timeout=10) as answer:  # noqa: S310
+        return answer
+
+
+@pytest.mark.parametrize(
+    ("host", "meant"),
+    [
+        ("127.0.0.1:8642", True), ("localhost:8642", True), ("[::1]:8642", True), ("192.168.1.7", True),
+        (socket.gethostname(), True), ("evil.example:8642", False), ("127.0.0.1.evil.example", False), ("", False),
+    ],
+)  # fmt: skip
+def test_a_name_that_somebody_else_made_to_lead_here_is_refused(host, meant):
+    assert is_named(host, "127.0.0.1") == meant
+    with served(Board(), "127.0.0.1", 0) as address:
+        if meant:
+            assert asked(address, Host=host).status == 200
+        else:
+            with pytest.raises(urllib.error.HTTPError) as refused:
+                asked(f"{address}state.json", Host=host or "no-name.example")
+            assert refused.value.code == 421
+
+
+def test_every_answer_says_what_it_is_and_that_nobody_may_frame_it():
+    with served(Board(), "127.0.0.1", 0) as address:
+        for path in ("", "state.json"):
+            headers = asked(address + path).headers
+            assert headers["X-Content-Type-Options"] == "nosniff"
+            assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
+
+
+def test_what_is_told_is_put_in_words_once_for_all_readers():
+    board = Board()
+    board.take(state(3))
+    number, whole = board.all()
+    assert all(board.all()[1] is whole for _ in range(5))
+    board.take(state(3, x=1.0))
+    told = [board.after(number, 5.0) for _ in range(100)]
+    assert board.encoded == 2
+    assert all(data is told[0][1] for _, data in told)
+    assert "steps" in msgspec.json.decode(told[0][1])
+    assert board.after(told[0][0], 0.0) == (told[0][0], None)
+
+
+def test_a_reader_that_is_far_behind_gets_everything(monkeypatch):
+    monkeypatch.setattr("mapweave.live.view.FRAME", 0.0)
+    board = Board()
+    board.take(state(3))
+    first, _ = board.all()
+    for k in range(KEPT_FRAMES + 5):
+        board.take(state(3, x=float(k)))
+        board.after(first + k, 1.0)
+    _, frame = board.after(first + 10, 1.0)
+    assert "steps" in msgspec.json.decode(frame)
+    number, frame = board.after(first, 1.0)
+    assert "trails" in msgspec.json.decode(frame)
+    assert number == first + KEPT_FRAMES + 5
+
+
+def test_invented_maps_robots_and_squares_take_no_more_than_their_room(monkeypatch):
+    monkeypatch.setattr("mapweave.live.view.MOST_TILE_BYTES", 100_000)
+    board = Board()
+    for k in range(40):
+        board.take(state(20, name=f"map{k}"))
+        for i in range(40):
+            cells = pack(np.full((SIDE, SIDE), 1 + i, np.uint8))
+            board.take_tile(Tile(map=f"map{k}", component=1, level=0, i=i, j=0, cell=0.05, cells=cells))
+    assert len(board.states) == MOST_MAPS
+    assert "map39" in board.states
+    assert len(board._trails) == MOST_TRAILS
+    assert board._tile_bytes <= 100_000
+    assert board.let_go > 0
 
 
 def test_a_port_in_use_is_told_in_one_line():

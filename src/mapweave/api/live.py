@@ -10,14 +10,15 @@ from threading import Event
 
 from ..core.config import load
 from ..core.errors import ConfigError, DataError, UsageError
+from ..core.findings import Finding, verdict
 from ..core.landmark_log import LandmarkLog
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key
 from ..core.paths import path_arguments
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target
-from ..laser.config import LaserConfig
 from ..live.inbox import Inbox
+from ..live.isolation import without_culprits
 from ..live.landmark_robot import LandmarkRobot
 from ..live.laser_robot import LaserRobot
 from ..live.map_process import MapProcess
@@ -26,7 +27,8 @@ from ..live.robot import Pace, RobotProcess
 from ..live.sources import messages, open_source
 from ..live.store import Store
 from ..live.topics import Topics
-from ..live.transport import LISTENING, Network, session
+from ..live.transport import LISTENING, Network, is_open, session
+from ..mapping.config import LaserConfig
 from .laser_result import LaserResult, starts_among
 from .live_result import LiveRobot
 from .live_ros2 import RosOptions, drive_ros2
@@ -37,6 +39,7 @@ from .map_options import MapOptions
 from .team import TeamResult
 
 ROS2 = "ros2"
+INSECURE = Finding("network-open").text
 
 Say = Callable[[str], None]
 
@@ -238,6 +241,11 @@ def live_map(
     if not (0 < every < math.inf):
         raise UsageError(f"--every: expected seconds above 0, found {every}")
     check_target(out, force=force)
+    if is_open(network) and not network.insecure:
+        raise UsageError(
+            "anyone who reaches this network could write the map: --tls FOLDER (mapweave live keys makes it), "
+            "--listen tcp/127.0.0.1:7447 for this machine alone, or --insecure"
+        )
     options = MapOptions(config=None if config is None else Path(config), seed=seed)
     known = start or {}
     landmarks, weaving = _landmark_config(options.config), _laser_config(options.config)
@@ -255,11 +263,14 @@ def live_map(
             )
             process.join()
             say(f"{name}: team {network.team}, heard so far kept in {path}")
+            if is_open(network):
+                process.finding(INSECURE)
             process.run(stop or Event(), every, lambda inbox: _all_told(inbox, robots))
             process.tell_state()
         for line in process.summary():
             say(line)
-        result = _final(inbox, _with_starts(options, known, inbox, say))
+        result = _final(inbox, _with_starts(options, known, inbox, say), process.finding)
+    result = _with_findings(result, tuple(process.findings))
     result.write(out, force=force)
     return result
 
@@ -301,10 +312,34 @@ def _all_told(inbox: Inbox, robots: Sequence[str] | None) -> bool:
     return robots is not None and all(name in ledgers and ledgers[name].complete for name in robots)
 
 
-def _final(inbox: Inbox, options: MapOptions) -> TeamResult | LaserResult:
-    """The map of all that was heard up to each robot's first gap."""
-    heard = [log for log in map(inbox.log, inbox.ledgers) if log is not None]
-    logs = sorted(heard, key=lambda log: in_order(log.robot))
+def _with_findings(result: TeamResult | LaserResult, texts: Sequence[str]) -> TeamResult | LaserResult:
+    """The result, which tells what went wrong while it was heard."""
+    found = [Finding("network-open") if text == INSECURE else Finding("network-told", value=text) for text in texts]
+    if not found:
+        return result
+    if isinstance(result, TeamResult):
+        return replace(result, findings=(*result.findings, *found))
+    whole = (*result.whole, *found)
+    rows = [*result.metrics["findings"], *(one.row() for one in found)]
+    told = verdict((*result.findings, *found))
+    return replace(result, whole=whole, metrics={**result.metrics, "verdict": told, "findings": rows})
+
+
+def _final(inbox: Inbox, options: MapOptions, finding: Say) -> TeamResult | LaserResult:
+    """The map of all that was heard up to each robot's first gap or doubt, without robots that it fails for."""
+    called = {x.record.header.log_robot: name for name, x in inbox.ledgers.items() if x.record is not None}
+    logs = {log.robot: log for log in map(inbox.log, inbox.ledgers) if log is not None}
+    names = sorted(logs, key=in_order)
+    result, _, failed = without_culprits(names, lambda some: _mapped([logs[name] for name in some], options))
+    if result is None:
+        return _mapped([logs[name] for name in names], options)  # its error is the answer
+    for name, why in failed.items():
+        finding(f"{called.get(name, name)}: left out of the map: {why}")
+    return result
+
+
+def _mapped(logs: Sequence[LandmarkLog | LaserLog], options: MapOptions) -> TeamResult | LaserResult:
+    """The map of these logs."""
     lasers = [log for log in logs if isinstance(log, LaserLog) and len(log.scans)]
     if lasers:
         return map_lasers(lasers, options)

@@ -9,6 +9,8 @@ from ..live.topics import Topics
 from ..live.transport import LISTENING, Network, session
 from ..live.view import Board, follow, served
 
+LOOKED = 1.0  # [s] from one look at what had no room to the next
+
 Say = Callable[[str], None]
 
 
@@ -46,5 +48,9 @@ def live_view(
         say(f"team {network.team}: {address}")
         if browser:
             webbrowser.open(address)
-        (stop or Event()).wait()
+        stop, told = stop or Event(), False
+        while not stop.wait(LOOKED):
+            if board.let_go and not told:
+                told = True
+                say("more maps, robots or squares are told than there is room for: the oldest are not shown")
         del held

@@ -155,7 +155,7 @@ def robot(
         say(f"{done.name}: {done.messages} messages, {done.heard_by} map processes have all of them")
 
 
-@app.command(name="map", help_epilogue="Example: mapweave live map --out result --robots r1,r2")
+@app.command(name="map", help_epilogue="Example: mapweave live map --out result --listen tcp/127.0.0.1:7447")
 def map_team(
     *,
     out: Path,
@@ -168,6 +168,7 @@ def map_team(
     config: Path | None = None,
     seed: int = 0,
     force: Annotated[bool, Parameter(negative="")] = False,
+    insecure: Annotated[bool, Parameter(negative="")] = False,
     link: Link | None = None,
 ) -> None:
     """Make the shared map of a team that drives; any number of such processes may run, anywhere.
@@ -198,6 +199,8 @@ def map_team(
         As for map.
     force
         Write into the folder even when something other than a result stands there.
+    insecure
+        Hear other machines without --tls: anyone who reaches the network can write the map, which is told with it.
     """
     _expect_extra()
     from ..api.live import live_map
@@ -205,7 +208,7 @@ def map_team(
     from .live_door import LOG_LEVELS, watched
 
     names = None if robots is None else _names(robots, "--robots")
-    network = _network(link)
+    network = replace(_network(link), insecure=insecure)
     with _until_interrupted() as stop, ExitStack() as door:
         counts = None
         if network.tls is not None:

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from ..core import se2
-from ..laser.merge_search import Start
+from ..mapping.merge_search import Start
 from .driven import DrivenSession
 
 FINE = 0.5  # [m] cells of one robot's walls, so that each is kept once
@@ -65,7 +65,8 @@ def in_common(walls: Mapping[str, WallCells], starts: Mapping[int, Start]) -> di
 
 def _coded(points: Float[np.ndarray, "n 2"], side: float) -> Int[np.ndarray, " cells"]:
     """The cells in which the points lie, each once."""
-    column, row = np.floor(points / side).astype(np.int64).T
+    near = points[(np.abs(points) < side * ROWS // 2).all(axis=1)]  # what is no number, or farther out, is in no cell
+    column, row = np.floor(near / side).astype(np.int64).T
     return np.unique(ROWS * column + row)
 
 

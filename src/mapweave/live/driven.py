@@ -9,13 +9,13 @@ from jaxtyping import Float, Int
 
 from ..core.records import Event
 from ..laser.beam import Beams
-from ..laser.config import LaserConfig
-from ..laser.graph_slam import GraphState
-from ..laser.keyframe_graph import KeyframeGraph
 from ..laser.keyframes import Keyframe
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import ScanInfo
-from ..laser.session import LaserSession
+from ..mapping.config import LaserConfig
+from ..mapping.graph_slam import GraphState
+from ..mapping.keyframe_graph import KeyframeGraph
+from ..mapping.session import LaserSession
 
 NO_POINTS = np.zeros((0, 2))
 

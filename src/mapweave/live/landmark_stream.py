@@ -7,9 +7,11 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..core.findings import finding_of
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Odometry
 from .columns import pack, unpack
+from .door import MOST_NAMES, expect_span
 from .messages import Closed, Header, Numbered, RefusedError, Rows
 
 MOST_SIGHTINGS = 20_000  # in one message; packets of a log are split beyond
@@ -32,7 +34,7 @@ def messages_of(log: LandmarkLog, robot: str, run: str, period: float) -> Iterat
             odometry=log.odometry is not None,
             names=list(log.sightings.ids),
             dropped=dict(log.dropped),
-            warnings=list(log.warnings),
+            findings=[found.row() for found in log.findings],
             misread=pack(log.misread),
         ),
     )
@@ -83,6 +85,7 @@ class LandmarkRecord:
     closed: bool = False
     _driven: float = -np.inf
     _seen: float = -np.inf
+    _first: float = np.nan
 
     @classmethod
     def begin(cls, header: Header, *, keep: bool = True) -> "LandmarkRecord":
@@ -104,13 +107,16 @@ class LandmarkRecord:
         self._expect_later(seen[0], self._seen, "sightings")
         if drive.shape[1] and not self.header.odometry:
             raise RefusedError("sensor", "odometry from a robot that announced none")
+        first = expect_span(expect_span(self._first, drive[0]), seen[0])
         names = [*self.names, *message.names]
+        if len(names) > MOST_NAMES:
+            raise RefusedError("oversized", f"{len(names)} names, at most {MOST_NAMES}")
         if len(set(names)) < len(names):
             raise RefusedError("malformed", "a name that is known already")
         what = np.array(message.what, dtype=np.int64)
         if (what >= len(names)).any():
             raise RefusedError("malformed", f"an index of {int(what.max())} among {len(names)} names")
-        self.names = names
+        self.names, self._first = names, first
         self._driven = float(drive[0, -1]) if drive.shape[1] else self._driven
         self._seen = float(seen[0, -1]) if seen.shape[1] else self._seen
         part = Part(drive, seen, what)
@@ -144,7 +150,7 @@ class LandmarkRecord:
             Odometry(drive[0].copy(), drive[1].copy(), drive[2].copy()) if h.odometry else None,
             SightingTable(seen[0], what, seen[1], seen[2], tuple(self.names)),
             h.dropped,
-            tuple(h.warnings),
+            tuple(map(finding_of, h.findings)),
             h.source,
             misread=unpack(h.misread, 1)[0],
         )

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ..laser.config import LaserConfig
 from ..laser.laser_map import GridMap
 from ..laser.occupancy_mapper import render_keyframes
+from ..mapping.config import LaserConfig
 from .columns import TRIANGLE
 from .driven import DrivenSession
 from .laser_stream import LaserRecord

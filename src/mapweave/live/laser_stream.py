@@ -1,19 +1,21 @@
 """A laser log as numbered messages, and numbered messages as a laser log: the same scans, to the bit."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
 
+from ..core.findings import finding_of, unused_of
 from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
 from .columns import pack, unpack
+from .door import expect_span, expect_steps
 from .messages import LARGEST, Closed, Header, Numbered, RefusedError, ScanBeams, Scans
 from .squeezed import squeeze, stretch
 
-MOST_BEAMS = 100_000  # of one scan
+MOST_AT_ONCE = 200_000  # beams of the scans in one message; a packet of more is split
 MOST_BYTES = LARGEST // 2  # of the scans in one message; a packet of more is split
 
 
@@ -34,7 +36,8 @@ def messages_of_laser(log: LaserLog, robot: str, run: str, period: float) -> Ite
             odometry_from=log.odometry_from,
             log_hash=log.log_hash,
             dropped=dict(log.dropped),
-            warnings=list(log.warnings),
+            findings=[found.row() for found in log.findings],
+            unused=[left.row() for left in log.unused],
         ),
     )
     cuts = np.arange(begin + period, end, period)
@@ -44,15 +47,16 @@ def messages_of_laser(log: LaserLog, robot: str, run: str, period: float) -> Ite
     for t, (a, b), (c, d) in zip([*cuts.tolist(), end], pairwise(seen), pairwise(driven), strict=True):
         track = pack(o.t[c:d], *o.pose[c:d].T) if o is not None and d > c else b""
         batch: list[ScanBeams] = []
-        size = 0
+        size = told = 0
         for k in range(a, b):
             beams = beams_of(float(log.scan_t[k]), log.scans[k])
             size += len(beams.ranges) + len(beams.light or b"") + len(beams.hit)
             batch.append(beams)
-            if size > MOST_BYTES:
+            told += beams.n
+            if size > MOST_BYTES or told > MOST_AT_ONCE:
                 seq += 1
                 yield t, Scans(robot=robot, run=run, seq=seq, track=track, scans=batch)
-                track, batch, size = b"", [], 0
+                track, batch, size, told = b"", [], 0, 0
         if batch or track:
             seq += 1
             yield t, Scans(robot=robot, run=run, seq=seq, track=track, scans=batch)
@@ -67,9 +71,9 @@ def beams_of(t: float, scan: Scan) -> ScanBeams:
         ranges=squeeze(scan.ranges),
         hit=np.packbits(scan.hit).tobytes(),
         light=None if scan.intensities is None else squeeze(scan.intensities),
-        angle_min=scan.angle_min,
-        angle_increment=scan.angle_increment,
-        range_max=scan.range_max,
+        angle_min=float(scan.angle_min),
+        angle_increment=float(scan.angle_increment),
+        range_max=float(scan.range_max),
         mount=tuple(scan.T_robot_sensor.tolist()),
         host=scan.host,
         odometry=None if scan.odometry is None else tuple(scan.odometry.tolist()),
@@ -77,11 +81,9 @@ def beams_of(t: float, scan: Scan) -> ScanBeams:
 
 
 def scan_of(beams: ScanBeams) -> Scan:
-    """The scan; raises RefusedError when its arrays do not fit each other."""
+    """The scan of beams that came in by the door."""
     n = beams.n
     hit = np.unpackbits(np.frombuffer(beams.hit, np.uint8))
-    if not 0 <= n <= MOST_BEAMS or len(hit) != 8 * ((n + 7) // 8):
-        raise RefusedError("malformed", f"{n} beams, {len(hit)} marks of returns")
     return Scan(
         stretch(beams.ranges, n),
         frozen(hit[:n], dtype=bool),
@@ -99,15 +101,19 @@ def scan_of(beams: ScanBeams) -> Scan:
 class LaserRecord:
     """How far a laser robot's messages came, in the order of its numbers; their scans are not kept here.
 
-    scans: how many came; t, driven: [s] stamps of the last scan and the last row of odometry.
+    scans: how many came; t, driven: [s] stamps of the last scan and the last row of odometry; first: of the first of
+    both.
     """
 
     header: Header
     scans: int = 0
     t: float = -np.inf
     driven: float = -np.inf
+    first: float = np.nan
     closed: bool = False
     _light: bool | None = None
+    _row: tuple[float, ...] | None = None  # t, x, y of the last row of odometry
+    _at: tuple[float, ...] | None = None  # the same of the last scan
 
     def add(self, message: Numbered) -> LaserLog | None:
         """Its scans and odometry as a log of their own; raises RefusedError when they can't be this robot's."""
@@ -122,6 +128,7 @@ class LaserRecord:
         scans = [scan_of(beams) for beams in message.scans]
         stamps = [beams.t for beams in message.scans]
         self._expect(stamps, scans, track)
+        self._expect_possible(stamps, scans, track)
         if stamps:
             self.t = stamps[-1]
             self._light = scans[0].intensities is not None
@@ -144,6 +151,22 @@ class LaserRecord:
                 raise RefusedError("sensor", "light in some scans and not in others")
             if (scan.odometry is None) == self.header.odometry:
                 raise RefusedError("sensor", "scans whose odometry is not what was announced")
+
+    def _expect_possible(self, stamps: list[float], scans: list[Scan], track: Float[np.ndarray, "4 n"]) -> None:
+        """Raises RefusedError when it is more than a drive can be; remembers where odometry has come to."""
+        first = expect_span(expect_span(self.first, track[0]), stamps)
+        told = [
+            (t, *scan.odometry[:2].tolist()) for t, scan in zip(stamps, scans, strict=True) if scan.odometry is not None
+        ]
+        row, at = _gone_on(self._row, track[:3].T.tolist()), _gone_on(self._at, told)
+        self.first, self._row, self._at = first, row, at
+
+
+def _gone_on(before: tuple[float, ...] | None, rows: Sequence[Sequence[float]]) -> tuple[float, ...] | None:
+    """The last of `rows` of t, x, y, which go on from `before`; RefusedError when they step farther than robots do."""
+    every = np.array([*([] if before is None else [before]), *rows]).reshape(-1, 3)
+    expect_steps(every[:, 0], every[:, 1:], "odometry")
+    return tuple(every[-1].tolist()) if len(every) else None
 
 
 def whole_log(header: Header, parts: Iterable[LaserLog]) -> LaserLog:
@@ -168,6 +191,7 @@ def _log(h: Header, stamps: list[float], scans: list[Scan], rows: Float[np.ndarr
         Track(rows[0], rows[1:].T, frame="odom") if h.odometry else None,
         h.odometry_from,
         dict(h.dropped),
-        tuple(h.warnings),
+        tuple(map(finding_of, h.findings)),
         h.log_hash,
+        unused=tuple(map(unused_of, h.unused)),
     )

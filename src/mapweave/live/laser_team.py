@@ -5,27 +5,32 @@ team: trying two maps on each other, and solving the graph of all. Between two s
 stand where their steps put them, beside those of their robot that were woven last.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..core import se2
-from ..laser.config import LaserConfig
-from ..laser.merge_search import Start, start_between
+from ..laser.robot_graph import RobotGraph
+from ..mapping.config import LaserConfig
+from ..mapping.merge_search import Start, start_between
 from .common_ground import WallCells, in_common
+from .door import decode
 from .driven import DrivenSession
+from .isolation import in_words
 from .laser_stream import LaserRecord
-from .messages import Header, Scans, decode
+from .messages import Header, Scans
 from .pair_search import PairSearch, PairTrial
 from .placed import ALONE, Placed
 from .store import Store
-from .tile_mapper import Standing, TileMapper
+from .tile_mapper import Standing, TileMapper, UnmappableError
 from .tiles import TileKey
 from .weaving import Weaving, WovenGraphs
 
 AT_ONCE = 50  # messages of all robots worked in at once, of each robot one at least
 LEAST_KEYFRAMES = 3  # of a robot to be woven
+RIPE = 13  # keyframes of a map from which on it is likely to be tied: with fewer too few places confirm it
 LAID_AT_ONCE = 100  # keyframes laid into the map at most each time it is drawn
 
 Starts = Callable[[Sequence[str]], Mapping[int, Start]]
@@ -41,7 +46,8 @@ class WovenTeam:
     """How laser robots are connected, by their names in the team.
 
     placed: where each one's frame stands; decisions: in words; tiles: the map, drawn; worked: robot -> its first
-    message that is not in them; behind: messages that were heard and are not; number: counts the solutions.
+    message that is not in them; behind: messages that were heard and are not; number: counts the solutions; lost: why
+    robots are in them no more.
     """
 
     placed: Mapping[str, Placed]
@@ -50,6 +56,7 @@ class WovenTeam:
     behind: int
     number: int
     worked: Mapping[str, int] = field(default_factory=dict)
+    lost: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -71,7 +78,7 @@ class LiveLaserTeam:
     """The estimates of all laser robots of a team; everything here is the business of one thread.
 
     starts: for robots in an order, by place, where their frames are said to lie in that of the first. woven: how often
-    the graph of all was solved.
+    the graph of all was solved. lost: robots on whose data something failed, and what: they are followed no more.
     """
 
     store: Store
@@ -79,6 +86,7 @@ class LiveLaserTeam:
     starts: Starts
     robots: dict[str, _Robot] = field(default_factory=dict)
     search: PairSearch = field(default_factory=PairSearch)
+    lost: dict[str, str] = field(default_factory=dict)
     woven: int = 0
     unlaid: int = 0
     _placed: dict[str, Placed] = field(default_factory=dict)
@@ -87,37 +95,54 @@ class LiveLaserTeam:
     _mappers: list[TileMapper] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        merge = self.cfg.merge
-        self.search.ripe = merge.dense * (merge.votes - 1) + 1  # with fewer keyframes too few submaps confirm a tie
+        self.search.ripe = RIPE
 
     def follow(self, heard: Mapping[str, int]) -> int:
         """Work in a few messages of each robot; how many are left. heard: robot -> its first number missing."""
         left, most = 0, max(1, AT_ONCE // max(len(heard), 1))
         for name, end in heard.items():
-            robot = self._robot(name)
-            if robot is None:
-                continue
-            until = min(end, robot.next + most)
-            for seq, payload in self.store.get(name, robot.next, until - 1):
-                if seq != robot.next:  # a full disk: the rest is not in the store yet
-                    break
-                message = decode(payload)
-                robot.next = seq + 1
-                part = robot.record.add(message) if isinstance(message, Scans) else None
-                for event in () if part is None else part.events():
-                    robot.session.push(event)
-            left += max(end - robot.next, 0)
+            begun = self.robots.get(name)
+            first = 0 if begun is None else begun.next
+            payloads = () if name in self.lost else self.store.get(name, first, min(end, max(first, 1) + most) - 1)
+            with self._at_cost_of(name):
+                self._work_in(name, payloads)
+            left += 0 if name not in self.robots else max(end - self.robots[name].next, 0)
         return left
 
-    def _robot(self, name: str) -> _Robot | None:
-        """The robot's estimate, begun when its header is in the store."""
-        if name not in self.robots:
-            first = self.store.get(name, 0, 0)
-            header = decode(first[0][1]) if first else None
-            if not isinstance(header, Header):
-                return None
-            self.robots[name] = _Robot(LaserRecord(header), DrivenSession(header.log_robot, self.cfg))
-        return self.robots[name]
+    def _work_in(self, name: str, payloads: Sequence[tuple[int, bytes]]) -> None:
+        """A robot's next messages; it begins with the first one."""
+        for seq, payload in payloads:
+            message = decode(payload)
+            if isinstance(message, Header):
+                self.robots[name] = _Robot(LaserRecord(message), DrivenSession(message.log_robot, self.cfg))
+                continue
+            robot = self.robots.get(name)
+            if robot is None or seq != robot.next:  # a full disk: the rest is not in the store yet
+                return
+            robot.next = seq + 1
+            part = robot.record.add(message) if isinstance(message, Scans) else None
+            for event in () if part is None else part.events():
+                robot.session.push(event)
+
+    @contextmanager
+    def _at_cost_of(self, name: str) -> Iterator[None]:
+        """Whatever fails within is the fault of what this robot told: it is lost, and nobody else."""
+        try:
+            yield
+        except Exception as error:  # noqa: BLE001  (there is no end to what numbers can break)
+            self.lose(name, in_words(error))
+
+    def lose(self, name: str, why: str) -> None:
+        """The robot is in no map and followed no more."""
+        self.lost[name] = why
+        self.forget(name)
+
+    def forget(self, name: str) -> None:
+        """Nothing that came of what the robot told is kept; unless it is lost, it begins anew."""
+        self.robots.pop(name, None)
+        self._placed.pop(name, None)
+        self._standing.pop(name, None)
+        self.search.forget(name)
 
     def _sizes(self) -> dict[str, int]:
         """Keyframes of each robot that has enough of them to be woven."""
@@ -127,10 +152,14 @@ class LiveLaserTeam:
         """The two maps to be tried on each other next; None when no decision is wanted."""
         sizes = self._sizes()
         names = list(sizes)
+        for name in names:
+            with self._at_cost_of(name):
+                self.robots[name].walls.take(self.robots[name].session)
+        names = [name for name in names if name in self.robots]
         starts = self.starts(names) if len(names) > 1 else {}
         wanted = bool(starts) and self.search.apart(names)
-        common = in_common({name: self._walls(name) for name in names}, starts) if wanted else {}
-        pair = self.search.next(sizes, common)
+        common = in_common({name: self.robots[name].walls for name in names}, starts) if wanted else {}
+        pair = self.search.next({name: sizes[name] for name in names}, common)
         if pair is None:
             return None
         start = start_between(starts, names.index(pair[0]), names.index(pair[1]))
@@ -143,15 +172,13 @@ class LiveLaserTeam:
             *pair, (a, b), (of_a, of_b), (ids_a, ids_b), self.cfg.merge, start, common.get((pair[0], pair[1]), 0)
         )
 
-    def _walls(self, name: str) -> WallCells:
-        robot = self.robots[name]
-        robot.walls.take(robot.session)
-        return robot.walls
-
     def weaving(self) -> Weaving | None:
         """All robots' graphs as they are, with what is decided on pairs so far; None before there is any robot."""
-        graphs = {name: self.robots[name].session.bare_graph(name) for name in self._sizes()}
-        there = [graph for graph in graphs.values() if graph is not None]
+        there = list[RobotGraph]()
+        for name in self._sizes():
+            with self._at_cost_of(name):
+                graph = self.robots[name].session.bare_graph(name)
+                there += [] if graph is None else [graph]
         if not there:
             return None
         ids = {graph.robot: self.robots[graph.robot].session.ids for graph in there}
@@ -160,7 +187,11 @@ class LiveLaserTeam:
     def take(self, woven: WovenGraphs) -> None:
         """The robots stand as they were woven, be it that they went on since."""
         self.woven += 1
-        self._placed, self._standing, self._decisions = dict(woven.placed), woven.standing, woven.decisions
+        self._placed = {name: placed for name, placed in woven.placed.items() if name in self.robots}
+        self._standing = {name: standing for name, standing in woven.standing.items() if name in self.robots}
+        self._decisions = woven.decisions
+        for name, why in woven.failed.items():
+            self.lose(name, why)
 
     def draw(self, heard: Mapping[str, int]) -> WovenTeam:
         """The map as it stands, with everything that was worked in; at most `LAID_AT_ONCE` keyframes are laid anew.
@@ -169,21 +200,29 @@ class LiveLaserTeam:
         """
         parts: dict[int, dict[str, Standing]] = {}
         self._place_new()
-        for name, placed in self._placed.items():
-            parts.setdefault(placed.component, {})[name] = self._now(name)
+        for name, placed in list(self._placed.items()):
+            with self._at_cost_of(name):
+                parts.setdefault(placed.component, {})[name] = self._now(name)
         self._mappers, before = [], self._mappers
         tiles: dict[TileKey, bytes] = {}
         self.unlaid = 0
         for part, standing in sorted(parts.items()):
             mapper = _kept(before, standing.keys()) or TileMapper(self.cfg.resolution)
-            self.unlaid += mapper.update(standing, lambda name, k: self.robots[name].session.seen(k), LAID_AT_ONCE)
+            try:
+                self.unlaid += mapper.update(standing, lambda name, k: self.robots[name].session.seen(k), LAID_AT_ONCE)
+            except UnmappableError as error:
+                self.lose(error.robot, str(error))
+                self.unlaid += 1  # the part is drawn from its first keyframe on the next time, without that robot
+                continue
             self._mappers.append(mapper)
             tiles |= {(part, *key): cells for key, cells in mapper.draw().items()}
         for robot in self.robots.values():
             robot.session.left.clear()
         worked = {name: robot.next for name, robot in self.robots.items()}
         behind = sum(max(n - worked.get(name, 0), 0) for name, n in heard.items())
-        return WovenTeam(dict(self._placed), list(self._decisions), tiles, behind, self.woven, worked)
+        behind -= sum(heard.get(name, 0) for name in self.lost)
+        decisions = [*self._decisions, *(f"{name}: left out, {why}" for name, why in self.lost.items())]
+        return WovenTeam(dict(self._placed), decisions, tiles, behind, self.woven, worked, dict(self.lost))
 
     def _place_new(self) -> None:
         """Robots that were not woven yet stand in parts of their own."""

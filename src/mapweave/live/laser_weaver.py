@@ -6,16 +6,17 @@ one at a time: a scan that comes meanwhile is in the map all the same.
 
 import time
 from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import replace
 from threading import Condition, Thread
 from typing import NamedTuple
 
 import numpy as np
 
-from ..core.errors import MapweaveError
-from ..laser.config import LaserConfig
-from ..laser.merge import Merge
+from ..mapping.config import LaserConfig
+from ..mapping.merge import Merge
+from .beside import beside
+from .isolation import in_words
 from .laser_team import LiveLaserTeam, Starts, WovenTeam, nobody
 from .pair_search import PairTrial
 from .store import Store
@@ -25,6 +26,7 @@ RESTED = 3.0  # the time from solving to solving, and from drawing to drawing, i
 SEARCHED = 0.25  # the time without a search is at least so many times what the search before took
 DRAW_EVERY = 0.5  # [s]
 OVERDUE = 8.0  # [s] that solving and searching are put off for messages that wait
+ENDING = 1.0  # [s] that its thread is waited for
 PATIENCE = 0.5  # [s] until it is looked again whether to end
 
 
@@ -46,19 +48,20 @@ class _Solving(NamedTuple):
 class LaserWeaver:
     """A laser team as it is followed, from what the store holds up to where there is no gap.
 
-    newest: the last map, None before the first; failed: why the last solution gave none, empty when it did.
+    newest: the last map, None before the first; failed: why the last solution gave none, empty when it did; died: what
+    ended its thread, empty while nothing did.
     """
 
     def __init__(self, store: Store, cfg: LaserConfig, every: float, starts: Starts = nobody) -> None:
         self.newest: WovenTeam | None = None
-        self.failed = ""
+        self.failed = self.died = ""
         self._team = LiveLaserTeam(store, replace(cfg, method="graph", threads=1), starts)
         self._every = every
         self._heard: dict[str, int] = {}
+        self._void: set[str] = set()
         self._changed = Condition()
         self._ended = False
-        self._thread = Thread(target=self._run, name="weaver", daemon=True)
-        self._beside = ThreadPoolExecutor(1, thread_name_prefix="beside")
+        self._thread = Thread(target=self._live, name="weaver", daemon=True)
         self._work: _Searched | _Solving | None = None
         self._search_due = self._weave_due = self._draw_due = 0.0
 
@@ -72,14 +75,25 @@ class LaserWeaver:
                 self._heard = dict(heard)
                 self._changed.notify()
 
+    def begin_again(self, robot: str) -> None:
+        """What this robot had told is void: from here on it has told what the store holds."""
+        with self._changed:
+            self._void.add(robot)
+            self._changed.notify()
+
     def stop(self) -> None:
-        """No more is worked in; what is under way ends first."""
+        """No more is worked in; what is under way is waited for no longer than a moment."""
         with self._changed:
             self._ended = True
             self._changed.notify()
         if self._thread.is_alive():
-            self._thread.join()
-        self._beside.shutdown(cancel_futures=True)
+            self._thread.join(ENDING)
+
+    def _live(self) -> None:
+        try:
+            self._run()
+        except BaseException as error:  # noqa: BLE001  (who started it is told, and starts another)
+            self.died = in_words(error)
 
     def _run(self) -> None:
         followed = {"": -1}
@@ -90,6 +104,10 @@ class LaserWeaver:
             if heard is None:
                 return
             try:
+                for name in self._taken():
+                    self._team.lost.pop(name, None)
+                    self._team.forget(name)
+                    followed = {"": -1}
                 if heard != followed:
                     before = self._worked_in()
                     waiting = left = self._team.follow(heard)
@@ -111,8 +129,14 @@ class LaserWeaver:
                     self._draw_due = _rested(now, DRAW_EVERY)
                 if self._work is None and time.monotonic() >= self._search_due + late:
                     self._search()
-            except (MapweaveError, np.linalg.LinAlgError) as error:
-                self.failed, followed = str(error), heard
+            except Exception as error:  # noqa: BLE001  (what fails is told; the thread goes on with what comes)
+                self.failed, followed = in_words(error), heard
+
+    def _taken(self) -> set[str]:
+        """The robots that begin again."""
+        with self._changed:
+            void, self._void = self._void, set()
+        return void
 
     def _due(self, *, unsolved: bool, undrawn: bool) -> float:
         """When anything is to be done but for what is heard or ends meanwhile [s]."""
@@ -123,7 +147,7 @@ class LaserWeaver:
         """What was heard by now, as soon as it is more than `followed` or something is due; None to end."""
         with self._changed:
             ended = self._work is not None and self._work[-1].done()
-            if not self._ended and self._heard == followed and not ended:
+            if not (self._ended or self._void or ended) and self._heard == followed:
                 self._changed.wait(max(min(PATIENCE, due - time.monotonic()), 0.01))
             return None if self._ended else dict(self._heard)
 
@@ -131,14 +155,14 @@ class LaserWeaver:
         """The graph of all robots is solved, beside everything else."""
         weaving = self._team.weaving()
         if weaving is not None:
-            self._work = _Solving(time.monotonic(), self._beside.submit(weaving.run))
+            self._work = _Solving(time.monotonic(), beside(weaving.run))
             self._work.woven.add_done_callback(self._wake)
 
     def _search(self) -> None:
         """Two maps that are to be tried on each other are, beside everything else, and one pair at a time."""
         trial = self._team.trial()
         if trial is not None:
-            self._work = _Searched(trial, time.monotonic(), self._beside.submit(trial.run))
+            self._work = _Searched(trial, time.monotonic(), beside(trial.run))
             self._work.merge.add_done_callback(self._wake)
 
     def _wake(self, done: object) -> None:  # noqa: ARG002
@@ -155,9 +179,10 @@ class LaserWeaver:
             self._search_due = time.monotonic() + SEARCHED * (time.monotonic() - work.begin)
             try:
                 merge = work.merge.result()
-            except (MapweaveError, np.linalg.LinAlgError) as error:
-                merge = Merge(work.trial.a, work.trial.b, merged=False, reason=str(error))
-            self._team.search.decided(work.trial, merge)
+            except Exception as error:  # noqa: BLE001  (no tie comes of it, and no harm to others)
+                merge = Merge(work.trial.a, work.trial.b, merged=False, reason=in_words(error))
+            if {work.trial.a, work.trial.b} <= self._team.robots.keys():
+                self._team.search.decided(work.trial, merge)
             return _Searched
         self._weave_due = _rested(work.begin, self._every)
         self._team.take(work.woven.result())

@@ -3,32 +3,40 @@
 import sys
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from queue import Empty, Full, Queue
 from threading import Event
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import zenoh
 
 from ..core.errors import DataError, UsageError
 from ..landmarks.config import EkfSlamConfig
-from ..laser.config import LaserConfig
+from ..mapping.config import LaserConfig
+from .beside import beside
 from .clocks import ClockOffset
 from .columns import listed, square, triangle, unpack_triangle
+from .door import decode
 from .inbox import Inbox, Ledger
+from .intake import Intake
+from .isolation import in_words
 from .landmark_robot import mapped_again
 from .landmark_stream import LandmarkRecord
 from .laser_team import Starts, WovenTeam, nobody
 from .laser_weaver import LaserWeaver
-from .messages import LARGEST, MapState, Numbers, RefusedError, RobotState, Snapshot, count, decode, encode
+from .messages import LARGEST, MapState, Numbers, RefusedError, RobotState, Snapshot, count, encode
 from .shared_map import Fused, SharedMap
 from .store import Store
 from .topics import Topics
-from .transport import SETTLE, answer, ask, put, there_is
+from .transport import MOST_ANSWERS, OWN, SETTLE, answer, ask, put, there_is
 
-WAITING = 20_000  # messages not worked in yet: beyond, they are let go and asked for later
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+MOST_OTHER = 2_000  # tokens, clocks and states of maps not worked in yet: all of them are told again
 TICK = 0.05  # [s]
 SWITCH = 0.0005  # [s] between threads: who follows robots comes back from each kernel to one who searches
 STATE_EVERY = 1.0  # [s], and as soon as landmark robots are fused
@@ -37,22 +45,24 @@ FUSED = 0.25  # of the time between two solutions of laser robots: how often lan
 FUSING_REST = 0.25  # the time without fusing is at least so many times what fusing took
 TELL_CLOCK = 1.0  # [s] that a clock is off before it is told
 
+REST = 5.0  # [s] before a thread that died is started again
+MOST_FINDINGS = 100  # told: what goes wrong as often goes wrong on
+
 Say = Callable[[str], None]
+Step = TypeVar("Step")
 
 
 @dataclass(slots=True)
 class _Heard:
     """What callbacks leave for the process's own thread."""
 
-    messages: Queue[tuple[str, bytes]] = field(default_factory=lambda: Queue(WAITING))
-    let_go: int = 0
-    other: Queue[Callable[[], object]] = field(default_factory=Queue)
+    messages: Intake = field(default_factory=Intake)
+    other: Queue[Callable[[], object]] = field(default_factory=lambda: Queue(MOST_OTHER))
 
-    def message(self, speaker: str, payload: bytes) -> None:
-        try:
-            self.messages.put_nowait((speaker, payload))
-        except Full:
-            self.let_go += 1
+    def do(self, what: Callable[[], object]) -> None:
+        """`what` is done in its turn; beyond `MOST_OTHER` it is let go, and comes again."""
+        with suppress(Full):
+            self.other.put_nowait(what)
 
 
 class MapProcess:
@@ -79,13 +89,15 @@ class MapProcess:
         self._weaver: LaserWeaver | None = None
         self._woven: WovenTeam | None = None
         self.ekf = EkfSlamConfig()
-        self._beside = ThreadPoolExecutor(2, thread_name_prefix="beside")  # one that fuses, one that remembers
         self._remembered: set[str] = set()
         self._remembering: tuple[str, Future[Snapshot | None]] | None = None
         self._ended = False
         self._fusing: tuple[float, Future[Fused]] | None = None  # since when [s]
         self._fuse_due = float("-inf")
         self.clocks: dict[str, ClockOffset] = {}
+        self.findings: dict[str, None] = {}
+        self._anew: dict[str, int] = {}  # how often each robot's history was put right, as the weaver knows it
+        self._begin_again = float("-inf")  # [s] when a thread that died may be started
         self._session, self._topics, self._store, self._say, self._wall = session, topics, store, say, wall
         self._heard = _Heard()
         self._declared: list[object] = []
@@ -120,43 +132,56 @@ class MapProcess:
         finally:
             sys.setswitchinterval(before)
             self._ended = True
-            self._beside.shutdown(cancel_futures=True)
             if self._weaver is not None:
                 self._weaver.stop()
+
+    def finding(self, text: str) -> None:
+        """What went wrong here is told at once, on the page and with the result; each once."""
+        if text not in self.findings and len(self.findings) < MOST_FINDINGS:
+            self.findings[text] = None
+            self._say(text)
+
+    def _safely(self, what: str, do: Callable[[], Step]) -> Step | None:
+        """What `do` gives; None where it failed, which is told: the process goes on with what comes."""
+        try:
+            return do()
+        except Exception as error:  # noqa: BLE001  (no message may end the process)
+            self.finding(f"{what} failed: {in_words(error)}")
+            return None
 
     def _hear_until(self, stop: Event, every: float, until: Callable[[Inbox], bool]) -> None:
         state = clock = float("-inf")
         while not stop.is_set():
             now = time.monotonic()
-            self._work_in(now)
-            self._ask(now)
-            self._weave(every)
-            self._remember()
-            if self._fuse(every):
+            self._safely("working messages in", lambda: self._work_in(now))  # noqa: B023  (called at once)
+            self._safely("asking for messages", lambda: self._ask(now))  # noqa: B023
+            self._safely("weaving", lambda: self._weave(every))
+            self._safely("mapping a robot that is gone", self._remember)
+            if self._safely("fusing", lambda: self._fuse(every)):
                 state = float("-inf")
             if now >= clock + CLOCK_EVERY:
                 clock = now
                 self._ask_clocks()
             if now >= state + STATE_EVERY:
                 state = now
-                self.tell_state()
-                if not self._heard.messages.qsize() and until(self.inbox):
+                self._safely("telling the map", self.tell_state)
+                if not len(self._heard.messages) and until(self.inbox):
                     return
-            if not self._heard.messages.qsize():
+            if not len(self._heard.messages):
                 stop.wait(TICK)
 
     def _work_in(self, now: float) -> None:
         for _ in range(1000):
             try:
-                self._heard.other.get_nowait()()
+                do = self._heard.other.get_nowait()
             except Empty:
                 break
+            self._safely("working in what was heard", do)
         for _ in range(5000):
-            try:
-                speaker, payload = self._heard.messages.get_nowait()
-            except Empty:
+            waiting = self._heard.messages.take()
+            if waiting is None:
                 break
-            self.inbox.offer(speaker, payload, now)
+            self.inbox.offer(*waiting, now)
         try:
             self.inbox.save()
             self._disk_told = False
@@ -173,16 +198,31 @@ class MapProcess:
                 self._session,
                 self._topics.history(robot),
                 f"first={first};last={last}",
-                lambda payload, robot=robot: self._heard.message(robot, payload),  # type: ignore[misc]
-                lambda robot=robot: self._heard.other.put(lambda: self.inbox.answered(robot)),  # type: ignore[misc]
+                lambda payload, robot=robot: self._heard.messages.put(robot, payload),  # type: ignore[misc]
+                lambda robot=robot: self._heard.do(lambda: self.inbox.answered(robot)),  # type: ignore[misc]
             )
+        for robot, first, last in list(self.inbox.doubts(now)):
+            self._ask_itself(robot, first, last)
+
+    def _ask_itself(self, robot: str, first: int, last: int) -> None:
+        """The robot's own word on these messages, which no other process gives."""
+        answers: list[bytes] = []
+
+        def take(payload: bytes) -> None:
+            if len(answers) < MOST_ANSWERS:
+                answers.append(payload)
+
+        def end() -> None:
+            self._heard.do(lambda: self.inbox.decide(robot, answers, time.monotonic()))
+
+        ask(self._session, self._topics.history(robot), f"first={first};last={last};{OWN}=1", take, end)
 
     def _fuse(self, every: float) -> bool:
         """Snapshots are fused in a thread of their own; whether landmark robots stand anew, which is told."""
         if self._fusing is None:
             fusing = self.shared.fusing(self.inbox.ledgers.values()) if time.monotonic() >= self._fuse_due else None
             if fusing is not None:
-                self._fusing = time.monotonic(), self._beside.submit(fusing.run)
+                self._fusing = time.monotonic(), beside(fusing.run)
             return False
         begin, fused = self._fusing
         if not fused.done():
@@ -202,7 +242,7 @@ class MapProcess:
                 if silent and ledger.next > 1 and ledger.missing <= 0 and name not in self._remembered:
                     self._remembered.add(name)
                     again = partial(mapped_again, self._store, name, ledger.next, self.ekf, lambda: self._ended)
-                    self._remembering = name, self._beside.submit(again)
+                    self._remembering = name, beside(again)
                     return
         elif self._remembering[1].done():
             name, future = self._remembering
@@ -225,19 +265,38 @@ class MapProcess:
             return
         if self.shared.meet(list(heard)):
             self._tell_corrections()
-        if self._weaver is None:
-            self.shared.resolution = self.laser.resolution
-            self._weaver = LaserWeaver(self._store, self.laser, every, self.starts)
-            self._weaver.start()
-        self._weaver.hear(heard)
-        if self._weaver.failed:
-            self.shared.decisions = [f"not woven: {self._weaver.failed}"]
-        if self._weaver.newest is None or self._weaver.newest is self._woven:
+        weaver = self._living_weaver(every)
+        if weaver is None:
             return
-        self._woven = self._weaver.newest
+        for name, ledger in self.inbox.ledgers.items():
+            if ledger.anew != self._anew.get(name, 0):
+                self._anew[name] = ledger.anew
+                weaver.begin_again(name)
+        weaver.hear(heard)
+        if weaver.failed:
+            self.finding(f"not woven: {weaver.failed}")
+        if weaver.newest is None or weaver.newest is self._woven:
+            return
+        self._woven = weaver.newest
+        for name, why in self._woven.lost.items():
+            self.finding(f"{name}: left out of the map while robots drive: {why}")
         for tile in self.shared.take(self._woven):
             put(self._session, self._topics.tile(self.name, tile), encode(tile))
         self._tell_corrections()
+
+    def _living_weaver(self, every: float) -> LaserWeaver | None:
+        """The thread that follows laser robots; None for a moment after one has died."""
+        if self._weaver is not None and self._weaver.died:
+            self.finding(f"the thread that follows laser robots died and begins anew: {self._weaver.died}")
+            self._weaver.stop()
+            self._weaver, self._begin_again = None, time.monotonic() + REST
+        if self._weaver is None:
+            if time.monotonic() < self._begin_again:
+                return None
+            self.shared.resolution = self.laser.resolution
+            self._weaver = LaserWeaver(self._store, self.laser, every, self.starts)
+            self._weaver.start()
+        return self._weaver
 
     def _ask_clocks(self) -> None:
         for robot, ledger in self.inbox.ledgers.items():
@@ -247,7 +306,7 @@ class MapProcess:
 
             def take(payload: bytes, robot: str = robot, asked: float = asked) -> None:
                 answered = self._wall()
-                self._heard.other.put(lambda: self._clock(robot, asked, payload, answered))
+                self._heard.do(lambda: self._clock(robot, asked, payload, answered))
 
             ask(self._session, self._topics.clock(robot), "", take, lambda: None, timeout=CLOCK_EVERY)
 
@@ -270,8 +329,8 @@ class MapProcess:
     def state(self) -> MapState:
         """The shared map as it stands."""
         refused = {**self.inbox.refused, **self._door}
-        if self._heard.let_go:
-            refused["let go, asked for later"] = self._heard.let_go
+        if let_go := self._heard.messages.let_go.total():
+            refused["let go, asked for later"] = let_go
         now = time.monotonic()
         return MapState(
             map=self.name,
@@ -279,7 +338,7 @@ class MapProcess:
             fused=self.shared.fused,
             robots=[self._robot(ledger, now) for _, ledger in sorted(self.inbox.ledgers.items())],
             landmarks=self.shared.landmarks,
-            decisions=self.shared.decisions,
+            decisions=[*self.findings, *self.shared.decisions],
             refused=refused,
         )
 
@@ -343,7 +402,11 @@ class MapProcess:
                 query.reply(query.key_expr, payload)
 
     def _hear(self, sample: zenoh.Sample) -> None:
-        self._heard.message(self._topics.robot_of(str(sample.key_expr)), sample.payload.to_bytes())
+        speaker = self._topics.robot_of(str(sample.key_expr))
+        if len(sample.payload) > LARGEST:  # not even copied
+            self._heard.do(lambda: self.inbox.refuse(speaker, "oversized", f"{len(sample.payload)} bytes"))
+        else:
+            self._heard.messages.put(speaker, sample.payload.to_bytes())
 
     def _hear_map(self, sample: zenoh.Sample) -> None:
         """Another map process may know robots that have left."""
@@ -351,12 +414,12 @@ class MapProcess:
             state = decode(sample.payload.to_bytes())
         except RefusedError:
             return
-        if isinstance(state, MapState):
-            self._heard.other.put(lambda: self.inbox.hearsay(state.robots, time.monotonic()))
+        if isinstance(state, MapState) and state.map == self._topics.map_of(str(sample.key_expr)):
+            self._heard.do(lambda: self.inbox.hearsay(state.robots, time.monotonic()))
 
     def _robot_there(self, sample: zenoh.Sample) -> None:
         robot, there = self._topics.robot_of(str(sample.key_expr)), sample.kind == zenoh.SampleKind.PUT
-        self._heard.other.put(lambda: self._there(robot, there=there))
+        self._heard.do(lambda: self._there(robot, there=there))
 
     def _there(self, robot: str, *, there: bool) -> None:
         ledger = self.inbox.ledgers.get(robot)
@@ -368,6 +431,8 @@ class MapProcess:
         """The past of any robot that is kept here, for those who come late."""
         with query:
             robot = self._topics.robot_of(str(query.key_expr))
+            if query.parameters.get(OWN):  # the robot's own word is asked for
+                return
             if robot == "*":
                 query.reply_err(b"expected the name of a robot")
                 return

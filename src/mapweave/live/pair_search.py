@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..laser.map_overlap import KeyframeMap
-from ..laser.merge import MapClosure, Merge, merge_maps
-from ..laser.merge_search import MergeConfig, Start
+from ..mapping.map_overlap import KeyframeMap
+from ..mapping.merge import MapClosure, Merge, merge_maps
+from ..mapping.merge_search import MergeConfig, Start
 
 GROWN = 1.25  # a pair is tried again when so many times as much speaks for it, or both have so many times the keyframes
 LIKELY = 25  # cells in common from which on a pair is likely to be tied
@@ -148,6 +148,10 @@ class PairSearch:
         refused = 0 if before is None else before.refused
         refused += not merge.merged and min(map(len, trial.poses)) >= self.ripe
         self.tried[trial.a, trial.b] = Tried(merge, trial.keyframes, trial.ids, trial.common, refused)
+
+    def forget(self, name: str) -> None:
+        """Nothing is decided on pairs of this robot."""
+        self.tried = {pair: known for pair, known in self.tried.items() if name not in pair}
 
     def known(self, ids: Mapping[str, Int[np.ndarray, " _"]]) -> dict[tuple[int, int], Merge]:
         """What stands on every pair of these robots, by their places; closures count keyframes as they are now.

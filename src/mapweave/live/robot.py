@@ -10,7 +10,8 @@ from typing import Protocol, runtime_checkable
 import zenoh
 
 from ..core.errors import DataError, UsageError
-from .messages import LARGEST, Correction, Header, MapState, Numbered, RefusedError, Snapshot, Status, decode, encode
+from .door import decode
+from .messages import LARGEST, Correction, Header, MapState, Numbered, RefusedError, Snapshot, Status, encode
 from .store import Store
 from .topics import Topics
 from .transport import MOST_ANSWERS, SETTLE, answer, put, there_is
@@ -21,6 +22,7 @@ SNAPSHOT_RATE = 12_000.0  # [bytes / s] that snapshots take while the longest pa
 DISK_AGAIN = 1.0  # [s] until a full disk is tried again
 TICK = 0.05  # [s] that a feed is waited for
 UNHEARD = 5.0  # [s] until it is told that no map process was heard of
+MOST_MAPS = 64  # map processes that are heard: names may be invented
 GRACE = 1.0  # [s] after the last message, for a map process to be heard of
 
 Say = Callable[[str], None]
@@ -339,6 +341,11 @@ class RobotProcess:
             query.reply(self._topics.clock(self.name), repr(self._wall()))
 
     def _hear_map(self, sample: zenoh.Sample) -> None:
+        if (
+            len(self.listeners.have) >= MOST_MAPS
+            and self._topics.map_of(str(sample.key_expr)) not in self.listeners.have
+        ):
+            return
         try:
             state = decode(sample.payload.to_bytes())
         except RefusedError:
@@ -355,13 +362,15 @@ class RobotProcess:
         except RefusedError:
             return
         named = self._topics.map_of(str(sample.key_expr))
-        if isinstance(message, Correction) and (message.robot, message.map) == (self.name, named):
+        known = named in self.listeners.have or len(self.listeners.corrections) < MOST_MAPS
+        if isinstance(message, Correction) and (message.robot, message.map) == (self.name, named) and known:
             self.listeners.corrections[named] = message
 
     def _map_there(self, sample: zenoh.Sample) -> None:
         name = self._topics.map_of(str(sample.key_expr))
         if sample.kind == zenoh.SampleKind.PUT:
             self.listeners.ever = True
-            self.listeners.there.add(name)
+            if len(self.listeners.there) < MOST_MAPS:
+                self.listeners.there.add(name)
         else:
             self.listeners.there.discard(name)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..core.errors import MapweaveError
+from ..core.errors import EstimateError
 from ..core.records import Track
 from ..fusion.config import FuseConfig
 from ..fusion.online import OnlineFuser
@@ -14,21 +14,21 @@ from ..fusion.result import Component
 from ..landmarks.landmark_map import LocalMap, Submap
 from .columns import unpack, unpack_triangle
 from .inbox import Ledger
+from .isolation import in_words, without_culprits
 from .landmark_stream import LandmarkRecord
 from .laser_team import WovenTeam
-from .messages import LandmarkState, RefusedError, Snapshot, Tile
+from .messages import LandmarkState, Snapshot, Tile
 from .placed import ALONE, Placed
 from .tiles import COARSER, TileKey
 
 
 class Fused(NamedTuple):
-    """What snapshots fuse to. used: robot -> message number of its snapshot; failed: why they do not, else empty."""
+    """What snapshots fuse to. used: robot -> message number of its snapshot; refused: in words, whose could not be."""
 
     fuser: OnlineFuser
     names: Mapping[str, str]
     used: Mapping[str, int]
     refused: Sequence[str]
-    failed: str = ""
 
 
 class Fusing(NamedTuple):
@@ -44,16 +44,21 @@ class Fusing(NamedTuple):
     refused: Sequence[str]
 
     def run(self) -> Fused:
-        """The maps joined: judged anew, or put in place of older ones."""
-        recordings = {m.robot: m.source for m in self.maps}
+        """The maps joined: judged anew, or put in place of older ones; without those that can't be joined."""
+        fuser, _, failed = without_culprits([m.robot for m in self.maps], self._joined)
+        why = [f"{self.names[robot]}: refused, its snapshot: {error}" for robot, error in failed.items()]
+        return Fused(fuser or OnlineFuser(self.fuser.cfg), self.names, self.used, [*self.refused, *why])
+
+    def _joined(self, robots: Sequence[str]) -> OnlineFuser:
+        maps = [m for m in self.maps if m.robot in robots]
+        recordings = {m.robot: m.source for m in maps}
         fuser = self.fuser
         if set(fuser.latest) - set(recordings):  # who is refused by now is out of the sum
             fuser = OnlineFuser(fuser.cfg)
-        try:
-            fuser = replace(fuser, recordings=recordings).update(*self.maps)
-        except (MapweaveError, np.linalg.LinAlgError) as error:
-            return Fused(self.fuser, self.names, self.used, self.refused, str(error))
-        return Fused(fuser, self.names, self.used, self.refused)
+        fuser = replace(fuser, recordings=recordings).update(*maps)
+        if not all(np.isfinite(c.map.mean).all() and np.isfinite(c.map.cov).all() for c in fuser.fusion.components):
+            raise EstimateError("its map has no finite place in that of the others")
+        return fuser
 
 
 @dataclass(slots=True)
@@ -92,8 +97,8 @@ class SharedMap:
                 continue
             try:
                 maps[ledger.robot] = local_map_of(ledger, snapshot)
-            except (RefusedError, ValueError) as error:
-                refused.append(f"{ledger.robot}: refused, its snapshot: {error}")
+            except Exception as error:  # noqa: BLE001  (no number in it may cost others their map)
+                refused.append(f"{ledger.robot}: refused, its snapshot: {in_words(error)}")
         names = {m.robot: name for name, m in maps.items()}
         return Fusing(replace(self.fuser, cfg=self.cfg), tuple(maps.values()), names, used, refused)
 
@@ -101,9 +106,6 @@ class SharedMap:
         """Landmark robots stand as they were fused; what can't be fused is said in `decisions`."""
         self.fused += 1
         self.used, self.fuser = dict(fused.used), fused.fuser
-        if fused.failed:
-            self.decisions = [*fused.refused, f"not fused: {fused.failed}"]
-            return
         self.placed, self.landmarks = {}, []
         fusion = fused.fuser.fusion
         for k, component in enumerate(fusion.components, 1):

@@ -1,6 +1,6 @@
 """Numbered messages kept on disk: what a robot has told, and what a map process has heard. SQLite in WAL mode.
 
-A message that was put is there after a kill at any moment; none is ever changed.
+A message that was put is there after a kill at any moment; none is ever changed by another that comes.
 """
 
 import sqlite3
@@ -77,6 +77,16 @@ class Store:
                 if self._db.in_transaction:
                     self._db.execute("ROLLBACK")
                 raise
+
+    def replace(self, messages: Sequence[tuple[str, int, bytes]]) -> None:
+        """As `put`, but each in place of what is there."""
+        with self._locked():
+            self._db.executemany("INSERT OR REPLACE INTO messages VALUES (?, ?, ?)", messages)
+
+    def forget(self, robot: str) -> None:
+        """No message of `robot` is there any more."""
+        with self._locked():
+            self._db.execute("DELETE FROM messages WHERE robot = ?", (robot,))
 
     def get(self, robot: str, first: int, last: int) -> list[tuple[int, bytes]]:
         """Numbers and payloads from `first` to `last`, in order; those not there are left out."""

@@ -8,13 +8,24 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core import se2
+from ..core.errors import EstimateError
 from ..kernels.laser.scan_laying import CellCounts, lay_scan
 from ..laser.occupancy_mapper import AT_ONCE
 from .driven import Seen
 from .tiles import COARSER, LEVELS, SIDE, Cells, cells_of, coarser, pack
 
+MOST_SQUARES = 1 << 31  # from the origin: cells are counted in 63 bits
+MOST_ACROSS = 64  # squares along an axis that one keyframe sees: it is laid in memory of its own
 NO_ENDS = np.zeros((0, 2))
 SquareKey = tuple[int, int, int]  # level, column and row
+
+
+class UnmappableError(EstimateError):
+    """A keyframe of `robot` that no map can hold."""
+
+    def __init__(self, robot: str, why: str) -> None:
+        super().__init__(why)
+        self.robot = robot
 
 
 class Standing(NamedTuple):
@@ -52,7 +63,8 @@ class TileMapper:
 
         Those that were not laid yet come first, then those that moved, the latest ones before others. What is not in
         `standing` any more is taken out at once. seen: what the keyframe of that id saw, the same whenever it is asked,
-        of those that went too.
+        of those that went too. Raises UnmappableError for a robot that no
+        map can hold: begin a new one without it.
         """
         fresh: list[tuple[str, int]] = []
         shifted: list[tuple[str, int]] = []
@@ -67,7 +79,10 @@ class TileMapper:
         off = [*fresh, *shifted]
         for robot, k in off[:most]:
             ids, pose = standing[robot]
-            self._lay(robot, k, pose[k], seen(robot, int(ids[k])))
+            try:
+                self._lay(robot, k, pose[k], seen(robot, int(ids[k])))
+            except EstimateError as error:
+                raise UnmappableError(robot, str(error)) from None
         return max(len(off) - most, 0)
 
     def _aligned(
@@ -120,6 +135,8 @@ class TileMapper:
             return
         eye, points = np.asarray(se2.act(pose, seen.sensor)), np.asarray(se2.act(pose, seen.points))
         every = np.vstack([eye, points]) / (self.resolution * SIDE)
+        if not (np.abs(every) < MOST_SQUARES).all() or not (np.ptp(every, axis=0) < MOST_ACROSS).all():
+            raise EstimateError(f"a keyframe at {pose} whose returns no map can hold")
         low, high = np.floor(every.min(axis=0)).astype(np.int64), np.floor(every.max(axis=0)).astype(np.int64)
         columns, rows = (high - low + 1).tolist()
         hits, passes = np.zeros((2, rows * SIDE, columns * SIDE), np.int32)

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from ipaddress import ip_address
 from pathlib import Path
 
 import zenoh
@@ -17,6 +18,7 @@ PORTS = 20  # tried one after the other where any will do
 ANY_PORT = ":0"
 LISTENING = "listening at "
 MOST_ANSWERS = 500  # messages that one question is answered with
+OWN = "own"  # in a question for messages: of the robot itself, and of no process that keeps them beside
 NAME_PATIENCE = 4.0  # [s] that the token of a process that was killed may last
 SETTLE = 0.3  # [s] for declarations to reach those who are there
 
@@ -28,7 +30,8 @@ class Network:
     connect, listen: endpoints as `tcp/host:port`; with none of both, processes of one network find each other. A
     process that listens passes messages on between those that connect to it; port 0 is any that is free. tls: the
     folder of its certificate. lease: seconds without a sign of life until the other counts as gone; more than a message
-    takes there and back. extra: settings of Zenoh beside, by its own keys.
+    takes there and back. insecure: whether a map process may hear other machines without certificates, as anyone who
+    reaches the network could. extra: settings of Zenoh beside, by its own keys.
     """
 
     connect: tuple[str, ...] = ()
@@ -37,7 +40,23 @@ class Network:
     team: str = "team"
     lease: float = 3.0
     log_levels: str = "error"
+    insecure: bool = False
     extra: dict[str, object] = field(default_factory=dict)
+
+
+def is_open(network: Network) -> bool:
+    """Whether other machines are heard and nobody has to show who he is."""
+    alone = not (network.connect or network.listen)  # found by multicast: whoever is on the network
+    return network.tls is None and (alone or not all(_is_here(at) for at in (*network.connect, *network.listen)))
+
+
+def _is_here(endpoint: str) -> bool:
+    """Whether it is of this machine alone."""
+    host = endpoint.partition("/")[2].rpartition(":")[0].strip("[]")
+    try:
+        return host == "localhost" or ip_address(host).is_loopback
+    except ValueError:  # a name, which may be any machine's
+        return False
 
 
 def _untold(endpoint: str) -> None:

@@ -1,12 +1,17 @@
 """The shared map in a browser: one page, fed by server-sent events; nothing is asked of the page's network."""
 
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from io import BufferedIOBase
+from ipaddress import ip_address
 from pathlib import Path
-from threading import Condition, Thread
+from socket import gethostname
+from threading import BoundedSemaphore, Condition, Thread
+from time import monotonic
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -15,7 +20,8 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.errors import UsageError
-from .messages import MapState, RefusedError, RobotState, Tile, decode
+from .door import decode
+from .messages import MapState, RefusedError, RobotState, Tile
 from .topics import Topics
 from .transport import ask
 
@@ -23,7 +29,20 @@ PAGE = Path(__file__).with_name("page.html")
 POINTS = 4000  # of each robot's trail, for browsers that come late
 STEP = 0.05  # [m] from point to point of a trail
 SILENCE = 10.0  # [s] after which a browser is told that nothing came, so that one that left is noticed
-POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'"
+POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; "
+    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
+HEADERS = {"Cache-Control": "no-store", "Content-Security-Policy": POLICY, "X-Content-Type-Options": "nosniff",
+           "Referrer-Policy": "no-referrer"}  # fmt: skip
+FRAME = 0.1  # [s] from one to the next at least: what comes meanwhile goes together
+KEPT_FRAMES = 50  # a reader that is farther behind begins anew
+MOST_MAPS = 16  # map processes that are shown; a new one takes the place of the one that was silent longest
+MOST_TRAILS = 512  # of robots of all maps, likewise
+MOST_TILE_BYTES = 128 << 20  # of all squares; the oldest ones go
+TILE_OVERHEAD = 500  # [bytes] of a square beside its cells
+MOST_CONNECTIONS = 1200  # browsers; who comes beyond is told to come later
+STUCK = 30.0  # [s] that a browser may take nothing, or not say what it asks for
 CORRECTED = 0.3  # [m] by which a correction has to move a robot for its trail to begin anew from there
 Pose = Float[np.ndarray, "3"]
 Point = tuple[float, float, int, int]  # x, y [m], component, stretch: no line is drawn from one stretch to the next
@@ -32,25 +51,35 @@ Point = tuple[float, float, int, int]  # x, y [m], component, stretch: no line i
 class Board:
     """The newest state of every map process, where its robots were, its map. readers: browsers that follow it.
 
-    fetched: squares of the map that browsers have asked for.
+    What browsers are told is put in words once, in frames that all of them get, however many there are. fetched:
+    squares of the map that browsers have asked for; encoded: frames so far; let_go: maps, trails, squares without
+    room.
     """
 
     def __init__(self) -> None:
         self.version = 0
         self.readers = 0
-        self.fetched = 0
+        self.fetched = self.encoded = self.let_go = 0
         self.closed = False
         self.states: dict[str, MapState] = {}
         self._trails: dict[str, list[tuple[int, Point]]] = {}  # with the version that brought each point
         self._frames: dict[str, Pose] = {}
         self._fresh: dict[str, int] = {}
         self._tiles: dict[str, tuple[int, Tile]] = {}  # those that are gone without cells
+        self._tile_bytes = 0
+        self._number, self._framed, self._due = 0, 0, float("-inf")
+        self._recent: deque[bytes] = deque(maxlen=KEPT_FRAMES)  # the newest frames, number `_number` the last
+        self._whole: tuple[int, bytes] | None = None  # everything, as of the frame of that number
         self._changed = Condition()
 
     def take(self, state: MapState) -> None:
         """What a map process says now; who waits is woken."""
         with self._changed:
             self.version += 1
+            if state.map not in self.states and len(self.states) >= MOST_MAPS:
+                silent = min(self._fresh, key=self._fresh.__getitem__)
+                del self.states[silent], self._fresh[silent]
+                self.let_go += 1
             self.states[state.map] = state
             self._fresh[state.map] = self.version
             for robot in state.robots:
@@ -62,7 +91,16 @@ class Board:
         """A square of a map as it is now."""
         with self._changed:
             self.version += 1
-            self._tiles[f"{tile.map}/{tile.component}/{tile.level}/{tile.i}/{tile.j}"] = (self.version, tile)
+            key = f"{tile.map}/{tile.component}/{tile.level}/{tile.i}/{tile.j}"
+            before = self._tiles.pop(key, None)
+            self._tiles[key] = (self.version, tile)
+            self._tile_bytes += TILE_OVERHEAD + len(tile.cells)
+            if before is not None:
+                self._tile_bytes -= TILE_OVERHEAD + len(before[1].cells)
+            while self._tile_bytes > MOST_TILE_BYTES:
+                oldest = next(iter(self._tiles))
+                self._tile_bytes -= TILE_OVERHEAD + len(self._tiles.pop(oldest)[1].cells)
+                self.let_go += 1
             self._changed.notify_all()
 
     def cells(self, key: str) -> bytes | None:
@@ -80,6 +118,11 @@ class Board:
         }
 
     def _walk(self, key: str, robot: RobotState) -> None:
+        if key not in self._trails and len(self._trails) >= MOST_TRAILS:
+            oldest = min(self._trails, key=lambda name: self._trails[name][-1][0] if self._trails[name] else 0)
+            del self._trails[oldest]
+            self._frames.pop(oldest, None)
+            self.let_go += 1
         trail = self._trails.setdefault(key, [])
         before, now = self._frames.get(key), np.array(robot.frame)
         if now.size:
@@ -112,21 +155,47 @@ class Board:
         return newer
 
     def all(self) -> tuple[int, bytes]:
-        """Version and JSON of all states, with the trails and which tiles there are."""
+        """Number of the newest frame, and JSON of all states, with the trails and which tiles there are, as of it."""
         with self._changed:
-            states = list(self.states.values())
-            content = {"states": states, "trails": self._walked(0), "tiles": self._newer(0)}
-            return self.version, msgspec.json.encode(content)
+            self._frame()
+            if self._whole is None or self._whole[0] != self._number:
+                states = list(self.states.values())
+                content = {"states": states, "trails": self._walked(0), "tiles": self._newer(0)}
+                self._whole = self._number, msgspec.json.encode(content)
+            return self._whole
 
-    def after(self, version: int, patience: float) -> tuple[int, bytes | None]:
-        """Version and JSON of what came after `version`; None when nothing came within `patience` [s]."""
+    def after(self, number: int, patience: float) -> tuple[int, bytes | None]:
+        """The frame after `number`, and its own number; None when nothing came within `patience` [s].
+
+        Who is `KEPT_FRAMES` behind gets everything.
+        """
         with self._changed:
-            self._changed.wait_for(lambda: self.closed or self.version > version, patience)
-            if self.version <= version:
-                return version, None
-            fresh = [s for name, s in self.states.items() if self._fresh[name] > version]
-            content = {"states": fresh, "steps": self._walked(version), "tiles": self._newer(version)}
-            return self.version, msgspec.json.encode(content)
+            self._changed.wait_for(
+                lambda: self.closed or self._number > number or self.version > self._framed, patience
+            )
+            if self._number <= number and self.version > self._framed:
+                self._changed.wait_for(lambda: self.closed or self._number > number, max(self._due - monotonic(), 0.0))
+            if self._number <= number:
+                self._frame()
+            behind = self._number - number
+            if behind <= 0:
+                return number, None
+            if behind <= len(self._recent):
+                return number + 1, self._recent[-behind]
+        return self.all()
+
+    def _frame(self) -> None:
+        """What came since the last frame makes one, if anything did."""
+        if self.version == self._framed:
+            return
+        before, self._framed = self._framed, self.version
+        fresh = [s for name, s in self.states.items() if self._fresh[name] > before]
+        content = {"states": fresh, "steps": self._walked(before), "tiles": self._newer(before)}
+        self._recent.append(msgspec.json.encode(content))
+        self._number += 1
+        self.encoded += 1
+        self._due = monotonic() + FRAME
+        self._changed.notify_all()
 
     def close(self) -> None:
         """Nothing more comes: those who wait go."""
@@ -162,12 +231,11 @@ def follow(session: zenoh.Session, topics: Topics, board: Board) -> object:
 def served(board: Board, host: str, port: int) -> Iterator[str]:
     """The page stands at the address that is given, until the block ends; raises UsageError when the port is taken."""
     try:
-        server = ThreadingHTTPServer((host, port), _handler(board))
+        server = _Server(host, port, board)
     except OSError as error:
         raise UsageError(f"--port {port}: {error.strerror or error}") from None
     except OverflowError:
         raise UsageError(f"--port {port}: expected a number from 0 to 65535") from None
-    server.daemon_threads = True
     thread = Thread(target=server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
     thread.start()
     try:
@@ -178,59 +246,107 @@ def served(board: Board, host: str, port: int) -> Iterator[str]:
         server.server_close()
 
 
-def _handler(board: Board) -> type[BaseHTTPRequestHandler]:
+class _Server(ThreadingHTTPServer):
+    """A thread a browser, and no more than `MOST_CONNECTIONS`."""
+
+    daemon_threads = True
+    request_queue_size = 128
+
+    def __init__(self, host: str, port: int, board: Board) -> None:
+        self.board, self.host = board, host
+        self._room = BoundedSemaphore(MOST_CONNECTIONS)
+        super().__init__((host, port), _Handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        if not self._room.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        super().process_request(request, client_address)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._room.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A browser that left in the middle is no news."""
+
+
+def is_named(host: str, served_at: str) -> bool:
+    """Whether a browser that says it asks `host` meant this machine: by an address, or by a name that is its own.
+
+    Any other name was made to lead here by somebody else (DNS rebinding), whose page is not to read the answer.
+    """
+    name = (host.partition("]")[0].removeprefix("[") if host.startswith("[") else host.partition(":")[0]).lower()
+    if name in {"localhost", served_at.lower(), gethostname().lower(), f"{gethostname().lower()}.local"}:
+        return bool(name)
+    try:
+        ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+class _Handler(BaseHTTPRequestHandler):
     """Answers `/`, `/events`, `/state.json` and `/tile/MAP/PART/LEVEL/I/J`."""
 
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            answers: dict[str, Callable[[], None]] = {
-                "/": lambda: self._whole("text/html; charset=utf-8", PAGE.read_bytes()),
-                "/state.json": lambda: self._whole("application/json", board.all()[1]),
-                "/events": self._events,
-            }
-            answer = answers.get(self.path)
-            if self.path.startswith("/tile/") and (cells := board.cells(self.path.removeprefix("/tile/"))):
-                self._whole("application/octet-stream", cells, packed=True)
-                return
-            if answer is None:
-                self.send_error(HTTPStatus.NOT_FOUND)
-                return
-            answer()
+    server: _Server
+    timeout = STUCK
 
-        def _whole(self, kind: str, body: bytes, *, packed: bool = False) -> None:
-            self._head(kind)
-            if packed:
-                self.send_header("Content-Encoding", "deflate")
-            self.send_header("Content-Length", str(len(body)))
-            self.end_headers()
-            self.wfile.write(body)
+    def do_GET(self) -> None:
+        if not is_named(self.headers.get("Host", ""), self.server.host):
+            self.send_error(HTTPStatus.MISDIRECTED_REQUEST, "no name of this machine")
+            return
+        answers: dict[str, Callable[[], None]] = {
+            "/": lambda: self._whole("text/html; charset=utf-8", PAGE.read_bytes()),
+            "/state.json": lambda: self._whole("application/json", self.server.board.all()[1]),
+            "/events": self._events,
+        }
+        answer = answers.get(self.path)
+        if self.path.startswith("/tile/") and (cells := self.server.board.cells(self.path.removeprefix("/tile/"))):
+            self._whole("application/octet-stream", cells, packed=True)
+            return
+        if answer is None:
+            self.send_error(HTTPStatus.NOT_FOUND)
+            return
+        answer()
 
-        def _head(self, kind: str) -> None:
-            self.send_response(HTTPStatus.OK)
-            self.send_header("Content-Type", kind)
-            self.send_header("Cache-Control", "no-store")
-            self.send_header("Content-Security-Policy", POLICY)
+    def _whole(self, kind: str, body: bytes, *, packed: bool = False) -> None:
+        self._head(kind)
+        if packed:
+            self.send_header("Content-Encoding", "deflate")
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
 
-        def _events(self) -> None:
-            self._head("text/event-stream")
-            self.end_headers()
-            _tell(board, self.wfile)
+    def _head(self, kind: str) -> None:
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", kind)
 
-        def log_message(self, format: str, *args: object) -> None:  # noqa: A002
-            """Nothing is printed a request."""
+    def end_headers(self) -> None:
+        for name, value in HEADERS.items():
+            self.send_header(name, value)
+        super().end_headers()
 
-    return Handler
+    def _events(self) -> None:
+        self._head("text/event-stream")
+        self.end_headers()
+        _tell(self.server.board, self.wfile)
+
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002
+        """Nothing is printed a request."""
 
 
 def _tell(board: Board, page: BufferedIOBase) -> None:
-    """Every state as it comes, until the browser leaves or the board is closed."""
-    version, data = board.all()
+    """Every frame as it comes, until the browser leaves or the board is closed."""
+    number, data = board.all()
     try:
         page.write(b"data: " + data + b"\n\n")
         board.readers += 1
         while not board.closed:
             page.flush()
-            version, fresh = board.after(version, SILENCE)
+            number, fresh = board.after(number, SILENCE)
             page.write(b": nothing new\n\n" if fresh is None else b"data: " + fresh + b"\n\n")
     except OSError:  # the browser left
         return

@@ -1,17 +1,20 @@
 """The graph of all laser robots of a team, solved by what is decided on pairs, beside everything else."""
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Int
 
 from ..core import se2
+from ..core.errors import EstimateError
 from ..laser.joint_pass import JointPassConfig
-from ..laser.merge import Merge
-from ..laser.merge_search import MergeConfig
 from ..laser.robot_graph import RobotGraph
-from ..laser.weave import Woven, weave
+from ..mapping.merge import Merge
+from ..mapping.merge_search import MergeConfig
+from ..mapping.weave import Woven, weave
+from .isolation import without_culprits
 from .pair_search import UNTRIED
 from .placed import ALONE, Placed
 from .tile_mapper import Standing
@@ -34,8 +37,21 @@ class Weaving(NamedTuple):
     unsure: float
 
     def run(self) -> "WovenGraphs":
-        """The graph of all robots solved."""
+        """The graph of all robots solved; of those with whom it can be, where it can't be of all."""
+        every = [graph.robot for graph in self.graphs]
+        woven, _, failed = without_culprits(every, lambda names: self._of(names)._woven())  # noqa: SLF001
+        return (woven or WovenGraphs({}, {}, []))._replace(failed=failed)
+
+    def _of(self, names: Sequence[str]) -> "Weaving":
+        """The same of these robots alone."""
+        at = [k for k, graph in enumerate(self.graphs) if graph.robot in names]
+        known = {(at.index(i), at.index(j)): merge for (i, j), merge in self.known.items() if i in at and j in at}
+        return self._replace(graphs=[self.graphs[k] for k in at], ids=[self.ids[k] for k in at], known=known)
+
+    def _woven(self) -> "WovenGraphs":
         woven = weave(self.graphs, self.cfg, known=self.known, last=UNTOUCHED)
+        if not all(np.isfinite(pose).all() for pose in woven.pose):
+            raise EstimateError("the graph has no finite solution")
         names = [graph.robot for graph in self.graphs]
         placed = _placed(names, self.graphs, woven, self.unsure)
         standing = {name: Standing(*one) for name, *one in zip(names, self.ids, woven.pose, strict=True)}
@@ -43,11 +59,15 @@ class Weaving(NamedTuple):
 
 
 class WovenGraphs(NamedTuple):
-    """placed: where each robot's frame stands; standing: its keyframes in the map of their part; decisions: words."""
+    """placed: where each robot's frame stands; standing: its keyframes in the map of their part; decisions: words.
+
+    failed: why robots are not among them.
+    """
 
     placed: dict[str, Placed]
     standing: dict[str, Standing]
     decisions: list[str]
+    failed: Mapping[str, str] = MappingProxyType({})
 
 
 def _placed(names: Sequence[str], graphs: Sequence[RobotGraph], woven: Woven, unsure: float) -> dict[str, Placed]:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from ...core.records import Scan, Track, frozen
 from ...io.assemble import RawScan, floats, is_sound, poses_at, scan_of
 from ...io.transforms import Transforms, frame, in_range, planar, rigid
-from ..laser_stream import MOST_BEAMS
+from ..door import GREATEST, MOST_BEAMS, expect_steps
 from ..messages import RefusedError
 
 PATIENCE = 2.0  # [s] of the robot's clock that a scan waits for odometry and for its frame
@@ -131,6 +131,8 @@ class Assembly:
 
     def _row(self, t: float, pose: tuple[float, float, float], edge: tuple[str, str]) -> None:
         try:
+            if self.latest is not None and t > self.latest[0]:
+                expect_steps(np.array([self.latest[0], t]), np.array([self.latest[1:3], pose[:2]]), "odometry")
             self._wheels_clock.take(t)
         except RefusedError as error:
             self.refuse(error)
@@ -181,7 +183,7 @@ class Assembly:
             float(message.range_min),
             limit if limit > 0 else np.inf,
         )
-        if not is_sound(raw) or np.isnan(raw.range_min):
+        if not is_sound(raw) or np.isnan(raw.range_min) or GREATEST < limit < np.inf:
             raise RefusedError("malformed", "a scan whose angles or limits are none")
         return raw
 
