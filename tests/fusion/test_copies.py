@@ -37,7 +37,7 @@ def test_a_copy_carries_the_hash_of_the_first_and_says_so(change):
     assert first is log
     assert second is other
     assert third.log_hash == log.log_hash
-    assert third.warnings == ("its sightings are those of robot1: one log under two names, counted once",)
+    assert [(f.code, f.value) for f in third.findings] == [("log-twice", "robot1")]
 
 
 def test_numbers_that_hardly_vary_prove_no_copy():

@@ -181,8 +181,8 @@ def test_repeating_k_times_divides_the_covariance_by_k_and_delta_k_undoes_it_bel
     said = r"a map used K times is where it was, and $\delta = K$ undoes it"
     record_property("asserted", (said, "< 1e-10 m, rad, m²", float(worst)))
     assert worst < 1e-10
-    assert seven.warnings
-    assert not once.warnings
+    assert seven.findings
+    assert not once.findings
 
 
 def test_the_dense_recursion_reaches_the_information_form_when_linearised_there():

@@ -3,6 +3,7 @@
 import numpy as np
 
 from mapweave.core import se2
+from mapweave.core.findings import Finding
 from mapweave.core.records import Track
 from mapweave.laser.laser_map import GridMap, IntensityCalibration, LaserMap, ScanRecords
 
@@ -55,6 +56,6 @@ def made_laser_map(n=40, light=True):
         "robot.mcap",
         "abc",
         {"scan doubled": 2},
-        ("something to know",),
+        (Finding("saw-nothing", action="something to know"),),
         {"map": 1.5},
     )

@@ -108,7 +108,7 @@ def test_scans_out_of_order_are_sorted_and_doubled_ones_dropped(tmp_path):
     log = read_laser(written(tmp_path, flaser(3, WALL), flaser(1, WALL), flaser(2, WALL), flaser(2, WALL)))
     assert log.scan_t.tolist() == [1, 2, 3]
     assert log.dropped["scan doubled"] == 1
-    assert any("step back in time 1 times: sorted" in w for w in log.warnings)
+    assert any("step back in time 1 times; sorted" in w for w in log.warnings)
 
 
 def test_a_scan_without_any_return_stays_and_is_told(tmp_path):

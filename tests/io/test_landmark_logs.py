@@ -105,7 +105,7 @@ def test_rows_out_of_order_are_sorted_and_told_and_repeated_stamps_keep_the_last
     assert log.odometry.v[-1] == 0.3
     assert (np.diff(log.odometry.t) > 0).all()
     assert (np.diff(log.sightings.t) >= 0).all()
-    assert sum("not in order" in w for w in log.warnings) == 2
+    assert sum("step back in time" in w for w in log.warnings) == 2
 
 
 def test_a_word_in_a_line_names_file_and_line(tmp_path):

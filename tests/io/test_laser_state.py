@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import DataError, ReaderError
+from mapweave.core.findings import Unused
 from mapweave.core.records import Track
 from mapweave.io.laser_map import write_laser_map
 from mapweave.io.laser_state import holds_state, read_laser_states, write_laser_states
@@ -32,6 +33,7 @@ def made_map(robot="2", *, light=True):
         timing={},
         called="carter",
         scan_hash=f"{robot}d3",
+        unused=(Unused("drive.bag", "/imu", "sensor_msgs/Imu", 12, "no reader for this type"),),
     )
 
 

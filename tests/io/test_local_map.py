@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import ReaderError
+from mapweave.core.findings import Finding
 from mapweave.core.records import Track
 from mapweave.io.local_map import read_local_map, write_local_map
 from mapweave.landmarks.landmark_map import LocalMap, RobotSightings, Submap
@@ -25,7 +26,7 @@ def some_map(robot="robot2", *, cov=True) -> LocalMap:
         down_weighted=3,
         dropped={"misread barcode": 2},
         calibration={"lag": (0.21, 0.01)},
-        warnings=("take care",),
+        findings=(Finding("saw-nothing", robot, (1.0, 2.0), action="taken care of"),),
         first_seen={"9": 12.5},
     )
 
@@ -45,7 +46,7 @@ def test_a_local_map_is_read_back_as_it_was_written(tmp_path, cov):
     assert after.robot_sightings.target == before.robot_sightings.target
     for name in ("robot", "sightings", "odometry", "source", "log_hash", "nis_median", "down_weighted", "dropped"):
         assert getattr(after, name) == getattr(before, name)
-    assert (after.calibration, after.warnings) == (before.calibration, before.warnings)
+    assert (after.calibration, after.findings) == (before.calibration, before.findings)
     assert after.first_seen == before.first_seen
 
 

@@ -57,6 +57,6 @@ def test_a_warning_stands_once_below_the_map_and_is_counted_above_it(tmp_path):
     t[5], t[9] = t[9], t[5]
     mapweave.map(out=tmp_path / "out", **log)
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert page.count("not in order of time") == 1
+    assert page.count("step back in time") == 1
     assert page.index('href="#warnings"') < page.index('<figure class="scene"') < page.index('id="warnings"')
     assert "all in one map." in page

@@ -9,10 +9,10 @@ from matplotlib import colors, image
 
 from mapweave.core import se2
 from mapweave.core.records import Track
-from mapweave.laser.merge import Merge
 from mapweave.laser.pose_graph import PoseGraph
 from mapweave.laser.robot_graph import RobotGraph
-from mapweave.laser.woven_map import ClosureRow, WovenMap
+from mapweave.mapping.merge import Merge
+from mapweave.mapping.woven_map import ClosureRow, WovenMap
 from mapweave.report.laser import MOST_PARTS, write_laser_report
 from mapweave.report.style import PALETTE
 from mapweave.report.woven import MOST_PICTURES, robot_colour, truths_in

@@ -15,8 +15,8 @@ from mapweave.fusion.join import fuse
 from mapweave.io.laser_logs import LaserSource, read_laser
 from mapweave.io.mixed_logs import read_mixed_landmarks, sorted_logs
 from mapweave.landmarks.mapping import local_map
-from mapweave.laser.config import LaserConfig
-from mapweave.laser.mapping import map_laser
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.laser_mapping import map_laser
 from mapweave.team.config import SmoothingConfig
 from mapweave.team.mixed import map_mixed
 from mapweave.team.relative_frame import PlacingConfig

@@ -109,7 +109,7 @@ def test_clocks_that_are_off_are_found_and_put_right(ahead):
         found = made.clocks[robot]
         assert abs(found.ahead - by) < min(3.0 * found.sd, 0.5)
         where = "ahead of" if by > 0 else "behind"
-        assert any(note.startswith(f"robot {robot[5:]}: its clock is") and where in note for note in made.notes)
+        assert any(n.told.startswith(f"robot {robot[5:]}: its clock is") and where in n.text for n in made.notes)
         assert scored.robots[robot].ate < 1.2 * as_ever.robots[robot].ate
 
 

@@ -33,7 +33,7 @@ def test_both_halves_of_a_real_room_become_one_map_without_any_wheels(data):
     assert len(whole.landmarks) == 15
     assert rmse_after_alignment(whole.landmarks, read_survey(home)) < 0.12
     assert len(told) == 1
-    assert "7 landmarks that robots 1, 2, 3, 4, 5 mapped apart are tied by" in told[0]
+    assert "7 landmarks that robots 1, 2, 3, 4, 5 mapped apart are tied by" in told[0].text
     assert np.linalg.eigvalsh(whole.landmarks.cov)[0] > -1e-12
     assert set(whole.members) == set(whole.sightings) == set(whole.landmarks.ids)
     for robot, track in whole.tracks.items():

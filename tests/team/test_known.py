@@ -72,8 +72,8 @@ def test_a_wrong_start_and_exchanged_points_are_told_and_do_no_harm():
     points[a], points[b] = points[b], points[a]
     wrong = {"robot1": (start_of(w, "robot1") + np.array([20.0, 0.0, 0.0]), 0.05)}
     (whole,) = w.map(known=PlacePriors(starts=wrong, points=points)).components
-    assert any("start" in note for note in whole.notes)
-    assert sum("surveyed" in note for note in whole.notes) == 2
+    assert any(note.code == "start-contradicted" for note in whole.notes)
+    assert sum(note.code == "survey-contradicted" for note in whole.notes) == 2
     at = dict(zip(names, w.truth.survey.xy, strict=True))
     far = [np.linalg.norm(p - at[n]) for n, p in zip(whole.map.landmarks.ids, whole.map.landmarks.mean, strict=True)]
     assert np.median(far) < 0.05

@@ -7,7 +7,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.landmark_log import NOTHING_SEEN, LandmarkLog
-from mapweave.laser.config import LaserConfig
+from mapweave.mapping.config import LaserConfig
 from mapweave.solve import Factor
 from mapweave.team.config import CameraNoise, SmoothingConfig
 from mapweave.team.factors import InterRobotEdge
@@ -275,7 +275,7 @@ def test_a_robot_whose_filter_was_lost_comes_back_by_what_it_saw():
     assert told
     assert maps[0].robots == ("robot1", "robot2", "robot3")
     for sentence in told:
-        assert "its own map did not fit" in sentence
+        assert "its own map did not fit" in sentence.text
     made = w.map(mapped=maps)
     assert all(r.ate < 0.2 for r in w.score(made).robots.values())
 

@@ -100,10 +100,10 @@ def test_robots_without_wheels_wait_for_the_end_and_it_is_told():
     short = [log.until(log.span[0] + 25.0) for log in w.logs]
     logs = [replace(log, odometry=None) for log in short]
     run = played(logs)
-    assert "no robot with wheels" in run.warnings[0]
+    assert "no robot with wheels" in run.findings[0].text
     assert closing_start(run, w.map, ONLINE.far) is w.map
     mixed = played([short[0], short[1], logs[2]])
-    assert mixed.warnings == ("--online: no wheels: smoothed when the logs ended: robot 3",)
+    assert tuple(f.text for f in mixed.findings) == ("--online: no wheels: smoothed when the logs ended: robot 3",)
     assert mixed.team.members
     assert "robot3" not in mixed.team.members
 
@@ -121,7 +121,7 @@ def test_a_robot_put_down_elsewhere_is_cut_there_while_the_logs_play_too(monkeyp
     mapweave.simulate_landmarks(tmp_path / "logs", robots=3, minutes=3, seed=101)
     done = mapweave.map(tmp_path / "logs", online=True, truth=[tmp_path / "logs"])
     assert done.maps[0].robots == ("robot1", "robot2", "robot3")
-    assert any(w.startswith("robot 2: put down elsewhere at") for w in done.warnings)
+    assert any(w.startswith("robot 2: ") and "put down elsewhere at" in w for w in done.warnings)
     assert done.score.landmarks.rmse < 0.1
     assert max(score.ate for score in done.score.robots.values()) < 0.2
     assert done.run.ways_moved < 0.2  # of the stretch that was smoothed under way; the other has come in since

@@ -158,7 +158,7 @@ def test_a_map_that_cannot_be_smoothed_stays_and_says_why(made):
         kept = smooth(asked, given, {}, CFG)
         assert kept.refused == why
         assert kept.map is asked
-        assert bool(kept.warnings) == warned
+        assert bool(kept.findings) == warned
         assert not kept.iterations
 
 

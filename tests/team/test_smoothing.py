@@ -211,7 +211,7 @@ def test_a_team_of_too_many_poses_is_smoothed_with_longer_steps_and_told():
     assert not whole.notes
     fewer = smoothed(w, replace(CFG, most_poses=whole.poses // 3))
     assert whole.poses / 6 < fewer.poses <= whole.poses // 3
-    assert f"{whole.poses // 3:,} poses" in fewer.notes[0]
+    assert f"{whole.poses // 3:,} poses" in fewer.notes[0].text
     for own, track in fewer.map.tracks.items():
         np.testing.assert_array_equal(track.t, whole.map.tracks[own].t)
     (landmarks, ate, _), (landmarks_whole, ate_whole, _) = errors(w, fewer), errors(w, whole)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ..core.findings import Finding, Unused, of_robot, verdict
 from ..core.landmark_log import LandmarkLog
 from ..core.names import robot_key
 from ..core.version import __version__
@@ -10,6 +11,7 @@ from ..fusion.result import Fusion
 from ..io.team_map import told_gaps
 from ..landmarks.landmark_map import LocalMap
 from ..laser.laser_map import LaserMap
+from ..report.html import told_list
 from ..team.mixed import MixedMap
 from ..team.walls import Scanned
 
@@ -26,35 +28,30 @@ def carries(log: LandmarkLog, scanned: Mapping[str, Scanned]) -> str:
     return ", ".join(things) or "nothing"
 
 
-def warnings_of(
+def findings_of(
     read: Sequence[LandmarkLog],
     lasers: Mapping[str, LaserMap],
     fusion: Fusion | None,
     mixed: MixedMap,
     apart: Mapping[str, float],
-) -> tuple[str, ...]:
-    out = [] if fusion is None else list(fusion.warnings)
+) -> tuple[Finding, ...]:
+    out = [] if fusion is None else list(fusion.findings)
     for log in read:
         idle = log.robot in lasers
-        out += [f"robot {robot_key(log.robot)}: {w}" for w in log.warnings if not (idle and w == "it saw nothing")]
-    out += [f"robot {robot_key(robot)}: {w}" for robot, m in lasers.items() for w in m.warnings]
-    for robot, gap in apart.items():
-        out.append(
-            f"robot {robot_key(robot)}: its clock has nothing in common with the others': {gap:.0f} s lie between "
-            "their stamps and its own; it stays apart"
-        )
-    for robot in mixed.layout.lost:
-        out.append(f"robot {robot_key(robot)}: nothing that it saw, and nobody who saw it, tells where it was")
-    for component in mixed.components[1:]:
-        keys = ", ".join(map(robot_key, component.map.robots))
-        out.append(f"robot {keys}: not tied to the largest map: too few sightings that agree")
+        out += of_robot([f for f in log.findings if not (idle and f.code == "saw-nothing")], log.robot)
+    out += [found for robot, m in lasers.items() for found in of_robot(m.findings, robot)]
+    out += [Finding("clock-apart", robot, value=gap, action="it stays apart") for robot, gap in apart.items()]
+    why = "nothing that it saw, and nobody who saw it, tells where it was"
+    out += [Finding("unplaced", robot, value=why) for robot in mixed.layout.lost]
+    if others := [robot for component in mixed.components[1:] for robot in component.map.robots]:
+        out.append(Finding("robots-apart", value=told_list(others)))
     for component in mixed.components:
-        out += component.warnings
+        out += component.findings
     return tuple(out)
 
 
 def robot_metrics(
-    log: LandmarkLog, local: LocalMap | None, laser: LaserMap | None, warnings: Sequence[str]
+    log: LandmarkLog, local: LocalMap | None, laser: LaserMap | None, findings: Sequence[Finding]
 ) -> dict[str, Any]:
     """What `metrics.json` tells of every robot, whatever it carries.
 
@@ -62,16 +59,17 @@ def robot_metrics(
     """
     seen, scans = len(log.sightings) + len(log.bearings), 0 if laser is None else len(laser.scans)
     odometry = "none" if laser is None else laser.odometry
-    about = f"robot {robot_key(log.robot)}: "
+    mine = [found for found in findings if found.robot == robot_key(log.robot)]
     return {
         "source": log.source,
+        "verdict": verdict(mine),
         "odometry": odometry if log.odometry is None else "velocity",
         "sightings": seen or scans,
         "scans": scans,
         "dropped": {**({} if laser is None else laser.dropped), **(log.dropped if local is None else local.dropped)},
         "down_weighted": 0 if local is None else local.down_weighted,
         "nis_median": None if local is None else local.nis_median,
-        "warnings": [w.removeprefix(about) for w in warnings if w.startswith(about)],
+        "warnings": [found.text for found in mine],
     }
 
 
@@ -79,13 +77,17 @@ def mixed_metrics(
     mixed: MixedMap,
     kinds: Mapping[str, str],
     robots: Mapping[str, Mapping[str, Any]],
-    warnings: Sequence[str],
+    findings: Sequence[Finding],
+    unused: Sequence[Unused],
     seed: int,
 ) -> dict[str, Any]:
     """`robots`: of each, what `robot_metrics` tells."""
     return {
         "version": __version__,
         "seed": seed,
+        "verdict": verdict(findings),
+        "findings": [found.row() for found in findings],
+        "unused": [left.row() for left in unused],
         "robots": {
             robot_key(r): {
                 **robots[r],
@@ -127,5 +129,5 @@ def mixed_metrics(
         ],
         "left_out": told_gaps([s.map for s in mixed.components]),
         "fusion": [merge.row() for merge in mixed.merges],
-        "warnings": list(warnings),
+        "warnings": [found.told for found in findings],
     }

@@ -9,6 +9,7 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from numbers import Real
 
+from ..core.findings import Finding, Verdict
 from ..core.version import __version__
 from ..io.directory import read_json, result_file, write_json
 from ..report.result import ResultBase, Rows
@@ -34,11 +35,16 @@ class Result(Protocol):
 class MapResult(Result, Protocol):
     """What every kind of log's `map` gives: typed in its own way, and able to put itself into a folder.
 
-    maps: `TeamMap`s of landmark logs, the largest first; `LaserMap`s of laser logs, one a robot.
+    maps: `TeamMap`s of landmark logs, the largest first; `LaserMap`s of laser logs, one a robot. findings: what is
+    wrong or worth knowing; verdict: what they make of the result, "good", "doubtful" or "bad".
     """
 
     @property
     def maps(self) -> tuple[Any, ...]: ...
+    @property
+    def findings(self) -> tuple[Finding, ...]: ...
+    @property
+    def verdict(self) -> Verdict: ...
     def lines(self) -> list[str]: ...
     def write_into(self, folder: Path) -> None: ...
 

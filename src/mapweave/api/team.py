@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core import se2
+from ..core.findings import Finding, Verdict, of_robot, verdict, verdict_line
 from ..core.names import in_order, robot_key
 from ..core.records import Track
 from ..core.truth import NO_SURVEY, Survey
@@ -18,6 +19,7 @@ from ..evaluation.landmarks import GrowthPoint, find_exchanges
 from ..evaluation.team import TeamScore, as_json, score_team
 from ..fusion.result import Component, Fusion
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
+from ..report.html import told_list
 from ..report.result import ResultBase, Rows
 from ..report.team_figures import TeamStory
 from ..team.online_run import OnlineMap, OnlineRun
@@ -56,9 +58,19 @@ class TeamResult(ResultBase):
     truth: TeamTruth | None = None
     smoothed: tuple[Smoothed, ...] = ()
     filter_score: TeamScore | None = None
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     timing: dict[str, float] = field(default_factory=dict)
     run: OnlineRun | None = None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The findings' sentences, each with its robot."""
+        return tuple(f.told for f in self.findings)
+
+    @property
+    def verdict(self) -> Verdict:
+        """What the findings make of the result."""
+        return verdict(self.findings)
 
     @property
     def metrics(self) -> dict[str, Any]:
@@ -66,7 +78,10 @@ class TeamResult(ResultBase):
         metrics: dict[str, Any] = {
             "version": __version__,
             "seed": self.seed,
-            "robots": {robot_key(m.robot): _robot(m, self.fusion) for m in self.local},
+            "verdict": self.verdict,
+            "findings": [f.row() for f in self.findings],
+            "unused": [],
+            "robots": {robot_key(m.robot): _robot(m, self.findings) for m in self.local},
             "components": [[robot_key(r) for r in m.robots] for m in self.maps],
             "fusion": [
                 {
@@ -79,7 +94,7 @@ class TeamResult(ResultBase):
                 }
                 for d in self.fusion.decisions
             ],
-            "warnings": list(self.warnings),
+            "warnings": [f.told for f in self.findings],
         }
         if gaps := told_gaps(self.maps):
             metrics["left_out"] = gaps
@@ -128,7 +143,7 @@ class TeamResult(ResultBase):
             truths={} if self.truth is None else self.truth.robots,
             smoothed=self.smoothed,
             filter_score=self.filter_score,
-            warnings=self.warnings,
+            findings=self.findings,
             run=self.run,
         )
 
@@ -167,8 +182,9 @@ class TeamResult(ResultBase):
             f"{sum(sum(m.sightings.values()) for m in self.local)} sightings",
         ]
         out += [f"robot {robot_key(d.robot)}: {d.decision}, {d.reason}" for d in self.fusion.decisions]
-        out += [f"warning: {w}" for w in self.warnings]
-        return out + ([] if self.score is None else team_lines(self.score))
+        out += [f"warning: {f.told}" for f in self.findings]
+        out += [] if self.score is None else team_lines(self.score)
+        return [*out, verdict_line(self.findings)]
 
 
 def _errors(score: TeamScore | None) -> dict[str, float | None]:
@@ -238,8 +254,8 @@ def team_result(
         if smoothed:
             filter_score = score_team(filters, {}, known.survey, known.robots)
         watch.lap("evaluate")
-    own = [f"robot {robot_key(m.robot)}: {w}" for m in local for w in m.warnings]
-    reason = [f"the truth: nothing to score: {why}"] if score is not None and (why := unscored(score)) else []
+    own = [found for m in local for found in of_robot(m.findings, m.robot)]
+    left = unscored(score) if score is not None else ""
     return TeamResult(
         title=title,
         seed=seed,
@@ -251,16 +267,23 @@ def team_result(
         truth=known,
         smoothed=tuple(smoothed),
         filter_score=filter_score,
-        warnings=(
-            *fusion.warnings,
+        findings=(
+            *fusion.findings,
             *own,
-            *reason,
-            *(w for s in smoothed for w in s.warnings),
-            *(() if run is None else run.warnings),
+            *((Finding("truth-unscored", value=left),) if left else ()),
+            *(found for s in smoothed for found in s.findings),
+            *(() if run is None else run.findings),
+            *_apart(maps),
         ),
         timing=watch.seconds,
         run=run,
     )
+
+
+def _apart(maps: Sequence[TeamMap]) -> tuple[Finding, ...]:
+    """A finding where there are several maps."""
+    names = [robot for team in maps[1:] for robot in team.robots]
+    return (Finding("robots-apart", value=told_list(names)),) if names else ()
 
 
 def team_maps(local: Sequence[LocalMap], fusion: Fusion) -> tuple[TeamMap, ...]:
@@ -304,9 +327,11 @@ def _team_map(component: Component, by: Mapping[str, LocalMap], factor: Mapping[
     return TeamMap(component.robots, component.map, tracks, component.members, seen, first_seen=first)
 
 
-def _robot(m: LocalMap, fusion: Fusion) -> dict[str, Any]:
+def _robot(m: LocalMap, findings: Sequence[Finding]) -> dict[str, Any]:
+    mine = [found for found in findings if found.robot == robot_key(m.robot)]
     return {
         "source": m.source,
+        "verdict": verdict(mine),
         "odometry": m.odometry,
         "sightings": sum(m.sightings.values()),
         "landmarks": len(m.submap.ids),
@@ -315,7 +340,7 @@ def _robot(m: LocalMap, fusion: Fusion) -> dict[str, Any]:
         "down_weighted": m.down_weighted,
         "nis_median": m.nis_median,
         "calibration": {name: {"value": v, "sd": sd} for name, (v, sd) in m.calibration.items()},
-        "warnings": [*m.warnings, *fusion.about(m.robot)],
+        "warnings": [found.text for found in mine],
     }
 
 

@@ -42,7 +42,15 @@ def keys(cfg: object, path: tuple[str, ...] = ()) -> Iterator[Key]:
 
 
 def meanings(cls: type) -> dict[str, str]:
-    """What each field of `cls` means: the comment at the end of its line, or the text that stands below it."""
+    """What each field of `cls` means: the comment at the end of its line, or the text that stands below it.
+
+    Those that it inherits mean what they mean there.
+    """
+    inherited = [base for base in cls.__mro__[:0:-1] if is_dataclass(base)]
+    return {name: text for c in (*inherited, cls) for name, text in _own_meanings(c).items()}
+
+
+def _own_meanings(cls: type) -> dict[str, str]:
     source = textwrap.dedent(inspect.getsource(cls))
     (tree,) = ast.parse(source).body
     comments = {

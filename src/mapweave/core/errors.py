@@ -1,6 +1,7 @@
 """One base class; every message names what was expected and what was found."""
 
 from collections.abc import Mapping
+from typing import Any
 
 
 class MapweaveError(Exception):
@@ -34,6 +35,14 @@ class ConfigError(UsageError):
 
 class EstimateError(MapweaveError):
     """The estimate itself failed: no convergence, a matrix that is not positive definite."""
+
+
+class VerdictError(MapweaveError):
+    """A result was asked for that is good, and its verdict is another; `result` is that result, written as asked."""
+
+    def __init__(self, message: str, result: Any) -> None:
+        super().__init__(message)
+        self.result = result
 
 
 def expect_at_most(limits: Mapping[str, tuple[float, float]]) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .errors import DataError, ReaderError
+from .findings import Finding, Value
 from .records import Event, LandmarkPacket, Odometry, frozen
 
 
@@ -69,7 +70,7 @@ class LandmarkLog:
     odometry: Odometry | None
     sightings: SightingTable
     dropped: Mapping[str, int] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     source: str = ""
     log_hash: str = ""
     bearings: SightingTable = NOTHING_SEEN
@@ -81,6 +82,11 @@ class LandmarkLog:
         if not self.log_hash:
             tables = (self.sightings, self.bearings) if len(self.bearings) else (self.sightings,)
             object.__setattr__(self, "log_hash", _hash(self.odometry, *tables))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The findings' texts."""
+        return tuple(f.text for f in self.findings)
 
     @property
     def number(self) -> int:
@@ -200,10 +206,13 @@ FEW = 0.01  # share of far rows that are taken for damaged stamps rather than a 
 
 @dataclass(slots=True)
 class Mending:
-    """Rows dropped, by reason, and sentences for the user, collected while one robot's log is read."""
+    """Rows dropped, by reason, and findings, collected while one robot's log is read."""
 
     dropped: dict[str, int] = field(default_factory=dict)
-    warnings: list[str] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
+
+    def find(self, code: str, value: Value = None, action: str = "") -> None:
+        self.findings.append(Finding(code, value=value, action=action))
 
     def drop(self, reason: str, count: int) -> None:
         if count:
@@ -262,7 +271,7 @@ def _ascending(table: np.ndarray, label: str, what: str, mending: Mending) -> np
     t = table[:, 0]
     late = int((t < np.maximum.accumulate(t)).sum())
     if late:
-        mending.warnings.append(f"{late} {what} rows were not in order of time: sorted")
+        mending.find("stamps-back", {"what": what, "value": late}, "sorted by stamp")
         table = table[np.argsort(t, kind="stable")]
     return _one_recording(table, label, what, mending)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+from .findings import Finding, Unused
 from .records import Event, OdometryPoses, Scan, Track, frozen
 
 
@@ -34,7 +35,8 @@ class LaserLog:
     last in the file), or None. `odometry_from` says what it was made of: "poses", "tf", "ticks" or "none". Every scan
     of a log with odometry carries its own `Scan.odometry`; those need not be repeated in `odometry`.
     Either all scans have intensities or none: a constant intensity tells nothing, so the reader leaves it out and
-    says so in `warnings`. told_hash: `scan_hash` of all scans where some are here without their ranges, else empty.
+    says so in `findings`. unused: what was recorded beside and no reader took.
+    told_hash: `scan_hash` of all scans where some are here without their ranges, else empty.
     """
 
     robot: str
@@ -44,12 +46,18 @@ class LaserLog:
     odometry: Track | None
     odometry_from: str = "poses"
     dropped: dict[str, int] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     log_hash: str = ""
     told_hash: str = ""
+    unused: tuple[Unused, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scan_t", frozen(self.scan_t))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The findings' texts."""
+        return tuple(f.text for f in self.findings)
 
     @property
     def has_intensity(self) -> bool:

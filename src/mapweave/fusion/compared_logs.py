@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.config import config
+from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.names import in_order
 from ..core.records import Odometry
@@ -58,15 +59,15 @@ def mirror_images(maps: Sequence[LocalMap], cfg: MirrorConfig = MIRROR) -> tuple
 
 
 def unmirrored(log: LandmarkLog) -> LandmarkLog:
-    """The log with bearings and turns of the other sign, and a warning."""
+    """The log with bearings and turns of the other sign, and a finding."""
     wheels = log.odometry
-    warning = "its map is the mirror image of the others': its bearings and turns are taken with the other sign"
+    found = Finding("map-mirrored", log.robot, action="its bearings and turns are taken with the other sign")
     return replace(
         log,
         sightings=_other_side(log.sightings),
         bearings=_other_side(log.bearings),
         odometry=None if wheels is None else Odometry(wheels.t, wheels.v, -wheels.w),
-        warnings=(*log.warnings, warning),
+        findings=(*log.findings, found),
     )
 
 
@@ -99,7 +100,7 @@ COPIES = CopiesConfig()
 
 
 def with_copies_marked(logs: Sequence[LandmarkLog], cfg: CopiesConfig = COPIES) -> list[LandmarkLog]:
-    """The logs in their order; one that repeats an earlier one carries its hash and a warning."""
+    """The logs in their order; one that repeats an earlier one carries its hash and a finding."""
     seen = [_successive(log, cfg) for log in logs]
     known: list[LandmarkLog] = []
     for k, log in enumerate(logs):
@@ -107,8 +108,8 @@ def with_copies_marked(logs: Sequence[LandmarkLog], cfg: CopiesConfig = COPIES) 
         if first is None or known[first].log_hash == log.log_hash:
             known.append(log)
             continue
-        warning = f"its sightings are those of {logs[first].robot}: one log under two names, counted once"
-        known.append(replace(log, log_hash=known[first].log_hash, warnings=(*log.warnings, warning)))
+        found = Finding("log-twice", log.robot, value=logs[first].robot, action="counted once")
+        known.append(replace(log, log_hash=known[first].log_hash, findings=(*log.findings, found)))
     return known
 
 

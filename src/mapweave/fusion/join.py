@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from ..core.findings import Finding
 from ..core.gaussian import is_positive_definite
 from ..core.names import in_order
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
@@ -35,7 +36,7 @@ def fuse(
     ordered = sorted(maps, key=lambda m: in_order(m.robot))
     if len({m.robot for m in ordered}) != len(ordered):
         raise ValueError("two local maps carry the same robot's name")
-    used, decisions, warnings = _single_use(ordered)
+    used, decisions, findings = _single_use(ordered)
     faults = {m.robot: why for m in used if (why := _unsound(m)) is not None}
     decisions += [Decision(robot, 0, "refused", why) for robot, why in faults.items()]
     sound = [m for m in used if m.robot not in faults]
@@ -54,9 +55,9 @@ def fuse(
     refused = nameless | refused
     for k, (old, new) in enumerate(zip(before, landmarks, strict=True)):
         _relabel(labels, sound[k], dict(zip(old.ids, new.ids, strict=True)))
-    warnings += _outlier_warnings(names, outliers)
+    findings += _outlier_findings(names, outliers)
     if cfg.repeats != 1:
-        warnings.append(f"every map was counted {cfg.repeats} times: overconfident by that factor")
+        findings.append(Finding("maps-repeated", value=cfg.repeats))
     components = []
     for start in starts:
         own = [inflated(landmarks[k], [d for d in outliers if d.owner == k]) for k in start.members]
@@ -71,7 +72,7 @@ def fuse(
         ]
     order = {m.robot: i for i, m in enumerate(ordered)}
     in_given_order = tuple(sorted(decisions, key=lambda d: order[d.robot]))
-    return Fusion(tuple(components), in_given_order, tuple(warnings), labels)
+    return Fusion(tuple(components), in_given_order, tuple(findings), labels)
 
 
 def _relabel(labels: dict[str, dict[str, str]], m: LocalMap, corrected: dict[str, str]) -> None:
@@ -187,17 +188,17 @@ def _decide(
     return Decision(robot, shared, "merged", f"shares {shared} landmarks with the others", scale, factor)
 
 
-def _single_use(maps: Sequence[LocalMap]) -> tuple[list[LocalMap], list[Decision], list[str]]:
+def _single_use(maps: Sequence[LocalMap]) -> tuple[list[LocalMap], list[Decision], list[Finding]]:
     first: dict[str, str] = {}
-    used, decisions, warnings = [], [], []
+    used, decisions, findings = [], [], []
     for m in maps:
         same = first.setdefault(m.log_hash, m.robot) if m.log_hash else m.robot
         if same == m.robot:
             used.append(m)
             continue
         decisions.append(Decision(m.robot, 0, "refused", f"made from the same log as {same}: counted once"))
-        warnings.append(f"{m.robot} and {same} were made from the same log: counted once")
-    return used, decisions, warnings
+        findings.append(Finding("log-twice", m.robot, value=same, action="counted once"))
+    return used, decisions, findings
 
 
 def _unsound(m: LocalMap) -> str | None:
@@ -209,8 +210,8 @@ def _unsound(m: LocalMap) -> str | None:
     return None
 
 
-def _outlier_warnings(names: Sequence[str], outliers: Sequence[Outlier]) -> list[str]:
-    warnings: list[str] = []
+def _outlier_findings(names: Sequence[str], outliers: Sequence[Outlier]) -> list[Finding]:
+    findings: list[Finding] = []
     for k in sorted({d.owner for d in outliers}):
         mine = [d for d in outliers if d.owner == k]
         exchanged = [d for d in mine if d.belongs_to]
@@ -218,14 +219,11 @@ def _outlier_warnings(names: Sequence[str], outliers: Sequence[Outlier]) -> list
             labels = " and ".join(sorted((d.id for d in exchanged), key=in_order))
             which = " (or the other robot's: only two see them)" if any(d.alone for d in exchanged) else ""
             worst = max(d.residual for d in exchanged)
-            warnings.append(
-                f"{names[k]}: labels {labels} look exchanged{which}, {worst:.2f} m off as they are: put back"
-            )
+            told: dict[str, float | str] = {"labels": labels, "which": which, "value": worst}
+            findings.append(Finding("labels-exchanged", names[k], value=told, action="put back"))
         for d in mine:
             if not d.belongs_to:
                 alone = " (only two see it: either may be wrong)" if d.alone else ""
-                warnings.append(
-                    f"{names[k]}: landmark {d.id} lies {d.residual:.2f} m from where the others put it{alone}: "
-                    "hardly counted"
-                )
-    return warnings
+                told = {"name": d.id, "value": d.residual, "which": alone}
+                findings.append(Finding("landmark-elsewhere", names[k], value=told, action="hardly counted"))
+    return findings

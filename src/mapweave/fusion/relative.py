@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 
 from ..core.config import config
 from ..core.errors import EstimateError
+from ..core.findings import Finding
 from ..core.se2 import wrap_angle
 from ..landmarks.landmark_map import LandmarkMap
 from ..solve import Factor, Pattern, Problem, Solution, SolveConfig, minimise, wrapping
@@ -56,7 +57,7 @@ class RelativeFusion:
     x: Float[np.ndarray, " size"]
     pairs: tuple[tuple[str, str], ...]
     solution: Solution
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     @property
     def frames(self) -> Float[np.ndarray, "m 3"]:
@@ -112,8 +113,8 @@ def fuse_relative(
     solution = _converge(Problem(x0, terms, retract=wrapping(layout.angles)), solve)
     if solution.information is None or not solution.converged:
         raise EstimateError(f"the maps could not be fused: the solver ended {solution.status.value}")
-    warnings = () if cfg.repeats == 1 else (f"every map was counted {cfg.repeats} times: overconfident by that factor",)
-    return RelativeFusion(layout, start.ids, solution.x, pairs, solution, warnings)
+    findings = () if cfg.repeats == 1 else (Finding("maps-repeated", value=cfg.repeats),)
+    return RelativeFusion(layout, start.ids, solution.x, pairs, solution, findings)
 
 
 def baselines(maps: Sequence[LandmarkMap]) -> tuple[tuple[str, str], ...]:

@@ -11,6 +11,7 @@ import scipy.linalg as sla
 from jaxtyping import Float
 
 from ..core import se2
+from ..core.findings import Finding
 from ..core.names import in_order
 from ..landmarks.landmark_map import LandmarkMap
 
@@ -58,17 +59,17 @@ class Fusion:
 
     components: tuple[Component, ...]
     decisions: tuple[Decision, ...]
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     labels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     def own_name(self, robot: str, name: str) -> str:
         """What `robot` calls the landmark that is `name` in the map."""
         return next((own for own, common in self.labels.get(robot, {}).items() if common == name), name)
 
-    def about(self, robot: str) -> tuple[str, ...]:
-        """The warnings that speak of `robot`'s map alone, without its name."""
-        start = f"{robot}: "
-        return tuple(w.removeprefix(start) for w in self.warnings if w.startswith(start))
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The findings' sentences, each with its robot."""
+        return tuple(f.told for f in self.findings)
 
 
 def tie_by_starts(fusion: Fusion, starts: Mapping[str, tuple[float, float, float]], tolerance: float) -> Fusion:
@@ -81,11 +82,11 @@ def tie_by_starts(fusion: Fusion, starts: Mapping[str, tuple[float, float, float
     if not starts or not fusion.components:
         return fusion
     base = min(fusion.components, key=lambda c: min(map(in_order, c.robots)))
-    warnings = list(fusion.warnings)
+    findings = list(fusion.findings)
     for robot in sorted(set(starts) & set(base.robots), key=in_order):
         off = float(np.hypot(*(base.frames[robot][:2] - np.array(starts[robot][:2]))))
         if off > tolerance:
-            warnings.append(f"{robot}: its landmarks put its start {off:.2f} m from the one given; the landmarks count")
+            findings.append(Finding("start-contradicted", robot, value=off, action="the landmarks count"))
     tied, others = base, list[Component]()
     placed: dict[str, str] = {}
     for component in fusion.components:
@@ -101,7 +102,7 @@ def tie_by_starts(fusion: Fusion, starts: Mapping[str, tuple[float, float, float
     first = base.robots[0] if placed else None
     decisions = tuple(_placed(d, placed, first) for d in fusion.decisions)
     components = sorted([tied, *others], key=lambda c: -len(c.robots))
-    return replace(fusion, components=tuple(components), decisions=decisions, warnings=tuple(warnings))
+    return replace(fusion, components=tuple(components), decisions=decisions, findings=tuple(findings))
 
 
 def placed_by_sightings(fusion: Fusion, before: Sequence[Sequence[str]], after: Sequence[Sequence[str]]) -> Fusion:

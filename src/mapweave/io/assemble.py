@@ -14,9 +14,12 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.errors import DataError
+from ..core.findings import Finding, Unused, Value
 from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
+from .range_unit import unit_of_ranges
 from .scan_checks import ScanAgreementConfig, scan_agreement, without_false_returns
+from .stamps import Mended, mended_stamps, rows_by_scanner
 
 PAIRS = 400  # scan pairs looked at, at most
 VOTES = 10  # pairs that must speak before anything is said
@@ -43,15 +46,13 @@ def _turns(scans: Sequence[Scan]) -> list[tuple[tuple[Scan, float], Scan]]:
     return [((scans[k], float(turn[k])), scans[k + 1]) for k in good.tolist()]
 
 
-def _check_speed(scans: Sequence[Scan], t: Float[np.ndarray, " n"], source: str) -> None:
-    """Raises DataError where the wheels tell a speed that no robot drives at, as in other units than metres."""
+def _speed(scans: Sequence[Scan], t: Float[np.ndarray, " n"]) -> float:
+    """The median speed [m/s] that the wheels tell of moments in which the robot drives; 0 where it never does."""
     poses = np.array([scan.odometry for scan in scans], dtype=float)
     step = se2.between(poses[:-1], poses[1:])
     way, dt = np.hypot(step[:, 0], step[:, 1]), np.diff(t)
     drives = (way > 0) & (dt > 0)
-    speed = float(np.median(way[drives] / dt[drives])) if drives.any() else 0.0
-    if speed > FASTEST:
-        raise DataError(f"{source}: its odometry tells {speed:.0f} m/s while it drives: expected metres")
+    return float(np.median(way[drives] / dt[drives])) if drives.any() else 0.0
 
 
 def _vote(a: Scan, turn: float, b: Scan) -> int:
@@ -105,7 +106,7 @@ class RawScan:
 
 @dataclass(slots=True)
 class RawLog:
-    """What a format reader has gathered; `finish` makes the `LaserLog`."""
+    """What a format reader has gathered; `finish` makes the `LaserLog`. scan_time: [s] from scan to scan, if stated."""
 
     robot: str
     source: str
@@ -113,8 +114,14 @@ class RawLog:
     scans: list[RawScan] = field(default_factory=list)
     odometry: list[tuple[float, float, float, float]] = field(default_factory=list)
     odometry_from: str = "none"
+    scan_time: float | None = None
     dropped: Counter = field(default_factory=Counter)
-    warnings: list[str] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
+    unused: list[Unused] = field(default_factory=list)
+
+    def find(self, code: str, value: Value = None, action: str = "") -> None:
+        """Add a finding of this robot."""
+        self.findings.append(Finding(code, self.robot, None, value, action))
 
     def finish(
         self, *, mirrored: bool = False, sensor_pose: Sequence[float] | None = None, used: bool = False
@@ -130,6 +137,7 @@ class RawLog:
             self.scans = good
         if not self.scans:
             raise DataError(f"{self.source}: no laser scan in it")
+        self._mend_stamps()
         if not self.odometry:
             self.odometry = [odometry_row(raw.t, raw.odometry) for raw in self.scans if raw.odometry is not None]
         odometry = self._odometry()
@@ -139,38 +147,90 @@ class RawLog:
         log_scans = self._with_odometry(
             [scan_of(raw, mirrored=mirrored, sensor_pose=sensor_pose) for raw in scans], scans, odometry
         )
+        if (unit := unit_of_ranges(scans, [scan.odometry for scan in log_scans])) is not None:
+            raise DataError(f"{self.source}: {unit}: expected metres")
+        t = np.array([raw.t for raw in scans])
+        if log_scans[0].odometry is not None and (speed := _speed(log_scans, t)) > FASTEST:
+            self.find("wheels-fast", speed, "the odometry is not used")
+            log_scans, odometry = [replace(scan, odometry=None) for scan in log_scans], None
         log_scans = self._without_false_returns(log_scans, used=used)
         if log_scans[0].odometry is None:
             self.odometry_from = "none"
-            self.warnings.append("no odometry: poses come from scan matching alone")
+            self.find("no-odometry")
         elif looks_mirrored(log_scans):
-            self.warnings.append(
-                "the scans turn against the odometry: beam angles seem to have the wrong sign (try --mirrored)"
-            )
+            self.find("beams-mirrored")
         else:
-            _check_speed(log_scans, np.array([raw.t for raw in scans]), self.source)
             agreement, cfg = scan_agreement(log_scans), ScanAgreementConfig()
-            warning = None if agreement is None else agreement.warning(cfg)
-            self.warnings += [warning] if warning is not None else []
+            found = None if agreement is None else agreement.finding(self.robot, cfg)
+            self.findings += [] if found is None else [found]
         return LaserLog(
             self.robot,
             self.source,
-            np.array([raw.t for raw in scans]),
+            t,
             tuple(log_scans),
             odometry,
             self.odometry_from,
             dict(self.dropped),
-            tuple(self.warnings),
+            tuple(self.findings),
             self.log_hash,
+            unused=tuple(self.unused),
         )
 
     def _without_false_returns(self, scans: list[Scan], *, used: bool) -> list[Scan]:
         kept, left = without_false_returns(scans)
         if used:
-            self.warnings += [f"{n} returns seem false and are in the map: {what}" for what, n in left.items()]
+            for what, n in left.items():
+                self.find("false-returns", {"value": n, "what": what})
             return scans
         self.dropped.update(left)
         return kept
+
+    def _mend_stamps(self) -> None:
+        """Scans whose stamps cannot be get new ones, in the file's order; odometry rows too, or they are left out."""
+        mended = self._mended_scans()
+        own = all(raw.odometry is not None for raw in self.scans)
+        rows = np.array(self.odometry, dtype=float).reshape(-1, 4)
+        good = (np.abs(rows) < np.array([LATEST, *[LARGEST] * 3])).all(axis=1)
+        moves = np.append(False, (np.diff(rows[:, 1:], axis=0) != 0).any(axis=1))
+        wrong = mended_stamps(rows[good, 0], moves[good])
+        self._tell_stamps("scans", mended, len(self.scans))
+        unknown = any(m.what == "equal" for m in mended)  # nothing says which of the rows belong to a scan
+        if wrong is not None and wrong.what == "back" and not mended:
+            return  # several loggers' rows in one file, as often: sorted
+        if not len(rows) or (wrong is None and not unknown):
+            return
+        unknown |= wrong is not None and wrong.what == "equal"
+        if unknown or wrong is None:
+            self.dropped["odometry row whose time is not known"] += len(rows)
+            self.odometry = []
+            if not own:
+                self.find("wheels-untimed", len(rows), "they are not used")
+            return
+        self._tell_stamps("odometry", [wrong], len(rows))
+        self.odometry = [(t, x, y, a) for t, (_, x, y, a) in zip(wrong.t.tolist(), rows[good].tolist(), strict=True)]
+
+    def _mended_scans(self) -> list[Mended]:
+        out = []
+        scans = self.scans
+        for rows in rows_by_scanner([(raw.T_robot_sensor.tobytes(), raw.host) for raw in scans]):
+            t = np.array([scans[k].t for k in rows])
+            other = np.array([True, *(_differ(scans[a], scans[b]) for a, b in pairwise(rows))])
+            mended = mended_stamps(t, other, self.scan_time)
+            if mended is not None:
+                out.append(mended)
+                for k, stamp in zip(rows, mended.t.tolist(), strict=True):
+                    scans[k] = replace(scans[k], t=stamp)
+        return out
+
+    def _tell_stamps(self, what: str, mended: Sequence[Mended], rows: int) -> None:
+        count = {kind: sum(m.rows for m in mended if m.what == kind) for kind in ("equal", "rounded", "back")}
+        order = "they are taken in the file's order"
+        if count["equal"]:
+            self.find("stamps-equal", {"what": what, "value": count["equal"], "all": rows}, order)
+        if count["rounded"]:
+            self.find("stamps-rounded", {"what": what, "value": count["rounded"], "all": rows}, f"{order}, evenly")
+        if count["back"]:
+            self.find("stamps-back", {"what": what, "value": count["back"]}, order)
 
     def _odometry(self) -> Track | None:
         rows = np.array(self.odometry, dtype=float).reshape(-1, 4)
@@ -181,7 +241,7 @@ class RawLog:
         if not len(rows):
             return None
         if (back := int((np.diff(rows[:, 0]) < 0).sum())) > 0:
-            self.warnings.append(f"odometry steps back in time {back} times: sorted by stamp")
+            self.find("stamps-back", {"what": "odometry", "value": back}, "sorted by stamp")
             rows = rows[np.argsort(rows[:, 0], kind="stable")]
         last = np.append(rows[1:, 0] != rows[:-1, 0], True)
         if not last.all():
@@ -192,7 +252,7 @@ class RawLog:
         scans = list(self.scans)
         back = sum(b.t < a.t for a, b in pairwise(scans))
         if back:
-            self.warnings.append(f"scans step back in time {back} times: sorted by stamp")
+            self.find("stamps-back", {"what": "scans", "value": back}, "sorted by stamp")
             scans.sort(key=lambda raw: raw.t)
         out: list[RawScan] = []
         for raw in scans:
@@ -208,7 +268,7 @@ class RawLog:
         if without == len(scans):
             return [replace(raw, intensities=None) for raw in scans]
         if without > FEW * len(scans):
-            self.warnings.append(f"{without} of {len(scans)} scans have no intensities: intensity is not used")
+            self.find("light-unused", f"{without} of {len(scans)} scans have none")
             return [replace(raw, intensities=None) for raw in scans]
         if without:
             self.dropped["scan without intensities"] += without
@@ -217,7 +277,7 @@ class RawLog:
         low = min((float(v.min()) for v in values if len(v)), default=0.0)
         high = max((float(v.max()) for v in values if len(v)), default=0.0)
         if low == high:
-            self.warnings.append(f"all intensities are {low:g}: the log is used as one without intensity")
+            self.find("light-unused", f"all intensities are {low:g}")
             return [replace(raw, intensities=None) for raw in scans]
         return scans
 
@@ -226,13 +286,14 @@ class RawLog:
         counts = Counter(len(raw.ranges) for raw in scans)
         if len(counts) > 1:
             listing = ", ".join(f"{n} beams in {k} scans" for n, k in counts.most_common())
-            self.warnings.append(f"the beam count changes: {listing}")
+            self.find("beams-change", listing)
         empty = sum(not _hit(raw).any() for raw in scans)
-        if empty:
-            why = "odometry carries over them" if empty < every else "are the ranges in metres?"
-            self.warnings.append(f"{empty} of {every} scans have no return at all: {why}")
+        if empty == every:
+            self.find("scans-blind", every)
+        elif empty:
+            self.find("scans-empty", {"value": empty, "all": every}, "odometry carries over them")
         if nan := sum(int(np.isnan(raw.ranges).sum()) for raw in scans):
-            self.warnings.append(f"{nan} ranges are not a number: read as no return")
+            self.find("ranges-nan", nan)
 
     def _with_odometry(self, log_scans: list[Scan], scans: list[RawScan], odometry: Track | None) -> list[Scan]:
         own = [raw.odometry for raw in scans]
@@ -242,7 +303,7 @@ class RawLog:
             return [replace(scan, odometry=frozen(pose)) for scan, pose in zip(log_scans, own, strict=True)]
         outside = sum(not odometry.t[0] - 0.5 <= raw.t <= odometry.t[-1] + 0.5 for raw in scans)
         if outside:
-            self.warnings.append(f"{outside} of {len(scans)} scans are outside the time of the odometry: it is held")
+            self.find("odometry-short", {"value": outside, "all": len(scans)}, "its nearest pose is taken")
         poses = poses_at(np.array([raw.t for raw in scans]), odometry)
         return [replace(scan, odometry=frozen(pose)) for scan, pose in zip(log_scans, poses, strict=True)]
 
@@ -269,6 +330,10 @@ def median_pose(poses: Iterable[Float[np.ndarray, "3"]]) -> tuple[Float[np.ndarr
 
 def odometry_row(t: float, pose: Float[np.ndarray, "3"]) -> tuple[float, float, float, float]:
     return t, float(pose[0]), float(pose[1]), float(pose[2])
+
+
+def _differ(a: RawScan, b: RawScan) -> bool:
+    return not np.array_equal(a.ranges, b.ranges, equal_nan=True)
 
 
 def _doubles(raw: RawScan, before: list[RawScan]) -> bool:

@@ -1,5 +1,6 @@
 """CARMEN text logs: FLASER, RLASER, ODOM and ROBOTLASER with remission."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -8,6 +9,7 @@ import numpy as np
 
 from ..core import se2
 from ..core.errors import ReaderError
+from ..core.findings import Unused
 from ..core.laser_log import LaserLog
 from .assemble import UNSOUND, RawLog, RawScan, is_sound, median_pose
 from .files import TextLog
@@ -32,10 +34,13 @@ def read_carmen(
     """
     raw = RawLog(robot, str(log.path), log.log_hash, odometry_from="poses")
     kinds: list[str] = []
+    other: Counter[str] = Counter()
     rows = list(log.lines())
     for number, line in rows:
         words = line.split()
         if not words or words[0] not in KEYWORDS:
+            if words and words[0].isupper():
+                other[words[0]] += 1
             continue
         try:
             if words[0] == "ODOM":
@@ -53,7 +58,10 @@ def read_carmen(
                 break
             raise ReaderError(log.path, str(error), number) from None
     if log.truncated:
-        raw.warnings.append(f"{Path(log.path).name}: {log.truncated}; what was readable is used")
+        raw.find("log-short", f"{Path(log.path).name}: {log.truncated}", "what was readable is used")
+    raw.unused = [
+        Unused(raw.source, kind, kind, n, "rows of no kind that is read") for kind, n in sorted(other.items())
+    ]
     _place_sensors(raw, kinds)
     _find_no_return(raw)
     return raw.finish(mirrored=mirrored, sensor_pose=sensor_pose)
@@ -151,10 +159,7 @@ def _place_sensors(raw: RawLog, kinds: list[str]) -> None:
         mine = [k for k, other in enumerate(kinds) if other == kind]
         pose, spread = median_pose(raw.scans[k].T_robot_sensor for k in mine)
         if spread > WRONG_OFFSET:
-            raw.warnings.append(
-                f"{kind}: the laser pose moves against the robot pose by {spread:.2f}; it is not the sensor's place, "
-                "which is taken to be the robot's (give --sensor-pose if not)"
-            )
+            raw.find("sensor-unplaced", f"{kind}: the laser pose moves against the robot pose by {spread:.2f}")
             pose = np.zeros(3)
         for k in mine:
             raw.scans[k] = replace(raw.scans[k], T_robot_sensor=np.round(pose, 6))

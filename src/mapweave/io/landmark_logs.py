@@ -117,12 +117,12 @@ def _logs(
         if drive is not None:
             odometry = landmark_log.mended_odometry(drive[0][robot_of_drive == k], labels[0], mend)
         if odometry is None:
-            mend.warnings.append("no odometry: mapped with a random walk between sightings")
+            mend.find("no-wheels")
         table, bearings = _sightings(seen, k, names, labels[1], mend)
         if not len(table) and not len(bearings):
-            mend.warnings.append("it saw nothing")
+            mend.find("saw-nothing")
         logs.append(
-            LandmarkLog(f"robot{k}", odometry, table, mend.dropped, tuple(mend.warnings), path, bearings=bearings)
+            LandmarkLog(f"robot{k}", odometry, table, mend.dropped, tuple(mend.findings), path, bearings=bearings)
         )
     if others is None and not any(len(log.sightings) for log in logs):
         raise DataError(f"{path}: no robot saw anything")

@@ -3,6 +3,7 @@
 `grid.npz` holds all that cells do, `scans.csv` what every scan did to the estimate.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from ..core.names import robot_name
 from ..laser.laser_map import GridMap, IntensityCalibration, LaserMap, ScanRecords
 from ..laser.pose_graph import PoseGraph
 from ..laser.robot_graph import RobotGraph
-from ..laser.woven_map import ClosureRow, WovenMap
+from ..mapping.woven_map import ClosureRow, WovenMap
 from .g2o import write_g2o
 from .npz import Spec, read_npz, write_arrays
 from .robot_graph import NAME as GRAPH
@@ -40,6 +41,11 @@ CALIBRATION: dict[str, Spec] = {
     "gain_figures": ("number", (4,)),
     "residual_by_range": ("maybe", ("bins",)),
 }
+LIGHT: dict[str, Spec] = {
+    "light_figures": ("number", (2,)),
+    "cosines": ("number", ("cosines",)),
+    "log_incidence": ("number", ("cosines",)),
+}
 
 
 def read_grid(path: Path) -> tuple[GridMap, IntensityCalibration | None, str]:
@@ -47,7 +53,7 @@ def read_grid(path: Path) -> tuple[GridMap, IntensityCalibration | None, str]:
 
     Raises ReaderError for a file that is missing, damaged or something else.
     """
-    held = read_npz(path, CELLS, CALIBRATION, "a grid map that `map` wrote")
+    held = read_npz(path, CELLS, {**CALIBRATION, **LIGHT}, "a grid map that `map` wrote")
     resolution = float(held["resolution"])
     if resolution <= 0:
         raise ReaderError(path, f"expected a resolution of more than 0 m, found {resolution:g}")
@@ -63,6 +69,10 @@ def read_grid(path: Path) -> tuple[GridMap, IntensityCalibration | None, str]:
         calibration = IntensityCalibration(
             held["knots"], held["log_gain"], exponent, scale, residual, int(samples), held["residual_by_range"]
         )
+        if all(name in held for name in LIGHT):  # grids written before light was weighed have none of them
+            information, middle = held["light_figures"].tolist()
+            light = {name: held[name] for name in ("cosines", "log_incidence")}
+            calibration = replace(calibration, information=information, middle=middle, **light)
     return grid, calibration, str(held["kind"])
 
 
@@ -70,7 +80,7 @@ def write_grid(path: Path, grid: GridMap, calibration: IntensityCalibration | No
     """`path` holds the cells and what is needed to work out the feature of a new scan as it was worked out here.
 
     Arrays as in `GridMap` and, with a calibration, `knots`, `log_gain`, `gain_figures` = (exponent, scale, residual,
-    samples) and `residual_by_range`.
+    samples), `residual_by_range`, `light_figures` = (information, middle), `cosines` and `log_incidence`.
     """
     arrays = {
         "resolution": np.array(grid.resolution),
@@ -89,6 +99,9 @@ def write_grid(path: Path, grid: GridMap, calibration: IntensityCalibration | No
             "log_gain": c.log_gain,
             "gain_figures": np.array([c.exponent, c.scale, c.residual, float(c.samples)]),
             "residual_by_range": c.residual_by_range,
+            "light_figures": np.array([c.information, c.middle]),
+            "cosines": c.cosines,
+            "log_incidence": c.log_incidence,
         }
     write_arrays(path, arrays, gaps=("residual_by_range",))
 

@@ -1,17 +1,21 @@
 """What laser maps leave behind for going on: every robot's trajectory, scans and graph, to the last digit."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from ..core.errors import DataError, ReaderError
+from ..core.findings import Finding, finding_of, unused_of
 from ..core.names import in_order, robot_name
 from ..core.records import Track
 from ..core.version import __version__
 from ..laser.laser_map import LaserMap, ScanRecords
+from ..laser.odometry_calibration import OdometryCalibration
 from .directory import read_json, write_json
 from .laser_map import NAME as GRID
 from .laser_map import read_grid
@@ -27,7 +31,6 @@ WANTED: dict[str, Spec] = {
     "particles": ("whole", ()),
     "dropped": ("text", ("reasons",)),
     "dropped_counts": ("whole", ("reasons",)),
-    "warnings": ("text", ("warnings",)),
     "t": ("number", ("n",)),
     "pose": ("number", ("n", 3)),
     "cov": ("number", ("n", 3, 3)),
@@ -42,10 +45,15 @@ WANTED: dict[str, Spec] = {
     "resampled": ("whole", ("m",)),
 }
 MAYBE: dict[str, Spec] = {
+    "findings": ("text", ("findings",)),
+    "unused": ("text", ("unused",)),
+    "warnings": ("text", ("warnings",)),  # of an earlier version
     "dead_t": ("number", ("d",)),
     "dead_pose": ("number", ("d", 3)),
     "information": ("number", ("m", 3, 3)),
+    "odometry_calibration": ("number", (41,)),
 }
+T = TypeVar("T")
 AGAIN = "map its logs again with --method graph"
 
 
@@ -171,7 +179,8 @@ def _write(path: Path, laser_map: LaserMap) -> None:
         "particles": np.array(laser_map.particles),
         "dropped": np.array(list(laser_map.dropped), dtype=np.str_),
         "dropped_counts": np.array(list(laser_map.dropped.values()), dtype=np.int64),
-        "warnings": np.array(laser_map.warnings, dtype=np.str_),
+        "findings": np.array([json.dumps(found.row()) for found in laser_map.findings], dtype=np.str_),
+        "unused": np.array([json.dumps(left.row()) for left in laser_map.unused], dtype=np.str_),
         "t": track.t,
         "pose": track.pose,
         "cov": track.cov,
@@ -189,6 +198,8 @@ def _write(path: Path, laser_map: LaserMap) -> None:
         held |= {"dead_t": dead.t, "dead_pose": dead.pose}
     if scans.information is not None:
         held["information"] = scans.information
+    if laser_map.odometry_calibration is not None:
+        held["odometry_calibration"] = laser_map.odometry_calibration.numbers()
     write_arrays(path, held, gaps=("n_eff",))
 
 
@@ -218,6 +229,7 @@ def _read(folder: Path, robot: str) -> LaserMap:
         held.get("information"),
     )
     dead = Track(held["dead_t"], held["dead_pose"], frame="odom") if {"dead_t", "dead_pose"} <= held.keys() else None
+    known = held.get("odometry_calibration")
     return LaserMap(
         robot=robot,
         method=said["method"],
@@ -232,8 +244,20 @@ def _read(folder: Path, robot: str) -> LaserMap:
         source=said["source"],
         log_hash=said["log_hash"],
         dropped=dict(zip(map(str, held["dropped"]), held["dropped_counts"].tolist(), strict=True)),
-        warnings=tuple(map(str, held["warnings"])),
+        findings=_rows(path, held, "findings", finding_of)
+        if "findings" in held
+        else tuple(Finding("told-before", value=str(text)) for text in held.get("warnings", ())),
         graph=graph,
         called=said["called"],
         scan_hash=said["scan_hash"],
+        unused=_rows(path, held, "unused", unused_of),
+        odometry_calibration=None if known is None else OdometryCalibration.from_numbers(known),
     )
+
+
+def _rows(path: Path, held: Mapping[str, np.ndarray], name: str, read: Callable[[object], T]) -> tuple[T, ...]:
+    """The rows under `name`, each a line of JSON that `read` takes; none where an earlier version kept none."""
+    try:
+        return tuple(read(json.loads(str(row))) for row in held.get(name, ()))
+    except ValueError as error:
+        raise ReaderError(path, f"{name}: {error}") from None

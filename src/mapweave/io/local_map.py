@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import ReaderError
+from ..core.findings import Finding, finding_of
 from ..core.records import Track
 from ..landmarks.landmark_map import LocalMap, RobotSightings, Submap
 from .directory import read_json, write_json
@@ -60,7 +61,7 @@ def read_local_map(folder: Path) -> LocalMap:
         down_weighted=held.count("down_weighted"),
         dropped=held.counts("dropped"),
         calibration=held.calibration(),
-        warnings=held.sentences("warnings"),
+        findings=held.findings(),
         first_seen=held.stamps("first_seen", ids),
     )
 
@@ -103,11 +104,20 @@ class _Header:
             raise self._wrong(name, "landmarks with seconds", value)
         return {key: float(t) for key, t in value.items()}
 
-    def sentences(self, name: str) -> tuple[str, ...]:
-        value = self.values.get(name)
-        if not isinstance(value, list) or not all(isinstance(word, str) for word in value):
-            raise self._wrong(name, "a list of sentences", value)
-        return tuple(value)
+    def findings(self) -> tuple[Finding, ...]:
+        """Those of the file; the sentences that an older file has in their place."""
+        if "findings" not in self.values:
+            told = self.values.get("warnings")
+            if not isinstance(told, list) or not all(isinstance(word, str) for word in told):
+                raise self._wrong("findings", "a list of findings", told)
+            return tuple(Finding("told-before", value=word) for word in told)
+        value = self.values["findings"]
+        if not isinstance(value, list):
+            raise self._wrong("findings", "a list of findings", value)
+        try:
+            return tuple(map(finding_of, value))
+        except ValueError as error:
+            raise ReaderError(self.path, f"findings: {error}") from None
 
     def calibration(self) -> dict[str, tuple[float, float]]:
         value = self.values.get("calibration")
@@ -143,7 +153,7 @@ def write_local_map(folder: Path, local: LocalMap) -> None:
         "nis_median": local.nis_median,
         "down_weighted": local.down_weighted,
         "dropped": dict(local.dropped),
-        "warnings": list(local.warnings),
+        "findings": [found.row() for found in local.findings],
         "calibration": {name: {"value": v, "sd": sd} for name, (v, sd) in local.calibration.items()},
         "landmarks": {name: local.sightings.get(name, 0) for name in submap.ids},
         "first_seen": {name: local.first_seen[name] for name in submap.ids if name in local.first_seen},

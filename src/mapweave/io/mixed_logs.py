@@ -87,7 +87,7 @@ def read_mixed_landmarks(logs: MixedLogs) -> list[LandmarkLog]:
             read[log.robot] = _together(read[log.robot], log) if log.robot in read else log
     for robot, laser in logs.lasers.items():
         read.setdefault(robot, LandmarkLog(robot, None, NOTHING_SEEN, source=str(laser.path)))
-    return [_with_current_warnings(read[robot]) for robot in sorted(read, key=in_order)]
+    return [_with_current_findings(read[robot]) for robot in sorted(read, key=in_order)]
 
 
 def _named_in(paths: Sequence[Path]) -> set[str]:
@@ -99,12 +99,12 @@ def _rows_of(path: Path) -> Sequence[LandmarkLog]:
     return read_tables(path, None) if is_odometry else read_tables(None, path)
 
 
-def _with_current_warnings(log: LandmarkLog) -> LandmarkLog:
-    """With the warnings that are still true once all files are together."""
-    idle = {"it saw nothing"} if len(log.sightings) + len(log.bearings) else set()
+def _with_current_findings(log: LandmarkLog) -> LandmarkLog:
+    """With the findings that are still true once all files are together, each once."""
+    idle = {"saw-nothing"} if len(log.sightings) + len(log.bearings) else set()
     if log.odometry is not None:
-        idle.add("no odometry: mapped with a random walk between sightings")
-    return replace(log, warnings=tuple(dict.fromkeys(w for w in log.warnings if w not in idle)))
+        idle.add("no-wheels")
+    return replace(log, findings=tuple(dict.fromkeys(f for f in log.findings if f.code not in idle)))
 
 
 def _together(a: LandmarkLog, b: LandmarkLog) -> LandmarkLog:
@@ -119,7 +119,7 @@ def _together(a: LandmarkLog, b: LandmarkLog) -> LandmarkLog:
         a.odometry if a.odometry is not None else b.odometry,
         _joined(a.sightings, b.sightings),
         dropped,
-        (*a.warnings, *b.warnings),
+        (*a.findings, *b.findings),
         a.source,
         bearings=_joined(a.bearings, b.bearings),
     )

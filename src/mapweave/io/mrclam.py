@@ -94,7 +94,7 @@ def _robot(files: Files, k: int, robot_files: dict[int, dict[str, str]], codes: 
         label = files.label(name)
         odometry = landmark_log.mended_odometry(numbers(files.read(name), label, ("t", "v", "w")), label, mend)
     if odometry is None:
-        mend.warnings.append("no odometry: mapped with a random walk between sightings")
+        mend.find("no-wheels")
     seen, misread = NOTHING_SEEN, np.zeros(0)
     if "Measurement" in kinds:
         name = kinds["Measurement"]
@@ -107,12 +107,12 @@ def _robot(files: Files, k: int, robot_files: dict[int, dict[str, str]], codes: 
             raise ReaderError(label, f"expected a whole number for barcode, found {table[wrong[0], 1]:g}", line)
         seen, misread = _named(landmark_log.mended_sightings(table, label, mend), codes, set(robot_files), k, mend)
     if not len(seen):
-        mend.warnings.append("it saw nothing")
+        mend.find("saw-nothing")
     spans = {"its sightings": seen.t} if odometry is None else {"its odometry": odometry.t, "its sightings": seen.t}
     ends = {w: (float(t[0]), float(t[-1])) for w, t in spans.items() if len(t)}
     landmark_log.check_one_recording(ends, files.label(f"Robot{k}_*"))
     return LandmarkLog(
-        f"robot{k}", odometry, seen, mend.dropped, tuple(mend.warnings), str(files.where), misread=misread
+        f"robot{k}", odometry, seen, mend.dropped, tuple(mend.findings), str(files.where), misread=misread
     )
 
 
@@ -129,7 +129,7 @@ def _named(
     """Barcodes become names; unlisted ones seldom seen, and the robot's own, are misreads: their stamps (m,) [s]."""
     values, what, count = np.unique(table[:, 1].astype(np.int64), return_inverse=True, return_counts=True)
     if _are_subjects(values, count, codes):
-        mend.warnings.append("its sightings tell subjects in place of barcodes: read as such")
+        mend.find("subjects-told")
         codes = {subject: subject for subject in codes.values()}
     names: list[str] = []
     keep = np.ones(len(values), bool)

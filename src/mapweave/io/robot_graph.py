@@ -1,5 +1,6 @@
 """One robot's laser keyframe graph as a file: what merging and going on tomorrow need."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from .npz import read_arrays, write_arrays
 NAME = "robot_graph.npz"
 VERSION = 1
 ARRAYS = ("t", "pose", "cov", "path", "step", "step_information", "start", "lined", "sensor")
-WORDS = ("text", "closure_reason")
+WORDS = ("text", "closure_reason", "border")
 GAPS = ("light_residual", "closure_numbers")  # NaN where there is nothing to tell
 THIN = ("points", "normals", "q")  # float32: a scanner's noise is a thousand times their rounding
 
@@ -26,6 +27,7 @@ def write_robot_graph(path: Path, graph: RobotGraph) -> None:
         "text": np.array([graph.robot, graph.feature, graph.source, graph.log_hash]),
         **{_key(name): getattr(graph, name) for name in ARRAYS},
         **{name: np.asarray(a, np.float32) for name in THIN if (a := getattr(graph, name)) is not None},
+        "border": np.array(graph.border),
         **_closures(graph.closures),
         **_revisits(graph.revisits),
     }
@@ -37,6 +39,9 @@ def write_robot_graph(path: Path, graph: RobotGraph) -> None:
                 [calibration.exponent, calibration.scale, calibration.residual, calibration.samples]
             ),
             "light_residual": calibration.residual_by_range,
+            "light_worth": np.array([calibration.information, calibration.middle]),
+            "light_cosines": calibration.cosines,
+            "light_log_incidence": calibration.log_incidence,
         }
     write_arrays(path, held, gaps=GAPS)
 
@@ -100,6 +105,15 @@ def _graph_of(held: dict[str, np.ndarray]) -> RobotGraph:
             int(samples),
             held["light_residual"],
         )
+        if "light_worth" in held:  # graphs written before light was weighed have none
+            information, middle = held["light_worth"].tolist()
+            light = replace(
+                light,
+                cosines=held["light_cosines"],
+                log_incidence=held["light_log_incidence"],
+                information=information,
+                middle=middle,
+            )
     return RobotGraph(
         robot=robot,
         closures=_read_closures(held, n),
@@ -111,8 +125,17 @@ def _graph_of(held: dict[str, np.ndarray]) -> RobotGraph:
         source=source,
         log_hash=log_hash,
         revisits=_read_revisits(held, n),
+        border=_read_border(held, n),
         **{name: held[_key(name)] for name in ARRAYS},
     )
+
+
+def _read_border(held: dict[str, np.ndarray], n: int) -> tuple[str, ...]:
+    if "border" not in held:
+        return ()  # of a version that knew no segments
+    if held["border"].shape != (n,):
+        raise ValueError(f"border has shape {held['border'].shape}, expected {(n,)}")
+    return tuple(str(word) for word in held["border"])
 
 
 def _revisits(revisits: Revisits) -> dict[str, np.ndarray]:

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from ..core.findings import Unused
 from ..core.laser_log import LaserLog
 from .assemble import RawLog, RawScan, floats
-from .bag import bag_hash, open_bag
+from .bag import Bag, bag_hash, open_bag
 from .bag_robots import ODOMETRY, SCAN, TF, BagRobot, bag_robots, choose_robot
 from .transforms import Transforms, frame, planar, rigid
 
@@ -42,10 +43,10 @@ def read_ros(
     chosen = choose_robot(bag, name, scan_topic, odom_topic)
     raw = RawLog(robot, str(path), _hash_of(bag_hash(path), chosen))
     if bag.lost:
-        raw.warnings.append(f"{path.name}: {bag.lost}; they are used")
+        raw.find("log-short", f"{path.name}: {bag.lost}", "they are used")
     wheels = chosen.odometry[0] if chosen.odometry else None
     if len(chosen.odometry) > 1:
-        raw.warnings.append(f"odometry is read from {wheels}; there is also {', '.join(chosen.odometry[1:])}")
+        raw.find("topics-chosen", f"odometry is read from {wheels}; there is also {', '.join(chosen.odometry[1:])}")
     by_tf = wheels is not None and bag.kinds[wheels] in TF
     tf = Transforms()
     messages: list[Stamped] = []
@@ -61,6 +62,7 @@ def read_ros(
             raw.odometry.append((_stamp(message.header, ns), *pose))
             robot_frame[frame(message.child_frame_id)] += 1
             raw.odometry_from = "poses"
+    raw.unused = _unused(bag, {*chosen.scans, *chosen.tf, *([wheels] if wheels else [])}, chosen)
     if bag.skipped:
         raw.dropped["message that cannot be unpacked"] += bag.skipped
     if tf.refused:
@@ -75,6 +77,22 @@ def read_ros(
     used = _placed(messages, chosen.scans, tf, base, raw, given=sensor_pose is not None)
     _add_scans(raw, [m for m in messages if m[1] in used], tf, base, given=sensor_pose is not None)
     return raw.finish(mirrored=mirrored, sensor_pose=sensor_pose)
+
+
+def _unused(bag: Bag, read: set[str], chosen: BagRobot) -> list[Unused]:
+    """The topics of the recording that say nothing to the map, and why."""
+    out = []
+    for topic, kind in sorted(bag.kinds.items()):
+        if topic in read or not bag.counts.get(topic):
+            continue
+        if kind not in {SCAN, ODOMETRY, *TF}:
+            why = "no reader for this type"
+        elif topic in chosen.odometry:
+            why = "another odometry is read"
+        else:
+            why = "of another robot, or not chosen"
+        out.append(Unused(str(bag.path), topic, kind, bag.counts[topic], why))
+    return out
 
 
 def _hash_of(digest: str, robot: BagRobot) -> str:
@@ -94,15 +112,21 @@ def _placed(
     for topic in placed[:1] if given else placed:
         used.setdefault(frames[topic], topic)
     kept = list(used.values()) or list(scans[:1])
+    why = "not placed by tf, or the same scanner as another topic" if placed else "another scanner is read"
+    for topic in (t for t in scans if t not in kept):
+        seen = sum(1 for _, other, _ in messages if other == topic)
+        raw.unused.append(Unused(raw.source, topic, SCAN, seen, why))
     if left := [topic for topic in scans if topic not in kept]:
-        raw.warnings.append(f"scan is read from {' and '.join(kept)}; there is also {', '.join(left)}")
+        raw.find("topics-chosen", f"scan is read from {' and '.join(kept)}; there is also {', '.join(left)}")
     elif len(kept) > 1:
-        raw.warnings.append(f"scans of {' and '.join(kept)} are used together")
+        raw.find("topics-chosen", f"scans of {' and '.join(kept)} are used together")
     return set(kept)
 
 
 def _add_scans(raw: RawLog, messages: Sequence[Stamped], tf: Transforms, base: str, *, given: bool) -> None:
     places: dict[str, tuple[np.ndarray, bool]] = {}
+    stated = [float(m.scan_time) for _, _, m in messages if m.scan_time > 0]
+    raw.scan_time = float(np.median(stated)) if stated else None
     for t, _, message in messages:
         name = frame(message.header.frame_id)
         if name not in places:
@@ -110,10 +134,7 @@ def _add_scans(raw: RawLog, messages: Sequence[Stamped], tf: Transforms, base: s
             if place is None:
                 place = np.zeros(3), False
                 if not given:
-                    raw.warnings.append(
-                        f"no transform from {base or 'the robot'} to {name or 'the laser'}: the sensor is taken to "
-                        "stand at the robot's origin (give --sensor-pose if not)"
-                    )
+                    raw.find("sensor-unplaced", f"no transform from {base or 'the robot'} to {name or 'the laser'}")
             places[name] = place
         pose, upside_down = places[name]
         n, sign = len(message.ranges), -1.0 if upside_down else 1.0

@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float
 
 from ..core import se2
 from ..core.config import config
+from ..core.findings import Finding, turned_scanner
 from ..core.records import Scan, frozen
 
 OWN = "return of the robot itself"
@@ -162,26 +163,17 @@ class ScanAgreement:
     across: float
     pairs: int
 
-    def warning(self, cfg: ScanAgreementConfig) -> str | None:
-        """What contradicts, in a sentence; None where nothing clearly does."""
+    def finding(self, robot: str, cfg: ScanAgreementConfig) -> Finding | None:
+        """What contradicts; None where nothing clearly does."""
         if self.pairs < cfg.least_pairs:
             return None
         low, high = cfg.scale
         if self.scale < low and self.across > cfg.across:
-            return (
-                f"the scans move {self.scale:.2f} of the way that the wheels tell: the odometry has a wrong sign or "
-                "unit, or is of another log"
-            )
+            return Finding("wheels-unlike", robot, value=self.scale)
         if self.scale >= cfg.seen and abs(self.direction) > max(cfg.turned, cfg.sure * self.direction_sd):
-            side = "left" if self.direction > 0 else "right"
-            return (
-                f"the scans move {np.degrees(abs(self.direction)):.0f} degrees to the {side} of where the wheels lead: "
-                "the scanner's heading on the robot seems wrong by about that (--sensor-pose), or the wheels' frame is"
-            )
+            return turned_scanner(robot, self.direction, self.direction_sd)
         if self.scale - cfg.sure * self.scale_sd > high:
-            return (
-                f"the scans tell {self.scale:.2g} times the way that the wheels tell: one of the two is not in metres"
-            )
+            return Finding("wheels-unlike", robot, value=self.scale)
         return None
 
 

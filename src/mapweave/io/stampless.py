@@ -26,7 +26,7 @@ def read_stampless(
 ) -> LaserLog:
     """The log, its scans numbered one second apart from zero; the laser is 0.40 m ahead unless `sensor_pose`."""
     raw = RawLog(robot, str(log.path), log.log_hash, odometry_from="poses")
-    raw.warnings.append("the log has no stamps: its scans are counted one second apart")
+    raw.find("stamps-none", STEP)
     pose = None
     rows = list(log.lines())
     for number, line in rows:
@@ -47,7 +47,7 @@ def read_stampless(
                 break
             raise ReaderError(log.path, str(error), number) from None
     if log.truncated:
-        raw.warnings.append(f"{log.path.name}: {log.truncated}; what was readable is used")
+        raw.find("log-short", f"{log.path.name}: {log.truncated}", "what was readable is used")
     if raw.scans:
         limit = min(FAR, no_return_limit(np.concatenate([scan.ranges for scan in raw.scans])))
         raw.scans = [replace(scan, range_max=limit) for scan in raw.scans]

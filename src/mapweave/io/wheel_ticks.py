@@ -51,7 +51,7 @@ def read_wheel_ticks(
         step = OPENING / (len(values) - 1)
         raw.scans.append(RawScan(float(head[0]) * 1e-6, values, None, -OPENING / 2, step, NEAR, FAR, AHEAD))
     if log.truncated:
-        raw.warnings.append(f"{log.path.name}: {log.truncated}; what was readable is used")
+        raw.find("log-short", f"{log.path.name}: {log.truncated}", "what was readable is used")
     poses = dead_reckoning(np.array(ticks).reshape(-1, 2))
     raw.odometry = [odometry_row(scan.t, pose) for scan, pose in zip(raw.scans, poses, strict=True)]
     return raw.finish(mirrored=mirrored, sensor_pose=sensor_pose)

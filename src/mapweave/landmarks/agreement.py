@@ -15,10 +15,13 @@ from jaxtyping import Float, Int
 
 from ..core.config import config
 from ..core.errors import DataError
+from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Odometry
 from .config import EkfSlamConfig
 from .ekf_slam import is_landmark
+
+LEFT = "its odometry is left out"
 
 
 @config
@@ -128,32 +131,31 @@ def with_wheels_checked(log: LandmarkLog, ekf: EkfSlamConfig, cfg: AgreementConf
     if wheels is None or not len(seen):
         return log
     agreement = Agreement.of(seen, wheels, ekf, cfg)
-    warnings: list[str] = []
+    findings: list[Finding] = []
     turn, speed = agreement.turn, agreement.speed
     if turn.elsewhere(cfg.turn_scale, cfg):
         unit = _unit(turn.value, TURN_UNITS, cfg)
         if unit is None and abs(turn.value) < cfg.with_it:
-            warnings.append(
+            why = (
                 f"its bearings do not follow its turns ({turn.value:.2f} of them): its odometry is of another robot or "
                 "another time, or wrong"
             )
         elif turn.value < 0:
-            warnings.append(
+            why = (
                 f"its bearings run against its turns ({turn.value:.2f} of them): one of the two has the wrong sign, "
                 "and if it is the bearings', what it maps is mirrored"
             )
         else:
-            warnings.append(f"its bearings change {_times(turn.value)} what its turns say")
+            why = f"its bearings change {_times(turn.value)} what its turns say"
         if unit is None:
-            return _without_wheels(log, warnings)
-        warnings[-1] += f"; its turns are taken {_taken(unit, turn.value)}"
+            return _without_wheels(log, [*findings, Finding("turns-unlike", log.robot, value=why, action=LEFT)])
+        findings.append(
+            Finding("turns-unlike", log.robot, value=why, action=f"its turns are taken {_as(unit, turn.value)}")
+        )
         wheels = Odometry(wheels.t, wheels.v, wheels.w * np.copysign(TURN_UNITS[unit], turn.value))
     if agreement.looks_aside(cfg):
         side = "left" if agreement.aside.value > 0 else "right"
-        warnings.append(
-            f"what its bearings call its {side} lies ahead: its sensor is mounted turned by about 90 degrees"
-        )
-        return _without_wheels(log, warnings)
+        return _without_wheels(log, [*findings, Finding("camera-turned", log.robot, value=side, action=LEFT)])
     if speed.elsewhere(cfg.speed_scale, cfg):
         if speed.value > cfg.unit:
             raise DataError(
@@ -161,16 +163,18 @@ def with_wheels_checked(log: LandmarkLog, ekf: EkfSlamConfig, cfg: AgreementConf
                 "expected metres"
             )
         unit = _unit(speed.value, SPEED_UNITS, cfg)
-        warnings.append(
+        why = (
             "its ranges grow where its speed leads towards what it sees: its speed or its sensor is reversed"
             if speed.value < 0
             else f"its ranges change {_times(speed.value)} what its speed says: one of the two is not in metres"
         )
         if unit is None:
-            return _without_wheels(log, warnings)
-        warnings[-1] += f"; its speeds are taken {_taken(unit, speed.value)}"
+            return _without_wheels(log, [*findings, Finding("speeds-unlike", log.robot, value=why, action=LEFT)])
+        findings.append(
+            Finding("speeds-unlike", log.robot, value=why, action=f"its speeds are taken {_as(unit, speed.value)}")
+        )
         wheels = Odometry(wheels.t, wheels.v * np.copysign(SPEED_UNITS[unit], speed.value), wheels.w)
-    return replace(log, odometry=wheels, warnings=(*log.warnings, *warnings)) if warnings else log
+    return replace(log, odometry=wheels, findings=(*log.findings, *findings)) if findings else log
 
 
 def _check_bearings(log: LandmarkLog, cfg: AgreementConfig) -> None:
@@ -190,13 +194,13 @@ def _unit(scale: float, units: Mapping[str, float], cfg: AgreementConfig) -> str
     return best if missed[best] <= np.log(cfg.near) else None
 
 
-def _taken(unit: str, scale: float) -> str:
+def _as(unit: str, scale: float) -> str:
     signed = ["with the other sign"] if scale < 0 else []
     return " and ".join([*signed, *([f"as {unit}"] if unit else [])])
 
 
-def _without_wheels(log: LandmarkLog, warnings: Sequence[str]) -> LandmarkLog:
-    return replace(log, odometry=None, warnings=(*log.warnings, *warnings, "its odometry is left out"))
+def _without_wheels(log: LandmarkLog, findings: Sequence[Finding]) -> LandmarkLog:
+    return replace(log, odometry=None, findings=(*log.findings, *findings))
 
 
 def _times(ratio: float) -> str:

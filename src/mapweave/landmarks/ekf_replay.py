@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.errors import EstimateError
+from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Track
 from ..core.run import Step, run
@@ -48,7 +49,7 @@ class ReplayedLog:
     track: Track
     nis: Float[np.ndarray, " n"]
     weight: Float[np.ndarray, " n"]
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     taken: tuple[FilterSnapshot, ...] = ()
     filtered: Track = ekf_slam.NOWHERE
 

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
+from ..core.findings import Finding
 from ..core.records import Track, frozen
 
 
@@ -108,9 +109,14 @@ class LocalMap:
     down_weighted: int = 0
     dropped: Mapping[str, int] = field(default_factory=dict)
     calibration: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     first_seen: Mapping[str, float] = field(default_factory=dict)
     restless: tuple[str, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The findings' texts."""
+        return tuple(f.text for f in self.findings)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Odometry, Track
 from ..kernels.landmarks.ekf_state import HEAD, POSE, RANGE_SCALE
@@ -43,7 +44,7 @@ def map_of(
     cfg = config_for(log, cfg)
     log = without_impossible(log, cfg)
     first = done = replay(log, cfg, times=times) if cfg.odometry else replay_in_pieces(log, cfg, known)
-    dropped, warnings, kept = dict(log.dropped), list(log.warnings), log
+    dropped, findings, kept = dict(log.dropped), list(log.findings), log
     left_out: list[str] = []
     for _ in range(cfg.restless_most):
         name = _restless(done.seen, done.weight, cfg)
@@ -52,12 +53,12 @@ def map_of(
         gone = kept.sightings.counts()[name]
         reason = "misread barcode" if name.startswith("barcode:") else "sighting: no fixed place"
         dropped[reason] = dropped.get(reason, 0) + gone
-        warnings.append(f"{name} was seen {gone} times but at no fixed place: left out")
+        findings.append(Finding("landmark-moves", log.robot, value={"name": name, "value": gone}, action="left out"))
         left_out.append(name)
         stays = np.array([other != name for other in kept.sightings.ids], bool)
         kept = replace(kept, sightings=kept.sightings.select(stays[kept.sightings.what]))
         done = replay(kept, cfg) if cfg.odometry else replay_in_pieces(kept, cfg)
-    own_map = _result(log, cfg, done, dropped, [*warnings, *done.warnings])
+    own_map = _result(log, cfg, done, dropped, [*findings, *done.findings])
     return replace(own_map, restless=tuple(left_out)), first
 
 
@@ -85,15 +86,16 @@ def without_impossible(log: LandmarkLog, cfg: EkfSlamConfig) -> LandmarkLog:
     dropped = {reason: n for reason, n in dropped.items() if n}
     if not dropped:
         return log
-    warnings = [
-        f"{n} {reason.split(':')[0]} rows held numbers beyond any robot: left out" for reason, n in dropped.items()
+    findings = [
+        Finding("rows-impossible", log.robot, value={"value": n, "what": reason.split(":")[0]}, action="left out")
+        for reason, n in dropped.items()
     ]
     return replace(
         log,
         odometry=odometry,
         sightings=seen.select(sane),
         dropped={**log.dropped, **dropped},
-        warnings=(*log.warnings, *warnings),
+        findings=(*log.findings, *findings),
     )
 
 
@@ -118,7 +120,7 @@ def restless(
 
 
 def _result(
-    log: LandmarkLog, cfg: EkfSlamConfig, done: ReplayedLog, dropped: dict[str, int], warnings: list[str]
+    log: LandmarkLog, cfg: EkfSlamConfig, done: ReplayedLog, dropped: dict[str, int], findings: list[Finding]
 ) -> LocalMap:
     all_counts = done.seen.counts()
     counts = {name: all_counts[name] for name in done.submap.ids}
@@ -129,9 +131,9 @@ def _result(
     nis_median = float(np.median(done.nis[judged])) if judged.any() else None
     down = int((done.weight[judged] < 1.0).sum())
     if judged.any() and down > cfg.warn_down_weighted * judged.sum():
-        warnings.append(f"{down} of {int(judged.sum())} sightings had to be down-weighted: its map may be wrong")
+        findings.append(Finding("sightings-doubted", log.robot, value={"value": down, "all": int(judged.sum())}))
     if nis_median is not None and nis_median > cfg.warn_nis:
-        warnings.append(f"sightings disagree with the filter: median NIS {nis_median:.1f}, expected about 1.4")
+        findings.append(Finding("sightings-inconsistent", log.robot, value=nis_median))
     return LocalMap(
         robot=log.robot,
         submap=done.submap,
@@ -145,7 +147,7 @@ def _result(
         down_weighted=down,
         dropped=dropped,
         calibration=_calibration(done, cfg),
-        warnings=tuple(warnings),
+        findings=tuple(findings),
         first_seen={name: t for name, t in done.seen.first().items() if name in counts},
     )
 

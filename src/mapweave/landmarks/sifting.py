@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core.config import config
+from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Odometry
 from .config import EkfSlamConfig
@@ -87,12 +88,12 @@ def sifted(log: LandmarkLog, ekf: EkfSlamConfig, cfg: SiftConfig | None = None) 
     keep = support.borne_out(cfg)
     keep &= ~_misread(log.sightings, keep, log.odometry, ekf, cfg)
     gone = int((~keep).sum())
-    warning = f"{gone} of {len(keep)} sightings contradict those of the same name moments before and after: left out"
+    found = Finding("sightings-sifted", log.robot, value={"value": gone, "all": len(keep)}, action="left out")
     return replace(
         log,
         sightings=log.sightings.select(keep),
         dropped={**log.dropped, "sighting: contradicted": gone},
-        warnings=(*log.warnings, warning),
+        findings=(*log.findings, found),
     )
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from ..core import se2
+from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Track
 from .config import EkfSlamConfig
@@ -36,12 +37,13 @@ def replay_in_pieces(log: LandmarkLog, cfg: EkfSlamConfig, known: Known | None =
     frame = played[0].submap.frame
     landmarks = LandmarkMap(tied.ids, tied.mean, tied.landmark_cov).moved(T_local_root, frame)
     track = _track(played, tied, where, T_local_root, cfg.astray)
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     if len(where) < len(played):
-        warnings = (f"{len(played) - len(where)} of {len(played)} stretches of its log share too little: left out",)
+        apart = {"value": len(played) - len(where), "all": len(played)}
+        findings = (Finding("pieces-apart", log.robot, value=apart, action="left out"),)
     nis, weight = (np.concatenate([getattr(done, name) for done in played]) for name in ("nis", "weight"))
     submap = _submap(log.robot, landmarks, track, played, tied, where, T_local_root)
-    return ReplayedLog(log.sightings, played[first].x, played[first].P, submap, track, nis, weight, warnings)
+    return ReplayedLog(log.sightings, played[first].x, played[first].P, submap, track, nis, weight, findings)
 
 
 def _play_parts(log: LandmarkLog, cfg: EkfSlamConfig, known: Known) -> list[ReplayedLog]:

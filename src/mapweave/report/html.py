@@ -15,6 +15,7 @@ from urllib.parse import quote
 
 from PIL import Image
 
+from ..core.findings import Finding, verdict, verdict_line
 from ..core.version import __version__
 from ..io.directory import result_file
 from .scene import Scene, script
@@ -108,6 +109,10 @@ class Page:
 
     def text(self, text: str, *, warn: bool = False) -> None:
         self.parts.append(f'<p class="warn">⚠ {escape(text)}</p>' if warn else f"<p>{escape(text)}</p>")
+
+    def verdict(self, findings: Sequence[Finding]) -> None:
+        """What the findings make of the result, and which."""
+        self.text(sentence_case(verdict_line(findings)) + ".", warn=verdict(findings) != "good")
 
     def cards(self, values: Sequence[tuple[str, str]], warnings: int = 0) -> None:
         """Headline figures as (what, value with unit); the last leads to the `warnings`, where there are any."""

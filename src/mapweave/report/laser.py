@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from ..core.findings import Finding
 from ..core.names import robot_name
 from ..core.records import Track
 from ..laser.laser_map import LaserMap
-from ..laser.merge import Merge
-from ..laser.woven_map import WovenMap
+from ..mapping.merge import Merge
+from ..mapping.woven_map import WovenMap
 from .html import Page
 from .laser_figures import (
     aligned,
@@ -51,15 +52,18 @@ def write_laser_report(
     notes: Sequence[str] = (),
     warnings: Sequence[str] = (),
     scores: Sequence[tuple[str, str]] = (),
+    findings: Sequence[Finding] = (),
 ) -> None:
     """`report.html` and `figures/` in `folder`, and each robot's `intensity.png` in `local/robotK/`.
 
     truth: robot -> its true trajectory, in any frame; evaluation: lines to show; notes: what else there is to say;
-    warnings: of the whole, those of each robot stand in its own part; scores: headline figures against the truth.
+    warnings: of the whole, those of each robot stand in its own part; scores: headline figures against the truth;
+    findings: which make the verdict.
     """
     several = len(maps) > 1 and bool(components)
     places = {local_map.robot: k for k, local_map in enumerate(maps)}
     page = Page(_title(maps, components), _lead(maps, components))
+    page.verdict(findings)
     if several:
         page.cards([*_shared(maps, components), *scores], len(warnings))
         for sentence in not_in_first(components, merges):

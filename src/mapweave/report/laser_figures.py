@@ -11,7 +11,7 @@ from ..core import se2
 from ..core.names import robot_name
 from ..core.records import Track
 from ..laser.laser_map import GridMap, IntensityCalibration, LaserMap
-from ..laser.woven_map import ClosureRow
+from ..mapping.woven_map import ClosureRow
 from .scene import Scene
 from .style import LANDMARK, MUTED, SEQUENTIAL, TRUTH, Target, as_map, colour, figure
 
@@ -128,7 +128,7 @@ def draw_calibration(path: Path, calibration: IntensityCalibration) -> None:
         gain.set_title("Light over range")
         degrees = np.linspace(0, 85, 200)
         c = np.maximum(np.cos(np.radians(degrees)), 0.15)
-        angle.plot(degrees, c**calibration.exponent, color=colour(1))
+        angle.plot(degrees, calibration.incidence(c), color=colour(1))
         angle.set_ylim(0, 1.05)
         angle.set_xlabel("incidence [deg]")
         angle.set_ylabel("gain")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..core.findings import Finding
 from ..core.names import in_order, robot_key
 from ..laser.laser_map import GridMap
 from ..team.mixed import MixedMap
@@ -33,7 +34,7 @@ class MixedStory:
     grids: Sequence[GridMap | None]
     kinds: Mapping[str, str]
     lines: Sequence[str]
-    warnings: Sequence[str]
+    findings: Sequence[Finding]
     scores: Sequence[tuple[str, str]] = ()
 
     @property
@@ -115,7 +116,8 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
     ]
     sd = [d for track in whole[0].map.tracks.values() if (d := median_deviation(track)) is not None]
     cards += [("median sd of a position", f"{np.median(sd):.3f} m")] if sd else []
-    page.cards([*cards, *story.scores], len(story.warnings))
+    page.verdict(story.findings)
+    page.cards([*cards, *story.scores], len(story.findings))
     if tied < of:
         left = named([robot for robot in story.robots if robot not in whole[0].map.robots])
         page.text(f"Not in {first}: {left}. The reason is told below it, in the warnings or under {TIES}.", warn=True)
@@ -125,7 +127,7 @@ def write_mixed_report(folder: Path, story: MixedStory) -> None:
         draw_mixed(png, story, k)
         page.scene(_scene(story, k), "Walls as lasers saw them, landmarks, and where every robot went.", png)
         if k == 0:
-            page.warnings(story.warnings)
+            page.warnings([found.told for found in story.findings])
     if story.lines:
         page.section("Against the truth")
         for line in story.lines:

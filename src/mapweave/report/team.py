@@ -34,13 +34,14 @@ def write_team_report(folder: Path, story: TeamStory) -> None:
     team = story.maps[0]
     count = "One map" if len(story.maps) == 1 else f"{len(story.maps)} maps"
     page = Page(story.title.replace("One map", count, 1), _lead(story))
-    page.cards(_headline(story), len(story.warnings))
+    page.verdict(story.findings)
+    page.cards(_headline(story), len(story.findings))
     for sentence in _left_out(story):
         page.text(sentence, warn=True)
     figures = folder / "figures"
     page.section("Map" if len(story.maps) == 1 else f"Component 1: {named(team.robots)}")
     _map(page, figures / "fused_map.png", story, team)
-    page.warnings(story.warnings)
+    page.warnings([found.told for found in story.findings])
     for k, other in enumerate(story.maps[1:], 2):
         page.section(f"Component {k}: {named(other.robots)}")
         _map(page, figures / f"component_{k}.png", story, other)

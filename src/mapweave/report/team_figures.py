@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ..core import se2
+from ..core.findings import Finding
 from ..core.gaussian import ellipse
 from ..core.names import in_order, robot_key
 from ..core.records import Track
@@ -41,7 +42,7 @@ class TeamStory:
     truths: Mapping[str, RobotTruth] = field(default_factory=dict)
     smoothed: Sequence[Smoothed] = ()
     filter_score: TeamScore | None = None
-    warnings: Sequence[str] = ()
+    findings: Sequence[Finding] = ()
     run: OnlineRun | None = None
 
     @property

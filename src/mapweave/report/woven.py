@@ -15,10 +15,10 @@ from ..core import se2
 from ..core.names import robot_name
 from ..core.records import Track
 from ..laser.laser_map import GridMap, LaserMap
-from ..laser.merge import Merge
 from ..laser.robot_graph import RobotGraph
 from ..laser.submaps import gathered
-from ..laser.woven_map import ClosureRow, WovenMap
+from ..mapping.merge import Merge
+from ..mapping.woven_map import ClosureRow, WovenMap
 from .html import Page, told_list
 from .laser_figures import draw_intensity, draw_occupancy, laser_scene, map_size, map_window
 from .style import MUTED, TRUTH, Target, as_map, colour, figure

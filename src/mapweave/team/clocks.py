@@ -22,6 +22,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ..core import se2
 from ..core.config import config
+from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.records import Odometry
 from ..core.rows import spread
@@ -59,8 +60,9 @@ def on_camera_clock(log: LandmarkLog, cfg: CameraClockConfig | None = None) -> L
     if not ahead or log.odometry is None:
         return log
     where = "ahead of" if ahead > 0 else "behind"
-    warning = f"its camera's stamps are {abs(ahead):.1f} s {where} its wheels', which were moved to them"
-    return replace(log, odometry=replace(log.odometry, t=log.odometry.t + ahead), warnings=(*log.warnings, warning))
+    told: dict[str, float | str] = {"value": abs(ahead), "way": where}
+    found = Finding("camera-clock", log.robot, value=told, action="the wheels' stamps were moved to them")
+    return replace(log, odometry=replace(log.odometry, t=log.odometry.t + ahead), findings=(*log.findings, found))
 
 
 def camera_ahead(log: LandmarkLog, cfg: CameraClockConfig) -> float:

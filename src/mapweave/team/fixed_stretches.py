@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..core import se2
+from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog
-from ..core.names import robot_key
 from ..core.records import Track
 from .config import MotionNoise
 from .relative_frame import Body, Labels, MutualSightings, PlacingConfig, mutual_sightings, residuals
@@ -42,8 +42,8 @@ def fixed_stretches(
     labels: Labels,
     cfg: PlacingConfig,
     motion: MotionNoise,
-) -> tuple[TeamMap, tuple[str, ...]]:
-    """The map with the paths of `robots` cut to the poses that sightings fix, and a sentence for each that was cut.
+) -> tuple[TeamMap, tuple[Finding, ...]]:
+    """The map with the paths of `robots` cut to the poses that sightings fix, and a finding for each that was cut.
 
     A pose is fixed where within `cfg.fixed_window` at least `cfg.lost_share` of the sightings agree with it, and those
     come from two others that saw it, or from three others that it saw or that saw it; a distance counts as one more.
@@ -59,13 +59,14 @@ def fixed_stretches(
         gone = int((~keep).sum())
         if keep.sum() < LEAST:
             del tracks[robot]
-            notes.append(f"robot {robot_key(robot)}: too few sightings fix where it was: it is left out")
+            why = "too few sightings fix where it was"
+            notes.append(Finding("unplaced", robot, value=why, action="it is left out"))
             continue
         cov = None if track.cov is None else track.cov[keep]
         tracks[robot] = Track(track.t[keep], track.pose[keep], cov, track.frame)
         gaps[robot] = _between_kept(track.t, keep)
-        why = "too few sightings fix where it was then"
-        notes.append(f"robot {robot_key(robot)}: {gone} of {len(keep)} poses are left out: {why}")
+        why = f"too few sightings fix where it was at {gone} of {len(keep)} poses"
+        notes.append(Finding("unplaced", robot, value=why, action="they are left out"))
     names = tuple(name for name in team.robots if name in tracks)
     return replace(team, robots=names, tracks=tracks, left_out=gaps), tuple(notes)
 

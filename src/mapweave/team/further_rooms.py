@@ -14,6 +14,7 @@ import scipy.linalg as sla
 from jaxtyping import Bool, Float
 
 from ..core import se2
+from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order, robot_key
 from ..core.records import Track
@@ -42,7 +43,7 @@ def with_further_rooms(
     mapper: Callable[[LandmarkLog], LocalMap],
     join: Callable[[Sequence[LocalMap]], Fusion],
     carry: Callable[[Sequence[LocalMap], Fusion], tuple[TeamMap, ...]],
-) -> tuple[TeamMap, tuple[str, ...]]:
+) -> tuple[TeamMap, tuple[Finding, ...]]:
     """`team` with the rooms that its robots without wheels mapped beside it, and a sentence for each.
 
     A room is tied where its place is sure by sightings between robots (`placing`). mapper, join, carry: how local maps,
@@ -67,10 +68,13 @@ def with_further_rooms(
         if relation is None or not is_sure(relation, placing):
             continue
         robots = ", ".join(robot_key(robot) for robot in sorted(room.robots, key=in_order))
-        notes.append(
-            f"{len(names)} landmarks that robots {robots} mapped apart are tied by {relation.agree} of {relation.of} "
-            "sightings of each other"
-        )
+        told: dict[str, float | str] = {
+            "value": len(names),
+            "robots": robots,
+            "agree": relation.agree,
+            "all": relation.of,
+        }
+        notes.append(Finding("rooms-tied", value=told))
         team = _joined(team, here, room, there, names, relation)
         here = {r: np.union1d(t, there[r]) if r in room.tracks else t for r, t in here.items()}
     return team, tuple(notes)

@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..core import se2
+from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog
-from ..core.names import in_order, robot_key
+from ..core.names import in_order
 from ..core.records import Track
 from ..fusion.result import Fusion
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
@@ -31,7 +32,7 @@ Joiner = Callable[[Sequence[LocalMap]], Fusion]
 class Cut:
     """The logs and local maps of a team whose kidnapped robots are cut.
 
-    logs: with their cuts; main: the stretch of each robot that `local` is of; warnings: a sentence for each cut robot.
+    logs: with their cuts; main: the stretch of each robot that `local` is of; a finding of it tells of the cuts.
     """
 
     logs: tuple[LandmarkLog, ...]
@@ -77,7 +78,7 @@ def cut_kidnapped(
         stretches = whole[k].stretches()
         main[k] = max(stretches, key=lambda part: len(part.sightings))
         local_map = mapper(main[k])
-        maps[k] = replace(local_map, warnings=(*local_map.warnings, _warning(logs[k], moments)))
+        maps[k] = replace(local_map, findings=(*local_map.findings, _put_down(logs[k], moments)))
         fusion = join(maps)
         cleared.clear()
     return Cut(tuple(whole), tuple(main), tuple(maps), fusion)
@@ -85,10 +86,10 @@ def cut_kidnapped(
 
 def with_stretches(
     maps: Sequence[TeamMap], cut: Cut, smoothing: SmoothingConfig, placing: PlacingConfig
-) -> tuple[tuple[TeamMap, ...], tuple[LandmarkLog, ...], tuple[str, ...]]:
+) -> tuple[tuple[TeamMap, ...], tuple[LandmarkLog, ...], tuple[Finding, ...]]:
     """The maps with the paths of cut robots over all stretches that sightings place, and the logs of these stretches.
 
-    Also a sentence for each stretch that nothing places, which is left out.
+    Also a finding for each stretch that nothing places, which is left out.
     """
     out, logs, notes = list(maps), list(cut.logs), []
     for i, log in enumerate(cut.logs):
@@ -109,7 +110,8 @@ def with_stretches(
                 kept.append(part)
             elif len(part):
                 a, b = (end - log.span[0] for end in part.span)
-                notes.append(f"robot {robot_key(log.robot)}: nothing places it from {a:.1f} to {b:.1f} s of its log")
+                why = f"nothing places it from {a:.1f} to {b:.1f} s of its log"
+                notes.append(Finding("unplaced", log.robot, value=why, action="left out"))
         ends = [(float(a.t[-1]), float(b.t[0])) for a, b in pairwise(pieces)]
         gaps = tuple(end for end, (a, b) in zip(ends, pairwise(kept), strict=True) if _rows_between(log, a, b))
         left = {**team.left_out, log.robot: gaps} if gaps else team.left_out
@@ -155,12 +157,14 @@ def _in_one_log(log: LandmarkLog, parts: Sequence[LandmarkLog]) -> LandmarkLog:
     return log.chosen(chosen)
 
 
-def _warning(log: LandmarkLog, moments: Sequence[Relocation]) -> str:
+def _put_down(log: LandmarkLog, moments: Sequence[Relocation]) -> Finding:
     begin, when = log.span[0], []
     for a, b in moments:
         after = f"{a:.1f} (after {a - begin:.1f} s of its log)"
         when.append(after if a == b else f"{after} or within {b - a:.1f} s from there")
-    return f"put down elsewhere at {', '.join(when)}: its path is cut there, its own map is of the longest stretch"
+    span = float(moments[0][0]), float(moments[-1][1])
+    cut = "its path is cut there, its own map is of the longest stretch"
+    return Finding("put-down", log.robot, span, ", ".join(when), cut)
 
 
 def _suspects(

@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
+from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog
-from ..core.names import in_order, robot_key
+from ..core.names import in_order
 from ..core.records import Track
 from ..solve import Cauchy, Factor
 from .config import KnownConfig, SmoothingConfig
@@ -85,19 +86,19 @@ class PlacePriors:
         some = any(robot in self.starts for robot in robots)
         return not self.own_frame and (some or sum(name in self.points for name in landmarks) > 1)
 
-    def contradicted(self, team: TeamMap, cfg: KnownConfig) -> tuple[str, ...]:
-        """A sentence for each known place that the finished map has elsewhere."""
+    def contradicted(self, team: TeamMap, cfg: KnownConfig) -> tuple[Finding, ...]:
+        """A finding for each known place that the finished map has elsewhere."""
         out = []
         for robot, (pose, sd) in self.starts.items():
             track = team.tracks.get(robot)
             off = 0.0 if track is None or not len(track.t) else float(np.hypot(*(track.pose[0] - pose)[:2]))
             if off > cfg.told * sd:
-                out.append(f"robot {robot_key(robot)}: what was seen puts its start {off:.2f} m from the one given")
+                out.append(Finding("start-contradicted", robot, value=off))
         for name, at in zip(team.landmarks.ids, team.landmarks.mean, strict=True):
             if name in self.points and (off := float(np.hypot(*(at - self.points[name][0])))) > max(
                 cfg.told * self.points[name][1], 10 * cfg.surveyed
             ):
-                out.append(f"landmark {name}: what was seen puts it {off:.2f} m from where it was surveyed")
+                out.append(Finding("survey-contradicted", value={"name": name, "value": off}))
         return tuple(out)
 
     def factors(self, parts: Sequence[RobotPart], landmarks: Mapping[str, int], cfg: KnownConfig) -> list[Factor]:

@@ -7,12 +7,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog
-from ..core.names import in_order, robot_key
+from ..core.names import in_order
 from ..landmarks.landmark_map import LandmarkMap
-from ..laser.config import LaserConfig
-from ..laser.merge import Merge
 from ..laser.robot_graph import RobotGraph
+from ..mapping.config import LaserConfig
+from ..mapping.merge import Merge
 from .clocks import RobotClock, clock_of
 from .config import SmoothingConfig
 from .fixed_stretches import fixed_stretches
@@ -127,11 +128,11 @@ def regained(
     labels: Labels,
     smoothing: SmoothingConfig,
     placing: PlacingConfig,
-) -> tuple[tuple[TeamMap, ...], tuple[str, ...]]:
+) -> tuple[tuple[TeamMap, ...], tuple[Finding, ...]]:
     """The maps, with robots in the largest whose own maps did not fit it, but whose sightings place them there.
 
     A filter that believed wrong sightings early is lost for good; its log is not. Where several maps are the largest,
-    the one is taken in which most sightings agree. A copy of a placed robot's log places nobody. Also a sentence for
+    the one is taken in which most sightings agree. A copy of a placed robot's log places nobody. Also a finding for
     each robot that came back.
     """
     placed = {robot for team in maps for robot in team.robots}
@@ -151,10 +152,7 @@ def regained(
         return tuple(maps), ()
     spread = {name: _variance(maps[k].landmarks, i) for i, name in enumerate(maps[k].landmarks.ids)}
     rest = [team for j, team in enumerate(maps) if j != k and not set(team.robots) & set(back)]
-    notes = tuple(
-        f"robot {robot_key(robot)}: its own map did not fit the others', {n} of {of} sightings place it"
-        for robot, (n, of) in back.items()
-    )
+    notes = tuple(Finding("placed-anew", robot, value={"value": n, "all": of}) for robot, (n, of) in back.items())
     return (_team(_with_more_landmarks(body, by, labels, cfg), spread, by, labels, cfg), *rest), notes
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ..core.findings import Finding
 from ..core.names import robot_key
 from ..landmarks.landmark_map import LandmarkMap
 from .online import OnlineTeam
@@ -46,12 +47,14 @@ class OnlineRun:
     waited: tuple[str, ...] = ()
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """A sentence where nothing, or not every robot, could be smoothed before the end."""
+    def findings(self) -> tuple[Finding, ...]:
+        """A finding where nothing, or not every robot, could be smoothed before the end."""
         if self.team is not None and self.team.members:
             robots = ", ".join(map(robot_key, self.waited))
-            return (f"--online: no wheels: smoothed when the logs ended: robot {robots}",) if robots else ()
-        return ("--online: no robot with wheels had a map while the logs played: all was smoothed at their end",)
+            why = f"no wheels: smoothed when the logs ended: robot {robots}"
+            return (Finding("smoothed-late", value=why),) if robots else ()
+        why = "no robot with wheels had a map while the logs played: all was smoothed at their end"
+        return (Finding("smoothed-late", value=why),)
 
     def timing(self) -> dict[str, float]:
         """Seconds a step and seconds of lag: mean, 99 % and largest; and of the closing."""

@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
+from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog, SightingTable
-from ..core.names import in_order, robot_key
+from ..core.names import in_order
 from ..core.records import Track
 from ..landmarks.landmark_map import LandmarkMap
 from ..laser.robot_graph import RobotGraph
@@ -51,14 +52,14 @@ class Smoothed:
     status: str
     prior: Calibration
     refused: str = ""
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
     cost: float = 0.0
     clocks: Mapping[str, RobotClock] = field(default_factory=dict)
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """A sentence where the map had to stay the filters' though there was something to smooth."""
-        return (*self.notes, *((f"not smoothed: {self.refused}",) if self.refused and self.used else ()))
+    def findings(self) -> tuple[Finding, ...]:
+        """The notes, and that the map had to stay the filters' though there was something to smooth."""
+        return (*self.notes, *((Finding("not-smoothed", value=self.refused),) if self.refused and self.used else ()))
 
 
 def smooth(
@@ -138,11 +139,8 @@ def smooth(
     )
 
 
-def _told_of_steps(cfg: SmoothingConfig) -> str:
-    return (
-        f"so much was driven that a robot's pose is estimated every {cfg.shortest_step:.2g} s at most, which keeps the "
-        f"problem within about {cfg.most_poses:,} poses ([smoothing] most_poses)"
-    )
+def _told_of_steps(cfg: SmoothingConfig) -> Finding:
+    return Finding("steps-longer", value={"step": cfg.shortest_step, "poses": cfg.most_poses})
 
 
 def _beside_laser(camera: CameraNoise) -> CameraNoise:
@@ -275,8 +273,8 @@ def smooth_on_one_clock(
     }
     if set(sure) != set(ahead):
         done = on({r: c.ahead for r, c in sure.items()}) if sure else as_is
-    notes = [*done.notes, *(_sentence(r, c, right=True) for r, c in _in_order(sure))]
-    notes += [_sentence(r, c, right=False) for r, c in _in_order(doubtful)]
+    notes = [*done.notes, *(_clock_off(r, c, right=True) for r, c in _in_order(sure))]
+    notes += [_clock_off(r, c, right=False) for r, c in _in_order(doubtful)]
     return replace(done, notes=tuple(notes), clocks=sure)
 
 
@@ -321,11 +319,12 @@ def _in_order(clocks: Mapping[str, RobotClock]) -> list[tuple[str, RobotClock]]:
     return sorted(clocks.items(), key=lambda item: in_order(item[0]))
 
 
-def _sentence(robot: str, clock: RobotClock, *, right: bool) -> str:
-    where = "ahead of" if clock.ahead > 0 else "behind"
-    far = f"{abs(clock.ahead):.2f} s {where} the others' (sd {clock.sd:.2f} s)"
+def _clock_off(robot: str, clock: RobotClock, *, right: bool) -> Finding:
+    far: dict[str, float | str] = {
+        "value": abs(clock.ahead),
+        "way": "ahead of" if clock.ahead > 0 else "behind",
+        "sd": clock.sd,
+    }
     if right:
-        return f"robot {robot_key(robot)}: its clock is {far}, by what they saw of each other; its stamps were moved"
-    return (
-        f"robot {robot_key(robot)}: its clock seems {far}, by what they saw of each other; too little tells to move it"
-    )
+        return Finding("robot-clock", robot, value=far, action="its stamps were moved")
+    return Finding("robot-clock-maybe", robot, value=far, action="too little tells to move it")

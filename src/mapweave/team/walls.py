@@ -11,12 +11,12 @@ import numpy as np
 from ..core import se2
 from ..core.names import in_order
 from ..core.records import Track
-from ..laser.config import LaserConfig
-from ..laser.merge import Merge, merge_maps
-from ..laser.merge_search import Start
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import blended
-from ..laser.weave import Woven, keyframe_map, weave
+from ..mapping.config import LaserConfig
+from ..mapping.merge import Merge, merge_maps
+from ..mapping.merge_search import Start
+from ..mapping.weave import Woven, keyframe_map, weave
 from .factors import InterRobotEdge
 from .placing import Layout, Tie
 from .relative_frame import Body, PlacingConfig, moved_track
