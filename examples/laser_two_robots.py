@@ -4,7 +4,7 @@ import numpy as np
 
 import mapweave
 from mapweave.core import se2
-from mapweave.laser.weave import weave
+from mapweave.mapping.weave import weave
 from mapweave.sim.laser import DriveConfig, drive
 from mapweave.sim.laser_world import WallStyle, WorldBuilder
 from mapweave.sim.route import through

@@ -83,6 +83,8 @@ if TYPE_CHECKING:
     from .core.errors import MapweaveError as MapweaveError
     from .core.errors import ReaderError as ReaderError
     from .core.errors import UsageError as UsageError
+    from .core.errors import VerdictError as VerdictError
+    from .core.findings import Finding as Finding
     from .core.laser_log import LaserLog as LaserLog
     from .core.records import Track as Track
     from .core.workers import Progress as Progress
@@ -90,10 +92,10 @@ if TYPE_CHECKING:
     from .exploration.laser.config import LaserMissionConfig as LaserMissionConfig
     from .fusion.config import FuseConfig as FuseConfig
     from .landmarks.config import EkfSlamConfig as EkfSlamConfig
-    from .laser.config import LaserConfig as LaserConfig
     from .laser.pose_graph import PoseGraph as PoseGraph
     from .laser.scan_odometry import PoseEstimate as PoseEstimate
     from .live.transport import Network as Network
+    from .mapping.config import LaserConfig as LaserConfig
     from .papers.hamatani.reproduce import HamataniReproduction as HamataniReproduction
     from .papers.hamatani.reproduce import reproduce_hamatani as reproduce_hamatani
     from .papers.hara.reproduce import HaraReproduction as HaraReproduction
@@ -180,13 +182,14 @@ _HOMES: dict[str, str] = {
     "ExploreConfig": "exploration.landmarks.config",
     "FuseConfig": "fusion.config",
     "LandmarkMapConfig": "api.map_landmarks",
-    "LaserConfig": "laser.config",
+    "LaserConfig": "mapping.config",
     "LaserMapConfig": "api.map_laser",
     "LocateConfig": "api.locate",
     "LaserMissionConfig": "exploration.laser.config",
     # data and progress
     "BearingTable": "core.bearings",
     "LaserLog": "core.laser_log",
+    "Finding": "core.findings",
     "PoseGraph": "laser.pose_graph",
     "Progress": "core.workers",
     "Track": "core.records",
@@ -197,6 +200,7 @@ _HOMES: dict[str, str] = {
     "MapweaveError": "core.errors",
     "ReaderError": "core.errors",
     "UsageError": "core.errors",
+    "VerdictError": "core.errors",
 }
 
 __all__ = (
@@ -209,6 +213,7 @@ __all__ = (
     "EstimateError",
     "Evaluation",
     "ExploreConfig",
+    "Finding",
     "FuseConfig",
     "HamataniReproduction",
     "HaraReproduction",
@@ -253,6 +258,7 @@ __all__ = (
     "TrackConfig",
     "TunnelConfig",
     "UsageError",
+    "VerdictError",
     "YuanReproduction",
     "__version__",
     "configuration",

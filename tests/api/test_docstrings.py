@@ -115,7 +115,7 @@ def test_help_on_what_a_result_is_and_holds_is_readable_without_its_name_having_
         "import pydoc\n"
         "from mapweave.api.team import TeamResult\n"
         "from mapweave.api.laser_result import LaserResult\n"
-        "from mapweave.laser.woven_map import WovenMap\n"
+        "from mapweave.mapping.woven_map import WovenMap\n"
         "from mapweave.team.team_map import TeamMap\n"
         "for kind in (TeamResult, LaserResult, WovenMap, TeamMap):\n"
         "    print(pydoc.plain(pydoc.render_doc(kind, renderer=pydoc.plaintext)))\n"

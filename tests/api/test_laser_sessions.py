@@ -215,9 +215,9 @@ def test_finished_results_are_fused_by_the_same_decision_as_one_run(sessions, lo
     assert (tmp_path / "fused" / "trajectories" / "second" / "robot1.tum").is_file()
     assert (tmp_path / "fused" / "grid.npz").read_bytes() == (sessions / "one" / "grid.npz").read_bytes()
     again = mapweave.fuse([tmp_path / "fused", sessions / "first"])
-    same, shared = again.metrics["warnings"]
-    assert same == "first/robot1 is the same log as fused/first/robot1: it counts once"
-    assert shared.startswith("fused/first/robot1 and fused/second/robot1 hold the same scans at ")  # the logs overlap
+    same, shared = (f for f in again.metrics["findings"] if f["code"] in {"log-twice", "logs-alike"})
+    assert (same["robot"], same["value"]) == ("first/robot1", "fused/first/robot1")
+    assert (shared["robot"], shared["value"]["other"]) == ("fused/second/robot1", "fused/first/robot1")  # logs overlap
     assert again.metrics["components"] == [["fused/first/robot1", "fused/second/robot1"]]
 
 

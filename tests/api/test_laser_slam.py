@@ -9,7 +9,7 @@ import mapweave
 from mapweave.core import se2
 from mapweave.core.errors import ConfigError, DataError
 from mapweave.io.robot_graph import read_robot_graph
-from mapweave.laser.config import LaserConfig
+from mapweave.mapping.config import LaserConfig
 
 CFG = LaserConfig(method="graph")
 HYPOTHESES = replace(CFG, graph=replace(CFG.graph, hypotheses=8))

@@ -106,9 +106,9 @@ def test_a_robot_somewhere_else_is_not_trusted(world, tmp_path):
 def test_a_place_that_does_not_explain_the_scans_is_given_up_and_sought_anew(world):
     from mapweave.io.laser_logs import read_laser
     from mapweave.io.laser_map import read_grid
-    from mapweave.laser.config import LaserConfig
     from mapweave.laser.localise import localise
     from mapweave.laser.localise_filter import LocaliseConfig
+    from mapweave.mapping.config import LaserConfig
 
     grid, calibration, feature = read_grid(next((world / "map").glob("grid.npz")))
     log = read_laser(world / "second.mcap")
@@ -131,7 +131,7 @@ def test_a_log_without_intensity_or_odometry_is_followed_all_the_same_and_says_s
     write_mcap(tmp_path / "bare.mcap", replace(second, scans=scans, odometry=None))
     found = localize(tmp_path / "bare.mcap", world / "map", start=(5.0, 0.0, 0.0)).localisation
     assert found.feature == "none"
-    assert any("geometry alone" in w for w in found.warnings)
+    assert any("intensity of returns is not used" in w for w in found.warnings)
     assert any("no odometry" in w for w in found.warnings)
     assert np.isfinite(found.track.pose).all()
     assert np.abs(found.track.pose[:, 1]).max() < 0.3

@@ -70,7 +70,9 @@ def test_metrics_hold_the_keys_of_the_contract_and_the_score(mapped):
     metrics = json.loads((mapped / "metrics.json").read_text())
     assert {"version", "seed", "robots", "components", "fusion", "timing", "evaluation"} <= set(metrics)
     robot = metrics["robots"]["1"]
-    assert {"source", "odometry", "sightings", "dropped", "down_weighted", "nis_median", "warnings"} <= set(robot)
+    assert {"source", "odometry", "sightings", "dropped", "down_weighted", "nis_median", "warnings", "verdict"} <= set(
+        robot
+    )
     assert (robot["method"], robot["feature"], robot["particles"], robot["sightings"]) == (
         "graph",
         "normalised",
@@ -167,7 +169,7 @@ SPOILED = {
         "not a number",
     ),
     "changing beam counts": ({"spoil": lambda k, r: r[: 180 - 60 * (k % 2)]}, "beam count changes"),
-    "only empty scans": ({"spoil": lambda k, r: np.zeros_like(r)}, "no return"),
+    "only empty scans": ({"spoil": lambda k, r: np.zeros_like(r)}, "no scan of 16 has a return"),
 }
 
 

@@ -221,7 +221,7 @@ def test_a_robot_that_never_moves_stays_alone_and_says_so(team):
     )
     result = mapweave.map([logs[0], log], share={"1": 0.4})
     assert result.metrics["components"] == [["1"], ["2"]]
-    assert any("hardly moved: 1 keyframe" in w for w in result.metrics["robots"]["2"]["warnings"])
+    assert any("hardly moved: 0.0 m" in w for w in result.metrics["robots"]["2"]["warnings"])
     assert not any("hardly moved" in w for w in result.metrics["robots"]["1"]["warnings"])
     assert result.metrics["fusion"][0]["decision"] == "refused"
     assert result.metrics["fusion"][0]["reason"]

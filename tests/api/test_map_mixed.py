@@ -62,7 +62,7 @@ def test_what_a_robot_carries_is_told(made):
     told = json.loads((out / "metrics.json").read_text(encoding="utf-8"))["robots"]
     assert told["1"]["carries"] == "laser"
     for robot in told.values():
-        keys = {"source", "odometry", "sightings", "dropped", "down_weighted", "nis_median", "warnings"}
+        keys = {"source", "odometry", "sightings", "dropped", "down_weighted", "nis_median", "warnings", "verdict"}
         assert keys <= set(robot)
         assert robot["sightings"] > 50
         assert Path(robot["source"]).exists()

@@ -55,7 +55,7 @@ def test_metrics_hold_the_documented_keys(world):
     assert {"version", "seed", "robots", "components", "fusion", "timing", "evaluation"} <= set(metrics)
     assert metrics["seed"] == 3
     assert metrics["components"] == [["1", "2", "3"]]
-    keys = {"source", "odometry", "sightings", "dropped", "down_weighted", "nis_median", "warnings"}
+    keys = {"source", "odometry", "sightings", "dropped", "down_weighted", "nis_median", "warnings", "verdict"}
     assert all(keys <= set(metrics["robots"][k]) for k in ("1", "2", "3"))
     keys = {"robot", "shared", "decision", "reason", "scale", "variance_factor"}
     assert all(keys <= set(row) for row in metrics["fusion"])

@@ -7,8 +7,8 @@ import numpy as np
 from mapweave.core import se2
 from mapweave.core.walls import Walls
 from mapweave.exploration.ground import Ground
-from mapweave.laser.config import LaserTeamConfig
-from mapweave.laser.team import LaserTeam
+from mapweave.mapping.config import LaserTeamConfig
+from mapweave.mapping.laser_team import LaserTeam
 from mapweave.sim.laser_team import LaserRobotsConfig, LaserTeamSim, OdometryNoise
 from mapweave.sim.laser_world import WallStyle, WorldBuilder
 from mapweave.sim.office_floor import office_floor

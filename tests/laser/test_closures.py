@@ -9,13 +9,11 @@ from mapweave.core import se2
 from mapweave.core.records import Scan
 from mapweave.laser.beam import BeamConfig, beams
 from mapweave.laser.closures import ClosureConfig, Matched, Matcher, Place
-from mapweave.laser.config import ALL_ROUND
-from mapweave.laser.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
 from mapweave.laser.keyframes import Keyframe, believed, carried
-from mapweave.laser.place_search import Hit, PlacesFound
 from mapweave.laser.pose_graph import PoseGraph, Solved, problem
-from mapweave.laser.submap_loops import SubmapLoopConfig, SubmapLoops
-from mapweave.laser.team import LoopSearch
+from mapweave.mapping.config import ALL_ROUND
+from mapweave.mapping.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
+from mapweave.mapping.laser_team import LoopSearch
 
 CFG = ClosureConfig()
 
@@ -154,11 +152,6 @@ def test_only_places_of_long_ago_are_searched_by_their_own_robot():
     (found,) = search.candidates(graph, 60)
     assert graph.path[found] < graph.path[60] - 20.0
     assert search.candidates(graph, 19) == []
-    loops = SubmapLoops(replace(SubmapLoopConfig(), far=50.0))
-    near = loops.candidates(graph, 60)
-    assert near
-    assert (graph.path[near] < graph.path[60] - 50.0).all()
-    assert loops.candidates(graph, 19) == []
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6])
@@ -190,23 +183,6 @@ def test_false_closures_are_found_out_however_many(share):
     assert not any(kept[len(pairs) :])
     assert all("contradicts the other measurements" in c.reason for c in graph.closures[len(pairs) :])
     assert np.abs(graph.pose - clean.pose).max() < 1e-3
-
-
-@pytest.mark.parametrize(
-    ("light", "best", "second", "ambiguous"),
-    [
-        (False, 0.97, 0.91, True),  # bare walls fit anywhere along themselves
-        (True, 0.97, 0.91, False),  # light fits there alone
-        (True, 0.72, 0.70, True),  # light fits neither
-        (True, 0.90, 0.88, True),
-        (False, 0.70, 0.55, False),
-    ],
-)
-def test_where_light_fits_one_place_alone_walls_that_fit_elsewhere_too_do_not_matter(light, best, second, ambiguous):
-    loops = SubmapLoops(SubmapLoopConfig(), light=light)
-    places = PlacesFound(Hit(np.zeros(3), best), Hit(np.array([1.0, 0.0, 0.0]), second))
-    assert loops.ambiguous(places) is ambiguous
-    assert not loops.ambiguous(PlacesFound(Hit(np.zeros(3), best), None))
 
 
 def test_covariances_of_a_solved_graph_are_those_of_the_dense_inverse():

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mapweave.laser.config import LaserConfig
-from mapweave.laser.log_warnings import CopyCheck, copies_told
-from mapweave.laser.mapping import map_laser
+from mapweave.laser.log_warnings import CopyCheck, copies_found
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.laser_mapping import map_laser
 from mapweave.sim.office import OfficeConfig, simulate_office
 
 CFG = LaserConfig(method="graph", feature="none")
@@ -27,10 +27,11 @@ def test_a_drive_given_again_with_other_stamps_or_half_its_scans_is_told(drives)
     late = replace(first, robot="2", scan_t=first.scan_t + 500.0, odometry=None)
     some = replace(first, robot="3", scan_t=first.scan_t[::2], scans=first.scans[::2])
     graphs = [map_laser(log, CFG, 0).graph.stored() for log in (first, late, some)]
-    told = copies_told(graphs, CopyCheck())
-    assert [text.split(" hold")[0] for text in told] == ["robot1 and robot2", "robot1 and robot3", "robot2 and robot3"]
-    assert f"at {len(graphs[0])} of {len(graphs[0])} keyframes" in told[0]
+    told = copies_found(graphs, CopyCheck())
+    assert [(f.robot, f.value["other"]) for f in told] == [("2", "robot1"), ("3", "robot1"), ("3", "robot2")]
+    assert {f.code for f in told} == {"logs-alike"}
+    assert told[0].value["same"] == told[0].value["all"] == len(graphs[0])
 
 
 def test_two_drives_by_one_way_are_no_copies(drives):
-    assert copies_told([map_laser(log, CFG, 0).graph.stored() for log in drives], CopyCheck()) == []
+    assert copies_found([map_laser(log, CFG, 0).graph.stored() for log in drives], CopyCheck()) == []

@@ -5,10 +5,10 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.laser.beam import IntensityCalibration, beams
-from mapweave.laser.config import LaserConfig
-from mapweave.laser.mapping import choose_feature, map_laser
 from mapweave.laser.particle_grid import ParticleGrid
 from mapweave.laser.particle_slam import as_points, log_likelihood
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.laser_mapping import choose_feature, map_laser
 from mapweave.papers.hara.methods import score
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 from mapweave.sim.laser import DriveConfig
@@ -57,8 +57,8 @@ def _mapped_with(sim, feature, calibration):
     from dataclasses import replace
 
     from mapweave.laser import particle_slam
-    from mapweave.laser.mapping import finish
-    from mapweave.laser.session import ScanInfos
+    from mapweave.laser.laser_map import ScanInfos
+    from mapweave.mapping.laser_mapping import finish
 
     rng = np.random.default_rng(0)
     state = particle_slam.init("1", CFG, rng, feature="normalised", calibration=calibration)

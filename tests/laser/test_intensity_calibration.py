@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mapweave.laser.beam import BeamConfig, CalibrationConfig, beams, calibrate
-from mapweave.laser.config import LaserConfig
-from mapweave.laser.mapping import choose_feature
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.laser_mapping import choose_feature
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 from mapweave.sim.laser import DriveConfig
 from mapweave.sim.scanner import SECOND_LAW, Reflectance
@@ -48,11 +48,12 @@ def test_a_log_whose_intensity_says_nothing_is_used_without_it_and_says_so():
         return replace(sim.log, scans=tuple(replace(s, intensities=make(len(s.ranges))) for s in sim.log.scans))
 
     for make, said in (
-        (lambda n: None, "no intensity"),
+        (lambda n: None, "the log has none"),
         (lambda n: np.full(n, 7.0), "equal"),
         (lambda n: np.exp(rng.normal(0, 2, n)), "does not follow"),
     ):
         feature = choose_feature(with_light(make), LaserConfig())
         assert feature.name == "none"
-        assert said in feature.warnings[0]
-    assert choose_feature(sim.log, LaserConfig(feature="none")).warnings == ()
+        assert [f.code for f in feature.findings] == ["light-unused"]
+        assert said in feature.findings[0].text
+    assert choose_feature(sim.log, LaserConfig(feature="none")).findings == ()

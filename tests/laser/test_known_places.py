@@ -8,10 +8,10 @@ import pytest
 from mapweave.api.laser_slam import LaserSlam
 from mapweave.core import se2
 from mapweave.io.robot_graph import read_robot_graph, write_robot_graph
-from mapweave.laser.config import LaserConfig
-from mapweave.laser.known_places import KnownPlacesConfig
-from mapweave.laser.mapping import map_laser
-from mapweave.laser.woven_map import _track
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.known_places import KnownPlacesConfig
+from mapweave.mapping.laser_mapping import map_laser
+from mapweave.mapping.woven_map import _track
 from mapweave.sim.drift import DriftConfig
 from mapweave.sim.laser import DriveConfig, drive
 from mapweave.sim.laser_world import WallStyle, WorldBuilder

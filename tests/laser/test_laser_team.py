@@ -8,10 +8,10 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.records import Scan
 from mapweave.laser.closures import Matched
-from mapweave.laser.config import LaserTeamConfig
 from mapweave.laser.keyframes import KeyframeScan
 from mapweave.laser.occupancy_mapper import LayingConfig, OccupancyMapper
-from mapweave.laser.team import LaserTeam
+from mapweave.mapping.config import LaserTeamConfig
+from mapweave.mapping.laser_team import LaserTeam
 
 from .buildings import drive, errors, estimate, lap, ring, rooms, wall_distance
 

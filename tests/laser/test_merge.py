@@ -6,9 +6,9 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.errors import DataError
 from mapweave.core.walls import Walls
-from mapweave.laser.map_overlap import KeyframeMap, lit_alike, seen_alike, wall_overlap
-from mapweave.laser.merge import merge_maps
-from mapweave.laser.merge_search import MergeConfig, Start
+from mapweave.mapping.map_overlap import KeyframeMap, lit_alike, seen_alike, wall_overlap
+from mapweave.mapping.merge import merge_maps
+from mapweave.mapping.merge_search import MergeConfig, Start
 from mapweave.sim.laser_pairs import PairConfig, drive_pair
 from mapweave.sim.office_floor import office_floor
 

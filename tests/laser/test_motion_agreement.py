@@ -8,7 +8,7 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.laser.beam import BeamConfig
-from mapweave.laser.motion_agreement import MotionAgreement, MotionCheck, motion_agreement, ways
+from mapweave.laser.motion_agreement import MotionAgreement, MotionCheck, MotionRatio, motion_agreement, straight, ways
 
 from ..io.test_scan_agreement import drive
 
@@ -35,7 +35,7 @@ def test_scans_that_move_as_the_wheels_do_are_left_alone(seed):
     found = motion_agreement(moved(scans, noise=0.01, seed=seed), scans, BEAM, CFG)
     assert found.scale.value == pytest.approx(1.0, abs=0.02)
     assert found.direction.value == pytest.approx(0.0, abs=0.02)
-    assert found.warnings(CFG) == ()
+    assert found.findings("1", CFG) == ()
 
 
 @pytest.mark.parametrize("scale", [0.8, 1.2])
@@ -44,27 +44,27 @@ def test_scans_that_move_farther_or_less_far_are_told_with_the_factor_and_its_st
     found = motion_agreement(moved(scans, lambda s: s * [scale, scale, 1.0], 0.01), scans, BEAM, CFG)
     assert abs(found.scale.value - scale) < max(4 * found.scale.sd, 0.01)
     assert 0 < found.scale.sd < 0.02
-    (told,) = found.warnings(CFG)
-    number = f"{found.scale.value:.3f} +- {found.scale.sd:.3f}"
-    assert told.startswith(f"the scans move {number} times as far as the wheels tell")
+    (told,) = found.findings("1", CFG)
+    assert (told.code, told.robot) == ("wheels-scale", "1")
+    assert told.value == {"value": found.scale.value, "sd": found.scale.sd}
 
 
 def test_scans_that_move_to_the_side_of_the_wheels_way_are_told():
     scans = drive(5)
     found = motion_agreement(moved(scans, lambda s: turned(s, -0.15), 0.01), scans, BEAM, CFG)
     assert found.direction.value == pytest.approx(-0.15, abs=0.02)
-    (told,) = found.warnings(CFG)
-    assert (
-        f"{np.degrees(-found.direction.value):.1f} +- {np.degrees(found.direction.sd):.1f} degrees to the right" in told
-    )
+    (told,) = found.findings("1", CFG)
+    angle, sd = np.degrees(-found.direction.value), np.degrees(found.direction.sd)
+    assert told.code == "scanner-askew"
+    assert told.value == {"degrees": pytest.approx(angle), "sd": pytest.approx(sd), "side": "right"}
 
 
 def test_a_difference_that_may_be_chance_or_is_small_is_not_told():
     scans = drive(6)
     found = motion_agreement(moved(scans, lambda s: s * [1.2, 1.2, 1.0]), scans, BEAM, CFG)
-    assert len(found.warnings(CFG)) == 1
-    assert replace(found, scale=replace(found.scale, sd=0.06)).warnings(CFG) == ()
-    assert replace(found, scale=replace(found.scale, value=1.04, sd=0.001)).warnings(CFG) == ()
+    assert len(found.findings("1", CFG)) == 1
+    assert replace(found, scale=replace(found.scale, sd=0.06)).findings("1", CFG) == ()
+    assert replace(found, scale=replace(found.scale, value=1.04, sd=0.001)).findings("1", CFG) == ()
 
 
 @pytest.mark.parametrize("scale", [0.9, 1.15])
@@ -72,8 +72,23 @@ def test_scans_that_turn_farther_or_less_far_than_the_wheels_are_told(scale):
     scans = drive(8)
     found = motion_agreement(moved(scans, lambda s: s * [1.0, 1.0, scale], 0.01), scans, BEAM, CFG)
     assert found.turn.value == pytest.approx(scale, abs=0.02)
-    told = " ".join(found.warnings(CFG))
-    assert f"the scans turn {found.turn.value:.3f} +- {found.turn.sd:.3f} times as far as the wheels tell" in told
+    told = {f.code: f.value for f in found.findings("1", CFG)}
+    assert told["wheels-turns"] == {"value": found.turn.value, "sd": found.turn.sd}  # the hall's walls are straight
+
+
+@pytest.mark.parametrize(("walls", "code"), [(None, "turns-scale"), (0.5, "turns-scale"), (0.1, "beams-apart")])
+def test_turns_that_differ_are_the_beams_fault_where_walls_are_bent_and_nobodys_where_none_tells(walls, code):
+    found = replace(MotionAgreement(turn=MotionRatio(1.2, 0.01, 50)), walls=walls)
+    assert [f.code for f in found.findings("1", CFG)] == [code]
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.15])
+def test_walls_are_straight_by_right_angles_and_bent_by_wrong_ones(factor):
+    scans = drive(9)
+    wrong = [replace(s, angle_min=factor * s.angle_min, angle_increment=factor * s.angle_increment) for s in scans]
+    assert straight(scans, factor, CFG) > 0.8
+    assert straight(wrong, factor, CFG) < 0.2
+    assert straight([replace(s, hit=~s.hit) for s in scans], factor, CFG) is None
 
 
 def test_a_bare_corridor_tells_nothing_of_the_way_along_it():
@@ -86,7 +101,7 @@ def test_a_bare_corridor_tells_nothing_of_the_way_along_it():
 def test_without_odometry_there_is_nothing_to_say():
     scans = [replace(scan, odometry=None) for scan in drive(7)]
     assert motion_agreement(np.zeros((len(scans), 3)), scans, BEAM, CFG) == MotionAgreement()
-    assert motion_agreement(np.zeros((0, 3)), [], BEAM, CFG).warnings(CFG) == ()
+    assert motion_agreement(np.zeros((0, 3)), [], BEAM, CFG).findings("1", CFG) == ()
 
 
 def test_ways_follow_each_other_and_leave_turns_and_standing_out():

@@ -8,10 +8,10 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.records import Scan, Track, frozen
 from mapweave.kernels.walls.raycast import cast
-from mapweave.laser.config import LaserConfig
 from mapweave.laser.log_warnings import WheelCheck, wheels_disagree, wheels_stand
-from mapweave.laser.mapping import map_laser
 from mapweave.laser.moving import MovingConfig, MovingReturns
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.laser_mapping import map_laser
 from mapweave.sim.office import OfficeConfig, simulate_office
 from mapweave.sim.tunnel import TunnelConfig, simulate_tunnel
 
@@ -135,8 +135,8 @@ def test_three_walkers_in_a_tunnel_do_not_drag_the_robot_along_and_ways_that_dis
     made = map_laser(tunnel.log, cfg, 0)
     assert error(made, tunnel.truth) < 0.5 * error(blind, tunnel.truth)
     assert made.dropped["return of something that moves"] > 500
-    assert any("the scans tell a way of" in told for told in blind.warnings)
-    assert not any("the scans tell a way of" in told for told in made.warnings)
+    assert "wheels-disagree" in {f.code for f in blind.findings}
+    assert "wheels-disagree" not in {f.code for f in made.findings}
     assert "return of something that moves" not in blind.dropped
 
 
@@ -148,26 +148,28 @@ def way(*lengths):
 def test_only_a_long_disagreement_of_scans_and_wheels_is_a_warning():
     wheels = way(*[2.0] * 12)
     for short in (way(*[2.0] * 12), way(*[2.0] * 5, 1.0, 1.0, *[2.0] * 5), way(*[1.8] * 12)):
-        assert wheels_disagree(short, wheels, WheelCheck()) == ()
-    (told,) = wheels_disagree(way(*[2.0] * 3, *[1.0] * 6, *[2.0] * 3), wheels, WheelCheck())
-    assert "the scans tell a way of 6.2 m and the wheels one of 12.2 m" in told
-    assert told.startswith("from 30.0 s to 91.0 s")
-    assert wheels_disagree(wheels, None, WheelCheck()) == ()
+        assert wheels_disagree(short, wheels, "1", WheelCheck()) == ()
+    (told,) = wheels_disagree(way(*[2.0] * 3, *[1.0] * 6, *[2.0] * 3), wheels, "1", WheelCheck())
+    assert (told.code, told.span) == ("wheels-disagree", (30.0, 91.0))
+    assert told.value == {"scans": pytest.approx(6.2), "wheels": pytest.approx(12.2)}
+    assert wheels_disagree(wheels, None, "1", WheelCheck()) == ()
 
 
 def test_wheels_that_report_no_motion_of_a_robot_that_drives_are_a_warning():
     drives = way(*[2.0] * 12)
     stands = Track(drives.t, 0.0 * drives.pose)
-    (told,) = wheels_stand(drives, stands, WheelCheck())
-    assert "the wheels report no motion from 0.0 s to 120.0 s, while the scans tell a way of 24.0 m" in told
+    (told,) = wheels_stand(drives, stands, "1", WheelCheck())
+    assert (told.code, told.span) == ("wheels-stand", (0.0, 120.0))
+    assert told.value == {"way": pytest.approx(24.0), "times": 1}
     jitter = Track(drives.t, drives.pose[::-1] * 0.0 + 0.2 * (np.arange(len(drives.t)) % 2)[:, None])
-    assert wheels_stand(jitter, stands, WheelCheck()) == ()
-    assert wheels_stand(drives, drives, WheelCheck()) == ()
-    assert wheels_stand(drives, None, WheelCheck()) == ()
+    assert wheels_stand(jitter, stands, "1", WheelCheck()) == ()
+    assert wheels_stand(drives, drives, "1", WheelCheck()) == ()
+    assert wheels_stand(drives, None, "1", WheelCheck()) == ()
     some = drives.pose.copy()
     some[30:60], some[90:] = some[30], some[90]
-    (told,) = wheels_stand(drives, Track(drives.t, some), WheelCheck())
-    assert "from 30.0 s to 59.0 s and 1 times more, while the scans tell a way of 11." in told
+    (told,) = wheels_stand(drives, Track(drives.t, some), "1", WheelCheck())
+    assert (told.span, told.value["times"]) == ((30.0, 59.0), 2)
+    assert 11.0 < told.value["way"] < 12.0
 
 
 @pytest.fixture(scope="module")
@@ -189,8 +191,8 @@ def test_a_log_whose_wheels_stand_is_mapped_from_its_scans_alone_and_warned_of(o
     cfg = LaserConfig(method="graph", feature="none")
     made = map_laser(still, cfg, 0)
     assert error(made, office.truth) < 0.3
-    assert any("the wheels report no motion" in told for told in made.warnings)
+    assert "wheels-stand" in {f.code for f in made.findings}
     bare = replace(log, scans=tuple(replace(one, odometry=None) for one in log.scans), odometry=None)
     alone = map_laser(bare, cfg, 0)
     assert error(alone, office.truth) < 0.3
-    assert not any("report no motion" in told for told in alone.warnings)
+    assert "wheels-stand" not in {f.code for f in alone.findings}

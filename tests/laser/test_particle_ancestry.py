@@ -4,8 +4,9 @@ import numpy as np
 
 from mapweave.core import se2
 from mapweave.core.records import Event, Scan
-from mapweave.laser.config import FilterConfig, LaserConfig
+from mapweave.laser.config import FilterConfig
 from mapweave.laser.particle_slam import init, step, trajectory
+from mapweave.mapping.config import LaserConfig
 
 BEAMS = 121
 SCATTERED = FilterConfig(sd_xy=0.1, refine_iterations=0)  # particles that differ enough for some to die

@@ -10,9 +10,9 @@ from mapweave.core import se2
 from mapweave.core.records import Event, Odometry, Scan
 from mapweave.laser import particle_slam
 from mapweave.laser.beam import STEERING
-from mapweave.laser.config import LaserConfig
 from mapweave.laser.particle_grid import CellConfig, ParticleGrid
 from mapweave.laser.particle_slam import _resampled, _weighed, effective, init, log_likelihood, step, trajectory
+from mapweave.mapping.config import LaserConfig
 
 pytestmark = pytest.mark.kernel
 

@@ -13,12 +13,12 @@ from mapweave.io.relations import read_relations
 from mapweave.kernels.laser.refine import ScanCost, refine
 from mapweave.kernels.laser.windows import NearestRule
 from mapweave.laser.beam import beams
-from mapweave.laser.config import LaserConfig
-from mapweave.laser.mapping import map_laser
 from mapweave.laser.particle_grid import ParticleGrid
 from mapweave.laser.particle_slam import as_points
 from mapweave.laser.scan_odometry import blended
-from mapweave.laser.weave import weave
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.laser_mapping import map_laser
+from mapweave.mapping.weave import weave
 
 pytestmark = pytest.mark.data
 

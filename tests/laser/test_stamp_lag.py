@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.core.records import Track
-from mapweave.laser.log_warnings import LagCheck, lag_told, stamp_lag
+from mapweave.laser.log_warnings import LagCheck, lag_found, stamp_lag
 
 CFG = LagCheck()
 
@@ -28,10 +28,10 @@ def test_the_lag_of_scans_behind_odometry_is_found(seed, lag):
 
 
 def test_a_lag_is_told_with_its_length_and_which_comes_later():
-    (late,), (early,) = lag_told(0.5, CFG), lag_told(-0.35, CFG)
-    assert late.startswith("the scans bear stamps 0.50 s after those of the odometry")
-    assert early.startswith("the scans bear stamps 0.35 s before those of the odometry")
-    assert lag_told(None, CFG) == lag_told(0.1, CFG) == ()
+    (late,), (early,) = lag_found(0.5, "1", CFG), lag_found(-0.35, "1", CFG)
+    assert late.text.startswith("the scans bear stamps 0.50 s after those of the odometry")
+    assert early.text.startswith("the scans bear stamps 0.35 s before those of the odometry")
+    assert lag_found(None, "1", CFG) == lag_found(0.1, "1", CFG) == ()
 
 
 def test_nothing_is_found_where_nothing_turns_or_headings_have_nothing_in_common():

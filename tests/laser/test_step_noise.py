@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.laser.graph_slam import GONE
 from mapweave.laser.keyframes import (
     KeyframeConfig,
     KeyframeMaker,
@@ -13,6 +12,7 @@ from mapweave.laser.keyframes import (
     step_covariance,
     wheel_noise,
 )
+from mapweave.mapping.graph_slam import GONE
 
 NOISE = StepNoise()
 

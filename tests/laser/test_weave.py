@@ -7,9 +7,9 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.walls import Walls
-from mapweave.laser.merge_search import MergeConfig
 from mapweave.laser.robot_graph import RobotGraph
-from mapweave.laser.weave import keyframe_map, weave
+from mapweave.mapping.merge_search import MergeConfig
+from mapweave.mapping.weave import keyframe_map, weave
 from mapweave.sim.laser_pairs import PairConfig, drive_pair
 from mapweave.sim.office_floor import office_floor
 

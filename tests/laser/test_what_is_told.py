@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import mapweave
 from mapweave.core import se2
 from mapweave.core.errors import DataError
+from mapweave.core.findings import verdict
+from mapweave.core.records import Track
 from mapweave.io.assemble import RawLog, RawScan
-from mapweave.laser.config import LaserConfig
-from mapweave.laser.mapping import map_laser
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.laser_mapping import map_laser
 from mapweave.sim.office import OfficeConfig, simulate_office
 
 CFG = LaserConfig(method="graph", feature="none")
@@ -20,8 +23,8 @@ def office():
     return simulate_office(OfficeConfig(rooms=2, visited=2), 5).log
 
 
-def told(log, change=lambda scan: scan, rows=lambda rows: rows):
-    """What is said of the log when each scan, and the rows of odometry, are changed before it is read."""
+def found(log, change=lambda scan: scan, rows=lambda rows: rows):
+    """What is found, by code, when each scan and the rows of odometry are changed before the log is read."""
     raw = RawLog("1", "office", "")
     for t, scan in zip(log.scan_t.tolist(), log.scans, strict=True):
         ranges = np.where(scan.hit, scan.ranges, np.inf)
@@ -30,46 +33,96 @@ def told(log, change=lambda scan: scan, rows=lambda rows: rows):
             change(RawScan(t, ranges, None, scan.angle_min, scan.angle_increment, 0.0, far, mount, odometry=None))
         )
     raw.odometry = rows([tuple(row) for row in np.column_stack([log.odometry.t, log.odometry.pose]).tolist()])
-    return map_laser(raw.finish(), CFG, 0).warnings
+    findings = map_laser(raw.finish(), CFG, 0).findings
+    assert {f.robot for f in findings} <= {"1"}
+    return {f.code: f for f in findings}
 
 
-def test_nothing_is_told_of_a_right_log(office):
-    assert told(office) == ()
+def test_nothing_is_found_in_a_right_log(office):
+    assert found(office) == {}
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_ranges_of_another_scale_are_told_with_the_factor(office, factor):
-    said = told(office, lambda raw: replace(raw, ranges=factor * raw.ranges, range_max=factor * raw.range_max))
-    (line,) = [text for text in said if "times as far as the wheels tell" in text]
-    assert float(line.split()[3]) == pytest.approx(factor, abs=0.06)
-    assert not any("something moved along" in text for text in said)
+    said = found(office, lambda raw: replace(raw, ranges=factor * raw.ranges, range_max=factor * raw.range_max))
+    assert said["wheels-scale"].value["value"] == pytest.approx(factor, abs=0.06)
+    assert "wheels-disagree" not in said
+    assert verdict(said.values()) == "doubtful"
 
 
-def test_a_scanner_mounted_turned_is_told_once_with_the_angle(office):
-    said = told(office, lambda raw: replace(raw, T_robot_sensor=np.array([0.0, 0.0, np.radians(20)])))
-    (line,) = [text for text in said if "degrees to the" in text]
-    assert float(line.split()[3]) == pytest.approx(20.0, abs=1.0)
-    assert "to the left of where the wheels lead" in line
+@pytest.mark.parametrize("degrees", [8, 20])
+def test_a_scanner_mounted_turned_is_told_once_with_the_angle_and_mapped_as_it_stands(office, degrees):
+    said = found(office, lambda raw: replace(raw, T_robot_sensor=np.array([0.0, 0.0, np.radians(degrees)])))
+    assert set(said) == {"wheels-calibrated"}
+    assert "the scanner turned left by" in said["wheels-calibrated"].text
+    assert verdict(said.values()) == "good"
 
 
-def test_angles_between_beams_that_are_wrong_are_told_with_the_factor(office):
+def test_angles_between_beams_that_are_wrong_are_told_by_walls_that_are_bent(office):
     wide = lambda raw: replace(raw, angle_min=1.1 * raw.angle_min, angle_increment=1.1 * raw.angle_increment)
-    (line,) = [text for text in told(office, wide) if "the scans turn" in text]
-    assert float(line.split()[3]) == pytest.approx(1.1, abs=0.03)
+    said = found(office, wide)
+    assert said["beams-apart"].value["value"] == pytest.approx(1.1, abs=0.03)
+    assert verdict(said.values()) == "bad"
+
+
+def test_wheels_that_turn_too_far_are_told_by_walls_that_are_straight_and_the_map_is_good(office):
+    def turned(rows):
+        poses = np.array([row[1:] for row in rows])
+        out = [poses[0]]
+        for step in se2.between(poses[:-1], poses[1:]) * [1.0, 1.0, 1.2]:
+            out.append(np.asarray(se2.compose(out[-1], step)))
+        return [(row[0], *pose) for row, pose in zip(rows, np.array(out).tolist(), strict=True)]
+
+    said = found(office, rows=turned)
+    assert said["wheels-turns"].value["value"] == pytest.approx(1 / 1.2, abs=0.03)
+    assert verdict(said.values()) == "good"
 
 
 def test_scans_that_are_stamped_late_are_told_with_the_lag(office):
-    said = told(office, lambda raw: replace(raw, t=raw.t + 0.5))
-    assert any(text.startswith("the scans bear stamps 0.50 s after those of the odometry") for text in said)
+    said = found(office, lambda raw: replace(raw, t=raw.t + 0.5))
+    late = said["wheels-calibrated"].text.split("late by ")[1]
+    assert float(late.split()[0]) == pytest.approx(0.5, abs=0.01)
 
 
-def test_odometry_that_never_turns_or_is_another_drives_is_told(office):
+def test_odometry_that_never_turns_or_is_another_drives_makes_a_map_bad(office):
     other = simulate_office(OfficeConfig(rooms=2, visited=2), 6).log.odometry.pose.tolist()
     for rows in (
         lambda rows: [(t, x, y, 0.0) for t, x, y, _ in rows],
         lambda rows: [(row[0], *pose) for row, pose in zip(rows, other, strict=False)],
     ):
-        assert any("the scans and the wheels tell different motions" in text for text in told(office, rows=rows))
+        said = found(office, rows=rows)
+        assert {"wheels-other", "beams-mirrored"} & set(said)
+        assert verdict(said.values()) == "bad"
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e3])
+def test_wheels_that_tell_a_thousandth_or_a_thousand_times_of_the_way_are_told(office, factor):
+    said = found(office, rows=lambda rows: [(t, factor * x, factor * y, a) for t, x, y, a in rows])
+    if factor > 1:
+        assert said["wheels-fast"].value > 100.0
+        assert "no-odometry" in said
+        assert verdict(said.values()) != "good"
+    else:
+        assert "wheels-calibrated" in said
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_wheels_whose_pose_leaps_or_begins_anew_are_told_with_when_and_how_far(office, again):
+    def leap(rows):
+        half = len(rows) // 2
+        if again:
+            late = se2.between(
+                np.array(rows[half][1:]) + np.array([0.0, 5.0, 0.0]), np.array([r[1:] for r in rows[half:]])
+            )
+        else:
+            late = np.array([r[1:] for r in rows[half:]]) + np.array([5.0, 0.0, 0.0])
+        return rows[:half] + [(r[0], *pose) for r, pose in zip(rows[half:], late.tolist(), strict=True)]
+
+    leaped = found(office, rows=leap)["wheels-leap"]
+    half = office.odometry.t[len(office.odometry.t) // 2]
+    assert leaped.span[0] - 0.1 <= half <= leaped.span[1] + 0.1
+    assert leaped.value["times"] == 1
+    assert leaped.value["value"] > 3.0
 
 
 def test_a_robot_that_is_carried_to_another_room_is_told_with_the_time(office):
@@ -86,17 +139,33 @@ def test_a_robot_that_is_carried_to_another_room_is_told_with_the_time(office):
 
     kept = [k for k in range(len(office.scans)) if k <= first or k >= last]
     log = replace(office, scan_t=office.scan_t[kept], scans=tuple(office.scans[k] for k in kept))
-    (line,) = [text for text in told(log, rows=joined) if "the scene changes at once" in text]
-    assert line.startswith(f"at {jump:.1f} s ")
+    said = found(log, rows=joined)
+    assert said["scene-jump"].span == (pytest.approx(jump), pytest.approx(jump))
+    assert verdict(said.values()) == "doubtful"
 
 
-def test_ranges_in_millimetres_are_refused_with_the_log_and_how_long_they_are(office):
-    said = r"office: the median of the ranges is \d{4}: expected returns between 0.02 and 25 m; are the ranges in"
-    with pytest.raises(DataError, match=said):
-        told(office, lambda raw: replace(raw, ranges=1000.0 * raw.ranges, range_max=1000.0 * raw.range_max))
+@pytest.mark.parametrize("limit", [False, True])
+@pytest.mark.parametrize(("unit", "factor"), [("millimetres", 1000.0), ("centimetres", 100.0)])
+def test_ranges_in_another_unit_are_refused_with_its_name(office, unit, factor, limit):
+    def change(raw):
+        return replace(raw, ranges=factor * raw.ranges, range_max=(factor if limit else 1.0) * raw.range_max)
+
+    with pytest.raises(DataError, match=rf"office: the ranges are in {unit}: half of the ranges exceed .* expected"):
+        found(office, change)
 
 
-def test_a_log_whose_beams_all_lie_beyond_the_scanners_range_is_told(office):
-    lines = told(office, lambda raw: replace(raw, ranges=1000.0 * raw.ranges))
+def test_a_log_of_few_scans_makes_a_map_whose_verdict_says_so(office):
+    few = replace(office, scan_t=office.scan_t[:3], scans=office.scans[:3])
+    said = found(few)
+    assert said["few-scans"].value == 3
+    assert verdict(said.values()) == "doubtful"
+
+
+def test_a_robot_that_never_moves_is_mapped_and_it_is_told(office):
     n = len(office.scans)
-    assert lines == (f"{n} of {n} scans have no return at all: are the ranges in metres?",)
+    scans = tuple(replace(office.scans[0], odometry=np.zeros(3)) for _ in range(n))
+    still = replace(office, scans=scans, odometry=Track(office.scan_t, np.zeros((n, 3)), frame="odom"))
+    made = mapweave.map([still])
+    assert [f.code for f in made.findings if f.code != "light-unused"] == ["robot-still"]
+    assert made.verdict == made.metrics["verdict"] == "good"
+    assert np.abs(made.maps[0].track.pose).max() < 0.02

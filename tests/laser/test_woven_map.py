@@ -9,12 +9,12 @@ from mapweave.core import se2
 from mapweave.core.records import Track
 from mapweave.laser.closures import Closure
 from mapweave.laser.laser_map import GridMap, LaserMap, ScanRecords
-from mapweave.laser.merge import MapClosure, Merge
 from mapweave.laser.pose_graph import PoseGraph
 from mapweave.laser.robot_graph import RobotGraph
 from mapweave.laser.robust_graph import RobustGraphConfig, solve_graph
-from mapweave.laser.weave import Woven
-from mapweave.laser.woven_map import DROPPED, woven_maps
+from mapweave.mapping.merge import MapClosure, Merge
+from mapweave.mapping.weave import Woven
+from mapweave.mapping.woven_map import DROPPED, woven_maps
 
 N, EVERY = 21, 5  # stamps, and stamps between keyframes
 T = np.array([2.0, 1.0, 0.5])  # where robot 2's map lies in robot 1's

@@ -9,10 +9,10 @@ from mapweave.core import se2
 from mapweave.kernels.laser.resample import systematic
 from mapweave.laser import particle_slam
 from mapweave.laser.beam import IntensityCalibration, beams
-from mapweave.laser.config import LaserConfig
-from mapweave.laser.mapping import choose_feature, finish, map_laser
+from mapweave.laser.laser_map import ScanInfos
 from mapweave.laser.particle_grid import ParticleGrid
-from mapweave.laser.session import ScanInfos
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.laser_mapping import choose_feature, finish, map_laser
 from mapweave.papers.hara.bounds import geometry_bound
 from mapweave.papers.hara.experiments import on_rims
 from mapweave.papers.hara.methods import GRAPH, ICP, PRINTED, WHEELS_KNOWN, WHEELS_PROPOSE, score

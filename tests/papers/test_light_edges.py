@@ -8,8 +8,8 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.records import Track
 from mapweave.laser.beam import beams
-from mapweave.laser.config import LaserConfig
-from mapweave.laser.mapping import choose_feature
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.laser_mapping import choose_feature
 from mapweave.papers.hara.bounds import along_flush_walls, geometry_bound, light_bound
 from mapweave.papers.hara.light_edges import LightEdgeConfig, find_rims, rim_problem, same_rims, sharpened
 from mapweave.papers.hara.methods import score

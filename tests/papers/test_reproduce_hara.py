@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mapweave.laser.beam import beams
-from mapweave.laser.config import LaserConfig
-from mapweave.laser.mapping import choose_feature
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.laser_mapping import choose_feature
 from mapweave.papers.hara.along import STRETCH, along_error
 from mapweave.papers.hara.alpha import ALPHAS, estimate_alpha
 from mapweave.papers.hara.gate import try_gate

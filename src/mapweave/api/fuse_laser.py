@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ..core.config import load
 from ..core.errors import DataError
+from ..core.findings import Finding
 from ..core.names import robot_name
 from ..core.workers import Progress
 from ..io.laser_state import holds_state, laser_homes, read_laser_states
@@ -41,11 +42,11 @@ def fuse_laser(
         maps += [
             _renamed(local_map, f"{name}/{robot_name(local_map.robot)}") for local_map in read_laser_states(folder).maps
         ]
-    warnings = []
+    findings = []
     while (twice := same_logs(maps)) is not None:
         first, again = twice
         maps = [local_map for local_map in maps if local_map is not again]
-        warnings.append(f"{again.robot} is the same log as {first.robot}: it counts once")
+        findings.append(Finding("log-twice", again.robot, value=first.robot, action="it counts once"))
     if config is None:
         cfg = replace(cfg, resolution=maps[0].grid.resolution)
     return woven_result(
@@ -53,7 +54,7 @@ def fuse_laser(
         cfg,
         seed=seed,
         truth=truth,
-        warnings=warnings,
+        findings=findings,
         on_progress=on_progress,
     )
 

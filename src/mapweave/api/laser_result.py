@@ -16,7 +16,8 @@ import numpy as np
 
 from ..core import se2
 from ..core.errors import DataError, UsageError
-from ..core.names import robot_name
+from ..core.findings import Finding, Verdict, of_robot, verdict, verdict_line
+from ..core.names import robot_key, robot_name
 from ..core.records import Track
 from ..core.version import __version__
 from ..core.workers import Progress, no_progress, worker_pool
@@ -24,13 +25,14 @@ from ..io.directory import write_json
 from ..io.laser_map import write_closure_rows, write_laser_map, write_woven_map, write_woven_tracks
 from ..io.laser_state import write_laser_states
 from ..io.tum import read_tum, write_track_covariance, write_tum
-from ..laser.config import LaserConfig
 from ..laser.laser_map import LaserMap
-from ..laser.log_warnings import copies_told
-from ..laser.merge import Merge
-from ..laser.merge_search import MergeConfig, Start
-from ..laser.weave import weave
-from ..laser.woven_map import WovenMap, own_map, woven_maps
+from ..laser.log_warnings import copies_found
+from ..mapping.config import LaserConfig
+from ..mapping.merge import Merge
+from ..mapping.merge_search import MergeConfig, Start
+from ..mapping.weave import weave
+from ..mapping.woven_map import WovenMap, own_map, woven_maps
+from ..report.html import told_list
 from ..report.laser import write_laser_report
 from ..report.laser_figures import aligned, draw_map
 from ..report.result import ResultBase, Rows
@@ -47,7 +49,7 @@ class LaserResult(ResultBase):
     metrics: as in `metrics.json`; evaluation: the score, where truth was given; maps: each robot's own, in the frame
     of its first pose; components: the graph method's maps of the robots that were joined, that of most robots first;
     merges: every pair of robots tried, with the decision and its reason; starts: robot -> x, y, theta[, sigma] that
-    were told; notes: what `summary` says beside.
+    were told; notes: what `summary` says beside; whole: findings that are of no robot alone.
     """
 
     maps: tuple[LaserMap, ...]
@@ -58,6 +60,17 @@ class LaserResult(ResultBase):
     merges: tuple[Merge, ...] = ()
     starts: Mapping[str, Sequence[float]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    whole: tuple[Finding, ...] = ()
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Of every robot, and of the whole."""
+        return (*_own(self.maps), *self.whole)
+
+    @property
+    def verdict(self) -> Verdict:
+        """What the findings make of the result."""
+        return verdict(self.findings)
 
     def draw(self, target: Target) -> None:
         """The map of most robots with their trajectories."""
@@ -91,7 +104,10 @@ class LaserResult(ResultBase):
         lines = [] if self.evaluation is None else self.evaluation.lines()
         doubts = self.metrics.get("warnings", ())
         top = [] if self.evaluation is None else headline_scores(self.evaluation.as_json())
-        write_laser_report(folder, self.maps, self.truth, lines, self.components, self.merges, self.notes, doubts, top)
+        write_laser_report(
+            *(folder, self.maps, self.truth, lines, self.components, self.merges, self.notes, doubts, top),
+            findings=self.findings,
+        )
         if not self.components and len(self.maps) == 1:
             _copied(folder, folder, self.maps[0].robot)
         for part, woven in _parts(folder, self.components):
@@ -111,13 +127,14 @@ class LaserResult(ResultBase):
                 f"{robot_name(local_map.robot)}: {len(local_map.scans)} scans, {local_map.method}, "
                 f"feature {local_map.feature}, map {x1 - x0:.0f} x {y1 - y0:.0f} m, {refused} matches refused"
             )
-            lines += [f"{robot_name(local_map.robot)}: {warning}" for warning in local_map.warnings]
+            lines += [f"{robot_name(local_map.robot)}: {f.text}" for f in local_map.findings]
         lines += [told_merge(merge) for merge in self.merges]
         if len(self.maps) > 1 and self.components:
             lines += [told_component(woven) for woven in self.components]
         lines += self.notes
         lines += [f"warning: {text}" for text in self.metrics.get("warnings", ())]
-        return lines + ([] if self.evaluation is None else self.evaluation.lines())
+        lines += [] if self.evaluation is None else self.evaluation.lines()
+        return [*lines, verdict_line(self.findings)]
 
 
 def laser_metrics(
@@ -126,24 +143,38 @@ def laser_metrics(
     components: Sequence[WovenMap] = (),
     merges: Sequence[Merge] = (),
     timing: Mapping[str, float] | None = None,
+    findings: Sequence[Finding] = (),
 ) -> dict[str, Any]:
-    """What stands in `metrics.json`, without a score."""
+    """What stands in `metrics.json`, without a score. findings: of the whole, beside those of the robots."""
+    every = [*_own(maps), *findings]
     spent = {f"{robot_name(m.robot)} {stage}": spent for m in maps for stage, spent in m.timing.items()}
     return {
         "version": __version__,
         "seed": seed,
-        "robots": {local_map.robot: _robot_metrics(local_map) for local_map in maps},
+        "verdict": verdict(every),
+        "findings": [found.row() for found in every],
+        "unused": [left.row() for left in dict.fromkeys(left for m in maps for left in m.unused)],
+        "robots": {local_map.robot: _robot_metrics(local_map, every) for local_map in maps},
         "components": [list(c.robots) for c in components] or [[local_map.robot] for local_map in maps],
         "fusion": [merge.row() for merge in merges],
         "timing": {**spent, **(timing or {})},
     }
 
 
-def _robot_metrics(local_map: LaserMap) -> dict[str, Any]:
+def _own(maps: Sequence[LaserMap]) -> tuple[Finding, ...]:
+    """The findings of all robots, each under the name its robot has now."""
+    return tuple(found for m in maps for found in of_robot(m.findings, m.robot))
+
+
+def _robot_metrics(local_map: LaserMap, findings: Sequence[Finding]) -> dict[str, Any]:
     decisions = Counter(local_map.scans.decision)
-    c = local_map.calibration
+    c, wheels = local_map.calibration, local_map.odometry_calibration
+    light: dict[str, Any] = (
+        {} if c is None else {"exponent": c.exponent, "scale": c.scale, "residual": c.residual, "samples": c.samples}
+    )
     metrics: dict[str, Any] = {
         "source": local_map.source,
+        "verdict": verdict(found for found in findings if found.robot == robot_key(local_map.robot)),
         "odometry": local_map.odometry,
         "sightings": len(local_map.scans),
         "dropped": dict(local_map.dropped),
@@ -155,9 +186,7 @@ def _robot_metrics(local_map: LaserMap) -> dict[str, Any]:
         "particles": local_map.particles,
         "log_hash": local_map.log_hash,
         "decisions": dict(sorted(decisions.items())),
-        "calibration": None
-        if c is None
-        else {"exponent": c.exponent, "scale": c.scale, "residual": c.residual, "samples": c.samples},
+        "calibration": {**light, **({} if wheels is None else wheels.row())} or None,
     }
     return {**metrics, "name": local_map.called} if local_map.called else metrics
 
@@ -213,7 +242,7 @@ def woven_result(
     starts: Mapping[str, Sequence[float]] | None = None,
     merge: bool = True,
     truth: Sequence[Path] = (),
-    warnings: Sequence[str] = (),
+    findings: Sequence[Finding] = (),
     notes: Sequence[str] = (),
     jobs: int = 1,
     executor: Executor | None = None,
@@ -230,7 +259,7 @@ def woven_result(
             f"{robot_name(a.robot)} ({a.source}) and {robot_name(b.robot)} ({b.source}) hold the same scans: "
             "expected every log once"
         )
-    stored = [_storable(m, alone=len(maps) == 1) for m in maps]
+    stored = [_storable(m) for m in maps]
     known_starts = starts_among([m.robot for m in stored], starts or {}, cfg.merge)
     began = perf_counter()
     if len(stored) > 1:
@@ -241,12 +270,22 @@ def woven_result(
     if len(stored) > 1:
         on_progress("weave", 1, 1)
     timing = {"weave": perf_counter() - began} if len(stored) > 1 else {}
-    metrics = laser_metrics(stored, seed, components, merges, timing)
-    copies = copies_told([m.graph for m in stored if m.graph is not None], cfg.copies)
-    if warnings or copies:
-        metrics["warnings"] = [*warnings, *copies]
+    whole = [
+        *findings,
+        *copies_found([m.graph for m in stored if m.graph is not None], cfg.copies),
+        *(_apart(components) if merge else ()),
+    ]
+    metrics = laser_metrics(stored, seed, components, merges, timing, whole)
+    if whole:
+        metrics["warnings"] = [found.told for found in whole]
     result = LaserResult(
-        tuple(stored), metrics, components=components, merges=merges, starts=starts or {}, notes=tuple(notes)
+        tuple(stored),
+        metrics,
+        components=components,
+        merges=merges,
+        starts=starts or {},
+        notes=tuple(notes),
+        whole=tuple(whole),
     )
     return scored(result, truth)
 
@@ -262,16 +301,20 @@ def _woven(
     return woven_maps(maps, woven, cfg.resolution, cfg.graph.unsure), woven.merges
 
 
-def _storable(local_map: LaserMap, *, alone: bool) -> LaserMap:
-    """The map as it is read back, with a word where there is too little of it to be tied to another."""
+def _apart(components: Sequence[WovenMap]) -> tuple[Finding, ...]:
+    """A finding where there are several maps."""
+    names = [robot_name(robot) for woven in components[1:] for robot in woven.robots]
+    return (Finding("robots-apart", value=told_list(names)),) if names else ()
+
+
+def _storable(local_map: LaserMap) -> LaserMap:
+    """The map as it is read back, with a finding where the robot hardly moved."""
     if local_map.graph is None:
         return local_map
-    n, way = len(local_map.graph), float(local_map.graph.path[-1])
-    still = (
-        () if alone or way >= LEAST_WAY else (f"the robot hardly moved: {n} keyframe{'s' * (n > 1)} on {way:.1f} m",)
-    )
-    warnings = tuple(w for w in still if w not in local_map.warnings)
-    return replace(local_map, graph=local_map.graph.stored(), warnings=(*local_map.warnings, *warnings))
+    way = float(local_map.graph.path[-1])
+    still = () if way >= LEAST_WAY else (Finding("robot-still", local_map.robot, value=way),)
+    findings = tuple(f for f in still if f not in local_map.findings)
+    return replace(local_map, graph=local_map.graph.stored(), findings=(*local_map.findings, *findings))
 
 
 def scored(result: LaserResult, truth: Sequence[Path]) -> LaserResult:
@@ -284,12 +327,17 @@ def scored(result: LaserResult, truth: Sequence[Path]) -> LaserResult:
         score = judged(Path(folder), truth)
     known = {local_map.robot: _true_track(truth, k) for k, local_map in enumerate(result.maps)}
     tracks = {robot: track for robot, track in known.items() if track is not None}
+    whole = result.whole
     if score.unscored:
+        left = Finding("truth-unscored", value=score.unscored)
+        whole = (*whole, left)
         metrics = {
             **metrics,
-            "warnings": [*metrics.get("warnings", ()), f"the truth: nothing to score: {score.unscored}"],
+            "findings": [*metrics["findings"], left.row()],
+            "warnings": [*metrics.get("warnings", ()), left.text],
         }
-    return replace(result, metrics={**metrics, "evaluation": score.as_json()}, evaluation=score, truth=tracks)
+    metrics = {**metrics, "evaluation": score.as_json()}
+    return replace(result, metrics=metrics, evaluation=score, truth=tracks, whole=whole)
 
 
 def starts_among(robots: Sequence[str], given: Mapping[str, Sequence[float]], cfg: MergeConfig) -> dict[int, Start]:

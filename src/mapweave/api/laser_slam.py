@@ -9,13 +9,14 @@ from ..core.errors import ConfigError, DataError
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.laser_stream import NOWHERE, LaserStream, Numbers
 from ..laser.beam import IntensityCalibration
-from ..laser.config import LaserConfig
+from ..laser.config import GEOMETRY, Feature
 from ..laser.laser_map import GridMap
-from ..laser.mapping import choose_feature, map_laser, map_session
 from ..laser.occupancy_mapper import render_keyframes
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import PoseEstimate
-from ..laser.session import GEOMETRY, Feature, LaserSession
+from ..mapping.config import LaserConfig
+from ..mapping.laser_mapping import choose_feature, map_laser, map_session, with_calibrated_wheels
+from ..mapping.session import LaserSession
 from .laser_result import LaserResult
 from .map_laser import LaserMapConfig, result_of
 
@@ -165,6 +166,7 @@ class LaserSlam:
         feature = self._session.feature if self._calibrated else choose_feature(log, self.cfg)
         if feature.name == self._session.feature.name:
             local_map = map_session(self._session, log, feature, {"estimate": self._spent}, on_progress)
+            local_map = with_calibrated_wheels(log, self.cfg, self.seed, local_map, on_progress)
         else:
             local_map = map_laser(log, self.cfg, self.seed, on_progress)
         return result_of([local_map], self.cfg, seed=self.seed)

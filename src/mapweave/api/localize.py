@@ -24,11 +24,11 @@ from ..io.laser_map import NAME, read_grid, write_scans
 from ..io.table import Columns, columns_of
 from ..io.tum import read_tum, write_tum
 from ..laser.beam import IntensityCalibration
-from ..laser.config import LaserConfig
 from ..laser.laser_map import GridMap
 from ..laser.localise import Localisation, localise
 from ..laser.localise_filter import LocaliseConfig
 from ..laser.localise_trust import Evidence
+from ..mapping.config import LaserConfig
 from ..report.localize import draw_where, write_localisation_report
 from ..report.result import ResultBase, Rows
 from ..report.style import Target

@@ -8,7 +8,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, cast, runtime_checkable
 
-from ..core.errors import ReaderError, UsageError
+from ..core.errors import ReaderError, UsageError, VerdictError
+from ..core.findings import verdict_line
 from ..core.laser_log import LaserLog
 from ..core.paths import kind_of, path_arguments, path_of
 from ..core.workers import Progress, no_progress, one_blas_thread
@@ -42,7 +43,6 @@ MAPPERS: tuple[str, ...] = (
 
 @path_arguments
 @one_blas_thread()
-@kept_parts()
 def map(  # noqa: A001  (the verb)
     logs: Path | str | LaserLog | Sequence[Path | str | LaserLog] | None = None,
     out: Path | str | None = None,
@@ -66,6 +66,7 @@ def map(  # noqa: A001  (the verb)
     survey: Path | str | None = None,
     laser: LaserOptions | None = None,
     mcap: bool = False,
+    strict: bool = False,
     force: bool = False,
     executor: Executor | None = None,
     cluster: str | None = None,
@@ -130,6 +131,8 @@ def map(  # noqa: A001  (the verb)
     mcap
         Also write `result.mcap` into `out`: map, trajectories, landmarks and walls as messages for RViz and Foxglove
         (False).
+    strict
+        Raise VerdictError unless the verdict is good, once all is written (False).
     force
         Write into `out` even when something other than a result stands there (False).
     executor
@@ -150,6 +153,8 @@ def map(  # noqa: A001  (the verb)
         For an estimate that failed.
     UsageError
         For options that cannot be; ConfigError for a configuration that is refused. Nothing is written then.
+    VerdictError
+        For a result that is not good, where `strict` was asked for; it holds the result.
 
     Examples
     --------
@@ -180,26 +185,29 @@ def map(  # noqa: A001  (the verb)
         on_progress=on_progress,
     )
     several = list(logs) if isinstance(logs, Sequence) and not isinstance(logs, str) else [] if logs is None else [logs]
-    with truth_files(truth) as true:
-        options = replace(options, truth=true)
-        options.check()
+    with kept_parts():
+        with truth_files(truth) as true:
+            options = replace(options, truth=true)
+            options.check()
+            if out is not None:
+                check_target(Path(out), force=force, reads=(*several, *true, options.config, options.survey))
+            elif mcap:
+                raise UsageError("mcap: expected a folder to write to (out), found none")
+            if logs is not None and not (scans is None and odometry is None and sightings is None):
+                raise UsageError("expected either logs or tables in memory (scans, odometry, sightings), found both")
+            with nullcontext(executor) if cluster is None else cluster_executor(cluster, executor) as workers:
+                options = replace(options, executor=workers)
+                result = _in_memory(scans, odometry, sightings, options) if logs is None else _of_logs(several, options)
         if out is not None:
-            check_target(Path(out), force=force, reads=(*several, *true, options.config, options.survey))
-        elif mcap:
-            raise UsageError("mcap: expected a folder to write to (out), found none")
-        if logs is not None and not (scans is None and odometry is None and sightings is None):
-            raise UsageError("expected either logs or tables in memory (scans, odometry, sightings), found both")
-        with nullcontext(executor) if cluster is None else cluster_executor(cluster, executor) as workers:
-            options = replace(options, executor=workers)
-            result = _in_memory(scans, odometry, sightings, options) if logs is None else _of_logs(several, options)
-    if out is not None:
-        with result_directory(Path(out), force=force) as work:
-            result.write_into(work)
-            if mcap:
-                from ..io.result_mcap import write_result_mcaps  # noqa: PLC0415  (only who asks for it waits for it)
+            with result_directory(Path(out), force=force) as work:
+                result.write_into(work)
+                if mcap:
+                    from ..io.result_mcap import write_result_mcaps  # noqa: PLC0415  (only who asks for it waits for it)
 
-                write_result_mcaps(work)
-            list_files(work)
+                    write_result_mcaps(work)
+                list_files(work)
+    if strict and result.verdict != "good":
+        raise VerdictError(verdict_line(result.findings), result)
     return result
 
 

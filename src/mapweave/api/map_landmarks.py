@@ -7,6 +7,7 @@ from time import perf_counter
 
 from ..core.config import config, load
 from ..core.errors import DataError, UsageError
+from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order, robot_key, robot_name
 from ..core.workers import worker_pool
@@ -130,12 +131,12 @@ def _map_read(
         fusion, online = fuse_online(cut.main, [g.at(fused) for g in grown], cfg.fuse, fused, options.on_progress)
     starts = {robot_name(key): pose for key, pose in options.start.items()}
     fusion = tie_by_starts(fusion, starts, cfg.fuse.start_tolerance)
-    maps, stretches, stretch_warnings = with_stretches(team_maps(local, fusion), cut, cfg.smoothing, placing)
-    rooms: tuple[str, ...] = ()
+    maps, stretches, stretch_findings = with_stretches(team_maps(local, fusion), cut, cfg.smoothing, placing)
+    rooms: tuple[Finding, ...] = ()
     if any(log.odometry is None for log in cut.main):
         first, rooms = with_further_rooms(maps[0], local, cut.main, placing, builders.mapper, builders.join, team_maps)
         maps = (first, *maps[1:])
-    fusion = replace(fusion, warnings=(*fusion.warnings, *stretch_warnings, *rooms, *_wrong_clocks(read)))
+    fusion = replace(fusion, findings=(*fusion.findings, *stretch_findings, *rooms, *_wrong_clocks(read)))
     watch.lap("fuse")
     run = None
     known = known_calibration(read, options)
@@ -159,10 +160,9 @@ def _map_read(
     return team_result(title, options.seed, local, fusion, options.truth, online, watch, maps, smoothed, run)
 
 
-def _wrong_clocks(logs: Sequence[LandmarkLog]) -> list[str]:
+def _wrong_clocks(logs: Sequence[LandmarkLog]) -> list[Finding]:
     return [
-        f"robot {robot_key(robot)}: its clock has nothing in common with the others': {gap:.0f} s lie between "
-        "their stamps and its own, though they saw each other; what they saw of each other is not used"
+        Finding("clock-apart", robot, value=gap, action="what they saw of each other is not used")
         for robot, gap in of_another_time(logs).items()
     ]
 

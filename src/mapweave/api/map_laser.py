@@ -12,6 +12,7 @@ import numpy as np
 
 from ..core.config import config, load
 from ..core.errors import DataError, UsageError
+from ..core.findings import Finding
 from ..core.laser_log import LaserLog
 from ..core.names import robot_name
 from ..core.records import Track
@@ -19,9 +20,9 @@ from ..core.workers import Progress, no_progress, worker_pool
 from ..io.kept import part, parts
 from ..io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
 from ..io.laser_state import LaserState, read_laser_states
-from ..laser.config import LaserConfig
 from ..laser.laser_map import LaserMap
-from ..laser.mapping import map_laser
+from ..mapping.config import LaserConfig
+from ..mapping.laser_mapping import map_laser
 from .laser_result import LaserResult, laser_metrics, scored, woven_result
 from .map_options import MapOptions
 
@@ -212,8 +213,9 @@ def _with_idle_options(local_map: LaserMap, options: MapOptions) -> LaserMap:
     if local_map.method != "graph":
         asked += [("--start", options.start), ("--no-merge", options.laser.no_merge)]
     idle = [name for name, given in asked if given]
-    more = tuple(f"{name} has no effect: {woven if local_map.method == 'graph' else alone}" for name in idle)
-    return replace(local_map, warnings=(*local_map.warnings, *more))
+    why = woven if local_map.method == "graph" else alone
+    more = tuple(Finding("option-idle", local_map.robot, value={"option": name, "value": why}) for name in idle)
+    return replace(local_map, findings=(*local_map.findings, *more))
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..core.config import config, load
 from ..core.errors import DataError, MapweaveError, UsageError
+from ..core.findings import Finding, Verdict, of_robot, verdict, verdict_line
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key, robot_name
@@ -39,10 +40,10 @@ from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import local_map, without_impossible
 from ..landmarks.sifting import SiftConfig, sifted
 from ..laser.beam import beams
-from ..laser.config import LaserConfig
 from ..laser.laser_map import GridMap, LaserMap
-from ..laser.mapping import map_laser
 from ..laser.occupancy_mapper import render
+from ..mapping.config import LaserConfig
+from ..mapping.laser_mapping import map_laser
 from ..report.mixed import MixedStory, draw_mixed, words, write_mixed_report
 from ..report.result import ResultBase, Rows
 from ..report.score import headline_scores
@@ -60,7 +61,7 @@ from .evaluate import Evaluation, judged
 from .map_landmarks import known_calibration
 from .map_laser import first_part, source_of
 from .map_options import MapOptions
-from .mixed_told import carries, mixed_metrics, robot_metrics, warnings_of
+from .mixed_told import carries, findings_of, mixed_metrics, robot_metrics
 from .team import Watch, team_maps
 
 METHODS = ("graph",)
@@ -95,6 +96,16 @@ class MixedResult(ResultBase):
     metrics: dict[str, Any]
     evaluation: Evaluation | None = None
 
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Of every robot, and of the whole."""
+        return tuple(self.story.findings)
+
+    @property
+    def verdict(self) -> Verdict:
+        """What the findings make of the result."""
+        return verdict(self.findings)
+
     def headline(self) -> Rows:
         where = {robot: k for k, team in enumerate(self.maps, 1) for robot in team.robots}
         kinds = self.story.kinds
@@ -109,8 +120,8 @@ class MixedResult(ResultBase):
         first = self.maps[0]
         out = [f"{len(first.robots)} of {len(self.story.kinds)} robots in one map of {len(first.landmarks)} landmarks"]
         out += words(self.story)
-        out += [f"warning: {w}" for w in self.story.warnings]
-        return out + list(self.story.lines)
+        out += [f"warning: {f.told}" for f in self.findings]
+        return [*out, *self.story.lines, verdict_line(self.findings)]
 
     def write_into(self, folder: Path) -> None:
         """Landmarks, trajectories and occupancy of every component, local maps, report and, last, `metrics.json`."""
@@ -177,19 +188,21 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     watch.lap("smooth")
     grids = tuple(_grid(s.map, scans, mixed, cfg.laser) for s in mixed.components)
     watch.lap("grid")
-    carried = [f"robot {robot_key(m.robot)}: {w}" for m in local for w in m.warnings if cut_of[m.robot].cuts]
-    warnings = (*carried, *lost, *back, *warnings_of(read, lasers, fusion if local else None, mixed, apart))
+    carried = [found for m in local if cut_of[m.robot].cuts for found in of_robot(m.findings, m.robot)]
+    told = findings_of(read, lasers, fusion if local else None, mixed, apart)
+    findings = tuple(dict.fromkeys((*carried, *lost, *back, *told)))
+    unused = [left for m in lasers.values() for left in m.unused]
     kinds = {log.robot: carries(log, scanned) for log in read}
     own = {m.robot: m for m in local}
-    robots = {x.robot: robot_metrics(x, own.get(x.robot), lasers.get(x.robot), warnings) for x in read}
-    story = MixedStory(f"One map from {', '.join(p.name for p in logs)}", mixed, grids, kinds, (), warnings)
+    robots = {x.robot: robot_metrics(x, own.get(x.robot), lasers.get(x.robot), findings) for x in read}
+    story = MixedStory(f"One map from {', '.join(p.name for p in logs)}", mixed, grids, kinds, (), findings)
     result = MixedResult(
         maps=tuple(s.map for s in mixed.components),
         grids=grids,
         local=tuple(local),
         lasers=tuple(lasers.values()),
         story=story,
-        metrics=mixed_metrics(mixed, kinds, robots, warnings, options.seed),
+        metrics=mixed_metrics(mixed, kinds, robots, findings, unused, options.seed),
     )
     result = _scored(result, options)
     watch.lap("evaluate")
@@ -348,14 +361,19 @@ def _scored(result: MixedResult, options: MapOptions) -> MixedResult:
         result.write_data(Path(folder))
         score = judged(Path(folder), options.truth)
     metrics = score.as_json()
-    reason = [f"the truth: nothing to score: {score.unscored}"] if score.unscored else []
-    warnings = [*result.story.warnings, *reason]
+    left = (Finding("truth-unscored", value=score.unscored),) if score.unscored else ()
+    findings = (*result.story.findings, *left)
     return replace(
         result,
         story=replace(
-            result.story, lines=tuple(score.lines()), warnings=tuple(warnings), scores=tuple(headline_scores(metrics))
+            result.story, lines=tuple(score.lines()), findings=findings, scores=tuple(headline_scores(metrics))
         ),
-        metrics={**result.metrics, "warnings": warnings, "evaluation": metrics},
+        metrics={
+            **result.metrics,
+            "findings": [found.row() for found in findings],
+            "warnings": [found.told for found in findings],
+            "evaluation": metrics,
+        },
         evaluation=score,
     )
 

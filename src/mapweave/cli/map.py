@@ -74,6 +74,7 @@ def map_logs(
     survey: Path | None = None,
     laser: Laser | None = None,
     mcap: Annotated[bool, Parameter(negative="")] = False,
+    strict: Annotated[bool, Parameter(negative="")] = False,
     force: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Make one map of the logs of a team: a local map for each robot, then all of them merged.
@@ -118,6 +119,8 @@ def map_logs(
         Landmarks at known places, as id,x,y or id,x,y,sd in metres; their frame becomes the map's.
     mcap
         Also write result.mcap: map, paths, landmarks and walls as messages for RViz and Foxglove.
+    strict
+        Exit with status 1 unless the verdict is good; the result is written all the same.
     force
         Write into the folder even when something other than a result stands there.
     """
@@ -144,31 +147,38 @@ def map_logs(
     expect_there(logs)
 
     from ..api.map import map as run
+    from ..core.errors import VerdictError
 
-    with progress() as on_progress:
-        result = run(
-            logs,
-            out=out,
-            robots=named,
-            method=method,
-            weights=weights,
-            share=at_once.share,
-            start=starts,
-            truth=truth,
-            config=config,
-            seed=seed,
-            jobs=jobs,
-            cluster=cluster,
-            fuse_every=fuse_every,
-            refine=refine,
-            online=online,
-            calibration=calibration,
-            survey=survey,
-            laser=at_once.laser,
-            mcap=mcap,
-            force=force,
-            on_progress=on_progress,
-        )
+    try:
+        with progress() as on_progress:
+            result = run(
+                logs,
+                out=out,
+                robots=named,
+                method=method,
+                weights=weights,
+                share=at_once.share,
+                start=starts,
+                truth=truth,
+                config=config,
+                seed=seed,
+                jobs=jobs,
+                cluster=cluster,
+                fuse_every=fuse_every,
+                refine=refine,
+                online=online,
+                calibration=calibration,
+                survey=survey,
+                laser=at_once.laser,
+                mcap=mcap,
+                strict=strict,
+                force=force,
+                on_progress=on_progress,
+            )
+    except VerdictError as error:
+        say(error.result.summary())
+        say(f"report: {out / 'report.html'}")
+        raise
     say(result.summary())
     say(f"report: {out / 'report.html'}")
 

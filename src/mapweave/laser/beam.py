@@ -1,31 +1,36 @@
 """Laser beams: valid returns as points with a feature q of the surface, its line and an insertion weight.
 
 A feature is what intensity says of the surface, less how it falls with range and incidence. That is found from the log
-itself: `log I = rho[window, cell] + g(r) + p log c`, where what a place reflects is unknown but the same for every beam
-that hits it, so that looking at one place from several ranges and angles tells g and p. Odometry is good enough over a
-window of a few scans; no map is needed.
+itself: `log I = rho[window, cell] + g(r) + h(c)`, where what a place reflects is unknown but the same for every beam
+that hits it, so that looking at one place from several ranges and angles tells g and h. Odometry is good enough over a
+window of a few scans; no map is needed. What the feature is worth is another question: `light_worth`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..core import se2
 from ..core.config import config
 from ..core.records import Scan, frozen
 from ..kernels.laser.beams import beam_lines
 
+WHOLE = 50.0  # [1/m^2] along its wall: 60 returns then tell a decimetre e^15 to 1, and light counts as set
+NO_LIGHT = 65535.0  # what scanners of 16 bits send where they measured no light
+
 
 @dataclass(frozen=True, slots=True)
 class IntensityCalibration:
-    """How intensity falls with range and incidence: `log I = log rho + log_gain(r) + exponent log c`.
+    """How intensity falls with range and incidence: `log I = log rho + log_gain(r) + log_incidence(c)`.
 
-    knots: (k,) ranges [m]; log_gain: (k,) at the knots, linear between, held outside; exponent: p; scale: the
-    intensity of q = 1 at gain 1; residual: robust standard deviation of the fit in log units; samples: returns used.
-    residual_by_range: (k,) median absolute residual near each knot.
+    knots: (k,) ranges [m]; log_gain: (k,) at the knots, linear between, held outside; exponent: p of incidence c^p;
+    scale: the intensity of q = 1 at gain 1; residual: robust standard deviation of the fit in log units; samples:
+    returns used. residual_by_range: (k,) median absolute residual near each knot. cosines, log_incidence: (j,) the law
+    of incidence where none of the form c^p fits as well, empty where it does. information: [1/m^2] what the feature of
+    a return tells of where along its wall it is; `WHOLE` where nobody asked. middle: the median feature.
     """
 
     knots: Float[np.ndarray, " k"]
@@ -35,13 +40,34 @@ class IntensityCalibration:
     residual: float
     samples: int
     residual_by_range: Float[np.ndarray, " k"] = field(default_factory=lambda: np.zeros(0))
+    cosines: Float[np.ndarray, " j"] = field(default_factory=lambda: np.zeros(0))
+    log_incidence: Float[np.ndarray, " j"] = field(default_factory=lambda: np.zeros(0))
+    information: float = WHOLE
+    middle: float = 0.5
 
     def __post_init__(self) -> None:
-        for name in ("knots", "log_gain", "residual_by_range"):
+        for name in ("knots", "log_gain", "residual_by_range", "cosines", "log_incidence"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @property
+    def weight(self) -> float:
+        """What light gets of what the settings give it, 0 to 1."""
+        return min(1.0, max(0.0, self.information) / WHOLE)
 
     def gain(self, r: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         return np.asarray(np.exp(np.interp(r, self.knots, self.log_gain)))
+
+    def incidence(self, c: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Of cosines; 1 straight ahead."""
+        if len(self.cosines):
+            return np.asarray(np.exp(np.interp(c, self.cosines, self.log_incidence)))
+        return np.asarray(c**self.exponent)
+
+    def feature(
+        self, intensity: Float[np.ndarray, " n"], r: Float[np.ndarray, " n"], c: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, " n"]:
+        """`I / (scale g(r) h(c))`: what the surface reflects, about 0.9 of the brightest."""
+        return np.asarray(intensity / (self.scale * self.gain(r) * self.incidence(c)))
 
 
 STEERING = ("normalised",)  # features of the surface alone; raw intensity changes with range and would hold the robot
@@ -52,7 +78,7 @@ FEATURES = ("normalised", "raw", "none")
 class BeamConfig:
     least_range: float = 0.02  # [m], nearer returns are the robot itself
     greatest_range: float = 25.0  # [m], farther returns are left out, whatever the sensor allows
-    least_intensity: float = 0.0  # returns at or under this are too weak; asked only where intensities mean something
+    least_intensity: float = 0.0  # returns at or under this bear no light
     line_angle: float = 0.1  # [rad] beams to each side this near may share a line (8 of a URG-04LX, 6 of a SICK)
     near: float = 0.08  # [m] at no range, and
     near_share: float = 0.15  # [m/m]: neighbours differ in range by less than near + near_share r
@@ -82,15 +108,15 @@ class Beams(NamedTuple):
 def beams(scan: Scan, feature: str, calibration: IntensityCalibration | None, cfg: BeamConfig) -> Beams:
     """The valid returns of `scan` with the `feature` asked for.
 
-    `raw`: I / scale; `normalised`: `min(1.2, I / (scale g(r) max(c, 0.15)^p))`; both need `calibration` (for `raw`
-    its scale alone is read); `none`: 0.
+    `raw`: I / scale; `normalised`: `min(1.2, I / (scale g(r) h(max(c, 0.15))))`, the median of the log where no light
+    was measured; both need `calibration` (for `raw` its scale alone is read); `none`: 0.
     """
     n = len(scan.ranges)
     r = np.asarray(scan.ranges, float)
     with np.errstate(invalid="ignore"):
         hit = scan.hit & np.isfinite(r) & (r > cfg.least_range) & (r < min(scan.range_max, cfg.greatest_range))
     intensity = np.zeros(n) if scan.intensities is None else np.nan_to_num(scan.intensities, posinf=0.0, neginf=0.0)
-    if feature != "none":
+    if feature == "raw":
         hit = hit & (intensity > cfg.least_intensity)
     r = np.where(hit, r, 1.0)
     angle = scan.angle_min + scan.angle_increment * np.arange(n)
@@ -123,8 +149,13 @@ def _feature(
         return np.zeros(len(r))
     if feature == "raw":
         return np.minimum(cfg.greatest_q, intensity / calibration.scale)
-    expected = calibration.scale * calibration.gain(r) * np.maximum(c, cfg.least_cosine) ** calibration.exponent
-    return np.asarray(np.minimum(cfg.greatest_q, intensity / expected))
+    q = np.minimum(cfg.greatest_q, calibration.feature(intensity, r, np.maximum(c, cfg.least_cosine)))
+    return np.where(measured(intensity, cfg), q, calibration.middle)
+
+
+def measured(intensity: Float[np.ndarray, " n"], cfg: BeamConfig) -> Bool[np.ndarray, " n"]:
+    """Where light was measured at all."""
+    return np.asarray((intensity > cfg.least_intensity) & (intensity != NO_LIGHT))
 
 
 @config
@@ -142,65 +173,159 @@ class CalibrationConfig:
     most_residual: float = 0.35  # [log units] beyond this the intensity does not follow the model
 
 
+FREE_KNOT = 0.1  # of log range between the knots of a law without a form,
+FREE_SMOOTH = 3.0  # whose second differences weigh so much,
+FREE_COSINES = frozen(np.array([0.15, 0.3, 0.5, 0.7, 0.85, 0.95, 1.0]))  # and the knots of its law of incidence
+FORM_COSTS = 1.03  # times the held-out residual that a law with a form may have of one without
+HALVED = 10  # windows of either half, at most, that tell what a law of the others is worth,
+HALF_ITERATIONS = 6  # of their robust fits
+CAPPED = 0.5  # [log units] more residual than this counts as this there
+
+
+class Overlaps(NamedTuple):
+    """Returns of places that several scans of a window hit: cell number, range [m], cosine, intensity, window."""
+
+    cell: Int[np.ndarray, " n"]
+    r: Float[np.ndarray, " n"]
+    c: Float[np.ndarray, " n"]
+    light: Float[np.ndarray, " n"]
+    window: Int[np.ndarray, " n"]
+
+    def of(self, keep: Bool[np.ndarray, " n"]) -> "Overlaps":
+        _, cell = np.unique(self.cell[keep], return_inverse=True)
+        return Overlaps(cell, *(a[keep] for a in self[1:]))
+
+
+class Calibrated(NamedTuple):
+    """whole: from all windows; halves: two from every other one of some windows, of the same form."""
+
+    whole: IntensityCalibration
+    halves: tuple[IntensityCalibration, IntensityCalibration]
+
+
 def calibrate(
     scans: Sequence[Beams], poses: Float[np.ndarray, "m 3"], cfg: CalibrationConfig
 ) -> IntensityCalibration | None:
-    """The calibration from scans and poses that are right over a window; None when places are not seen twice."""
-    cell, r, c, light = _samples(scans, poses, cfg)
-    if len(r) < cfg.least_samples:
+    """The calibration from scans and poses that are right over a window; None when places are not seen twice.
+
+    `g` linear over range and `c^p` where they foretell returns of other windows as well as laws without a form do.
+    """
+    made = calibrated(scans, poses, cfg)
+    return None if made is None else made.whole
+
+
+def calibrated(scans: Sequence[Beams], poses: Float[np.ndarray, "m 3"], cfg: CalibrationConfig) -> Calibrated | None:
+    """As `calibrate`, and calibrations of halves of the windows, those with even numbers first, or None."""
+    seen = _samples(scans, poses, cfg)
+    if len(seen.r) < cfg.least_samples:
         return None
-    knots = cfg.knot * np.arange(int(np.ceil(r.max() / cfg.knot)) + 1)
-    K = len(knots)
-    y = np.log(light)
-    X = np.column_stack([_hats(r, cfg.knot, K), np.log(c)])
-    second = np.diff(np.eye(K), 2, axis=0)
-    ridge = np.zeros((K + 1, K + 1))
-    ridge[:K, :K] = cfg.smooth * second.T @ second
-    ridge += 1e-3 * np.eye(K + 1)
+    halves = _halves(seen)
+    if not min(len(half.r) for half in halves):
+        whole = _scaled(seen, cfg, _fitted(seen, cfg, free=False))
+        return Calibrated(whole, (whole, whole))
+    quick = replace(cfg, iterations=HALF_ITERATIONS)
+    formed, free = ([_fitted(half, quick, free=free) for half in halves] for free in (False, True))
+    chosen = free if _held_out(halves, formed) > FORM_COSTS * _held_out(halves, free) else formed
+    whole = _scaled(seen, cfg, _fitted(seen, cfg, free=chosen is free))
+    first, second = (_scaled(half, cfg, fit) for half, fit in zip(halves, chosen, strict=True))
+    return Calibrated(whole, (first, second))
+
+
+def _halves(seen: Overlaps) -> tuple[Overlaps, Overlaps]:
+    """The returns of windows with even numbers and of those with odd ones, of so many windows as tell a law."""
+    pairs = np.unique(seen.window // 2)
+    if len(pairs) > HALVED:
+        pairs = pairs[np.linspace(0, len(pairs) - 1, HALVED).astype(int)]
+    kept = np.isin(seen.window // 2, pairs)
+    return seen.of(kept & (seen.window % 2 == 0)), seen.of(kept & (seen.window % 2 == 1))
+
+
+LawFit = tuple[IntensityCalibration, Float[np.ndarray, " _"]]  # a law with scale 1 and the size of its residuals
+
+
+def _scaled(seen: Overlaps, cfg: CalibrationConfig, fit: LawFit) -> IntensityCalibration:
+    law, size = fit
+    K = len(law.knots)
+    at = np.searchsorted(0.5 * (law.knots[1:] + law.knots[:-1]), seen.r)
+    by_range = np.array([np.median(size[at == k]) if (at == k).any() else np.nan for k in range(K)])
+    expected = law.gain(seen.r) * law.incidence(seen.c)
+    scale = float(np.quantile(seen.light / expected, 0.95)) / cfg.top
+    return replace(
+        law,
+        scale=scale,
+        residual=float(1.4826 * np.median(size)),
+        residual_by_range=np.nan_to_num(by_range),
+        middle=float(np.median(seen.light / expected)) / scale,
+    )
+
+
+def _held_out(halves: tuple[Overlaps, Overlaps], fits: Sequence[LawFit]) -> float:
+    """Mean residual [log units] of the law of either half in the windows of the other."""
+    total = 0.0
+    for (law, _), other in zip(fits, halves[::-1], strict=True):
+        y = np.log(other.light) - np.log(law.gain(other.r) * law.incidence(other.c))
+        _, off = _centred(np.column_stack([y, y]), other.cell, np.ones(len(y)), int(other.cell.max()) + 1)
+        total += float(np.minimum(np.abs(off), CAPPED).sum())
+    return total / (len(halves[0].r) + len(halves[1].r))
+
+
+def _fitted(seen: Overlaps, cfg: CalibrationConfig, *, free: bool) -> LawFit:
+    """The law with scale 1, its gain 1 at 1 m and 1 straight ahead, and the size of the residual of every return."""
+    y = np.log(seen.light)
+    if free:
+        first = FREE_KNOT * np.floor(np.log(seen.r.min()) / FREE_KNOT)
+        K = max(3, int(np.ceil((np.log(seen.r.max()) - first) / FREE_KNOT)) + 1)
+        knots = np.exp(first + FREE_KNOT * np.arange(K))
+        X = np.column_stack([_hats(seen.r, knots), _hats(seen.c, FREE_COSINES)])
+    else:
+        K = int(np.ceil(seen.r.max() / cfg.knot)) + 1
+        knots = cfg.knot * np.arange(K)
+        X = np.column_stack([_hats(seen.r, knots), np.log(seen.c)])
+    n = X.shape[1]
+    ridge = 1e-3 * np.eye(n)
+    for first_row, size in ((0, K), (K, n - K)):
+        if size >= 3:
+            second = np.diff(np.eye(size), 2, axis=0)
+            part = slice(first_row, first_row + size)
+            ridge[part, part] += (FREE_SMOOTH if free else cfg.smooth) * second.T @ second
     weight = np.ones(len(y))
-    x = np.zeros(K + 1)
-    groups = int(cell.max()) + 1
+    x, residual = np.zeros(n), y
+    groups = int(seen.cell.max()) + 1
     for _ in range(cfg.iterations):
-        Xc, yc = _centred(np.column_stack([X, y]), cell, weight, groups)
+        Xc, yc = _centred(np.column_stack([X, y]), seen.cell, weight, groups)
         A = (Xc * weight[:, None]).T @ Xc
         x = np.linalg.solve(A + ridge, (Xc * weight[:, None]).T @ yc)
         residual = yc - Xc @ x
         weight = 1.0 / (1.0 + (residual / cfg.cauchy) ** 2)
-    size = np.abs(residual)
     gain = x[:K] - np.interp(1.0, knots, x[:K])
-    expected = np.exp(np.interp(r, knots, gain)) * c ** x[K]
-    scale = float(np.quantile(light / expected, 0.95)) / cfg.top
-    at = np.clip(np.rint(r / cfg.knot).astype(int), 0, K - 1)
-    by_range = np.array([np.median(size[at == k]) if (at == k).any() else np.nan for k in range(K)])
-    return IntensityCalibration(
-        knots, gain, float(x[K]), scale, float(1.4826 * np.median(size)), len(y), np.nan_to_num(by_range)
-    )
+    incidence = (FREE_COSINES, x[K:] - x[-1]) if free else (np.zeros(0), np.zeros(0))
+    exponent = float(np.polyfit(np.log(FREE_COSINES), x[K:], 1)[0]) if free else float(x[K])
+    law = IntensityCalibration(knots, gain, exponent, 1.0, 0.0, len(y), np.zeros(K), *incidence)
+    return law, np.abs(residual)
 
 
 def raw_scale(scans: Sequence[Beams]) -> IntensityCalibration:
     """What `raw` divides by: the greatest intensity but for one in a thousand; no gain, no incidence."""
-    light = np.concatenate([b.intensity for b in scans])
+    light = np.concatenate([b.intensity[(b.intensity > 0) & (b.intensity != NO_LIGHT)] for b in scans])
     top = float(np.quantile(light, 0.999)) if len(light) else 1.0
     return IntensityCalibration(np.array([0.0, 1.0]), np.zeros(2), 0.0, max(top, 1e-9), 0.0, len(light), np.zeros(2))
 
 
-def _samples(
-    scans: Sequence[Beams], poses: Float[np.ndarray, "m 3"], cfg: CalibrationConfig
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(cell number, range, cosine, intensity) of every return in a cell that more than one scan of a window hit."""
+def _samples(scans: Sequence[Beams], poses: Float[np.ndarray, "m 3"], cfg: CalibrationConfig) -> Overlaps:
+    """Every return with light in a cell that more than one scan of a window hit."""
     starts = np.arange(0, len(scans), cfg.window)
     if len(starts) > cfg.most_windows:
         starts = starts[np.linspace(0, len(starts) - 1, cfg.most_windows).astype(int)]
-    cells: list[np.ndarray] = []
-    ranges: list[np.ndarray] = []
-    cosines: list[np.ndarray] = []
-    lights: list[np.ndarray] = []
+    parts: list[Overlaps] = []
     count = 0
     for start in starts.tolist():
         part = range(start, min(start + cfg.window, len(scans)))
         points = np.concatenate([se2.act(poses[k], scans[k].s) for k in part])
         who = np.concatenate([np.full(len(scans[k].r), k) for k in part])
-        keep = np.concatenate([(scans[k].support >= 3) & (scans[k].intensity > 0) for k in part])
+        r, c, light, support = (
+            np.concatenate([getattr(scans[k], name) for k in part]) for name in ("r", "c", "intensity", "support")
+        )
+        keep = (support >= 3) & (light > 0) & (light != NO_LIGHT)
         if not keep.any():
             continue
         ij = np.floor(points[keep] / cfg.cell).astype(np.int64)
@@ -209,25 +334,26 @@ def _samples(
         first, last = np.full(number.max() + 1, 1 << 60), np.full(number.max() + 1, -1)
         np.minimum.at(first, number, who[keep])
         np.maximum.at(last, number, who[keep])
-        seen_twice = (last > first)[number]
-        cells.append(number[seen_twice] + count)
+        twice = (last > first)[number]
+        cosine = np.maximum(c[keep][twice], cfg.least_cosine)
+        window = np.full(int(twice.sum()), start // cfg.window)
+        parts.append(Overlaps(number[twice] + count, r[keep][twice], cosine, light[keep][twice], window))
         count += int(number.max()) + 1
-        for out, name in ((ranges, "r"), (cosines, "c"), (lights, "intensity")):
-            out.append(np.concatenate([getattr(scans[k], name) for k in part])[keep][seen_twice])
-    if not cells:
+    if not parts:
         none = np.zeros(0)
-        return none.astype(np.int64), none, none, none
-    c = np.maximum(np.concatenate(cosines), cfg.least_cosine)
-    _, number = np.unique(np.concatenate(cells), return_inverse=True)
-    return number, np.concatenate(ranges), c, np.concatenate(lights)
+        return Overlaps(none.astype(np.int64), none, none, none, none.astype(np.int64))
+    whole = Overlaps(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    return whole.of(np.ones(len(whole.r), bool))
 
 
-def _hats(r: np.ndarray, knot: float, K: int) -> np.ndarray:
-    """(n, K): the weights of the knots in a function linear between them."""
-    at = np.clip((r / knot).astype(int), 0, K - 2)
-    share = r / knot - at
-    out = np.zeros((len(r), K))
-    rows = np.arange(len(r))
+def _hats(x: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """(n, K): the weights of the knots in a function linear between them and held outside."""
+    K = len(knots)
+    x = np.clip(x, knots[0], knots[-1])
+    at = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, K - 2)
+    share = (x - knots[at]) / (knots[at + 1] - knots[at])
+    out = np.zeros((len(x), K))
+    rows = np.arange(len(x))
     out[rows, at], out[rows, at + 1] = 1.0 - share, share
     return out
 

@@ -1,24 +1,22 @@
-"""Everything that can be set about laser maps: of one log, and of a team that explores."""
+"""What can be set about the trackers of laser logs: beams, matching, the particle filter, checks of the log."""
+
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
 from ..core.config import config
 from ..core.errors import ConfigError
-from .beam import FEATURES, BeamConfig, CalibrationConfig
+from ..core.findings import Finding
+from .beam import FEATURES, STEERING, BeamConfig, CalibrationConfig, IntensityCalibration
 from .icp import IcpConfig
-from .joint_pass import JointPassConfig
-from .keyframe_graph import KeyframeGraphConfig
-from .keyframes import KeyframeConfig, StepNoise
-from .known_places import KnownPlacesConfig
 from .log_warnings import CopyCheck, JumpCheck, LagCheck, WheelCheck
-from .merge_search import MergeConfig
 from .motion_agreement import MotionCheck
 from .moving import MovingConfig
-from .occupancy_mapper import LayingConfig
+from .odometry_calibration import OdometryCalibrationConfig
 from .particle_grid import CellConfig
 from .scan_matching import FrontEndConfig
-from .submap_loops import SubmapLoopConfig
 
 METHODS = ("particle", "graph", "gated", "icp")
 LIKELIHOODS = ("matched", "paper")
@@ -55,30 +53,6 @@ class FilterConfig:
     least_beams: int = 10  # scans with fewer returns change no weights
 
 
-DRIFTING = StepNoise(wheels_xy=0.1, wheels_turn_per_m=0.03, wheels_turn=0.1, drift_xy=0.005, drift_turn=0.001)
-"""Steps of any robot's log: wheels that may be poor, front ends that see half the circle."""
-
-
-@config
-class GraphConfig:
-    """The graph method: keyframes, loops, and the last pass over everything. lineage: the noise of steps along the best
-    particle's trajectory, which light holds where walls do not.
-    """
-
-    hypotheses: int = 100  # particles that find the trajectory where light tells places apart; 0: scan odometry alone
-    loops: bool = True  # whether loops are looked for
-    unfound: int = 6  # searches for old places in a row that find none, from which it is a warning
-    unsure: float = 3.0  # times the graph's covariances are those told: errors of scans one after the other are alike
-    last_pass: bool = True  # whether all keyframes are matched jointly in the end, and every scan laid on them
-    keyframe_graph: KeyframeGraphConfig = KeyframeGraphConfig(
-        resolve_share=0.05, keyframes=KeyframeConfig(distance=0.4, turn=0.4, noise=DRIFTING)
-    )
-    lineage: StepNoise = StepNoise(wheels_xy=0.015, drift_xy=0.005, drift_turn=0.001)
-    loop_search: SubmapLoopConfig = SubmapLoopConfig()
-    known_places: KnownPlacesConfig = KnownPlacesConfig()
-    joint: JointPassConfig = JointPassConfig()
-
-
 @config
 class MomentConfig:
     """When rows of a log are of one moment, and when they contradict each other: their stamps are wrong then."""
@@ -90,8 +64,8 @@ class MomentConfig:
 
 
 @config
-class LaserConfig:
-    """Settings of laser SLAM, table `[laser]`: method, particle filter, matching, occupancy, pose graph, merging."""
+class LaserTrackingConfig:
+    """Settings of one laser log's trackers: method, particle filter, matching, occupancy, checks."""
 
     method: str = "particle"  # how a log is mapped: particle, graph, gated or icp
     particles: int = 100  # hypotheses of the particle filter
@@ -111,6 +85,7 @@ class LaserConfig:
     motion: MotionCheck = MotionCheck()
     jump: JumpCheck = JumpCheck()
     lag: LagCheck = LagCheck()
+    odometry: OdometryCalibrationConfig = OdometryCalibrationConfig()
     copies: CopyCheck = CopyCheck()
     moment: MomentConfig = MomentConfig()
     cells: CellConfig = CellConfig()
@@ -118,8 +93,6 @@ class LaserConfig:
     filter: FilterConfig = FilterConfig()
     icp: IcpConfig = IcpConfig()
     calibration: CalibrationConfig = CalibrationConfig()
-    graph: GraphConfig = GraphConfig()
-    merge: MergeConfig = MergeConfig()
 
     def eps(self, sd: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """How far [m, m, rad] a match may deviate from an odometry increment allowed `sd`."""
@@ -157,28 +130,47 @@ PAPER_FILTER = FilterConfig(
 """The paper's filter for wheels that are good over a step: odometry proposes, every scan weighs."""
 
 
-ALL_ROUND = FrontEndConfig(
-    size=512,
-    keyframes=40,
-    keyframe_turn=1.0,
-    alpha=0.0,
-    neff=20.0,
-    sd_xy=0.01,
-    sd_xy_per_m=0.06,
-    sd_turn=0.01,
-    sd_turn_per_m=0.03,
-    sd_turn_per_rad=0.06,
-)
-"""The front end for scanners that see all round, on wheels that are good over a step."""
+C = TypeVar("C", bound=LaserTrackingConfig)
 
 
-@config
-class LaserTeamConfig:
-    """A team whose starts are known: those of all robots but the first err, `map` hangs on the first's."""
+@dataclass(frozen=True, slots=True)
+class Feature:
+    """What q is made of in this log, and why not what was asked for."""
 
-    teammate: float = 0.45  # [m] around a teammate: returns from there are not walls
-    open_share: float = 0.9  # share of the scanner's range that is free where a beam does not come back
-    beams: BeamConfig = BeamConfig()
-    front_end: FrontEndConfig = ALL_ROUND
-    graph: KeyframeGraphConfig = KeyframeGraphConfig()
-    map: LayingConfig = LayingConfig(near=6.0)
+    name: str
+    calibration: IntensityCalibration | None
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The findings' texts."""
+        return tuple(f.text for f in self.findings)
+
+
+GEOMETRY = Feature("none", None)
+
+
+def weighed(cfg: C, feature: Feature) -> C:
+    """The settings with light counting for what it is worth: in matching, the particles' weights and moves, and ICP.
+
+    What holds a scan along its wall and how many returns are independent lies between the settings without light and
+    those with it; a difference of q counts the same share of alpha. At a weight of 1 they are `cfg`.
+    """
+    if feature.name not in STEERING or feature.calibration is None or feature.calibration.weight >= 1.0:
+        return cfg
+    w, front, f = feature.calibration.weight, cfg.front_end, cfg.filter
+
+    def between(bare: float, lit: float) -> float:
+        return bare + w * (lit - bare)
+
+    return replace(
+        cfg,
+        cells=replace(cfg.cells, alpha=w * cfg.cells.alpha),
+        icp=replace(cfg.icp, alpha=w * cfg.icp.alpha),
+        front_end=replace(front, alpha=w * front.alpha, tangent=between(front.bare_tangent, front.tangent)),
+        filter=replace(
+            f,
+            neff=between(f.bare_neff, f.neff),
+            refine_tangent=between(f.refine_bare_tangent, f.refine_tangent),
+        ),
+    )

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.records import Event, Scan
 from .beam import Beams, IntensityCalibration, beams
-from .config import LaserConfig
+from .config import LaserTrackingConfig
 from .icp import match
 from .particle_grid import ParticleGrid
 from .particle_slam import as_points
@@ -34,7 +34,7 @@ class IcpState:
 
 def init(
     robot: str,  # noqa: ARG001  (every estimator is begun the same way)
-    cfg: LaserConfig,
+    cfg: LaserTrackingConfig,
     rng: np.random.Generator,  # noqa: ARG001
     *,
     feature: str = "none",
@@ -47,7 +47,7 @@ def init(
 def step(
     state: IcpState,
     event: Event,
-    cfg: LaserConfig,
+    cfg: LaserTrackingConfig,
     rng: np.random.Generator,  # noqa: ARG001
 ) -> tuple[IcpState, ScanInfo | None]:
     """Match, decide, insert. Odometry packets give no info: a scan brings its own odometry."""
@@ -73,7 +73,7 @@ def step(
     return state, ScanInfo(innovation, len(b.q), matched.pairs, "matched" if accepted else "odometry")
 
 
-def _increment(state: IcpState, scan: Scan, cfg: LaserConfig) -> tuple[np.ndarray, np.ndarray]:
+def _increment(state: IcpState, scan: Scan, cfg: LaserTrackingConfig) -> tuple[np.ndarray, np.ndarray]:
     if scan.odometry is None:
         return state.motion, alone_sd(cfg.front_end)
     u = np.zeros(3) if state.odometry is None else se2.between(state.odometry, scan.odometry)

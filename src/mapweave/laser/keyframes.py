@@ -78,7 +78,8 @@ def step_covariance(
 
 class Keyframe(NamedTuple):
     """t [s]; local: (3,) pose in the robot's own frame; step: (3,) seen from its last keyframe (of the first: zero),
-    cov: (3, 3) of it over x, y, theta of the keyframe's frame; path: [m] driven so far; beams: its returns.
+    cov: (3, 3) of it over x, y, theta of the keyframe's frame; path: [m] driven so far; beams: its returns; border: why
+    nobody knows the step well, so that a new segment begins here, empty where it is known.
     """
 
     robot: int
@@ -89,6 +90,7 @@ class Keyframe(NamedTuple):
     cov: Float[np.ndarray, "3 3"]
     path: float
     beams: Beams
+    border: str = ""
 
 
 class KeyframeScan(NamedTuple):
@@ -142,15 +144,21 @@ class KeyframeMaker:
         path = 0.0 if self.last is None else self.last.path
         return step_covariance(self._lines, self._wheels, self.path - path, self.cfg.noise)
 
-    def keyframe(self, t: float, b: Beams) -> Keyframe | None:
-        """A keyframe at the latest pose when it is far enough from the last one."""
+    def keyframe(
+        self, t: float, b: Beams, border: str = "", weak: Float[np.ndarray, "3 3"] | None = None
+    ) -> Keyframe | None:
+        """A keyframe at the latest pose when it is far enough from the last one, or a new segment begins with it.
+
+        border: why it does, empty where it does not; weak: (3, 3) covariance that its step has besides.
+        """
         if self.last is None:
             new = Keyframe(self.robot, 0, t, self.local, np.zeros(3), np.zeros((3, 3)), 0.0, b)
         else:
             step = se2.between(self.last.local, self.local)
-            if np.hypot(step[0], step[1]) < self.cfg.distance and abs(step[2]) < self.cfg.turn:
+            if not border and np.hypot(step[0], step[1]) < self.cfg.distance and abs(step[2]) < self.cfg.turn:
                 return None
-            new = Keyframe(self.robot, self.last.number + 1, t, self.local, step, self.covariance(), self.path, b)
+            cov = self.covariance() if weak is None else self.covariance() + weak
+            new = Keyframe(self.robot, self.last.number + 1, t, self.local, step, cov, self.path, b, border)
         self.last = new
         self._wheels = np.zeros((3, 3))
         return new
@@ -193,6 +201,8 @@ class KeyframeOdometry:
         self.maker.advance(self.odometry.pose, self.odometry.step, self.odometry.lines)
         return info
 
-    def keyframe(self, t: float, b: Beams) -> Keyframe | None:
-        """A keyframe at the latest pose when it is far enough from the last one."""
-        return self.maker.keyframe(t, b)
+    def keyframe(
+        self, t: float, b: Beams, border: str = "", weak: Float[np.ndarray, "3 3"] | None = None
+    ) -> Keyframe | None:
+        """As of `KeyframeMaker`."""
+        return self.maker.keyframe(t, b, border, weak)

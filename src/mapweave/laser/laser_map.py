@@ -9,9 +9,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..core.findings import Finding, Unused
 from ..core.records import Track, frozen
+from ..core.rows import RowBuffer
 from .beam import IntensityCalibration
+from .odometry_calibration import OdometryCalibration
 from .robot_graph import RobotGraph
+from .scan_odometry import ScanInfo
 
 __all__ = ["GridMap", "IntensityCalibration"]
 
@@ -114,7 +118,10 @@ class LaserMap:
     method: "graph", "particle", "gated" or "icp"; feature: the one really used (`none` when the log's intensity says
     nothing); odometry: "poses" or "none"; dead_reckoning: odometry alone at the same stamps, None without odometry;
     graph: keyframes, steps and closures, None of the other methods; called: the robot's name in its recording, empty
-    where it has none; scan_hash: of the stamps and ranges of all scans.
+    where it has none; scan_hash: of the stamps and ranges of all scans; odometry_calibration: what the log tells of its
+    wheels and its scanner's mounting, and what of that the map was made with (stamps of late scans are those of the
+    wheels' clock then), None where it tells nothing and of the other methods; unused: what was recorded beside and no
+    reader took.
     """
 
     robot: str
@@ -130,8 +137,75 @@ class LaserMap:
     source: str = ""
     log_hash: str = ""
     dropped: Mapping[str, int] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     timing: Mapping[str, float] = field(default_factory=dict)
     graph: RobotGraph | None = None
     called: str = ""
     scan_hash: str = ""
+    odometry_calibration: OdometryCalibration | None = None
+    unused: tuple[Unused, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The findings' texts."""
+        return tuple(f.text for f in self.findings)
+
+
+DECISIONS = ("first", "empty", "odometry", "matched", "skipped")
+
+
+class ScanInfos:
+    """The `ScanInfo` of every scan, 119 bytes of each. `append` and `clear` change it."""
+
+    def __init__(self) -> None:
+        self._rows = RowBuffer(
+            dtype=[
+                ("innovation", np.float64, 3),
+                ("information", np.float64, (3, 3)),
+                ("n_eff", np.float64),
+                ("beams", np.int32),
+                ("matches", np.int32),
+                ("decision", np.uint8),
+                ("resampled", np.bool_),
+                ("informed", np.bool_),
+            ]
+        )
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def append(self, info: ScanInfo) -> None:
+        """Add what the next scan did."""
+        informed = info.information is not None
+        self._rows.append(
+            (
+                info.innovation,
+                info.information if informed else 0.0,
+                info.n_eff,
+                info.beams,
+                info.matches,
+                DECISIONS.index(info.decision),
+                info.resampled,
+                informed,
+            )
+        )
+
+    def clear(self) -> None:
+        """Remove all rows."""
+        self._rows.clear()
+
+    def records(self, t: Float[np.ndarray, " m"], host: tuple[str, ...], pose: Float[np.ndarray, "m 3"]) -> ScanRecords:
+        """The per-scan record of scans with these stamps, hosts and poses."""
+        rows = self._rows.array
+        return ScanRecords(
+            t,
+            host,
+            pose,
+            rows["innovation"],
+            rows["beams"].astype(np.int64),
+            rows["matches"].astype(np.int64),
+            tuple(DECISIONS[k] for k in rows["decision"].tolist()),
+            rows["n_eff"],
+            rows["resampled"],
+            rows["information"] if len(rows) and rows["informed"].all() else None,
+        )

@@ -9,18 +9,18 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.errors import DataError
+from ..core.findings import Finding
 from ..core.laser_log import LaserLog
 from ..core.records import Track
 from ..core.rows import RowBuffer
 from ..core.workers import Progress
 from .beam import Beams, beams
-from .config import LaserConfig
-from .laser_map import GridMap, IntensityCalibration, ScanRecords
+from .config import Feature, LaserTrackingConfig, weighed
+from .laser_map import GridMap, IntensityCalibration, ScanInfos, ScanRecords
 from .likelihood_field import nearest_field
 from .localise_filter import LocaliseConfig, PlaceFilter
 from .localise_trust import Evidence, LocalisedScan, evidence
 from .scan_odometry import ScanInfo, ScanOdometry, blended
-from .session import ScanInfos
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +48,13 @@ class Localisation:
     feature: str
     particles: int
     dropped: Mapping[str, int] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     timing: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The findings' texts."""
+        return tuple(f.text for f in self.findings)
 
     @property
     def trusted(self) -> bool:
@@ -62,7 +67,7 @@ def localise(
     grid: GridMap,
     calibration: IntensityCalibration | None,
     feature: str,
-    cfg: LaserConfig,
+    cfg: LaserTrackingConfig,
     start: Float[np.ndarray, "3"] | None,
     rng: np.random.Generator,
     on_progress: Progress,
@@ -75,10 +80,11 @@ def localise(
     """
     how = how or LocaliseConfig()
     began = perf_counter()
-    warnings = list(log.warnings)
+    findings = list(log.findings)
     if feature != "none" and (not log.has_intensity or calibration is None):
         feature = "none"
-        warnings.append("the log or the map has no intensity: geometry alone is used")
+        findings.append(Finding("light-unused", log.robot, value="the log or the map has none"))
+    cfg = weighed(cfg, Feature(feature, calibration))
     try:
         walls = nearest_field(grid, how.trust.least_occupancy)
     except ValueError as error:
@@ -95,9 +101,9 @@ def localise(
     counted = (np.array(scans.decision) == "matched") & (np.arange(len(scans)) >= since)
     matched = int(scans.matches[counted].sum()) / max(1, int(scans.beams[counted].sum()))
     if way.converged_row is None:
-        warnings.append("the start was not found: the hypotheses never became one")
+        findings.append(Finding("start-unfound", log.robot))
     if way.restarts:
-        warnings.append(f"places found that did not explain the scans and were given up: {way.restarts}")
+        findings.append(Finding("start-given-up", log.robot, value=way.restarts))
     support, doubt = None, "the start was not found"
     if way.converged_row is not None:
         on_progress("other places", 0, 1)
@@ -127,7 +133,7 @@ def localise(
         feature,
         cfg.particles,
         dict(log.dropped),
-        tuple(warnings),
+        tuple(findings),
         {"localise": total, "global_start": way.searched, "ms_per_scan": 1e3 * total / len(log.scans)},
     )
 
@@ -152,7 +158,7 @@ class _Way:
 def _follow(
     log: LaserLog,
     particles: PlaceFilter,
-    cfg: LaserConfig,
+    cfg: LaserTrackingConfig,
     how: LocaliseConfig,
     light: tuple[str, IntensityCalibration | None],
     start: Float[np.ndarray, "3"] | None,

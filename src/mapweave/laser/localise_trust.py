@@ -14,7 +14,7 @@ from .beam import Beams
 from .laser_map import GridMap
 from .likelihood_field import NearestField, wall_cells
 from .place_search import Hit, LikelihoodField, PlaceConfig, everywhere, likelihood_field, search
-from .submaps import LaserSubmapConfig, query_around
+from .submaps import query_around
 
 NOWHERE = 1e6  # [m] to the nearest wall from outside the map
 
@@ -168,7 +168,7 @@ def _rival(
     kept = kept[: cfg.keyframes]
     lights = [one.beams.q for one in kept] if light else None
     clouds = [one.beams.s for one in kept]
-    query = query_around(np.array([one.pose for one in kept]), clouds, 0, lights, LaserSubmapConfig(around=len(kept)))
+    query = query_around(np.array([one.pose for one in kept]), clouds, 0, len(kept), lights)
     if not len(query.points):
         return 1.0, None
     field = _field(grid, light=light, cfg=cfg)

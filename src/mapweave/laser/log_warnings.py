@@ -22,6 +22,7 @@ from jaxtyping import Float, Int
 
 from ..core import se2
 from ..core.config import config
+from ..core.findings import Finding
 from ..core.names import robot_name
 from ..core.records import Scan, Track
 from .laser_map import ScanRecords
@@ -69,13 +70,11 @@ def stamp_lag(
     return float(lags[best]) if sure and whole[best] <= cfg.gain * whole[len(lags) // 2] else None
 
 
-def lag_told(lag: float | None, cfg: LagCheck) -> tuple[str, ...]:
-    """A warning for a lag that matters."""
+def lag_found(lag: float | None, robot: str, cfg: LagCheck) -> tuple[Finding, ...]:
+    """A finding for a lag that matters."""
     if lag is None or abs(lag) < cfg.least - 1e-9:
         return ()
-    way = "after" if lag > 0 else "before"
-    stamps = f"the scans bear stamps {abs(lag):.2f} s {way} those of the odometry of the same moments"
-    return (f"{stamps}: every scan is given the odometry of another moment, and walls may lie wrong after turns",)
+    return (Finding("stamp-lag", robot, value={"value": abs(lag), "way": "after" if lag > 0 else "before"}),)
 
 
 @config
@@ -87,10 +86,18 @@ class WheelCheck:
     long: float = 8.0  # [m] on end
     stand: float = 2.0  # [m] that scans tell, on end, while wheels report no motion,
     stand_step: float = 0.5  # [m] from one place to the next
+    unlike: float = 3.0  # times as far, or as little, as the wheels tell scans move in all
+    unlike_way: float = 5.0  # [m] at least
+    leap: float = 2.0  # [m] from one scan to the next, or
+    leap_turn: float = 1.0  # [rad] that it turns, at
+    leap_speed: float = 5.0  # times the speed that no more
+    leap_others: float = 0.95  # of all steps than this share have
 
 
-def wheels_disagree(track: Track, dead: Track | None, cfg: WheelCheck, factor: float = 1.0) -> tuple[str, ...]:
-    """A warning where the motion from scans and the motion from wheels differ for long.
+def wheels_disagree(
+    track: Track, dead: Track | None, robot: str, cfg: WheelCheck, factor: float = 1.0
+) -> tuple[Finding, ...]:
+    """A finding where the motion from scans and the motion from wheels differ for long.
 
     dead: dead reckoning at the stamps of `track`; factor: of its ways, which is told already. Both are cut where the
     wheels have driven `cfg.stretch` on; stretches that differ in length by a share of `cfg.share` add up while they
@@ -112,13 +119,12 @@ def wheels_disagree(track: Track, dead: Track | None, cfg: WheelCheck, factor: f
         return ()
     part = slice(end - most, end)
     first, last = track.t[cuts[end - most]], track.t[cuts[end]]
-    ways = f"the scans tell a way of {scans[part].sum():.1f} m and the wheels one of {wheels[part].sum():.1f} m"
-    why = "something moved along, the walls tell nothing along the way, or the wheels slip"
-    return (f"from {first:.1f} s to {last:.1f} s {ways}: {why}",)
+    told = {"scans": float(scans[part].sum()), "wheels": float(wheels[part].sum())}
+    return (Finding("wheels-disagree", robot, (float(first), float(last)), told),)
 
 
-def wheels_stand(track: Track, dead: Track | None, cfg: WheelCheck) -> tuple[str, ...]:
-    """A warning where the wheels report no motion at all while the scans tell of one.
+def wheels_stand(track: Track, dead: Track | None, robot: str, cfg: WheelCheck) -> tuple[Finding, ...]:
+    """A finding where the wheels report no motion at all while the scans tell of one: the first such stretch.
 
     dead: dead reckoning at the stamps of `track`. The motion from scans counts in steps of `cfg.stand_step`, so that
     how poses of a robot that stands jump about is none.
@@ -135,12 +141,43 @@ def wheels_stand(track: Track, dead: Track | None, cfg: WheelCheck) -> tuple[str
                 way, at = way + d, place
         if way >= cfg.stand:
             whole += way
-            stretches.append(f"from {track.t[first]:.1f} s to {track.t[last]:.1f} s")
+            stretches.append((float(track.t[first]), float(track.t[last])))
     if not stretches:
         return ()
-    more = f" and {len(stretches) - 1} times more" if len(stretches) > 1 else ""
-    ways = f"the wheels report no motion {stretches[0]}{more}, while the scans tell a way of {whole:.1f} m"
-    return (f"{ways}: nothing but the scans tells it, and along walls that look alike it may be wrong",)
+    return (Finding("wheels-stand", robot, stretches[0], {"way": whole, "times": len(stretches)}),)
+
+
+def wheels_unlike(track: Track, dead: Track | None, robot: str, cfg: WheelCheck) -> tuple[Finding, ...]:
+    """A finding where the ways of scans and wheels are many times as long as each other, as in other units.
+
+    dead: dead reckoning at the stamps of `track`. Both ways count in steps of `cfg.stand_step` of the trajectory.
+    """
+    if dead is None or len(dead.t) != len(track.t):
+        return ()
+    at, scans, wheels = 0, 0.0, 0.0
+    for k in range(1, len(track.t)):
+        if (d := float(np.hypot(*(track.pose[k, :2] - track.pose[at, :2])))) >= cfg.stand_step:
+            scans, wheels = scans + d, wheels + float(np.hypot(*(dead.pose[k, :2] - dead.pose[at, :2])))
+            at = k
+    if scans < cfg.unlike_way or wheels <= STILL or 1 / cfg.unlike <= scans / wheels <= cfg.unlike:
+        return ()
+    return (Finding("wheels-unlike", robot, value=scans / wheels),)
+
+
+def wheels_leap(t: Float[np.ndarray, " m"], scans: Sequence[Scan], robot: str, cfg: WheelCheck) -> tuple[Finding, ...]:
+    """A finding where the pose that wheels tell leaps from one scan to the next: the widest such leap."""
+    if len(scans) < 2 or scans[0].odometry is None:
+        return ()
+    poses = np.array([scan.odometry for scan in scans], dtype=float)
+    step, dt = se2.between(poses[:-1], poses[1:]), np.maximum(np.diff(t), 1e-9)
+    way, turn = np.hypot(step[:, 0], step[:, 1]), np.abs(step[:, 2])
+    fast = [moved / dt > cfg.leap_speed * np.quantile(moved / dt, cfg.leap_others) for moved in (way, turn)]
+    leaps = ((way >= cfg.leap) & fast[0]) | ((turn >= cfg.leap_turn) & fast[1])
+    if not leaps.any():
+        return ()
+    k = int(np.argmax(np.where(leaps, way / cfg.leap + turn / cfg.leap_turn, 0.0)))
+    told = {"value": float(way[k]), "degrees": float(np.degrees(turn[k])), "times": int(leaps.sum())}
+    return (Finding("wheels-leap", robot, (float(t[k]), float(t[k + 1])), told, "the map goes on by the wheels"),)
 
 
 @config
@@ -154,8 +191,8 @@ class JumpCheck:
     late: int = 50  # scans, after which the first of a scanner belongs to another drive
 
 
-def jumps(records: ScanRecords, scans: Sequence[Scan], cfg: JumpCheck) -> tuple[str, ...]:
-    """A warning for the first scan that shows little of what the one before it saw, and how many more there are."""
+def jumps(records: ScanRecords, scans: Sequence[Scan], robot: str, cfg: JumpCheck) -> tuple[Finding, ...]:
+    """A finding for the first scan that shows little of what the one before it saw, and how many more there are."""
     if len(scans) < 3 or scans[0].odometry is None:
         return ()
     wheels = np.array([scan.odometry for scan in scans], dtype=float)
@@ -170,12 +207,14 @@ def jumps(records: ScanRecords, scans: Sequence[Scan], cfg: JumpCheck) -> tuple[
         return ()
     row = gone[np.argmin(after[gone])]
     k, last = int(after[row]), int(before[row])
-    more = f" (and {len(gone) - 1} times more)" if len(gone) > 1 else ""
-    now, then = (f"{100 * s:.0f} %" for s in (share[k], share[last]))
-    seen = f"{now} of the returns lie on walls seen before, of the last scan {then}"
-    by_wheels = f"while the wheels tell {way[row]:.2f} m"
-    why = "the robot was carried, drives were joined to one log, or the view was blocked; the map goes on by the wheels"
-    return (f"at {records.t[k]:.1f} s{more} the scene changes at once: {seen}, {by_wheels}: {why}",)
+    found = {
+        "now": 100 * float(share[k]),
+        "before": 100 * float(share[last]),
+        "way": float(way[row]),
+        "times": len(gone),
+    }
+    at = float(records.t[k])
+    return (Finding("scene-jump", robot, (at, at), found, "the map goes on by the wheels"),)
 
 
 def _one_to_the_next(scans: Sequence[Scan], late: int) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
@@ -194,30 +233,6 @@ def _one_to_the_next(scans: Sequence[Scan], late: int) -> tuple[Int[np.ndarray, 
     return before, after
 
 
-def unfound_places(graph: RobotGraph, in_a_row: int) -> tuple[str, ...]:
-    """A warning for the longest stretch of searches for old places, one after the other, that found none.
-
-    Searches are made where the estimate says that the robot is near a place of its own that it saw long ago. A heading
-    or a trajectory along a corridor that went wrong once makes all later ones fail, and no closure is there to
-    contradict it. in_a_row: searches from which it is a warning, since along a right trajectory some fail too.
-    """
-    closed: dict[int, bool] = {}
-    for c in graph.closures:
-        if c.robots[0] == c.robots[1]:
-            closed[c.second] = closed.get(c.second, False) or c.accepted
-    longest: list[int] = []
-    run: list[int] = []
-    for keyframe in sorted(closed):
-        run = [] if closed[keyframe] else [*run, keyframe]
-        longest = max(longest, run, key=len)
-    if len(longest) < in_a_row:
-        return ()
-    first, last = graph.t[longest[0]], graph.t[longest[-1]]
-    searched = f"places seen before were searched for {len(longest)} times in a row and none was found again"
-    why = "the trajectory may be wrong from there on, or the place looks different now"
-    return (f"from {first:.1f} s to {last:.1f} s {searched}: {why}",)
-
-
 @config
 class CopyCheck:
     """When two logs are taken for copies of one drive."""
@@ -227,18 +242,15 @@ class CopyCheck:
     share: float = 0.05  # of the keyframes of the robot that has fewer
 
 
-def copies_told(graphs: Sequence[RobotGraph], cfg: CopyCheck) -> list[str]:
-    """A warning for each pair of robots of which keyframes have the same returns, to the last digit."""
+def copies_found(graphs: Sequence[RobotGraph], cfg: CopyCheck) -> list[Finding]:
+    """A finding for each pair of robots of which keyframes have the same returns, to the last digit."""
     seen = [_keyframes(graph, cfg) for graph in graphs]
     out = []
     for a, b in combinations(range(len(graphs)), 2):
         equal, fewer = len(seen[a] & seen[b]), min(len(seen[a]), len(seen[b]))
         if equal >= max(cfg.scans, cfg.share * fewer):
-            names = f"{robot_name(graphs[a].robot)} and {robot_name(graphs[b].robot)}"
-            out.append(
-                f"{names} hold the same scans at {equal} of {fewer} keyframes: their logs seem to be copies of one "
-                "drive, which counts twice, and the map is surer than it should be"
-            )
+            other = robot_name(graphs[a].robot)
+            out.append(Finding("logs-alike", graphs[b].robot, value={"other": other, "same": equal, "all": fewer}))
     return out
 
 

@@ -14,10 +14,12 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.config import config
+from ..core.findings import Finding, turned_scanner
 from ..core.records import Scan
 from .beam import BeamConfig, Beams, beams
 
-GUESSED = ("the scans move ", "the scans tell ")  # how the reader's words of turned scanners and other units begin
+SCANS = 200  # whose walls are looked at
+GUESSED = {"wheels-unlike", "scanner-askew", "scanner-turned"}  # what a reader finds before there is a map
 
 
 @config
@@ -40,6 +42,11 @@ class MotionCheck:
     other: float = 0.5  # of a way, or of a turn, by which a motion is another one
     most_other: float = 0.25  # share of ways that may be,
     most_other_turns: float = 0.5  # and of turns, which are short
+    wall: float = 0.8  # [rad] of a scan and more that one wall spans, whose straightness tells beams' angles,
+    straight: float = 0.1  # [m] root mean square from a line, at most, by one of the two angles,
+    straighter: float = 1.1  # times as straight as by the other
+    walls: int = 20  # of them, at least,
+    share: float = 0.8  # of which say the same
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +66,8 @@ class MotionRatio:
 class MotionAgreement:
     """scale: of the scans' motion over the wheels'; direction: of it in the wheels' [rad], left positive; turn: of the
     scans' turns over the wheels'. None where too little tells it. other, other_turns: shares of ways and of turns in
-    which scans and wheels move otherwise than by these.
+    which scans and wheels move otherwise than by these. walls: where turns differ, the share of walls that are straight
+    by the angles that the log states, rather than by those that the wheels' turns would make of them.
     """
 
     scale: MotionRatio | None = None
@@ -67,31 +75,28 @@ class MotionAgreement:
     turn: MotionRatio | None = None
     other: float = 0.0
     other_turns: float = 0.0
+    walls: float | None = None
 
-    def warnings(self, cfg: MotionCheck) -> tuple[str, ...]:
-        """A warning for each that differs clearly and by more than instruments do."""
-        shares = f"in {100 * self.other:.0f} % of the ways and {100 * self.other_turns:.0f} % of the turns compared"
-        why = "the odometry is of another log or has a wrong sign or unit, or the scanner sees what the robot carries"
+    def findings(self, robot: str, cfg: MotionCheck) -> tuple[Finding, ...]:
+        """One for each that differs clearly and by more than instruments do."""
+        out = []
         apart = self.other > cfg.most_other or self.other_turns > cfg.most_other_turns
-        out = [f"the scans and the wheels tell different motions {shares}: {why}"] if apart else []
+        if apart:
+            shares = {"ways": 100 * self.other, "turns": 100 * self.other_turns}
+            out.append(Finding("wheels-other", robot, value=shares))
         if not apart and (s := self.scale) is not None and s.differs(1.0, cfg.scale, cfg):
-            out.append(
-                f"the scans move {s.value:.3f} +- {s.sd:.3f} times as far as the wheels tell: the ranges or the wheels "
-                "have another scale or unit; the map is as large as the ranges make it"
-            )
+            out.append(Finding("wheels-scale", robot, value={"value": s.value, "sd": s.sd}))
         if not apart and (d := self.direction) is not None and d.differs(0.0, cfg.turned, cfg):
-            side = "left" if d.value > 0 else "right"
-            angle, sd = np.degrees(abs(d.value)), np.degrees(d.sd)
-            out.append(
-                f"the scans move {angle:.1f} +- {sd:.1f} degrees to the {side} of where the wheels lead: the scanner's "
-                "heading on the robot seems wrong by that (--sensor-pose), or the wheels' frame is"
-            )
+            out.append(turned_scanner(robot, d.value, d.sd))
         same = self.other_turns <= cfg.most_other_turns
         if same and (w := self.turn) is not None and w.differs(1.0, cfg.turn_scale, cfg):
-            out.append(
-                f"the scans turn {w.value:.3f} +- {w.sd:.3f} times as far as the wheels tell: the angles between the "
-                "beams are wrong, and the map is bent, or the wheels' turns have another scale"
-            )
+            told = {"value": w.value, "sd": w.sd}
+            if self.walls is not None and self.walls >= cfg.share:
+                out.append(Finding("wheels-turns", robot, value=told))
+            elif self.walls is not None and self.walls <= 1 - cfg.share:
+                out.append(Finding("beams-apart", robot, value=told))
+            else:
+                out.append(Finding("turns-scale", robot, value=told))
         return tuple(out)
 
     def factor(self, cfg: MotionCheck) -> float:
@@ -100,10 +105,10 @@ class MotionAgreement:
         return self.scale.value if clear and self.scale is not None else 1.0
 
 
-def instead_of(warnings: Sequence[str], measured: Sequence[str]) -> tuple[str, ...]:
-    """`warnings` of the log's reader and what was told after mapping, without the reader's guesses of the same."""
-    better = any(one.startswith("the scans move ") for one in measured)
-    return (*(w for w in warnings if not (better and w.startswith(GUESSED))), *measured)
+def instead_of(findings: Sequence[Finding], measured: Sequence[Finding]) -> tuple[Finding, ...]:
+    """`findings` of the log's reader and what was measured after mapping, without the reader's guesses of the same."""
+    better = any(f.code in {"wheels-scale", "scanner-askew", "scanner-turned"} for f in measured)
+    return (*(f for f in findings if not (better and f.code in GUESSED)), *measured)
 
 
 def motion_agreement(
@@ -132,7 +137,40 @@ def motion_agreement(
         None if turn is None else turn[0],
         0.0 if move is None else _other(motions, cfg),
         float(stiff) if turn is None else _other(turned, cfg),
+        None if turn is None or not turn[0].differs(1.0, cfg.turn_scale, cfg) else straight(scans, turn[0].value, cfg),
     )
+
+
+def straight(scans: Sequence[Scan], factor: float, cfg: MotionCheck) -> float | None:
+    """The share of walls that are straighter by the angles of `scans` than by `factor` times smaller ones.
+
+    None where too few walls tell. Seen by wrong angles a wall across many beams is bent.
+    """
+    stated, other = 0, 0
+    for scan in scans[:: max(1, len(scans) // SCANS)]:
+        angle = scan.angles()
+        for wall in _walls(scan, cfg):
+            here, there = (_off_line(scan.ranges[wall], angle[wall] / by) for by in (1.0, factor))
+            stated += here <= cfg.straight and there > cfg.straighter * here
+            other += there <= cfg.straight and here > cfg.straighter * there
+    return stated / (stated + other) if stated + other >= cfg.walls else None
+
+
+def _walls(scan: Scan, cfg: MotionCheck) -> list[slice]:
+    """Beams side by side that hit one thing, cut into pieces of `cfg.wall`."""
+    r, n = scan.ranges, round(cfg.wall / max(abs(scan.angle_increment), 1e-6))
+    if n < 5 or len(r) < n:
+        return []
+    joined = scan.hit[:-1] & scan.hit[1:] & (np.abs(np.diff(r)) < 0.25 * np.minimum(r[:-1], r[1:]))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], joined.astype(np.int8), [0]])))
+    runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    return [slice(k, k + n) for first, last in runs for k in range(first, last + 2 - n, n)]
+
+
+def _off_line(ranges: Float[np.ndarray, " n"], angle: Float[np.ndarray, " n"]) -> float:
+    """[m] root mean square distance of points from the line that fits them best."""
+    p = np.column_stack([ranges * np.cos(angle), ranges * np.sin(angle)])
+    return float(np.sqrt(max(0.0, np.linalg.eigvalsh(np.cov(p.T, bias=True))[0])))
 
 
 def _motions(

@@ -15,7 +15,7 @@ from ..kernels.laser.refine import ScanCost, refine
 from ..kernels.laser.resample import systematic
 from ..kernels.laser.windows import NearestRule
 from .beam import STEERING, Beams, IntensityCalibration, beams
-from .config import FilterConfig, LaserConfig
+from .config import FilterConfig, LaserTrackingConfig
 from .particle_grid import ParticleGrid
 from .scan_odometry import PoseEstimate, ScanInfo, ScanOdometry, blended
 
@@ -41,7 +41,7 @@ class ParticleState:
 
 def init(
     robot: str,  # noqa: ARG001  (every estimator is begun the same way)
-    cfg: LaserConfig,
+    cfg: LaserTrackingConfig,
     rng: np.random.Generator,  # noqa: ARG001
     *,
     feature: str = "none",
@@ -59,7 +59,7 @@ def init(
 
 
 def step(
-    state: ParticleState, event: Event, cfg: LaserConfig, rng: np.random.Generator
+    state: ParticleState, event: Event, cfg: LaserTrackingConfig, rng: np.random.Generator
 ) -> tuple[ParticleState, ScanInfo | None]:
     """Scans move the estimate; odometry packets do not (a scan brings its own odometry) and give no info."""
     if not isinstance(event.record, Scan):
@@ -155,7 +155,9 @@ def move(
     return np.asarray(se2.compose(poses, u + rng.standard_normal((len(poses), 3)) * [xy, xy, turn]))
 
 
-def log_likelihood(D: Float[np.ndarray, "p n"], cfg: LaserConfig, feature: str) -> tuple[Float[np.ndarray, " p"], int]:
+def log_likelihood(
+    D: Float[np.ndarray, "p n"], cfg: LaserTrackingConfig, feature: str
+) -> tuple[Float[np.ndarray, " p"], int]:
     """(P,) log-likelihoods of one scan from the least D of its n beams in P maps, and how many beams counted.
 
     `matched`: the mean over the beams that at least half of the particles match, so that losing matches never pays.
@@ -209,7 +211,7 @@ def _refined(
 
 
 def _weighed(
-    state: ParticleState, points: np.ndarray, cfg: LaserConfig, least: Float[np.ndarray, "r n"] | None = None
+    state: ParticleState, points: np.ndarray, cfg: LaserTrackingConfig, least: Float[np.ndarray, "r n"] | None = None
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """Weights by how the scan fits; least: the least D of every beam where it is known already."""
     if len(state.poses) == 1:
@@ -219,7 +221,7 @@ def _weighed(
     return state.log_weight + gain, state.total + gain, matches
 
 
-def _resampled(state: ParticleState, cfg: LaserConfig, rng: np.random.Generator) -> tuple[float, np.ndarray]:
+def _resampled(state: ParticleState, cfg: LaserTrackingConfig, rng: np.random.Generator) -> tuple[float, np.ndarray]:
     """The state after resampling where it was due; the effective number before, and the ancestors."""
     P = len(state.poses)
     w, n_eff = effective(state.log_weight)

@@ -60,7 +60,8 @@ class RobotGraph:
     t: (n,) stamps [s]; pose: (n, 3) as estimated in the end; cov: (n, 3, 3) of each, marginal of the pose graph over
     x, y, theta in `local_k`; path: (n,) [m] driven; step: (n - 1, 3) pose of keyframe i + 1 in keyframe i as scan
     odometry measured it, step_information: (n - 1, 3, 3) in the later one's frame; closures: every one tried, its
-    `first` and `second` number these keyframes.
+    `first` and `second` number these keyframes. border: of each why a new segment begins there, the step to it being
+    known to nobody, empty where it is known.
 
     Returns of keyframe i are the rows start[i]:start[i + 1] (start: (n + 1,)) of points (m, 2) [m], normals (m, 2) and
     q (m,), in the keyframe's robot frame; q is None where light was not used. lined: (m,) where three or more beams
@@ -87,12 +88,15 @@ class RobotGraph:
     source: str = ""
     log_hash: str = ""
     revisits: Revisits = field(default_factory=Revisits)
+    border: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("t", "pose", "cov", "path", "step", "step_information", "points", "normals", "sensor"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         if self.q is not None:
             object.__setattr__(self, "q", frozen(self.q))
+        if not self.border:
+            object.__setattr__(self, "border", ("",) * len(self.t))
         object.__setattr__(self, "start", frozen(self.start, np.int64))
         object.__setattr__(self, "lined", frozen(self.lined, np.bool_))
 

@@ -13,7 +13,7 @@ from ..core.config import config
 from ..core.errors import DataError
 from ..core.walls import Walls
 from ..kernels.walls.raycast import cast
-from ..laser.map_overlap import KeyframeMap
+from ..mapping.map_overlap import KeyframeMap
 
 CELL = 0.3  # [m] of the raster robots walk on
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from ...core.config import config
-from ...laser.config import LaserTeamConfig
+from ...mapping.config import LaserTeamConfig
 from ...sim.laser_team import LaserRobotsConfig
 
 

@@ -12,7 +12,7 @@ from ...core import se2
 from ...core.records import Scan
 from ...evaluation.building import Building, known_at
 from ...laser.occupancy import Occupancy, of_grid
-from ...laser.team import LaserTeam
+from ...mapping.laser_team import LaserTeam
 from ...sim.laser import stream
 from ...sim.laser_team import LaserTeamSim
 from ..planner_interface import query_planner

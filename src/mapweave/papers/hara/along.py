@@ -7,10 +7,10 @@ from jaxtyping import Float
 
 from ...core import se2
 from ...laser.beam import beams
-from ...laser.config import LaserConfig
-from ...laser.mapping import choose_feature
 from ...laser.scan_matching import FrontEndConfig
 from ...laser.scan_odometry import ScanOdometry
+from ...mapping.config import LaserConfig
+from ...mapping.laser_mapping import choose_feature
 from ...sim.corridor import CorridorConfig, simulate_corridor
 from .methods import WHEELS
 

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 from ...core import se2
 from ...core.workers import Progress, no_progress
 from ...laser.beam import Beams, beams
-from ...laser.config import LaserConfig
-from ...laser.mapping import choose_feature, map_laser
+from ...mapping.config import LaserConfig
+from ...mapping.laser_mapping import choose_feature, map_laser
 from ...sim.corridor import CorridorConfig, simulate_corridor
 from .methods import ICP, score
 

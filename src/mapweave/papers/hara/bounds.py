@@ -16,8 +16,8 @@ from jaxtyping import Bool, Float
 from ...core import se2
 from ...core.workers import Progress, no_progress
 from ...laser.beam import beams
-from ...laser.config import LaserConfig
-from ...laser.mapping import choose_feature
+from ...mapping.config import LaserConfig
+from ...mapping.laser_mapping import choose_feature
 from ...sim.corridor import CorridorConfig, simulate_corridor
 from ...sim.laser import LaserSimulation
 from .light_edges import at_truth

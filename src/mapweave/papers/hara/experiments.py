@@ -11,10 +11,10 @@ from ...core.records import Track
 from ...core.workers import Progress
 from ...io.kept import part
 from ...laser.beam import Beams, beams
-from ...laser.config import LaserConfig
 from ...laser.laser_map import GridMap, LaserMap
-from ...laser.mapping import map_laser
 from ...laser.occupancy_mapper import render
+from ...mapping.config import LaserConfig
+from ...mapping.laser_mapping import map_laser
 from ...sim.corridor import CorridorConfig, simulate_corridor
 from ...sim.laser import LaserSimulation
 from .light_edges import sharpened

@@ -7,12 +7,12 @@ from jaxtyping import Float
 
 from ...core import se2
 from ...core.workers import Progress, no_progress
-from ...laser.config import LaserConfig
 from ...laser.icp import IcpConfig
 from ...laser.laser_map import LaserMap
-from ...laser.mapping import map_laser
 from ...laser.scan_matching import allowed_sd
 from ...laser.scan_odometry import inside
+from ...mapping.config import LaserConfig
+from ...mapping.laser_mapping import map_laser
 from ...sim.laser import LaserSimulation
 from .hard_world import HardConfig, simulate_hard
 from .methods import GATED, ICP, WHEELS, score

@@ -7,8 +7,9 @@ import numpy as np
 
 from ...core.records import Track
 from ...evaluation.trajectory import align_tracks, ate
-from ...laser.config import PAPER_FILTER, LaserConfig
+from ...laser.config import PAPER_FILTER
 from ...laser.scan_matching import FrontEndConfig
+from ...mapping.config import LaserConfig
 
 # What a gate allows wheels like the simulated ones, which err by a few per cent: the paper's "found by experience".
 WHEELS = FrontEndConfig(sd_xy=0.01, sd_xy_per_m=0.06, sd_turn=0.01, sd_turn_per_m=0.02, sd_turn_per_rad=0.05)

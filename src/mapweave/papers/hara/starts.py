@@ -18,11 +18,11 @@ from ...core.laser_log import LaserLog
 from ...core.records import Track
 from ...core.workers import Progress, no_progress
 from ...laser.beam import IntensityCalibration, beams
-from ...laser.config import LaserConfig
 from ...laser.laser_map import GridMap
 from ...laser.localise import Localisation, localise
-from ...laser.mapping import choose_feature
 from ...laser.occupancy_mapper import render
+from ...mapping.config import LaserConfig
+from ...mapping.laser_mapping import choose_feature
 from ...report.result import Rows
 from ...sim.corridor import CorridorConfig, corridor_world
 from ...sim.laser import LaserSimulation, drive

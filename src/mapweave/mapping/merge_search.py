@@ -1,4 +1,4 @@
-"""How two maps may lie: submaps of one searched for in the whole of the other, and transforms on which they agree."""
+"""How two maps may lie: submaps of one searched for in those of the other, and transforms on which they agree."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -12,32 +12,33 @@ from ..core import se2
 from ..core.config import config
 from ..core.gaussian import symmetrise
 from ..core.rows import spread
-from .consistency import adjoint, largest_clique
-from .map_correlation import CorrelationConfig, map_places
+from ..laser.consistency import adjoint, largest_clique
+from ..laser.place_search import (
+    Fit,
+    LikelihoodField,
+    PlaceConfig,
+    Window,
+    likelihood_field,
+    refine,
+    search,
+)
+from ..laser.pose_graph import PoseGraph
+from ..laser.robust_graph import RobustGraphConfig, solve_graph
 from .map_overlap import KeyframeMap, OverlapConfig, SeenAlike, lit_alike, seen_alike
-from .place_search import Fit, Hit, LikelihoodField, PlaceConfig, Window, everywhere, likelihood_field, refine, search
-from .pose_graph import PoseGraph
-from .robust_graph import RobustGraphConfig, solve_graph
-from .submaps import LaserSubmapConfig, Query, query_around
+from .places import PlaceIndex, PlaceMatch, PlaceSearchConfig
 
+VOTE = 40.0  # points seen alike that a submap with a clear place counts as, where every transform is contradicted
+MOST_MATCHES = 250  # pairs of submaps that candidates are made of, those that fit best
+WALLS = 0.05  # [m] points of a whole map are means of squares this wide
+WHOLE = 1000  # points of a whole map that are searched with
 ALONG_TIMES = 2  # maps are moved along a corridor to where a start has them, and laid on its walls again
 
 
 @config
 class MergeConfig:
-    every: int = 12  # keyframes between submaps searched for everywhere
-    small: int = 4  # keyframes around the middle of the small ones searched for beside them
-    dense: int = 4  # keyframes between submaps that confirm a transform
-    most_dense: int = 60  # of those,
-    dense_reach: float = 6.0  # [m] from a keyframe of the other map
-    least_points: int = 30  # of a submap that is searched for
-    least: float = 0.3  # score of a hypothesis
-    least_ratio: float = 0.7  # of its submap's best: a second place that is a hypothesis too
-    score: float = 0.6  # more: a submap that confirms,
-    share: float = 0.5  # more of its points are inliers
     agree: float = 0.6  # [m] and
     agree_turn: float = 0.1  # [rad] that hypotheses which agree may differ at each other's place
-    candidates: int = 16  # transforms looked into
+    candidates: int = 40  # transforms looked into
     votes: int = 4  # submaps that confirm, at least
     known_votes: int = 3  # at least, inside the window of a start that was given
     known_alike: float = 0.8  # share of what both saw on which they agree there,
@@ -50,7 +51,6 @@ class MergeConfig:
     slip: float = 0.3  # [m] and
     slip_turn: float = 0.05  # [rad] that a map's first keyframes may be off the rest, beside what a start may be off
     blunder: float = 0.05  # chance that a start is false: what its likelihood never falls below
-    sure: int = 20  # submaps that confirm, and no more are searched for everywhere
     lead: float = 5.0  # times the evidence of any other place that is not contradicted
     push_lead: float = 2.5  # times that of the same place pushed along its worst direction
     clear: float = 0.98  # share of it, but for points close to walls, at a place the maps allow,
@@ -72,10 +72,8 @@ class MergeConfig:
     bend_submap: float = 0.005  # [rad] in headings of submaps,
     bend_path: float = 0.02  # [m] and between two keyframes of one map
     cycle_gate: float = 4.0 * 11.34  # squared sd of a cycle: twice the 99 % of 3 degrees of freedom in sd, maps bend
-    whole: int = 1000  # points of a whole map that are searched with
-    correlation: CorrelationConfig = CorrelationConfig()
+    places: PlaceSearchConfig = PlaceSearchConfig()
     place: PlaceConfig = PlaceConfig()
-    submap: LaserSubmapConfig = LaserSubmapConfig()
     overlap: OverlapConfig = OverlapConfig()
 
     @property
@@ -116,21 +114,24 @@ def start_between(starts: Mapping[int, Start], i: int, j: int) -> Start | None:
 class Hypothesis(NamedTuple):
     """The submap around keyframe `anchor` of map b lies at `fit.pose` in map a; so the maps lie as `transform` says.
 
-    score: of the search; ratio: of the second place over the best. Of a whole map `anchor` is its keyframe nearest to
-    one of a.
+    at: the keyframe of map a whose submap it was found in; score: of the search; ratio: of the next best place over it;
+    clear: whether the two submaps leave no doubt.
     """
 
+    at: int
     anchor: int
     transform: Float[np.ndarray, "3"]
     score: float
     ratio: float
     fit: Fit
+    clear: bool = True
 
 
 class Candidate(NamedTuple):
     """A transform T_a_b some hypotheses agree on, its covariance in b's frame, and what the views of both say of it.
 
-    light: correlation of the brightness of walls that meet, None where too few have any.
+    light: correlation of the brightness of walls that meet, None where too few have any; votes: submaps of b with a
+    clear place that agrees.
     """
 
     transform: Float[np.ndarray, "3"]
@@ -139,6 +140,7 @@ class Candidate(NamedTuple):
     members: tuple[Hypothesis, ...]
     seen: SeenAlike
     light: float | None = None
+    votes: int = 0
 
     def evidence(self, alike: float) -> float:
         """Points seen alike less those seen through, weighed so that it is 0 where the share alike is `alike`."""
@@ -147,49 +149,36 @@ class Candidate(NamedTuple):
 
 def whole_place(a: KeyframeMap, cfg: MergeConfig, *, featured: bool) -> LikelihoodField:
     """All walls of a map as one place; with brightness when it has some and it is `featured`."""
-    cloud, q = a.cloud(cfg.submap.voxel, a.q if featured else None)
+    cloud, q = a.cloud(WALLS, a.q if featured else None)
     return likelihood_field(cloud, q, cfg.place)
 
 
-def stages(b: KeyframeMap, cfg: MergeConfig) -> list[list[tuple[int, int]]]:
-    """The submaps of b to be searched for, as (keyframe in the middle, keyframes around it), in stages.
-
-    A quarter of them, spread over the whole trajectory, then as many more, then the rest: where much agrees, few will
-    do.
-    """
-    asked: list[list[tuple[int, int]]] = [[], [], []]
-    for around, every in ((cfg.submap.around, cfg.every), (cfg.small, max(1, cfg.every // 2))):
-        for k, anchor in enumerate(range(min(every // 2, len(b.pose) - 1), len(b.pose), every)):
-            asked[(0, 2, 1, 2)[k % 4]].append((anchor, around))
-    return [stage for stage in asked if stage]
+def hypotheses(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig) -> list[Hypothesis]:
+    """Where the submaps of b may lie in those of a: the best and the next best place of each pair of them."""
+    index = PlaceIndex(cfg.places)
+    for submap in a.submaps:
+        index.add(submap)
+    found = []
+    for submap in b.submaps:
+        found += index.search(index.add(submap), range(len(a.submaps)), every=True)
+    return [_hypothesis(a, b, index, match) for match in found]
 
 
-def hypotheses(
-    b: KeyframeMap,
-    place: LikelihoodField,
-    asked: Sequence[tuple[int, int]],
-    cfg: MergeConfig,
-    start: Start | None,
-) -> tuple[list[Hypothesis], int]:
-    """Where the submaps `asked` of b may lie in the place, the best and the second of each; and how many of them hold
-    enough to be searched for.
-    """
-    matches: list[Hypothesis] = []
-    tried = 0
-    for anchor, around in asked:
-        query = query_around(b.pose, b.points, anchor, b.q, _sized(cfg.submap, around))
-        if len(query.points) < cfg.least_points:
-            continue
-        tried += 1
-        window = everywhere(place) if start is None else _start_window(start, b.pose[anchor], cfg)
-        places = search(place, query.points, window, query.q, least=cfg.least, least_ratio=cfg.least_ratio)
-        hits = [hit for hit in (places.best, places.second) if hit is not None]
-        matches += [_hypothesis(b, place, query, hit, places.ratio) for hit in hits]
-    return matches, tried
+def _hypothesis(a: KeyframeMap, b: KeyframeMap, index: PlaceIndex, match: PlaceMatch) -> Hypothesis:
+    at, anchor = index.submaps[match.first].anchor, index.submaps[match.second].anchor
+    pose = np.asarray(se2.compose(a.pose[at], match.measured))
+    weak = se2.rotation(float(a.pose[at, 2])) @ match.weak
+    points = len(index.submaps[match.first].points)
+    fit = Fit(pose, match.covariance, points, match.share, 0.0, np.array(match.held), weak)
+    transform = np.asarray(se2.compose(pose, se2.inverse(b.pose[anchor])))
+    return Hypothesis(at, anchor, transform, match.score, match.ratio, fit, match.clear)
 
 
 def candidates(a: KeyframeMap, b: KeyframeMap, matches: Sequence[Hypothesis], cfg: MergeConfig) -> list[Candidate]:
     """The transforms that most hypotheses agree on, each from hypotheses of its own; most evidence first."""
+    matches = [
+        matches[k] for k in np.argsort([-h.score - h.clear for h in matches], kind="stable")[:MOST_MATCHES].tolist()
+    ]
     agreeing = agreement(b, matches, cfg)
     left = list(range(len(matches)))
     out: list[Candidate] = []
@@ -199,34 +188,12 @@ def candidates(a: KeyframeMap, b: KeyframeMap, matches: Sequence[Hypothesis], cf
             left.sort(key=lambda k: -matches[k].score)
             members = (0,)
         group = [matches[left[k]] for k in members]
-        out.append(candidate(a, b, group, cfg))
+        new = candidate(a, b, group, cfg)
+        agree = {h.anchor for h in matches if h.clear and apart(b, h, new.transform, cfg.agree, cfg.agree_turn) <= 1.0}
+        out.append(new._replace(votes=len(agree)))
         at = [out[-1].transform]
         gone = {left[k] for k in members} | {k for k in left if same_place(b, matches[k].transform, at[0], cfg)}
         left = [k for k in left if k not in gone]
-    return sorted(out, key=lambda c: -c.evidence(cfg.alike))
-
-
-def whole_candidates(
-    a: KeyframeMap, b: KeyframeMap, place: LikelihoodField, cfg: MergeConfig, start: Start | None = None
-) -> list[Candidate]:
-    """The transforms that the whole maps allow best, and that near a start; each laid onto the walls.
-
-    Most evidence comes first.
-    """
-    thin = b.walls[spread(len(b.walls), cfg.whole)]
-    windows = [
-        Window(map_place.transform, (2.0 * cfg.agree,) * 2, cfg.agree_turn)
-        for map_place in map_places(a, b, cfg.correlation)
-    ]
-    if start is not None:
-        windows.append(_start_window(start, np.zeros(3), cfg))
-    out: list[Candidate] = []
-    for window in windows:
-        close = search(place, thin, window).best
-        if close is None:
-            continue
-        ways = [_whole(a, b, place, at, close.score, cfg) for at in (window.centre, close.pose)]
-        out.append(max(ways, key=lambda c: c.evidence(cfg.alike)))
     return sorted(out, key=lambda c: -c.evidence(cfg.alike))
 
 
@@ -252,7 +219,7 @@ def along_start(
 ) -> AlongStart | None:
     """The place near a start in a corridor, whose walls hold nothing along it; None where no wall fits."""
     window = _start_window(start, np.zeros(3), cfg)
-    thin = b.walls[spread(len(b.walls), cfg.whole)]
+    thin = b.walls[spread(len(b.walls), WHOLE)]
     close = search(place, thin, window).best
     if close is None:
         return None
@@ -292,7 +259,8 @@ def _whole(
     P = symmetrise(fit.covariance + np.diag(np.square([cfg.bend, cfg.bend, bent])))
     A = adjoint(se2.inverse(b.pose[anchor]))
     seen_there = replace(fit, pose=at[anchor], covariance=symmetrise(A @ P @ A.T))
-    member = Hypothesis(anchor, fit.pose, score, 0.0, seen_there)
+    there = int(np.argmin(np.hypot(*(a.pose[:, :2] - at[anchor, :2]).T)))
+    member = Hypothesis(there, anchor, fit.pose, score, 0.0, seen_there)
     return Candidate(
         fit.pose, P, 0.0, (member,), seen_alike(a, b, fit.pose, cfg.overlap), lit_alike(a, b, fit.pose, cfg.overlap)
     )
@@ -304,24 +272,10 @@ def candidate(a: KeyframeMap, b: KeyframeMap, group: Sequence[Hypothesis], cfg: 
     return Candidate(T, P, chi2, tuple(group), seen_alike(a, b, T, cfg.overlap), lit_alike(a, b, T, cfg.overlap))
 
 
-def confirmed(
-    a: KeyframeMap, b: KeyframeMap, place: LikelihoodField, transform: Float[np.ndarray, "3"], cfg: MergeConfig
-) -> list[Hypothesis]:
-    """Every submap of b that would overlap a under `transform`, searched for near where it should lie."""
-    there = se2.compose(transform, b.pose)
-    d = np.hypot(*(there[:, None, :2] - a.pose[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
-    near = [k for k in range(0, len(b.pose), cfg.dense) if d[k] < cfg.dense_reach]
-    near = [near[k] for k in spread(len(near), cfg.most_dense).tolist()]
-    size, out = _sized(cfg.submap, 2 * cfg.small), []
-    for anchor in near:
-        query = query_around(b.pose, b.points, anchor, b.q, size)
-        if len(query.points) < cfg.least_points:
-            continue
-        window = Window(there[anchor], (2.0 * cfg.agree, 2.0 * cfg.agree), 2.0 * cfg.agree_turn)
-        places = search(place, query.points, window, query.q, least=cfg.least)
-        if places.best is not None:
-            out.append(_hypothesis(b, place, query, places.best, places.ratio))
-    return out
+def apart(b: KeyframeMap, h: Hypothesis, transform: Float[np.ndarray, "3"], xy: float, turn: float) -> float:
+    """How far a place lies from where the transform has it, 1 where it is `xy` [m] or `turn` [rad]."""
+    e = se2.between(se2.compose(transform, b.pose[h.anchor]), h.fit.pose)
+    return float(max(np.hypot(e[0], e[1]) / xy, abs(e[2]) / turn))
 
 
 def agreement(b: KeyframeMap, matches: Sequence[Hypothesis], cfg: MergeConfig) -> Bool[np.ndarray, "n n"]:
@@ -372,22 +326,6 @@ def meeting(
     R[:2, :2] = se2.rotation(float(T[2]))
     covariance = solved.covariances()[1] if solved.component.max() == 0 else np.diag([1.0, 1.0, 0.1])
     return T, symmetrise(R.T @ covariance @ R), solved.chi2
-
-
-def _hypothesis(b: KeyframeMap, place: LikelihoodField, query: Query, hit: Hit, ratio: float) -> Hypothesis:
-    fit = refine(place, query.points, hit.pose)
-    home = se2.inverse(b.pose[query.anchor])
-    return Hypothesis(query.anchor, se2.compose(fit.pose, home), hit.score, ratio, fit)
-
-
-def _sized(cfg: LaserSubmapConfig, around: int) -> LaserSubmapConfig:
-    return LaserSubmapConfig(
-        around=around,
-        voxel=cfg.voxel,
-        query_before=cfg.query_before,
-        query_voxel=cfg.query_voxel,
-        query_points=cfg.query_points,
-    )
 
 
 def _start_window(start: Start, pose: np.ndarray, cfg: MergeConfig) -> Window:

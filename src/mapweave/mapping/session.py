@@ -4,7 +4,7 @@ What every scan did to the estimate is kept while a log goes on: some 120 bytes 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,35 +12,22 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.records import Event, Scan, frozen
-from ..core.rows import RowBuffer
 from ..core.run import Runner
 from ..core.workers import Progress, no_progress
 from ..kernels._jit import set_threads
-from . import graph_slam, icp_slam, particle_slam
-from .beam import IntensityCalibration
+from ..laser import icp_slam, particle_slam
+from ..laser.config import GEOMETRY, Feature, weighed
+from ..laser.icp_slam import IcpState
+from ..laser.keyframes import KeyframeOdometry
+from ..laser.laser_map import ScanInfos
+from ..laser.moving import MovingReturns
+from ..laser.particle_slam import ParticleState
+from ..laser.robot_graph import RobotGraph
+from ..laser.scan_odometry import PoseEstimate, ScanInfo
+from . import graph_slam
 from .config import LaserConfig
 from .graph_slam import GraphState
-from .icp_slam import IcpState
-from .keyframes import KeyframeOdometry
-from .laser_map import ScanRecords
-from .moving import MovingReturns
-from .particle_slam import ParticleState
-from .robot_graph import RobotGraph
-from .scan_odometry import PoseEstimate, ScanInfo
 
-DECISIONS = ("first", "empty", "odometry", "matched", "skipped")
-
-
-@dataclass(frozen=True, slots=True)
-class Feature:
-    """What q is made of in this log, and why not what was asked for."""
-
-    name: str
-    calibration: IntensityCalibration | None
-    warnings: tuple[str, ...] = ()
-
-
-GEOMETRY = Feature("none", None)
 NO_RANGES, NO_HITS = frozen(np.zeros(0)), frozen(np.zeros(0), np.bool_)
 LET_GO = Scan(NO_RANGES, NO_HITS, None, 0.0, 0.0, 1.0)
 """Stands for a scan that no map needs."""
@@ -75,63 +62,6 @@ class Finalised(NamedTuple):
     graph: RobotGraph | None
 
 
-class ScanInfos:
-    """The `ScanInfo` of every scan, 119 bytes of each. `append` and `clear` change it."""
-
-    def __init__(self) -> None:
-        self._rows = RowBuffer(
-            dtype=[
-                ("innovation", np.float64, 3),
-                ("information", np.float64, (3, 3)),
-                ("n_eff", np.float64),
-                ("beams", np.int32),
-                ("matches", np.int32),
-                ("decision", np.uint8),
-                ("resampled", np.bool_),
-                ("informed", np.bool_),
-            ]
-        )
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def append(self, info: ScanInfo) -> None:
-        """Add what the next scan did."""
-        informed = info.information is not None
-        self._rows.append(
-            (
-                info.innovation,
-                info.information if informed else 0.0,
-                info.n_eff,
-                info.beams,
-                info.matches,
-                DECISIONS.index(info.decision),
-                info.resampled,
-                informed,
-            )
-        )
-
-    def clear(self) -> None:
-        """Remove all rows."""
-        self._rows.clear()
-
-    def records(self, t: Float[np.ndarray, " m"], host: tuple[str, ...], pose: Float[np.ndarray, "m 3"]) -> ScanRecords:
-        """The per-scan record of scans with these stamps, hosts and poses."""
-        rows = self._rows.array
-        return ScanRecords(
-            t,
-            host,
-            pose,
-            rows["innovation"],
-            rows["beams"].astype(np.int64),
-            rows["matches"].astype(np.int64),
-            tuple(DECISIONS[k] for k in rows["decision"].tolist()),
-            rows["n_eff"],
-            rows["resampled"],
-            rows["information"] if len(rows) and rows["informed"].all() else None,
-        )
-
-
 class LaserSession:
     """The estimate of one robot while its scans come. `push` changes it; everything else leaves it as it is.
 
@@ -142,6 +72,7 @@ class LaserSession:
 
     def __init__(self, robot: str, cfg: LaserConfig, seed: int = 0, feature: Feature = GEOMETRY) -> None:
         set_threads(cfg.threads if cfg.method in {"particle", "graph"} else 1)
+        cfg = weighed(cfg, feature)
         self.robot, self.cfg, self.feature = robot, cfg, feature
         self.infos = ScanInfos()
         self.scans: list[Scan] = []

@@ -9,14 +9,14 @@ from jaxtyping import Float, Int
 
 from ..core import se2
 from ..core.records import Scan, Track
-from .beam import Beams, beams
-from .closures import Closure, ClosureConfig, Matcher
+from ..laser.beam import Beams, beams
+from ..laser.closures import Closure, ClosureConfig, Matcher
+from ..laser.keyframes import Keyframe, KeyframeOdometry, KeyframeScan
+from ..laser.laser_map import GridMap
+from ..laser.occupancy_mapper import OccupancyMapper
+from ..laser.pose_graph import PoseGraph
 from .config import LaserTeamConfig
 from .keyframe_graph import KeyframeGraph
-from .keyframes import Keyframe, KeyframeOdometry, KeyframeScan
-from .laser_map import GridMap
-from .occupancy_mapper import OccupancyMapper
-from .pose_graph import PoseGraph
 
 
 class LoopSearch:

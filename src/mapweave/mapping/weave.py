@@ -8,13 +8,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core import se2
-from .joint_pass import JointPassConfig, joint_pass, keyframe_cloud
+from ..laser.joint_pass import JointPassConfig, joint_pass, keyframe_cloud
+from ..laser.pose_graph import PoseGraph
+from ..laser.robot_graph import RobotGraph
+from ..laser.robust_graph import RobustGraphConfig, SolvedGraph, connected, solve_graph
 from .map_overlap import OVERLAP, KeyframeMap, OverlapConfig
 from .merge import Merge, merge_maps
 from .merge_search import MergeConfig, Start, start_between
-from .pose_graph import PoseGraph
-from .robot_graph import RobotGraph
-from .robust_graph import RobustGraphConfig, SolvedGraph, connected, solve_graph
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ def keyframe_map(graph: RobotGraph, cfg: OverlapConfig = OVERLAP) -> KeyframeMap
     """The keyframes of one robot as merging wants them."""
     rows = [graph.rows(i) for i in range(len(graph))]
     q = None if graph.q is None else [graph.q[r] for r in rows]
-    return KeyframeMap(graph.robot, graph.pose, [graph.points[r] for r in rows], q, cfg)
+    return KeyframeMap(graph.robot, graph.pose, [graph.points[r] for r in rows], q, cfg, graph.border)
 
 
 def weave(

@@ -16,8 +16,8 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.config import config
 from ..core.rows import RowBuffer
+from ..laser.robot_graph import Revisits
 from .keyframe_graph import KeyframeGraph
-from .robot_graph import Revisits
 
 
 @config
@@ -63,29 +63,29 @@ class KnownPlaces:
         """The poses of the keyframes that left."""
         return Revisits(self._t.array, self._at.array, self._step.array, self._cov.array, self.closures)
 
-    def step(self, graph: KeyframeGraph, i: int, queried: int, lay: Laying) -> Left | None:
-        """Keyframe `i`, the graph's last one, was searched for, with the `queried` before it; which keyframes left.
+    def step(self, graph: KeyframeGraph, i: int, found: int, lay: Laying) -> Left | None:
+        """Keyframe `i` is the graph's last one, the submap around keyframe `found` was just found; which ones left.
 
-        When the map knows the places of all keyframes since the last search and one of the map's own was found again
-        here, those between the map and the `queried` leave, each as it is laid on the map. Else all stay for good.
+        When the map knows the places of all keyframes since the last such step and one of the map's own was found again
+        from `found`, those between the map and `found` leave, each as it is laid on the map. Else all stay for good.
         """
         if not self.cfg.enough:
             return None
         if not all(self._known(graph, k) for k in range(self.checked + 1, i + 1)):
             self.settled = self.checked = i
             return None
-        if not any(c.accepted and c.second == i and c.first <= self.settled for c in graph.closures[::-1]):
-            return None
-        first, last = self.settled + 1, i - queried - 1
+        first, last = self.settled + 1, found - 1
         self.checked = i
         if first > last:
             return None
-        if graph.due or graph.known <= last:
-            graph.solve()
+        if graph.due or graph.undecided or graph.known <= last:
+            graph.settle()
+        if not any(c.accepted and c.second == found and c.first <= self.settled for c in graph.closures[::-1]):
+            return None
         self._keep(graph, first, last, lay(first, last))
         self.closures += graph.leave(first, last)
         self.checked -= last - first + 1
-        graph.solve()
+        graph.settle()
         return Left(first, last)
 
     def _keep(self, graph: KeyframeGraph, first: int, last: int, laid: Float[np.ndarray, "c 3"]) -> None:

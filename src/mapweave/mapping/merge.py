@@ -1,9 +1,8 @@
 """Two robots' laser maps made one, whose starts nobody knows, or refused with the reason.
 
-The whole maps are laid on each other at every heading and shift; where that decides nothing, submaps of one robot are
-searched for in the whole map of the other, and places that agree make a transform. The maps become one when under it
-what one robot saw through is not where the other saw walls, enough submaps confirm it or the whole maps leave no doubt,
-no other transform is allowed, and it is held in every direction.
+Submaps of one are searched for in those of the other, and places that agree make a transform. The maps become one when
+under it what one robot saw through is not where the other saw walls, enough places confirm it or the walls leave no
+doubt, no other transform is allowed, and it is held in every direction.
 """
 
 from collections.abc import Sequence
@@ -17,7 +16,8 @@ from ..core import se2
 from ..core.gaussian import symmetrise
 from ..core.names import robot_name
 from ..core.records import frozen
-from .consistency import adjoint, cycle_squares, largest_clique
+from ..core.rows import spread
+from ..laser.consistency import adjoint, cycle_squares, largest_clique
 from .map_overlap import KeyframeMap, seen_alike, wall_overlap
 from .merge_ambiguity import Pair, allowed, doubtful, slides, words
 from .merge_search import (
@@ -26,15 +26,15 @@ from .merge_search import (
     MergeConfig,
     Start,
     along_start,
+    apart,
     candidate,
     candidates,
-    confirmed,
     hypotheses,
     same_place,
-    stages,
-    whole_candidates,
     whole_place,
 )
+
+MOST_CLOSURES = 80  # places of one transform that are asked whether they confirm it
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,43 +183,24 @@ def _held_by_start(pair: Pair, near: Merge, free: Merge) -> Merge | str:
 
 
 def _decided(pair: Pair) -> Merge:
-    """The decision on the whole maps, and where it is no merge, on submaps: those of a stage, and more if in doubt.
-
-    Where a start is given submaps are searched for near it alone; the whole maps tell of other places.
-    """
-    a, b, place, cfg, start = pair[:5]
-    whole = whole_candidates(a, b, place, cfg, start)
-    merge = Merge(a.robot, b.robot, False, "too little overlap: no place of one map in the other is free of walls")
-    if whole and start is None:
-        merge = _weighed(pair, whole, 0)
-        if merge.merged or not merge.reason.startswith("too little overlap"):
-            return merge
-    matches: list[Hypothesis] = []
-    tried, asked = 0, stages(b, cfg)
-    for k, stage in enumerate(asked):
-        more, count = hypotheses(b, place, stage, cfg, start)
-        matches += [h for h in more if start is None or start.near(h.transform, cfg)]
-        tried += count
-        if k + 1 < len(asked) and len(matches) < cfg.sure:
-            continue
-        ways = [*candidates(a, b, matches, cfg), *whole]
-        if not (matches or (start is not None and whole)):
-            return replace(merge, reason=f"too little overlap: none of {tried} submaps is found in the other map")
-        merge = _weighed(pair, ways, tried)
-        if merge.merged and merge.agreeing >= cfg.sure:
-            break
-    return merge
+    """The decision on the places that submaps of either map have in the other."""
+    a, b, _, cfg, _ = pair[:5]
+    matches = hypotheses(a, b, cfg)
+    if not matches:
+        what = f"none of {len(b.submaps)} submaps is found in the other map"
+        return Merge(a.robot, b.robot, merged=False, reason=f"too little overlap: {what}")
+    return _weighed(pair, candidates(a, b, matches, cfg), matches)
 
 
-def _weighed(pair: Pair, ways: Sequence[Candidate], tried: int) -> Merge:
+def _weighed(pair: Pair, ways: Sequence[Candidate], matches: Sequence[Hypothesis]) -> Merge:
     """The decision between transforms."""
     a, b, place, cfg, start = pair[:5]
     pair = pair.lit_by(ways)
-    best = max(ways, key=pair.evidence)
+    best = max(ways, key=pair.preference)
     if start is not None and not start.near(best.transform, cfg):
         elsewhere = f"{robot_name(b.robot)} at {words(best.transform)} in the map of {robot_name(a.robot)}"
         return Merge(a.robot, b.robot, False, f"no place fits there as well as elsewhere: {elsewhere}")
-    checked = _closures(pair, best)
+    checked = _closures(pair, best, matches)
     held = [h for h, c in checked if c.accepted]
     needed = cfg.votes if start is None else cfg.known_votes
     if len(held) >= needed:
@@ -246,7 +227,8 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], tried: int) -> Merge:
         best=frozen(best.transform),
         closures=tuple(c for _, c in checked),
     )
-    why = _why_refused(pair, merge, best, rival, tried, needed)
+    alike = pair.alike_for(best, len(held), max((c.votes for c in others), default=0))
+    why = _why_refused(pair, merge, best, rival, needed, alike)
     if why:
         return replace(merge, reason=why, overlap=None if "too little overlap" in why else merge.overlap)
     on = f"{len(held)} closures that agree within {_spread(held, b, best.transform):.2f} m"
@@ -265,57 +247,53 @@ def _certain(best: Candidate, cfg: MergeConfig) -> bool:
     return best.evidence(cfg.alike) >= cfg.certain and best.seen.clear >= cfg.clear
 
 
-def _why_refused(pair: Pair, merge: Merge, best: Candidate, rival: Candidate | None, tried: int, needed: int) -> str:
+def _why_refused(pair: Pair, merge: Merge, best: Candidate, rival: Candidate | None, needed: int, alike: float) -> str:
     """The reason in words, empty when there is none. The most telling cause comes first."""
     cfg = pair.cfg
-    good = best.seen.share >= pair.alike and best.seen.alike >= cfg.least_seen
-    if good and (along := slides(pair, best)) is not None:
+    good = best.seen.share >= alike and best.seen.alike >= cfg.least_seen
+    if good and (along := slides(pair, best, alike)) is not None:
         return f"a corridor: {along} is not held, the maps may slide along it"
     if good and rival is not None and doubtful(pair, best, rival):
         which = f"two places of {robot_name(pair.b.robot)} in the map of {robot_name(pair.a.robot)}"
         first, second = (f"{words(c.transform)}, {100 * c.seen.share:.0f} %" for c in (best, rival))
         return f"{which} fit equally well: {first} of what both saw is alike, and {second}"
     if not good and best.seen.alike + best.seen.through >= cfg.least_seen:
-        what = f"{tried} submaps" if tried else "the whole maps"
+        what = f"{len(pair.b.submaps)} submaps"
         return (
             f"too little overlap: no place fits {what}; in the best, {robot_name(pair.b.robot)} at "
             f"{words(best.transform)} in the map of {robot_name(pair.a.robot)}, each robot saw "
-            f"through walls of the other ({100 * best.seen.share:.0f} % alike, {100 * pair.alike:.0f} % are needed)"
+            f"through walls of the other ({100 * best.seen.share:.0f} % alike, {100 * alike:.0f} % are needed)"
         )
     if not good or merge.agreeing < needed:
         return f"too little overlap: {merge.agreeing} submaps agree on a place, {needed} are needed"
     return ""
 
 
-def _closures(pair: Pair, best: Candidate) -> list[tuple[Hypothesis, MapClosure]]:
-    """Every submap near the other map under the best transform, and whether it confirms it."""
-    a, b, place, cfg = pair[:4]
-    matches = confirmed(a, b, place, best.transform, cfg)
-    rows = [_closure(a, b, h, best, cfg) for h in matches]
+def _closures(pair: Pair, best: Candidate, matches: Sequence[Hypothesis]) -> list[tuple[Hypothesis, MapClosure]]:
+    """Every place that is clear and lies about where the best transform has it, and whether it confirms that."""
+    a, b, cfg = pair.a, pair.b, pair.cfg
+    near = [h for h in matches if h.clear and apart(b, h, best.transform, 2.0 * cfg.agree, 2.0 * cfg.agree_turn) <= 1.0]
+    near = [near[k] for k in spread(len(near), MOST_CLOSURES).tolist()]
+    rows = [_closure(a, b, h, best, cfg) for h in near]
     fit = [k for k, c in enumerate(rows) if c.accepted]
-    held = {fit[k] for k in _consistent(pair, [matches[k] for k in fit], [rows[k] for k in fit])}
+    held = {fit[k] for k in _consistent(pair, [near[k] for k in fit], [rows[k] for k in fit])}
     for k in fit:
         if k not in held:
             rows[k] = replace(rows[k], accepted=False, reason="it contradicts the other closures")
-    return list(zip(matches, rows, strict=True))
+    return list(zip(near, rows, strict=True))
 
 
 def _closure(
     a: KeyframeMap, b: KeyframeMap, h: Hypothesis, best: Candidate, cfg: MergeConfig, *, whole: bool = False
 ) -> MapClosure:
     """A hypothesis as a measurement from the nearest keyframe of a. whole: of the whole map, which is believed."""
-    pose = h.fit.pose
-    near = int(np.argmin(np.hypot(*(a.pose[:, :2] - pose[:2]).T)))
+    pose, near = h.fit.pose, h.at
     e = se2.between(se2.compose(best.transform, b.pose[h.anchor]), pose)
     A = adjoint(se2.inverse(b.pose[h.anchor]))
     S = A @ best.covariance @ A.T + h.fit.covariance + np.diag([0.05**2, 0.05**2, 0.01**2])
     reason = "it confirms the transform"
     if whole:
         reason = "it confirms the transform: the whole maps laid on each other"
-    elif h.score <= cfg.score:
-        reason = f"it scores {h.score:.2f}, more than {cfg.score:.2f} is needed"
-    elif h.fit.share <= cfg.share:
-        reason = f"{100 * h.fit.share:.0f} % of its points lie on walls, more than {100 * cfg.share:.0f} % is needed"
     elif np.hypot(*e[:2]) > cfg.agree or abs(e[2]) > cfg.agree_turn:
         reason = f"it lies {np.hypot(*e[:2]):.2f} m and {np.degrees(abs(e[2])):.1f} degrees from the transform"
     return MapClosure(

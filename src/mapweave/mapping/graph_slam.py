@@ -1,11 +1,12 @@
-"""Graph mapping: scan odometry, loops closed in submaps, one pose graph, and a last pass over everything.
+"""Graph mapping: scan odometry in segments, places found again, one pose graph, and a last pass over everything.
 
-While scans come `step` drives the front end, makes keyframes, and looks for old places; `finalise` solves the graph
-once more, matches all keyframes jointly and lays every scan on them. Where light tells places apart the front end is
-the particle filter: its hypotheses find the trajectory along walls that say nothing, and its best lineage makes the
-keyframes.
+While scans come `step` drives the front end, makes keyframes, and looks for old places; `finalise` decides once more
+which of the places found hold, matches all keyframes jointly and lays every scan on them. Where light tells places
+apart the front end is the particle filter: its hypotheses find the trajectory along walls that say nothing, and its
+best lineage makes the keyframes.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -16,17 +17,19 @@ from ..core import se2
 from ..core.records import Event, Scan
 from ..core.rows import RowBuffer
 from ..core.workers import Progress, no_progress
-from . import particle_slam
-from .beam import STEERING, Beams, IntensityCalibration, beams
+from ..laser import particle_slam
+from ..laser.beam import STEERING, Beams, IntensityCalibration, beams
+from ..laser.joint_pass import joint_pass, lay_scans, neighbours, scan_cloud
+from ..laser.keyframes import Keyframe, KeyframeMaker, KeyframeOdometry, carried
+from ..laser.particle_slam import ParticleState
+from ..laser.robot_graph import RobotGraph
+from ..laser.scan_odometry import PoseEstimate, ScanInfo, blended
 from .config import LaserConfig
-from .joint_pass import joint_pass, lay_scans, neighbours, scan_cloud
 from .keyframe_graph import KeyframeGraph
-from .keyframes import Keyframe, KeyframeMaker, KeyframeOdometry, carried
 from .known_places import KnownPlaces
-from .particle_slam import ParticleState
-from .robot_graph import RobotGraph
-from .scan_odometry import PoseEstimate, ScanInfo, blended
-from .submap_loops import SubmapLoops
+from .loops import LoopFinder
+from .places import PlaceIndex
+from .segments import Borders
 
 _NONE = np.zeros(0)
 GONE = Beams(np.zeros((0, 2)), _NONE, _NONE, np.zeros((0, 2)), _NONE, _NONE, _NONE, *2 * [np.zeros(0, np.int64)])
@@ -48,7 +51,8 @@ class GraphState:
     odometry: KeyframeOdometry
     particles: ParticleState | None
     graph: KeyframeGraph
-    loops: SubmapLoops
+    borders: Borders
+    loops: LoopFinder
     known: KnownPlaces
     feature: str
     calibration: IntensityCalibration | None
@@ -89,7 +93,8 @@ def init(
         KeyframeOdometry(0, g.keyframe_graph.keyframes, cfg.front_end, feature),
         particles,
         KeyframeGraph(g.keyframe_graph, np.zeros((1, 3))),
-        SubmapLoops(g.loop_search, light=feature in STEERING),
+        Borders(g.segments),
+        _search(cfg, feature),
         KnownPlaces(g.known_places),
         feature,
         calibration,
@@ -114,7 +119,10 @@ def step(
         state.lines.append(state.particles.odometry.lines)
         return state, info
     info = state.odometry.advance(scan, b)
-    state.unneeded = _grow(state, cfg, len(state.scans) - 1, state.odometry.keyframe(event.t, b))
+    border = state.borders.seen(event.t, info, state.odometry.step, wheels=scan.odometry is not None)
+    weak = cfg.graph.segments.covariance(state.odometry.step) if border else None
+    keyframe = state.odometry.keyframe(event.t, b, border, weak)
+    state.unneeded = _grow(state, cfg, len(state.scans) - 1, keyframe)
     for row in state.unneeded:
         state.scans[row] = GONE
     return state, info
@@ -146,6 +154,11 @@ def so_far(state: GraphState, cfg: LaserConfig, *, covariances: bool = True) -> 
     return _robot_graph(grown, grown.graph.pose, cov, sensors[grown.keyframes], cfg.graph.unsure)
 
 
+def _search(cfg: LaserConfig, feature: str) -> LoopFinder:
+    """The search for loops among submaps, of which there are none yet."""
+    return LoopFinder(cfg.graph.submap, PlaceIndex(cfg.graph.places), light=feature in STEERING)
+
+
 def _filtering(cfg: LaserConfig) -> LaserConfig:
     return replace(cfg, particles=cfg.graph.hypotheses)
 
@@ -158,26 +171,33 @@ def _grow(state: GraphState, cfg: LaserConfig, row: int, keyframe: Keyframe | No
     if keyframe is None:
         return range(0)
     state.keyframes.append(row)
-    number = state.graph.add(keyframe)
+    graph, loops = state.graph, state.loops
+    number = graph.add(keyframe)
     if not cfg.graph.loops:
         return range(0)
-    asked = state.loops.offer(number)
-    if state.graph.due or state.graph.grown:
-        state.graph.solve()
-    state.loops.step(state.graph)
-    if not asked:
+    found = loops.offer(graph)
+    for loop in found:
+        graph.tie(loop.first, loop.second, loop.match)
+    if found and (graph.grown or _moved([graph.closures[k].innovation for k in range(-len(found), 0)], cfg)):
+        graph.settle()
+    if not found:
         return range(0)
-    queried = cfg.graph.loop_search.submap.query_before
-    left = state.known.step(state.graph, number, queried, lambda i, k: _laid(state, cfg, i, k))
+    left = state.known.step(graph, number, found[-1].second, lambda i, k: _laid(state, cfg, i, k))
     if left is None:
         return range(0)
-    state.loops.forget(left.first)
+    loops.forget(left.first, left.last)
     rows = state.keyframes
     unneeded = range(max(rows[left.first - 1] + 1, state.gone), rows[left.last + 1])
     state.gone = unneeded.stop
     state.revisits += rows[left.first : left.last + 1]
     del rows[left.first : left.last + 1]
     return unneeded
+
+
+def _moved(innovations: Sequence[Float[np.ndarray, "3"]], cfg: LaserConfig) -> bool:
+    """Whether the places found put the robot elsewhere than the estimate does, most of them."""
+    off = np.median(np.abs(innovations), axis=0)
+    return bool(max(off[0], off[1]) > cfg.graph.settle_xy or off[2] > cfg.graph.settle_turn)
 
 
 def _laid(state: GraphState, cfg: LaserConfig, first: int, last: int) -> Float[np.ndarray, "c 3"]:
@@ -198,9 +218,13 @@ def _whole(state: GraphState, cfg: LaserConfig, on_progress: Progress) -> tuple[
     """Poses at every scan as the front end has them, and a state whose graph is solved and free to be changed."""
     if state.particles is None:
         local, grown = state.odometry.odometry.poses.array, replace(state, graph=state.graph.copy())
+        loops = state.loops.copy()
     else:
         local, grown = _along_lineage(state, state.particles, cfg, on_progress)
-    grown.graph.solve()
+        loops = grown.loops
+    for loop in loops.finish(grown.graph) if cfg.graph.loops else ():
+        grown.graph.tie(loop.first, loop.second, loop.match)
+    grown.graph.settle()
     return local, grown
 
 
@@ -212,7 +236,7 @@ def _along_lineage(
     grown = replace(
         state,
         graph=KeyframeGraph(cfg.graph.keyframe_graph, np.zeros((1, 3))),
-        loops=SubmapLoops(cfg.graph.loop_search, light=True),
+        loops=_search(cfg, state.feature),
         known=KnownPlaces(cfg.graph.known_places),
         keyframes=[],
         revisits=[],
@@ -274,6 +298,7 @@ def _robot_graph(
         path=state.graph.path,
         step=steps.measured,
         step_information=steps.information,
+        border=tuple(node.border for node in nodes),
         closures=tuple(state.graph.closures),
         start=start,
         points=np.concatenate([node.beams.s for node in nodes]),

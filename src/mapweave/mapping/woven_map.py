@@ -8,14 +8,14 @@ from jaxtyping import Float, Int
 
 from ..core import se2
 from ..core.records import Track, frozen
-from .beam import IntensityCalibration
-from .laser_map import GridMap, LaserMap
-from .mapping import between_keyframes
+from ..laser.beam import IntensityCalibration
+from ..laser.laser_map import GridMap, LaserMap
+from ..laser.occupancy_mapper import keyframe_returns, render_returns
+from ..laser.pose_graph import PoseGraph
+from ..laser.robot_graph import RobotGraph
+from ..laser.scan_odometry import blended
+from .laser_mapping import between_keyframes
 from .merge import Merge
-from .occupancy_mapper import keyframe_returns, render_returns
-from .pose_graph import PoseGraph
-from .robot_graph import RobotGraph
-from .scan_odometry import blended
 from .weave import Woven
 
 FRAME = "map"

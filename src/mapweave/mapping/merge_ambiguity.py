@@ -7,9 +7,14 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.names import robot_name
+from ..laser.place_search import LikelihoodField
 from .map_overlap import KeyframeMap, seen_alike
-from .merge_search import Candidate, MergeConfig, Start
-from .place_search import LikelihoodField
+from .merge_search import VOTE, Candidate, MergeConfig, Start
+
+ALIKE_VOTE = 0.01  # less on which maps must agree for each further place that agrees, down to
+LEAST_ALIKE = 0.8  # of what both saw,
+LEAST_CLEAR = 0.94  # where that is alike but for points close to walls, and
+VOTES_LEAD = 2.5  # times as many submaps say so as say anything else
 
 
 class Pair(NamedTuple):
@@ -27,6 +32,16 @@ class Pair(NamedTuple):
         """Share of what both saw on which they must agree; near a start that was given less will do."""
         return self.cfg.alike if self.start is None else self.cfg.known_alike
 
+    def alike_for(self, best: Candidate, agreeing: int, rivals: int) -> float:
+        """The same where so many places agree on the best transform, and `rivals` submaps at most on any other.
+
+        People and doors change what both saw and never where places lie; another building with rooms alike has as many
+        places elsewhere, and walls amid free floor.
+        """
+        if best.seen.clear < LEAST_CLEAR or best.votes < VOTES_LEAD * max(rivals, 1):
+            return self.alike
+        return max(self.alike - ALIKE_VOTE * max(0, agreeing - self.cfg.votes), min(self.alike, LEAST_ALIKE))
+
     def evidence(self, c: Candidate) -> float:
         """For a transform: what both saw, and how likely the start and the brightness of the walls make it."""
         seen = c.evidence(self.alike)
@@ -34,6 +49,13 @@ class Pair(NamedTuple):
             return seen
         likelihood = 1.0 if self.start is None else self.start.likelihood(c.transform, self.cfg)
         return seen * likelihood * (self.cfg.blunder if self.darkened(c) else 1.0)
+
+    def preference(self, c: Candidate) -> tuple[float, float]:
+        """Of transforms the greatest is asked: that of most evidence, or where every one is contradicted (people and
+        doors do that) the one that most places agree on.
+        """
+        evidence = self.evidence(c)
+        return max(evidence, 0.0), evidence + VOTE * c.votes
 
     def darkened(self, c: Candidate) -> bool:
         """Whether brightness speaks against a transform: walls that meet under it shine unlike, elsewhere alike."""
@@ -65,8 +87,11 @@ def doubtful(pair: Pair, best: Candidate, rival: Candidate) -> bool:
     return near or allowed(pair, rival, best)
 
 
-def slides(pair: Pair, best: Candidate) -> str | None:
-    """Words for a direction along which the maps may be pushed without contradiction; None when they hold."""
+def slides(pair: Pair, best: Candidate, alike: float) -> str | None:
+    """Words for a direction along which the maps may be pushed without contradiction; None when they hold.
+
+    alike: share of what both saw on which they must agree.
+    """
     cfg = pair.cfg
     total = np.zeros((2, 2))
     for h in best.members:
@@ -83,7 +108,7 @@ def slides(pair: Pair, best: Candidate) -> str | None:
         for sign in (-1.0, 1.0):
             pushed = best.transform + sign * step * np.array([*vectors[:, 0], 0.0])
             seen = seen_alike(pair.a, pair.b, pushed, cfg.overlap)
-            if cfg.push_lead * best._replace(seen=seen).evidence(pair.alike) > best.evidence(pair.alike):
+            if cfg.push_lead * best._replace(seen=seen).evidence(alike) > best.evidence(alike):
                 return along
     return None
 

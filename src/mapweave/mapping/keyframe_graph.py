@@ -8,10 +8,13 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.config import config
-from .closures import Closure, ClosureConfig, Matched, Place
-from .keyframes import Keyframe, KeyframeConfig, carried
-from .pose_graph import PoseGraph, Solved, edge_factor, problem
+from ..laser.closures import Closure, ClosureConfig, Matched, Place
+from ..laser.keyframes import Keyframe, KeyframeConfig, carried
+from ..laser.pose_graph import PoseGraph, Solved, edge_factor, problem
+from ..laser.robust_graph import RobustGraphConfig, solve_graph
+from .places import PlaceMatch
 
+UNDECIDED = "found, and not decided on yet"
 EXACT = 1e-4  # [m, rad] sd of the start that `map` hangs on
 
 
@@ -76,6 +79,11 @@ class KeyframeGraph:
         return other
 
     @property
+    def undecided(self) -> bool:
+        """Whether places were found since it was decided which hold."""
+        return bool(self.closures) and self.closures[-1].reason == UNDECIDED
+
+    @property
     def grown(self) -> bool:
         """Whether enough keyframes came since the last solution, or a robot's first one, for a new one."""
         fresh = len(self) - self.known
@@ -123,7 +131,8 @@ class KeyframeGraph:
         step, cov = np.zeros(3), np.zeros((3, 3))
         for node in self.nodes[first : last + 2]:
             step, cov = np.asarray(se2.compose(step, node.step)), carried(cov, node.step) + node.cov
-        rest = [after._replace(step=step, cov=cov), *self.nodes[last + 2 :]]
+        border = next((node.border for node in self.nodes[first : last + 2] if node.border), "")
+        rest = [after._replace(step=step, cov=cov, border=border), *self.nodes[last + 2 :]]
         self.nodes = self.nodes[:first] + [node._replace(number=first + k) for k, node in enumerate(rest)]
         self.of = [list(range(len(self.nodes)))]
         kept = np.delete(np.arange(len(self.pose)), np.arange(first, last + 1))
@@ -154,13 +163,22 @@ class KeyframeGraph:
         robots = (self.nodes[k].robot, self.nodes[i].robot)
         self.closures.append(Closure(robots, k, i, *match))
 
-    def edges(self) -> tuple[PoseGraph, PoseGraph]:
-        """Steps and accepted closures, over the same poses."""
+    def tie(self, first: int, second: int, match: PlaceMatch) -> None:
+        """Keyframe `second` seen from keyframe `first`, as places were found; it holds once `settle` says so."""
+        innovation = se2.between(se2.between(self.pose[first], self.pose[second]), match.measured)
+        robots = (self.nodes[first].robot, self.nodes[second].robot)
+        second_score = match.ratio * match.score
+        z, information = match.measured, match.information
+        found = Matched(False, UNDECIDED, z, information, innovation, match.share, None, match.score, second_score)
+        self.closures.append(Closure(robots, first, second, *found))
+
+    def edges(self, *, tried: bool = False) -> tuple[PoseGraph, PoseGraph]:
+        """Steps and accepted closures, or all that were `tried`, over the same poses."""
         steps = [(of[n - 1], of[n]) for of in self.of for n in range(1, len(of))]
         steps.sort(key=lambda pair: pair[1])
         later = [self.nodes[i] for _, i in steps]
         covs = np.array([node.cov for node in later]).reshape(-1, 3, 3)
-        accepted = [c for c in self.closures if c.accepted]
+        accepted = [c for c in self.closures if c.accepted or tried]
         return (
             PoseGraph.of(self.pose, steps, [node.step for node in later], list(np.linalg.inv(covs))),
             PoseGraph.of(
@@ -186,6 +204,29 @@ class KeyframeGraph:
                 break
         self.due = False
         self.solved.prepare([of[-1] for of in self.of if of])
+
+    def settle(self) -> None:
+        """Which closures hold is decided anew, all together, and the poses are at the optimum of those.
+
+        Where every closure agrees with the optimum of all there is nothing to decide; else by graduated non-convexity:
+        each is doubtful until others agree with it.
+        """
+        before = self.closures
+        steps, tried = self.edges(tried=True)
+        if not tried.edges:
+            self.solve()
+            return
+        graph = steps.joined(tried)
+        doubtful = np.arange(graph.edges) >= steps.edges
+        decided = solve_graph(graph, RobustGraphConfig(), doubtful=doubtful)
+        why = {d.edge - steps.edges: d.reason for d in decided.dropped}
+        nis = decided.nis[steps.edges :]
+        self.closures = [
+            replace(c, accepted=k not in why, nis=float(nis[k]), reason=why.get(k) or _agrees(c.share, float(nis[k])))
+            for k, c in enumerate(before)
+        ]
+        self.pose = np.array(decided.graph.pose)
+        self.solve()
 
     def covariances(self) -> Float[np.ndarray, "n 3 3"]:
         """Covariance of every keyframe's pose in `map`, over x, y, theta; what is not solved yet is solved for it."""
@@ -218,3 +259,7 @@ class KeyframeGraph:
         reason = f"it contradicts the other measurements by {np.sqrt(squares[worst]):.1f} standard deviations"
         self.closures[at] = replace(self.closures[at], accepted=False, reason=reason)
         return True
+
+
+def _agrees(share: float, nis: float) -> str:
+    return f"{100 * share:.0f} % of the points lie on walls, {np.sqrt(nis):.1f} standard deviations from the rest"

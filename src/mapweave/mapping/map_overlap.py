@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from ..core import se2
@@ -13,7 +14,8 @@ from ..core.errors import DataError
 from ..core.records import frozen
 from ..core.rows import spread
 from ..kernels.laser.place_refine import fit_normals
-from .submaps import gathered
+from ..laser.submaps import gathered
+from .submaps import PlaceSubmap, PlaceSubmapConfig, extent, make_submap, middles, way_of
 
 MOST_BINS, LEAST_BINS = 360, 60  # directions of a keyframe's view, wider than its beams are apart
 _BESIDE = np.array([[-1], [0], [1]])  # a direction and those beside it
@@ -46,10 +48,12 @@ class KeyframeMap:
     """One robot's keyframes in the frame of its own map.
 
     pose: (n, 3); points: of each keyframe (k, 2) [m] in its own frame; q: their brightness, or None; path: (n,) [m]
-    driven up to each; walls: (w, 2) [m] all points in the map's frame, thinned; walls_q: (w,) their brightness;
+    driven up to each; walls: (w, 2) [m] points in the map's frame, thinned, but for those that the robot itself saw
+    through later or before: people who walked by, doors that moved; walls_q: (w,) their brightness;
     walls_side: (w, 2) unit normals on the side they were seen from, zero where that was both or they make no line;
     views: (n, bins) [m] of each keyframe the nearest return in each direction, infinite where there is none; cfg: how
-    thin walls are and when they have a side.
+    thin walls are and when they have a side; border: of each keyframe why a new segment begins there (none: nowhere
+    one does); submaps: what it is recognised by, none over a border.
     """
 
     robot: str
@@ -57,6 +61,8 @@ class KeyframeMap:
     points: Sequence[Float[np.ndarray, "_ 2"]]
     q: Sequence[Float[np.ndarray, " _"]] | None = None
     cfg: OverlapConfig = OVERLAP
+    border: Sequence[str] = ()
+    submaps: tuple[PlaceSubmap, ...] = field(init=False, repr=False)
     path: Float[np.ndarray, " n"] = field(init=False)
     walls: Float[np.ndarray, "w 2"] = field(init=False, repr=False)
     walls_q: Float[np.ndarray, " w"] | None = field(init=False, repr=False)
@@ -74,12 +80,31 @@ class KeyframeMap:
         object.__setattr__(self, "walls_q", None if q is None else frozen(q))
         object.__setattr__(self, "walls_side", frozen(self._sides()))
         object.__setattr__(self, "views", frozen(self._views()))
+        object.__setattr__(self, "submaps", tuple(self._submaps(PlaceSubmapConfig())))
+        same, through = _judged(self, self.walls, self.walls_side, self.cfg)
+        lasting = same >= through
+        for name in ("walls", "walls_side", "walls_q"):
+            if (values := getattr(self, name)) is not None:
+                object.__setattr__(self, name, frozen(values[lasting]))
 
     def cloud(
         self, voxel: float, values: Sequence[Float[np.ndarray, " _"]] | None = None
     ) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, " m"] | None]:
         """All points in the map's frame, one in a square of side `voxel` [m], and the mean of `values` there."""
         return gathered(self.pose, self.points, range(len(self.pose)), np.zeros(3), voxel, values)
+
+    def _submaps(self, cfg: PlaceSubmapConfig) -> list[PlaceSubmap]:
+        starts = [0, *(k for k, why in enumerate(self.border) if why and k), len(self.pose)]
+        out = []
+        for start, end in pairwise(starts):
+            way = way_of(self.pose[start:end])
+            for anchor in middles(way, cfg):
+                low, high = extent(way, anchor, cfg)
+                rows = slice(start + low, start + high + 1)
+                q = None if self.q is None else self.q[rows]
+                new = make_submap(start + anchor, start + low, self.pose[rows], self.points[rows], q, cfg)
+                out += [] if new is None else [new]
+        return out
 
     def _sides(self) -> Float[np.ndarray, "w 2"]:
         cfg = self.cfg
@@ -130,17 +155,30 @@ def seen_alike(
 
 
 def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray, cfg: OverlapConfig) -> SeenAlike:
-    """Walls of b in the views of a. A view is the nearest return in each direction; what is behind it is unknown.
-
-    A wall that one robot saw from one side and the other from the other says nothing.
-    """
+    """Walls of b in the views of a."""
     walls = se2.act(transform, b.walls)
-    side = b.walls_side @ se2.rotation(float(transform[2])).T
+    same, through = _judged(a, walls, b.walls_side @ se2.rotation(float(transform[2])).T, cfg)
+    judged = same + through > 0
+    alike, unlike = judged & (same >= through), judged & (same < through)
+    away = int(np.sum(np.asarray(cKDTree(a.walls).query(walls[unlike])[0]) > cfg.close)) if unlike.any() else 0
+    return SeenAlike(int(alike.sum()), int(unlike.sum()), int(alike.sum()) / max(int(alike.sum()) + away, 1))
+
+
+def _judged(
+    a: KeyframeMap, walls: Float[np.ndarray, "w 2"], side: Float[np.ndarray, "w 2"], cfg: OverlapConfig
+) -> tuple[Int[np.ndarray, " w"], Int[np.ndarray, " w"]]:
+    """How many views of a see each of these walls, and how many see through it, in the frame of a.
+
+    A view is the nearest return in each direction; what is behind it is unknown. A wall that was seen from one side
+    and in the view from the other says nothing.
+    """
+    same, through = np.zeros(len(walls), dtype=np.int64), np.zeros(len(walls), dtype=np.int64)
+    if not len(walls):
+        return same, through
     around_each = cKDTree(walls).query_ball_point(a.pose[:, :2], cfg.reach, return_sorted=False)
     near = [k for k, seen in enumerate(around_each) if len(seen) > 10]
     near = [near[k] for k in spread(len(near), cfg.views).tolist()]
     bins = a.views.shape[1]
-    same, through = np.zeros(len(walls), dtype=np.int64), np.zeros(len(walls), dtype=np.int64)
     for k in near:
         seen = np.array(around_each[k], dtype=np.int64)
         r, at = _polar(se2.act(se2.inverse(a.pose[k]), walls[seen]), bins)
@@ -150,10 +188,7 @@ def _views_of_walls(a: KeyframeMap, b: KeyframeMap, transform: np.ndarray, cfg: 
         facing = ((a.pose[k, :2] - walls[seen]) * side[seen]).sum(axis=1)
         same[seen] += like & (facing > -cfg.sided * r)
         through[seen] += known & ~like & (around.min(axis=0) - r > cfg.through)
-    judged = same + through > 0
-    alike, unlike = judged & (same >= through), judged & (same < through)
-    away = int(np.sum(np.asarray(cKDTree(a.walls).query(walls[unlike])[0]) > cfg.close)) if unlike.any() else 0
-    return SeenAlike(int(alike.sum()), int(unlike.sum()), int(alike.sum()) / max(int(alike.sum()) + away, 1))
+    return same, through
 
 
 def lit_alike(

@@ -1,0 +1,1 @@
+"""Kernels of mapping: a submap searched for in another."""

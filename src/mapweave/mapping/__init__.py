@@ -1,0 +1,1 @@
+"""Mapping: tracks of all robots become segments, submaps, places, decisions, one graph, one map."""

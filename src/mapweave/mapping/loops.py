@@ -1,0 +1,89 @@
+"""Loops of one robot: each new submap of its keyframes searched for among all that came before."""
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ..core import se2
+from .keyframe_graph import KeyframeGraph
+from .places import PlaceIndex, PlaceMatch
+from .submaps import TURN_WAY, PlaceSubmapConfig, extent, make_submap, middles
+
+
+class Loop(NamedTuple):
+    """Keyframe `first` as seen from keyframe `second`, which is later or of another segment."""
+
+    first: int
+    second: int
+    match: PlaceMatch
+
+
+@dataclass(slots=True)
+class LoopFinder:
+    """The submaps of one robot as its keyframes come. `offer`, `finish` and `forget` change it.
+
+    anchors: keyframe of each submap of the index; way: [m] up to each keyframe, turning counted; segment: the keyframe
+    the latest segment begins with; made: how many submaps it has so far.
+    """
+
+    cfg: PlaceSubmapConfig
+    index: PlaceIndex
+    light: bool = False
+    anchors: list[int] = field(default_factory=list)
+    way: list[float] = field(default_factory=list)
+    segment: int = 0
+    made: int = 0
+
+    def copy(self) -> "LoopFinder":
+        """The same search, which may go on without this one's knowing."""
+        return replace(self, index=self.index.copy(), anchors=list(self.anchors), way=list(self.way))
+
+    def offer(self, graph: KeyframeGraph) -> list[Loop]:
+        """The latest keyframe of `graph` has come; what is found of the submaps that are complete now."""
+        i = len(graph) - 1
+        node = graph.nodes[i]
+        found = self.finish(graph) if node.border else []
+        step = se2.between(graph.nodes[i - 1].local, node.local) if i else np.zeros(3)
+        self.way.append((self.way[-1] if i else 0.0) + float(np.hypot(step[0], step[1]) + TURN_WAY * abs(step[2])))
+        if node.border:
+            self.segment, self.made = i, 0
+        return found + self._complete(graph, self.way[i] - self.cfg.around)
+
+    def finish(self, graph: KeyframeGraph) -> list[Loop]:
+        """The segment has ended with the keyframes there are: what is found of its last submaps."""
+        return self._complete(graph, np.inf)
+
+    def _complete(self, graph: KeyframeGraph, until: float) -> list[Loop]:
+        """The submaps whose middle lies up to `until` [m] of way, made and searched for."""
+        c, way = self.cfg, np.array(self.way[self.segment :])
+        if not len(way) or until < way[0] + (self.made + 0.5) * c.every:
+            return []
+        found = []
+        for at in middles(way, c)[self.made :]:
+            if way[at] > until:
+                break
+            self.made += 1
+            low, high = extent(way, at, c)
+            first, nodes = self.segment + low, graph.nodes[self.segment + low : self.segment + high + 1]
+            q = [node.beams.q for node in nodes] if self.light else None
+            poses = np.array([node.local for node in nodes])
+            new = make_submap(self.segment + at, first, poses, [node.beams.s for node in nodes], q, c)
+            if new is not None:
+                old = [k for k, anchor in enumerate(self.anchors) if self._apart(anchor, first)]
+                number = self.index.add(new)
+                self.anchors.append(new.anchor)
+                found += [Loop(self.anchors[m.first], new.anchor, m) for m in self.index.search(number, old)]
+        return found
+
+    def _apart(self, anchor: int, first: int) -> bool:
+        """Whether an old submap shares no way with one that begins with keyframe `first`."""
+        return anchor < self.segment or self.way[first] - self.way[anchor] > self.cfg.around
+
+    def forget(self, first: int, last: int) -> None:
+        """Keyframes `first` to `last` left the graph; those after them have other numbers."""
+        gone = last + 1 - first
+        keep = [k for k, anchor in enumerate(self.anchors) if not first <= anchor <= last]
+        self.index = self.index.select(keep)
+        self.anchors = [self.anchors[k] - (gone if self.anchors[k] > last else 0) for k in keep]
+        del self.way[first : last + 1]

@@ -1,0 +1,221 @@
+"""Places: where one submap lies in another, found without a guess.
+
+A new submap is searched for every older one, of whatever robot: the directions that walls face tell the headings that
+come into question, at each of them every shift is tried (exactly: by branch and bound), and what fits is laid onto the
+walls point to line. Loops of one robot, robots of a team, sessions and kidnapped robots are all found so.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..core import se2
+from ..core.config import config
+from ..core.gaussian import symmetrise
+from ..kernels.laser.place_refine import lay_onto_lines
+from ..kernels.laser.place_search import FULL
+from ..kernels.mapping.places import Clouds, SearchedField, SearchRules, heading_peaks, search_submaps
+from ..laser.consistency import adjoint
+from ..laser.place_search import Q_LEVELS, LikelihoodField, PlaceConfig, brightness, inliers, likelihood_field
+from .submaps import BINS, PlaceSubmap
+
+HEADINGS = 4  # tried of a pair, at most,
+HEADINGS_APART = 8  # [bins] between them,
+HEADING_SHARE = 0.3  # of the likeliest one's correlation at least
+APART, APART_TURN = 1.0, 0.25  # [m], [rad] from the best: another place
+GATES = (0.5, 0.4, 0.3, 0.2, 0.2, 0.15, 0.1)  # [m] widths of the robust cost as submaps are laid onto each other
+LIT_MISFIT = 0.7  # where light takes part: what the best misses of a perfect score over what the next best misses
+TEMPER = 0.1  # of the points count as independent
+NOISE = 0.03  # [m] of a point on its line, at least
+FLOOR, FLOOR_TURN = 0.02, 0.005  # [m], [rad] sd that no match is better than
+FIELD = PlaceConfig(cell=0.2, sigma=0.2, q_weight=0.4, widths=GATES, gate=0.5, inlier=0.15, line_reach=0.2)
+
+
+@config
+class PlaceSearchConfig:
+    """What of a pair of submaps is looked at, and what is taken for one place until the graph decides."""
+
+    reach: float = 12.0  # [m] between the anchors of two submaps of one place, at most
+    least_heading: float = 0.35  # correlation of the directions of walls: less, and the pair is not looked at
+    least_score: float = 0.55  # share of a perfect fit's likelihood
+    most_ratio: float = 0.9  # of it that another place may have
+    least_share: float = 0.6  # of the points must lie on walls once laid onto them,
+    least_held: float = 40.0  # points must hold the weakest direction, and
+    most_moved: float = 0.6  # [m] may lie between where it was found and where it was laid
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceMatch:
+    """PlaceSubmap `first` found in submap `second`, numbers in a `PlaceIndex`; first < second.
+
+    measured: (3,) pose of second's anchor in first's; covariance: (3, 3) of an error in second's frame; score, ratio:
+    of the search, and the next best place's over it; share: of first's points on second's walls; held: (2,) points that
+    hold the weakest direction and the one across it; weak: (2,) unit, the weakest in first's frame; clear: whether the
+    two submaps leave no doubt; one that is not clear tells what else is possible.
+    """
+
+    first: int
+    second: int
+    measured: Float[np.ndarray, "3"]
+    covariance: Float[np.ndarray, "3 3"]
+    score: float
+    ratio: float
+    share: float
+    held: tuple[float, float]
+    weak: Float[np.ndarray, "2"]
+    clear: bool = True
+
+    @property
+    def information(self) -> Float[np.ndarray, "3 3"]:
+        return symmetrise(np.linalg.inv(self.covariance))
+
+
+class PlaceIndex:
+    """Submaps of any robots, each searched for in those that came later. `add` changes it."""
+
+    def __init__(self, cfg: PlaceSearchConfig | None = None) -> None:
+        self.cfg = cfg or PlaceSearchConfig()
+        self.submaps: list[PlaceSubmap] = []
+        self._points = np.zeros((0, 2))
+        self._levels = np.zeros(0, np.int64)
+        self._signature = np.zeros((0, BINS // 2 + 1), np.complex128)
+        self._start = [0]
+
+    def __len__(self) -> int:
+        return len(self.submaps)
+
+    def copy(self) -> "PlaceIndex":
+        """The same index, which may grow without this one's knowing."""
+        other = PlaceIndex(self.cfg)
+        other.submaps, other._start = list(self.submaps), list(self._start)
+        other._points, other._levels = np.array(self._points), np.array(self._levels)
+        other._signature = np.array(self._signature)
+        return other
+
+    def select(self, keep: Sequence[int]) -> "PlaceIndex":
+        """An index of these submaps alone, numbered in this order."""
+        other = PlaceIndex(self.cfg)
+        for k in keep:
+            other.add(self.submaps[k])
+        return other
+
+    def add(self, new: PlaceSubmap) -> int:
+        """The number of the submap, which later ones will be searched for."""
+        points = new.points[new.thin]
+        end = self._start[-1] + len(points)
+        self._points = _room(self._points, end)
+        self._levels = _room(self._levels, end)
+        self._signature = _room(self._signature, len(self) + 1)
+        self._points[self._start[-1] : end] = points
+        self._levels[self._start[-1] : end] = 0 if new.q is None else brightness(new.q[new.thin])
+        self._signature[len(self)] = new.signature
+        self._start.append(end)
+        self.submaps.append(new)
+        return len(self) - 1
+
+    def search(
+        self, new: int, among: Sequence[int] | Int[np.ndarray, " k"], *, every: bool = False
+    ) -> list[PlaceMatch]:
+        """Which of the submaps `among` are the place of submap `new`, as far as the two of them tell.
+
+        every: those that are not clear too, and the next best places.
+        """
+        among = np.asarray(among, np.int64)
+        if not len(among):
+            return []
+        c, own = self.cfg, self.submaps[new]
+        lit = own.q is not None and all(self.submaps[k].q is not None for k in among.tolist())
+        place = likelihood_field(own.points, own.q if lit else None, FIELD)
+        turns, count = heading_peaks(
+            np.fft.irfft(own.signature[None] * np.conj(self._signature[among]), BINS),
+            HEADINGS,
+            HEADINGS_APART,
+            HEADING_SHARE,
+            c.least_heading,
+        )
+        asked = count > 0
+        among, turns, count = among[asked], turns[asked], count[asked]
+        rows, start = self._rows(among)
+        cells = int(c.reach / FIELD.cell)
+        blocks, wide = _blocks(place, cells)
+        searched = SearchedField(place.tables, blocks, wide, place.dark, place.bright, LIGHT, place.origin, FIELD.cell)
+        clouds = Clouds(self._points[rows], self._levels[rows], start)
+        rules = SearchRules(cells, c.least_score, round(APART / FIELD.cell), APART_TURN)
+        found = search_submaps(searched, clouds, turns, count, rules)
+        fits = []
+        for k, row in zip(among.tolist(), found, strict=True):
+            if row[3] > 0.0:
+                fits.append(self._fit(place, k, new, row))
+            if every and row[7] > 0.0:
+                fits.append(replace(self._fit(place, k, new, row[[4, 5, 6, 7, 0, 1, 2, 3]]), clear=False))
+        return [fit for fit in fits if fit.clear or every]
+
+    def _rows(self, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The rows of the points of the submaps `among`, and where those of each begin."""
+        first = np.asarray(self._start, np.int64)[among]
+        size = np.asarray(self._start, np.int64)[among + 1] - first
+        start = np.concatenate([[0], np.cumsum(size)])
+        return np.repeat(first - start[:-1], size) + np.arange(start[-1]), start
+
+    def _fit(self, place: LikelihoodField, k: int, new: int, row: np.ndarray) -> PlaceMatch:
+        """A place that was found, laid onto the walls. row: of `search_submaps`."""
+        c, points, lit = self.cfg, self.submaps[k].points, place.q is not None
+        pose, H, _, mean2 = lay_onto_lines(
+            points,
+            row[:3].copy(),
+            place.points,
+            place.lines,
+            place.nearest,
+            place.origin,
+            FIELD.cell,
+            FIELD.gate,
+            np.asarray(GATES),
+            1e-5,
+        )
+        pose[2] = se2.wrap_angle(pose[2])
+        values, vectors = np.linalg.eigh(H[:2, :2] - np.outer(H[:2, 2], H[2, :2]) / max(H[2, 2], 1e-12))
+        share = float(inliers(place, points, pose).mean())
+        moved = float(np.hypot(*(pose[:2] - row[:2])))
+        score, second = float(row[3]), float(row[7])
+        alone = second <= c.most_ratio * score or (lit and 1.0 - score <= LIT_MISFIT * (1.0 - second))
+        held = lit or values[0] >= c.least_held
+        information = TEMPER * H / max(NOISE**2, mean2) + np.diag([0.1, 0.1, 1.0])
+        covariance = symmetrise(np.linalg.inv(information)) + np.diag(np.square([FLOOR, FLOOR, FLOOR_TURN]))
+        if values[0] < c.least_held:  # light alone tells where it lies along the walls, to the search's step
+            covariance[:2, :2] += np.square(0.5 * FIELD.cell) * np.outer(vectors[:, 0], vectors[:, 0])
+        A = adjoint(pose)
+        return PlaceMatch(
+            first=k,
+            second=new,
+            measured=se2.inverse(pose),
+            covariance=symmetrise(A @ covariance @ A.T),
+            score=score,
+            ratio=second / score,
+            share=share,
+            held=(max(float(values[0]), 0.0), float(values[1])),
+            weak=vectors[:, 0],
+            clear=bool(alone and held and share >= c.least_share and moved <= c.most_moved),
+        )
+
+
+_DIFFERENCE = FIELD.q_weight * np.arange(256) / (Q_LEVELS * FIELD.sigma)
+LIGHT = np.floor(FULL * np.exp(-0.5 * np.square(_DIFFERENCE)) + 0.5).astype(np.int64)
+"""What a difference of so many levels of brightness leaves of a point."""
+
+
+def _blocks(place: LikelihoodField, reach: int) -> tuple[np.ndarray, int]:
+    """The blocks of a field with room for all shifts behind each row, and how wide a row is then."""
+    size = 2**place.cfg.levels
+    blocks = np.pad(place.blocks, ((0, 0), (0, 0), (0, 0), (0, (2 * reach + size) // size)))
+    return blocks.reshape(size, size, -1), blocks.shape[3]
+
+
+def _room(rows: np.ndarray, count: int) -> np.ndarray:
+    """The rows with room for `count` of them: when it is too small, twice as much."""
+    if count <= len(rows):
+        return rows
+    more = np.zeros((max(count, 2 * len(rows), 64), *rows.shape[1:]), rows.dtype)
+    more[: len(rows)] = rows
+    return more

@@ -1,0 +1,100 @@
+"""Segments: a trajectory is a chain of pieces in each of which every step is sure.
+
+Between two of them it is not: a match was refused, few returns match where wheels say something else, wheels jump, or
+the recording paused. Submaps never reach over such a border, its step is a weak prior, and places join what it parts.
+"""
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float
+from scipy.sparse.csgraph import connected_components
+
+from ..core import se2
+from ..core.config import config
+from ..core.findings import Finding
+from ..laser.robot_graph import RobotGraph
+from ..laser.scan_odometry import ScanInfo
+
+LEARNED = 20  # scans from which on it is known how far apart they are
+PAUSE, PAUSE_TIMES = 5.0, 8.0  # [s] between two scans, and times the usual: a pause
+STILL, STILL_TURN = 0.2, 0.1  # [m], [rad]: a robot that moved less over a pause stood still
+WIDE = 0.5  # of a step over a border that it may err by, where that is more than the settings say
+SLIP, REFUSED, JUMP, GAP = "slip", "refused", "jump", "gap"  # why a step is not sure
+WHY = {
+    SLIP: "few returns match, and elsewhere than the wheels say",
+    REFUSED: "too few returns match",
+    JUMP: "scans and wheels tell motions far apart",
+}
+LONG = 3.0  # [m] of way from which on it matters that a piece shares no place with what came before
+
+
+@config
+class SegmentConfig:
+    """When the step between two scans is not sure, and what is believed of it then."""
+
+    least_share: float = 0.5  # of the returns that match: fewer, and a match must lie where wheels put it
+    off_xy: float = 0.25  # [m] and
+    off_turn: float = 0.2  # [rad] from there at most
+    jump_xy: float = 1.0  # [m] and
+    jump_turn: float = 1.0  # [rad] from where wheels put it, whatever matches
+    weak_xy: float = 1.0  # [m] and
+    weak_turn: float = 0.5  # [rad] sd of a step over a border
+
+    def covariance(self, step: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+        """Of a step over a border, over x, y, theta."""
+        xy = max(self.weak_xy, WIDE * float(np.hypot(step[0], step[1])))
+        return np.diag(np.square([xy, xy, max(self.weak_turn, WIDE * abs(float(step[2])))]))
+
+
+class Borders:
+    """Which of the scans of one robot, as they come, begin a new segment. `seen` changes it."""
+
+    def __init__(self, cfg: SegmentConfig) -> None:
+        self.cfg = cfg
+        self._t = np.nan
+        self._apart: list[float] = []
+
+    def seen(self, t: float, info: ScanInfo, step: Float[np.ndarray, "3"], *, wheels: bool) -> str:
+        """Why the step to the scan at `t` [s] is not sure, empty where it is. step: as scan odometry has it."""
+        apart, self._t = t - self._t, t
+        pause = len(self._apart) >= LEARNED and apart > max(PAUSE, PAUSE_TIMES * float(np.median(self._apart)))
+        if np.isfinite(apart) and not pause and len(self._apart) < 10 * LEARNED:
+            self._apart.append(apart)
+        moved = np.hypot(step[0], step[1]) > STILL or abs(step[2]) > STILL_TURN
+        if info.decision in {"first", "empty"}:
+            return ""
+        if info.decision != "matched":
+            return REFUSED
+        return GAP if pause and moved else self._contradicted(info) if wheels else ""
+
+    def _contradicted(self, info: ScanInfo) -> str:
+        """Why a match is not believed that lies elsewhere than wheels put it."""
+        c = self.cfg
+        off, turned = float(np.hypot(*info.innovation[:2])), abs(float(se2.wrap_angle(info.innovation[2])))
+        if off > c.jump_xy or turned > c.jump_turn:
+            return JUMP
+        few = info.matches < c.least_share * info.beams
+        return SLIP if few and (off > c.off_xy or turned > c.off_turn) else ""
+
+
+def segment_findings(graph: RobotGraph) -> tuple[Finding, ...]:
+    """Where the trajectory was cut and why, and which pieces share no place with anything before them."""
+    cuts = [k for k, why in enumerate(graph.border) if why and k]
+    held = [c for c in graph.closures if c.accepted]
+    pieces = np.searchsorted(np.array(cuts, dtype=np.int64), np.arange(len(graph)), side="right")
+    links = [(int(pieces[c.first]), int(pieces[c.second])) for c in held]
+    ends = np.array(links, dtype=np.int64).reshape(-1, 2)
+    n = len(cuts) + 1
+    joined = connected_components(sp.coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n)))[1]
+    found = []
+    for piece, k in enumerate(cuts, start=1):
+        why, span = graph.border[k], (float(graph.t[k - 1]), float(graph.t[k]))
+        if why == GAP:
+            found.append(Finding("scan-gap", graph.robot, span, span[1] - span[0]))
+        else:
+            found.append(Finding("track-cut", graph.robot, span, WHY[why]))
+        last = cuts[piece] - 1 if piece < len(cuts) else len(graph) - 1
+        way = float(graph.path[last] - graph.path[k])
+        if way >= LONG and joined[piece] not in joined[:piece]:
+            found.append(Finding("segment-apart", graph.robot, (span[1], float(graph.t[last])), way))
+    return tuple(found)
