@@ -15,9 +15,9 @@ import numpy as np
 
 from mapweave.laser import particle_slam
 from mapweave.laser.beam import IntensityCalibration, beams
-from mapweave.laser.config import LaserConfig
-from mapweave.laser.mapping import choose_feature, finish, map_laser
-from mapweave.laser.session import ScanInfos
+from mapweave.laser.laser_map import ScanInfos
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.laser_mapping import choose_feature, finish, map_laser
 from mapweave.papers.hara.methods import score
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 from mapweave.sim.laser import DriveConfig

@@ -70,6 +70,7 @@ TABLES = (
         "stdout",
     ),
     Table("changed logs", "docs/laser.md", bench("laser_variants"), "stdout"),
+    Table("wheels and mounting", "docs/laser.md", bench("laser_calibration"), "stdout"),
     Table("pose graphs", "docs/laser.md", bench("solve"), "stdout"),
     Table("starts searched", "docs/laser.md", bench("localize_trust"), "stdout"),
     Table(
@@ -103,6 +104,7 @@ TABLES = (
     Table("wrong bearings", SWARM, bench("swarm_outliers"), "stdout"),
     *paper("hamatani", SWARM, ("drift", "beyond"), ()),
     Table("intel relations", LASER, bench("laser_real"), "stdout"),
+    Table("light on real logs", LASER, bench("light_real"), "stdout"),
     Table("512 particles", LASER, bench("laser_filter"), "stdout"),
     Table("laps of a hall", LASER, bench("laser_laps"), "stdout"),
     Table("kept of a lap", LASER, bench("laser_laps", "--laps", "40", "--kept"), "stdout"),

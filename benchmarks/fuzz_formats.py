@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from PIL import Image
 
 from mapweave.core import se2
+from mapweave.core.findings import Finding
 from mapweave.core.names import robot_name
 from mapweave.core.records import Track
 from mapweave.io.angulation import read_angulation
@@ -257,7 +258,7 @@ def local_map() -> LocalMap:
         nis_median=1.25,
         dropped={"misread barcode": 2},
         calibration={"lag": (0.21, 0.01)},
-        warnings=("take care",),
+        findings=(Finding("saw-nothing", action="taken care of"),),
     )
 
 

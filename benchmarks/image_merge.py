@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from mapweave.core import se2
-from mapweave.laser.map_overlap import KeyframeMap
 from mapweave.laser.occupancy_mapper import Returns, render_returns
+from mapweave.mapping.map_overlap import KeyframeMap
 
 RESOLUTION = 0.05  # [m]
 FEATURES = 500  # of a picture at most, as the merger asks for

@@ -18,9 +18,10 @@ from mapweave.kernels._jit import parallel_kernel, prange, set_threads
 from mapweave.kernels.laser.icp import IcpRules, intensity_icp
 from mapweave.laser import particle_slam
 from mapweave.laser.beam import beams
-from mapweave.laser.config import PAPER_FILTER, LaserConfig
-from mapweave.laser.mapping import choose_feature
+from mapweave.laser.config import PAPER_FILTER
 from mapweave.laser.particle_grid import CellConfig, ParticleGrid
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.laser_mapping import choose_feature
 from mapweave.sim.corridor import simulate_corridor
 
 SENSOR_HZ = 10.0

@@ -18,11 +18,11 @@ import numpy as np
 from mapweave.core import se2
 from mapweave.core.records import Track
 from mapweave.laser.closures import Closure
-from mapweave.laser.config import LaserConfig
-from mapweave.laser.mapping import map_laser
-from mapweave.laser.merge_search import Start
-from mapweave.laser.weave import weave
-from mapweave.laser.woven_map import woven_maps
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.laser_mapping import map_laser
+from mapweave.mapping.merge_search import Start
+from mapweave.mapping.weave import weave
+from mapweave.mapping.woven_map import woven_maps
 from mapweave.sim.corridor import simulate_corridor
 from mapweave.sim.laser import drive
 from mapweave.sim.office import OfficeConfig, office_route, office_world, simulate_office

@@ -20,7 +20,7 @@ from mapweave.kernels._jit import parallel_kernel, prange, set_threads
 from mapweave.kernels.laser import tiles
 from mapweave.laser import particle_slam
 from mapweave.laser.beam import beams
-from mapweave.laser.config import LaserConfig
+from mapweave.mapping.config import LaserConfig
 
 
 @parallel_kernel

@@ -21,7 +21,7 @@ import numpy as np
 
 from mapweave.api.laser_slam import LaserSlam
 from mapweave.core import se2
-from mapweave.laser.config import LaserConfig
+from mapweave.mapping.config import LaserConfig
 from mapweave.sim.drift import DriftConfig
 from mapweave.sim.laser import DriveConfig, LaserSimulation, drive, stream
 from mapweave.sim.laser_world import LaserWorld, WallStyle, WorldBuilder

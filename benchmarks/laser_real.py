@@ -12,8 +12,8 @@ from pathlib import Path
 from mapweave.evaluation.relations import exact_pairs, score_relations
 from mapweave.io.laser_logs import read_laser
 from mapweave.io.relations import read_relations
-from mapweave.laser.config import LaserConfig
-from mapweave.laser.mapping import map_laser
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.laser_mapping import map_laser
 
 COMPILING = 200  # scans that are mapped before, so that compiling is not timed
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from mapweave.core import se2
 from mapweave.core.walls import Walls
-from mapweave.laser.merge import Merge, merge_maps
+from mapweave.mapping.merge import Merge, merge_maps
 from mapweave.sim.laser_pairs import MapPair, PairConfig, drive_pair
 from mapweave.sim.office_floor import office_floor
 

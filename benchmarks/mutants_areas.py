@@ -449,8 +449,8 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     ),
     Equivalent(
         "kernels/laser:intensity_icp",
-        "max(math.floor((bx - reach) * inverse), 0),",
-        "max(math.floor((-(reach)) * inverse), 0),",
+        "ix0, ix1 = max(cell_of((bx - reach) * inverse), 0), min(cell_of((bx + reach) * inverse), cols - 1)",
+        "ix0, ix1 = max(cell_of((-(reach)) * inverse), 0), min(cell_of((bx + reach) * inverse), cols - 1)",
         "cells farther left are looked into too, and nothing there is nearer",
     ),
     Equivalent(
@@ -566,7 +566,7 @@ ONCE_LET_PASS: tuple[Named, ...] = (
     Named("laser:Closure", "if nis > c.gate:", "if nis > 100 * c.gate:", CLOSURES),
     Named("laser:Closure", "if values[1] < c.least_information:", "if False:", CLOSURES),
     Named(
-        "laser:KeyframeGraph",
+        "mapping:KeyframeGraph",
         "C = se2.turned_covariance(-(self.pose[a, 2] - self.pose[k, 2]), C)",
         "C = np.asarray(C)",
         CLOSURES,
@@ -584,7 +584,7 @@ ONCE_LET_PASS: tuple[Named, ...] = (
         CLOSURES,
     ),
     Named(
-        "laser:LoopSearch",
+        "mapping:LoopSearch",
         "near = (d < c.reach) & ((robot != node.robot) | (graph.path[:n] < node.path - c.far))",
         "near = d < c.reach",
         CLOSURES,

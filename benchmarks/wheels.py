@@ -16,8 +16,8 @@ import numpy as np
 
 from mapweave.core import se2
 from mapweave.io.laser_logs import read_laser
-from mapweave.laser.config import LaserConfig
-from mapweave.laser.mapping import map_laser
+from mapweave.mapping.config import LaserConfig
+from mapweave.mapping.laser_mapping import map_laser
 from mapweave.sim.laser_team import OdometryNoise, Wheels
 
 MIDDLE = 0.4549  # median of a squared standard normal error
