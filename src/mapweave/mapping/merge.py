@@ -204,7 +204,7 @@ def _weighed(pair: Pair, ways: Sequence[Candidate], matches: Sequence[Hypothesis
     held = [h for h, c in checked if c.accepted]
     needed = cfg.votes if start is None else cfg.known_votes
     if len(held) >= needed:
-        best = candidate(a, b, held, cfg)
+        best = candidate(a, b, held, cfg)._replace(votes=best.votes)
     elif _certain(best, cfg):
         checked += [(h, _closure(a, b, h, best, cfg, whole=True)) for h in best.members[:1]]
         held = [h for h, c in checked if c.accepted]
