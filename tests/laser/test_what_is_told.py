@@ -118,7 +118,7 @@ def test_wheels_whose_pose_leaps_or_begins_anew_are_told_with_when_and_how_far(o
             late = np.array([r[1:] for r in rows[half:]]) + np.array([5.0, 0.0, 0.0])
         return rows[:half] + [(r[0], *pose) for r, pose in zip(rows[half:], late.tolist(), strict=True)]
 
-    leaped = found(office, rows=leap)["wheels-leap"]
+    leaped = found(office, rows=leap)["wheels-set"]
     half = office.odometry.t[len(office.odometry.t) // 2]
     assert leaped.span[0] - 0.1 <= half <= leaped.span[1] + 0.1
     assert leaped.value["times"] == 1

@@ -30,6 +30,7 @@ from ..laser.log_warnings import copies_found
 from ..mapping.config import LaserConfig
 from ..mapping.merge import Merge
 from ..mapping.merge_search import MergeConfig, Start
+from ..mapping.segments import still_apart
 from ..mapping.weave import weave
 from ..mapping.woven_map import WovenMap, own_map, woven_maps
 from ..report.html import told_list
@@ -266,7 +267,7 @@ def woven_result(
         on_progress("weave", 0, 1)
     pairs = len(stored) * (len(stored) - 1) // 2 if merge else 0
     with worker_pool(jobs, pairs, executor if pairs > 1 else None) as pool:
-        components, merges = _woven(stored, cfg, known_starts, pool, merge=merge)
+        components, merges, stored = _woven(stored, cfg, known_starts, pool, merge=merge)
     if len(stored) > 1:
         on_progress("weave", 1, 1)
     timing = {"weave": perf_counter() - began} if len(stored) > 1 else {}
@@ -291,14 +292,18 @@ def woven_result(
 
 
 def _woven(
-    maps: Sequence[LaserMap], cfg: LaserConfig, starts: Mapping[int, Start], executor: Executor | None, *, merge: bool
-) -> tuple[tuple[WovenMap, ...], tuple[Merge, ...]]:
-    """The components of the maps, and every pair tried; a robot that is the only one keeps its map as it is."""
+    maps: list[LaserMap], cfg: LaserConfig, starts: Mapping[int, Start], executor: Executor | None, *, merge: bool
+) -> tuple[tuple[WovenMap, ...], tuple[Merge, ...], list[LaserMap]]:
+    """The components of the maps, every pair tried, and the maps without the findings that other robots settle.
+
+    A robot that is the only one keeps its map as it is.
+    """
     if len(maps) == 1:
-        return (own_map(maps[0]),), ()
+        return (own_map(maps[0]),), (), maps
     graphs = [m.graph for m in maps if m.graph is not None]
     woven = weave(graphs, cfg.merge, starts, merge=merge, last=cfg.graph.joint, executor=executor)
-    return woven_maps(maps, woven, cfg.resolution, cfg.graph.unsure), woven.merges
+    settled = [replace(m, findings=still_apart(m.findings, graphs[k], woven.held[k])) for k, m in enumerate(maps)]
+    return woven_maps(settled, woven, cfg.resolution, cfg.graph.unsure), woven.merges, settled
 
 
 def _apart(components: Sequence[WovenMap]) -> tuple[Finding, ...]:

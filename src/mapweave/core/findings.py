@@ -190,6 +190,14 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "Something set the odometry's pose, its driver was started again, or drives were joined to one log.",
             "Cut the log at that time and give the parts as two logs.",
         ),
+        "wheels-set": FindingKind(
+            "note",
+            "the pose that the wheels tell leaps by {value:.1f} m and {degrees:.0f} degrees from one scan to the next "
+            "({times:.0f} times in all)",
+            "Something set the odometry's pose, or its driver was started again. Scans tell the motion there; where "
+            "they do not, a new segment begins (`track-cut`).",
+            "Nothing, unless a segment is told to be apart.",
+        ),
         "turns-scale": FindingKind(
             "doubtful",
             "the scans turn {value:.3f} +- {sd:.3f} times as far as the wheels tell",

@@ -164,8 +164,16 @@ def wheels_unlike(track: Track, dead: Track | None, robot: str, cfg: WheelCheck)
     return (Finding("wheels-unlike", robot, value=scans / wheels),)
 
 
-def wheels_leap(t: Float[np.ndarray, " m"], scans: Sequence[Scan], robot: str, cfg: WheelCheck) -> tuple[Finding, ...]:
-    """A finding where the pose that wheels tell leaps from one scan to the next: the widest such leap."""
+FOLLOWED = "the map goes on by the wheels"
+
+
+def wheels_leap(
+    t: Float[np.ndarray, " m"], scans: Sequence[Scan], robot: str, cfg: WheelCheck, *, segments: bool = False
+) -> tuple[Finding, ...]:
+    """A finding where the pose that wheels tell leaps from one scan to the next: the widest such leap.
+
+    segments: the map goes on by the scans there, or in another segment.
+    """
     if len(scans) < 2 or scans[0].odometry is None:
         return ()
     poses = np.array([scan.odometry for scan in scans], dtype=float)
@@ -177,7 +185,8 @@ def wheels_leap(t: Float[np.ndarray, " m"], scans: Sequence[Scan], robot: str, c
         return ()
     k = int(np.argmax(np.where(leaps, way / cfg.leap + turn / cfg.leap_turn, 0.0)))
     told = {"value": float(way[k]), "degrees": float(np.degrees(turn[k])), "times": int(leaps.sum())}
-    return (Finding("wheels-leap", robot, (float(t[k]), float(t[k + 1])), told, "the map goes on by the wheels"),)
+    code, action = ("wheels-set", "the map goes on by the scans") if segments else ("wheels-leap", FOLLOWED)
+    return (Finding(code, robot, (float(t[k]), float(t[k + 1])), told, action),)
 
 
 @config

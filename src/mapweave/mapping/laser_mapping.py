@@ -338,7 +338,7 @@ def map_session(
         *jumps(result.scans, log.scans, robot, session.cfg.jump),
         *wheels_disagree(track, dead, robot, wheels, agreement.factor(motion)),
         *wheels_stand(track, dead, robot, wheels),
-        *wheels_leap(log.scan_t, log.scans, robot, wheels),
+        *wheels_leap(log.scan_t, log.scans, robot, wheels, segments=graph is not None),
     )
     measured = agreement.findings(robot, motion)
     if not any(f.code in {"wheels-scale", "wheels-unlike"} for f in (*measured, *result.findings)):

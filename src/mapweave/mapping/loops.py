@@ -10,6 +10,10 @@ from .keyframe_graph import KeyframeGraph
 from .places import PlaceIndex, PlaceMatch
 from .submaps import TURN_WAY, PlaceSubmapConfig, extent, make_submap, middles
 
+BORDER = {"least_heading": 0.0, "least_score": 0.35, "least_share": 0.45, "least_held": 30.0}
+"""What will do of a submap in the one before it, over a border between segments,"""
+BORDER_SDS = 2.0  # standard deviations of the step over it from where that puts it
+
 
 class Loop(NamedTuple):
     """Keyframe `first` as seen from keyframe `second`, which is later or of another segment."""
@@ -73,8 +77,23 @@ class LoopFinder:
                 old = [k for k, anchor in enumerate(self.anchors) if self._apart(anchor, first)]
                 number = self.index.add(new)
                 self.anchors.append(new.anchor)
-                found += [Loop(self.anchors[m.first], new.anchor, m) for m in self.index.search(number, old)]
+                matches = self.index.search(number, old)
+                if number and first == self.segment and all(m.first != number - 1 for m in matches):
+                    matches += self._over_border(graph, number)
+                found += [Loop(self.anchors[m.first], new.anchor, m) for m in matches]
         return found
+
+    def _over_border(self, graph: KeyframeGraph, number: int) -> list[PlaceMatch]:
+        """The first submap of a segment in the one before it, where less will do if it lies where the step puts it."""
+        before, new = self.anchors[number - 1], self.anchors[number]
+        step = se2.between(graph.nodes[before].local, graph.nodes[new].local)
+        sd = BORDER_SDS * np.sqrt(np.diag(graph.nodes[self.segment].cov))
+        rules = replace(self.index.cfg, **BORDER)
+        return [
+            m
+            for m in self.index.search(number, [number - 1], rules=rules)
+            if (np.abs(se2.between(step, m.measured)) <= sd).all()
+        ]
 
     def _apart(self, anchor: int, first: int) -> bool:
         """Whether an old submap shares no way with one that begins with keyframe `first`."""
@@ -87,3 +106,5 @@ class LoopFinder:
         self.index = self.index.select(keep)
         self.anchors = [self.anchors[k] - (gone if self.anchors[k] > last else 0) for k in keep]
         del self.way[first : last + 1]
+        if self.segment >= first:
+            self.segment = max(first, self.segment - gone)

@@ -116,16 +116,21 @@ class PlaceIndex:
         return len(self) - 1
 
     def search(
-        self, new: int, among: Sequence[int] | Int[np.ndarray, " k"], *, every: bool = False
+        self,
+        new: int,
+        among: Sequence[int] | Int[np.ndarray, " k"],
+        *,
+        every: bool = False,
+        rules: PlaceSearchConfig | None = None,
     ) -> list[PlaceMatch]:
         """Which of the submaps `among` are the place of submap `new`, as far as the two of them tell.
 
-        every: those that are not clear too, and the next best places.
+        every: those that are not clear too, and the next best places; rules: in place of the index's own.
         """
         among = np.asarray(among, np.int64)
         if not len(among):
             return []
-        c, own = self.cfg, self.submaps[new]
+        c, own = rules or self.cfg, self.submaps[new]
         lit = own.q is not None and all(self.submaps[k].q is not None for k in among.tolist())
         place = likelihood_field(own.points, own.q if lit else None, FIELD)
         turns, count = heading_peaks(
@@ -142,14 +147,14 @@ class PlaceIndex:
         blocks, wide = _blocks(place, cells)
         searched = SearchedField(place.tables, blocks, wide, place.dark, place.bright, LIGHT, place.origin, FIELD.cell)
         clouds = Clouds(self._points[rows], self._levels[rows], start)
-        rules = SearchRules(cells, c.least_score, round(APART / FIELD.cell), APART_TURN)
-        found = search_submaps(searched, clouds, turns, count, rules)
+        asked_for = SearchRules(cells, c.least_score, round(APART / FIELD.cell), APART_TURN)
+        found = search_submaps(searched, clouds, turns, count, asked_for)
         fits = []
         for k, row in zip(among.tolist(), found, strict=True):
             if row[3] > 0.0:
-                fits.append(self._fit(place, k, new, row))
+                fits.append(self._fit(place, k, new, row, c))
             if every and row[7] > 0.0:
-                fits.append(replace(self._fit(place, k, new, row[[4, 5, 6, 7, 0, 1, 2, 3]]), clear=False))
+                fits.append(replace(self._fit(place, k, new, row[[4, 5, 6, 7, 0, 1, 2, 3]], c), clear=False))
         return [fit for fit in fits if fit.clear or every]
 
     def _rows(self, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -159,9 +164,9 @@ class PlaceIndex:
         start = np.concatenate([[0], np.cumsum(size)])
         return np.repeat(first - start[:-1], size) + np.arange(start[-1]), start
 
-    def _fit(self, place: LikelihoodField, k: int, new: int, row: np.ndarray) -> PlaceMatch:
+    def _fit(self, place: LikelihoodField, k: int, new: int, row: np.ndarray, c: PlaceSearchConfig) -> PlaceMatch:
         """A place that was found, laid onto the walls. row: of `search_submaps`."""
-        c, points, lit = self.cfg, self.submaps[k].points, place.q is not None
+        points, lit = self.submaps[k].points, place.q is not None
         pose, H, _, mean2 = lay_onto_lines(
             points,
             row[:3].copy(),

@@ -4,9 +4,11 @@ Between two of them it is not: a match was refused, few returns match where whee
 the recording paused. Submaps never reach over such a border, its step is a weak prior, and places join what it parts.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.sparse.csgraph import connected_components
 
 from ..core import se2
@@ -77,15 +79,37 @@ class Borders:
         return SLIP if few and (off > c.off_xy or turned > c.off_turn) else ""
 
 
-def segment_findings(graph: RobotGraph) -> tuple[Finding, ...]:
-    """Where the trajectory was cut and why, and which pieces share no place with anything before them."""
+def pieces_of(graph: RobotGraph) -> list[Int[np.ndarray, " k"]]:
+    """The keyframes of one robot in pieces that no closure joins, in the order of their first keyframes.
+
+    A piece of less than `LONG` [m] of way goes with the one before it, or where there is none with the next.
+    """
+    cuts, piece = _pieces(graph)
+    first, last = np.array([0, *cuts]), np.array([*(k - 1 for k in cuts), len(graph) - 1])
+    way = np.bincount(piece, graph.path[last] - graph.path[first])
+    of, before = piece.copy(), -1
+    for k in range(len(of)):
+        of[k] = before = piece[k] if way[piece[k]] >= LONG or before < 0 else before
+    if way[of[0]] < LONG and (long := np.flatnonzero(way[of] >= LONG)).size:
+        of[of == of[0]] = of[long[0]]
+    whose = np.repeat(of, last + 1 - first)
+    return [np.flatnonzero(whose == p) for p in dict.fromkeys(whose.tolist())]
+
+
+def _pieces(graph: RobotGraph) -> tuple[list[int], Int[np.ndarray, " s"]]:
+    """The keyframes that segments but the first begin with, and which piece each of the s segments is of."""
     cuts = [k for k, why in enumerate(graph.border) if why and k]
     held = [c for c in graph.closures if c.accepted]
-    pieces = np.searchsorted(np.array(cuts, dtype=np.int64), np.arange(len(graph)), side="right")
-    links = [(int(pieces[c.first]), int(pieces[c.second])) for c in held]
-    ends = np.array(links, dtype=np.int64).reshape(-1, 2)
+    segment = np.searchsorted(np.array(cuts, dtype=np.int64), np.arange(len(graph)), side="right")
+    ends = np.array([(segment[c.first], segment[c.second]) for c in held], dtype=np.int64).reshape(-1, 2)
     n = len(cuts) + 1
-    joined = connected_components(sp.coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n)))[1]
+    links = sp.coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n))
+    return cuts, np.asarray(connected_components(links, directed=False)[1], dtype=np.int64)
+
+
+def segment_findings(graph: RobotGraph) -> tuple[Finding, ...]:
+    """Where the trajectory was cut and why, and which pieces share no place with anything before them."""
+    cuts, joined = _pieces(graph)
     found = []
     for piece, k in enumerate(cuts, start=1):
         why, span = graph.border[k], (float(graph.t[k - 1]), float(graph.t[k]))
@@ -98,3 +122,10 @@ def segment_findings(graph: RobotGraph) -> tuple[Finding, ...]:
         if way >= LONG and joined[piece] not in joined[:piece]:
             found.append(Finding("segment-apart", graph.robot, (span[1], float(graph.t[last])), way))
     return tuple(found)
+
+
+def still_apart(findings: Sequence[Finding], graph: RobotGraph, held: Sequence[int]) -> tuple[Finding, ...]:
+    """The findings but for segments said to be apart that others tie: those of the pieces `held`, by `pieces_of`."""
+    pieces = pieces_of(graph)
+    tied = {float(t) for k in held for t in graph.t[pieces[k]]}
+    return tuple(f for f in findings if f.code != "segment-apart" or f.span is None or f.span[0] not in tied)
