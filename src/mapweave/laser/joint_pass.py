@@ -23,6 +23,8 @@ from .robot_graph import RobotGraph
 
 HELD = 1e-4  # [m, rad] sd of the first keyframe, which the frame hangs on
 
+UNSURE = 0.5  # [m] sd of a step from which on it is not held beside what it tells
+
 
 @config
 class JointPassConfig:
@@ -135,7 +137,8 @@ def joint_pass(
         np.diff(cloud.start) > 0
     )
     weak = np.diag([cfg.step_xy**-2, cfg.step_xy**-2, cfg.step_turn**-2])
-    held = replace(steps, information=cfg.step_trust * steps.information + weak)
+    sure = np.linalg.eigvalsh(steps.information[:, :2, :2])[:, 0] > UNSURE**-2  # over a border there is no such step
+    held = replace(steps, information=cfg.step_trust * steps.information + sure[:, None, None] * weak)
     columns = np.arange(3)[None]
     unit, still = np.eye(3)[None], np.zeros((1, 3))
     anchor = Factor(columns, lambda _: still, lambda _: unit, 3, np.full((1, 3), 1.0 / HELD), None, "anchor")

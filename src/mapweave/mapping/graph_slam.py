@@ -29,7 +29,7 @@ from .keyframe_graph import KeyframeGraph
 from .known_places import KnownPlaces
 from .loops import LoopFinder
 from .places import PlaceIndex
-from .segments import Borders
+from .segments import CONTRADICTED, Borders
 
 _NONE = np.zeros(0)
 GONE = Beams(np.zeros((0, 2)), _NONE, _NONE, np.zeros((0, 2)), _NONE, _NONE, _NONE, *2 * [np.zeros(0, np.int64)])
@@ -92,7 +92,7 @@ def init(
         robot,
         KeyframeOdometry(0, g.keyframe_graph.keyframes, cfg.front_end, feature),
         particles,
-        KeyframeGraph(g.keyframe_graph, np.zeros((1, 3))),
+        KeyframeGraph(g.keyframe_graph, np.zeros((1, 3)), g.segments),
         Borders(g.segments),
         _search(cfg, feature),
         KnownPlaces(g.known_places),
@@ -235,7 +235,7 @@ def _along_lineage(
     poses = particle_slam.trajectory(particles)
     grown = replace(
         state,
-        graph=KeyframeGraph(cfg.graph.keyframe_graph, np.zeros((1, 3))),
+        graph=KeyframeGraph(cfg.graph.keyframe_graph, np.zeros((1, 3)), cfg.graph.segments),
         loops=_search(cfg, state.feature),
         known=KnownPlaces(cfg.graph.known_places),
         keyframes=[],
@@ -298,7 +298,9 @@ def _robot_graph(
         path=state.graph.path,
         step=steps.measured,
         step_information=steps.information,
-        border=tuple(node.border for node in nodes),
+        border=tuple(
+            node.border or (CONTRADICTED if i in state.graph.contradicted else "") for i, node in enumerate(nodes)
+        ),
         closures=tuple(state.graph.closures),
         start=start,
         points=np.concatenate([node.beams.s for node in nodes]),

@@ -13,7 +13,9 @@ from ..laser.keyframes import Keyframe, KeyframeConfig, carried
 from ..laser.pose_graph import PoseGraph, Solved, edge_factor, problem
 from ..laser.robust_graph import RobustGraphConfig, solve_graph
 from .places import PlaceMatch
+from .segments import SegmentConfig
 
+OUTWEIGHED = 3  # places that hold without a step and not with it: then it is the step that is wrong
 UNDECIDED = "found, and not decided on yet"
 EXACT = 1e-4  # [m, rad] sd of the start that `map` hangs on
 
@@ -32,10 +34,15 @@ class KeyframeGraphConfig:
 
 
 class KeyframeGraph:
-    """nodes: the keyframes in the order they came; pose: (n, 3) of each in `map`; of: each robot's, by number."""
+    """nodes: the keyframes in the order they came; pose: (n, 3) of each in `map`; of: each robot's, by number;
+    contradicted: the keyframes whose step places contradict, which is not believed then.
+    """
 
-    def __init__(self, cfg: KeyframeGraphConfig, starts: Float[np.ndarray, "M 3"]) -> None:
-        self.cfg, self.starts = cfg, starts
+    def __init__(
+        self, cfg: KeyframeGraphConfig, starts: Float[np.ndarray, "M 3"], segments: SegmentConfig | None = None
+    ) -> None:
+        self.cfg, self.starts, self.segments = cfg, starts, segments or SegmentConfig()
+        self.contradicted: frozenset[int] = frozenset()
         self.nodes: list[Keyframe] = []
         self.pose = np.zeros((0, 3))
         self.of: list[list[int]] = [[] for _ in starts]
@@ -71,7 +78,8 @@ class KeyframeGraph:
 
     def copy(self) -> "KeyframeGraph":
         """The same graph, which may grow and be solved without this one's knowing."""
-        other = KeyframeGraph(self.cfg, self.starts)
+        other = KeyframeGraph(self.cfg, self.starts, self.segments)
+        other.contradicted = self.contradicted
         other.nodes, other.closures, other._since = list(self.nodes), list(self.closures), list(self._since)
         other.of = [list(of) for of in self.of]
         other.pose, other.robot, other.path = np.array(self.pose), self.robot, self.path
@@ -139,6 +147,7 @@ class KeyframeGraph:
         self.pose, self.robot, self.path = self.pose[kept], self.robot[kept], self.path[kept]
         self._since = [self._since[k] for k in kept.tolist()]
         number = np.searchsorted(kept, np.arange(kept[-1] + 1)).tolist()
+        self.contradicted = frozenset(number[i] for i in self.contradicted)
         leaving = range(first, last + 1)
         before = len(self.closures)
         self.closures = [
@@ -177,7 +186,12 @@ class KeyframeGraph:
         steps = [(of[n - 1], of[n]) for of in self.of for n in range(1, len(of))]
         steps.sort(key=lambda pair: pair[1])
         later = [self.nodes[i] for _, i in steps]
-        covs = np.array([node.cov for node in later]).reshape(-1, 3, 3)
+        covs = np.array(
+            [
+                self.segments.covariance(node.step) if i in self.contradicted else node.cov
+                for node, (_, i) in zip(later, steps, strict=True)
+            ]
+        ).reshape(-1, 3, 3)
         accepted = [c for c in self.closures if c.accepted or tried]
         return (
             PoseGraph.of(self.pose, steps, [node.step for node in later], list(np.linalg.inv(covs))),
@@ -209,8 +223,9 @@ class KeyframeGraph:
         """Which closures hold is decided anew, all together, and the poses are at the optimum of those.
 
         Where every closure agrees with the optimum of all there is nothing to decide; else by graduated non-convexity:
-        each is doubtful until others agree with it.
+        each is doubtful until others agree with it. Where many hold but for a step or two, those are not believed.
         """
+        self.contradicted = frozenset()
         before = self.closures
         steps, tried = self.edges(tried=True)
         if not tried.edges:
@@ -219,6 +234,11 @@ class KeyframeGraph:
         graph = steps.joined(tried)
         doubtful = np.arange(graph.edges) >= steps.edges
         decided = solve_graph(graph, RobustGraphConfig(), doubtful=doubtful)
+        if len(decided.dropped) >= OUTWEIGHED:
+            self.contradicted = self._contradicted_steps(steps, tried, len(decided.dropped))
+        if self.contradicted:
+            steps, _ = self.edges()
+            decided = solve_graph(steps.joined(tried), RobustGraphConfig(), doubtful=doubtful)
         why = {d.edge - steps.edges: d.reason for d in decided.dropped}
         nis = decided.nis[steps.edges :]
         self.closures = [
@@ -227,6 +247,23 @@ class KeyframeGraph:
         ]
         self.pose = np.array(decided.graph.pose)
         self.solve()
+
+    def _contradicted_steps(self, steps: PoseGraph, tried: PoseGraph, dropped: int) -> frozenset[int]:
+        """The keyframes whose steps are wrong where without them `OUTWEIGHED` more places a step hold; else none.
+
+        dropped: places that do not hold as long as every step does. Over each step lies a weak one that holds always.
+        """
+        weak = np.array([np.linalg.inv(self.segments.covariance(step)) for step in steps.measured])
+        sure = [k for k, i in enumerate(steps.second.tolist()) if not self.nodes[i].border]
+        both = PoseGraph(steps.pose, steps.first, steps.second, steps.measured, weak).joined(
+            PoseGraph(steps.pose, steps.first[sure], steps.second[sure], steps.measured[sure], steps.information[sure])
+        )
+        graph = both.joined(tried)
+        doubtful = np.arange(graph.edges) >= steps.edges
+        gone = [d.edge for d in solve_graph(graph, RobustGraphConfig(), doubtful=doubtful).dropped]
+        wrong = [int(steps.second[sure[k - steps.edges]]) for k in gone if k < both.edges]
+        gained = dropped - (len(gone) - len(wrong))
+        return frozenset(wrong if wrong and gained >= OUTWEIGHED * len(wrong) else ())
 
     def covariances(self) -> Float[np.ndarray, "n 3 3"]:
         """Covariance of every keyframe's pose in `map`, over x, y, theta; what is not solved yet is solved for it."""

@@ -45,7 +45,7 @@ from ..laser.odometry_calibration import (
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import ScanOdometry, blended
 from .config import LaserConfig
-from .segments import segment_findings
+from .segments import bridged, segment_findings
 from .session import LaserSession
 
 FEW = 10  # scans: a log of fewer makes no map that could contradict itself
@@ -256,7 +256,10 @@ def with_calibrated_wheels(
     if cfg.method != "graph":
         return mapped
     began = perf_counter()
-    found = _found(log, mapped, log.scans, cfg, np.zeros(8, dtype=bool))
+    whole = log
+    if mapped.graph is not None and mapped.dead_reckoning is not None and any(mapped.graph.border):
+        whole, _ = bridged(log, mapped.graph, mapped.track, mapped.dead_reckoning)
+    found = _found(whole, mapped, log.scans, cfg, np.zeros(8, dtype=bool))
     if found is None:
         return mapped
     if not cfg.odometry.apply or not found.applied.any() or not all(len(scan.ranges) for scan in log.scans):
@@ -268,7 +271,7 @@ def with_calibrated_wheels(
         used = found
         better = replace(corrected(log, used), findings=tuple(f for f in log.findings if f.code not in GUESSED))
         mapped = _lit(better, cfg, seed, on_progress)
-        found = _found(log, mapped, better.scans, cfg, used.applied)
+        found = _found(whole, mapped, better.scans, cfg, used.applied)
     last = found or used
     told = {found.code for found in mapped.findings}
     scale = tuple(f for f in first.findings if f.code == "wheels-scale" and f.code not in told)
@@ -327,12 +330,15 @@ def map_session(
     finalised = perf_counter()
     clean = replace(log, scans=session.cleaned(log.scans))
     result = finish(clean, session.cfg, feature, poses, session.infos, graph)
+    track, dead = result.track, result.dead_reckoning
+    if graph is not None and dead is not None and any(graph.border):
+        clean, dead = bridged(clean, graph, track, dead)
     agreement = motion_agreement(result.scans.pose, clean.scans, session.cfg.beam, session.cfg.motion)
     robot, motion = log.robot, session.cfg.motion
     timed = not any(found.code in {"stamps-none", "stamps-equal"} for found in log.findings)
     heading = np.unwrap(result.scans.pose[:, 2])
-    lag = stamp_lag(log.scan_t, heading, log.odometry, session.cfg.lag) if timed else None
-    track, dead, wheels = result.track, result.dead_reckoning, session.cfg.wheels
+    lag = stamp_lag(log.scan_t, heading, clean.odometry, session.cfg.lag) if timed else None
+    wheels = session.cfg.wheels
     disagreement = (
         *lag_found(lag, robot, session.cfg.lag),
         *jumps(result.scans, log.scans, robot, session.cfg.jump),

@@ -5,6 +5,7 @@ the recording paused. Submaps never reach over such a border, its step is a weak
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,6 +15,8 @@ from scipy.sparse.csgraph import connected_components
 from ..core import se2
 from ..core.config import config
 from ..core.findings import Finding
+from ..core.laser_log import LaserLog
+from ..core.records import Track, frozen
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import ScanInfo
 
@@ -21,11 +24,13 @@ LEARNED = 20  # scans from which on it is known how far apart they are
 PAUSE, PAUSE_TIMES = 5.0, 8.0  # [s] between two scans, and times the usual: a pause
 STILL, STILL_TURN = 0.2, 0.1  # [m], [rad]: a robot that moved less over a pause stood still
 WIDE = 0.5  # of a step over a border that it may err by, where that is more than the settings say
-SLIP, REFUSED, JUMP, GAP = "slip", "refused", "jump", "gap"  # why a step is not sure
+SLIP, REFUSED, JUMP, GAP = "slip", "refused", "jump", "gap"  # why a step is not sure,
+CONTRADICTED = "contradicted"  # or turned out to be wrong
 WHY = {
     SLIP: "few returns match, and elsewhere than the wheels say",
     REFUSED: "too few returns match",
     JUMP: "scans and wheels tell motions far apart",
+    CONTRADICTED: "places before and after it contradict what its scans tell",
 }
 LONG = 3.0  # [m] of way from which on it matters that a piece shares no place with what came before
 
@@ -129,3 +134,25 @@ def still_apart(findings: Sequence[Finding], graph: RobotGraph, held: Sequence[i
     pieces = pieces_of(graph)
     tied = {float(t) for k in held for t in graph.t[pieces[k]]}
     return tuple(f for f in findings if f.code != "segment-apart" or f.span is None or f.span[0] not in tied)
+
+
+def bridged(log: LaserLog, graph: RobotGraph, track: Track, dead: Track) -> tuple[LaserLog, Track]:
+    """The log, and its dead reckoning, whose wheels tell over every border what the map does: set-backs are no motion.
+
+    track, dead: the map's trajectory and the wheels' at the same stamps, those of all scans among them.
+    """
+    cuts = [k for k, why in enumerate(graph.border) if why and k]
+    step = se2.between(dead.pose[:-1], dead.pose[1:])
+    over = np.zeros(len(step), dtype=bool)
+    for k in cuts:
+        over |= (track.t[1:] > graph.t[k - 1]) & (track.t[1:] <= graph.t[k])
+    step[over] = se2.between(track.pose[:-1], track.pose[1:])[over]
+    pose = np.tile(np.asarray(dead.pose[0], dtype=float), (len(dead.t), 1))
+    pose[1:, 2] += np.cumsum(step[:, 2])
+    c, s = np.cos(pose[:-1, 2]), np.sin(pose[:-1, 2])
+    pose[1:, 0] += np.cumsum(c * step[:, 0] - s * step[:, 1])
+    pose[1:, 1] += np.cumsum(s * step[:, 0] + c * step[:, 1])
+    wheels = Track(dead.t, pose, frame=dead.frame)
+    rows = np.searchsorted(dead.t, log.scan_t).tolist()
+    scans = tuple(replace(scan, odometry=frozen(pose[row])) for scan, row in zip(log.scans, rows, strict=True))
+    return replace(log, odometry=wheels, scans=scans), wheels
