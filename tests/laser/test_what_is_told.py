@@ -140,7 +140,7 @@ def test_a_robot_that_is_carried_to_another_room_is_told_with_the_time(office):
     kept = [k for k in range(len(office.scans)) if k <= first or k >= last]
     log = replace(office, scan_t=office.scan_t[kept], scans=tuple(office.scans[k] for k in kept))
     said = found(log, rows=joined)
-    assert said["scene-jump"].span == (pytest.approx(jump), pytest.approx(jump))
+    assert said["scene-change"].span == (pytest.approx(jump), pytest.approx(jump))
     assert verdict(said.values()) == "doubtful"
 
 

@@ -59,6 +59,21 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "drives were joined to one log, or the view was blocked.",
             "Look at the map there; cut the log at that time and give the parts as two logs.",
         ),
+        "scene-change": FindingKind(
+            "note",
+            "the scene changes at once: {now:.0f} % of the returns lie on walls seen before, of the last scan "
+            "{before:.0f} %, while the wheels tell {way:.2f} m ({times:.0f} times in all)",
+            "As `scene-jump`, where places that were seen before and after hold both sides together: a robot that was "
+            "carried is found again.",
+            "Nothing.",
+        ),
+        "track-patchy": FindingKind(
+            "doubtful",
+            "the trajectory is cut {cuts:.0f} times among {keyframes:.0f} keyframes",
+            "Scans are so far apart, or see so little in common, that many motions from one to the next are not sure. "
+            "The pieces hang on places alone, and are off where those are few.",
+            "Record more scans a metre, or drive through the same places again.",
+        ),
         "start-unfound": FindingKind(
             "bad",
             "the start was not found: the hypotheses never became one",

@@ -164,9 +164,6 @@ def wheels_unlike(track: Track, dead: Track | None, robot: str, cfg: WheelCheck)
     return (Finding("wheels-unlike", robot, value=scans / wheels),)
 
 
-FOLLOWED = "the map goes on by the wheels"
-
-
 def wheels_leap(
     t: Float[np.ndarray, " m"], scans: Sequence[Scan], robot: str, cfg: WheelCheck, *, segments: bool = False
 ) -> tuple[Finding, ...]:
@@ -185,8 +182,10 @@ def wheels_leap(
         return ()
     k = int(np.argmax(np.where(leaps, way / cfg.leap + turn / cfg.leap_turn, 0.0)))
     told = {"value": float(way[k]), "degrees": float(np.degrees(turn[k])), "times": int(leaps.sum())}
-    code, action = ("wheels-set", "the map goes on by the scans") if segments else ("wheels-leap", FOLLOWED)
-    return (Finding(code, robot, (float(t[k]), float(t[k + 1])), told, action),)
+    span = (float(t[k]), float(t[k + 1]))
+    if segments:
+        return (Finding("wheels-set", robot, span, told, "the map goes on by the scans"),)
+    return (Finding("wheels-leap", robot, span, told, "the map goes on by the wheels"),)
 
 
 @config

@@ -16,6 +16,8 @@ from .places import PlaceMatch
 from .segments import SegmentConfig
 
 OUTWEIGHED = 3  # places that hold without a step and not with it: then it is the step that is wrong
+SLIPPED = 1.0  # squared sd, of a step over a border, that a step may be wrong by: farther, the places are wrong
+ALONE = 5  # keyframes between two such steps, at least
 UNDECIDED = "found, and not decided on yet"
 EXACT = 1e-4  # [m, rad] sd of the start that `map` hangs on
 
@@ -235,7 +237,8 @@ class KeyframeGraph:
         doubtful = np.arange(graph.edges) >= steps.edges
         decided = solve_graph(graph, RobustGraphConfig(), doubtful=doubtful)
         if len(decided.dropped) >= OUTWEIGHED:
-            self.contradicted = self._contradicted_steps(steps, tried, len(decided.dropped))
+            dropped = frozenset(d.edge - steps.edges for d in decided.dropped)
+            self.contradicted = self._contradicted_steps(steps, tried, dropped)
         if self.contradicted:
             steps, _ = self.edges()
             decided = solve_graph(steps.joined(tried), RobustGraphConfig(), doubtful=doubtful)
@@ -248,10 +251,13 @@ class KeyframeGraph:
         self.pose = np.array(decided.graph.pose)
         self.solve()
 
-    def _contradicted_steps(self, steps: PoseGraph, tried: PoseGraph, dropped: int) -> frozenset[int]:
+    def _contradicted_steps(self, steps: PoseGraph, tried: PoseGraph, dropped: frozenset[int]) -> frozenset[int]:
         """The keyframes whose steps are wrong where without them `OUTWEIGHED` more places a step hold; else none.
 
-        dropped: places that do not hold as long as every step does. Over each step lies a weak one that holds always.
+        Every place that held must hold still, and such a step be wrong by little, and alone: in a building that looks
+        alike in several places, steps all along would have to be wrong, by metres.
+
+        dropped: which places do not hold as long as every step does. Over each step lies a weak one that holds always.
         """
         weak = np.array([np.linalg.inv(self.segments.covariance(step)) for step in steps.measured])
         sure = [k for k, i in enumerate(steps.second.tolist()) if not self.nodes[i].border]
@@ -260,10 +266,15 @@ class KeyframeGraph:
         )
         graph = both.joined(tried)
         doubtful = np.arange(graph.edges) >= steps.edges
-        gone = [d.edge for d in solve_graph(graph, RobustGraphConfig(), doubtful=doubtful).dropped]
-        wrong = [int(steps.second[sure[k - steps.edges]]) for k in gone if k < both.edges]
-        gained = dropped - (len(gone) - len(wrong))
-        return frozenset(wrong if wrong and gained >= OUTWEIGHED * len(wrong) else ())
+        decided = solve_graph(graph, RobustGraphConfig(), doubtful=doubtful)
+        gone = [d.edge for d in decided.dropped]
+        wrong = [sure[k - steps.edges] for k in gone if k < both.edges]
+        gained = len(dropped) - (len(gone) - len(wrong))
+        lost = {k - both.edges for k in gone if k >= both.edges} - dropped
+        slipped = bool((decided.nis[wrong] <= SLIPPED).all() and (np.diff(wrong) >= ALONE).all())
+        if not wrong or lost or not slipped or gained < OUTWEIGHED * len(wrong):
+            return frozenset()
+        return frozenset(int(steps.second[k]) for k in wrong)
 
     def covariances(self) -> Float[np.ndarray, "n 3 3"]:
         """Covariance of every keyframe's pose in `map`, over x, y, theta; what is not solved yet is solved for it."""

@@ -45,7 +45,7 @@ from ..laser.odometry_calibration import (
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import ScanOdometry, blended
 from .config import LaserConfig
-from .segments import bridged, segment_findings
+from .segments import bridged, held_over, segment_findings
 from .session import LaserSession
 
 FEW = 10  # scans: a log of fewer makes no map that could contradict itself
@@ -341,7 +341,7 @@ def map_session(
     wheels = session.cfg.wheels
     disagreement = (
         *lag_found(lag, robot, session.cfg.lag),
-        *jumps(result.scans, log.scans, robot, session.cfg.jump),
+        *_placed_again(jumps(result.scans, log.scans, robot, session.cfg.jump), graph),
         *wheels_disagree(track, dead, robot, wheels, agreement.factor(motion)),
         *wheels_stand(track, dead, robot, wheels),
         *wheels_leap(log.scan_t, log.scans, robot, wheels, segments=graph is not None),
@@ -365,6 +365,17 @@ def map_session(
         "ms_per_scan": 1e3 * spent["estimate"] / len(log.scans),
     }
     return replace(result, timing=timing)
+
+
+def _placed_again(found: tuple[Finding, ...], graph: RobotGraph | None) -> tuple[Finding, ...]:
+    """A scene that changes at once is a note where it is the only one and places hold both sides of it."""
+    told = found[0].value if found else None
+    if graph is None or not isinstance(told, Mapping) or told["times"] != 1 or found[0].span is None:
+        return found
+    if not held_over(graph, found[0].span[0]):
+        return found
+    together = "places hold what came before and after together"
+    return (Finding("scene-change", found[0].robot, found[0].span, told, together),)
 
 
 def _little(log: LaserLog) -> tuple[Finding, ...]:

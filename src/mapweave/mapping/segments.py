@@ -32,6 +32,7 @@ WHY = {
     JUMP: "scans and wheels tell motions far apart",
     CONTRADICTED: "places before and after it contradict what its scans tell",
 }
+MANY, PATCHY = 20, 0.02  # keyframes, and cuts among them from which on a trajectory is a patchwork
 LONG = 3.0  # [m] of way from which on it matters that a piece shares no place with what came before
 
 
@@ -101,9 +102,22 @@ def pieces_of(graph: RobotGraph) -> list[Int[np.ndarray, " k"]]:
     return [np.flatnonzero(whose == p) for p in dict.fromkeys(whose.tolist())]
 
 
-def _pieces(graph: RobotGraph) -> tuple[list[int], Int[np.ndarray, " s"]]:
-    """The keyframes that segments but the first begin with, and which piece each of the s segments is of."""
-    cuts = [k for k, why in enumerate(graph.border) if why and k]
+def held_over(graph: RobotGraph, t: float) -> bool:
+    """Whether places hold what was driven before `t` [s] and what was driven from then on together."""
+    k = int(np.searchsorted(graph.t, t))
+    if not 0 < k < len(graph):
+        return True
+    cuts, piece = _pieces(graph, k)
+    at = cuts.index(k)
+    return bool(piece[at] == piece[at + 1])
+
+
+def _pieces(graph: RobotGraph, beside: int = 0) -> tuple[list[int], Int[np.ndarray, " s"]]:
+    """The keyframes that segments but the first begin with, and which piece each of the s segments is of.
+
+    beside: a keyframe that a segment is said to begin with, too.
+    """
+    cuts = [k for k, why in enumerate(graph.border) if k and (why or k == beside)]
     held = [c for c in graph.closures if c.accepted]
     segment = np.searchsorted(np.array(cuts, dtype=np.int64), np.arange(len(graph)), side="right")
     ends = np.array([(segment[c.first], segment[c.second]) for c in held], dtype=np.int64).reshape(-1, 2)
@@ -116,6 +130,8 @@ def segment_findings(graph: RobotGraph) -> tuple[Finding, ...]:
     """Where the trajectory was cut and why, and which pieces share no place with anything before them."""
     cuts, joined = _pieces(graph)
     found = []
+    if len(graph) >= MANY and len(cuts) > PATCHY * len(graph):
+        found.append(Finding("track-patchy", graph.robot, None, {"cuts": len(cuts), "keyframes": len(graph)}))
     for piece, k in enumerate(cuts, start=1):
         why, span = graph.border[k], (float(graph.t[k - 1]), float(graph.t[k]))
         if why == GAP:
