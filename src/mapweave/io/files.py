@@ -1,64 +1,50 @@
-"""Files as they come: a folder or a zip file as one thing, a text log plain or gzipped, one clear error for damage."""
+"""Files as they come: a folder or a zip file as one thing, a text log plain or packed, one clear error for damage."""
 
-import gzip
 import hashlib
-import lzma
-import struct
 import zipfile
-import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 from ..core.errors import ReaderError
+from .packed import DAMAGE, HIDDEN, LARGEST_RATIO, LARGEST_SMALL, unpacked
 
-_GZIP = b"\x1f\x8b"
-LARGEST_SMALL, LARGEST_RATIO = 1 << 26, 200  # [bytes] unpacked; bytes unpacked for one packed
 LONGEST = 1 << 20  # characters of a row whose every word counts; g2o's FIX of 100,000 vertices has fewer
+LOOKED_AT = 1 << 22  # characters at the beginning of a log that tell its format
+RECORDINGS = {b"#ROSBAG V": ".bag", b"\x89MCAP0\r\n": ".mcap", b"SQLite format 3\0": ".db3"}
+
+
+def recording_suffix(path: Path) -> str:
+    """`.bag`, `.mcap` or `.db3`, whichever recording the file at `path` begins as; empty for any other."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(max(map(len, RECORDINGS)))
+    except OSError:
+        return ""
+    return next((suffix for magic, suffix in RECORDINGS.items() if start.startswith(magic)), "")
 
 
 class TextLog:
-    """A text log held in memory; `truncated` says what was lost when a gzip stream ends too soon, else it is empty."""
+    """A text log held in memory; `truncated` says what was lost where a packed one ends too soon, else it is empty."""
 
     def __init__(self, path: Path) -> None:
-        """Raises ReaderError when the file cannot be opened or is no text."""
-        self.path, self.truncated = path, ""
+        """Raises ReaderError when the file cannot be opened or unpacked, or is no text."""
+        self.path = path
         try:
             raw = path.read_bytes()
         except OSError as error:
             raise ReaderError(path, f"cannot be read: {error.strerror}") from None
         self.log_hash = hashlib.sha256(raw).hexdigest()
         try:
-            data = self._unpacked(raw) if raw[:2] == _GZIP else raw
+            data, self.truncated = unpacked(path, raw)
             if b"\0" in data[:4096]:
                 raise ReaderError(path, "expected a text log, found binary data")
-            self.text = data.decode("utf-8", errors="replace")
+            self.text = data.decode("utf-8-sig", errors="replace")
         except MemoryError:
             raise ReaderError(path, f"{len(raw)} bytes hold more text than there is memory for") from None
         self.complete = self.text.endswith("\n")
-
-    def _unpacked(self, raw: bytes) -> bytes | bytearray:
-        engine, out, size = zlib.decompressobj(wbits=31), bytearray(), len(raw)
-        most = max(LARGEST_SMALL, LARGEST_RATIO * size)
-        try:
-            while raw:
-                out += engine.decompress(raw, most - len(out) + 1)
-                if len(out) > most:
-                    raise ReaderError(self.path, f"{size} bytes unpack to over {most}: no log is packed so well")
-                if not engine.eof:
-                    self.truncated = f"the gzip stream ends too soon, after {len(out)} bytes of text"
-                    break
-                raw = engine.unused_data
-                if raw[:2] != _GZIP:
-                    break
-                engine = zlib.decompressobj(wbits=31)
-        except zlib.error:
-            # One damaged byte spoils the rest of a block: read on in small steps to keep what stands before it.
-            out.clear()  # room for the second try
-            out = _as_far_as_possible(self.path, most)
-            self.truncated = f"the gzip stream is damaged after {len(out)} bytes of text"
-        return out
 
     def lines(self) -> Iterator[tuple[int, str]]:
         """Line numbers from 1 and lines without their ends; raises ReaderError for one too long to cut into words."""
@@ -68,29 +54,10 @@ class TextLog:
                 raise ReaderError(self.path, problem, number)
             yield number, line
 
-    def head(self, n: int = 60) -> list[list[str]]:
-        """The words of the first `n` lines that are not blank and no comments."""
-        words = (line.split() for line in self.text[:400_000].splitlines())
-        return [w for w in words if w and not w[0].startswith("#")][:n]
-
-
-def _as_far_as_possible(path: Path, most: int) -> bytearray:
-    out = bytearray()
-    try:
-        with gzip.open(path) as stream:
-            while len(out) < most and (piece := stream.read(256)):
-                out += piece
-    except (OSError, EOFError, zlib.error):
-        pass
-    return out
-
-
-# What a damaged zip file makes the library say: NotImplementedError is a flipped compression method, and so on.
-DAMAGE = (
-    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, ValueError, KeyError),
-    *(NotImplementedError, RuntimeError, OverflowError, struct.error),
-)
-HIDDEN = ("__MACOSX", ".")
+    def head(self, n: int = 60, passed: Collection[str] = ()) -> list[list[str]]:
+        """The words of the first `n` lines that are not blank, no comments, and begin with none of `passed`."""
+        words = (line.split() for line in self.text[:LOOKED_AT].splitlines())
+        return list(islice((w for w in words if w and w[0] not in passed and not w[0].startswith("#")), n))
 
 
 @dataclass(frozen=True, slots=True)
