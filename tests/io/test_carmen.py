@@ -171,6 +171,21 @@ def test_a_log_without_scans_and_a_file_that_is_no_log_are_told(tmp_path):
         read_laser(tmp_path / "absent.log")
 
 
+def test_rows_of_other_kinds_ahead_of_the_first_scan_may_be_as_many_as_they_like(tmp_path):
+    header = ["## made by", *(f"PARAM name_{k} {k} 1 host 1" for k in range(500)), "SYNC begin", "NEFF 30"]
+    log = read_laser(written(tmp_path, *header, flaser(5.0, WALL), "NEFF 20"))
+    assert len(log.scans) == 1
+    assert {u.type: u.messages for u in log.unused} == {"PARAM": 500, "SYNC": 1, "NEFF": 2}
+
+
+@pytest.mark.data
+def test_a_log_behind_a_long_header_is_read_whole(data):
+    log = read_laser(data / "carmen" / "freiburg-campus-corrected.log.gz")
+    assert len(log.scans) == 2008
+    assert {len(scan.ranges) for scan in log.scans} == {360}
+    assert {u.type: u.messages for u in log.unused} == {"PARAM": 245, "NEFF": 2008}
+
+
 def room(turn, n=181):
     """Ranges from the middle of an oblong room with one wall nearer, the robot turned by `turn`."""
     a = turn + np.linspace(-np.pi / 2, np.pi / 2, n)

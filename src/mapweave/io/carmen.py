@@ -15,13 +15,19 @@ from .assemble import UNSOUND, RawLog, RawScan, is_sound, median_pose
 from .files import TextLog
 
 KEYWORDS = ("FLASER", "RLASER", "ROBOTLASER1", "ROBOTLASER2", "ODOM")
+OTHER = (  # what robots of this kind write beside, in any number before the first scan
+    *("PARAM", "SYNC", "NEFF", "TRUEPOS", "MARKER", "MESSAGE_NAME", "BUMPER", "SONAR", "IMU", "NMEAGGA", "NMEARMC"),
+    *(f"RAWLASER{k}" for k in range(1, 6)),
+    *("LASER3", "LASER4", "LASER5", "ROBOTLASER3", "ROBOTLASER4", "ROBOTLASER5", "REMISSIONFLASER", "REMISSIONRLASER"),
+    *("PANTILT", "SCANMARK", "POSITIONLASER", "LASERGLASS"),
+)
 LARGEST_COUNT = 1e9  # of beams: a row says less
 NO_RETURN = 81.0  # [m]: what SICK scanners say when nothing comes back is 81.83 or 81.91
 WRONG_OFFSET = 0.05  # [m or rad]: a sensor whose place on the robot varies more has been corrected by another program
 
 
 def is_carmen(log: TextLog) -> bool:
-    return any(words[0] in KEYWORDS for words in log.head())
+    return any(words[0] in KEYWORDS for words in log.head(passed=OTHER))
 
 
 def read_carmen(
@@ -62,7 +68,7 @@ def read_carmen(
     raw.unused = [
         Unused(raw.source, kind, kind, n, "rows of no kind that is read") for kind, n in sorted(other.items())
     ]
-    _place_sensors(raw, kinds)
+    place_sensors(raw, kinds)
     _find_no_return(raw)
     return raw.finish(mirrored=mirrored, sensor_pose=sensor_pose)
 
@@ -113,7 +119,7 @@ def _flaser(words: list[str]) -> RawScan:
         increment,
         0.0,
         NO_RETURN,
-        _sensor_pose(numbers),
+        sensor_place(numbers[3:6], numbers[0:3]),
         tail[7] if len(tail) > 7 else "",
         numbers[3:6],
     )
@@ -141,19 +147,19 @@ def _robotlaser(words: list[str]) -> RawScan:
         float(step),
         0.0,
         float(far) if far > 0 else NO_RETURN,
-        _sensor_pose(numbers),
+        sensor_place(numbers[3:6], numbers[0:3]),
         tail[12] if len(tail) > 12 else "",
         numbers[3:6],
     )
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def _sensor_pose(numbers: np.ndarray) -> np.ndarray:
-    """`T_robot_sensor` of laser and robot pose, NaN where they are not finite."""
-    return np.asarray(se2.between(numbers[3:6], numbers[0:3]))
+def sensor_place(robot: np.ndarray, laser: np.ndarray) -> np.ndarray:
+    """`T_robot_sensor` of robot and laser pose, NaN where they are not finite."""
+    return np.asarray(se2.between(robot, laser))
 
 
-def _place_sensors(raw: RawLog, kinds: list[str]) -> None:
+def place_sensors(raw: RawLog, kinds: list[str]) -> None:
     """Gives all scans of one kind one sensor pose."""
     for kind in sorted(set(kinds)):
         mine = [k for k, other in enumerate(kinds) if other == kind]
@@ -162,7 +168,7 @@ def _place_sensors(raw: RawLog, kinds: list[str]) -> None:
             raw.find("sensor-unplaced", f"{kind}: the laser pose moves against the robot pose by {spread:.2f}")
             pose = np.zeros(3)
         for k in mine:
-            raw.scans[k] = replace(raw.scans[k], T_robot_sensor=np.round(pose, 6))
+            raw.scans[k] = replace(raw.scans[k], T_robot_sensor=np.round(pose, 6) + 0.0)
 
 
 def _find_no_return(raw: RawLog) -> None:

@@ -8,9 +8,16 @@ from ..core.laser_log import LaserLog
 from .carmen import is_carmen, read_carmen
 from .files import TextLog
 from .stampless import is_stampless, read_stampless
+from .wean import is_wean, read_wean
 from .wheel_ticks import is_wheel_ticks, read_wheel_ticks
 
 BAGS = (".bag", ".db3", ".mcap")
+TEXTS = (  # asked in this order
+    (is_carmen, read_carmen),
+    (is_stampless, read_stampless),
+    (is_wean, read_wean),
+    (is_wheel_ticks, read_wheel_ticks),
+)
 
 
 @config
@@ -34,7 +41,7 @@ def is_laser_log(path: Path) -> bool:
         log = TextLog(path)
     except ReaderError:
         return False
-    return is_carmen(log) or is_stampless(log) or is_wheel_ticks(log)
+    return any(is_it(log) for is_it, _ in TEXTS)
 
 
 def is_bag(path: Path) -> bool:
@@ -74,12 +81,9 @@ def read_laser(path: Path, robot: str = "1", source: LaserSource | None = None) 
             mirrored=source.mirrored,
         )
     log = TextLog(path)
-    if is_carmen(log):
-        return read_carmen(log, robot, sensor_pose=source.sensor_pose, mirrored=source.mirrored)
-    if is_stampless(log):
-        return read_stampless(log, robot, sensor_pose=source.sensor_pose, mirrored=source.mirrored)
-    if is_wheel_ticks(log):
-        return read_wheel_ticks(log, robot, sensor_pose=source.sensor_pose, mirrored=source.mirrored)
+    for is_it, read in TEXTS:
+        if is_it(log):
+            return read(log, robot, sensor_pose=source.sensor_pose, mirrored=source.mirrored)
     raise ReaderError(
         path,
         "not a laser log: expected a ROS bag (.bag, .db3, .mcap), a CARMEN log (FLASER, RLASER, ROBOTLASER1, ODOM), "
