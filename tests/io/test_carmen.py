@@ -165,7 +165,7 @@ def test_a_log_without_scans_and_a_file_that_is_no_log_are_told(tmp_path):
     other = tmp_path / "notes.txt"
     other.write_text("hello\nworld\n")
     assert not is_laser_log(other)
-    with pytest.raises(ReaderError, match="not a laser log"):
+    with pytest.raises(ReaderError, match="expected a log of a known format, found text that begins 'hello' / 'world'"):
         read_laser(other)
     with pytest.raises(ReaderError, match="no such file"):
         read_laser(tmp_path / "absent.log")

@@ -1,10 +1,12 @@
 """ROS 1 and ROS 2 recordings: what is found in them, and what is said when something is not."""
 
+import gzip
+
 import numpy as np
 import pytest
 
 from mapweave.core.errors import ReaderError
-from mapweave.io.laser_logs import LaserSource, is_laser_log, read_laser
+from mapweave.io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
 
 from .ros_logs import N, Recording, usual, wall
 
@@ -174,10 +176,54 @@ def test_a_recording_cut_short_gives_what_was_readable_and_reports_the_loss(tmp_
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_a_file_that_is_no_recording_is_told(tmp_path, name):
+def test_a_file_that_is_no_recording_is_told_whatever_its_name_says(tmp_path, name):
     path = tmp_path / name
     path.write_bytes(b"nothing like it" * 40)
-    with pytest.raises(ReaderError, match="not a readable ROS recording"):
+    assert not is_laser_log(path)
+    with pytest.raises(ReaderError, match="found text that begins 'nothing like it"):
+        read_laser(path)
+    path.write_bytes(bytes(range(256)) * 40)
+    with pytest.raises(ReaderError, match=r"found binary data that begins 00 01 02 .*; a ROS recording begins with"):
+        read_laser(path)
+
+
+@pytest.mark.parametrize("head", [b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n", b"SQLite format 3\0"])
+def test_what_begins_as_a_recording_and_is_none_is_told(tmp_path, head):
+    path = tmp_path / "a.log"
+    path.write_bytes(head + b"nothing like it" * 40)
+    with pytest.raises(ReaderError, match=r"a\.log: not a readable ROS recording"):
+        read_laser(path)
+
+
+@pytest.mark.parametrize("given", FORMATS)
+@pytest.mark.parametrize("name", ["a.log", "a", "b.bag", "b.mcap"])
+def test_a_recording_opens_as_what_it_is_whatever_it_is_called(tmp_path, given, name):
+    whole = usual(tmp_path / given).write()
+    path = tmp_path / "other" / name
+    path.parent.mkdir()
+    path.write_bytes(whole.read_bytes())
+    assert is_laser_log(path)
+    assert robots_of(path, LaserSource()) == robots_of(whole, LaserSource())
+    a, b = read_laser(path), read_laser(whole)
+    assert len(a.scans) == 30
+    assert a.scan_hash() == b.scan_hash()
+    assert [p.name for p in path.parent.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("given", FORMATS)
+def test_a_recording_cut_short_is_salvaged_whatever_it_is_called(tmp_path, given):
+    whole = usual(tmp_path / given, 300).write().read_bytes()
+    path = tmp_path / "cut.log"
+    path.write_bytes(whole[: int(0.6 * len(whole))])
+    log = read_laser(path)
+    assert 0.3 * 300 < len(log.scans) < 0.8 * 300
+    assert any("cut.log: cut short or damaged" in w for w in log.warnings)
+
+
+def test_a_compressed_recording_is_told_to_be_unpacked(tmp_path):
+    path = tmp_path / "a.db3.gz"
+    path.write_bytes(gzip.compress(usual(tmp_path / "a.db3").write().read_bytes()))
+    with pytest.raises(ReaderError, match="a ROS recording, compressed as a whole: unpack it first"):
         read_laser(path)
 
 

@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, cast, runtime_checkable
 
-from ..core.errors import ReaderError, UsageError, VerdictError
+from ..core.errors import UsageError, VerdictError
 from ..core.findings import verdict_line
 from ..core.laser_log import LaserLog
 from ..core.paths import kind_of, path_arguments, path_of
@@ -16,6 +16,7 @@ from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.directory import check_target, result_directory
 from ..io.kept import kept_parts
 from ..io.table import Columns, columns_of
+from ..io.unknown import not_known
 from ..report.html import list_files
 from .cluster import cluster_executor
 from .in_memory import Truths, truth_files
@@ -289,9 +290,8 @@ def _mapper(logs: Sequence[Path]) -> Mapper:
         if all(fits):
             return mapper
         if any(fits):
-            other = logs[fits.index(False)]
-            raise ReaderError(other, f"expected the same kind of log as {logs[fits.index(True)]}, found another")
-    raise ReaderError(logs[0], "expected an MRCLAM data set, CSV logs or a laser log, found nothing that is known")
+            raise not_known(logs[fits.index(False)])
+    raise not_known(logs[0])
 
 
 def _start(robot: str, numbers: Sequence[float]) -> tuple[float, float, float]:

@@ -61,7 +61,7 @@ class LandmarkMapConfig:
 
 def applies(log: Path) -> bool:
     """Folders and zip files with `Barcodes.dat`, `RobotN_*.dat` or CSV sightings."""
-    return (log.is_dir() or log.suffix.lower() == ".zip") and is_landmark_log(log)
+    return is_landmark_log(log)
 
 
 def map_logs(logs: Sequence[Path], options: MapOptions) -> TeamResult:

@@ -1,8 +1,11 @@
 """ROS 1 and ROS 2 recordings as one thing: topics, and their messages in time order."""
 
 import hashlib
+import shutil
+import tempfile
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
@@ -13,6 +16,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ..core.errors import ReaderError
+from .files import recording_suffix
 from .salvage import DAMAGE, Salvage, check_chunks, salvage
 
 Stamped = tuple[str, int, Any]  # topic, recording time [ns], message
@@ -86,7 +90,7 @@ class Bag:
         if self._salvaged is not None:
             yield from _unpacked(self, self._salvaged, topics)
             return
-        with AnyReader([self.path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        with _reader(self.path) as reader:
             wanted = [c for c in reader.connections if c.topic in topics]
             for connection, ns, data in reader.messages(connections=wanted) if wanted else ():
                 yield connection.topic, ns, partial(reader.deserialize, data, connection.msgtype)
@@ -101,7 +105,7 @@ def open_bag(path: Path, kinds_read: Collection[str]) -> Bag:
     for part in [path] if path.is_file() else sorted(p for p in path.iterdir() if p.suffix in SUFFIXES):
         check_chunks(part)
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        with _reader(path) as reader:
             kinds = _named({c.topic: c.msgtype for c in reader.connections})
             counts: Counter[str] = Counter()
             for c in reader.connections:
@@ -117,6 +121,22 @@ def open_bag(path: Path, kinds_read: Collection[str]) -> Bag:
         counts = Counter(topic for topic, _, _ in salvaged.messages)
         return Bag(path, _named(salvaged.kinds), dict(counts), lost, _salvaged=salvaged)
     return Bag(path, kinds, dict(counts), "")
+
+
+@contextmanager
+def _reader(path: Path) -> Iterator[AnyReader]:
+    """Reads the recording at `path`, whose format is that of its content whatever it is called."""
+    suffix = recording_suffix(path) if path.is_file() else path.suffix
+    with tempfile.TemporaryDirectory() as folder:
+        called = path
+        if suffix and suffix != path.suffix:  # AnyReader goes by the suffix
+            called = Path(folder) / f"recording{suffix}"
+            try:
+                called.symlink_to(path.resolve())
+            except OSError:  # where links need a privilege
+                shutil.copyfile(path, called)
+        with AnyReader([called], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            yield reader
 
 
 def _named(kinds: Mapping[Any, Any]) -> dict[str, str]:
@@ -151,7 +171,7 @@ def _single(path: Path) -> Path:
 
 
 def _unpacked(bag: Bag, salvaged: Salvage, topics: Collection[str]) -> Iterator[tuple[str, int, Callable[[], Any]]]:
-    ros1 = bag.path.suffix == ".bag"
+    ros1 = recording_suffix(bag.path) == ".bag"
     store = get_typestore(Stores.EMPTY if ros1 else Stores.ROS2_HUMBLE)
     for kind, text in salvaged.definitions.items():
         try:

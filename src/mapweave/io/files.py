@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 
 from ..core.errors import ReaderError
-from .packed import DAMAGE, HIDDEN, LARGEST_RATIO, LARGEST_SMALL, unpacked
+from .packed import DAMAGE, HIDDEN, LARGEST_RATIO, LARGEST_SMALL, first_name, unpacked
 
 LONGEST = 1 << 20  # characters of a row whose every word counts; g2o's FIX of 100,000 vertices has fewer
 LOOKED_AT = 1 << 22  # characters at the beginning of a log that tell its format
@@ -23,6 +23,20 @@ def recording_suffix(path: Path) -> str:
             start = file.read(max(map(len, RECORDINGS)))
     except OSError:
         return ""
+    return recording_of(start)
+
+
+def zip_begins_with(path: Path) -> str | None:
+    """The name of the first file in the zip file at `path`; None for what is no zip file, whatever it is called."""
+    try:
+        with path.open("rb") as file:
+            return first_name(file.read(1 << 12))
+    except OSError:
+        return None
+
+
+def recording_of(start: bytes) -> str:
+    """As `recording_suffix`, of the first bytes of a file."""
     return next((suffix for magic, suffix in RECORDINGS.items() if start.startswith(magic)), "")
 
 

@@ -15,7 +15,7 @@ from ..core import landmark_log
 from ..core.errors import DataError, ReaderError
 from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from ..core.names import robot_key
-from .files import Files, open_files
+from .files import Files, open_files, zip_begins_with
 from .mrclam import is_mrclam, read_mrclam
 from .table import Columns, Table, csv_rows, is_name, lines, table_of
 
@@ -216,9 +216,20 @@ def _whole(word: str) -> int:
 
 
 def is_landmark_log(path: Path) -> bool:
-    """Whether `path` is a folder or zip that looks like landmark logs; raises ReaderError when it is damaged."""
-    with open_files(path) as files:
-        return is_csv(files) or is_mrclam(files)
+    """Whether `path` is a folder or zip file that looks like landmark logs; raises ReaderError for a damaged one.
+
+    A zip file whose list of contents is lost is one when its first file has such a name.
+    """
+    first = None if path.is_dir() else zip_begins_with(path)
+    if not path.is_dir() and first is None:
+        return False
+    try:
+        with open_files(path) as files:
+            return is_csv(files) or is_mrclam(files)
+    except ReaderError:
+        if first is not None and not first.lower().endswith((".dat", ".csv")):
+            return False
+        raise
 
 
 def read_landmark_logs(path: Path, robots: Sequence[int] | None = None) -> tuple[LandmarkLog, ...]:

@@ -6,8 +6,9 @@ from ..core.config import config
 from ..core.errors import ReaderError
 from ..core.laser_log import LaserLog
 from .carmen import is_carmen, read_carmen
-from .files import TextLog
+from .files import TextLog, recording_suffix
 from .stampless import is_stampless, read_stampless
+from .unknown import not_known
 from .wean import is_wean, read_wean
 from .wheel_ticks import is_wheel_ticks, read_wheel_ticks
 
@@ -45,9 +46,10 @@ def is_laser_log(path: Path) -> bool:
 
 
 def is_bag(path: Path) -> bool:
+    """Whether `path` is a recording: a file that begins as one, whatever it is called, or a ROS 2 folder."""
     if path.is_dir():
         return (path / "metadata.yaml").is_file() or any(p.suffix in BAGS[1:] for p in path.iterdir())
-    return path.suffix in BAGS
+    return bool(recording_suffix(path))
 
 
 def robots_of(path: Path, source: LaserSource) -> tuple[str | None, ...]:
@@ -80,12 +82,11 @@ def read_laser(path: Path, robot: str = "1", source: LaserSource | None = None) 
             sensor_pose=source.sensor_pose,
             mirrored=source.mirrored,
         )
-    log = TextLog(path)
+    try:
+        log = TextLog(path)
+    except ReaderError:
+        raise not_known(path) from None
     for is_it, read in TEXTS:
         if is_it(log):
             return read(log, robot, sensor_pose=source.sensor_pose, mirrored=source.mirrored)
-    raise ReaderError(
-        path,
-        "not a laser log: expected a ROS bag (.bag, .db3, .mcap), a CARMEN log (FLASER, RLASER, ROBOTLASER1, ODOM), "
-        "'Odometry'/'Laser' rows, or URG-04LX rows with wheel ticks",
-    )
+    raise not_known(path)

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.errors import DataError, ReaderError
+from ..core.errors import DataError
 from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from ..core.names import in_order
 from .landmark_logs import ODOMETRY, SIGHTINGS, columns_of, is_landmark_log, read_landmark_logs, read_tables
 from .laser_logs import BAGS, LaserSource, is_laser_log, robots_of
+from .unknown import not_known
 
 IN_NAME = re.compile(r"robot[_-]?([0-9]+)", re.IGNORECASE)
 
@@ -49,8 +50,7 @@ def sorted_logs(paths: Sequence[Path], source: LaserSource) -> MixedLogs:
     for path in _opened(paths):
         kind = _kind(path)
         if not kind:
-            expected = "an MRCLAM data set, CSV logs, a table of sightings or commands, or a laser log"
-            raise ReaderError(path, f"expected {expected}, found nothing that is known")
+            raise not_known(path)
         by_kind[kind].append(path)
     lasers: dict[str, LaserOf] = {}
     nameless: list[LaserOf] = []
@@ -151,8 +151,8 @@ def _opened(paths: Sequence[Path]) -> list[Path]:
 
 
 def _kind(path: Path) -> str:
-    if path.is_file() and path.suffix.lower() == ".csv":
-        return columns_of(path)
-    if (path.is_dir() or path.suffix.lower() == ".zip") and is_landmark_log(path):
+    if path.is_file() and path.suffix.lower() == ".csv" and (kind := columns_of(path)):
+        return kind
+    if is_landmark_log(path):
         return "landmarks"
     return "laser" if is_laser_log(path) else ""

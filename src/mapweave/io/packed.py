@@ -70,6 +70,14 @@ def unpacked(path: Path, raw: bytes) -> Unpacked:
     return Unpacked(raw, "")
 
 
+def first_name(raw: bytes) -> str | None:
+    """The name of the first file in a zip file of which `raw` is the beginning; None where it is none."""
+    if not raw.startswith((ZIP, EMPTY_ZIP)):
+        return None
+    size = int.from_bytes(raw[26:28], "little") if raw.startswith(ZIP) else 0
+    return raw[30 : 30 + size].decode(errors="replace")
+
+
 def _told(path: Path, what: str, data: bytearray, end: str) -> Unpacked:
     if end and not data:
         raise ReaderError(path, f"{what} {end.format(size=0)}: nothing of it can be read")

@@ -20,6 +20,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import TypesysError
 
 from ..core.errors import ReaderError
+from .files import recording_suffix
 
 try:
     from compression import zstd
@@ -50,14 +51,15 @@ class Salvage:
 
 def salvage(path: Path) -> Salvage:
     """All whole messages of `path` (.mcap, .bag or .db3) before the damage; none where even the head is gone."""
-    if path.suffix == ".db3":
+    suffix = recording_suffix(path)
+    if suffix == ".db3":
         return _sqlite(path)
     data = path.read_bytes()
     out = Salvage()
     try:
-        if path.suffix == ".mcap" and data.startswith(MCAP_MAGIC):
+        if suffix == ".mcap":
             _mcap(data, len(MCAP_MAGIC), out, {}, {})
-        elif path.suffix == ".bag" and data.startswith(BAG_MAGIC):
+        elif data.startswith(BAG_MAGIC):
             _bag(data, len(BAG_MAGIC), out, {})
     except DAMAGE:  # what was found before it stays
         pass

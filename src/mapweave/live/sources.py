@@ -13,6 +13,7 @@ from ..core.names import in_order, robot_key, robot_name
 from ..io.landmark_logs import is_landmark_log, read_landmark_logs
 from ..io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
 from ..io.mrclam import write_mrclam
+from ..io.unknown import not_known
 from ..sim.landmarks import TeamWorld, simulate_team
 from ..sim.laser import drive
 from ..sim.office import OfficeConfig, office_route, office_world
@@ -44,11 +45,11 @@ def open_source(source: str, name: str, robot: str | None, seed: int = 0) -> Lan
         raise UsageError(f"--source {source}: expected {LANDMARKS} or {OFFICE}")
     if not path.exists():
         raise UsageError(f"--source {source}: no such file or folder")
-    if (path.is_dir() or path.suffix.lower() == ".zip") and is_landmark_log(path):
+    if is_landmark_log(path):
         return _chosen(list(read_landmark_logs(path)), key, name, source, asked=robot is not None)
     if is_laser_log(path):
         return _laser(path, key, name, asked=robot is not None)
-    raise UsageError(f"--source {source}: expected an MRCLAM data set, CSV logs or a laser log")
+    raise UsageError(f"--source {not_known(path)}")
 
 
 def messages(log: LandmarkLog | LaserLog, robot: str, run: str, period: float) -> Iterator[tuple[float, Numbered]]:
