@@ -289,7 +289,7 @@ def test_a_text_that_memory_does_not_hold_is_refused_with_its_size(tmp_path, mon
     def none_left(*_):
         raise MemoryError
 
-    monkeypatch.setattr("mapweave.io.files.TextLog._unpacked", none_left)
+    monkeypatch.setattr("mapweave.io.files.unpacked", none_left)
     (tmp_path / "log.gz").write_bytes(gzip.compress(b"FLASER 0\n"))
     with pytest.raises(ReaderError, match=r"log\.gz: \d+ bytes hold more text than there is memory for"):
         read_laser(tmp_path / "log.gz", "1")

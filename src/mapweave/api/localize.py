@@ -34,6 +34,7 @@ from ..report.result import ResultBase, Rows
 from ..report.style import Target
 from .in_memory import Truth, result_folder, truth_files
 from .laser_result import LaserResult
+from .map_laser import source_of
 from .map_options import LaserOptions
 
 NEAR, NEAR_ANGLE = 0.5, np.radians(10.0)  # a start that errs by less than this, once found, was right
@@ -208,12 +209,7 @@ def localize(
     true = None if truth is None else _true_track(truth)
     asked = laser or LaserOptions()
     grid, calibration, feature = _read_map(map)
-    source = LaserSource(
-        scan_topic=asked.scan_topic,
-        odom_topic=asked.odom_topic,
-        sensor_pose=asked.sensor_pose,
-        mirrored=asked.mirrored,
-    )
+    source = source_of(asked)
     settings = load(
         LocalizeJobConfig, None if config is None else Path(config), {"laser": {"particles": asked.particles}}
     )

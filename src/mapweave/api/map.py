@@ -220,6 +220,9 @@ def _of_logs(logs: Sequence[Path | str | LaserLog], options: MapOptions) -> MapR
             raise UsageError("expected files or logs in memory, found both")
         return _laser(ready, options)
     paths = [path_of(log, "logs", "paths or LaserLogs") for log in logs]
+    if options.laser.columns is not None and paths:
+        expect_there(paths)
+        return _laser(paths, options)
     if _is_mixed(paths):
         from .map_mixed import map_logs  # noqa: PLC0415  (each kind of log imports what it needs)
 
@@ -261,7 +264,7 @@ def _in_memory(scans: object, odometry: object, sightings: object, options: MapO
     drives = list(odometry) if isinstance(odometry, list | tuple) else [odometry] * min(1, len(each))
     if len(drives) != len(each):
         raise UsageError(f"expected as many tables of odometry as of scans, found {len(drives)} and {len(each)}")
-    source = source_of(options)
+    source = source_of(options.laser)
     names = [str(k) for k in range(1, len(each) + 1)]
     tables = [None if drive is None else columns_of(drive, "odometry") for drive in drives]
     given_logs = zip(each, tables, names, strict=True)
@@ -274,7 +277,7 @@ def _scans(given: object) -> Mapping[str, Any]:
     raise UsageError(f"scans: expected columns by name, or a list of such, found {kind_of(given)}")
 
 
-def _laser(logs: Sequence[LaserLog], options: MapOptions) -> MapResult:
+def _laser(logs: Sequence[Path | LaserLog], options: MapOptions) -> MapResult:
     from .map_laser import map_logs  # noqa: PLC0415
 
     return map_logs(logs, options)

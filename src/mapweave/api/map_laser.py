@@ -24,7 +24,7 @@ from ..laser.laser_map import LaserMap
 from ..mapping.config import LaserConfig
 from ..mapping.laser_mapping import map_laser
 from .laser_result import LaserResult, laser_metrics, scored, woven_result
-from .map_options import MapOptions
+from .map_options import LaserOptions, MapOptions
 
 Job = tuple[Path | LaserLog, str, LaserSource, LaserConfig, int, float]
 
@@ -107,7 +107,7 @@ def _robots(
     logs: Sequence[Path | LaserLog], options: MapOptions, there: Sequence[str]
 ) -> dict[str, tuple[Path | LaserLog, LaserSource]]:
     """Key of each robot asked for -> its log and where in it; numbers follow those that are `there`."""
-    source = source_of(options)
+    source = source_of(options.laser)
     robots = [(log, replace(source, name=name)) for log in logs for name in _names(log, source)]
     held = dict(zip(next_robots(there, len(robots)), robots, strict=True))
     wanted = list(held) if options.robots is None else list(options.robots)
@@ -120,14 +120,14 @@ def _names(log: Path | LaserLog, source: LaserSource) -> tuple[str | None, ...]:
     return (None,) if isinstance(log, LaserLog) else tuple(robots_of(log, source))
 
 
-def source_of(options: MapOptions) -> LaserSource:
-    """Which topics are read and where the scanner stands, as asked."""
-    asked = options.laser
+def source_of(asked: LaserOptions) -> LaserSource:
+    """Which topics or columns are read and where the scanner stands, as asked."""
     return LaserSource(
         scan_topic=asked.scan_topic,
         odom_topic=asked.odom_topic,
         sensor_pose=asked.sensor_pose,
         mirrored=asked.mirrored,
+        table=asked.table(),
     )
 
 

@@ -143,7 +143,7 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     """One map of all robots in `logs`."""
     cfg = _configured(options)
     watch = Watch()
-    by_kind = sorted_logs(logs, source_of(options))
+    by_kind = sorted_logs(logs, source_of(options.laser))
     read = read_mixed_landmarks(by_kind)
     read, by_kind = _wanted(read, by_kind, options)
     known, places = known_calibration(read, options), _places(read, cfg, options)

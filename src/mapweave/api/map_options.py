@@ -5,10 +5,14 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..core.errors import ConfigError, ReaderError, UsageError
 from ..core.names import robot_key
 from ..core.workers import Progress, no_progress
+
+if TYPE_CHECKING:
+    from ..io.scan_table import ScanTable
 
 WEIGHTS = ("constant", "paper", "diagonal", "full", "full-scaled", "naive")
 LANDMARK_METHODS, LASER_METHODS = ("ekf",), ("particle", "graph", "gated", "icp")
@@ -20,7 +24,8 @@ class LaserOptions:
 
     resample: the share of the particles `N_eff` may fall to; sensor_pose: `T_robot_sensor` [m, m, rad]; mirrored: beam
     angles run clockwise; no_loops: the graph method looks for no old places; no_merge: and every robot's map stays
-    alone; resume: a finished result that the logs go on from.
+    alone; resume: a finished result that the logs go on from; columns: of text logs that are tables, a scan a row, as
+    `t,x,y,theta,ranges`, and beams: the angles of their first beam and from beam to beam [rad].
     """
 
     particles: int | None = None
@@ -34,6 +39,19 @@ class LaserOptions:
     no_loops: bool = False
     no_merge: bool = False
     resume: Path | None = None
+    columns: str | None = None
+    beams: tuple[float, float] | None = None
+
+    def table(self) -> "ScanTable | None":
+        """How rows of a table are read; raises UsageError for columns or beams that cannot be."""
+        if self.columns is None and self.beams is None:
+            return None
+        if self.columns is None or self.beams is None:
+            missing = "--beams FIRST,STEP" if self.beams is None else "--columns"
+            raise UsageError(f"--columns and --beams: expected both, found no {missing}")
+        from ..io.scan_table import scan_table  # noqa: PLC0415  (only who asks for it waits for numpy)
+
+        return scan_table(self.columns, self.beams)
 
     def given(self) -> list[str]:
         """The options that were given, as the command line spells them."""
@@ -71,6 +89,7 @@ class MapOptions:
     def check(self) -> None:
         """Raises UsageError naming the option that cannot be, ReaderError naming the file that is not there."""
         self._check_names()
+        self.laser.table()
         if self.seed < 0:
             raise UsageError(f"--seed must be 0 or more, found {self.seed}")
         if self.jobs < 1:

@@ -23,6 +23,8 @@ def localize(
     odom_topic: str | None = None,
     sensor_pose: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     mirrored: Flag = False,
+    columns: str | None = None,
+    beams: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     seed: int = 0,
     force: Flag = False,
 ) -> None:
@@ -54,6 +56,10 @@ def localize(
         The pose of the scanner on the robot, as x,y,theta, if the log does not have it.
     mirrored
         The beams of the log run clockwise.
+    columns
+        How a text log that is a table is read, as for map.
+    beams
+        The angle of its first beam and from beam to beam, as for map.
     seed
         The same seed gives the same result.
     force
@@ -61,7 +67,7 @@ def localize(
     """
     from ..api.localize import localize as run
     from ..api.map_options import LaserOptions
-    from .terminal import numbers, progress, say
+    from .terminal import degrees, numbers, progress, say
 
     place = None
     if sensor_pose is not None:
@@ -74,6 +80,8 @@ def localize(
         odom_topic=odom_topic,
         sensor_pose=place,
         mirrored=mirrored,
+        columns=columns,
+        beams=None if beams is None else degrees(beams, "--beams"),
     )
     first = None if start is None else numbers(start, 3, "--start")
     with progress() as on_progress:

@@ -33,6 +33,11 @@ class Laser:
         The pose of the scanner on the robot, as x,y,theta in metres and radians, if the log does not have it.
     mirrored
         The beams of the log run clockwise.
+    columns
+        How text logs that are tables are read, a scan a row: t,x,y,theta,ranges in seconds, metres and radians. Also
+        ranges:N, intensities:N, and - or -:N for columns that are not used. With --beams.
+    beams
+        The angle of the first beam and from beam to beam, as FIRST,STEP in degrees counter-clockwise from ahead.
     loops
         Close loops (--method graph); --no-loops leaves them open.
     merge
@@ -49,6 +54,8 @@ class Laser:
     odom_topic: str | None = None
     sensor_pose: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     mirrored: Annotated[bool, Parameter(negative="")] = False
+    columns: str | None = None
+    beams: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     loops: bool = True
     merge: bool = True
     resume: Path | None = None
@@ -185,7 +192,7 @@ def map_logs(
 
 def _laser(given: Laser | None) -> "LaserOptions":
     from ..api.map_options import LaserOptions
-    from .terminal import numbers
+    from .terminal import degrees, numbers
 
     asked = given or Laser()
     place = None
@@ -204,4 +211,6 @@ def _laser(given: Laser | None) -> "LaserOptions":
         no_loops=not asked.loops,
         no_merge=not asked.merge,
         resume=asked.resume,
+        columns=asked.columns,
+        beams=None if asked.beams is None else degrees(asked.beams, "--beams"),
     )

@@ -61,6 +61,12 @@ def numbers(text: str, count: int, option: str) -> tuple[float, ...]:
     return values
 
 
+def degrees(text: str, option: str) -> tuple[float, float]:
+    """Two angles that are told in degrees [rad]; raises UsageError naming the option."""
+    first, step = numbers(text, 2, option)
+    return math.radians(first), math.radians(step)
+
+
 @contextmanager
 def progress() -> "Iterator[OnProgress]":
     """A progress callback on stderr: one bar a stage with the time left, or a line now and then where nobody watches.

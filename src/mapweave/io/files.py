@@ -40,6 +40,10 @@ def recording_of(start: bytes) -> str:
     return next((suffix for magic, suffix in RECORDINGS.items() if start.startswith(magic)), "")
 
 
+class NotTextError(ReaderError):
+    """What should be a text log is binary data."""
+
+
 class TextLog:
     """A text log held in memory; `truncated` says what was lost where a packed one ends too soon, else it is empty."""
 
@@ -54,7 +58,7 @@ class TextLog:
         try:
             data, self.truncated = unpacked(path, raw)
             if b"\0" in data[:4096]:
-                raise ReaderError(path, "expected a text log, found binary data")
+                raise NotTextError(path, "expected a text log, found binary data")
             self.text = data.decode("utf-8-sig", errors="replace")
         except MemoryError:
             raise ReaderError(path, f"{len(raw)} bytes hold more text than there is memory for") from None

@@ -6,7 +6,8 @@ from ..core.config import config
 from ..core.errors import ReaderError
 from ..core.laser_log import LaserLog
 from .carmen import is_carmen, read_carmen
-from .files import TextLog, recording_suffix
+from .files import NotTextError, TextLog, recording_suffix
+from .scan_table import ScanTable, read_scan_table
 from .stampless import is_stampless, read_stampless
 from .unknown import not_known
 from .wean import is_wean, read_wean
@@ -30,6 +31,7 @@ class LaserSource:
     odom_topic: str | None = None
     sensor_pose: tuple[float, float, float] | None = None  # T_robot_sensor [m, m, rad]
     mirrored: bool = False  # beam angles run clockwise
+    table: ScanTable | None = None  # how text is read, whatever its rows are like
 
 
 def is_laser_log(path: Path) -> bool:
@@ -84,8 +86,10 @@ def read_laser(path: Path, robot: str = "1", source: LaserSource | None = None) 
         )
     try:
         log = TextLog(path)
-    except ReaderError:
+    except NotTextError:
         raise not_known(path) from None
+    if source.table is not None:
+        return read_scan_table(log, robot, source.table, sensor_pose=source.sensor_pose, mirrored=source.mirrored)
     for is_it, read in TEXTS:
         if is_it(log):
             return read(log, robot, sensor_pose=source.sensor_pose, mirrored=source.mirrored)

@@ -14,7 +14,7 @@ NEAREST = 3
 BINARY_SHOWN = 12  # [bytes]
 
 
-class Rows(NamedTuple):
+class FirstRows(NamedTuple):
     """The first rows of a text, cut into words. numbers: share of the words that are numbers; words: in a row."""
 
     seen: frozenset[str]
@@ -27,7 +27,7 @@ class Format(NamedTuple):
 
     name: str
     words: frozenset[str]
-    shape: Callable[[Rows], float]
+    shape: Callable[[FirstRows], float]
     needs: str
 
 
@@ -35,13 +35,13 @@ def _of(*words: str) -> frozenset[str]:
     return frozenset(words)
 
 
-def _columns(low: int, high: int) -> Callable[[Rows], float]:
-    """Rows of so many numbers."""
+def _columns(low: int, high: int) -> Callable[[FirstRows], float]:
+    """FirstRows of so many numbers."""
     return lambda rows: rows.numbers * (low <= rows.words <= high)
 
 
-def _named(low: int) -> Callable[[Rows], float]:
-    """Rows of a word and so many numbers or more."""
+def _named(low: int) -> Callable[[FirstRows], float]:
+    """FirstRows of a word and so many numbers or more."""
     return lambda rows: 0.5 * (0.5 < rows.numbers < 1.0 and rows.words > low)
 
 
@@ -66,6 +66,12 @@ FORMATS = (
         _of("urg"),
         _columns(60, 1 << 20),
         "rows of 125 numbers and more: microseconds, -, two wheel ticks, ranges [mm] from the 25th",
+    ),
+    Format(
+        "a table of scans",
+        _of("t", "x", "y", "theta", "ranges", "angle_min"),
+        _columns(20, 1 << 20),
+        "`--columns t,x,y,theta,ranges --beams FIRST,STEP`",
     ),
     Format(
         "CSV tables",
@@ -126,12 +132,12 @@ def nearest_formats(lines: Sequence[str]) -> list[Format]:
     return sorted(FORMATS, key=lambda f: -(len(f.words & rows.seen) + f.shape(rows)))[:NEAREST]
 
 
-def _rows(lines: Sequence[str]) -> Rows:
+def _rows(lines: Sequence[str]) -> FirstRows:
     cut = [line.replace(",", " ").replace(";", " ").lower().split() for line in lines[:ROWS]]
     words = [word for row in cut for word in row]
     counts = sorted(len(row) for row in cut)
     numbers = sum(_is_number(word) for word in words) / max(1, len(words))
-    return Rows(frozenset(words), numbers, counts[len(counts) // 2] if counts else 0)
+    return FirstRows(frozenset(words), numbers, counts[len(counts) // 2] if counts else 0)
 
 
 def _is_number(word: str) -> bool:
