@@ -135,8 +135,13 @@ def _reader(path: Path) -> Iterator[AnyReader]:
                 called.symlink_to(path.resolve())
             except OSError:  # where links need a privilege
                 shutil.copyfile(path, called)
-        with AnyReader([called], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            yield reader
+        try:
+            with AnyReader([called], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+                yield reader
+        except DAMAGE as error:
+            if called == path:
+                raise
+            raise OSError(str(error).replace(str(called), str(path))) from None
 
 
 def _named(kinds: Mapping[Any, Any]) -> dict[str, str]:
