@@ -25,10 +25,9 @@ import mapweave
 from mapweave.core import se2
 from mapweave.core.errors import MapweaveError
 from mapweave.core.laser_log import LaserLog
-from mapweave.core.records import Scan, Track
+from mapweave.core.records import Track
 from mapweave.core.truth import Relations
 from mapweave.evaluation.relations import score_relations
-from mapweave.io.assemble import RawLog, RawScan
 from mapweave.io.laser_logs import read_laser
 from mapweave.io.relations import read_relations
 from mapweave.laser.occupancy import of_grid
@@ -58,22 +57,6 @@ class Case(NamedTuple):
 
 def carmen(name: str) -> LaserLog:
     return read_laser(DATA / "carmen" / name, "1")
-
-
-def raw(log: LaserLog) -> RawLog:
-    """The log as a reader hands it over, before it is looked at."""
-
-    def scan(t: float, s: Scan) -> RawScan:
-        ranges = np.where(s.hit, s.ranges, np.inf)
-        own = None if s.odometry is None else np.asarray(s.odometry)
-        return RawScan(t, ranges, None, s.angle_min, s.angle_increment, 0.0, s.range_max, s.T_robot_sensor, odometry=own)
-
-    out = RawLog("1", log.source, "", odometry_from=log.odometry_from)
-    out.scans = [scan(t, s) for t, s in zip(log.scan_t.tolist(), log.scans, strict=True)]
-    if log.odometry is not None:
-        rows = zip(log.odometry.t.tolist(), log.odometry.pose.tolist(), strict=True)
-        out.odometry = [(t, *pose) for t, pose in rows]
-    return out
 
 
 def part(log: LaserLog, first: int, last: int, robot: str = "1") -> LaserLog:
@@ -117,27 +100,8 @@ def backwards(log: LaserLog) -> LaserLog:
 
 
 def wean() -> list[LaserLog]:
-    """The five runs in Wean Hall, each with its odometry."""
-    logs = []
-    for k in range(1, 6):
-        out = RawLog(str(k), f"wean/robotdata{k}.log.gz", "", odometry_from="poses")
-        with gzip.open(DATA / "wean" / f"robotdata{k}.log.gz", "rt") as lines:
-            for line in lines:
-                word = line.split()
-                if word[0] == "O":
-                    x, y, theta, t = map(float, word[1:5])
-                    out.odometry.append((t, x / 100.0, y / 100.0, theta))
-                elif word[0] == "L":
-                    x, y, theta = map(float, word[1:4])
-                    r = np.array(word[7:187], float)
-                    r = np.where((r <= 0) | (r >= 8000), np.inf, r / 100.0)  # noqa: PLR2004
-                    own = np.array([x / 100.0, y / 100.0, theta])
-                    step = np.pi / 180.0
-                    mount = np.array([0.25, 0.0, 0.0])
-                    scan = RawScan(float(word[187]), r, None, -np.pi / 2 + step / 2, step, 0.0, 81.9, mount, odometry=own)
-                    out.scans.append(scan)
-        logs.append(replace(out.finish(), log_hash=f"wean {k}"))
-    return logs
+    """The five runs in Wean Hall."""
+    return [read_laser(DATA / "wean" / f"robotdata{k}.log.gz", str(k)) for k in range(1, 6)]
 
 
 # ---- what is known of a log
@@ -222,7 +186,7 @@ def by_drawing(made: Made, _: Sequence[LaserLog]) -> Row:
         rows = [line.split() for line in lines]
     head = next(k for k, row in enumerate(rows) if row and row[0].startswith("global_map"))
     drawn = np.array([list(map(float, row)) for row in rows[head + 1 :] if row])
-    wall = np.argwhere((drawn >= 0.0) & (drawn < 0.3)) * 0.1  # noqa: PLR2004
+    wall = np.argwhere((drawn >= 0.0) & (drawn < 0.3)) * 0.1
     seen = cKDTree(np.argwhere(drawn >= 0.0) * 0.1)
     grid = made.components[0].grid
     seen_there = of_grid(grid, 0.5)
@@ -277,7 +241,7 @@ def laid(own: np.ndarray, wall: np.ndarray, turn: float) -> np.ndarray | None:
 _whole: dict[str, Track] = {}
 
 
-def by_whole(name: str, read: Callable[[], LaserLog], *, own_clock: bool = False) -> Score:  # noqa: ARG001
+def by_whole(name: str, read: Callable[[], LaserLog]) -> Score:
     """By the map of the log as it is."""
 
     def score(made: Made, logs: Sequence[LaserLog]) -> Row:
@@ -315,6 +279,14 @@ def thinned(log: LaserLog, every: int) -> LaserLog:
     return with_scans(log, np.arange(0, len(log.scans), every))
 
 
+def sparse(log: LaserLog, seed: int) -> list[LaserLog]:
+    return cut(thinned(log, 12), 3, seed)
+
+
+def numbered(logs: Sequence[LaserLog]) -> list[LaserLog]:
+    return [replace(log, robot=str(k)) for k, log in enumerate(logs, 1)]
+
+
 def driving(log: LaserLog, seed: int, seconds: float) -> tuple[int, int]:
     """Scans a to b, so many seconds apart, over which the robot drove more than 5 m."""
     rng = np.random.default_rng(seed)
@@ -322,7 +294,7 @@ def driving(log: LaserLog, seed: int, seconds: float) -> tuple[int, int]:
     while True:
         a = int(rng.integers(len(log.scans) // 8, 7 * len(log.scans) // 8))
         b = int(np.searchsorted(log.scan_t, log.scan_t[a] + seconds))
-        if b < len(log.scans) and np.hypot(*(pose[b] - pose[a])[:2]) > 5.0:  # noqa: PLR2004
+        if b < len(log.scans) and np.hypot(*(pose[b] - pose[a])[:2]) > 5.0:
             return a, b
 
 
@@ -358,7 +330,14 @@ def carried(log: LaserLog, seed: int) -> LaserLog:
             np.concatenate([rows.pose[early], se2.compose(back, rows.pose[end])]),
             frame="odom",
         )
-    return replace(log, scan_t=t, scans=(*log.scans[: a + 1], *late), odometry=rows, source=f"carried {log.scan_t[a]} {lost}", log_hash=f"carried {seed}")
+    return replace(
+        log,
+        scan_t=t,
+        scans=(*log.scans[: a + 1], *late),
+        odometry=rows,
+        source=f"carried {log.scan_t[a]} {lost}",
+        log_hash=f"carried {seed}",
+    )
 
 
 def by_whole_carried(made: Made, logs: Sequence[LaserLog]) -> Row:
@@ -402,16 +381,27 @@ CASES = [
     Case("Intel", lambda _: [intel()], by_relations()),
     Case("Intel backwards", lambda _: [backwards(intel())], by_relations(reversed_=True)),
     Case("fr-clinic", lambda _: [carmen("fr-clinic.clf.gz")], by_told_poses),
-    # Case("freiburg-campus, corrected", lambda _: [carmen("freiburg-campus-corrected.log.gz")], by_told_poses),
+    Case("freiburg-campus, corrected", lambda _: [carmen("freiburg-campus-corrected.log.gz")], by_told_poses),
     Case("orebro, corrected", lambda _: [carmen("orebro-corrected.log.gz")], by_told_poses),
     Case("Wean Hall, five runs", lambda _: wean(), by_drawing),
-    Case("Wean Hall, other order", lambda _: [replace(log, robot=str(k)) for k, log in enumerate(wean()[::-1], 1)], by_drawing),
+    Case(
+        "Wean Hall, other order",
+        lambda _: [replace(log, robot=str(k)) for k, log in enumerate(wean()[::-1], 1)],
+        by_drawing,
+    ),
     Case("CSAIL cut in two", lambda s: cut(csail(), 2, s), by_whole("csail", csail), draws=True),
     Case("CSAIL cut in three", lambda s: cut(csail(), 3, s), by_whole("csail", csail), draws=True),
     Case("Intel cut in two", lambda s: cut(intel(), 2, s), by_whole("intel", intel), draws=True),
     Case("Intel cut in three", lambda s: cut(intel(), 3, s), by_whole("intel", intel), draws=True),
-    Case("CSAIL, every 12th scan, three", lambda s: cut(thinned(csail(), 12), 3, s), by_whole("csail", csail), draws=True),
-    Case("Intel, every 12th scan, three", lambda s: cut(thinned(intel(), 12), 3, s), by_whole("intel", intel), draws=True),
+    Case(
+        "CSAIL, every 12th scan, three", lambda s: cut(thinned(csail(), 12), 3, s), by_whole("csail", csail), draws=True
+    ),
+    Case(
+        "Intel, every 12th scan, three", lambda s: cut(thinned(intel(), 12), 3, s), by_whole("intel", intel), draws=True
+    ),
+    Case("CSAIL, every fourth scan", lambda _: [thinned(csail(), 4)], by_whole("csail", csail)),
+    Case("CSAIL, every eighth scan", lambda _: [thinned(csail(), 8)], by_whole("csail", csail)),
+    Case("Intel, every fourth scan", lambda _: [thinned(intel(), 4)], by_whole("intel", intel)),
     Case("CSAIL, 60 s gone", lambda s: [gap(csail(), s)], by_whole("csail", csail), draws=True),
     Case("Intel, 60 s gone", lambda s: [gap(intel(), s)], by_whole("intel", intel), draws=True),
     Case("CSAIL, odometry jumps 5 m", lambda s: [jump(csail(), s)], by_whole("csail", csail), draws=True),
