@@ -83,7 +83,8 @@ class WheelCheck:
 
     stretch: float = 2.0  # [m] driven, whose lengths are compared
     share: float = 0.2  # by which they differ
-    long: float = 8.0  # [m] on end
+    long: float = 8.0  # [m] on end, and
+    long_apart: float = 1.5  # [m] ahead in all: stamps that are mixed make stretches longer and shorter by turns
     stand: float = 2.0  # [m] that scans tell, on end, while wheels report no motion,
     stand_step: float = 0.5  # [m] from one place to the next
     unlike: float = 3.0  # times as far, or as little, as the wheels tell scans move in all
@@ -101,7 +102,7 @@ def wheels_disagree(
 
     dead: dead reckoning at the stamps of `track`; factor: of its ways, which is told already. Both are cut where the
     wheels have driven `cfg.stretch` on; stretches that differ in length by a share of `cfg.share` add up while they
-    follow each other.
+    follow each other, and must differ by `cfg.long_apart` in all.
     """
     if dead is None or len(dead.t) != len(track.t) or len(track.t) < 2:
         return ()
@@ -118,6 +119,9 @@ def wheels_disagree(
     if most * cfg.stretch < cfg.long:
         return ()
     part = slice(end - most, end)
+    ahead = [se2.between(p[cuts[:-1]], p[cuts[1:]])[part, 0].sum() for p in (track.pose, dead.pose)]
+    if abs(ahead[0] - factor * ahead[1]) < cfg.long_apart:
+        return ()
     first, last = track.t[cuts[end - most]], track.t[cuts[end]]
     told = {"scans": float(scans[part].sum()), "wheels": float(wheels[part].sum())}
     return (Finding("wheels-disagree", robot, (float(first), float(last)), told),)
