@@ -11,7 +11,7 @@ from mapweave.io.robot_graph import read_robot_graph, write_robot_graph
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.known_places import KnownPlacesConfig
 from mapweave.mapping.laser_mapping import map_laser
-from mapweave.mapping.woven_map import _track
+from mapweave.mapping.woven_map import placed_track
 from mapweave.sim.drift import DriftConfig
 from mapweave.sim.laser import DriveConfig, drive
 from mapweave.sim.laser_world import WallStyle, WorldBuilder
@@ -135,7 +135,7 @@ def test_of_scans_that_were_let_go_numbers_alone_are_kept_and_the_log_has_them(s
 
 def test_where_the_map_is_moved_among_others_the_whole_way_moves_with_it(mapped):
     shift, graph = np.array([-3.0, 8.0, 2.0]), mapped.graph
-    moved = _track(mapped, np.asarray(se2.compose(shift, graph.pose)), graph.moved(shift).cov)
+    moved = placed_track(mapped, np.asarray(se2.compose(shift, graph.pose)), graph.moved(shift).cov)
     e = se2.between(moved.pose, se2.compose(shift, mapped.track.pose))
     assert np.abs(e).max() < 1e-9
     assert np.allclose(moved.cov, se2.turned_covariance(2.0, mapped.track.cov))

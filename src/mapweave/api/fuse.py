@@ -1,8 +1,9 @@
 """`fuse`: saved local maps of several runs become one map."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from ..core.config import load
 from ..core.errors import DataError, ReaderError, UsageError
@@ -31,6 +32,7 @@ def fuse(
     truth: Truths = (),
     config: Path | str | None = None,
     seed: int = 0,
+    decisions: Path | str | Mapping[str, Any] | None = None,
     force: bool = False,
     on_progress: Progress = no_progress,
 ) -> TeamResult | LaserResult:
@@ -58,6 +60,9 @@ def fuse(
         laser=True)` for laser maps (the tables `merge` and `graph.joint` and `resolution`); options here win.
     seed
         Kept in the metrics; the result does not depend on it (0).
+    decisions
+        What is said of pairs of robots and of places: a `decisions.toml` of this result, edited, or what it holds
+        (nothing). Laser results alone.
     force
         Write into `out` even when something other than a result stands there (False).
     on_progress
@@ -97,8 +102,13 @@ def fuse(
             if asked := [name for name, value in idle.items() if value is not None]:
                 raise UsageError(f"{', '.join(asked)}: only for landmark results, found {given[0]}")
             names = distinct_names(given)
-            result = fuse_laser(given, names, config=settings, seed=seed, truth=scores, on_progress=on_progress)
+            said = Path(decisions) if isinstance(decisions, str) else decisions
+            result = fuse_laser(
+                given, names, config=settings, seed=seed, truth=scores, decisions=said, on_progress=on_progress
+            )
         else:
+            if decisions is not None:
+                raise UsageError(f"--decisions: only for laser results, found {given[0]}")
             cfg = load(FuseConfig, settings, {"weights": weights, "identities": identities})
             result = _fuse_landmarks(given, cfg, seed, scores, on_progress)
     if out is not None:

@@ -11,7 +11,7 @@ from ..core.names import robot_name
 from ..core.workers import Progress
 from ..io.laser_state import holds_state, laser_homes, read_laser_states
 from ..laser.laser_map import LaserMap
-from .laser_result import LaserResult, same_logs, woven_result
+from .laser_result import DecisionsGiven, LaserResult, same_logs, woven_result
 from .map_laser import LaserMapConfig
 
 
@@ -31,6 +31,7 @@ def fuse_laser(
     config: Path | None,
     seed: int,
     truth: Sequence[Path],
+    decisions: DecisionsGiven | None,
     on_progress: Progress,
 ) -> LaserResult:
     """One result of all robots of `folders`, called NAME/robotK; a log that several hold counts once and is told."""
@@ -55,6 +56,7 @@ def fuse_laser(
         seed=seed,
         truth=truth,
         findings=findings,
+        decisions=decisions,
         on_progress=on_progress,
     )
 

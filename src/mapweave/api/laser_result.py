@@ -21,6 +21,8 @@ from ..core.names import robot_key, robot_name
 from ..core.records import Track
 from ..core.version import __version__
 from ..core.workers import Progress, no_progress, worker_pool
+from ..io.decisions import NAME as DECISIONS
+from ..io.decisions import decisions_of, decisions_text, expect_of, read_decisions
 from ..io.directory import write_json
 from ..io.laser_map import write_closure_rows, write_laser_map, write_woven_map, write_woven_tracks
 from ..io.laser_state import write_laser_states
@@ -28,8 +30,10 @@ from ..io.tum import read_tum, write_track_covariance, write_tum
 from ..laser.laser_map import LaserMap
 from ..laser.log_warnings import copies_found
 from ..mapping.config import LaserConfig
+from ..mapping.decisions import Decisions
 from ..mapping.merge import Merge
 from ..mapping.merge_search import MergeConfig, Start
+from ..mapping.redecide import redecided
 from ..mapping.segments import still_apart
 from ..mapping.weave import weave
 from ..mapping.woven_map import WovenMap, own_map, woven_maps
@@ -42,6 +46,8 @@ from ..report.style import Target
 from ..report.woven import draw_component, told_component, told_merge
 from .evaluate import Evaluation, judged
 
+DecisionsGiven = Path | Mapping[str, Any]
+
 
 @dataclass(frozen=True, slots=True, repr=False)
 class LaserResult(ResultBase):
@@ -50,7 +56,8 @@ class LaserResult(ResultBase):
     metrics: as in `metrics.json`; evaluation: the score, where truth was given; maps: each robot's own, in the frame
     of its first pose; components: the graph method's maps of the robots that were joined, that of most robots first;
     merges: every pair of robots tried, with the decision and its reason; starts: robot -> x, y, theta[, sigma] that
-    were told; notes: what `summary` says beside; whole: findings that are of no robot alone.
+    were told; said: what somebody said of robots and places; notes: what `summary` says beside; whole: findings that
+    are of no robot alone.
     """
 
     maps: tuple[LaserMap, ...]
@@ -60,6 +67,7 @@ class LaserResult(ResultBase):
     components: tuple[WovenMap, ...] = ()
     merges: tuple[Merge, ...] = ()
     starts: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    said: Decisions | None = None
     notes: tuple[str, ...] = ()
     whole: tuple[Finding, ...] = ()
 
@@ -208,6 +216,8 @@ def write_laser_data(folder: Path, result: LaserResult) -> None:
             write_woven_map(part, woven)
     if components:
         write_laser_states(folder, maps, result.starts)
+        text = decisions_text(maps, result.merges, result.said)
+        (folder / DECISIONS).write_text(text, encoding="utf-8")
 
 
 def _parts(folder: Path, components: Sequence[WovenMap]) -> list[tuple[Path, WovenMap]]:
@@ -247,10 +257,11 @@ def woven_result(
     notes: Sequence[str] = (),
     jobs: int = 1,
     executor: Executor | None = None,
+    decisions: DecisionsGiven | None = None,
     on_progress: Progress = no_progress,
 ) -> LaserResult:
     """The maps of all robots that can be tied together. starts: robot -> x, y, theta[, sigma] of its first pose; jobs:
-    processes that pairs of robots are tried in, or `executor`.
+    processes that pairs of robots are tried in, or `executor`; decisions: what somebody says of robots and places.
 
     Raises DataError where two logs hold the same scans, UsageError for a start of a robot that is not there.
     """
@@ -261,18 +272,21 @@ def woven_result(
             "expected every log once"
         )
     stored = [_storable(m) for m in maps]
+    stored, said, overruled = _as_said(stored, decisions, cfg)
     known_starts = starts_among([m.robot for m in stored], starts or {}, cfg.merge)
     began = perf_counter()
     if len(stored) > 1:
         on_progress("weave", 0, 1)
     pairs = len(stored) * (len(stored) - 1) // 2 if merge else 0
     with worker_pool(jobs, pairs, executor if pairs > 1 else None) as pool:
-        components, merges, stored = _woven(stored, cfg, known_starts, pool, merge=merge)
+        components, merges, stored = _woven(stored, cfg, known_starts, pool, merge=merge, said=said)
     if len(stored) > 1:
         on_progress("weave", 1, 1)
     timing = {"weave": perf_counter() - began} if len(stored) > 1 else {}
     whole = [
         *findings,
+        *overruled,
+        *(found for m in merges for found in _told_of(m, cfg.merge)),
         *copies_found([m.graph for m in stored if m.graph is not None], cfg.copies),
         *(_apart(components) if merge else ()),
     ]
@@ -285,6 +299,7 @@ def woven_result(
         components=components,
         merges=merges,
         starts=starts or {},
+        said=said,
         notes=tuple(notes),
         whole=tuple(whole),
     )
@@ -292,7 +307,13 @@ def woven_result(
 
 
 def _woven(
-    maps: list[LaserMap], cfg: LaserConfig, starts: Mapping[int, Start], executor: Executor | None, *, merge: bool
+    maps: list[LaserMap],
+    cfg: LaserConfig,
+    starts: Mapping[int, Start],
+    executor: Executor | None,
+    *,
+    merge: bool,
+    said: Decisions | None,
 ) -> tuple[tuple[WovenMap, ...], tuple[Merge, ...], list[LaserMap]]:
     """The components of the maps, every pair tried, and the maps without the findings that other robots settle.
 
@@ -301,9 +322,44 @@ def _woven(
     if len(maps) == 1:
         return (own_map(maps[0]),), (), maps
     graphs = [m.graph for m in maps if m.graph is not None]
-    woven = weave(graphs, cfg.merge, starts, merge=merge, last=cfg.graph.joint, executor=executor)
+    woven = weave(graphs, cfg.merge, starts, merge=merge, last=cfg.graph.joint, executor=executor, said=said)
     settled = [replace(m, findings=still_apart(m.findings, graphs[k], woven.held[k])) for k, m in enumerate(maps)]
     return woven_maps(settled, woven, cfg.resolution, cfg.graph.unsure), woven.merges, settled
+
+
+def _as_said(
+    maps: list[LaserMap], given: DecisionsGiven | None, cfg: LaserConfig
+) -> tuple[list[LaserMap], Decisions | None, list[Finding]]:
+    """The maps with the places in them that somebody says are so, and what is said, each row with what was found."""
+    if given is None:
+        return maps, None, []
+    path: object = given if isinstance(given, Path) else "decisions"
+    said = read_decisions(given) if isinstance(given, Path) else decisions_of(given)
+    expect_of(said, maps, path)
+    out: list[LaserMap] = []
+    findings: list[Finding] = []
+    places = [row for row in said.places if row.robot_a != row.robot_b]
+    for local_map in maps:
+        rows = said.within(local_map.robot)
+        if not rows or local_map.graph is None:
+            out.append(local_map)
+            continue
+        made = redecided(local_map, rows, cfg)
+        out.append(_storable(made.map))
+        findings += made.findings
+        places += made.used
+    return out, replace(said, places=tuple(places)), findings
+
+
+def _told_of(merge: Merge, cfg: MergeConfig) -> list[Finding]:
+    """Where somebody's word on two robots is not what their scans say."""
+    pair = f"{robot_name(merge.a)} and {robot_name(merge.b)}"
+    if merge.said == "together" and (merge.alike or 0.0) < cfg.alike:
+        told: dict[str, float | str] = {"pair": pair, "alike": 100.0 * (merge.alike or 0.0)}
+        return [Finding("merge-contradicted", None, None, told, "they are merged as it was said")]
+    if merge.said == "apart" and merge.scans:
+        return [Finding("merge-forbidden", None, None, pair, "they are left apart as it was said")]
+    return []
 
 
 def _apart(components: Sequence[WovenMap]) -> tuple[Finding, ...]:

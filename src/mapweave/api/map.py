@@ -65,6 +65,7 @@ def map(  # noqa: A001  (the verb)
     online: bool = False,
     calibration: Path | str | None = None,
     survey: Path | str | None = None,
+    decisions: Path | str | Mapping[str, Any] | None = None,
     laser: LaserOptions | None = None,
     mcap: bool = False,
     strict: bool = False,
@@ -127,6 +128,9 @@ def map(  # noqa: A001  (the verb)
         What is known of the robots beforehand, as `calibration.json` holds it; no sd, or 0, holds a value (nothing).
     survey
         Landmarks whose places are known: `id,x,y` or `id,x,y,sd` [m]; their frame is the map's (none).
+    decisions
+        What is said of pairs of robots and of places: a `decisions.toml` of this result, edited, or what such a file
+        holds (nothing). Laser logs alone.
     laser
         Options for laser logs alone.
     mcap
@@ -181,6 +185,7 @@ def map(  # noqa: A001  (the verb)
         online=online,
         calibration=None if calibration is None else Path(calibration),
         survey=None if survey is None else Path(survey),
+        decisions=Path(decisions) if isinstance(decisions, str) else decisions,
         laser=laser or LaserOptions(),
         executor=executor,
         on_progress=on_progress,
@@ -224,6 +229,8 @@ def _of_logs(logs: Sequence[Path | str | LaserLog], options: MapOptions) -> MapR
         expect_there(paths)
         return _laser(paths, options)
     if _is_mixed(paths):
+        if options.decisions is not None:
+            raise UsageError("--decisions: only for laser logs, found a mixed team")
         from .map_mixed import map_logs  # noqa: PLC0415  (each kind of log imports what it needs)
 
         return map_logs(paths, options)
@@ -232,6 +239,8 @@ def _of_logs(logs: Sequence[Path | str | LaserLog], options: MapOptions) -> MapR
         raise UsageError(f"{', '.join(given)}: only for laser logs, found {paths[0]}")
     if options.start_sd and mapper.__name__ != LASER:
         raise UsageError(f"--start: expected x,y,theta, found a sigma too: only for laser logs, found {paths[0]}")
+    if options.decisions is not None and mapper.__name__ != LASER:
+        raise UsageError(f"--decisions: only for laser logs, found {paths[0]}")
     if options.survey is not None and mapper.__name__ == LASER:
         raise UsageError(f"--survey: only for landmarks, found {paths[0]}")
     return mapper.map_logs(paths, options)

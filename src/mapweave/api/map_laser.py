@@ -92,6 +92,7 @@ def _woven(
         notes=notes,
         jobs=options.jobs,
         executor=options.executor,
+        decisions=options.decisions,
         on_progress=options.on_progress,
     )
 
@@ -211,7 +212,11 @@ def _with_idle_options(local_map: LaserMap, options: MapOptions) -> LaserMap:
         ("--calibration", options.calibration),
     ]
     if local_map.method != "graph":
-        asked += [("--start", options.start), ("--no-merge", options.laser.no_merge)]
+        asked += [
+            ("--start", options.start),
+            ("--no-merge", options.laser.no_merge),
+            ("--decisions", options.decisions),
+        ]
     idle = [name for name, given in asked if given]
     why = woven if local_map.method == "graph" else alone
     more = tuple(Finding("option-idle", local_map.robot, value={"option": name, "value": why}) for name in idle)

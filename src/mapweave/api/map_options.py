@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..core.errors import ConfigError, ReaderError, UsageError
 from ..core.names import robot_key
@@ -64,7 +64,8 @@ class MapOptions:
 
     share: robot -> first part of its time span, in (0, 1]; start: robot -> its first pose in the map [m, m, rad];
     start_sd: robot -> standard deviation of that place [m], where it is told (laser logs and mixed teams); survey: a
-    file of landmarks whose places are known; executor: where robots are worked on; None: here, or in `jobs` processes.
+    file of landmarks whose places are known; decisions: what is said of pairs of robots and of places, a file or what
+    it holds; executor: where robots are worked on; None: here, or in `jobs` processes.
     """
 
     robots: tuple[str, ...] | None = None
@@ -82,6 +83,7 @@ class MapOptions:
     online: bool = False
     calibration: Path | None = None
     survey: Path | None = None
+    decisions: Path | Mapping[str, Any] | None = None
     laser: LaserOptions = field(default_factory=LaserOptions)
     executor: Executor | None = None
     on_progress: Progress = no_progress
@@ -106,7 +108,8 @@ class MapOptions:
                 raise UsageError(f"--start of robot {robot}: expected a sigma above 0 m, found {sd}")
         if self.config is not None and not self.config.exists():
             raise ConfigError(f"{self.config}: No such file or directory")
-        expect_there((*self.truth, *(path for path in (self.calibration, self.survey) if path is not None)))
+        files = (self.calibration, self.survey, self.decisions)
+        expect_there((*self.truth, *(path for path in files if isinstance(path, Path))))
 
     def _check_names(self) -> None:
         if self.weights not in {None, *WEIGHTS}:

@@ -14,6 +14,7 @@ def fuse(
     truth: Annotated[list[Path] | None, Parameter(negative="", consume_multiple=True)] = None,
     config: Path | None = None,
     seed: int = 0,
+    decisions: Path | None = None,
     force: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Fuse the local maps of several runs into one map.
@@ -34,6 +35,8 @@ def fuse(
         A TOML file with settings of fusing; options on the command line win.
     seed
         Kept in metrics.json; the result does not depend on it.
+    decisions
+        A decisions.toml of this result, edited: pairs of robots and places that are together, or apart (laser results).
     force
         Write into the folder even when something other than a result stands there.
     """
@@ -49,6 +52,7 @@ def fuse(
             truth=tuple(truth or ()),
             config=config,
             seed=seed,
+            decisions=decisions,
             force=force,
             on_progress=on_progress,
         )

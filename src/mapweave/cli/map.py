@@ -79,6 +79,7 @@ def map_logs(
     online: Annotated[bool, Parameter(negative="")] = False,
     calibration: Path | None = None,
     survey: Path | None = None,
+    decisions: Path | None = None,
     laser: Laser | None = None,
     mcap: Annotated[bool, Parameter(negative="")] = False,
     strict: Annotated[bool, Parameter(negative="")] = False,
@@ -124,6 +125,8 @@ def map_logs(
         Known calibration of the robots, in the form of calibration.json; a value without sd is fixed.
     survey
         Landmarks at known places, as id,x,y or id,x,y,sd in metres; their frame becomes the map's.
+    decisions
+        A decisions.toml of this result, edited: pairs of robots and places that are together, or apart (laser logs).
     mcap
         Also write result.mcap: map, paths, landmarks and walls as messages for RViz and Foxglove.
     strict
@@ -147,6 +150,7 @@ def map_logs(
         online=online,
         calibration=calibration,
         survey=survey,
+        decisions=decisions,
         laser=_laser(laser),
     )
     at_once.check()
@@ -176,6 +180,7 @@ def map_logs(
                 online=online,
                 calibration=calibration,
                 survey=survey,
+                decisions=decisions,
                 laser=at_once.laser,
                 mcap=mcap,
                 strict=strict,

@@ -86,6 +86,25 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "`localize` searched the whole map again each time.",
             "Nothing where the start was found.",
         ),
+        "decision-contradicted": FindingKind(
+            "doubtful",
+            "the place at {a:.2f} s and {b:.2f} s that is said to be one lies {sd:.0f} standard deviations from what "
+            "the rest of the scans say",
+            "A decisions file says that two moments saw one place, and the map bends to make it so.",
+            "Look at the map there; take the row back.",
+        ),
+        "merge-contradicted": FindingKind(
+            "doubtful",
+            "{pair} are said to be together, and {alike:.0f} % of what both saw is alike",
+            "A decisions file says that two robots' maps are one, and each saw through walls of the other.",
+            "Look at the map there; give another pose in the row, or take it back.",
+        ),
+        "merge-forbidden": FindingKind(
+            "note",
+            "{value} are said to be apart, and their scans would merge them",
+            "A decisions file says that two robots' maps are not one.",
+            "Nothing, if that is so.",
+        ),
         "robots-apart": FindingKind(
             "doubtful",
             "{value} are not in the first map: nothing ties them to it",

@@ -18,6 +18,7 @@ from ..core.names import robot_name
 from ..core.records import frozen
 from ..core.rows import spread
 from ..laser.consistency import adjoint, cycle_squares, largest_clique
+from ..laser.place_search import refine
 from .map_overlap import KeyframeMap, seen_alike, wall_overlap
 from .merge_ambiguity import Pair, allowed, doubtful, slides, words
 from .merge_search import (
@@ -34,6 +35,8 @@ from .merge_search import (
     whole_place,
 )
 
+SAID_SD, SAID_SD_TURN = 0.1, 0.03  # [m], [rad] of a transform that somebody tells,
+NUDGE, NUDGE_TURN = 0.5, 0.1  # [m], [rad] that walls may move it by
 MOST_CLOSURES = 80  # places of one transform that are asked whether they confirm it
 
 
@@ -65,7 +68,8 @@ class Merge:
     that lie on the other's, of the two the larger, under the best transform; score: median of the submaps that agree
     on it; second: that of the next best transform, over it; agreeing: submaps that confirm it; chi2: of their
     closures; alike: of what both robots saw, the share on which they agree; rival: the next best transform; best: the
-    transform that all this was asked of, T_a_b, also when refused, None where no submap was found.
+    transform that all this was asked of, T_a_b, also when refused, None where no submap was found. said: what somebody
+    said of the pair, empty where it is the scans that decide; scans: whether they merge it.
     """
 
     a: str
@@ -83,6 +87,8 @@ class Merge:
     rival: Float[np.ndarray, "3"] | None = None
     best: Float[np.ndarray, "3"] | None = None
     closures: tuple[MapClosure, ...] = ()
+    said: str = ""
+    scans: bool | None = None
 
     def row(self) -> dict[str, Any]:
         """The pair as `metrics.json` tells it under `fusion`."""
@@ -97,6 +103,7 @@ class Merge:
             "alike": self.alike,
             "transform": None if self.transform is None else self.transform.tolist(),
             "decision": "merged" if self.merged else "refused",
+            "said": self.said or None,
             "reason": self.reason,
         }
 
@@ -128,6 +135,43 @@ def merge_maps(a: KeyframeMap, b: KeyframeMap, cfg: MergeConfig | None = None, s
     return free
 
 
+def merge_as_said(a: KeyframeMap, b: KeyframeMap, T: Float[np.ndarray, "3"], cfg: MergeConfig) -> Merge:
+    """The two maps merged where somebody says that b lies in a, moved a little where its walls lie on those of a."""
+    place = whole_place(a, cfg, featured=False)
+    laid = refine(place, b.walls, T).pose
+    away = se2.between(T, laid)
+    T = laid if np.hypot(*away[:2]) <= NUDGE and abs(away[2]) <= NUDGE_TURN else np.asarray(T, dtype=float)
+    seen = seen_alike(a, b, T, cfg.overlap)
+    P = np.diag(np.square([SAID_SD, SAID_SD, SAID_SD_TURN]))
+    told = "said to be together"
+    return Merge(
+        a.robot,
+        b.robot,
+        merged=True,
+        reason=f"{told}: {seen.share:.0%} of what both robots saw there is alike",
+        transform=frozen(T),
+        covariance=frozen(P),
+        overlap=wall_overlap(place.points, b, T, cfg.overlap),
+        agreeing=1,
+        alike=seen.share,
+        best=frozen(T),
+        closures=(_tie(a, b, T, P, 0.0, seen.share, told),),
+        said="together",
+        scans=False,
+    )
+
+
+def _tie(
+    a: KeyframeMap, b: KeyframeMap, T: np.ndarray, P: np.ndarray, score: float, share: float, reason: str
+) -> MapClosure:
+    """The first keyframe of b seen from the nearest of a, as T has it; P: covariance of T in b's frame."""
+    first = int(np.argmin(np.hypot(*(a.pose[:, :2] - se2.compose(T, b.pose[0])[:2]).T)))
+    A = adjoint(se2.inverse(b.pose[0]))
+    measured = frozen(se2.between(a.pose[first], se2.compose(T, b.pose[0])))
+    information = symmetrise(np.linalg.inv(symmetrise(A @ P @ A.T)))
+    return MapClosure(first, 0, measured, information, score, 0.0, share, 0.0, True, reason)
+
+
 def _held_by_start(pair: Pair, near: Merge, free: Merge) -> Merge | str:
     """Maps of a corridor merged along it by a start alone, where the walls allow what it says; else why it does not.
 
@@ -149,20 +193,8 @@ def _held_by_start(pair: Pair, near: Merge, free: Merge) -> Merge | str:
         return away + f"{seen.share:.0%} of what both saw there is alike, {cfg.known_alike:.0%} are needed"
     if way.sd > cfg.start_along:
         return away + f"it says where along the corridor to {way.sd:.2f} m, {cfg.start_along:.2f} m are needed"
-    first = int(np.argmin(np.hypot(*(a.pose[:, :2] - se2.compose(T, b.pose[0])[:2]).T)))
-    A = adjoint(se2.inverse(b.pose[0]))
-    tie = MapClosure(
-        first=first,
-        second=0,
-        measured=frozen(se2.between(a.pose[first], se2.compose(T, b.pose[0]))),
-        information=symmetrise(np.linalg.inv(symmetrise(A @ way.covariance @ A.T))),
-        score=slid[0].score or 0.0,
-        ratio=0.0,
-        share=seen.share,
-        nis=0.0,
-        accepted=True,
-        reason="it confirms the transform: the start that was given, and the walls across it",
-    )
+    why = "it confirms the transform: the start that was given, and the walls across it"
+    tie = _tie(a, b, T, way.covariance, slid[0].score or 0.0, seen.share, why)
     degrees = np.degrees(np.arctan2(way.along[1], way.along[0])) % 180.0
     direction = (
         f"along {degrees:.0f} degrees in the map of {robot_name(a.robot)} nothing else holds it, to {way.sd:.2f} m"

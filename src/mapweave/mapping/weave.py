@@ -1,6 +1,6 @@
 """The maps of many robots woven into one: pairs merged or refused, components, one pose graph over all robots."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import combinations, product
@@ -10,12 +10,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core import se2
+from ..core.errors import DataError
 from ..laser.joint_pass import JointPassConfig, joint_pass, keyframe_cloud
 from ..laser.pose_graph import PoseGraph
 from ..laser.robot_graph import RobotGraph
 from ..laser.robust_graph import RobustGraphConfig, SolvedGraph, connected, solve_graph
+from .decisions import APART, TOGETHER, Decisions, PairRow, keyframe_at
 from .map_overlap import OVERLAP, KeyframeMap, OverlapConfig
-from .merge import Merge, merge_maps
+from .merge import Merge, merge_as_said, merge_maps
 from .merge_search import MergeConfig, Start, start_between
 from .segments import pieces_of
 
@@ -65,6 +67,7 @@ def weave(
     last: JointPassConfig | None = None,
     known: Mapping[tuple[int, int], Merge] | None = None,
     executor: Executor | None = None,
+    said: Decisions | None = None,
 ) -> Woven:
     """One map of all robots that can be tied together, each in its place; the others on their own.
 
@@ -75,7 +78,9 @@ def weave(
 
     last: how all keyframes of a component are matched in the end. known: what was decided earlier on pairs of these
     robots, when there was less of them: taken as it stands, its closures by their keyframes. executor: where pairs are
-    tried side by side, those too that are not needed then: what comes of it is the same.
+    tried side by side, those too that are not needed then: what comes of it is the same. said: what somebody says of
+    pairs of robots, and of places that tie them, which is honoured whatever the scans say; raises DataError where two
+    are said to be together and nobody, nor their scans, tells where.
     """
     cfg, known = cfg or MergeConfig(), known or {}
     pieces = [Piece(k, rows) for k, robot in enumerate(robots) for rows in pieces_of(robot)]
@@ -86,23 +91,14 @@ def weave(
     within = graph.edges
     merges: list[Merge] = []
     frames = _Frames(len(pieces))
-    tried = _tried(robots, pieces, cfg, starts or {}, known, executor if merge else None)
-    for j in range(1, len(robots)) if merge else ():
-        for i in range(j):
-            decided = []
-            for p, q in product(of[i], of[j]):
-                if frames.group[p] == frames.group[q]:
-                    continue
-                if (i, j) in known:
-                    p, q = (_holding(pieces, of[k], known[i, j], end) for k, end in ((i, "first"), (j, "second")))  # noqa: PLW2901
-                decision = known.get((i, j)) or tried(p, q)
-                decided.append(decision)
-                if decision.transform is not None:
-                    graph = graph.joined(_ties(decision, start, int(offset[i]), int(offset[j]), cfg.ties_alike))
-                    frames.tie(p, q, decision.transform)
-                if (i, j) in known:
-                    break
-            merges += [_as_one(decided)] if decided else []
+    tried = _Trials(robots, pieces, cfg, starts or {}, known, executor if merge else None)
+    many = range(len(robots) if merge else 0)
+    for i, j in sorted(combinations(many, 2), key=lambda pair: (pair[1], pair[0])):
+        decided = _decided((i, j), robots, of, frames, tried, known, said)
+        for decision in decided:
+            if decision.transform is not None:
+                graph = graph.joined(_ties(decision, start, int(offset[i]), int(offset[j]), cfg.ties_alike))
+        merges += [_as_one(decided)] if decided else []
     placed = np.array(start)
     for k, robot in enumerate(robots):
         for p in of[k]:
@@ -115,6 +111,44 @@ def weave(
         tuple(k for k, p in enumerate(own) if k and frames.group[p] in {frames.group[o] for o in own[:k]}) for own in of
     )
     return _placed(robots, joint, within, tuple(merges), last or JointPassConfig(), held)
+
+
+def _decided(
+    pair: tuple[int, int],
+    robots: Sequence[RobotGraph],
+    of: Sequence[Sequence[int]],
+    frames: "_Frames",
+    tried: "_Trials",
+    known: Mapping[tuple[int, int], Merge],
+    said: Decisions | None,
+) -> list[Merge]:
+    """What is decided on a pair of robots, piece by piece; `frames` holds what that ties. of: each robot's pieces."""
+    i, j = pair
+    word = None if said is None else said.pair(robots[i].robot, robots[j].robot)
+    first = of[i][0], of[j][0]
+    if word is not None and word.decision == APART:
+        return [_apart(tried(*first))]
+    if pair in known:
+        merge = known[pair]
+        p, q = (tried.holding(of[k], merge, end) for k, end in ((i, "first"), (j, "second")))
+        if frames.group[p] == frames.group[q]:
+            return []
+        if merge.transform is not None:
+            frames.tie(p, q, merge.transform)
+        return [merge]
+    decided = []
+    for p, q in product(of[i], of[j]):
+        if frames.group[p] == frames.group[q]:
+            continue
+        merge = tried(p, q)
+        if said is not None:
+            merge = _with_ties(merge, robots[i], robots[j], said)
+        if word is not None and merge.transform is None and (p, q) == first:
+            merge = tried.as_said(p, q, word, merge)
+        decided.append(merge)
+        if merge.transform is not None:
+            frames.tie(p, q, merge.transform)
+    return decided
 
 
 class _Frames:
@@ -139,12 +173,6 @@ class _Frames:
         return self.at[max((k for k in tied if k <= p), default=tied[0])]
 
 
-def _holding(pieces: Sequence[Piece], own: Sequence[int], merge: Merge, end: str) -> int:
-    """The piece that most accepted closures of a merge end in."""
-    ends = np.array([getattr(c, end) for c in merge.closures if c.accepted], dtype=np.int64)
-    return max(own, key=lambda p: int(np.isin(ends, pieces[p].rows).sum()))
-
-
 def _as_one(decided: Sequence[Merge]) -> Merge:
     """What was decided on the pieces of two robots: that on those which most ties hold, with the closures of all."""
     best = max(decided, key=lambda m: (m.merged, m.agreeing if m.merged else 0))
@@ -155,37 +183,92 @@ def _as_one(decided: Sequence[Merge]) -> Merge:
     return replace(best, reason=reason, closures=tuple(closures))
 
 
-def _tried(
-    robots: Sequence[RobotGraph],
-    pieces: Sequence[Piece],
-    cfg: MergeConfig,
-    starts: Mapping[int, Start],
-    known: Mapping[tuple[int, int], Merge],
-    executor: Executor | None,
-) -> Callable[[int, int], Merge]:
+class _Trials:
     """What is decided on pieces p and q of robots i < j, with an executor on all at once, else when it is asked for.
 
     A start tells where the piece lies that its robot began with.
     """
-    maps = [keyframe_map(robots[piece.robot], cfg.overlap, piece.rows) for piece in pieces]
 
-    def start(p: int, q: int) -> Start | None:
-        first = not pieces[p].rows[0] and not pieces[q].rows[0]
-        return start_between(starts, pieces[p].robot, pieces[q].robot) if first else None
+    def __init__(
+        self,
+        robots: Sequence[RobotGraph],
+        pieces: Sequence[Piece],
+        cfg: MergeConfig,
+        starts: Mapping[int, Start],
+        known: Mapping[tuple[int, int], Merge],
+        executor: Executor | None,
+    ) -> None:
+        self.pieces, self.cfg, self.starts = pieces, cfg, starts
+        self.maps = [keyframe_map(robots[piece.robot], cfg.overlap, piece.rows) for piece in pieces]
+        self.running = {
+            (p, q): executor.submit(merge_maps, self.maps[p], self.maps[q], cfg, self._start(p, q))
+            for p, q in combinations(range(len(pieces)), 2)
+            if executor is not None
+            and pieces[p].robot != pieces[q].robot
+            and (pieces[p].robot, pieces[q].robot) not in known
+        }
 
-    def numbered(p: int, q: int, merge: Merge) -> Merge:
-        rows = pieces[p].rows, pieces[q].rows
+    def __call__(self, p: int, q: int) -> Merge:
+        there = self.running.get((p, q))
+        made = there.result() if there else merge_maps(self.maps[p], self.maps[q], self.cfg, self._start(p, q))
+        return self._numbered(p, q, made)
+
+    def holding(self, own: Sequence[int], merge: Merge, end: str) -> int:
+        """Of a robot's `own` pieces the one that most accepted closures of a merge end in."""
+        ends = np.array([getattr(c, end) for c in merge.closures if c.accepted], dtype=np.int64)
+        return max(own, key=lambda p: int(np.isin(ends, self.pieces[p].rows).sum()))
+
+    def as_said(self, p: int, q: int, row: PairRow, scans: Merge) -> Merge:
+        """The two pieces together, as `row` says; where it tells no pose, where they fit best by their `scans`."""
+        pose = scans.best if row.pose is None else np.array(row.pose)
+        if pose is None:
+            raise DataError(
+                f"robots {row.a} and {row.b} are said to be {TOGETHER}, and no place of one is found in the other: "
+                "expected the pose of the second in the first's map"
+            )
+        return self._numbered(p, q, merge_as_said(self.maps[p], self.maps[q], pose, self.cfg))
+
+    def _start(self, p: int, q: int) -> Start | None:
+        first = not self.pieces[p].rows[0] and not self.pieces[q].rows[0]
+        return start_between(self.starts, self.pieces[p].robot, self.pieces[q].robot) if first else None
+
+    def _numbered(self, p: int, q: int, merge: Merge) -> Merge:
+        rows = self.pieces[p].rows, self.pieces[q].rows
         closures = [replace(c, first=int(rows[0][c.first]), second=int(rows[1][c.second])) for c in merge.closures]
         return replace(merge, closures=tuple(closures))
 
-    if executor is None:
-        return lambda p, q: numbered(p, q, merge_maps(maps[p], maps[q], cfg, start(p, q)))
-    running = {
-        (p, q): executor.submit(merge_maps, maps[p], maps[q], cfg, start(p, q))
-        for p, q in combinations(range(len(pieces)), 2)
-        if pieces[p].robot != pieces[q].robot and (pieces[p].robot, pieces[q].robot) not in known
-    }
-    return lambda p, q: numbered(p, q, running[p, q].result())
+
+def _apart(scans: Merge) -> Merge:
+    """Two maps that somebody says are not one, whatever their `scans` say."""
+    closures = tuple(replace(c, accepted=False) for c in scans.closures)
+    reason = f"said to be {APART}; by their scans: {scans.reason}"
+    return replace(
+        scans,
+        merged=False,
+        transform=None,
+        covariance=None,
+        reason=reason,
+        closures=closures,
+        said=APART,
+        scans=scans.merged,
+    )
+
+
+def _with_ties(merge: Merge, a: RobotGraph, b: RobotGraph, said: Decisions) -> Merge:
+    """The decision with the ties that somebody says hold, or do not."""
+    words = {}
+    for row in said.between(a.robot, b.robot):
+        stamps = (row.stamp_a, row.stamp_b) if row.robot_a == a.robot else (row.stamp_b, row.stamp_a)
+        words[keyframe_at(a, stamps[0]), keyframe_at(b, stamps[1])] = row.decision
+    if not words:
+        return merge
+    closures = [
+        c
+        if (word := words.get((c.first, c.second))) is None
+        else replace(c, accepted=word == TOGETHER, reason=f"said to be {word}")
+        for c in merge.closures
+    ]
+    return replace(merge, closures=tuple(closures))
 
 
 def _side_by_side(graphs: Sequence[PoseGraph], pose: Float[np.ndarray, "n 3"]) -> PoseGraph:

@@ -145,7 +145,8 @@ def _component(
     cov = unsure * se2.turned_covariance(turned, woven.joint.covariances()[at]) + graphs[0].cov[0]
     ends = np.concatenate([[0], np.cumsum([len(g) for g in graphs])]).astype(np.int64)
     tracks = {
-        maps[k].robot: _track(maps[k], poses[k], np.asarray(cov[ends[i] : ends[i + 1]])) for i, k in enumerate(group)
+        maps[k].robot: placed_track(maps[k], poses[k], np.asarray(cov[ends[i] : ends[i + 1]]))
+        for i, k in enumerate(group)
     }
     features = {maps[k].feature for k in group}
     feature = "normalised" if features == {"normalised"} else "none"
@@ -162,7 +163,7 @@ def _component(
     )
 
 
-def _track(local_map: LaserMap, pose: Float[np.ndarray, "n 3"], cov: Float[np.ndarray, "n 3 3"]) -> Track:
+def placed_track(local_map: LaserMap, pose: Float[np.ndarray, "n 3"], cov: Float[np.ndarray, "n 3 3"]) -> Track:
     """The robot's trajectory where its keyframes stand at `pose`: between them as in its own map."""
     graph, own = _graph(local_map), local_map.track
     placed = RobotGraph(

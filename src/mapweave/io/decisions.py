@@ -1,0 +1,183 @@
+"""`decisions.toml`: what was decided on pairs of robots and on places, to be edited and given again."""
+
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..core.errors import ReaderError
+from ..laser.laser_map import LaserMap
+from ..mapping.decisions import APART, TOGETHER, WORDS, Decisions, Key, PairRow, PlaceRow, keyframe_at
+from ..mapping.merge import Merge
+
+NAME = "decisions.toml"
+HEAD = """\
+# What was decided. To have the last word, set the `decision` of a row to "together", "apart" or "undecided" (mapweave
+# decides), and give the file back: mapweave map LOGS --decisions decisions.toml
+# `found` is what the scans say: rows whose decision is the same are left to them. Further rows may be added.
+# pose: of the second in the frame of the first, x, y [m] and theta [rad].
+"""
+PAIR = {"a": str, "b": str, "decision": str, "found": str, "pose": list}
+PLACE = {
+    "robot_a": str,
+    "stamp_a": float,
+    "robot_b": str,
+    "stamp_b": float,
+    "decision": str,
+    "found": str,
+    "pose": list,
+}
+MAY = {"found", "pose"}
+
+
+def decisions_text(maps: Sequence[LaserMap], merges: Sequence[Merge], said: Decisions | None) -> str:
+    """What stands in `decisions.toml` of a result. said: the rows that somebody gave, as they were honoured."""
+    out = [HEAD, "[logs]"]
+    out += [f"{_quoted(m.robot)} = {_quoted(m.scan_hash)}" for m in maps]
+    for m in merges:
+        found = (TOGETHER if m.scans else APART) if m.said else TOGETHER if m.merged else APART
+        out += ["", "[[pairs]]", f"a = {_quoted(m.a)}", f"b = {_quoted(m.b)}"]
+        out += [f"decision = {_quoted(m.said or found)}", f"found = {_quoted(found)}"]
+        out += [] if m.best is None else [_pose(m.best.tolist() if m.transform is None else m.transform.tolist())]
+    words: dict[Key, PlaceRow] = {} if said is None else {row.key: row for row in said.places if row.edited}
+    for row in _places(maps, merges):
+        told = words.get(row.key, row)
+        out += ["", "[[places]]", f"robot_a = {_quoted(row.robot_a)}", f"stamp_a = {row.stamp_a!r}"]
+        out += [f"robot_b = {_quoted(row.robot_b)}", f"stamp_b = {row.stamp_b!r}"]
+        out += (
+            [f"decision = {_quoted(told.decision)}", f"found = {_quoted(told.found)}"]
+            if told.found
+            else [f"decision = {_quoted(told.decision)}"]
+        )
+        out += [] if row.pose is None else [_pose(row.pose)]
+    return "\n".join(out) + "\n"
+
+
+def _places(maps: Sequence[LaserMap], merges: Sequence[Merge]) -> list[PlaceRow]:
+    """Every place that was tried: within the robots in their order, then between them."""
+    graphs = {m.robot: m.graph for m in maps if m.graph is not None}
+    rows = [
+        (robot, float(g.t[c.first]), robot, float(g.t[c.second]), c.accepted, c.measured)
+        for robot, g in graphs.items()
+        for c in g.closures
+    ]
+    rows += [
+        (m.a, float(graphs[m.a].t[c.first]), m.b, float(graphs[m.b].t[c.second]), m.merged and c.accepted, c.measured)
+        for m in merges
+        if m.a in graphs and m.b in graphs
+        for c in m.closures
+    ]
+    out = []
+    for a, s, b, t, accepted, measured in rows:
+        word = TOGETHER if accepted else APART
+        x, y, theta = measured.tolist()
+        out.append(PlaceRow(a, s, b, t, word, word, (x, y, theta)))
+    return out
+
+
+def read_decisions(path: Path) -> Decisions:
+    """The rows of a file. Raises ReaderError, with all that is wrong in it, where it is none."""
+    try:
+        held = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ReaderError(path, f"expected a file of decisions: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ReaderError(path, f"expected TOML: {error}") from None
+    return decisions_of(held, path)
+
+
+def decisions_of(held: Mapping[str, Any], path: object = "decisions") -> Decisions:
+    """The rows of tables as the file holds them. Raises ReaderError with all that is wrong with them."""
+    wrong = [f"unknown table {name!r}" for name in held if name not in {"logs", "pairs", "places"}]
+    logs = held.get("logs", {})
+    if not isinstance(logs, Mapping) or not all(isinstance(v, str) for v in logs.values()):
+        wrong.append("logs: expected a text a robot")
+        logs = {}
+    pairs = tuple(PairRow(**row) for row in _rows(held, "pairs", PAIR, wrong))
+    places = tuple(PlaceRow(**row) for row in _rows(held, "places", PLACE, wrong))
+    seen: dict[object, str] = {}
+    words = [(frozenset({row.a, row.b}), row.decision) for row in pairs]
+    for key, decision in (*words, *((row.key, row.decision) for row in places)):
+        if seen.setdefault(key, decision) != decision:
+            wrong.append(f"two decisions on one pair: {seen[key]} and {decision}")
+    wrong += [
+        f"a place at {row.stamp_b} s that is added: expected a pose"
+        for row in places
+        if row.decision == TOGETHER and not row.found and row.pose is None
+    ]
+    wrong += [f"pairs: robot {row.a} beside itself" for row in pairs if row.a == row.b]
+    if wrong:
+        more = f"; and {len(wrong) - MOST} more" if len(wrong) > MOST else ""
+        raise ReaderError(path, "; ".join(wrong[:MOST]) + more)
+    return Decisions(dict(logs), pairs, places)
+
+
+MOST = 10  # mistakes that are told at once
+
+
+def _rows(held: Mapping[str, Any], table: str, fields: Mapping[str, type], wrong: list[str]) -> list[dict[str, Any]]:
+    """The rows of one table that are right; what is wrong with the others is added to `wrong`."""
+    rows = held.get(table, [])
+    if not isinstance(rows, list) or not all(isinstance(row, Mapping) for row in rows):
+        wrong.append(f"{table}: expected [[{table}]]")
+        return []
+    out = []
+    for k, row in enumerate(rows, 1):
+        mistakes = [f"no {name}" for name in fields if name not in row and name not in MAY]
+        mistakes += [f"unknown key {name!r}" for name in row if name not in fields]
+        mistakes += [m for name, value in row.items() if name in fields and (m := _mistake(name, value, fields[name]))]
+        if mistakes:
+            wrong += [f"{table} {k}: {m}" for m in mistakes]
+            continue
+        made = dict(row)
+        for name in ("stamp_a", "stamp_b"):
+            if name in made:
+                made[name] = float(made[name])
+        if "pose" in made:
+            made["pose"] = tuple(map(float, made["pose"]))
+        out.append(made)
+    return out
+
+
+def _mistake(name: str, value: object, kind: type) -> str:
+    if kind is float:
+        right = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        return "" if right else f"{name}: expected a stamp in seconds, found {value!r:.40}"
+    if kind is list:
+        numbers = isinstance(value, list) and len(value) == 3 and all(not _mistake(name, v, float) for v in value)
+        return "" if numbers else f"pose: expected x, y, theta, found {value!r:.40}"
+    if not isinstance(value, str):
+        return f"{name}: expected a text, found {value!r:.40}"
+    known = WORDS if name == "decision" else (TOGETHER, APART, "") if name == "found" else None
+    return "" if known is None or value in known else f"{name}: expected one of {', '.join(known)}, found {value!r:.40}"
+
+
+def expect_of(decisions: Decisions, maps: Sequence[LaserMap], path: object) -> None:
+    """Raises ReaderError unless the rows are of these robots, and the edited ones of keyframes that they have."""
+    there = {m.robot: m for m in maps}
+    for robot, digest in decisions.logs.items():
+        if robot in there and digest != there[robot].scan_hash:
+            raise ReaderError(
+                path, f"it is of another result: the scans of robot {robot} are not those of {there[robot].source}"
+            )
+    for row in decisions.pairs:
+        for robot in (row.a, row.b):
+            if row.edited and robot not in there:
+                raise ReaderError(path, f"there is no robot {robot} among {', '.join(there)}")
+    for place in decisions.places:
+        for robot, t in ((place.robot_a, place.stamp_a), (place.robot_b, place.stamp_b)) if place.edited else ():
+            if robot not in there:
+                raise ReaderError(path, f"there is no robot {robot} among {', '.join(there)}")
+            graph = there[robot].graph
+            if graph is None or keyframe_at(graph, t) is None:
+                raise ReaderError(path, f"robot {robot} has no keyframe at {t} s")
+
+
+def _quoted(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
+
+
+def _pose(pose: Sequence[float]) -> str:
+    return f"pose = [{', '.join(repr(round(float(v), 6) + 0.0) for v in pose)}]"

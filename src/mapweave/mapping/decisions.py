@@ -1,0 +1,96 @@
+"""The last word on what is one place and what is one map: rows that people edit and give back."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core import se2
+from ..laser.robot_graph import RobotGraph
+
+TOGETHER, APART, UNDECIDED = "together", "apart", "undecided"
+WORDS = (TOGETHER, APART, UNDECIDED)
+MOMENT = 0.05  # [s] from a stamp that is told to that of a keyframe
+
+Key = tuple[str, float, str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceRow:
+    """Whether keyframe at `stamp_b` [s] of robot_b sees the place of keyframe at `stamp_a` of robot_a.
+
+    pose: (3,) of the second in the first's frame, None where nobody tells; decision: what is to be; found: what scans
+    decide, empty where they were not asked.
+    """
+
+    robot_a: str
+    stamp_a: float
+    robot_b: str
+    stamp_b: float
+    decision: str
+    found: str = ""
+    pose: tuple[float, float, float] | None = None
+
+    @property
+    def key(self) -> Key:
+        return (self.robot_a, self.stamp_a, self.robot_b, self.stamp_b)
+
+    @property
+    def edited(self) -> bool:
+        """Whether somebody says otherwise than the scans."""
+        return self.decision not in {UNDECIDED, self.found}
+
+
+@dataclass(frozen=True, slots=True)
+class PairRow:
+    """Whether the maps of robots a and b are one. pose: (3,) of b's first pose in a's frame, where that is told."""
+
+    a: str
+    b: str
+    decision: str
+    found: str = ""
+    pose: tuple[float, float, float] | None = None
+
+    @property
+    def edited(self) -> bool:
+        """Whether somebody says otherwise than the scans."""
+        return self.decision not in {UNDECIDED, self.found}
+
+
+@dataclass(frozen=True, slots=True)
+class Decisions:
+    """All rows of a file. logs: robot -> digest of the scans that the rows are of."""
+
+    logs: Mapping[str, str]
+    pairs: tuple[PairRow, ...] = ()
+    places: tuple[PlaceRow, ...] = ()
+
+    def pair(self, a: str, b: str) -> PairRow | None:
+        """What somebody says of two robots otherwise than their scans, seen from robot a."""
+        for row in self.pairs:
+            if row.edited and (row.a, row.b) == (a, b):
+                return row
+            if row.edited and (row.a, row.b) == (b, a):
+                pose = None if row.pose is None else _numbers(se2.inverse(np.array(row.pose)))
+                return replace(row, a=a, b=b, pose=pose)
+        return None
+
+    def within(self, robot: str) -> tuple[PlaceRow, ...]:
+        """The edited rows of places of one robot."""
+        return tuple(row for row in self.places if row.edited and row.robot_a == row.robot_b == robot)
+
+    def between(self, a: str, b: str) -> tuple[PlaceRow, ...]:
+        """The edited rows of places that tie two robots."""
+        return tuple(row for row in self.places if row.edited and {row.robot_a, row.robot_b} == {a, b} and a != b)
+
+
+def keyframe_at(graph: RobotGraph, t: float) -> int | None:
+    """The keyframe at a stamp [s]; None where there is none within `MOMENT`."""
+    k = int(np.argmin(np.abs(graph.t - t)))
+    return k if abs(float(graph.t[k]) - t) <= MOMENT else None
+
+
+def _numbers(pose: Float[np.ndarray, "3"]) -> tuple[float, float, float]:
+    x, y, theta = np.asarray(pose, dtype=float).tolist()
+    return x, y, theta
