@@ -69,6 +69,7 @@ TABLES = (
         bench("laser_consistency", "--worlds", "pairs", "--runs", "10", "--seed", "300"),
         "stdout",
     ),
+    Table("logs of all kinds", "docs/laser.md", bench("places"), "stdout"),
     Table("changed logs", "docs/laser.md", bench("laser_variants"), "stdout"),
     Table("wheels and mounting", "docs/laser.md", bench("laser_calibration"), "stdout"),
     Table("pose graphs", "docs/laser.md", bench("solve"), "stdout"),
