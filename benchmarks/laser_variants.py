@@ -203,7 +203,7 @@ def main() -> None:
                 f"{key}: {text}"
                 for key, one in told["robots"].items()
                 for text in one["warnings"]
-                if "no intensity" not in text and "poses have stamps within" not in text
+                if "intensity of returns is not used" not in text and "poses have stamps of one moment" not in text
             ]
             said += [f"{m['a']} and {m['b']}: {m['decision']}, {m['reason']}" for m in told["fusion"]]
             used, mean, most = (" + ".join(f"{s[k]:{'d' if k == 0 else '.4f'}}" for s in scores) for k in range(3))

@@ -3,8 +3,26 @@
 import numpy as np
 import pytest
 
+from mapweave.core import se2
+from mapweave.core.laser_log import LaserLog
+from mapweave.core.records import Scan, Track
+from mapweave.laser.closures import Closure
+from mapweave.laser.robot_graph import RobotGraph
 from mapweave.laser.scan_odometry import ScanInfo
-from mapweave.mapping.segments import GAP, JUMP, LEARNED, REFUSED, SLIP, Borders, SegmentConfig
+from mapweave.mapping.segments import (
+    GAP,
+    JUMP,
+    LEARNED,
+    REFUSED,
+    SLIP,
+    Borders,
+    SegmentConfig,
+    bridged,
+    held_over,
+    pieces_of,
+    segment_findings,
+    still_apart,
+)
 
 STEP = np.array([0.3, 0.0, 0.1])
 
@@ -54,3 +72,83 @@ def test_over_a_border_a_long_step_may_err_by_more():
     cfg = SegmentConfig()
     assert np.allclose(np.sqrt(np.diag(cfg.covariance(np.zeros(3)))), [1.0, 1.0, 0.5])
     assert np.allclose(np.sqrt(np.diag(cfg.covariance(np.array([6.0, 0.0, 2.0])))), [3.0, 3.0, 1.0])
+
+
+def straight(borders=(), closures=(), n=40, step=0.5):
+    """The graph of a robot that drove along x. borders: keyframes; closures: pairs of keyframes that hold."""
+    pose = np.column_stack([step * np.arange(n), np.zeros(n), np.zeros(n)])
+    held = [
+        Closure((0, 0), a, b, True, "", se2.between(pose[a], pose[b]), np.eye(3), np.zeros(3), 1.0, 0.0)
+        for a, b in closures
+    ]
+    return RobotGraph(
+        robot="1",
+        t=np.arange(n, dtype=float),
+        pose=pose,
+        cov=np.zeros((n, 3, 3)),
+        path=pose[:, 0],
+        step=se2.between(pose[:-1], pose[1:]),
+        step_information=np.tile(np.eye(3), (n - 1, 1, 1)),
+        closures=tuple(held),
+        start=np.zeros(n + 1, dtype=np.int64),
+        points=np.zeros((0, 2)),
+        normals=np.zeros((0, 2)),
+        q=None,
+        lined=np.zeros(0, dtype=bool),
+        sensor=np.zeros((n, 2)),
+        border=tuple("slip" if k in borders else "" for k in range(n)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("borders", "closures", "pieces"),
+    [
+        ((), (), [range(40)]),
+        ((20,), (), [range(20), range(20, 40)]),
+        ((20,), ((3, 30),), [range(40)]),
+        ((10, 20), ((3, 30),), [[*range(10), *range(20, 40)], range(10, 20)]),
+        ((20, 22), (), [range(22), range(22, 40)]),  # a short one goes with the one before it,
+        ((3,), (), [range(40)]),  # or with the next
+        ((3, 5), (), [range(40)]),
+    ],
+)
+def test_a_trajectory_is_in_pieces_that_no_closure_joins(borders, closures, pieces):
+    assert [p.tolist() for p in pieces_of(straight(borders, closures))] == [list(p) for p in pieces]
+
+
+def test_what_a_border_parts_is_held_where_a_closure_reaches_over_it():
+    assert not held_over(straight((20,)), 20.0)
+    assert not held_over(straight(), 20.0)  # nothing but the step there
+    assert held_over(straight((20,), ((3, 30),)), 20.0)
+    assert held_over(straight(closures=((3, 30),)), 20.0)
+    assert not held_over(straight(closures=((3, 10),)), 20.0)
+    assert held_over(straight(), 0.0)
+    assert held_over(straight(), 99.0)
+
+
+def test_a_piece_that_another_robot_ties_is_no_longer_told_to_be_apart():
+    graph = straight((20,))
+    told = segment_findings(graph)
+    assert [f.code for f in told] == ["track-patchy", "track-cut", "segment-apart"]
+    assert still_apart(told, graph, ()) == told
+    assert [f.code for f in still_apart(told, graph, (1,))] == ["track-patchy", "track-cut"]
+
+
+def test_a_trajectory_is_patchy_from_a_cut_in_fifty_keyframes_on():
+    assert "track-patchy" not in {f.code for f in segment_findings(straight((20,), n=60))}
+    assert "track-patchy" in {f.code for f in segment_findings(straight((20, 30), n=60))}
+    assert "track-patchy" not in {f.code for f in segment_findings(straight((10,), n=19))}
+
+
+def test_wheels_that_were_set_anew_tell_no_motion_over_the_border():
+    graph = straight((20,))
+    track = Track(graph.t, graph.pose)
+    dead = np.array(graph.pose) + np.array([1.0, 2.0, 0.0])
+    dead[20:] = se2.compose(np.array([7.0, -3.0, 2.0]), se2.between(dead[20], dead[20:]))
+    scans = tuple(Scan(np.ones(1), np.ones(1, bool), None, 0.0, 0.1, 5.0, odometry=p) for p in dead)
+    log = LaserLog("1", "", graph.t, scans, Track(graph.t, dead, frame="odom"))
+    mended, wheels = bridged(log, graph, track, Track(graph.t, dead, frame="odom"))
+    steps = se2.between(wheels.pose[:-1], wheels.pose[1:])
+    assert np.allclose(steps, graph.step)
+    assert np.allclose([scan.odometry for scan in mended.scans], wheels.pose)
+    assert np.allclose(wheels.pose[0], dead[0])

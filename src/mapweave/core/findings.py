@@ -37,6 +37,13 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "places that both saw.",
             "Nothing where places join the pieces; else `segment-apart` tells it. Look for lost messages.",
         ),
+        "gap-disputed": FindingKind(
+            "doubtful",
+            "over a gap in the scans places put the robot {value:.1f} m from where the wheels do",
+            "The scanner was silent while the robot drove, and what it saw afterwards looks like another place than "
+            "the one that its wheels tell: the robot was carried, or several places look alike.",
+            "Look at the map after that time; say in a decisions file which places are apart.",
+        ),
         "track-cut": FindingKind(
             "note",
             "from one scan to the next the motion is not sure: {value}",

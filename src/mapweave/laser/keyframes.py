@@ -194,9 +194,9 @@ class KeyframeOdometry:
         """Where odometry puts the robot now, in its own frame; without odometry it goes on as before."""
         return np.asarray(se2.compose(self.local, self.odometry.increment(odometry).u))
 
-    def advance(self, scan: Scan, b: Beams) -> ScanInfo:
-        """`local` is the pose of this scan; one that shows nothing is carried by odometry."""
-        info = self.odometry.advance(scan, b)
+    def advance(self, scan: Scan, b: Beams, *, leapt: bool = False) -> ScanInfo:
+        """`local` is the pose of this scan; one that shows nothing is carried by odometry, unless that `leapt`."""
+        info = self.odometry.advance(scan, b, leapt=leapt)
         self.status = info.decision
         self.maker.advance(self.odometry.pose, self.odometry.step, self.odometry.lines)
         return info

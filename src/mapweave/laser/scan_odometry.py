@@ -140,9 +140,9 @@ class ScanOdometry:
         away = se2.between(self._stood, self.pose)
         return bool(np.hypot(away[0], away[1]) > self.cfg.still_xy or abs(away[2]) > self.cfg.still_turn)
 
-    def advance(self, scan: Scan, b: Beams) -> ScanInfo:
-        """`poses` has one more: where the robot was at the scan."""
-        u, sd, alone = self.increment(scan.odometry)
+    def advance(self, scan: Scan, b: Beams, *, leapt: bool = False) -> ScanInfo:
+        """`poses` has one more: where the robot was at the scan. leapt: its odometry was set anew, tells nothing."""
+        u, sd, alone = self.increment(None if leapt else scan.odometry)
         if not self._wheels_stand(scan.odometry):
             self._stood = None
         elif self._stood is None:

@@ -29,7 +29,7 @@ from .keyframe_graph import KeyframeGraph
 from .known_places import KnownPlaces
 from .loops import LoopFinder
 from .places import PlaceIndex
-from .segments import CONTRADICTED, Borders
+from .segments import CONTRADICTED, GAP, Borders
 
 _NONE = np.zeros(0)
 GONE = Beams(np.zeros((0, 2)), _NONE, _NONE, np.zeros((0, 2)), _NONE, _NONE, _NONE, *2 * [np.zeros(0, np.int64)])
@@ -118,9 +118,12 @@ def step(
         state.particles, info = particle_slam.step(state.particles, event, _filtering(cfg), rng)
         state.lines.append(state.particles.odometry.lines)
         return state, info
-    info = state.odometry.advance(scan, b)
-    border = state.borders.seen(event.t, info, state.odometry.step, wheels=scan.odometry is not None)
-    weak = cfg.graph.segments.covariance(state.odometry.step) if border else None
+    leapt = state.borders.leapt(event.t, scan.odometry)
+    info = state.odometry.advance(scan, b, leapt=leapt)
+    wheels = scan.odometry is not None and not leapt
+    border = state.borders.seen(event.t, info, state.odometry.step, wheels=wheels)
+    wheeled = GAP if border == GAP and scan.odometry is not None else ""
+    weak = cfg.graph.segments.covariance(state.odometry.step, wheeled) if border else None
     keyframe = state.odometry.keyframe(event.t, b, border, weak)
     state.unneeded = _grow(state, cfg, len(state.scans) - 1, keyframe)
     for row in state.unneeded:

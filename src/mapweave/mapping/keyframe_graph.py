@@ -16,8 +16,10 @@ from .places import PlaceMatch
 from .segments import SegmentConfig
 
 OUTWEIGHED = 3  # places that hold without a step and not with it: then it is the step that is wrong
-SLIPPED = 1.0  # squared sd, of a step over a border, that a step may be wrong by: farther, the places are wrong
-ALONE = 5  # keyframes between two such steps, at least
+SLIPPED = 1.0  # sd, of a step over a border, that steps in a row may be wrong by: farther, the places are wrong
+ALONE = 5  # keyframes between two such rows, at least
+NEAR, RIVALS = 3.0, 30  # sd of a step over a border that places there may lie from it; times as many elsewhere
+ELSEWHERE = "it lies elsewhere than the step over the border says"
 UNDECIDED = "found, and not decided on yet"
 EXACT = 1e-4  # [m, rad] sd of the start that `map` hangs on
 
@@ -194,7 +196,7 @@ class KeyframeGraph:
                 for node, (_, i) in zip(later, steps, strict=True)
             ]
         ).reshape(-1, 3, 3)
-        accepted = [c for c in self.closures if c.accepted or tried]
+        accepted = [c for c in self.closures if c.accepted or (tried and not c.reason.startswith(ELSEWHERE))]
         return (
             PoseGraph.of(self.pose, steps, [node.step for node in later], list(np.linalg.inv(covs))),
             PoseGraph.of(
@@ -228,6 +230,7 @@ class KeyframeGraph:
         each is doubtful until others agree with it. Where many hold but for a step or two, those are not believed.
         """
         self.contradicted = frozenset()
+        self._leave_rivals()
         before = self.closures
         steps, tried = self.edges(tried=True)
         if not tried.edges:
@@ -244,12 +247,46 @@ class KeyframeGraph:
             decided = solve_graph(steps.joined(tried), RobustGraphConfig(), doubtful=doubtful)
         why = {d.edge - steps.edges: d.reason for d in decided.dropped}
         nis = decided.nis[steps.edges :]
-        self.closures = [
-            replace(c, accepted=k not in why, nis=float(nis[k]), reason=why.get(k) or _agrees(c.share, float(nis[k])))
-            for k, c in enumerate(before)
-        ]
+        asked = [k for k, c in enumerate(before) if not c.reason.startswith(ELSEWHERE)]
+        self.closures = list(before)
+        for n, k in enumerate(asked):
+            c, reason = before[k], why.get(n) or _agrees(before[k].share, float(nis[n]))
+            self.closures[k] = replace(c, accepted=n not in why, nis=float(nis[n]), reason=reason)
         self.pose = np.array(decided.graph.pose)
         self.solve()
+
+    def _leave_rivals(self) -> None:
+        """Places over a border that lie elsewhere than the step over it says are left out where others lie there.
+
+        In a building that looks alike in several places many more may agree on another than on the right one; so they
+        must be `RIVALS` times as many. Where nothing lies where the step says (the robot was carried), all count.
+        """
+        cuts = [i for i, node in enumerate(self.nodes) if i and node.border]
+        if not cuts or len(self.of) > 1:
+            return
+        segment = np.searchsorted(np.array(cuts), np.arange(len(self.nodes)), side="right")
+        over: dict[int, list[tuple[int, bool]]] = {}
+        for n, c in enumerate(self.closures):
+            low, high = sorted((c.first, c.second))
+            if segment[high] != segment[low] + 1:
+                continue
+            k = cuts[int(segment[low])]
+            measured = c.measured if c.first == low else se2.inverse(c.measured)
+            ahead = se2.compose(se2.between(self.pose[k - 1], self.pose[low]), measured)
+            step = se2.compose(ahead, se2.between(self.pose[high], self.pose[k]))
+            e = se2.between(self.nodes[k].step, step)
+            over.setdefault(k, []).append((n, bool(e @ np.linalg.solve(self.nodes[k].cov, e) <= NEAR**2)))
+        for found in over.values():
+            there = [n for n, near in found if near]
+            if len(there) < OUTWEIGHED or len(found) - len(there) > RIVALS * len(there):
+                there = [n for n, _ in found]
+            for n, _ in found:
+                c = self.closures[n]
+                if n not in there:
+                    reason = f"{ELSEWHERE}, and {len(there)} places lie where the step over the border puts them"
+                    self.closures[n] = replace(c, accepted=False, reason=reason)
+                elif c.reason.startswith(ELSEWHERE):
+                    self.closures[n] = replace(c, reason=UNDECIDED)
 
     def _contradicted_steps(self, steps: PoseGraph, tried: PoseGraph, dropped: frozenset[int]) -> frozenset[int]:
         """The keyframes whose steps are wrong where without them `OUTWEIGHED` more places a step hold; else none.
@@ -271,8 +308,9 @@ class KeyframeGraph:
         wrong = [sure[k - steps.edges] for k in gone if k < both.edges]
         gained = len(dropped) - (len(gone) - len(wrong))
         lost = {k - both.edges for k in gone if k >= both.edges} - dropped
-        slipped = bool((decided.nis[wrong] <= SLIPPED).all() and (np.diff(wrong) >= ALONE).all())
-        if not wrong or lost or not slipped or gained < OUTWEIGHED * len(wrong):
+        runs = np.split(np.array(wrong, dtype=np.int64), np.flatnonzero(np.diff(wrong) >= ALONE) + 1)
+        slipped = all(np.sqrt(decided.nis[run]).sum() <= SLIPPED for run in runs)
+        if not wrong or lost or not slipped or gained < OUTWEIGHED * len(runs):
             return frozenset()
         return frozenset(int(steps.second[k]) for k in wrong)
 

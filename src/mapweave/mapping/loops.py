@@ -10,8 +10,9 @@ from .keyframe_graph import KeyframeGraph
 from .places import PlaceIndex, PlaceMatch
 from .submaps import TURN_WAY, PlaceSubmapConfig, extent, make_submap, middles
 
+# what will do of a submap in the one before it, over a border between segments: correlation of headings, likelihood,
+# share of points on walls, points that hold it
 BORDER = {"least_heading": 0.0, "least_score": 0.35, "least_share": 0.45, "least_held": 30.0}
-"""What will do of a submap in the one before it, over a border between segments,"""
 BORDER_SDS = 2.0  # standard deviations of the step over it from where that puts it
 
 

@@ -22,7 +22,9 @@ from ..laser.scan_odometry import ScanInfo
 
 LEARNED = 20  # scans from which on it is known how far apart they are
 PAUSE, PAUSE_TIMES = 5.0, 8.0  # [s] between two scans, and times the usual: a pause
+LEAP, LEAP_TIMES, SLOW = 1.0, 5.0, 0.2  # [m or rad], times the usual speed, at least [1/s]: wheels that were set anew
 STILL, STILL_TURN = 0.2, 0.1  # [m], [rad]: a robot that moved less over a pause stood still
+DRIVEN = 0.15  # of a step over a gap that wheels may err by
 WIDE = 0.5  # of a step over a border that it may err by, where that is more than the settings say
 SLIP, REFUSED, JUMP, GAP = "slip", "refused", "jump", "gap"  # why a step is not sure,
 CONTRADICTED = "contradicted"  # or turned out to be wrong
@@ -33,6 +35,7 @@ WHY = {
     CONTRADICTED: "places before and after it contradict what its scans tell",
 }
 MANY, PATCHY = 20, 0.02  # keyframes, and cuts among them from which on a trajectory is a patchwork
+DISPUTED = 3.0  # sd by which places put a robot elsewhere over a gap than its wheels
 LONG = 3.0  # [m] of way from which on it matters that a piece shares no place with what came before
 
 
@@ -48,9 +51,12 @@ class SegmentConfig:
     weak_xy: float = 1.0  # [m] and
     weak_turn: float = 0.5  # [rad] sd of a step over a border
 
-    def covariance(self, step: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-        """Of a step over a border, over x, y, theta."""
-        xy = max(self.weak_xy, WIDE * float(np.hypot(step[0], step[1])))
+    def covariance(self, step: Float[np.ndarray, "3"], why: str = "") -> Float[np.ndarray, "3 3"]:
+        """Of a step over a border, over x, y, theta. why: there is one; wheels go on over a gap."""
+        way = float(np.hypot(step[0], step[1]))
+        if why == GAP:
+            return np.diag(np.square([max(0.5 * self.weak_xy, DRIVEN * way)] * 2 + [0.5 * self.weak_turn]))
+        xy = max(self.weak_xy, WIDE * way)
         return np.diag(np.square([xy, xy, max(self.weak_turn, WIDE * abs(float(step[2])))]))
 
 
@@ -61,6 +67,22 @@ class Borders:
         self.cfg = cfg
         self._t = np.nan
         self._apart: list[float] = []
+        self._wheels: np.ndarray | None = None
+        self._speed: list[np.ndarray] = []
+
+    def leapt(self, t: float, wheels: Float[np.ndarray, "3"] | None) -> bool:
+        """Whether the pose that wheels tell was set anew since the scan before, one at `t` [s] having come."""
+        before, self._wheels = self._wheels, wheels
+        if wheels is None or before is None or len(self._apart) < LEARNED:
+            return False
+        step = se2.between(before, wheels)
+        moved = np.array([np.hypot(step[0], step[1]), abs(step[2])])
+        speed = moved / max(t - self._t, float(np.median(self._apart)))
+        usual = np.quantile(self._speed, 0.95, axis=0) if self._speed else np.zeros(2)
+        far = (moved > LEAP) & (speed > LEAP_TIMES * np.maximum(usual, SLOW))
+        if not far.any() and len(self._speed) < 10 * LEARNED:
+            self._speed.append(speed)
+        return bool(far.any())
 
     def seen(self, t: float, info: ScanInfo, step: Float[np.ndarray, "3"], *, wheels: bool) -> str:
         """Why the step to the scan at `t` [s] is not sure, empty where it is. step: as scan odometry has it."""
@@ -136,6 +158,9 @@ def segment_findings(graph: RobotGraph) -> tuple[Finding, ...]:
         why, span = graph.border[k], (float(graph.t[k - 1]), float(graph.t[k]))
         if why == GAP:
             found.append(Finding("scan-gap", graph.robot, span, span[1] - span[0]))
+            e = se2.between(graph.step[k - 1], se2.between(graph.pose[k - 1], graph.pose[k]))
+            if e @ graph.step_information[k - 1] @ e > DISPUTED**2:
+                found.append(Finding("gap-disputed", graph.robot, span, float(np.hypot(e[0], e[1])), "places decide"))
         else:
             found.append(Finding("track-cut", graph.robot, span, WHY[why]))
         last = cuts[piece] - 1 if piece < len(cuts) else len(graph) - 1

@@ -1,0 +1,183 @@
+"""Logs that were spoilt on the way become the map of the log as it was, or are told not to be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import mapweave
+from mapweave.core import se2
+from mapweave.core.records import Track
+from mapweave.laser.pose_graph import PoseGraph
+from mapweave.mapping.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
+from mapweave.mapping.places import PlaceMatch
+from mapweave.mapping.segments import GAP
+
+from ..laser.team_logs import office
+
+
+@pytest.fixture(scope="module")
+def whole():
+    log, _ = office(5)
+    return log, mapweave.map([log])
+
+
+def places(result, t):
+    track = result.components[0].tracks["1"]
+    return track.pose[np.searchsorted(track.t, np.asarray(t) - 1e-6)]
+
+
+def off(result, t, known):
+    """The greatest distance of places after one rigid alignment."""
+    a, b = places(result, t), known
+    ma, mb = a[:, :2].mean(axis=0), b[:, :2].mean(axis=0)
+    H = (a[:, :2] - ma).T @ (b[:, :2] - mb)
+    turn = np.arctan2(H[0, 1] - H[1, 0], H[0, 0] + H[1, 1])
+    return float(np.hypot(*((a[:, :2] - ma) @ se2.rotation(turn).T + mb - b[:, :2]).T).max())
+
+
+def changed(log, first, change):
+    """The odometry from scan `first` on, changed."""
+    late = [k >= first for k in range(len(log.scans))]
+    scans = tuple(
+        replace(s, odometry=np.asarray(change(s.odometry))) if after else s
+        for s, after in zip(log.scans, late, strict=True)
+    )
+    rows = log.odometry
+    pose = np.array(rows.pose)
+    after = rows.t >= log.scan_t[first]
+    pose[after] = change(pose[after])
+    return replace(log, scans=scans, odometry=Track(rows.t, pose, frame="odom"), log_hash="changed")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["jumps", "restarts"])
+def test_a_log_whose_odometry_jumps_or_begins_anew_is_mapped_as_if_it_had_not(whole, what):
+    log, known = whole
+    first = len(log.scans) // 2
+    start = np.array(log.scans[first].odometry)
+    change = {
+        "jumps": lambda p: np.asarray(p) + np.array([3.0, 4.0, 0.0]),
+        "restarts": lambda p: se2.between(start, p),
+    }[what]
+    spoilt = mapweave.map([changed(log, first, change)])
+    assert off(spoilt, log.scan_t, places(known, log.scan_t)) < 0.1
+    assert spoilt.verdict == known.verdict == "good"
+    assert "wheels-set" in {f.code for f in spoilt.findings}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("where", [(0.3, 0.4), (0.5, 0.6)])
+def test_a_log_of_which_a_stretch_is_gone_is_joined_by_places(whole, where):
+    log, known = whole
+    first, last = (int(share * len(log.scans)) for share in where)
+    keep = [k for k in range(len(log.scans)) if not first <= k < last]
+    t = log.scan_t[keep]
+    rows = log.odometry
+    there = (rows.t <= log.scan_t[first]) | (rows.t >= log.scan_t[last])
+    gap = replace(
+        log,
+        scan_t=t,
+        scans=tuple(log.scans[k] for k in keep),
+        odometry=Track(rows.t[there], rows.pose[there], frame="odom"),
+        log_hash="gap",
+    )
+    spoilt = mapweave.map([gap])
+    codes = {f.code for f in spoilt.findings}
+    assert "scan-gap" in codes
+    assert off(spoilt, t, places(known, t)) < 0.4
+    assert not codes & {"segment-apart", "gap-disputed"}
+
+
+def graph_with(wrong=None, loops=(), n=60):
+    """A lap of keyframes round a square; step `wrong` told 0.3 m and 0.3 rad off, and loops between pairs."""
+    graph = KeyframeGraph(KeyframeGraphConfig(), np.zeros((1, 3)))
+    true = [np.zeros(3)]
+    for k in range(1, n):
+        true.append(np.asarray(se2.compose(true[-1], np.array([0.5, 0.0, np.pi / 2 if k % 10 == 0 else 0.0]))))
+    cov = np.diag(np.square([0.003, 0.003, 0.001]))
+    for k, pose in enumerate(true):
+        step = se2.between(true[k - 1], pose) if k else np.zeros(3)
+        if k == wrong:
+            step = se2.compose(step, np.array([0.3, 0.2, 0.4]))
+        graph.add(keyframe(k, np.asarray(step), cov))
+    for a, b in loops:
+        graph.tie(a, b, match(a, b, se2.between(true[a], true[b])))
+    return graph, np.array(true)
+
+
+def keyframe(k, step, cov):
+    from mapweave.laser.keyframes import Keyframe
+    from mapweave.mapping.graph_slam import GONE
+
+    return Keyframe(0, k, float(k), np.zeros(3), step, cov, 0.5 * k, GONE)
+
+
+def match(a, b, measured):
+    cov = np.diag(np.square([0.02, 0.02, 0.005]))
+    return PlaceMatch(a, b, np.asarray(measured), cov, 0.8, 0.0, 0.8, (100.0, 100.0), np.array([1.0, 0.0]))
+
+
+LOOPS = [(k, k + 40) for k in range(2, 19, 2)]
+
+
+def test_a_step_that_many_places_contradict_is_not_believed_and_they_hold():
+    graph, true = graph_with(wrong=30, loops=LOOPS)
+    graph.settle()
+    assert 30 in graph.contradicted
+    assert graph.contradicted <= set(range(19, 43))  # what all the places reach over
+    assert all(c.accepted for c in graph.closures)
+    assert np.hypot(*(graph.pose - true)[:, :2].T).max() < 0.4
+
+
+def test_right_steps_are_believed_and_so_are_they_where_few_places_speak_against_them():
+    graph, true = graph_with(loops=LOOPS)
+    graph.settle()
+    assert not graph.contradicted
+    lone, _ = graph_with(wrong=30, loops=LOOPS[:1])
+    lone.settle()
+    assert not lone.contradicted
+    assert np.allclose(se2.between(true, graph.pose), 0.0, atol=1e-3)
+
+
+def test_places_that_look_alike_metres_away_do_not_outvote_right_steps():
+    graph, true = graph_with()
+    for a, b in LOOPS:
+        graph.tie(a, b, match(a, b, se2.compose(np.array([5.0, 0.0, 0.0]), se2.between(true[a], true[b]))))
+    graph.settle()
+    assert not graph.contradicted
+    assert not any(c.accepted for c in graph.closures)
+    assert np.allclose(se2.between(true, graph.pose), 0.0, atol=1e-3)
+
+
+def test_over_a_gap_places_where_the_wheels_lead_win_against_many_that_look_alike():
+    graph, true = graph_with()
+    graph.nodes[30] = graph.nodes[30]._replace(border=GAP, cov=graph.segments.covariance(graph.nodes[30].step, GAP))
+    for a, b in LOOPS[4:8]:
+        graph.tie(a, b, match(a, b, se2.between(true[a], true[b])))
+    for k in range(40):
+        a, b = k % 20, 35 + k % 20
+        graph.tie(a, b, match(a, b, se2.compose(np.array([12.0, 0.0, 0.0]), se2.between(true[a], true[b]))))
+    graph.settle()
+    assert [c.accepted for c in graph.closures] == [True] * 4 + [False] * 40
+    assert np.hypot(*(graph.pose - true)[:, :2].T).max() < 0.05
+
+
+def test_a_robot_that_was_carried_is_where_all_places_say():
+    graph, true = graph_with()
+    cov = graph.segments.covariance(np.zeros(3))
+    graph.nodes[30] = graph.nodes[30]._replace(border="slip", step=np.array([9.0, 9.0, 1.0]), cov=cov)
+    for a, b in LOOPS:
+        graph.tie(a, b, match(a, b, se2.between(true[a], true[b])))
+    graph.settle()
+    assert all(c.accepted for c in graph.closures)
+    assert np.hypot(*(graph.pose - true)[:, :2].T).max() < 0.1
+
+
+def test_nothing_of_the_last_pass_holds_a_step_over_a_border():
+    from mapweave.laser.joint_pass import UNSURE
+
+    sure, weak = PoseGraph.of(
+        np.zeros((2, 3)), [(0, 1), (0, 1)], [np.zeros(3)] * 2, [np.eye(3) * UNSURE**-2 * f for f in (1.1, 0.9)]
+    ).information
+    assert np.linalg.eigvalsh(sure[:2, :2])[0] > UNSURE**-2 > np.linalg.eigvalsh(weak[:2, :2])[0]
