@@ -89,6 +89,17 @@ def test_a_log_of_which_a_stretch_is_gone_is_joined_by_places(whole, where):
     assert not codes & {"segment-apart", "gap-disputed"}
 
 
+@pytest.mark.slow
+def test_a_match_after_a_gap_is_not_believed_against_the_wheels():
+    log, truth = office(11)  # whose rooms look alike turned by half a circle
+    first, last = int(0.3 * len(log.scans)), int(0.4 * len(log.scans))
+    keep = [k for k in range(len(log.scans)) if not first <= k < last]
+    t = log.scan_t[keep]
+    gap = replace(log, scan_t=t, scans=tuple(log.scans[k] for k in keep), log_hash="gap")
+    true = truth.pose[np.abs(truth.t[:, None] - t[None]).argmin(axis=0)]
+    assert off(mapweave.map([gap]), t, true) < 0.3
+
+
 def graph_with(wrong=None, loops=(), n=60):
     """A lap of keyframes round a square; step `wrong` told 0.3 m and 0.3 rad off, and loops between pairs."""
     graph = KeyframeGraph(KeyframeGraphConfig(), np.zeros((1, 3)))

@@ -125,6 +125,8 @@ def step(
     wheeled = GAP if border == GAP and scan.odometry is not None else ""
     weak = cfg.graph.segments.covariance(state.odometry.step, wheeled) if border else None
     keyframe = state.odometry.keyframe(event.t, b, border, weak)
+    if keyframe is not None and wheeled:  # after a gap a match may be any: what wheels tell is what is known
+        keyframe = keyframe._replace(step=np.asarray(se2.compose(keyframe.step, se2.inverse(info.innovation))))
     state.unneeded = _grow(state, cfg, len(state.scans) - 1, keyframe)
     for row in state.unneeded:
         state.scans[row] = GONE

@@ -87,8 +87,10 @@ class LoopFinder:
     def _over_border(self, graph: KeyframeGraph, number: int) -> list[PlaceMatch]:
         """The first submap of a segment in the one before it, where less will do if it lies where the step puts it."""
         before, new = self.anchors[number - 1], self.anchors[number]
-        step = se2.between(graph.nodes[before].local, graph.nodes[new].local)
-        sd = BORDER_SDS * np.sqrt(np.diag(graph.nodes[self.segment].cov))
+        last, border = graph.nodes[self.segment - 1], graph.nodes[self.segment]
+        ahead = se2.compose(se2.between(graph.nodes[before].local, last.local), border.step)
+        step = se2.compose(ahead, se2.between(border.local, graph.nodes[new].local))
+        sd = BORDER_SDS * np.sqrt(np.diag(border.cov))
         rules = replace(self.index.cfg, **BORDER)
         return [
             m
