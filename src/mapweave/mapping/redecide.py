@@ -17,6 +17,7 @@ from ..laser.robot_graph import RobotGraph
 from ..laser.robust_graph import RobustGraphConfig, solve_graph
 from .config import LaserConfig
 from .decisions import APART, TOGETHER, PlaceRow, keyframe_at
+from .keyframe_graph import ELSEWHERE
 from .woven_map import placed_track
 
 SD, SD_TURN = 0.1, 0.03  # [m], [rad] of a pose that somebody tells of a place
@@ -53,7 +54,11 @@ def redecided(local_map: LaserMap, rows: Sequence[PlaceRow], cfg: LaserConfig) -
             continue
         said[at] = row
         used.append(replace(row, found=TOGETHER if closures[at].accepted else APART))
-    asked = [k for k, _ in enumerate(closures) if k not in said or said[k].decision == TOGETHER]
+    asked = [
+        k
+        for k, c in enumerate(closures)
+        if (said[k].decision == TOGETHER if k in said else not c.reason.startswith(ELSEWHERE))
+    ]
     steps = graph.steps()
     tried = replace(graph, closures=tuple(replace(closures[k], accepted=True) for k in asked)).accepted()
     trusted = [k in said for k in asked]
