@@ -73,11 +73,13 @@ def test_two_robots_said_to_be_apart_stay_apart_and_what_scans_say_is_told(made,
     assert (tmp_path / "again" / "decisions.toml").read_bytes() == (tmp_path / "apart" / "decisions.toml").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_pair_said_to_be_apart_may_be_seen_from_either_robot(made, logs):
     result = mapweave.map(logs, decisions={"pairs": [{"a": "2", "b": "1", "decision": "apart"}]})
     assert len(result.components) == 2
 
 
+@pytest.mark.slow
 def test_a_place_said_to_be_apart_leaves_the_graph_and_only_that(made, logs):
     told = held(made)
     row = with_word(told["places"], "apart", robot_a="1", robot_b="1", found="together")
@@ -114,6 +116,7 @@ def test_a_place_that_scans_refuse_is_honoured_and_told_to_contradict_them(made,
     assert np.hypot(*off(graph, closure)[:2]) < 0.2 * np.hypot(*off(old, wanted)[:2])
 
 
+@pytest.mark.slow
 def test_two_robots_said_to_be_together_are_merged_where_it_is_said_and_told_if_scans_contradict(logs):
     world, _ = office(7)
     other = cut(world, 0, 60, "2")
@@ -130,6 +133,7 @@ def test_two_robots_said_to_be_together_are_merged_where_it_is_said_and_told_if_
     assert result.verdict == "doubtful"
 
 
+@pytest.mark.slow
 def test_an_undecided_row_is_left_to_the_scans(made, logs):
     told = held(made)
     with_word(told["pairs"], "undecided", a="1", b="2")
@@ -137,6 +141,7 @@ def test_an_undecided_row_is_left_to_the_scans(made, logs):
     assert [c.robots for c in result.components] == [("1", "2")]
 
 
+@pytest.mark.slow
 def test_results_are_fused_as_it_is_said(made, logs, tmp_path):
     for k, log in enumerate(logs, 1):
         mapweave.map([log], tmp_path / f"r{k}")
