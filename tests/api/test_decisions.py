@@ -134,6 +134,15 @@ def test_two_robots_said_to_be_together_are_merged_where_it_is_said_and_told_if_
 
 
 @pytest.mark.slow
+def test_a_pose_that_is_told_wins_over_that_of_the_scans(made, logs):
+    told = list(made[0].merges[0].transform + np.array([3.0, 0.0, 0.0]))
+    row = {"a": "1", "b": "2", "decision": "together", "pose": told}
+    result = mapweave.map(logs, decisions={"pairs": [row]})
+    assert np.hypot(*se2.between(np.array(told), result.merges[0].transform)[:2]) < 0.6
+    assert "merge-contradicted" in {f.code for f in result.findings}
+
+
+@pytest.mark.slow
 def test_an_undecided_row_is_left_to_the_scans(made, logs):
     told = held(made)
     with_word(told["pairs"], "undecided", a="1", b="2")

@@ -17,7 +17,7 @@ from ..laser.robot_graph import RobotGraph
 from ..laser.robust_graph import RobustGraphConfig, SolvedGraph, connected, solve_graph
 from .decisions import APART, TOGETHER, Decisions, PairRow, keyframe_at
 from .map_overlap import OVERLAP, KeyframeMap, OverlapConfig
-from .merge import Merge, merge_as_said, merge_maps
+from .merge import NUDGE, NUDGE_TURN, Merge, merge_as_said, merge_maps
 from .merge_search import MergeConfig, Start, start_between
 from .segments import pieces_of
 
@@ -143,7 +143,7 @@ def _decided(
         merge = tried(p, q)
         if said is not None:
             merge = _with_ties(merge, robots[i], robots[j], said)
-        if word is not None and merge.transform is None and (p, q) == first:
+        if word is not None and (p, q) == first and _elsewhere(merge, word):
             merge = tried.as_said(p, q, word, merge)
         decided.append(merge)
         if merge.transform is not None:
@@ -236,6 +236,14 @@ class _Trials:
         rows = self.pieces[p].rows, self.pieces[q].rows
         closures = [replace(c, first=int(rows[0][c.first]), second=int(rows[1][c.second])) for c in merge.closures]
         return replace(merge, closures=tuple(closures))
+
+
+def _elsewhere(scans: Merge, row: PairRow) -> bool:
+    """Whether two maps that are said to be together are not, by their `scans`, or lie elsewhere than is said."""
+    if scans.transform is None or row.pose is None:
+        return scans.transform is None
+    away = se2.between(np.array(row.pose), scans.transform)
+    return bool(np.hypot(away[0], away[1]) > NUDGE or abs(away[2]) > NUDGE_TURN)
 
 
 def _apart(scans: Merge) -> Merge:
