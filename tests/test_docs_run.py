@@ -75,6 +75,8 @@ def inputs(tmp_path_factory):
         usual(home / name, 12 + 2 * k).write()
     rows = "\n".join(flaser(k, [2.0 + 0.01 * k, 3.0, 2.5, 2.0], (0.1 * k, 0.0, 0.0)) for k in range(8))
     (home / "intel.clf.gz").write_bytes(gzip.compress(f"{rows}\n".encode()))
+    table = "\n".join(f"{k},{0.1 * k},0,0,{2.0 + 0.01 * k},3.0,2.5,2.0" for k in range(8))
+    (home / "table.csv").write_text(f"t,x,y,theta,r1,r2,r3,r4\n{table}\n")
     (home / "FILE.g2o").write_text(GRAPH)
     (home / "world.toml").write_text(
         'sensor = "laser"\nwalls = [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]\nstarts = [[1.5, 2, 0]]\n'

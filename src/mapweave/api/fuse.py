@@ -16,7 +16,7 @@ from ..io.directory import check_target
 from ..io.local_map import read_local_map
 from ..landmarks.landmark_map import LocalMap
 from .fuse_laser import are_laser_results, fuse_laser
-from .in_memory import Truths, result_folders, truth_files
+from .in_memory import Truths, decisions_of_argument, result_folders, truth_files
 from .laser_result import LaserResult
 from .team import TeamResult, Watch, team_result
 
@@ -87,6 +87,7 @@ def fuse(
     ('result1/robot1', 'result2/robot2')
     """
     settings = None if config is None else Path(config)
+    said = decisions_of_argument(decisions)
     with result_folders(directories, "directories") as given, truth_files(truth) as scores:
         if not given:
             raise UsageError("expected a result of map, found none")
@@ -102,7 +103,6 @@ def fuse(
             if asked := [name for name, value in idle.items() if value is not None]:
                 raise UsageError(f"{', '.join(asked)}: only for landmark results, found {given[0]}")
             names = distinct_names(given)
-            said = Path(decisions) if isinstance(decisions, str) else decisions
             result = fuse_laser(
                 given, names, config=settings, seed=seed, truth=scores, decisions=said, on_progress=on_progress
             )

@@ -4,11 +4,11 @@ A result becomes the folder that it would write, without pages and pictures; a t
 its kind, every number to the last digit. An error tells the argument in place of the file laid down.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -130,3 +130,12 @@ def _poses(path: Path, t: Float[np.ndarray, " n"], pose: Float[np.ndarray, "n 3"
     """The poses as a file at `path`, which is returned."""
     write_exact_tum(path, t, pose)
     return path
+
+
+def decisions_of_argument(given: object) -> Path | Mapping[str, Any] | None:
+    """The file of decisions, or what it holds; raises UsageError for anything else."""
+    if given is None or isinstance(given, Mapping):
+        return given
+    if not is_path(given):
+        raise UsageError(f"decisions: expected a path or the tables of a file, found {kind_of(given)}")
+    return path_of(given, "decisions", "a path")

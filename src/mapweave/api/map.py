@@ -19,7 +19,7 @@ from ..io.table import Columns, columns_of
 from ..io.unknown import not_known
 from ..report.html import list_files
 from .cluster import cluster_executor
-from .in_memory import Truths, truth_files
+from .in_memory import Truths, decisions_of_argument, truth_files
 from .map_options import LaserOptions, MapOptions, expect_there, key_of
 from .result import MapResult
 
@@ -185,7 +185,7 @@ def map(  # noqa: A001  (the verb)
         online=online,
         calibration=None if calibration is None else Path(calibration),
         survey=None if survey is None else Path(survey),
-        decisions=Path(decisions) if isinstance(decisions, str) else decisions,
+        decisions=decisions_of_argument(decisions),
         laser=laser or LaserOptions(),
         executor=executor,
         on_progress=on_progress,
