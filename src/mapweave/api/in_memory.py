@@ -133,8 +133,13 @@ def _poses(path: Path, t: Float[np.ndarray, " n"], pose: Float[np.ndarray, "n 3"
 
 
 def decisions_of_argument(given: object) -> Path | Mapping[str, Any] | None:
-    """The file of decisions, or what it holds; raises UsageError for anything else."""
-    if given is None or isinstance(given, Mapping):
+    """The file of decisions, or what it holds; raises UsageError for anything else, ReaderError for wrong tables."""
+    if given is None:
+        return None
+    if isinstance(given, Mapping):
+        from ..io.decisions import decisions_of  # noqa: PLC0415  (only who gives tables waits for it)
+
+        decisions_of(given)
         return given
     if not is_path(given):
         raise UsageError(f"decisions: expected a path or the tables of a file, found {kind_of(given)}")

@@ -89,7 +89,8 @@ def read_decisions(path: Path) -> Decisions:
 
 def decisions_of(held: Mapping[str, Any], path: object = "decisions") -> Decisions:
     """The rows of tables as the file holds them. Raises ReaderError with all that is wrong with them."""
-    wrong = [f"unknown table {name!r}" for name in held if name not in {"logs", "pairs", "places"}]
+    unknown = [name for name in held if name not in {"logs", "pairs", "places"}]
+    wrong = [f"unknown table {name!r}, expected logs, pairs or places" for name in unknown]
     logs = held.get("logs", {})
     if not isinstance(logs, Mapping) or not all(isinstance(v, str) for v in logs.values()):
         wrong.append("logs: expected a text a robot")
