@@ -185,10 +185,14 @@ def test_a_robot_that_was_carried_is_where_all_places_say():
     assert np.hypot(*(graph.pose - true)[:, :2].T).max() < 0.1
 
 
-def test_nothing_of_the_last_pass_holds_a_step_over_a_border():
-    from mapweave.laser.joint_pass import UNSURE
+@pytest.mark.parametrize(("sd", "where"), [(1.0, 2.97), (0.1, 1.5)])
+def test_the_last_pass_holds_steps_and_none_over_a_border(sd, where):
+    from mapweave.laser.joint_pass import JointPassConfig, joint_pass, scan_cloud
+    from mapweave.mapping.graph_slam import GONE
 
-    sure, weak = PoseGraph.of(
-        np.zeros((2, 3)), [(0, 1), (0, 1)], [np.zeros(3)] * 2, [np.eye(3) * UNSURE**-2 * f for f in (1.1, 0.9)]
-    ).information
-    assert np.linalg.eigvalsh(sure[:2, :2])[0] > UNSURE**-2 > np.linalg.eigvalsh(weak[:2, :2])[0]
+    pose, cov = np.zeros((2, 3)), np.diag(np.square([sd, sd, 0.5 * sd]))
+    step = PoseGraph.of(pose, [(0, 1)], [np.zeros(3)], [np.linalg.inv(cov)])
+    tie = PoseGraph.of(pose, [(0, 1)], [np.array([3.0, 0.0, 0.0])], [np.diag([100.0, 100.0, 400.0])])
+    cloud = scan_cloud([GONE, GONE], np.zeros((2, 2)), 10)
+    moved = joint_pass(step, cloud, JointPassConfig(), tie)[1, 0]
+    assert moved > 0.95 * where if sd == 1.0 else moved < where
