@@ -8,8 +8,9 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.walls import Walls
 from mapweave.laser.robot_graph import RobotGraph
+from mapweave.mapping.map_overlap import keyframe_map
 from mapweave.mapping.merge_search import MergeConfig
-from mapweave.mapping.weave import keyframe_map, weave
+from mapweave.mapping.weave import weave
 from mapweave.sim.laser_pairs import PairConfig, drive_pair
 from mapweave.sim.office_floor import office_floor
 

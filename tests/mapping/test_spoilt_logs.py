@@ -9,6 +9,7 @@ import mapweave
 from mapweave.core import se2
 from mapweave.core.records import Track
 from mapweave.laser.pose_graph import PoseGraph
+from mapweave.laser.scan_odometry import blended
 from mapweave.mapping.keyframe_graph import KeyframeGraph, KeyframeGraphConfig
 from mapweave.mapping.places import PlaceMatch
 from mapweave.mapping.segments import GAP
@@ -87,6 +88,53 @@ def test_a_log_of_which_a_stretch_is_gone_is_joined_by_places(whole, where):
     assert "scan-gap" in codes
     assert off(spoilt, t, places(known, t)) < 0.4
     assert not codes & {"segment-apart", "gap-disputed"}
+
+
+def carried(log, share):
+    """The log without what was driven from `share` to `share` of it, wheels and all; and when each scan truly was."""
+    first, last = (int(at * len(log.scans)) for at in share)
+    back = se2.compose(log.scans[first].odometry, se2.inverse(log.scans[last].odometry))
+    lost = log.scan_t[last] - log.scan_t[first] - 0.3
+    late = [replace(s, odometry=np.asarray(se2.compose(back, s.odometry))) for s in log.scans[last:]]
+    t = np.concatenate([log.scan_t[: first + 1], log.scan_t[last:] - lost])
+    before = log.odometry.t <= log.scan_t[first]
+    odometry = Track(log.odometry.t[before], log.odometry.pose[before], frame="odom")
+    spoilt = replace(
+        log, scan_t=t, scans=(*log.scans[: first + 1], *late), odometry=odometry, log_hash=f"carried {share}"
+    )
+    return spoilt, np.where(t > log.scan_t[first], t + lost, t)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "share"), [(3, (0.45, 0.7)), (3, (0.2, 0.5)), (11, (0.45, 0.7))])
+def test_a_robot_that_is_carried_among_rooms_that_look_alike_is_found_by_what_it_saw_through(seed, share):
+    log, truth = office(seed)  # five to ten times as many places are found at false rooms as at the right one
+    spoilt, t = carried(log, share)
+    true = truth.pose[np.abs(truth.t[:, None] - t[None]).argmin(axis=0)]
+    made = mapweave.map([spoilt])
+    assert off(made, spoilt.scan_t, true) < 0.3
+    assert made.verdict == "good"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "share", "code"), [(5, (0.3, 0.62), "place-unclear"), (6, (0.3, 0.62), "walls-seen-through")]
+)
+def test_a_map_of_a_carried_robot_that_may_be_wrong_is_not_said_to_be_good(seed, share, code):
+    made = mapweave.map([carried(office(seed)[0], share)[0]])
+    assert code in {f.code for f in made.findings}
+    assert made.verdict == "doubtful"
+
+
+def test_poses_up_to_a_cut_are_carried_from_before_it_alone():
+    way = np.column_stack([np.arange(7.0), np.zeros(7), np.zeros(7)])
+    corrected = np.array([[0.0, 0.0, 0.0], [10.0, 5.0, 0.0]])
+    at = np.array([0, 4])
+    sure = blended(way, at, corrected)
+    cut = blended(way, at, corrected, np.array([False, True]))
+    assert cut[:4] == pytest.approx(way[:4])
+    assert cut[4:] == pytest.approx(sure[4:])
+    assert sure[2] == pytest.approx([5.0, 2.5, 0.0])
 
 
 @pytest.mark.slow

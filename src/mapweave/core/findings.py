@@ -51,6 +51,21 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "told by places that both saw.",
             "Nothing where places join the pieces; else `segment-apart` tells it.",
         ),
+        "place-unclear": FindingKind(
+            "doubtful",
+            "what was seen afterwards fits at another place of the map about as well",
+            "The trajectory was cut there, and the building looks alike in several places: the piece after it may "
+            "lie at another one.",
+            "Look at the map after that time; say in a decisions file which places are apart.",
+        ),
+        "walls-seen-through": FindingKind(
+            "doubtful",
+            "the robot saw through {value:.0f} % of the walls that it saw at other times",
+            "Where that is more than doors explain, places are laid on each other that are not one, or walls are bent: "
+            "the robot was carried, or a building looks alike in several places; or the scanner pitches, outdoors and "
+            "over sills.",
+            "Look for rooms that lie on each other in the map; give the parts of the log as logs of their own.",
+        ),
         "segment-apart": FindingKind(
             "doubtful",
             "a piece of {value:.1f} m shares no place with what came before it",

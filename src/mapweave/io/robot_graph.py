@@ -28,6 +28,7 @@ def write_robot_graph(path: Path, graph: RobotGraph) -> None:
         **{_key(name): getattr(graph, name) for name in ARRAYS},
         **{name: np.asarray(a, np.float32) for name in THIN if (a := getattr(graph, name)) is not None},
         "border": np.array(graph.border),
+        "unclear": np.array(graph.unclear, dtype=np.int64),
         **_closures(graph.closures),
         **_revisits(graph.revisits),
     }
@@ -126,6 +127,7 @@ def _graph_of(held: dict[str, np.ndarray]) -> RobotGraph:
         log_hash=log_hash,
         revisits=_read_revisits(held, n),
         border=_read_border(held, n),
+        unclear=tuple(k for k in held.get("unclear", np.zeros(0)).tolist() if 0 <= k < n),
         **{name: held[_key(name)] for name in ARRAYS},
     )
 

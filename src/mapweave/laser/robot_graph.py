@@ -61,7 +61,7 @@ class RobotGraph:
     x, y, theta in `local_k`; path: (n,) [m] driven; step: (n - 1, 3) pose of keyframe i + 1 in keyframe i as scan
     odometry measured it, step_information: (n - 1, 3, 3) in the later one's frame; closures: every one tried, its
     `first` and `second` number these keyframes. border: of each why a new segment begins there, the step to it being
-    known to nobody, empty where it is known.
+    known to nobody, empty where it is known. unclear: keyframes after a border, which fit elsewhere about as well.
 
     Returns of keyframe i are the rows start[i]:start[i + 1] (start: (n + 1,)) of points (m, 2) [m], normals (m, 2) and
     q (m,), in the keyframe's robot frame; q is None where light was not used. lined: (m,) where three or more beams
@@ -89,6 +89,7 @@ class RobotGraph:
     log_hash: str = ""
     revisits: Revisits = field(default_factory=Revisits)
     border: tuple[str, ...] = ()
+    unclear: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("t", "pose", "cov", "path", "step", "step_information", "points", "normals", "sensor"):

@@ -38,12 +38,16 @@ class PoseEstimate(NamedTuple):
 
 
 def blended(
-    trajectory: Float[np.ndarray, "n 3"], at: Int[np.ndarray, " k"], corrected: Float[np.ndarray, "k 3"]
+    trajectory: Float[np.ndarray, "n 3"],
+    at: Int[np.ndarray, " k"],
+    corrected: Float[np.ndarray, "k 3"],
+    cut: Bool[np.ndarray, " k"] | None = None,
 ) -> Float[np.ndarray, "n 3"]:
     """Poses along `trajectory` (one that drifts, in order) that pass through `corrected` at its rows `at`.
 
     Between two corrected rows the pose is carried from both and blended by the share of the distance; before the first
-    and after the last it is carried from the one there is. at: ascending, k >= 1.
+    and after the last it is carried from the one there is. at: ascending, k >= 1. cut: the corrected rows whose step
+    from the row before is not sure: up to there poses are carried from the corrected row before alone.
     """
     n = len(trajectory)
     step = se2.between(trajectory[:-1], trajectory[1:])
@@ -54,6 +58,8 @@ def blended(
     a = se2.compose(corrected[first], se2.between(trajectory[i], trajectory))
     b = se2.compose(corrected[second], se2.between(trajectory[j], trajectory))
     share = np.where(j > i, (way - way[i]) / np.maximum(way[j] - way[i], 1e-12), 0.0)
+    if cut is not None:
+        share = np.where(cut[second], 0.0, share)
     d = b - a
     d[:, 2] = se2.wrap_angle(d[:, 2])
     out = a + np.clip(share, 0.0, 1.0)[:, None] * d
@@ -108,7 +114,9 @@ class ScanOdometry:
         steers = feature in STEERING
         self.cfg = cfg if steers else replace(cfg, alpha=0.0)
         self.gate, self.matching, self.tell_lines = gate, matching, tell_lines
-        self.front_end = FrontEnd(self.cfg, cfg.tangent if steers else cfg.bare_tangent)
+        self.tangent = cfg.tangent if steers else cfg.bare_tangent
+        self.front_end = FrontEnd(self.cfg, self.tangent)
+        self._anew: FrontEnd | None = None  # of the latest scan alone, where it does not match the local map
         self.poses = RowBuffer(3)
         self.odometry: np.ndarray | None = None
         self.step = np.zeros(3)
@@ -157,9 +165,15 @@ class ScanOdometry:
             decision = "odometry" if n >= self.cfg.least_beams else "empty"
             info = ScanInfo(NO_INNOVATION, n, 0, decision, information=np.diag(sd**-2.0))
             return self._accept(b, predicted, info)
-        fe = self.front_end
-        match = fe.match_alone(b, self.pose, u, sd) if alone else fe.match(b, predicted, sd)
-        accepted = match.matches >= self.cfg.least_share * match.beams
+        for fe in (self.front_end, self._anew):
+            if fe is None:
+                break
+            match = fe.match_alone(b, self.pose, u, sd) if alone else fe.match(b, predicted, sd)
+            accepted = match.matches >= self.cfg.least_share * match.beams
+            if accepted:
+                self.front_end = fe
+                break
+        self._anew = None if accepted or self.gate is not None else FrontEnd(self.cfg, self.tangent)
         if accepted and self.gate is not None and scan.odometry is not None and not alone:
             accepted = inside(match.innovation, self.gate(sd))
         if accepted and self.tell_lines:
@@ -179,4 +193,6 @@ class ScanOdometry:
         self.poses.append(pose)
         if self.matching and len(b.q) >= self.cfg.least_beams:
             self.front_end.insert(b, pose)
+            if self._anew is not None:
+                self._anew.insert(b, pose)
         return info

@@ -24,6 +24,7 @@ from ..laser.keyframes import Keyframe, KeyframeMaker, KeyframeOdometry, carried
 from ..laser.particle_slam import ParticleState
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import PoseEstimate, ScanInfo, blended
+from .borders import decide_borders
 from .config import LaserConfig
 from .keyframe_graph import KeyframeGraph
 from .known_places import KnownPlaces
@@ -230,6 +231,8 @@ def _whole(state: GraphState, cfg: LaserConfig, on_progress: Progress) -> tuple[
     for loop in loops.finish(grown.graph) if cfg.graph.loops else ():
         grown.graph.tie(loop.first, loop.second, loop.match)
     grown.graph.settle()
+    if len(grown.graph):
+        grown.graph.unclear = decide_borders(grown.graph)
     return local, grown
 
 
@@ -274,7 +277,8 @@ def finalise(state: GraphState, cfg: LaserConfig, on_progress: Progress = no_pro
     robot = _robot_graph(grown, pose, cov, sensors[rows], cfg.graph.unsure)
     at = np.concatenate([rows, np.array(grown.revisits, np.int64)])
     order = np.argsort(at, kind="stable")
-    poses = blended(local, at[order], np.concatenate([pose, robot.revisits.poses(pose)])[order])
+    cut = np.array([bool(node.border) for node in graph.nodes] + [False] * len(robot.revisits))
+    poses = blended(local, at[order], np.concatenate([pose, robot.revisits.poses(pose)])[order], cut[order])
     if cfg.graph.last_pass:
         own = np.full(len(local), -1, np.int64)
         own[rows] = np.arange(len(rows))
@@ -307,6 +311,7 @@ def _robot_graph(
             node.border or (CONTRADICTED if i in state.graph.contradicted else "") for i, node in enumerate(nodes)
         ),
         closures=tuple(state.graph.closures),
+        unclear=state.graph.unclear,
         start=start,
         points=np.concatenate([node.beams.s for node in nodes]),
         normals=np.concatenate([node.beams.normal for node in nodes]),

@@ -13,13 +13,13 @@ from ..laser.keyframes import Keyframe, KeyframeConfig, carried
 from ..laser.pose_graph import PoseGraph, Solved, edge_factor, problem
 from ..laser.robust_graph import RobustGraphConfig, solve_graph
 from .places import PlaceMatch
-from .segments import SegmentConfig
+from .segments import GAP, SegmentConfig
 
 OUTWEIGHED = 3  # places that hold without a step and not with it: then it is the step that is wrong
 SLIPPED = 1.0  # sd, of a step over a border, that steps in a row may be wrong by: farther, the places are wrong
 ALONE = 5  # keyframes between two such rows, at least
-NEAR, RIVALS = 3.0, 30  # sd of a step over a border that places there may lie from it; times as many elsewhere
-ELSEWHERE = "it lies elsewhere than the step over the border says"
+NEAR, RIVALS = 3.0, 30  # sd of a step over a gap that places there may lie from it; times as many elsewhere
+ELSEWHERE = "it lies elsewhere than what came after the border"
 UNDECIDED = "found, and not decided on yet"
 EXACT = 1e-4  # [m, rad] sd of the start that `map` hangs on
 
@@ -39,7 +39,8 @@ class KeyframeGraphConfig:
 
 class KeyframeGraph:
     """nodes: the keyframes in the order they came; pose: (n, 3) of each in `map`; of: each robot's, by number;
-    contradicted: the keyframes whose step places contradict, which is not believed then.
+    contradicted: the keyframes whose step places contradict, which is not believed then; unclear: those after a border
+    that fit elsewhere about as well.
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class KeyframeGraph:
     ) -> None:
         self.cfg, self.starts, self.segments = cfg, starts, segments or SegmentConfig()
         self.contradicted: frozenset[int] = frozenset()
+        self.unclear: tuple[int, ...] = ()
         self.nodes: list[Keyframe] = []
         self.pose = np.zeros((0, 3))
         self.of: list[list[int]] = [[] for _ in starts]
@@ -256,10 +258,10 @@ class KeyframeGraph:
         self.solve()
 
     def _leave_rivals(self) -> None:
-        """Places over a border that lie elsewhere than the step over it says are left out where others lie there.
+        """Places over a gap that lie elsewhere than the wheels say are left out where others lie there.
 
         In a building that looks alike in several places many more may agree on another than on the right one; so they
-        must be `RIVALS` times as many. Where nothing lies where the step says (the robot was carried), all count.
+        must be `RIVALS` times as many. Where nothing lies where the wheels say (the robot was carried), all count.
         """
         cuts = [i for i, node in enumerate(self.nodes) if i and node.border]
         if not cuts or len(self.of) > 1:
@@ -271,6 +273,8 @@ class KeyframeGraph:
             if segment[high] != segment[low] + 1:
                 continue
             k = cuts[int(segment[low])]
+            if self.nodes[k].border != GAP:
+                continue
             measured = c.measured if c.first == low else se2.inverse(c.measured)
             ahead = se2.compose(se2.between(self.pose[k - 1], self.pose[low]), measured)
             step = se2.compose(ahead, se2.between(self.pose[high], self.pose[k]))
@@ -283,7 +287,7 @@ class KeyframeGraph:
             for n, _ in found:
                 c = self.closures[n]
                 if n not in there:
-                    reason = f"{ELSEWHERE}, and {len(there)} places lie where the step over the border puts them"
+                    reason = f"{ELSEWHERE}, which {len(there)} places put where the wheels do"
                     self.closures[n] = replace(c, accepted=False, reason=reason)
                 elif c.reason.startswith(ELSEWHERE):
                     self.closures[n] = replace(c, reason=UNDECIDED)

@@ -45,6 +45,7 @@ from ..laser.odometry_calibration import (
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import ScanOdometry, blended
 from .config import LaserConfig
+from .map_overlap import seen_through
 from .segments import bridged, held_over, segment_findings
 from .session import LaserSession
 
@@ -351,7 +352,7 @@ def map_session(
         measured = (*measured, *wheels_unlike(track, dead, robot, wheels))
     moving_returns = {"return of something that moves": session.moving.count} if session.moving.count else {}
     left = {} if graph is None else left_graph(graph)
-    cuts = () if graph is None else segment_findings(graph)
+    cuts = () if graph is None else (*segment_findings(graph), *seen_through(graph))
     result = replace(
         result,
         scan_hash=log.scan_hash(),

@@ -11,12 +11,17 @@ from scipy.spatial import cKDTree
 from ..core import se2
 from ..core.config import config
 from ..core.errors import DataError
+from ..core.findings import Finding
 from ..core.records import frozen
 from ..core.rows import spread
 from ..kernels.laser.place_refine import fit_normals
+from ..laser.robot_graph import RobotGraph
 from ..laser.submaps import gathered
 from .submaps import PlaceSubmap, PlaceSubmapConfig, extent, make_submap, middles, way_of
 
+OFTEN = 3  # views that show a wall, and that go through it: neither was somebody who walked by
+SEEN_THROUGH = 0.06  # of the walls of a right map at most: 0.04 in those given, 0.11 and more in wrong ones
+VIEWS = 200  # keyframes whose views are asked for that
 MOST_BINS, LEAST_BINS = 360, 60  # directions of a keyframe's view, wider than its beams are apart
 _BESIDE = np.array([[-1], [0], [1]])  # a direction and those beside it
 
@@ -53,7 +58,8 @@ class KeyframeMap:
     walls_side: (w, 2) unit normals on the side they were seen from, zero where that was both or they make no line;
     views: (n, bins) [m] of each keyframe the nearest return in each direction, infinite where there is none; cfg: how
     thin walls are and when they have a side; border: of each keyframe why a new segment begins there (none: nowhere
-    one does); submaps: what it is recognised by, none over a border.
+    one does); submaps: what it is recognised by, none over a border; through: share of its walls, those that
+    some views show, which about as many go through.
     """
 
     robot: str
@@ -68,6 +74,7 @@ class KeyframeMap:
     walls_q: Float[np.ndarray, " w"] | None = field(init=False, repr=False)
     walls_side: Float[np.ndarray, "w 2"] = field(init=False, repr=False)
     views: Float[np.ndarray, "n bins"] = field(init=False, repr=False)
+    through: float = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pose", frozen(self.pose))
@@ -82,6 +89,8 @@ class KeyframeMap:
         object.__setattr__(self, "views", frozen(self._views()))
         object.__setattr__(self, "submaps", tuple(self._submaps(PlaceSubmapConfig())))
         same, through = _judged(self, self.walls, self.walls_side, self.cfg)
+        seen, both = np.maximum(same, through) >= OFTEN, np.minimum(same, through) >= OFTEN
+        object.__setattr__(self, "through", int(both.sum()) / max(int(seen.sum()), 1))
         lasting = same >= through
         for name in ("walls", "walls_side", "walls_q"):
             if (values := getattr(self, name)) is not None:
@@ -121,6 +130,23 @@ class KeyframeMap:
         r, at = _polar(np.concatenate(self.points), views.shape[1])
         np.minimum.at(views, (np.repeat(np.arange(len(views)), [len(p) for p in self.points]), at), r)
         return views
+
+
+def keyframe_map(
+    graph: RobotGraph, cfg: OverlapConfig = OVERLAP, keep: Int[np.ndarray, " k"] | None = None
+) -> KeyframeMap:
+    """The keyframes of one robot, or those to `keep`, as merging wants them."""
+    keep = np.arange(len(graph)) if keep is None else keep
+    rows = [graph.rows(i) for i in keep.tolist()]
+    q = None if graph.q is None else [graph.q[r] for r in rows]
+    border = [graph.border[i] for i in keep.tolist()]
+    return KeyframeMap(graph.robot, graph.pose[keep], [graph.points[r] for r in rows], q, cfg, border)
+
+
+def seen_through(graph: RobotGraph) -> tuple[Finding, ...]:
+    """Whether a robot saw through more of its own walls than people, who stand nowhere for long, and doors explain."""
+    share = keyframe_map(graph, replace(OVERLAP, views=VIEWS)).through if len(graph) else 0.0
+    return (Finding("walls-seen-through", graph.robot, None, 100.0 * share),) if share > SEEN_THROUGH else ()
 
 
 @dataclass(frozen=True, slots=True)

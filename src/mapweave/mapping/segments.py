@@ -163,6 +163,8 @@ def segment_findings(graph: RobotGraph) -> tuple[Finding, ...]:
                 found.append(Finding("gap-disputed", graph.robot, span, float(np.hypot(e[0], e[1])), "places decide"))
         else:
             found.append(Finding("track-cut", graph.robot, span, WHY[why]))
+        if k in graph.unclear:
+            found.append(Finding("place-unclear", graph.robot, span, action="the place that fits best is taken"))
         last = cuts[piece] - 1 if piece < len(cuts) else len(graph) - 1
         way = float(graph.path[last] - graph.path[k])
         if way >= LONG and joined[piece] not in joined[:piece]:

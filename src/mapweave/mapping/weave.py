@@ -16,7 +16,7 @@ from ..laser.pose_graph import PoseGraph
 from ..laser.robot_graph import RobotGraph
 from ..laser.robust_graph import RobustGraphConfig, SolvedGraph, connected, solve_graph
 from .decisions import APART, TOGETHER, Decisions, PairRow, keyframe_at
-from .map_overlap import OVERLAP, KeyframeMap, OverlapConfig
+from .map_overlap import keyframe_map
 from .merge import NUDGE, NUDGE_TURN, Merge, merge_as_said, merge_maps
 from .merge_search import MergeConfig, Start, start_between
 from .segments import pieces_of
@@ -45,17 +45,6 @@ class Piece(NamedTuple):
 
     robot: int
     rows: Int[np.ndarray, " k"]
-
-
-def keyframe_map(
-    graph: RobotGraph, cfg: OverlapConfig = OVERLAP, keep: Int[np.ndarray, " k"] | None = None
-) -> KeyframeMap:
-    """The keyframes of one robot, or those to `keep`, as merging wants them."""
-    keep = np.arange(len(graph)) if keep is None else keep
-    rows = [graph.rows(i) for i in keep.tolist()]
-    q = None if graph.q is None else [graph.q[r] for r in rows]
-    border = [graph.border[i] for i in keep.tolist()]
-    return KeyframeMap(graph.robot, graph.pose[keep], [graph.points[r] for r in rows], q, cfg, border)
 
 
 def weave(

@@ -14,9 +14,10 @@ from ..core.records import Track
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import blended
 from ..mapping.config import LaserConfig
+from ..mapping.map_overlap import keyframe_map
 from ..mapping.merge import Merge, merge_maps
 from ..mapping.merge_search import Start
-from ..mapping.weave import Woven, keyframe_map, weave
+from ..mapping.weave import Woven, weave
 from .factors import InterRobotEdge
 from .placing import Layout, Tie
 from .relative_frame import Body, PlacingConfig, moved_track
