@@ -22,7 +22,8 @@ from mapweave.laser.beam import WHOLE, beams
 from mapweave.laser.config import Feature
 from mapweave.laser.laser_map import LaserMap
 from mapweave.mapping.config import LaserConfig
-from mapweave.mapping.laser_mapping import contradicting, map_laser
+from mapweave.mapping.laser_mapping import choose_feature, contradicting, map_laser, map_session
+from mapweave.mapping.session import LaserSession
 
 # name, file, file whose odometry is the reference, whether wheels are left out of the run
 LOGS = (
@@ -41,14 +42,14 @@ CELL = 0.2  # [m] in which walls are straight
 
 def at_full_weight(log: LaserLog, cfg: LaserConfig) -> LaserMap | None:
     """The map with the light that was calibrated counting in full, whatever it is worth; None without calibration."""
-    found = mapping.choose_feature(log, cfg).calibration
+    found = choose_feature(log, cfg).calibration
     if found is None:
         return None
     forced = Feature("normalised", replace(found, information=WHOLE))
-    session = mapping.LaserSession(log.robot, cfg, 0, forced)
+    session = LaserSession(log.robot, cfg, 0, forced)
     for event in log.events():
         session.push(event)
-    return mapping.map_session(session, log, forced, {"estimate": 0.0})
+    return map_session(session, log, forced, {"estimate": 0.0})
 
 
 def thickness(made: LaserMap, log: LaserLog, cfg: LaserConfig) -> float:
