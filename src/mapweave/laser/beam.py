@@ -322,8 +322,8 @@ def _samples(scans: Sequence[Beams], poses: Float[np.ndarray, "m 3"], cfg: Calib
         part = range(start, min(start + cfg.window, len(scans)))
         points = np.concatenate([se2.act(poses[k], scans[k].s) for k in part])
         who = np.concatenate([np.full(len(scans[k].r), k) for k in part])
-        r, c, light, support = (
-            np.concatenate([getattr(scans[k], name) for k in part]) for name in ("r", "c", "intensity", "support")
+        r, light, support = (
+            np.concatenate([getattr(scans[k], name) for k in part]) for name in ("r", "intensity", "support")
         )
         keep = (support >= 3) & (light > 0) & (light != NO_LIGHT)
         if not keep.any():
@@ -335,7 +335,7 @@ def _samples(scans: Sequence[Beams], poses: Float[np.ndarray, "m 3"], cfg: Calib
         np.minimum.at(first, number, who[keep])
         np.maximum.at(last, number, who[keep])
         twice = (last > first)[number]
-        cosine = np.maximum(c[keep][twice], cfg.least_cosine)
+        cosine = np.maximum(_settled_cosine(scans, poses, part, number, keep)[twice], cfg.least_cosine)
         window = np.full(int(twice.sum()), start // cfg.window)
         parts.append(Overlaps(number[twice] + count, r[keep][twice], cosine, light[keep][twice], window))
         count += int(number.max()) + 1
@@ -344,6 +344,23 @@ def _samples(scans: Sequence[Beams], poses: Float[np.ndarray, "m 3"], cfg: Calib
         return Overlaps(none.astype(np.int64), none, none, none, none.astype(np.int64))
     whole = Overlaps(*(np.concatenate(column) for column in zip(*parts, strict=True)))
     return whole.of(np.ones(len(whole.r), bool))
+
+
+def _settled_cosine(
+    scans: Sequence[Beams], poses: Float[np.ndarray, "m 3"], part: range, cell: np.ndarray, keep: np.ndarray
+) -> Float[np.ndarray, " n"]:
+    """Cosines of incidence on the mean line of all returns of each `cell`, of those of scans `part` that are kept.
+
+    A line of one scan's few beams is so unsure where it is grazed that the law of incidence would come out too weak.
+    """
+    seen = [scans[k] for k in part]
+    facing = np.concatenate([b.normal @ se2.rotation(float(poses[k, 2])).T for k, b in zip(part, seen, strict=True)])
+    side = np.concatenate([np.sign(b.normal[:, 0] * b.s[:, 1] - b.normal[:, 1] * b.s[:, 0]) for b in seen])[keep]
+    x, y = facing[keep].T
+    mean_x, mean_y = (np.bincount(cell, a)[cell] for a in (x, y))
+    turned = np.arctan2(mean_x * y - mean_y * x, mean_x * x + mean_y * y)
+    c = np.concatenate([b.c for b in seen])[keep]
+    return np.asarray(np.cos(np.arccos(np.clip(c, 0.0, 1.0)) - side * turned))
 
 
 def _hats(x: np.ndarray, knots: np.ndarray) -> np.ndarray:

@@ -15,8 +15,16 @@ from ..core import se2
 from ..core.config import config
 from ..core.gaussian import symmetrise
 from ..kernels.laser.place_refine import lay_onto_lines
-from ..kernels.laser.place_search import FULL
-from ..kernels.mapping.places import Clouds, SearchedField, SearchRules, heading_peaks, search_submaps
+from ..kernels.laser.place_search import FULL, stamp
+from ..kernels.mapping.places import (
+    Clouds,
+    LitWalls,
+    SearchedField,
+    SearchRules,
+    heading_peaks,
+    light_along,
+    search_submaps,
+)
 from ..laser.consistency import adjoint
 from ..laser.place_search import Q_LEVELS, LikelihoodField, PlaceConfig, brightness, inliers, likelihood_field
 from .submaps import BINS, PlaceSubmap
@@ -30,6 +38,13 @@ LIT_MISFIT = 0.7  # where light takes part: what the best misses of a perfect sc
 TEMPER = 0.1  # of the points count as independent
 NOISE = 0.03  # [m] of a point on its line, at least
 FLOOR, FLOOR_TURN = 0.02, 0.005  # [m], [rad] sd that no match is better than
+LIT_STEP, LIT_CELL = 0.1, 0.1  # [m] between the shifts at which light is compared, and of the cells of its walls
+LIT_NEAR = 0.15  # [m] a point this near is of the same piece of wall
+LIT_POINTS = 100  # that are compared, at least
+LIT_LEAST = 0.85  # correlation of light where a submap lies, at least, and
+LIT_MARGIN = 0.1  # more of it than anywhere else
+LIT_SD = 0.05  # [m] of where along its walls light puts a submap
+ACROSS = 0.1  # [m] step and smoothing of how far walls of one direction lie to the side
 FIELD = PlaceConfig(cell=0.2, sigma=0.2, q_weight=0.4, widths=GATES, gate=0.5, inlier=0.15, line_reach=0.2)
 
 
@@ -150,9 +165,13 @@ class PlaceIndex:
         asked_for = SearchRules(cells, c.least_score, round(APART / FIELD.cell), APART_TURN)
         found = search_submaps(searched, clouds, turns, count, asked_for)
         fits = []
-        for k, row in zip(among.tolist(), found, strict=True):
+        walls = _lit_walls(own) if lit else None
+        for j, (k, row) in enumerate(zip(among.tolist(), found, strict=True)):
             if row[3] > 0.0:
-                fits.append(self._fit(place, k, new, row, c))
+                fit = self._fit(place, k, new, row, c)
+                slides = walls is not None and fit.held[0] < c.least_held
+                lies = self._by_light(walls, k, new, fit.weak, turns[j, : count[j]]) if slides else None
+                fits.append(fit if lies is None else self._fit(place, k, new, row, c, lies))
             if every and row[7] > 0.0:
                 fits.append(replace(self._fit(place, k, new, row[[4, 5, 6, 7, 0, 1, 2, 3]], c), clear=False))
         return [fit for fit in fits if fit.clear or every]
@@ -164,12 +183,51 @@ class PlaceIndex:
         start = np.concatenate([[0], np.cumsum(size)])
         return np.repeat(first - start[:-1], size) + np.arange(start[-1]), start
 
-    def _fit(self, place: LikelihoodField, k: int, new: int, row: np.ndarray, c: PlaceSearchConfig) -> PlaceMatch:
-        """A place that was found, laid onto the walls. row: of `search_submaps`."""
+    def _by_light(
+        self, walls: LitWalls, k: int, new: int, weak: Float[np.ndarray, "2"], turns: Float[np.ndarray, " t"]
+    ) -> tuple[Float[np.ndarray, "3"], float] | None:
+        """Where submap `k`, whose walls all run along `weak` in its frame, lies by its light, and how much less likely
+        light finds the next best place; None where light does not tell.
+        """
+        old = self.submaps[k]
+        assert old.q is not None
+        shifts = np.arange(-self.cfg.reach, self.cfg.reach + LIT_STEP / 2, LIT_STEP)
+        rows, starts, ways = [], [], []
+        for turn in turns.tolist():
+            turned = old.points[old.thin] @ se2.rotation(turn).T
+            along = se2.rotation(turn) @ weak
+            side = np.array([-along[1], along[0]])
+            start = _across(turned @ side, walls.points @ side) * side
+            rows.append(light_along(turned + start, old.q[old.thin], along, shifts, walls, LIT_NEAR, LIT_POINTS))
+            starts.append(np.append(start, turn))
+            ways.append(along)
+        told = np.array(rows)
+        h, s = np.unravel_index(int(np.argmax(told)), told.shape)
+        rest = np.array(told)
+        rest[h, np.abs(shifts - shifts[s]) < APART] = -1.0
+        best, second = float(told[h, s]), max(0.0, float(rest.max()))
+        if best < LIT_LEAST or best < second + LIT_MARGIN or s in {0, len(shifts) - 1}:
+            return None
+        before, after = told[h, s - 1], told[h, s + 1]
+        bend = before - 2.0 * best + after
+        shift = shifts[s] + (LIT_STEP * np.clip(0.5 * (before - after) / bend, -0.5, 0.5) if bend < 0.0 else 0.0)
+        return starts[h] + np.append(shift * ways[h], 0.0), second / best
+
+    def _fit(
+        self,
+        place: LikelihoodField,
+        k: int,
+        new: int,
+        row: np.ndarray,
+        c: PlaceSearchConfig,
+        lies: tuple[Float[np.ndarray, "3"], float] | None = None,
+    ) -> PlaceMatch:
+        """A place that was found, laid onto the walls. row: of `search_submaps`; lies: where light puts it instead."""
         points, lit = self.submaps[k].points, place.q is not None
+        start = row[:3].copy() if lies is None else lies[0]
         pose, H, _, mean2 = lay_onto_lines(
             points,
-            row[:3].copy(),
+            start,
             place.points,
             place.lines,
             place.nearest,
@@ -181,15 +239,20 @@ class PlaceIndex:
         )
         pose[2] = se2.wrap_angle(pose[2])
         values, vectors = np.linalg.eigh(H[:2, :2] - np.outer(H[:2, 2], H[2, :2]) / max(H[2, 2], 1e-12))
+        if lies is not None:  # walls say nothing of where along them it lies
+            along = se2.rotation(float(pose[2])) @ vectors[:, 0]
+            pose[:2] += along * (along @ (start[:2] - pose[:2]))
         share = float(inliers(place, points, pose).mean())
-        moved = float(np.hypot(*(pose[:2] - row[:2])))
-        score, second = float(row[3]), float(row[7])
-        alone = second <= c.most_ratio * score or (lit and 1.0 - score <= LIT_MISFIT * (1.0 - second))
-        held = lit or values[0] >= c.least_held
+        moved = float(np.hypot(*(pose[:2] - start[:2])))
+        score, second = float(row[3]), float(row[7] if lies is None else lies[1] * row[3])
+        alone = (
+            lies is not None or second <= c.most_ratio * score or (lit and 1.0 - score <= LIT_MISFIT * (1.0 - second))
+        )
+        held = lies is not None or values[0] >= c.least_held
         information = TEMPER * H / max(NOISE**2, mean2) + np.diag([0.1, 0.1, 1.0])
         covariance = symmetrise(np.linalg.inv(information)) + np.diag(np.square([FLOOR, FLOOR, FLOOR_TURN]))
-        if values[0] < c.least_held:  # light alone tells where it lies along the walls, to the search's step
-            covariance[:2, :2] += np.square(0.5 * FIELD.cell) * np.outer(vectors[:, 0], vectors[:, 0])
+        if lies is not None:
+            covariance[:2, :2] += LIT_SD**2 * np.outer(vectors[:, 0], vectors[:, 0])
         A = adjoint(pose)
         return PlaceMatch(
             first=k,
@@ -203,6 +266,27 @@ class PlaceIndex:
             weak=vectors[:, 0],
             clear=bool(alone and held and share >= c.least_share and moved <= c.most_moved),
         )
+
+
+def _lit_walls(submap: PlaceSubmap) -> LitWalls:
+    """Its points as walls whose light is compared."""
+    assert submap.q is not None
+    margin = 2.0 * LIT_CELL
+    low = submap.points.min(axis=0) - margin
+    cols, rows = np.ceil((submap.points.max(axis=0) + margin - low) / LIT_CELL).astype(int).tolist()
+    _, nearest = stamp(submap.points, low, LIT_CELL, rows, cols, LIT_NEAR, 2)
+    return LitWalls(submap.points, submap.q, nearest, low, LIT_CELL)
+
+
+def _across(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " m"]) -> float:
+    """[m] by which walls that lie at `a` to the side have to move to lie at `b`."""
+    low = min(float(a.min()), float(b.min()))
+    bins = int((max(float(a.max()), float(b.max())) - low) / ACROSS) + 2
+    one, other = (
+        np.convolve(np.bincount(((x - low) / ACROSS).astype(np.int64), minlength=bins), (0.25, 0.5, 0.25))
+        for x in (a, b)
+    )
+    return ACROSS * (int(np.argmax(np.correlate(other, one, "full"))) - len(one) + 1)
 
 
 _DIFFERENCE = FIELD.q_weight * np.arange(256) / (Q_LEVELS * FIELD.sigma)

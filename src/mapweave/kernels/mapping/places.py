@@ -155,3 +155,45 @@ def search_submaps(
         if a >= 0:
             out[k, 4], out[k, 5], out[k, 6], out[k, 7] = ox * cell, oy * cell, turns[k, a], score / most
     return out
+
+
+class LitWalls(NamedTuple):
+    """Points (m, 2) [m] of walls, their brightness q (m,); nearest: of `stamp`, over cells of `cell` [m] from origin."""
+
+    points: np.ndarray
+    q: np.ndarray
+    nearest: np.ndarray
+    origin: np.ndarray
+    cell: float
+
+
+@kernel
+def light_along(
+    points: np.ndarray, q: np.ndarray, along: np.ndarray, shifts: np.ndarray, walls: LitWalls, near: float, least: int
+) -> np.ndarray:
+    """(S,) how the brightness of points correlates with that of the walls they lie on, at each shift along a line.
+
+    points: (n, 2) [m] where they lie at no shift, q (n,); along: (2,) unit; shifts: (S,) [m]. A point lies on a wall
+    that has a point `near` [m] it; -1 where fewer than `least` do, 0 where either side is of one brightness.
+    """
+    rows, cols = walls.nearest.shape
+    out = np.full(shifts.shape[0], -1.0)
+    for s in range(shifts.shape[0]):
+        n, a, b, aa, bb, ab = 0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(points.shape[0]):
+            x, y = points[i, 0] + shifts[s] * along[0], points[i, 1] + shifts[s] * along[1]
+            c = math.floor((x - walls.origin[0]) / walls.cell)
+            r = math.floor((y - walls.origin[1]) / walls.cell)
+            if not (0 <= r < rows and 0 <= c < cols) or walls.nearest[r, c] < 0:
+                continue
+            k = walls.nearest[r, c]
+            if (walls.points[k, 0] - x) ** 2 + (walls.points[k, 1] - y) ** 2 > near * near:
+                continue
+            u, v = q[i], walls.q[k]
+            n += 1
+            a, b, aa, bb, ab = a + u, b + v, aa + u * u, bb + v * v, ab + u * v
+        if n < least:
+            continue
+        spread = (aa - a * a / n) * (bb - b * b / n)
+        out[s] = (ab - a * b / n) / math.sqrt(spread) if spread > 1e-12 * n * n else 0.0
+    return out
