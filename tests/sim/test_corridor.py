@@ -1,5 +1,7 @@
 """The ring corridor: what the specification says of it holds, and equal seeds give equal logs."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from mapweave.sim.corridor import CorridorConfig, corridor_world, simulate_corri
 from mapweave.sim.drift import DriftConfig, drifted
 from mapweave.sim.laser import DriveConfig
 from mapweave.sim.route import ring, through
-from mapweave.sim.scanner import SECOND_LAW
+from mapweave.sim.scanner import FITTED, LAWS, LDS01, NEATO, SECOND_LAW, Scanner, measure
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +93,55 @@ def test_another_reflectance_law_changes_the_light_and_nothing_else():
     assert np.array_equal(a.log.scans[3].ranges, b.log.scans[3].ranges)
     assert not np.array_equal(a.log.scans[3].intensities, b.log.scans[3].intensities)
     assert np.array_equal(a.reflectance, b.reflectance)
+
+
+@pytest.mark.parametrize("law", [LDS01, NEATO], ids=["lds01", "neato"])
+def test_a_fitted_law_returns_what_it_says_at_its_ranges_in_whole_numbers_and_weak_light_not_at_all(law):
+    m, r = 4000, np.array(FITTED)
+    shape = (m, len(r))
+    scanner = Scanner(beams=len(r), far=9.0)
+    rng = np.random.default_rng(3)
+    said = [
+        measure(np.tile(r, (m, 1)), np.zeros(shape, int), np.full(shape, c), np.full(shape, rho), scanner, law, rng)
+        for c, rho in ((1.0, 1.0), (0.5, 1.0), (1.0, 0.002))
+    ]
+    white, grazed, black = (np.where(ranges < scanner.range_max, light, np.nan) for ranges, light in said)
+    sd = max(law.relative_noise, law.beams)
+    expected = np.minimum(law.light, law.most)
+    assert np.abs(np.log(np.nanmedian(white, axis=0) / expected)).max() < 4 * sd
+    keeps = np.array(law.light) * 0.5**law.exponent > 3 * law.least  # and the greatest light is not cut off
+    whole = keeps & (np.array(law.light) < law.most / np.exp(3 * sd))
+    fell = np.nanmedian(grazed[:, whole], axis=0) / np.nanmedian(white[:, whole], axis=0)
+    assert np.abs(np.log(fell) - law.exponent * np.log(0.5)).max() < 5 * sd
+    assert np.nanmax(white) <= law.most
+    assert (white == np.round(white))[np.isfinite(white)].all()
+    assert np.isnan(black).mean() > 0.8
+
+
+def test_beams_of_a_fitted_law_keep_a_gain_of_their_own_that_neighbours_share():
+    shape = (50, 360)
+    scanner, rng = Scanner(beams=360, opening=2 * np.pi), np.random.default_rng(1)
+    still = (np.full(shape, 0.5), np.zeros(shape, int), np.ones(shape), np.full(shape, 0.8))
+    _, light = measure(*still, scanner, NEATO, rng)
+    assert np.ptp(light, axis=0).max() == 0  # from scan to scan
+    own = np.log(light[0])
+    assert 0.1 < own.std() < 0.3
+    near, far = (np.corrcoef(own[:-k], own[k:])[0, 1] for k in (1, 20))
+    assert near > 0.8
+    assert abs(far) < 0.5
+
+
+@pytest.mark.data
+def test_laws_of_real_scanners_are_what_their_logs_say(data, monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
+    import light_laws
+
+    for name, files in light_laws.LOGS.items():
+        found, law = light_laws.of_all([light_laws.fit(data / "light" / file) for file in files]), LAWS[name]
+        assert np.abs(np.log(found.light / np.array(law.light))).max() < 0.05
+        assert found.exponent == pytest.approx(law.exponent, abs=0.01)
+        assert found[2:4] == pytest.approx((law.relative_noise, law.beams), abs=0.002)
+        assert found[4:] == (law.least, law.most)
 
 
 def test_people_stand_before_the_walls():

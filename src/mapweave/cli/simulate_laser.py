@@ -31,7 +31,8 @@ class DriveOptions:
     sensor_pose
         Where the scanner stands on the robot, as x,y,theta in metres and radians.
     law
-        How light falls off: spec (as the scanner's maker measured) or second (another one, with a specular part).
+        How light falls off: spec (as the scanner's maker measured), second (another one, with a specular part),
+        lds01 or neato (as in logs of these scanners).
     falloff
         Metres at which the light has halved, instead of the law's.
     exponent
@@ -48,7 +49,7 @@ class DriveOptions:
     beams: int = 342
     range_: Annotated[float, Parameter(name="--range")] = 5.6
     sensor_pose: Annotated[str, Parameter(allow_leading_hyphen=True)] = "0,0,0"
-    law: Literal["spec", "second"] = "spec"
+    law: Literal["spec", "second", "lds01", "neato"] = "spec"
     falloff: float | None = None
     exponent: float | None = None
     specular: float | None = None
@@ -167,12 +168,11 @@ def _drive(given: DriveOptions | None, end_error: tuple[float, float]) -> "Drive
 
     from ..sim.drift import DriftConfig
     from ..sim.laser import DriveConfig
-    from ..sim.scanner import SECOND_LAW, Reflectance, Scanner
+    from ..sim.scanner import LAWS, Scanner
     from .terminal import numbers
 
     drive = given or DriveOptions()
-    law = SECOND_LAW if drive.law == "second" else Reflectance()
-    overrides = {"falloff": drive.falloff, "exponent": drive.exponent, "specular": drive.specular}
+    law = LAWS[drive.law]
     low, high = numbers(drive.end_error, 2, "--end-error") if drive.end_error else end_error
     x, y, theta = numbers(drive.sensor_pose, 3, "--sensor-pose")
     return DriveConfig(
@@ -182,7 +182,12 @@ def _drive(given: DriveOptions | None, end_error: tuple[float, float]) -> "Drive
         people=drive.people,
         sensor_pose=(x, y, theta),
         scanner=Scanner(beams=drive.beams, far=drive.range_),
-        law=replace(law, **{name: value for name, value in overrides.items() if value is not None}),
+        law=replace(
+            law,
+            falloff=law.falloff if drive.falloff is None else drive.falloff,
+            exponent=law.exponent if drive.exponent is None else drive.exponent,
+            specular=law.specular if drive.specular is None else drive.specular,
+        ),
         drift=DriftConfig(end_error=(low, high) if high > 0 else None),
     )
 

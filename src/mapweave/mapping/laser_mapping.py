@@ -71,7 +71,7 @@ def choose_feature(log: LaserLog, cfg: LaserConfig) -> Feature:
     if cfg.feature == "raw":
         return Feature("raw", raw_scale(returns))
     tried: list[Feature] = []
-    for way in _ways(log, returns, _calibrating(len(log.scans)), cfg):
+    for way in ways(log, returns, calibrating(len(log.scans)), cfg):
         tried.append(_calibrated(returns, way, cfg))
         if tried[-1].name != "none":
             return tried[-1]
@@ -90,7 +90,7 @@ def _no_light(returns: Sequence[Beams], cfg: LaserConfig) -> str:
     return f"{100 * without:.0f} % of the returns bear no light" if without > MOST_UNMEASURED else ""
 
 
-def _calibrating(m: int) -> list[range]:
+def calibrating(m: int) -> list[range]:
     """The stretches of m scans from which light is calibrated."""
     if m <= MOST_CALIBRATED:
         return [range(m)]
@@ -98,7 +98,7 @@ def _calibrating(m: int) -> list[range]:
     return [range(k, k + MOST_CALIBRATED // STRETCHES) for k in starts.tolist()]
 
 
-def _ways(
+def ways(
     log: LaserLog, returns: Sequence[Beams], stretches: Sequence[range], cfg: LaserConfig
 ) -> Iterator[tuple[list[int], Float[np.ndarray, "k 3"]]]:
     """Scans and poses of them that are right over a few metres: of wheels, and of scans matched on geometry alone."""

@@ -165,12 +165,13 @@ class PlaceIndex:
         asked_for = SearchRules(cells, c.least_score, round(APART / FIELD.cell), APART_TURN)
         found = search_submaps(searched, clouds, turns, count, asked_for)
         fits = []
-        walls = _lit_walls(own) if lit else None
+        walls = _lit_walls(own.points, own.q) if lit and own.q is not None else None
         for j, (k, row) in enumerate(zip(among.tolist(), found, strict=True)):
             if row[3] > 0.0:
                 fit = self._fit(place, k, new, row, c)
-                slides = walls is not None and fit.held[0] < c.least_held
-                lies = self._by_light(walls, k, new, fit.weak, turns[j, : count[j]]) if slides else None
+                lies = None
+                if walls is not None and fit.held[0] < c.least_held:
+                    lies = self._by_light(walls, k, fit.weak, turns[j, : count[j]])
                 fits.append(fit if lies is None else self._fit(place, k, new, row, c, lies))
             if every and row[7] > 0.0:
                 fits.append(replace(self._fit(place, k, new, row[[4, 5, 6, 7, 0, 1, 2, 3]], c), clear=False))
@@ -184,13 +185,13 @@ class PlaceIndex:
         return np.repeat(first - start[:-1], size) + np.arange(start[-1]), start
 
     def _by_light(
-        self, walls: LitWalls, k: int, new: int, weak: Float[np.ndarray, "2"], turns: Float[np.ndarray, " t"]
+        self, walls: LitWalls, k: int, weak: Float[np.ndarray, "2"], turns: Float[np.ndarray, " t"]
     ) -> tuple[Float[np.ndarray, "3"], float] | None:
         """Where submap `k`, whose walls all run along `weak` in its frame, lies by its light, and how much less likely
         light finds the next best place; None where light does not tell.
         """
         old = self.submaps[k]
-        assert old.q is not None
+        q = np.zeros(0) if old.q is None else old.q[old.thin]
         shifts = np.arange(-self.cfg.reach, self.cfg.reach + LIT_STEP / 2, LIT_STEP)
         rows, starts, ways = [], [], []
         for turn in turns.tolist():
@@ -198,7 +199,7 @@ class PlaceIndex:
             along = se2.rotation(turn) @ weak
             side = np.array([-along[1], along[0]])
             start = _across(turned @ side, walls.points @ side) * side
-            rows.append(light_along(turned + start, old.q[old.thin], along, shifts, walls, LIT_NEAR, LIT_POINTS))
+            rows.append(light_along(turned + start, q, along, shifts, walls, LIT_NEAR, LIT_POINTS))
             starts.append(np.append(start, turn))
             ways.append(along)
         told = np.array(rows)
@@ -268,14 +269,13 @@ class PlaceIndex:
         )
 
 
-def _lit_walls(submap: PlaceSubmap) -> LitWalls:
-    """Its points as walls whose light is compared."""
-    assert submap.q is not None
+def _lit_walls(points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, " n"]) -> LitWalls:
+    """Walls whose light is compared."""
     margin = 2.0 * LIT_CELL
-    low = submap.points.min(axis=0) - margin
-    cols, rows = np.ceil((submap.points.max(axis=0) + margin - low) / LIT_CELL).astype(int).tolist()
-    _, nearest = stamp(submap.points, low, LIT_CELL, rows, cols, LIT_NEAR, 2)
-    return LitWalls(submap.points, submap.q, nearest, low, LIT_CELL)
+    low = points.min(axis=0) - margin
+    cols, rows = np.ceil((points.max(axis=0) + margin - low) / LIT_CELL).astype(int).tolist()
+    _, nearest = stamp(points, low, LIT_CELL, rows, cols, LIT_NEAR, 2)
+    return LitWalls(points, q, nearest, low, LIT_CELL)
 
 
 def _across(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " m"]) -> float:

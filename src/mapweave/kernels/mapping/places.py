@@ -158,7 +158,7 @@ def search_submaps(
 
 
 class LitWalls(NamedTuple):
-    """Points (m, 2) [m] of walls, their brightness q (m,); nearest: of `stamp`, over cells of `cell` [m] from origin."""
+    """Points (m, 2) [m] of walls, their brightness q (m,); nearest: of `stamp`, cells of `cell` [m] from origin on."""
 
     points: np.ndarray
     q: np.ndarray
