@@ -16,7 +16,7 @@ from mapweave.mapping.laser_mapping import choose_feature, contradicting, map_la
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 from mapweave.sim.laser import DriveConfig
 from mapweave.sim.office import OfficeConfig, simulate_office
-from mapweave.sim.scanner import SECOND_LAW
+from mapweave.sim.scanner import LDS01, NEATO, SECOND_LAW
 from mapweave.sim.tunnel import TunnelConfig, simulate_tunnel
 
 from .spoilt_light import (
@@ -218,3 +218,33 @@ def test_single_returns_without_light_keep_their_geometry_and_the_log_its_featur
         assert np.isfinite(lit.q).all()
         unmeasured = ~np.isfinite(scan.intensities) | (scan.intensities <= 0) | (scan.intensities == NO_LIGHT)
         assert (lit.q[unmeasured[lit.beam]] == feature.calibration.middle).all()
+
+
+def rplidar(i):
+    """Quality: whole numbers up to 63, strong light cut off."""
+    return np.clip(np.round(i / 350.0), 1, 63)
+
+
+HEADS = {
+    "LDS-01": (LDS01, None, True),
+    "Neato": (NEATO, None, None),  # its beams' own gains may hide what posters tell: either, and never in silence
+    "RPLIDAR quality": (None, rplidar, True),
+    "URG and UTM": (None, lambda i: np.round(i / 10.0), True),
+    "SICK RSSI, 8 bits": (None, lambda i: np.clip(np.round(25.0 * np.log(np.maximum(i, 1.0))), 1, 254), True),
+    "constant": (None, lambda i: np.full_like(i, 47.0), False),
+    "as strong as its return is near": (None, None, False),
+}
+
+
+@pytest.mark.parametrize("head", HEADS)
+def test_known_scanners_steer_by_their_light_where_it_belongs_to_walls_and_else_say_why_not(head):
+    law, said, steers = HEADS[head]
+    log = corridor(73, 15.0, **({} if law is None else {"drive": DriveConfig(law=law)}))
+    if said is not None:
+        log = with_light(log, lambda _, scan: np.where(scan.hit, said(np.array(scan.intensities)), 0.0))
+    if head == "as strong as its return is near":
+        log = with_light(log, lambda _, scan: np.where(scan.hit, np.round(1000.0 / (1.0 + scan.ranges)), 0.0))
+    feature = choose_feature(log, CFG)
+    assert (feature.name == "normalised") == (not feature.warnings)
+    if steers is not None:
+        assert (feature.name == "normalised") == steers
