@@ -106,6 +106,8 @@ TABLES = (
     *paper("hamatani", SWARM, ("drift", "beyond"), ()),
     Table("intel relations", LASER, bench("laser_real"), "stdout"),
     Table("light on real logs", LASER, bench("light_real"), "stdout"),
+    Table("light of real scanners", LASER, bench("light_laws"), "stdout"),
+    Table("simulated light of real scanners", LASER, bench("light_simulated"), "stdout"),
     Table("512 particles", LASER, bench("laser_filter"), "stdout"),
     Table("laps of a hall", LASER, bench("laser_laps"), "stdout"),
     Table("kept of a lap", LASER, bench("laser_laps", "--laps", "40", "--kept"), "stdout"),
