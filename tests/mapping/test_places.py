@@ -101,6 +101,39 @@ def test_light_on_the_walls_of_a_bare_corridor_tells_where_along_it_a_submap_lie
     assert found(*even) == []
 
 
+def lit_corridor(reflectance):
+    """Two bare walls 2 m apart along x, of `reflectance` at each 0.4 m of either."""
+    x = np.arange(-16.0, 16.0, 0.05)
+    points = np.concatenate([np.column_stack([x, np.full_like(x, y)]) for y in (-1.0, 1.0)])
+    return points, np.repeat(reflectance, 8)
+
+
+@pytest.mark.parametrize("there", [[2.05, 0.5, np.pi], [-3.5, -0.5, 0.0], [6.02, 0.4, np.pi]])
+def test_light_tells_the_way_back_along_a_bare_corridor_from_the_way_there(there):
+    points, q = lit_corridor(np.random.default_rng(6).uniform(0.2, 1.0, 160))
+    old, new = seen_from([0.0, -0.5, 0.0], points, q, seed=1), seen_from(there, points, q, seed=2)
+    (match,) = found(old, new)
+    error = se2.between(se2.between(np.array([0.0, -0.5, 0.0]), np.array(there)), match.measured)
+    assert np.abs(error[:2]).max() < 0.06
+    assert abs(error[2]) < 0.02
+    sd = np.sqrt(np.linalg.eigvalsh(match.covariance[:2, :2]))
+    assert 0.05 < sd[1] < 0.12
+    assert sd[0] < 0.04
+
+
+def test_light_that_repeats_itself_along_a_bare_corridor_tells_no_place():
+    once = np.random.default_rng(7).uniform(0.2, 1.0, 10)
+    points, q = lit_corridor(np.tile(once, 16))  # the same every 4 m
+    assert found(seen_from([0, 0, 0], points, q, seed=1), seen_from([1.0, 0, 0], points, q, seed=2)) == []
+
+
+def test_light_of_other_walls_tells_no_place_of_these():
+    rng = np.random.default_rng(8)
+    for seed in range(4):
+        one, other = lit_corridor(rng.uniform(0.2, 1.0, 160)), lit_corridor(rng.uniform(0.2, 1.0, 160))
+        assert found(seen_from([0, 0, 0], *one, seed=seed), seen_from([1.0, 0, 0], *other, seed=seed)) == []
+
+
 def scanned(field, points, turns, reach):
     """Best of every heading and shift, by trying them all: (score, heading, x, y)."""
     level0 = field.tables[0]
