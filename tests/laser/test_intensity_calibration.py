@@ -30,6 +30,7 @@ def test_the_feature_found_follows_the_true_reflectance(law):
     found, r = correlation(sim)
     assert r >= 0.90
     assert found.residual < 0.15
+    assert found.exponent == pytest.approx(law.exponent, abs=0.2)
     assert (np.diff(found.log_gain[3:]) < 0.02).all()
 
 
