@@ -10,6 +10,8 @@ KINDS = {
     "scan": "sensor_msgs/msg/LaserScan",
     "odom": "nav_msgs/msg/Odometry",
     "tf": "tf2_msgs/msg/TFMessage",
+    "cloud": "sensor_msgs/msg/PointCloud2",
+    "echoes": "sensor_msgs/msg/MultiEchoLaserScan",
     "text": "std_msgs/msg/String",
 }
 N = 90
@@ -25,7 +27,7 @@ class Recording:
             self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", KINDS["tf"]))
         self.rows = []
 
-    def of(self, name, **values):
+    def of(self, name, /, **values):
         return self.store.types[name](**values)
 
     def header(self, t, frame):
@@ -59,12 +61,50 @@ class Recording:
         )
         self.rows.append((t, topic, "scan", message))
 
-    def odom(self, t, x, topic="/odom", yaw=0.0, child="base_link"):
+    def echoes(self, t, ranges, topic="/echoes", frame="laser"):
+        """A scan whose every beam is a list of ranges."""
+        echo = lambda values: self.of("sensor_msgs/msg/LaserEcho", echoes=np.asarray(values, np.float32))
+        message = self.of(
+            KINDS["echoes"],
+            header=self.header(t, frame),
+            angle_min=-1.5,
+            angle_max=1.5,
+            angle_increment=3.0 / (len(ranges) - 1),
+            time_increment=0.0,
+            scan_time=0.1,
+            range_min=0.1,
+            range_max=10.0,
+            ranges=[echo(values) for values in ranges],
+            intensities=[],
+        )
+        self.rows.append((t, topic, "echoes", message))
+
+    def cloud(self, t, points, topic="/points", frame="lidar", *, names="xyz", big=False, **wrong):
+        """Points (n, len(names)) as 32-bit numbers, an intensity where `names` ends in i; `wrong` replaces members."""
+        data = np.ascontiguousarray(points, ">f4" if big else "<f4")
+        called = ["intensity" if name == "i" else name for name in names]
+        fields = [
+            self.of("sensor_msgs/msg/PointField", name=name, offset=4 * k, datatype=7, count=1)
+            for k, name in enumerate(called)
+        ]
+        values = {
+            "height": 1,
+            "width": len(data),
+            "fields": fields,
+            "is_bigendian": big,
+            "point_step": 4 * len(fields),
+            "row_step": data.nbytes,
+            "data": data.reshape(-1).view(np.uint8),
+            "is_dense": True,
+        } | wrong
+        self.rows.append((t, topic, "cloud", self.of(KINDS["cloud"], header=self.header(t, frame), **values)))
+
+    def odom(self, t, x, topic="/odom", yaw=0.0, child="base_link", y=0.0):
         of = self.of
         zero = of("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
         pose = of(
             "geometry_msgs/msg/Pose",
-            position=of("geometry_msgs/msg/Point", x=x, y=0.0, z=0.0),
+            position=of("geometry_msgs/msg/Point", x=x, y=y, z=0.0),
             orientation=self.turn(0, yaw),
         )
         message = of(
@@ -80,7 +120,7 @@ class Recording:
         )
         self.rows.append((t, topic, "odom", message))
 
-    def tf(self, t, parent, child, x=0.0, y=0.0, yaw=0.0, roll=0.0, topic="/tf"):
+    def tf(self, t, parent, child, x=0.0, y=0.0, yaw=0.0, roll=0.0, topic="/tf", z=0.2):
         of = self.of
         transform = of(
             "geometry_msgs/msg/TransformStamped",
@@ -88,7 +128,7 @@ class Recording:
             child_frame_id=child,
             transform=of(
                 "geometry_msgs/msg/Transform",
-                translation=of("geometry_msgs/msg/Vector3", x=x, y=y, z=0.2),
+                translation=of("geometry_msgs/msg/Vector3", x=x, y=y, z=z),
                 rotation=self.turn(roll, yaw),
             ),
         )

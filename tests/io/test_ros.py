@@ -81,7 +81,7 @@ def test_a_topic_that_is_not_there_is_told_with_those_that_are(tmp_path):
     out = Recording(tmp_path / "b.db3")
     out.text(1.0)
     with pytest.raises(
-        ReaderError, match=r"no LaserScan topic; there are /chatter \(std_msgs/msg/String, 1 messages\)"
+        ReaderError, match=r"no LaserScan or PointCloud2 topic; there are /chatter \(std_msgs/msg/String, 1 messages\)"
     ):
         read_laser(out.write())
 

@@ -122,12 +122,14 @@ def _names(log: Path | LaserLog, source: LaserSource) -> tuple[str | None, ...]:
 
 
 def source_of(asked: LaserOptions) -> LaserSource:
-    """Which topics or columns are read and where the scanner stands, as asked."""
+    """Which topics or columns are read and where the scanner stands, as asked. Raises UsageError for what cannot be."""
+    asked.check()
     return LaserSource(
         scan_topic=asked.scan_topic,
         odom_topic=asked.odom_topic,
         sensor_pose=asked.sensor_pose,
         mirrored=asked.mirrored,
+        height=asked.height,
         table=asked.table(),
     )
 

@@ -23,9 +23,10 @@ class LaserOptions:
     """Options of `map` and `localize` for laser logs; None leaves it to the configuration or the log.
 
     resample: the share of the particles `N_eff` may fall to; sensor_pose: `T_robot_sensor` [m, m, rad]; mirrored: beam
-    angles run clockwise; no_loops: the graph method looks for no old places; no_merge: and every robot's map stays
-    alone; resume: a finished result that the logs go on from; columns: of text logs that are tables, a scan a row, as
-    `t,x,y,theta,ranges`, and beams: the angles of their first beam and from beam to beam [rad].
+    angles run clockwise; height: of point clouds what is a scan, from [m] to [m] above the floor; no_loops: the graph
+    method looks for no old places; no_merge: and every robot's map stays alone; resume: a finished result that the logs
+    go on from; columns: of text logs that are tables, a scan a row, as `t,x,y,theta,ranges`, and beams: the angles of
+    their first beam and from beam to beam [rad].
     """
 
     particles: int | None = None
@@ -36,11 +37,20 @@ class LaserOptions:
     odom_topic: str | None = None
     sensor_pose: tuple[float, float, float] | None = None
     mirrored: bool = False
+    height: tuple[float, float] | None = None
     no_loops: bool = False
     no_merge: bool = False
     resume: Path | None = None
     columns: str | None = None
     beams: tuple[float, float] | None = None
+
+    def check(self) -> None:
+        """Raises UsageError for columns, beams or heights that cannot be."""
+        self.table()
+        if self.height is not None:
+            low, high = self.height if len(self.height) == 2 else (math.nan, math.nan)
+            if not -math.inf < low < high < math.inf:
+                raise UsageError(f"--height: expected LOW,HIGH in metres, HIGH above LOW, found {self.height}")
 
     def table(self) -> "ScanTable | None":
         """How rows of a table are read; raises UsageError for columns or beams that cannot be."""
@@ -91,7 +101,7 @@ class MapOptions:
     def check(self) -> None:
         """Raises UsageError naming the option that cannot be, ReaderError naming the file that is not there."""
         self._check_names()
-        self.laser.table()
+        self.laser.check()
         if self.seed < 0:
             raise UsageError(f"--seed must be 0 or more, found {self.seed}")
         if self.jobs < 1:

@@ -23,6 +23,7 @@ def localize(
     odom_topic: str | None = None,
     sensor_pose: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     mirrored: Flag = False,
+    height: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     columns: str | None = None,
     beams: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
     seed: int = 0,
@@ -56,6 +57,8 @@ def localize(
         The pose of the scanner on the robot, as x,y,theta, if the log does not have it.
     mirrored
         The beams of the log run clockwise.
+    height
+        What of point clouds is a scan, from LOW,HIGH in metres above the floor, as for map.
     columns
         How a text log that is a table is read, as for map.
     beams
@@ -67,7 +70,7 @@ def localize(
     """
     from ..api.localize import localize as run
     from ..api.map_options import LaserOptions
-    from .terminal import degrees, numbers, progress, say
+    from .terminal import degrees, numbers, pair, progress, say
 
     place = None
     if sensor_pose is not None:
@@ -80,6 +83,7 @@ def localize(
         odom_topic=odom_topic,
         sensor_pose=place,
         mirrored=mirrored,
+        height=pair(height, "--height"),
         columns=columns,
         beams=None if beams is None else degrees(beams, "--beams"),
     )

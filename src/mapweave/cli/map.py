@@ -26,13 +26,16 @@ class Laser:
     resample
         Resample when the effective number of hypotheses falls below this share (0.5); 1 is always.
     scan_topic
-        The LaserScan topic of a ROS recording, when there are several.
+        The LaserScan or PointCloud2 topic of a ROS recording, when there are several.
     odom_topic
         The odometry or tf topic of a ROS recording, when there are several.
     sensor_pose
         The pose of the scanner on the robot, as x,y,theta in metres and radians, if the log does not have it.
     mirrored
         The beams of the log run clockwise.
+    height
+        What of point clouds is a scan: from LOW to HIGH, as LOW,HIGH in metres above the floor (0.2 above the floor to
+        0.5 above the scanner).
     columns
         How text logs that are tables are read, a scan a row: t,x,y,theta,ranges in seconds, metres and radians. Also
         ranges:N, intensities:N, and - or -:N for columns that are not used. With --beams.
@@ -54,6 +57,7 @@ class Laser:
     odom_topic: str | None = None
     sensor_pose: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     mirrored: Annotated[bool, Parameter(negative="")] = False
+    height: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     columns: str | None = None
     beams: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     loops: bool = True
@@ -197,7 +201,7 @@ def map_logs(
 
 def _laser(given: Laser | None) -> "LaserOptions":
     from ..api.map_options import LaserOptions
-    from .terminal import degrees, numbers
+    from .terminal import degrees, numbers, pair
 
     asked = given or Laser()
     place = None
@@ -213,6 +217,7 @@ def _laser(given: Laser | None) -> "LaserOptions":
         odom_topic=asked.odom_topic,
         sensor_pose=place,
         mirrored=asked.mirrored,
+        height=pair(asked.height, "--height"),
         no_loops=not asked.loops,
         no_merge=not asked.merge,
         resume=asked.resume,

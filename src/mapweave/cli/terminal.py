@@ -61,6 +61,14 @@ def numbers(text: str, count: int, option: str) -> tuple[float, ...]:
     return values
 
 
+def pair(text: str | None, option: str) -> tuple[float, float] | None:
+    """Two finite numbers, None where nothing is told; raises UsageError naming the option."""
+    if text is None:
+        return None
+    first, second = numbers(text, 2, option)
+    return first, second
+
+
 def degrees(text: str, option: str) -> tuple[float, float]:
     """Two angles that are told in degrees [rad]; raises UsageError naming the option."""
     first, step = numbers(text, 2, option)

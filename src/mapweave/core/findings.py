@@ -350,6 +350,19 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "The log does not say where the scanner stands on the robot, or what it says moves.",
             "Give --sensor-pose if it stands elsewhere.",
         ),
+        "cloud-sliced": FindingKind(
+            "note",
+            "scans are slices of {topic}, from {low:.2f} to {high:.2f} m above the {over}",
+            "Point clouds were read: of every direction what is nearest between two heights, the floor left out where "
+            "it is seen. Without a floor heights are counted from the scanner.",
+            "Nothing; `--height LOW,HIGH` cuts elsewhere.",
+        ),
+        "scanner-tilted": FindingKind(
+            "note",
+            "the scanner leans by {value:.1f} degrees against the floor it sees, beside what transforms tell",
+            "Points of a tilted scanner that are taken for level ones put the floor into the map.",
+            "Mend the transform, so that programs that do not level can use the log.",
+        ),
         "topics-chosen": FindingKind(
             "note",
             "{value}",

@@ -25,6 +25,12 @@ NEEDED = {
     "sensor_msgs/msg/LaserScan": attrgetter(
         *STAMP, "angle_min", "angle_max", "angle_increment", "range_min", "range_max", "ranges", "intensities"
     ),
+    "sensor_msgs/msg/MultiEchoLaserScan": attrgetter(
+        *STAMP, "angle_min", "angle_max", "angle_increment", "range_min", "range_max", "ranges", "intensities"
+    ),
+    "sensor_msgs/msg/PointCloud2": attrgetter(
+        *STAMP, "height", "width", "fields", "is_bigendian", "point_step", "row_step", "data"
+    ),
     "nav_msgs/msg/Odometry": attrgetter(
         *STAMP,
         "child_frame_id",
@@ -40,6 +46,7 @@ NEEDED = {
         *(f"transform.rotation.{name}" for name in "xyzw"),
     ),
 }
+UNPACKABLE = "message that cannot be unpacked"
 SUFFIXES = (".bag", ".mcap", ".db3")
 
 
@@ -155,6 +162,12 @@ def _check(message: Any, kind: str) -> None:
         NEEDED[kind](message)
     for transform in getattr(message, "transforms", ()):
         NEEDED["transform"](transform)
+
+
+def stamp(header: Any, recorded: int) -> float:
+    """Header time [s]; that of the recording [ns] where the header has none."""
+    ns = header.stamp.sec * 10**9 + header.stamp.nanosec
+    return float((ns or recorded) / 1e9)
 
 
 def bag_hash(path: Path) -> str:

@@ -9,7 +9,8 @@ from ..core.names import in_order
 from .bag import Bag
 from .transforms import Transforms, frame
 
-SCAN = "sensor_msgs/msg/LaserScan"
+SCAN, ECHOES, CLOUD = (f"sensor_msgs/msg/{kind}" for kind in ("LaserScan", "MultiEchoLaserScan", "PointCloud2"))
+SCANS = (SCAN, ECHOES, CLOUD)
 ODOMETRY = "nav_msgs/msg/Odometry"
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
@@ -50,9 +51,10 @@ class _Topics:
 def bag_robots(bag: Bag) -> tuple[BagRobot, ...]:
     """The robots of `bag` that carry a scanner, in the natural order of their names.
 
-    Topics of one namespace belong together; within a namespace tf decides, then the frames' own namespaces.
+    Topics of one namespace belong together; within a namespace tf decides, then the frames' own namespaces. Point
+    clouds are scans where nothing else is one.
     """
-    scans = [topic for topic in bag.topics(SCAN) if bag.counts.get(topic)]
+    scans = [topic for topic in bag.topics(SCAN, ECHOES) or bag.topics(CLOUD) if bag.counts.get(topic)]
     odometry = [topic for topic in bag.topics(ODOMETRY) if bag.counts.get(topic)]
     tf = bag.topics(*TF)
     if len(scans) <= 1 and len(odometry) <= 1:
@@ -77,11 +79,11 @@ def choose_robot(bag: Bag, name: str | None, scan_topic: str | None, odom_topic:
 
     Raises ReaderError, listing what is there, for a topic that is not, and where several robots could be meant.
     """
-    scan = None if scan_topic is None else _topic(bag, scan_topic, (SCAN,), "scan")
+    scan = None if scan_topic is None else _topic(bag, scan_topic, SCANS, "scan")
     wheels = None if odom_topic is None else _topic(bag, odom_topic, (ODOMETRY, *TF), "odometry")
     robots = bag_robots(bag)
     if not robots:
-        raise ReaderError(bag.path, f"no LaserScan topic; there are {bag.listing() or 'no topics'}")
+        raise ReaderError(bag.path, f"no LaserScan or PointCloud2 topic; there are {bag.listing() or 'no topics'}")
     if name is not None:
         robots = tuple(robot for robot in robots if robot.name == name)
     if scan is not None:

@@ -31,6 +31,7 @@ class LaserSource:
     odom_topic: str | None = None
     sensor_pose: tuple[float, float, float] | None = None  # T_robot_sensor [m, m, rad]
     mirrored: bool = False  # beam angles run clockwise
+    height: tuple[float, float] | None = None  # of point clouds what is a scan [m] above the floor
     table: ScanTable | None = None  # how text is read, whatever its rows are like
 
 
@@ -83,6 +84,7 @@ def read_laser(path: Path, robot: str = "1", source: LaserSource | None = None) 
             odom_topic=source.odom_topic,
             sensor_pose=source.sensor_pose,
             mirrored=source.mirrored,
+            height=source.height,
         )
     try:
         log = TextLog(path)

@@ -3,6 +3,7 @@
 import hashlib
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +12,19 @@ import numpy as np
 from ..core.findings import Unused
 from ..core.laser_log import LaserLog
 from .assemble import RawLog, RawScan, floats
-from .bag import Bag, bag_hash, open_bag
-from .bag_robots import ODOMETRY, SCAN, TF, BagRobot, bag_robots, choose_robot
+from .bag import UNPACKABLE, Bag, bag_hash, open_bag, stamp
+from .bag_robots import CLOUD, ECHOES, ODOMETRY, SCAN, SCANS, TF, BagRobot, bag_robots, choose_robot
+from .clouds import cloud_scans
 from .transforms import Transforms, frame, planar, rigid
 
+READ = (SCAN, ECHOES, ODOMETRY, *TF)  # once for all; point clouds, which are large, when all else is known
+CHOOSES = "this one is read with --scan-topic"
 Stamped = tuple[float, str, Any]  # time [s], topic, LaserScan
 
 
 def robots_in(path: Path) -> tuple[str, ...]:
     """The names of the robots in the recording at `path` that carry a scanner, in natural order."""
-    return tuple(robot.name for robot in bag_robots(open_bag(path, (SCAN, ODOMETRY, *TF))))
+    return tuple(robot.name for robot in bag_robots(open_bag(path, READ)))
 
 
 def read_ros(
@@ -32,51 +36,81 @@ def read_ros(
     odom_topic: str | None = None,
     sensor_pose: Sequence[float] | None = None,
     mirrored: bool = False,
+    height: Sequence[float] | None = None,
 ) -> LaserLog:
     """The log of the robot called `name` (or that the topics speak of, or the only one) in a recording.
 
     All its scanners that tf places are used, unless a topic is named; `odom_topic` may name a tf topic. Stamps are
-    those of the message headers. Raises ReaderError, listing what is there, for a topic that is not, and where several
-    robots could be meant.
+    those of the message headers. height: what of point clouds is a scan, from [m] to [m] above the floor. Raises
+    ReaderError, listing what is there, for a topic that is not, and where several robots could be meant.
     """
-    bag = open_bag(path, (SCAN, ODOMETRY, *TF))
+    bag = open_bag(path, READ)
     chosen = choose_robot(bag, name, scan_topic, odom_topic)
     raw = RawLog(robot, str(path), _hash_of(bag_hash(path), chosen))
     if bag.lost:
         raw.find("log-short", f"{path.name}: {bag.lost}", "they are used")
-    wheels = chosen.odometry[0] if chosen.odometry else None
     if len(chosen.odometry) > 1:
-        raw.find("topics-chosen", f"odometry is read from {wheels}; there is also {', '.join(chosen.odometry[1:])}")
-    by_tf = wheels is not None and bag.kinds[wheels] in TF
-    tf = Transforms()
-    messages: list[Stamped] = []
-    robot_frame: Counter[str] = Counter()
-    for topic, ns, message in bag.messages({*chosen.scans, *chosen.tf, *([wheels] if wheels else [])}):
+        wheels, *others = chosen.odometry
+        raw.find("topics-chosen", f"odometry is read from {wheels}; there is also {', '.join(others)}")
+    seen = _gathered(bag, chosen, raw)
+    base = _with_odometry_from_tf(seen, chosen, raw)
+    given = sensor_pose is not None
+    used = _placed(seen.frames, bag, chosen.scans, seen.tf, base, raw, given=given)
+    _add_scans(raw, [m for m in seen.scans if m[1] in used], seen.tf, base, given=given)
+    for topic in (topic for topic in chosen.scans if topic in used and bag.kinds[topic] == CLOUD):
+        raw.scans += cloud_scans(bag, topic, seen.tf, base, height, raw, given=given)
+    return raw.finish(mirrored=mirrored, sensor_pose=sensor_pose)
+
+
+@dataclass(slots=True)
+class _Gathered:
+    """Of one robot's topics, point clouds aside. frames: of scan topics; base: the robot's frame, how often told."""
+
+    scans: list[Stamped] = field(default_factory=list)
+    frames: dict[str, str] = field(default_factory=dict)
+    tf: Transforms = field(default_factory=Transforms)
+    base: Counter[str] = field(default_factory=Counter)
+
+
+def _gathered(bag: Bag, chosen: BagRobot, raw: RawLog) -> _Gathered:
+    """What the recording holds of a robot; its odometry messages, and what could not be read, are put into `raw`."""
+    out = _Gathered()
+    wanted = {*chosen.scans, *chosen.tf, *chosen.odometry[:1]}
+    clouds = {topic for topic in chosen.scans if bag.kinds[topic] == CLOUD}
+    for topic, _, message in bag.messages(clouds, once=clouds) if clouds else ():
+        out.frames[topic] = frame(message.header.frame_id)
+    for topic, ns, message in bag.messages(wanted - clouds):
         if topic in chosen.scans:
-            messages.append((_stamp(message.header, ns), topic, message))
+            out.scans.append((stamp(message.header, ns), topic, message))
+            out.frames.setdefault(topic, frame(message.header.frame_id))
         elif bag.kinds[topic] in TF:
             for transform in message.transforms:
-                tf.add(_stamp(transform.header, ns), transform)
+                out.tf.add(stamp(transform.header, ns), transform)
         else:
             pose = planar(rigid(message.pose.pose.position, message.pose.pose.orientation))
-            raw.odometry.append((_stamp(message.header, ns), *pose))
-            robot_frame[frame(message.child_frame_id)] += 1
+            raw.odometry.append((stamp(message.header, ns), *pose))
+            out.base[frame(message.child_frame_id)] += 1
             raw.odometry_from = "poses"
-    raw.unused = _unused(bag, {*chosen.scans, *chosen.tf, *([wheels] if wheels else [])}, chosen)
-    if bag.skipped:
-        raw.dropped["message that cannot be unpacked"] += bag.skipped
-    if tf.refused:
-        raw.dropped["transform that is not finite"] += tf.refused
-    sensor = next((frame(m.header.frame_id) for _, topic, m in messages if topic == chosen.scans[0]), "")
-    edge = tf.odometry_edge(sensor)
-    if not raw.odometry and edge is not None and (wheels is None or by_tf):
-        raw.odometry = [(t, *planar(transform)) for t, transform in tf.seen[edge]]
+    raw.unused = _unused(bag, wanted, chosen)
+    raw.dropped.update(+Counter({UNPACKABLE: bag.skipped, "transform that is not finite": out.tf.refused}))
+    return out
+
+
+def _with_odometry_from_tf(seen: _Gathered, chosen: BagRobot, raw: RawLog) -> str:
+    """The robot's frame; `raw` has the odometry of tf where no message told any."""
+    edge = seen.tf.odometry_edge(seen.frames.get(chosen.scans[0], ""))
+    if not raw.odometry and edge is not None and not (set(chosen.odometry[:1]) - set(chosen.tf)):
+        raw.odometry = [(t, *planar(transform)) for t, transform in seen.tf.seen[edge]]
         raw.odometry_from = "tf"
-        robot_frame[edge[1]] += 1
-    base = robot_frame.most_common(1)[0][0] if robot_frame else (edge[1] if edge else "")
-    used = _placed(messages, chosen.scans, tf, base, raw, given=sensor_pose is not None)
-    _add_scans(raw, [m for m in messages if m[1] in used], tf, base, given=sensor_pose is not None)
-    return raw.finish(mirrored=mirrored, sensor_pose=sensor_pose)
+        return edge[1]
+    return seen.base.most_common(1)[0][0] if seen.base else (edge[1] if edge else "")
+
+
+def _first_echoes(values: Any) -> np.ndarray:
+    """Of every beam what came back first, as numbers; NaN where nothing did."""
+    if len(values) and hasattr(values[0], "echoes"):
+        return floats([echo.echoes[0] if len(echo.echoes) else np.nan for echo in values])
+    return floats(values)
 
 
 def _unused(bag: Bag, read: set[str], chosen: BagRobot) -> list[Unused]:
@@ -85,10 +119,12 @@ def _unused(bag: Bag, read: set[str], chosen: BagRobot) -> list[Unused]:
     for topic, kind in sorted(bag.kinds.items()):
         if topic in read or not bag.counts.get(topic):
             continue
-        if kind not in {SCAN, ODOMETRY, *TF}:
+        if kind not in {*SCANS, ODOMETRY, *TF}:
             why = "no reader for this type"
         elif topic in chosen.odometry:
-            why = "another odometry is read"
+            why = f"another odometry is read; --odom-topic {topic} reads this one"
+        elif kind == CLOUD and CLOUD not in {bag.kinds[scan] for scan in chosen.scans}:
+            why = f"scans are read instead; {CHOOSES} {topic}"
         else:
             why = "of another robot, or not chosen"
         out.append(Unused(str(bag.path), topic, kind, bag.counts[topic], why))
@@ -101,12 +137,9 @@ def _hash_of(digest: str, robot: BagRobot) -> str:
 
 
 def _placed(
-    messages: Sequence[Stamped], scans: Sequence[str], tf: Transforms, base: str, raw: RawLog, *, given: bool
+    frames: dict[str, str], bag: Bag, scans: Sequence[str], tf: Transforms, base: str, raw: RawLog, *, given: bool
 ) -> set[str]:
     """The scan topics to use: all that tf places on the robot, one of each frame; else the first of all."""
-    frames: dict[str, str] = {}
-    for _, topic, message in messages:
-        frames.setdefault(topic, frame(message.header.frame_id))
     placed = [topic for topic in scans if topic in frames and tf.sensor_pose(base, frames[topic]) is not None]
     used: dict[str, str] = {}
     for topic in placed[:1] if given else placed:
@@ -114,8 +147,7 @@ def _placed(
     kept = list(used.values()) or list(scans[:1])
     why = "not placed by tf, or the same scanner as another topic" if placed else "another scanner is read"
     for topic in (t for t in scans if t not in kept):
-        seen = sum(1 for _, other, _ in messages if other == topic)
-        raw.unused.append(Unused(raw.source, topic, SCAN, seen, why))
+        raw.unused.append(Unused(raw.source, topic, bag.kinds[topic], bag.counts[topic], f"{why}; {CHOOSES} {topic}"))
     if left := [topic for topic in scans if topic not in kept]:
         raw.find("topics-chosen", f"scan is read from {' and '.join(kept)}; there is also {', '.join(left)}")
     elif len(kept) > 1:
@@ -138,12 +170,12 @@ def _add_scans(raw: RawLog, messages: Sequence[Stamped], tf: Transforms, base: s
             places[name] = place
         pose, upside_down = places[name]
         n, sign = len(message.ranges), -1.0 if upside_down else 1.0
+        ranges, light = (_first_echoes(values) for values in (message.ranges, message.intensities))
         step = message.angle_increment or (message.angle_max - message.angle_min) / max(1, n - 1)
-        light = floats(message.intensities)
         raw.scans.append(
             RawScan(
                 t,
-                floats(message.ranges),
+                ranges,
                 light if len(light) else None,
                 sign * float(message.angle_min),
                 sign * float(step),
@@ -152,9 +184,3 @@ def _add_scans(raw: RawLog, messages: Sequence[Stamped], tf: Transforms, base: s
                 pose,
             )
         )
-
-
-def _stamp(header: Any, recorded: int) -> float:
-    """Header time [s]; the recording's where the header has none."""
-    ns = header.stamp.sec * 10**9 + header.stamp.nanosec
-    return float((ns or recorded) / 1e9)

@@ -12,6 +12,7 @@ FARTHEST = 1e9  # [m] that frames are apart: farther is a damaged message
 LARGEST_TURN = 2.0  # a number of a unit quaternion, with room for careless rounding
 Edge = tuple[str, str]  # parent, child
 Rigid = tuple[np.ndarray, np.ndarray]  # translation (3,), quaternion x y z w (4,)
+NOWHERE: Rigid = (np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))  # on the robot, turned as it is
 
 
 @dataclass(slots=True)
@@ -57,8 +58,16 @@ class Transforms:
 
     def sensor_pose(self, robot: str, sensor: str) -> tuple[np.ndarray, bool] | None:
         """`T_robot_sensor` seen from above and whether the sensor hangs upside down; None where frames do not meet."""
+        place = self.rigid_pose(robot, sensor)
+        if place is None:
+            return None
+        q = place[1].tolist()
+        return np.array([*place[0][:2], heading_of_quaternion(*q)]), is_upside_down(*q)
+
+    def rigid_pose(self, robot: str, sensor: str) -> Rigid | None:
+        """`T_robot_sensor` in space; None where frames do not meet."""
         if robot == sensor:
-            return np.zeros(3), False
+            return NOWHERE
         up_sensor, up_robot = self.chain(sensor), self.chain(robot)
         meet = next((name for name in up_sensor if name in up_robot), None)
         if meet is None:
@@ -68,8 +77,7 @@ class Transforms:
         shift, turn = path[0]
         for step in path[1:]:
             shift, turn = shift + _rotated(turn, step[0]), _times(turn, step[1])
-        q = turn.tolist()
-        return np.array([shift[0], shift[1], heading_of_quaternion(*q)]), is_upside_down(*q)
+        return shift, turn
 
     def _first(self, parent: str, child: str) -> Rigid:
         return self.seen[parent, child][0][1]
@@ -98,6 +106,13 @@ def planar(transform: Rigid) -> tuple[float, float, float]:
     """x, y [m] and heading [rad] of a transform seen from above."""
     shift, turn = transform
     return float(shift[0]), float(shift[1]), heading_of_quaternion(*turn.tolist())
+
+
+def rotation_matrix(q: np.ndarray) -> np.ndarray:
+    """(3, 3) of a quaternion x y z w, of any length but zero; the identity for zero."""
+    return (
+        np.stack([_rotated(q / size, axis) for axis in np.eye(3)], axis=1) if (size := np.linalg.norm(q)) else np.eye(3)
+    )
 
 
 def _steps(line: list[str], end: str) -> list[Edge]:
