@@ -12,6 +12,7 @@ KINDS = {
     "tf": "tf2_msgs/msg/TFMessage",
     "cloud": "sensor_msgs/msg/PointCloud2",
     "echoes": "sensor_msgs/msg/MultiEchoLaserScan",
+    "imu": "sensor_msgs/msg/Imu",
     "text": "std_msgs/msg/String",
 }
 N = 90
@@ -45,13 +46,13 @@ class Recording:
     def text(self, t, topic="/chatter"):
         self.rows.append((t, topic, "text", self.of(KINDS["text"], data="hello")))
 
-    def scan(self, t, ranges, light=None, topic="/scan", frame="laser", at=None):
+    def scan(self, t, ranges, light=None, topic="/scan", frame="laser", at=None, angles=(-1.5, 1.5)):
         message = self.of(
             KINDS["scan"],
             header=self.header(t if at is None else at, frame),
-            angle_min=-1.5,
-            angle_max=1.5,
-            angle_increment=3.0 / (len(ranges) - 1),
+            angle_min=angles[0],
+            angle_max=angles[1],
+            angle_increment=(angles[1] - angles[0]) / (len(ranges) - 1),
             time_increment=0.0,
             scan_time=0.1,
             range_min=0.1,
@@ -98,6 +99,23 @@ class Recording:
             "is_dense": True,
         } | wrong
         self.rows.append((t, topic, "cloud", self.of(KINDS["cloud"], header=self.header(t, frame), **values)))
+
+    def imu(self, t, rate, felt=(0.0, 0.0, 9.81), topic="/imu", frame="imu_link"):
+        """Turn rate about the unit's z [rad/s] or over its axes, and acceleration felt [m/s^2], None: not told."""
+        of, none = self.of, np.zeros(9)
+        w = rate if np.ndim(rate) else (0.0, 0.0, rate)
+        vector = lambda v: of("geometry_msgs/msg/Vector3", **dict(zip("xyz", map(float, v), strict=True)))
+        message = of(
+            KINDS["imu"],
+            header=self.header(t, frame),
+            orientation=self.turn(0, 0),
+            orientation_covariance=none,
+            angular_velocity=vector(w),
+            angular_velocity_covariance=none,
+            linear_acceleration=vector((0.0, 0.0, 0.0) if felt is None else felt),
+            linear_acceleration_covariance=np.array([-1.0 if felt is None else 0.0, *none[1:]]),
+        )
+        self.rows.append((t, topic, "imu", message))
 
     def odom(self, t, x, topic="/odom", yaw=0.0, child="base_link", y=0.0):
         of = self.of

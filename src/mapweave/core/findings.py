@@ -363,6 +363,38 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "Points of a tilted scanner that are taken for level ones put the floor into the map.",
             "Mend the transform, so that programs that do not level can use the log.",
         ),
+        "imu-turns": FindingKind(
+            "note",
+            "turns are those of the IMU on {value}",
+            "The robot's turns are read from its gyroscope, about gravity, less the bias that it tells where scans "
+            "show that the robot stands.",
+            "Nothing.",
+        ),
+        "imu-mounted": FindingKind(
+            "note",
+            "gravity lies {value:.0f} degrees from where up is for the IMU by the transforms",
+            "The inertial unit is mounted on its side or upside down (180 degrees), and no transform says so.",
+            "Mend the transform.",
+        ),
+        "imu-unit": FindingKind(
+            "note",
+            "the IMU tells turns {value}, as scans show",
+            "Scans turn by another amount or in another sense than the gyroscope says in radians about gravity.",
+            "Mend the driver: other programs will believe it.",
+        ),
+        "imu-unlike": FindingKind(
+            "doubtful",
+            "the turns of the IMU on {value} are none that scans show",
+            "The gyroscope is another robot's, has another clock, or is broken.",
+            "Look at its stamps and units.",
+        ),
+        "robot-tipped": FindingKind(
+            "doubtful",
+            "the robot leans by up to {value:.0f} degrees",
+            "Gravity points elsewhere than usual for a second and more: the robot stands on a ramp, was lifted or "
+            "fell, and its scanner sees floor or ceiling.",
+            "Look at the map there; cut the log.",
+        ),
         "topics-chosen": FindingKind(
             "note",
             "{value}",

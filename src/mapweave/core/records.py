@@ -80,6 +80,7 @@ class Scan:
     `range_max` there). intensities: (n,) in the sensor's units, or None; beam k points at
     `angle_min + k angle_increment` [rad], CCW from the sensor's x. n may change from scan to scan, and may hold no
     return at all. `odometry` is `T_odom_robot` at the scan's own stamp, or None when the log has no odometry.
+    `heading` [rad] is the robot's by its gyroscope, from any zero: the turn since the scan before, where both have one.
     """
 
     ranges: Float[np.ndarray, " n"]
@@ -91,6 +92,7 @@ class Scan:
     T_robot_sensor: Float[np.ndarray, "3"] = field(default_factory=lambda: IDENTITY)
     host: str = ""
     odometry: Float[np.ndarray, "3"] | None = None
+    heading: float | None = None
 
     def angles(self) -> Float[np.ndarray, " n"]:
         """Beam directions (n,) [rad] in the sensor frame."""

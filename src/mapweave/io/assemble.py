@@ -17,8 +17,9 @@ from ..core.errors import DataError
 from ..core.findings import Finding, Unused, Value
 from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
+from .inertial import IMU, Inertial, with_turns
 from .range_unit import unit_of_ranges
-from .scan_checks import ScanAgreementConfig, scan_agreement, without_false_returns
+from .scan_checks import ScanAgreementConfig, range_difference, scan_agreement, without_false_returns
 from .stamps import Mended, mended_stamps, rows_by_scanner
 
 PAIRS = 400  # scan pairs looked at, at most
@@ -61,21 +62,10 @@ def _vote(a: Scan, turn: float, b: Scan) -> int:
     n = len(a.ranges)
     if len(b.ranges) != n or abs(shift) < 2 or abs(shift) > n // 2:
         return 0
-    right, wrong = _difference(a, b, shift), _difference(a, b, -shift)
+    right, wrong = range_difference(a, b, shift), range_difference(a, b, -shift)
     if right is None or wrong is None or max(right, wrong) < 1.2 * min(right, wrong):
         return 0
     return 1 if right < wrong else -1
-
-
-def _difference(a: Scan, b: Scan, shift: int) -> float | None:
-    """Mean range difference of beam i of `b` and beam i + shift of `a`, each capped at half a metre."""
-    n = len(a.ranges)
-    low, high = max(0, -shift), min(n, n - shift)
-    both = a.hit[low + shift : high + shift] & b.hit[low:high]
-    if both.sum() < 20:
-        return None
-    d = np.abs(a.ranges[low + shift : high + shift] - b.ranges[low:high])[both]
-    return float(np.minimum(d, 0.5).mean())
 
 
 LARGEST, LATEST = 1e9, 1e15  # [m or rad], [s]: what is more was never measured
@@ -115,6 +105,7 @@ class RawLog:
     odometry: list[tuple[float, float, float, float]] = field(default_factory=list)
     odometry_from: str = "none"
     scan_time: float | None = None
+    inertial: Inertial | None = None
     dropped: Counter = field(default_factory=Counter)
     findings: list[Finding] = field(default_factory=list)
     unused: list[Unused] = field(default_factory=list)
@@ -153,6 +144,8 @@ class RawLog:
         if log_scans[0].odometry is not None and (speed := _speed(log_scans, t)) > FASTEST:
             self.find("wheels-fast", speed, "the odometry is not used")
             log_scans, odometry = [replace(scan, odometry=None) for scan in log_scans], None
+        if self.inertial is not None:
+            log_scans, odometry = self._with_turns(self.inertial, t, log_scans, odometry)
         log_scans = self._without_false_returns(log_scans, used=used)
         if log_scans[0].odometry is None:
             self.odometry_from = "none"
@@ -175,6 +168,19 @@ class RawLog:
             self.log_hash,
             unused=tuple(self.unused),
         )
+
+    def _with_turns(
+        self, told: Inertial, t: np.ndarray, scans: list[Scan], odometry: Track | None
+    ) -> tuple[list[Scan], Track | None]:
+        """The scans and the odometry with the turns of an IMU, where these are the better ones."""
+        turned = with_turns(told, self.robot, t, scans, odometry)
+        self.findings += turned.findings
+        if turned.unused:
+            self.unused.append(Unused(self.source, told.topic, IMU, len(told.rows), turned.unused))
+        if odometry is None or turned.odometry is None:
+            return turned.scans, None
+        poses = poses_at(t, turned.odometry)
+        return [replace(s, odometry=frozen(p)) for s, p in zip(turned.scans, poses, strict=True)], turned.odometry
 
     def _without_false_returns(self, scans: list[Scan], *, used: bool) -> list[Scan]:
         kept, left = without_false_returns(scans)

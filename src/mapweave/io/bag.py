@@ -31,6 +31,11 @@ NEEDED = {
     "sensor_msgs/msg/PointCloud2": attrgetter(
         *STAMP, "height", "width", "fields", "is_bigendian", "point_step", "row_step", "data"
     ),
+    "sensor_msgs/msg/Imu": attrgetter(
+        *STAMP,
+        *(f"{what}.{name}" for what in ("angular_velocity", "linear_acceleration") for name in "xyz"),
+        "linear_acceleration_covariance",
+    ),
     "nav_msgs/msg/Odometry": attrgetter(
         *STAMP,
         "child_frame_id",

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from ..core.errors import ReaderError
 from ..core.names import in_order
 from .bag import Bag
+from .inertial import IMU
 from .transforms import Transforms, frame
 
 SCAN, ECHOES, CLOUD = (f"sensor_msgs/msg/{kind}" for kind in ("LaserScan", "MultiEchoLaserScan", "PointCloud2"))
@@ -31,6 +32,7 @@ class BagRobot:
     odometry: tuple[str, ...]
     tf: tuple[str, ...]
     unclear: str = ""
+    imu: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -57,8 +59,9 @@ def bag_robots(bag: Bag) -> tuple[BagRobot, ...]:
     scans = [topic for topic in bag.topics(SCAN, ECHOES) or bag.topics(CLOUD) if bag.counts.get(topic)]
     odometry = [topic for topic in bag.topics(ODOMETRY) if bag.counts.get(topic)]
     tf = bag.topics(*TF)
+    imu = [topic for topic in bag.topics(IMU) if bag.counts.get(topic)]
     if len(scans) <= 1 and len(odometry) <= 1:
-        return (BagRobot("", tuple(scans), tuple(odometry), tuple(tf)),) if scans else ()
+        return (BagRobot("", tuple(scans), tuple(odometry), tuple(tf), imu=tuple(imu)),) if scans else ()
     seen = _frames_and_transforms(bag, scans, odometry, tf)
     homes = {topic: _home(topic, (*odometry, *tf)) for topic in scans}
     trees = {home: _near(home, tf, set(homes.values())) for home in set(homes.values())}
@@ -68,7 +71,8 @@ def bag_robots(bag: Bag) -> tuple[BagRobot, ...]:
         home = homes[group[0]]
         rivals = [other for other in groups if homes[other[0]] == home]
         mine, unclear = _odometry_of(group, rivals, home, odometry, set(homes.values()), seen, trees[home])
-        robots.append(BagRobot(_name(group, home, rivals, seen), tuple(group), mine, tuple(trees[home]), unclear))
+        own = tuple(t for t in imu if len(rivals) == 1 and _owner(t, homes.values()) == home)
+        robots.append(BagRobot(_name(group, home, rivals, seen), tuple(group), mine, tuple(trees[home]), unclear, own))
     names = [robot.name for robot in robots]
     robots = [replace(r, name=r.scans[0].strip("/")) if names.count(r.name) > 1 else r for r in robots]
     return tuple(sorted(robots, key=lambda robot: (in_order(robot.name), robot.scans)))

@@ -15,9 +15,10 @@ from .assemble import RawLog, RawScan, floats
 from .bag import UNPACKABLE, Bag, bag_hash, open_bag, stamp
 from .bag_robots import CLOUD, ECHOES, ODOMETRY, SCAN, SCANS, TF, BagRobot, bag_robots, choose_robot
 from .clouds import cloud_scans
-from .transforms import Transforms, frame, planar, rigid
+from .inertial import IMU, Inertial, imu_row
+from .transforms import NOWHERE, Transforms, frame, planar, rigid, rotation_matrix
 
-READ = (SCAN, ECHOES, ODOMETRY, *TF)  # once for all; point clouds, which are large, when all else is known
+READ = (SCAN, ECHOES, ODOMETRY, IMU, *TF)  # once for all; point clouds, which are large, when all else is known
 CHOOSES = "this one is read with --scan-topic"
 Stamped = tuple[float, str, Any]  # time [s], topic, LaserScan
 
@@ -59,6 +60,10 @@ def read_ros(
     _add_scans(raw, [m for m in seen.scans if m[1] in used], seen.tf, base, given=given)
     for topic in (topic for topic in chosen.scans if topic in used and bag.kinds[topic] == CLOUD):
         raw.scans += cloud_scans(bag, topic, seen.tf, base, height, raw, given=given)
+    if seen.imu:
+        topic = chosen.imu[0]
+        place = seen.tf.rigid_pose(base, seen.frames[topic]) or NOWHERE
+        raw.inertial = Inertial(topic, floats(sorted(seen.imu)), rotation_matrix(place[1])[2])
     return raw.finish(mirrored=mirrored, sensor_pose=sensor_pose)
 
 
@@ -69,13 +74,14 @@ class _Gathered:
     scans: list[Stamped] = field(default_factory=list)
     frames: dict[str, str] = field(default_factory=dict)
     tf: Transforms = field(default_factory=Transforms)
+    imu: list[tuple[float, ...]] = field(default_factory=list)
     base: Counter[str] = field(default_factory=Counter)
 
 
 def _gathered(bag: Bag, chosen: BagRobot, raw: RawLog) -> _Gathered:
     """What the recording holds of a robot; its odometry messages, and what could not be read, are put into `raw`."""
     out = _Gathered()
-    wanted = {*chosen.scans, *chosen.tf, *chosen.odometry[:1]}
+    wanted = {*chosen.scans, *chosen.tf, *chosen.odometry[:1], *chosen.imu[:1]}
     clouds = {topic for topic in chosen.scans if bag.kinds[topic] == CLOUD}
     for topic, _, message in bag.messages(clouds, once=clouds) if clouds else ():
         out.frames[topic] = frame(message.header.frame_id)
@@ -86,6 +92,9 @@ def _gathered(bag: Bag, chosen: BagRobot, raw: RawLog) -> _Gathered:
         elif bag.kinds[topic] in TF:
             for transform in message.transforms:
                 out.tf.add(stamp(transform.header, ns), transform)
+        elif topic in chosen.imu:
+            out.imu.append(imu_row(stamp(message.header, ns), message))
+            out.frames.setdefault(topic, frame(message.header.frame_id))
         else:
             pose = planar(rigid(message.pose.pose.position, message.pose.pose.orientation))
             raw.odometry.append((stamp(message.header, ns), *pose))
@@ -119,8 +128,10 @@ def _unused(bag: Bag, read: set[str], chosen: BagRobot) -> list[Unused]:
     for topic, kind in sorted(bag.kinds.items()):
         if topic in read or not bag.counts.get(topic):
             continue
-        if kind not in {*SCANS, ODOMETRY, *TF}:
+        if kind not in {*SCANS, ODOMETRY, IMU, *TF}:
             why = "no reader for this type"
+        elif kind == IMU:
+            why = f"{chosen.imu[0]} is read" if topic in chosen.imu else "of another robot, or it is not told of which"
         elif topic in chosen.odometry:
             why = f"another odometry is read; --odom-topic {topic} reads this one"
         elif kind == CLOUD and CLOUD not in {bag.kinds[scan] for scan in chosen.scans}:

@@ -269,3 +269,14 @@ def _robust(A: Float[np.ndarray, "n 2"], y: Float[np.ndarray, " n"]) -> tuple[np
         weight = 1.0 / np.maximum(error, 0.005)
     noise = float(np.mean(weight * error**2))
     return x, noise * np.linalg.inv(H)
+
+
+def range_difference(a: Scan, b: Scan, shift: int) -> float | None:
+    """The mean range difference [m] of beam i of `b` and beam i + shift of `a`, each capped at half a metre."""
+    n = len(a.ranges)
+    low, high = max(0, -shift), min(n, n - shift)
+    both = a.hit[low + shift : high + shift] & b.hit[low:high]
+    if both.sum() < 20:
+        return None
+    d = np.abs(a.ranges[low + shift : high + shift] - b.ranges[low:high])[both]
+    return float(np.minimum(d, 0.5).mean())

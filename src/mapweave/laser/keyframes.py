@@ -190,9 +190,9 @@ class KeyframeOdometry:
         """The latest keyframe."""
         return self.maker.last
 
-    def predict(self, odometry: Float[np.ndarray, "3"] | None) -> Float[np.ndarray, "3"]:
-        """Where odometry puts the robot now, in its own frame; without odometry it goes on as before."""
-        return np.asarray(se2.compose(self.local, self.odometry.increment(odometry).u))
+    def predict(self, scan: Scan) -> Float[np.ndarray, "3"]:
+        """Where odometry puts the robot at a scan, in its own frame; without odometry it goes on as before."""
+        return np.asarray(se2.compose(self.local, self.odometry.increment(scan.odometry, scan.heading).u))
 
     def advance(self, scan: Scan, b: Beams, *, leapt: bool = False) -> ScanInfo:
         """`local` is the pose of this scan; one that shows nothing is carried by odometry, unless that `leapt`."""

@@ -53,6 +53,8 @@ class FrontEndConfig:
     least_share: float = 0.25  # share of the returns that must match, or odometry is taken
     alone_xy: float = 0.25  # [m] a robot without odometry may move in a step, one sigma, and
     alone_turn: float = 0.35  # [rad] turn
+    gyro_turn: float = 0.02  # [rad] by which the turn of a gyroscope may err in a step, one sigma,
+    gyro_scale: float = 0.03  # and so much more a radian turned
     alone_search: float = 1.3  # [rad] turns tried to either side of such a robot's last heading
     alone_tries: int = 5  # of them, those that most returns match are refined,
     alone_apart: float = 2.5  # times `wide_step` apart from each other at least
@@ -122,14 +124,17 @@ class FrontEnd:
     ) -> ScanMatch:
         """Where the scan fits when nothing is known but the last pose and the last motion; the map is not touched.
 
-        Turns are tried far to either side, as if the robot drove on and as if it stood. Of the best that are refined
+        Turns are tried far to either side, as if the robot drove on and as if it stood; where `sd` says that the turn
+        is known, about that alone. Of the best that are refined
         the one is taken that most returns match, less what its change of motion costs: more returns match where the
         walls are known already, so that a scan along a bare wall would rather have the robot stand.
         """
         c = self.cfg
         n = len(b.q)
         on = np.asarray(se2.compose(last, step))
-        far = min(c.alone_search, np.pi)
+        known = bool(sd[2] < c.alone_turn)
+        last = np.array([*last[:2], on[2]]) if known else last
+        far = min(3.0 * float(sd[2]) if known else c.alone_search, np.pi)
         turns = np.arange(-far, far + 1e-9, c.wide_step)
         at = np.array([[*place[:2], last[2] + a] for place in (on, last) for a in turns])
         scores = np.array([self._count(self.coarse, c.coarse, b, pose, c.reach) for pose in at])

@@ -74,7 +74,8 @@ NO_INNOVATION = np.zeros(3)
 class Increment(NamedTuple):
     """u: (3,) odometry since the last scan; sd: (3,) it may err by.
 
-    alone: there is no odometry, or it reports no motion of a robot that moves: u is how the robot moved last.
+    alone: there is no odometry, or it reports no motion of a robot that moves: u is how the robot moved last, with the
+    turn that a gyroscope tells where there is one.
     """
 
     u: Float[np.ndarray, "3"]
@@ -120,6 +121,7 @@ class ScanOdometry:
         self.poses = RowBuffer(3)
         self.odometry: np.ndarray | None = None
         self.step = np.zeros(3)
+        self.heading: float | None = None
         self._stood: np.ndarray | None = None  # where it was when the wheels moved last, while they report nothing
         self.lines = np.zeros((3, 3))
 
@@ -128,10 +130,19 @@ class ScanOdometry:
         """The latest pose; zero before the first scan."""
         return np.asarray(self.poses[-1]) if len(self.poses) else np.zeros(3)
 
-    def increment(self, odometry: Float[np.ndarray, "3"] | None) -> Increment:
+    def increment(self, odometry: Float[np.ndarray, "3"] | None, heading: float | None = None) -> Increment:
         """What odometry says of the motion since the last scan; wheels that stand while the robot drives say none."""
         if odometry is None or (self._wheels_stand(odometry) and self._left_its_place()):
-            return Increment(self.step, alone_sd(self.cfg), alone=True)
+            sd = alone_sd(self.cfg)
+            if heading is None or self.heading is None:
+                return Increment(self.step, sd, alone=True)
+            turn = heading - self.heading
+            way = se2.rotation(0.5 * (turn - float(self.step[2]))) @ self.step[:2]
+            return Increment(
+                np.array([*way, turn]),
+                np.array([*sd[:2], self.cfg.gyro_turn + self.cfg.gyro_scale * abs(turn)]),
+                alone=True,
+            )
         u = np.zeros(3) if self.odometry is None else se2.between(self.odometry, odometry)
         return Increment(u, allowed_sd(u, self.cfg))
 
@@ -150,7 +161,8 @@ class ScanOdometry:
 
     def advance(self, scan: Scan, b: Beams, *, leapt: bool = False) -> ScanInfo:
         """`poses` has one more: where the robot was at the scan. leapt: its odometry was set anew, tells nothing."""
-        u, sd, alone = self.increment(None if leapt else scan.odometry)
+        u, sd, alone = self.increment(None if leapt else scan.odometry, scan.heading)
+        self.heading = scan.heading
         if not self._wheels_stand(scan.odometry):
             self._stood = None
         elif self._stood is None:

@@ -226,7 +226,7 @@ class LaserTeam:
         if not len(others) or not len(b.q):
             return b
         track = self.tracks[j]
-        here = se2.compose(self._now[j], se2.between(track.local, track.predict(scan.odometry)))
+        here = se2.compose(self._now[j], se2.between(track.local, track.predict(scan)))
         at = se2.act(se2.inverse(here), self._now[others, :2])
         reach = self.cfg.teammate + np.where(self._stamp[others] < t, self._driven[others], 0.0)
         near = (np.hypot(*(b.s[:, None] - at).transpose(2, 0, 1)) < reach).any(axis=1)

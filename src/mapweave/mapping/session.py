@@ -79,6 +79,7 @@ class LaserSession:
         self.moving = MovingReturns(cfg.moving)
         self._last = self._motion = np.zeros(3)
         self._odometry: Float[np.ndarray, 3] | None = None
+        self._heading: float | None = None
         self._runner = Runner(estimator(cfg, feature), cfg, seed)
 
     def push(self, event: Event) -> ScanInfo | None:
@@ -96,7 +97,7 @@ class LaserSession:
             self.scans[row] = LET_GO
         local = self._local()
         self._motion, self._last = se2.between(self._last, local), local
-        self._odometry = record.odometry
+        self._odometry, self._heading = record.odometry, record.heading
         self.moving.correct(local)
         return info
 
@@ -105,6 +106,8 @@ class LaserSession:
         motion = self._motion
         if scan.odometry is not None:
             motion = np.zeros(3) if self._odometry is None else se2.between(self._odometry, scan.odometry)
+        elif scan.heading is not None and self._heading is not None:
+            motion = np.array([*motion[:2], scan.heading - self._heading])
         return np.asarray(se2.compose(self._last, motion))
 
     def _local(self) -> Float[np.ndarray, "3"]:
