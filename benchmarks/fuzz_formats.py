@@ -223,6 +223,42 @@ def bag(suffix: str) -> Callable[[Path], list[Files]]:
     return seeds
 
 
+def sensors(suffix: str) -> Callable[[Path], list[Files]]:
+    """Recordings of point clouds beside an IMU, of scans with several echoes, and of tags told in three ways."""
+
+    def seeds(work: Path) -> list[Files]:
+        from tests.io.ros_logs import Recording
+
+        work.mkdir(parents=True, exist_ok=True)
+        made = [Recording(work / f"{name}{suffix}") for name in ("clouds", "echoes", "tags")]
+        clouds, echoes, tags = made
+        grid = np.stack(np.meshgrid(np.linspace(-2, 2, 12), np.linspace(-2, 2, 12), [-0.4, 0.0]), axis=-1).reshape(
+            -1, 3
+        )
+        for k in range(6):
+            t = 10.0 + 0.1 * k
+            for out in made:
+                out.tf(t, "base_link", "camera", x=0.1)
+                out.odom(t, 0.1 * k)
+            clouds.cloud(t, grid + 0.1 * k)
+            echoes.echoes(t, [[2.0 + 0.01 * k, 3.0], [], [2.5]] * 9)
+            if suffix != ".bag":
+                tags.objects(t, [("4", (2.0 - 0.1 * k, 1.0, 0.2)), ("7", (3.0, -0.1 * k, 0.2))])
+                tags.markers(t, [("9", (2.0 - 0.1 * k, -1.0, 0.2))])
+                tags.tags(t, [3])
+            tags.tf(t, "camera", "tag36h11:3", x=2.0 - 0.1 * k, y=0.4)
+            for j in range(5):
+                clouds.imu(t + 0.02 * j, 0.1)
+        return [{"a" + suffix: out.write().read_bytes()} for out in made]
+
+    return seeds
+
+
+def read_any_recording(folder: Path) -> object:
+    path = one(folder)
+    return read_landmark_logs(path) if is_landmark_log(path) else read_laser_log(folder)
+
+
 # ---- swarms
 
 
@@ -387,6 +423,9 @@ FORMATS: dict[str, tuple[Reader, Callable[[Path], list[Files]]]] = {
     "bag": (read_laser_log, bag(".bag")),
     "db3": (read_laser_log, bag(".db3")),
     "mcap": (read_laser_log, bag(".mcap")),
+    "sensors-bag": (read_any_recording, sensors(".bag")),
+    "sensors-db3": (read_any_recording, sensors(".db3")),
+    "sensors-mcap": (read_any_recording, sensors(".mcap")),
     "sightings": (of_file(read_sightings), always(*sightings())),
     "parquet": (of_file(read_sightings), parquet),
     "swarm-truth": (of_file(read_swarm_truth), always({"t.csv": TRUTH})),

@@ -6,6 +6,8 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from mapweave.io.bag import known_types
+
 KINDS = {
     "scan": "sensor_msgs/msg/LaserScan",
     "odom": "nav_msgs/msg/Odometry",
@@ -13,6 +15,9 @@ KINDS = {
     "cloud": "sensor_msgs/msg/PointCloud2",
     "echoes": "sensor_msgs/msg/MultiEchoLaserScan",
     "imu": "sensor_msgs/msg/Imu",
+    "objects": "vision_msgs/msg/Detection3DArray",
+    "markers": "ros2_aruco_interfaces/msg/ArucoMarkers",
+    "tags": "apriltag_msgs/msg/AprilTagDetectionArray",
     "text": "std_msgs/msg/String",
 }
 N = 90
@@ -23,7 +28,7 @@ class Recording:
 
     def __init__(self, path):
         self.path, self.ros1 = path, path.suffix == ".bag"
-        self.store = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
+        self.store = get_typestore(Stores.ROS1_NOETIC) if self.ros1 else known_types()
         if self.ros1:
             self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", KINDS["tf"]))
         self.rows = []
@@ -116,6 +121,48 @@ class Recording:
             linear_acceleration_covariance=np.array([-1.0 if felt is None else 0.0, *none[1:]]),
         )
         self.rows.append((t, topic, "imu", message))
+
+    def pose(self, at):
+        return self.of(
+            "geometry_msgs/msg/Pose",
+            position=self.of("geometry_msgs/msg/Point", **dict(zip("xyz", map(float, at), strict=True))),
+            orientation=self.turn(0, 0),
+        )
+
+    def objects(self, t, seen, topic="/detections", frame="camera"):
+        """Detections of vision_msgs: names and places (x, y, z) [m] in the camera's frame."""
+        of = self.of
+        size = of("geometry_msgs/msg/Vector3", x=0.2, y=0.2, z=0.2)
+        detections = []
+        for name, at in seen:
+            pose = of("geometry_msgs/msg/PoseWithCovariance", pose=self.pose(at), covariance=np.zeros(36))
+            what = of("vision_msgs/msg/ObjectHypothesis", class_id=name, score=0.9)
+            result = of("vision_msgs/msg/ObjectHypothesisWithPose", hypothesis=what, pose=pose)
+            box = of("vision_msgs/msg/BoundingBox3D", center=self.pose(at), size=size)
+            detections.append(
+                of("vision_msgs/msg/Detection3D", header=self.header(t, frame), results=[result], bbox=box, id="")
+            )
+        message = of(KINDS["objects"], header=self.header(t, frame), detections=detections)
+        self.rows.append((t, topic, "objects", message))
+
+    def markers(self, t, seen, topic="/aruco_markers", frame="camera"):
+        """Markers of ros2_aruco: numbers and places (x, y, z) [m] in the camera's frame."""
+        ids, poses = [int(name) for name, _ in seen], [self.pose(at) for _, at in seen]
+        message = self.of(
+            KINDS["markers"], header=self.header(t, frame), marker_ids=np.array(ids, np.int64), poses=poses
+        )
+        self.rows.append((t, topic, "markers", message))
+
+    def tags(self, t, numbers, topic="/detections", frame="camera"):
+        """Detections of apriltag_msgs, which tell corners in the image and no place."""
+        of = self.of
+        corner = of("apriltag_msgs/msg/Point", x=1.0, y=2.0)
+        some = {"hamming": 0, "goodness": 1.0, "decision_margin": 50.0, "homography": np.eye(3).ravel()}
+        detections = [
+            of("apriltag_msgs/msg/AprilTagDetection", family="36h11", id=k, centre=corner, corners=[corner] * 4, **some)
+            for k in numbers
+        ]
+        self.rows.append((t, topic, "tags", of(KINDS["tags"], header=self.header(t, frame), detections=detections)))
 
     def odom(self, t, x, topic="/odom", yaw=0.0, child="base_link", y=0.0):
         of = self.of

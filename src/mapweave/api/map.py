@@ -15,12 +15,13 @@ from ..core.paths import kind_of, path_arguments, path_of
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.directory import check_target, result_directory
 from ..io.kept import kept_parts
+from ..io.laser_logs import is_bag
 from ..io.table import Columns, columns_of
 from ..io.unknown import not_known
 from ..report.html import list_files
 from .cluster import cluster_executor
 from .in_memory import Truths, decisions_of_argument, truth_files
-from .map_options import LaserOptions, MapOptions, expect_there, key_of
+from .map_options import LANDMARK_METHODS, LaserOptions, MapOptions, expect_there, key_of
 from .result import MapResult
 
 
@@ -234,7 +235,7 @@ def _of_logs(logs: Sequence[Path | str | LaserLog], options: MapOptions) -> MapR
         from .map_mixed import map_logs  # noqa: PLC0415  (each kind of log imports what it needs)
 
         return map_logs(paths, options)
-    mapper = _mapper(paths)
+    mapper = _mapper(paths, options.method)
     if (given := options.laser.given()) and mapper.__name__ != LASER:
         raise UsageError(f"{', '.join(given)}: only for laser logs, found {paths[0]}")
     if options.start_sd and mapper.__name__ != LASER:
@@ -292,10 +293,12 @@ def _laser(logs: Sequence[Path | LaserLog], options: MapOptions) -> MapResult:
     return map_logs(logs, options)
 
 
-def _mapper(logs: Sequence[Path]) -> Mapper:
+def _mapper(logs: Sequence[Path], method: str | None) -> Mapper:
     if not logs:
         raise UsageError("expected a log, found none")
     expect_there(logs)
+    if method in LANDMARK_METHODS and all(is_bag(path) for path in logs):  # its scans, if any, are left aside
+        return cast("Mapper", import_module(MAPPERS[0]))
     for where in MAPPERS:
         mapper = cast("Mapper", import_module(where))
         fits = [mapper.applies(path) for path in logs]

@@ -157,7 +157,8 @@ def _map_read(
         maps = tuple(in_first_frame(m) for m in maps)
         smoothed = tuple(replace(s, map=in_first_frame(s.map)) for s in smoothed)
     watch.lap("smooth")
-    return team_result(title, options.seed, local, fusion, options.truth, online, watch, maps, smoothed, run)
+    result = team_result(title, options.seed, local, fusion, options.truth, online, watch, maps, smoothed, run)
+    return replace(result, unused=tuple(dict.fromkeys(left for log in logs for left in log.unused)))
 
 
 def _wrong_clocks(logs: Sequence[LandmarkLog]) -> list[Finding]:
@@ -245,8 +246,8 @@ def _read(logs: Sequence[Path], options: MapOptions) -> list[LandmarkLog]:
     if len(logs) == 1:
         return list(read_landmark_logs(logs[0], wanted))
     read: dict[str, LandmarkLog] = {}
-    for path in logs:
-        for log in read_landmark_logs(path):
+    for place, path in enumerate(logs, 1):
+        for log in read_landmark_logs(path, place=place):
             if log.robot in read:
                 raise DataError(f"{path}: {log.robot} is in {read[log.robot].source} too: two data sets are mixed")
             read[log.robot] = log

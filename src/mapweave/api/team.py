@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core import se2
-from ..core.findings import Finding, Verdict, of_robot, verdict, verdict_line
+from ..core.findings import Finding, Unused, Verdict, of_robot, verdict, verdict_line
 from ..core.names import in_order, robot_key
 from ..core.records import Track
 from ..core.truth import NO_SURVEY, Survey
@@ -61,6 +61,7 @@ class TeamResult(ResultBase):
     findings: tuple[Finding, ...] = ()
     timing: dict[str, float] = field(default_factory=dict)
     run: OnlineRun | None = None
+    unused: tuple[Unused, ...] = ()
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -80,7 +81,7 @@ class TeamResult(ResultBase):
             "seed": self.seed,
             "verdict": self.verdict,
             "findings": [f.row() for f in self.findings],
-            "unused": [],
+            "unused": [left.row() for left in self.unused],
             "robots": {robot_key(m.robot): _robot(m, self.findings) for m in self.local},
             "components": [[robot_key(r) for r in m.robots] for m in self.maps],
             "fusion": [

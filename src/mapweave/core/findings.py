@@ -440,6 +440,12 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "Labels were misread.",
             "Nothing where it is a few.",
         ),
+        "tag-twice": FindingKind(
+            "note",
+            "in {value:.0f} frames {name} was seen at two places at once",
+            "Two things bear one name, or one was misread.",
+            "Look for a tag that was printed twice.",
+        ),
         "landmark-moves": FindingKind(
             "note",
             "{name} was seen {value:.0f} times but at no fixed place",

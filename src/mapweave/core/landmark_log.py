@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .errors import DataError, ReaderError
-from .findings import Finding, Value
+from .findings import Finding, Unused, Value
 from .records import Event, LandmarkPacket, Odometry, frozen
 
 
@@ -63,7 +63,7 @@ class LandmarkLog:
     dropped: rows left out, by reason; log_hash: SHA-256 of the whole log's content, kept by `share`, so that a part
     of a log is known to be no independent witness beside the whole. cuts: stamps [s], ascending, at which the robot was
     put down elsewhere: nothing it drove leads across one. misread: stamps [s], ascending, of sightings left out as
-    misreads, at which its trajectory has a pose all the same.
+    misreads, at which its trajectory has a pose all the same. unused: what was recorded beside and no reader took.
     """
 
     robot: str
@@ -76,6 +76,7 @@ class LandmarkLog:
     bearings: SightingTable = NOTHING_SEEN
     cuts: tuple[float, ...] = ()
     misread: Float[np.ndarray, " m"] = field(default_factory=lambda: np.zeros(0))
+    unused: tuple[Unused, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "misread", frozen(self.misread))

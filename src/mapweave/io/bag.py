@@ -14,6 +14,7 @@ from typing import Any
 
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from ..core.errors import ReaderError
 from .files import recording_suffix
@@ -23,10 +24,26 @@ Stamped = tuple[str, int, Any]  # topic, recording time [ns], message
 STAMP = ("header.stamp.sec", "header.stamp.nanosec", "header.frame_id")
 NEEDED = {
     "sensor_msgs/msg/LaserScan": attrgetter(
-        *STAMP, "angle_min", "angle_max", "angle_increment", "range_min", "range_max", "ranges", "intensities"
+        *STAMP,
+        "angle_min",
+        "angle_max",
+        "angle_increment",
+        "range_min",
+        "range_max",
+        "scan_time",
+        "ranges",
+        "intensities",
     ),
     "sensor_msgs/msg/MultiEchoLaserScan": attrgetter(
-        *STAMP, "angle_min", "angle_max", "angle_increment", "range_min", "range_max", "ranges", "intensities"
+        *STAMP,
+        "angle_min",
+        "angle_max",
+        "angle_increment",
+        "range_min",
+        "range_max",
+        "scan_time",
+        "ranges",
+        "intensities",
     ),
     "sensor_msgs/msg/PointCloud2": attrgetter(
         *STAMP, "height", "width", "fields", "is_bigendian", "point_step", "row_step", "data"
@@ -50,6 +67,20 @@ NEEDED = {
         *(f"transform.translation.{name}" for name in "xyz"),
         *(f"transform.rotation.{name}" for name in "xyzw"),
     ),
+}
+# Of packages that ROS does not come with, for the recordings that hold no definitions (.db3 before ROS 2 Iron).
+DEFINED = {
+    "apriltag_msgs/msg/Point": "float64 x\nfloat64 y",
+    "apriltag_msgs/msg/AprilTagDetection": "string family\nint32 id\nint32 hamming\nfloat32 goodness\n"
+    "float32 decision_margin\nPoint centre\nPoint[4] corners\nfloat64[9] homography",
+    "apriltag_msgs/msg/AprilTagDetectionArray": "std_msgs/Header header\nAprilTagDetection[] detections",
+    "ros2_aruco_interfaces/msg/ArucoMarkers": "std_msgs/Header header\nint64[] marker_ids\ngeometry_msgs/Pose[] poses",
+    "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size",
+    "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score",
+    "vision_msgs/msg/ObjectHypothesisWithPose": "ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose",
+    "vision_msgs/msg/Detection3D": "std_msgs/Header header\nObjectHypothesisWithPose[] results\nBoundingBox3D bbox\n"
+    "string id",
+    "vision_msgs/msg/Detection3DArray": "std_msgs/Header header\nDetection3D[] detections",
 }
 UNPACKABLE = "message that cannot be unpacked"
 SUFFIXES = (".bag", ".mcap", ".db3")
@@ -108,6 +139,14 @@ class Bag:
                 yield connection.topic, ns, partial(reader.deserialize, data, connection.msgtype)
 
 
+def known_types() -> Typestore:
+    """The types of messages that are known without their definitions."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for kind, text in DEFINED.items():
+        store.register(get_types_from_msg(text, kind))
+    return store
+
+
 def open_bag(path: Path, kinds_read: Collection[str]) -> Bag:
     """The recording at `path` (a file, or a ROS 2 folder), of which topics of the types `kinds_read` will be read.
 
@@ -148,7 +187,7 @@ def _reader(path: Path) -> Iterator[AnyReader]:
             except OSError:  # where links need a privilege
                 shutil.copyfile(path, called)
         try:
-            with AnyReader([called], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            with AnyReader([called], default_typestore=known_types()) as reader:
                 yield reader
         except DAMAGE as error:
             if called == path:
@@ -195,7 +234,7 @@ def _single(path: Path) -> Path:
 
 def _unpacked(bag: Bag, salvaged: Salvage, topics: Collection[str]) -> Iterator[tuple[str, int, Callable[[], Any]]]:
     ros1 = recording_suffix(bag.path) == ".bag"
-    store = get_typestore(Stores.EMPTY if ros1 else Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.EMPTY) if ros1 else known_types()
     for kind, text in salvaged.definitions.items():
         try:
             known = get_types_from_msg(text, kind)

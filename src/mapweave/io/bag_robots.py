@@ -50,13 +50,14 @@ class _Topics:
         return whole
 
 
-def bag_robots(bag: Bag) -> tuple[BagRobot, ...]:
-    """The robots of `bag` that carry a scanner, in the natural order of their names.
+def bag_robots(bag: Bag, sensors: Sequence[str] = ()) -> tuple[BagRobot, ...]:
+    """The robots of `bag` that carry a scanner, or sensors of these types, in the natural order of their names.
 
     Topics of one namespace belong together; within a namespace tf decides, then the frames' own namespaces. Point
     clouds are scans where nothing else is one.
     """
-    scans = [topic for topic in bag.topics(SCAN, ECHOES) or bag.topics(CLOUD) if bag.counts.get(topic)]
+    kinds = sensors or ((SCAN, ECHOES) if bag.topics(SCAN, ECHOES) else (CLOUD,))
+    scans = [topic for topic in bag.topics(*kinds) if bag.counts.get(topic)]
     odometry = [topic for topic in bag.topics(ODOMETRY) if bag.counts.get(topic)]
     tf = bag.topics(*TF)
     imu = [topic for topic in bag.topics(IMU) if bag.counts.get(topic)]

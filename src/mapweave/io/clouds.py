@@ -14,6 +14,7 @@ from jaxtyping import Float
 from ..core.errors import ReaderError
 from .assemble import RawLog, RawScan, floats
 from .bag import UNPACKABLE, Bag, stamp
+from .salvage import DAMAGE
 from .transforms import NOWHERE, Rigid, Transforms, frame, rotation_matrix
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -119,9 +120,9 @@ def _clouds(bag: Bag, topic: str, raw: RawLog) -> Iterator[_Cloud]:
     for _, ns, message in bag.messages({topic}):
         try:
             cloud = _Cloud(ns, message.header, *points_of(message))
-        except ValueError as error:
+        except DAMAGE as error:
             raw.dropped[BROKEN] += 1
-            wrong = str(error)
+            wrong = str(error) if isinstance(error, ValueError) else "clouds of another definition"
             continue
         read += 1
         yield cloud

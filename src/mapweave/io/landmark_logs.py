@@ -1,4 +1,4 @@
-"""Landmark logs opened, whatever holds them: an MRCLAM data set (folder or zip) or a folder of plain CSV.
+"""Landmark logs opened, whatever holds them: an MRCLAM data set (folder or zip), plain CSV, tags in a recording.
 
 The folder holds `odometry.csv` (t,robot,v,w) and `sightings.csv` (t,robot,id,range,bearing). The header line is needed
 and may order the columns freely. Robots are whole numbers; an id `robotK` names a robot, which in the log of several is
@@ -7,6 +7,7 @@ one of them. A sighting whose range is empty, or a table without that column, te
 
 import re
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from ..core import landmark_log
 from ..core.errors import DataError, ReaderError
 from ..core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from ..core.names import robot_key
-from .files import Files, open_files, zip_begins_with
+from .files import Files, open_files, recording_suffix, zip_begins_with
 from .mrclam import is_mrclam, read_mrclam
 from .table import Columns, Table, csv_rows, is_name, lines, table_of
 
@@ -77,6 +78,33 @@ def landmark_logs_of(
     drive = None if odometry is None else _numbered(table_of(odometry, "odometry"), DRIVEN)
     seen = _numbered(table_of(sightings, "sightings"), SEEN)
     return _logs(drive, seen, robots, "tables in memory", ("odometry", "sightings"))
+
+
+def _is_recording(path: Path) -> bool:
+    return (path / "metadata.yaml").is_file() if path.is_dir() else bool(recording_suffix(path))
+
+
+def _read_tags(path: Path, robots: Sequence[int] | None, place: int) -> tuple[LandmarkLog, ...]:
+    """The logs of all robots (or of `robots`) of a recording that saw tags."""
+    from .tags import read_tags  # noqa: PLC0415  (message types cost a second; only recordings need them)
+
+    told = {log.number: log for log in read_tags(path, place)}
+    numbers = {
+        what: np.repeat(list(told), [len(getattr(log, what)) for log in told.values()]) for what in ("drive", "seen")
+    }
+    drive: Rows = np.concatenate([log.drive for log in told.values()]), numbers["drive"], []
+    names = [name for log in told.values() for name in log.names]
+    seen: Rows = np.concatenate([log.seen for log in told.values()]), numbers["seen"], names
+    logs = _logs(drive, seen, robots, str(path), ("odometry", "tags"))
+    return tuple(
+        replace(
+            log,
+            dropped={**log.dropped, **told[log.number].dropped},
+            findings=(*log.findings, *told[log.number].findings),
+            unused=tuple(told[log.number].unused),
+        )
+        for log in logs
+    )
 
 
 def _numbered(table: Table, columns: tuple[str, ...]) -> Rows:
@@ -216,10 +244,16 @@ def _whole(word: str) -> int:
 
 
 def is_landmark_log(path: Path) -> bool:
-    """Whether `path` is a folder or zip file that looks like landmark logs; raises ReaderError for a damaged one.
+    """Whether `path` is a folder or zip file that looks like landmark logs, or a recording of tags without scans.
+
+    Raises ReaderError for a damaged folder or zip file.
 
     A zip file whose list of contents is lost is one when its first file has such a name.
     """
+    if _is_recording(path):
+        from .tags import has_tags  # noqa: PLC0415  (message types cost a second; only recordings need them)
+
+        return has_tags(path)
     first = None if path.is_dir() else zip_begins_with(path)
     if not path.is_dir() and first is None:
         return False
@@ -232,8 +266,13 @@ def is_landmark_log(path: Path) -> bool:
         raise
 
 
-def read_landmark_logs(path: Path, robots: Sequence[int] | None = None) -> tuple[LandmarkLog, ...]:
-    """One log a robot (or those of `robots`), in order of number; never reads truth."""
+def read_landmark_logs(path: Path, robots: Sequence[int] | None = None, place: int = 1) -> tuple[LandmarkLog, ...]:
+    """One log a robot (or those of `robots`), in order of number; never reads truth.
+
+    place: the number of a recording's only robot where neither it nor the file is numbered.
+    """
+    if _is_recording(path):
+        return _read_tags(path, robots, place)
     with open_files(path) as files:
         plain, mrclam = is_csv(files), is_mrclam(files)
     if plain and mrclam:

@@ -16,16 +16,17 @@ from .bag import UNPACKABLE, Bag, bag_hash, open_bag, stamp
 from .bag_robots import CLOUD, ECHOES, ODOMETRY, SCAN, SCANS, TF, BagRobot, bag_robots, choose_robot
 from .clouds import cloud_scans
 from .inertial import IMU, Inertial, imu_row
+from .tags import TAGS
 from .transforms import NOWHERE, Transforms, frame, planar, rigid, rotation_matrix
 
-READ = (SCAN, ECHOES, ODOMETRY, IMU, *TF)  # once for all; point clouds, which are large, when all else is known
+READ = (SCAN, ECHOES, ODOMETRY, IMU, *TF)
 CHOOSES = "this one is read with --scan-topic"
 Stamped = tuple[float, str, Any]  # time [s], topic, LaserScan
 
 
 def robots_in(path: Path) -> tuple[str, ...]:
     """The names of the robots in the recording at `path` that carry a scanner, in natural order."""
-    return tuple(robot.name for robot in bag_robots(open_bag(path, READ)))
+    return tuple(robot.name for robot in bag_robots(_opened(path, None)))
 
 
 def read_ros(
@@ -45,7 +46,7 @@ def read_ros(
     those of the message headers. height: what of point clouds is a scan, from [m] to [m] above the floor. Raises
     ReaderError, listing what is there, for a topic that is not, and where several robots could be meant.
     """
-    bag = open_bag(path, READ)
+    bag = _opened(path, scan_topic)
     chosen = choose_robot(bag, name, scan_topic, odom_topic)
     raw = RawLog(robot, str(path), _hash_of(bag_hash(path), chosen))
     if bag.lost:
@@ -65,6 +66,14 @@ def read_ros(
         place = seen.tf.rigid_pose(base, seen.frames[topic]) or NOWHERE
         raw.inertial = Inertial(topic, floats(sorted(seen.imu)), rotation_matrix(place[1])[2])
     return raw.finish(mirrored=mirrored, sensor_pose=sensor_pose)
+
+
+def _opened(path: Path, scan_topic: str | None) -> Bag:
+    """The recording, of which point clouds, which are large, are looked through only where they will be read."""
+    bag = open_bag(path, READ)
+    clouds = [topic.lstrip("/") for topic in bag.topics(CLOUD)]
+    aside = bag.topics(SCAN, ECHOES) and (scan_topic or "").lstrip("/") not in clouds
+    return bag if aside or not clouds else open_bag(path, (*READ, CLOUD))
 
 
 @dataclass(slots=True)
@@ -128,7 +137,9 @@ def _unused(bag: Bag, read: set[str], chosen: BagRobot) -> list[Unused]:
     for topic, kind in sorted(bag.kinds.items()):
         if topic in read or not bag.counts.get(topic):
             continue
-        if kind not in {*SCANS, ODOMETRY, IMU, *TF}:
+        if kind in TAGS:
+            why = "landmarks; --method ekf maps them"
+        elif kind not in {*SCANS, ODOMETRY, IMU, *TF}:
             why = "no reader for this type"
         elif kind == IMU:
             why = f"{chosen.imu[0]} is read" if topic in chosen.imu else "of another robot, or it is not told of which"
