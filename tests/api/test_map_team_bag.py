@@ -14,9 +14,11 @@ from ..io.ros_logs import N, Recording
 SPEED = {"carter1": 0.5, "carter2": -0.25}
 
 
-def team(path, n=8):
-    """Robots that drive along x at a speed of their own towards the end of a corridor."""
+def team(path, n=8, also=()):
+    """Robots that drive along x at a speed of their own towards the end of a corridor; also: texts on these topics."""
     out = Recording(path)
+    for topic in also:
+        out.text(9.8, topic=topic)
     out.tf(9.9, "base_link", "laser", topic="/tf_static")
     angle = np.linspace(-1.5, 1.5, N)
     side = 1.2 / np.maximum(np.abs(np.sin(angle)), 1e-6)
@@ -38,6 +40,30 @@ def test_every_robot_of_a_recording_is_mapped_and_called_by_name(tmp_path):
         way = made.track.pose[-1, 0] - made.track.pose[0, 0]
         assert way == pytest.approx(3.5 * v, abs=0.3)
     assert result.maps[0].log_hash != result.maps[1].log_hash
+
+
+@pytest.mark.parametrize(
+    ("robots", "unused"),
+    [
+        (None, {"/log": "no reader for this type", "/carter1/status": "no reader for this type"}),
+        (
+            ["1"],
+            {
+                "/log": "no reader for this type",
+                "/carter1/status": "no reader for this type",
+                "/carter2/scan": "of another robot, or not chosen",
+                "/carter2/odom": "of another robot, or not chosen",
+            },
+        ),
+    ],
+)
+def test_what_no_robot_used_is_told_in_the_metrics_and_on_the_page(tmp_path, robots, unused):
+    path = team(tmp_path / "team.mcap", also=["/log", "/carter1/status"])
+    mapweave.map(path, tmp_path / "out", method="icp", robots=robots)
+    told = json.loads((tmp_path / "out" / "metrics.json").read_text())["unused"]
+    assert {row["topic"]: row["reason"] for row in told} == unused
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert all(page.count(f">{topic}<") == 1 for topic in unused)
 
 
 def test_robots_of_a_recording_are_chosen_by_number_or_by_topic(tmp_path):

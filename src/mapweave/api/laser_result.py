@@ -16,7 +16,7 @@ import numpy as np
 
 from ..core import se2
 from ..core.errors import DataError, UsageError
-from ..core.findings import Finding, Verdict, of_robot, verdict, verdict_line
+from ..core.findings import Finding, Verdict, of_robot, unused_by_all, verdict, verdict_line
 from ..core.names import robot_key, robot_name
 from ..core.records import Track
 from ..core.version import __version__
@@ -162,7 +162,7 @@ def laser_metrics(
         "seed": seed,
         "verdict": verdict(every),
         "findings": [found.row() for found in every],
-        "unused": [left.row() for left in dict.fromkeys(left for m in maps for left in m.unused)],
+        "unused": [left.row() for left in unused_by_all((m.source, m.unused) for m in maps)],
         "robots": {local_map.robot: _robot_metrics(local_map, every) for local_map in maps},
         "components": [list(c.robots) for c in components] or [[local_map.robot] for local_map in maps],
         "fusion": [merge.row() for merge in merges],

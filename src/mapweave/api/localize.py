@@ -223,9 +223,9 @@ def localize(
     rng = robot_rng(seed, recording.robot)
     localisation = localise(recording, grid, calibration, wanted, cfg, place, rng, on_progress, settings.localize)
     score = None if true is None else score_start(localisation, true)
-    result = LocalizeResult(
-        localisation, grid, _metrics(localisation, str(map) if is_path(map) else "in memory", seed, score), score
-    )
+    metrics = _metrics(localisation, str(map) if is_path(map) else "in memory", seed, score)
+    metrics["unused"] = [left.row() for left in recording.unused]
+    result = LocalizeResult(localisation, grid, metrics, score)
     if out is not None:
         result.write(out, force=force)
     return result

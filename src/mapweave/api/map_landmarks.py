@@ -7,7 +7,7 @@ from time import perf_counter
 
 from ..core.config import config, load
 from ..core.errors import DataError, UsageError
-from ..core.findings import Finding
+from ..core.findings import Finding, unused_by_all
 from ..core.landmark_log import LandmarkLog
 from ..core.names import in_order, robot_key, robot_name
 from ..core.workers import worker_pool
@@ -158,7 +158,7 @@ def _map_read(
         smoothed = tuple(replace(s, map=in_first_frame(s.map)) for s in smoothed)
     watch.lap("smooth")
     result = team_result(title, options.seed, local, fusion, options.truth, online, watch, maps, smoothed, run)
-    return replace(result, unused=tuple(dict.fromkeys(left for log in logs for left in log.unused)))
+    return replace(result, unused=tuple(unused_by_all((log.source, log.unused) for log in logs)))
 
 
 def _wrong_clocks(logs: Sequence[LandmarkLog]) -> list[Finding]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.config import config, load
 from ..core.errors import DataError, MapweaveError, UsageError
-from ..core.findings import Finding, Verdict, of_robot, verdict, verdict_line
+from ..core.findings import Finding, Verdict, of_robot, unused_by_all, verdict, verdict_line
 from ..core.landmark_log import LandmarkLog, SightingTable
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key, robot_name
@@ -191,7 +191,8 @@ def map_logs(logs: Sequence[Path], options: MapOptions) -> MixedResult:
     carried = [found for m in local if cut_of[m.robot].cuts for found in of_robot(m.findings, m.robot)]
     told = findings_of(read, lasers, fusion if local else None, mixed, apart)
     findings = tuple(dict.fromkeys((*carried, *lost, *back, *told)))
-    unused = [left for m in lasers.values() for left in m.unused]
+    beside = [*((m.source, m.unused) for m in lasers.values()), *((log.source, log.unused) for log in read)]
+    unused = unused_by_all(beside)
     kinds = {log.robot: carries(log, scanned) for log in read}
     own = {m.robot: m for m in local}
     robots = {x.robot: robot_metrics(x, own.get(x.robot), lasers.get(x.robot), findings) for x in read}

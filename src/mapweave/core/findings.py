@@ -729,6 +729,17 @@ class Unused:
         }
 
 
+def unused_by_all(logs: Iterable[tuple[str, Sequence[Unused]]]) -> list[Unused]:
+    """What no log used, of (source, what this log did not use): robots of one recording use each its own topics."""
+    told = list(logs)
+    out: dict[tuple[str, str], Unused] = {}
+    for left in (left for _, unused in told for left in unused):
+        beside = [unused for source, unused in told if source == left.source]
+        if all(any(other.topic == left.topic for other in unused) for unused in beside):
+            out.setdefault((left.source, left.topic), left)
+    return list(out.values())
+
+
 def unused_of(row: object) -> Unused:
     """What `Unused.row` made the row of. Raises ValueError for anything else."""
     if not isinstance(row, Mapping) or set(row) != {"source", "topic", "type", "messages", "reason"}:

@@ -17,7 +17,7 @@ from PIL import Image
 
 from ..core.findings import Finding, verdict, verdict_line
 from ..core.version import __version__
-from ..io.directory import result_file
+from ..io.directory import read_json, result_file
 from .scene import Scene, script
 
 ALIKE = 1000.0  # numbers of a column that differ by less have the same number of decimals
@@ -228,12 +228,25 @@ def _kind(column: Sequence[str]) -> str:
     return ' class="word"' if filled and not any(_NUMBER.match(text) for text in filled) else ""
 
 
+def _unused(page: Page, metrics: Path) -> None:
+    """What the logs held and no reader took, where there is such a thing."""
+    rows = read_json(metrics).get("unused", []) if metrics.is_file() else []
+    if rows:
+        page.section("In the logs, and not used")
+        names = [[Path(row["source"]).name, row["topic"], row["type"], row["messages"], row["reason"]] for row in rows]
+        page.table(["log", "topic", "type", "messages", "why"], names)
+
+
 def list_files(folder: Path) -> None:
-    """`report.html` in `folder` ends in a table of the other files and folders there, in place of one put before."""
+    """`report.html` in `folder` ends in tables of what the logs held and nobody used, and of the other files and folders there.
+
+    They stand in place of those put before.
+    """
     report = folder / "report.html"
     if not report.is_file():
         return
     page = Page("")
+    _unused(page, folder / "metrics.json")
     page.section("Files")
     rows = []
     for path in sorted(p for p in folder.iterdir() if p != report):
