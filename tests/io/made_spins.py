@@ -56,13 +56,15 @@ def scans_of(truth, *, every=10, seed=0):
     return truth.t[rows], scans
 
 
-def spin_bag(path, truth, rate, *, scale=1.0, bias=0.0, mounted=LEVEL, felt=True, wheels=None, imu=True, seed=0):
+def spin_bag(
+    path, truth, rate, *, scale=1.0, bias=0.0, mounted=LEVEL, felt=True, wheels=None, imu=True, seed=0, every=10
+):
     """The drive as a recording: scans, the IMU at every row of `truth`, and wheels that tell `wheels` times the turns.
 
     mounted: (3, 3) turns the robot's axes into the unit's; felt: whether the unit tells accelerations.
     """
     out, rng = Recording(path), np.random.default_rng([seed, 1])
-    for t, scan in zip(*scans_of(truth, seed=seed), strict=True):
+    for t, scan in zip(*scans_of(truth, seed=seed, every=every), strict=True):
         out.scan(t, scan.ranges, angles=scan.angles()[[0, -1]])
     for t, w in zip(truth.t, rate, strict=True) if imu else ():
         told = mounted @ (0.0, 0.0, scale * (w + bias + 0.02 * rng.normal()))

@@ -13,6 +13,7 @@ from mapweave.core.errors import ReaderError
 from mapweave.io.landmark_logs import is_landmark_log, read_landmark_logs
 from mapweave.io.tags import velocities
 
+from .made_tags import tag_bag
 from .ros_logs import Recording, wall
 
 PLACES = {"4": (2.0, 1.5), "7": (3.5, -1.0), "12": (5.0, 2.0), "20": (3.0, 4.0), "31": (1.0, -1.8)}
@@ -153,21 +154,7 @@ def test_velocities_lead_from_pose_to_pose_to_the_last_digit():
 def test_mrclam_as_a_recording_gives_the_map_of_mrclam(tmp_path, data):
     whole = read_landmark_logs(data / "mrclam" / "MRCLAM_Dataset6.zip")
     logs = [log.until(whole[0].span[0] + 200.0) for log in whole]
-    out = Recording(tmp_path / "mrclam.mcap")
-    for log in logs:
-        name, pose = log.robot, np.zeros(3)
-        out.tf(logs[0].span[0] - 1.0, f"{name}/base", f"{name}/camera", x=0.05, yaw=0.1, topic=f"/{name}/tf_static")
-        o, s = log.odometry, log.sightings
-        for t, v, w, dt in zip(o.t, o.v, o.w, np.append(np.diff(o.t), 0.0), strict=True):
-            out.odom(t, pose[0], y=pose[1], yaw=pose[2], topic=f"/{name}/odom", child=f"{name}/base")
-            pose = se2.compose(pose, se2.exp(np.array([v * dt, 0.0, w * dt])))
-        for k in range(len(s)):
-            at = s.range[k] * np.array([[np.cos(s.bearing[k]), np.sin(s.bearing[k])]])
-            x, y = se2.act(se2.inverse(np.array([0.05, 0.0, 0.1])), at)[0]
-            seen = [(s.ids[s.what[k]], (x, y, 0.3))]
-            out.objects(s.t[k], seen, topic=f"/{name}/detections", frame=f"{name}/camera")
-    out.rows.sort(key=lambda row: row[0])
-    again = read_landmark_logs(out.write())
+    again = read_landmark_logs(tag_bag(tmp_path / "mrclam.mcap", logs))
     for a, b in zip(logs, again, strict=True):
         assert a.robot == b.robot
         assert len(a.sightings) == len(b.sightings)
