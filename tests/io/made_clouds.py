@@ -23,12 +23,16 @@ def rings_of(scan, rng, *, lean=0.0, noise=0.01):
 
 
 def cloud_bag(path, log, *, lean=0.0, noise=0.01, every=1, seed=0):
-    """The drive of `log` as it would be with this scanner, which transforms say stands level."""
+    """The drive of `log` as it would be with this scanner, which transforms say stands level; lean None: as it was."""
     out, rng = Recording(path), np.random.default_rng(seed)
     x, y, yaw = log.scans[0].T_robot_sensor
     out.tf(log.scan_t[0] - 0.1, "base_link", "lidar", x=x, y=y, yaw=yaw, z=ABOVE_FLOOR, topic="/tf_static")
     for t, pose in zip(log.odometry.t, log.odometry.pose, strict=True):
         out.odom(t, pose[0], yaw=pose[2], y=pose[1])
     for t, scan in list(zip(log.scan_t, log.scans, strict=True))[::every]:
+        if lean is None:
+            r = np.where(scan.hit, scan.ranges + noise * rng.normal(size=len(scan.ranges)), np.inf)
+            out.scan(t, r, angles=scan.angles()[[0, -1]], frame="lidar", far=55.0)
+            continue
         out.cloud(t, rings_of(scan, rng, lean=lean, noise=noise), names="xyzi")
     return out.write()

@@ -51,7 +51,7 @@ class Recording:
     def text(self, t, topic="/chatter"):
         self.rows.append((t, topic, "text", self.of(KINDS["text"], data="hello")))
 
-    def scan(self, t, ranges, light=None, topic="/scan", frame="laser", at=None, angles=(-1.5, 1.5)):
+    def scan(self, t, ranges, light=None, topic="/scan", frame="laser", at=None, angles=(-1.5, 1.5), far=10.0):
         message = self.of(
             KINDS["scan"],
             header=self.header(t if at is None else at, frame),
@@ -61,7 +61,7 @@ class Recording:
             time_increment=0.0,
             scan_time=0.1,
             range_min=0.1,
-            range_max=10.0,
+            range_max=far,
             ranges=np.asarray(ranges, np.float32),
             intensities=np.asarray([] if light is None else light, np.float32),
         )
