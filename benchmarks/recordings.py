@@ -4,7 +4,7 @@
 
 clouds: the Intel log as a recording of its scans, and of clouds of 16 rings made of them (walls upright, floor and
 ceiling flat, 1 cm noise), the scanner level or leaning; scored by the known relations. imu: a robot without wheels
-that turns to and fro in a room, three seeds; a drive is lost where a pose is half a metre off. tags: MRCLAM as read, and
+that turns to and fro in a room, three seeds; a drive is lost where a pose is half a metre off. tags: MRCLAM as read, or
 as a recording.
 """
 
