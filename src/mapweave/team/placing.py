@@ -31,6 +31,8 @@ from .relative_frame import (
     sharpened,
 )
 
+LONGER = (2.0, 4.0)  # times as long a robot without wheels may be taken to stand, where it is sighted too rarely
+
 
 @dataclass(frozen=True, slots=True)
 class Tie:
@@ -213,6 +215,9 @@ def _placed_next(
             continue
         for k, group in enumerate(groups):
             placed = _windows(group, log, wheel_track, logs, labels, cfg)
+            for longer in LONGER if placed is None and log.odometry is None else ():
+                still = replace(cfg, window_still=longer * cfg.window_still)
+                placed = placed or _windows(group, log, wheel_track, logs, labels, still)
             if placed is not None and (best is None or len(placed[0].anchors[log.robot]) > best[0]):
                 best = (len(placed[0].anchors[log.robot]), k, log, *placed)
     return None if best is None else best[1:]
