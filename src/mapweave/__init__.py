@@ -13,7 +13,7 @@ Verbs, each with its options in `help(mapweave.map)` and so on:
     localize                a robot found and followed in a finished laser map
     locate                  the positions of a swarm whose robots see each other
     explore                 robots that decide where to drive
-    solve_pose_graph        a pose graph from anywhere
+    solve_pose_graph, solve_ranges     a pose graph from anywhere; robots and beacons placed by ranges
     live_robot, live_robots, live_map, live_view, live_keys     a team that drives now
     simulate_landmarks, simulate_laser, simulate_team, simulate_swarm     logs with their truth
     reproduce_kojima, reproduce_hamatani, reproduce_hara, reproduce_yuan     the experiments of four papers
@@ -62,6 +62,8 @@ if TYPE_CHECKING:
     from .api.map_laser import LaserMapConfig as LaserMapConfig
     from .api.map_options import LaserOptions as LaserOptions
     from .api.moving_result import Moved as Moved
+    from .api.ranges import RangeResult as RangeResult
+    from .api.ranges import solve_ranges as solve_ranges
     from .api.result import MapResult as MapResult
     from .api.result import Result as Result
     from .api.simulate_landmarks import SimulatedTeam as SimulatedTeam
@@ -132,6 +134,7 @@ _HOMES: dict[str, str] = {
     "simulate_swarm": "api.simulate_swarm",
     "simulate_team": "api.simulate_team",
     "solve_pose_graph": "api.solve",
+    "solve_ranges": "api.ranges",
     "view": "api.view",
     # a team that drives now
     "LiveRobot": "api.live_result",
@@ -165,6 +168,7 @@ _HOMES: dict[str, str] = {
     "SimulatedSwarm": "api.simulate_swarm",
     "SimulatedMixedTeam": "api.simulate_team",
     "SimulatedTeam": "api.simulate_landmarks",
+    "RangeResult": "api.ranges",
     "SolveResult": "api.solve",
     "SwarmEvaluation": "api.evaluate_swarm",
     "TeamEvaluation": "api.evaluate_team",

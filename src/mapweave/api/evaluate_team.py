@@ -13,6 +13,7 @@ from ..core.names import in_order, robot_key, robot_name
 from ..core.truth import NO_SURVEY, Survey
 from ..evaluation.team import RobotTruth, TeamScore, as_json, score_team
 from ..io.landmark_truth import TABLE, read_robot_truth, read_survey
+from ..io.pyfg import is_pyfg, read_pyfg
 from ..io.team_map import read_single_maps, read_team_maps
 from ..io.tum import read_tum
 from .result import EvaluationBase
@@ -58,7 +59,7 @@ class TeamEvaluation(EvaluationBase):
 
 def applies(directory: Path, truth: Path) -> bool:
     """Folders, zip files, TUM files and `id,x,y` tables, for results with landmarks or trajectories."""
-    known = truth.is_dir() or truth.suffix.lower() in (".zip", ".tum", ".txt", ".csv")
+    known = truth.is_dir() or truth.suffix.lower() in (".zip", ".tum", ".txt", ".csv") or is_pyfg(truth)
     return known and ((directory / "landmarks.csv").exists() or (directory / "trajectories").is_dir())
 
 
@@ -71,11 +72,17 @@ def evaluate(directory: Path, truth: Sequence[Path]) -> TeamEvaluation:
 
 def read_team_truth(paths: Sequence[Path], robots: Sequence[str]) -> TeamTruth:
     """Survey and trajectories of data sets, tables and TUM files together; `robots`: whose a TUM file may be."""
-    survey, tracks = NO_SURVEY, {}
+    survey = NO_SURVEY
+    tracks: dict[str, RobotTruth] = {}
     paths = [p for path in paths for p in _with_tracks(path)]
     loose = [p for p in paths if p.is_file() and p.suffix.lower() in (".tum", ".txt")]
     for path in paths:
         if path in loose:
+            continue
+        if is_pyfg(path):
+            true, places = read_pyfg(path).truth()
+            tracks |= {robot: RobotTruth("vertices", track, dense=True) for robot, track in true.items()}
+            survey = Survey(tuple(places), np.array(list(places.values())).reshape(-1, 2)) if places else survey
             continue
         if path.is_dir() or path.suffix.lower() in (".zip", ".csv"):
             survey = read_survey(path)

@@ -35,10 +35,11 @@ class Mapper(Protocol):
     def map_logs(self, logs: Sequence[Path], options: MapOptions) -> MapResult: ...
 
 
-LASER = "mapweave.api.map_laser"
+LASER, RANGES = "mapweave.api.map_laser", "mapweave.api.ranges"
 MAPPERS: tuple[str, ...] = (
     # asked in this order; the first that applies to every log maps them
     "mapweave.api.map_landmarks",
+    RANGES,
     LASER,
 )
 
@@ -67,6 +68,7 @@ def map(  # noqa: A001  (the verb)
     calibration: Path | str | None = None,
     survey: Path | str | None = None,
     decisions: Path | str | Mapping[str, Any] | None = None,
+    radios: Mapping[str, str] | None = None,
     laser: LaserOptions | None = None,
     mcap: bool = False,
     strict: bool = False,
@@ -132,6 +134,9 @@ def map(  # noqa: A001  (the verb)
     decisions
         What is said of pairs of robots and of places: a `decisions.toml` of this result, edited, or what such a file
         holds (nothing). Laser logs alone.
+    radios
+        Radio -> the robot it is on, where their names do not say it (by name, else by number). Recordings of ranges
+        alone.
     laser
         Options for laser logs alone.
     mcap
@@ -187,6 +192,7 @@ def map(  # noqa: A001  (the verb)
         calibration=None if calibration is None else Path(calibration),
         survey=None if survey is None else Path(survey),
         decisions=decisions_of_argument(decisions),
+        radios=dict(radios or {}),
         laser=laser or LaserOptions(),
         executor=executor,
         on_progress=on_progress,
@@ -236,15 +242,22 @@ def _of_logs(logs: Sequence[Path | str | LaserLog], options: MapOptions) -> MapR
 
         return map_logs(paths, options)
     mapper = _mapper(paths, options.method)
-    if (given := options.laser.given()) and mapper.__name__ != LASER:
-        raise UsageError(f"{', '.join(given)}: only for laser logs, found {paths[0]}")
-    if options.start_sd and mapper.__name__ != LASER:
-        raise UsageError(f"--start: expected x,y,theta, found a sigma too: only for laser logs, found {paths[0]}")
-    if options.decisions is not None and mapper.__name__ != LASER:
-        raise UsageError(f"--decisions: only for laser logs, found {paths[0]}")
-    if options.survey is not None and mapper.__name__ == LASER:
-        raise UsageError(f"--survey: only for landmarks, found {paths[0]}")
+    _expect_fitting(mapper, paths[0], options)
     return mapper.map_logs(paths, options)
+
+
+def _expect_fitting(mapper: Mapper, log: Path, options: MapOptions) -> None:
+    """Raises UsageError for an option that logs of another kind have."""
+    if (given := options.laser.given()) and mapper.__name__ != LASER:
+        raise UsageError(f"{', '.join(given)}: only for laser logs, found {log}")
+    if options.start_sd and mapper.__name__ != LASER:
+        raise UsageError(f"--start: expected x,y,theta, found a sigma too: only for laser logs, found {log}")
+    if options.decisions is not None and mapper.__name__ != LASER:
+        raise UsageError(f"--decisions: only for laser logs, found {log}")
+    if options.radios and mapper.__name__ != RANGES:
+        raise UsageError(f"--radios: only for recordings of ranges, found {log}")
+    if options.survey is not None and mapper.__name__ == LASER:
+        raise UsageError(f"--survey: only for landmarks, found {log}")
 
 
 def _is_mixed(paths: Sequence[Path]) -> bool:

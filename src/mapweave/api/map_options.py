@@ -75,7 +75,8 @@ class MapOptions:
     share: robot -> first part of its time span, in (0, 1]; start: robot -> its first pose in the map [m, m, rad];
     start_sd: robot -> standard deviation of that place [m], where it is told (laser logs and mixed teams); survey: a
     file of landmarks whose places are known; decisions: what is said of pairs of robots and of places, a file or what
-    it holds; executor: where robots are worked on; None: here, or in `jobs` processes.
+    it holds; radios: radio -> the robot it is on; executor: where robots are worked on; None: here, or in `jobs`
+    processes.
     """
 
     robots: tuple[str, ...] | None = None
@@ -94,6 +95,7 @@ class MapOptions:
     calibration: Path | None = None
     survey: Path | None = None
     decisions: Path | Mapping[str, Any] | None = None
+    radios: Mapping[str, str] = field(default_factory=dict)
     laser: LaserOptions = field(default_factory=LaserOptions)
     executor: Executor | None = None
     on_progress: Progress = no_progress
@@ -156,6 +158,17 @@ def parse_robots(text: str | None) -> tuple[str, ...] | None:
     if not keys:
         raise UsageError(f"--robots: expected numbers as 1,2, found {text!r}")
     return keys
+
+
+def parse_radios(text: str | None) -> dict[str, str]:
+    """`n_7=turtle01,n_3=turtle03` as radio -> robot; raises UsageError for anything else, or a radio told twice."""
+    out: dict[str, str] = {}
+    for part in text.split(",") if text else ():
+        radio, sign, robot = (word.strip() for word in part.partition("="))
+        if not (radio and sign and robot) or radio in out:
+            raise UsageError(f"--radios: expected RADIO=ROBOT,.., each radio once, found {text!r}")
+        out[radio] = robot
+    return out
 
 
 def parse_shares(text: str | None) -> dict[str, float]:

@@ -84,6 +84,7 @@ def map_logs(
     calibration: Path | None = None,
     survey: Path | None = None,
     decisions: Path | None = None,
+    radios: str | None = None,
     laser: Laser | None = None,
     mcap: Annotated[bool, Parameter(negative="")] = False,
     strict: Annotated[bool, Parameter(negative="")] = False,
@@ -94,7 +95,8 @@ def map_logs(
     Parameters
     ----------
     logs
-        An MRCLAM data set (folder or zip), a folder with odometry.csv and sightings.csv, or laser logs.
+        An MRCLAM data set (folder or zip), a folder with odometry.csv and sightings.csv, laser logs, or a recording of
+        ranging radios and odometry.
     out
         The folder the map, the trajectories, metrics.json and report.html are written to.
     robots
@@ -131,6 +133,8 @@ def map_logs(
         Landmarks at known places, as id,x,y or id,x,y,sd in metres; their frame becomes the map's.
     decisions
         A decisions.toml of this result, edited: pairs of robots and places that are together, or apart (laser logs).
+    radios
+        Which robot each radio is on, as n_7=turtle01,n_3=turtle03, where names do not say it (recordings of ranges).
     mcap
         Also write result.mcap: map, paths, landmarks and walls as messages for RViz and Foxglove.
     strict
@@ -138,7 +142,7 @@ def map_logs(
     force
         Write into the folder even when something other than a result stands there.
     """
-    from ..api.map_options import MapOptions, expect_there, parse_robots, parse_shares, parse_starts
+    from ..api.map_options import MapOptions, expect_there, parse_radios, parse_robots, parse_shares, parse_starts
     from .terminal import progress, say
 
     at_once = MapOptions(  # what cannot be is told before the imports below, which take a second
@@ -155,6 +159,7 @@ def map_logs(
         calibration=calibration,
         survey=survey,
         decisions=decisions,
+        radios=parse_radios(radios),
         laser=_laser(laser),
     )
     at_once.check()
@@ -185,6 +190,7 @@ def map_logs(
                 calibration=calibration,
                 survey=survey,
                 decisions=decisions,
+                radios=at_once.radios,
                 laser=at_once.laser,
                 mcap=mcap,
                 strict=strict,

@@ -581,6 +581,58 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "Nothing.",
         ),
     },
+    "Ranges": {
+        "range-outliers": FindingKind(
+            "note",
+            "{far:.0f} of {n:.0f} ranges to {to} ({share:.0f} %) are too long or too short by more than three standard "
+            "deviations: most went round something",
+            "Ranges that went past a wall or a person are too long. They are rejected, and those that agree are used.",
+            "Nothing, unless most are rejected.",
+        ),
+        "range-ambiguous": FindingKind(
+            "doubtful",
+            "{value}",
+            "Ranges alone leave several places open, as a circle and its mirror image: those that explain the ranges "
+            "about as well are all told, and the map shows the best.",
+            "Drive round a corner while ranging, add a beacon or robot off the line, or tell where one is known.",
+        ),
+        "range-unplaced": FindingKind(
+            "doubtful",
+            "is not in the map: {value}",
+            "Ranges do not observe where it is: there are too few, or nobody moved enough between them.",
+            "Drive further while ranging, not on one straight line, and with more of the others in reach.",
+        ),
+        "heading-unobserved": FindingKind(
+            "doubtful",
+            "its heading is not observed: it stood still",
+            "Ranges tell where a standing robot is and not which way it faces; its heading is drawn as it began.",
+            "Drive it a metre or more.",
+        ),
+        "range-dropped": FindingKind(
+            "note",
+            "{n:.0f} ranges were dropped: {value}",
+            "They cannot be what was measured, or nothing says where the robot was then.",
+            "Look at the log, unless they are few.",
+        ),
+        "ranges-contradict": FindingKind(
+            "bad",
+            "most ranges contradict each other and the odometry: {far:.0f} of {n:.0f} are rejected",
+            "No arrangement of the robots explains what was ranged. Radios may be taken for those of other robots.",
+            "Say which radio is on which robot (`--radios`).",
+        ),
+        "radios-assumed": FindingKind(
+            "note",
+            "radios and robots are called differently; by their numbers, or being two, it is {value}",
+            "Ranges name radios and odometry names robots, and nothing in the log says which radio is on which robot.",
+            "Say so by `--radios` where it is otherwise.",
+        ),
+        "stamps-recorded": FindingKind(
+            "note",
+            "{value}: all go by when they were recorded",
+            "Stamps of messages come from computers whose clocks are apart.",
+            "Nothing, where messages were recorded as they came.",
+        ),
+    },
     "Options and files": {
         "start-contradicted": FindingKind(
             "doubtful",

@@ -1,0 +1,312 @@
+"""Robots and beacons placed by ranges: from a graph of anybody's, and `map` of recordings of ranging radios."""
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.errors import DataError, EstimateError, UsageError
+from ..core.findings import Finding, Unused, Verdict, verdict, verdict_line
+from ..core.names import in_order, robot_key
+from ..core.paths import path_arguments
+from ..core.version import __version__
+from ..core.workers import one_blas_thread
+from ..io.directory import check_target, result_directory, write_json
+from ..io.points import read_points
+from ..io.pyfg import read_pyfg, write_pyfg
+from ..io.range_bags import is_range_bag, read_range_bag
+from ..io.table import write_table
+from ..io.team_map import write_landmarks, write_tracks
+from ..landmarks.landmark_map import LandmarkMap
+from ..ranges.estimate import Part, RangeEstimate, estimate
+from ..ranges.log import RangeLog, network_of
+from ..ranges.network import RangeNetwork
+from ..report.html import list_files, told_list
+from ..report.ranges import RangeStory, draw_ranges, write_range_report
+from ..report.result import ResultBase, Rows
+from ..report.score import headline_scores
+from ..report.style import Target
+from ..team.team_map import TeamMap, in_first_frame
+from .evaluate import Evaluation, judged
+from .map_options import MapOptions
+from .team import Watch
+
+SURVEYED = 0.02  # [m] sd of a beacon whose survey does not say it
+MOSTLY = 0.5  # share of ranges rejected from which nothing is believed
+TOLD_SHARE = 0.02  # of a pair's ranges rejected, from which it is told
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class RangeResult(ResultBase):
+    """Robots and beacons placed by ranges: `maps` as of landmark logs, beacons as landmarks, the largest first."""
+
+    maps: tuple[TeamMap, ...]
+    network: RangeNetwork
+    estimate: RangeEstimate
+    findings: tuple[Finding, ...]
+    source: str
+    unused: tuple[Unused, ...]
+    timing: dict[str, float] = field(compare=False)
+    evaluation: Evaluation | None = None
+
+    @property
+    def verdict(self) -> Verdict:
+        """What the findings make of the result."""
+        return verdict(self.findings)
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        net, e = self.network, self.estimate
+        ranges = dict.fromkeys(net.robots, 0)
+        for radio in e.radios:
+            for name in {radio.a, radio.b} & set(ranges):
+                ranges[name] += radio.n
+        out = {
+            "version": __version__,
+            "source": self.source,
+            "seed": 0,
+            "verdict": self.verdict,
+            "findings": [found.row() for found in self.findings],
+            "warnings": [found.told for found in self.findings],
+            "unused": [left.row() for left in self.unused],
+            "robots": {
+                robot_key(name): {
+                    "source": self.source,
+                    "odometry": "poses",
+                    "ranges": ranges[name],
+                    "verdict": verdict([f for f in self.findings if f.robot == robot_key(name)]),
+                    "warnings": [f.text for f in self.findings if f.robot == robot_key(name)],
+                }
+                for name in net.robots
+            },
+            "components": [[robot_key(r) for r in team.robots] for team in self.maps],
+            "beacons": list(net.beacons),
+            "dropped": dict(net.dropped),
+            "radios": [
+                {"a": robot_key(r.a), "b": robot_key(r.b), "ranges": r.n, "bias": r.bias, "bias_sd": r.bias_sd,
+                 "sd": r.sd, "lasting": r.lasting, "rejected": r.far}
+                for r in e.radios
+            ],
+            "converged": all(part.converged for part in e.parts),
+            "timing": self.timing,
+        }  # fmt: skip
+        return out if self.evaluation is None else {**out, "evaluation": self.evaluation.as_json()}
+
+    def headline(self) -> Rows:
+        rows = [(robot_key(r.a), robot_key(r.b), r.n, r.bias, r.sd, r.far) for r in self.estimate.radios]
+        return ("a", "b", "ranges", "bias [m]", "sd [m]", "rejected"), rows
+
+    def lines(self) -> list[str]:
+        net, team = self.network, self.maps[0]
+        where = "one map" if len(self.maps) == 1 else f"the first of {len(self.maps)} maps"
+        far = int(self.estimate.far.sum())
+        placed = (
+            f"{len(team.robots)} of {len(net.robots)} robots and {len(team.landmarks)} of {len(net.beacons)} beacons"
+        )
+        out = [f"{placed} in {where}: {len(net.ranges)} ranges, {far} rejected"]
+        out += [f"warning: {f.told}" for f in self.findings]
+        if self.evaluation is not None:
+            out += self.evaluation.lines()
+        return [*out, verdict_line(self.findings)]
+
+    def draw(self, target: Target) -> None:
+        """Trajectories and beacons of the largest component."""
+        draw_ranges(target, self._story, 0)
+
+    @property
+    def _story(self) -> RangeStory:
+        scores = () if self.evaluation is None else tuple(headline_scores(self.evaluation.as_json()))
+        told = () if self.evaluation is None else tuple(self.evaluation.lines())
+        return RangeStory(self.source, self.maps, self.network, self.estimate, self.findings, scores, told)
+
+    def write_into(self, folder: Path) -> None:
+        """Trajectories, beacons and ranges with their residuals, the solved graph, report and, last, `metrics.json`."""
+        self._write_files(folder)
+        write_range_report(folder, self._story)
+        write_json(folder / "metrics.json", self.metrics)
+
+    def write_data(self, folder: Path) -> None:
+        self._write_files(folder)
+        write_json(folder / "metrics.json", self.metrics)
+
+    def _write_files(self, folder: Path) -> None:
+        net, e = self.network, self.estimate
+        for k, team in enumerate(self.maps, 1):
+            home = folder if k == 1 else folder / "components" / str(k)
+            home.mkdir(parents=True, exist_ok=True)
+            write_landmarks(home, team)
+            write_tracks(home, team)
+        who, r = [robot_key(name) for name in net.everybody], net.ranges
+        rows = zip(
+            r.t.tolist(), [who[k] for k in net.owner[r.a]], [who[k] for k in net.owner[r.b]], r.z.tolist(),
+            e.residual.tolist(), (~e.far & np.isfinite(e.residual)).astype(int).tolist(), strict=True,
+        )  # fmt: skip
+        write_table(folder / "ranges.csv", ["t", "a", "b", "range", "residual", "used"], rows)
+        sd = {frozenset((radio.a, radio.b)): radio.sd for radio in e.radios}
+        of = [sd.get(frozenset((net.everybody[a], net.everybody[b])), np.nan)
+              for a, b in zip(net.owner[r.a].tolist(), net.owner[r.b].tolist(), strict=True)]  # fmt: skip
+        told = replace(r, sd=np.where(np.isfinite(r.sd), r.sd, of))
+        solved = np.isfinite(told.sd)
+        pose = np.zeros((len(net.owner), 3))
+        for part in e.parts:
+            pose[part.nodes] = part.pose
+        write_pyfg(folder / "graph.pyfg", replace(net, ranges=told.select(np.flatnonzero(solved))), pose)
+
+
+@path_arguments
+@one_blas_thread()
+def solve_ranges(file: Path | str, out: Path | str | None = None, *, force: bool = False) -> RangeResult:
+    """Place the robots and beacons of a graph of ranges, anybody's, from no guess.
+
+    Written to `out` if given. Where the file's vertices stand is not read: it may be the truth, and `evaluate` takes it
+    as such. The frame is that of the file's priors, else the first pose of the first robot.
+
+    Parameters
+    ----------
+    file
+        A planar graph in the text format of PyFactorGraph (.pyfg, plain or packed): VERTEX_SE2, VERTEX_XY, EDGE_SE2,
+        EDGE_RANGE and priors.
+    out
+        The folder to write; an earlier result there is replaced whole.
+    force
+        Write into `out` even when something other than a result stands there (False).
+
+    Raises
+    ------
+    ReaderError
+        For a file that is missing or damaged, with its line.
+    DataError
+        For a graph without ranges.
+    EstimateError
+        For a solve that failed.
+    UsageError
+        For an `out` that holds something other than a result. Nothing is written then.
+    """
+    if out is not None:
+        check_target(Path(out), force=force, reads=(file,))
+    watch = Watch()
+    held = read_pyfg(Path(file))
+    watch.lap("read")
+    if not len(held.network.ranges):
+        raise DataError(f"{file}: expected ranges, found none: `solve_pose_graph` solves poses alone")
+    notes = tuple(Finding("topics-chosen", value=warning) for warning in held.warnings)
+    result = _result(held.network, str(file), notes, (), watch)
+    if out is not None:
+        with result_directory(Path(out), force=force) as work:
+            result.write_into(work)
+            list_files(work)
+    return result
+
+
+def applies(log: Path) -> bool:
+    """Recordings of ranges and odometry without scans."""
+    return is_range_bag(log)
+
+
+def map_logs(logs: Sequence[Path], options: MapOptions) -> RangeResult:
+    """The map of one recording of ranging radios."""
+    if len(logs) > 1:
+        raise UsageError(f"expected one recording of ranges, found {len(logs)}: record all robots together")
+    plain = MapOptions()
+    for name in ("robots", "method", "weights", "share", "start", "fuse_every", "refine", "online", "calibration"):
+        if getattr(options, name) != getattr(plain, name):
+            raise UsageError(f"--{name.replace('_', '-')}: not for recordings of ranges, found {logs[0]}")
+    watch = Watch()
+    log = read_range_bag(logs[0], options.radios)
+    if options.survey is not None:
+        points = read_points(options.survey)
+        known = {name: (x, y, sd or SURVEYED) for name, (x, y, sd) in points.items() if name in log.names}
+        if not known:
+            raise DataError(f"{options.survey}: none of its points is a beacon ranged to ({', '.join(log.names)})")
+        log = replace(log, known=known)
+    watch.lap("read")
+    return _scored(_of_log(log, watch), options)
+
+
+def _of_log(log: RangeLog, watch: Watch) -> RangeResult:
+    net = network_of(log)
+    if not len(net.ranges):
+        why = ", ".join(f"{n} {reason}" for reason, n in net.dropped.items()) or "there are none"
+        raise DataError(f"{log.source}: no range can be used: {why}")
+    return _result(net, log.source, log.findings, log.unused, watch)
+
+
+def _result(
+    net: RangeNetwork, source: str, findings: Sequence[Finding], unused: Sequence[Unused], watch: Watch
+) -> RangeResult:
+    found = estimate(net)
+    watch.lap("solve")
+    if not found.parts or not all(np.isfinite(part.pose).all() for part in found.parts):
+        raise EstimateError(f"{source}: the solve ended with numbers that are not finite")
+    maps = tuple(_team(net, part, found) for part in found.parts)
+    told = (*findings, *_findings(net, found))
+    return RangeResult(
+        maps, net, found, told, source, tuple(unused), {k: round(v, 4) for k, v in watch.seconds.items()}
+    )
+
+
+def _team(net: RangeNetwork, part: Part, found: RangeEstimate) -> TeamMap:
+    n = len(net.owner)
+    pose, cov = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
+    pose[part.nodes], cov[part.nodes] = part.pose, part.cov
+    known = bool(np.isfinite(part.cov).all())
+    robots = [k for k in np.unique(net.owner[part.nodes]).tolist() if k < len(net.robots)]
+    at = part.nodes[net.is_beacon[part.nodes]]
+    ids = tuple(net.everybody[k] for k in net.owner[at].tolist())
+    joint = part.beacon_cov if known else np.zeros((2 * len(ids), 2 * len(ids)))
+    heard = {name: [r for r in found.radios if name in {r.a, r.b}] for name in ids}
+    team = TeamMap(
+        tuple(net.robots[k] for k in robots),
+        LandmarkMap(ids, pose[at, :2], joint),
+        {net.robots[k]: net.track(k, pose, cov if known else None) for k in robots},
+        {name: tuple(sorted({r.a, r.b}.difference([name]).pop() for r in rs)) for name, rs in heard.items()},
+        {name: sum(r.n for r in rs) for name, rs in heard.items()},
+    )
+    return team if part.first is None else in_first_frame(team)
+
+
+def _findings(net: RangeNetwork, found: RangeEstimate) -> list[Finding]:
+    out = [
+        Finding("range-outliers", r.a, value={"far": r.far, "n": r.n, "to": robot_key(r.b), "share": 100 * r.far / r.n})
+        for r in found.radios
+        if r.far > TOLD_SHARE * r.n
+    ]
+    out += [Finding("range-dropped", value={"n": n, "value": reason}) for reason, n in net.dropped.items()]
+    far, n = int(found.far.sum()), int(np.isfinite(found.residual).sum())
+    if far > MOSTLY * n:
+        out.append(Finding("ranges-contradict", value={"far": far, "n": n}))
+    for part in found.parts:
+        out += [Finding("heading-unobserved", name) for name in part.still]
+        for other in part.mirrored:
+            off = np.hypot(*(other - part.pose)[:, :2].T)
+            who = sorted(
+                {net.everybody[k] for k in net.owner[part.nodes[off > 0.5 * off.max()]].tolist()}, key=in_order
+            )
+            told = f"{told_list([robot_key(w) for w in who])} may lie elsewhere too, up to {off.max():.1f} m away"
+            out.append(Finding("range-ambiguous", value=f"{told}: ranges fit both"))
+    for name, why in found.loose.items():
+        beacon = name in net.beacons
+        out.append(
+            Finding("range-unplaced", None if beacon else name, value=f"beacon {name}: {why}" if beacon else why)
+        )
+    if others := [robot for part in found.parts[1:] for robot in _robots(net, part)]:
+        out.append(Finding("robots-apart", value=told_list([robot_key(r) for r in others])))
+    return out
+
+
+def _robots(net: RangeNetwork, part: Part) -> list[str]:
+    return [net.robots[k] for k in np.unique(net.owner[part.nodes]).tolist() if k < len(net.robots)]
+
+
+def _scored(result: RangeResult, options: MapOptions) -> RangeResult:
+    """With its score, where truth was given; truth is read here, when nothing is left to estimate."""
+    if not options.truth:
+        return result
+    with tempfile.TemporaryDirectory() as folder:
+        result.write_data(Path(folder))
+        score = judged(Path(folder), options.truth)
+    left = (Finding("truth-unscored", value=score.unscored),) if score.unscored else ()
+    return replace(result, findings=(*result.findings, *left), evaluation=score)

@@ -1,0 +1,175 @@
+"""Ranges between radios and odometry from ROS recordings.
+
+Who ranged to whom: the last two names with a number in the topic (`/uwb/tof/n_2/n_3/distance`: n_2 and n_3), or one in
+the topic and one in the message's `frame_id` (`/robot1/uwb` with `anchor7`). A radio is on the robot of its own name,
+or of its own number where every robot's number is a radio's; a radio on no robot is a beacon.
+"""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..core.errors import ReaderError, UsageError
+from ..core.findings import Finding, Unused
+from ..core.names import in_order
+from ..core.records import Track
+from ..ranges.log import RangeLog
+from .bag import Bag, bag_hash, open_bag
+from .laser_logs import is_bag
+from .transforms import planar, rigid
+
+RANGE, ODOMETRY = "sensor_msgs/msg/Range", "nav_msgs/msg/Odometry"
+NAME = re.compile(r"[A-Za-z]+[_-]?[0-9]+|[0-9]+")
+CLOCKS = 1.0  # [s] by which headers of two topics may be off each other: beyond, all go by when they were recorded
+
+
+def is_range_bag(path: Path) -> bool:
+    """Whether `path` is a recording of ranges and odometry, without scans."""
+    if not is_bag(path):
+        return False
+    bag = open_bag(path, ())
+    held = {bag.kinds[topic] for topic in bag.kinds if bag.counts.get(topic)}
+    return RANGE in held and ODOMETRY in held and "sensor_msgs/msg/LaserScan" not in held
+
+
+def read_range_bag(path: Path, radios: Mapping[str, str] | None = None) -> RangeLog:
+    """Odometry of every robot and all ranges; radios: radio -> the robot it is on, where names do not say it.
+
+    Raises ReaderError where no topic names a pair, or where it cannot be told which radio is on which robot.
+    """
+    bag = open_bag(path, (RANGE, ODOMETRY))
+    wheels = _odometry_topics(bag)
+    topics = [topic for topic in bag.topics(RANGE) if bag.counts.get(topic)]
+    stamps: dict[str, list[tuple[float, float]]] = {topic: [] for topic in (*topics, *wheels)}
+    poses: dict[str, list[tuple[float, float, float]]] = {topic: [] for topic in wheels}
+    rows: list[_Row] = []
+    for topic, ns, message in bag.messages({*topics, *wheels}):
+        if topic in poses:
+            poses[topic].append(planar(rigid(message.pose.pose.position, message.pose.pose.orientation)))
+        else:
+            a, b = _pair(path, topic, message.header.frame_id)
+            rows.append(_Row(topic, a, b, len(stamps[topic]), float(message.range)))
+        stamp = message.header.stamp
+        stamps[topic].append((stamp.sec + stamp.nanosec * 1e-9, ns * 1e-9))
+    clock, notes = _clock(stamps)
+    tracks = {wheels[topic]: _track(clock(topic), poses[topic]) for topic in wheels if len(poses[topic]) > 1}
+    if not tracks or not rows:
+        raise ReaderError(path, f"expected odometry and ranges, found {bag.listing() or 'no topics'}")
+    robots, seen = sorted(tracks, key=in_order), sorted({r for row in rows for r in (row.a, row.b)}, key=in_order)
+    on, note = _robots_of_radios(path, seen, robots, radios or {})
+    names = tuple(dict.fromkeys([*robots, *(on.get(radio, radio) for radio in seen)]))
+    place = {radio: names.index(on.get(radio, radio)) for radio in seen}
+    t = {topic: clock(topic) for topic in topics}
+    read = {*topics, *(topic for topic in wheels if wheels[topic] in tracks)}
+    unused = tuple(
+        Unused(str(path), topic, kind, bag.counts[topic], _why(kind))
+        for topic, kind in sorted(bag.kinds.items())
+        if bag.counts.get(topic) and topic not in read
+    )
+    findings = [*([note] if note else []), *notes]
+    if bag.lost:
+        findings.append(Finding("log-short", value=f"{path.name}: {bag.lost}", action="they are used"))
+    return RangeLog(
+        tracks,
+        names,
+        np.array([place[row.a] for row in rows], np.int64),
+        np.array([place[row.b] for row in rows], np.int64),
+        np.array([t[row.topic][row.k] for row in rows]),
+        np.array([row.z for row in rows]),
+        source=str(path),
+        log_hash=bag_hash(path),
+        unused=unused,
+        findings=tuple(findings),
+        dropped={"message that cannot be unpacked": bag.skipped} if bag.skipped else {},
+    )
+
+
+class _Row(NamedTuple):
+    """A range: the k-th message of its topic, between radios a and b."""
+
+    topic: str
+    a: str
+    b: str
+    k: int
+    z: float
+
+
+def _pair(path: Path, topic: str, frame: str) -> tuple[str, str]:
+    names = NAME.findall(topic)[-2:]
+    names = names if len(names) == 2 else [*names, *NAME.findall(frame)[-1:]]
+    if len(names) != 2:
+        there = f"{topic} in frame {frame!r}"
+        raise ReaderError(path, f"expected who ranged to whom in the topic or frame_id (../n_2/n_3/..), found {there}")
+    return names[0], names[1]
+
+
+def _odometry_topics(bag: Bag) -> dict[str, str]:
+    """Topic -> robot: the last name with a number in the namespace, else the namespace; of each robot the fullest."""
+    out: dict[str, str] = {}
+    for topic in bag.topics(ODOMETRY):
+        space = topic.strip("/").split("/")[:-1]
+        numbered = [word for word in space if NAME.fullmatch(word)]
+        robot = numbered[-1] if numbered else "/".join(space) or "robot1"
+        if bag.counts.get(topic) and robot not in out.values():
+            out[topic] = robot
+    return out
+
+
+def _clock(
+    stamps: Mapping[str, Sequence[tuple[float, float]]],
+) -> tuple[Callable[[str], np.ndarray], list[Finding]]:
+    """How to tell a topic's stamps: by headers where all are of one clock, else by when messages were recorded."""
+    late = {topic: float(np.median([r - h for h, r in rows])) for topic, rows in stamps.items() if rows}
+    whole = all(h > 0 for rows in stamps.values() for h, _ in rows)
+    headers = whole and max(late.values(), default=0.0) - min(late.values(), default=0.0) < CLOCKS
+    note = [] if headers or not late else [
+        Finding("stamps-recorded", value="headers of the topics are of different clocks")
+    ]  # fmt: skip
+    return (lambda topic: np.array([row[0 if headers else 1] for row in stamps[topic]])), note
+
+
+def _track(t: np.ndarray, poses: Sequence[tuple[float, float, float]]) -> Track:
+    order = np.argsort(t, kind="stable")
+    t, pose = t[order], np.array(poses)[order]
+    keep = np.append(np.diff(t) > 0, True) & np.isfinite(pose).all(axis=1)
+    return Track(t[keep], pose[keep], frame="odom")
+
+
+def _robots_of_radios(
+    path: Path, radios: Sequence[str], robots: Sequence[str], given: Mapping[str, str]
+) -> tuple[dict[str, str], Finding | None]:
+    """Which robot each radio is on, and what was assumed."""
+    for radio, robot in given.items():
+        if radio not in radios or robot not in robots:
+            odd, there = (radio, radios) if radio not in radios else (robot, robots)
+            raise UsageError(f"--radios: {path.name} knows no {odd}, only {', '.join(there)}")
+    if given:
+        return dict(given), None
+    if set(robots) <= set(radios):
+        return {robot: robot for robot in robots}, None
+    number = {radio: int(re.findall(r"[0-9]+", radio)[-1]) for radio in radios}
+    by_number = {number[radio]: radio for radio in radios}
+    wanted = {robot: int(re.findall(r"[0-9]+", robot)[-1]) for robot in robots if re.search(r"[0-9]", robot)}
+    if len(by_number) == len(radios) and len(wanted) == len(robots) and set(wanted.values()) <= set(by_number):
+        on = {by_number[n]: robot for robot, n in wanted.items()}
+    elif len(radios) == len(robots) == 2:
+        on = dict(zip(radios, robots, strict=True))  # a range is the same either way
+    else:
+        raise ReaderError(
+            path,
+            f"cannot tell which of the radios {', '.join(radios)} is on which of the robots {', '.join(robots)}: say "
+            "so by --radios RADIO=ROBOT,..",
+        )
+    told = ", ".join(f"{radio} on {robot}" for radio, robot in on.items())
+    return on, Finding("radios-assumed", value=told)
+
+
+def _why(kind: str) -> str:
+    if kind == ODOMETRY:
+        return "fewer than two messages, or another odometry of the robot is read"
+    if kind == "geometry_msgs/msg/PoseStamped":
+        return "poses by others (motion capture) are no measurement of the robots: never read by map"
+    return "no reader for this type"
