@@ -11,7 +11,8 @@ from ..core.paths import path_arguments
 from ..core.version import __version__
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target, write_json
-from ..io.mixed_team import Row, TrueTeam, write_mixed_team
+from ..io.mixed_team import Row, TrueTeam, write_mixed_team, write_truth
+from ..io.range_bags import write_range_bag
 from ..report.result import ResultBase, Rows
 from ..sim.mixed_team import MixedRecording, MixedWorld, simulate_mixed
 from ..team.robot_part import PARAMETERS
@@ -45,6 +46,9 @@ class SimulatedMixedTeam(ResultBase, MixedRecording):
     def lines(self) -> list[str]:
         kinds = ", ".join(f"{n} {kind}" for kind, n in Counter(r.kind for r in self.robots).items())
         seen = sum(len(r.seen.t) for r in self.robots)
+        if self.world.ranges:
+            n = sum(len(r.t) for r in self.ranges)
+            return [f"robots: {kinds}; {len(self.landmarks)} beacons, {n} ranges, seed {self.seed}"]
         return [f"robots: {kinds}; {len(self.landmarks)} landmarks, {seen} sightings, seed {self.seed}"]
 
     def headline(self) -> Rows:
@@ -62,8 +66,21 @@ class SimulatedMixedTeam(ResultBase, MixedRecording):
         points = np.array(list(self.landmarks.values())).reshape(-1, 2)
         draw_world(target, "the simulated team", ways, points, walls=self.walls.segments)
 
+    @property
+    def truth(self) -> TrueTeam:
+        """What is true of the team."""
+        hidden = {str(r.number): {p: getattr(r.drive, p) for p in PARAMETERS} for r in self.robots}
+        return TrueTeam(self.landmarks, self.walls.segments, {r.name: r.truth for r in self.robots}, hidden)
+
     def write_into(self, folder: Path) -> None:
         """The files `map` takes, `truth/` and `simulation.json`."""
+        if self.world.ranges:
+            wheels = {r.name: r.odometry for r in self.robots if r.odometry is not None}
+            folder.mkdir(parents=True, exist_ok=True)
+            write_range_bag(folder / "ranges.mcap", wheels, [(r.a, r.b, r.t, r.z) for r in self.ranges])
+            write_truth(folder / "truth", self.truth)
+            write_json(folder / "simulation.json", self.metrics)
+            return
         rows: list[Row] = [
             (t, str(r.number), name, z, b)
             for r in self.robots
@@ -71,13 +88,12 @@ class SimulatedMixedTeam(ResultBase, MixedRecording):
                 r.seen.t.tolist(), r.seen.ids, r.seen.range.tolist(), r.seen.bearing.tolist(), strict=True
             )
         ]
-        hidden = {str(r.number): {p: getattr(r.drive, p) for p in PARAMETERS} for r in self.robots}
         write_mixed_team(
             folder,
             {str(r.number): r.commands for r in self.robots if r.commands is not None},
             rows,
             [r.laser for r in self.robots if r.laser is not None],
-            TrueTeam(self.landmarks, self.walls.segments, {r.name: r.truth for r in self.robots}, hidden),
+            self.truth,
         )
         write_json(folder / "simulation.json", self.metrics)
 
@@ -100,6 +116,9 @@ def simulate_team(
     calibration: Literal["real", "random"] = "real",
     clock: float = 0.0,
     everything: bool = False,
+    ranges: bool = False,
+    beacons: int = 0,
+    nlos: float = 0.0,
     seed: int = 0,
     force: bool = False,
 ) -> SimulatedMixedTeam:
@@ -110,7 +129,8 @@ def simulate_team(
     Parameters
     ----------
     out
-        The folder to write: robotK.mcap of every laser robot, odometry.csv and sightings.csv of the others, truth/.
+        The folder to write: robotK.mcap of every laser robot, odometry.csv and sightings.csv of the others (or
+        ranges.mcap), truth/.
     lasers, cameras, bearing_cameras, bearings
         How many robots with a laser scanner and wheels (2), with wheels and a camera that measures range and bearing
         (2), with wheels and a camera that measures bearings alone (0), with nothing but bearings to the others (1).
@@ -130,6 +150,13 @@ def simulate_team(
         Standard deviation of the laser logs' clocks [s] (0).
     everything
         Every robot carries a laser, wheels and a range camera, on the same trajectories (False).
+    ranges
+        Every robot carries wheels and a ranging radio and nothing else: ranges.mcap in place of the other logs (False).
+    beacons
+        How many radios stand somewhere (0). With `ranges`.
+    nlos
+        The share of ranges that go round something, for seconds at a time, and are too long by decimetres and more
+        (0). With `ranges`.
     seed
         Of everything drawn at random (0).
     force
@@ -154,12 +181,15 @@ def simulate_team(
         calibration=calibration,
         clock=clock,
         everything=everything,
+        ranges=ranges,
+        beacons=beacons,
+        nlos=nlos,
     )
     world.check()
     if out is not None:
         check_target(Path(out), force=force)
     simulated = simulate_mixed(world, seed)
-    team = SimulatedMixedTeam(simulated.robots, simulated.landmarks, simulated.walls, world, seed)
+    team = SimulatedMixedTeam(simulated.robots, simulated.landmarks, simulated.walls, simulated.ranges, world, seed)
     if out is not None:
         team.write(out, force=force)
     return team

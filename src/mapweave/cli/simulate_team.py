@@ -22,6 +22,9 @@ def team(
     calibration: Literal["real", "random"] = "real",
     clock: float = 0.0,
     everything: Annotated[bool, Parameter(negative="")] = False,
+    ranges: Annotated[bool, Parameter(negative="")] = False,
+    beacons: int = 0,
+    nlos: float = 0.0,
     seed: int = 0,
     force: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -57,6 +60,12 @@ def team(
         Standard deviation of the clocks of the laser logs, in seconds.
     everything
         Every robot carries a laser, wheels and a range camera, on the same ways: what a mixed team is compared with.
+    ranges
+        Every robot carries wheels and a ranging radio and nothing else: ranges.mcap in place of the other logs.
+    beacons
+        How many radios stand somewhere, with --ranges.
+    nlos
+        The share of ranges that go round something and are too long, with --ranges.
     seed
         The same seed gives the same bytes.
     force
@@ -80,6 +89,9 @@ def team(
         calibration=calibration,
         clock=clock,
         everything=everything,
+        ranges=ranges,
+        beacons=beacons,
+        nlos=nlos,
         seed=seed,
         force=force,
     )

@@ -101,7 +101,7 @@ def _messages(log: LaserLog, truth: Track | None, range_min: float) -> Iterator[
                 "/tf",
                 message_type("tf2_msgs/msg/TFMessage")(transforms=[transform_message(ns, ODOM, BASE, pose)]),
             )
-            yield ns, "/odom", _odometry(ns, pose)
+            yield ns, "/odom", odometry_message(ns, pose)
     steps = np.diff(log.scan_t)
     every = float(np.median(steps)) if len(steps) else 0.0
     for t, scan in zip(log.scan_t, log.scans, strict=True):
@@ -125,7 +125,7 @@ def _scan(ns: int, scan: Scan, range_min: float, every: float) -> Any:
     )
 
 
-def _odometry(ns: int, pose: Float[np.ndarray, "3"]) -> Any:
+def odometry_message(ns: int, pose: Float[np.ndarray, "3"]) -> Any:
     still = message_type("Vector3")(x=0.0, y=0.0, z=0.0)
     return message_type("nav_msgs/msg/Odometry")(
         header=header_message(ns, ODOM),

@@ -47,7 +47,11 @@ def write_mixed_team(
     write_table(folder / "sightings.csv", ("t", "robot", "id", "range", "bearing"), rows, number)
     for log in lasers:
         write_mcap(folder / f"robot{log.robot}.mcap", log)
-    home = folder / "truth"
+    write_truth(folder / "truth", truth)
+
+
+def write_truth(home: Path, truth: TrueTeam) -> None:
+    """`home` holds surveyed landmarks, walls, trajectories and calibrations."""
     home.mkdir()
     write_table(home / TABLE, ("id", "x", "y"), [(name, x, y) for name, (x, y) in truth.landmarks.items()])
     write_table(home / WALLS, ("x0", "y0", "x1", "y1"), truth.walls.tolist())

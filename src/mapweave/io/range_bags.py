@@ -6,9 +6,9 @@ or of its own number where every robot's number is a radio's; a radio on no robo
 """
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from ..core.records import Track
 from ..ranges.log import RangeLog
 from .bag import Bag, bag_hash, open_bag
 from .laser_logs import is_bag
+from .mcap import Message, header_message, message_type, nanoseconds, odometry_message, write_messages
 from .transforms import planar, rigid
 
 RANGE, ODOMETRY = "sensor_msgs/msg/Range", "nav_msgs/msg/Odometry"
@@ -173,3 +174,41 @@ def _why(kind: str) -> str:
     if kind == "geometry_msgs/msg/PoseStamped":
         return "poses by others (motion capture) are no measurement of the robots: never read by map"
     return "no reader for this type"
+
+
+def write_range_bag(
+    path: Path,
+    odometry: Mapping[str, Track],
+    ranges: Sequence[tuple[str, str, np.ndarray, np.ndarray]],
+) -> None:
+    """`path` is an MCAP recording of every robot's odometry and, for each pair (a, b, t [s], z [m]), its ranges.
+
+    Names hold a number each, so that `read_range_bag` finds them again in the topics.
+    """
+    types = {f"/{robot}/odom": ODOMETRY for robot in odometry} | {_topic(a, b): RANGE for a, b, _, _ in ranges}
+
+    def messages() -> Iterator[Message]:
+        for robot, track in odometry.items():
+            for t, pose in zip(track.t, track.pose, strict=True):
+                yield nanoseconds(t), f"/{robot}/odom", odometry_message(nanoseconds(t), pose)
+        for a, b, stamps, z in ranges:
+            for t, metres in zip(stamps, z, strict=True):
+                yield nanoseconds(t), _topic(a, b), _range_message(nanoseconds(t), a, float(metres))
+
+    write_messages(path, types, messages(), ())
+
+
+def _topic(a: str, b: str) -> str:
+    return f"/uwb/{a}/{b}/range"
+
+
+def _range_message(ns: int, frame: str, metres: float) -> Any:
+    kind = message_type("sensor_msgs/msg/Range")
+    return kind(
+        header=header_message(ns, frame),
+        radiation_type=0,
+        field_of_view=0.0,
+        min_range=0.0,
+        max_range=0.0,
+        range=metres,
+    )

@@ -21,6 +21,7 @@ from .driving import Drive, drive_team, scattered
 from .landmarks import FRAME, START, TRUTH_STEP, camera_frames, command_rows
 from .laser import stream
 from .laser_world import LaserWorld, WallStyle, WorldBuilder
+from .radio import SimulatedRanges, simulated_ranges
 from .scanner import Reflectance, Scanner, measure
 
 SCAN_EVERY, WHEELS_EVERY = 1.0, 0.2  # [s]; the second is a whole part of the first
@@ -31,7 +32,7 @@ REACH, RIM, DEPTH, THICK = 0.55, 1.3, (0.2, 0.6), 0.4  # of a room's size robots
 MOST_ROBOTS, MOST_LANDMARKS, MOST_MINUTES = 200, 10_000, 2_000  # of one kind, and rooms; of all robots together
 WILD = 3.0  # [m] sd of a range that is wrong by metres
 Sees = Literal["nothing", "bearings", "ranges"]
-KINDS = ("laser", "camera", "bearing-camera", "bearings")
+KINDS = ("laser", "camera", "bearing-camera", "bearings")  # and ranges, in place of all of them
 
 
 @config
@@ -40,7 +41,8 @@ class MixedWorld:
 
     calibration: `real` draws wheels and cameras as a real team's, `random` as a careless workshop leaves them; clock:
     [s] sd of each laser log's clock; everything: every robot carries all that any of them does, on the same
-    trajectories.
+    trajectories. ranges: every robot carries wheels and a ranging radio and nothing else, and so do `beacons` that
+    stand; nlos: the share of ranges that go round something.
     """
 
     lasers: int = 2
@@ -56,12 +58,16 @@ class MixedWorld:
     calibration: Literal["real", "random"] = "real"
     clock: float = 0.0
     everything: bool = False
+    ranges: bool = False
+    beacons: int = 0
+    nlos: float = 0.0
 
     @property
     def kinds(self) -> tuple[str, ...]:
         """The kind of robots 1, 2, .."""
         counts = (self.lasers, self.cameras, self.bearing_cameras, self.bearings)
-        return tuple(kind for kind, n in zip(KINDS, counts, strict=True) for _ in range(n))
+        kinds = tuple(kind for kind, n in zip(KINDS, counts, strict=True) for _ in range(n))
+        return ("ranges",) * len(kinds) if self.ranges else kinds
 
     def check(self) -> None:
         """Raises UsageError when no world can be made of it."""
@@ -79,18 +85,34 @@ class MixedWorld:
             raise UsageError(f"--minutes must be more than 0, found {self.minutes}")
         if not 0.0 <= self.outliers <= 1.0:
             raise UsageError(f"--outliers is a share between 0 and 1, found {self.outliers}")
+        self._check_radios()
         if self.calibration not in {"real", "random"}:
             raise UsageError(f"--calibration: expected real or random, found {self.calibration!r}")
+
+    def _check_radios(self) -> None:
+        if (self.beacons or self.nlos) and not self.ranges:
+            raise UsageError("--beacons and --nlos: only with --ranges")
+        if self.ranges and self.everything:
+            raise UsageError("--ranges: robots with radios carry nothing else, found --everything too")
+        if self.beacons < 0:
+            raise UsageError(f"--beacons must be 0 or more, found {self.beacons}")
+        expect_at_most({"--beacons": (self.beacons, MOST_ROBOTS)})
+        if not 0.0 <= self.nlos < 1.0:
+            raise UsageError(f"--nlos is a share from 0 to less than 1, found {self.nlos}")
 
 
 @dataclass(frozen=True, slots=True)
 class Carries:
-    """What a robot has: wheels that tell their commands, a laser, a camera for landmarks, one for other robots."""
+    """What a robot has: wheels that tell their commands, a laser, a camera for landmarks, one for other robots.
+
+    radio: it ranges to others, and its odometry tells poses.
+    """
 
     wheels: bool
     laser: bool
     landmarks: Sees
     robots: Sees
+    radio: bool = False
 
 
 CARRIES = {
@@ -98,6 +120,7 @@ CARRIES = {
     "camera": Carries(wheels=True, laser=False, landmarks="ranges", robots="ranges"),
     "bearing-camera": Carries(wheels=True, laser=False, landmarks="bearings", robots="bearings"),
     "bearings": Carries(wheels=False, laser=False, landmarks="nothing", robots="bearings"),
+    "ranges": Carries(wheels=False, laser=False, landmarks="nothing", robots="nothing", radio=True),
 }
 EVERYTHING = Carries(wheels=True, laser=True, landmarks="ranges", robots="ranges")
 
@@ -117,7 +140,7 @@ class MixedRobot:
     """One robot's rows and truth.
 
     commands: (n, 3) t, v, w, or None; laser: its log, by its own clock, which is `clock` [s] ahead; truth: poses in the
-    frame of the world; drive: as it drove, with what nobody told the robot.
+    frame of the world; drive: as it drove, with what nobody told the robot; odometry: of a robot with a radio.
     """
 
     number: int
@@ -129,6 +152,7 @@ class MixedRobot:
     clock: float
     truth: Track
     drive: Drive
+    odometry: Track | None = None
 
     @property
     def name(self) -> str:
@@ -137,11 +161,12 @@ class MixedRobot:
 
 @dataclass(frozen=True, slots=True)
 class MixedRecording:
-    """landmarks: id -> (x, y) [m]; walls: what lasers see."""
+    """landmarks: id -> (x, y) [m], of a team with radios its beacons; walls: what lasers see; ranges: pair by pair."""
 
     robots: tuple[MixedRobot, ...]
     landmarks: dict[str, tuple[float, float]]
     walls: LaserWorld
+    ranges: tuple[SimulatedRanges, ...]
 
 
 def simulate_mixed(world: MixedWorld, seed: int = 0) -> MixedRecording:
@@ -161,16 +186,22 @@ def simulate_mixed(world: MixedWorld, seed: int = 0) -> MixedRecording:
     drives = _drives(world, middle, size, seed)
     names = tuple(f"L{i + 1}" for i in range(len(points)))
     robots = tuple(_robot(k, world, drives, points, names, walls, seed) for k in range(len(drives)))
-    return MixedRecording(
-        robots, {name: (float(x), float(y)) for name, (x, y) in zip(names, points, strict=True)}, walls
-    )
+    ranges: tuple[SimulatedRanges, ...] = ()
+    if world.ranges:
+        points = scattered(world.beacons, size, stream(seed, "beacons"))
+        names = tuple(f"beacon{k + 1}" for k in range(len(points)))
+    places = {name: (float(x), float(y)) for name, (x, y) in zip(names, points, strict=True)}
+    if world.ranges:
+        ways = {r.name: Track(START + r.drive.t, r.drive.pose) for r in robots}
+        ranges = simulated_ranges(ways, places, world.noise, world.bias, world.nlos, stream(seed, "radios"))
+    return MixedRecording(robots, places, walls, ranges)
 
 
 def _drives(
     world: MixedWorld, middle: Float[np.ndarray, "r 2"], size: Float[np.ndarray, "2"], seed: int
 ) -> list[Drive]:
     """The robots of every kind go to one room after the other."""
-    before = dict.fromkeys(KINDS, 0)
+    before = dict.fromkeys(world.kinds, 0)
     room = []
     for kind in world.kinds:
         room.append(before[kind] % world.rooms)
@@ -232,7 +263,15 @@ def _robot(
         clock=clock if carries.laser else 0.0,
         truth=Track(START + at, se2.interpolate(at, own.t, own.pose), frame="world"),
         drive=own,
+        odometry=_odometry(k, own, seed) if carries.radio else None,
     )
+
+
+def _odometry(k: int, own: Drive, seed: int) -> Track:
+    """What the wheels of robot k add up to."""
+    t = WHEELS_EVERY * np.arange(int(own.t[-1] / WHEELS_EVERY) + 1)
+    poses, _ = drifted(se2.interpolate(t, own.t, own.pose), WHEELS, stream(seed, f"wheels {k}"))
+    return Track(START + t, poses, frame="odom")
 
 
 def _sightings(
