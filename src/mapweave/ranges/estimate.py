@@ -14,6 +14,7 @@ from ..core import se2
 from ..solve import (
     Cauchy,
     GemanMcClure,
+    Kernel,
     Pattern,
     Problem,
     Solution,
@@ -30,11 +31,14 @@ LEAST_SD = 0.01  # [m] noise of a range, whatever its residuals say: radios coun
 SHRUNK = 0.02  # [m] sd of biases over all pairs, at least: a smaller one would hold them where they began
 BIAS_SD = 0.5  # [m] of biases over all pairs, before any is known
 ANY_HEADING = 2.0  # [rad] sd of a heading that nothing tells
-TO_SD = 1.4826  # times the median of absolute errors is the sd of a Gaussian
+TO_SD = 1.4826  # times half the width of its densest half is the sd of a Gaussian
+PRUNED = 3  # times that noise is told from those that are not far
 FAR = 3.0  # [sd] from which a range is taken for one that went another way
 WIDE = Cauchy(2.0)  # while the noise is still a guess
 TIGHT = GemanMcClure(3.0)
-ROUNDS = 4  # of noise and biases estimated, and all solved again
+# Noise and biases are estimated and all is solved again, with these kernels; at the end without those that are far.
+ROUNDS: tuple[Kernel | None, ...] = (WIDE, TIGHT, TIGHT, None, None)
+LEFT_OUT = 1e6  # times its sd: a range that is left out
 MOST_TIED = 4  # layouts that are worked out whole, to see which explains the ranges best
 LONGEST = 50  # ranges of a pair over which an error may last
 SOLVE = SolveConfig(max_iterations=30, damping=1e-4, step_tolerance=1e-5, cost_tolerance=1e-6)
@@ -130,8 +134,13 @@ class _Noise:
         for k in range(pairs):
             mine = np.flatnonzero(which == k)
             e = residual[mine]
-            sd[k] = max(LEAST_SD, TO_SD * float(np.median(np.abs(e))))
-            far[mine] = np.abs(e) > FAR * sd[k]
+            kept = np.ones(len(e), bool)
+            for _ in range(PRUNED):
+                middle, half = _densest_half(e[kept])
+                sd[k] = max(LEAST_SD, TO_SD * half)
+                kept = np.abs(e - middle) <= FAR * sd[k]
+                kept = np.abs(e - np.median(e[kept])) <= FAR * sd[k]
+            far[mine] = ~kept
             good = mine[~far[mine]]
             long[k] = lasting(residual[good[np.argsort(r.t[good], kind="stable")]])
         return cls(residual, far, sd, long)
@@ -231,9 +240,11 @@ def _solved(net: RangeNetwork, bodies: Bodies, layout: Layout) -> _Solved:
     stated = np.isfinite(r.sd)
     mean, spread, pattern = 0.0, SHRUNK if stated.all() else BIAS_SD, None
     noise = _Noise(np.zeros(len(r)), np.zeros(len(r), bool), np.full(pairs, FIRST_SD), np.ones(pairs))
-    for k in range(ROUNDS):
+    for kernel in ROUNDS:
         sd = np.where(stated, r.sd, noise.sd[which]) * np.sqrt(noise.lasting[which])
-        ranges = range_factor(r, biases[which], sd, WIDE if k == 0 else TIGHT)
+        if kernel is None:
+            sd[noise.far] *= LEFT_OUT
+        ranges = range_factor(r, biases[which], sd, kernel)
         held_near = number_factor(biases, np.full(pairs, mean), spread, "biases")
         problem = Problem(x, [*terms, ranges, held_near], fixed, angles)
         pattern = pattern or _pattern(problem, beacon, pairs)
@@ -265,6 +276,18 @@ def _shared(bias: np.ndarray, var: np.ndarray, before: float) -> tuple[float, fl
         return 0.0, before
     mean = float(np.average(bias, weights=1.0 / (var + before**2)))
     return mean, float(np.sqrt(max(SHRUNK**2, np.mean(np.square(bias - mean) + var))))
+
+
+def _densest_half(e: Float[np.ndarray, " n"]) -> tuple[float, float]:
+    """Middle and half width of the shortest span that holds half of the errors: where most ranges went straight.
+
+    Those that went round something are all too long, so that a median and what scatters about it are off.
+    """
+    e = np.sort(e)
+    h = len(e) // 2 + 1
+    width = e[h - 1 :] - e[: len(e) - h + 1]
+    k = int(np.argmin(width))
+    return float(0.5 * (e[k] + e[k + h - 1])), float(0.5 * width[k])
 
 
 def lasting(e: Float[np.ndarray, " n"]) -> float:
