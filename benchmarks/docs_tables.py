@@ -73,6 +73,7 @@ TABLES = (
     Table("changed logs", "docs/laser.md", bench("laser_variants"), "stdout"),
     Table("wheels and mounting", "docs/laser.md", bench("laser_calibration"), "stdout"),
     Table("pose graphs", "docs/laser.md", bench("solve"), "stdout"),
+    Table("ranges", "docs/methods/ranging.md", bench("ranges"), "stdout"),
     Table("starts searched", "docs/laser.md", bench("localize_trust"), "stdout"),
     Table(
         "wrong sightings",

@@ -22,14 +22,14 @@ from ..solve import (
     minimise,
     wrapping,
 )
-from .factors import columns_of, geometry, motion_factor, number_factor, prior_factor, range_factor
+from .factors import columns_of, common_factor, geometry, motion_factor, number_factor, prior_factor, range_factor
 from .network import Bodies, Motions, Priors, RangeNetwork, Ranges, bodies_of
 from .start import LEAD, Layout, lay_out
 
 FIRST_SD = 0.15  # [m] noise of a range before residuals tell it
 LEAST_SD = 0.01  # [m] noise of a range, whatever its residuals say: radios count in centimetres
 SHRUNK = 0.02  # [m] sd of biases over all pairs, at least: a smaller one would hold them where they began
-BIAS_SD = 0.5  # [m] of biases over all pairs, before any is known
+BIAS_SD = 0.5  # [m] of what the biases of all pairs have in common, and of each beside it before any is known
 ANY_HEADING = 2.0  # [rad] sd of a heading that nothing tells
 TO_SD = 1.4826  # times half the width of its densest half is the sd of a Gaussian
 PRUNED = 3  # times that noise is told from those that are not far
@@ -226,7 +226,8 @@ def _solved(net: RangeNetwork, bodies: Bodies, layout: Layout) -> _Solved:
     biases, of = 3 * n + np.arange(pairs), bodies.of[nodes]
     frames = np.zeros((len(bodies.turns), 3))
     frames[list(layout.frames)] = np.array(list(layout.frames.values()))
-    x = np.append(se2.compose(frames[of], bodies.pose[nodes]).ravel(), np.zeros(pairs))
+    common = 3 * n + pairs  # what the biases have in common
+    x = np.append(se2.compose(frames[of], bodies.pose[nodes]).ravel(), np.zeros(pairs + 1))
     fixed = np.zeros(len(x), bool)
     fixed[3 * np.flatnonzero(beacon) + 2] = True
     first = None if held.any() else int(np.argmin(beacon))
@@ -238,44 +239,38 @@ def _solved(net: RangeNetwork, bodies: Bodies, layout: Layout) -> _Solved:
         terms.append(number_factor(3 * begins + 2, x[3 * begins + 2], ANY_HEADING, "headings"))
     angles = wrapping(3 * np.arange(n) + 2)
     stated = np.isfinite(r.sd)
-    mean, spread, pattern = 0.0, SHRUNK if stated.all() else BIAS_SD, None
+    fixed[common] = stated.all()
+    terms.append(number_factor(np.array([common]), np.zeros(1), BIAS_SD, "common bias"))
+    spread, pattern = SHRUNK if stated.all() else BIAS_SD, None
     noise = _Noise(np.zeros(len(r)), np.zeros(len(r), bool), np.full(pairs, FIRST_SD), np.ones(pairs))
     for kernel in ROUNDS:
         sd = np.where(stated, r.sd, noise.sd[which]) * np.sqrt(noise.lasting[which])
         if kernel is None:
             sd[noise.far] *= LEFT_OUT
         ranges = range_factor(r, biases[which], sd, kernel)
-        held_near = number_factor(biases, np.full(pairs, mean), spread, "biases")
-        problem = Problem(x, [*terms, ranges, held_near], fixed, angles)
+        problem = Problem(x, [*terms, ranges, common_factor(biases, common, spread)], fixed, angles)
         pattern = pattern or _pattern(problem, beacon, pairs)
         solution = minimise(problem, SOLVE, pattern)
         x = solution.x
         pose, bias = x[: 3 * n].reshape(-1, 3), x[biases]
-        observed = solution.information is not None
-        var = np.diag(solution.covariance(biases)) if observed else np.full(pairs, spread**2)
-        if not stated.all():
-            mean, spread = _shared(bias, var, spread)
+        P = solution.covariance(np.append(biases, common)) if solution.information is not None else None
+        if P is not None and not stated.all():
+            apart = np.diag(P)[:-1] + P[-1, -1] - 2 * P[:-1, -1]
+            spread = max(SHRUNK, float(np.sqrt(np.mean(np.square(bias - x[common]) + apart))))
         noise = _Noise.of(r, which, pairs, r.z - geometry(r, pose)[0] - bias[which])
+    bias_sd = np.full(pairs, np.nan) if P is None else np.sqrt(np.diag(P)[:-1])
     unturned = ~bodies.turns[of] & (len(layout.frames) > 1)
     return _Solved(
-        net, nodes, rows, names[there], which, first, unturned, pose, bias, np.sqrt(var), noise, solution
+        net, nodes, rows, names[there], which, first, unturned, pose, bias, bias_sd, noise, solution
     )  # fmt: skip
 
 
 def _pattern(problem: Problem, beacon: Bool[np.ndarray, " n"], pairs: int) -> Pattern:
     """Trajectories eliminated first, beacons and biases last: they touch most of all."""
     n = len(beacon)
-    group = np.concatenate([np.repeat(np.arange(n), 3), n + np.arange(pairs)])
-    last = np.concatenate([np.repeat(beacon, 3), np.ones(pairs, bool)])
+    group = np.concatenate([np.repeat(np.arange(n), 3), n + np.arange(pairs + 1)])
+    last = np.concatenate([np.repeat(beacon, 3), np.ones(pairs + 1, bool)])
     return Pattern.of(problem).least_fill(group[problem.free], last[problem.free])
-
-
-def _shared(bias: np.ndarray, var: np.ndarray, before: float) -> tuple[float, float]:
-    """Mean and sd of the biases of all pairs, as those estimated tell: where none has one, they are held near zero."""
-    if len(bias) < 3:
-        return 0.0, before
-    mean = float(np.average(bias, weights=1.0 / (var + before**2)))
-    return mean, float(np.sqrt(max(SHRUNK**2, np.mean(np.square(bias - mean) + var))))
 
 
 def _densest_half(e: Float[np.ndarray, " n"]) -> tuple[float, float]:

@@ -79,3 +79,10 @@ def number_factor(at: Int[np.ndarray, " k"], mean: Float[np.ndarray, " k"], sd: 
     """Single variables near `mean`."""
     unit, white = np.ones((len(at), 1, 1)), np.full((len(at), 1), 1.0 / sd)
     return Factor(at[:, None], lambda x: (x[at] - mean)[:, None], lambda _: unit, 1, white, None, name)
+
+
+def common_factor(at: Int[np.ndarray, " k"], common: int, sd: float) -> Factor:
+    """The biases at `at` near what they have in common, which stands at `common` of x."""
+    columns = np.column_stack([at, np.full(len(at), common)])
+    unit, white = np.tile([[1.0, -1.0]], (len(at), 1, 1)), np.full((len(at), 1), 1.0 / sd)
+    return Factor(columns, lambda x: (x[at] - x[common])[:, None], lambda _: unit, 1, white, None, "biases")

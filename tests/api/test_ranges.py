@@ -1,0 +1,92 @@
+"""`map` and `solve` on ranges, from the files to the result's folder."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mapweave
+from mapweave.core import se2
+from mapweave.core.errors import UsageError
+from mapweave.io.pyfg import read_pyfg
+
+DATA = Path(os.environ.get("MAPWEAVE_DATA", "/nowhere")) / "uwb"
+
+
+@pytest.fixture(scope="module")
+def radios(tmp_path_factory):
+    """A simulated recording of three robots and two beacons, and its map."""
+    home = tmp_path_factory.mktemp("radios")
+    mapweave.simulate_team(home / "log", ranges=True, lasers=3, cameras=0, bearings=0, beacons=2, nlos=0.2, minutes=1)
+    return home, mapweave.map(home / "log", home / "out", truth=home / "log")
+
+
+def test_a_recording_of_ranges_becomes_a_result_like_any_other(radios):
+    home, result = radios
+    assert result.verdict == "good"
+    assert result.maps[0].robots == ("robot1", "robot2", "robot3")
+    metrics = json.loads((home / "out" / "metrics.json").read_text())
+    assert metrics["components"] == [["1", "2", "3"]]
+    assert {(r["a"], r["b"]) for r in metrics["radios"]} >= {("1", "2"), ("1", "beacon1")}
+    assert metrics["evaluation"]["landmark_rmse"] < 0.2
+    assert all(robot["ate"] < 0.1 for robot in metrics["evaluation"]["robots"].values())
+    rows = (home / "out" / "ranges.csv").read_text().splitlines()
+    assert rows[0] == "t,a,b,range,residual,used"
+    assert 0.1 < np.mean([row.endswith(",0") for row in rows[1:]]) < 0.3
+    for name in ("report.html", "landmarks.csv", "figures/map.png", "figures/residuals.png", "trajectories/robot2.tum"):
+        assert (home / "out" / name).is_file()
+    assert mapweave.evaluate(home / "out", home / "log").metrics["landmark_n"] == 2
+
+
+def test_the_solved_graph_that_is_written_solves_to_the_same_places(radios):
+    home, result = radios
+    written = read_pyfg(home / "out" / "graph.pyfg")
+    assert len(written.network.ranges) == len(result.network.ranges)
+    truth, _ = written.truth()
+    again = mapweave.solve_ranges(home / "out" / "graph.pyfg")
+    ate = mapweave.evaluate(again, home / "out" / "graph.pyfg").as_json()["robots"]
+    assert len(truth) == 3
+    assert all(robot["ate"] < 0.05 for robot in ate.values())
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [({"method": "graph"}, "--method"), ({"online": True}, "--online"), ({"radios": {"x1": "robot1"}}, "knows no x1")],
+)
+def test_options_of_other_logs_are_refused(radios, options, why):
+    with pytest.raises(UsageError, match=why):
+        mapweave.map(radios[0] / "log", **options)
+
+
+@pytest.mark.parametrize("options", [{"beacons": 2}, {"nlos": 0.1}, {"ranges": True, "nlos": 1.0}])
+def test_worlds_of_radios_that_cannot_be_are_refused(options):
+    with pytest.raises(UsageError, match="--ranges|--nlos"):
+        mapweave.simulate_team(**options)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA.is_dir(), reason="needs MAPWEAVE_DATA")
+def test_the_public_graph_is_solved_from_no_guess_as_well_as_from_the_truth():
+    """0.0406 m is what GTSAM's batch with the same factors ends at from the truth (benchmarks/ranges.py)."""
+    file = DATA / "tiers.pyfg.gz"
+    result = mapweave.solve_ranges(file)
+    net, part = result.network, result.estimate.parts[0]
+    true = read_pyfg(file).places
+    T = se2.align(part.pose[:, :2], true[part.nodes, :2])
+    off = np.hypot(*(se2.act(T, part.pose[:, :2]) - true[part.nodes, :2]).T)[~net.is_beacon]
+    assert np.sqrt(np.square(off).mean()) < 1.05 * 0.0406
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA.is_dir(), reason="needs MAPWEAVE_DATA")
+def test_the_two_turtlebots_lie_where_motion_capture_has_them_which_is_never_read():
+    result = mapweave.map(DATA / "two-turtlebots.db3")
+    assert {f.code for f in result.findings} == {"radios-assumed", "range-dropped", "heading-unobserved"}
+    captured = [left for left in result.unused if left.type == "geometry_msgs/msg/PoseStamped"]
+    assert len(captured) == 2
+    assert all("never read" in left.reason for left in captured)
+    team = result.maps[0]
+    apart = np.hypot(*(team.tracks["turtle03"].pose[0] - team.tracks["turtle01"].pose[0])[:2])
+    assert 2.0 < apart < 3.0

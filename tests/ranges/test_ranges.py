@@ -1,0 +1,145 @@
+"""Robots and beacons placed by ranges: factors, the search from no guess, what is not observed, ranges too long."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapweave.core import se2
+from mapweave.core.records import Track
+from mapweave.ranges.estimate import RangeEstimate, estimate, lasting
+from mapweave.ranges.factors import motion_factor, range_factor
+from mapweave.ranges.log import RangeLog, network_of
+from mapweave.ranges.network import Motions, RangeNetwork, Ranges
+from mapweave.ranges.start import placements
+
+from .worlds import BIAS, LINE, SQUARE, STILL, driven, ranged
+
+TWO = {"robot1": driven(SQUARE, (0.0, 0.0, 0.0)), "robot2": driven(SQUARE[::-1] * 1.3, (2.0, 5.0, 2.0))}
+BEACONS = {"beacon1": (-2.0, 4.0), "beacon2": (5.0, 1.0)}
+
+
+def misses(net: RangeNetwork, found: RangeEstimate, truth: dict[str, Track], beacons: dict) -> dict[str, float]:
+    """By how much each is off [m], root mean square, one transform for all."""
+    part = found.parts[0]
+    true = np.zeros((len(net.owner), 2))
+    for k, name in enumerate(net.everybody):
+        rows = np.flatnonzero(net.owner == k)
+        true[rows] = (
+            beacons[name] if name in beacons else se2.interpolate(net.t[rows], truth[name].t, truth[name].pose)[:, :2]
+        )
+    T = se2.align(part.pose[:, :2], true[part.nodes])
+    off = np.hypot(*(se2.act(T, part.pose[:, :2]) - true[part.nodes]).T)
+    owner = net.owner[part.nodes]
+    return {net.everybody[k]: float(np.sqrt(np.square(off[owner == k]).mean())) for k in np.unique(owner).tolist()}
+
+
+def test_jacobians_of_ranges_and_motions_equal_finite_differences():
+    rng = np.random.default_rng(1)
+    x = rng.normal(size=11)
+    cov = np.tile(np.diag([1.0, 2.0, 3.0]), (2, 1, 1))
+    motions = Motions(np.array([0, 1]), np.array([1, 2]), rng.normal(size=(2, 3)), cov)
+    ends, levers = (np.array([0, 1]), np.array([2, 0])), rng.normal(size=(2, 2, 2))
+    ranges = Ranges(*ends, np.zeros(2), np.ones(2), np.ones(2), *levers)
+    for factor in (motion_factor(motions), range_factor(ranges, np.array([9, 10]), np.ones(2), None)):
+        J = factor.jacobian(x)
+        for row, column in np.ndindex(factor.columns.shape):
+            d = np.zeros(len(x))
+            d[factor.columns[row, column]] = 1e-6
+            numeric = (factor.residual(x + d) - factor.residual(x - d))[row] / 2e-6
+            assert J[row, :, column] == pytest.approx(numeric, abs=1e-6)
+
+
+def test_a_beacon_seen_from_a_straight_way_may_lie_on_either_side_and_from_a_corner_on_one():
+    beacon = np.array([2.0, 3.0])
+    for way, sides in ((LINE, 2), (SQUARE, 1)):
+        q = driven(way, (0.0, 0.0, 0.0)).pose[:, :2]
+        z = np.hypot(*(q - beacon).T) + 0.1
+        found = placements(q, np.zeros_like(q), z, turns=False)
+        assert len(found) == sides
+        assert min(np.hypot(*(way.T[:2] - beacon)) for way in found) < 0.15
+
+
+@pytest.mark.parametrize("nlos", [0.0, 0.2])
+def test_robots_and_beacons_are_placed_from_no_guess_with_bias_and_noise_of_every_pair(nlos):
+    net = network_of(ranged(TWO, BEACONS, nlos))
+    found = estimate(net)
+    assert found.loose == {}
+    assert len(found.parts) == 1
+    assert not found.parts[0].mirrored
+    off = misses(net, found, TWO, BEACONS)
+    assert set(off) == {*TWO, *BEACONS}
+    assert max(off.values()) < 0.12
+    for radio in found.radios:
+        assert radio.bias == pytest.approx(BIAS, abs=3.0 * radio.bias_sd)
+        assert radio.bias_sd < 0.1
+        assert radio.sd == pytest.approx(0.05, rel=0.3)
+        assert radio.far / radio.n == pytest.approx(nlos, abs=0.06)
+
+
+def test_a_beacon_beside_a_straight_way_is_placed_and_its_mirror_image_is_told():
+    truth = {"robot1": driven(LINE, (0.0, 0.0, 0.0))}
+    part = estimate(network_of(ranged(truth, {"beacon1": (2.0, 3.0)}))).parts[0]
+    assert len(part.mirrored) == 1
+    assert {round(part.pose[-1, 1]), round(part.mirrored[0][-1, 1])} == {-3, 3}
+
+
+def test_a_robot_that_stands_is_placed_and_its_heading_told_to_be_unobserved():
+    truth = {"robot1": TWO["robot1"], "robot2": driven(STILL, (1.0, 4.0, 0.5))}
+    net = network_of(ranged(truth, {}))
+    part = estimate(net).parts[0]
+    assert part.still == ("robot2",)
+    assert max(misses(net, estimate(net), truth, {}).values()) < 0.15
+    assert np.sqrt(part.cov[-1, 2, 2]) > 1.0
+
+
+def test_a_robot_that_nobody_ranged_to_stays_in_a_map_of_its_own_and_is_named():
+    log = ranged({**TWO, "robot3": driven(SQUARE, (9.0, 0.0, 0.0))}, BEACONS)
+    keep = (log.a != 2) & (log.b != 2)
+    found = estimate(network_of(replace(log, a=log.a[keep], b=log.b[keep], t=log.t[keep], z=log.z[keep])))
+    assert list(found.loose) == ["robot3"]
+    assert [len(part.nodes) for part in found.parts] == sorted((len(part.nodes) for part in found.parts), reverse=True)
+    assert len(found.parts) == 2
+
+
+def test_two_robots_that_stand_are_not_placed():
+    truth = {"robot1": driven(STILL, (0.0, 0.0, 0.0)), "robot2": driven(STILL, (1.0, 4.0, 0.5))}
+    assert "too little motion" in estimate(network_of(ranged(truth, {}))).loose["robot2"]
+
+
+def test_surveyed_beacons_hold_the_frame():
+    log = replace(ranged(TWO, BEACONS), known={name: (*at, 0.01) for name, at in BEACONS.items()})
+    net = network_of(log)
+    part = estimate(net).parts[0]
+    assert part.first is None
+    true = se2.interpolate(net.t[net.owner == 0], TWO["robot1"].t, TWO["robot1"].pose)
+    assert np.hypot(*(part.pose[net.owner == 0] - true)[:, :2].T).max() < 0.1
+
+
+def test_ranges_that_cannot_be_are_dropped_and_counted():
+    log = ranged(TWO, BEACONS)
+    odd = RangeLog(
+        log.odometry,
+        log.names,
+        np.append(log.a, [0, 0, 0, 0, 0]),
+        np.append(log.b, [0, 1, 1, 1, 2]),
+        np.append(log.t, [1.0, 1.0, 1.0, 1.0, 99.0]),
+        np.append(log.z, [1.0, -2.0, np.nan, 0.0, 3.0]),
+    )
+    net = network_of(odd)
+    assert len(net.ranges) == len(log.z)
+    assert net.dropped == {
+        "range to itself": 1,
+        "range that is no positive number": 3,
+        "range while odometry is silent": 1,
+    }
+
+
+def test_errors_that_last_are_told_from_those_that_do_not():
+    rng = np.random.default_rng(0)
+    white = rng.standard_normal(4000)
+    slow = np.zeros(4000)
+    for k in range(1, 4000):
+        slow[k] = 0.8 * slow[k - 1] + white[k]
+    assert lasting(white) == pytest.approx(1.0, abs=0.2)
+    assert lasting(slow) == pytest.approx((1 + 0.8) / (1 - 0.8), rel=0.25)
