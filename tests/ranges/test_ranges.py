@@ -72,7 +72,7 @@ def test_robots_and_beacons_are_placed_from_no_guess_with_bias_and_noise_of_ever
     assert max(off.values()) < 0.12
     for radio in found.radios:
         assert radio.bias == pytest.approx(BIAS, abs=3.0 * radio.bias_sd)
-        assert radio.bias_sd < 0.1
+        assert radio.bias_sd < 0.15
         assert radio.sd == pytest.approx(0.05, rel=0.3)
         assert radio.far / radio.n == pytest.approx(nlos, abs=0.06)
 

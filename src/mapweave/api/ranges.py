@@ -145,15 +145,21 @@ class RangeResult(ResultBase):
             e.residual.tolist(), (~e.far & np.isfinite(e.residual)).astype(int).tolist(), strict=True,
         )  # fmt: skip
         write_table(folder / "ranges.csv", ["t", "a", "b", "range", "residual", "used"], rows)
-        sd = {frozenset((radio.a, radio.b)): radio.sd for radio in e.radios}
-        of = [sd.get(frozenset((net.everybody[a], net.everybody[b])), np.nan)
-              for a, b in zip(net.owner[r.a].tolist(), net.owner[r.b].tolist(), strict=True)]  # fmt: skip
-        told = replace(r, sd=np.where(np.isfinite(r.sd), r.sd, of))
-        solved = np.isfinite(told.sd)
+        write_pyfg(folder / "graph.pyfg", *self._solved_graph())
+
+    def _solved_graph(self) -> tuple[RangeNetwork, np.ndarray]:
+        """The network with poses found, ranges that were used carried to them and their biases off, sd as counted."""
+        net, e, r = self.network, self.estimate, self.network.ranges
         pose = np.zeros((len(net.owner), 3))
         for part in e.parts:
             pose[part.nodes] = part.pose
-        write_pyfg(folder / "graph.pyfg", replace(net, ranges=told.select(np.flatnonzero(solved))), pose)
+        counted = {frozenset((radio.a, radio.b)): radio.sd * np.sqrt(radio.lasting) for radio in e.radios}
+        used = np.flatnonzero(~e.far & np.isfinite(e.residual))
+        ends = zip(net.owner[r.a[used]].tolist(), net.owner[r.b[used]].tolist(), strict=True)
+        sd = np.array([counted[frozenset((net.everybody[a], net.everybody[b]))] for a, b in ends])
+        z = np.hypot(*(pose[r.a[used]] - pose[r.b[used]])[:, :2].T) + e.residual[used]
+        straight = replace(r.select(used), z=z, sd=sd)
+        return replace(net, ranges=straight.select(np.flatnonzero(z > 0))), pose
 
 
 @path_arguments
