@@ -4,7 +4,7 @@
 
 GTSAM has the very factors of the file. ATE: one rigid transform for the whole team, all poses. Turtlebots: motion
 capture is the truth, read after the estimate; relative position: where each robot lies as seen from the first.
-Simulated: five robots and four beacons, two minutes, seeds 0 to 5, the mean of all; NEES of the beacons, frame free.
+Simulated: five robots and four beacons, a minute and a half, seeds 0 to 3, the mean of all; NEES of the beacons, frame free.
 """
 
 import os
@@ -23,12 +23,12 @@ from mapweave.io.pyfg import PyfgFile, read_pyfg
 from mapweave.io.range_bags import read_range_bag
 from mapweave.io.transforms import planar, rigid
 from mapweave.landmarks.landmark_map import LandmarkMap
-from mapweave.ranges.estimate import Part, RangeEstimate, estimate
+from mapweave.ranges.estimate import PlacedPart, RangeEstimate, estimate
 from mapweave.ranges.log import RangeLog, network_of
 from mapweave.ranges.network import RangeNetwork
 from mapweave.sim.mixed_team import MixedWorld, simulate_mixed
 
-SEEDS, MINUTES, BEACONS = range(6), 2.0, 4
+SEEDS, MINUTES, BEACONS = range(4), 1.5, 4
 RADIOS = {"n_7": "turtle01", "n_3": "turtle03", "n_4": "turtle04", "n_5": "turtle05"}
 
 
@@ -93,7 +93,7 @@ def captured(path: Path, clock: int) -> dict[str, Track]:
     return tracks
 
 
-def beside_truth(net: RangeNetwork, part: Part, truth: dict[str, Track]) -> tuple[float, str]:
+def beside_truth(net: RangeNetwork, part: PlacedPart, truth: dict[str, Track]) -> tuple[float, str]:
     """ATE of the team, and where the second robot lies as seen from the first: position [m], bearing [deg]."""
     mine, true, seen = [], [], []
     full = np.full((len(net.owner), 3), np.nan)

@@ -245,6 +245,7 @@ __all__ = (
     "PoseEstimate",
     "PoseGraph",
     "Progress",
+    "RangeResult",
     "ReaderError",
     "RelationEvaluation",
     "Result",
@@ -288,6 +289,7 @@ __all__ = (
     "simulate_swarm",
     "simulate_team",
     "solve_pose_graph",
+    "solve_ranges",
     "view",
 )
 

@@ -21,7 +21,7 @@ from ..io.range_bags import is_range_bag, read_range_bag
 from ..io.table import write_table
 from ..io.team_map import write_landmarks, write_tracks
 from ..landmarks.landmark_map import LandmarkMap
-from ..ranges.estimate import Part, RangeEstimate, estimate
+from ..ranges.estimate import PlacedPart, RangeEstimate, estimate
 from ..ranges.log import RangeLog, network_of
 from ..ranges.network import RangeNetwork
 from ..report.html import list_files, told_list
@@ -254,7 +254,7 @@ def _result(
     )
 
 
-def _team(net: RangeNetwork, part: Part, found: RangeEstimate) -> TeamMap:
+def _team(net: RangeNetwork, part: PlacedPart, found: RangeEstimate) -> TeamMap:
     n = len(net.owner)
     pose, cov = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
     pose[part.nodes], cov[part.nodes] = part.pose, part.cov
@@ -303,7 +303,7 @@ def _findings(net: RangeNetwork, found: RangeEstimate) -> list[Finding]:
     return out
 
 
-def _robots(net: RangeNetwork, part: Part) -> list[str]:
+def _robots(net: RangeNetwork, part: PlacedPart) -> list[str]:
     return [net.robots[k] for k in np.unique(net.owner[part.nodes]).tolist() if k < len(net.robots)]
 
 

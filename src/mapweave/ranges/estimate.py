@@ -24,7 +24,7 @@ from ..solve import (
 )
 from .factors import columns_of, common_factor, geometry, motion_factor, number_factor, prior_factor, range_factor
 from .network import Bodies, Motions, Priors, RangeNetwork, Ranges, bodies_of
-from .start import LEAD, Layout, lay_out
+from .start import LEAD, BodyLayout, lay_out
 
 FIRST_SD = 0.15  # [m] noise of a range before residuals tell it
 LEAST_SD = 0.01  # [m] noise of a range, whatever its residuals say: radios count in centimetres
@@ -61,7 +61,7 @@ class Radio:
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class PlacedPart:
     """What ranges and motions tie: `nodes` (m,) of the network, `first` of which holds the frame, or None where priors
     do; pose: (m, 3); cov: (m, 3, 3); beacon_cov: (2b, 2b), joint, of its b beacons; mirrored: other ways in which it
     may lie that explain the ranges as well; still: robots whose heading nothing tells.
@@ -83,7 +83,7 @@ class RangeEstimate:
     which went another way; loose: robots and beacons that ranges do not place, and why.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[PlacedPart, ...]
     radios: tuple[Radio, ...]
     residual: Float[np.ndarray, " k"]
     far: Bool[np.ndarray, " k"]
@@ -94,7 +94,7 @@ def estimate(net: RangeNetwork) -> RangeEstimate:
     """All trajectories and beacons of `net`, in as many parts as ranges leave."""
     bodies = bodies_of(net)
     residual, far = np.full(len(net.ranges), np.nan), np.zeros(len(net.ranges), bool)
-    parts: list[Part] = []
+    parts: list[PlacedPart] = []
     radios: list[Radio] = []
     loose: dict[int, str] = {}
     waiting = list(range(len(bodies.turns)))
@@ -174,14 +174,14 @@ class _Solved:
         """Whether anybody lies elsewhere."""
         return bool(np.hypot(*(self.pose - other.pose)[:, :2].T).max() > 10 * FIRST_SD)
 
-    def part(self, mirrored: tuple[np.ndarray, ...]) -> Part:
+    def part(self, mirrored: tuple[np.ndarray, ...]) -> PlacedPart:
         n, beacon = len(self.nodes), self.net.is_beacon[self.nodes]
         at = (3 * np.flatnonzero(beacon)[:, None] + np.arange(2)).ravel()
         cov, joint = np.full((n, 3, 3), np.nan), np.full((len(at), len(at)), np.nan)
         if self.solution.information is not None:
             cov, joint = self.solution.blocks(columns_of(np.arange(n))), self.solution.covariance(at)
         still = np.unique(self.net.owner[self.nodes[self.unturned & ~beacon]]).tolist()
-        return Part(
+        return PlacedPart(
             nodes=self.nodes,
             first=self.first,
             pose=self.pose,
@@ -209,7 +209,7 @@ class _Solved:
         ]
 
 
-def _solved(net: RangeNetwork, bodies: Bodies, layout: Layout) -> _Solved:
+def _solved(net: RangeNetwork, bodies: Bodies, layout: BodyLayout) -> _Solved:
     """The team worked out from `layout`, noise and biases of the radios with it."""
     nodes = np.flatnonzero(np.isin(bodies.of, list(layout.frames)))
     place = np.full(len(net.owner), -1)

@@ -42,7 +42,7 @@ class Placement:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class BodyLayout:
     """One way in which the whole team may lie: body -> frame, and the cost of all ranges between them."""
 
     frames: Mapping[int, Float[np.ndarray, "3"]]
@@ -50,14 +50,14 @@ class Layout:
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class ColdStart:
     """layouts: what is left, the best first; loose: bodies that ranges do not place, and why."""
 
-    layouts: tuple[Layout, ...]
+    layouts: tuple[BodyLayout, ...]
     loose: Mapping[int, str]
 
 
-def lay_out(net: RangeNetwork, bodies: Bodies, members: Sequence[int]) -> Start:
+def lay_out(net: RangeNetwork, bodies: Bodies, members: Sequence[int]) -> ColdStart:
     """How the bodies `members`, which ranges connect, may lie; the frame is that of the first placed."""
     r = net.ranges
     of_a, of_b = bodies.of[r.a], bodies.of[r.b]
@@ -65,7 +65,7 @@ def lay_out(net: RangeNetwork, bodies: Bodies, members: Sequence[int]) -> Start:
     p_a = bodies.pose[r.a, :2] + (R_a @ r.lever_a[..., None])[..., 0]
     p_b = bodies.pose[r.b, :2] + (R_b @ r.lever_b[..., None])[..., 0]
 
-    def between(body: int, layout: Layout) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def between(body: int, layout: BodyLayout) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Known ends, own ends in the body's frame, and ranges."""
         known = np.array(sorted(layout.frames))
         here, there = (of_a == body) & np.isin(of_b, known), (of_b == body) & np.isin(of_a, known)
@@ -80,11 +80,11 @@ def lay_out(net: RangeNetwork, bodies: Bodies, members: Sequence[int]) -> Start:
         return q[rows], p[rows], z[rows]
 
     first = _first(net, bodies, members)
-    layouts = [Layout({first: np.zeros(3)}, 0.0)]
+    layouts = [BodyLayout({first: np.zeros(3)}, 0.0)]
     waiting = [k for k in members if k != first]
     loose: dict[int, str] = {}
     while waiting:
-        tried: list[tuple[tuple[bool, int, int], int, list[tuple[Layout, list[Placement]]]]] = []
+        tried: list[tuple[tuple[bool, int, int], int, list[tuple[BodyLayout, list[Placement]]]]] = []
         for body in waiting:
             data = [between(body, layout) for layout in layouts]
             n = len(data[0][2])
@@ -106,9 +106,9 @@ def lay_out(net: RangeNetwork, bodies: Bodies, members: Sequence[int]) -> Start:
         loose.pop(body, None)
         waiting.remove(body)
         layouts = _kept(
-            [Layout({**old.frames, body: way.T}, old.cost + way.cost) for old, found in ways for way in found]
+            [BodyLayout({**old.frames, body: way.T}, old.cost + way.cost) for old, found in ways for way in found]
         )
-    return Start(tuple(layouts), {k: loose[k] for k in waiting})
+    return ColdStart(tuple(layouts), {k: loose[k] for k in waiting})
 
 
 def _first(net: RangeNetwork, bodies: Bodies, members: Sequence[int]) -> int:
@@ -121,7 +121,7 @@ def _first(net: RangeNetwork, bodies: Bodies, members: Sequence[int]) -> int:
     return max(members, key=lambda k: (bool(bodies.turns[k]), int(count[k]), -k))
 
 
-def _kept(layouts: list[Layout]) -> list[Layout]:
+def _kept(layouts: list[BodyLayout]) -> list[BodyLayout]:
     layouts = sorted(layouts, key=lambda one: one.cost)
     return [one for one in layouts if one.cost < layouts[0].cost + LEAD][:MOST_KEPT]
 
