@@ -4,7 +4,8 @@
 
 GTSAM has the very factors of the file. ATE: one rigid transform for the whole team, all poses. Turtlebots: motion
 capture is the truth, read after the estimate; relative position: where each robot lies as seen from the first.
-Simulated: five robots and four beacons, a minute and a half, seeds 0 to 3, the mean of all; NEES of the beacons, frame free.
+Simulated: five robots and four beacons, a minute and a half, seeds 0 to 3, the mean of all; NEES of the beacons, frame
+free.
 """
 
 import os

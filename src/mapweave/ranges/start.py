@@ -85,18 +85,17 @@ def lay_out(net: RangeNetwork, bodies: Bodies, members: Sequence[int]) -> ColdSt
     loose: dict[int, str] = {}
     while waiting:
         tried: list[tuple[tuple[bool, int, int], int, list[tuple[BodyLayout, list[Placement]]]]] = []
-        for body in waiting:
-            data = [between(body, layout) for layout in layouts]
-            n = len(data[0][2])
-            if n < (LEAST if bodies.turns[body] else LEAST - 2):
+        seen = {body: [between(body, layout) for layout in layouts] for body in waiting}
+        for body in sorted(waiting, key=lambda k: (-len(seen[k][0][2]), k)):
+            turns, n = bool(bodies.turns[body]), len(seen[body][0][2])
+            if n < (LEAST if turns else LEAST - 2):
                 loose[body] = f"{n} ranges to those whose place is known"
                 continue
-            ways = [
-                (layout, placements(*d, turns=bool(bodies.turns[body])))
-                for layout, d in zip(layouts, data, strict=True)
-            ]
-            sure = all(way.sure for _, found in ways for way in found)
-            tried.append(((not sure, sum(len(found) for _, found in ways), -n), body, ways))
+            ways = [(layout, placements(*data, turns=turns)) for layout, data in zip(layouts, seen[body], strict=True)]
+            sure, count = all(way.sure for _, found in ways for way in found), sum(len(found) for _, found in ways)
+            tried.append(((not sure, count, -n), body, ways))
+            if sure and count == len(layouts):
+                break  # nobody is placed more clearly
         if not tried:
             break
         (unsure, _, _), body, ways = min(tried, key=lambda one: one[0])
