@@ -36,7 +36,7 @@ from .team import Watch
 
 SURVEYED = 0.02  # [m] sd of a beacon whose survey does not say it
 MOSTLY = 0.5  # share of ranges rejected from which nothing is believed
-TOLD_SHARE = 0.02  # of a pair's ranges rejected, from which it is told
+TOLD_SHARE = 0.02  # of all ranges rejected, from which it is told
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -275,13 +275,13 @@ def _team(net: RangeNetwork, part: PlacedPart, found: RangeEstimate) -> TeamMap:
 
 
 def _findings(net: RangeNetwork, found: RangeEstimate) -> list[Finding]:
-    out = [
-        Finding("range-outliers", r.a, value={"far": r.far, "n": r.n, "to": robot_key(r.b), "share": 100 * r.far / r.n})
-        for r in found.radios
-        if r.far > TOLD_SHARE * r.n
-    ]
-    out += [Finding("range-dropped", value={"n": n, "value": reason}) for reason, n in net.dropped.items()]
+    out = [Finding("range-dropped", value={"n": n, "value": reason}) for reason, n in net.dropped.items()]
     far, n = int(found.far.sum()), int(np.isfinite(found.residual).sum())
+    if far > TOLD_SHARE * n:
+        most = max(found.radios, key=lambda r: r.far / r.n)
+        pair, worst = f"{robot_key(most.a)} and {robot_key(most.b)}", 100 * most.far / most.n
+        shares: dict[str, float | str] = {"far": far, "n": n, "share": 100 * far / n, "pair": pair, "worst": worst}
+        out.append(Finding("range-outliers", value=shares))
     if far > MOSTLY * n:
         out.append(Finding("ranges-contradict", value={"far": far, "n": n}))
     for part in found.parts:

@@ -584,8 +584,8 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
     "Ranges": {
         "range-outliers": FindingKind(
             "note",
-            "{far:.0f} of {n:.0f} ranges to {to} ({share:.0f} %) are too long or too short by more than three standard "
-            "deviations: most went round something",
+            "{far:.0f} of {n:.0f} ranges ({share:.0f} %) are too long or too short by more than three standard "
+            "deviations, most of all those between {pair} ({worst:.0f} %)",
             "Ranges that went past a wall or a person are too long. They are rejected, and those that agree are used.",
             "Nothing, unless most are rejected.",
         ),

@@ -29,7 +29,9 @@ from .start import LEAD, BodyLayout, lay_out
 FIRST_SD = 0.15  # [m] noise of a range before residuals tell it
 LEAST_SD = 0.01  # [m] noise of a range, whatever its residuals say: radios count in centimetres
 SHRUNK = 0.02  # [m] sd of biases over all pairs, at least: a smaller one would hold them where they began
-BIAS_SD = 0.5  # [m] of what the biases of all pairs have in common, and of each beside it before any is known
+BIAS_SD = 0.3  # [m] of what the biases of all pairs have in common: antennas whose delay nobody trimmed
+SPREAD = 0.15  # [m] of the biases beside what they have in common, before they tell it
+FEW = 3  # pairs that tell it, at least
 ANY_HEADING = 2.0  # [rad] sd of a heading that nothing tells
 TO_SD = 1.4826  # times half the width of its densest half is the sd of a Gaussian
 PRUNED = 3  # times that noise is told from those that are not far
@@ -241,7 +243,7 @@ def _solved(net: RangeNetwork, bodies: Bodies, layout: BodyLayout) -> _Solved:
     stated = np.isfinite(r.sd)
     fixed[common] = stated.all()
     terms.append(number_factor(np.array([common]), np.zeros(1), BIAS_SD, "common bias"))
-    spread, pattern = SHRUNK if stated.all() else BIAS_SD, None
+    spread, pattern = SHRUNK if stated.all() else SPREAD, None
     noise = _Noise(np.zeros(len(r)), np.zeros(len(r), bool), np.full(pairs, FIRST_SD), np.ones(pairs))
     for kernel in ROUNDS:
         sd = np.where(stated, r.sd, noise.sd[which]) * np.sqrt(noise.lasting[which])
@@ -254,7 +256,7 @@ def _solved(net: RangeNetwork, bodies: Bodies, layout: BodyLayout) -> _Solved:
         x = solution.x
         pose, bias = x[: 3 * n].reshape(-1, 3), x[biases]
         P = solution.covariance(np.append(biases, common)) if solution.information is not None else None
-        if P is not None and not stated.all():
+        if P is not None and not stated.all() and pairs >= FEW:
             apart = np.diag(P)[:-1] + P[-1, -1] - 2 * P[:-1, -1]
             spread = max(SHRUNK, float(np.sqrt(np.mean(np.square(bias - x[common]) + apart))))
         noise = _Noise.of(r, which, pairs, r.z - geometry(r, pose)[0] - bias[which])
