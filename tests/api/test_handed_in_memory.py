@@ -348,6 +348,8 @@ def test_what_an_argument_cannot_be_is_refused_by_its_name_and_never_by_a_type_e
     for bad in BAD:
         if bad is None and (NoneType in kinds(parameter.annotation) or parameter.default == ()):
             continue
+        if argument == "config" and isinstance(bad, dict):
+            continue  # tables: what is in them is looked at when it is known which settings the log takes
         given = {**BASE.get(name, {}), argument: (x for x in [3]) if isinstance(bad, str) else bad}
         if argument == "initial":  # only of robots that stand still
             given["sightings"] = {column: TABLE[column] for column in ("observer", "target", "bearing")}

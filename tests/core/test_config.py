@@ -30,8 +30,6 @@ def test_what_a_file_says_of_a_table_leaves_the_rest_of_it_as_it_was(tmp_path):
     path.write_text("[inner]\nnear = 3.0\n")
     assert load(Outer, path) == Outer(inner=Inner(near=3.0, far=9.0))
     assert load(Outer, path, {"inner": {"near": None, "far": 4.0}}) == Outer(inner=Inner(near=3.0, far=4.0))
-    assert load(Outer, None, None, {"inner": {"near": 5.0}}) == Outer(inner=Inner(near=5.0, far=9.0))
-    assert load(Outer, path, None, {"inner": {"near": 5.0}}) == Outer(inner=Inner(near=3.0, far=9.0))
     path.write_text("[inner]\nnearer = 3.0\n")
     with pytest.raises(ConfigError, match=r"inner\.nearer: unknown key"):
         load(Outer, path)

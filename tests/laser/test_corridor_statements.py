@@ -15,7 +15,7 @@ from mapweave.sim.laser import DriveConfig
 from mapweave.sim.scanner import SECOND_LAW
 
 LOOP = CorridorConfig(long_leg=25.0, short_leg=12.0, distance=85.0, start=6.0)
-CFG = LaserConfig(particles=64, threads=1)
+CFG = LaserConfig(method="particle", particles=64, threads=1)
 
 
 def errors(sim, **more):

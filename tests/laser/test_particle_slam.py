@@ -70,7 +70,7 @@ def box_scan(pose, n=121, half=(3.0, 2.0)):
 
 
 def small(**more):
-    return LaserConfig(**({"particles": 24, "threads": 1} | more))
+    return LaserConfig(**({"method": "particle", "particles": 24, "threads": 1} | more))
 
 
 @pytest.mark.eq("Hara07:4", "Hara07:6")

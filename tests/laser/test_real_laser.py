@@ -46,7 +46,7 @@ def test_the_intel_log_keeps_its_known_relations(data, method, all_of_them, exac
 def test_a_place_seen_again_lies_where_it_was_seen_first(data, name):
     """Scans of the later half that overlap the map of the first quarter are refined against it: they hardly move."""
     log = read_laser(data / name)
-    cfg = LaserConfig(particles=30, threads=1)
+    cfg = LaserConfig(method="particle", particles=30, threads=1)
     made = map_laser(log, cfg, 0)
     assert sum(d == "odometry" for d in made.scans.decision) <= 0.02 * len(log.scans)
     poses = made.scans.pose

@@ -21,7 +21,7 @@ from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 SEEDS = range(6)
 KNOTS = np.linspace(0.0, 6.0, 31)
 LAW = IntensityCalibration(KNOTS, -np.log1p((KNOTS / 1.5) ** 2), 1.0, 40000 * 0.9, 0.0, 1)  # the simulator's own
-FULL = LaserConfig(particles=512)
+FULL = LaserConfig(method="particle", particles=512)
 METHODS = {
     "icp geometry": replace(ICP, feature="none"),
     "icp": ICP,
@@ -29,7 +29,7 @@ METHODS = {
     "geometry, default": replace(FULL, feature="none"),
     "printed": replace(PRINTED, particles=512),
     "512": FULL,
-    "128": LaserConfig(particles=128),
+    "128": LaserConfig(method="particle", particles=128),
     "graph": GRAPH,
     "graph, geometry": WHEELS_KNOWN,
 }

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
-from ..core.paths import path_arguments
+from ..core.paths import AnyConfig, path_arguments
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..exploration.landmarks.belief import PLANNERS
 from ..exploration.landmarks.config import ExploreConfig
@@ -87,7 +87,7 @@ def explore(
     until: str | int = "field",
     kill: Mapping[str, int] | None = None,
     drop: float = 0.0,
-    config: Path | str | None = None,
+    config: AnyConfig | None = None,
     jobs: int = 1,
     force: bool = False,
     executor: Executor | None = None,
@@ -124,7 +124,8 @@ def explore(
     drop
         The share of messages between robots that is lost, from 0 to below 1 (0).
     config
-        A TOML file of settings, as `configuration("explore")` prints them; options here win.
+        Settings as `configuration("explore")` prints them: a TOML file, its tables as mappings, or an object of
+        a configuration class; options here win.
     jobs
         How many runs are worked on at once, in processes of our own (1).
     force
@@ -178,7 +179,7 @@ def explore(
 
 def _among_landmarks(scenario: str, options: ExploreOptions) -> LandmarkExploration:
     planner = "paper" if options.planner is None else options.planner
-    cfg = load(ExploreConfig, options.settings)
+    cfg = load(ExploreConfig, options.config)
     expect_positive(cfg, str(options.config), *POSITIVE)
     check_magnitudes(cfg, str(options.config))
     if not cfg.commands.turns:

@@ -72,7 +72,7 @@ def explore_laser(name: str, scenario: LaserScenarioConfig, options: ExploreOpti
         raise UsageError("--association: a laser world has no landmarks whose identities could be known or not")
     planner = "coverage" if options.planner is None else options.planner
     factor = _factor(options.noise)
-    cfg = load(LaserMissionConfig, options.settings)
+    cfg = load(LaserMissionConfig, options.config)
     expect_positive(cfg, str(options.config), *POSITIVE)
     check_magnitudes(cfg, str(options.config))
     _check_sizes(cfg, str(options.config))

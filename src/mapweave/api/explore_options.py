@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from ..core.errors import ConfigError, UsageError
+from ..core.paths import AnyConfig
 from ..core.workers import Progress, worker_pool
 from ..exploration.mission import RunScore
 from ..io.directory import check_target
@@ -50,7 +51,7 @@ class ExploreOptions:
     until: str | int
     kill: Mapping[str, int] | None
     drop: float
-    config: Path | str | None
+    config: AnyConfig | None
     jobs: int
     executor: Executor | None
     out: Path | str | None
@@ -64,11 +65,6 @@ class ExploreOptions:
             raise UsageError(f"--seed: expected 0 or more, found {self.seed}")
         if not 0 <= self.drop < 1:
             raise UsageError(f"--drop: expected a share of messages from 0 to below 1, found {self.drop:g}")
-
-    @property
-    def settings(self) -> Path | None:
-        """The configuration file."""
-        return None if self.config is None else Path(self.config)
 
     def explore(
         self,

@@ -8,7 +8,7 @@ from typing import Any
 from ..core.config import load
 from ..core.errors import DataError, ReaderError, UsageError
 from ..core.names import in_order
-from ..core.paths import path_arguments
+from ..core.paths import AnyConfig, path_arguments
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..fusion.config import FuseConfig
 from ..fusion.join import fuse as join_maps
@@ -30,7 +30,7 @@ def fuse(
     weights: str | None = None,
     identities: str | None = None,
     truth: Truths = (),
-    config: Path | str | None = None,
+    config: AnyConfig | None = None,
     seed: int = 0,
     decisions: Path | str | Mapping[str, Any] | None = None,
     force: bool = False,
@@ -56,7 +56,7 @@ def fuse(
     truth
         What `evaluate` takes; used for scoring alone.
     config
-        A TOML file of settings, as `configuration("fuse")` prints them for landmarks and `configuration("fuse",
+        Settings, in a file or in memory as for `map`: as `configuration("fuse")` prints them, `configuration("fuse",
         laser=True)` for laser maps (the tables `merge` and `graph.joint` and `resolution`); options here win.
     seed
         Kept in the metrics; the result does not depend on it (0).
@@ -86,7 +86,6 @@ def fuse(
     >>> fuse([one, two]).maps[0].robots
     ('result1/robot1', 'result2/robot2')
     """
-    settings = None if config is None else Path(config)
     said = decisions_of_argument(decisions)
     with result_folders(directories, "directories") as given, truth_files(truth) as scores:
         if not given:
@@ -104,12 +103,12 @@ def fuse(
                 raise UsageError(f"{', '.join(asked)}: only for landmark results, found {given[0]}")
             names = distinct_names(given)
             result = fuse_laser(
-                given, names, config=settings, seed=seed, truth=scores, decisions=said, on_progress=on_progress
+                given, names, config=config, seed=seed, truth=scores, decisions=said, on_progress=on_progress
             )
         else:
             if decisions is not None:
                 raise UsageError(f"--decisions: only for laser results, found {given[0]}")
-            cfg = load(FuseConfig, settings, {"weights": weights, "identities": identities})
+            cfg = load(FuseConfig, config, {"weights": weights, "identities": identities})
             result = _fuse_landmarks(given, cfg, seed, scores, on_progress)
     if out is not None:
         result.write(out, force=force)

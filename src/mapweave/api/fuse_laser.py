@@ -8,6 +8,7 @@ from ..core.config import load
 from ..core.errors import DataError
 from ..core.findings import Finding
 from ..core.names import robot_name
+from ..core.paths import AnyConfig
 from ..core.workers import Progress
 from ..io.laser_state import holds_state, laser_homes, read_laser_states
 from ..laser.laser_map import LaserMap
@@ -28,7 +29,7 @@ def fuse_laser(
     folders: Sequence[Path],
     names: Sequence[str],
     *,
-    config: Path | None,
+    config: AnyConfig | None,
     seed: int,
     truth: Sequence[Path],
     decisions: DecisionsGiven | None,

@@ -7,6 +7,7 @@ import numpy as np
 from ..core.config import load
 from ..core.errors import DataError, EstimateError, UsageError
 from ..core.names import robot_key, robot_name
+from ..core.paths import AnyConfig
 from ..core.records import Event, Odometry, Sightings
 from ..core.run import Runner
 from ..core.se2 import wrap_angle
@@ -30,7 +31,7 @@ class LandmarkSlam:
     Parameters
     ----------
     config
-        Settings, or a TOML file of them as `configuration("map")` prints them (the defaults). A robot without wheels
+        Settings as `map` takes them (the defaults). A robot without wheels
         needs `odometry = false` in its table `[ekf]`.
     robot
         The robot's key, a whole number: `"2"` is robot 2.
@@ -50,11 +51,8 @@ class LandmarkSlam:
     ('post',)
     """
 
-    def __init__(self, config: LandmarkMapConfig | Path | str | None = None, *, robot: str = "1") -> None:
-        if config is None or isinstance(config, LandmarkMapConfig):
-            self.cfg = config or LandmarkMapConfig()
-        else:
-            self.cfg = load(LandmarkMapConfig, Path(config))
+    def __init__(self, config: AnyConfig | None = None, *, robot: str = "1") -> None:
+        self.cfg = load(LandmarkMapConfig, config)
         if not robot_key(robot).isdecimal():
             raise UsageError(f"robot: expected a whole number, found {robot!r}")
         self.robot = robot_name(robot)

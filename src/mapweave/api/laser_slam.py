@@ -1,11 +1,11 @@
 """Laser mapping while a robot drives: scans in as they come, the pose and its covariance out, a map at any time."""
 
-from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
 from ..core.config import load
 from ..core.errors import ConfigError, DataError
+from ..core.paths import AnyConfig
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.laser_stream import NOWHERE, LaserStream, Numbers
 from ..laser.beam import IntensityCalibration
@@ -14,7 +14,6 @@ from ..laser.laser_map import GridMap
 from ..laser.occupancy_mapper import render_keyframes
 from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import PoseEstimate
-from ..mapping.config import LaserConfig
 from ..mapping.laser_mapping import choose_feature, map_laser, map_session, with_calibrated_wheels
 from ..mapping.session import LaserSession
 from .laser_result import LaserResult
@@ -37,8 +36,7 @@ class LaserSlam:
     Parameters
     ----------
     config
-        Settings, or a TOML file of them as `configuration("map", laser=True)` prints them (the defaults). Its method
-        must be `graph`.
+        Settings as `map` takes them for laser logs (the defaults). The method must be `graph`.
     calibration
         Of this scanner's intensity, where it is known (from the log).
     robot
@@ -63,13 +61,16 @@ class LaserSlam:
 
     def __init__(
         self,
-        config: LaserConfig | Path | str | None = None,
+        config: AnyConfig | None = None,
         *,
         calibration: IntensityCalibration | None = None,
         robot: str = "1",
         seed: int = 0,
     ) -> None:
-        cfg = _configured(config)
+        cfg = load(LaserMapConfig, config).laser
+        cfg.check()
+        if cfg.method != "graph":
+            raise ConfigError(f"method: expected graph for scans that come one by one, found {cfg.method}")
         self.cfg, self.robot, self.seed = cfg, robot, seed
         self._calibrated = calibration is not None and cfg.feature != "none"
         feature = Feature("normalised", calibration) if self._calibrated else GEOMETRY
@@ -185,16 +186,3 @@ class LaserSlam:
         if graph is None:
             raise DataError("no scan came yet")
         return graph
-
-
-def _configured(config: LaserConfig | Path | str | None) -> LaserConfig:
-    if config is None:
-        cfg = LaserConfig(method="graph")
-    elif isinstance(config, LaserConfig):
-        cfg = config
-    else:
-        cfg = replace(load(LaserMapConfig, Path(config)).laser, method="graph")
-    cfg.check()
-    if cfg.method != "graph":
-        raise ConfigError(f"method: expected graph for scans that come one by one, found {cfg.method}")
-    return cfg

@@ -14,7 +14,7 @@ from ..core.findings import Finding, verdict
 from ..core.landmark_log import LandmarkLog
 from ..core.laser_log import LaserLog
 from ..core.names import in_order, robot_key
-from ..core.paths import path_arguments
+from ..core.paths import AnyConfig, path_arguments
 from ..core.workers import one_blas_thread
 from ..io.directory import check_target
 from ..live.inbox import Inbox
@@ -57,7 +57,7 @@ def live_robot(
     fresh: bool = False,
     linger: float = 30.0,
     seed: int = 0,
-    config: Path | str | None = None,
+    config: AnyConfig | None = None,
     ros: RosOptions | None = None,
     network: Network | None = None,
     stop: Event | None = None,
@@ -91,7 +91,7 @@ def live_robot(
     seed
         Of a simulated world (0).
     config
-        A TOML file of settings, as for `map`.
+        Settings, as for `map`.
     ros
         Which robot of which ROS graph, where the source is ros2 (the one of that name, or the only one, of domain 0).
     network
@@ -113,7 +113,6 @@ def live_robot(
         raise UsageError(f"--linger: expected seconds, found {linger}")
     network = network or Network()
     check_name(network.team, "--team")
-    settings = None if config is None else Path(config)
     path = Path("mapweave-live", f"{network.team}-{name}.sqlite") if history is None else Path(history)
     stop = stop or Event()
     if str(source) == ROS2:
@@ -124,7 +123,7 @@ def live_robot(
                 store.clear()
             run = _begun(store, "laser", period)
             options = ros or RosOptions()
-            sent, heard = drive_ros2(name, options, store, run, period, linger, settings, network, stop, say, wall)
+            sent, heard = drive_ros2(name, options, store, run, period, linger, config, network, stop, say, wall)
             return LiveRobot(name, sent, heard, path, store.sizes(name))
     if ros is not None:
         raise UsageError(f"--domain, --pattern, --graph, --sensor-pose, --all-scanners: of --source {ROS2} alone")
@@ -135,7 +134,7 @@ def live_robot(
         run = _begun(store, "laser" if isinstance(log, LaserLog) else "landmarks", period)
         header = next(messages(log, name, run, period))[1]
         assert isinstance(header, Header)  # noqa: S101  (the first of every log)
-        driving = _driving(header, settings)
+        driving = _driving(header, config)
         with session(network, lambda at: say(f"{name}: {LISTENING}{at}")) as opened:
             process = RobotProcess(name, opened, Topics(network.team), store, say, wall)
             process.join()
@@ -145,7 +144,7 @@ def live_robot(
             return LiveRobot(name, sent, process.heard_by, path, store.sizes(name))
 
 
-def _driving(header: Header, settings: Path | None) -> LandmarkRobot | LaserRobot:
+def _driving(header: Header, settings: AnyConfig | None) -> LandmarkRobot | LaserRobot:
     """The estimator that `map` would run."""
     if header.sensor == "landmarks":
         return LandmarkRobot(header, load(LandmarkMapConfig, settings).ekf)
@@ -180,7 +179,7 @@ def live_map(
     store: Path | str | None = None,
     fresh: bool = False,
     every: float = 2.0,
-    config: Path | str | None = None,
+    config: AnyConfig | None = None,
     seed: int = 0,
     force: bool = False,
     network: Network | None = None,
@@ -214,7 +213,7 @@ def live_map(
     every
         Seconds between two shared maps of laser robots while they drive; a quarter of it, of landmark robots (2).
     config
-        A TOML file of settings, as for `map`.
+        Settings, as for `map`.
     seed
         As for `map` (0).
     force
@@ -246,7 +245,7 @@ def live_map(
             "anyone who reaches this network could write the map: --tls FOLDER (mapweave live keys makes it), "
             "--listen tcp/127.0.0.1:7447 for this machine alone, or --insecure"
         )
-    options = MapOptions(config=None if config is None else Path(config), seed=seed)
+    options = MapOptions(config=config, seed=seed)
     known = start or {}
     landmarks, weaving = _landmark_config(options.config), _laser_config(options.config)
     path = out.with_name(f"{out.name}.sqlite") if store is None else Path(store)
@@ -275,7 +274,7 @@ def live_map(
     return result
 
 
-def _landmark_config(settings: Path | None) -> LandmarkMapConfig:
+def _landmark_config(settings: AnyConfig | None) -> LandmarkMapConfig:
     """How landmark robots are mapped and fused; the settings may also be of lasers. Raises ConfigError of neither."""
     try:
         return load(LandmarkMapConfig, settings)
@@ -298,13 +297,12 @@ def _with_starts(options: MapOptions, known: Mapping[str, Sequence[float]], inbo
     )
 
 
-def _laser_config(settings: Path | None) -> LaserConfig:
+def _laser_config(settings: AnyConfig | None) -> LaserConfig:
     """How laser robots are followed and woven; the settings may also be those of landmark robots."""
-    beneath = {"laser": {"method": "graph"}}
     try:
-        return load(LaserMapConfig, settings, beneath=beneath).laser
+        return load(LaserMapConfig, settings).laser
     except ConfigError:
-        return load(LaserMapConfig, None, beneath=beneath).laser
+        return LaserConfig()
 
 
 def _all_told(inbox: Inbox, robots: Sequence[str] | None) -> bool:

@@ -3,11 +3,10 @@
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import replace
-from pathlib import Path
 from threading import Event
 
 from ..core.errors import UsageError
-from ..core.paths import path_arguments
+from ..core.paths import AnyConfig, path_arguments
 from ..live.transport import Network
 from .live import live_robot
 from .live_result import LiveRobot
@@ -24,7 +23,7 @@ def live_robots(
     period: float = 1.0,
     fresh: bool = False,
     linger: float = 30.0,
-    config: Path | str | None = None,
+    config: AnyConfig | None = None,
     ros: RosOptions | None = None,
     network: Network | None = None,
     stop: Event | None = None,
@@ -47,7 +46,7 @@ def live_robots(
     linger
         How long they stay at most after `stop` for those who lack something [s] (30).
     config
-        A TOML file of settings, as for `map`.
+        Settings, as for `map`.
     ros
         Of which ROS graph; its `pattern` is not read.
     network

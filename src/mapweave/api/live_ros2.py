@@ -5,13 +5,13 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 from threading import Event
 
 import zenoh
 
 from ..core.config import load
 from ..core.errors import UsageError
+from ..core.paths import AnyConfig
 from ..live.laser_robot import LaserRobot
 from ..live.messages import Header, RefusedError
 from ..live.robot import Driving, Pace, RobotProcess
@@ -60,7 +60,7 @@ def drive_ros2(
     run: str,
     period: float,
     linger: float,
-    config: Path | None,
+    config: AnyConfig | None,
     network: Network,
     stop: Event,
     say: Say,

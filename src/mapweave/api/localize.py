@@ -12,7 +12,7 @@ from ..core.config import config as configuration
 from ..core.config import load
 from ..core.errors import ReaderError, UsageError
 from ..core.laser_log import LaserLog
-from ..core.paths import is_path, path_arguments, path_of
+from ..core.paths import AnyConfig, is_path, path_arguments, path_of
 from ..core.records import Track
 from ..core.run import robot_rng
 from ..core.version import __version__
@@ -44,7 +44,7 @@ NEAR, NEAR_ANGLE = 0.5, np.radians(10.0)  # a start that errs by less than this,
 class LocalizeJobConfig:
     """Settings of `localize`: the table `[laser]`, as of `map`, and `[localize]`."""
 
-    laser: LaserConfig = LaserConfig(method="graph")
+    laser: LaserConfig = LaserConfig()
     localize: LocaliseConfig = LocaliseConfig()
 
 
@@ -147,7 +147,7 @@ def localize(
     odometry: Columns | None = None,
     start: Sequence[float] | None = None,
     truth: Truth | None = None,
-    config: Path | str | None = None,
+    config: AnyConfig | None = None,
     laser: LaserOptions | None = None,
     seed: int = 0,
     force: bool = False,
@@ -173,7 +173,8 @@ def localize(
         A TUM trajectory in the map's frame, or a `Track` or a table in memory with the columns t [s], x [m], y [m],
         theta [rad]; used for scoring alone; one in another frame is told.
     config
-        A TOML file of settings, as `configuration("localize")` prints them; options here win.
+        Settings as `configuration("localize")` prints them: a TOML file, its tables as mappings, or an object of
+        a configuration class; options here win.
     laser
         Options of laser logs.
     seed
@@ -210,9 +211,7 @@ def localize(
     asked = laser or LaserOptions()
     grid, calibration, feature = _read_map(map)
     source = source_of(asked)
-    settings = load(
-        LocalizeJobConfig, None if config is None else Path(config), {"laser": {"particles": asked.particles}}
-    )
+    settings = load(LocalizeJobConfig, config, {"laser": {"particles": asked.particles}})
     cfg = settings.laser
     cfg.check()
     recording = _recording(log, drive, source)

@@ -12,7 +12,7 @@ from ..core.bearings import BearingTable
 from ..core.config import config as configuration
 from ..core.config import load
 from ..core.errors import DataError, UsageError
-from ..core.paths import is_path, path_arguments, path_of
+from ..core.paths import AnyConfig, is_path, path_arguments, path_of
 from ..core.records import Odometry
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..evaluation.swarm import StandingScore, score_moving, score_standing, scored_robots, true_places
@@ -68,7 +68,7 @@ def locate(
     truth: Path | str | Columns | None = None,
     covariance: bool | None = None,
     motion: TrackConfig | None = None,
-    config: Path | str | None = None,
+    config: AnyConfig | None = None,
     until: float | None = None,
     filtered: bool = False,
     seed: int = 0,
@@ -113,7 +113,8 @@ def locate(
     motion
         How robots move, where they do.
     config
-        A TOML file of settings, as `configuration("locate")` prints them; options here win.
+        Settings as `configuration("locate")` prints them: a TOML file, its tables as mappings, or an object of
+        a configuration class; options here win.
     until
         Use the first so many seconds [s] of stamped sightings only (all).
     filtered
@@ -142,7 +143,7 @@ def locate(
     >>> [round(v, 2) for v in found.estimate.position[2].tolist()]
     [1.0, 1.0]
     """
-    cfg = load(LocateConfig, None if config is None else Path(config))
+    cfg = load(LocateConfig, config)
     method = cfg.swarm.method if method is None else method
     if motion is None and cfg.motion != TrackConfig():
         motion = cfg.motion

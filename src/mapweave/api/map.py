@@ -11,7 +11,7 @@ from typing import Any, Protocol, cast, runtime_checkable
 from ..core.errors import UsageError, VerdictError
 from ..core.findings import verdict_line
 from ..core.laser_log import LaserLog
-from ..core.paths import kind_of, path_arguments, path_of
+from ..core.paths import AnyConfig, kind_of, path_arguments, path_of
 from ..core.workers import Progress, no_progress, one_blas_thread
 from ..io.directory import check_target, result_directory
 from ..io.kept import kept_parts
@@ -59,7 +59,8 @@ def map(  # noqa: A001  (the verb)
     share: Mapping[str, float] | Mapping[int, float] | None = None,
     start: Mapping[str, Sequence[float]] | Mapping[int, Sequence[float]] | None = None,
     truth: Truths | None = None,
-    config: Path | str | None = None,
+    resolution: float | None = None,
+    config: AnyConfig | None = None,
     seed: int = 0,
     jobs: int = 1,
     fuse_every: float | None = None,
@@ -113,8 +114,11 @@ def map(  # noqa: A001  (the verb)
         standard deviation of its place [m] may follow, and what was seen may overrule it.
     truth
         What `evaluate` takes; used for scoring alone, after the estimate.
+    resolution
+        Cell of the occupancy map [m] (0.1). Laser logs and mixed teams.
     config
-        A TOML file of settings, as `configuration("map")` prints them; options here win.
+        Settings as `configuration("map")` prints them: a TOML file, its tables as mappings, or an object of
+        a configuration class; options here win.
     seed
         Of everything drawn at random (0).
     jobs
@@ -183,7 +187,8 @@ def map(  # noqa: A001  (the verb)
         share={key_of(robot): part for robot, part in (share or {}).items()},
         start={key_of(robot): _start(key_of(robot), numbers) for robot, numbers in (start or {}).items()},
         start_sd={key_of(robot): float(numbers[3]) for robot, numbers in (start or {}).items() if len(numbers) > 3},
-        config=None if config is None else Path(config),
+        resolution=resolution,
+        config=config,
         seed=seed,
         jobs=jobs,
         fuse_every=fuse_every,
@@ -248,12 +253,10 @@ def _of_logs(logs: Sequence[Path | str | LaserLog], options: MapOptions) -> MapR
 
 def _expect_fitting(mapper: Mapper, log: Path, options: MapOptions) -> None:
     """Raises UsageError for an option that logs of another kind have."""
-    if (given := options.laser.given()) and mapper.__name__ != LASER:
+    if (given := options.laser_alone()) and mapper.__name__ != LASER:
         raise UsageError(f"{', '.join(given)}: only for laser logs, found {log}")
     if options.start_sd and mapper.__name__ != LASER:
         raise UsageError(f"--start: expected x,y,theta, found a sigma too: only for laser logs, found {log}")
-    if options.decisions is not None and mapper.__name__ != LASER:
-        raise UsageError(f"--decisions: only for laser logs, found {log}")
     if options.radios and mapper.__name__ != RANGES:
         raise UsageError(f"--radios: only for recordings of ranges, found {log}")
     if options.survey is not None and mapper.__name__ == LASER:
@@ -277,7 +280,7 @@ def _in_memory(scans: object, odometry: object, sightings: object, options: MapO
         if isinstance(odometry, list | tuple):
             raise UsageError("odometry: expected one table of all robots (t,robot,v,w), found several")
         rows = None if odometry is None else columns_of(odometry, "odometry")
-        if given := options.laser.given():
+        if given := options.laser_alone():
             raise UsageError(f"{', '.join(given)}: only for laser logs, found sightings")
         return map_tables(rows, columns_of(sightings, "sightings"), options)
     from ..io.laser_arrays import laser_log_of  # noqa: PLC0415

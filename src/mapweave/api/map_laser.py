@@ -33,7 +33,7 @@ Job = tuple[Path | LaserLog, str, LaserSource, LaserConfig, int, float]
 class LaserMapConfig:
     """Settings of `map` for laser logs: the table `[laser]` of the configuration file."""
 
-    laser: LaserConfig = LaserConfig(method="graph")
+    laser: LaserConfig = LaserConfig()
 
 
 def applies(log: Path) -> bool:
@@ -48,8 +48,8 @@ def map_logs(logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResul
     before = options.laser.resume
     if before is not None:
         return _going_on(before, logs, options)
-    held = _robots(logs, options, [])
     cfg = _configured(options)
+    held = _robots(logs, options, [])
     jobs = [(log, key, source, cfg, options.seed, options.share.get(key, 1.0)) for key, (log, source) in held.items()]
     maps = tuple(_with_idle_options(local_map, options) for local_map in _worked(jobs, options))
     if cfg.method != "graph":
@@ -172,18 +172,18 @@ def first_part(log: LaserLog, share: float) -> LaserLog:
 
 
 def _configured(options: MapOptions) -> LaserConfig:
-    """What is asked for. Where nobody names a method it is the graph, which alone closes loops and can be woven."""
+    """What is asked for."""
     asked = options.laser
     given = {
         "method": options.method,
+        "resolution": options.resolution,
         "particles": asked.particles,
         "feature": asked.feature,
         "likelihood": asked.likelihood,
         "resample": asked.resample,
         "graph": {"loops": False if asked.no_loops else None, "hypotheses": asked.particles},
     }
-    beneath = {"laser": {"method": LaserMapConfig().laser.method}}
-    cfg = load(LaserMapConfig, options.config, {"laser": given}, beneath).laser
+    cfg = load(LaserMapConfig, options.config, {"laser": given}).laser
     cfg.check()
     return cfg
 

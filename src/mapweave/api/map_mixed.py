@@ -65,7 +65,7 @@ from .mixed_told import carries, findings_of, mixed_metrics, robot_metrics
 from .team import Watch, team_maps
 
 METHODS = ("graph",)
-PLAIN = LaserConfig(method="graph", feature="none")
+PLAIN = LaserConfig(feature="none")
 
 
 @config
@@ -246,6 +246,7 @@ def _configured(options: MapOptions) -> MixedMapConfig:
         "method": "graph",
         "feature": asked.feature or "none",
         "particles": asked.particles,
+        "resolution": options.resolution,
         "graph": {"loops": False if asked.no_loops else None},
     }
     cfg = load(MixedMapConfig, options.config, {"fuse": {"weights": options.weights}, "laser": laser})

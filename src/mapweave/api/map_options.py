@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import ConfigError, ReaderError, UsageError
 from ..core.names import robot_key
+from ..core.paths import AnyConfig, is_path
 from ..core.workers import Progress, no_progress
 
 if TYPE_CHECKING:
@@ -86,7 +87,8 @@ class MapOptions:
     start: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
     start_sd: Mapping[str, float] = field(default_factory=dict)
     truth: tuple[Path, ...] = ()
-    config: Path | None = None
+    resolution: float | None = None
+    config: AnyConfig | None = None
     seed: int = 0
     jobs: int = 1
     fuse_every: float | None = None
@@ -103,6 +105,7 @@ class MapOptions:
     def check(self) -> None:
         """Raises UsageError naming the option that cannot be, ReaderError naming the file that is not there."""
         self._check_names()
+        expect_config(self.config)
         self.laser.check()
         if self.seed < 0:
             raise UsageError(f"--seed must be 0 or more, found {self.seed}")
@@ -112,16 +115,21 @@ class MapOptions:
             raise UsageError(f"--fuse-every must be more than 0 seconds, found {self.fuse_every}")
         if self.online and not self.refine:
             raise UsageError("--online: smooths while the logs play, and --no-refine leaves smoothing out: one of both")
+        if self.resolution is not None and not 0 < self.resolution < math.inf:
+            raise UsageError(f"--resolution must be more than 0 m, found {self.resolution}")
         for robot, part in self.share.items():
             if not 0 < part <= 1:
                 raise UsageError(f"--share of robot {robot} must be in (0, 1], found {part}")
         for robot, sd in self.start_sd.items():
             if not 0 < sd < math.inf:
                 raise UsageError(f"--start of robot {robot}: expected a sigma above 0 m, found {sd}")
-        if self.config is not None and not self.config.exists():
-            raise ConfigError(f"{self.config}: No such file or directory")
         files = (self.calibration, self.survey, self.decisions)
         expect_there((*self.truth, *(path for path in files if isinstance(path, Path))))
+
+    def laser_alone(self) -> list[str]:
+        """The options for laser logs alone that were given, as the command line spells them."""
+        beside = {"--resolution": self.resolution, "--decisions": self.decisions}
+        return [*self.laser.given(), *(name for name, value in beside.items() if value is not None)]
 
     def _check_names(self) -> None:
         if self.weights not in {None, *WEIGHTS}:
@@ -141,6 +149,12 @@ class MapOptions:
 def key_of(robot: object) -> str:
     """The key of a robot given by key, number or name: `"2"` of `2` and of `"robot2"`."""
     return robot_key(str(robot))
+
+
+def expect_config(given: AnyConfig | None) -> None:
+    """Raises ConfigError for a file that is not there."""
+    if is_path(given) and not Path(str(given)).exists():
+        raise ConfigError(f"{given}: No such file or directory")
 
 
 def expect_there(paths: Sequence[Path]) -> None:

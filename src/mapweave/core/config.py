@@ -5,11 +5,14 @@ key that has moved is named in the `MOVED` of the outermost class (old: new, dot
 """
 
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar, dataclass_transform
 
 from .errors import ConfigError
+from .paths import kind_of
 
 T = TypeVar("T")
 
@@ -47,30 +50,55 @@ def build(cls: type[T], values: dict[str, Any], where: str = "configuration") ->
         raise ConfigError(f"{where}: {'; '.join(dict.fromkeys(problems))}") from None
 
 
-def load(
-    cls: type[T], path: Path | None, overrides: dict[str, Any] | None = None, beneath: dict[str, Any] | None = None
-) -> T:
-    """`cls` from a TOML file (or its defaults) with `overrides` (nested; None means not given) on top.
+def load(cls: type[T], settings: object, overrides: dict[str, Any] | None = None) -> T:
+    """`cls` from settings (`AnyConfig`, or None: its defaults) with `overrides` (nested; None means not given) on top.
 
-    beneath: what holds where neither says anything, in place of the defaults of `cls`. A table of which some keys are
-    given has for the others what it has in `cls`, be that other than the defaults of the table's own type.
+    A table of which some keys are given has for the others what it has in `cls`, be that other than the defaults of the
+    table's own type. An object of `cls`, or of one of its tables, says all of its keys. Raises ConfigError that lists
+    every unknown key and bad value.
     """
-    values: dict[str, Any] = {}
-    if path is not None:
-        try:
-            values = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise ConfigError(f"{path}: {error.strerror}") from None
-        except tomllib.TOMLDecodeError as error:
-            raise ConfigError(_with_line(path, str(error))) from None
-        except UnicodeDecodeError as error:
-            raise ConfigError(f"{path}: {error}") from None
-        except RecursionError:
-            raise ConfigError(f"{path}: expected tables and lists, found them nested too deeply to read") from None
-    given = _merge(_merge(beneath or {}, values), overrides or {})
-    if path is None and not _says(given):
+    given = _merge({} if settings is None else _tables(cls, settings), overrides or {})
+    if settings is None and not _says(given):
         return cls()
-    return build(cls, _upon(cls(), given), str(path) if path else "options")
+    return build(cls, _upon(cls(), given), str(settings) if isinstance(settings, str | PathLike) else "options")
+
+
+def _tables(cls: type, settings: object) -> dict[str, Any]:
+    """What the settings say, as nested tables."""
+    if isinstance(settings, str | PathLike):
+        return _read(Path(settings))
+    if isinstance(settings, Mapping):
+        return dict(_plain(settings))
+    inside = {f.name: type(getattr(cls(), f.name)) for f in fields(cls)}
+    if type(settings) is cls:
+        return dict(_plain(settings))
+    for name, kind in inside.items():
+        if type(settings) is kind and is_dataclass(kind):
+            return {name: _plain(settings)}
+    known = ", ".join([cls.__name__, *(kind.__name__ for kind in inside.values() if is_dataclass(kind))])
+    raise ConfigError(f"config: expected a TOML file, its tables or an object of {known}, found {kind_of(settings)}")
+
+
+def _plain(value: Any) -> Any:
+    """Objects of settings within mappings and objects as nested tables."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    if hasattr(type(value), "__pydantic_config__"):
+        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+    return value
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(_with_line(path, str(error))) from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    except RecursionError:
+        raise ConfigError(f"{path}: expected tables and lists, found them nested too deeply to read") from None
 
 
 def expect_positive(cfg: object, where: str, *names: str) -> None:

@@ -1,17 +1,28 @@
-"""Arguments that are paths: what is handed over in place of one is refused by name, before anything is done."""
+"""Arguments that are paths or settings: what is handed over in place of one is refused by name, first of all."""
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import wraps
 from os import PathLike
 from pathlib import Path
 from types import NoneType
-from typing import ParamSpec, TypeVar, get_args
+from typing import Any, ClassVar, ParamSpec, Protocol, TypeVar, get_args, runtime_checkable
 
 from .errors import UsageError
 
 P = ParamSpec("P")
 T = TypeVar("T")
+
+
+@runtime_checkable
+class IsConfig(Protocol):
+    """An object of a configuration class."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+
+AnyConfig = Path | str | Mapping[str, Any] | IsConfig
+"""What a verb takes as `config`: a TOML file, its tables as mappings, or an object: of all settings or of one table."""
 
 
 def is_path(given: object) -> bool:
@@ -32,10 +43,14 @@ def kind_of(given: object) -> str:
 
 
 def path_arguments(verb: Callable[P, T]) -> Callable[P, T]:
-    """`verb` raises UsageError for anything but a path where its annotation is `Path | str`, or that and None."""
+    """`verb` raises UsageError for anything but a path where its annotation is `Path | str`, or that and None.
+
+    So it does for anything but settings where it is `AnyConfig | None`.
+    """
     parameters = inspect.signature(verb).parameters
     names = tuple(parameters)
     wanted: dict[str, bool] = {}
+    settings = {name for name, parameter in parameters.items() if parameter.annotation == AnyConfig | None}
     for name, parameter in parameters.items():
         kinds = get_args(parameter.annotation)
         if Path in kinds and all(kind in (Path, str, NoneType) for kind in kinds):
@@ -46,6 +61,10 @@ def path_arguments(verb: Callable[P, T]) -> Callable[P, T]:
         for name, given in (*zip(names, args, strict=False), *options.items()):
             if name in wanted and not (given is None and wanted[name]):
                 path_of(given, name)
+            if name in settings and not isinstance(given, (str, PathLike, Mapping, IsConfig, NoneType)):
+                raise UsageError(
+                    f"{name}: expected a TOML file, its tables or an object of settings, found {kind_of(given)}"
+                )
         return verb(*args, **options)
 
     return checked

@@ -67,7 +67,7 @@ class MomentConfig:
 class LaserTrackingConfig:
     """Settings of one laser log's trackers: method, particle filter, matching, occupancy, checks."""
 
-    method: str = "particle"  # how a log is mapped: particle, graph, gated or icp
+    method: str = "graph"  # how a log is mapped: graph, which alone closes loops, particle, gated or icp
     particles: int = 100  # hypotheses of the particle filter
     feature: str = "normalised"  # light sent back: normalised, raw or none
     likelihood: str = "matched"  # what weighs particles: matched, or as in the paper

@@ -16,12 +16,12 @@ WHEELS = FrontEndConfig(sd_xy=0.01, sd_xy_per_m=0.06, sd_turn=0.01, sd_turn_per_
 ICP = LaserConfig(method="icp")
 GATED = LaserConfig(method="gated", matcher="icp", front_end=WHEELS, gate_sd_xy=0.0, gate_sd_turn=0.0)
 # The paper's filter to the letter: raw intensity, eqs. 7 to 9, every scan weighs and is followed by resampling.
-PRINTED = LaserConfig(feature="raw", filter=PAPER_FILTER, likelihood="paper", resample=1.0)
+PRINTED = LaserConfig(method="particle", feature="raw", filter=PAPER_FILTER, likelihood="paper", resample=1.0)
 # Odometry proposes as in the paper, each particle is then refined across the walls of its own map: of all ways to map
 # without light that were tried the one that errs least on wheels that are good over a step.
 WHEELS_PROPOSE = replace(PAPER_FILTER, refine_iterations=3)
 
-GRAPH = LaserConfig(method="graph")
+GRAPH = LaserConfig()
 WHEELS_KNOWN = replace(GRAPH, feature="none", front_end=WHEELS)  # told how good the wheels are; no light
 
 
@@ -38,7 +38,7 @@ class Method(NamedTuple):
 
 def methods(particles: int) -> tuple[Method, ...]:
     """In the order of the paper; matching and filtering with geometry alone and with intensity."""
-    ours = LaserConfig(particles=particles)
+    ours = LaserConfig(method="particle", particles=particles)
     printed = replace(PRINTED, particles=particles)
     return (
         Method("odometry", "Fig. 4", None),
