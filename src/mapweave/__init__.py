@@ -8,6 +8,7 @@
 Verbs, each with its options in `help(mapweave.map)` and so on:
 
     map, fuse               one map of the logs of a team; of several results
+    load                    a result read back from its folder
     evaluate                the score of a result against what is true
     view                    a result in the browser or in the Rerun viewer
     localize                a robot found and followed in a finished laser map
@@ -52,6 +53,8 @@ if TYPE_CHECKING:
     from .api.live_robots import live_robots as live_robots
     from .api.live_ros2 import RosOptions as RosOptions
     from .api.live_view import live_view as live_view
+    from .api.load import load as load
+    from .api.localize import LocalizeJobConfig as LocalizeJobConfig
     from .api.localize import LocalizeResult as LocalizeResult
     from .api.localize import localize as localize
     from .api.locate import LocateConfig as LocateConfig
@@ -60,6 +63,8 @@ if TYPE_CHECKING:
     from .api.map import map as map  # noqa: A004
     from .api.map_landmarks import LandmarkMapConfig as LandmarkMapConfig
     from .api.map_laser import LaserMapConfig as LaserMapConfig
+    from .api.map_mixed import MixedMapConfig as MixedMapConfig
+    from .api.map_mixed import MixedResult as MixedResult
     from .api.map_options import LaserOptions as LaserOptions
     from .api.moving_result import Moved as Moved
     from .api.ranges import RangeResult as RangeResult
@@ -122,6 +127,7 @@ _HOMES: dict[str, str] = {
     "evaluate": "api.evaluate",
     "explore": "api.explore",
     "fuse": "api.fuse",
+    "load": "api.load",
     "localize": "api.localize",
     "locate": "api.locate",
     "map": "api.map",
@@ -161,6 +167,7 @@ _HOMES: dict[str, str] = {
     "LocalizeResult": "api.localize",
     "Located": "api.located",
     "MapResult": "api.result",
+    "MixedResult": "api.map_mixed",
     "Moved": "api.moving_result",
     "RelationEvaluation": "api.evaluate_relations",
     "Result": "api.result",
@@ -188,7 +195,9 @@ _HOMES: dict[str, str] = {
     "LandmarkMapConfig": "api.map_landmarks",
     "LaserConfig": "mapping.config",
     "LaserMapConfig": "api.map_laser",
+    "LocalizeJobConfig": "api.localize",
     "LocateConfig": "api.locate",
+    "MixedMapConfig": "api.map_mixed",
     "LaserMissionConfig": "exploration.laser.config",
     # data and progress
     "BearingTable": "core.bearings",
@@ -234,11 +243,14 @@ __all__ = (
     "LaserResult",
     "LaserSlam",
     "LiveRobot",
+    "LocalizeJobConfig",
     "LocalizeResult",
     "LocateConfig",
     "Located",
     "MapResult",
     "MapweaveError",
+    "MixedMapConfig",
+    "MixedResult",
     "Moved",
     "Network",
     "OfficeConfig",
@@ -277,6 +289,7 @@ __all__ = (
     "live_robot",
     "live_robots",
     "live_view",
+    "load",
     "localize",
     "locate",
     "map",

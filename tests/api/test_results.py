@@ -4,12 +4,15 @@ import inspect
 import json
 import math
 import re
+import shutil
+import zipfile
 from typing import get_args
 
 import pytest
 from matplotlib.figure import Figure
 
 import mapweave
+from mapweave.io.directory import plain
 from mapweave.report.html import HOLDS
 
 HEAD = 8_000  # bytes of a page's head, however large the result
@@ -56,6 +59,16 @@ def drives_live(home):
     return mapweave.live_robot("r1", log, **options)
 
 
+def two_lasers(home):
+    world = mapweave.CorridorConfig(distance=6.0)
+    return mapweave.map([mapweave.simulate_laser(world=world, seed=k).log for k in (1, 2)])
+
+
+def mixed(home):
+    mapweave.simulate_team(home / "mixed", lasers=1, cameras=1, bearings=0, landmarks=8, minutes=0.5)
+    return mapweave.map(home / "mixed")
+
+
 RESULTS = {
     # what gives it: (the type, how it is had from `home`, its file of metrics)
     "map": (mapweave.TeamResult, lambda home: mapweave.map(home / "team", truth=home / "team"), "metrics.json"),
@@ -64,6 +77,8 @@ RESULTS = {
         lambda home: mapweave.map(home / "drive.mcap", method="gated", truth=home / "drive.truth.tum"),
         "metrics.json",
     ),
+    "map, lasers": (mapweave.LaserResult, two_lasers, "metrics.json"),
+    "map, mixed": (mapweave.MixedResult, mixed, "metrics.json"),
     "fuse": (mapweave.TeamResult, lambda home: mapweave.fuse(home / "team-map"), "metrics.json"),
     "locate": (mapweave.Located, lambda home: mapweave.locate(home / "swarm.csv"), "metrics.json"),
     "locate, moving": (mapweave.Moved, moving, "metrics.json"),
@@ -115,7 +130,7 @@ RESULTS = {
 }
 
 
-MARKS = {"reproduce hamatani": pytest.mark.long, "explore, laser": pytest.mark.slow}
+MARKS = {"reproduce hamatani": pytest.mark.long, "explore, laser": pytest.mark.slow, "map, mixed": pytest.mark.slow}
 PARAMS = [pytest.param(name, marks=MARKS.get(name, ())) for name in sorted(RESULTS)]
 
 
@@ -182,6 +197,78 @@ def kept_figures(made):
     """Of results that are no map: statistics over many runs, scores, checks and what was told."""
     no_map = mapweave.HamataniReproduction | mapweave.Evaluation | mapweave.Diagnosis | mapweave.LiveRobot
     return isinstance(made, no_map)
+
+
+def bytes_of(folder):
+    """Every file but for pages, pictures and what a run took."""
+    paths = [p for p in folder.rglob("*") if p.is_file() and p.suffix not in {".html", ".png"}]
+    out = {p.relative_to(folder).as_posix(): p.read_bytes() for p in paths}
+    for name in {"metrics.json", "simulation.json"} & out.keys():
+        out[name] = {k: v for k, v in json.loads(out[name]).items() if k != "timing"}
+    return out
+
+
+def test_a_result_is_loaded_as_it_was_written(result, tmp_path):
+    made, file = result
+    if file is None:
+        pytest.skip("a log and its truth, no folder")
+    made.write(tmp_path / "out")
+    again = mapweave.load(tmp_path / "out", type(made))
+    assert again.summary() == made.summary()
+    told = json.loads(json.dumps(plain(again.metrics)))
+    held = json.loads((tmp_path / "out" / file).read_text(encoding="utf-8"))
+    assert {**told, "timing": 0} == {**held, "timing": 0}
+    again.write(tmp_path / "again")
+    assert bytes_of(tmp_path / "again") == bytes_of(tmp_path / "out")
+
+
+def broken(folder, how):
+    if how == "half copied":
+        (folder / "trajectories" / "robot1.tum").unlink()
+    elif how == "edited":
+        path = folder / "trajectories" / "robot1.tum"
+        path.write_text(path.read_text().replace("1", "2", 1))
+    elif how == "metrics edited":
+        path = folder / "metrics.json"
+        path.write_text(path.read_text().replace('"seed": 0', '"seed": 1'))
+    elif how == "another version":
+        with zipfile.ZipFile(folder / "result.npz") as held:
+            parts = {name: held.read(name) for name in held.namelist()}
+        with zipfile.ZipFile(folder / "result.npz", "w") as held:
+            for name, part in parts.items():
+                held.writestr(name, part.replace(b'"frame"', b'"Frame"'))
+    elif how == "torn":
+        path = folder / "result.npz"
+        path.write_bytes(path.read_bytes()[:-500])
+    elif how == "none":
+        (folder / "result.npz").unlink()
+
+
+@pytest.mark.parametrize(
+    ("how", "told"),
+    [
+        ("half copied", r"robot1\.tum: no such file.*not whole"),
+        ("edited", r"robot1\.tum: it is not as the result wrote it"),
+        ("metrics edited", r"metrics\.json: seed: it is not as the result wrote it"),
+        ("another version", r"result\.npz: mapweave .* wrote it, whose .* is not this one's: make the result again"),
+        ("torn", r"result\.npz: expected a result"),
+        ("none", r"result\.npz: no such file: the result is not whole, or of an earlier version"),
+    ],
+)
+def test_a_folder_that_is_not_the_result_any_more_is_refused_in_one_line(home, tmp_path, how, told):
+    shutil.copytree(home / "team-map", tmp_path / "out")
+    assert mapweave.load(tmp_path / "out", mapweave.TeamResult).maps[0].robots == ("robot1", "robot2")
+    broken(tmp_path / "out", how)
+    with pytest.raises(mapweave.ReaderError, match=told) as error:
+        mapweave.load(tmp_path / "out")
+    assert "\n" not in str(error.value)
+
+
+def test_no_folder_of_a_result_and_a_result_of_another_kind_are_refused(home, tmp_path):
+    with pytest.raises(mapweave.ReaderError, match=r"expected a mapweave result with metrics\.json, found none"):
+        mapweave.load(tmp_path)
+    with pytest.raises(mapweave.UsageError, match="expected a LaserResult, found a TeamResult"):
+        mapweave.load(home / "team-map", mapweave.LaserResult)
 
 
 FACE = {"metrics", "summary", "write", "plot", "_repr_html_"}

@@ -8,7 +8,6 @@ from ..core.paths import path_arguments
 from ..core.workers import Progress, no_progress
 from ..io.directory import check_target, result_directory
 from ..io.mrclam import write_mrclam
-from ..report.html import list_files
 from ..sim.landmarks import TeamWorld, simulate_team
 from .map_landmarks import map_logs
 from .map_options import MapOptions
@@ -58,5 +57,5 @@ def demo(
     with result_directory(target, force=force) as work:
         result.write_into(work)
         write_mrclam(work / "recording", team)
-        list_files(work)
+        result.finish(work)
     return result

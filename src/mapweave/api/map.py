@@ -18,7 +18,6 @@ from ..io.kept import kept_parts
 from ..io.laser_logs import is_bag
 from ..io.table import Columns, columns_of
 from ..io.unknown import not_known
-from ..report.html import list_files
 from .cluster import cluster_executor
 from .in_memory import Truths, decisions_of_argument, truth_files
 from .map_options import LANDMARK_METHODS, LaserOptions, MapOptions, expect_there, key_of
@@ -223,7 +222,7 @@ def map(  # noqa: A001  (the verb)
                     from ..io.result_mcap import write_result_mcaps  # noqa: PLC0415  (only who asks for it waits for it)
 
                     write_result_mcaps(work)
-                list_files(work)
+                result.finish(work)
     if strict and result.verdict != "good":
         raise VerdictError(verdict_line(result.findings), result)
     return result

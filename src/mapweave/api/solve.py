@@ -21,7 +21,6 @@ from ..io.table import open_text
 from ..io.tum import write_track_covariance, write_tum
 from ..laser.pose_graph import PoseGraph
 from ..laser.robust_graph import RobustGraphConfig, SolvedGraph, solve_graph
-from ..report.html import list_files
 from ..report.result import ResultBase
 from ..report.solve import draw_graph, write_solve_report
 from ..report.style import Target
@@ -177,7 +176,7 @@ def solve_pose_graph(
     if out is not None:
         with result_directory(Path(out), force=force) as work:
             result.write_into(work)
-            list_files(work)
+            result.finish(work)
     return result
 
 

@@ -43,6 +43,7 @@ HOLDS = {
     "pose_graph.g2o": "poses and edges, for GTSAM, g2o and others",
     "positions.csv": "where each robot is, with covariances",
     "recording": "the simulated recordings, which map reads again",
+    "result.npz": "the result itself, which mapweave.load gives back",
     "result.mcap": "map, paths and landmarks, for RViz and Foxglove",
     "robot_graph.npz": "keyframes with their returns, steps and closures",
     "runs.csv": "a row for each run, with its scores",

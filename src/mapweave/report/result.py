@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
 from ..core.paths import path_of
 from ..core.signatures import readable
 from ..io.directory import result_directory
+from ..io.saved_result import write_result
 from .html import list_files
 
 if TYPE_CHECKING:
@@ -70,7 +71,12 @@ class ResultBase(ABC):
         """
         with result_directory(path_of(folder, "folder"), force=force) as work:
             self.write_into(work)
-            list_files(work)
+            self.finish(work)
+
+    def finish(self, folder: Path) -> None:
+        """`folder`, into which all is written, holds what `load` reads, and its page lists the files there."""
+        write_result(folder, self)
+        list_files(folder)
 
     def plot(self) -> "Figure":
         """The main picture as a Matplotlib figure."""
