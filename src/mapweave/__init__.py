@@ -8,6 +8,7 @@
 Verbs, each with its options in `help(mapweave.map)` and so on:
 
     map, fuse               one map of the logs of a team; of several results
+    read                    a log of any format: its robots, events, tables
     load                    a result read back from its folder
     evaluate                the score of a result against what is true
     view                    a result in the browser or in the Rerun viewer
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from .api.evaluate_relations import RelationEvaluation as RelationEvaluation
     from .api.evaluate_swarm import SwarmEvaluation as SwarmEvaluation
     from .api.evaluate_team import TeamEvaluation as TeamEvaluation
+    from .api.evaluate_tracks import TrackEvaluation as TrackEvaluation
     from .api.explore import LandmarkExploration as LandmarkExploration
     from .api.explore import explore as explore
     from .api.explore_laser import LaserExploration as LaserExploration
@@ -69,6 +71,8 @@ if TYPE_CHECKING:
     from .api.moving_result import Moved as Moved
     from .api.ranges import RangeResult as RangeResult
     from .api.ranges import solve_ranges as solve_ranges
+    from .api.read import Log as Log
+    from .api.read import read as read
     from .api.result import MapResult as MapResult
     from .api.result import Result as Result
     from .api.simulate_landmarks import SimulatedTeam as SimulatedTeam
@@ -131,6 +135,7 @@ _HOMES: dict[str, str] = {
     "localize": "api.localize",
     "locate": "api.locate",
     "map": "api.map",
+    "read": "api.read",
     "reproduce_hamatani": "papers.hamatani.reproduce",
     "reproduce_hara": "papers.hara.reproduce",
     "reproduce_kojima": "papers.kojima.reproduce",
@@ -180,6 +185,7 @@ _HOMES: dict[str, str] = {
     "SwarmEvaluation": "api.evaluate_swarm",
     "TeamEvaluation": "api.evaluate_team",
     "TeamResult": "api.team",
+    "TrackEvaluation": "api.evaluate_tracks",
     "YuanReproduction": "papers.yuan.reproduce",
     # options and worlds
     "CorridorConfig": "sim.corridor",
@@ -202,6 +208,7 @@ _HOMES: dict[str, str] = {
     # data and progress
     "BearingTable": "core.bearings",
     "LaserLog": "core.laser_log",
+    "Log": "api.read",
     "Finding": "core.findings",
     "PoseGraph": "laser.pose_graph",
     "Progress": "core.workers",
@@ -247,6 +254,7 @@ __all__ = (
     "LocalizeResult",
     "LocateConfig",
     "Located",
+    "Log",
     "MapResult",
     "MapweaveError",
     "MixedMapConfig",
@@ -273,6 +281,7 @@ __all__ = (
     "TeamResult",
     "Track",
     "TrackConfig",
+    "TrackEvaluation",
     "TunnelConfig",
     "UsageError",
     "VerdictError",
@@ -293,6 +302,7 @@ __all__ = (
     "localize",
     "locate",
     "map",
+    "read",
     "reproduce_hamatani",
     "reproduce_hara",
     "reproduce_kojima",

@@ -15,7 +15,7 @@ import mapweave
 from mapweave.io.directory import plain
 from mapweave.report.html import HOLDS
 
-HEAD = 8_000  # bytes of a page's head, however large the result
+HEAD = 200_000  # bytes of a page's head with its picture, however large the result
 
 
 @pytest.fixture(scope="session")
@@ -158,6 +158,7 @@ def test_a_results_page_head_is_small_and_says_what_the_summary_says(result):
     head = made._repr_html_()
     assert len(head.encode()) < HEAD
     assert head.startswith("<div>")
+    assert '<img alt="the map"' in head
     assert head.count("<tr>") >= 2
     first = made.summary().splitlines()[0][:40]
     assert first.split("<")[0].split("&")[0].split("'")[0] in head
@@ -197,6 +198,17 @@ def kept_figures(made):
     """Of results that are no map: statistics over many runs, scores, checks and what was told."""
     no_map = mapweave.HamataniReproduction | mapweave.Evaluation | mapweave.Diagnosis | mapweave.LiveRobot
     return isinstance(made, no_map)
+
+
+def test_a_picture_goes_onto_an_axis_of_ones_own(home):
+    made, axes = mapweave.load(home / "team-map"), Figure().subplots(1, 2)
+    assert made.plot(axes[1]) is axes[1].figure
+    assert axes[1].has_data()
+    assert not axes[0].has_data()
+    mapweave.load(home / "swarm-places").plot(axes[0])
+    assert axes[0].has_data()
+    with pytest.raises(mapweave.UsageError, match="ax: this picture has several parts"):
+        mapweave.doctor().plot(axes[0])
 
 
 def bytes_of(folder):
@@ -272,7 +284,7 @@ def test_no_folder_of_a_result_and_a_result_of_another_kind_are_refused(home, tm
 
 
 FACE = {"metrics", "summary", "write", "plot", "_repr_html_"}
-NO_RESULT = {"configuration", "live_keys", "live_view", "view"}  # text, folders, nothing
+NO_RESULT = {"configuration", "live_keys", "live_view", "read", "view"}  # text, folders, a log, nothing
 PROTOCOLS = {mapweave.Result, mapweave.MapResult, mapweave.Evaluation}
 
 
@@ -307,7 +319,7 @@ def test_every_result_type_that_is_offered_is_tried_here_or_is_a_reproduction():
     tried = {kind for kind, _, _ in RESULTS.values()}
     left = {kind.__name__ for kind in results - tried - PROTOCOLS}
     papers = {"HaraReproduction", "KojimaReproduction", "YuanReproduction"}
-    assert left == {*papers, "RelationEvaluation"}
+    assert left == {*papers, "RelationEvaluation", "TrackEvaluation"}
     for name in left:
         kind = getattr(mapweave, name)
         assert not kind.__abstractmethods__

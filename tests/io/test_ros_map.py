@@ -78,7 +78,7 @@ def test_in_a_plain_image_dark_is_wall_and_sixteen_bits_are_understood(tmp_path)
         (YAML.replace("negate: 0", "negate: 7"), "negate: expected 0 or 1, found 7"),
         (YAML + "mode: sepia\n", "mode: expected trinary, scale or raw, found 'sepia'"),
         (YAML.replace("plan.png", "other.png"), "other.png: expected an image, found no such file"),
-        (YAML + "just words\n", "map.yaml:7: expected `key: value`, found 'just words'"),
+        (YAML + "just words\n", "map.yaml:8: expected a ROS map.yaml: could not find expected"),
     ],
 )
 def test_a_damaged_map_is_refused_in_one_line_that_names_the_file(tmp_path, text, told):

@@ -1,6 +1,7 @@
 """Scores against truth: which kind of truth it is decides who judges."""
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, cast, runtime_checkable
@@ -9,6 +10,8 @@ from ..core.errors import DataError, ReaderError, UsageError
 from ..core.paths import path_arguments
 from ..core.workers import one_blas_thread
 from ..report.result import ResultBase
+from .evaluate_tracks import evaluate as evaluate_track
+from .evaluate_tracks import is_track
 from .in_memory import Truths, result_folder, truth_files
 from .result import Result
 
@@ -54,7 +57,7 @@ def evaluate(directory: Path | str | ResultBase, truth: Truths) -> Evaluation:
     Parameters
     ----------
     directory
-        What `map`, `fuse`, `locate` or `localize` wrote, or gave.
+        What `map`, `fuse`, `locate` or `localize` wrote, or gave; or a trajectory alone, as a TUM file.
     truth
         One or more files of one kind: an MRCLAM data set, a survey `id,x,y` (.csv), TUM trajectories (of robot K where
         the name holds `robotK`, else in the order given), relations, or the true positions of a swarm. Or tables in
@@ -76,15 +79,19 @@ def evaluate(directory: Path | str | ResultBase, truth: Truths) -> Evaluation:
     >>> result = map("team", "out")
     >>> evaluate("out", "team").metrics["landmark_n"]
     7
+    >>> evaluate("out/trajectories/robot1.tum", "out/trajectories/robot1.tum").metrics["ape"]["rmse"]  # as evo_ape
+    0.0
     >>> x, y = zip(*team.landmarks.values())
     >>> survey = {"id": list(team.landmarks), "x": x, "y": y}
     >>> evaluate(result, survey).metrics["landmark_n"]
     7
     """
-    with result_folder(directory, "directory") as folder, truth_files(truth) as paths:
+    alone = is_track(directory)
+    folders = nullcontext(Path(str(directory))) if alone else result_folder(directory, "directory")
+    with folders as folder, truth_files(truth) as paths:
         if not paths:
             raise UsageError("truth: expected paths or tables in memory, found none")
-        evaluation = judged(folder, paths)
+        evaluation: Evaluation = evaluate_track(folder, paths) if alone else judged(folder, paths)
         if evaluation.unscored:
             raise DataError(f"{', '.join(map(str, paths))}: nothing to score: {evaluation.unscored}; {RULE}")
         return evaluation

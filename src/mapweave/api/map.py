@@ -8,8 +8,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, cast, runtime_checkable
 
-from ..core.errors import UsageError, VerdictError
+from ..core.errors import DataError, UsageError, VerdictError
 from ..core.findings import verdict_line
+from ..core.landmark_log import LandmarkLog
 from ..core.laser_log import LaserLog
 from ..core.paths import AnyConfig, kind_of, path_arguments, path_of
 from ..core.workers import Progress, no_progress, one_blas_thread
@@ -21,6 +22,7 @@ from ..io.unknown import not_known
 from .cluster import cluster_executor
 from .in_memory import Truths, decisions_of_argument, truth_files
 from .map_options import LANDMARK_METHODS, LaserOptions, MapOptions, expect_there, key_of
+from .read import Log, parts_of
 from .result import MapResult
 
 
@@ -46,7 +48,7 @@ MAPPERS: tuple[str, ...] = (
 @path_arguments
 @one_blas_thread()
 def map(  # noqa: A001  (the verb)
-    logs: Path | str | LaserLog | Sequence[Path | str | LaserLog] | None = None,
+    logs: Path | str | LaserLog | Log | Sequence[Path | str | LaserLog | Log] | None = None,
     out: Path | str | None = None,
     *,
     scans: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
@@ -87,8 +89,8 @@ def map(  # noqa: A001  (the verb)
     ----------
     logs
         MRCLAM data sets (folder or zip), folders of `odometry.csv` and `sightings.csv`, laser logs (.bag, .db3, .mcap,
-        CARMEN and others), or `LaserLog`s in memory. Logs of several kinds together, and tables of commands and
-        sightings beside them, are a mixed team. Leave it out where tables are given.
+        CARMEN and others), what `read` gave, or `LaserLog`s in memory. Logs of several kinds together, and tables of
+        commands and sightings beside them, are a mixed team. Leave it out where tables are given.
     out
         The folder to write; an earlier result there is replaced whole.
     scans
@@ -228,14 +230,12 @@ def map(  # noqa: A001  (the verb)
     return result
 
 
-def _of_logs(logs: Sequence[Path | str | LaserLog], options: MapOptions) -> MapResult:
-    """The map of files, or of laser logs that are in memory already."""
-    ready = [log for log in logs if isinstance(log, LaserLog)]
-    if ready:
-        if len(ready) < len(logs):
-            raise UsageError("expected files or logs in memory, found both")
-        return _laser(ready, options)
-    paths = [path_of(log, "logs", "paths or LaserLogs") for log in logs]
+def _of_logs(logs: Sequence[Path | str | LaserLog | Log], options: MapOptions) -> MapResult:
+    """The map of files, or of logs that are in memory already."""
+    logs = parts_of(logs)
+    if any(isinstance(log, LaserLog | LandmarkLog) for log in logs):
+        return _of_read(logs, options)
+    paths = [path_of(log, "logs", "paths, LaserLogs or what read gave") for log in logs]
     if options.laser.columns is not None and paths:
         expect_there(paths)
         return _laser(paths, options)
@@ -260,6 +260,25 @@ def _expect_fitting(mapper: Mapper, log: Path, options: MapOptions) -> None:
         raise UsageError(f"--radios: only for recordings of ranges, found {log}")
     if options.survey is not None and mapper.__name__ == LASER:
         raise UsageError(f"--survey: only for landmarks, found {log}")
+
+
+def _of_read(logs: Sequence[object], options: MapOptions) -> MapResult:
+    """The map of logs that were read already, all of one kind."""
+    lasers = [log for log in logs if isinstance(log, LaserLog)]
+    if len(lasers) == len(logs):
+        return _laser(lasers, options)
+    seen = [log for log in logs if isinstance(log, LandmarkLog)]
+    if len(seen) < len(logs):
+        raise UsageError("logs: expected files, or logs in memory of one kind, found both; a mixed team is of files")
+    if given := options.laser_alone():
+        raise UsageError(f"{', '.join(given)}: only for laser logs, found landmarks")
+    from .map_landmarks import map_landmark_logs  # noqa: PLC0415  (each kind of log imports what it needs)
+
+    wanted = options.robots
+    if missing := [key for key in wanted or () if key not in {key_of(log.robot) for log in seen}]:
+        raise DataError(f"--robots: there is no robot {missing[0]}")
+    chosen = [log for log in seen if wanted is None or key_of(log.robot) in wanted]
+    return map_landmark_logs(chosen, options, "One map from logs in memory")
 
 
 def _is_mixed(paths: Sequence[Path]) -> bool:

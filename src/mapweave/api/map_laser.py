@@ -109,7 +109,7 @@ def _robots(
 ) -> dict[str, tuple[Path | LaserLog, LaserSource]]:
     """Key of each robot asked for -> its log and where in it; numbers follow those that are `there`."""
     source = source_of(options.laser)
-    robots = [(log, replace(source, name=name)) for log in logs for name in _names(log, source)]
+    robots = [(log, of) for log in logs for of in sources_of(log, source)]
     held = dict(zip(next_robots(there, len(robots)), robots, strict=True))
     wanted = list(held) if options.robots is None else list(options.robots)
     if missing := [name for name in wanted if name not in held]:
@@ -117,8 +117,10 @@ def _robots(
     return {name: held[name] for name in wanted}
 
 
-def _names(log: Path | LaserLog, source: LaserSource) -> tuple[str | None, ...]:
-    return (None,) if isinstance(log, LaserLog) else tuple(robots_of(log, source))
+def sources_of(log: Path | LaserLog, source: LaserSource) -> list[LaserSource]:
+    """Where in `log` each of its robots is."""
+    names = (None,) if isinstance(log, LaserLog) else robots_of(log, source)
+    return [replace(source, name=name) for name in names]
 
 
 def source_of(asked: LaserOptions) -> LaserSource:

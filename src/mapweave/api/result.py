@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -20,14 +21,14 @@ class Result(Protocol):
     """What the result of every verb can do.
 
     metrics: what stands in `metrics.json`; summary: a few lines for people; write: the files the command writes;
-    plot: the main picture; notebooks show the head of a page.
+    plot: the main picture; notebooks show the head of a page with it.
     """
 
     @property
     def metrics(self) -> dict[str, Any]: ...
     def summary(self) -> str: ...
     def write(self, folder: Path | str, *, force: bool = False) -> None: ...
-    def plot(self) -> "Figure": ...
+    def plot(self, ax: "Axes | None" = None) -> "Figure": ...
     def _repr_html_(self) -> str: ...
 
 
@@ -74,9 +75,11 @@ class EvaluationBase(ResultBase):
     def add_to(self, folder: Path, truth: Sequence[Path]) -> None:
         """The result scored holds this score: `evaluation` in its `metrics.json`, and the end of its `report.html`.
 
-        A file that is not there is left so. Raises ReaderError where metrics.json is damaged, OSError where nothing can
-        be written.
+        A file that is not there is left so, a trajectory that was scored alone too. Raises ReaderError where
+        metrics.json is damaged, OSError where nothing can be written.
         """
+        if folder.is_file():
+            return
         metrics, report = folder / "metrics.json", folder / "report.html"
         held = read_json(metrics)
         if report.is_file():

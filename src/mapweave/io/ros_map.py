@@ -1,6 +1,7 @@
 """Maps as ROS navigation tools write them: `map.yaml` beside a PGM or PNG; and plain images as floor plans."""
 
-import ast
+import json
+import re
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -10,18 +11,18 @@ import numpy as np
 from jaxtyping import Bool, Float, Int8, UInt8
 from PIL import Image, UnidentifiedImageError
 
-from ..core.errors import ReaderError
+from ..core.errors import ReaderError, UsageError
 from ..core.records import frozen
 from ..core.walls import Walls, walls_of_raster
-from ..laser.laser_map import GridMap
+from ..laser.laser_map import FREE_BELOW, OCCUPIED_ABOVE, GridMap
 from ..laser.occupancy import Occupancy
 from .table import open_text
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 1
 KEYS = ("image", "resolution", "origin")
-OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.196  # probabilities: thresholds written, and assumed where a map names none
 LARGEST = 1e9  # [m or m a pixel]: what a map says is less
 BLACK, GREY, WHITE = 0, 205, 254
+PLAIN = re.compile(r"[A-Za-z][\w.-]*")  # names that YAML takes for text as they are
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,37 +133,20 @@ def _read_image(path: Path, most_pixels: int | None) -> Float[np.ndarray, "rows 
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
-    """Keys and values of the flat YAML that ROS writes: scalars, and lists in brackets or one item a line."""
+    from ruamel.yaml import YAML  # noqa: PLC0415  (only maps need it)
+    from ruamel.yaml.error import YAMLError  # noqa: PLC0415
+
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        held = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise ReaderError(path, f"expected a ROS map.yaml: {getattr(error, 'strerror', None) or error}") from None
-    out: dict[str, Any] = {}
-    key = ""
-    for number, line in enumerate(lines, start=1):
-        text = line.split(" #")[0].strip()
-        if not text or text.startswith(("#", "---", "%")):
-            continue
-        if text.startswith("- ") and key:
-            out[key] = [*(out[key] if isinstance(out[key], list) else []), _value(text[2:])]
-            continue
-        name, colon, value = text.partition(":")
-        if not colon or line[0].isspace():
-            raise ReaderError(path, f"expected `key: value`, found {text!r}", number)
-        key = name.strip().strip("'\"")
-        out[key] = _value(value)
-    return out
-
-
-def _value(text: str) -> Any:
-    """A number, a list of numbers, a truth value or the text itself."""
-    text = text.strip()
-    if text.lower() in ("true", "false"):
-        return text.lower() == "true"
-    try:
-        return ast.literal_eval(text)
-    except (ValueError, SyntaxError):
-        return text
+    except (YAMLError, ValueError, RecursionError) as error:
+        mark = getattr(error, "problem_mark", None)
+        what = getattr(error, "problem", None) or str(error)
+        raise ReaderError(path, f"expected a ROS map.yaml: {what:.120}", mark and mark.line + 1) from None
+    if not isinstance(held, dict):
+        raise ReaderError(path, f"expected a ROS map with {', '.join(KEYS)}, found none")
+    return held
 
 
 def _number(path: Path, header: dict[str, Any], key: str, default: float | None = None) -> float:
@@ -181,7 +165,17 @@ def _origin(path: Path, value: Any) -> Float[np.ndarray, "3"]:
 
 def write_ros_map(folder: Path, grid: GridMap) -> None:
     """`map.pgm` (row 0 at the top, so highest y) and `map.yaml` in `folder`."""
-    _write_picture(folder, trinary(grid), grid.resolution, grid.origin)
+    save_grid(grid, folder / "map.yaml")
+
+
+def save_grid(grid: GridMap, path: Path) -> None:
+    """`path`, a .yaml, and the picture beside it; raises UsageError for another suffix."""
+    if path.suffix.lower() not in {".yaml", ".yml"}:
+        raise UsageError(f"{path}: expected a name that ends in .yaml, beside which the picture goes")
+    _write_picture(path, trinary(grid), grid.resolution, grid.origin)
+
+
+GridMap.writer = save_grid
 
 
 def write_ros_states(folder: Path, occupancy: Occupancy) -> None:
@@ -189,19 +183,21 @@ def write_ros_states(folder: Path, occupancy: Occupancy) -> None:
     picture = np.full(occupancy.state.shape, GREY, dtype=np.uint8)
     picture[occupancy.free] = WHITE
     picture[occupancy.occupied] = BLACK
-    _write_picture(folder, np.ascontiguousarray(picture[::-1]), occupancy.resolution, occupancy.origin)
+    _write_picture(folder / "map.yaml", np.ascontiguousarray(picture[::-1]), occupancy.resolution, occupancy.origin)
 
 
 def _write_picture(
-    folder: Path, picture: UInt8[np.ndarray, "rows cols"], resolution: float, origin: Float[np.ndarray, "2"]
+    path: Path, picture: UInt8[np.ndarray, "rows cols"], resolution: float, origin: Float[np.ndarray, "2"]
 ) -> None:
     rows, cols = picture.shape
-    with (folder / "map.pgm").open("wb") as file:
+    image = path.with_suffix(".pgm")
+    with image.open("wb") as file:
         file.write(f"P5\n{cols} {rows}\n255\n".encode())
         file.write(picture.tobytes())
-    with open_text(folder / "map.yaml") as text:
+    with open_text(path) as text:
         text.write(
-            f"image: map.pgm\nmode: trinary\nresolution: {resolution:.9g}\n"
+            f"image: {image.name if PLAIN.fullmatch(image.name) else json.dumps(image.name)}\n"
+            f"mode: trinary\nresolution: {resolution:.9g}\n"
             f"origin: [{float(origin[0]):.9g}, {float(origin[1]):.9g}, 0.0]\n"
             f"negate: 0\noccupied_thresh: {OCCUPIED_ABOVE}\nfree_thresh: {FREE_BELOW}\n"
         )
@@ -209,8 +205,8 @@ def _write_picture(
 
 def trinary(grid: GridMap) -> UInt8[np.ndarray, "rows cols"]:
     """Black where occupied, white where free, grey where not known; top row first."""
-    p = grid.occupancy()
-    picture = np.full(p.shape, GREY, dtype=np.uint8)
-    picture[p < FREE_BELOW] = WHITE
-    picture[p > OCCUPIED_ABOVE] = BLACK
+    shades = {-1: GREY, 0: WHITE, 100: BLACK}
+    picture = np.zeros(grid.shape, dtype=np.uint8)
+    for state, shade in shades.items():
+        picture[grid.to_numpy() == state] = shade
     return np.ascontiguousarray(picture[::-1])

@@ -16,7 +16,12 @@ LARGEST = 1e100  # whose square is a number yet
 
 
 def read_tum(path: Path, frame: str = "map") -> Track:
-    """The trajectory in `path`, seen from above, sorted; of equal stamps the last is kept.
+    """The trajectory in `path`, seen from above; raises ReaderError as `read_tum_rows` does."""
+    return track_from(read_tum_rows(path), frame)
+
+
+def read_tum_rows(path: Path) -> Float[np.ndarray, "n 8"]:
+    """The rows `t x y z qx qy qz qw` in `path`, stably sorted; of equal stamps the last is kept.
 
     Raises ReaderError naming the first line that is not eight finite numbers.
     """
@@ -40,13 +45,13 @@ def read_tum(path: Path, frame: str = "map") -> Track:
         rows.append(row)
     if not rows:
         raise ReaderError(path, "expected a trajectory, found no poses")
-    return track_from(np.array(rows), frame)
+    held = np.array(rows)
+    held = held[np.argsort(held[:, 0], kind="stable")]
+    return np.asarray(held[np.append(np.diff(held[:, 0]) > 0, True)])
 
 
 def track_from(rows: np.ndarray, frame: str = "map") -> Track:
-    """A Track of rows `t x y z qx qy qz qw`, stably sorted, the last of equal stamps kept."""
-    rows = rows[np.argsort(rows[:, 0], kind="stable")]
-    rows = rows[np.append(np.diff(rows[:, 0]) > 0, True)]
+    """A Track of rows `t x y z qx qy qz qw` of ascending stamps."""
     qx, qy, qz, qw = rows[:, 4:].T
     theta = np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
     return Track(rows[:, 0], np.column_stack([rows[:, 1], rows[:, 2], se2.wrap_angle(theta)]), None, frame)

@@ -3,11 +3,13 @@
 A map is a grid whose cells hold their mean point and mean feature.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Int8
 
 from ..core.findings import Finding, Unused
 from ..core.records import Track, frozen
@@ -18,6 +20,8 @@ from .robot_graph import RobotGraph
 from .scan_odometry import ScanInfo
 
 __all__ = ["GridMap", "IntensityCalibration"]
+
+OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.196  # probabilities of a wall, as ROS navigation's own thresholds are
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +41,7 @@ class GridMap:
     feature: Float[np.ndarray, "rows cols"]
     weight: Float[np.ndarray, "rows cols"]
     frame: str = "map"
+    writer: ClassVar["Callable[[GridMap, Path], None]"]  # given by the room that writes files
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "origin", frozen(self.origin))
@@ -61,6 +66,15 @@ class GridMap:
         """Probability that a cell is occupied: the mean of a beta prior (1/2, 1/2) after its beams; unseen: 0.5."""
         hits, passes = self.hits.astype(float), self.passes.astype(float)
         return np.asarray((hits + 0.5) / (hits + passes + 1.0))
+
+    def to_numpy(self) -> Int8[np.ndarray, "rows cols"]:
+        """What a planner needs of every cell: 0 free, 100 occupied, -1 unknown, as ROS navigation holds it."""
+        p = self.occupancy()
+        return np.where(p < FREE_BELOW, 0, np.where(p > OCCUPIED_ABOVE, 100, -1)).astype(np.int8)
+
+    def save(self, path: Path | str) -> None:
+        """`path`, as `map.yaml`, and the picture `map.pgm` beside it hold the map as ROS navigation reads it."""
+        GridMap.writer(self, Path(path))
 
     def cells(self) -> Float[np.ndarray, "n 4"]:
         """Every cell with a return as (x, y, q, W), in row order."""

@@ -1,6 +1,7 @@
 """What every verb gives has one face: lines for people, a page's head for notebooks, files, the main picture."""
 
 from abc import ABC, abstractmethod
+from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from html import escape
 from numbers import Real
@@ -14,12 +15,14 @@ from ..io.saved_result import write_result
 from .html import list_files
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from .style import Target
 
 Rows = tuple[Sequence[str], Sequence[Sequence[object]]]
-MOST_LINES, MOST_ROWS, MOST_LETTERS = 8, 12, 240  # of a page's head: a few KB, however large the result
+MOST_LINES, MOST_ROWS, MOST_LETTERS = 8, 12, 240  # of a page's head
+MOST_PICTURE = 100_000  # [bytes] of its picture: a notebook of many results can still be mailed
 
 
 @runtime_checkable
@@ -78,14 +81,20 @@ class ResultBase(ABC):
         write_result(folder, self)
         list_files(folder)
 
-    def plot(self) -> "Figure":
-        """The main picture as a Matplotlib figure."""
+    def plot(self, ax: "Axes | None" = None) -> "Figure":
+        """The main picture as a Matplotlib figure; on `ax`, where that is given, and then the figure `ax` is of.
+
+        Raises UsageError for a picture of several parts, which needs a figure of its own.
+        """
         from .style import drawn  # noqa: PLC0415  (figures cost half a second; only pictures need them)
 
-        return drawn(self.draw)
+        return drawn(self.draw, ax)
 
     def _repr_html_(self) -> str:
-        """The head of a page for notebooks: what `summary` says and the table that tells the most, a few KB."""
+        """The head of a page for notebooks: what `summary` says, the main picture and the table that tells the most."""
+        from .style import png  # noqa: PLC0415
+
+        picture = b64encode(png(self.draw, MOST_PICTURE)).decode("ascii")
         lines = self.lines()
         text = "<br>".join(escape(_cut(line)) for line in lines[:MOST_LINES])
         if len(lines) > MOST_LINES:
@@ -97,6 +106,7 @@ class ResultBase(ABC):
         more = f"<p>and {len(rows) - MOST_ROWS} rows more</p>" if len(rows) > MOST_ROWS else ""
         return (
             f"<div><b>{escape(type(self).__name__)}</b><p>{text}</p>"
+            f'<img alt="the map" style="max-width:100%" src="data:image/png;base64,{picture}">'
             f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>{more}</div>"
         )
 

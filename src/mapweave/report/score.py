@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from ..core import se2
 from ..core.gaussian import chi2_quantile
 from ..core.names import robot_key
+from ..core.records import Track
 from ..evaluation.landmarks import GrowthPoint
 from ..evaluation.team import TeamScore
 from ..evaluation.trajectory import paired
@@ -119,6 +121,16 @@ def draw_team_score(target: Target, score: TeamScore) -> None:
     landmarks = {score.landmarks.ids[k]: float(far[k]) for k in order.tolist()}
     robots = {f"robot {robot_key(name)}": r.ate for name, r in score.robots.items() if r.ate is not None}
     draw_bars(target, {"landmark error [m]": landmarks, "trajectory error, RMS [m]": robots})
+
+
+def draw_tracks(target: Target, estimate: Track, truth: Track, T: Float[np.ndarray, "4 4"]) -> None:
+    """Two trajectories from above; T: motion of the estimate into the truth's frame."""
+    at = np.column_stack([estimate.pose[:, :2], np.zeros((len(estimate.t), 1)), np.ones(len(estimate.t))]) @ T.T
+    with figure(target) as (_, ax):
+        ax.plot(*truth.pose[:, :2].T, color=style.TRUTH, lw=1.0, label="truth")
+        ax.plot(*at[:, :2].T, color=style.PALETTE[0], label="estimate, aligned")
+        ax.legend()
+        style.as_map(ax)
 
 
 def draw_bars(target: Target, groups: Mapping[str, Mapping[str, float]]) -> None:

@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,11 +13,12 @@ import numpy as np
 from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Ellipse
 from matplotlib.text import Annotation
 from matplotlib.ticker import FuncFormatter
 
+from ..core.errors import UsageError
 from ..core.gaussian import ellipse
 
 if TYPE_CHECKING:
@@ -31,6 +33,7 @@ LANDMARK = "#7A8088"  # seen on white and on black
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 SEQUENTIAL = "cividis"
 DPI = 110
+GLYPH = r"Glyph \d+ .* missing from font"  # of a warning that nobody needs: the page shows the letter
 GAP = 5.0  # [s]
 INK = "#2B2F33"
 NAME = "name of a point"  # of texts that `figure` keeps apart
@@ -79,22 +82,29 @@ def marker(k: int) -> str:
 
 @dataclass(slots=True)
 class Sheet:
-    """Holds the figure that is drawn on it, where a path would take its file."""
+    """Holds the figure that is drawn on it, where a path would take its file; on `ax` of another one, where given."""
 
-    figure: Figure | None = None
+    figure: Figure | SubFigure | None = None
+    ax: Axes | None = None
 
 
 Target = Path | Sheet
 
 
 @contextmanager
-def figure(path: Target, width: float = 7.0, height: float = 5.0, **layout: Any) -> Iterator[tuple[Figure, Any]]:
+def figure(path: Target, width: float = 7.0, height: float = 5.0, **layout: Any) -> Iterator[tuple[Any, Any]]:
     """A figure of `width` x `height` inches and its axes (`layout`: as `Figure.subplots`); saved or left on a sheet.
 
     A letter of a robot's name that the font lacks is a box in the picture, and no warning: the report's page shows it.
     """
     with mpl.rc_context(_RC), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
+        warnings.filterwarnings("ignore", GLYPH, UserWarning)
+        if isinstance(path, Sheet) and path.ax is not None:
+            if layout.get("nrows", 1) * layout.get("ncols", 1) > 1:
+                raise UsageError("ax: this picture has several parts: leave ax out, and plot() gives a figure of them")
+            path.figure = path.ax.figure
+            yield path.ax.figure, path.ax if layout.get("squeeze", True) else np.array([[path.ax]])
+            return
         fig = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
         FigureCanvasAgg(fig)
         axes = fig.subplots(**layout)
@@ -152,13 +162,27 @@ def _keep_names_apart(fig: Figure) -> None:
             text.set_visible(False)
 
 
-def drawn(draw: Callable[[Sheet], object]) -> Figure:
-    """The figure that `draw` draws, saved nowhere."""
-    sheet = Sheet()
+def drawn(draw: Callable[[Sheet], object], ax: Axes | None = None) -> Figure:
+    """The figure that `draw` draws, saved nowhere; the one of `ax`, where it is to be drawn there."""
+    sheet = Sheet(ax=ax)
     draw(sheet)
     if sheet.figure is None:
         raise RuntimeError("nothing was drawn")
-    return sheet.figure
+    whole = sheet.figure.figure
+    assert isinstance(whole, Figure)  # noqa: S101  (what a figure or a part of one lies in at last)
+    return whole
+
+
+def png(draw: Callable[[Sheet], object], most: int) -> bytes:
+    """What `draw` draws as a PNG of at most so many bytes, the coarser the more there is in it."""
+    sheet, dpi, data = drawn(draw), float(DPI), b""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", GLYPH, UserWarning)
+        while not data or (len(data) > most and dpi > 1.0):
+            buffer = BytesIO()
+            sheet.savefig(buffer, dpi=dpi, metadata={"Software": None}, pil_kwargs={"optimize": True})
+            data, dpi = buffer.getvalue(), 0.7 * dpi
+    return data
 
 
 def as_map(ax: Axes, title: str = "", unit: str = "m") -> None:

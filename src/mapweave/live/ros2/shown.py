@@ -15,8 +15,7 @@ from jaxtyping import Float
 
 from ...core import se2
 from ...io.mcap import header_message, message_type, nanoseconds, pose_message, rotation_message, transform_message
-from ...io.ros_map import FREE_BELOW, OCCUPIED_ABOVE
-from ...laser.laser_map import GridMap
+from ...laser.laser_map import FREE_BELOW, OCCUPIED_ABOVE, GridMap
 from ..laser_robot import LaserRobot
 from ..robot import Listeners
 from .cdr import GRID, POSE, TF, encode, type_hash
