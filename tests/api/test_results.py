@@ -284,14 +284,15 @@ def test_no_folder_of_a_result_and_a_result_of_another_kind_are_refused(home, tm
 
 
 FACE = {"metrics", "summary", "write", "plot", "_repr_html_"}
-NO_RESULT = {"configuration", "live_keys", "live_view", "read", "view"}  # text, folders, a log, nothing
+NO_RESULT = {"configuration", "live_keys", "live_view", "read", "view"}  # text, folders, nothing, a log: no result
 PROTOCOLS = {mapweave.Result, mapweave.MapResult, mapweave.Evaluation}
+NONE = {mapweave.Log}  # what verbs give that is no result
 
 
 def given_by(annotation):
     """The types of this package that a verb of this annotation gives, one or several, in a list or not."""
     inner = [kind for arg in get_args(annotation) for kind in given_by(arg)]
-    own = isinstance(annotation, type) and annotation.__module__.startswith("mapweave.")
+    own = isinstance(annotation, type) and annotation.__module__.startswith("mapweave.") and annotation not in NONE
     return [annotation, *inner] if own else inner
 
 

@@ -21,7 +21,7 @@ def load(folder: Path | str) -> Result: ...
 @overload
 def load(folder: Path | str, kind: type[R]) -> R: ...
 @path_arguments
-def load(folder: Path | str, kind: type[R] | None = None) -> Any:
+def load(folder: Path | str, kind: type[R] | None = None) -> Result | R:
     """The result that a verb wrote into `folder`, as the verb returned it: to be drawn, scored, fused or written again.
 
     Parameters
