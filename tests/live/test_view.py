@@ -19,6 +19,7 @@ from mapweave.core.errors import UsageError
 from mapweave.live.messages import LandmarkState, MapState, RobotState, Tile
 from mapweave.live.tiles import SIDE, pack
 from mapweave.live.view import KEPT_FRAMES, MOST_MAPS, MOST_TRAILS, PAGE, Board, is_named, served
+from mapweave.report.html import Page
 from mapweave.report.style import PALETTE
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -266,6 +267,9 @@ def test_a_port_in_use_is_told_in_one_line():
 
 
 def test_robots_have_the_colours_that_reports_give_them():
-    told = re.search(r"const COLOURS = (\[.*?\]);", PAGE.read_text(encoding="utf-8"))
+    told = re.search(r"const COLOURS = (\[.*?\]);", PAGE)
     assert told is not None
     assert tuple(json.loads(told[1])) == PALETTE
+    shades = [re.findall(r"--(free|wall|unseen): ?(#\w{6})", page) for page in (PAGE, Page("").html())]
+    assert len(shades[0]) == 6, "by day and by night"
+    assert shades[0] == shades[1]

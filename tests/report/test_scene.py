@@ -11,7 +11,7 @@ from PIL import Image
 
 from mapweave.core.records import Track
 from mapweave.report.html import Page
-from mapweave.report.scene import INK, MOST_CELLS, MOST_POSES, Scene
+from mapweave.report.scene import KINDS, MOST_CELLS, MOST_POSES, Scene
 from mapweave.report.style import PALETTE
 from mapweave.report.team_figures import thinned
 
@@ -44,11 +44,17 @@ const drawn = (tries) => {
     copy.getContext("2d").drawImage(canvas, 0, 0);
     return copy.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
   };
-  const opaque = () => pixels().filter((v, i) => i % 4 === 3 && v === 255).length;
+  const shade = (name) => rgb(css(name)), kinds = ["--free", "--wall"].map((name) => String(shade(name)));
+  const opaque = () => {
+    const all = pixels();
+    let count = 0;
+    for (let i = 0; i < all.length; i += 4) count += kinds.includes(`${all[i]},${all[i + 1]},${all[i + 2]}`);
+    return count;
+  };
   const bright = () => pixels().filter((v, i, all) => i % 4 === 0 && all[i + 3] === 255 && v === all[i + 1])
     .reduce((mean, v, i) => mean + (v - mean) / (i + 1), 0);
   names.length = 0;
-  document.querySelector(".bar button[title='all of it']").click();
+  document.querySelector(".bar button[title^='all of it']").click();
   const written = names.slice(), whole = opaque();
   const slider = document.querySelector(".bar input[type=range]");
   const landmarks = () => {
@@ -65,13 +71,29 @@ const drawn = (tries) => {
   const printed = {bright: bright(), shape: canvas.width / canvas.height - canvas.clientWidth / canvas.clientHeight};
   window.dispatchEvent(new Event("afterprint"));
   printed.after = bright() - screen;
+  const tip = document.querySelector(".tip").textContent;
+  const where = document.querySelector(".where"), click = (x, y) => {
+    for (const kind of ["pointerdown", "pointerup"])
+      canvas.dispatchEvent(new PointerEvent(kind, {clientX: box.left + x, clientY: box.top + y, pointerId: 1}));
+  };
+  canvas.setPointerCapture = () => {};
+  canvas.dispatchEvent(new PointerEvent("pointermove", {clientX: box.left + 90, clientY: box.top + 90}));
+  const place = where.textContent;
+  canvas.dispatchEvent(new KeyboardEvent("keydown", {key: "m"}));
+  click(100, 100);
+  click(200, 100);
+  const length = where.textContent;
+  canvas.dispatchEvent(new KeyboardEvent("keydown", {key: "Escape"}));
+  document.querySelectorAll("details").forEach((one) => (one.open = true));
   const told = {
+    place: place, length: length, kinds: ["--free", "--wall", "--unseen"].map((name) => shade(name)[0]),
+    margin: window.innerWidth - canvas.offsetWidth,
     errors: window.errors, ink: before, printed: printed,
     marks: document.querySelectorAll(".bar label svg").length,
     whole: whole, half: opaque(), written: written.length, fewer: [later, fewer],
     apart: written.every(([x, y], i) => written.every(([u, v, w], k) => k === i || Math.abs(v - y) > 9 || x > u + w
       || u > x)),
-    tip: document.querySelector(".tip").textContent,
+    tip: tip,
     wide: document.documentElement.scrollWidth - window.innerWidth,
     time: document.querySelector(".bar output").textContent,
     layers: [...document.querySelectorAll(".bar label")].map((label) => label.textContent),
@@ -164,12 +186,12 @@ def test_a_wall_one_cell_thick_is_kept_in_a_large_grid():
     scene = Scene("large")
     scene.grid("walls", known, occupied, (0.0, 1.0, 0.0, 100.0))
     png = base64.b64decode(data(scene)["grid"]["png"].split(",")[1])
-    image = np.asarray(Image.open(BytesIO(png)).convert("RGBA"))
+    image = np.asarray(Image.open(BytesIO(png)).convert("L"))
     assert max(image.shape) <= MOST_CELLS
-    assert (image[::-1][4001 // 3, :, 0] < 60).all()
+    assert (image[::-1][4001 // 3] == KINDS[2]).all()
 
 
-def test_what_is_free_and_what_is_wall_have_exactly_their_colours():
+def test_what_is_unknown_free_and_wall_is_told_exactly():
     known = np.zeros((300, 400), bool)
     known[100:] = True
     occupied = np.zeros_like(known)
@@ -177,10 +199,9 @@ def test_what_is_free_and_what_is_wall_have_exactly_their_colours():
     scene = Scene("exact")
     scene.grid("walls", known, occupied, (0.0, 4.0, 0.0, 3.0))
     png = base64.b64decode(data(scene)["grid"]["png"].split(",")[1])
-    pixels = np.asarray(Image.open(BytesIO(png)).convert("RGBA"))[::-1]
-    assert (pixels[known & ~occupied] == (255, 255, 255, 255)).all(), "or a dark page shows the floor white"
-    assert (pixels[occupied] == INK).all()
-    assert (pixels[~known, 3] == 0).all()
+    pixels = np.asarray(Image.open(BytesIO(png)).convert("L"))[::-1]
+    for where, grey in zip((~known, known & ~occupied, occupied), KINDS, strict=True):
+        assert (pixels[where] == grey).all()
 
 
 def test_nothing_that_is_not_finite_reaches_the_page():
@@ -230,6 +251,11 @@ def test_the_map_lives_in_a_browser(tmp_path, width, dark):
     assert seen["printed"]["bright"] > 150, "paper is white, whatever the screen"
     assert seen["printed"]["shape"] == pytest.approx(0, abs=0.01)
     assert seen["printed"]["after"] == 0
+    free, wall, unseen = seen["kinds"]
+    assert abs(free - unseen) > 20 < abs(free - wall)
+    assert seen["margin"] < 60, "the map fills the width"
+    assert re.fullmatch(r"x -?\d+\.\d+, y -?\d+\.\d+ m", seen["place"])
+    assert re.fullmatch(r"\d+\.\d+ m, -?0\.0° from x", seen["length"])
     assert seen["marks"] == 5, "every layer of one look has its mark; walls have none"
     assert seen["figure"] == pytest.approx(min(924, max(0.8 * 924, seen["column"])), abs=2), "text stays readable"
 

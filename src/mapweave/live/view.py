@@ -20,12 +20,13 @@ from jaxtyping import Float
 
 from ..core import se2
 from ..core.errors import UsageError
+from ..core.viewport import viewport
 from .door import decode
 from .messages import MapState, RefusedError, RobotState, Tile
 from .topics import Topics
 from .transport import ask
 
-PAGE = Path(__file__).with_name("page.html")
+PAGE = Path(__file__).with_name("page.html").read_text(encoding="utf-8").replace("/* viewport */", viewport())
 POINTS = 4000  # of each robot's trail, for browsers that come late
 STEP = 0.05  # [m] from point to point of a trail
 SILENCE = 10.0  # [s] after which a browser is told that nothing came, so that one that left is noticed
@@ -299,7 +300,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.MISDIRECTED_REQUEST, "no name of this machine")
             return
         answers: dict[str, Callable[[], None]] = {
-            "/": lambda: self._whole("text/html; charset=utf-8", PAGE.read_bytes()),
+            "/": lambda: self._whole("text/html; charset=utf-8", PAGE.encode()),
             "/state.json": lambda: self._whole("application/json", self.server.board.all()[1]),
             "/events": self._events,
         }

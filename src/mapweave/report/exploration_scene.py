@@ -13,7 +13,6 @@ from ..kernels.walls.sight import mark_in_sight
 from .scene import Scene
 from .style import PALETTE, TRUTH, colour
 
-SEEN = (86, 180, 233, 64)  # what was seen of a field, on a page of any colour
 MAPPED, FRAME, REFUSED, WALL = PALETTE[5], "#9AA0A6", PALETTE[5], PALETTE[5]
 
 
@@ -41,7 +40,7 @@ def landmark_scene(run: LandmarkRunRecord, first: Float[np.ndarray, "rows column
     rows, columns = first.shape
     known = ~np.isnan(first)
     extent = (float(x0), float(x0 + columns * cell), float(y0), float(y0 + rows * cell))
-    scene.grid("explored", known, np.zeros_like(known), extent, first, paper=SEEN)
+    scene.grid("explored", known, np.zeros_like(known), extent, first)
     corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]], float)
     scene.lines("field", np.concatenate([corners[:-1], corners[1:]], axis=1), FRAME)
     if run.floor is not None:

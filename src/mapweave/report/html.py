@@ -6,7 +6,8 @@ It ends in a list of the files that stand there all the same, to open or save, a
 import base64
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from html import escape
 from itertools import zip_longest
@@ -52,14 +53,17 @@ HOLDS = {
     "tables": "the tables of this page in Markdown",
     "trajectories": "where each robot went: TUM or CSV, covariances beside",
 }
+_OPEN = "<details open>"  # of a figure
 _NUMBER = re.compile(r"[-+−±]?\.?\d")
 _CSS = """
-:root{color-scheme:light dark;--fg:#1b1f24;--bg:#fff;--line:#d9dde2;--soft:#f4f6f8;--accent:#0072B2;--warn:#b25400}
-@media screen and (prefers-color-scheme:dark){:root{--fg:#e6e8eb;--bg:#14171a;--line:#343a41;--soft:#1d2126;--accent:#56B4E9;--warn:#E69F00}}
-*{box-sizing:border-box}body{margin:0 auto;max-width:72rem;padding:2rem 1.25rem;color:var(--fg);background:var(--bg);
-font:15px/1.5 system-ui,sans-serif}h1{font-size:1.6rem;margin:0}h2{font-size:1.15rem;margin:2.2rem 0 .6rem;
-border-bottom:1px solid var(--line);padding-bottom:.3rem}p.lead{margin:.3rem 0 1rem;opacity:.85}
-table{border-collapse:collapse;margin:.5rem 0 1rem;font-variant-numeric:tabular-nums;display:block;overflow-x:auto}
+:root{color-scheme:light dark;--fg:#1b1f24;--bg:#fff;--line:#d9dde2;--soft:#f4f6f8;--accent:#0072B2;--warn:#b25400;
+--free:#ffffff;--wall:#24292f;--unseen:#e4e7eb}
+@media screen and (prefers-color-scheme:dark){:root{--fg:#e6e8eb;--bg:#14171a;--line:#343a41;--soft:#1d2126;--accent:#56B4E9;--warn:#E69F00;
+--free:#343c45;--wall:#e6e8eb;--unseen:#0b0d0f}}
+*{box-sizing:border-box}body{margin:0;padding:2rem 1.25rem;color:var(--fg);background:var(--bg);
+font:15px/1.5 system-ui,sans-serif}body>:not(.scene){max-width:72rem;margin-inline:auto}h1{font-size:1.6rem;margin-block:0}h2{font-size:1.15rem;margin-block:2.2rem .6rem;
+border-bottom:1px solid var(--line);padding-bottom:.3rem}p.lead{margin-block:.3rem 1rem;opacity:.85}
+table{border-collapse:collapse;margin-block:.5rem 1rem;font-variant-numeric:tabular-nums;display:block;overflow-x:auto}
 th,td{padding:.25rem .7rem;border-bottom:1px solid var(--line);text-align:right;white-space:nowrap}
 th:first-child,td:first-child,th.word,td.word,th.text,td.text{text-align:left}td.text{white-space:normal;min-width:14rem;max-width:30rem;overflow-wrap:anywhere}td i{display:inline-block;
 width:.7em;height:.7em;border-radius:50%;margin-right:.45em}th{background:var(--soft);font-weight:600}
@@ -67,8 +71,9 @@ figure{margin:1rem 0}figure img{max-width:100%;height:auto;background:#fff;borde
 @media screen and (prefers-color-scheme:dark){figure img{filter:url(#dark)}}
 figcaption{font-size:.88rem;opacity:.8;margin-top:.25rem}.cards{display:flex;flex-wrap:wrap;gap:.75rem}
 .card{background:var(--soft);border-radius:8px;padding:.6rem .9rem;min-width:9rem}.card b{display:block;font-size:1.25rem}
-.scene .view{position:relative}.scene canvas{display:block;width:100%;height:min(70vh,34rem);border:1px solid var(--line);border-radius:6px;
-touch-action:pan-y;cursor:grab}.scene canvas:active{cursor:grabbing}.scene canvas:focus{outline:2px solid var(--accent);touch-action:none}
+.scene .view{position:relative;background:var(--bg)}.scene canvas{display:block;width:100%;height:clamp(18rem,78vh,70rem);border:1px solid var(--line);border-radius:6px;
+touch-action:pan-y;cursor:grab}.scene .view:fullscreen canvas{height:100vh}.scene canvas:active{cursor:grabbing}.scene canvas.measuring{cursor:crosshair}.scene canvas:focus{outline:2px solid var(--accent);touch-action:none}
+.where{position:absolute;right:.6rem;top:1.6rem;font-size:.78rem;font-variant-numeric:tabular-nums;pointer-events:none}
 .scene .tip{position:absolute;display:none;pointer-events:none;white-space:pre;font-size:.8rem;padding:.3rem .5rem;border-radius:6px;
 background:var(--fg);color:var(--bg)}.scene .bar{display:flex;flex-wrap:wrap;align-items:center;gap:.3rem .9rem;margin:.4rem 0;font-size:.85rem}
 .scene .bar label{display:flex;align-items:center;gap:.3rem}.scene .bar svg{width:1rem;height:.9rem}
@@ -76,9 +81,10 @@ background:var(--fg);color:var(--bg)}.scene .bar{display:flex;flex-wrap:wrap;ali
 .scene .bar input[type=range]{flex:1 1 12rem;min-width:8rem}.scene figcaption span{opacity:.8}
 @media screen and (max-width:40rem){body{padding:1rem .75rem}.card{flex:1}.wide{overflow-x:auto}
 .wide img{max-width:none;width:min(var(--wide),max(100%,.8*var(--wide)))}}a{color:var(--accent)}.warn{color:var(--warn)}
-ul.warn{margin:.8rem 0;padding:.5rem .9rem .5rem 1.9rem;border-left:4px solid var(--warn);background:var(--soft)}ul.warn li{margin:.15rem 0}
-a.card{color:var(--warn);text-decoration:none}footer{margin-top:3rem;font-size:.82rem;opacity:.7}
-@media print{:root{color-scheme:light}body{max-width:none;padding:0;font-size:10pt;print-color-adjust:exact;-webkit-print-color-adjust:exact}
+ul.warn{margin-block:.8rem;padding:.5rem .9rem .5rem 1.9rem;border-left:4px solid var(--warn);background:var(--soft)}ul.warn li{margin:.15rem 0}
+details{margin-block:.5rem;border:1px solid var(--line);border-radius:6px;padding:.3rem .8rem}summary{cursor:pointer;font-size:.92rem}
+details h2{border:0;margin:.6rem 0}a.card{color:var(--warn);text-decoration:none}footer{margin-top:3rem;font-size:.82rem;opacity:.7}
+@media print{details::details-content{content-visibility:visible;block-size:auto}:root{color-scheme:light}body{max-width:none;padding:0;font-size:10pt;print-color-adjust:exact;-webkit-print-color-adjust:exact}
 h2{break-after:avoid;margin-top:1.4rem}figure,tr,.cards{break-inside:avoid}.scene canvas{height:auto}
 .scene .bar button,.scene .bar input,.scene .bar output,.scene .bar label:has(input:not(:checked)),.scene figcaption span{display:none}
 table{display:table;font-size:8.5pt}th,td{white-space:normal;padding:.2rem .45rem}td.text{min-width:0}footer{margin-top:1rem}}
@@ -143,8 +149,20 @@ class Page:
         self.parts.append(f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>")
 
     def figure(self, png: Path, caption: str) -> None:
-        """A PNG or GIF, inside the page; on a narrow screen it keeps a size at which it can be read, and moves sideways."""
-        self.parts.append(f"<figure>{_picture(png, caption)}<figcaption>{escape(caption)}</figcaption></figure>")
+        """A PNG or GIF, inside the page; on a narrow screen it keeps a size at which it can be read, and moves sideways.
+
+        On a page with a map to move about in it is folded away until asked for.
+        """
+        self.parts.append(
+            f"{_OPEN}<summary>{escape(caption)}</summary><figure>{_picture(png, caption)}</figure></details>"
+        )
+
+    @contextmanager
+    def folded(self, title: str) -> Iterator[None]:
+        """What is written meanwhile stands under `title`, and is seen once that is clicked."""
+        self.parts.append(f"<details><summary>{escape(title)}</summary>")
+        yield
+        self.parts.append("</details>")
 
     def scene(self, scene: Scene, caption: str, png: Path | None = None) -> None:
         """A map to move about in; the picture shows where no script runs. Nothing of a scene that is empty."""
@@ -173,6 +191,9 @@ class Page:
 
     def html(self) -> str:
         moving = f"<script>{script()}</script>" if self.scenes else ""
+        body = "".join(self.parts)
+        if self.scenes:
+            body = body.replace(_OPEN, "<details>")
         return (
             '<!doctype html><html lang="en"><head><meta charset="utf-8">'
             '<meta name="viewport" content="width=device-width,initial-scale=1">'

@@ -11,9 +11,10 @@ from ..core.names import robot_name
 from ..core.records import Track
 from ..laser.laser_map import LaserMap
 from ..mapping.merge import Merge
-from ..mapping.woven_map import WovenMap
+from ..mapping.woven_map import ClosureRow, WovenMap
 from .html import Page
 from .laser_figures import (
+    SHADES,
     aligned,
     draw_calibration,
     draw_intensity,
@@ -68,9 +69,10 @@ def write_laser_report(
         page.cards([*_shared(maps, components), *scores], len(warnings))
         for sentence in not_in_first(components, merges):
             page.text(sentence, warn=True)
-        write_maps(page, folder, components, truth, places)
+        write_maps(page, folder, components, truth, places, findings)
     if len(maps) == 1:
-        _robot(page, folder, maps[0], truth.get(maps[0].robot), 0, scores)
+        closures = components[0].closures if components else ()
+        _robot(page, folder, maps[0], truth.get(maps[0].robot), 0, scores, closures, findings)
     page.warnings(warnings)
     for line in notes:
         page.text(line)
@@ -123,7 +125,9 @@ def _robots(page: Page, folder: Path, maps: Sequence[LaserMap], truth: Mapping[s
     if len(maps) > MOST_PARTS:
         page.text(f"Below are the first {MOST_PARTS} robots; the pictures of all are in figures/ and local/.")
     for k, local_map in enumerate(maps):
-        _robot(page if k < MOST_PARTS else Page(""), folder, local_map, truth.get(local_map.robot), k)
+        part = page if k < MOST_PARTS else Page("")
+        with part.folded(f"Robot {local_map.robot}: {Path(local_map.source).name}"):
+            _robot(part, folder, local_map, truth.get(local_map.robot), k)
 
 
 def _row(local_map: LaserMap) -> list[object]:
@@ -154,23 +158,29 @@ def _driven(track: Track) -> float:
 
 
 def _robot(
-    page: Page, folder: Path, local_map: LaserMap, truth: Track | None, k: int, scores: Sequence[tuple[str, str]] = ()
+    page: Page,
+    folder: Path,
+    local_map: LaserMap,
+    truth: Track | None,
+    k: int,
+    scores: Sequence[tuple[str, str]] = (),
+    closures: Sequence[ClosureRow] = (),
+    findings: Sequence[Finding] = (),
 ) -> None:
-    """The part of one robot, the `k`-th of all."""
+    """The part of one robot, the `k`-th of all; closures, findings: where they are not those of a map of several."""
     name = robot_name(local_map.robot)
     figures = folder / "figures"
-    page.section(f"Robot {local_map.robot}: {Path(local_map.source).name}")
     page.cards([*_headline(local_map), *scores])
     seen = None if truth is None else aligned(truth, local_map.track)
     draw_map(figures / f"{name}_map.png", local_map, seen, robot_colour(k))
     others = {} if local_map.dead_reckoning is None else {"odometry alone": local_map.dead_reckoning}
     others |= {} if seen is None else {"truth": seen}
-    scene = laser_scene(
-        local_map.grid, {local_map.robot: local_map.track}, {local_map.robot: robot_colour(k)}, others=others
-    )
+    colours = {local_map.robot: robot_colour(k)}
+    tracks = {local_map.robot: local_map.track}
+    scene = laser_scene(local_map.grid, tracks, colours, closures, others, findings or local_map.findings)
     page.scene(
         scene,
-        "Walls stand out, known free ground is plain, over unknown ground the grid lines go on.",
+        SHADES,
         figures / f"{name}_map.png",
     )
     for warning in local_map.warnings:

@@ -1,6 +1,6 @@
 """Figures of laser maps, and the maps to move about in: walls, trajectories, the closures believed and refused."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
+from ..core.findings import Finding
 from ..core.names import robot_name
 from ..core.records import Track
 from ..laser.laser_map import GridMap, IntensityCalibration, LaserMap
@@ -213,7 +214,11 @@ def map_size(grid: GridMap) -> tuple[float, float]:
     return 9.0, float(np.clip(7.6 * rows / max(cols, 1) + 0.8, 3.2, 9.0))
 
 
-BELIEVED, REFUSED = colour(2), colour(5)
+BELIEVED, DOUBTFUL, REFUSED = colour(2), colour(1), colour(5)
+PLACES_BELIEVED, PLACES_DOUBTFUL, PLACES_REFUSED = "places believed", "places doubtful", "places refused"
+MOST_SECOND = 0.85  # score of the next best place, over that of the one believed, from which on it is doubtful
+MOST_NIS = 11.3  # of a place believed: 99 % of right ones are nearer to what the rest of the graph says
+SHADES = "Walls stand out, what is known to be free is light, what nobody saw is grey (black on a dark screen)."
 
 
 def walls(scene: Scene, grid: GridMap) -> None:
@@ -236,29 +241,40 @@ def laser_scene(
     colours: Mapping[str, str],
     closures: Sequence[ClosureRow] = (),
     others: Mapping[str, Track] | None = None,
+    findings: Iterable[Finding] = (),
 ) -> Scene:
     """Walls and paths, in one frame. tracks: robot -> its path; colours: robot -> colour; others: layer -> more.
 
-    Closures and other trajectories are hidden at first: they cover the map.
+    Places believed and other trajectories are hidden at first: they cover the map.
     """
-    hidden = ["closures believed", "closures refused", *(others or {})]
+    hidden = [PLACES_BELIEVED, *(others or {})]
     scene = Scene("Laser map with the trajectories of its robots", hidden=hidden)
     walls(scene, grid)
-    for accepted, layer, shade in ((True, "closures believed", BELIEVED), (False, "closures refused", REFUSED)):
-        rows = [c for c in closures if c.accepted == accepted]
+    for layer, shade in ((PLACES_BELIEVED, BELIEVED), (PLACES_DOUBTFUL, DOUBTFUL), (PLACES_REFUSED, REFUSED)):
+        rows = [c for c in closures if _kind(c) == layer]
         if rows:
             ends = np.array([c.at.ravel() for c in rows])
-            scene.lines(layer, ends, shade, [_closure_text(c) for c in rows], dashed=not accepted)
+            scene.lines(layer, ends, shade, [_closure_text(c) for c in rows], dashed=layer != PLACES_BELIEVED)
     for layer, track in (others or {}).items():
         scene.track(layer, layer, track, LANDMARK)
     for robot, track in tracks.items():
         layer = robot_name(robot) if len(tracks) <= MOST_LAYERS else "robots"
         scene.track(layer, robot_name(robot), track, colours[robot])
+    scene.findings(findings, tracks)
     return scene
+
+
+def _kind(c: ClosureRow) -> str:
+    """The layer of a place: doubtful where another lies as near, or the rest of the graph says something else."""
+    if not c.accepted:
+        return PLACES_REFUSED
+    close = c.second is not None and c.second > MOST_SECOND
+    return PLACES_DOUBTFUL if close or (c.nis is not None and c.nis > MOST_NIS) else PLACES_BELIEVED
 
 
 def _closure_text(c: ClosureRow) -> str:
     ends = (
         f"{robot_name(robot)} at {stamp:.1f} s" for robot, stamp in ((c.robot_a, c.stamp_a), (c.robot_b, c.stamp_b))
     )
-    return f"{', '.join(ends)}\n{c.reason}"
+    second = f"\nthe next best place scores {100 * c.second:.0f} % of it" if c.second else ""
+    return f"{', '.join(ends)}\n{_kind(c).removeprefix('places ')}: {c.reason}{second}"

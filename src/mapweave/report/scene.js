@@ -1,5 +1,4 @@
-"use strict";
-/* The map of a page: drag to move, wheel or + and - to zoom, point at a thing to read what it is, slide through time.
+/* The map of a page, on a viewport: point at a thing to read what it is, slide through time.
    Every <figure class="scene"> holds its data as JSON; without scripts its picture stays. */
 const MOST_NAMES = 600; // in view, beyond which none is written
 const SHAPES = {
@@ -11,6 +10,7 @@ const SHAPES = {
   star: "M0-5.5L1.3-1.8 5.2-1.7 2.1.7 3.2 4.5 0 2.2-3.2 4.5-2.1.7-5.2-1.7-1.3-1.8Z",
 };
 const OPEN = ["line", "ring", "cross"]; // drawn as lines, the others filled
+const ON_PAPER = { "--fg": "#1b1f24", "--line": "#d9dde2", "--free": "#ffffff", "--wall": "#24292f", "--unseen": "#e4e7eb" };
 for (const figure of document.querySelectorAll("figure.scene")) showScene(figure);
 
 function showScene(figure) {
@@ -29,7 +29,7 @@ function showScene(figure) {
   figure.prepend(frame, bar);
   figure.querySelector(".still")?.remove();
 
-  const style = () => getComputedStyle(document.documentElement);
+  const shade = (name) => (printing ? ON_PAPER[name] : css(name));
   const context = canvas.getContext("2d");
   const dark = matchMedia("(prefers-color-scheme: dark)");
   const hidden = new Set(data.hidden);
@@ -38,7 +38,12 @@ function showScene(figure) {
   let now = end, playing = 0;
   let printing = false; // on white, finer than the screen, letters larger: paper is narrower
   const letters = () => (printing ? 16 : 11); // [px]
-  let scale = 1, centre = [0, 0];
+  const view = viewport(canvas, () => data.extent, draw, {
+    unit: data.axes.endsWith(" m") ? "m" : "",
+    hover: point,
+    wheel: (event) => event.ctrlKey || document.activeElement === canvas, // the page scrolls until the map is clicked
+  });
+  const { toX, toY, fromX, fromY } = view;
   const ground = document.createElement("canvas");
   let cells = null, since = null; // pixels of the grid; when each became known
   if (data.grid)
@@ -52,10 +57,9 @@ function showScene(figure) {
   // the grid as it was known at the time shown, in the page's colours
   function paint() {
     if (!cells) return;
-    const shown = new ImageData(new Uint8ClampedArray(cells.data), cells.width, cells.height), to = shown.data;
-    if (dark.matches && !printing)
-      for (let i = 0; i < to.length; i += 4)
-        if (to[i + 3] === 255) for (let k = i; k < i + 3; k++) to[k] = 36 + 0.72 * (255 - to[k]);
+    const shown = new ImageData(cells.width, cells.height), to = shown.data;
+    const kinds = ["--unseen", "--free", "--wall"].map((name) => [...rgb(shade(name)), 255]);
+    for (let i = 0; i < to.length; i += 4) if (cells.data[i]) to.set(kinds[cells.data[i] > 200 ? 2 : 1], i);
     if (since && now < end) {
       const level = (data.grid.levels * (now - data.grid.begin)) / Math.max(data.grid.end - data.grid.begin, 1e-9);
       for (let i = 0; i < to.length; i += 4) if (since.data[i] > level) to[i + 3] = 0;
@@ -63,18 +67,6 @@ function showScene(figure) {
     ground.getContext("2d").putImageData(shown, 0, 0);
   }
 
-  function fit() {
-    const [x0, x1, y0, y1] = data.extent;
-    const { clientWidth: w, clientHeight: h } = canvas;
-    if (!w || !h) return; // a page that is not shown has no size, and comes back
-    const [wide, high] = [Math.max(w - 72, w / 2), Math.max(h - 56, h / 2)]; // room for names and numbers at the rim
-    scale = Math.min(wide / Math.max(x1 - x0, 1e-9), high / Math.max(y1 - y0, 1e-9));
-    centre = [(x0 + x1) / 2, (y0 + y1) / 2];
-  }
-  const toX = (x) => canvas.clientWidth / 2 + (x - centre[0]) * scale;
-  const toY = (y) => canvas.clientHeight / 2 - (y - centre[1]) * scale;
-  const fromX = (px) => centre[0] + (px - canvas.clientWidth / 2) / scale;
-  const fromY = (py) => centre[1] - (py - canvas.clientHeight / 2) / scale;
   const upTo = (track) => {
     let low = 0, high = track.t.length;
     while (low < high) {
@@ -97,14 +89,16 @@ function showScene(figure) {
     }
     context.setTransform(density, 0, 0, density, 0, 0);
     context.clearRect(0, 0, w, h);
-    const [ink, line] = printing ? ["#1b1f24", "#d9dde2"] : ["--fg", "--line"].map((name) => style().getPropertyValue(name).trim());
+    const [ink, line] = [shade("--fg"), shade("--line")], { scale } = view;
     written = [];
-    drawGraticule(w, h, ink, line);
     if (cells && !hidden.has(data.grid.layer)) {
       const [x0, x1, y0, y1] = data.grid.extent;
+      context.fillStyle = shade("--unseen");
+      context.fillRect(0, 0, w, h);
       context.imageSmoothingEnabled = scale * data.grid.cell < 1.5;
       context.drawImage(ground, toX(x0), toY(y1), (x1 - x0) * scale, (y1 - y0) * scale);
     }
+    drawGraticule(w, h, ink, line);
     const seen = (things) => things.filter((thing) => !hidden.has(thing.layer));
     for (const lines of seen(data.lines)) drawLines(lines, ink);
     for (const track of seen(data.tracks)) drawTrack(track, ink);
@@ -114,6 +108,7 @@ function showScene(figure) {
     context.fillStyle = ink;
     for (const track of seen(data.tracks)) if (track.named) nameRobot(track);
     for (const points of seen(data.points)) namePoints(points, w, h);
+    view.overlay(context, ink);
   }
   const tint = (colour, ink) => (colour === "#000000" ? ink : colour);
 
@@ -151,7 +146,7 @@ function showScene(figure) {
   }
 
   function drawGraticule(w, h, ink, line) {
-    const rough = 90 / scale, power = 10 ** Math.floor(Math.log10(rough));
+    const rough = 90 / view.scale, power = 10 ** Math.floor(Math.log10(rough));
     const step = [1, 2, 5, 10].map((k) => k * power).find((s) => s >= rough);
     context.strokeStyle = line;
     context.fillStyle = ink;
@@ -237,7 +232,7 @@ function showScene(figure) {
     context.strokeStyle = colour;
     context.lineWidth = 1;
     context.beginPath();
-    context.ellipse(x, y, Math.max(a * scale, 0.1), Math.max(b * scale, 0.1), -angle, 0, 2 * Math.PI);
+    context.ellipse(x, y, Math.max(a * view.scale, 0.1), Math.max(b * view.scale, 0.1), -angle, 0, 2 * Math.PI);
     context.stroke();
   }
 
@@ -296,61 +291,15 @@ function showScene(figure) {
     return data.clock === "s" ? `${(t - begin).toFixed(1)} s` : `${data.clock} ${t.toFixed(0)}`;
   }
 
-  function zoom(factor, px = canvas.clientWidth / 2, py = canvas.clientHeight / 2) {
-    const x = fromX(px), y = fromY(py);
-    scale = Math.min(Math.max(scale * factor, start / 20), start * 2000);
-    centre[0] += x - fromX(px);
-    centre[1] += y - fromY(py);
-    draw();
+  function point(px, py) {
+    const text = px === undefined ? null : nearest(px, py);
+    tip.textContent = text || "";
+    tip.style.display = text ? "block" : "none";
+    if (!text) return;
+    tip.style.left = `${Math.max(0, Math.min(px + 14, canvas.clientWidth - tip.offsetWidth - 2))}px`;
+    const under = py + 14 + tip.offsetHeight <= canvas.clientHeight;
+    tip.style.top = `${under ? py + 14 : Math.max(0, py - 10 - tip.offsetHeight)}px`;
   }
-
-  const held = new Map();
-  canvas.addEventListener("pointerdown", (event) => {
-    canvas.setPointerCapture(event.pointerId);
-    held.set(event.pointerId, [event.offsetX, event.offsetY]);
-  });
-  canvas.addEventListener("pointermove", (event) => {
-    const here = [event.offsetX, event.offsetY], before = held.get(event.pointerId);
-    if (!before) {
-      const text = nearest(...here);
-      tip.textContent = text || "";
-      tip.style.display = text ? "block" : "none";
-      tip.style.left = `${Math.max(0, Math.min(here[0] + 14, canvas.clientWidth - tip.offsetWidth - 2))}px`;
-      const under = here[1] + 14 + tip.offsetHeight <= canvas.clientHeight;
-      tip.style.top = `${under ? here[1] + 14 : Math.max(0, here[1] - 10 - tip.offsetHeight)}px`;
-      return;
-    }
-    if (held.size === 2) {
-      const other = [...held].find(([id]) => id !== event.pointerId)[1];
-      const apart = (p) => Math.hypot(p[0] - other[0], p[1] - other[1]);
-      zoom(apart(here) / Math.max(apart(before), 1), (here[0] + other[0]) / 2, (here[1] + other[1]) / 2);
-    } else {
-      centre[0] -= (here[0] - before[0]) / scale;
-      centre[1] += (here[1] - before[1]) / scale;
-      draw();
-    }
-    held.set(event.pointerId, here);
-  });
-  for (const over of ["pointerup", "pointercancel"])
-    canvas.addEventListener(over, (event) => held.delete(event.pointerId));
-  canvas.addEventListener("pointerleave", () => (tip.style.display = "none"));
-  canvas.addEventListener("wheel", (event) => {
-    if (!event.ctrlKey && document.activeElement !== canvas) return; // the page scrolls until the map is clicked
-    event.preventDefault();
-    zoom(Math.exp(-event.deltaY / 400), event.offsetX, event.offsetY);
-  }, { passive: false });
-  canvas.addEventListener("keydown", (event) => {
-    const move = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
-    if (move) {
-      centre[0] += (60 * move[0]) / scale;
-      centre[1] += (60 * move[1]) / scale;
-      draw();
-    } else if (event.key === "+" || event.key === "=") zoom(1.25);
-    else if (event.key === "-") zoom(0.8);
-    else if (event.key === "0") reset();
-    else return;
-    event.preventDefault();
-  });
 
   function button(text, title, action) {
     const made = document.createElement("button");
@@ -362,13 +311,11 @@ function showScene(figure) {
     bar.append(made);
     return made;
   }
-  function reset() {
-    fit();
-    draw();
-  }
-  button("+", "closer", () => zoom(1.4));
-  button("−", "farther", () => zoom(1 / 1.4));
-  button("⤢", "all of it", reset);
+  button("+", "closer (+)", () => view.zoom(1.4));
+  button("−", "farther (-)", () => view.zoom(1 / 1.4));
+  button("⤢", "all of it (0)", view.all);
+  button("↔", "measure between two clicks (m)", () => view.measure());
+  button("⛶", "fill the screen (f)", view.fill);
   const layers = new Map(data.grid ? [[data.grid.layer, null]] : []);
   for (const { layer, colour, shape, dashed } of [...data.lines, ...data.tracks, ...data.points])
     layers.set(layer, (layers.get(layer)?.colour ?? colour) === colour ? { colour, shape, dashed } : null);
@@ -428,17 +375,7 @@ function showScene(figure) {
     bar.append(slider, shown);
     tell();
   }
-  fit();
-  let start = scale;
-  new ResizeObserver(() => {
-    if (!canvas.clientWidth || !canvas.clientHeight) return;
-    const zoomed = scale / start, kept = centre;
-    fit();
-    start = scale;
-    scale = start * zoomed;
-    if (Math.abs(zoomed - 1) > 1e-9) centre = kept;
-    draw();
-  }).observe(canvas);
+  new ResizeObserver(() => canvas.clientWidth && canvas.clientHeight && view.resized()).observe(canvas);
   dark.addEventListener("change", () => {
     paint();
     draw();

@@ -5,7 +5,7 @@ It needs no network: the data and the script are inside the page, and without sc
 
 import base64
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from html import escape
@@ -17,9 +17,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 from PIL import Image
 
+from ..core.findings import Finding
 from ..core.gaussian import ellipse
 from ..core.names import robot_key
 from ..core.records import Track
+from ..core.se2 import interpolate
+from ..core.viewport import viewport
 from ..landmarks.landmark_map import LandmarkMap
 from ..team.team_map import TeamMap
 from .style import LANDMARK, gaps
@@ -27,7 +30,8 @@ from .style import LANDMARK, gaps
 MOST_POSES = 800  # of a trajectory: enough to draw it and to point at
 MOST_CELLS = 1600  # along the longer side of a grid: finer cells are joined, a wall stays a wall
 MOST_CORNERS = 4000  # of a path that nobody drives
-INK, PAPER = (27, 31, 36, 255), (255, 255, 255, 255)
+FOUND = "#B25400"  # of findings, seen on white and on black
+KINDS = (0, 127, 255)  # grey of what is unknown, free and wall in a grid's picture, which the page colours
 LEVELS = 254  # steps of time in which cells become known; one more is never
 
 
@@ -56,9 +60,8 @@ class Scene:
     def grid(
         self, layer: str, known: Bool[np.ndarray, "rows columns"], occupied: Bool[np.ndarray, "rows columns"],
         extent: tuple[float, float, float, float], known_at: Float[np.ndarray, "rows columns"] | None = None,
-        paper: tuple[int, int, int, int] = PAPER,
     ) -> None:  # fmt: skip
-        """An occupancy grid, row 0 at the lowest y; extent: x0, x1, y0, y1 [m]; paper: colour of what is free.
+        """An occupancy grid, row 0 at the lowest y; extent: x0, x1, y0, y1 [m].
 
         known_at: when each known cell came to be so, on the tracks' clock; cells of no time (NaN) show at its end.
         """
@@ -67,7 +70,7 @@ class Scene:
         kind = known.astype(np.uint8)
         kind[occupied] = 2
         picture = Image.fromarray(kind[::-1], "P")
-        picture.putpalette(bytes((0, 0, 0, 0, *paper, *INK)), "RGBA")
+        picture.putpalette(bytes(grey for grey in KINDS for _ in range(3)))
         x0, x1, y0, y1 = extent
         cell = (x1 - x0) / max(known.shape[1], 1)
         png = _png(picture)
@@ -152,6 +155,15 @@ class Scene:
         )
         self._corners += [(layer, ends[:, :2]), (layer, ends[:, 2:])]
 
+    def findings(self, findings: Iterable[Finding], tracks: Mapping[str, Track]) -> None:
+        """What was found at some time stands where its robot was in the middle of it. tracks: robot -> where it was."""
+        placed = [(f, tracks[f.robot], sum(f.span) / 2) for f in findings if f.span and f.robot and f.robot in tracks]
+        inside = [(f, track, t) for f, track, t in placed if len(track.t) and track.t[0] <= t <= track.t[-1]]
+        if inside:
+            at = np.array([interpolate(np.array([t]), track.t, track.pose)[0, :2] for _, track, t in inside])
+            texts = [f"{f.severity}: {f.told}" for f, _, _ in inside]
+            self.points("findings", [f.code for f, _, _ in inside], at, FOUND, texts, named=False, shape="triangle")
+
     @property
     def empty(self) -> bool:
         return not self._corners
@@ -170,7 +182,10 @@ class Scene:
     def html(self, caption: str, still: str = "") -> str:
         """A figure for a page that has the script at its end; `still`: what shows where no script runs."""
         data = json.dumps(self.data(), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-        how = "Drag to move; click, then wheel or + and − to zoom; point at a thing to read what it is."
+        how = (
+            "Drag to move; click, then wheel or + and − to zoom, 0 for all, m to measure, f for the whole screen; "
+            "point at a thing to read what it is."
+        )
         return (
             f'<figure class="scene"><div class="still">{still}</div><script type="application/json">{data}</script>'
             f"<figcaption>{escape(caption)} <span>{how}</span></figcaption></figure>"
@@ -194,7 +209,7 @@ def landmark_points(scene: Scene, team: TeamMap, landmarks: LandmarkMap) -> None
 @cache
 def script() -> str:
     """What makes a page's scenes move."""
-    return (files(__package__) / "scene.js").read_text(encoding="utf-8")
+    return viewport() + (files(__package__) / "scene.js").read_text(encoding="utf-8")
 
 
 def _png(image: Image.Image) -> str:

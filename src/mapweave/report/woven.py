@@ -12,6 +12,7 @@ from jaxtyping import Float
 from matplotlib.collections import LineCollection
 
 from ..core import se2
+from ..core.findings import Finding
 from ..core.names import robot_name
 from ..core.records import Track
 from ..laser.laser_map import GridMap, LaserMap
@@ -20,7 +21,7 @@ from ..laser.submaps import gathered
 from ..mapping.merge import Merge
 from ..mapping.woven_map import ClosureRow, WovenMap
 from .html import Page, told_list
-from .laser_figures import draw_intensity, draw_occupancy, laser_scene, map_size, map_window
+from .laser_figures import SHADES, draw_intensity, draw_occupancy, laser_scene, map_size, map_window
 from .style import MUTED, TRUTH, Target, as_map, colour, figure
 
 ROBOTS = (0, 1, 3, 4, 6, 2, 5)  # places in the palette, those of closures last
@@ -187,11 +188,12 @@ def write_maps(
     components: Sequence[WovenMap],
     truth: Mapping[str, Track],
     places: Mapping[str, int],
+    findings: Sequence[Finding] = (),
 ) -> None:
     """The maps of several robots on `page`, their figures in `folder/figures`, and intensity.png of each."""
     for k, woven in enumerate(components, 1):
         if len(woven.robots) > 1:
-            _component(page, folder, woven, k, truth, places)
+            _component(page, folder, woven, k, truth, places, findings)
 
 
 def write_pairs(
@@ -238,7 +240,13 @@ def _pairs(page: Page, merges: Sequence[Merge]) -> None:
 
 
 def _component(
-    page: Page, folder: Path, woven: WovenMap, k: int, truth: Mapping[str, Track], places: Mapping[str, int]
+    page: Page,
+    folder: Path,
+    woven: WovenMap,
+    k: int,
+    truth: Mapping[str, Track],
+    places: Mapping[str, int],
+    findings: Sequence[Finding],
 ) -> None:
     names = told_list([robot_name(r) for r in woven.robots])
     page.section(f"The map of {names}")
@@ -249,10 +257,10 @@ def _component(
     colours = {robot: robot_colour(places[robot]) for robot in woven.robots}
     seen = [robot for robot in woven.robots if robot in truth]
     others = {f"truth of {robot_name(r)}": t for r, t in zip(seen, truths_in(woven, truth), strict=False)}
-    scene = laser_scene(woven.grid, woven.tracks, colours, woven.closures, others)
+    scene = laser_scene(woven.grid, woven.tracks, colours, woven.closures, others, findings)
     page.scene(
         scene,
-        "Walls stand out, known free ground is plain, over unknown ground the grid lines go on.",
+        SHADES,
         figures / f"component{k}_map.png",
     )
     page.text(
