@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from mapweave.core.findings import Finding
 from mapweave.core.records import Track
 from mapweave.report.html import Page
 from mapweave.report.scene import KINDS, MOST_CELLS, MOST_POSES, Scene
@@ -217,6 +218,32 @@ def test_what_is_hidden_at_first_does_not_shrink_the_rest():
     assert data(scene)["extent"] == [0.0, 4.0, 0.0, 2.0]
     scene.hidden.append("robot 1")
     assert data(scene)["extent"] == [0.0, 90.0, -70.0, 2.0]
+
+
+def test_figures_fold_beside_a_map_and_stand_open_where_there_is_none(tmp_path):
+    Image.new("L", (9, 9)).save(tmp_path / "f.png")
+    for with_map in (False, True):
+        page, score = Page("Hall"), Page("")
+        if with_map:
+            page.scene(team(), "a hall")
+        page.figure(tmp_path / "f.png", "a figure")
+        score.figure(tmp_path / "f.png", "its score")
+        html = score.put_into(page.html(), "score")
+        assert re.findall(r"<details( open)?><summary>", html) == 2 * ["" if with_map else " open"]
+
+
+def test_what_was_found_stands_where_its_robot_was():
+    scene = Scene("a drive")
+    track = Track(np.arange(11.0), np.column_stack([np.arange(11.0), np.zeros(11), np.zeros(11)]))
+    found = [
+        Finding("scan-gap", "1", (4.0, 6.0), 2.0),
+        Finding("scan-gap", "1", (90.0, 91.0), 1.0),
+        Finding("robots-apart"),
+    ]
+    scene.findings(found, {"1": track})
+    (layer,) = data(scene)["points"]
+    assert (layer["layer"], layer["x"], layer["y"]) == ("findings", [5.0], [0.0])
+    assert layer["texts"][0].startswith("note: robot 1: from 4.0 s to 6.0 s: no scans")
 
 
 def test_an_empty_scene_is_left_out():

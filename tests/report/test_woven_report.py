@@ -145,7 +145,7 @@ def test_of_many_pairs_the_page_shows_some_and_counts_the_others(woven, tmp_path
     write_laser_report(tmp_path, maps, {}, [], components, many)
     html = (tmp_path / "report.html").read_text()
     assert "3 more pairs are in the table only." in html
-    assert len(re.findall("<figcaption>robot1 and robot2: merged", html)) == MOST_PICTURES
+    assert len(re.findall("<summary>robot1 and robot2: merged", html)) == MOST_PICTURES
 
 
 @pytest.mark.slow
@@ -155,7 +155,7 @@ def test_of_many_robots_the_page_holds_some_and_a_row_of_each(woven, tmp_path):
     one = replace(components[0], robots=tuple(m.robot for m in many), tracks={m.robot: m.track for m in many})
     write_laser_report(tmp_path, many, {}, [], [one], ())
     html = (tmp_path / "report.html").read_text()
-    assert len(re.findall(r"<h2>Robot \d+: ", html)) == MOST_PARTS
+    assert len(re.findall(r"<summary>Robot \d+: ", html)) == MOST_PARTS
     assert len(re.findall(r'<td[^>]*><i style="background:#\w+"></i>robot\d+</td>', html)) == len(many)
     assert len(list((tmp_path / "figures").glob("*_scans.png"))) == len(many)
 

@@ -54,6 +54,27 @@ function viewport(canvas, extent, draw, { unit = "m", hover = () => {}, wheel = 
   };
   v.fill = () => (document.fullscreenElement ? document.exitFullscreen() : canvas.parentElement.requestFullscreen?.());
 
+  // lines at round numbers, each written at the rim by `mark(text, px, py)`; letters: their height [px]
+  v.graticule = (pen, ink, line, letters, mark = (...text) => pen.fillText(...text)) => {
+    const rough = 90 / v.scale, power = 10 ** Math.floor(Math.log10(rough));
+    const step = [1, 2, 5, 10].map((k) => k * power).find((s) => s >= rough);
+    const number = (value) => value.toFixed(Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));
+    pen.strokeStyle = line;
+    pen.fillStyle = ink;
+    pen.font = `${letters}px system-ui, sans-serif`;
+    pen.lineWidth = 1;
+    pen.globalAlpha = 0.75;
+    for (let x = Math.ceil(v.fromX(0) / step) * step; x < v.fromX(wide()); x += step) {
+      stroke(pen, [[v.toX(x), 0], [v.toX(x), high()]]);
+      mark(number(x), v.toX(x) + 3, high() - 5);
+    }
+    for (let y = Math.ceil(v.fromY(high()) / step) * step; y < v.fromY(0); y += step) {
+      stroke(pen, [[0, v.toY(y)], [wide(), v.toY(y)]]);
+      mark(number(y), 3, v.toY(y) - 3);
+    }
+    pen.globalAlpha = 1;
+  };
+
   // a bar of a round length, and what is measured; on top of everything
   v.overlay = (pen, ink) => {
     const rough = 120 / v.scale, power = 10 ** Math.floor(Math.log10(rough));

@@ -29,6 +29,7 @@ HOLDS = {
     "claims.md": "the paper's claims, each with what became of it here",
     "closures.csv": "every loop closure tried, with the reason why it was believed or refused",
     "components": "maps that nothing ties to this one",
+    "decisions.toml": "what was decided on pairs of robots and on places, to be edited and given again",
     "dropped.csv": "rows that were left out, and why",
     "figures": "every figure as PNG",
     "grid.npz": "the occupancy grid as arrays",
@@ -158,9 +159,9 @@ class Page:
         )
 
     @contextmanager
-    def folded(self, title: str) -> Iterator[None]:
-        """What is written meanwhile stands under `title`, and is seen once that is clicked."""
-        self.parts.append(f"<details><summary>{escape(title)}</summary>")
+    def folded(self, title: str, *, shut: bool) -> Iterator[None]:
+        """What is written meanwhile stands under `title`, and where `shut` is seen once that is clicked."""
+        self.parts.append(f"<details{'' if shut else ' open class=part'}><summary>{escape(title)}</summary>")
         yield
         self.parts.append("</details>")
 
@@ -187,7 +188,10 @@ class Page:
         else:
             ends = (page.rfind(mark) for mark in ("<!-- files: begin -->", "<footer>"))
             at = next((place for place in ends if place >= 0), len(page))
-        return f"{page[:at]}{begin}{''.join(self.parts)}{end}{page[at:]}"
+        body = "".join(self.parts)
+        if '<figure class="scene">' in page:
+            body = body.replace(_OPEN, "<details>")
+        return f"{page[:at]}{begin}{body}{end}{page[at:]}"
 
     def html(self) -> str:
         moving = f"<script>{script()}</script>" if self.scenes else ""
@@ -198,7 +202,7 @@ class Page:
             '<!doctype html><html lang="en"><head><meta charset="utf-8">'
             '<meta name="viewport" content="width=device-width,initial-scale=1">'
             f"<title>{escape(self.title)}</title><style>{_CSS}</style></head><body>{_DARK}<h1>{escape(self.title)}</h1>"
-            f'<p class="lead">{escape(self.lead)}</p>{"".join(self.parts)}'
+            f'<p class="lead">{escape(self.lead)}</p>{body}'
             f"<footer>mapweave {escape(__version__)}</footer>{moving}</body></html>\n"
         )
 

@@ -126,7 +126,7 @@ def _robots(page: Page, folder: Path, maps: Sequence[LaserMap], truth: Mapping[s
         page.text(f"Below are the first {MOST_PARTS} robots; the pictures of all are in figures/ and local/.")
     for k, local_map in enumerate(maps):
         part = page if k < MOST_PARTS else Page("")
-        with part.folded(f"Robot {local_map.robot}: {Path(local_map.source).name}"):
+        with part.folded(f"Robot {local_map.robot}: {Path(local_map.source).name}", shut=page.scenes > 0):
             _robot(part, folder, local_map, truth.get(local_map.robot), k)
 
 

@@ -98,7 +98,8 @@ function showScene(figure) {
       context.imageSmoothingEnabled = scale * data.grid.cell < 1.5;
       context.drawImage(ground, toX(x0), toY(y1), (x1 - x0) * scale, (y1 - y0) * scale);
     }
-    drawGraticule(w, h, ink, line);
+    view.graticule(context, ink, line, letters(), mark);
+    context.fillText(data.axes, w - context.measureText(data.axes).width - 6, letters() + 2);
     const seen = (things) => things.filter((thing) => !hidden.has(thing.layer));
     for (const lines of seen(data.lines)) drawLines(lines, ink);
     for (const track of seen(data.tracks)) drawTrack(track, ink);
@@ -143,30 +144,6 @@ function showScene(figure) {
     if (x + wide > canvas.clientWidth || y < letters()) return; // it would be cut off
     context.fillText(text, x, y);
     written.push([x - 2, y - letters(), x + wide + 2, y + 3]);
-  }
-
-  function drawGraticule(w, h, ink, line) {
-    const rough = 90 / view.scale, power = 10 ** Math.floor(Math.log10(rough));
-    const step = [1, 2, 5, 10].map((k) => k * power).find((s) => s >= rough);
-    context.strokeStyle = line;
-    context.fillStyle = ink;
-    context.font = `${letters()}px system-ui, sans-serif`;
-    context.lineWidth = 1;
-    context.globalAlpha = 0.75;
-    context.beginPath();
-    for (let x = Math.ceil(fromX(0) / step) * step; x < fromX(w); x += step) {
-      context.moveTo(toX(x), 0);
-      context.lineTo(toX(x), h);
-      mark(number(x, step), toX(x) + 3, h - 5);
-    }
-    for (let y = Math.ceil(fromY(h) / step) * step; y < fromY(0); y += step) {
-      context.moveTo(0, toY(y));
-      context.lineTo(w, toY(y));
-      mark(number(y, step), 3, toY(y) - 3);
-    }
-    context.stroke();
-    context.globalAlpha = 1;
-    context.fillText(data.axes, w - context.measureText(data.axes).width - 6, letters() + 2);
   }
 
   function drawLines(lines, ink) {
@@ -315,7 +292,7 @@ function showScene(figure) {
   button("−", "farther (-)", () => view.zoom(1 / 1.4));
   button("⤢", "all of it (0)", view.all);
   button("↔", "measure between two clicks (m)", () => view.measure());
-  button("⛶", "fill the screen (f)", view.fill);
+  button("▣", "fill the screen (f)", view.fill);
   const layers = new Map(data.grid ? [[data.grid.layer, null]] : []);
   for (const { layer, colour, shape, dashed } of [...data.lines, ...data.tracks, ...data.points])
     layers.set(layer, (layers.get(layer)?.colour ?? colour) === colour ? { colour, shape, dashed } : null);
@@ -407,9 +384,6 @@ async function pixelsOf(png) {
   [sheet.width, sheet.height] = [image.naturalWidth, image.naturalHeight];
   sheet.getContext("2d").drawImage(image, 0, 0);
   return sheet.getContext("2d").getImageData(0, 0, sheet.width, sheet.height);
-}
-function number(value, step) {
-  return value.toFixed(Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));
 }
 function both(a, b) {
   return a < 0.1 ? `${(1000 * a).toFixed(0)} × ${(1000 * b).toFixed(0)} mm` : `${a.toFixed(2)} × ${b.toFixed(2)} m`;
