@@ -81,6 +81,11 @@ def data() -> Path:
 @pytest.fixture(scope="session", autouse=True)
 def _parts_of_their_own(tmp_path_factory):
     """What stopped work leaves is kept apart from the user's."""
+    from mapweave.kernels.own_folder import own_folder
+
+    kernels = own_folder("kernels")
     with pytest.MonkeyPatch.context() as patch:
+        if kernels is not None and "NUMBA_CACHE_DIR" not in os.environ:
+            patch.setenv("NUMBA_CACHE_DIR", str(kernels))  # what is compiled is shared all the same
         patch.setenv("MAPWEAVE_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
         yield

@@ -1,6 +1,7 @@
 """Compiled kernels on disk: never stale, never a reason to fail."""
 
 import os
+import shutil
 import subprocess
 import sys
 
@@ -38,7 +39,7 @@ def house(tmp_path):
     environ = os.environ | {"NUMBA_CACHE_DIR": str(cache), "NUMBA_DISABLE_JIT": "0"}
 
     def ask(program=PROGRAM, home=None):
-        env = environ if home is None else environ | {"HOME": home, "XDG_CACHE_HOME": home}
+        env = environ if home is None else environ | {"HOME": home, "XDG_CACHE_HOME": home, "MAPWEAVE_CACHE_DIR": home}
         done = subprocess.run(  # noqa: S603
             [sys.executable, "-c", program], cwd=tmp_path, env=env, capture_output=True, text=True, check=False
         )
@@ -57,8 +58,28 @@ def test_an_edited_function_in_another_file_is_compiled_anew_into_its_caller(hou
     (house.package / "callee.py").write_text(CALLEE.format(constant=2.0))
     assert house()[:2] == (6.0, 0)
     assert house()[:2] == (6.0, 1)
-    assert len(house.entries()) == len(before)
-    assert not set(house.entries()) & set(before)
+    assert set(house.entries()) > set(before), "another installation may hold the older sources"
+    for entry in before:
+        os.utime(entry, (0, 0))
+    (house.package / "callee.py").write_text(CALLEE.format(constant=3.0))
+    assert house()[:2] == (8.0, 0)
+    assert not set(house.entries()) & set(before), "what nobody wrote for long is removed"
+
+
+def test_two_installations_share_what_one_of_them_compiled(house, tmp_path):
+    """Both without NUMBA_CACHE_DIR, the second in another place of the same sources."""
+    own = {"MAPWEAVE_CACHE_DIR": str(tmp_path / "own"), "NUMBA_DISABLE_JIT": "0"}
+    environ = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"} | own
+    shutil.copytree(house.package, tmp_path / "elsewhere" / "house")
+
+    def ask(home):
+        command = [sys.executable, "-c", PROGRAM]
+        return subprocess.run(command, cwd=home, env=environ, check=True, capture_output=True, text=True).stdout.split()  # noqa: S603
+
+    assert [ask(tmp_path), ask(tmp_path / "elsewhere")] == [["4.0", "0"], ["4.0", "1"]]
+    assert not list(tmp_path.rglob("__pycache__/*.nbi"))
+    (tmp_path / "own" / "kernels").chmod(0o777)
+    assert ask(tmp_path) == ["4.0", "0"], "what others may have written is not run"
 
 
 @pytest.mark.parametrize("end", [".nbi", pytest.param(".nbc", marks=pytest.mark.slow)])
@@ -106,7 +127,7 @@ def test_without_any_folder_kernels_are_compiled_and_that_is_told_once(house, tm
     (house.package / "__pycache__").touch()
     value, hits, said = house(home="/dev/null")
     assert (value, hits) == (4.0, 0)
-    assert said.count("NUMBA_CACHE_DIR") == 1
+    assert said.count("MAPWEAVE_CACHE_DIR") == 1
     assert said.count("\n") == 1
 
 

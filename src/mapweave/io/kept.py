@@ -25,12 +25,12 @@ from typing import Any, TypeVar
 
 from ..core.errors import MapweaveError
 from ..core.workers import Progress, no_progress
+from ..kernels.own_folder import is_forgotten, own_folder
 
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 LEAST = 10.0  # [s] of work that are worth keeping anything of
-FORGOTTEN = 14 * 86400.0  # [s] after which parts that nobody came back for are removed
 COMPUTES = ("numpy", "scipy", "numba")
 TORN = (
     pickle.UnpicklingError,
@@ -236,17 +236,9 @@ def _sources() -> str:
 
 def _folder() -> Path | None:
     """The user's own folder for parts, old ones removed; None where there is none to be trusted."""
-    try:
-        named = os.environ.get("MAPWEAVE_CACHE_DIR")
-        cached = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        folder = Path(named or Path(cached) / "mapweave") / "parts"
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        state = folder.stat()
-        if hasattr(os, "getuid") and (state.st_uid != os.getuid() or state.st_mode & 0o022):
-            return None
-        for old in folder.iterdir():
-            if time.time() - old.stat().st_mtime > FORGOTTEN:
+    folder = own_folder("parts")
+    with suppress(OSError):
+        for old in folder.iterdir() if folder is not None else ():
+            if is_forgotten(old):
                 old.unlink(missing_ok=True)
-    except (OSError, RuntimeError):
-        return None
     return folder

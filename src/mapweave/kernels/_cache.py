@@ -16,9 +16,10 @@ from functools import cache
 from pathlib import Path
 
 import numba
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, UserWideCacheLocator
 
 from .compiling import tell_compiled, tell_compiling
+from .own_folder import is_forgotten, own_folder
 
 log = logging.getLogger(__name__)
 
@@ -26,6 +27,18 @@ BROKEN = (pickle.UnpicklingError, EOFError, ValueError, TypeError, AttributeErro
 
 
 LOCATORS = CompileResultCacheImpl._locator_classes  # noqa: SLF001  (first that of NUMBA_CACHE_DIR, then beside the source)
+
+
+class OwnFolder(UserWideCacheLocator):
+    """The user's folder: every environment finds what another compiled of the same sources, wherever they lie."""
+
+    def __init__(self, kernel: Callable[..., object], file: str) -> None:
+        super().__init__(kernel, file)
+        self._cache_path = str((own_folder("kernels") or Path()) / kernel.__module__)
+
+    @classmethod
+    def from_function(cls, kernel: Callable[..., object], file: str) -> object:
+        return None if own_folder("kernels") is None else super().from_function(kernel, file)
 
 
 class NothingWritable:
@@ -39,7 +52,7 @@ class NothingWritable:
 class Places(CompileResultCacheImpl):
     """Where Numba keeps entries, and where it would raise, those that are there already."""
 
-    _locator_classes = (*LOCATORS, NothingWritable)
+    _locator_classes = (LOCATORS[0], OwnFolder, *LOCATORS[1:], NothingWritable)
 
 
 class KernelCache(FunctionCache):
@@ -78,7 +91,7 @@ class KernelCache(FunctionCache):
             _tell_not_kept(error.strerror or str(error))
         tell_compiled(self._stem)
         for old in self._files():
-            if self._digest not in old.name:
+            if self._digest not in old.name and is_forgotten(old):  # other installations may use it
                 _remove(old)
 
     def _put_aside(self) -> None:
@@ -127,7 +140,7 @@ def _imported(file: Path) -> tuple[Path, ...]:
 @cache
 def _tell_not_kept(reason: str) -> None:
     """Once a process and reason, whatever the number of kernels."""
-    log.warning("compiled code is not kept (%s), every run compiles anew: NUMBA_CACHE_DIR names a folder", reason)
+    log.warning("compiled code is not kept (%s), every run compiles anew: MAPWEAVE_CACHE_DIR names a folder", reason)
 
 
 def _remove(file: Path) -> None:
