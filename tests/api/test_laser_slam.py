@@ -68,7 +68,9 @@ def test_the_folder_is_that_of_map_to_the_byte(drive, tmp_path):
     files = [path for path in mapped.rglob("*") if path.is_file()]
     assert len(files) > 10
     differing = [p.name for p in files if p.read_bytes() != (slammed / p.relative_to(mapped)).read_bytes()]
-    assert set(differing) <= {"metrics.json", "report.html", "robot_graph.npz", "robot1.npz", "state.json"}, differing
+    assert set(differing) <= {
+        *("metrics.json", "report.html", "result.npz", "robot_graph.npz", "robot1.npz", "state.json"),
+    }, differing
     for name in ("robot1.tum", "robot1.cov.csv"):
         assert name not in differing
     ours, theirs = (read_robot_graph(tmp_path / d / "local" / "robot1" / "robot_graph.npz") for d in ("slam", "map"))

@@ -293,6 +293,8 @@ def woven_result(
     metrics = laser_metrics(stored, seed, components, merges, timing, whole)
     if whole:
         metrics["warnings"] = [found.told for found in whole]
+    if said is not None and decisions_text(stored, merges, said) == decisions_text(stored, merges, None):
+        said = None  # what was decided all the same: a file given back as it is changes nothing
     result = LaserResult(
         tuple(stored),
         metrics,
