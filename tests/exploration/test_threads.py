@@ -19,11 +19,11 @@ def explored(scenario, folder, threads):
 
 
 def contents(folder):
-    """Every file's bytes but those that tell the time: the page, and the clocks in runs.csv and metrics.json."""
+    """Every file's bytes but those that tell the time: the page, result.npz, the clocks in runs.csv and metrics.json."""
     out = {
         str(p.relative_to(folder)): p.read_bytes()
         for p in folder.rglob("*")
-        if p.is_file() and p.name not in ("report.html", "runs.csv", "metrics.json")
+        if p.is_file() and p.name not in ("report.html", "result.npz", "runs.csv", "metrics.json")
     }
     rows = list(csv.DictReader((folder / "runs.csv").read_text(encoding="utf-8").splitlines()))
     metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
