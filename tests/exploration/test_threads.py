@@ -19,7 +19,7 @@ def explored(scenario, folder, threads):
 
 
 def contents(folder):
-    """Every file's bytes but those that tell the time: the page, result.npz, the clocks in runs.csv and metrics.json."""
+    """Every file's bytes but those that tell the time: the page, result.npz, clocks in runs.csv and metrics.json."""
     out = {
         str(p.relative_to(folder)): p.read_bytes()
         for p in folder.rglob("*")
