@@ -318,6 +318,7 @@ BASE = {
     "localize": {"log": "nowhere", "map": "nowhere"},
     "locate": {"sightings": TABLE},
     "map": {"logs": "nowhere"},
+    "read": {"logs": "nowhere"},
     "solve_pose_graph": {"file": "nowhere"},
     "view": {"directory": "nowhere"},
 }

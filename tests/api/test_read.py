@@ -12,7 +12,7 @@ SCRIPT = """
 import mapweave as mw
 import numpy as np
 
-log = mw.read("robot1.bag", "robot2.mcap")
+log = mw.read(["robot1.bag", "robot2.mcap"])
 robots: tuple[str, ...] = log.robots
 last = max(event.t for event in log.events())
 result = mw.map(log, "out", resolution=0.05, config={"laser": {"particles": 50}}, truth="truth.tum")
@@ -44,7 +44,7 @@ def test_a_script_is_typed_strictly(tmp_path, monkeypatch, wrong, told):
 def test_lasers_are_read_as_they_were_recorded_and_mapped_from_memory(tmp_path):
     made = mapweave.simulate_laser(tmp_path / "drive.mcap", mapweave.CorridorConfig(distance=4.0), seed=1)
     mapweave.simulate_laser(tmp_path / "other.mcap", mapweave.CorridorConfig(distance=3.0), seed=2)
-    log = mapweave.read(tmp_path / "drive.mcap", tmp_path / "other.mcap")
+    log = mapweave.read([tmp_path / "drive.mcap", tmp_path / "other.mcap"])
     assert log.robots == ("1", "2")
     stamps = [event.t for event in log.events()]
     assert stamps == sorted(stamps)
@@ -91,7 +91,7 @@ def test_a_log_that_is_none_and_frames_without_pandas_are_one_clear_error(tmp_pa
         mapweave.read(tmp_path / "notes.txt")
     mapweave.simulate_landmarks(tmp_path / "team", robots=2, landmarks=8, minutes=0.5, seed=1)
     with pytest.raises(mapweave.ReaderError, match="expected every robot once, found robot1 twice"):
-        mapweave.read(tmp_path / "team", tmp_path / "team")
+        mapweave.read([tmp_path / "team", tmp_path / "team"])
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(mapweave.UsageError, match=r"install mapweave with the extra \[pandas\]"):
         mapweave.read(tmp_path / "team").to_pandas()

@@ -14,11 +14,12 @@ from ..core.findings import Finding
 from ..core.landmark_log import LandmarkLog
 from ..core.laser_log import LaserLog
 from ..core.names import robot_key, robot_name
-from ..core.paths import path_arguments, path_of
+from ..core.paths import path_of
 from ..core.records import Event
 from ..io.landmark_logs import is_landmark_log, read_landmark_logs
 from ..io.laser_logs import read_laser
 from ..io.mixed_logs import is_mixed, read_mixed_landmarks, sorted_logs
+from .in_memory import each_of
 from .map_laser import next_robots, source_of, sources_of
 from .map_options import LaserOptions, expect_there
 
@@ -100,18 +101,15 @@ def _tables(part: LaserLog | LandmarkLog) -> dict[str, Columns]:
     return {"poses": {"t": part.odometry.t, "x": x, "y": y, "theta": theta}, "scans": scans}
 
 
-@path_arguments
-def read(log: Path | str, *more: Path | str, laser: LaserOptions | None = None) -> Log:
-    """What `log`, and more logs of the same team, hold, in whatever format `map` takes.
+def read(logs: Path | str | Sequence[Path | str], *, laser: LaserOptions | None = None) -> Log:
+    """What `logs` hold, of one robot or of a team, in whatever format `map` takes.
 
     `map` takes it in place of the files.
 
     Parameters
     ----------
-    log
-        A log as for `map`: a recording (.bag, .db3, .mcap), CARMEN, MRCLAM, tables and others, or a folder of such.
-    more
-        Further logs of the same team.
+    logs
+        One or more logs as for `map`: recordings (.bag, .db3, .mcap), CARMEN, MRCLAM, tables and others, or folders.
     laser
         Which topics or columns are read, and where the scanner stands, as for `map`.
 
@@ -131,7 +129,9 @@ def read(log: Path | str, *more: Path | str, laser: LaserOptions | None = None) 
     >>> map(log).maps[0].robot
     '1'
     """
-    paths = [path_of(one, "log") for one in (log, *more)]
+    paths = [path_of(one, "logs", "paths") for one in each_of(logs)]
+    if not paths:
+        raise UsageError("logs: expected a log, found none")
     expect_there(paths)
     source = source_of(laser or LaserOptions())
     parts: list[LaserLog | LandmarkLog] = []
