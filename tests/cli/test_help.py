@@ -3,8 +3,10 @@
 import shlex
 
 import pytest
+from cyclopts import App, CycloptsError
 
-from mapweave.cli import COMMANDS, make_app
+from mapweave.cli import from_verb, make_app
+from mapweave.cli.commands import COMMANDS
 
 
 def commands(app, before=()):
@@ -44,3 +46,41 @@ def test_commands_stand_in_the_order_in_which_they_are_met(capsys):
     lines = [line.split()[1] for line in capsys.readouterr().out.splitlines() if line[2:].split(" ")[0] in COMMANDS]
     assert lines == list(COMMANDS)
     assert lines[0] == "demo"
+
+
+def test_an_option_has_the_type_the_default_and_the_meaning_of_the_argument_it_is(tmp_path, monkeypatch):
+    monkeypatch.setattr(from_verb, "PACKAGE", tmp_path)
+    source = '''
+def weigh(thing: Path | str | None, out: Path | str | None = None, *, times: int = 3, near: float | None = None,
+          often: bool = False, on_progress: object = None) -> None:
+    """Weigh a thing.
+
+    Parameters
+    ----------
+    thing
+        What is weighed.
+    times
+        How often (3), unless `often`.
+    near
+        As `configuration("map")` has it [m].
+
+    Raises
+    ------
+    UsageError
+        Never.
+    """
+'''
+    (tmp_path / "scales.py").write_text(source)
+    app = App()
+    app.command(from_verb.make("weigh", from_verb.Command(verb="scales:weigh", words=("thing",))), name="weigh")
+    found = {o.name: o for o in app["weigh"].assemble_argument_collection(parse_docstring=True) if o.show}
+    assert {name: (o.required, o.parameter.help) for name, o in found.items()} == {
+        "THING": (True, "What is weighed."),
+        "--out": (True, ""),
+        "--times": (False, "How often, unless --often."),
+        "--near": (False, "As mapweave config map has it [m]."),
+        "--often": (False, ""),
+    }
+    assert found["--times"].hint is int
+    with pytest.raises(CycloptsError, match="times"):
+        app(["weigh", "x", "--out", "y", "--times", "two"], exit_on_error=False, print_error=False)

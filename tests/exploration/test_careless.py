@@ -1,5 +1,6 @@
 """What a careless user gives to `explore`: each mistake is told in one line, and small worlds are explored as well."""
 
+import re
 import sys
 from dataclasses import replace
 
@@ -8,6 +9,7 @@ import pytest
 
 from mapweave.api.explore import explore
 from mapweave.api.explore_options import parse_kills
+from mapweave.cli import _run
 from mapweave.core.errors import ConfigError, DataError, EstimateError, UsageError
 from mapweave.exploration.landmarks.scenario import find_scenario, make_field
 from mapweave.exploration.laser.scenario import find_laser_scenario, make_place
@@ -107,17 +109,16 @@ def test_the_names_of_all_scenarios_are_told():
 
 
 @pytest.mark.slow
-def test_ones_own_planner_may_stand_in_the_folder_one_is_in(tmp_path, monkeypatch):
-    from mapweave.cli import explore as command
-
+def test_ones_own_planner_may_stand_in_the_folder_one_is_in(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [p for p in sys.path if p])
     (tmp_path / "mine_alone.py").write_text("def stand(maps, poses, cfg):\n    return 0 * poses[:, :2]\n")
     (tmp_path / "mine_broken.py").write_text("def stand(:\n")
-    command.explore(written(tmp_path, HALL), out=tmp_path / "out", planner="mine_alone:stand", until="1")
+    words = ["explore", str(written(tmp_path, HALL)), "--out", str(tmp_path / "out"), "--until", "1", "--planner"]
+    assert _run([*words, "mine_alone:stand"]) == 0
     assert (tmp_path / "out" / "runs.csv").exists()
-    with pytest.raises(UsageError, match=r"planner 'mine_broken:stand': .*SyntaxError"):
-        command.explore(written(tmp_path, HALL), out=tmp_path / "out", planner="mine_broken:stand", until="1")
+    assert _run([*words, "mine_broken:stand"]) == 2
+    assert re.search(r"planner 'mine_broken:stand': .*SyntaxError", capsys.readouterr().err)
 
 
 @pytest.mark.parametrize(

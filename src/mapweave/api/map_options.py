@@ -23,11 +23,37 @@ LANDMARK_METHODS, LASER_METHODS = ("ekf",), ("particle", "graph", "gated", "icp"
 class LaserOptions:
     """Options of `map` and `localize` for laser logs; None leaves it to the configuration or the log.
 
-    resample: the share of the particles `N_eff` may fall to; sensor_pose: `T_robot_sensor` [m, m, rad]; mirrored: beam
-    angles run clockwise; height: of point clouds what is a scan, from [m] to [m] above the floor; no_loops: the graph
-    method looks for no old places; no_merge: and every robot's map stays alone; resume: a finished result that the logs
-    go on from; columns: of text logs that are tables, a scan a row, as `t,x,y,theta,ranges`, and beams: the angles of
-    their first beam and from beam to beam [rad].
+    Parameters
+    ----------
+    particles
+        How many hypotheses `method` particle carries (100); also of graph where intensity distinguishes places.
+    feature
+        What is used of the intensity of returns: normalised, raw or none (normalised where there is intensity).
+    likelihood
+        How a scan weights a hypothesis: matched, or paper (as printed by Hara et al.).
+    resample
+        Resample when the effective number of hypotheses falls below this share (0.5); 1 is always.
+    scan_topic
+        The LaserScan or PointCloud2 topic of a ROS recording, when there are several.
+    odom_topic
+        The odometry or tf topic of a ROS recording, when there are several.
+    sensor_pose
+        The pose of the scanner on the robot, `T_robot_sensor` [m, m, rad].
+    mirrored
+        The beams of the log run clockwise.
+    height
+        What of point clouds is a scan: from [m] to [m] above the floor (0.2 above the floor to 0.5 above the scanner).
+    no_loops
+        The graph method looks for no old places.
+    no_merge
+        And every robot's map stays alone.
+    resume
+        A finished result of method graph to add the logs to, as new robots or as longer logs of its robots.
+    columns
+        How text logs that are tables are read, a scan a row: t,x,y,theta,ranges in seconds, metres and radians. Also
+        ranges:N, intensities:N, and - or -:N for columns that are not used. With `beams`.
+    beams
+        The angles of their first beam and from beam to beam [rad].
     """
 
     particles: int | None = None

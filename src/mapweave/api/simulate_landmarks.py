@@ -76,12 +76,16 @@ def simulate_landmarks(
     ----------
     out
         The folder to write: odometry, sightings and true poses of every robot, surveyed landmarks, barcodes.
-    robots, landmarks
-        How many (3, 15); the floor grows with the landmarks.
+    robots
+        How many robots (3).
+    landmarks
+        How many landmarks (15); the floor grows with them, 8 square metres each.
     minutes
         How long they drive (5).
-    noise, bias
-        Random and systematic errors, relative to a real team's (1).
+    noise
+        Random errors of odometry and camera, relative to a real team's (1).
+    bias
+        Systematic errors (turn and speed scale, command lag, range scale, bearing bias), relative to a real team's (1).
     outliers
         Probability that a range is wrong by about a metre (0.01).
     misreads

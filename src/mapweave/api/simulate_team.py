@@ -131,17 +131,24 @@ def simulate_team(
     out
         The folder to write: robotK.mcap of every laser robot, odometry.csv and sightings.csv of the others (or
         ranges.mcap), truth/.
-    lasers, cameras, bearing_cameras, bearings
-        How many robots with a laser scanner and wheels (2), with wheels and a camera that measures range and bearing
-        (2), with wheels and a camera that measures bearings alone (0), with nothing but bearings to the others (1).
+    lasers
+        How many robots with a laser scanner and wheels, and no camera (2).
+    cameras
+        How many robots with wheels and a camera that measures range and bearing of landmarks and of other robots (2).
+    bearing_cameras
+        How many robots with wheels and a camera that measures bearings alone (0).
+    bearings
+        How many robots with nothing but bearings to the others (1): no wheels, no landmarks.
     rooms
         How many rooms in a row (1); the walls between them stop lasers and robots, cameras look over them.
     landmarks
         How many (15); the rooms grow with them.
     minutes
         How long they drive (5).
-    noise, bias
-        Random and systematic errors, relative to a real team's (1).
+    noise
+        Random errors of wheels and cameras, relative to a real team's (1).
+    bias
+        Systematic errors of a `real` calibration, relative to a real team's (1).
     outliers
         The share of sightings that are mislabelled or wrong by metres (0).
     calibration

@@ -16,59 +16,16 @@ if TYPE_CHECKING:
 
     from cyclopts import App
 
-HELP = {"--help", "-h"}
+    from .from_verb import Command
 
-COMMANDS: dict[str, tuple[str, str, str]] = {
-    # verb: where its command lives, imported only when that command is asked for; what it does, in a line; an example,
-    # "" where commands below have theirs
-    "demo": ("mapweave.cli.demo:demo", "Simulate, map and score a small team: a first look.", "demo"),
-    "map": (
-        "mapweave.cli.map:map_logs",
-        "Make one map of the logs of a team.",
-        "map robot1.bag robot2.mcap --out result",
-    ),
-    "view": ("mapweave.cli.view:view", "Open a result's report and map.", "view result"),
-    "evaluate": (
-        "mapweave.cli.evaluate:evaluate",
-        "Score a result against the truth.",
-        "evaluate result --truth MRCLAM_Dataset6.zip",
-    ),
-    "fuse": ("mapweave.cli.fuse:fuse", "Make one map of several results.", "fuse monday tuesday --out both"),
-    "localize": (
-        "mapweave.cli.localize:localize",
-        "Follow a robot in a finished laser map.",
-        "localize log.mcap --map result --out where",
-    ),
-    "locate": (
-        "mapweave.cli.locate:locate",
-        "Find every robot of a swarm from bearings.",
-        "locate sightings.csv --out result --anchor a=0,0 --anchor b=10,0",
-    ),
-    "explore": (
-        "mapweave.cli.explore:explore",
-        "Let a simulated team decide where to drive.",
-        "explore office --robots 3 --out result",
-    ),
-    "live": ("mapweave.cli.live:app", "Map a team that drives now, over a network.", ""),
-    "simulate": ("mapweave.cli.simulate:app", "Make logs of simulated robots, and their truth.", ""),
-    "solve": ("mapweave.cli.solve:solve", "Solve and draw a pose graph of any origin.", "solve FILE.g2o --out result"),
-    "reproduce": ("mapweave.cli.reproduce:app", "Repeat a paper's experiment.", ""),
-    "config": (
-        "mapweave.cli.config:config",
-        "Print every setting of a job with default and meaning.",
-        "config map > settings.toml",
-    ),
-    "doctor": ("mapweave.cli.doctor:doctor", "Check the installation.", "doctor"),
-    "completion": (
-        "mapweave.cli.completion:completion",
-        "Print what completes commands in bash, zsh or fish.",
-        "completion bash > mapweave.bash",
-    ),
-}
+HELP = {"--help", "-h"}
 
 
 def make_app() -> "App":
     from cyclopts import App
+
+    from .commands import COMMANDS, GROUPS
+    from .from_verb import Command
 
     app = App(
         suppress_keyboard_interrupt=False,  # said in one line below
@@ -80,10 +37,21 @@ def make_app() -> "App":
         help_format="plaintext",  # Markdown costs a tenth of a second to import
         help_epilogue="`mapweave demo` is a first look; `mapweave COMMAND --help` tells the options of a command.",
     )
-    for place, (name, (where, help_text, example)) in enumerate(COMMANDS.items()):
-        shown = {"help_epilogue": f"Example: mapweave {example}"} if example else {}
-        app.command(where, name=name, help=help_text, sort_key=place, **shown)
+    for place, (name, entry) in enumerate(COMMANDS.items()):
+        if isinstance(entry, Command):
+            _add(app, name, name, entry, place)
+            continue
+        group = App(name=name, help=GROUPS[name], help_epilogue="", sort_key=place)
+        for word, command in entry.items():
+            _add(group, word, f"{name} {word}", command)
+        app.command(group)
     return app
+
+
+def _add(app: "App", word: str, words: str, command: "Command", place: int | None = None) -> None:
+    """One command, whose function is made when it is asked for."""
+    shown = {"help_epilogue": f"Example: mapweave {command.example}" if command.example else ""}
+    app.command(f"{__name__}.commands:{words}", name=word, help=command.does, sort_key=place, **shown)
 
 
 def main(tokens: list[str] | None = None) -> None:

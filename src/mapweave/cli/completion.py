@@ -37,7 +37,7 @@ fi
 """
 
 
-def completion(shell: Literal["bash", "zsh", "fish"], /) -> None:
+def completion(shell: Literal["bash", "zsh", "fish"]) -> None:
     """Print the script that completes commands and options in a shell.
 
     For this terminal: `source <(mapweave completion bash)`; for all, that line in the shell's start file (fish:

@@ -216,3 +216,26 @@ class Interruption:
             again = Timer(AGAIN, interrupt_main)
             again.daemon = True
             again.start()
+
+
+@contextmanager
+def until_interrupted() -> "Iterator[Event]":
+    """An event that the first Ctrl-C (or SIGTERM) sets; a second one interrupts as everywhere."""
+    stop = Event()
+    if current_thread() is not main_thread():
+        yield stop
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def ask(number: int, frame: object) -> None:  # noqa: ARG001
+        stop.set()
+        for n, handler in before.items():
+            signal.signal(n, handler)
+
+    for number in before:
+        signal.signal(number, ask)
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

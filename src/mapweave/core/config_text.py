@@ -47,11 +47,12 @@ def meanings(cls: type) -> dict[str, str]:
     Those that it inherits mean what they mean there.
     """
     inherited = [base for base in cls.__mro__[:0:-1] if is_dataclass(base)]
-    return {name: text for c in (*inherited, cls) for name, text in _own_meanings(c).items()}
+    return {name: text for c in (*inherited, cls) for name, text in own_meanings(inspect.getsource(c)).items()}
 
 
-def _own_meanings(cls: type) -> dict[str, str]:
-    source = textwrap.dedent(inspect.getsource(cls))
+def own_meanings(source: str) -> dict[str, str]:
+    """What the fields mean that the source of a class defines itself."""
+    source = textwrap.dedent(source)
     (tree,) = ast.parse(source).body
     comments = {
         token.start[0]: token.string.lstrip("#").strip()

@@ -13,13 +13,13 @@ from .route import ring
 class CorridorConfig:
     """The ring of [Hara07]'s kind: two long legs that are flush, two short ones with recessed doors."""
 
-    long_leg: float = 60.0  # [m], centre line
-    short_leg: float = 30.0  # [m], centre line
-    width: float = 2.5  # [m]
+    long_leg: float = 60.0  # [m] along the middle of a long side of the ring
+    short_leg: float = 30.0  # [m] along the middle of a short side of the ring
+    width: float = 2.5  # [m] from wall to wall
     recess: float = 0.12  # [m] doors of the short legs stand back
     distance: float = 200.0  # [m] driven
     corner: float = 1.2  # [m] radius of the driven corners
-    start: float = 15.0  # [m] after the corner of the first long leg
+    start: float = 15.0  # [m] after the first corner of a long leg, where the drive begins
     style: WallStyle = WallStyle()
     drive: DriveConfig = field(default_factory=DriveConfig)
 

@@ -19,7 +19,7 @@ class OfficeConfig:
 
     rooms: int = 4  # on each side of the corridor
     room_width: float = 5.0  # [m] along the corridor
-    room_depth: float = 4.5  # [m]
+    room_depth: float = 4.5  # [m] away from it
     corridor: float = 2.2  # [m]
     visited: int = 5  # rooms driven into, at most all
     style: WallStyle = WallStyle(gap=(0.6, 2.0))

@@ -21,23 +21,23 @@ Layout = Literal["grid", "random", "clusters"]
 class SwarmScene:
     """What the simulated swarm is like. Angles in radians, lengths in metres, times in seconds."""
 
-    robots: int = 100
-    dim: Literal[2, 3] = 2
-    layout: Layout = "grid"
+    robots: int = 100  # about one in every cell of 10 m
+    dim: Literal[2, 3] = 2  # 2: in the plane; 3: in space
+    layout: Layout = "grid"  # grid: cells of 10 m, jittered by 3 m either way; random; clusters
     k: int = 8  # nearest robots that each one sees; not used with `range`
-    range: float | None = None  # [m] sees everyone within
+    range: float | None = None  # [m] within which each one sees all, instead
     sigma: float = float(np.deg2rad(1.0))
     missing: float = 0.0  # share of sightings lost
     outliers: float = 0.0  # share of sightings that point anywhere
     visibility: Literal["directed", "mutual", "single"] = "directed"
-    axis: bool = True  # a compass; without it every robot has a heading of its own
+    axis: bool = True  # whether there is a common one; without it every robot has a heading of its own
     blockers: int = 0  # objects that move about and block the view
     blocker_radius: float = 1.5
-    steps: int = 1  # of `interval`; more than one: stamped sightings of moving robots
-    interval: float = 1.0
+    steps: int = 1  # more than one: robots move, and every sighting has its stamp; those at the corners stand still
+    interval: float = 1.0  # [s] between steps
     speed: float = 0.5  # [m/s] of each axis at the start
     acceleration: float = 0.02  # [m^2/s^3] white-noise acceleration density of each axis
-    drive: bool = False  # as wheeled robots do, with odometry, instead of drifting
+    drive: bool = False  # as wheeled robots do, their odometry beside, instead of drifting
 
 
 @dataclass(frozen=True, slots=True)

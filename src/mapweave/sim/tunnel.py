@@ -15,8 +15,8 @@ from .route import Route
 class TunnelConfig:
     """A long tunnel without features but reflective marks on its walls, driven down and back."""
 
-    length: float = 80.0  # [m]
-    width: float = 3.0  # [m]
+    length: float = 80.0  # [m] from end to end
+    width: float = 3.0  # [m] from wall to wall
     concrete: float = 0.35  # reflectance of the walls
     mark_gap: tuple[float, float] = (1.0, 4.0)  # [m] between marks on one side
     mark_width: tuple[float, float] = (0.1, 0.4)  # [m]
