@@ -18,7 +18,7 @@ from mapweave.laser.beam import IntensityCalibration, beams
 from mapweave.laser.laser_map import ScanInfos
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import choose_feature, finish, map_laser
-from mapweave.papers.hara.methods import score
+from mapweave.papers.hara.experiments import score
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 from mapweave.sim.laser import DriveConfig
 from mapweave.sim.scanner import SECOND_LAW

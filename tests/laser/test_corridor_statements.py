@@ -9,7 +9,7 @@ from mapweave.laser.particle_grid import ParticleGrid
 from mapweave.laser.particle_slam import as_points, log_likelihood
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import choose_feature, map_laser
-from mapweave.papers.hara.methods import score
+from mapweave.papers.hara.experiments import score
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 from mapweave.sim.laser import DriveConfig
 from mapweave.sim.scanner import SECOND_LAW

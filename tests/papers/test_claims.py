@@ -6,12 +6,12 @@ from typing import get_args
 
 import pytest
 
-from mapweave.papers.hamatani.claims import CLAIMS as HAMATANI
-from mapweave.papers.hara.claims import CLAIMS as HARA
-from mapweave.papers.kojima.claims import CLAIMS as KOJIMA
+from mapweave.papers.hamatani.reproduce import CLAIMS as HAMATANI
+from mapweave.papers.hara.reproduce import CLAIMS as HARA
+from mapweave.papers.kojima.reproduce import CLAIMS as KOJIMA
 from mapweave.papers.reproduction import CLAIMS_HEAD, markdown
 from mapweave.papers.verdicts import Typed, Verdict
-from mapweave.papers.yuan.claims import CLAIMS as YUAN
+from mapweave.papers.yuan.reproduce import CLAIMS as YUAN
 
 TOP = Path(__file__).parent.parent.parent
 PAGES = {

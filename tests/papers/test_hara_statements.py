@@ -13,9 +13,16 @@ from mapweave.laser.laser_map import ScanInfos
 from mapweave.laser.particle_grid import ParticleGrid
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import choose_feature, finish, map_laser
-from mapweave.papers.hara.bounds import geometry_bound
-from mapweave.papers.hara.experiments import on_rims
-from mapweave.papers.hara.methods import GRAPH, ICP, PRINTED, WHEELS_KNOWN, WHEELS_PROPOSE, score
+from mapweave.papers.hara.experiments import (
+    GRAPH,
+    ICP,
+    PRINTED,
+    WHEELS_KNOWN,
+    WHEELS_PROPOSE,
+    geometry_bound,
+    on_rims,
+    score,
+)
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 
 SEEDS = range(6)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.papers.kojima.unequal_maps import UnequalConfig, draw_unequal
+from mapweave.papers.kojima.experiments import UnequalConfig, draw_unequal
 from mapweave.papers.kojima.world import SEEN, KojimaConfig, draw_worlds, run_filters
 
 

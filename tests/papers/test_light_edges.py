@@ -10,9 +10,8 @@ from mapweave.core.records import Track
 from mapweave.laser.beam import beams
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import choose_feature
-from mapweave.papers.hara.bounds import along_flush_walls, geometry_bound, light_bound
+from mapweave.papers.hara.experiments import along_flush_walls, geometry_bound, light_bound, score
 from mapweave.papers.hara.light_edges import LightEdgeConfig, find_rims, rim_problem, same_rims, sharpened
-from mapweave.papers.hara.methods import score
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 from mapweave.sim.drift import DriftConfig
 from mapweave.sim.laser import DriveConfig

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mapweave.fusion.relative_measurement import RelativeLayout, measurement
-from mapweave.papers.kojima import limits, rls
-from mapweave.papers.kojima.settling import settling
+from mapweave.papers.kojima import rls
+from mapweave.papers.kojima.experiments import settling
 from mapweave.papers.kojima.world import KojimaConfig, draw_worlds, run_filters
 
 INFORMATION = np.array([1e-5] * 3 + [1e3] * 16)  # the paper's initial covariance, inverted
@@ -56,7 +56,7 @@ def test_log_det_falls_with_log_k_at_the_rank_of_h(seed, record_property):
     layout, told, x = stationary(seed)
     H = told.dense_jacobian(layout, x)
     k = np.array([1e6, 1e7])
-    logdet = [np.linalg.slogdet(limits.after(np.diag(INFORMATION), H, told.R, at))[1] for at in k]
+    logdet = [np.linalg.slogdet(rls.after(np.diag(INFORMATION), H, told.R, at))[1] for at in k]
     slope = np.diff(logdet)[0] / np.diff(np.log(k))[0]
     assert np.linalg.matrix_rank(H) == 10
     said = r"slope of $\log\lvert P_k\rvert$ in $\log k$, off $-\operatorname{rank} H$"
@@ -70,7 +70,7 @@ def test_k_updates_in_joseph_form_are_k_times_the_information():
     H = told.dense_jacobian(layout, x)
     information = np.diag(np.r_[np.full(3, 1.0), np.full(16, 1e3)])
     estimate = repeat_stationary(layout, rls.Estimate(x, np.linalg.inv(information)), told, 100)
-    wanted = limits.after(information, H, told.R, 100.0)
+    wanted = rls.after(information, H, told.R, 100.0)
     assert np.abs(estimate.P - wanted).max() < 1e-9 * np.abs(wanted).max()
 
 
@@ -80,9 +80,9 @@ def test_theorem_2_corrected_k_times_the_error_is_constant_within_1_percent(seed
     layout, told, x = stationary(seed)
     H = told.dense_jacobian(layout, x)
     information = np.diag(np.r_[np.full(3, 1.0), np.full(16, 10.0)])
-    P_inf = limits.limit(information, H)
+    P_inf = rls.limit(information, H)
     k = [100.0, 300.0, 1000.0, 3000.0, 10000.0]
-    scaled = np.array([at * np.linalg.norm(limits.after(information, H, told.R, at) - P_inf) for at in k])
+    scaled = np.array([at * np.linalg.norm(rls.after(information, H, told.R, at) - P_inf) for at in k])
     said = r"$k \lVert P_k - P_\infty\rVert$ for k = 100 .. 10,000: spread over mean"
     record_property("asserted", (said, "< 0.01", float(np.ptp(scaled) / scaled.mean())))
     assert np.ptp(scaled) < 0.01 * scaled.mean()
@@ -110,8 +110,8 @@ def test_the_printed_limit_is_exact_when_the_map_holds_every_landmark_and_wrong_
         layout, told, x = stationary(seed, total=total)
         H = told.dense_jacobian(layout, x)
         information = np.diag(np.r_[np.full(3, 1.0), np.full(2 * total, 1e3)])
-        printed = limits.printed_limit(information[:3, :3], information[3:, 3:], H[:, :3], H[:, 3:])
-        true = limits.limit(information, H)
+        printed = rls.printed_limit(information[:3, :3], information[3:, 3:], H[:, :3], H[:, 3:])
+        true = rls.limit(information, H)
         error = np.abs(printed - true).max() / np.abs(true).max()
         said, least = ("$N = n$", "< 1e-9") if exact else ("$N > n$", "> 1e-3")
         record_property("asserted", (f"eq. 24-27 against the limit, {said}, relative", least, float(error)))

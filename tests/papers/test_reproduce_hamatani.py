@@ -7,9 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from mapweave.papers.hamatani.beyond import CASES, beyond
-from mapweave.papers.hamatani.claims import CLAIMS
-from mapweave.papers.hamatani.experiments import LAYOUT, angle_error, guess, side_error, sightings
+from mapweave.papers.hamatani.experiments import CASES, LAYOUT, angle_error, beyond, guess, side_error, sightings
+from mapweave.papers.hamatani.reproduce import CLAIMS
 
 
 def test_errors_are_of_the_sides_and_angles_whatever_the_place():

@@ -8,11 +8,17 @@ import pytest
 from mapweave.laser.beam import beams
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import choose_feature
-from mapweave.papers.hara.along import STRETCH, along_error
-from mapweave.papers.hara.alpha import ALPHAS, estimate_alpha
-from mapweave.papers.hara.gate import try_gate
-from mapweave.papers.hara.hard_world import GLASS, HardConfig, simulate_hard
-from mapweave.papers.hara.methods import PRINTED
+from mapweave.papers.hara.experiments import (
+    ALPHAS,
+    GLASS,
+    PRINTED,
+    STRETCH,
+    HardConfig,
+    along_error,
+    estimate_alpha,
+    simulate_hard,
+    try_gate,
+)
 from mapweave.papers.hara.reproduce import reproduce_hara
 from mapweave.papers.hara.starts import counts, starts_table
 from mapweave.sim.corridor import CorridorConfig, simulate_corridor

@@ -8,7 +8,6 @@ import pytest
 from mapweave.cli import _run
 from mapweave.core import se2
 from mapweave.core.errors import UsageError
-from mapweave.papers.kojima.claims import CLAIMS
 from mapweave.papers.kojima.experiments import honesty, merge_online, unequal
 from mapweave.papers.kojima.identity_trials import (
     EXACT,
@@ -22,7 +21,7 @@ from mapweave.papers.kojima.identity_trials import (
     price_text,
     true_evidence,
 )
-from mapweave.papers.kojima.reproduce import reproduce_kojima
+from mapweave.papers.kojima.reproduce import CLAIMS, reproduce_kojima
 from mapweave.papers.kojima.world import KojimaConfig, draw_worlds, run_filters
 from mapweave.papers.reproduction import CLAIMS_HEAD
 

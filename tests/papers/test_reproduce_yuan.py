@@ -8,8 +8,18 @@ import pytest
 
 from mapweave.exploration.landmarks.experiment import explore_many
 from mapweave.papers.yuan import reproduce as module
-from mapweave.papers.yuan.experiments import HEAD, PRINTED, cases, expected_error, moving, plain_neighbour, run
-from mapweave.papers.yuan.goals import GOALS, as_it_is, moved
+from mapweave.papers.yuan.experiments import (
+    GOALS,
+    HEAD,
+    PRINTED,
+    as_it_is,
+    cases,
+    expected_error,
+    moved,
+    moving,
+    plain_neighbour,
+    run,
+)
 from mapweave.papers.yuan.reproduce import AREA, TITLES, implied_error, reproduce_yuan
 
 

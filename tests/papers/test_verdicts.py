@@ -5,11 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mapweave.papers.hamatani.beyond import CASES, Beyond
-from mapweave.papers.hamatani.experiments import LAYOUT, VARIANCES, Cell, TableCell
-from mapweave.papers.hamatani.figures import Pictures
-from mapweave.papers.hamatani.printed import PRINTED
-from mapweave.papers.hamatani.reproduce import DRIFT, HamataniReproduction
+from mapweave.papers.hamatani.experiments import CASES, LAYOUT, VARIANCES, Beyond, Cell, TableCell
+from mapweave.papers.hamatani.reproduce import DRIFT, PRINTED, HamataniReproduction, Pictures
 from mapweave.papers.verdicts import Check, Rule, Typed, question, rule
 
 ASKED = rule(Check("a", "ours / printed", 0.5, 2.0), Check("b", "wrong", most=0.0))

@@ -6,11 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mapweave.papers.hara.along import AlongRow
-from mapweave.papers.hara.alpha import AlphaCurve
-from mapweave.papers.hara.bounds import Bounds
-from mapweave.papers.hara.gate import GateRow
-from mapweave.papers.hara.methods import methods
+from mapweave.papers.hara.experiments import AlongRow, AlphaCurve, Bounds, GateRow, methods
 from mapweave.papers.hara.reproduce import HaraReproduction
 from mapweave.papers.hara.starts import LocalisedStart
 

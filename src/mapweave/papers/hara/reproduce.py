@@ -1,9 +1,10 @@
 """`reproduce hara`: odometry, matching, gate and particle filter on the paper's kind of loop, six times."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -13,22 +14,226 @@ from ...core.version import __version__
 from ...core.workers import Progress, no_progress, one_blas_thread
 from ...io.directory import check_target
 from ...io.kept import kept_parts, part
+from ...laser.laser_map import GridMap
 from ...report.result import Rows
-from ...report.style import Target
+from ...report.style import MUTED, SEQUENTIAL, TRUTH, Target, as_map, colour, figure
 from ...sim.corridor import CorridorConfig
 from ..reproduction import Claim, Drawing, Reproduction, Section, sentences
-from ..verdicts import Numbers
-from . import figures
-from .along import AlongRow, try_along
-from .alpha import AlphaCurve, alpha_curve
-from .bounds import Bounds, try_bounds
-from .claims import CLAIMS
-from .experiments import Picture, compare
-from .gate import GateRow, try_gate
-from .hard_world import HardConfig
-from .judged import numbers
-from .methods import Method, methods
+from ..verdicts import Check, Numbers, question, rule
+from .experiments import (
+    AlongRow,
+    AlphaCurve,
+    Bounds,
+    GateRow,
+    HardConfig,
+    Method,
+    Picture,
+    alpha_curve,
+    compare,
+    methods,
+    try_along,
+    try_bounds,
+    try_gate,
+)
 from .starts import SCANS, LocalisedStart, counts, starts_table, try_starts
+
+
+def numbers(r: "HaraReproduction") -> Numbers:
+    """By the names of the rules: errors in metres, ratios of errors, shares."""
+    odometry, icp = r.drives("odometry"), r.drives("Intensity-ICP")
+    printed, ours = r.drives("paper's RBPF, raw intensity"), r.drives("our RBPF, intensity")
+    narrow, alone, gated = r.gate[1], r.gate[-2], r.gate[-1]
+    outside, rightly = r.refusals()
+    light, walls = (r.best(what)[1] for what in ("intensity", "geometry"))
+    square = r.best("intensity", squared=True)[1]
+    bound = float(np.sqrt(np.mean(r.bounds.geometry**2)))
+    seen, bare = counts(r.starts, "normalised"), counts(r.starts, "none")
+    inside = [s.answer == "right" for s in r.starts if (s.feature, s.where) == ("normalised", "here")]
+    return {
+        "odometry": odometry.tolist(),
+        "icp": (icp / odometry).tolist(),
+        "gate_fails": [float(alone.ate.mean() / narrow.ate.mean())],
+        "gate_saves": [float(gated.ate.mean() / alone.ate.mean())],
+        "gate_right": [rightly / outside if outside else float("nan")],
+        "printed": (printed / icp).tolist(),
+        "ours": (ours / icp).tolist(),
+        "geometry": [light / walls],
+        "geometry_bound": [square / bound if bound > 0 else float("nan")],
+        "alpha": [float(r.alpha.at_estimate.mean() / r.alpha.ate.mean(axis=1).min())],
+        "feature": [float(ours.mean() / printed.mean())],
+        "starts_wrong": [float(n["wrong"]) for n in (seen, bare)],
+        "starts_right": [float(np.mean(inside)) if inside else float("nan")],
+    }
+
+
+COMMAND = "reproduce hara"
+LOOP = "papers/test_reproduce_hara.py"
+STATEMENTS = "papers/test_hara_statements.py"
+
+CLAIMS = (
+    Claim(
+        "Odometry alone bends the map (Fig. 4)",
+        "sim/drift.py",
+        f"{LOOP}::test_every_method_of_the_paper_is_compared_and_drawn",
+        "20 m at the end",
+        "odometry",
+        "{drives} drives",
+        COMMAND,
+        rule(Check("odometry", "ATE [m], each drive, beyond the corridor's width", least=CorridorConfig().width)),
+    ),
+    Claim(
+        "Intensity-ICP is better than odometry (Fig. 5)",
+        "laser/icp_slam.py",
+        f"{STATEMENTS}::test_intensity_icp_errs_half_of_odometry_at_most_and_less_than_icp_on_geometry",
+        "drawn",
+        "icp",
+        "{drives} drives",
+        COMMAND,
+        rule(Check("icp", "ATE / odometry's, each drive", most=0.5)),
+    ),
+    Claim(
+        "Matching fails on the way and the map turns away; the gate refuses it and carries the map (Figs. 5, 6)",
+        "papers/hara/experiments.py",
+        f"{LOOP}::test_where_matching_fails_the_gate_carries_the_map_and_refuses_rightly",
+        "drawn",
+        "gate",
+        "{drives} drives",
+        COMMAND,
+        rule(
+            Check("gate_fails", "ATE without the gate, widest pairs / narrowest", least=2.0),
+            Check("gate_saves", "ATE with the gate / without, widest pairs", most=0.75),
+            Check("gate_right", "share of refusals that are right", least=0.95),
+        ),
+    ),
+    Claim(
+        "The particle filter closes the loop where one hypothesis cannot (Fig. 7), as printed",
+        "papers/hara/experiments.py",
+        f"{STATEMENTS}::test_the_printed_filter_does_not_close_the_loop_where_matching_alone_does_not",
+        "drawn",
+        "printed",
+        "{drives} drives",
+        COMMAND,
+        rule(Check("printed", "ATE / Intensity-ICP's, each drive", most=0.9)),
+    ),
+    Claim(
+        "The same, our filter with calibrated intensity",
+        "laser/particle_slam.py",
+        f"{STATEMENTS}::test_our_filter_with_intensity_errs_a_fraction_of_geometry_and_of_odometry",
+        "drawn",
+        "ours",
+        "{drives} drives",
+        COMMAND,
+        rule(Check("ours", "ATE / Intensity-ICP's, each drive", most=0.9)),
+    ),
+    Claim(
+        "Intensity tells places apart where geometry does not",
+        "papers/hara/light_edges.py",
+        f"{STATEMENTS}::test_intensity_errs_a_seventh_of_the_best_geometry_and_of_the_least_that_geometry_can",
+        "not measured",
+        "geometry",
+        "{drives} drives",
+        COMMAND,
+        rule(
+            Check("geometry", "ATE / best geometry's", most=0.15),
+            Check("geometry_bound", "root mean square / the least that geometry can", most=0.15),
+        ),
+    ),
+    Claim(
+        "Future work: the best weight of intensity",
+        "papers/hara/experiments.py",
+        f"{LOOP}::test_the_weight_of_intensity_is_found_from_the_log",
+        "by experience",
+        "alpha",
+        "{drives} drives",
+        COMMAND,
+        question(Check("alpha", "ATE at the alpha found / at the best tried", most=1.25)),
+    ),
+    Claim(
+        "Future work: light as a feature that range and angle leave alone",
+        "laser/beam.py",
+        f"{STATEMENTS}::test_the_feature_found_from_the_log_is_the_reflectance_and_maps_as_well_as_the_true_law",
+        "not tried",
+        "feature",
+        "{drives} drives",
+        COMMAND,
+        question(Check("feature", "ATE of our filter / of the paper's", most=0.5)),
+    ),
+    Claim(
+        "Future work: localisation with intensity in a finished map",
+        "papers/hara/starts.py",
+        f"{LOOP}::test_no_trusted_start_is_wrong_and_light_tells_what_walls_cannot",
+        "not tried",
+        "localised",
+        "{starts} starts with light, {bare_starts} with geometry alone, which knows no twins",
+        COMMAND,
+        question(
+            Check("starts_wrong", "wrong, with light and without", most=0.0),
+            Check("starts_right", "share of starts in the building that light finds", least=0.75),
+        ),
+    ),
+)
+
+
+@runtime_checkable
+class Shown(Protocol):
+    @property
+    def name(self) -> str: ...
+    @property
+    def figure(self) -> str: ...
+    @property
+    def grid(self) -> GridMap: ...
+    @property
+    def track(self) -> Float[np.ndarray, "n 2"]: ...
+    @property
+    def truth(self) -> Float[np.ndarray, "m 2"]: ...
+
+
+def draw_maps(path: Target, pictures: Sequence[Shown]) -> None:
+    """One panel a method, all at one scale."""
+    across = 2
+    down = -(-len(pictures) // across)
+    with figure(path, 11.0, 3.6 * down + 0.3, nrows=down, ncols=across, squeeze=False) as (_, axes):
+        for ax, p in zip(axes.ravel(), pictures, strict=False):
+            cells = p.grid.cells()
+            no_intensity = not cells[:, 2].any()
+            colours = (
+                {"color": MUTED} if no_intensity else {"c": cells[:, 2], "cmap": SEQUENTIAL, "vmin": 0.0, "vmax": 1.0}
+            )
+            ax.scatter(cells[:, 0], cells[:, 1], s=1.2, marker="s", linewidths=0, **colours)
+            ax.plot(*p.track.T, color=colour(5), linewidth=0.8)
+            ax.plot(*p.truth.T, color=TRUTH, linewidth=0.8, linestyle="--")
+            as_map(ax, f"{p.figure}: {p.name}" if p.figure else p.name)
+        for ax in axes.ravel()[len(pictures) :]:
+            ax.set_visible(False)
+
+
+def draw_alpha(path: Target, alphas: Sequence[float], error: np.ndarray, estimate: np.ndarray, at: np.ndarray) -> None:
+    """Error against alpha, one line a drive and their mean, and the estimates where they fell."""
+    with figure(path, 6.0, 3.6) as (_, ax):
+        for each in error.T:
+            ax.plot(alphas, each, color=MUTED, linewidth=0.8)
+        ax.plot(alphas, error.mean(axis=1), "o-", color=colour(0), label="mean of the drives")
+        ax.plot(estimate, at, "*", color=TRUTH, markersize=10, linestyle="none", label="alpha found from the log")
+        ax.set_xscale("log")
+        ax.set_ylim(bottom=0)
+        ax.set_xlabel("alpha [m² per q²]")
+        ax.set_ylabel("trajectory error [m]")
+        ax.legend()
+
+
+def draw_gate(path: Target, widths: Sequence[float], alone: np.ndarray, gated: np.ndarray, odometry: float) -> None:
+    """Error without and with the gate over how far apart pairs may lie at first; one mark a drive."""
+    with figure(path, 6.0, 3.6) as (_, ax):
+        for k, (name, error) in enumerate((("Intensity-ICP", alone), ("gated", gated))):
+            ax.plot(widths, error.mean(axis=1), "o-", color=colour(k), label=f"{name}, mean")
+            for each in error.T:
+                ax.plot(widths, each, ".", color=colour(k), alpha=0.6)
+        ax.axhline(odometry, color=TRUTH, linestyle=":", label="odometry, mean")
+        ax.set_ylim(bottom=0)
+        ax.set_xlabel("pairs are taken up to [m]")
+        ax.set_ylabel("trajectory error [m]")
+        ax.legend()
+
 
 WHY = """
 The paper's corridor and its log are not published. Here the ring is 60 by 30 m, 2.5 m wide, driven for 200 m with 15 to
@@ -151,12 +356,12 @@ class HaraReproduction(Reproduction):
                     Drawing(
                         "maps.png",
                         "Figs. 4 to 7 side by side: cells in the colour of their light; dashed: the truth.",
-                        lambda target: figures.draw_maps(target, paper),
+                        lambda target: draw_maps(target, paper),
                     ),
                     Drawing(
                         "geometry.png",
                         "The same without intensity, and matching on lines. Grey cells: no intensity used.",
-                        lambda target: figures.draw_maps(target, rest),
+                        lambda target: draw_maps(target, rest),
                     ),
                 ),
                 file="methods",
@@ -168,7 +373,7 @@ class HaraReproduction(Reproduction):
                     Drawing(
                         "gate.png",
                         "The farther apart pairs may lie, the more matching fails, and the more the gate saves.",
-                        lambda target: figures.draw_gate(target, widths, alone, gated, float(self.gate[0].ate.mean())),
+                        lambda target: draw_gate(target, widths, alone, gated, float(self.gate[0].ate.mean())),
                     ),
                 ),
                 file="gate",
@@ -182,7 +387,7 @@ class HaraReproduction(Reproduction):
                     Drawing(
                         "alpha.png",
                         "Error against alpha, and the alpha that each log tells of itself.",
-                        lambda target: figures.draw_alpha(
+                        lambda target: draw_alpha(
                             target, self.alpha.alphas, self.alpha.ate, self.alpha.estimate, self.alpha.at_estimate
                         ),
                     ),
@@ -285,7 +490,7 @@ class HaraReproduction(Reproduction):
 
     def draw(self, target: Target) -> None:
         """The maps of Figs. 4 to 7 side by side."""
-        figures.draw_maps(target, [p for p in self.pictures if p.figure])
+        draw_maps(target, [p for p in self.pictures if p.figure])
 
     @property
     def metrics(self) -> dict[str, Any]:

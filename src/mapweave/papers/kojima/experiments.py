@@ -1,21 +1,138 @@
 """The experiments behind `reproduce kojima`: the paper's Table 2 and Fig. 7, honesty of the weights, unequal maps."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ...core import se2
+from ...core.config import config
 from ...core.workers import Progress, no_progress
 from ...fusion.relative_information import Weights, baseline_pair
 from ...fusion.relative_measurement import Measurement, RelativeLayout, measurement
-from . import limits, rls
+from . import rls
 from .rls import solve_all
-from .settling import LAYOUT, prior_information
-from .unequal_maps import UnequalConfig, UnequalMaps, draw_unequal
 from .world import SEEN, KojimaConfig, LocalMaps, Worlds, run_filters
+
+
+@config
+class UnequalConfig:
+    """Two maps of n landmarks each, m in common; every landmark of each map has its own deviation, log-uniform."""
+
+    n: int = 10
+    m: int = 6
+    arena: float = 1.5  # [m]
+    smallest: float = 0.002  # [m]
+    largest: float = 0.05  # [m]
+
+    @property
+    def total(self) -> int:
+        return 2 * self.n - self.m
+
+
+@dataclass(frozen=True, slots=True)
+class UnequalMaps:
+    """S worlds of two maps, the common landmarks first in each.
+
+    landmarks: (S, N, 2) the truth in frame 1; frame: (S, 3) of map 2; index[k]: (n,) the landmarks of map k;
+    mean: (S, 2, n, 2) in the maps' own frames; cov: (S, 2, 2n, 2n).
+    """
+
+    landmarks: Float[np.ndarray, "s t 2"]
+    frame: Float[np.ndarray, "s 3"]
+    index: tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]
+    mean: Float[np.ndarray, "s 2 n 2"]
+    cov: Float[np.ndarray, "s 2 d d"]
+
+
+def draw_unequal(cfg: UnequalConfig, count: int, rng: np.random.Generator) -> UnequalMaps:
+    """`count` worlds whose maps err as their covariances say."""
+    landmarks = rng.uniform(0.0, cfg.arena, (count, cfg.total, 2))
+    frame = rng.uniform([-cfg.arena, -cfg.arena, -np.pi], [cfg.arena, cfg.arena, np.pi], (count, 3))
+    index = (np.arange(cfg.n), np.r_[np.arange(cfg.m), np.arange(cfg.n, cfg.total)])
+    local = np.stack([landmarks[:, index[0]], se2.act(se2.inverse(frame)[:, None], landmarks[:, index[1]])], axis=1)
+    sigma = np.exp(rng.uniform(np.log(cfg.smallest), np.log(cfg.largest), (count, 2, cfg.n)))
+    variance = np.repeat(sigma**2, 2, axis=-1)
+    return UnequalMaps(
+        landmarks=landmarks,
+        frame=frame,
+        index=index,
+        mean=local + sigma[..., None] * rng.standard_normal(local.shape),
+        cov=variance[..., None] * np.eye(2 * cfg.n),
+    )
+
+
+LAYOUT = RelativeLayout(2, 8)
+EARLY = np.array([100.0, 300.0, 1000.0, 3000.0, 10_000.0])  # updates
+LATE = 10.0 * EARLY
+MERGES = 700.0  # updates of the experiment
+
+
+@dataclass(frozen=True, slots=True)
+class Settling:
+    """Over S maps under the paper's prior, delta: of eq. 14; maps: which.
+
+    early, late: (S,) spread of `k |P_k - P_inf|` over k in `EARLY` and `LATE`, as a share of its mean (0 where the
+    error falls as 1/k); left: (S,) `|P_k - P_inf| / |P_inf|` after the experiment's 700 updates; printed: (S,) the
+    same of the paper's closed form, eqs. 24-27, in place of P_k.
+    """
+
+    maps: str
+    delta: float
+    early: Float[np.ndarray, " s"]
+    late: Float[np.ndarray, " s"]
+    left: Float[np.ndarray, " s"]
+    printed: Float[np.ndarray, " s"]
+
+
+def prior_information(cfg: KojimaConfig) -> Float[np.ndarray, "n n"]:
+    """The inverse of the paper's `P^G_800`."""
+    return np.diag(1 / np.r_[np.full(3, cfg.prior_frame_variance), np.full(16, cfg.prior_landmark_variance)])
+
+
+def settling(
+    cfg: KojimaConfig, local: LocalMaps, x: Float[np.ndarray, "s n"], rng: np.random.Generator
+) -> tuple[Settling, ...]:
+    """The experiment's own maps of robot 2 at the states `x`, and `len(x)` drawn ones of some 2 to 7 cm."""
+    drawn_points = rng.uniform(-1, 1, (len(x), 5, 2)) + np.array([3.0, 0.0])
+    A = 0.01 * rng.normal(size=(len(x), 10, 10))
+    drawn_cov = A @ np.swapaxes(A, -1, -2) + 1e-4 * np.eye(10)
+    state = np.zeros_like(x)
+    state[:, 3:13] = drawn_points.reshape(len(x), -1)
+    state[:, 13:] = rng.uniform(-1, 1, (len(x), 6))
+    index = np.arange(5)
+    out = []
+    for delta in (1.0, cfg.delta):
+        each = replace(cfg, delta=delta)
+        out.append(_settling("the experiment's", each, SEEN[1], local.mean[:, 1], local.cov[:, 1], x))
+        out.append(_settling("less certain", each, index, drawn_points, drawn_cov, state))
+    return tuple(out)
+
+
+def _settling(
+    name: str,
+    cfg: KojimaConfig,
+    index: np.ndarray,
+    mean: Float[np.ndarray, "s 5 2"],
+    cov: Float[np.ndarray, "s 10 10"],
+    x: Float[np.ndarray, "s n"],
+) -> Settling:
+    measured = measurement(1, index, mean, cov, "paper", delta=cfg.delta)
+    information = prior_information(cfg)
+    spreads = np.empty((4, len(x)))
+    for s, (H, R) in enumerate(zip(measured.dense_jacobian(LAYOUT, x), measured.R, strict=True)):
+        P_inf = rls.limit(information, H)
+        for row, ks in enumerate((EARLY, LATE)):
+            scaled = np.array([k * np.linalg.norm(rls.after(information, H, R, k) - P_inf) for k in ks])
+            spreads[row, s] = np.ptp(scaled) / scaled.mean()
+        rest = rls.after(information, H, R, MERGES) - P_inf
+        spreads[2, s] = np.linalg.norm(rest) / np.linalg.norm(P_inf)
+        closed = rls.printed_limit(information[:3, :3], information[3:, 3:], H[:, :3], H[:, 3:])
+        spreads[3, s] = np.linalg.norm(closed - P_inf) / np.linalg.norm(P_inf)
+    return Settling(name, cfg.delta, *spreads)
+
 
 Reading = Literal["prior", "measurement"]
 Rule = Literal["certain", "widest", "narrowest"]
@@ -102,7 +219,7 @@ def _run(
     limit = 0.0
     if reading == "prior":
         H = _measure(cfg, first, 1, weights).dense_jacobian(LAYOUT, estimate.x)
-        limit = float(np.mean([np.trace(limits.limit(prior_information(cfg), each)) for each in H]))
+        limit = float(np.mean([np.trace(rls.limit(prior_information(cfg), each)) for each in H]))
     return Run(
         reading=reading,
         weights=weights,
