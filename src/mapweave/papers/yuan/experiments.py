@@ -14,6 +14,7 @@ from ...exploration.landmarks.scenario import find_scenario
 from ...fusion.map_and_submap import PairingConfig
 from ...report.result import Rows
 
+# The paper's Table 1: steps min, max, mean, map error [m], uncertainty [m^2].
 PRINTED = {2: (208, 371, 296, 0.282, 0.327), 1: (310, 705, 503, 0.361, 0.490)}
 HEAD = (
     "", "seeds", "finished", "steps min / max / mean", "map error [m]", "C/N [m²]", "NEES/dof", "NEES/dof, worst",
@@ -355,6 +356,3 @@ def _changed(outcomes: Sequence[Outcome]) -> list[Outcome]:
 def _planner(o: Outcome) -> str:
     """Whose constant a case changes: it is named `planner.constant x factor`."""
     return o.case.name.partition(".")[0]
-
-
-# The paper's Table 1: steps min, max, mean, map error [m], uncertainty [m^2].
