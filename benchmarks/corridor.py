@@ -19,9 +19,8 @@ from mapweave.laser.laser_map import ScanInfos
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import choose_feature, finish, map_laser
 from mapweave.papers.hara.experiments import score
-from mapweave.sim.corridor import CorridorConfig, simulate_corridor
-from mapweave.sim.laser import DriveConfig
-from mapweave.sim.scanner import SECOND_LAW
+from mapweave.sim.laser import SECOND_LAW, DriveConfig
+from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
 KNOTS = np.linspace(0.0, 6.0, 31)
 TRUE = IntensityCalibration(KNOTS, -np.log1p((KNOTS / 1.5) ** 2), 1.0, 40000 * 0.9, 0.0, 1)

@@ -18,9 +18,8 @@ import numpy as np
 
 from mapweave.core.workers import worker_pool
 from mapweave.exploration.laser.config import LaserMissionConfig, with_odometry_noise
-from mapweave.exploration.laser.experiment import LaserMission, explore_laser_many
+from mapweave.exploration.laser.experiment import LaserMission, LaserScore, explore_laser_many
 from mapweave.exploration.laser.scenario import LaserScenarioConfig
-from mapweave.exploration.laser.score import LaserScore
 
 AREAS, TEAMS = (500, 1000, 2000, 5000), (1, 2, 4, 8)
 SEEDS = {500: 2, 1000: 2, 2000: 2, 5000: 1}  # area -> runs of each team, for --tables

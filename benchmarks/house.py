@@ -20,7 +20,7 @@ from pathlib import Path
 from types import FrameType
 
 import mapweave
-from mapweave.sim.office import OfficeConfig
+from mapweave.sim.laser_worlds import OfficeConfig
 from mapweave.sim.swarm import SwarmScene
 
 SOURCE = Path(mapweave.__file__).parent

@@ -22,7 +22,7 @@ from mapweave.laser.config import PAPER_FILTER
 from mapweave.laser.particle_grid import CellConfig, ParticleGrid
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import choose_feature
-from mapweave.sim.corridor import simulate_corridor
+from mapweave.sim.laser_worlds import simulate_corridor
 
 SENSOR_HZ = 10.0
 PARTICLES = 512

@@ -24,15 +24,14 @@ from mapweave.core import se2
 from mapweave.core.errors import MapweaveError
 from mapweave.core.laser_log import LaserLog
 from mapweave.core.records import Track
-from mapweave.evaluation.relations import score_relations
+from mapweave.evaluation.trajectory import score_relations
 from mapweave.io.laser_logs import read_laser
 from mapweave.io.relations import read_relations
 from mapweave.laser.laser_map import LaserMap
 from mapweave.laser.odometry_calibration import PARAMETERS
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
-from mapweave.sim.corridor import simulate_corridor
-from mapweave.sim.office import simulate_office
+from mapweave.sim.laser_worlds import simulate_corridor, simulate_office
 
 
 class Fault(NamedTuple):

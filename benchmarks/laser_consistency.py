@@ -23,10 +23,15 @@ from mapweave.mapping.laser_mapping import map_laser
 from mapweave.mapping.merge_search import Start
 from mapweave.mapping.weave import weave
 from mapweave.mapping.woven_map import woven_maps
-from mapweave.sim.corridor import simulate_corridor
 from mapweave.sim.laser import drive
-from mapweave.sim.office import OfficeConfig, office_route, office_world, simulate_office
-from mapweave.sim.tunnel import simulate_tunnel
+from mapweave.sim.laser_worlds import (
+    OfficeConfig,
+    office_route,
+    office_world,
+    simulate_corridor,
+    simulate_office,
+    simulate_tunnel,
+)
 
 WORLDS = {"office": simulate_office, "corridor": simulate_corridor, "tunnel": simulate_tunnel}
 FALSE = 0.5  # [m]

@@ -22,11 +22,18 @@ import numpy as np
 from mapweave.api.laser_slam import LaserSlam
 from mapweave.core import se2
 from mapweave.mapping.config import LaserConfig
-from mapweave.sim.drift import DriftConfig
-from mapweave.sim.laser import DriveConfig, LaserSimulation, drive, stream
-from mapweave.sim.laser_world import LaserWorld, WallStyle, WorldBuilder
-from mapweave.sim.route import ring
-from mapweave.sim.scanner import Scanner
+from mapweave.sim.laser import (
+    DriftConfig,
+    DriveConfig,
+    LaserSimulation,
+    LaserWorld,
+    Scanner,
+    WallStyle,
+    WorldBuilder,
+    drive,
+    ring,
+    stream,
+)
 
 WIDE, HIGH, CORNER, START, ASIDE = 10.0, 6.0, 1.2, 3.0, 2.0  # [m] of the way round, and of the walls from it
 LAP = 2 * (WIDE + HIGH) - (8 - 2 * np.pi) * CORNER  # [m]

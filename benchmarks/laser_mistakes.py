@@ -22,7 +22,7 @@ from mapweave.core.laser_log import LaserLog
 from mapweave.core.records import Scan
 from mapweave.io.assemble import RawLog, RawScan
 from mapweave.io.laser_logs import read_laser
-from mapweave.sim.office import simulate_office
+from mapweave.sim.laser_worlds import simulate_office
 
 Change = Callable[[RawLog], None]
 WRONG, RIGHT = 0.5, 0.1  # [m]

@@ -9,7 +9,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from mapweave.evaluation.relations import exact_pairs, score_relations
+from mapweave.evaluation.trajectory import exact_pairs, score_relations
 from mapweave.io.laser_logs import read_laser
 from mapweave.io.relations import read_relations
 from mapweave.mapping.config import LaserConfig

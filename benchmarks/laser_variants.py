@@ -24,7 +24,7 @@ import numpy as np
 from mapweave.core import se2
 from mapweave.core.records import Track
 from mapweave.core.truth import Relations
-from mapweave.evaluation.relations import score_relations
+from mapweave.evaluation.trajectory import score_relations
 from mapweave.io.relations import read_relations
 
 NO_RETURN = 81.83  # [m]

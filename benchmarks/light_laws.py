@@ -21,7 +21,7 @@ from mapweave.io.laser_logs import read_laser
 from mapweave.laser.beam import Beams, IntensityCalibration, beams, calibrated
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import calibrating, ways
-from mapweave.sim.scanner import FITTED
+from mapweave.sim.laser import FITTED
 
 LOGS = {
     "lds01": ("tb3_jchee_maze.bag", "tb3_khaidarovs_wall.bag", "tb3_riya_2000.bag", "tb3_starchon_wall.bag"),

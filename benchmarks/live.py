@@ -50,7 +50,7 @@ from mapweave.live.topics import Topics
 from mapweave.live.transport import Network, put, session
 from mapweave.sim.landmarks import TeamWorld, simulate_team
 from mapweave.sim.laser import drive
-from mapweave.sim.office import OfficeConfig, office_route, office_world
+from mapweave.sim.laser_worlds import OfficeConfig, office_route, office_world
 
 CASES = "laser:1,5,20,50:1/laser:10:4/landmarks:1,50:1"
 WAYS = {"landmarks": 50, "laser": 6}  # simulated logs; further robots tell them again under their own names

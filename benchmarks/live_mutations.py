@@ -44,7 +44,7 @@ from mapweave.live.store import Store
 from mapweave.live.tiles import SIDE, pack
 from mapweave.live.view import Board
 from mapweave.mapping.config import LaserConfig
-from mapweave.sim.corridor import CorridorConfig
+from mapweave.sim.laser_worlds import CorridorConfig
 
 NUMBERS = (
     0, 1, -1, 2**31, 2**53, 2**63 - 1, -(2**63), 2**64 - 1, 0.0, -0.0, 5e-324, 1e15, 1e300, -1e300, 1.7e308,

@@ -12,8 +12,8 @@ from scipy.sparse.linalg import splu
 from mapweave.core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from mapweave.core.records import Odometry, Track
 from mapweave.landmarks.landmark_map import LandmarkMap
-from mapweave.sim import driving
 from mapweave.sim import landmarks as camera
+from mapweave.sim import landmarks as driving
 from mapweave.sim.mixed_team import MixedRecording, MixedRobot
 from mapweave.solve import Factor
 from mapweave.team.config import SmoothingConfig

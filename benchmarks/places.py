@@ -27,7 +27,7 @@ from mapweave.core.errors import MapweaveError
 from mapweave.core.laser_log import LaserLog
 from mapweave.core.records import Track
 from mapweave.core.truth import Relations
-from mapweave.evaluation.relations import score_relations
+from mapweave.evaluation.trajectory import score_relations
 from mapweave.io.laser_logs import read_laser
 from mapweave.io.relations import read_relations
 from mapweave.laser.occupancy import of_grid

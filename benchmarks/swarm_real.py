@@ -16,10 +16,10 @@ import numpy as np
 import mapweave
 from mapweave.api.locate import LocateConfig
 from mapweave.core import se2
-from mapweave.evaluation.swarm_shape import similarity
+from mapweave.evaluation.swarm import similarity
 from mapweave.io.angulation import as_sightings, read_angulation
 from mapweave.io.team_bearings import read_team_bearings, read_team_truth
-from mapweave.swarm.moving.odometry import odometry_steps
+from mapweave.swarm.moving.poses import odometry_steps
 
 HEADING = 0.5 * np.pi  # true of all nine places
 

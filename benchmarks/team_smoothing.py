@@ -32,10 +32,9 @@ from mapweave.fusion.join import fuse
 from mapweave.io.landmark_logs import read_landmark_logs
 from mapweave.landmarks.mapping import local_map
 from mapweave.team.config import SmoothingConfig
-from mapweave.team.further_rooms import with_further_rooms
 from mapweave.team.relative_frame import PlacingConfig
 from mapweave.team.smooth import smooth
-from mapweave.team.team_map import TeamMap
+from mapweave.team.team_map import TeamMap, with_further_rooms
 
 NEAR = 0.3  # [s] from a pose to a true one, at most, for its NEES
 BEGIN, END = "<!-- team smoothing: begin -->", "<!-- team smoothing: end -->"

@@ -5,10 +5,7 @@ import numpy as np
 import mapweave
 from mapweave.core import se2
 from mapweave.mapping.weave import weave
-from mapweave.sim.laser import DriveConfig, drive
-from mapweave.sim.laser_world import WallStyle, WorldBuilder
-from mapweave.sim.route import through
-from mapweave.sim.scanner import Scanner
+from mapweave.sim.laser import DriveConfig, Scanner, WallStyle, WorldBuilder, drive, through
 
 # Drivers stand here: two simulated robots in one flat, rooms below and above a corridor, each room of its own size.
 flat = WorldBuilder("flat", WallStyle(), np.random.default_rng(3))

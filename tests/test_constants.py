@@ -16,7 +16,7 @@ SCALE = 1e-3, 1e3  # what lies outside is so small or so large that it stands fo
 DEFAULTS = {
     # floats that an argument has by itself in those rooms, and why
     "swarm/headings.py: relative_odometry_frame(limit)": "callers in the package name their own",
-    "swarm/kalman.py: filter_start(sigma)": "the paper's",
+    "swarm/filtered.py: filter_start(sigma)": "the paper's",
 }
 LITERALS = (ast.Constant, ast.Tuple, ast.List, ast.Dict, ast.UnaryOp, ast.BinOp, ast.operator, ast.unaryop, ast.Load)
 

@@ -115,10 +115,10 @@ if TYPE_CHECKING:
     from .papers.kojima.reproduce import reproduce_kojima as reproduce_kojima
     from .papers.yuan.reproduce import YuanReproduction as YuanReproduction
     from .papers.yuan.reproduce import reproduce_yuan as reproduce_yuan
-    from .sim.corridor import CorridorConfig as CorridorConfig
-    from .sim.office import OfficeConfig as OfficeConfig
+    from .sim.laser_worlds import CorridorConfig as CorridorConfig
+    from .sim.laser_worlds import OfficeConfig as OfficeConfig
+    from .sim.laser_worlds import TunnelConfig as TunnelConfig
     from .sim.swarm import SwarmScene as SwarmScene
-    from .sim.tunnel import TunnelConfig as TunnelConfig
     from .swarm.moving.result import TrackConfig as TrackConfig
 
 _HOMES: dict[str, str] = {
@@ -188,12 +188,12 @@ _HOMES: dict[str, str] = {
     "TrackEvaluation": "api.evaluate_tracks",
     "YuanReproduction": "papers.yuan.reproduce",
     # options and worlds
-    "CorridorConfig": "sim.corridor",
+    "CorridorConfig": "sim.laser_worlds",
     "LaserOptions": "api.map_options",
-    "OfficeConfig": "sim.office",
+    "OfficeConfig": "sim.laser_worlds",
     "SwarmScene": "sim.swarm",
     "TrackConfig": "swarm.moving.result",
-    "TunnelConfig": "sim.tunnel",
+    "TunnelConfig": "sim.laser_worlds",
     # configuration
     "EkfSlamConfig": "landmarks.config",
     "ExploreConfig": "exploration.landmarks.config",

@@ -15,10 +15,8 @@ from mapweave.core.errors import ConfigError, ReaderError, UsageError
 from mapweave.core.records import Track
 from mapweave.io.mcap import write_mcap
 from mapweave.io.tum import read_tum, write_tum
-from mapweave.sim.corridor import CorridorConfig, corridor_world
-from mapweave.sim.drift import DriftConfig
-from mapweave.sim.laser import DriveConfig, drive
-from mapweave.sim.route import Route
+from mapweave.sim.laser import DriftConfig, DriveConfig, Route, drive
+from mapweave.sim.laser_worlds import CorridorConfig, corridor_world
 
 DRIVE = DriveConfig(drift=DriftConfig(end_error=None))
 RING = CorridorConfig(long_leg=24.0, short_leg=12.0, start=6.0, drive=DRIVE)
@@ -92,7 +90,7 @@ def test_along_a_flush_corridor_intensity_finds_the_start_and_geometry_alone_doe
 
 
 def test_a_robot_somewhere_else_is_not_trusted(world, tmp_path):
-    from mapweave.sim.office import OfficeConfig, simulate_office
+    from mapweave.sim.laser_worlds import OfficeConfig, simulate_office
 
     office = simulate_office(OfficeConfig(rooms=2, visited=1, drive=DRIVE), 1)
     write_mcap(tmp_path / "office.mcap", office.log)

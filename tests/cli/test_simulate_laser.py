@@ -7,8 +7,7 @@ from mapweave.cli import _run
 from mapweave.core import se2
 from mapweave.io.laser_logs import read_laser
 from mapweave.io.tum import read_tum
-from mapweave.sim.office import OfficeConfig, simulate_office
-from mapweave.sim.tunnel import TunnelConfig, simulate_tunnel
+from mapweave.sim.laser_worlds import OfficeConfig, TunnelConfig, simulate_office, simulate_tunnel
 
 SMALL = {
     "corridor": ["--distance", "8", "--end-error", "0,0"],

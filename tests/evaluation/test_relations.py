@@ -10,7 +10,7 @@ from mapweave.core import se2
 from mapweave.core.errors import ReaderError
 from mapweave.core.records import Track
 from mapweave.core.truth import Relations
-from mapweave.evaluation.relations import exact_pairs, score_relations
+from mapweave.evaluation.trajectory import exact_pairs, score_relations
 from mapweave.io.relations import read_relations
 from mapweave.io.tum import write_tum
 

@@ -10,8 +10,8 @@ from mapweave.exploration.laser.planner_state import PLANNERS, LaserBelief
 from mapweave.exploration.planner_interface import find_planner
 from mapweave.kernels.laser.scan_laying import CellCounts, lay_scan
 from mapweave.laser.occupancy import FREE, OCCUPIED, Occupancy, from_counts
+from mapweave.sim.laser import LaserWorld
 from mapweave.sim.laser_team import LaserTeamSim
-from mapweave.sim.laser_world import LaserWorld
 
 
 def world_of(*segments: tuple[float, float, float, float]) -> LaserWorld:

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from mapweave.exploration.landmarks import lap_search
+from mapweave.exploration.landmarks import laps as lap_search
 from mapweave.exploration.landmarks.config import ExploreConfig, LapSearchConfig
-from mapweave.exploration.landmarks.lap_judge import LapJudge, LapTask, Past
-from mapweave.exploration.landmarks.lap_search import find_laps, revise_laps
+from mapweave.exploration.landmarks.laps import LapJudge, LapTask, Past, find_laps, revise_laps
 from mapweave.landmarks.submap_slam import SubmapConfig
 
 TASK = LapTask(

@@ -10,7 +10,7 @@ from mapweave.core.errors import UsageError
 from mapweave.exploration.laser.config import LaserExploreConfig
 from mapweave.exploration.laser.frontiers import frontiers, mapped_ground
 from mapweave.exploration.laser.planner_state import PLANNERS, PlannerState, route_to
-from mapweave.exploration.laser.task_allocation import (
+from mapweave.exploration.laser.planners import (
     allocation_problem,
     by_tours,
     halved,

@@ -19,8 +19,8 @@ from mapweave.exploration.landmarks.steering import steer
 from mapweave.exploration.landmarks.team import Team
 from mapweave.exploration.laser import config as laser
 from mapweave.exploration.laser.config import LaserExploreConfig, LaserMissionConfig
-from mapweave.exploration.laser.path_follower import candidate_commands
-from mapweave.exploration.laser.path_follower import steer as follow
+from mapweave.exploration.laser.planners import candidate_commands
+from mapweave.exploration.laser.planners import steer as follow
 
 
 @pytest.mark.parametrize("module", [landmarks, laser, world, landmark_scenario])

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.fusion import map_and_submap
-from mapweave.fusion.handover import hand_over
-from mapweave.fusion.map_and_submap import FLOOR, MapAndSubmap, PairingConfig, _Merging, merge_duplicates
+from mapweave.fusion import handover
+from mapweave.fusion.handover import FLOOR, MapAndSubmap, PairingConfig, _Merging, hand_over, merge_duplicates
 from mapweave.kernels.landmarks import submap as kernels
 from mapweave.landmarks.landmark_map import GlobalMap, Submap, known_starts
 from mapweave.landmarks.submap_slam import (
@@ -425,7 +424,7 @@ def test_pairs_are_weighed_together_with_the_covariance_of_all_their_differences
         told.append((pairs, e, S))
         return np.zeros(len(pairs))
 
-    monkeypatch.setattr(map_and_submap, "pairing_probabilities", weighed)
+    monkeypatch.setattr(handover, "pairing_probabilities", weighed)
     assert made.surest(PairingConfig(gate=1e9)) is None
     ((pairs, e, S),) = told
     near = {(0, 1), (2, 3), (2, 6), (3, 6)} | (set() if merged else {(0, 4), (1, 4)})

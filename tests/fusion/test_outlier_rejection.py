@@ -7,7 +7,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.fusion.alignment import RigidFit
 from mapweave.fusion.config import FuseConfig
-from mapweave.fusion.consensus import (
+from mapweave.fusion.initial_frames import (
     Consensus,
     Entries,
     Outlier,

@@ -7,8 +7,7 @@ import numpy as np
 from mapweave.core import se2
 from mapweave.core.records import Scan, Track, frozen
 from mapweave.kernels.walls.raycast import cast
-from mapweave.sim.laser_world import WallStyle, WorldBuilder
-from mapweave.sim.scanner import Scanner
+from mapweave.sim.laser import Scanner, WallStyle, WorldBuilder
 
 from .ros_logs import Recording
 

@@ -6,9 +6,8 @@ from rosbags.highlevel import AnyReader
 
 from mapweave.io.laser_logs import read_laser
 from mapweave.io.mcap import write_mcap
-from mapweave.sim.corridor import CorridorConfig, simulate_corridor
-from mapweave.sim.drift import DriftConfig
-from mapweave.sim.laser import DriveConfig
+from mapweave.sim.laser import DriftConfig, DriveConfig
+from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import numpy as np
 from mapweave.core import se2
 from mapweave.landmarks.config import EkfSlamConfig
 from mapweave.landmarks.landmark_map import LandmarkMap
-from mapweave.landmarks.pieces import join_pieces
+from mapweave.landmarks.without_odometry import join_pieces
 
 NAMES = tuple("abcdefghij")
 

@@ -15,9 +15,9 @@ from mapweave.core.records import Odometry
 from mapweave.evaluation.consistency import mean_or_none
 from mapweave.evaluation.team import score_team
 from mapweave.io.landmark_logs import read_landmark_logs
+from mapweave.landmarks.agreement import SiftConfig, sifted, witnesses
 from mapweave.landmarks.config import EkfSlamConfig
 from mapweave.landmarks.mapping import local_map
-from mapweave.landmarks.sifting import SiftConfig, sifted, witnesses
 
 EKF = EkfSlamConfig()
 TEAM = {"lasers": 0, "cameras": 2, "bearings": 0, "calibration": "random", "minutes": 3.0, "seed": 11}

@@ -9,8 +9,8 @@ from mapweave.core.walls import Walls
 from mapweave.exploration.ground import Ground
 from mapweave.mapping.config import LaserTeamConfig
 from mapweave.mapping.laser_team import LaserTeam
+from mapweave.sim.laser import WallStyle, WorldBuilder
 from mapweave.sim.laser_team import LaserRobotsConfig, LaserTeamSim, OdometryNoise
-from mapweave.sim.laser_world import WallStyle, WorldBuilder
 from mapweave.sim.office_floor import office_floor
 
 CELL = 0.2  # [m] of the grid that ways are found on

@@ -7,7 +7,7 @@ import numpy as np
 from mapweave.core import se2
 from mapweave.core.laser_log import LaserLog
 from mapweave.core.records import Track
-from mapweave.sim.office import OfficeConfig, simulate_office
+from mapweave.sim.laser_worlds import OfficeConfig, simulate_office
 
 
 def dark(log):

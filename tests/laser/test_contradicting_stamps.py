@@ -7,7 +7,7 @@ from mapweave.core.records import Track
 from mapweave.laser.config import MomentConfig
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser, of_one_moment
-from mapweave.sim.corridor import CorridorConfig, simulate_corridor
+from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
 
 def driving(t):

@@ -8,7 +8,7 @@ import pytest
 from mapweave.laser.log_warnings import CopyCheck, copies_found
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
-from mapweave.sim.office import OfficeConfig, simulate_office
+from mapweave.sim.laser_worlds import OfficeConfig, simulate_office
 
 CFG = LaserConfig(method="graph", feature="none")
 

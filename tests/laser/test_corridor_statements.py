@@ -10,9 +10,8 @@ from mapweave.laser.particle_slam import as_points, log_likelihood
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import choose_feature, map_laser
 from mapweave.papers.hara.experiments import score
-from mapweave.sim.corridor import CorridorConfig, simulate_corridor
-from mapweave.sim.laser import DriveConfig
-from mapweave.sim.scanner import SECOND_LAW
+from mapweave.sim.laser import SECOND_LAW, DriveConfig
+from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
 LOOP = CorridorConfig(long_leg=25.0, short_leg=12.0, distance=85.0, start=6.0)
 CFG = LaserConfig(method="particle", particles=64, threads=1)

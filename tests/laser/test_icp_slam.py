@@ -11,7 +11,7 @@ from mapweave.laser.scan_matching import FrontEndConfig
 from mapweave.laser.scan_odometry import inside
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
-from mapweave.sim.corridor import CorridorConfig, simulate_corridor
+from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
 GOOD_WHEELS = FrontEndConfig(sd_xy=0.01, sd_xy_per_m=0.06, sd_turn=0.01, sd_turn_per_m=0.02, sd_turn_per_rad=0.05)
 

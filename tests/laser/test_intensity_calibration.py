@@ -8,9 +8,8 @@ import pytest
 from mapweave.laser.beam import BeamConfig, CalibrationConfig, beams, calibrate
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import choose_feature
-from mapweave.sim.corridor import CorridorConfig, simulate_corridor
-from mapweave.sim.laser import DriveConfig
-from mapweave.sim.scanner import SECOND_LAW, Reflectance
+from mapweave.sim.laser import SECOND_LAW, DriveConfig, Reflectance
+from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
 
 def correlation(sim):

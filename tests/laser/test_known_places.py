@@ -12,11 +12,7 @@ from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.known_places import KnownPlacesConfig
 from mapweave.mapping.laser_mapping import map_laser
 from mapweave.mapping.woven_map import placed_track
-from mapweave.sim.drift import DriftConfig
-from mapweave.sim.laser import DriveConfig, drive
-from mapweave.sim.laser_world import WallStyle, WorldBuilder
-from mapweave.sim.route import ring
-from mapweave.sim.scanner import Scanner
+from mapweave.sim.laser import DriftConfig, DriveConfig, Scanner, WallStyle, WorldBuilder, drive, ring
 
 WIDE, HIGH, CORNER = 6.0, 4.0, 1.0
 LAP = 2 * (WIDE + HIGH) - (8 - 2 * np.pi) * CORNER

@@ -13,11 +13,15 @@ from mapweave.laser.light_worth import BESIDE, worth
 from mapweave.mapping import laser_mapping
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import choose_feature, contradicting, map_laser
-from mapweave.sim.corridor import CorridorConfig, simulate_corridor
-from mapweave.sim.laser import DriveConfig
-from mapweave.sim.office import OfficeConfig, simulate_office
-from mapweave.sim.scanner import LDS01, NEATO, SECOND_LAW
-from mapweave.sim.tunnel import TunnelConfig, simulate_tunnel
+from mapweave.sim.laser import LDS01, NEATO, SECOND_LAW, DriveConfig
+from mapweave.sim.laser_worlds import (
+    CorridorConfig,
+    OfficeConfig,
+    TunnelConfig,
+    simulate_corridor,
+    simulate_office,
+    simulate_tunnel,
+)
 
 from .spoilt_light import (
     fixed_to_the_scanner,

@@ -12,8 +12,7 @@ from mapweave.laser.log_warnings import WheelCheck, wheels_disagree, wheels_stan
 from mapweave.laser.moving import MovingConfig, MovingReturns
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
-from mapweave.sim.office import OfficeConfig, simulate_office
-from mapweave.sim.tunnel import TunnelConfig, simulate_tunnel
+from mapweave.sim.laser_worlds import OfficeConfig, TunnelConfig, simulate_office, simulate_tunnel
 
 ANGLES = np.linspace(-2.0, 2.0, 400)
 HALL = np.array([[-3, -2, 12, -2], [12, -2, 12, 4], [12, 4, -3, 4], [-3, 4, -3, -2]], float)

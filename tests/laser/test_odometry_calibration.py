@@ -22,8 +22,7 @@ from mapweave.laser.odometry_calibration import (
 )
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
-from mapweave.sim.corridor import CorridorConfig, simulate_corridor
-from mapweave.sim.office import OfficeConfig, simulate_office
+from mapweave.sim.laser_worlds import CorridorConfig, OfficeConfig, simulate_corridor, simulate_office
 
 CFG, BEAM = OdometryCalibrationConfig(), BeamConfig()
 GRAPH = LaserConfig(method="graph")

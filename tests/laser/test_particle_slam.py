@@ -12,7 +12,7 @@ from mapweave.laser.config import PAPER_FILTER, FilterConfig
 from mapweave.laser.particle_slam import effective, log_likelihood, move
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
-from mapweave.sim.corridor import CorridorConfig, simulate_corridor
+from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
 SHORT = CorridorConfig(long_leg=12.0, short_leg=8.0, distance=14.0, start=3.0)
 

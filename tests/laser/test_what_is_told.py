@@ -13,7 +13,7 @@ from mapweave.core.records import Track
 from mapweave.io.assemble import RawLog, RawScan
 from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import map_laser
-from mapweave.sim.office import OfficeConfig, simulate_office
+from mapweave.sim.laser_worlds import OfficeConfig, simulate_office
 
 CFG = LaserConfig(method="graph", feature="none")
 

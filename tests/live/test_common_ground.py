@@ -17,7 +17,7 @@ from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.merge import Merge
 from mapweave.mapping.merge_search import Start
 from mapweave.sim.laser import drive
-from mapweave.sim.office import OfficeConfig, office_route, office_world
+from mapweave.sim.laser_worlds import OfficeConfig, office_route, office_world
 
 CFG = LaserConfig(method="graph", threads=1)
 WORLD = OfficeConfig(rooms=2, visited=1)

@@ -14,7 +14,7 @@ from mapweave.live.door import JUMP, LONGEST, MOST_BEAMS, MOST_MESSAGES, decode
 from mapweave.live.landmark_stream import LandmarkRecord
 from mapweave.live.laser_stream import LaserRecord, messages_of_laser
 from mapweave.live.messages import Closed, Header, RefusedError, Rows, Scans, Snapshot, Status, encode
-from mapweave.sim.corridor import CorridorConfig
+from mapweave.sim.laser_worlds import CorridorConfig
 
 LOG = replace(simulate_laser(world=CorridorConfig(distance=2.0), seed=1).log, robot="robot1")
 TOLD = [m for _, m in messages_of_laser(LOG, "r1", "a", 1.0)]

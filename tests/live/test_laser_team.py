@@ -17,8 +17,7 @@ from mapweave.live.laser_stream import LaserRecord, beams_of, messages_of_laser,
 from mapweave.live.messages import LARGEST, RefusedError, Rows, Scans, encode
 from mapweave.live.sources import open_source
 from mapweave.mapping.config import LaserConfig
-from mapweave.sim.corridor import CorridorConfig
-from mapweave.sim.office import OfficeConfig
+from mapweave.sim.laser_worlds import CorridorConfig, OfficeConfig
 
 from .processes import Fleet, same_result
 

@@ -29,7 +29,7 @@ from mapweave.mapping.merge import MapClosure, Merge, merge_maps
 from mapweave.mapping.merge_search import MergeConfig
 from mapweave.mapping.session import LaserSession
 from mapweave.sim.laser import drive
-from mapweave.sim.office import OfficeConfig, office_route, office_world
+from mapweave.sim.laser_worlds import OfficeConfig, office_route, office_world
 
 CFG = LaserConfig(method="graph", threads=1)
 WORLD = OfficeConfig(rooms=2, visited=2)

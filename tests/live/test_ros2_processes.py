@@ -18,8 +18,8 @@ from mapweave.live.messages import Closed
 from mapweave.live.store import Store
 from mapweave.live.transport import Network
 from mapweave.mapping.config import LaserConfig
-from mapweave.sim.corridor import CorridorConfig, simulate_corridor
 from mapweave.sim.laser import DriveConfig
+from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
 from .processes import Fleet, free_endpoint
 from .ros_peer import (

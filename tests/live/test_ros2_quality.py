@@ -15,7 +15,7 @@ from mapweave.core import se2
 from mapweave.live.ros2 import assembly
 from mapweave.live.transport import Network
 from mapweave.sim.laser import drive
-from mapweave.sim.office import OfficeConfig, office_route, office_world
+from mapweave.sim.laser_worlds import OfficeConfig, office_route, office_world
 
 from .processes import free_endpoint
 from .ros_peer import SENSOR, RosDrive, open_session, scan, transforms, wait_for

@@ -23,7 +23,7 @@ from mapweave.papers.hara.experiments import (
     on_rims,
     score,
 )
-from mapweave.sim.corridor import CorridorConfig, simulate_corridor
+from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
 SEEDS = range(6)
 KNOTS = np.linspace(0.0, 6.0, 31)

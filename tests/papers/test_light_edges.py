@@ -12,9 +12,8 @@ from mapweave.mapping.config import LaserConfig
 from mapweave.mapping.laser_mapping import choose_feature
 from mapweave.papers.hara.experiments import along_flush_walls, geometry_bound, light_bound, score
 from mapweave.papers.hara.light_edges import LightEdgeConfig, find_rims, rim_problem, same_rims, sharpened
-from mapweave.sim.corridor import CorridorConfig, simulate_corridor
-from mapweave.sim.drift import DriftConfig
-from mapweave.sim.laser import DriveConfig
+from mapweave.sim.laser import DriftConfig, DriveConfig
+from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
 
 CFG = LightEdgeConfig()
 LOOP = CorridorConfig(long_leg=40.0, short_leg=10.0, distance=30.0, start=8.0)

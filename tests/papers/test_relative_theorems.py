@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapweave.fusion.relative_measurement import RelativeLayout, measurement
+from mapweave.fusion.relative_information import RelativeLayout, measurement
 from mapweave.papers.kojima import rls
 from mapweave.papers.kojima.experiments import settling
 from mapweave.papers.kojima.world import KojimaConfig, draw_worlds, run_filters

@@ -7,11 +7,21 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.se2 import heading_of_quaternion, quaternion_of_heading, representable_heading
-from mapweave.sim.corridor import CorridorConfig, corridor_world, simulate_corridor
-from mapweave.sim.drift import DriftConfig, drifted
-from mapweave.sim.laser import DriveConfig
-from mapweave.sim.route import ring, through
-from mapweave.sim.scanner import FITTED, LAWS, LDS01, NEATO, SECOND_LAW, Scanner, measure
+from mapweave.sim.laser import (
+    FITTED,
+    LAWS,
+    LDS01,
+    NEATO,
+    SECOND_LAW,
+    DriftConfig,
+    DriveConfig,
+    Scanner,
+    drifted,
+    measure,
+    ring,
+    through,
+)
+from mapweave.sim.laser_worlds import CorridorConfig, corridor_world, simulate_corridor
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.core.errors import DataError, EstimateError
+from mapweave.sim.laser import LaserWorld
 from mapweave.sim.laser_team import LaserRobotsConfig, LaserTeamSim, OdometryNoise
-from mapweave.sim.laser_world import LaserWorld
 
 ROOM = np.array([[-5, -5, 5, -5], [5, -5, 5, 5], [5, 5, -5, 5], [-5, 5, -5, -5]], dtype=float)
 WORLD = LaserWorld(ROOM, np.full(4, 0.6), name="room")

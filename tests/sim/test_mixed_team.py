@@ -12,7 +12,7 @@ from mapweave.core.walls import Walls
 from mapweave.io.landmark_logs import read_tables
 from mapweave.io.landmark_truth import read_survey
 from mapweave.io.laser_logs import read_laser
-from mapweave.sim.driving import Drive
+from mapweave.sim.landmarks import Drive
 from mapweave.sim.mixed_team import MixedWorld, simulate_mixed
 
 SMALL = MixedWorld(lasers=1, cameras=1, bearing_cameras=1, bearings=1, landmarks=6, minutes=0.7)

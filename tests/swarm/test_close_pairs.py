@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mapweave.core.gaussian import chi2_quantile
-from mapweave.swarm.close_pairs import CLOSE
 from mapweave.swarm.config import SwarmConfig
 from mapweave.swarm.locate import locate
+from mapweave.swarm.posterior import CLOSE
 
 from .swarms import complete, simulated
 

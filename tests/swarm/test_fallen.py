@@ -7,9 +7,9 @@ import pytest
 import scipy.sparse as sp
 
 from mapweave.swarm.config import FallenConfig, SwarmConfig
-from mapweave.swarm.fallen import detection_threshold, fallen_together, unchecked
 from mapweave.swarm.locate import locate
 from mapweave.swarm.result import JointInformation
+from mapweave.swarm.robust import detection_threshold, fallen_together, unchecked
 
 from .swarms import PAPER, complete, small
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapweave.swarm.config import SwarmConfig
-from mapweave.swarm.kalman import filter_start, innovation, sighting_matrix, update
+from mapweave.swarm.filtered import filter_start, innovation, sighting_matrix, update
 from mapweave.swarm.locate import locate
 
 from .swarms import PAPER, complete, score, simulated

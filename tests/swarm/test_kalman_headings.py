@@ -9,7 +9,7 @@ from mapweave.core.se2 import wrap_angle
 from mapweave.sim.swarm import SwarmScene, simulate_swarm
 from mapweave.swarm.config import SwarmConfig
 from mapweave.swarm.factors import bearing_factor
-from mapweave.swarm.kalman import filter_start, sighting_matrix, update
+from mapweave.swarm.filtered import filter_start, sighting_matrix, update
 from mapweave.swarm.locate import locate
 from mapweave.swarm.network import BearingNetwork, Distance
 

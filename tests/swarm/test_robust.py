@@ -5,8 +5,7 @@ import pytest
 
 from mapweave.swarm.config import SwarmConfig
 from mapweave.swarm.locate import locate
-from mapweave.swarm.relocation import relocated, unsupported
-from mapweave.swarm.robust import mutual_agreement
+from mapweave.swarm.robust import mutual_agreement, relocated, unsupported
 
 from .swarms import PAPER, complete, score, simulated
 

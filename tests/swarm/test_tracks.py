@@ -15,10 +15,9 @@ from mapweave.sim.swarm import SwarmScene, simulate_swarm
 from mapweave.swarm.headings import relative_odometry_frame
 from mapweave.swarm.moving.drive import smooth_driving
 from mapweave.swarm.moving.factors import odometry_factor, sighting_factor, velocity_factor
-from mapweave.swarm.moving.filtering import filtered
-from mapweave.swarm.moving.odometry import odometry_steps
+from mapweave.swarm.moving.poses import odometry_steps
 from mapweave.swarm.moving.result import TrackConfig
-from mapweave.swarm.moving.smooth import smooth
+from mapweave.swarm.moving.smooth import filtered, smooth
 
 DRIVING = TrackConfig(slip_floor=0.02, slip=0.05, turn_floor=0.02, turn=0.05)
 

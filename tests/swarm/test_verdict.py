@@ -4,7 +4,7 @@ import numpy as np
 
 from mapweave.core.gaussian import chi2_quantile
 from mapweave.swarm.config import VerdictConfig
-from mapweave.swarm.verdict import (
+from mapweave.swarm.posterior import (
     barely_determined,
     chi2_warnings,
     close_remarks,

@@ -10,7 +10,7 @@ from mapweave.team.clocks import RobotClock
 from mapweave.team.config import KnownConfig
 from mapweave.team.known import PlacePriors
 from mapweave.team.mixed import MixedMap
-from mapweave.team.placing import Layout
+from mapweave.team.relative_frame import Layout
 from mapweave.team.smooth import Smoothed
 from mapweave.team.team_map import TeamMap, in_first_frame
 

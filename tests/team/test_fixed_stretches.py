@@ -9,7 +9,7 @@ from mapweave.core.landmark_log import NOTHING_SEEN, LandmarkLog, SightingTable
 from mapweave.core.records import Track
 from mapweave.landmarks.landmark_map import LandmarkMap
 from mapweave.team.config import MotionNoise
-from mapweave.team.fixed_stretches import fixed_stretches
+from mapweave.team.mixed import fixed_stretches
 from mapweave.team.relative_frame import PlacingConfig
 from mapweave.team.team_map import TeamMap
 

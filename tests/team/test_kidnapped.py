@@ -17,9 +17,8 @@ from mapweave.landmarks.mapping import local_map
 from mapweave.sim import landmarks as simulator
 from mapweave.sim import mixed_team as mixed_simulator
 from mapweave.team.config import SmoothingConfig
-from mapweave.team.kidnapped import cut_kidnapped
+from mapweave.team.kidnapped import KidnapConfig, cut_kidnapped
 from mapweave.team.relative_frame import PlacingConfig
-from mapweave.team.relocations import KidnapConfig
 
 WORLD = {"landmarks": 15, "minutes": 5}
 

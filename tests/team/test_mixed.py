@@ -12,9 +12,8 @@ from mapweave.solve import Factor
 from mapweave.team.config import CameraNoise, SmoothingConfig
 from mapweave.team.factors import InterRobotEdge
 from mapweave.team.mixed import regained
-from mapweave.team.placing import Layout
 from mapweave.team.problem import team_problem
-from mapweave.team.relative_frame import Body, PlacingConfig, moved_track
+from mapweave.team.relative_frame import Body, Layout, PlacingConfig, moved_track
 from mapweave.team.walls import CommonWalls, Scanned, common_walls, in_line
 
 from .mixed_teams import mixed

@@ -13,7 +13,7 @@ from ..core.errors import ReaderError, UsageError
 from ..core.names import in_order, robot_key
 from ..core.records import Track
 from ..core.truth import Relations
-from ..evaluation.relations import RelationScore, exact_pairs, nearest, score_relations
+from ..evaluation.trajectory import RelationScore, exact_pairs, nearest, score_relations
 from ..io.relations import is_relations, read_relations
 from ..io.table import read_table
 from ..io.team_map import read_metrics

@@ -23,12 +23,12 @@ from ..io.team_bearings import read_team_bearings
 from ..swarm.config import Method, SwarmConfig
 from ..swarm.locate import locate as locate_network
 from ..swarm.moving.drive import smooth_driving
-from ..swarm.moving.filtering import filtered as follow_filtered
 from ..swarm.moving.result import SwarmTrack, TrackConfig
+from ..swarm.moving.smooth import filtered as follow_filtered
 from ..swarm.moving.smooth import smooth
 from ..swarm.network import BearingNetwork
+from ..swarm.posterior import chi2_warnings
 from ..swarm.result import SwarmEstimate
-from ..swarm.verdict import chi2_warnings
 from .located import Located, Settings, standing_swarm
 from .moving_result import Moved
 from .swarm_input import Place, SwarmInput, is_team_log, prepare, read_truth

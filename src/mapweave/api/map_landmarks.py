@@ -20,22 +20,19 @@ from ..io.landmark_logs import is_landmark_log, landmark_logs_of, read_landmark_
 from ..io.points import read_points
 from ..io.table import Columns
 from ..io.team_map import read_calibration
-from ..landmarks.agreement import AgreementConfig, with_wheels_checked
+from ..landmarks.agreement import AgreementConfig, SiftConfig, sifted, with_wheels_checked
 from ..landmarks.config import EkfSlamConfig
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import Growth, grow, without_impossible
-from ..landmarks.sifting import SiftConfig, sifted
 from ..team.clocks import CameraClockConfig, of_another_time, on_camera_clock
 from ..team.config import OnlineConfig, SmoothingConfig
-from ..team.further_rooms import with_further_rooms
-from ..team.kidnapped import cut_kidnapped, with_stretches
+from ..team.kidnapped import KidnapConfig, cut_kidnapped, with_stretches
 from ..team.known import PlacePriors, framed
 from ..team.mixed import regained
-from ..team.online_run import OnlineMap, OnlineRun
+from ..team.online import OnlineMap, OnlineRun
 from ..team.relative_frame import PlacingConfig
-from ..team.relocations import KidnapConfig
 from ..team.smooth import Smoothed, smooth_on_one_clock
-from ..team.team_map import TeamMap, at_every_stamp, in_first_frame
+from ..team.team_map import TeamMap, at_every_stamp, in_first_frame, with_further_rooms
 from .map_options import LANDMARK_METHODS, MapOptions
 from .online import fuse_online, times_of
 from .smooth_online import closed, closing_start, smooth_online

@@ -34,11 +34,10 @@ from ..io.team_map import (
     write_landmarks,
     write_tracks,
 )
-from ..landmarks.agreement import AgreementConfig, with_wheels_checked
+from ..landmarks.agreement import AgreementConfig, SiftConfig, sifted, with_wheels_checked
 from ..landmarks.config import EkfSlamConfig
 from ..landmarks.landmark_map import LocalMap
 from ..landmarks.mapping import local_map, without_impossible
-from ..landmarks.sifting import SiftConfig, sifted
 from ..laser.beam import beams
 from ..laser.laser_map import GridMap, LaserMap
 from ..laser.occupancy_mapper import render
@@ -50,11 +49,10 @@ from ..report.score import headline_scores
 from ..report.style import Target
 from ..team.clocks import CameraClockConfig, on_camera_clock
 from ..team.config import SmoothingConfig
-from ..team.kidnapped import Cut, cut_kidnapped, with_stretches
+from ..team.kidnapped import Cut, KidnapConfig, cut_kidnapped, with_stretches
 from ..team.known import PlacePriors
 from ..team.mixed import MixedMap, map_mixed, regained
 from ..team.relative_frame import PlacingConfig
-from ..team.relocations import KidnapConfig
 from ..team.team_map import TeamMap, at_every_stamp, in_first_frame
 from ..team.walls import Scanned
 from .evaluate import Evaluation, judged

@@ -15,8 +15,8 @@ from ..report.style import Target
 from ..report.swarm import MovedStory, write_moved_report
 from ..report.swarm_figures import tracks_figure
 from ..swarm.moving.result import SwarmTrack
+from ..swarm.posterior import chi2_warnings, share_warnings
 from ..swarm.result import SwarmStatus
-from ..swarm.verdict import chi2_warnings, share_warnings
 from .located import NO_SCORE, Settings, counts, dropped_lines, head, sigma_text, write_rest
 from .swarm_input import SwarmInput
 

@@ -13,7 +13,7 @@ from ..fusion.config import FuseConfig
 from ..fusion.online import OnlineFuser
 from ..fusion.result import Fusion
 from ..landmarks.mapping import Growth
-from ..team.online_run import OnlineMap, OnlineRun
+from ..team.online import OnlineMap, OnlineRun
 
 
 def times_of(logs: Sequence[LandmarkLog], every: float) -> list[float]:

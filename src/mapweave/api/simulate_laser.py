@@ -11,10 +11,15 @@ from ..core.workers import one_blas_thread
 from ..io.mcap import write_mcap
 from ..io.tum import write_tum
 from ..report.result import ResultBase
-from ..sim.corridor import CorridorConfig, simulate_corridor
 from ..sim.laser import LaserSimulation
-from ..sim.office import OfficeConfig, simulate_office
-from ..sim.tunnel import TunnelConfig, simulate_tunnel
+from ..sim.laser_worlds import (
+    CorridorConfig,
+    OfficeConfig,
+    TunnelConfig,
+    simulate_corridor,
+    simulate_office,
+    simulate_tunnel,
+)
 
 if TYPE_CHECKING:
     from ..report.style import Target

@@ -16,8 +16,7 @@ from ..landmarks.landmark_map import LandmarkMap
 from ..landmarks.mapping import Growth
 from ..solve import SingularError
 from ..team.config import OnlineConfig, SmoothingConfig
-from ..team.online import OnlineStep, OnlineTeam
-from ..team.online_run import OnlineMap, OnlineRun
+from ..team.online import OnlineMap, OnlineRun, OnlineStep, OnlineTeam
 from ..team.smooth import Smoothed
 from ..team.team_map import TeamMap
 from .team import carried

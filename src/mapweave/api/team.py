@@ -22,7 +22,7 @@ from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from ..report.html import told_list
 from ..report.result import ResultBase, Rows
 from ..report.team_figures import TeamStory
-from ..team.online_run import OnlineMap, OnlineRun
+from ..team.online import OnlineMap, OnlineRun
 from ..team.smooth import Smoothed
 from ..team.team_map import TeamMap
 from .evaluate_team import TeamTruth, read_team_truth, team_lines, unscored

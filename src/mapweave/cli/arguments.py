@@ -95,8 +95,8 @@ LASER = Group(
             kind=str | None,
             parse=_height,
             signed=True,
-            help="What of point clouds is a scan: from LOW to HIGH, as LOW,HIGH in metres above the floor (0.2 above the "
-            "floor to 0.5 above the scanner).",
+            help="What of point clouds is a scan: from LOW to HIGH, as LOW,HIGH in metres above the floor (0.2 above "
+            "the floor to 0.5 above the scanner).",
         ),
         "beams": Option(
             kind=str | None,
@@ -220,9 +220,7 @@ class DriveOptions:
     end_error: str | None = None
 
     def config(self, end_error: tuple[float, float]) -> "DriveConfig":
-        from ..sim.drift import DriftConfig
-        from ..sim.laser import DriveConfig
-        from ..sim.scanner import LAWS, Scanner
+        from ..sim.laser import LAWS, DriftConfig, DriveConfig, Scanner
 
         law = LAWS[self.law]
         low, high = numbers(self.end_error, 2, "--end-error") if self.end_error else end_error

@@ -244,8 +244,8 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
         options={
             "logs": Option(
                 kind=Path,
-                help="An MRCLAM data set (folder or zip), a folder with odometry.csv and sightings.csv, laser logs, or a "
-                "recording of ranging radios and odometry.",
+                help="An MRCLAM data set (folder or zip), a folder with odometry.csv and sightings.csv, laser logs, or "
+                "a recording of ranging radios and odometry.",
             ),
             "robots": Option(
                 kind=str | None, parse="api.map_options:parse_robots", help="Use these robots only, as 1,2."
@@ -260,8 +260,8 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
             "radios": Option(
                 kind=str | None,
                 parse="api.map_options:parse_radios",
-                help="Which robot each radio is on, as n_7=turtle01,n_3=turtle03, where names do not say it (recordings "
-                "of ranges).",
+                help="Which robot each radio is on, as n_7=turtle01,n_3=turtle03, where names do not say it "
+                "(recordings of ranges).",
             ),
             "seed": replace(SAME_SEED, help="The same seed gives the same result, to the byte."),
             "strict": Option(help="Exit with status 1 unless the verdict is good; the result is written all the same."),
@@ -500,21 +500,21 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
             said=_swarm_done,
         ),
         "corridor": _world(
-            "sim.corridor:CorridorConfig",
+            "sim.laser_worlds:CorridorConfig",
             (15.0, 20.0),
             "A laser drive round a ring of corridor.",
             "corridor --out drive.mcap",
             *("long_leg", "short_leg", "width", "recess", "distance", "corner", "start"),
         ),
         "office": _world(
-            "sim.office:OfficeConfig",
+            "sim.laser_worlds:OfficeConfig",
             (2.0, 4.0),
             "A laser drive through an office floor.",
             "office --out drive.mcap --seed 3",
             *("rooms", "room_width", "room_depth", "visited"),
         ),
         "tunnel": _world(
-            "sim.tunnel:TunnelConfig",
+            "sim.laser_worlds:TunnelConfig",
             (3.0, 6.0),
             "A laser drive down a tunnel and back.",
             "tunnel --out drive.mcap",
@@ -528,8 +528,8 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
         words=("file",),
         options={
             "file": Option(
-                help="A g2o file, plain or gzipped: VERTEX_SE2 (may be missing), EDGE_SE2, EDGE_PRIOR_SE2 and FIX rows. Or "
-                "a .pyfg file with ranges (EDGE_RANGE), whose vertices only name what is placed."
+                help="A g2o file, plain or gzipped: VERTEX_SE2 (may be missing), EDGE_SE2, EDGE_PRIOR_SE2 and FIX rows. "
+                "Or a .pyfg file with ranges (EDGE_RANGE), whose vertices only name what is placed."
             ),
             "robust": Option(
                 help="Reject the edges that contradict the others, and say which; edges from a vertex to the next are "

@@ -11,10 +11,19 @@ from ..core.names import in_order
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
 from .cluster import ENOUGH, Cluster, JoinedMap, average
 from .config import FuseConfig
-from .consensus import Outlier, find_exchanged, find_outliers, inflated, relabelled, widened
 from .full_covariance import join
 from .identities import identify
-from .initial_frames import PlaceTest, arrange, as_cluster
+from .initial_frames import (
+    Outlier,
+    PlaceTest,
+    arrange,
+    as_cluster,
+    find_exchanged,
+    find_outliers,
+    inflated,
+    relabelled,
+    widened,
+)
 from .relative import RelativeConfig, fuse_relative
 from .result import APART, Component, Decision, Fusion
 from .robot_sightings import FrameSightings, frame_sightings, sighting_factor

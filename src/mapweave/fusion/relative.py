@@ -19,8 +19,7 @@ from ..landmarks.landmark_map import LandmarkMap
 from ..solve import Factor, Pattern, Problem, Solution, SolveConfig, minimise, wrapping
 from . import relative_information
 from .cluster import Cluster, clusters
-from .relative_information import Weights
-from .relative_measurement import Measurement, RelativeLayout, measurement
+from .relative_information import Measurement, RelativeLayout, Weights, measurement
 from .robot_sightings import FrameSightings, sighting_factor
 
 ROUGH = SolveConfig(max_iterations=400)

@@ -16,7 +16,7 @@ from ..io.mrclam import write_mrclam
 from ..io.unknown import not_known
 from ..sim.landmarks import TeamWorld, simulate_team
 from ..sim.laser import drive
-from ..sim.office import OfficeConfig, office_route, office_world
+from ..sim.laser_worlds import OfficeConfig, office_route, office_world
 from .landmark_stream import messages_of
 from .laser_stream import messages_of_laser
 from .messages import Numbered

@@ -9,7 +9,7 @@ from ..core.names import robot_key
 from ..evaluation.consistency import mean_or_none
 from ..fusion.result import APART
 from ..landmarks.landmark_map import LocalMap
-from ..team.online_run import OnlineRun
+from ..team.online import OnlineRun
 from ..team.robot_part import PARAMETERS
 from ..team.smooth import is_observed
 from ..team.team_map import TeamMap

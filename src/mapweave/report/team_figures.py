@@ -22,7 +22,7 @@ from ..evaluation.landmarks import GrowthPoint
 from ..evaluation.team import RobotTruth, TeamScore
 from ..fusion.result import Fusion
 from ..landmarks.landmark_map import LandmarkMap, LocalMap
-from ..team.online_run import OnlineRun
+from ..team.online import OnlineRun
 from ..team.smooth import Smoothed
 from ..team.team_map import TeamMap
 from . import style

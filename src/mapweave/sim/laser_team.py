@@ -11,9 +11,7 @@ from ..core.errors import DataError, EstimateError
 from ..core.records import Scan, frozen
 from ..core.se2 import representable_heading
 from ..core.walls import WallIndex
-from .laser import START_NS, stream
-from .laser_world import LaserWorld
-from .scanner import Reflectance, Scanner, measure
+from .laser import START_NS, LaserWorld, Reflectance, Scanner, measure, stream
 
 ROBOT_REFLECTANCE = 0.35  # of another robot's hull, as `PAINT` is of a wall
 

@@ -16,13 +16,9 @@ from ..core.errors import UsageError, expect_at_most
 from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
 from ..kernels.walls.raycast import cast
-from .drift import DriftConfig, drifted
-from .driving import Drive, drive_team, scattered
-from .landmarks import FRAME, START, TRUTH_STEP, camera_frames, command_rows
-from .laser import stream
-from .laser_world import LaserWorld, WallStyle, WorldBuilder
+from .landmarks import FRAME, START, TRUTH_STEP, Drive, camera_frames, command_rows, drive_team, scattered
+from .laser import DriftConfig, LaserWorld, Reflectance, Scanner, WallStyle, WorldBuilder, drifted, measure, stream
 from .radio import SimulatedRanges, simulated_ranges
-from .scanner import Reflectance, Scanner, measure
 
 SCAN_EVERY, WHEELS_EVERY = 1.0, 0.2  # [s]; the second is a whole part of the first
 SCANNER = Scanner(beams=271, opening=np.radians(270.0), far=10.0)

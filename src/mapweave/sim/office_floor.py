@@ -10,8 +10,7 @@ from ..core.config import config
 from ..core.errors import DataError
 from ..core.records import frozen
 from ..core.walls import PAINT
-from .laser import stream
-from .laser_world import LaserWorld, WallStyle, WorldBuilder
+from .laser import LaserWorld, WallStyle, WorldBuilder, stream
 
 Box = tuple[float, float, float, float]  # x0 y0 x1 y1 [m]
 LEAST, GREATEST = 150.0, 20_000.0  # [m^2]

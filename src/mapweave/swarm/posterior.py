@@ -1,20 +1,206 @@
-"""From a minimum to an estimate: covariances in the named gauge, degrees of freedom, and verdicts."""
+"""From a minimum to an estimate: covariances in the named gauge, pairs too close to tell, and verdicts."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from ..solve import Information, Pattern, Problem, SingularError, Solution, SolveStatus
-from . import factors
-from .close_pairs import with_true_lengths
-from .config import SwarmConfig, VerdictConfig
+from ..core.gaussian import chi2_quantile
+from ..solve import Factor, Information, Pattern, Problem, SingularError, Solution, SolveStatus
+from . import bearing, factors
+from .config import VERDICT, SwarmConfig, VerdictConfig
 from .gauge import Gauge, gauge_basis, normalise
+from .headings import mutual_pairs
 from .network import BearingNetwork
 from .result import JointInformation, SwarmEstimate, SwarmStatus, Traffic
 from .start import SwarmStart
-from .verdict import barely_determined, chi2_warnings, close_remarks, faint_remarks, layout_warnings
+
+CLOSE = 3.0  # standard deviations of its own length below which a sighting is close; beyond, r^2 errs by a tenth
+ANY_DIRECTION = float(np.pi / np.sqrt(3.0))  # [rad] standard deviation of a direction drawn at random
+ROUNDS = 3  # of lengthening: what is told of one pair changes what is known of others
+
+
+def with_true_lengths(
+    net: BearingNetwork,
+    x: Float[np.ndarray, " s"],
+    problem: Problem,
+    information: Information,
+    pattern: Pattern | None,
+    deviation: Float[np.ndarray, " n"],
+    chosen: Bool[np.ndarray, " n"],
+    unchecked: Bool[np.ndarray, " m"] | None = None,
+) -> tuple[Information, int]:
+    """The information at `x` with close sightings counted by the lengths they may have, and of how many pairs they are.
+
+    problem: whose first term are the sightings; deviation: (n,) [m] no less than that of each of the robots `chosen`
+    along any direction. Where no sighting between those is close it is the very `information`.
+    unchecked: (m,) close sightings that may be wrong: they count as directions drawn at random, next to nothing.
+    """
+    u, r = bearing.predict(*_ends(net, x))
+    apart = r < CLOSE * (deviation[net.observer] + deviation[net.target])
+    rows = np.flatnonzero(apart & chosen[net.observer] & chosen[net.target])
+    if not len(rows) or not np.any(net.sigma > 0):
+        return information, 0
+    pattern = pattern or Pattern.of(problem)
+    parts = [term.normal(x) for term in problem.terms]
+    sightings, current = factors.bearing_factor(net), information
+    length = r.copy()
+    for _ in range(ROUNDS):
+        along = _along(net, current, problem.free, rows, u[rows])
+        length[rows] = np.where(r[rows] ** 2 < CLOSE**2 * along, np.sqrt(r[rows] ** 2 + along), r[rows])
+        if (length == r).all():
+            return information, 0
+        share = r / length
+        if unchecked is not None:
+            anywhere = unchecked & (share < 1.0)
+            share[anywhere] *= np.minimum(net.sigma[anywhere] / ANY_DIRECTION, 1.0)
+        wider = _weighed(sightings, share)
+        H, _ = pattern.assemble([wider.normal(x)[0], *(a for a, _ in parts[1:])], [b for _, b in parts])
+        try:
+            current = Information.of(H, pattern.elimination)
+        except SingularError:
+            return information, 0
+    close = length > r
+    pairs = np.sort(np.stack([net.observer[close], net.target[close]], axis=1), axis=1)
+    return current, len(np.unique(pairs, axis=0))
+
+
+def _ends(net: BearingNetwork, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    p = x.reshape(len(net), factors.width(net))[:, : net.dim]
+    return p[net.observer], p[net.target]
+
+
+def _along(
+    net: BearingNetwork,
+    information: Information,
+    free: np.ndarray,
+    rows: Int[np.ndarray, " c"],
+    u: Float[np.ndarray, "c d"],
+) -> Float[np.ndarray, " c"]:
+    """The variance [m^2] of the length of each of the sightings `rows`, whose directions are u."""
+    w, k = factors.width(net), np.arange(net.dim)
+    at = np.full(len(net) * w, -1)
+    at[free] = np.arange(len(free))
+    out = np.zeros(len(rows))
+    step = 256
+    for a in range(0, len(rows), step):
+        part = slice(a, min(a + step, len(rows)))
+        E = np.zeros((information.size + 1, part.stop - part.start))  # the last row takes what is fixed
+        columns = np.arange(E.shape[1])[:, None]
+        for end, sign in ((net.observer, -1.0), (net.target, 1.0)):
+            E[at[w * end[rows[part], None] + k], columns] = sign * u[part]
+        E = E[:-1]
+        out[part] = np.einsum("ec,ec->c", E, information.solve(E))
+    return out
+
+
+def _weighed(term: Factor, share: Float[np.ndarray, " m"]) -> Factor:
+    """The factor with its standard deviations divided by `share`."""
+    white = np.ones((1, term.rows)) if term.sqrt_info is None else term.sqrt_info
+    return replace(term, sqrt_info=white * share[:, None])
+
+
+def trust_warnings(net: BearingNetwork, outlier: np.ndarray, cfg: VerdictConfig = VERDICT) -> list[str]:
+    """What stands against trusting which sightings were called wrong."""
+    beyond = share_warnings(outlier, cfg)
+    if beyond:
+        return beyond
+    share = float(outlier.mean())
+    share_text = f"{100 * share:.0f} % of the sightings were called wrong"
+    single = 2 * len(mutual_pairs(net)[0]) < 0.5 * len(net.observer)
+    if share > cfg.many and single:
+        return [f"{share_text}; where robots are not sighted from both ends the rest cannot be told from them"]
+    return []
+
+
+def share_warnings(outlier: np.ndarray, cfg: VerdictConfig = VERDICT) -> list[str]:
+    """What stands against telling wrong sightings from right ones where so many are called wrong."""
+    share = float(outlier.mean()) if len(outlier) else 0.0
+    if share <= cfg.too_many:
+        return []
+    return [f"{100 * share:.0f} % of the sightings were called wrong: too many to say which ones"]
+
+
+def fallen_warnings(net: BearingNetwork, rows: np.ndarray) -> list[str]:
+    """What stands against sightings `rows` that agree only while two robots stand close together."""
+    if not len(rows):
+        return []
+    pairs = [f"{net.ids[net.observer[k]]}-{net.ids[net.target[k]]}" for k in rows[:10].tolist()]
+    named = ", ".join(pairs) + (", .." if len(rows) > 10 else "")
+    return [f"{len(rows)} sightings may as well be wrong, and the two robots then stand further apart: {named}"]
+
+
+def doubtful_warnings(net: BearingNetwork, outside: np.ndarray, doubt: float) -> list[str]:
+    """What stands against places outside whose covariance robots are with probability `outside` (n,), over `doubt`."""
+    robots = np.flatnonzero(outside > doubt)
+    if not len(robots):
+        return []
+    robots = robots[np.argsort(-outside[robots], kind="stable")]
+    named = ", ".join(f"{net.ids[k]} ({100 * outside[k]:.0f} %)" for k in robots[:10].tolist())
+    named += ", .." if len(robots) > 10 else ""
+    whose = "a robot" if len(robots) == 1 else f"{len(robots)} robots"
+    return [f"other sightings may be the wrong ones, and {whose} then elsewhere (probability): {named}"]
+
+
+def support_warnings(net: BearingNetwork, robots: np.ndarray) -> list[str]:
+    """What stands against the places of `robots` (indices), whose own sightings contradict each other too much."""
+    if not len(robots):
+        return []
+    names = ", ".join(net.ids[k] for k in robots[:10].tolist()) + (", .." if len(robots) > 10 else "")
+    return [f"so many sightings of {len(robots)} robots were called wrong that their others prove nothing: {names}"]
+
+
+def chi2_warnings(chi2: float, dof: int, cfg: VerdictConfig = VERDICT) -> list[str]:
+    """What stands against trusting residuals of `chi2` with `dof` degrees of freedom."""
+    if dof <= 0:
+        counted = f"chi-square {chi2:.4g} with {dof} degrees of freedom"
+        return [f"no sightings are left over to check the positions with ({counted})"]
+    if chi2 <= chi2_quantile(1 - cfg.doubt, float(dof)):
+        return []
+    counted = f"chi-square {chi2:.4g} with {dof} degrees of freedom"
+    return [f"the residuals are larger than sigma says ({counted}): outliers, a bias, or sigma too small"]
+
+
+def faint_remarks(chi2: float, dof: int, cfg: VerdictConfig = VERDICT) -> list[str]:
+    """What is said of residuals far smaller than sigma: the positions may well be right, their covariance is not."""
+    if dof <= 0 or chi2 >= chi2_quantile(cfg.doubt, float(dof)):
+        return []
+    counted = f"chi-square {chi2:.4g} with {dof} degrees of freedom"
+    return [f"the residuals are far smaller than sigma says ({counted}): sigma too large, or rows that are copies"]
+
+
+def barely_determined(net: BearingNetwork, position: np.ndarray, cov: np.ndarray, localisable: np.ndarray) -> list[str]:
+    """Robots that the null space calls localisable, but no better than to within their distance to those they see."""
+    span = float(np.median(np.linalg.norm(position[net.target] - position[net.observer], axis=1)))
+    worst = np.sqrt(np.linalg.eigvalsh(cov[localisable]).max(axis=1, initial=0.0))
+    count = int(np.count_nonzero(worst > span))
+    if not count or count > 0.5 * len(worst):  # most robots at once: that is the scale, said elsewhere
+        return []
+    return [f"robots barely determined, by rays nearly parallel: {count}; the covariance may fall short of their error"]
+
+
+def close_remarks(pairs: int) -> list[str]:
+    """What is said of `pairs` of robots whose distance is hardly known."""
+    if not pairs:
+        return []
+    named = f"{pairs} pairs of robots that see each other stand" if pairs > 1 else "a pair of robots that sight stands"
+    return [f"{named} so close that the distance is not known: the covariance counts their sightings accordingly"]
+
+
+def layout_warnings(net: BearingNetwork, localisable: np.ndarray, in_line: int) -> list[str]:
+    """What in the layout itself stands against locating it."""
+    warnings = []
+    if len(net.anchors) > 1 and len({tuple(p) for p in net.anchors.values()}) == 1:
+        warnings.append("all anchors stand at one place: they fix no scale")
+    if in_line:
+        line = f"{in_line} robots stand on one line, all sightings parallel but for noise"
+        warnings.append(f"{line}: nothing tells how far")
+    lost = int(np.count_nonzero(~localisable))
+    if lost:
+        warnings.append(f"{lost} of {len(net)} robots cannot be located from these sightings")
+    return warnings
+
 
 STATUS = {
     SolveStatus.CONVERGED: SwarmStatus.CONVERGED,

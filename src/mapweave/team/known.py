@@ -17,8 +17,7 @@ from ..core.names import in_order
 from ..core.records import Track
 from ..solve import Cauchy, Factor
 from .config import KnownConfig, SmoothingConfig
-from .placing import Layout, Tie, carried_by_wheels
-from .relative_frame import Body, moved_track
+from .relative_frame import Body, Layout, Tie, carried_by_wheels, moved_track
 from .robot_part import RobotPart
 from .team_map import TeamMap
 

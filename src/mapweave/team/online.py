@@ -7,24 +7,137 @@ that of the whole problem, and a step costs the latest stretches and what moved,
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from ..core import se2
+from ..core.findings import Finding
 from ..core.gaussian import symmetrise
 from ..core.landmark_log import LandmarkLog
-from ..core.names import in_order
-from ..core.records import Track
+from ..core.names import in_order, robot_key
+from ..core.records import Odometry, Track
 from ..fusion.cluster import ENOUGH
 from ..landmarks.landmark_map import LandmarkMap
 from ..laser.scan_odometry import blended
+from ..solve import Pattern, Problem
 from ..solve.chain import Gauss, Passed, SchurComplement, passed, solve
 from .config import OnlineConfig, SmoothingConfig
-from .problem import prior_of
-from .robot_part import PARAMETERS
-from .stretch import Stretch, stretch_of
+from .problem import prior_of, seen_when, team_problem
+from .robot_part import PARAMETERS, RobotPart, instants_between
+
+BEFORE = 3.0  # [s] of commands before a stretch: those in force when it begins, however late they act
+ANCHOR = 1e10  # information on the pose that is the frame
+TINY = 1e-6  # information on everything, so that what nothing tells stays where it is
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Parts of the team's robots between two times, where their poses are, and the factors over them.
+
+    entry, exit: robots that come in from the stretch before, and that go on into the next; anchor: the robot whose
+    first pose is the map's frame, where that lies in it. What is known of calibrations beforehand counts once for all
+    stretches, and is left out.
+    """
+
+    begin: float
+    end: float
+    parts: tuple[RobotPart, ...]
+    landmarks: tuple[str, ...]
+    landmark_start: int
+    entry: tuple[str, ...]
+    exit: tuple[str, ...]
+    problem: Problem
+    pattern: Pattern
+    anchor: str | None
+
+    def columns(self, robot: str, which: int) -> Int[np.ndarray, "3"]:
+        """Where the robot's pose at its first (0) or last (-1) instant stands."""
+        part = self.part(robot)
+        k = which % len(part.instants.t)
+        return np.asarray(part.start + 3 * k + np.arange(3))
+
+    def part(self, robot: str) -> RobotPart:
+        return next(p for p in self.parts if p.robot == robot)
+
+    @property
+    def robots(self) -> tuple[str, ...]:
+        return tuple(p.robot for p in self.parts)
+
+    @property
+    def shared(self) -> Int[np.ndarray, " e"]:
+        """Ends that come in, ends that go on, landmarks and calibrations."""
+        hubs = np.arange(self.landmark_start, len(self.problem.x0))
+        ends = [self.columns(r, 0) for r in self.entry] + [self.columns(r, -1) for r in self.exit]
+        return np.concatenate([*ends, hubs]).astype(int)
+
+    def poses(self, robot: str, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "k 3"]:
+        part = self.part(robot)
+        return np.asarray(x[part.start : part.start + 3 * len(part.instants.t)].reshape(-1, 3))
+
+    def linearised(self, x: Float[np.ndarray, " n"]) -> SchurComplement:
+        """What it says of all that it shares, at x."""
+        parts = [term.normal(x) for term in self.problem.terms]
+        H, g = self.pattern.assemble([p[0] for p in parts], [p[1] for p in parts])
+        H.data[self.pattern.diagonal] += TINY
+        if self.anchor is not None:
+            H.data[self.pattern.diagonal[self.columns(self.anchor, 0)]] += ANCHOR
+        return SchurComplement.of(H, g, x, self.shared)
+
+    def cost(self, x: Float[np.ndarray, " n"]) -> float:
+        return self.problem.cost(x)
+
+
+def stretch_of(
+    logs: Sequence[LandmarkLog],
+    ways: Mapping[str, Track],
+    span: tuple[float, float],
+    landmarks: LandmarkMap,
+    labels: Mapping[str, Mapping[str, str]],
+    entry: Sequence[str],
+    exit_: Sequence[str],
+    cfg: SmoothingConfig,
+    calibration: Mapping[str, Mapping[str, tuple[float, float]]],
+    anchor: str | None,
+) -> Stretch:
+    """The stretch over `span` [s] of the robots of `logs`, each with its trajectory there in the map's frame.
+
+    entry, exit_: robots that were there before `span`, and that will be after it.
+    """
+    begin, end = span
+    cut = [_cut(log, begin, end) for log in logs]
+    names = [log.robot for log in logs]
+    seen_at = seen_when(cut, names) if cfg.robot_sightings else {name: np.zeros(0) for name in names}
+    instants = {}
+    for log, mine in zip(logs, cut, strict=True):
+        first, last = log.span
+        stamps = np.concatenate([mine.sightings.t, mine.bearings.t, seen_at[log.robot]])
+        instants[log.robot] = instants_between(max(first, begin), min(last, end), stamps, ways[log.robot], cfg)
+    whole = team_problem(cut, landmarks, ways, labels, calibration, cfg, instants=instants)
+    terms = [t for t, origin in zip(whole.factors, whole.origins, strict=True) if origin is not None]
+    problem = Problem(whole.problem.x0, terms)
+    return Stretch(
+        begin, end, whole.parts, whole.landmarks, whole.landmark_start, tuple(entry), tuple(exit_), problem,
+        Pattern.of(problem), anchor,
+    )  # fmt: skip
+
+
+def _cut(log: LandmarkLog, begin: float, end: float) -> LandmarkLog:
+    """The rows after `begin` up to `end` [s], the log's very first too, with the commands that may still act then."""
+    odometry = log.odometry
+    if odometry is not None:
+        a = max(int(np.searchsorted(odometry.t, begin - BEFORE, side="right")) - 1, 0)
+        a = min(a, len(odometry.t) - 1)
+        b = max(int(np.searchsorted(odometry.t, end, side="right")), a + 1)
+        odometry = Odometry(odometry.t[a:b], odometry.v[a:b], odometry.w[a:b])
+    first = log.span[0]
+    seen, bearings = (
+        table.select(((table.t > begin) | (table.t == first)) & (table.t <= end))
+        for table in (log.sightings, log.bearings)
+    )
+    return replace(log, odometry=odometry, sightings=seen, bearings=bearings)
+
 
 HELD = 1e-6  # standard deviation of a calibration parameter that is held
 LOOSE = 1e-6  # information [1/m^2] on a landmark, so that one nobody has seen again stays where it is
@@ -333,3 +446,58 @@ class OnlineTeam:
         for k in fresh:
             self._links[k] = self.stretches[k].linearised(self.x[k])
         self._forward(min([*fresh, len(self._passed)]))
+
+
+@dataclass(frozen=True, slots=True)
+class OnlineMap:
+    """The largest component `t` [s] after the first row of all logs; robots: how many were tied in."""
+
+    t: float
+    robots: int
+    landmarks: LandmarkMap
+
+
+@dataclass(frozen=True, slots=True)
+class OnlineRun:
+    """What smoothing while the logs played took, and what it came to.
+
+    step: [s] of the logs taken in at once; seconds: (n,) each step took; lag: (n,) [s] from the oldest row of a step
+    until the map held it, were the logs as fast as the robots; linearised: stretches of each step; renewed: of these
+    older ones that had moved; laid_out: [s] after the first row at which robots or landmarks came in; stretches: how
+    many there are, none of them given up; closing: [s] for what was left to do when the logs ended; landmarks_moved,
+    ways_moved: [m] root mean square by which that changed them; growth: intermediate maps; waited: robots without
+    wheels, whose rows came in when the logs ended.
+    """
+
+    team: OnlineTeam | None
+    step: float
+    seconds: Float[np.ndarray, " n"]
+    lag: Float[np.ndarray, " n"]
+    linearised: Float[np.ndarray, " n"]
+    renewed: int
+    laid_out: tuple[float, ...]
+    stretches: int
+    growth: tuple[OnlineMap, ...]
+    closing: float = 0.0
+    landmarks_moved: float | None = None
+    ways_moved: float | None = None
+    waited: tuple[str, ...] = ()
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """A finding where nothing, or not every robot, could be smoothed before the end."""
+        if self.team is not None and self.team.members:
+            robots = ", ".join(map(robot_key, self.waited))
+            why = f"no wheels: smoothed when the logs ended: robot {robots}"
+            return (Finding("smoothed-late", value=why),) if robots else ()
+        why = "no robot with wheels had a map while the logs played: all was smoothed at their end"
+        return (Finding("smoothed-late", value=why),)
+
+    def timing(self) -> dict[str, float]:
+        """Seconds a step and seconds of lag: mean, 99 % and largest; and of the closing."""
+        out: dict[str, float] = {}
+        for name, values in (("step", self.seconds), ("lag", self.lag)):
+            if len(values):
+                statistics = (values.mean(), np.quantile(values, 0.99), values.max())
+                out |= {f"{name}_{k}": float(v) for k, v in zip(("mean", "p99", "max"), statistics, strict=True)}
+        return out | {"closing": self.closing}

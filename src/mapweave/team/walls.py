@@ -19,8 +19,7 @@ from ..mapping.merge import Merge, merge_maps
 from ..mapping.merge_search import Start
 from ..mapping.weave import Woven, weave
 from .factors import InterRobotEdge
-from .placing import Layout, Tie
-from .relative_frame import Body, PlacingConfig, moved_track
+from .relative_frame import Body, Layout, PlacingConfig, Tie, moved_track
 
 NEAR = 0.01  # [s] by which a stamp may lie outside a track
 

@@ -121,6 +121,6 @@ PLANNERS = {
     "paper": "mapweave.exploration.landmarks.objective:choose",
     "area": "mapweave.exploration.landmarks.objective:choose_area",
     "coverage": "mapweave.exploration.landmarks.coverage:choose",
-    "loop": "mapweave.exploration.landmarks.loop:choose",
-    "joint": "mapweave.exploration.landmarks.joint:choose",
+    "loop": "mapweave.exploration.landmarks.coverage:choose_loop",
+    "joint": "mapweave.exploration.landmarks.coverage:choose_joint",
 }

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...core.config import config
-from ...fusion.map_and_submap import PairingConfig
+from ...fusion.handover import PairingConfig
 from ...landmarks.submap_slam import SubmapConfig
 
 Limits = tuple[tuple[int, float], ...]  # (layouts, share of the error)

@@ -4,6 +4,8 @@ In an open field the first tours are improved as laps are: a robot that comes by
 a loop, which shortest tours do only by chance.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
@@ -11,10 +13,9 @@ from scipy.spatial import cKDTree
 from ...core.se2 import wrap_angle
 from ...kernels.exploration.tours import balanced_tours, greedy_cover
 from . import among_walls
-from .belief import LandmarkBelief
+from .belief import Explored, LandmarkBelief
 from .config import ExploreConfig
-from .lap_following import begin, drive, follow, lap_steps, lap_task, revise
-from .lap_search import improve_tours
+from .laps import begin, drive, find_laps, follow, improve_tours, lap_steps, lap_task, mark_sure, revise
 from .steering import ahead, given_up, nearest_unexplored, new_cells, next_target, offered, steer
 
 
@@ -161,3 +162,143 @@ def to_the_middle(places: np.ndarray, cells: np.ndarray, radius: float) -> np.nd
     return np.array([cells[some].mean(axis=0) if some else p for some, p in zip(near, places, strict=True)]).reshape(
         -1, 2
     )
+
+
+def choose_loop(
+    belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig
+) -> Float[np.ndarray, "r 2"]:
+    """Each live robot follows its closed tour, skipping discs that are seen, then helps to cover what is left.
+
+    Asks the run to go on to `loop_steps` after all landmarks were seen, unless every loop has closed before.
+    """
+    memory = belief.memory
+    if "laps" not in memory:
+        memory["home"] = poses[:, :2].copy()
+        memory["laps"] = plan_laps(belief, poses, cfg)
+    memory["go_on_until"] = 0 if _closed(belief, memory["laps"]) else loop_steps(belief, cfg)
+    out = np.zeros((len(belief.robots), 2))
+    idle = []
+    for j in map(int, np.flatnonzero(belief.alive)):
+        lap = memory["laps"][j]
+        while lap and _passed(belief, j, poses[j], lap, cfg):
+            lap.pop(0)
+        if lap:
+            out[j] = towards(belief, j, poses[j], lap[0], cfg)
+        else:
+            idle.append(j)
+    if idle:
+        rest = cover(belief, poses, cfg)
+        for j in idle:
+            out[j] = rest[j]
+    return out
+
+
+def loop_steps(belief: LandmarkBelief, cfg: ExploreConfig) -> int:
+    """How long the live robots need, at the configured rate, to lap the whole field."""
+    width, height = belief.upper - belief.lower
+    area = float(width * height) if belief.floor is None else belief.floor.area
+    live = max(1, int(belief.alive.sum()))
+    rate = cfg.loop.rate if live > 1 else cfg.loop.rate_alone
+    return round(area / (rate * live))
+
+
+def plan_laps(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> dict[int, list[np.ndarray]]:
+    """For each live robot the discs of its closed tour in order, its home last."""
+    live = np.flatnonzero(belief.alive)
+    ex = belief.explored
+    cells = ex.centres(np.argwhere(~ex.team()))
+    if len(cells) == 0:
+        return {int(j): [] for j in live}
+    if belief.floor is not None:
+        return among_walls.laps(belief, belief.floor, cells, poses, live, cfg)
+    chosen = discs(belief, cells, cfg.loop.radius)
+    first = approach_cost(poses[live], chosen, cfg.coverage.turn_cost)
+    between = np.linalg.norm(chosen[:, None] - chosen[None], axis=-1)
+    last = np.ascontiguousarray(np.linalg.norm(chosen[None] - poses[live][:, None, :2], axis=-1))
+    tours, counts = balanced_tours(first, between, last, cfg.coverage.balance)
+    return {int(j): [*(chosen[i] for i in tours[k, : counts[k]]), poses[j, :2].copy()] for k, j in enumerate(live)}
+
+
+def _passed(belief: LandmarkBelief, j: int, pose: np.ndarray, lap: list[np.ndarray], cfg: ExploreConfig) -> bool:
+    """Whether the lap's next place was reached, or all its disc covers is seen; home itself must be reached."""
+    if np.hypot(*(lap[0] - pose[:2])) < cfg.loop.arrived:
+        return belief.floor is None or bool(belief.floor.sees(pose[:2], lap[0][None], cfg.loop.arrived)[0])
+    if len(lap) == 1:
+        return False
+    ex = belief.explored
+    cells = ex.centres(np.argwhere(~ex.known_to(j)))
+    if belief.floor is not None:
+        return not belief.floor.sees(lap[0], cells, cfg.loop.radius).any()
+    return len(cells) == 0 or bool(np.hypot(*(cells - lap[0]).T).min() > cfg.loop.radius)
+
+
+def _closed(belief: LandmarkBelief, laps: dict[int, list[np.ndarray]]) -> bool:
+    return all(not laps[int(j)] for j in np.flatnonzero(belief.alive))
+
+
+def choose_joint(
+    belief: LandmarkBelief, poses: Float[np.ndarray, "r 3"], cfg: ExploreConfig
+) -> Float[np.ndarray, "r 2"]:
+    """Each live robot follows its lap; when the laps' time is over, what is unseen is covered.
+
+    Asks the run to go on until the laps' time is over: their ends close the loops. Where nothing is left to see, a
+    robot follows the next one's lap.
+    """
+    memory = belief.memory
+    if "lap_steps" not in memory:
+        memory["lap_steps"] = lap_steps(belief, cfg.joint, cfg.joint.most_robot_steps)
+        if memory["lap_steps"]:
+            task = lap_task(belief, poses, memory["lap_steps"], cfg.joint, cfg)
+            begin(belief, task, find_laps(task))
+    if not memory["lap_steps"]:
+        return choose_loop(belief, poses, cfg)
+    memory["go_on_until"] = memory["lap_steps"]
+    _note(belief, poses, cfg)
+    seen_by = [bool(belief.explored.known_to(j).all()) for j in range(len(belief.robots))]
+    return drive(
+        belief,
+        poses,
+        cfg,
+        lambda j: _next(belief, j, poses[j], cfg, seen=seen_by[j]),
+        lambda: _repair(belief, poses, cfg),
+    )
+
+
+def _note(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> None:
+    """Marks cells as seen with room to spare, a raster for each margin within the sensor's reach, growing.
+
+    Poses are estimates: what was seen at the edge of the reach alone may not have been seen at all.
+    """
+    joint = cfg.joint
+    sure = belief.memory.setdefault("sure", np.zeros((joint.sure_levels, *belief.explored.fused.shape), dtype=bool))
+    for k, cells in enumerate(sure):
+        mark_sure(belief, poses, (k + 1) * joint.sure_margin, cells)
+
+
+def _repair(belief: LandmarkBelief, poses: np.ndarray, cfg: ExploreConfig) -> np.ndarray:
+    """Coverage of what is unseen; when all was seen and yet something missed, of what was least surely seen first."""
+    memory, ex = belief.memory, belief.explored
+    if ex.sweeps > memory.get("swept", 1):
+        for cells in memory["sure"]:
+            again = cells | ex.team()
+            if not again.all():
+                shadow = Explored(ex.lower, ex.cell, again, np.zeros_like(ex.pending), np.zeros_like(ex.backlog))
+                return cover(replace(belief, explored=shadow), poses, cfg)
+        memory["sure"][:] = False
+        memory["swept"] = ex.sweeps
+    return cover(belief, poses, cfg)
+
+
+def _next(belief: LandmarkBelief, j: int, pose: np.ndarray, cfg: ExploreConfig, *, seen: bool) -> np.ndarray | None:
+    """Where robot j goes: the next place of its lap while that is worth it, or of another's when all is seen."""
+    memory = belief.memory
+    goal, lap = follow(belief, j, pose, cfg), memory["laps"][j]
+    late = belief.step >= memory["laps_end"]
+    if seen and goal is None:
+        turns = memory.setdefault("turns", {})
+        turns[j] = turns.get(j, 0) + 1
+        other = memory["found"][(j + turns[j]) % len(memory["found"])]
+        nearest = int(np.argmin(np.hypot(*(other - pose[:2]).T)))
+        lap.extend(np.roll(other, -nearest, axis=0))
+        return np.asarray(lap[0])
+    return goal if seen or not late else None

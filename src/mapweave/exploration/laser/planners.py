@@ -1,24 +1,397 @@
-"""The planners for laser worlds by name: each shares out the frontiers in its own way, all drive alike."""
+"""The planners for laser worlds by name: each shares out the frontiers its own way, all drive alike and give way."""
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy import ndimage
 
+from ...core import se2
+from ...core.records import frozen
+from ...core.se2 import wrap_angle
+from ...kernels.exploration.arcs import arc_clearance, arc_points
+from ...kernels.exploration.tour_moves import improve_tours
+from ...kernels.exploration.tours import balanced_tours
+from ...kernels.exploration.wavefront import NO_LIMIT, STRAIGHT, spread
+from ..ground import FAR, Ground
 from .config import LaserExploreConfig
-from .frontiers import frontiers, mapped_ground, pockets
-from .path_follower import predicted_path, steer
-from .planner_state import Goal, LaserBelief, PlannerState, planner_state_of, route_to
-from .right_of_way import current_route, priority_order, resolve_conflicts
-from .task_allocation import (
-    Allocator,
-    allocation_problem,
-    by_objective,
-    by_tours,
-    keep_commitments,
-    nearest_first,
-    parked,
+from .frontiers import Frontier, MappedGround, disc_mask, frontiers, mapped_ground, pockets
+from .planner_state import (
+    ClearCostToGo,
+    Goal,
+    LaserBelief,
+    PlannerState,
+    YieldPlace,
+    planner_state_of,
+    route_to,
+    with_parked,
 )
+
+
+@cache
+def candidate_commands(cfg: LaserExploreConfig) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "m 3"]]:
+    """All (v, w) a robot chooses from: standing still first, then turning on the spot, then faster; and where each
+    ends in the robot's frame.
+    """
+    turns = cfg.turn * np.array([0.0, *(s * k / 10 for k in range(1, 11) for s in (1, -1))])
+    speeds = cfg.speed * np.array([0.0, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0])
+    ahead = np.array([(v, w) for v in speeds for w in turns])
+    back = np.array([(-cfg.follower.reverse_speed * cfg.speed, w) for w in turns[::4]])
+    commands = frozen(np.concatenate([ahead, back]))
+    return commands, frozen([arc_points(v, w, cfg.period, 1)[1] for v, w in commands])
+
+
+def collision_free(
+    commands: Float[np.ndarray, "m 2"], points: Float[np.ndarray, "k 2"], least: float, cfg: LaserExploreConfig
+) -> tuple[Bool[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    """Which arcs keep `least` [m] from every point (robot's frame), or come no nearer than the robot stands; and how
+    near each comes (m,).
+    """
+    stride = cfg.speed * cfg.period
+    near = points[np.hypot(*points.T) < least + stride + cfg.roomy]
+    clearance = arc_clearance(commands, cfg.period, np.ascontiguousarray(near), cfg.follower.arc_sample)
+    still = np.hypot(*near.T).min() if len(near) else np.inf
+    return clearance >= min(least, still) - 1e-9, clearance
+
+
+def steer(
+    pose: Float[np.ndarray, "3"],
+    target: Float[np.ndarray, "2"] | None,
+    scan: Float[np.ndarray, "k 2"],
+    others: Float[np.ndarray, "n 2"],
+    cfg: LaserExploreConfig,
+) -> Float[np.ndarray, "2"]:
+    """The allowed command that heads for `target` soonest; stands still without one.
+
+    scan: points in the robot's frame, which no arc comes nearer than radius + guard; others: places in the map where
+    other robots are or will be during this step, which the robot's middle comes no nearer than 2 radii + apart.
+    """
+    if target is None:
+        return np.zeros(2)
+    commands, ends = candidate_commands(cfg)
+    free, clearance = collision_free(commands, scan, cfg.radius + cfg.guard, cfg)
+    if len(others):
+        free &= collision_free(commands, se2.act(se2.inverse(pose), others), 2 * cfg.radius + cfg.apart, cfg)[0]
+    goal = se2.act(se2.inverse(pose), target)
+    d = goal - ends[:, :2]
+    distance = np.hypot(d[:, 0], d[:, 1])
+    error = np.abs(wrap_angle(np.arctan2(d[:, 1], d[:, 0]) - ends[:, 2]))
+    error = error * np.minimum(1.0, distance / cfg.follower.heading_near)
+    tight = np.clip(cfg.roomy - clearance, 0.0, cfg.roomy)
+    backwards = cfg.follower.reverse_cost * (commands[:, 0] < 0.0)
+    cost = np.where(
+        free, distance + cfg.follower.heading_cost * error + cfg.follower.closeness_cost * tight + backwards, np.inf
+    )
+    return np.asarray(commands[np.argmin(cost)])
+
+
+def predicted_path(
+    pose: Float[np.ndarray, "3"], command: Float[np.ndarray, "2"], cfg: LaserExploreConfig
+) -> Float[np.ndarray, "n 2"]:
+    """Places (n, 2) along the arc of one step, in the frame of `pose`'s map, start and end among them."""
+    arc = arc_points(float(command[0]), float(command[1]), cfg.period, 6)
+    return np.asarray(se2.act(pose, arc[:, :2]))
+
+
+def priority_order(state: PlannerState, live: np.ndarray) -> list[int]:
+    """Live robots by who goes first: by rank, those with nothing to do last."""
+    return sorted(map(int, live), key=lambda j: (j not in state.goals and j not in state.yielding, state.priority[j]))
+
+
+def current_route(state: PlannerState, j: int) -> ClearCostToGo | None:
+    """The route robot j follows now: to where it lets another pass, else to its goal."""
+    if j in state.yielding:
+        return state.yielding[j].route
+    return state.goals[j].route if j in state.goals else None
+
+
+def resolve_conflicts(
+    state: PlannerState, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig
+) -> None:
+    """Whoever stands in the way of a robot that goes first gets a place aside; who has waited long enough goes on."""
+    _end_waiting(state, poses, live, step, cfg)
+    _get_unstuck(state, poses, live, step, cfg)
+    ranked, rules = priority_order(state, live), cfg.right_of_way
+    near = 2 * cfg.radius + cfg.apart
+    for a, i in enumerate(ranked):
+        for k in ranked[a + 1 :]:
+            if k in state.yielding or np.hypot(*(poses[i, :2] - poses[k, :2])) > rules.meeting:
+                continue
+            if not _in_way(state, poses, i, k, near, rules.next_way):
+                continue
+            leaving = (
+                k in state.goals
+                and state.still[k] < rules.leaving_steps
+                and not _in_way(state, poses, k, i, near, rules.next_way)
+            )
+            if not leaving and not _yield_to(state, poses, k, i, step, cfg) and i not in state.yielding:
+                state.priority[i], state.priority[k] = state.priority[k], state.priority[i]
+                _yield_to(state, poses, i, k, step, cfg)
+
+
+def _in_way(state: PlannerState, poses: np.ndarray, i: int, k: int, near: float, ahead: float) -> bool:
+    """Whether robot k stands on the next part of robot i's path."""
+    route = current_route(state, i)
+    way = route.along(poses[i, :2], ahead) if route is not None else np.zeros((0, 2))
+    return len(way) > 0 and float(np.hypot(*(way - poses[k, :2]).T).min()) < near
+
+
+def _yield_to(state: PlannerState, poses: np.ndarray, k: int, i: int, step: int, cfg: LaserExploreConfig) -> bool:
+    """Robot k goes to the nearest place beside robot i's path; whether there is one."""
+    ground, route = state.ground, current_route(state, i)
+    if ground is None or route is None:
+        return False
+    way = np.vstack([poses[i : i + 1, :2], route.along(poses[i, :2], cfg.right_of_way.clear_way)])
+    near = 2 * cfg.radius + cfg.apart
+    others = np.array([p[:2] for j, p in enumerate(poses) if j not in (i, k)]).reshape(-1, 2)
+    weight = ground.weight.copy()
+    weight[disc_mask(ground.grid, poses[i : i + 1, :2], near)] = 0
+    if len(others):
+        weight[disc_mask(ground.grid, others, near)] = 0
+    left = Ground(weight, ground.lower, ground.cell, ground.snap)
+    cost = left.cost_to_go(left.cells(poses[k : k + 1, :2])).cost
+    cost[disc_mask(ground.grid, way, near + cfg.right_of_way.beside)] = -1
+    cells = np.argwhere(cost >= 0)
+    if len(cells) == 0:
+        return False
+    best = cells[np.argmin(cost[tuple(cells.T)])]
+    place = ground.grid.centres(best[None])[0]
+    state.yielding[k] = YieldPlace(
+        place, route_to(ground, place, poses[i : i + 1, :2], cfg), i, step + cfg.right_of_way.wait_steps
+    )
+    return True
+
+
+def _end_waiting(state: PlannerState, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig) -> None:
+    near, rules = 2 * cfg.radius + cfg.apart, cfg.right_of_way
+    for k, waiting in list(state.yielding.items()):
+        i = waiting.whom
+        if i == k:
+            if step >= waiting.until or np.hypot(*(waiting.place - poses[k, :2])) < rules.retry_arrived:
+                del state.yielding[k]
+            continue
+        gone = i not in live or np.hypot(*(poses[i, :2] - poses[k, :2])) > rules.parted * rules.meeting
+        passed = not _in_way(state, poses, i, k, near, rules.clear_way) and not _goal_blocked(
+            state, poses, k, i, near, cfg
+        )
+        if gone or passed or step >= waiting.until:
+            del state.yielding[k]
+            if not gone and not passed and state.priority[k] > state.priority[i]:
+                state.priority[i], state.priority[k] = state.priority[k], state.priority[i]
+
+
+def _goal_blocked(state: PlannerState, poses: np.ndarray, k: int, i: int, near: float, cfg: LaserExploreConfig) -> bool:
+    """Whether robot i stands on the next part of robot k's path to its goal."""
+    if k not in state.goals:
+        return False
+    way = state.goals[k].route.along(poses[k, :2], cfg.right_of_way.next_way)
+    return len(way) > 0 and float(np.hypot(*(way - poses[i, :2]).T).min()) < near
+
+
+def _get_unstuck(state: PlannerState, poses: np.ndarray, live: np.ndarray, step: int, cfg: LaserExploreConfig) -> None:
+    """Who has a goal and yet stays about one place for long goes some other way first; ranks are drawn anew.
+
+    The lots are the same in the same run.
+    """
+    ground, rules = state.ground, cfg.right_of_way
+    for j in map(int, live):
+        if (
+            ground is None
+            or j not in state.goals
+            or j in state.yielding
+            or step - state.about[j, 2] < rules.stuck_steps
+        ):
+            continue
+        rng = np.random.default_rng([step, j])
+        state.about[j, 2] = step
+        state.priority = rng.permutation(len(state.priority)).astype(float)
+        metres = ground.cost_to_go(ground.cells(poses[j : j + 1, :2])).metres
+        around = (metres > rules.retry_from) & (metres < rules.retry_to)
+        cells = np.argwhere(around & (ground.weight == ground.weight[around].min(initial=255)))
+        if len(cells):
+            place = ground.grid.centres(rng.choice(cells)[None])[0]
+            state.yielding[j] = YieldPlace(
+                place, route_to(ground, place, np.zeros((0, 2)), cfg), j, step + rules.retry_steps
+            )
+
+
+RING = np.array([(y, x) for y in range(-2, 3) for x in range(-2, 3) if max(abs(y), abs(x)) == 2])
+
+
+@dataclass(frozen=True, slots=True)
+class AllocationProblem:
+    """Pieces of frontier and how far they are. robots: (m,) who may go; first: (m, n) [m] from each robot, its turn
+    towards the piece counted; between: (n, n) [m]; FAR where no path leads; held: robot -> piece it heads for already.
+    """
+
+    pieces: list[Frontier]
+    robots: tuple[int, ...]
+    first: Float[np.ndarray, "m n"]
+    between: Float[np.ndarray, "n n"]
+    poses: Float[np.ndarray, "m 3"]
+    ground: MappedGround
+    held: dict[int, int]
+
+
+Allocator = Callable[[AllocationProblem, LaserExploreConfig], dict[int, int]]
+
+
+def allocation_problem(
+    ground: MappedGround,
+    pieces: list[Frontier],
+    state: PlannerState,
+    poses: np.ndarray,
+    live: np.ndarray,
+    cfg: LaserExploreConfig,
+) -> AllocationProblem:
+    """All paths between live robots and pieces, over cells twice as large: shares need no exact lengths."""
+    weight = halved(with_parked(ground, parked(state, poses, live), cfg).weight)
+    metre = 2 * ground.grid.resolution / STRAIGHT
+    places = np.vstack([poses[live, :2], *(f.place[None] for f in pieces)])
+    fine = ground.cells(places)
+    cells = fine // 2
+    m = len(live)
+    costs = [spread(weight, cells[m + n : m + n + 1], NO_LIMIT) for n in range(len(pieces))]
+    cost = np.array([c[tuple(cells.T)] for c in costs], dtype=float)
+    metres = np.where((cost >= 0) & (fine[:, 0] >= 0), cost * metre, FAR).T
+    first = metres[:m].copy()
+    for r, j in enumerate(live):
+        away = departures(costs, cells[r])
+        first[r] += np.where(
+            np.isfinite(away), cfg.allocation.turn_cost * np.abs(wrap_angle(np.nan_to_num(away) - poses[j, 2])), 0.0
+        )
+    return AllocationProblem(
+        pieces, tuple(map(int, live)), first, metres[m:], poses[live], ground, _held(state, pieces, cfg)
+    )
+
+
+def parked(state: PlannerState, poses: np.ndarray, live: np.ndarray) -> Float[np.ndarray, "k 2"]:
+    """Places of live robots that stand idle: they are gone round where that is possible."""
+    return np.asarray(poses[[j for j in live if j not in state.goals and state.still[j] > 5], :2])
+
+
+def halved(weight: np.ndarray) -> np.ndarray:
+    """`weight` over cells twice as large: blocked where all four are, else the mean of those that are not.
+
+    Walls stay shut, since a robot's width is blocked on both sides of them.
+    """
+    padded = np.pad(weight, [(0, n % 2) for n in weight.shape]).astype(np.uint16)
+    four = np.stack([padded[a::2, b::2] for a in (0, 1) for b in (0, 1)])
+    return np.asarray((four.sum(axis=0) / np.maximum((four > 0).sum(axis=0), 1)).round(), dtype=np.uint8)
+
+
+def departures(costs: list[np.ndarray], cell: np.ndarray) -> Float[np.ndarray, " n"]:
+    """Direction [rad] (n,) in which the path down each of `costs` leaves `cell`; NaN where it is there or unreached."""
+    rows, cols = costs[0].shape
+    ring = cell + RING
+    inside = np.all((ring >= 0) & (ring < (rows, cols)), axis=1)
+    y, x = ring[inside].T
+    around = np.array([c[y, x] for c in costs], dtype=float)
+    here = np.array([c[tuple(cell)] for c in costs], dtype=float)
+    around[around < 0] = np.inf
+    best = np.argmin(around, axis=1)
+    angle = np.arctan2(*RING[inside][best].T.astype(float))
+    return np.where((here > 0) & (around[np.arange(len(costs)), best] < here), angle, np.nan)
+
+
+def _held(state: PlannerState, pieces: list[Frontier], cfg: LaserExploreConfig) -> dict[int, int]:
+    """Robot -> what is left of the piece it heads for: the one with unknown cells nearest to its goal."""
+    out: dict[int, int] = {}
+    for j, goal in state.goals.items():
+        away = [np.hypot(*(f.unknown - goal.place).T).min() for f in pieces]
+        if not goal.done and away and min(away) < cfg.allocation.same_piece:
+            out[j] = int(np.argmin(away))
+    return out
+
+
+def keep_commitments(problem: AllocationProblem, chosen: dict[int, int], cfg: LaserExploreConfig) -> dict[int, int]:
+    """`chosen`, but who is on the way to a piece goes on, unless another robot does it, or the new one is nearer by
+    `keep` or lies on the way. Since every change of mind brings a goal nearer there is no driving to and fro.
+    """
+    out = dict(chosen)
+    row = {j: r for r, j in enumerate(problem.robots)}
+    for j, h in problem.held.items():
+        n = out.get(j)
+        far = problem.first[row[j], h]
+        if n == h or j not in row or far >= FAR / 2:
+            continue
+        who = next((i for i in out if i != j and out[i] == h), None)
+        if who is not None and problem.first[row[who], h] < far:
+            continue
+        if n is not None:
+            to = problem.first[row[j], n]
+            if to < far - cfg.keep or to + problem.between[n, h] < far + cfg.allocation.on_the_way:
+                continue
+        out[j] = h
+        if who is not None and n is not None:
+            out[who] = n
+        elif who is not None:
+            del out[who]
+    return out
+
+
+def by_tours(problem: AllocationProblem, cfg: LaserExploreConfig) -> dict[int, int]:
+    """Robot -> piece: the first of its tour, the tours short in the longest and then in the sum."""
+    first, between = (np.ascontiguousarray(cost + cfg.service) for cost in (problem.first, problem.between))
+    tours, counts = balanced_tours(first, between, np.zeros_like(first), cfg.allocation.balance)
+    improve_tours(first, between, tours, counts, cfg.allocation.stretch)
+    chosen = {j: int(tours[r, 0]) for r, j in enumerate(problem.robots) if counts[r]}
+    return {j: n for j, n in chosen.items() if problem.first[problem.robots.index(j), n] < FAR / 2}
+
+
+def nearest_first(problem: AllocationProblem, cfg: LaserExploreConfig) -> dict[int, int]:
+    """Robot -> piece: the shortest path of all first; a piece goes to one robot."""
+    del cfg
+    left = problem.first.copy()
+    out: dict[int, int] = {}
+    while left.size and left.min() < FAR / 2:
+        r, n = np.unravel_index(np.argmin(left), left.shape)
+        out[problem.robots[r]] = int(n)
+        left[r], left[:, n] = FAR, FAR
+    return out
+
+
+def by_objective(w_accuracy: float) -> Allocator:
+    """Allocates by `J = w1 walls + w2 area + w3 apart - way`, each in [0, 1], one robot after the other."""
+
+    def allocate(problem: AllocationProblem, cfg: LaserExploreConfig) -> dict[int, int]:
+        walls, area = walls_and_area(problem, cfg)
+        out: dict[int, int] = {}
+        taken: list[np.ndarray] = []
+        for r, j in enumerate(problem.robots):
+            J = w_accuracy * walls + cfg.w_area * area - cfg.w_way * problem.first[r] / 20.0
+            others = [*taken, *problem.poses[r + 1 :, :2]]
+            if others:
+                d = np.array([[np.hypot(*(f.place - o)) for o in others] for f in problem.pieces])
+                J = J + cfg.w_apart * np.minimum(d / (2 * cfg.reach), 1.0).mean(axis=1)
+                J = J - np.array(
+                    [
+                        1.0 if any(np.hypot(*(f.place - o)) < cfg.goals.same for o in taken) else 0.0
+                        for f in problem.pieces
+                    ]
+                )
+            J = np.where(problem.first[r] < FAR / 2, J, -np.inf)
+            if len(J) and np.isfinite(J.max()):
+                best = int(np.argmax(J))
+                out[j] = best
+                taken.append(problem.pieces[best].place)
+        return out
+
+    return allocate
+
+
+def walls_and_area(problem: AllocationProblem, cfg: LaserExploreConfig) -> tuple[np.ndarray, np.ndarray]:
+    """For each piece, in [0, 1]: known walls around it, which a scan there can be matched to, and unknown ground."""
+    grid = problem.ground.grid
+    side = 2 * int(0.5 * cfg.reach / grid.resolution) + 1
+    cells = grid.cells(np.array([f.place for f in problem.pieces]).reshape(-1, 2))
+    terms = [
+        ndimage.uniform_filter(mask.astype(np.float32), side, mode="constant")[tuple(cells.T)]
+        for mask in (grid.occupied, grid.unknown & problem.ground.fits)
+    ]
+    return tuple(x / x.max() if x.size and x.max() > 0 else x for x in terms)
 
 
 def drive(

@@ -8,8 +8,7 @@ from typing import Any, ClassVar
 
 from ...laser.closures import Closure
 from ..mission import ExplorationResult
-from .experiment import LaserMission, LaserRunRecord
-from .score import LaserScore
+from .experiment import LaserMission, LaserRunRecord, LaserScore
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from ...core.config import build, config
 from ...core.errors import ConfigError, DataError, UsageError
 from ...core.walls import Walls
-from ...sim.laser_world import LaserWorld
+from ...sim.laser import LaserWorld
 from ...sim.office_floor import GREATEST, LEAST, office_floor
 from ..world import (
     WorldConfig,

@@ -12,7 +12,7 @@ from ...io.kept import part
 from ...sim.swarm import Layout, Swarm, SwarmScene, simulate_swarm
 from ...swarm.bearing import angle
 from ...swarm.config import SwarmConfig
-from ...swarm.kalman import Form, filter_start, update
+from ...swarm.filtered import Form, filter_start, update
 from ...swarm.locate import locate
 from ...swarm.network import BearingNetwork
 from ...swarm.result import SwarmStatus

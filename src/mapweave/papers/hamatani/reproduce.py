@@ -127,7 +127,7 @@ CLAIMS = (
     _claim(
         rule(_cells(1)),
         "Sides with nothing known (Table 1), good guess",
-        "swarm/kalman.py",
+        "swarm/filtered.py",
         TABLES,
         "0.47 to 6.69 m",
         "table1",
@@ -135,7 +135,7 @@ CLAIMS = (
     _claim(
         rule(_cells(2)),
         "Angles with nothing known (Table 2), good guess",
-        "swarm/kalman.py",
+        "swarm/filtered.py",
         TABLES,
         "0.007 to 0.38 deg",
         "table2",
@@ -143,7 +143,7 @@ CLAIMS = (
     _claim(
         rule(_cells(3)),
         "Sides, two robots known (Table 3), good guess",
-        "swarm/kalman.py",
+        "swarm/filtered.py",
         TABLES,
         "0.001 to 0.08 m",
         "table3",
@@ -151,7 +151,7 @@ CLAIMS = (
     _claim(
         rule(*(_cells(table, " from afar") for table in WITHIN)),
         "The same from guesses of 25 m²",
-        "swarm/kalman.py",
+        "swarm/filtered.py",
         TABLES,
         "as with a good guess",
         "bad_guess",
@@ -159,7 +159,7 @@ CLAIMS = (
     _claim(
         rule(Check("exact", "side [m] with two robots known, each guess, exact bearings", least=1e-6)),
         "Exact bearings cannot be used",
-        "swarm/kalman.py",
+        "swarm/filtered.py",
         TABLES,
         "×",
         "exact",
@@ -167,7 +167,7 @@ CLAIMS = (
     _claim(
         rule(Check("drift", "side over that with first-estimate Jacobians, exact start", least=10.0)),
         "Without known robots the distances drift",
-        "swarm/kalman.py",
+        "swarm/filtered.py",
         f"{TEST}::test_the_scale_drifts_with_fresh_jacobians_and_stays_with_the_first_ones_whatever_the_guess",
         "0.47 to 6.69 m",
         "drift",
@@ -175,7 +175,7 @@ CLAIMS = (
     _claim(
         rule(Check("angles", "angle [deg] in each cell", most=0.4)),
         "Whatever the guess and the bearings, every angle errs less than 0.4 deg",
-        "swarm/kalman.py",
+        "swarm/filtered.py",
         SHAPE,
         "0.007 to 0.391 deg",
         "angles",
@@ -183,7 +183,7 @@ CLAIMS = (
     _claim(
         rule(Check("sides", "side [m] in each cell", most=0.1)),
         "With two robots known every side errs less than 0.1 m",
-        "swarm/kalman.py",
+        "swarm/filtered.py",
         SHAPE,
         "0.001 to 0.08 m",
         "sides",
@@ -191,7 +191,7 @@ CLAIMS = (
     _claim(
         rule(Check("places", "farthest robot [m]", most=0.01)),
         "With two robots known all stand within millimetres of their places (Fig. 4)",
-        "swarm/kalman.py",
+        "swarm/filtered.py",
         SHAPE,
         "0.0036 m at most",
         "places",
@@ -200,7 +200,7 @@ CLAIMS = (
     _claim(
         rule(Check("grows", "error at 25 deg² / at 0.01 deg², each row", least=1.0), enough=0.85),
         "Errors grow with the noise of bearings (Tables 1 to 3)",
-        "swarm/kalman.py",
+        "swarm/filtered.py",
         SHAPE,
         "8 of 9 rows",
         "grows",

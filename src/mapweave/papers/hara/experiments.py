@@ -24,9 +24,8 @@ from ...laser.scan_matching import FrontEndConfig, allowed_sd
 from ...laser.scan_odometry import ScanOdometry, inside
 from ...mapping.config import LaserConfig
 from ...mapping.laser_mapping import choose_feature, map_laser
-from ...sim.corridor import CorridorConfig, corridor_world, simulate_corridor
-from ...sim.laser import DriveConfig, LaserSimulation, drive, stream
-from ...sim.route import ring
+from ...sim.laser import DriveConfig, LaserSimulation, drive, ring, stream
+from ...sim.laser_worlds import CorridorConfig, corridor_world, simulate_corridor
 from .light_edges import at_truth, sharpened
 
 # What a gate allows wheels like the simulated ones, which err by a few per cent: the paper's "found by experience".

@@ -17,7 +17,7 @@ from ...io.kept import kept_parts, part
 from ...laser.laser_map import GridMap
 from ...report.result import Rows
 from ...report.style import MUTED, SEQUENTIAL, TRUTH, Target, as_map, colour, figure
-from ...sim.corridor import CorridorConfig
+from ...sim.laser_worlds import CorridorConfig
 from ..reproduction import Claim, Drawing, Reproduction, Section, sentences
 from ..verdicts import Check, Numbers, question, rule
 from .experiments import (
@@ -73,7 +73,7 @@ STATEMENTS = "papers/test_hara_statements.py"
 CLAIMS = (
     Claim(
         "Odometry alone bends the map (Fig. 4)",
-        "sim/drift.py",
+        "sim/laser.py",
         f"{LOOP}::test_every_method_of_the_paper_is_compared_and_drawn",
         "20 m at the end",
         "odometry",

@@ -24,12 +24,17 @@ from ...laser.occupancy_mapper import render
 from ...mapping.config import LaserConfig
 from ...mapping.laser_mapping import choose_feature
 from ...report.result import Rows
-from ...sim.corridor import CorridorConfig, corridor_world
-from ...sim.laser import LaserSimulation, drive
-from ...sim.laser_world import LaserWorld
-from ...sim.office import OfficeConfig, office_route, office_world
-from ...sim.route import Route, ring
-from ...sim.tunnel import TunnelConfig, tunnel_route, tunnel_world
+from ...sim.laser import LaserSimulation, LaserWorld, Route, drive, ring
+from ...sim.laser_worlds import (
+    CorridorConfig,
+    OfficeConfig,
+    TunnelConfig,
+    corridor_world,
+    office_route,
+    office_world,
+    tunnel_route,
+    tunnel_world,
+)
 
 Kind = Literal["ring", "office", "tunnel"]
 Where = Literal["here", "twin", "other"]

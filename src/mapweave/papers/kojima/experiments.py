@@ -10,8 +10,7 @@ from jaxtyping import Float, Int
 from ...core import se2
 from ...core.config import config
 from ...core.workers import Progress, no_progress
-from ...fusion.relative_information import Weights, baseline_pair
-from ...fusion.relative_measurement import Measurement, RelativeLayout, measurement
+from ...fusion.relative_information import Measurement, RelativeLayout, Weights, baseline_pair, measurement
 from . import rls
 from .rls import solve_all
 from .world import SEEN, KojimaConfig, LocalMaps, Worlds, run_filters

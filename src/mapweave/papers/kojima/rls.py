@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from ...core.gaussian import solve_psd, symmetrise
 from ...core.se2 import wrap_angle
-from ...fusion.relative_measurement import Measurement, RelativeLayout
+from ...fusion.relative_information import Measurement, RelativeLayout
 
 
 class Estimate(NamedTuple):

@@ -11,7 +11,7 @@ from scipy.special import ellipe
 from ...exploration.landmarks.config import ExploreConfig, HandoverConfig, MissionConfig, ObjectiveConfig
 from ...exploration.landmarks.experiment import CALIBRATED, PRINTED_SD, LandmarkMission, LandmarkRunScore, explore_once
 from ...exploration.landmarks.scenario import find_scenario
-from ...fusion.map_and_submap import PairingConfig
+from ...fusion.handover import PairingConfig
 from ...report.result import Rows
 
 # The paper's Table 1: steps min, max, mean, map error [m], uncertainty [m^2].

@@ -11,10 +11,127 @@ from ...core.bearings import BearingTable
 from ...core.errors import DataError
 from ...core.records import Odometry
 from ...core.workers import Progress, no_progress
-from .grow import grow
+from ..headings import relative_odometry_frame
 from .poses import PoseProblem
 from .result import RobotTrajectory, SwarmTrack, TrackConfig, without_outliers
 from .smooth import solve_velocity
+
+
+def grow(problem: PoseProblem, cfg: TrackConfig, on_progress: Progress = no_progress) -> tuple[np.ndarray, set[int]]:
+    """A start for all poses, and the robots that could be placed in the one frame.
+
+    Begins in the window of time in which most robots are tied best, then goes forward and backward window by window;
+    a robot joins when its sightings with those already placed fix it.
+    """
+    stamps = problem.table.t
+    assert stamps is not None  # noqa: S101
+    edges = np.arange(stamps.min(), stamps.max() + cfg.window, cfg.window)
+    count = len(edges) - 1
+    window = np.clip(np.searchsorted(edges, stamps, side="right") - 1, 0, count - 1)
+    begin = max(range(count), key=lambda w: _tied(problem, window == w, cfg.enough))
+    x = problem.x0
+    x[problem.index] = problem.own
+    root = _busiest(problem, window == begin)
+    placed = {root}
+    robust = replace(cfg, kernel=cfg.kernel or cfg.grow_kernel)
+    sigma = float(np.median(problem.table.sigma))
+    # The rms bearing error under which a meeting is believed: noise, and what the odometry turns astray meanwhile.
+    good = float(np.sqrt((cfg.meeting * sigma) ** 2 + cfg.turn_floor**2 * cfg.window)) + cfg.meeting_floor
+    windows = [*range(begin, count), *range(begin - 1, -1, -1), *range(begin, count)]
+    for done, w in enumerate(windows):
+        on_progress("growing tracks", done, len(windows))
+        low, high = edges[w], edges[w + 1]
+        _join(problem, x, placed, window == w, good, cfg)
+        still = ~np.isin(problem.line.robot, list(problem.odometry))
+        inside = (problem.line.t >= low - cfg.window) & (problem.line.t <= high + cfg.window * (w < begin))
+        reached = _reached(problem, w, begin, edges)
+        x = problem.solve(x, placed, robust, hold_anchors=False, active=(inside & reached) | still).x
+        _carry(problem, x, placed, w, begin, edges)
+    on_progress("growing tracks", len(windows), len(windows))
+    if len(placed) < 2:
+        raise DataError("no two robots sight each other enough to tell how they stand to each other")
+    return x, placed
+
+
+def _tied(problem: PoseProblem, rows: np.ndarray, enough: int) -> tuple[int, float]:
+    """The size of the largest group of robots that sightings `rows` connect, and the sightings of its weakest link."""
+    counts: dict[tuple[int, int], int] = {}
+    for a, b in zip(problem.table.observer[rows].tolist(), problem.table.target[rows].tolist(), strict=True):
+        counts[min(a, b), max(a, b)] = counts.get((min(a, b), max(a, b)), 0) + 1
+    group: dict[int, set[int]] = {}
+    size, weakest = 0, 0.0
+    for (a, b), c in sorted(counts.items(), key=lambda item: -item[1]):
+        if c < enough or b in group.get(a, {a}):
+            continue
+        joined = group.get(a, {a}) | group.get(b, {b})
+        for k in joined:
+            group[k] = joined
+        if len(joined) > size:
+            size, weakest = len(joined), float(c)
+    return size, weakest
+
+
+def _busiest(problem: PoseProblem, rows: np.ndarray) -> int:
+    both = np.concatenate([problem.table.observer[rows], problem.table.target[rows]])
+    return int(np.bincount(both).argmax())
+
+
+def _join(
+    problem: PoseProblem, x: np.ndarray, placed: set[int], rows: np.ndarray, good: float, cfg: TrackConfig
+) -> None:
+    """Robots that the sightings `rows` tie to those placed are placed too, the best tied first; x is changed."""
+    refused: set[int] = set()
+    while True:
+        a, b = problem.table.observer, problem.table.target
+        inside = np.isin(a, list(placed)), np.isin(b, list(placed))
+        tie = rows & (inside[0] != inside[1])
+        other = np.where(inside[0], b, a)
+        counts = np.bincount(other[tie], minlength=len(problem.table.ids))
+        counts[list(refused)] = 0
+        new = int(counts.argmax())
+        if counts[new] < cfg.enough:
+            return
+        use = np.flatnonzero(tie & (other == new))
+        by_placed = inside[0][use]
+        here = np.where(by_placed, problem.line.observer[use], problem.line.target[use])
+        there = np.where(by_placed, problem.line.target[use], problem.line.observer[use])
+        T, error = relative_odometry_frame(
+            x[problem.index[here]],
+            problem.own[there],
+            problem.table.bearing()[use],
+            by_placed,
+            cfg.meeting_outlier * good,
+        )
+        if np.sqrt(error) > good:
+            refused.add(new)
+            continue
+        knots = problem.index[problem.line.of(new)]
+        x[knots] = se2.compose(T, problem.own[problem.line.of(new)])
+        placed.add(new)
+
+
+def _reached(problem: PoseProblem, w: int, begin: int, edges: np.ndarray) -> np.ndarray:
+    """Which knots lie in the span of time grown so far."""
+    low, high = edges[min(w, begin)], edges[w + 1] if w >= begin else np.inf
+    return np.asarray((problem.line.t >= low) & (problem.line.t <= high))
+
+
+def _carry(problem: PoseProblem, x: np.ndarray, placed: set[int], w: int, begin: int, edges: np.ndarray) -> None:
+    """Knots not reached yet follow from the nearest one that is, by odometry; x is changed."""
+    for robot in placed & set(problem.odometry):
+        rows = problem.line.of(robot)
+        t, own = problem.line.t[rows], problem.own[rows]
+        here = np.flatnonzero((t >= edges[min(w, begin)]) & (t <= edges[w + 1]))
+        if not len(here):
+            continue
+        pose = x[problem.index[rows]]
+        if w >= begin and here[-1] + 1 < len(t):
+            T = se2.compose(pose[here[-1]], se2.inverse(own[here[-1]]))
+            x[problem.index[rows][here[-1] + 1 :]] = se2.compose(T, own[here[-1] + 1 :])
+        if w <= begin and here[0] > 0:
+            T = se2.compose(pose[here[0]], se2.inverse(own[here[0]]))
+            x[problem.index[rows][: here[0]]] = se2.compose(T, own[: here[0]])
+
 
 Anchors = Mapping[int, Float[np.ndarray, "2"]]
 
