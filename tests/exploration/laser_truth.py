@@ -6,7 +6,7 @@ from scipy import ndimage
 from mapweave.core import se2
 from mapweave.core.walls import WallIndex
 from mapweave.exploration.laser.config import LaserExploreConfig
-from mapweave.exploration.laser.planner_state import PLANNERS, LaserBelief
+from mapweave.exploration.laser.planner_state import LaserBelief
 from mapweave.exploration.planner_interface import find_planner
 from mapweave.kernels.laser.scan_laying import CellCounts, lay_scan
 from mapweave.laser.occupancy import FREE, OCCUPIED, Occupancy, from_counts
@@ -79,7 +79,7 @@ class Team:
 
     def play(self, planner, most: int) -> bool:
         """Steps until the planner says that all is done, or `most`; whether it did."""
-        choose = find_planner(planner, PLANNERS) if isinstance(planner, str) else planner
+        choose = find_planner(planner, "laser") if isinstance(planner, str) else planner
         while self.step < most:
             commands = choose(self.belief(), self.sim.true_poses.copy(), self.cfg)
             if self.memory.get("finished"):

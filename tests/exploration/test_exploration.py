@@ -14,7 +14,6 @@ from mapweave.api.explore import explore
 from mapweave.core import se2
 from mapweave.core.errors import ConfigError, DataError, EstimateError, UsageError
 from mapweave.exploration.landmarks import team as team_module
-from mapweave.exploration.landmarks.belief import PLANNERS
 from mapweave.exploration.landmarks.config import (
     ExploreConfig,
     HandoverConfig,
@@ -255,11 +254,11 @@ def test_a_planner_that_returns_nonsense_is_named(returned, told):
 
 
 def test_a_users_own_planner_is_found_by_dotted_name():
-    assert find_planner("mapweave.exploration.landmarks.coverage:choose", PLANNERS) is find_planner(
-        "coverage", PLANNERS
+    assert find_planner("mapweave.exploration.landmarks.coverage:choose", "landmarks") is find_planner(
+        "coverage", "landmarks"
     )
     with pytest.raises(UsageError, match="not an importable"):
-        find_planner("nowhere.at.all:choose", PLANNERS)
+        find_planner("nowhere.at.all:choose", "landmarks")
 
 
 def test_a_scenario_without_landmarks_or_with_a_robot_outside_is_refused(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from mapweave.core.errors import UsageError
 from mapweave.exploration.laser.config import LaserExploreConfig
 from mapweave.exploration.laser.frontiers import frontiers, mapped_ground
-from mapweave.exploration.laser.planner_state import PLANNERS, PlannerState, route_to
+from mapweave.exploration.laser.planner_state import PlannerState, route_to
 from mapweave.exploration.laser.planners import (
     allocation_problem,
     by_tours,
@@ -17,7 +17,7 @@ from mapweave.exploration.laser.planners import (
     keep_commitments,
     nearest_first,
 )
-from mapweave.exploration.planner_interface import find_planner
+from mapweave.exploration.planner_interface import find_planner, planners
 from mapweave.kernels.exploration.wavefront import NO_LIMIT, UNREACHED, spread
 from mapweave.laser.occupancy import FREE, OCCUPIED, UNKNOWN, Occupancy
 from mapweave.sim.office_floor import office_floor
@@ -32,7 +32,7 @@ def office_team(area: float, seed: int, robots: int) -> Team:
     return Team(floor.world, floor.starts[:robots], floor.lower, floor.upper, seed=seed)
 
 
-@pytest.mark.parametrize("planner", list(PLANNERS))
+@pytest.mark.parametrize("planner", planners("laser"))
 def test_every_planner_maps_a_whole_office_without_a_touch(planner):
     team = office_team(300, 1, 2)
     assert team.play(planner, 900)
@@ -131,9 +131,9 @@ def test_a_robot_leaves_its_frontier_to_a_nearer_one():
 
 
 def test_a_planner_of_ones_own_is_found_by_its_dotted_name():
-    assert find_planner("mapweave.exploration.laser.planners:coverage", PLANNERS) is find_planner("coverage", PLANNERS)
+    assert find_planner("mapweave.exploration.laser.planners:coverage", "laser") is find_planner("coverage", "laser")
     with pytest.raises(UsageError, match="best"):
-        find_planner("best", PLANNERS)
+        find_planner("best", "laser")
 
 
 def test_shares_go_by_lengths_that_are_nearly_those_of_the_ways():

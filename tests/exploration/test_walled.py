@@ -8,7 +8,6 @@ from PIL import Image
 
 from mapweave.api.explore import explore
 from mapweave.core.errors import ConfigError, DataError, ReaderError, UsageError
-from mapweave.exploration.landmarks.belief import PLANNERS
 from mapweave.exploration.landmarks.config import ExploreConfig
 from mapweave.exploration.landmarks.experiment import (
     CALIBRATED,
@@ -80,7 +79,7 @@ def shut(x0, y0, x1, y1):
 
 def test_walls_hide_cells_and_landmarks():
     wall = replace(ROOM, landmarks=((9.0, 6.0), (15.0, 6.0)), walls=((12.0, 2.0, 12.0, 10.0),))
-    team = Team(make_field(wall, 1, 0), KNOWN, find_planner("coverage", PLANNERS), np.random.default_rng(0))
+    team = Team(make_field(wall, 1, 0), KNOWN, find_planner("coverage", "landmarks"), np.random.default_rng(0))
     first = team.observe_start()
     assert first.sightings[0].ids == ("0",)
     seen = team.explored.team()
@@ -198,7 +197,7 @@ def test_a_robot_driven_into_a_wall_stops_short_of_it_and_knows_how_far_it_came(
 
 
 def test_offered_controls_keep_clear_and_facing_a_wall_the_robot_turns_on_the_spot():
-    team = Team(make_field(HALL, 2, 0), KNOWN, find_planner("paper", PLANNERS), np.random.default_rng(0))
+    team = Team(make_field(HALL, 2, 0), KNOWN, find_planner("paper", "landmarks"), np.random.default_rng(0))
     view, walls = team.belief(), team.floor.walls
     rng = np.random.default_rng(1)
     room = KNOWN.walls.robot_radius + KNOWN.walls.margin / 3
@@ -250,7 +249,7 @@ def test_rooms_with_doors_too_narrow_for_a_robot_are_told_and_the_rest_is_explor
 
 
 def test_a_target_that_is_not_seen_in_time_is_put_off_for_another():
-    team = Team(make_field(HALL, 1, 0), KNOWN, find_planner("paper", PLANNERS), np.random.default_rng(0))
+    team = Team(make_field(HALL, 1, 0), KNOWN, find_planner("paper", "landmarks"), np.random.default_rng(0))
     team.observe_start()
     pose = team.poses()[0]
     first = next_target(team.belief(), 0, pose)

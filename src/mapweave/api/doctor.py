@@ -4,13 +4,14 @@ import os
 import platform
 import re
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, requires, version
+from importlib.metadata import EntryPoint, PackageNotFoundError, requires, version
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..core.plugins import KINDS, is_ours, plugged
 from ..core.version import __version__
 from ..io.directory import write_json
 from ..kernels._jit import cache_root, threads
@@ -56,6 +57,7 @@ class Diagnosis(ResultBase):
     first: float
     second: float
     kernel_error: str
+    plugins: dict[str, dict[str, str]]  # kind -> name -> package and version, "" where it is this one
 
     @property
     def healthy(self) -> bool:
@@ -79,6 +81,7 @@ class Diagnosis(ResultBase):
             "first_call_s": self.first,
             "second_call_s": self.second,
             "kernel_error": self.kernel_error,
+            "plugins": self.plugins,
             "healthy": self.healthy,
         }
 
@@ -101,6 +104,10 @@ class Diagnosis(ResultBase):
             f"cores: {self.cores}, threads of parallel kernels: {self.threads}",
             f"compiled kernels: {kept}",
             f"a kernel tried: {tried}",
+            *(
+                f"{kind}: " + ", ".join(f"{name} ({whose})" if whose else name for name, whose in found.items())
+                for kind, found in self.plugins.items()
+            ),
             "all is well" if self.healthy else "something is wrong: see above",
         ]
 
@@ -169,7 +176,12 @@ def doctor() -> Diagnosis:
         first=first,
         second=second,
         kernel_error=error,
+        plugins={kind: {name: _whose(one) for name, one in plugged(kind).items()} for kind in KINDS},
     )
+
+
+def _whose(found: EntryPoint) -> str:
+    return "" if is_ours(found) or found.dist is None else f"{found.dist.name} {found.dist.version}"
 
 
 def _try_kernel() -> tuple[float, float, str]:

@@ -11,7 +11,6 @@ from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
 from ..core.paths import AnyConfig, path_arguments
 from ..core.workers import Progress, no_progress, one_blas_thread
-from ..exploration.landmarks.belief import PLANNERS
 from ..exploration.landmarks.config import ExploreConfig
 from ..exploration.landmarks.experiment import (
     CALIBRATED,
@@ -24,7 +23,7 @@ from ..exploration.landmarks.experiment import (
 )
 from ..exploration.landmarks.scenario import check_rasters, find_scenario, make_field
 from ..exploration.laser.scenario import find_laser_scenario
-from ..exploration.planner_interface import find_planner
+from ..exploration.planner_interface import find_planner, is_built_in
 from ..io.directory import check_target
 from ..report.result import ResultBase, Rows
 from .explore_laser import LaserExploration, explore_laser
@@ -195,12 +194,12 @@ def _among_landmarks(scenario: str, options: ExploreOptions) -> LandmarkExplorat
     check_rasters(place, len(world.starts), cfg)
     until, kills = end_of(options.until, "landmarks", "field"), kills_of(options.kill or {}, len(world.starts))
     mission = LandmarkMission(place, options.robots, planner, until, kills, options.drop, cfg)
-    find_planner(planner, PLANNERS)
+    find_planner(planner, "landmarks")
     return options.explore(
         partial(explore_once, mission),
         partial(explore_many, mission),
         partial(LandmarkExploration, scenario, mission, options.seed, noise_factor(cfg)),
-        ours=planner in PLANNERS and not isinstance(place.walls, str),
+        ours=is_built_in(planner, "landmarks") and not isinstance(place.walls, str),
     )
 
 

@@ -9,10 +9,9 @@ from ..core.config import expect_positive, load
 from ..core.errors import ConfigError, UsageError
 from ..exploration.laser.config import LaserMissionConfig, with_odometry_noise
 from ..exploration.laser.experiment import LaserMission, explore_laser_many, explore_laser_once
-from ..exploration.laser.planner_state import PLANNERS
 from ..exploration.laser.result import LaserExploreResult
 from ..exploration.laser.scenario import LaserScenarioConfig, make_place
-from ..exploration.planner_interface import find_planner
+from ..exploration.planner_interface import find_planner, is_built_in
 from ..exploration.world import check_cells
 from ..report.result import ResultBase, Rows
 from .explore_options import ExploreOptions, check_magnitudes, end_of, factor_of, kills_of
@@ -82,7 +81,7 @@ def explore_laser(name: str, scenario: LaserScenarioConfig, options: ExploreOpti
         check_cells(key, place.lower, place.upper, cell)
     kills = kills_of(options.kill or {}, len(place.starts))
     mission = LaserMission(scenario, options.robots, planner, _end(options.until), kills, options.drop, cfg)
-    find_planner(planner, PLANNERS)
+    find_planner(planner, "laser")
 
     def mapped_so_far(step: int, explored: float) -> None:
         del step
@@ -92,7 +91,7 @@ def explore_laser(name: str, scenario: LaserScenarioConfig, options: ExploreOpti
         partial(explore_laser_once, mission),
         partial(explore_laser_many, mission),
         partial(LaserExploration, name, mission, options.seed, factor),
-        ours=planner in PLANNERS and not isinstance(scenario.walls, str),
+        ours=is_built_in(planner, "laser") and not isinstance(scenario.walls, str),
         on_progress=mapped_so_far,
     )
 

@@ -7,8 +7,6 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from threading import Event
 
-import zenoh
-
 from ..core.config import load
 from ..core.errors import UsageError
 from ..core.paths import AnyConfig
@@ -19,7 +17,7 @@ from ..live.ros2.feed import Chosen, RosFeed
 from ..live.ros2.shown import RosView
 from ..live.store import Store
 from ..live.topics import Topics
-from ..live.transport import LISTENING, Network, session
+from ..live.transport import LISTENING, Network, Session, session
 from .map_laser import LaserMapConfig
 
 ROUTER = "tcp/localhost:7447"  # where rmw_zenoh's router stands unless told otherwise
@@ -118,7 +116,7 @@ def _graph_network(options: RosOptions, network: Network) -> Network:
 
 
 @contextmanager
-def _reached(network: Network, stop: Event, say: Say) -> Iterator[zenoh.Session | None]:
+def _reached(network: Network, stop: Event, say: Say) -> Iterator[Session | None]:
     """The session, as soon as there is a router; None when `stop` is set before."""
     announced = False
     while not stop.is_set():

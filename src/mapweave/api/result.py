@@ -4,8 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from ..report.style import Axes, Figure
 from abc import abstractmethod
 from collections.abc import Sequence
 from numbers import Real

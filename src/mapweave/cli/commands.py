@@ -528,8 +528,8 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
         words=("file",),
         options={
             "file": Option(
-                help="A g2o file, plain or gzipped: VERTEX_SE2 (may be missing), EDGE_SE2, EDGE_PRIOR_SE2 and FIX rows. "
-                "Or a .pyfg file with ranges (EDGE_RANGE), whose vertices only name what is placed."
+                help="A g2o file, plain or gzipped: VERTEX_SE2 (may be missing), EDGE_SE2, EDGE_PRIOR_SE2 and FIX "
+                "rows. Or a .pyfg file with ranges (EDGE_RANGE), whose vertices only name what is placed."
             ),
             "robust": Option(
                 help="Reject the edges that contradict the others, and say which; edges from a vertex to the next are "

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..core.errors import UsageError
 from ..fusion.handover import pose_in_map
-from .landmarks.belief import PLANNERS, Planner
+from .landmarks.belief import Planner
 from .landmarks.config import ExploreConfig
 from .landmarks.scenario import find_scenario, make_field
 from .landmarks.steering import offered
@@ -108,7 +108,7 @@ class ExplorationEnv(ParallelEnv):  # type: ignore[misc]
         """What a planner would do now, as actions: the controls nearest to its commands."""
         if self.team is None:
             raise UsageError("reset the environment before asking a planner")
-        choose = find_planner(planner, PLANNERS) if isinstance(planner, str) else planner
+        choose = find_planner(planner, "landmarks") if isinstance(planner, str) else planner
         commands = choose(self.team.belief(), self.team.poses(), self.cfg)
         controls = self.cfg.controls
         return {

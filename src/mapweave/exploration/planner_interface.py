@@ -1,7 +1,7 @@
 """What every planner is given, how one is found by name, and how it is asked for commands that robots can follow."""
 
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core.errors import EstimateError, MapweaveError, UsageError
+from ..core.plugins import Planner, is_ours, load, plugged
 
 SLACK = 1e-9  # a command may be beyond the limit by so much: rounding
 
@@ -30,20 +31,33 @@ class TeamBelief:
     memory: dict[str, Any]
 
 
-def find_planner(name: str, built_in: Mapping[str, str]) -> Callable[..., Any]:
-    """The planner that `built_in` knows by `name`, or a user's own by dotted name `package.module:function`.
+def planners(sensor: str) -> tuple[str, ...]:
+    """Names of the planners that are plugged in for robots with landmark cameras (`landmarks`) or `laser`s."""
+    return tuple(name.removeprefix(f"{sensor}.") for name in plugged("planners") if name.startswith(f"{sensor}."))
+
+
+def is_built_in(name: str, sensor: str) -> bool:
+    """Whether a planner is this package's own."""
+    found = plugged("planners").get(f"{sensor}.{name}")
+    return found is not None and is_ours(found)
+
+
+def find_planner(name: str, sensor: str) -> Planner:
+    """The planner that is plugged in by `name`, or a user's own by dotted name `package.module:function`.
 
     Raises UsageError when it is neither.
     """
-    where = built_in.get(name, name)
-    module, _, attribute = where.partition(":")
+    found = plugged("planners").get(f"{sensor}.{name}")
+    module, _, attribute = name.partition(":")
     if not attribute:
-        module, _, attribute = where.rpartition(".")
+        module, _, attribute = name.rpartition(".")
     try:
-        planner = getattr(import_module(module), attribute)
+        planner = getattr(import_module(module), attribute) if found is None else load(found)
+    except UsageError:
+        raise
     except Exception as error:  # whatever a module does when it is imported
         raise UsageError(
-            f"planner {name!r}: not one of {', '.join(built_in)} and not an importable module:function "
+            f"planner {name!r}: not one of {', '.join(planners(sensor))} and not an importable module:function "
             f"({type(error).__name__}: {error})"
         ) from error
     if not callable(planner):

@@ -12,7 +12,7 @@ from ..core.errors import ReaderError
 from ..core.findings import Unused
 from ..core.laser_log import LaserLog
 from .assemble import UNSOUND, RawLog, RawScan, is_sound, median_pose
-from .files import TextLog
+from .files import TextFormat, TextLog
 
 KEYWORDS = ("FLASER", "RLASER", "ROBOTLASER1", "ROBOTLASER2", "ODOM")
 OTHER = (  # what robots of this kind write beside, in any number before the first scan
@@ -192,3 +192,6 @@ def no_return_limit(ranges: np.ndarray) -> float:
     pile = int((values >= 0.99 * top).sum())
     below = int(((values >= 0.95 * top) & (values < 0.99 * top)).sum())
     return 0.99 * top if pile >= max(0.001 * len(values), 3 * below, 10) else np.inf
+
+
+FORMAT = TextFormat(is_carmen, read_carmen)

@@ -2,13 +2,14 @@
 
 import hashlib
 import zipfile
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
 from ..core.errors import ReaderError
+from ..core.laser_log import LaserLog
 from .packed import DAMAGE, HIDDEN, LARGEST_RATIO, LARGEST_SMALL, first_name, unpacked
 
 LONGEST = 1 << 20  # characters of a row whose every word counts; g2o's FIX of 100,000 vertices has fewer
@@ -76,6 +77,14 @@ class TextLog:
         """The words of the first `n` lines that are not blank, no comments, and begin with none of `passed`."""
         words = (line.split() for line in self.text[:LOOKED_AT].splitlines())
         return list(islice((w for w in words if w and w[0] not in passed and not w[0].startswith("#")), n))
+
+
+@dataclass(frozen=True, slots=True)
+class TextFormat:
+    """A format of laser logs that are text, as `mapweave.readers` registers it. reads: whether a text is of it."""
+
+    reads: Callable[[TextLog], bool]
+    read: Callable[..., LaserLog]
 
 
 @dataclass(frozen=True, slots=True)

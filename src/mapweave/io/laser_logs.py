@@ -5,21 +5,12 @@ from pathlib import Path
 from ..core.config import config
 from ..core.errors import ReaderError
 from ..core.laser_log import LaserLog
-from .carmen import is_carmen, read_carmen
+from ..core.plugins import Reader, load, plugged
 from .files import NotTextError, TextLog, recording_suffix
 from .scan_table import ScanTable, read_scan_table
-from .stampless import is_stampless, read_stampless
 from .unknown import not_known
-from .wean import is_wean, read_wean
-from .wheel_ticks import is_wheel_ticks, read_wheel_ticks
 
 BAGS = (".bag", ".db3", ".mcap")
-TEXTS = (  # asked in this order
-    (is_carmen, read_carmen),
-    (is_stampless, read_stampless),
-    (is_wean, read_wean),
-    (is_wheel_ticks, read_wheel_ticks),
-)
 
 
 @config
@@ -45,7 +36,7 @@ def is_laser_log(path: Path) -> bool:
         log = TextLog(path)
     except ReaderError:
         return False
-    return any(is_it(log) for is_it, _ in TEXTS)
+    return any(reader.reads(log) for reader in _readers())
 
 
 def is_bag(path: Path) -> bool:
@@ -92,7 +83,12 @@ def read_laser(path: Path, robot: str = "1", source: LaserSource | None = None) 
         raise not_known(path) from None
     if source.table is not None:
         return read_scan_table(log, robot, source.table, sensor_pose=source.sensor_pose, mirrored=source.mirrored)
-    for is_it, read in TEXTS:
-        if is_it(log):
-            return read(log, robot, sensor_pose=source.sensor_pose, mirrored=source.mirrored)
+    for reader in _readers():
+        if reader.reads(log):
+            return reader.read(log, robot, sensor_pose=source.sensor_pose, mirrored=source.mirrored)
     raise not_known(path)
+
+
+def _readers() -> list[Reader]:
+    """Formats of text in the order in which they are asked."""
+    return [load(found) for found in plugged("readers").values()]

@@ -9,7 +9,7 @@ from ..core.errors import ReaderError
 from ..core.laser_log import LaserLog
 from .assemble import RawLog, RawScan
 from .carmen import no_return_limit
-from .files import TextLog
+from .files import TextFormat, TextLog
 
 STEP = 1.0  # [s] between scans, for want of stamps
 AHEAD = np.array([0.40, 0.0, 0.0])  # the laser on the robot these logs were made with
@@ -64,3 +64,6 @@ def _expected(words: list[str]) -> str:
         said = words[1] if len(words) > 1 else "nothing"
         return f"Laser says {said} ranges, found {max(0, len(words) - 2)}"
     return f"expected 'Odometry x y theta' or 'Laser n r..', found {' '.join(words[:5])!r}"
+
+
+FORMAT = TextFormat(is_stampless, read_stampless)

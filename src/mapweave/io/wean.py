@@ -9,7 +9,7 @@ from ..core.errors import ReaderError
 from ..core.laser_log import LaserLog
 from .assemble import UNSOUND, RawLog, RawScan, is_sound
 from .carmen import place_sensors, sensor_place
-from .files import TextLog
+from .files import TextFormat, TextLog
 
 BEAMS = 180
 NUMBERS = {"O": 4, "L": 6 + BEAMS + 1}
@@ -69,3 +69,6 @@ def _numbers(words: list[str]) -> np.ndarray:
 
 def _metres(pose: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     return np.array([pose[0] / 100.0, pose[1] / 100.0, pose[2]])
+
+
+FORMAT = TextFormat(is_wean, read_wean)

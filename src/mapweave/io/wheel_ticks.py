@@ -9,7 +9,7 @@ from ..core import se2
 from ..core.errors import ReaderError
 from ..core.laser_log import LaserLog
 from .assemble import RawLog, RawScan, odometry_row
-from .files import TextLog
+from .files import TextFormat, TextLog
 
 FIRST_RANGE = 24  # token at which ranges start; the last token is no range
 RADIUS, HALF_AXLE, TICKS_A_TURN = 0.077, 0.165, 2000.0  # [m], [m]
@@ -69,3 +69,6 @@ def dead_reckoning(ticks: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
     for k, step in enumerate(se2.exp(twist)):
         poses[k + 1] = se2.compose(poses[k], step)
     return poses
+
+
+FORMAT = TextFormat(is_wheel_ticks, read_wheel_ticks)

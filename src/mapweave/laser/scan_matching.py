@@ -20,6 +20,7 @@ from .beam import Beams
 
 @config
 class FrontEndConfig:
+    matcher: str = "lines"  # how scans are matched: lines, or what is plugged in as one of `mapweave.matchers`
     size: int = 1024  # cells a side of either level, a power of two; the fine one must hold the whole local map
     coarse: float = 0.2  # cell [m] of the first iterations
     fine: float = 0.1  # cell [m] of the last ones

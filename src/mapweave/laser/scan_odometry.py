@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core import se2
+from ..core.plugins import Matcher, find
 from ..core.records import Scan
 from ..core.rows import RowBuffer
 from .beam import STEERING, Beams
-from .scan_matching import FrontEnd, FrontEndConfig, allowed_sd
+from .scan_matching import FrontEndConfig, allowed_sd
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,8 +117,11 @@ class ScanOdometry:
         self.cfg = cfg if steers else replace(cfg, alpha=0.0)
         self.gate, self.matching, self.tell_lines = gate, matching, tell_lines
         self.tangent = cfg.tangent if steers else cfg.bare_tangent
-        self.front_end = FrontEnd(self.cfg, self.tangent)
-        self._anew: FrontEnd | None = None  # of the latest scan alone, where it does not match the local map
+        self._matcher: Callable[[FrontEndConfig, float], Matcher] = find(
+            "matchers", self.cfg.matcher, "front_end.matcher"
+        )
+        self.front_end = self._matcher(self.cfg, self.tangent)
+        self._anew: Matcher | None = None  # of the latest scan alone, where it does not match the local map
         self.poses = RowBuffer(3)
         self.odometry: np.ndarray | None = None
         self.step = np.zeros(3)
@@ -185,7 +189,7 @@ class ScanOdometry:
             if accepted:
                 self.front_end = fe
                 break
-        self._anew = None if accepted or self.gate is not None else FrontEnd(self.cfg, self.tangent)
+        self._anew = None if accepted or self.gate is not None else self._matcher(self.cfg, self.tangent)
         if accepted and self.gate is not None and scan.odometry is not None and not alone:
             accepted = inside(match.innovation, self.gate(sd))
         if accepted and self.tell_lines:

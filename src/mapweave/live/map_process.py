@@ -11,7 +11,6 @@ from threading import Event
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-import zenoh
 
 from ..core.errors import DataError, UsageError
 from ..landmarks.config import EkfSlamConfig
@@ -31,7 +30,21 @@ from .messages import LARGEST, MapState, Numbers, RefusedError, RobotState, Snap
 from .shared_map import Fused, SharedMap
 from .store import Store
 from .topics import Topics
-from .transport import MOST_ANSWERS, OWN, SETTLE, answer, ask, put, there_is
+from .transport import (
+    MOST_ANSWERS,
+    OWN,
+    SETTLE,
+    Callback,
+    Locality,
+    Query,
+    Sample,
+    SampleKind,
+    Session,
+    answer,
+    ask,
+    put,
+    there_is,
+)
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -74,7 +87,7 @@ class MapProcess:
     def __init__(
         self,
         name: str,
-        session: zenoh.Session,
+        session: Session,
         topics: Topics,
         store: Store,
         inbox: Inbox,
@@ -106,12 +119,12 @@ class MapProcess:
 
     def join(self) -> None:
         """From now on robots are heard; raises UsageError when a map process of this name is there."""
-        t, s, callback = self._topics, self._session, zenoh.handlers.Callback
+        t, s, callback = self._topics, self._session, Callback
         time.sleep(SETTLE)
         if there_is(s, t.map_alive(self.name)):
             raise UsageError(f"--name {self.name}: a map process of that name is in team {t.team} already")
         hear = callback(self._hear)
-        remote = zenoh.Locality.REMOTE
+        remote = Locality.REMOTE
         self._declared = [
             *(s.declare_subscriber(key, hear) for key in (t.log(), t.status(), t.snapshot())),
             s.declare_subscriber(t.map_state(), callback(self._hear_map), allowed_origin=remote),
@@ -394,21 +407,21 @@ class MapProcess:
         others = {**self.inbox.refused, **self._door}
         return out + ([f"refused from others: {count(others)}"] if others else [])
 
-    def _answer_tiles(self, query: zenoh.Query) -> None:
+    def _answer_tiles(self, query: Query) -> None:
         """The whole map as it is, for views that come late."""
         with query:
             for key in tuple(self.shared.tiles):
                 payload = encode(self.shared.tile(key))
                 query.reply(query.key_expr, payload)
 
-    def _hear(self, sample: zenoh.Sample) -> None:
+    def _hear(self, sample: Sample) -> None:
         speaker = self._topics.robot_of(str(sample.key_expr))
         if len(sample.payload) > LARGEST:  # not even copied
             self._heard.do(lambda: self.inbox.refuse(speaker, "oversized", f"{len(sample.payload)} bytes"))
         else:
             self._heard.messages.put(speaker, sample.payload.to_bytes())
 
-    def _hear_map(self, sample: zenoh.Sample) -> None:
+    def _hear_map(self, sample: Sample) -> None:
         """Another map process may know robots that have left."""
         try:
             state = decode(sample.payload.to_bytes())
@@ -417,8 +430,8 @@ class MapProcess:
         if isinstance(state, MapState) and state.map == self._topics.map_of(str(sample.key_expr)):
             self._heard.do(lambda: self.inbox.hearsay(state.robots, time.monotonic()))
 
-    def _robot_there(self, sample: zenoh.Sample) -> None:
-        robot, there = self._topics.robot_of(str(sample.key_expr)), sample.kind == zenoh.SampleKind.PUT
+    def _robot_there(self, sample: Sample) -> None:
+        robot, there = self._topics.robot_of(str(sample.key_expr)), sample.kind == SampleKind.PUT
         self._heard.do(lambda: self._there(robot, there=there))
 
     def _there(self, robot: str, *, there: bool) -> None:
@@ -427,7 +440,7 @@ class MapProcess:
             self._say(f"{robot}: {'is there' if there else 'is gone'}")
         self.inbox.presence(robot, there=there)
 
-    def _answer(self, query: zenoh.Query) -> None:
+    def _answer(self, query: Query) -> None:
         """The past of any robot that is kept here, for those who come late."""
         with query:
             robot = self._topics.robot_of(str(query.key_expr))

@@ -7,14 +7,12 @@ from functools import partial
 from threading import Event
 from typing import Protocol, runtime_checkable
 
-import zenoh
-
 from ..core.errors import DataError, UsageError
 from .door import decode
 from .messages import LARGEST, Correction, Header, MapState, Numbered, RefusedError, Snapshot, Status, encode
 from .store import Store
 from .topics import Topics
-from .transport import MOST_ANSWERS, SETTLE, answer, put, there_is
+from .transport import MOST_ANSWERS, SETTLE, Callback, Query, Sample, SampleKind, Session, answer, put, there_is
 
 STATUS_EVERY = 0.5  # [s]
 SNAPSHOT_PAUSES = 0.5, 2.0  # [s] from snapshot to snapshot at least, and at most
@@ -100,7 +98,7 @@ class RobotProcess:
     def __init__(
         self,
         name: str,
-        session: zenoh.Session,
+        session: Session,
         topics: Topics,
         store: Store,
         say: Say,
@@ -121,7 +119,7 @@ class RobotProcess:
         if there_is(self._session, self._topics.alive(self.name)):
             raise UsageError(f"--name {self.name}: a robot of that name is in team {self._topics.team} already")
         t, s = self._topics, self._session
-        callback = zenoh.handlers.Callback
+        callback = Callback
         self._declared = [
             s.declare_queryable(t.history(self.name), callback(self._answer)),
             s.declare_queryable(t.clock(self.name), callback(self._tell_time)),
@@ -331,16 +329,16 @@ class RobotProcess:
             self._tell_snapshot(driving, fresh=False)
             stop.wait(0.1)
 
-    def _answer(self, query: zenoh.Query) -> None:
+    def _answer(self, query: Query) -> None:
         """The numbered messages that are asked for, as they were told."""
         with query:
             answer(query, self._topics.history(self.name), partial(self._store.get, self.name))
 
-    def _tell_time(self, query: zenoh.Query) -> None:
+    def _tell_time(self, query: Query) -> None:
         with query:
             query.reply(self._topics.clock(self.name), repr(self._wall()))
 
-    def _hear_map(self, sample: zenoh.Sample) -> None:
+    def _hear_map(self, sample: Sample) -> None:
         if (
             len(self.listeners.have) >= MOST_MAPS
             and self._topics.map_of(str(sample.key_expr)) not in self.listeners.have
@@ -356,7 +354,7 @@ class RobotProcess:
             self.listeners.part[state.map] = 0 if mine is None else mine.component
             self.listeners.ever = True  # a liveliness token may be long in coming over a slow link
 
-    def _hear_correction(self, sample: zenoh.Sample) -> None:
+    def _hear_correction(self, sample: Sample) -> None:
         try:
             message = decode(sample.payload.to_bytes())
         except RefusedError:
@@ -366,9 +364,9 @@ class RobotProcess:
         if isinstance(message, Correction) and (message.robot, message.map) == (self.name, named) and known:
             self.listeners.corrections[named] = message
 
-    def _map_there(self, sample: zenoh.Sample) -> None:
+    def _map_there(self, sample: Sample) -> None:
         name = self._topics.map_of(str(sample.key_expr))
-        if sample.kind == zenoh.SampleKind.PUT:
+        if sample.kind == SampleKind.PUT:
             self.listeners.ever = True
             if len(self.listeners.there) < MOST_MAPS:
                 self.listeners.there.add(name)

@@ -11,6 +11,21 @@ from pathlib import Path
 
 import zenoh
 
+# what the other files of a live team handle, of this one alone
+from zenoh import CongestionControl as CongestionControl
+from zenoh import Locality as Locality
+from zenoh import Query as Query
+from zenoh import Sample as Sample
+from zenoh import SampleKind as SampleKind
+from zenoh import Session as Session
+from zenoh.ext import AdvancedPublisher as AdvancedPublisher
+from zenoh.ext import CacheConfig as CacheConfig
+from zenoh.ext import HistoryConfig as HistoryConfig
+from zenoh.ext import MissDetectionConfig as MissDetectionConfig
+from zenoh.ext import declare_advanced_publisher as declare_advanced_publisher
+from zenoh.ext import declare_advanced_subscriber as declare_advanced_subscriber
+from zenoh.handlers import Callback as Callback
+
 from ..core.errors import UsageError
 
 OPENING = 30_000  # [ms] that a handshake may take, in four messages

@@ -15,7 +15,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-import zenoh
 from jaxtyping import Float
 
 from ..core import se2
@@ -24,7 +23,7 @@ from ..core.viewport import viewport
 from .door import decode
 from .messages import MapState, RefusedError, RobotState, Tile
 from .topics import Topics
-from .transport import ask
+from .transport import Callback, Sample, Session, ask
 
 PAGE = Path(__file__).with_name("page.html").read_text(encoding="utf-8").replace("/* viewport */", viewport())
 POINTS = 4000  # of each robot's trail, for browsers that come late
@@ -205,7 +204,7 @@ class Board:
             self._changed.notify_all()
 
 
-def follow(session: zenoh.Session, topics: Topics, board: Board) -> object:
+def follow(session: Session, topics: Topics, board: Board) -> object:
     """`board` hears every map process of the team for as long as what is returned is held."""
 
     def take(payload: bytes, name: str | None = None) -> None:
@@ -221,10 +220,10 @@ def follow(session: zenoh.Session, topics: Topics, board: Board) -> object:
         elif isinstance(message, Tile) and name in {None, message.map}:
             board.take_tile(message)
 
-    def hear(sample: zenoh.Sample) -> None:
+    def hear(sample: Sample) -> None:
         take(sample.payload.to_bytes(), topics.map_of(str(sample.key_expr)))
 
-    callback = zenoh.handlers.Callback(hear)
+    callback = Callback(hear)
     return [session.declare_subscriber(key, callback) for key in (topics.map_state(), topics.tile())]
 
 

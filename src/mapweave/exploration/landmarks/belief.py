@@ -116,11 +116,3 @@ class LandmarkBelief(TeamBelief):
 
 
 Planner = Callable[[LandmarkBelief, Float[np.ndarray, "r 3"], ExploreConfig], Float[np.ndarray, "r 2"]]
-
-PLANNERS = {
-    "paper": "mapweave.exploration.landmarks.objective:choose",
-    "area": "mapweave.exploration.landmarks.objective:choose_area",
-    "coverage": "mapweave.exploration.landmarks.coverage:choose",
-    "loop": "mapweave.exploration.landmarks.coverage:choose_loop",
-    "joint": "mapweave.exploration.landmarks.coverage:choose_joint",
-}

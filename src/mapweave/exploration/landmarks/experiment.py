@@ -13,8 +13,7 @@ from ...landmarks.landmark_map import GlobalMap
 from ...landmarks.submap_slam import SubmapConfig
 from ...sim.field import Field
 from ..mission import ExplorationResult, Mission, RunScore, run_seeds
-from ..planner_interface import find_planner
-from .belief import PLANNERS
+from ..planner_interface import find_planner, is_built_in
 from .config import ExploreConfig
 from .floor_plan import FloorPlan
 from .scenario import ScenarioConfig, make_field
@@ -82,7 +81,7 @@ def explore_once(mission: LandmarkMission, seed: int, run: int = 0) -> tuple[Lan
     team = Team(
         world,
         mission.cfg,
-        find_planner(mission.planner, PLANNERS),
+        find_planner(mission.planner, "landmarks"),
         rng,
         kills=dict(mission.kills or {}),
         drop=mission.drop,
@@ -108,14 +107,14 @@ def explore_once(mission: LandmarkMission, seed: int, run: int = 0) -> tuple[Lan
 def _compile(planner: str, association: str, *, walled: bool) -> None:
     """Has a built-in planner take a few steps, once a process, so that decisions are timed and not compilation."""
     searching = planner == "joint" or (planner == "coverage" and not walled)  # before the first step: no compilation
-    if planner not in PLANNERS or searching:
+    if not is_built_in(planner, "landmarks") or searching:
         return
     walls = ((0.0, 4.0, 0.0, 12.0),) if walled else None
     scenario = ScenarioConfig(
         lower=(-12.0, -12.0), upper=(12.0, 12.0), landmarks=((3.0, 3.0), (-3.0, -3.0)), walls=walls
     )
     cfg = ExploreConfig(submap=SubmapConfig(association=association))
-    team = Team(make_field(scenario, 2, 0), cfg, find_planner(planner, PLANNERS), np.random.default_rng(0), until=3)
+    team = Team(make_field(scenario, 2, 0), cfg, find_planner(planner, "landmarks"), np.random.default_rng(0), until=3)
     team.observe_start()
     for _ in team.play():
         pass

@@ -20,11 +20,10 @@ from ...laser.occupancy import Occupancy, of_grid, without_gaps
 from ...laser.pose_graph import PoseGraph
 from ...sim.office_floor import LEAST
 from ..mission import Mission, RunScore, run_seeds
-from ..planner_interface import find_planner
+from ..planner_interface import find_planner, is_built_in
 from .config import LaserMissionConfig
 from .frontiers import mapped_ground, pockets
 from .mission import LaserRun, LaserStepRecord
-from .planner_state import PLANNERS
 from .scenario import LaserPlace, LaserScenarioConfig, make_place
 
 
@@ -242,7 +241,7 @@ def start(mission: LaserMission, seed: int) -> tuple[LaserRun, Building]:
     place = make_place(mission.scenario, mission.robots, seed)
     robots = mission.cfg.robots
     building = survey_building(place.world, place.lower, place.upper, place.starts, robots.radius, robots.scanner.far)
-    planner = find_planner(mission.planner, PLANNERS)
+    planner = find_planner(mission.planner, "laser")
     _compile(mission.planner)
     kills = dict(mission.kills or {})
     mission_run = LaserRun(
@@ -254,12 +253,12 @@ def start(mission: LaserMission, seed: int) -> tuple[LaserRun, Building]:
 @cache
 def _compile(planner: str) -> None:
     """Has a built-in planner take a few steps, once a process, so that decisions are timed and not compilation."""
-    if planner not in PLANNERS:
+    if not is_built_in(planner, "laser"):
         return
     place = make_place(LaserScenarioConfig(office=LEAST), 2, 0)
     cfg = LaserMissionConfig()
     building = survey_building(place.world, place.lower, place.upper, place.starts, cfg.robots.radius, 1.0)
-    for _ in LaserRun(place, building, cfg, find_planner(planner, PLANNERS), 0, until=3).play():
+    for _ in LaserRun(place, building, cfg, find_planner(planner, "laser"), 0, until=3).play():
         pass
 
 

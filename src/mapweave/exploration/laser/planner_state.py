@@ -26,14 +26,6 @@ class LaserBelief(TeamBelief):
 
 LaserPlanner = Callable[[LaserBelief, Float[np.ndarray, "r 3"], LaserExploreConfig], Float[np.ndarray, "r 2"]]
 
-PLANNERS = {
-    "coverage": "mapweave.exploration.laser.planners:coverage",
-    "paper": "mapweave.exploration.laser.planners:paper",
-    "area": "mapweave.exploration.laser.planners:area",
-    "loop": "mapweave.exploration.laser.planners:loop",
-    "nearest": "mapweave.exploration.laser.planners:nearest",
-}
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClearCostToGo(CostToGo):

@@ -8,12 +8,10 @@ from dataclasses import dataclass, field
 from functools import partial
 from queue import Empty, Full, Queue
 
-import zenoh
-import zenoh.ext
-
 from ...core.names import robot_name
 from ..columns import unpack
 from ..messages import Closed, Header, Numbered, RefusedError, Scans
+from ..transport import Callback, HistoryConfig, Sample, SampleKind, Session, declare_advanced_subscriber
 from .assembly import NO_ODOMETRY, POSES, Assembly, Placed, Row
 from .cdr import ODOMETRY, SCAN, TF, decode
 from .graph import Graph, RosRobot, chosen
@@ -50,7 +48,7 @@ class Chosen:
 class Member:
     """What this process is in the ROS graph: a node, and its next entity's number."""
 
-    session: zenoh.Session
+    session: Session
     domain: int
     namespace: str
     node: str
@@ -72,7 +70,7 @@ class RosFeed:
     robot: which one it is, None before it was seen; assembly: what its messages make; graph: who else is there.
     """
 
-    def __init__(self, session: zenoh.Session, asked: Chosen, say: Say) -> None:
+    def __init__(self, session: Session, asked: Chosen, say: Say) -> None:
         self.asked, self.graph = asked, Graph()
         self.robot: RosRobot | None = None
         self.member: Member | None = None
@@ -89,9 +87,7 @@ class RosFeed:
         self._sequences: dict[bytes, int] = {}
         self._declared: list[object] = []
         self._declared.append(
-            session.liveliness().declare_subscriber(
-                every_token(asked.domain), zenoh.handlers.Callback(self._token), history=True
-            )
+            session.liveliness().declare_subscriber(every_token(asked.domain), Callback(self._token), history=True)
         )
 
     def resume(self, kept: Sequence[Numbered]) -> None:
@@ -262,11 +258,11 @@ class RosFeed:
             qos = Qos(topic.kind != SCAN, latched, 100 if topic.kind == TF else 10)
             self.member.declare(SUBSCRIPTION, Topic(topic.name, topic.kind, topic.type_hash, qos))
             self._declared.append(
-                zenoh.ext.declare_advanced_subscriber(
+                declare_advanced_subscriber(
                     self._session,
                     topic.key(self.asked.domain),
-                    zenoh.handlers.Callback(partial(self._sample, topic)),
-                    history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=100) if latched else None,
+                    Callback(partial(self._sample, topic)),
+                    history=HistoryConfig(detect_late_publishers=True, max_samples=100) if latched else None,
                     subscriber_detection=latched,
                 )
             )
@@ -292,10 +288,10 @@ class RosFeed:
             self._said.add(words)
             self._say(f"{self.asked.name}: {words}")
 
-    def _token(self, sample: zenoh.Sample) -> None:
-        self._tokens.put((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
+    def _token(self, sample: Sample) -> None:
+        self._tokens.put((str(sample.key_expr), sample.kind == SampleKind.PUT))
 
-    def _sample(self, topic: Topic, sample: zenoh.Sample) -> None:
+    def _sample(self, topic: Topic, sample: Sample) -> None:
         attachment = None if sample.attachment is None else sample.attachment.to_bytes()
         try:
             self._heard.put_nowait((topic, sample.payload.to_bytes(), attachment))

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import zenoh
-import zenoh.ext
 from jaxtyping import Float
 
 from ...core import se2
@@ -18,6 +16,14 @@ from ...io.mcap import header_message, message_type, nanoseconds, pose_message, 
 from ...laser.laser_map import FREE_BELOW, OCCUPIED_ABOVE, GridMap
 from ..laser_robot import LaserRobot
 from ..robot import Listeners
+from ..transport import (
+    AdvancedPublisher,
+    CacheConfig,
+    CongestionControl,
+    MissDetectionConfig,
+    Session,
+    declare_advanced_publisher,
+)
 from .cdr import GRID, POSE, TF, encode, type_hash
 from .feed import Member, RosFeed
 from .wire import NO_HASH, PUBLISHER, Attachment, Entity, Qos, Topic
@@ -37,7 +43,7 @@ class Publisher:
     """One topic of ours. `put` counts its messages."""
 
     entity: Entity
-    out: zenoh.ext.AdvancedPublisher
+    out: AdvancedPublisher
     sequence: int = 0
 
     def put(self, message: Any) -> None:
@@ -50,7 +56,7 @@ class Publisher:
 class RosView:
     """Publishers of one robot's estimate. `show` is called after all that came was worked in."""
 
-    def __init__(self, session: zenoh.Session, feed: RosFeed, listeners: Listeners, team: str, say: Say) -> None:
+    def __init__(self, session: Session, feed: RosFeed, listeners: Listeners, team: str, say: Say) -> None:
         self._session, self._feed, self._say = session, feed, say
         self._listeners, self._team = listeners, team
         self._map: Publisher | None = None
@@ -112,15 +118,13 @@ class RosView:
         entity = member.declare(PUBLISHER, Topic(name, kind, type_hash(kind) if hashed else NO_HASH, qos))
         assert entity.topic is not None  # noqa: S101  (just given)
         kept = qos.transient_local
-        out = zenoh.ext.declare_advanced_publisher(
+        out = declare_advanced_publisher(
             self._session,
             entity.topic.key(member.domain),
-            cache=zenoh.ext.CacheConfig(max_samples=qos.depth) if kept else None,
+            cache=CacheConfig(max_samples=qos.depth) if kept else None,
             publisher_detection=kept,
-            sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT)
-            if kept
-            else None,
-            congestion_control=zenoh.CongestionControl.DROP,
+            sample_miss_detection=MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT) if kept else None,
+            congestion_control=CongestionControl.DROP,
         )
         return Publisher(entity, out)
 

@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
 
 from ...core.paths import path_arguments
 from ...core.version import __version__
@@ -16,7 +15,7 @@ from ...core.workers import Progress, no_progress, one_blas_thread
 from ...io.directory import check_target
 from ...io.kept import kept_parts, part
 from ...report.result import Rows
-from ...report.style import MUTED, TRUTH, Target, as_map, colour, figure
+from ...report.style import MUTED, TRUTH, Axes, Target, as_map, colour, figure
 from ...swarm.locate import locate
 from ..reproduction import Claim, Drawing, Reproduction, Section, sentences
 from ..verdicts import Check, Numbers, Rule, question, rule

@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
 
 from ...core import se2
 from ...fusion.relative_information import Weights
 from ...report.result import Rows
-from ...report.style import MUTED, TRUTH, Target, as_map, colour, draw_ellipse, figure, marker
+from ...report.style import MUTED, TRUTH, Axes, Target, as_map, colour, draw_ellipse, figure, marker
 from ..verdicts import Numbers
 from .experiments import Rule, Run, Settling, Unequal
 from .identity_trials import IdentityTrials
