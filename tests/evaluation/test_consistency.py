@@ -4,7 +4,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from mapweave.core import se2
-from mapweave.evaluation.consistency import gauge_free_nees, mean_or_none
+from mapweave.evaluation.consistency import gauge_free_nees, mean_or_none, shape_covariance
 
 
 def random_map(rng, n=8):
@@ -54,3 +54,14 @@ def test_a_covariance_that_is_none_gives_no_figure():
 def test_the_mean_is_that_of_the_values_there_are():
     assert mean_or_none([1.0, None, 3.0]) == 2.0
     assert mean_or_none([None]) is None
+
+
+def test_moving_and_turning_a_map_as_a_whole_is_no_error_of_its_shape():
+    mean, cov, _ = random_map(np.random.default_rng(2))
+    h = 1e-6
+    for motion in np.eye(3) * h:
+        moved = ((se2.act(motion, mean) - mean) / h).ravel()
+        assert np.abs(shape_covariance(mean, np.outer(moved, moved))).max() < 1e-4
+    shape = shape_covariance(mean, cov)
+    assert np.linalg.matrix_rank(shape, tol=1e-8) == len(cov) - 3
+    np.testing.assert_allclose(shape_covariance(mean, shape), shape, atol=1e-12)

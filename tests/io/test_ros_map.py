@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from mapweave.core import se2
 from mapweave.core.errors import ReaderError
 from mapweave.io.ros_map import read_plan, read_ros_map, write_ros_map
 from mapweave.laser.laser_map import GridMap
@@ -100,3 +101,19 @@ def test_a_truncated_image_is_refused(tmp_path, keep):
 def test_a_missing_yaml_is_refused(tmp_path):
     with pytest.raises(ReaderError, match=r"map\.yaml: expected a ROS map\.yaml: No such file"):
         read_ros_map(tmp_path / "map.yaml")
+
+
+def test_a_map_that_is_turned_has_its_cells_where_it_says_they_are(tmp_path):
+    pixels = np.full((4, 6), 254, dtype=np.uint8)
+    pixels[3, 5] = 0  # row 0 lowest in the map, so that this one is the lower right corner
+    turned = YAML.replace("[1.0, 2.0, 0.0]", "[1.0, 2.0, 0.3]")
+    found = read_ros_map(put(tmp_path, turned, pixels))
+    T = np.array([1.0, 2.0, 0.3])
+    np.testing.assert_allclose(found.occupied(), [se2.act(T, np.array([2.75, 0.25]))])
+    corners = se2.act(T, np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 2.0], [3.0, 2.0]]))
+    lower, upper = found.extent()
+    np.testing.assert_allclose((lower, upper), (corners.min(axis=0), corners.max(axis=0)))
+    inside = np.array([[0.01, 0.01], [2.49, 0.01], [2.51, 0.01], [2.99, 1.99], [-0.01, 1.0], [3.01, 1.0], [1.0, 2.01]])
+    assert found.free(se2.act(T, inside)).tolist() == [True, True, False, True, False, False, False]
+    edge = read_ros_map(put(tmp_path, YAML, pixels))
+    assert edge.free(np.array([[4.0, 3.0], [1.0, 4.0], [1.0, 2.0]])).tolist() == [False, False, True]

@@ -58,6 +58,7 @@ def test_nan_and_self_sightings_are_left_out_counted_and_listed(tmp_path):
         ("observer,target,bearing\na,b,0.1,9\n", 2),
         ("observer,target,bearing\na,,0.1\n", 2),
         ("observer,target,bearing,sigma\na,b,0.1,-1\n", 2),
+        ("observer,target,bearing,sigma\na,b,0.1,0.1\na,b,0.1,0\n", 3),
         ("observer,target,angle\na,b,0.1\n", 1),
         ("who,whom,bearing\na,b,0.1\n", 1),
         ("observer,target,bearing,bearing\na,b,0.1,0.1\n", 1),

@@ -8,7 +8,15 @@ import pytest
 
 from mapweave.core import se2
 from mapweave.laser.beam import BeamConfig
-from mapweave.laser.motion_agreement import MotionAgreement, MotionCheck, MotionRatio, motion_agreement, straight, ways
+from mapweave.laser.motion_agreement import (
+    MotionAgreement,
+    MotionCheck,
+    MotionRatio,
+    _measured,
+    motion_agreement,
+    straight,
+    ways,
+)
 
 from ..io.test_scan_agreement import drive
 
@@ -115,3 +123,15 @@ def test_ways_follow_each_other_and_leave_turns_and_standing_out():
         assert abs(step[2]) <= CFG.turn
         assert np.hypot(step[0], step[1]) >= CFG.way / 2
     assert ways(np.zeros((50, 3)), CFG) == []
+
+
+def test_a_ratio_is_a_median_and_as_sure_as_medians_of_its_parts_agree():
+    rng = np.random.default_rng(5)
+    cfg = MotionCheck()
+    values = rng.normal([[0.9, 0.02]], [[0.05, 0.2]], size=(4000, 2))
+    measured = _measured(values, cfg)
+    for told, true, sd in zip(measured, (0.9, 0.02), (0.05, 0.2), strict=True):
+        honest = np.sqrt(np.pi / 2) * sd / np.sqrt(4000)
+        assert abs(told.value - true) < 4 * honest
+        assert honest / 2.5 < told.sd < 2.5 * np.sqrt(np.pi / 2) * honest
+    assert _measured(values[: cfg.least - 1], cfg) is None

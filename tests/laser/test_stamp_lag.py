@@ -1,5 +1,7 @@
 """A lag between the clocks of scanner and odometry is found from turns; without turns, or in disorder, none is told."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -40,3 +42,18 @@ def test_nothing_is_found_where_nothing_turns_or_headings_have_nothing_in_common
     assert stamp_lag(t, turns(4, 0.5)[1], odometry, CFG) is None
     assert stamp_lag(t, seen, None, CFG) is None
     assert stamp_lag(t[:1], seen[:1], odometry, CFG) is None
+
+
+def test_a_lag_that_explains_too_little_of_the_difference_is_not_found():
+    t, seen, odometry = turns(1, 0.5, noise=0.03)
+    heads = np.unwrap(odometry.pose[:, 2])
+
+    def left(lag):
+        turned, by = np.diff(seen), np.diff(np.interp(t - lag, odometry.t, heads))
+        turning = np.abs(turned) >= CFG.turn
+        return np.minimum(np.abs(turned - by)[turning], CFG.capped).mean()
+
+    share = left(0.5) / left(0.0)
+    assert 0.1 < share < 0.9
+    assert stamp_lag(t, seen, odometry, replace(CFG, gain=1.02 * share)) == pytest.approx(0.5, abs=0.051)
+    assert stamp_lag(t, seen, odometry, replace(CFG, gain=0.98 * share)) is None

@@ -150,6 +150,17 @@ def test_what_others_say_of_a_robots_run_does_not_lock_it_out(store):
     assert inbox.log("r1").log_hash == LOG.log_hash
 
 
+def test_what_another_map_process_has_is_asked_for_and_no_number_more(store):
+    inbox = Inbox(store)
+    hear(inbox, TOLD[:1])
+    run = inbox.ledgers["r1"].run
+    state = RobotState(
+        robot="r1", run=run, log_robot="", sensor="", there=True, finished=False, have=3, last=9, rate=0.0
+    )
+    inbox.hearsay([state], 0.0)
+    assert list(inbox.gaps(PATIENCE + 0.1)) == [("r1", 1, 2)]
+
+
 def test_a_robot_whose_own_message_no_door_lets_in_ends_before_it_and_is_told(store):
     inbox = Inbox(store)
     bad = encode(Rows(robot="r1", run="a", seq=3, drive=b"x"))

@@ -212,6 +212,8 @@ def test_a_robust_kernel_is_square_near_zero_and_its_weight_is_its_slope(kernel)
     np.testing.assert_allclose(kernel.weight(s), slope, rtol=1e-5)
     assert kernel.cost(s)[0] == pytest.approx(s[0], rel=1e-6)
     assert (np.diff(kernel.cost(s)) > 0).all()
+    bend = kernel.k**2 * np.array([1 - 1e-9, 1 + 1e-9])
+    assert np.ptp(kernel.cost(bend)) < 1e-6
     fading = -s * (kernel.weight(s + h) - kernel.weight(s - h)) / (2 * h)
     np.testing.assert_allclose(kernel.fading(s), fading, rtol=1e-4, atol=1e-7)
 

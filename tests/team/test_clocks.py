@@ -36,6 +36,22 @@ def test_a_clock_an_hour_off_is_named_where_robots_saw_each_other():
     assert len(of_another_time(off)) == 1
 
 
+def test_the_gap_is_that_to_the_nearest_log_of_all_others():
+    logs = list(world(4, minutes=1.0).logs)[:3]
+    first, last = logs[0].span
+    for shift in (500.0, -500.0):
+        off = [logs[0], later(logs[1], 50.0), later(logs[2], shift)]
+        ((robot, gap),) = of_another_time(off).items()
+        ends = [off[0].span, off[1].span]
+        begun, ended = off[2].span
+        wanted = begun - max(b for _, b in ends) if shift > 0 else min(a for a, _ in ends) - ended
+        assert robot == logs[2].robot
+        assert gap == pytest.approx(wanted)
+    touching = [logs[0], later(logs[1], last - logs[1].span[0])]
+    assert first < last
+    assert of_another_time(touching) == {}
+
+
 def test_logs_of_two_days_whose_robots_never_met_are_no_wrong_clocks():
     logs = list(world(4, minutes=1.0).logs)[:2]
     alone = []
