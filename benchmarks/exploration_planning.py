@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # the team whose poses are k
 
 from tests.exploration.laser_truth import Team
 
-from mapweave.sim.office_floor import office_floor
+from mapweave.sim.laser_worlds import office_floor
 
 TEAMS = (1, 2, 4, 8)
 MOST = 12_000  # steps

@@ -21,12 +21,12 @@ from time import process_time
 from typing import Any
 
 import numpy as np
+from laser_pairs import MapPair, PairConfig, drive_pair
 
 from mapweave.core import se2
 from mapweave.core.walls import Walls
 from mapweave.mapping.merge import Merge, merge_maps
-from mapweave.sim.laser_pairs import MapPair, PairConfig, drive_pair
-from mapweave.sim.office_floor import office_floor
+from mapweave.sim.laser_worlds import office_floor
 
 KINDS = ("office", "office", "office", "corridor", "symmetric", "repetitive", "strangers")
 BEGIN, END = "<!-- merge trials: begin -->", "<!-- merge trials: end -->"

@@ -11,7 +11,7 @@ from mapweave.mapping.config import LaserTeamConfig
 from mapweave.mapping.laser_team import LaserTeam
 from mapweave.sim.laser import WallStyle, WorldBuilder
 from mapweave.sim.laser_team import LaserRobotsConfig, LaserTeamSim, OdometryNoise
-from mapweave.sim.office_floor import office_floor
+from mapweave.sim.laser_worlds import office_floor
 
 CELL = 0.2  # [m] of the grid that ways are found on
 

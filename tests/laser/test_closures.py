@@ -8,7 +8,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.core.records import Scan
 from mapweave.laser.beam import BeamConfig, beams
-from mapweave.laser.closures import ClosureConfig, Matched, Matcher, Place
+from mapweave.laser.closures import ClosureConfig, Matched, Place, PlaceMatcher
 from mapweave.laser.keyframes import Keyframe, believed, carried
 from mapweave.laser.pose_graph import PoseGraph, Solved, problem
 from mapweave.mapping.config import ALL_ROUND
@@ -46,10 +46,12 @@ def narrow(xy=0.02, turn=0.01):
 
 def test_a_match_where_the_estimate_allows_it_is_believed_with_its_own_information(place):
     true = np.array([0.3, 0.2, 0.1])
-    match = Matcher(CFG, ALL_ROUND).match(place, seen(true), np.add(true, [0.02, -0.02, 0.005]), narrow(0.05, 0.02))
+    match = PlaceMatcher(CFG, ALL_ROUND).match(
+        place, seen(true), np.add(true, [0.02, -0.02, 0.005]), narrow(0.05, 0.02)
+    )
     assert match.accepted
     assert np.abs(se2.between(true, match.measured)).max() < 0.02
-    matcher = Matcher(CFG, ALL_ROUND)
+    matcher = PlaceMatcher(CFG, ALL_ROUND)
     matcher.front_end.hold(place.scans)
     lines = believed(matcher.front_end.information(seen(true), match.measured), CFG.trust, CFG.blur)
     floor = np.diag([CFG.floor_xy**2, CFG.floor_xy**2, CFG.floor_turn**2])
@@ -61,7 +63,7 @@ def test_a_match_where_the_estimate_allows_it_is_believed_with_its_own_informati
 
 def test_a_match_far_from_a_sure_estimate_is_refused(place):
     true = np.array([0.3, 0.2, 0.1])
-    match = Matcher(CFG, ALL_ROUND).match(place, seen(true), np.add(true, [0.15, 0.15, 0.0]), narrow())
+    match = PlaceMatcher(CFG, ALL_ROUND).match(place, seen(true), np.add(true, [0.15, 0.15, 0.0]), narrow())
     assert np.abs(se2.between(true, match.measured)).max() < 0.03  # the match itself is right
     assert 3 * CFG.gate < match.nis < 50 * CFG.gate
     assert not match.accepted
@@ -69,7 +71,7 @@ def test_a_match_far_from_a_sure_estimate_is_refused(place):
 
 
 def test_a_place_that_looks_alike_in_two_directions_is_refused(place, monkeypatch):
-    matcher = Matcher(CFG, ALL_ROUND)
+    matcher = PlaceMatcher(CFG, ALL_ROUND)
     true = np.array([0.3, 0.2, 0.1])
     for values, accepted in (([0.0, 0.5, 4e4], False), ([0.0, 2e4, 4e4], True)):
         monkeypatch.setattr(matcher.front_end, "information", lambda b, pose, v=values: np.diag(v))
@@ -81,7 +83,7 @@ def test_a_place_that_looks_alike_in_two_directions_is_refused(place, monkeypatc
 def test_a_scan_without_returns_matches_nothing_and_is_refused_with_the_reason(place):
     b = seen([0.3, 0.2, 0.1])
     blind = b._replace(s=b.s[:0], normal=b.normal[:0], q=b.q[:0], support=b.support[:0])
-    match = Matcher(CFG, ALL_ROUND).match(place, blind, np.array([0.3, 0.2, 0.1]), narrow())
+    match = PlaceMatcher(CFG, ALL_ROUND).match(place, blind, np.array([0.3, 0.2, 0.1]), narrow())
     assert not match.accepted
     assert match.share == 0.0
     assert "too few returns match: 0 of 0" in match.reason
@@ -89,7 +91,7 @@ def test_a_scan_without_returns_matches_nothing_and_is_refused_with_the_reason(p
 
 @pytest.mark.parametrize(("sd", "limits"), [(0.02, [0.3, 0.3, 0.1]), (0.2, [0.6, 0.6, 0.15])])
 def test_a_match_may_leave_the_estimate_by_three_deviations_and_by_a_little_always(place, monkeypatch, sd, limits):
-    matcher, asked = Matcher(CFG, ALL_ROUND), []
+    matcher, asked = PlaceMatcher(CFG, ALL_ROUND), []
     match = matcher.front_end.match
     monkeypatch.setattr(matcher.front_end, "match", lambda b, start, most: asked.append(most) or match(b, start, most))
     matcher.match(place, seen([0.3, 0.2, 0.1]), np.array([0.3, 0.2, 0.1]), narrow(sd, 0.25 * sd))
@@ -148,7 +150,7 @@ def test_only_places_of_long_ago_are_searched_by_their_own_robot():
     turn = 2 * np.pi / 12
     graph = driven([[1.0, 0.0, turn]] * 60, cov)  # round and round a circle of 2 m radius
     cfg = replace(CFG, reach=5.0, far=20.0)
-    search = LoopSearch(cfg, Matcher(cfg, ALL_ROUND), 1)
+    search = LoopSearch(cfg, PlaceMatcher(cfg, ALL_ROUND), 1)
     (found,) = search.candidates(graph, 60)
     assert graph.path[found] < graph.path[60] - 20.0
     assert search.candidates(graph, 19) == []

@@ -8,7 +8,7 @@ import pytest
 from mapweave.core import se2
 from mapweave.kernels.laser.local_map import count_matches
 from mapweave.laser.beam import BeamConfig, beams
-from mapweave.laser.closures import ClosureConfig, Matcher, Place
+from mapweave.laser.closures import ClosureConfig, Place, PlaceMatcher
 from mapweave.laser.scan_matching import FrontEnd, FrontEndConfig
 
 from .test_scan_matching import box_scan
@@ -90,7 +90,7 @@ def test_along_a_bare_corridor_a_robot_without_odometry_drives_on_as_it_did():
 @pytest.mark.parametrize("sd", [[0.3, 0.26, 0.05], [0.1, 0.5, 0.02], [2.0, 2.0, 1.0]])
 def test_a_search_begins_where_most_returns_match_of_all_starts_within_reach(sd):
     cfg = ClosureConfig(search_xy=0.9, search_turn=0.1, search_beams=30)
-    matcher, sd = Matcher(cfg, CFG), np.array(sd)
+    matcher, sd = PlaceMatcher(cfg, CFG), np.array(sd)
     matcher.front_end.hold([(seen(p), np.array(p)) for p in ([0.0, 0.0, 0.0], [0.2, 0.0, 1.0], [0.0, 0.1, -1.0])])
     b, predicted = seen([0.3, 0.2, 0.1]), np.array([-0.1, 0.5, 0.15])
     thin = slice(None, None, len(b.q) // 30)
@@ -110,7 +110,7 @@ def test_a_search_begins_where_most_returns_match_of_all_starts_within_reach(sd)
 
 
 def test_only_an_unsure_place_is_searched(monkeypatch):
-    matcher, asked = Matcher(ClosureConfig(least_matches=10), CFG), []
+    matcher, asked = PlaceMatcher(ClosureConfig(least_matches=10), CFG), []
     monkeypatch.setattr(matcher, "_search", lambda _b, predicted, _sd: asked.append(predicted) or predicted)
     place, at = Place([(seen([0.0, 0.0, 0.0]), np.zeros(3))]), np.array([0.1, 0.0, 0.05])
     for sd, searched in (([0.24, 0.24], 0), ([0.26, 0.1], 1), ([0.1, 0.26], 2)):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from laser_pairs import PairConfig, drive_pair
 
 from mapweave.core import se2
 from mapweave.core.errors import DataError
@@ -9,8 +10,7 @@ from mapweave.core.walls import Walls
 from mapweave.mapping.map_overlap import KeyframeMap, lit_alike, seen_alike, wall_overlap
 from mapweave.mapping.merge import merge_maps
 from mapweave.mapping.merge_search import MergeConfig, Start
-from mapweave.sim.laser_pairs import PairConfig, drive_pair
-from mapweave.sim.office_floor import office_floor
+from mapweave.sim.laser_worlds import office_floor
 
 SMALL = PairConfig(keyframes=130, beams=120)
 

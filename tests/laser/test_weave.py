@@ -4,6 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from laser_pairs import PairConfig, drive_pair
 
 from mapweave.core import se2
 from mapweave.core.walls import Walls
@@ -11,8 +12,7 @@ from mapweave.laser.robot_graph import RobotGraph
 from mapweave.mapping.map_overlap import keyframe_map
 from mapweave.mapping.merge_search import MergeConfig
 from mapweave.mapping.weave import weave
-from mapweave.sim.laser_pairs import PairConfig, drive_pair
-from mapweave.sim.office_floor import office_floor
+from mapweave.sim.laser_worlds import office_floor
 
 CFG = PairConfig(keyframes=130, beams=120)
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from mapweave.live.clocks import ClockOffset
+from mapweave.live.map_process import ClockOffset
 
 
 def test_the_quickest_answer_tells_the_offset_and_half_of_its_way_what_it_may_be_wrong_by():

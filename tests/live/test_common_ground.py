@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
-from mapweave.live.common_ground import COARSE, FINE, WallCells, in_common
 from mapweave.live.driven import DrivenSession
 from mapweave.live.laser_stream import messages_of_laser
-from mapweave.live.laser_team import LiveLaserTeam
+from mapweave.live.laser_team import COARSE, FINE, LiveLaserTeam, WallCells, in_common
 from mapweave.live.messages import encode
 from mapweave.live.pair_search import LIKELY, PairSearch, PairTrial
 from mapweave.live.store import Store

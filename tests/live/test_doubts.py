@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapweave.live.inbox import AGAIN, AHEAD, IN_VAIN, PATIENCE, STATED, Inbox
-from mapweave.live.intake import MOST_A_SECOND, MOST_SPEAKERS, OTHERS, Intake
+from mapweave.live.map_process import MOST_A_SECOND, MOST_SPEAKERS, OTHERS, Intake
 from mapweave.live.messages import Closed, Header, RobotState, Rows, Status, encode
 from mapweave.live.store import Store
 

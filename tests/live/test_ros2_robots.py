@@ -12,7 +12,7 @@ from mapweave.live.laser_stream import beams_of, scan_of
 from mapweave.live.messages import RefusedError, Scans, encode
 from mapweave.live.ros2 import cdr
 from mapweave.live.ros2.assembly import GAP, LEAP, PATIENCE, Assembly
-from mapweave.live.ros2.graph import Graph, chosen
+from mapweave.live.ros2.feed import Graph, chosen
 from mapweave.live.ros2.shown import grid_of, pose_of
 from mapweave.live.ros2.wire import NO_HASH, Entity, Topic
 

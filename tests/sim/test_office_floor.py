@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from mapweave.core.errors import DataError
 from mapweave.core.walls import WallIndex
-from mapweave.sim.office_floor import office_floor
+from mapweave.sim.laser_worlds import office_floor
 
 CELL, ROBOT = 0.1, 0.2
 

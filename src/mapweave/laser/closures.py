@@ -92,7 +92,7 @@ class Matched(NamedTuple):
     runner_up: float | None = None
 
 
-class Matcher:
+class PlaceMatcher:
     """Matches scans against places; it owns one local map, filled anew for each place."""
 
     def __init__(self, cfg: ClosureConfig, front_end: FrontEndConfig) -> None:

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from ..core import se2
 from ..core.records import Scan, Track
 from ..laser.beam import Beams, beams
-from ..laser.closures import Closure, ClosureConfig, Matcher
+from ..laser.closures import Closure, ClosureConfig, PlaceMatcher
 from ..laser.keyframes import Keyframe, KeyframeOdometry, KeyframeScan
 from ..laser.laser_map import GridMap
 from ..laser.occupancy_mapper import OccupancyMapper
@@ -22,7 +22,7 @@ from .keyframe_graph import KeyframeGraph
 class LoopSearch:
     """Keyframes wait here until they are matched against old places, a few at a time."""
 
-    def __init__(self, cfg: ClosureConfig, matcher: Matcher, robots: int) -> None:
+    def __init__(self, cfg: ClosureConfig, matcher: PlaceMatcher, robots: int) -> None:
         self.cfg, self.matcher = cfg, matcher
         self._untried: list[list[int]] = [[] for _ in range(robots)]
         self._path = np.full(robots, -np.inf)
@@ -78,7 +78,7 @@ class LaserTeam:
         M = len(self.starts)
         self.tracks = [KeyframeOdometry(j, self.cfg.graph.keyframes, self.cfg.front_end) for j in range(M)]
         self.team = KeyframeGraph(self.cfg.graph, self.starts)
-        self.loops = LoopSearch(self.cfg.graph.closures, Matcher(self.cfg.graph.closures, self.cfg.front_end), M)
+        self.loops = LoopSearch(self.cfg.graph.closures, PlaceMatcher(self.cfg.graph.closures, self.cfg.front_end), M)
         self.scans: list[KeyframeScan] = []
         self._node: list[int] = []  # the keyframe of each scan
         self._waiting: list[list[Keyframe | KeyframeScan]] = [[] for _ in range(M)]

@@ -1,11 +1,15 @@
 """Worlds that are driven with a laser: an office room by room, a ring of corridor, a long tunnel."""
 
-from dataclasses import field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
+from jaxtyping import Float
 
 from ..core.config import config
+from ..core.errors import DataError
+from ..core.records import frozen
+from ..core.walls import PAINT
 from .laser import (
     DriftConfig,
     DriveConfig,
@@ -192,3 +196,227 @@ def simulate_office(cfg: OfficeConfig | None = None, seed: int = 0) -> LaserSimu
     """One round through the office, there and back along the corridor."""
     cfg = cfg or OfficeConfig()
     return drive(office_world(cfg, seed), office_route(cfg, seed), cfg.drive, seed)
+
+
+Box = tuple[float, float, float, float]  # x0 y0 x1 y1 [m]
+LEAST, GREATEST = 150.0, 20_000.0  # [m^2]
+SOLID, FREE, DESK = 0, 1, 2
+OUTSIDE = 5.0  # [m] of solid all round the building
+LEAST_GAP = 1.1  # [m] between pieces of furniture, where there is one
+
+
+@config
+class FloorConfig:
+    """Sizes of what a floor is made of [m], and how often."""
+
+    aspect: float = 1.5
+    corridor: float = 2.0
+    wall: float = 0.1
+    door: float = 1.0
+    room_depth: float = 4.2
+    room_width: tuple[float, float] = (3.2, 6.0)
+    block: tuple[float, float] = (13.0, 9.0)  # between corridors, about
+    two_rows: float = 6.5  # a block at least as deep has rooms on both sides
+    hall_share: float = 0.25  # of blocks are one open-plan hall
+    through_share: float = 0.15  # of neighbouring rooms have a door between them
+    pocket_area: float = 2000.0  # [m^2] of floor a pocket, on average
+    slit: float = 0.25  # a pocket's door, when it has one: too narrow for a robot, wide enough for a beam
+    apart: float = 1.5  # between the robots' starts, along a corridor
+    style: WallStyle = WallStyle(gap=(0.6, 2.5))
+
+
+@dataclass(frozen=True, slots=True)
+class OfficeFloor:
+    """world: its walls; lower, upper: (2,) its outer corners [m]; starts: (k, 3) where robots may begin, all clear of
+    walls and of each other; rooms: (n, 4) boxes of every room and hall; pockets: (p, 4) those no robot can enter.
+    """
+
+    world: LaserWorld
+    lower: Float[np.ndarray, "2"]
+    upper: Float[np.ndarray, "2"]
+    starts: Float[np.ndarray, "k 3"]
+    rooms: Float[np.ndarray, "n 4"]
+    pockets: Float[np.ndarray, "p 4"]
+
+
+def office_floor(area: float, seed: int, cfg: FloorConfig | None = None) -> OfficeFloor:
+    """A floor of `area` [m^2] outside, the same for the same seed. Raises DataError for an area that cannot be."""
+    if not LEAST <= area <= GREATEST:
+        raise DataError(f"an office of {area:g} m^2: expected {LEAST:g} to {GREATEST:g}")
+    plan = _Plan(cfg or FloorConfig(), area, stream(seed, "floor"))
+    world = plan.walls(f"office-{area:g}", stream(seed, "walls"))
+    boxes = [np.array(b, dtype=float).reshape(-1, 4) for b in (plan.rooms, plan.pockets)]
+    return OfficeFloor(
+        world, frozen(np.zeros(2)), frozen(plan.size), frozen(plan.starts()), frozen(boxes[0]), frozen(boxes[1])
+    )
+
+
+@dataclass(slots=True)
+class _Plan:
+    """Free boxes (corridors, rooms, doorways) and desks, laid out when it is made."""
+
+    cfg: FloorConfig
+    area: float
+    rng: np.random.Generator
+    size: np.ndarray = field(init=False)
+    corridors: list[Box] = field(default_factory=list)
+    rooms: list[Box] = field(default_factory=list)
+    pockets: list[Box] = field(default_factory=list)
+    doors: list[Box] = field(default_factory=list)
+    desks: list[Box] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        c = self.cfg
+        wide = float(np.round(np.sqrt(c.aspect * self.area), 2))
+        high = float(np.round(self.area / wide, 2))
+        self.size = np.array([wide, high])
+        lanes = max(
+            1 if high < 2 * c.room_depth + 2 * c.corridor + 3 else 2,
+            round((high - 2 * c.room_depth + c.block[1]) / (c.block[1] + c.corridor)),
+        )
+        depth = c.room_depth if lanes > 1 else 0.5 * (high - c.corridor)
+        ys = np.linspace(depth, high - depth - c.corridor, lanes)
+        cross = 0 if lanes == 1 else max(2, round((wide - c.block[0]) / (c.block[0] + c.corridor)))
+        block = (wide - cross * c.corridor) / (cross + 1)
+        xs = block * np.arange(1, cross + 1) + c.corridor * np.arange(cross)
+        self.corridors = [(0.0, float(y), wide, float(y) + c.corridor) for y in ys]
+        self.corridors += [(float(x), float(ys[0]), float(x) + c.corridor, float(ys[-1])) for x in xs]
+        self._row(0.0, wide, float(ys[-1]) + c.corridor + c.wall, high, door_below=True)
+        self._row(0.0, wide, 0.0, float(ys[0]) - c.wall, door_below=False)
+        left = np.concatenate([[0.0], xs + c.corridor + c.wall])
+        right = np.concatenate([xs - c.wall, [wide]])
+        for y0, y1 in zip(ys[:-1] + c.corridor + c.wall, ys[1:] - c.wall, strict=True):
+            for x0, x1 in zip(left, right, strict=True):
+                self._block(float(x0), float(x1), float(y0), float(y1))
+
+    def _block(self, x0: float, x1: float, y0: float, y1: float) -> None:
+        if self.rng.random() < self.cfg.hall_share:
+            self._hall((x0, y0, x1, y1))
+        elif y1 - y0 >= self.cfg.two_rows:
+            middle = y0 + float(self.rng.uniform(0.42, 0.58)) * (y1 - y0)
+            self._row(x0, x1, y0, middle - 0.5 * self.cfg.wall, door_below=True)
+            self._row(x0, x1, middle + 0.5 * self.cfg.wall, y1, door_below=False)
+        else:
+            self._row(x0, x1, y0, y1, door_below=bool(self.rng.random() < 0.5))
+
+    def _row(self, x0: float, x1: float, y0: float, y1: float, *, door_below: bool) -> None:
+        """Rooms side by side, each with a door to the corridor below or above, or with none: a pocket."""
+        c, rng = self.cfg, self.rng
+        count = max(1, round((x1 - x0) / float(rng.uniform(*c.room_width))))
+        share = rng.uniform(0.8, 1.25, count)
+        cuts = x0 + (x1 - x0) * np.concatenate([[0.0], np.cumsum(share) / share.sum()])
+        last = False
+        for k in range(count):
+            box = (float(cuts[k]) + 0.5 * c.wall * (k > 0), y0, float(cuts[k + 1]) - 0.5 * c.wall * (k < count - 1), y1)
+            shut = (
+                rng.random() < (box[2] - box[0]) * (y1 - y0) / c.pocket_area * 1.4
+            )  # 1.4: of a floor seven tenths are rooms
+            width = c.door if not shut else c.slit if rng.random() < 0.5 else 0.0
+            at = float(rng.uniform(box[0] + 0.4, box[2] - 0.4 - c.door))
+            if width:
+                self.doors.append(
+                    (at, y0 - c.wall, at + width, y0) if door_below else (at, y1, at + width, y1 + c.wall)
+                )
+            if shut:
+                self.pockets.append(box)
+            else:
+                self._furnish(box, door_below=door_below)
+            if k and not shut and not last and rng.random() < c.through_share:
+                y = y0 + 0.7 if door_below else y1 - 0.7 - c.door
+                self.doors.append((box[0] - c.wall, y, box[0], y + c.door))
+            last = bool(shut)
+            self.rooms.append(box)
+
+    def _furnish(self, box: Box, *, door_below: bool) -> None:
+        """Desks along the wall across from the door and perhaps a cabinet in its corner, flush with their walls.
+
+        Between them is room for a robot or no room at all.
+        """
+        rng, (x0, y0, x1, y1) = self.rng, box
+        deep, at, end = float(rng.uniform(0.6, 0.8)), x0, x1
+        if rng.random() < 0.5 and y1 - y0 > 3.4:
+            tall, left = float(rng.uniform(0.8, 1.2)), bool(rng.random() < 0.5)
+            at, end = (x0 + 0.45, x1) if left else (x0, x1 - 0.45)
+            x = x0 if left else end
+            self.desks.append((x, y1 - tall, x + 0.45, y1) if door_below else (x, y0, x + 0.45, y0 + tall))
+        while at + 1.4 <= end:
+            if rng.random() < 0.7:
+                to = at + 1.4 if end - at - 1.4 > LEAST_GAP else end
+                self.desks.append((at, y1 - deep, to, y1) if door_below else (at, y0, to, y0 + deep))
+                at = to + (0.0 if rng.random() < 0.5 else LEAST_GAP)
+            else:
+                at += LEAST_GAP
+
+    def _hall(self, box: Box) -> None:
+        """An open-plan hall: islands of desks, two doors below and two above."""
+        c, rng, (x0, y0, x1, y1) = self.cfg, self.rng, box
+        for y in (y0 - c.wall, y1):
+            for share in (0.25, 0.75):
+                at = x0 + share * (x1 - x0) - 0.5 * c.door + float(rng.uniform(-0.8, 0.8))
+                self.doors.append((at, y, at + c.door, y + c.wall))
+        nx, ny = int((x1 - x0 - 1.3) / 3.0), int((y1 - y0 - 1.3) / 2.9)
+        gx, gy = ((x1 - x0) - 1.6 * nx) / (nx + 1), ((y1 - y0) - 1.4 * ny) / (ny + 1)
+        for i in range(nx):
+            for k in range(ny):
+                if rng.random() < 0.8:
+                    x, y = x0 + gx + i * (1.6 + gx), y0 + gy + k * (1.4 + gy)
+                    self.desks.append((x, y, x + 1.6, y + 1.4))
+        self.rooms.append(box)
+
+    def starts(self) -> np.ndarray:
+        """Poses along the lowest corridor from its middle outwards, facing away from it by turns."""
+        c, (wide, _) = self.cfg, self.size
+        x0, y0, x1, y1 = self.corridors[0]
+        places = int((x1 - x0 - 1.5) / c.apart)
+        side = [(k + 1) // 2 * (1 if k % 2 else -1) for k in range(places)]
+        return np.array([(0.5 * wide + c.apart * s, 0.5 * (y0 + y1), 0.0 if s > 0 else np.pi) for s in side])
+
+    def walls(self, name: str, rng: np.random.Generator) -> LaserWorld:
+        """The borders of what is free, painted; a desk has one shade all round. All that is not free is solid."""
+        build = WorldBuilder(name, self.cfg.style, rng)
+        desk_light = rng.uniform(0.2, 0.8, len(self.desks))
+        free = [*self.corridors, *self.rooms, *self.doors]
+        edges = np.round(np.array([*free, *self.desks, (0.0, 0.0, *self.size)]), 6)
+        xs, ys = np.unique(edges[:, [0, 2]]), np.unique(edges[:, [1, 3]])
+        kind = np.full((len(ys) + 1, len(xs) + 1), SOLID)  # one row and column of outside all round
+        for k, (x0, y0, x1, y1) in enumerate(edges[: len(free) + len(self.desks)]):
+            c0, c1 = np.searchsorted(xs, [x0, x1]) + 1
+            r0, r1 = np.searchsorted(ys, [y0, y1]) + 1
+            kind[r0:r1, c0:c1] = FREE if k < len(free) else DESK + k - len(free)
+        for a, b, what in _borders(kind, xs, ys):
+            if what == SOLID:
+                build.wall(a, b)
+            else:
+                build.plain(a, b, float(desk_light[what - DESK]))
+        wide, high = self.size
+        build.box(-OUTSIDE, -OUTSIDE, wide + 2 * OUTSIDE, high + 2 * OUTSIDE, PAINT)  # what lies between is solid
+        return replace(build.world(), solid=True)
+
+
+def _borders(
+    kind: np.ndarray, xs: np.ndarray, ys: np.ndarray
+) -> list[tuple[tuple[float, float], tuple[float, float], int]]:
+    """Where free cells meet others, as (from, to, kind of the other) with the free side on the left."""
+    out = []
+    for swapped, grid, across, along in ((False, kind, ys, xs), (True, kind.T, xs, ys)):
+        for k in range(grid.shape[0] - 1):
+            low, high = grid[k], grid[k + 1]
+            for free_above in (True, False):
+                inside, other = (high, low) if free_above else (low, high)
+                runs = np.where((inside == FREE) & (other != FREE), other, -1)
+                for start, end in _runs(runs):
+                    a, b = float(along[start - 1]), float(along[end - 1])
+                    ends = ((a, float(across[k])), (b, float(across[k])))
+                    if swapped:
+                        ends = ((ends[0][1], ends[0][0]), (ends[1][1], ends[1][0]))
+                    if free_above == swapped:
+                        ends = (ends[1], ends[0])
+                    out.append((*ends, int(runs[start])))
+    return out
+
+
+def _runs(values: np.ndarray) -> list[tuple[int, int]]:
+    """Stretches [start, end) of one value that is not -1."""
+    cuts = np.flatnonzero(np.diff(values)) + 1
+    bounds = np.concatenate([[0], cuts, [len(values)]])
+    return [(a, b) for a, b in pairwise(bounds.tolist()) if values[a] != -1]

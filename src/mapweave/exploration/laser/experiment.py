@@ -18,7 +18,7 @@ from ...laser.closures import Closure
 from ...laser.laser_map import GridMap
 from ...laser.occupancy import Occupancy, of_grid, without_gaps
 from ...laser.pose_graph import PoseGraph
-from ...sim.office_floor import LEAST
+from ...sim.laser_worlds import LEAST
 from ..mission import Mission, RunScore, run_seeds
 from ..planner_interface import find_planner, is_built_in
 from .config import LaserMissionConfig

@@ -12,7 +12,7 @@ from ...core.config import build, config
 from ...core.errors import ConfigError, DataError, UsageError
 from ...core.walls import Walls
 from ...sim.laser import LaserWorld
-from ...sim.office_floor import GREATEST, LEAST, office_floor
+from ...sim.laser_worlds import GREATEST, LEAST, office_floor
 from ..world import (
     WorldConfig,
     check_cells,

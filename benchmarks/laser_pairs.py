@@ -8,12 +8,12 @@ import scipy.sparse as sp
 from jaxtyping import Float
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from ..core import se2
-from ..core.config import config
-from ..core.errors import DataError
-from ..core.walls import Walls
-from ..kernels.walls.raycast import cast
-from ..mapping.map_overlap import KeyframeMap
+from mapweave.core import se2
+from mapweave.core.config import config
+from mapweave.core.errors import DataError
+from mapweave.core.walls import Walls
+from mapweave.kernels.walls.raycast import cast
+from mapweave.mapping.map_overlap import KeyframeMap
 
 CELL = 0.3  # [m] of the raster robots walk on
 
