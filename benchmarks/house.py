@@ -36,12 +36,13 @@ PLACE = {  # column and row on the sheet; a room imports from rows below its own
     "io": (2, 5),
     "sim": (6, 5),
     "team": (4.5, 6),
+    "mapping": (8.6, 7),
     "fusion": (4.5, 7),
     "swarm": (2, 8),
     "landmarks": (6, 8),
     "laser": (10, 8),
 }
-ESTIMATORS = ("landmarks", "laser", "swarm", "fusion", "team", "exploration")
+ESTIMATORS = ("landmarks", "laser", "mapping", "swarm", "fusion", "team", "exploration")
 EVENT_RECORDS = ("records", "landmark_log", "laser_log", "bearings")  # of core
 GROWN = 1.2  # times as many calls for twice as many events: the file is entered for every event
 GROUND = ("solve", "core", "kernels")  # every room stands on these
