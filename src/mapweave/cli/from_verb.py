@@ -23,13 +23,24 @@ from ..core.errors import VerdictError
 from .terminal import progress, say, until_interrupted
 
 PACKAGE = Path(__file__).parent.parent
-PLAIN: dict[str, Any] = {"Path": Path, "str": str, "int": int, "float": float, "bool": bool, "None": None}
+PLAIN: dict[str, Any] = {
+    "Path": Path,
+    "AnyConfig": Path,
+    "str": str,
+    "int": int,
+    "float": float,
+    "bool": bool,
+    "None": None,
+}
 OURS = {"on_progress", "executor", "stop", "say", "wall"}  # what a command hands to a verb by itself
 REQUIRED = inspect.Parameter.empty
 ABSENT = object()  # as a default: nothing, where the verb's own default is something that cannot be typed
 SECTION = re.compile(r"\n\n[A-Z][a-z]+\n-{4,}\n")
 QUOTED = re.compile(r"`([^`]+)`")
 CONFIGURATION = re.compile(r'configuration\("(\w+)"(, laser=True)?\)')
+IN_PYTHON = re.compile(
+    r"Settings as (.*?) prints them: a TOML file, its tables as mappings, or an object of a configuration class"
+)
 SHOWN_DEFAULT = re.compile(r" \(([^()]*)\)(?=[.,;:]|$)")
 
 
@@ -253,14 +264,15 @@ def _kind(annotation: ast.expr | None) -> Any:
         kinds.pop("str", None)
     elif "str" in kinds:
         kinds = {key: kind for key, kind in kinds.items() if key not in {"int", "float"}}
-    if not kinds:
+    if not kinds.keys() - {"None"}:
         raise TypeError(f"nothing of {ast.unparse(annotation) if annotation else None} can be typed")
     return reduce(or_, kinds.values())
 
 
 def _spoken(meaning: str, offered: Container[str], default: object) -> str:
     """What a docstring says, in the words of the command line: options by their names, a default that is shown once."""
-    text = CONFIGURATION.sub(lambda m: f"mapweave config {m[1]}{' --laser' if m[2] else ''}", meaning)
+    text = IN_PYTHON.sub(r"A TOML file of settings, as \1 prints them", meaning)
+    text = CONFIGURATION.sub(lambda m: f"mapweave config {m[1]}{' --laser' if m[2] else ''}", text)
     text = QUOTED.sub(lambda m: f"--{m[1].replace('_', '-')}" if m[1] in offered else m[1], text)
     told = f"{default:g}" if isinstance(default, float) else str(default)
     return SHOWN_DEFAULT.sub(lambda m: "" if m[1] == told else m[0], text)

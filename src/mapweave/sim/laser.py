@@ -37,7 +37,7 @@ class Reflectance:
     beams: float = 0.0  # [log units] sd of the gain that each beam has of its own, which
     beams_alike: float = 6.0  # [degrees] neighbours share
     least: float = 0.0  # weaker light is no return
-    most: float = np.inf  # stronger light counts as this
+    most: float = 1e9  # stronger light counts as this
 
     def from_white(self, r: Float[np.ndarray, "m n"]) -> Float[np.ndarray, "m n"]:
         """What white paint hit squarely returns from ranges r [m]."""
