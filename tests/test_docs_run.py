@@ -13,9 +13,12 @@ from pathlib import Path
 import pytest
 
 from mapweave.cli import _run
+from mapweave.sim.laser_worlds import OfficeConfig, simulate_office
 
-from .io.ros_logs import usual
+from .io.made_clouds import cloud_bag
+from .io.ros_logs import Recording, usual
 from .io.test_carmen import flaser
+from .io.test_tags import recorded
 from .test_docs_commands import BLOCK, EVERY, PAGES, TOP
 
 SMALLER = {
@@ -78,6 +81,12 @@ def inputs(tmp_path_factory):
     table = "\n".join(f"{k},{0.1 * k},0,0,{2.0 + 0.01 * k},3.0,2.5,2.0" for k in range(8))
     (home / "table.csv").write_text(f"t,x,y,theta,r1,r2,r3,r4\n{table}\n")
     (home / "FILE.g2o").write_text(GRAPH)
+    drive = simulate_office(OfficeConfig(rooms=2, visited=1), 1)
+    cloud_bag(home / "clouds.bag", drive.log)
+    recorded(home / "tags.mcap", Recording.objects).write()
+    quiet("simulate", "team", "--out", home / "radios", "--ranges", "--lasers", 2, "--beacons", 2, "--minutes", 0.5)
+    quiet("map", home / "radios", "--out", home / "ranged")
+    shutil.copy(home / "ranged" / "graph.pyfg", home / "FILE.pyfg")
     (home / "world.toml").write_text(
         'sensor = "laser"\nwalls = [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]\nstarts = [[1.5, 2, 0]]\n'
     )

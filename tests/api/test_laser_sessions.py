@@ -66,7 +66,7 @@ def test_a_log_that_was_cut_goes_on_as_the_same_robot_with_the_bytes_of_one_run(
     one, on = written(sessions / "one"), written(tmp_path / "on")
     assert one[1] == on[1]
     differing = [name for name in one[0] if one[0][name] != on[0].get(name)]
-    assert differing == ["report.html"], "which says that a log goes on"
+    assert differing == ["report.html", "result.npz"], "which say that a log goes on"
 
 
 @pytest.mark.slow

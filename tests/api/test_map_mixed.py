@@ -33,7 +33,7 @@ def test_walls_landmarks_and_ways_are_written_in_one_frame(made):
     result, out = made
     assert {p.name for p in out.iterdir()} == {
         *("landmarks.csv", "landmarks.npz", "trajectories", "local", "calibration.json", "metrics.json"),
-        *("map.pgm", "map.yaml", "grid.npz", "report.html", "figures"),
+        *("map.pgm", "map.yaml", "grid.npz", "report.html", "result.npz", "figures"),
     }
     assert result.maps[0].robots == ("robot1", "robot2", "robot3")
     grid = read_grid(out / "grid.npz")[0]

@@ -32,6 +32,13 @@ def home(tmp_path_factory):
     return home
 
 
+def ranging(home):
+    mapweave.simulate_team(
+        home / "radios", ranges=True, lasers=2, cameras=0, bearings=0, beacons=2, minutes=0.5, force=True
+    )
+    return mapweave.map(home / "radios")
+
+
 def moving(home):
     made = mapweave.simulate_swarm(scene=mapweave.SwarmScene(robots=9, steps=4), seed=2)
     known = {made.table.ids[c]: made.position[0, c] for c in made.corners}
@@ -79,6 +86,7 @@ RESULTS = {
     ),
     "map, lasers": (mapweave.LaserResult, two_lasers, "metrics.json"),
     "map, mixed": (mapweave.MixedResult, mixed, "metrics.json"),
+    "map, ranges": (mapweave.RangeResult, ranging, "metrics.json"),
     "fuse": (mapweave.TeamResult, lambda home: mapweave.fuse(home / "team-map"), "metrics.json"),
     "locate": (mapweave.Located, lambda home: mapweave.locate(home / "swarm.csv"), "metrics.json"),
     "locate, moving": (mapweave.Moved, moving, "metrics.json"),

@@ -16,7 +16,7 @@ import pytest
 import mapweave
 from mapweave.core import plugins
 from mapweave.core.errors import UsageError
-from mapweave.core.plugins import find, is_ours, plugged
+from mapweave.core.plugins import is_ours, plugged, plugged_in
 from mapweave.exploration.planner_interface import find_planner
 from mapweave.io.tum import read_tum
 from mapweave.sim.laser_worlds import CorridorConfig, simulate_corridor
@@ -145,6 +145,6 @@ def test_what_cannot_be_loaded_or_is_not_registered_is_told_by_name(monkeypatch)
         with pytest.raises(UsageError, match=r"mapweave.planners 'laser.lost': no.where:at cannot be loaded"):
             find_planner("lost", "laser")
         with pytest.raises(UsageError, match="the readers of mapweave are not registered: install it anew"):
-            find("readers", "carmen", "--reader")
+            plugged_in("readers", "carmen", "--reader")
     finally:
         plugged.cache_clear()

@@ -96,7 +96,7 @@ def is_ours(found: EntryPoint) -> bool:
     return found.value.partition(".")[0] == OURS
 
 
-def find(kind: str, name: str, option: str) -> Any:
+def plugged_in(kind: str, name: str, option: str) -> Any:
     """What is plugged in under `name`; raises UsageError that names `option` and those there are."""
     there = plugged(kind)
     if name not in there:

@@ -30,7 +30,7 @@ class TrustConfig:
     margin: float = 0.4  # [m] or more before they return
     least_cosine: float = 0.3  # of incidence: beams along walls do not say what they pass
     contrast: float = 0.08  # [q] sd of the light of returns and of the map from which on it tells places apart: then
-    least_light: float = 0.7  # both must correlate so much at least: by chance a place searched for reaches 0.65
+    least_light: float = 0.75  # both must correlate so much at least: by chance a place searched for reaches 0.71
     light_ahead: float = 0.25  # correlation by which the place found must be ahead of another that fits, or
     most_ratio: float = 0.9  # share of its score that the next best place may have at most
     same: float = 0.5  # [m] and

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core import se2
-from ..core.plugins import Matcher, find
+from ..core.plugins import Matcher, plugged_in
 from ..core.records import Scan
 from ..core.rows import RowBuffer
 from .beam import STEERING, Beams
@@ -117,7 +117,7 @@ class ScanOdometry:
         self.cfg = cfg if steers else replace(cfg, alpha=0.0)
         self.gate, self.matching, self.tell_lines = gate, matching, tell_lines
         self.tangent = cfg.tangent if steers else cfg.bare_tangent
-        self._matcher: Callable[[FrontEndConfig, float], Matcher] = find(
+        self._matcher: Callable[[FrontEndConfig, float], Matcher] = plugged_in(
             "matchers", self.cfg.matcher, "front_end.matcher"
         )
         self.front_end = self._matcher(self.cfg, self.tangent)

@@ -32,8 +32,8 @@ class Reflectance:
     shine: float = 30.0  # exponent of the cosine for that share
     relative_noise: float = 0.03  # standard deviation, as a share of the intensity
     noise: float = 50.0  # standard deviation of the intensity, at least
-    ranges: tuple[float, ...] = ()  # [m]
-    light: tuple[float, ...] = ()  # at these, whole numbers as the scanner says them
+    ranges: tuple[float, ...] = ()  # [m] at which a fitted law is held,
+    light: tuple[float, ...] = ()  # and what returns from these, as the scanner counts
     beams: float = 0.0  # [log units] sd of the gain that each beam has of its own, which
     beams_alike: float = 6.0  # [degrees] neighbours share
     least: float = 0.0  # weaker light is no return
