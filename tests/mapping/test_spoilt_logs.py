@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import mapweave
+from mapweave.api.map_options import LaserOptions
 from mapweave.core import se2
 from mapweave.core.records import Track
 from mapweave.laser.pose_graph import PoseGraph
@@ -124,6 +125,56 @@ def test_a_map_of_a_carried_robot_that_may_be_wrong_is_not_said_to_be_good(seed,
     made = mapweave.map([carried(office(seed)[0], share)[0]])
     assert code in {f.code for f in made.findings}
     assert made.verdict == "doubtful"
+
+
+def joined(a, b):
+    """Two drives in one file: the second begins a second after the first, and its wheels go on from there."""
+    shift = a.scan_t[-1] + 1.0 - b.scan_t[0]
+    here = se2.compose(a.scans[-1].odometry, se2.inverse(b.scans[0].odometry))
+    late = [replace(s, odometry=np.asarray(se2.compose(here, s.odometry))) for s in b.scans]
+    before, after = a.odometry.t <= a.scan_t[-1], b.odometry.t >= b.scan_t[0]
+    odometry = Track(
+        np.concatenate([a.odometry.t[before], b.odometry.t[after] + shift]),
+        np.concatenate([a.odometry.pose[before], se2.compose(here, b.odometry.pose[after])]),
+        frame="odom",
+    )
+    t = np.concatenate([a.scan_t, b.scan_t + shift])
+    return replace(a, scan_t=t, scans=(*a.scans, *late), odometry=odometry, log_hash="joined"), shift
+
+
+@pytest.mark.slow
+def test_two_buildings_in_one_file_are_two_components_and_keep_their_numbers_when_it_goes_on(tmp_path):
+    first, known = office(5, rooms=2, visited=1)
+    second, truth = office(8, rooms=2, visited=1, room_width=3.2, room_depth=7.0, corridor=3.6)
+    both, shift = joined(first, second)
+    begins = float(first.scan_t[-1] + 1.0)
+    _, rest = both.cut(begins, "2")
+    earlier, _ = both.cut(float(rest.scan_t[2 * len(rest.scans) // 3]), "2")
+    mapweave.map([earlier], tmp_path / "earlier")
+    for made in (mapweave.map([both]), mapweave.map([both], laser=LaserOptions(resume=tmp_path / "earlier"))):
+        assert [c.robots for c in made.components] == [("1",), ("2",)]
+        parted = next(f for f in made.findings if f.code == "log-parted")
+        assert (parted.robot, parted.span, parted.value) == ("1", (begins, begins), "robot2")
+        assert off(made, first.scan_t, known.pose[np.searchsorted(known.t, first.scan_t - 1e-6)]) < 0.35
+        track = made.components[1].tracks["2"]
+        assert track.t[0] >= begins
+        own = track.pose[np.searchsorted(track.t, rest.scan_t - 1e-6)]
+        true = truth.pose[np.abs(truth.t[:, None] - (rest.scan_t - shift)).argmin(axis=0)]
+        assert np.abs(se2.between(own[0], own)[:, :2] - se2.between(true[0], true)[:, :2]).max() < 0.3
+
+
+def test_a_log_cut_in_two_is_the_log():
+    log, _ = office(5)
+    t = float(log.scan_t[40])
+    before, after = replace(log, dropped={"odd": 2}).cut(t, "7")
+    assert (before.robot, after.robot, before.dropped, after.dropped) == ("1", "7", {"odd": 2}, {})
+    assert (before.scan_t < t).all()
+    assert after.scan_t[0] == t
+    assert np.concatenate([before.scan_t, after.scan_t]).tolist() == log.scan_t.tolist()
+    assert (*before.scans, *after.scans) == log.scans
+    assert np.concatenate([before.odometry.t, after.odometry.t]).tolist() == log.odometry.t.tolist()
+    assert (before.odometry.t < t).all()
+    assert (after.odometry.t >= t).all()
 
 
 def test_poses_up_to_a_cut_are_carried_from_before_it_alone():

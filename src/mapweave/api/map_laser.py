@@ -22,7 +22,7 @@ from ..io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
 from ..io.laser_state import LaserState, read_laser_states
 from ..laser.laser_map import LaserMap
 from ..mapping.config import LaserConfig
-from ..mapping.laser_mapping import map_laser
+from ..mapping.laser_mapping import elsewhere_from, map_laser
 from .laser_result import LaserResult, laser_metrics, scored, woven_result
 from .map_options import LaserOptions, MapOptions
 
@@ -51,7 +51,7 @@ def map_logs(logs: Sequence[Path | LaserLog], options: MapOptions) -> LaserResul
     cfg = _configured(options)
     held = _robots(logs, options, [])
     jobs = [(log, key, source, cfg, options.seed, options.share.get(key, 1.0)) for key, (log, source) in held.items()]
-    maps = tuple(_with_idle_options(local_map, options) for local_map in _worked(jobs, options))
+    maps = tuple(_with_idle_options(local_map, options) for local_map in _mapped(jobs, options))
     if cfg.method != "graph":
         return scored(LaserResult(maps, laser_metrics(maps, options.seed)), options.truth)
     return _woven(maps, cfg, options, options.starts(), ())
@@ -71,7 +71,8 @@ def _going_on(before: Path, logs: Sequence[Path | LaserLog], options: MapOptions
         (log, robot, source, cfg, options.seed, 1.0)
         for log, robot, source in zip(read, resumption.robots, sources, strict=True)
     ]
-    maps = resumption.maps([_with_idle_options(local_map, options) for local_map in _worked(jobs, options)])
+    made = _mapped(jobs, options, state.maps)
+    maps = resumption.maps([_with_idle_options(local_map, options) for local_map in made])
     return _woven(maps, cfg, options, {**state.starts, **options.starts()}, resumption.notes)
 
 
@@ -188,6 +189,28 @@ def _configured(options: MapOptions) -> LaserConfig:
     cfg = load(LaserMapConfig, options.config, {"laser": given}).laser
     cfg.check()
     return cfg
+
+
+def _mapped(jobs: Sequence[Job], options: MapOptions, there: Sequence[LaserMap] = ()) -> list[LaserMap]:
+    """The map of each log; where one goes on in another place, as where two drives are in one file, of each part.
+
+    A part is a robot of its own, numbered after all others; one whose scans are those of a map that is `there` already
+    keeps its number.
+    """
+    made = {m.robot: (job, m) for job, m in zip(jobs, _worked(jobs, options), strict=True)}
+    told: dict[str, list[Finding]] = {}
+    while cuts := [(job, m, t) for job, m in made.values() if (t := elsewhere_from(m)) is not None]:
+        parts: list[Job] = []
+        for (log, robot, source, cfg, seed, share), _, t in cuts:
+            whole = _read(log, robot, source, share)
+            taken = [*made, *(job[1] for job in parts)]
+            before, after = whole.cut(t, next_robots([*taken, *(m.robot for m in there)], 1)[0])
+            own = next((m.robot for m in there if m.robot not in taken and _begins_as(after, m)), after.robot)
+            after = replace(after, robot=own)
+            parts += [(side, side.robot, source, cfg, seed, 1.0) for side in (before, after)]
+            told.setdefault(robot, []).append(Finding("log-parted", robot, (t, t), robot_name(after.robot)))
+        made |= {m.robot: (job, m) for job, m in zip(parts, _worked(parts, options), strict=True)}
+    return [replace(m, findings=(*m.findings, *told.get(m.robot, ()))) for _, m in made.values()]
 
 
 def _worked(jobs: Sequence[Job], options: MapOptions) -> list[LaserMap]:

@@ -89,6 +89,13 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "carried is found again.",
             "Nothing.",
         ),
+        "log-parted": FindingKind(
+            "note",
+            "what its log holds from then on is another place, to which nothing ties it: it is mapped as {value}",
+            "From one scan to the next the robot saw another place, though its wheels hardly moved, and nothing was "
+            "seen both before and after: it was carried, or two drives are in one file.",
+            "Nothing; where the two are one building all the same, say so with `--decisions`.",
+        ),
         "track-patchy": FindingKind(
             "doubtful",
             "the trajectory is cut {cuts:.0f} times among {keyframes:.0f} keyframes",
@@ -129,7 +136,7 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
         ),
         "robots-apart": FindingKind(
             "doubtful",
-            "{value} are not in the first map: nothing ties them to it",
+            "not in the first map: {value}; nothing ties them to it",
             "Each map is right by itself; how they lie to each other nobody knows.",
             "`fusion` in metrics.json says why of each pair. Tell where a robot starts (`--start`), or map logs of "
             "different buildings by themselves.",

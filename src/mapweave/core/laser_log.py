@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -90,6 +90,23 @@ class LaserLog:
             yield Event(t, self.robot, scan)
         if rows is not None and at < len(rows.t):
             yield self._packet(rows, at, len(rows.t))
+
+    def cut(self, t: float, robot: str) -> tuple["LaserLog", "LaserLog"]:
+        """What was recorded before `t` [s], and what from then on: the log of `robot`.
+
+        What was left out in reading and what nobody used is told of the first.
+        """
+        at = int(np.searchsorted(self.scan_t, t))
+
+        def side(scans: slice, rows: Track | None) -> LaserLog:
+            if rows is not None:
+                early = rows.t < t
+                keep = early if scans.start is None else ~early
+                rows = Track(rows.t[keep], rows.pose[keep], None, rows.frame)
+            return replace(self, scan_t=self.scan_t[scans], scans=self.scans[scans], odometry=rows, told_hash="")
+
+        before, after = side(slice(None, at), self.odometry), side(slice(at, None), self.odometry)
+        return before, replace(after, robot=robot, dropped={}, unused=())
 
     def _packet(self, rows: Track, start: int, end: int) -> Event:
         return Event(float(rows.t[end - 1]), self.robot, OdometryPoses(rows.t[start:end], rows.pose[start:end]))

@@ -46,7 +46,7 @@ from ..laser.robot_graph import RobotGraph
 from ..laser.scan_odometry import ScanOdometry, blended
 from .config import LaserConfig
 from .map_overlap import seen_through
-from .segments import bridged, held_over, segment_findings
+from .segments import LONG, bridged, held_over, segment_findings
 from .session import LaserSession
 
 FEW = 10  # scans: a log of fewer makes no map that could contradict itself
@@ -377,6 +377,17 @@ def _placed_again(found: tuple[Finding, ...], graph: RobotGraph | None) -> tuple
         return found
     together = "places hold what came before and after together"
     return (Finding("scene-change", found[0].robot, found[0].span, told, together),)
+
+
+def elsewhere_from(made: LaserMap) -> float | None:
+    """When [s] the robot of a map was in another place at once, where nothing ties what it saw there to the rest."""
+    jump = next((f for f in made.findings if f.code == "scene-jump" and f.span is not None), None)
+    graph = made.graph
+    if jump is None or graph is None or jump.span is None or held_over(graph, jump.span[0]):
+        return None
+    at = int(np.searchsorted(graph.t, jump.span[0]))
+    ways = graph.path[at - 1] - graph.path[0], graph.path[-1] - graph.path[at]
+    return jump.span[0] if min(ways) >= LONG else None
 
 
 def _little(log: LaserLog) -> tuple[Finding, ...]:
