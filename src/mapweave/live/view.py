@@ -1,25 +1,21 @@
 """The shared map in a browser: one page, fed by server-sent events; nothing is asked of the page's network."""
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from io import BufferedIOBase
-from ipaddress import ip_address
 from pathlib import Path
-from socket import gethostname
-from threading import BoundedSemaphore, Condition, Thread
+from threading import Condition
 from time import monotonic
-from typing import Any
 
 import msgspec
 import numpy as np
 from jaxtyping import Float
 
 from ..core import se2
-from ..core.errors import UsageError
 from ..core.viewport import viewport
+from ..io.web import Answer, Asked, served_pages
 from .door import decode
 from .messages import MapState, RefusedError, RobotState, Tile
 from .topics import Topics
@@ -29,20 +25,12 @@ PAGE = Path(__file__).with_name("page.html").read_text(encoding="utf-8").replace
 POINTS = 4000  # of each robot's trail, for browsers that come late
 STEP = 0.05  # [m] from point to point of a trail
 SILENCE = 10.0  # [s] after which a browser is told that nothing came, so that one that left is noticed
-POLICY = (
-    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; "
-    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
-)
-HEADERS = {"Cache-Control": "no-store", "Content-Security-Policy": POLICY, "X-Content-Type-Options": "nosniff",
-           "Referrer-Policy": "no-referrer"}  # fmt: skip
 FRAME = 0.1  # [s] from one to the next at least: what comes meanwhile goes together
 KEPT_FRAMES = 50  # a reader that is farther behind begins anew
 MOST_MAPS = 16  # map processes that are shown; a new one takes the place of the one that was silent longest
 MOST_TRAILS = 512  # of robots of all maps, likewise
 MOST_TILE_BYTES = 128 << 20  # of all squares; the oldest ones go
 TILE_OVERHEAD = 500  # [bytes] of a square beside its cells
-MOST_CONNECTIONS = 1200  # browsers; who comes beyond is told to come later
-STUCK = 30.0  # [s] that a browser may take nothing, or not say what it asks for
 CORRECTED = 0.3  # [m] by which a correction has to move a robot for its trail to begin anew from there
 Pose = Float[np.ndarray, "3"]
 Point = tuple[float, float, int, int]  # x, y [m], component, stretch: no line is drawn from one stretch to the next
@@ -230,112 +218,30 @@ def follow(session: Session, topics: Topics, board: Board) -> object:
 @contextmanager
 def served(board: Board, host: str, port: int) -> Iterator[str]:
     """The page stands at the address that is given, until the block ends; raises UsageError when the port is taken."""
-    try:
-        server = _Server(host, port, board)
-    except OSError as error:
-        raise UsageError(f"--port {port}: {error.strerror or error}") from None
-    except OverflowError:
-        raise UsageError(f"--port {port}: expected a number from 0 to 65535") from None
-    thread = Thread(target=server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
-    thread.start()
-    try:
-        yield f"http://{host}:{server.server_address[1]}/"
-    finally:
-        board.close()
-        server.shutdown()
-        server.server_close()
 
+    def tile(asked: Asked) -> None:
+        cells = board.cells(asked.path.removeprefix("/tile/"))
+        if cells:
+            asked.whole("application/octet-stream", cells, packed=True)
+        else:
+            asked.send_error(HTTPStatus.NOT_FOUND)
 
-class _Server(ThreadingHTTPServer):
-    """A thread a browser, and no more than `MOST_CONNECTIONS`."""
+    def events(asked: Asked) -> None:
+        asked.head("text/event-stream")
+        asked.end_headers()
+        _tell(board, asked.wfile)
 
-    daemon_threads = True
-    request_queue_size = 128
-
-    def __init__(self, host: str, port: int, board: Board) -> None:
-        self.board, self.host = board, host
-        self._room = BoundedSemaphore(MOST_CONNECTIONS)
-        super().__init__((host, port), _Handler)
-
-    def process_request(self, request: Any, client_address: Any) -> None:
-        if not self._room.acquire(blocking=False):
-            self.shutdown_request(request)
-            return
-        super().process_request(request, client_address)
-
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
+    gets: dict[str, Answer] = {
+        "/": lambda asked: asked.whole("text/html; charset=utf-8", PAGE.encode()),
+        "/state.json": lambda asked: asked.whole("application/json", board.all()[1]),
+        "/events": events,
+        "/tile/": tile,  # MAP/PART/LEVEL/I/J
+    }
+    with served_pages(host, port, gets) as address:
         try:
-            super().process_request_thread(request, client_address)
+            yield address
         finally:
-            self._room.release()
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that left in the middle is no news."""
-
-
-def is_named(host: str, served_at: str) -> bool:
-    """Whether a browser that says it asks `host` meant this machine: by an address, or by a name that is its own.
-
-    Any other name was made to lead here by somebody else (DNS rebinding), whose page is not to read the answer.
-    """
-    name = (host.partition("]")[0].removeprefix("[") if host.startswith("[") else host.partition(":")[0]).lower()
-    if name in {"localhost", served_at.lower(), gethostname().lower(), f"{gethostname().lower()}.local"}:
-        return bool(name)
-    try:
-        ip_address(name)
-    except ValueError:
-        return False
-    return True
-
-
-class _Handler(BaseHTTPRequestHandler):
-    """Answers `/`, `/events`, `/state.json` and `/tile/MAP/PART/LEVEL/I/J`."""
-
-    server: _Server
-    timeout = STUCK
-
-    def do_GET(self) -> None:
-        if not is_named(self.headers.get("Host", ""), self.server.host):
-            self.send_error(HTTPStatus.MISDIRECTED_REQUEST, "no name of this machine")
-            return
-        answers: dict[str, Callable[[], None]] = {
-            "/": lambda: self._whole("text/html; charset=utf-8", PAGE.encode()),
-            "/state.json": lambda: self._whole("application/json", self.server.board.all()[1]),
-            "/events": self._events,
-        }
-        answer = answers.get(self.path)
-        if self.path.startswith("/tile/") and (cells := self.server.board.cells(self.path.removeprefix("/tile/"))):
-            self._whole("application/octet-stream", cells, packed=True)
-            return
-        if answer is None:
-            self.send_error(HTTPStatus.NOT_FOUND)
-            return
-        answer()
-
-    def _whole(self, kind: str, body: bytes, *, packed: bool = False) -> None:
-        self._head(kind)
-        if packed:
-            self.send_header("Content-Encoding", "deflate")
-        self.send_header("Content-Length", str(len(body)))
-        self.end_headers()
-        self.wfile.write(body)
-
-    def _head(self, kind: str) -> None:
-        self.send_response(HTTPStatus.OK)
-        self.send_header("Content-Type", kind)
-
-    def end_headers(self) -> None:
-        for name, value in HEADERS.items():
-            self.send_header(name, value)
-        super().end_headers()
-
-    def _events(self) -> None:
-        self._head("text/event-stream")
-        self.end_headers()
-        _tell(self.server.board, self.wfile)
-
-    def log_message(self, format: str, *args: object) -> None:  # noqa: A002
-        """Nothing is printed a request."""
+            board.close()
 
 
 def _tell(board: Board, page: BufferedIOBase) -> None:
