@@ -12,6 +12,7 @@ Verbs, each with its options in `help(mapweave.map)` and so on:
     load                    a result read back from its folder
     evaluate                the score of a result against what is true
     view                    a result in the browser or in the Rerun viewer
+    edit                    a laser result in the browser, to decide by hand on places and robots
     localize                a robot found and followed in a finished laser map
     locate                  the positions of a swarm whose robots see each other
     explore                 robots that decide where to drive
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from .api.demo import demo as demo
     from .api.doctor import Diagnosis as Diagnosis
     from .api.doctor import doctor as doctor
+    from .api.edit import edit as edit
     from .api.evaluate import Evaluation as Evaluation
     from .api.evaluate import evaluate as evaluate
     from .api.evaluate_relations import RelationEvaluation as RelationEvaluation
@@ -128,6 +130,7 @@ _HOMES: dict[str, str] = {
     "configuration": "api.configuration",
     "demo": "api.demo",
     "doctor": "api.doctor",
+    "edit": "api.edit",
     "evaluate": "api.evaluate",
     "explore": "api.explore",
     "fuse": "api.fuse",
@@ -290,6 +293,7 @@ __all__ = (
     "configuration",
     "demo",
     "doctor",
+    "edit",
     "evaluate",
     "explore",
     "fuse",

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from mapweave.core.errors import UsageError
+from mapweave.io.web import is_named
 from mapweave.live.messages import LandmarkState, MapState, RobotState, Tile
 from mapweave.live.tiles import SIDE, pack
-from mapweave.io.web import is_named
 from mapweave.live.view import KEPT_FRAMES, MOST_MAPS, MOST_TRAILS, PAGE, Board, served
 from mapweave.report.html import Page
 from mapweave.report.style import PALETTE

@@ -57,7 +57,8 @@ class LaserResult(ResultBase):
     of its first pose; components: the graph method's maps of the robots that were joined, that of most robots first;
     merges: every pair of robots tried, with the decision and its reason; starts: robot -> x, y, theta[, sigma] that
     were told; said: what somebody said of robots and places; notes: what `summary` says beside; whole: findings that
-    are of no robot alone.
+    are of no robot alone. config: what the robots were woven by; before: every robot's map as its log alone made it,
+    where what others saw or somebody said changed one.
     """
 
     maps: tuple[LaserMap, ...]
@@ -70,6 +71,8 @@ class LaserResult(ResultBase):
     said: Decisions | None = None
     notes: tuple[str, ...] = ()
     whole: tuple[Finding, ...] = ()
+    config: LaserConfig | None = None
+    before: tuple[LaserMap, ...] = ()
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -272,13 +275,14 @@ def woven_result(
             "expected every log once"
         )
     stored = [_storable(m) for m in maps]
+    before = tuple(stored)
     stored, said, overruled = _as_said(stored, decisions, cfg)
     known_starts = starts_among([m.robot for m in stored], starts or {}, cfg.merge)
     began = perf_counter()
     if len(stored) > 1:
         on_progress("weave", 0, 1)
     pairs = len(stored) * (len(stored) - 1) // 2 if merge else 0
-    with worker_pool(jobs, pairs, executor if pairs > 1 else None) as pool:
+    with worker_pool(jobs, pairs, executor if pairs else None) as pool:
         components, merges, stored = _woven(stored, cfg, known_starts, pool, merge=merge, said=said)
     if len(stored) > 1:
         on_progress("weave", 1, 1)
@@ -304,8 +308,14 @@ def woven_result(
         said=said,
         notes=tuple(notes),
         whole=tuple(whole),
+        config=cfg,
+        before=before if any(map(_changed, before, stored)) else (),
     )
     return scored(result, truth)
+
+
+def _changed(before: LaserMap, after: LaserMap) -> bool:
+    return before.graph is not after.graph or before.findings != after.findings
 
 
 def _woven(
@@ -350,7 +360,10 @@ def _as_said(
         out.append(_storable(made.map))
         findings += made.findings
         places += made.used
-    return out, replace(said, places=tuple(places)), findings
+    logs = {m.robot: m.scan_hash for m in maps}
+    pairs = sorted((row for row in said.pairs if row.edited), key=lambda row: (row.a, row.b))
+    kept = sorted((row for row in places if row.edited), key=lambda row: row.key)
+    return out, Decisions(logs, tuple(pairs), tuple(kept)), findings
 
 
 def _told_of(merge: Merge, cfg: MergeConfig) -> list[Finding]:

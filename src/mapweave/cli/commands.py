@@ -278,6 +278,14 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
         leave=("browser",),
         said=_lines,
     ),
+    "edit": Command(
+        verb="api.edit:edit",
+        does="Decide by hand on places and robots of a laser map, in the browser.",
+        example="edit result",
+        words=("directory",),
+        options={"out": Option(kind=Path | None, default=ABSENT)},
+        said=_nothing,
+    ),
     "evaluate": Command(
         verb="api.evaluate:evaluate",
         does="Score a result against the truth.",

@@ -4,8 +4,9 @@
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const rgb = (hex) => [1, 3, 5].map((k) => parseInt(hex.slice(k, k + 2), 16));
 
-// extent: () => [x0, x1, y0, y1] of all there is, or nothing; hover: (px, py) under the pointer, nothing when it leaves
-function viewport(canvas, extent, draw, { unit = "m", hover = () => {}, wheel = () => true } = {}) {
+// extent: () => [x0, x1, y0, y1] of all there is, or nothing; hover: (px, py) under the pointer, nothing when it leaves;
+// click: (px, py); drag: (dx, dy, event) in metres, whether something else than the map moves
+function viewport(canvas, extent, draw, { unit = "m", hover = () => {}, wheel = () => true, click = () => {}, drag = () => false } = {}) {
   const v = { scale: 0, x: 0, y: 0, whole: 0, moved: false, measuring: false, ends: [] };
   const wide = () => canvas.clientWidth, high = () => canvas.clientHeight;
   v.toX = (x) => wide() / 2 + (x - v.x) * v.scale;
@@ -116,12 +117,15 @@ function viewport(canvas, extent, draw, { unit = "m", hover = () => {}, wheel = 
       const other = [...held].find(([id]) => id !== event.pointerId)[1];
       const apart = (p) => Math.hypot(p[0] - other[0], p[1] - other[1]);
       v.zoom(apart(here) / Math.max(apart(before), 1), (here[0] + other[0]) / 2, (here[1] + other[1]) / 2);
-    } else v.pan((before[0] - here[0]) / v.scale, (here[1] - before[1]) / v.scale);
+    } else if (!drag((here[0] - before[0]) / v.scale, (before[1] - here[1]) / v.scale, event))
+      v.pan((before[0] - here[0]) / v.scale, (here[1] - before[1]) / v.scale);
     held.set(event.pointerId, here);
   });
   canvas.addEventListener("pointerup", (event) => {
     const [px, py] = [event.offsetX, event.offsetY];
-    if (v.measuring && began && Math.hypot(px - began[0], py - began[1]) < 4) {
+    const still = began && Math.hypot(px - began[0], py - began[1]) < 4;
+    if (still && !v.measuring) click(px, py);
+    else if (still) {
       v.ends = [...(v.ends.length > 1 ? [] : v.ends), [v.fromX(px), v.fromY(py)]];
       tell(px, py);
       draw();

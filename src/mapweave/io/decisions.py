@@ -37,9 +37,7 @@ def decisions_text(maps: Sequence[LaserMap], merges: Sequence[Merge], said: Deci
     out += [f"{_quoted(m.robot)} = {_quoted(m.scan_hash)}" for m in maps]
     for m in merges:
         found = (TOGETHER if m.scans else APART) if m.said else TOGETHER if m.merged else APART
-        out += ["", "[[pairs]]", f"a = {_quoted(m.a)}", f"b = {_quoted(m.b)}"]
-        out += [f"decision = {_quoted(m.said or found)}", f"found = {_quoted(found)}"]
-        out += [] if m.best is None else [_pose(m.best.tolist() if m.transform is None else m.transform.tolist())]
+        out += ["", "[[pairs]]", *_pair(m, said), f"decision = {_quoted(m.said or found)}", f"found = {_quoted(found)}"]
     words: dict[Key, PlaceRow] = {} if said is None else {row.key: row for row in said.places if row.edited}
     for row in _places(maps, merges):
         told = words.get(row.key, row)
@@ -50,8 +48,21 @@ def decisions_text(maps: Sequence[LaserMap], merges: Sequence[Merge], said: Deci
             if told.found
             else [f"decision = {_quoted(told.decision)}"]
         )
-        out += [] if row.pose is None else [_pose(row.pose)]
+        if told.edited and not told.found and told.pose is not None:
+            out.append(_exact(told.pose))
+        else:
+            out += [] if row.pose is None else [_pose(row.pose)]
     return "\n".join(out) + "\n"
+
+
+def _pair(m: Merge, said: Decisions | None) -> list[str]:
+    """Which two, and where the second lies: as somebody said it, to the last digit, else as it was found."""
+    edited = () if said is None else (row for row in said.pairs if row.edited and {row.a, row.b} == {m.a, m.b})
+    word = next((row for row in edited if row.pose is not None and row.decision == m.said), None)
+    if word is not None and word.pose is not None:
+        return [f"a = {_quoted(word.a)}", f"b = {_quoted(word.b)}", _exact(word.pose)]
+    pose = m.best if m.transform is None else m.transform
+    return [f"a = {_quoted(m.a)}", f"b = {_quoted(m.b)}", *([] if pose is None else [_pose(pose.tolist())])]
 
 
 def _places(maps: Sequence[LaserMap], merges: Sequence[Merge]) -> list[PlaceRow]:
@@ -178,6 +189,10 @@ def expect_of(decisions: Decisions, maps: Sequence[LaserMap], path: object) -> N
 def _quoted(text: str) -> str:
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return f'"{escaped}"'
+
+
+def _exact(pose: Sequence[float]) -> str:
+    return f"pose = [{', '.join(repr(float(v)) for v in pose)}]"
 
 
 def _pose(pose: Sequence[float]) -> str:

@@ -62,7 +62,7 @@ class Asked(BaseHTTPRequestHandler):
         answer(self)
 
     def do_POST(self) -> None:
-        """What the page itself posts, as JSON: another site's page may not send that type, nor hide where it is from."""
+        """What the page itself posts, as JSON: another site's page may not send that type, nor hide its origin."""
         if not self._meant():
             return
         origin, length = self.headers.get("Origin"), self.headers.get("Content-Length", "")

@@ -53,7 +53,8 @@ def redecided(local_map: LaserMap, rows: Sequence[PlaceRow], cfg: LaserConfig) -
                 used.append(row)
             continue
         said[at] = row
-        used.append(replace(row, found=TOGETHER if closures[at].accepted else APART))
+        alone = TOGETHER if closures[at].accepted else APART  # which other rows may have changed, and then it is said
+        used.append(replace(row, found="" if alone == row.decision else alone))
     asked = [
         k
         for k, c in enumerate(closures)

@@ -195,8 +195,10 @@ class Page:
             body = body.replace(_OPEN, "<details>")
         return f"{page[:at]}{begin}{body}{end}{page[at:]}"
 
-    def html(self) -> str:
-        moving = f"<script>{script()}</script>" if self.scenes else ""
+    def html(self, code: str = "") -> str:
+        """The page, with a script of its own where it has one."""
+        code = script() if self.scenes and not code else code
+        moving = f"<script>{code}</script>" if code else ""
         body = "".join(self.parts)
         if self.scenes:
             body = body.replace(_OPEN, "<details>")

@@ -242,19 +242,24 @@ def laser_scene(
     closures: Sequence[ClosureRow] = (),
     others: Mapping[str, Track] | None = None,
     findings: Iterable[Finding] = (),
+    *,
+    edited: bool = False,
 ) -> Scene:
     """Walls and paths, in one frame. tracks: robot -> its path; colours: robot -> colour; others: layer -> more.
 
-    Places believed and other trajectories are hidden at first: they cover the map.
+    Places believed and other trajectories are hidden at first: they cover the map. edited: for a page that decides on
+    places: none is hidden, each is called by its number in `closures`.
     """
-    hidden = [PLACES_BELIEVED, *(others or {})]
+    hidden = [*([] if edited else [PLACES_BELIEVED]), *(others or {})]
     scene = Scene("Laser map with the trajectories of its robots", hidden=hidden)
     walls(scene, grid)
     for layer, shade in ((PLACES_BELIEVED, BELIEVED), (PLACES_DOUBTFUL, DOUBTFUL), (PLACES_REFUSED, REFUSED)):
-        rows = [c for c in closures if _kind(c) == layer]
-        if rows:
-            ends = np.array([c.at.ravel() for c in rows])
-            scene.lines(layer, ends, shade, [_closure_text(c) for c in rows], dashed=layer != PLACES_BELIEVED)
+        ids = [k for k, c in enumerate(closures) if _kind(c) == layer]
+        if ids:
+            rows = [closures[k] for k in ids]
+            ends, texts = np.array([c.at.ravel() for c in rows]), [_closure_text(c) for c in rows]
+            dashed = layer != PLACES_BELIEVED
+            scene.lines(layer, ends, shade, texts, dashed=dashed, ids=ids if edited else ())
     for layer, track in (others or {}).items():
         scene.track(layer, layer, track, LANDMARK)
     for robot, track in tracks.items():

@@ -41,6 +41,8 @@ function showScene(figure) {
   const view = viewport(canvas, () => data.extent, draw, {
     unit: data.axes.endsWith(" m") ? "m" : "",
     hover: point,
+    click: (px, py) => figure.pick?.(placeAt(px, py)), // an editor's page sets pick, drag and over
+    drag: (...moved) => figure.drag?.(...moved) || false,
     wheel: (event) => event.ctrlKey || document.activeElement === canvas, // the page scrolls until the map is clicked
   });
   const { toX, toY, fromX, fromY } = view;
@@ -109,6 +111,7 @@ function showScene(figure) {
     context.fillStyle = ink;
     for (const track of seen(data.tracks)) if (track.named) nameRobot(track);
     for (const points of seen(data.points)) namePoints(points, w, h);
+    figure.over?.(context, view);
     view.overlay(context, ink);
   }
   const tint = (colour, ink) => (colour === "#000000" ? ink : colour);
@@ -252,6 +255,19 @@ function showScene(figure) {
           lines.segments.forEach(([ax, ay, bx, by], i) => consider((ax + bx) / 2, (ay + by) / 2, () => lines.texts[i]));
     return best && best();
   }
+  // the number of the place whose line is nearest
+  function placeAt(px, py) {
+    let best = null, least = 12;
+    for (const lines of data.lines)
+      if (lines.ids && !hidden.has(lines.layer))
+        lines.segments.forEach(([ax, ay, bx, by], i) => {
+          const [x, y, dx, dy] = [toX(ax), toY(ay), toX(bx) - toX(ax), toY(by) - toY(ay)];
+          const along = Math.min(1, Math.max(0, ((px - x) * dx + (py - y) * dy) / (dx * dx + dy * dy || 1)));
+          const far = Math.hypot(px - x - along * dx, py - y - along * dy);
+          if (far < least) [least, best] = [far, lines.ids[i]];
+        });
+    return best;
+  }
   function pointText(points, i) {
     if (points.texts.length) return points.texts[i];
     const sd = points.sd && points.sd[i] !== null ? `\nsd ${metres(points.sd[i])}` : "";
@@ -363,6 +379,7 @@ function showScene(figure) {
       paint();
       draw();
     });
+  return { view, draw, hidden };
 }
 // the mark of a layer, as the map shows it
 function legend({ colour, shape = "line", dashed }) {

@@ -145,14 +145,17 @@ class Scene:
         texts: Sequence[str] = (),
         *,
         dashed: bool = False,
+        ids: Sequence[int] = (),
     ) -> None:
-        """Segments x0, y0, x1, y1: closures, sightings; texts: what pointing at their middles tells, if anything."""
+        """Segments x0, y0, x1, y1: closures, sightings; texts: what pointing at their middles tells, if anything.
+
+        ids: what an editor's page calls each.
+        """
         if len(ends) == 0:
             return
         segments = [_short(row) for row in ends]
-        self._lines.append(
-            {"layer": layer, "colour": colour, "segments": segments, "texts": list(texts), "dashed": dashed}
-        )
+        line = {"layer": layer, "colour": colour, "segments": segments, "texts": list(texts), "dashed": dashed}
+        self._lines.append({**line, "ids": list(ids)} if len(ids) else line)
         self._corners += [(layer, ends[:, :2]), (layer, ends[:, 2:])]
 
     def findings(self, findings: Iterable[Finding], tracks: Mapping[str, Track]) -> None:

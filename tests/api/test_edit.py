@@ -1,0 +1,188 @@
+"""`edit`: what a browser posts is decided, solved, undone and saved, and `map` makes the same of what was saved."""
+
+import json
+import threading
+import urllib.error
+import urllib.request
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+import mapweave
+from mapweave.api.edit import Editor
+from mapweave.core import se2
+from mapweave.core.errors import UsageError
+
+from ..laser.team_logs import cut, office
+
+HOUR = 3600.0
+OFF = [0.5, -0.4, 0.03]  # [m, m, rad] from where the scans have it
+
+
+@pytest.fixture(scope="module")
+def logs():
+    log, _ = office(3)
+    n = len(log.scans)
+    return [cut(log, 0, int(0.62 * n)), cut(log, int(0.38 * n), n, "2", HOUR)]
+
+
+@pytest.fixture(scope="module")
+def team(logs, tmp_path_factory):
+    out = tmp_path_factory.mktemp("edited") / "out"
+    mapweave.map(logs, out)
+    return out
+
+
+@contextmanager
+def served(folder, **options):
+    """The address that the verb says it serves, until the block ends."""
+    said, stop, told = [], threading.Event(), threading.Event()
+
+    def say(line):
+        said.append(line.rsplit(" ", 1)[1])
+        told.set()
+
+    asked = {"port": 0, "stop": stop, "say": say, **options}
+    thread = threading.Thread(target=mapweave.edit, args=(folder,), kwargs=asked)
+    thread.start()
+    try:
+        assert told.wait(60)
+        yield said[0]
+    finally:
+        stop.set()
+        thread.join(30)
+    assert not thread.is_alive()
+
+
+def post(address, path, asked, **headers):
+    """What the server answers to the JSON that the page posts; an error's number where it refuses."""
+    body, kind = json.dumps(asked).encode(), {"Content-Type": "application/json", **headers}
+    request = urllib.request.Request(address + path, body, kind)  # noqa: S310  (our own)
+    try:
+        with urllib.request.urlopen(request, timeout=120) as answer:  # noqa: S310
+            return json.load(answer)
+    except urllib.error.HTTPError as error:
+        return json.load(error) if error.headers.get_content_type() == "application/json" else error.code
+
+
+def same_bytes(one, other):
+    names = sorted(p.relative_to(one) for p in one.rglob("*") if p.is_file())
+    assert names == sorted(p.relative_to(other) for p in other.rglob("*") if p.is_file())
+    for name in names:
+        a, b = ((folder / name).read_bytes() for folder in (one, other))
+        if name.name == "metrics.json":
+            a, b = ({**json.loads(text), "timing": 0} for text in (a, b))
+        if name.name != "report.html":  # it tells how long a scan took
+            assert a == b, name
+
+
+def test_decisions_made_in_the_page_give_the_same_bytes_when_map_takes_them(team, logs, tmp_path):
+    file, out = tmp_path / "said.toml", tmp_path / "out"
+    with served(team, decisions=file, out=out) as address:
+        state = post(address, "state", {})
+        assert not state["said"]
+        assert state["undo"] == 0
+        within = [k for k, p in enumerate(state["places"]) if p["accepted"] and p["names"][0] == p["names"][1]]
+        between = [k for k, p in enumerate(state["places"]) if p["accepted"] and p["names"][0] != p["names"][1]]
+        for place in (within[0], between[0]):
+            state = post(address, "decide", {"place": place, "part": 0, "decision": "apart"})
+            assert not state["places"][place]["accepted"]
+            assert state["places"][place]["said"] == "apart"
+        assert (state["said"], state["undo"], state["saved"]) == (2, 2, False)
+        assert post(address, "save", {}) == {"file": str(file), "out": str(out)}
+    mapweave.map(logs, tmp_path / "map", decisions=file)
+    same_bytes(out, tmp_path / "map")
+
+
+def test_robots_said_to_be_apart_and_dragged_onto_each_other_again_are_one_map(team, logs, tmp_path):
+    file, out = tmp_path / "said.toml", tmp_path / "out"
+    with served(team, decisions=file, out=out) as address:
+        before = post(address, "state", {})
+        (pair,) = before["pairs"]
+        state = post(address, "decide", {"pair": pair["robots"], "decision": "apart"})
+        assert len(state["parts"]) == 2
+        assert post(address, "undo", {})["scene"] == before["scene"]
+        state = post(address, "decide", {"pair": pair["robots"], "decision": "apart"})
+        made = mapweave.load(team).components[0]
+        lies = se2.compose(
+            se2.between(made.tracks["1"].pose[0], made.tracks["2"].pose[0]), [0.5, -0.4, 0.03]
+        )  # not where the scans have it
+        state = post(address, "decide", {"lay": 1, "part": 0, "pose": np.asarray(lies).tolist()})
+        assert len(state["parts"]) == 1
+        assert state["pairs"][0]["said"] == "together"
+        post(address, "save", {})
+    again = mapweave.map(logs, tmp_path / "map", decisions=file)
+    same_bytes(out, tmp_path / "map")
+    assert again.merges[0].said == "together"
+    assert np.hypot(*se2.between(lies, again.merges[0].transform)[:2]) < 0.6
+    with served(out) as address:  # goes on from what was said, and leaves it to the scans again
+        assert post(address, "state", {})["said"] == 1
+        state = post(address, "decide", {"pair": pair["robots"], "decision": "undecided"})
+        assert state["scene"] == before["scene"]
+        assert state["said"] == 0
+
+
+def test_what_was_refused_only_beside_another_place_stays_forbidden_when_read_again(team, logs, tmp_path):
+    """A row says what is to be even where the log alone had it so: other rows may have changed that."""
+    editor = Editor(team, tmp_path / "said.toml", tmp_path / "out")
+    refused = next(k for k, c in enumerate(editor.result.components[0].closures) if not c.accepted)
+    state = editor.decide({"place": refused, "part": 0, "decision": "apart"})
+    assert state["said"] == 1
+    editor.save({})
+    row = mapweave.map(logs, tmp_path / "map", decisions=tmp_path / "said.toml").said
+    assert row is not None
+    same_bytes(tmp_path / "out", tmp_path / "map")
+
+
+@pytest.mark.parametrize(
+    ("path", "asked", "told"),
+    [
+        ("decide", {"place": 10**6, "decision": "apart"}, "place: expected a number from 0 to"),
+        ("decide", {"place": True, "decision": "apart"}, "place: expected a number"),
+        ("decide", {"place": 0, "decision": "maybe"}, "decision: expected one of together, apart, undecided"),
+        ("decide", {"place": 0, "part": 5, "decision": "apart"}, "part: expected a number from 0 to 0"),
+        ("decide", {"pair": ["1", "9"], "decision": "apart"}, "expected a place or a pair of robots"),
+        ("decide", {"lay": 0, "pose": [0, 0, 0]}, "another map than the one it is laid on"),
+        ("decide", {"lay": 0, "pose": [0, "x", 0]}, "pose: expected x, y, theta"),
+        ("decide", {"lay": 0, "pose": [0, 1e999, 0]}, "pose: expected x, y, theta"),
+        ("undo", {}, "nothing to undo"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_decided_is_told_and_changes_nothing(one_server, path, asked, told):
+    assert told in post(one_server, path, asked)["error"]
+    assert post(one_server, "state", {})["said"] == 0
+
+
+@pytest.fixture(scope="module")
+def one_server(team):
+    with served(team) as address:
+        yield address
+
+
+def test_the_page_needs_no_network_and_answers_to_nobody_elses_page(one_server):
+    with urllib.request.urlopen(one_server, timeout=10) as answer:  # noqa: S310
+        page, policy = answer.read().decode(), answer.headers["Content-Security-Policy"]
+    assert "http://" not in page.replace("http://www.w3.org/2000/svg", "")
+    assert "https://" not in page
+    assert "default-src 'none'" in policy
+    assert post(one_server, "undo", {}, Host="evil.example") == 421
+    assert post(one_server, "undo", {}, Origin="http://evil.example") == 403
+    assert post(one_server, "undo", {}, Origin="null") == 403
+    assert post(one_server, "undo", {}, **{"Content-Type": "text/plain"}) == 403
+    assert post(one_server, "undo", [1]) == 400
+    assert post(one_server, "elsewhere", {}) == 404
+    host = one_server.removeprefix("http://").rstrip("/")
+    assert "nothing to undo" in post(one_server, "undo", {}, Origin=f"http://{host}")["error"]
+
+
+def test_a_result_without_places_is_refused_in_a_sentence(logs, tmp_path):
+    mapweave.map(logs[:1], tmp_path / "gated", method="gated")
+    with pytest.raises(UsageError, match="expected laser maps of the graph method"):
+        mapweave.edit(tmp_path / "gated", port=0)
+
+
+def test_a_file_that_cannot_be_written_is_told_in_the_page(team, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with served(team, decisions=tmp_path / "file" / "said.toml") as address:
+        assert "file" in post(address, "save", {})["error"]
