@@ -292,7 +292,7 @@ def test_no_folder_of_a_result_and_a_result_of_another_kind_are_refused(home, tm
 
 
 FACE = {"metrics", "summary", "write", "plot", "_repr_html_"}
-NO_RESULT = {"configuration", "live_keys", "live_view", "read", "view"}  # text, folders, nothing, a log: no result
+NO_RESULT = {"configuration", "edit", "live_keys", "live_view", "read", "view"}  # text, a log, nothing
 PROTOCOLS = {mapweave.Result, mapweave.MapResult, mapweave.Evaluation}
 NONE = {mapweave.Log}  # what verbs give that is no result
 
