@@ -54,6 +54,7 @@ TABLES = (
     Table("without wheels", "docs/landmark-mapping.md", bench("team_smoothing", "--no-odometry"), "stdout"),
     Table("beside gtsam", "docs/landmark-mapping.md", bench("beside_gtsam"), "stdout"),
     Table("mutants", "docs/contributing.md", bench("mutants", "--quick", "--n", "6", "--seed", "23", "--page"), "page"),
+    Table("changes", "docs/laser-teams.md", bench("changes"), "stdout"),
     Table(
         "merge trials",
         "docs/laser-teams.md",

@@ -11,6 +11,7 @@ Verbs, each with its options in `help(mapweave.map)` and so on:
     read                    a log of any format: its robots, events, tables
     load                    a result read back from its folder
     evaluate                the score of a result against what is true
+    compare                 what changed between two laser results of one place
     view                    a result in the browser or in the Rerun viewer
     edit                    a laser result in the browser, to decide by hand on places and robots
     localize                a robot found and followed in a finished laser map
@@ -32,6 +33,8 @@ from typing import TYPE_CHECKING
 from .core.version import __version__ as __version__
 
 if TYPE_CHECKING:
+    from .api.compare import Comparison as Comparison
+    from .api.compare import compare as compare
     from .api.configuration import configuration as configuration
     from .api.demo import demo as demo
     from .api.doctor import Diagnosis as Diagnosis
@@ -130,6 +133,7 @@ _HOMES: dict[str, str] = {
     "configuration": "api.configuration",
     "demo": "api.demo",
     "doctor": "api.doctor",
+    "compare": "api.compare",
     "edit": "api.edit",
     "evaluate": "api.evaluate",
     "explore": "api.explore",
@@ -164,6 +168,7 @@ _HOMES: dict[str, str] = {
     "LaserSlam": "api.laser_slam",
     "PoseEstimate": "laser.scan_odometry",
     # what verbs return
+    "Comparison": "api.compare",
     "Diagnosis": "api.doctor",
     "Evaluation": "api.evaluate",
     "LandmarkExploration": "api.explore",
@@ -228,6 +233,7 @@ _HOMES: dict[str, str] = {
 
 __all__ = (
     "BearingTable",
+    "Comparison",
     "ConfigError",
     "CorridorConfig",
     "DataError",
@@ -290,6 +296,7 @@ __all__ = (
     "VerdictError",
     "YuanReproduction",
     "__version__",
+    "compare",
     "configuration",
     "demo",
     "doctor",

@@ -309,6 +309,8 @@ def test_an_entry_of_a_pose_graph_that_nobody_knows_is_refused():
 TABLE = {"observer": ["a", "b"], "target": ["b", "a"], "bearing": [0.0, 3.14159], "t": [0.0, 1.0]}
 BASE = {
     # what each verb cannot do without; never used, since what is wrong is refused first
+    "compare": {"before": "nowhere", "after": "nowhere"},
+    "edit": {"directory": "nowhere"},
     "evaluate": {"directory": "nowhere", "truth": "nothing"},
     "fuse": {"directories": "nowhere"},
     "live_keys": {"out": "keys", "robots": ["r1"]},

@@ -71,6 +71,11 @@ def two_lasers(home):
     return mapweave.map([mapweave.simulate_laser(world=world, seed=k).log for k in (1, 2)])
 
 
+def the_same_drive(home):
+    made = mapweave.map(mapweave.simulate_laser(world=mapweave.CorridorConfig(distance=6.0), seed=1).log)
+    return mapweave.compare(made, made)
+
+
 def mixed(home):
     mapweave.simulate_team(home / "mixed", lasers=1, cameras=1, bearings=0, landmarks=8, minutes=0.5)
     return mapweave.map(home / "mixed")
@@ -95,6 +100,7 @@ RESULTS = {
         lambda home: mapweave.localize(home / "drive.mcap", home / "drive-map", start=(0.0, 0.0, 0.0)),
         "metrics.json",
     ),
+    "compare": (mapweave.Comparison, the_same_drive, "metrics.json"),
     "explore": (mapweave.LandmarkExploration, lambda home: mapweave.explore(until=3), "metrics.json"),
     "explore, laser": (mapweave.LaserExploration, laser_exploration, "metrics.json"),
     "evaluate": (

@@ -286,6 +286,21 @@ COMMANDS: dict[str, Command | dict[str, Command]] = {
         options={"out": Option(kind=Path | None, default=ABSENT)},
         said=_nothing,
     ),
+    "compare": Command(
+        verb="api.compare:compare",
+        does="Tell what changed between two laser maps of one place.",
+        example="compare monday tuesday --out changes",
+        words=("before", "after"),
+        options={
+            "start": Option(
+                kind=str | None,
+                parse=numbers_of("--start", 3),
+                signed=True,
+                help="Where the frame of the map after lies in that of the map before, about, as x,y,theta in metres "
+                "and radians: where rooms look alike it decides; by default it is searched everywhere.",
+            ),
+        },
+    ),
     "evaluate": Command(
         verb="api.evaluate:evaluate",
         does="Score a result against the truth.",

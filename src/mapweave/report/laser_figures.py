@@ -38,6 +38,20 @@ def draw_map(path: Target, local_map: LaserMap, truth: Track | None, tint: str =
         ax.set_aspect("equal", adjustable="box")
 
 
+def draw_changes(path: Target, grid: GridMap, walls: Mapping[str, tuple[str, Float[np.ndarray, "n 2"]]]) -> None:
+    """The map pale, and on it the `walls` of each name in their colour."""
+    with figure(path, *map_size(grid)) as (fig, ax):
+        draw_occupancy(ax, grid)
+        ax.images[-1].set_alpha(0.45)
+        for name, (tint, at) in walls.items():
+            ax.plot(*at.T, "s", color=tint, markersize=2.5, label=name)
+        map_window(ax, grid)
+        if walls:
+            fig.legend(loc="outside lower center", ncols=2)
+        as_map(ax, "What changed")
+        ax.set_aspect("equal", adjustable="box")
+
+
 def draw_intensity(path: Path, grid: GridMap, feature: str, who: str) -> None:
     """Every cell with returns in the colour of its feature (dark to bright for any colour vision).
 
