@@ -69,6 +69,8 @@ class Comparison(ResultBase):
         ]
 
     def headline(self) -> Rows:
+        if not self.changes and not self.decisions:
+            return ("what", "how many"), [("changes" if self.found is not None else "decisions that differ", 0)]
         if self.found is None:
             return DECISION, self.decisions
         rows = []
