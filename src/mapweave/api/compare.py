@@ -65,6 +65,11 @@ class Comparison(ResultBase):
         return [
             f"{head}; {100 * self.found.share:.0f} % of the area is in both maps",
             f"the map after lies at {x:.2f} m, {y:.2f} m, {np.degrees(turn):.1f} degrees in the one before",
+            *(
+                f"the map {which} is {said} itself, and what is told may be its own mistake"
+                for which in ("before", "after")
+                if (said := self.metrics[f"verdict_{which}"]) != "good"
+            ),
             *_cut([_told(c) for c in self.changes]),
         ]
 
@@ -99,8 +104,8 @@ class Comparison(ResultBase):
                 scene.points(layer, [kind] * len(at), at, tint, [kind] * len(at), named=False)
                 self._layer(at).save(folder / f"{kind}.yaml")
         page.scene(scene, "Walls of the map before; what is new, and what is gone.", folder / "figures" / "changes.png")
-        for line in lines[1:2] if self.found is not None else []:
-            page.text(line[0].upper() + line[1:] + ".")
+        for line in lines[1 : len(lines) - len(_cut(self.changes))] if self.found is not None else []:
+            page.text(line[0].upper() + line[1:] + ".", warn="itself" in line)
         if self.changes or self.decisions:
             page.table(*self.headline())
         page.write(folder / "report.html")
@@ -217,6 +222,8 @@ def _one_place(before: LaserResult, after: LaserResult, start: Start | None) -> 
         "transform": merge.transform.tolist(),
         "alignment": merge.reason,
         "alike": merge.alike,
+        "verdict_before": before.verdict,
+        "verdict_after": after.verdict,
         "share_compared": found.share,
         "changes": [
             {"kind": c.kind, "lower": c.lower.tolist(), "upper": c.upper.tolist(), "cells": c.cells, "sd": c.sd}
@@ -283,6 +290,6 @@ def _told(c: Change) -> str:
     return f"{c.kind}: at ({x:.2f}, {y:.2f}) m, {wide:.1f} x {deep:.1f} m, +- {c.sd:.2f} m"
 
 
-def _cut(lines: Iterable[str]) -> list[str]:
+def _cut(lines: Iterable[Any]) -> list[Any]:
     every = list(lines)
     return every if len(every) <= MOST_TOLD else [*every[:MOST_TOLD], f"and {len(every) - MOST_TOLD} more"]
