@@ -31,6 +31,7 @@ from ..laser.laser_map import LaserMap
 from ..laser.log_warnings import copies_found
 from ..mapping.config import LaserConfig
 from ..mapping.decisions import Decisions
+from ..mapping.georeference import georeferenced, starts_of
 from ..mapping.merge import Merge
 from ..mapping.merge_search import MergeConfig, Start
 from ..mapping.redecide import redecided
@@ -86,7 +87,7 @@ class LaserResult(ResultBase):
 
     def draw(self, target: Target) -> None:
         """The map of most robots with their trajectories."""
-        if self.components and len(self.components[0].robots) > 1:
+        if self.components and self.components[0].joint:
             places = {local_map.robot: k for k, local_map in enumerate(self.maps)}
             draw_component(target, self.components[0], self.truth, places)
             return
@@ -170,6 +171,12 @@ def laser_metrics(
         "components": [list(c.robots) for c in components] or [[local_map.robot] for local_map in maps],
         "fusion": [merge.row() for merge in merges],
         "timing": {**spent, **(timing or {})},
+        **(
+            {"georeference": placed}
+            if (placed := [None if c.georeference is None else c.georeference.row() for c in components])
+            and any(placed)
+            else {}
+        ),
     }
 
 
@@ -213,7 +220,7 @@ def write_laser_data(folder: Path, result: LaserResult) -> None:
             write_tum(folder / "trajectories" / f"{robot_name(local_map.robot)}.tum", local_map.track)
             write_track_covariance(folder / "trajectories" / f"{robot_name(local_map.robot)}.cov.csv", local_map.track)
     for part, woven in _parts(folder, components):
-        if len(woven.robots) == 1:
+        if not woven.joint:
             write_woven_tracks(part, woven)
         else:
             write_woven_map(part, woven)
@@ -231,7 +238,7 @@ def _parts(folder: Path, components: Sequence[WovenMap]) -> list[tuple[Path, Wov
 def _copied(part: Path, folder: Path, robot: str) -> None:
     part.mkdir(parents=True, exist_ok=True)
     for path in sorted((folder / "local" / robot_name(robot)).iterdir()):
-        if path.is_file():
+        if path.is_file() and not (part / path.name).exists():
             (part / path.name).write_bytes(path.read_bytes())
 
 
@@ -277,19 +284,22 @@ def woven_result(
     stored = [_storable(m) for m in maps]
     before = tuple(stored)
     stored, said, overruled = _as_said(stored, decisions, cfg)
-    known_starts = starts_among([m.robot for m in stored], starts or {}, cfg.merge)
+    known_starts = {**starts_of(stored), **starts_among([m.robot for m in stored], starts or {}, cfg.merge)}
     began = perf_counter()
     if len(stored) > 1:
         on_progress("weave", 0, 1)
     pairs = len(stored) * (len(stored) - 1) // 2 if merge else 0
     with worker_pool(jobs, pairs, executor if pairs else None) as pool:
         components, merges, stored = _woven(stored, cfg, known_starts, pool, merge=merge, said=said)
+    placed = georeferenced(components, stored, cfg.resolution, cfg.graph.unsure)
+    components = placed.components
     if len(stored) > 1:
         on_progress("weave", 1, 1)
     timing = {"weave": perf_counter() - began} if len(stored) > 1 else {}
     whole = [
         *findings,
         *overruled,
+        *placed.findings,
         *(found for m in merges for found in _told_of(m, cfg.merge)),
         *copies_found([m.graph for m in stored if m.graph is not None], cfg.copies),
         *(_apart(components) if merge else ()),

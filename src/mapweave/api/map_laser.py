@@ -133,6 +133,7 @@ def source_of(asked: LaserOptions) -> LaserSource:
         sensor_pose=asked.sensor_pose,
         mirrored=asked.mirrored,
         height=asked.height,
+        fixes=asked.fixes,
         table=asked.table(),
     )
 
@@ -247,6 +248,9 @@ def _with_idle_options(local_map: LaserMap, options: MapOptions) -> LaserMap:
     idle = [name for name, given in asked if given]
     why = woven if local_map.method == "graph" else alone
     more = tuple(Finding("option-idle", local_map.robot, value={"option": name, "value": why}) for name in idle)
+    if local_map.method != "graph" and local_map.fixes is not None:
+        told = Finding("fixes-unused", local_map.robot, value="the graph method alone lays maps by them")
+        more = (*more, told)
     return replace(local_map, findings=(*local_map.findings, *more))
 
 

@@ -43,6 +43,9 @@ class LaserOptions:
         The beams of the log run clockwise.
     height
         What of point clouds is a scan: from [m] to [m] above the floor (0.2 above the floor to 0.5 above the scanner).
+    fixes
+        Topics of a ROS recording that tell where the robot was, one a robot: satellite fixes, or poses by others
+        (motion capture), which then are input and no truth (satellite fixes alone); none: no fixes.
     no_loops
         The graph method looks for no old places.
     no_merge
@@ -65,6 +68,7 @@ class LaserOptions:
     sensor_pose: tuple[float, float, float] | None = None
     mirrored: bool = False
     height: tuple[float, float] | None = None
+    fixes: str | None = None
     no_loops: bool = False
     no_merge: bool = False
     resume: Path | None = None

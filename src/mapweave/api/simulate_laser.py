@@ -1,9 +1,12 @@
 """Simulated drives with a laser scanner that tells intensity, as MCAP files with their truth beside."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from ..core import se2
 from ..core.errors import UsageError, expect_at_most
 from ..core.paths import path_arguments, path_of
 from ..core.version import __version__
@@ -11,7 +14,7 @@ from ..core.workers import one_blas_thread
 from ..io.mcap import write_mcap
 from ..io.tum import write_tum
 from ..report.result import ResultBase
-from ..sim.laser import LaserSimulation
+from ..sim.laser import LaserSimulation, stream
 from ..sim.laser_worlds import (
     CorridorConfig,
     OfficeConfig,
@@ -20,6 +23,7 @@ from ..sim.laser_worlds import (
     simulate_office,
     simulate_tunnel,
 )
+from ..sim.satellites import placed, simulated_fixes
 
 if TYPE_CHECKING:
     from ..report.style import Target
@@ -74,7 +78,9 @@ class SimulatedDrive(ResultBase, LaserSimulation):
 
 @path_arguments
 @one_blas_thread()
-def simulate_laser(out: Path | str | None = None, world: World | None = None, *, seed: int = 0) -> SimulatedDrive:
+def simulate_laser(
+    out: Path | str | None = None, world: World | None = None, *, fixes: float | None = None, seed: int = 0
+) -> SimulatedDrive:
     """Simulate a drive with a laser scanner that measures received light intensity.
 
     Written to `out` if given; the same seed gives the same drive.
@@ -85,6 +91,9 @@ def simulate_laser(out: Path | str | None = None, world: World | None = None, *,
         The MCAP file to write; the true poses stand beside it in FILE.truth.tum.
     world
         A `CorridorConfig` (a ring of corridor), an `OfficeConfig` or a `TunnelConfig` (the ring).
+    fixes
+        Also carry a satellite receiver with so much noise [m] on either axis; drives of other seeds lie elsewhere, and
+        the truth is east and north of one datum (no receiver).
     seed
         Of everything drawn at random (0).
 
@@ -95,6 +104,8 @@ def simulate_laser(out: Path | str | None = None, world: World | None = None, *,
     """
     world = world or CorridorConfig()
     _check(world)
+    if fixes is not None and not 0 < fixes <= FARTHEST:
+        raise UsageError(f"--fixes: expected a noise of more than 0 m, found {fixes:g}")
     if out is not None:
         _mcap(out)
     if isinstance(world, CorridorConfig):
@@ -103,12 +114,21 @@ def simulate_laser(out: Path | str | None = None, world: World | None = None, *,
         simulated = simulate_office(world, seed)
     else:
         simulated = simulate_tunnel(world, seed)
+    if fixes is not None:
+        simulated = _with_fixes(simulated, fixes, seed)
     result = SimulatedDrive(
         simulated.log, simulated.truth, simulated.reflectance, simulated.world, simulated.heading_bias, world, seed
     )
     if out is not None:
         result.write(out)
     return result
+
+
+def _with_fixes(drive: LaserSimulation, sd: float, seed: int) -> LaserSimulation:
+    """The drive with a receiver's fixes, its truth in the world they are told in."""
+    rng = stream(seed, "fixes")
+    truth = replace(drive.truth, pose=np.asarray(se2.compose(placed(rng), drive.truth.pose)))
+    return replace(drive, log=replace(drive.log, fixes=simulated_fixes(truth, sd, rng)), truth=truth)
 
 
 def _mcap(out: Path | str) -> Path:

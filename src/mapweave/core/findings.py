@@ -142,6 +142,68 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
             "different buildings by themselves.",
         ),
     },
+    "Position fixes": {
+        "fixes-dropped": FindingKind(
+            "note",
+            "{n:.0f} fixes left out: {value}",
+            "Messages that tell no position, or one that cannot be.",
+            "Nothing.",
+        ),
+        "fixes-silent": FindingKind(
+            "note",
+            "no fixes for {value:.0f} s",
+            "The receiver saw no satellites, or was off. What was seen carries the trajectory over.",
+            "Nothing.",
+        ),
+        "fixes-untold": FindingKind(
+            "note",
+            "{value:.0f} fixes do not tell how sure they are",
+            "Their noise is estimated from how they disagree with the trajectory.",
+            "Nothing.",
+        ),
+        "fixes-worse": FindingKind(
+            "note",
+            "fixes err by {value:.1f} times what they say of themselves",
+            "Each counts by what it was found to err.",
+            "Look at the receiver's settings, and at where its antenna is said to stand.",
+        ),
+        "fixes-rejected": FindingKind(
+            "note",
+            "{far:.0f} of {n:.0f} fixes lie where the robot cannot have been, up to {value:.0f} m off",
+            "Signals came round houses, or the receiver jumped.",
+            "Nothing; `fixes.csv` tells which.",
+        ),
+        "fixes-unused": FindingKind(
+            "doubtful",
+            "its fixes are not used: {value}",
+            "They say nothing of where the robot is to the others.",
+            "Look whether they are of this drive; of another frame, leave one of both out (--fixes).",
+        ),
+        "fixes-vague": FindingKind(
+            "note",
+            "fixes tell the heading of the map to {value:.0f} degrees alone",
+            "The robot moved too little for the noise of its fixes: where its map lies in the world is not known.",
+            "Drive farther.",
+        ),
+        "fixes-mirrored": FindingKind(
+            "bad",
+            "fixes are those of the mirrored way ({value:.0f} m off as they are)",
+            "The sign of a latitude or of a longitude is wrong, or both are exchanged: another hemisphere.",
+            "Look at what wrote the fixes.",
+        ),
+        "fixes-contradict": FindingKind(
+            "bad",
+            "{value:.0f} % of the fixes lie where the robots cannot have been",
+            "Fixes and what was seen do not tell of one drive.",
+            "Look whether clocks agree, and whether fixes and scans are of one robot.",
+        ),
+        "placed-by-fixes": FindingKind(
+            "note",
+            "nothing that was seen ties it to {other}: fixes place it in the world, to {value:.2f} m and {turn:.1f} degrees",
+            "The maps are one by their fixes alone.",
+            "Nothing, where that is sure enough.",
+        ),
+    },
     "Stamps": {
         "stamps-none": FindingKind(
             "note",

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .findings import Finding, Unused
+from .fixes import Fixes
 from .records import Event, OdometryPoses, Scan, Track, frozen
 
 
@@ -35,7 +36,8 @@ class LaserLog:
     last in the file), or None. `odometry_from` says what it was made of: "poses", "tf", "ticks" or "none". Every scan
     of a log with odometry carries its own `Scan.odometry`; those need not be repeated in `odometry`.
     Either all scans have intensities or none: a constant intensity tells nothing, so the reader leaves it out and
-    says so in `findings`. unused: what was recorded beside and no reader took.
+    says so in `findings`. unused: what was recorded beside and no reader took; fixes:
+    where the robot was, as something outside it tells.
     told_hash: `scan_hash` of all scans where some are here without their ranges, else empty.
     """
 
@@ -50,6 +52,7 @@ class LaserLog:
     log_hash: str = ""
     told_hash: str = ""
     unused: tuple[Unused, ...] = ()
+    fixes: Fixes | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scan_t", frozen(self.scan_t))

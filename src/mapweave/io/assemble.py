@@ -15,6 +15,7 @@ from jaxtyping import Float
 from ..core import se2
 from ..core.errors import DataError
 from ..core.findings import Finding, Unused, Value
+from ..core.fixes import Fixes
 from ..core.laser_log import LaserLog
 from ..core.records import Scan, Track, frozen
 from .inertial import IMU, Inertial, with_turns
@@ -106,6 +107,7 @@ class RawLog:
     odometry_from: str = "none"
     scan_time: float | None = None
     inertial: Inertial | None = None
+    fixes: Fixes | None = None
     dropped: Counter = field(default_factory=Counter)
     findings: list[Finding] = field(default_factory=list)
     unused: list[Unused] = field(default_factory=list)
@@ -167,6 +169,7 @@ class RawLog:
             tuple(self.findings),
             self.log_hash,
             unused=tuple(self.unused),
+            fixes=self.fixes,
         )
 
     def _with_turns(

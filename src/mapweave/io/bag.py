@@ -53,6 +53,19 @@ NEEDED = {
         *(f"{what}.{name}" for what in ("angular_velocity", "linear_acceleration") for name in "xyz"),
         "linear_acceleration_covariance",
     ),
+    "sensor_msgs/msg/NavSatFix": attrgetter(
+        *STAMP,
+        "status.status",
+        "latitude",
+        "longitude",
+        "altitude",
+        "position_covariance",
+        "position_covariance_type",
+    ),
+    "geometry_msgs/msg/PoseStamped": attrgetter(*STAMP, *(f"pose.position.{name}" for name in "xyz")),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": attrgetter(
+        *STAMP, *(f"pose.pose.position.{name}" for name in "xyz"), "pose.covariance"
+    ),
     "nav_msgs/msg/Odometry": attrgetter(
         *STAMP,
         "child_frame_id",

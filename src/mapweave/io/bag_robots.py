@@ -12,6 +12,11 @@ from .transforms import Transforms, frame
 
 SCAN, ECHOES, CLOUD = (f"sensor_msgs/msg/{kind}" for kind in ("LaserScan", "MultiEchoLaserScan", "PointCloud2"))
 SCANS = (SCAN, ECHOES, CLOUD)
+FIXES = (
+    "sensor_msgs/msg/NavSatFix",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/PoseStamped",
+)
 ODOMETRY = "nav_msgs/msg/Odometry"
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
@@ -33,6 +38,7 @@ class BagRobot:
     tf: tuple[str, ...]
     unclear: str = ""
     imu: tuple[str, ...] = ()
+    fixes: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -61,8 +67,10 @@ def bag_robots(bag: Bag, sensors: Sequence[str] = ()) -> tuple[BagRobot, ...]:
     odometry = [topic for topic in bag.topics(ODOMETRY) if bag.counts.get(topic)]
     tf = bag.topics(*TF)
     imu = [topic for topic in bag.topics(IMU) if bag.counts.get(topic)]
+    fixes = [topic for topic in bag.topics(*FIXES) if bag.counts.get(topic)]
     if len(scans) <= 1 and len(odometry) <= 1:
-        return (BagRobot("", tuple(scans), tuple(odometry), tuple(tf), imu=tuple(imu)),) if scans else ()
+        only = BagRobot("", tuple(scans), tuple(odometry), tuple(tf), imu=tuple(imu), fixes=tuple(fixes))
+        return (only,) if scans else ()
     seen = _frames_and_transforms(bag, scans, odometry, tf)
     homes = {topic: _home(topic, (*odometry, *tf)) for topic in scans}
     trees = {home: _near(home, tf, set(homes.values())) for home in set(homes.values())}
@@ -72,8 +80,12 @@ def bag_robots(bag: Bag, sensors: Sequence[str] = ()) -> tuple[BagRobot, ...]:
         home = homes[group[0]]
         rivals = [other for other in groups if homes[other[0]] == home]
         mine, unclear = _odometry_of(group, rivals, home, odometry, set(homes.values()), seen, trees[home])
-        own = tuple(t for t in imu if len(rivals) == 1 and _owner(t, homes.values()) == home)
-        robots.append(BagRobot(_name(group, home, rivals, seen), tuple(group), mine, tuple(trees[home]), unclear, own))
+        own, told = (
+            tuple(t for t in topics if len(rivals) == 1 and _owner(t, homes.values()) == home)
+            for topics in (imu, fixes)
+        )
+        name = _name(group, home, rivals, seen)
+        robots.append(BagRobot(name, tuple(group), mine, tuple(trees[home]), unclear, own, told))
     names = [robot.name for robot in robots]
     robots = [replace(r, name=r.scans[0].strip("/")) if names.count(r.name) > 1 else r for r in robots]
     return tuple(sorted(robots, key=lambda robot: (in_order(robot.name), robot.scans)))

@@ -23,6 +23,7 @@ class LaserSource:
     sensor_pose: tuple[float, float, float] | None = None  # T_robot_sensor [m, m, rad]
     mirrored: bool = False  # beam angles run clockwise
     height: tuple[float, float] | None = None  # of point clouds what is a scan [m] above the floor
+    fixes: str | None = None  # topics that tell where the robot was
     table: ScanTable | None = None  # how text is read, whatever its rows are like
 
 
@@ -76,6 +77,7 @@ def read_laser(path: Path, robot: str = "1", source: LaserSource | None = None) 
             sensor_pose=source.sensor_pose,
             mirrored=source.mirrored,
             height=source.height,
+            fixes=source.fixes,
         )
     try:
         log = TextLog(path)

@@ -15,6 +15,7 @@ from ..laser.laser_map import GridMap, IntensityCalibration, LaserMap, ScanRecor
 from ..laser.pose_graph import PoseGraph
 from ..laser.robot_graph import RobotGraph
 from ..mapping.woven_map import ClosureRow, WovenMap
+from .fixes import write_georeferenced
 from .g2o import write_g2o
 from .npz import Spec, read_npz, write_arrays
 from .robot_graph import NAME as GRAPH
@@ -194,9 +195,13 @@ def write_calibration(path: Path, calibration: IntensityCalibration) -> None:
 
 
 def write_woven_map(folder: Path, woven: WovenMap) -> None:
-    """`folder` holds map.pgm, map.yaml, grid.npz, pose_graph.g2o of all keyframes, closures.csv and trajectories."""
+    """`folder` holds map.pgm, map.yaml, grid.npz, pose_graph.g2o of all keyframes, closures.csv and trajectories.
+
+    Where fixes place it, fixes.csv, trajectories.geojson and map.tif too.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    write_ros_map(folder, woven.grid)
+    write_ros_map(folder, woven.grid, None if woven.georeference is None else woven.georeference.row())
+    write_georeferenced(folder, woven)
     write_grid(folder / NAME, woven.grid, woven.calibration, woven.feature)
     write_g2o(folder / "pose_graph.g2o", woven.graph)
     write_closure_rows(folder / "closures.csv", woven.closures)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..core.errors import DataError, ReaderError
 from ..core.findings import Finding, finding_of, unused_of
+from ..core.fixes import Fixes
 from ..core.names import in_order, robot_name
 from ..core.records import Track
 from ..core.version import __version__
@@ -52,6 +53,12 @@ MAYBE: dict[str, Spec] = {
     "dead_pose": ("number", ("d", 3)),
     "information": ("number", ("m", 3, 3)),
     "odometry_calibration": ("number", (41,)),
+    "fixes": ("number", ("fixes", 4)),
+    "fixes_cov": ("maybe", ("fixes", 2, 2)),
+    "fixes_antenna": ("number", (2,)),
+    "fixes_words": ("text", (2,)),
+    "fixes_dropped": ("text", ("fixes_reasons",)),
+    "fixes_dropped_counts": ("whole", ("fixes_reasons",)),
 }
 T = TypeVar("T")
 AGAIN = "map its logs again with --method graph"
@@ -200,7 +207,16 @@ def _write(path: Path, laser_map: LaserMap) -> None:
         held["information"] = scans.information
     if laser_map.odometry_calibration is not None:
         held["odometry_calibration"] = laser_map.odometry_calibration.numbers()
-    write_arrays(path, held, gaps=("n_eff",))
+    if (fixes := laser_map.fixes) is not None:
+        held |= {
+            "fixes": np.column_stack([fixes.t, fixes.place]),
+            "fixes_cov": fixes.cov,
+            "fixes_antenna": fixes.antenna,
+            "fixes_words": np.array([fixes.frame, fixes.topic], dtype=np.str_),
+            "fixes_dropped": np.array(list(fixes.dropped), dtype=np.str_),
+            "fixes_dropped_counts": np.array(list(fixes.dropped.values()), dtype=np.int64),
+        }
+    write_arrays(path, held, gaps=("n_eff", "fixes_cov"))
 
 
 def _read(folder: Path, robot: str) -> LaserMap:
@@ -251,8 +267,18 @@ def _read(folder: Path, robot: str) -> LaserMap:
         called=said["called"],
         scan_hash=said["scan_hash"],
         unused=_rows(path, held, "unused", unused_of),
+        fixes=_fixes(held),
         odometry_calibration=None if known is None else OdometryCalibration.from_numbers(known),
     )
+
+
+def _fixes(held: Mapping[str, np.ndarray]) -> Fixes | None:
+    if not all(name in held for name in MAYBE if name.startswith("fixes")):
+        return None
+    frame, topic = map(str, held["fixes_words"])
+    dropped = dict(zip(map(str, held["fixes_dropped"]), held["fixes_dropped_counts"].tolist(), strict=True))
+    told = held["fixes"]
+    return Fixes(told[:, 0], told[:, 1:], held["fixes_cov"], held["fixes_antenna"], frame, topic, dropped)
 
 
 def _rows(path: Path, held: Mapping[str, np.ndarray], name: str, read: Callable[[object], T]) -> tuple[T, ...]:

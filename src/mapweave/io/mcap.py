@@ -1,7 +1,8 @@
 """A laser log as an MCAP recording that Foxglove and ROS 2 open: scans, odometry, transforms, the truth apart.
 
 Topics: `/scan`, `/odom`, `/tf` (odom to base_link), `/tf_static` (base_link to laser; world to odom when the truth is
-known) and `/ground_truth`, a PoseStamped, so that no reader looking for odometry finds the truth.
+known), `/fix` where a receiver is aboard, and `/ground_truth`, a PoseStamped, so that no reader looking for odometry
+finds the truth.
 """
 
 import tempfile
@@ -48,6 +49,7 @@ TYPES = {
     "/tf": "tf2_msgs/msg/TFMessage",
     "/tf_static": "tf2_msgs/msg/TFMessage",
     "/ground_truth": "geometry_msgs/msg/PoseStamped",
+    "/fix": "sensor_msgs/msg/NavSatFix",
 }
 
 
@@ -57,7 +59,8 @@ def write_mcap(path: Path, log: LaserLog, truth: Track | None = None, *, range_m
     They do when ranges, intensities and angles are 32-bit numbers, headings are rounded (`se2.representable_heading`)
     and stamps are whole nanoseconds, as simulated ones are. All scans must come from one sensor.
     """
-    types = {topic: kind for topic, kind in TYPES.items() if topic != "/ground_truth" or truth is not None}
+    absent = {"/ground_truth": truth is None, "/fix": log.fixes is None}
+    types = {topic: kind for topic, kind in TYPES.items() if not absent.get(topic)}
     write_messages(path, types, _messages(log, truth, range_min), {"/tf_static"})
 
 
@@ -102,6 +105,9 @@ def _messages(log: LaserLog, truth: Track | None, range_min: float) -> Iterator[
                 message_type("tf2_msgs/msg/TFMessage")(transforms=[transform_message(ns, ODOM, BASE, pose)]),
             )
             yield ns, "/odom", odometry_message(ns, pose)
+    if log.fixes is not None:
+        for t, place, cov in zip(log.fixes.t, log.fixes.place, log.fixes.cov, strict=True):
+            yield nanoseconds(t), "/fix", _fix(nanoseconds(t), place, cov)
     steps = np.diff(log.scan_t)
     every = float(np.median(steps)) if len(steps) else 0.0
     for t, scan in zip(log.scan_t, log.scans, strict=True):
@@ -122,6 +128,21 @@ def _scan(ns: int, scan: Scan, range_min: float, every: float) -> Any:
         range_max=scan.range_max,
         ranges=ranges,
         intensities=light.astype(np.float32),
+    )
+
+
+def _fix(ns: int, place: Float[np.ndarray, "3"], cov: Float[np.ndarray, "2 2"]) -> Any:
+    known = bool(np.isfinite(cov).all())
+    full = np.zeros((3, 3))
+    full[:2, :2] = cov if known else 0.0
+    return message_type("sensor_msgs/msg/NavSatFix")(
+        header=header_message(ns, BASE),
+        status=message_type("sensor_msgs/msg/NavSatStatus")(status=0, service=1),
+        latitude=float(place[0]),
+        longitude=float(place[1]),
+        altitude=float(place[2]),
+        position_covariance=full.ravel(),
+        position_covariance_type=2 if known else 0,
     )
 
 

@@ -15,11 +15,12 @@ from .assemble import RawLog, RawScan, floats
 from .bag import UNPACKABLE, Bag, bag_hash, open_bag, stamp
 from .bag_robots import CLOUD, ECHOES, ODOMETRY, SCAN, SCANS, TF, BagRobot, bag_robots, choose_robot
 from .clouds import cloud_scans
+from .fixes import NAVSAT, POSES, fix_row, fixes_of, frame_of, topics_of_fixes
 from .inertial import IMU, Inertial, imu_row
 from .tags import TAGS
 from .transforms import NOWHERE, Transforms, frame, planar, rigid, rotation_matrix
 
-READ = (SCAN, ECHOES, ODOMETRY, IMU, *TF)
+READ = (SCAN, ECHOES, ODOMETRY, IMU, NAVSAT, *TF)
 CHOOSES = "this one is read with --scan-topic"
 Stamped = tuple[float, str, Any]  # time [s], topic, LaserScan
 
@@ -39,11 +40,13 @@ def read_ros(
     sensor_pose: Sequence[float] | None = None,
     mirrored: bool = False,
     height: Sequence[float] | None = None,
+    fixes: str | None = None,
 ) -> LaserLog:
     """The log of the robot called `name` (or that the topics speak of, or the only one) in a recording.
 
     All its scanners that tf places are used, unless a topic is named; `odom_topic` may name a tf topic. Stamps are
-    those of the message headers. height: what of point clouds is a scan, from [m] to [m] above the floor. Raises
+    those of the message headers. height: what of point clouds is a scan, from [m] to [m] above the floor; fixes: topics
+    that tell where the robot was, by default satellites alone. Raises
     ReaderError, listing what is there, for a topic that is not, and where several robots could be meant.
     """
     bag = _opened(path, scan_topic)
@@ -54,7 +57,8 @@ def read_ros(
     if len(chosen.odometry) > 1:
         wheels, *others = chosen.odometry
         raw.find("topics-chosen", f"odometry is read from {wheels}; there is also {', '.join(others)}")
-    seen = _gathered(bag, chosen, raw)
+    told = topics_of_fixes(path, chosen.fixes, bag.kinds, fixes)
+    seen = _gathered(bag, chosen, raw, told)
     base = _with_odometry_from_tf(seen, chosen, raw)
     given = sensor_pose is not None
     used = _placed(seen.frames, bag, chosen.scans, seen.tf, base, raw, given=given)
@@ -65,6 +69,12 @@ def read_ros(
         topic = chosen.imu[0]
         place = seen.tf.rigid_pose(base, seen.frames[topic]) or NOWHERE
         raw.inertial = Inertial(topic, floats(sorted(seen.imu)), rotation_matrix(place[1])[2])
+    if told:
+        stands = seen.tf.rigid_pose(base, seen.frames.get(told[0], "")) if bag.kinds[told[0]] == NAVSAT else None
+        antenna = np.zeros(2) if stands is None else stands[0][:2]
+        raw.fixes = fixes_of(seen.fixes, told[0], frame_of(bag.kinds[told[0]], seen.frames.get(told[0], "")), antenna)
+        if bag.kinds[told[0]] in POSES:
+            raw.find("topics-chosen", f"positions are read from {told[0]}, as input and not as truth")
     return raw.finish(mirrored=mirrored, sensor_pose=sensor_pose)
 
 
@@ -84,13 +94,14 @@ class _Gathered:
     frames: dict[str, str] = field(default_factory=dict)
     tf: Transforms = field(default_factory=Transforms)
     imu: list[tuple[float, ...]] = field(default_factory=list)
+    fixes: list[tuple[float, ...] | str] = field(default_factory=list)
     base: Counter[str] = field(default_factory=Counter)
 
 
-def _gathered(bag: Bag, chosen: BagRobot, raw: RawLog) -> _Gathered:
+def _gathered(bag: Bag, chosen: BagRobot, raw: RawLog, fixes: Sequence[str]) -> _Gathered:
     """What the recording holds of a robot; its odometry messages, and what could not be read, are put into `raw`."""
     out = _Gathered()
-    wanted = {*chosen.scans, *chosen.tf, *chosen.odometry[:1], *chosen.imu[:1]}
+    wanted = {*chosen.scans, *chosen.tf, *chosen.odometry[:1], *chosen.imu[:1], *fixes}
     clouds = {topic for topic in chosen.scans if bag.kinds[topic] == CLOUD}
     for topic, _, message in bag.messages(clouds, once=clouds) if clouds else ():
         out.frames[topic] = frame(message.header.frame_id)
@@ -103,6 +114,9 @@ def _gathered(bag: Bag, chosen: BagRobot, raw: RawLog) -> _Gathered:
                 out.tf.add(stamp(transform.header, ns), transform)
         elif topic in chosen.imu:
             out.imu.append(imu_row(stamp(message.header, ns), message))
+            out.frames.setdefault(topic, frame(message.header.frame_id))
+        elif topic in fixes:
+            out.fixes.append(fix_row(stamp(message.header, ns), message))
             out.frames.setdefault(topic, frame(message.header.frame_id))
         else:
             pose = planar(rigid(message.pose.pose.position, message.pose.pose.orientation))
@@ -139,6 +153,8 @@ def _unused(bag: Bag, read: set[str], chosen: BagRobot) -> list[Unused]:
             continue
         if kind in TAGS:
             why = "landmarks; --method ekf maps them"
+        elif kind in {NAVSAT, *POSES}:
+            why = _why_no_fixes(topic, kind, chosen)
         elif kind not in {*SCANS, ODOMETRY, IMU, *TF}:
             why = "no reader for this type"
         elif kind == IMU:
@@ -151,6 +167,14 @@ def _unused(bag: Bag, read: set[str], chosen: BagRobot) -> list[Unused]:
             why = "of another robot, or not chosen"
         out.append(Unused(str(bag.path), topic, kind, bag.counts[topic], why))
     return out
+
+
+def _why_no_fixes(topic: str, kind: str, chosen: BagRobot) -> str:
+    if topic not in chosen.fixes:
+        return "of another robot, or it is not told of which"
+    if kind in POSES:
+        return f"poses by others may be the truth; --fixes {topic} reads their positions as input"
+    return f"another receiver is read, or none was asked for; --fixes {topic} reads this one"
 
 
 def _hash_of(digest: str, robot: BagRobot) -> str:

@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -163,9 +164,15 @@ def _origin(path: Path, value: Any) -> Float[np.ndarray, "3"]:
     return frozen([*map(float, value), 0.0][:3])
 
 
-def write_ros_map(folder: Path, grid: GridMap) -> None:
-    """`map.pgm` (row 0 at the top, so highest y) and `map.yaml` in `folder`."""
+def write_ros_map(folder: Path, grid: GridMap, georeference: Mapping[str, Any] | None = None) -> None:
+    """`map.pgm` (row 0 at the top, so highest y) and `map.yaml` in `folder`.
+
+    georeference: where the map lies in the world; a key of its own, which map servers read over.
+    """
     save_grid(grid, folder / "map.yaml")
+    if georeference is not None:
+        with (folder / "map.yaml").open("a", encoding="utf-8") as text:
+            text.write(f"georeference: {json.dumps(georeference)}\n")
 
 
 def save_grid(grid: GridMap, path: Path) -> None:

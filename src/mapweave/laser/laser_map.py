@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
 from ..core.findings import Finding, Unused
+from ..core.fixes import Fixes
 from ..core.records import Track, frozen
 from ..core.rows import RowBuffer
 from .beam import IntensityCalibration
@@ -135,7 +136,7 @@ class LaserMap:
     where it has none; scan_hash: of the stamps and ranges of all scans; odometry_calibration: what the log tells of its
     wheels and its scanner's mounting, and what of that the map was made with (stamps of late scans are those of the
     wheels' clock then), None where it tells nothing and of the other methods; unused: what was recorded beside and no
-    reader took.
+    reader took; fixes: where the robot was, as something outside it tells.
     """
 
     robot: str
@@ -158,6 +159,7 @@ class LaserMap:
     scan_hash: str = ""
     odometry_calibration: OdometryCalibration | None = None
     unused: tuple[Unused, ...] = ()
+    fixes: Fixes | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:

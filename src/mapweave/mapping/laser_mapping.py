@@ -182,6 +182,7 @@ def finish(
         graph=graph,
         scan_hash=log.scan_hash(),
         unused=log.unused,
+        fixes=log.fixes,
     )
 
 

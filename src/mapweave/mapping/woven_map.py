@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..core import se2
+from ..core.fixes import place_of
 from ..core.records import Track, frozen
 from ..laser.beam import IntensityCalibration
 from ..laser.laser_map import GridMap, LaserMap
@@ -45,12 +47,61 @@ class ClosureRow:
 
 
 @dataclass(frozen=True, slots=True)
+class Georeference:
+    """Where a map lies in the world that position fixes are told in.
+
+    datum: latitude [deg], longitude [deg], height [m] of the point from which the world's x is east and y north [m],
+    None where `frame` is a room's and not the earth's; T_world_map: (3,), cov: (3, 3) of it. Of receiver i: the robot
+    it is on, its topic, how many times its noise is what it says (`scale`). Of fix k: its receiver `owner`, stamp t
+    [s], place z (k, 2) [m] in the world, how far the robot's antenna is estimated from there, residual (k, 2) [m], and
+    whether it was used.
+    """
+
+    datum: Float[np.ndarray, "3"] | None
+    frame: str
+    T_world_map: Float[np.ndarray, "3"]
+    cov: Float[np.ndarray, "3 3"]
+    robots: tuple[str, ...]
+    topics: tuple[str, ...]
+    scale: Float[np.ndarray, " r"]
+    owner: Int[np.ndarray, " k"]
+    t: Float[np.ndarray, " k"]
+    z: Float[np.ndarray, "k 2"]
+    residual: Float[np.ndarray, "k 2"]
+    used: Bool[np.ndarray, " k"]
+
+    def places(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Longitude and latitude [deg] of points of the map, on the plane through the datum; needs a datum."""
+        assert self.datum is not None  # noqa: S101  (asked of the earth's frame alone)
+        enu = np.column_stack([se2.act(self.T_world_map, xy), np.zeros(len(xy))])
+        return place_of(enu, self.datum)[:, [1, 0]]
+
+    def row(self) -> dict[str, Any]:
+        """As it stands in `metrics.json` and, but for the receivers, in `map.yaml`."""
+        return {
+            "datum": None if self.datum is None else self.datum.tolist(),
+            "frame": self.frame,
+            "pose": self.T_world_map.tolist(),
+            "sd": np.sqrt(np.diag(self.cov)).tolist(),
+            "fixes": {
+                r: {
+                    "topic": topic,
+                    "fixes": int((self.owner == k).sum()),
+                    "used": int(self.used[self.owner == k].sum()),
+                    "noise_scale": float(self.scale[k]),
+                }
+                for k, (r, topic) in enumerate(zip(self.robots, self.topics, strict=True))
+            },
+        }
+
+
+@dataclass(frozen=True, slots=True)
 class WovenMap:
     """One component: the connected robots, in `map`, the first pose of the first of them.
 
     tracks: robot -> its trajectory with covariances; pose: (n, 3) all keyframes, robots in order, owner (n,) which
     robot's each is, t (n,) [s] their stamps; graph: the edges believed, over these poses; closures: every one tried
-    within and between these robots, and those tried with robots of later components.
+    within and between these robots, and those tried with robots of later components; georeference: where fixes put it.
     """
 
     robots: tuple[str, ...]
@@ -62,6 +113,12 @@ class WovenMap:
     owner: Int[np.ndarray, " n"]
     t: Float[np.ndarray, " n"]
     closures: tuple[ClosureRow, ...]
+    georeference: Georeference | None = None
+
+    @property
+    def joint(self) -> bool:
+        """Whether this is more than the map of one robot as that robot alone has it."""
+        return len(self.robots) > 1 or self.georeference is not None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "owner", frozen(self.owner, np.int64))
@@ -153,7 +210,7 @@ def _component(
     return WovenMap(
         robots=tuple(maps[k].robot for k in group),
         tracks=tracks,
-        grid=_grid(graphs, [poses[k] for k in group], resolution, lit=feature != "none"),
+        grid=joint_grid(graphs, [poses[k] for k in group], resolution, lit=feature != "none"),
         feature=feature,
         calibration=maps[group[0]].calibration if feature != "none" else None,
         graph=graph,
@@ -177,7 +234,7 @@ def placed_track(local_map: LaserMap, pose: Float[np.ndarray, "n 3"], cov: Float
     return Track(own.t, blended(own.pose, rows, corrected), between_keyframes(own.t, placed), FRAME)
 
 
-def _grid(
+def joint_grid(
     graphs: Sequence[RobotGraph], poses: Sequence[Float[np.ndarray, "_ 3"]], resolution: float, *, lit: bool
 ) -> GridMap:
     """All keyframes of all robots laid on one grid."""

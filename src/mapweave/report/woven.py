@@ -192,7 +192,7 @@ def write_maps(
 ) -> None:
     """The maps of several robots on `page`, their figures in `folder/figures`, and intensity.png of each."""
     for k, woven in enumerate(components, 1):
-        if len(woven.robots) > 1:
+        if woven.joint:
             _component(page, folder, woven, k, truth, places, findings)
 
 

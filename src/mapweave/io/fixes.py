@@ -1,0 +1,143 @@
+"""Position fixes from ROS recordings, and maps laid by them as files: GeoJSON, GeoTIFF, a table of the fixes.
+
+Satellite receivers (`sensor_msgs/NavSatFix`) are sensors of the robot that carries them. Poses of others
+(`geometry_msgs/PoseStamped`, `PoseWithCovarianceStamped`: motion capture, somebody's localisation) may be the truth, or
+made of what is to be mapped: they are read where they are asked for by name, and nowhere else.
+"""
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from PIL import Image, TiffImagePlugin
+
+from ..core.errors import ReaderError
+from ..core.fixes import EARTH, Fixes
+from ..core.names import robot_name
+from ..mapping.woven_map import Georeference, WovenMap
+from .bag_robots import FIXES
+from .ros_map import trinary
+from .table import write_table
+
+NAVSAT, *POSES = FIXES
+NO_FIX, UNKNOWN = -1, 0  # of a NavSatFix: its status without satellites, its covariance that nobody knows
+LARGEST = 1e9  # [m] and [m^2]: what is more was never measured
+WGS84_CODE = 4326  # EPSG's number of latitude and longitude on WGS 84
+# GeoTIFF 1.1, tags and keys: the transform from pixels, the directory of keys; a geographic model, pixels are areas.
+TRANSFORM, KEYS = 34264, 34735
+GEO_KEYS = (1, 1, 0, 3, 1024, 0, 1, 2, 1025, 0, 1, 1, 2048, 0, 1, WGS84_CODE)
+
+
+def topics_of_fixes(path: Path, own: Sequence[str], kinds: dict[str, str], asked: str | None) -> tuple[str, ...]:
+    """Which of a robot's `own` topics are read: of receivers the fullest, or those `asked` for by name; none of `none`.
+
+    Raises ReaderError for a topic that is not in the recording, or of a type that tells no position.
+    """
+    if asked is None:
+        return tuple(topic for topic in own if kinds[topic] == NAVSAT)[:1]
+    wanted = [word.strip() for word in asked.split(",") if word.strip() and word.strip() != "none"]
+    there = {topic.strip("/"): topic for topic in kinds if kinds[topic] in {NAVSAT, *POSES}}
+    for word in wanted:
+        if word.strip("/") not in there:
+            held = ", ".join(f"{topic} ({kinds[topic]})" for topic in there.values()) or "none"
+            raise ReaderError(path, f"--fixes: no topic {word!r} that tells positions; there are {held}")
+    mine = [there[word.strip("/")] for word in wanted if there[word.strip("/")] in own]
+    return tuple(mine[:1])
+
+
+def fix_row(t: float, message: Any) -> tuple[float, ...] | str:
+    """Time [s], place (3) and covariance (xx, xy, yy) of a message; why it tells nothing, where it does not."""
+    if hasattr(message, "latitude"):
+        if message.status.status == NO_FIX:
+            return "fix without satellites"
+        height = float(message.altitude)
+        place = float(message.latitude), float(message.longitude), height if np.isfinite(height) else 0.0
+        c = message.position_covariance
+        known = message.position_covariance_type != UNKNOWN
+        cov = (float(c[0]), float(c[1]), float(c[4])) if known else (np.nan,) * 3
+        if np.isfinite(place).all() and (abs(place[0]) > 90 or abs(place[1]) > 180):
+            return "fix whose latitude or longitude cannot be"
+        if place[:2] == (0.0, 0.0):
+            return "fix at latitude 0, longitude 0"
+    else:
+        pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+        place = float(pose.position.x), float(pose.position.y), float(pose.position.z)
+        c = getattr(message.pose, "covariance", None)
+        cov = (np.nan,) * 3 if c is None else (float(c[0]), float(c[1]), float(c[7]))
+    if not np.isfinite(place).all() or max(map(abs, place)) > LARGEST:
+        return "fix that is no number"
+    xx, xy, yy = cov
+    sound = np.isfinite(cov).all() and 0 < xx < LARGEST and 0 < yy < LARGEST and xx * yy > xy**2
+    return t, *place, *(cov if sound else (np.nan,) * 3)
+
+
+def fixes_of(
+    rows: Sequence[tuple[float, ...] | str], topic: str, frame: str, antenna: Float[np.ndarray, "2"]
+) -> Fixes | None:
+    """The fixes of `fix_row`s in order of time, of one stamp the first; None where there are no messages."""
+    if not rows:
+        return None
+    dropped = Counter(row for row in rows if isinstance(row, str))
+    told = np.array([row for row in rows if not isinstance(row, str)], dtype=float).reshape(-1, 7)
+    told = told[np.isfinite(told[:, 0])]
+    _, first = np.unique(told[:, 0], return_index=True)
+    if len(first) < len(told):
+        dropped["fix whose stamp comes again"] += len(told) - len(first)
+    told = told[first]
+    cov = told[:, [4, 5, 5, 6]].reshape(-1, 2, 2)
+    return Fixes(told[:, 0], told[:, 1:4], cov, np.asarray(antenna, float), frame, topic, dict(dropped))
+
+
+def frame_of(kind: str, header_frame: str) -> str:
+    """The world that fixes of this type are told in."""
+    return EARTH if kind == NAVSAT else header_frame or "world"
+
+
+def write_georeferenced(folder: Path, woven: WovenMap) -> None:
+    """`fixes.csv`, and on the earth `trajectories.geojson` and `map.tif`, of a map that fixes place."""
+    g = woven.georeference
+    if g is None:
+        return
+    world = [robot_name(g.robots[k]) for k in g.owner.tolist()]
+    rows = zip(g.t.tolist(), world, *g.z.T.tolist(), *g.residual.T.tolist(), g.used.astype(int).tolist(), strict=True)
+    write_table(folder / "fixes.csv", ["t", "robot", "x", "y", "residual_x", "residual_y", "used"], rows)
+    if g.datum is None:
+        return
+    (folder / "trajectories.geojson").write_text(json.dumps(geojson(woven, g)) + "\n", encoding="utf-8")
+    write_geotiff(folder / "map.tif", woven, g)
+
+
+def geojson(woven: WovenMap, g: Georeference) -> dict[str, Any]:
+    """A line a robot, longitude and latitude [deg] in nine decimals (a tenth of a millimetre) [RFC 7946]."""
+    out = []
+    for robot, track in woven.tracks.items():
+        line = np.round(g.places(track.pose[:, :2]), 9).tolist()
+        told = {"robot": robot_name(robot), "from": float(track.t[0]), "to": float(track.t[-1])}
+        shape = {"type": "LineString", "coordinates": line if len(line) > 1 else line * 2}
+        out.append({"type": "Feature", "geometry": shape, "properties": told})
+    return {"type": "FeatureCollection", "features": out}
+
+
+def write_geotiff(path: Path, woven: WovenMap, g: Georeference) -> None:
+    """`path` is the occupancy (0 wall, 205 unknown, 254 free) with the transform from its pixels to degrees.
+
+    The transform is that at the middle of the map: degrees are no plane, and a corner a kilometre away is off by
+    decimetres.
+    """
+    picture = trinary(woven.grid)
+    rows, cols = picture.shape
+    size, (x0, y0) = woven.grid.resolution, woven.grid.origin
+    middle = np.array([x0 + 0.5 * size * cols, y0 + 0.5 * size * rows])
+    at = g.places(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    J = np.stack([at[1] - at[0], at[2] - at[0]], axis=1)  # degrees a metre of the map's x and y
+    M = np.zeros((4, 4))
+    M[:2, 0], M[:2, 1], M[3, 3] = size * J[:, 0], -size * J[:, 1], 1.0
+    M[:2, 3] = at[0] - 0.5 * (cols * M[:2, 0] + rows * M[:2, 1])
+    tags = TiffImagePlugin.ImageFileDirectory_v2()
+    tags[TRANSFORM], tags.tagtype[TRANSFORM] = tuple(M.ravel().tolist()), 12  # of doubles
+    tags[KEYS], tags.tagtype[KEYS] = GEO_KEYS, 3  # of short integers
+    Image.fromarray(picture).save(path, format="TIFF", tiffinfo=tags, compression="tiff_deflate")
