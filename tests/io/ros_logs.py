@@ -15,6 +15,9 @@ KINDS = {
     "cloud": "sensor_msgs/msg/PointCloud2",
     "echoes": "sensor_msgs/msg/MultiEchoLaserScan",
     "imu": "sensor_msgs/msg/Imu",
+    "fix": "sensor_msgs/msg/NavSatFix",
+    "place": "geometry_msgs/msg/PoseStamped",
+    "unsure": "geometry_msgs/msg/PoseWithCovarianceStamped",
     "objects": "vision_msgs/msg/Detection3DArray",
     "markers": "ros2_aruco_interfaces/msg/ArucoMarkers",
     "tags": "apriltag_msgs/msg/AprilTagDetectionArray",
@@ -121,6 +124,29 @@ class Recording:
             linear_acceleration_covariance=np.array([-1.0 if felt is None else 0.0, *none[1:]]),
         )
         self.rows.append((t, topic, "imu", message))
+
+    def fix(self, t, place, sd=1.0, topic="/fix", frame="gps", *, status=0, cov=None):
+        """Latitude, longitude [deg] and height [m]; sd: None where it is not known; cov: as it is."""
+        of = self.of
+        full = np.diag([sd or 0.0] * 3).ravel() ** 2 if cov is None else np.asarray(cov, float).ravel()
+        message = of(
+            KINDS["fix"],
+            header=self.header(t, frame),
+            status=of("sensor_msgs/msg/NavSatStatus", status=status, service=1),
+            **dict(zip(("latitude", "longitude", "altitude"), map(float, place), strict=True)),
+            position_covariance=full,
+            position_covariance_type=0 if sd is None else 2,
+        )
+        self.rows.append((t, topic, "fix", message))
+
+    def place(self, t, at, topic="/mocap/pose", frame="mocap", *, cov=None):
+        """A pose by others, with its covariance (6, 6) where there is one."""
+        pose = self.pose(at)
+        if cov is not None:
+            covariance = np.asarray(cov, float).ravel()
+            pose = self.of("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance)
+        kind = "place" if cov is None else "unsure"
+        self.rows.append((t, topic, kind, self.of(KINDS[kind], header=self.header(t, frame), pose=pose)))
 
     def pose(self, at):
         return self.of(

@@ -293,7 +293,11 @@ def _lasers(
     logs: dict[str, LaserLog] = {}
     for robot in sorted(lasers, key=in_order):
         key = robot_key(robot)
-        logs[robot] = first_part(read_laser(lasers[robot].path, key, lasers[robot].source), options.share.get(key, 1.0))
+        log = first_part(read_laser(lasers[robot].path, key, lasers[robot].source), options.share.get(key, 1.0))
+        if log.fixes is not None:
+            told = Finding("fixes-unused", key, value="mixed teams are not laid by them")
+            log = replace(log, fixes=None, findings=(*log.findings, told))
+        logs[robot] = log
     with worker_pool(options.jobs, len(logs), options.executor) as pool:
         if pool is None:
             return logs, {r: map_laser(log, cfg, options.seed, options.on_progress) for r, log in logs.items()}

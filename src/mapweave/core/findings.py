@@ -182,8 +182,9 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
         "fixes-vague": FindingKind(
             "note",
             "fixes tell the heading of the map to {value:.0f} degrees alone",
-            "The robot moved too little for the noise of its fixes: where its map lies in the world is not known.",
-            "Drive farther.",
+            "The robot moved too little for the noise of its fixes, or they are of another drive: where its map lies "
+            "in the world is not known.",
+            "Drive farther; look whether clocks agree.",
         ),
         "fixes-mirrored": FindingKind(
             "bad",
@@ -199,7 +200,8 @@ SECTIONS: dict[str, dict[str, FindingKind]] = {
         ),
         "placed-by-fixes": FindingKind(
             "note",
-            "nothing that was seen ties it to {other}: fixes place it in the world, to {value:.2f} m and {turn:.1f} degrees",
+            "nothing that was seen ties it to {other}: fixes place it in the world, to {value:.2f} m and "
+            "{turn:.1f} degrees",
             "The maps are one by their fixes alone.",
             "Nothing, where that is sure enough.",
         ),

@@ -27,6 +27,7 @@ from .woven_map import ClosureRow, Georeference, WovenMap, joint_grid, placed_tr
 FARTHEST = 50_000.0  # [m] from the datum: beyond, a plane is no map, and fixes are of another place
 MOSTLY = 0.5  # share of wrong fixes from which nothing is believed
 SILENT = 60.0  # [s] without a fix, from which it is told
+EXPLAINED = 0.8  # of how far fixes lie from their middle: what a way must leave less of
 WORSE = 2.0  # times what fixes say of their noise, from which it is told
 START_XY, START_TURN = 0.5, 0.03  # [m], [rad] sd of a start that fixes tell, beside their own
 
@@ -125,13 +126,14 @@ def _sighted(m: LaserMap, fixes: Fixes, datum: Float[np.ndarray, "3"] | None) ->
     t = np.concatenate([graph.t, graph.revisits.t])
     order = np.argsort(t, kind="stable")
     host = np.concatenate([np.arange(len(graph)), graph.revisits.at])[order]
+    step = np.concatenate([np.zeros((len(graph), 3)), graph.revisits.step])[order]
     t = t[order]
     after = np.clip(np.searchsorted(t, fixes.t), 1, len(t) - 1) if len(t) > 1 else np.zeros(len(fixes), np.int64)
     nearest = np.where(np.abs(t[after - 1] - fixes.t) < np.abs(t[after] - fixes.t), after - 1, after)
-    rows = host[nearest]
-    here = se2.interpolate(fixes.t, m.track.t, m.track.pose)
-    arm = se2.act(se2.between(graph.pose[rows], here), np.broadcast_to(fixes.antenna, (len(fixes), 2)))
-    return Sighted(m.robot, fixes, rows, np.asarray(arm), fixes.xy(datum))
+    there, here = (se2.interpolate(at, m.track.t, m.track.pose) for at in (t[nearest], fixes.t))
+    way = se2.compose(step[nearest], se2.between(there, here))
+    arm = se2.act(way, np.broadcast_to(fixes.antenna, (len(fixes), 2)))
+    return Sighted(m.robot, fixes, host[nearest], np.asarray(arm), fixes.xy(datum))
 
 
 def _alone(m: LaserMap, sighted: Sighted) -> Laid | None:
@@ -146,9 +148,11 @@ def _alone(m: LaserMap, sighted: Sighted) -> Laid | None:
 
 
 def _vague(p: Float[np.ndarray, "k 2"], z: Float[np.ndarray, "k 2"]) -> float | None:
-    """[rad] to which fixes tell the heading, where that is too little."""
-    off = np.hypot(*(se2.act(registered(p, z)[0], p) - z).T)
-    turn = turn_sd(p, float(np.median(off)))
+    """[rad] to which fixes tell the heading, where that is too little; all of it where they are not of this way."""
+    off = float(np.median(np.hypot(*(se2.act(registered(p, z)[0], p) - z).T)))
+    if off > EXPLAINED * float(np.median(np.hypot(*(z - np.median(z, axis=0)).T))):
+        return np.pi
+    turn = turn_sd(p, off)
     return turn if turn > SURE_TURN else None
 
 

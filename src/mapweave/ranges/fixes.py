@@ -27,7 +27,7 @@ MEDIAN2 = 1.3863  # of the squared norm of two standard Gaussians: 2 ln 2
 FAR2 = 13.82  # squared sd from which a fix is wrong: 99.9 % of 2 degrees of freedom
 WIDE = Cauchy(2.0)  # while poses and noise are still guesses
 ROUNDS, SETTLED = 12, 0.05  # of them at most, and the share of noise that the last may change it by
-MIRROR = 0.3  # of the distances: so much nearer, and the fixes are those of the mirrored way
+MIRROR = 0.6  # of the distances: so much nearer, and the fixes are those of the mirrored way
 OUT = 1e6  # times its sd: a fix that is left out
 SOLVE = SolveConfig(max_iterations=30, damping=1e-4, step_tolerance=1e-5, cost_tolerance=1e-7)
 
