@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import mapweave
 from mapweave.core import se2
 from mapweave.core.records import Track
 from mapweave.ranges.estimate import RangeEstimate, estimate, lasting
@@ -133,6 +134,33 @@ def test_ranges_that_cannot_be_are_dropped_and_counted():
         "range that is no positive number": 3,
         "range while odometry is silent": 1,
     }
+
+
+@pytest.mark.parametrize("nlos", [0.0, 0.2])
+def test_places_of_robots_err_as_they_say(nlos):
+    nees = []
+    for seed in range(2):
+        team = mapweave.simulate_team(ranges=True, beacons=4, nlos=nlos, minutes=1.0, seed=seed)
+        truth = {r.name: r.truth for r in team.robots}
+        names = (*truth, *team.landmarks)
+        ends = [np.concatenate([np.full(len(r.t), names.index(getattr(r, k))) for r in team.ranges]) for k in "ab"]
+        t, z = (np.concatenate([getattr(r, k) for r in team.ranges]) for k in "tz")
+        net = network_of(RangeLog({r.name: r.odometry for r in team.robots}, names, *ends, t, z))
+        part = estimate(net).parts[0]
+        true = np.array(
+            [
+                se2.interpolate(net.t[[k]], truth[name].t, truth[name].pose)[0, :2]
+                if (name := net.everybody[net.owner[k]]) in truth
+                else team.landmarks[name]
+                for k in part.nodes
+            ]
+        )
+        e = part.pose[:, :2] - se2.act(se2.align(true, part.pose[:, :2]), true)
+        driven = ~net.is_beacon[part.nodes]
+        P = part.cov[driven][:, :2, :2]
+        nees.append(float(np.einsum("ni,nij,nj->n", e[driven], np.linalg.inv(P), e[driven]).mean() / 2))
+        assert np.sqrt(np.trace(P, axis1=1, axis2=2)).mean() < 0.05  # not the metre that the frame's own heading makes
+    assert 0.5 < np.mean(nees) < 2.0
 
 
 def test_errors_that_last_are_told_from_those_that_do_not():

@@ -14,6 +14,7 @@ from ..core import se2
 from ..solve import (
     Cauchy,
     GemanMcClure,
+    Information,
     Kernel,
     Pattern,
     Problem,
@@ -65,8 +66,9 @@ class Radio:
 @dataclass(frozen=True, slots=True)
 class PlacedPart:
     """What ranges and motions tie: `nodes` (m,) of the network, `first` of which holds the frame, or None where priors
-    do; pose: (m, 3); cov: (m, 3, 3); beacon_cov: (2b, 2b), joint, of its b beacons; mirrored: other ways in which it
-    may lie that explain the ranges as well; still: robots whose heading nothing tells.
+    do; pose: (m, 3); cov: (m, 3, 3), without priors of the frame that fits all places best; beacon_cov: (2b, 2b), of
+    its b beacons together; mirrored: other ways in which it may lie that explain the ranges as well; still: robots
+    whose heading nothing tells.
     """
 
     nodes: Int[np.ndarray, " m"]
@@ -182,6 +184,8 @@ class _Solved:
         cov, joint = np.full((n, 3, 3), np.nan), np.full((len(at), len(at)), np.nan)
         if self.solution.information is not None:
             cov, joint = self.solution.blocks(columns_of(np.arange(n))), self.solution.covariance(at)
+            if self.first is not None:
+                cov, joint = self._about_all(self.solution.information, cov, at, joint)
         still = np.unique(self.net.owner[self.nodes[self.unturned & ~beacon]]).tolist()
         return PlacedPart(
             nodes=self.nodes,
@@ -193,6 +197,32 @@ class _Solved:
             mirrored=mirrored,
             still=tuple(self.net.robots[k] for k in still),
         )
+
+    def _about_all(
+        self, information: Information, cov: np.ndarray, at: Int[np.ndarray, " c"], joint: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The covariances `cov` of all nodes and `joint` of the entries `at`, in the frame that fits all places best.
+
+        Nothing says where a team without priors lies. Seen from one pose, whose heading odometry tells to a degree or
+        two, everything a few metres away is unsure by decimetres, and all alike; that is no error of the map. An
+        S-transformation [Baarda, 1973] takes it out: x - G c, where c (3) is how the whole lies, by its places.
+        """
+        n = len(self.nodes)
+        G = np.zeros((n, 3, 3))  # how poses change as the frame does: moved in x, in y, turned
+        G[:] = np.eye(3)
+        G[:, 0, 2], G[:, 1, 2] = -self.pose[:, 1], self.pose[:, 0]
+        flat = G[:, :2].reshape(-1, 3)
+        M = np.linalg.inv(flat.T @ flat)
+        U = np.zeros((len(self.solution.x), 3))
+        U[columns_of(np.arange(n))[:, :2].ravel()] = flat @ M  # c = U^T x
+        V = np.zeros_like(U)
+        V[self.solution.free] = information.solve(U[self.solution.free])
+        C, held = U.T @ V, V[: 3 * n].reshape(n, 3, 3)
+        across = held @ G.swapaxes(1, 2)
+        out = cov - across - across.swapaxes(1, 2) + G @ C @ G.swapaxes(1, 2)
+        row = G.reshape(-1, 3)[at]
+        mixed = V[at] @ row.T
+        return out, joint - mixed - mixed.T + row @ C @ row.T
 
     def radios(self) -> list[Radio]:
         who = self.net.everybody
