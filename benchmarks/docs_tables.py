@@ -75,6 +75,7 @@ TABLES = (
     Table("wheels and mounting", "docs/laser.md", bench("laser_calibration"), "stdout"),
     Table("pose graphs", "docs/laser.md", bench("solve"), "stdout"),
     Table("ranges", "docs/methods/ranging.md", bench("ranges"), "stdout"),
+    Table("fixes", "docs/methods/fixes.md", bench("fixes"), "stdout"),
     Table("starts searched", "docs/laser.md", bench("localize_trust"), "stdout"),
     Table(
         "wrong sightings",

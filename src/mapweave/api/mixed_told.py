@@ -41,8 +41,12 @@ def findings_of(
         out += of_robot([f for f in log.findings if not (idle and f.code == "saw-nothing")], log.robot)
     out += [found for robot, m in lasers.items() for found in of_robot(m.findings, robot)]
     out += [Finding("clock-apart", robot, value=gap, action="it stays apart") for robot, gap in apart.items()]
-    why = "nothing that it saw, and nobody who saw it, tells where it was"
-    out += [Finding("unplaced", robot, value=why) for robot in mixed.layout.lost]
+    own = {log.robot: len(log.sightings) + len(log.bearings) for log in read}
+    for robot in mixed.layout.lost:
+        why = "nothing that it saw, and nobody who saw it, tells where it was"
+        if own.get(robot):
+            why = f"its {own[robot]} sightings and those of it place it at too few moments to tell where it was"
+        out.append(Finding("unplaced", robot, value=why))
     if others := [robot for component in mixed.components[1:] for robot in component.map.robots]:
         out.append(Finding("robots-apart", value=told_list(others)))
     for component in mixed.components:
