@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mapweave.core import se2
+from mapweave.core.records import Scan
 from mapweave.laser.beam import BeamConfig
 from mapweave.laser.motion_agreement import (
     MotionAgreement,
@@ -18,7 +19,7 @@ from mapweave.laser.motion_agreement import (
     ways,
 )
 
-from ..io.test_scan_agreement import drive
+from ..io.test_scan_agreement import drive, ranges
 
 CFG, BEAM = MotionCheck(), BeamConfig()
 
@@ -104,6 +105,21 @@ def test_a_bare_corridor_tells_nothing_of_the_way_along_it():
     along = [scan for scan in scans if abs(np.sin(scan.odometry[2])) < 0.1]
     assert len(along) > 20
     assert motion_agreement(1.2 * np.array([s.odometry for s in along]), along, BEAM, CFG).scale is None
+
+
+@pytest.mark.parametrize(("course", "n"), [(0.5, 39), (0.0, 0)])
+def test_a_way_that_bends_is_told_where_the_walls_at_both_its_ends_stand_across_its_chord(course, n):
+    """To and fro in a corridor along x, the robot turned by 0.3 rad on each way: a chord along the walls is not told."""
+    ends = CFG.way * np.array([[0.0, 0.0], [np.cos(course), np.sin(course)]])
+    poses = np.tile(np.column_stack([ends, course + np.array([0.15, -0.15])]), (20, 1))
+    rng = np.random.default_rng(3)
+    seen = [ranges(pose, (400.0, 6.0), rng) for pose in poses]
+    scans = [
+        Scan(np.minimum(r, 30.0), r < 30.0, None, -np.pi / 2, np.pi / 179, 30.0, odometry=pose)
+        for r, pose in zip(seen, poses, strict=True)
+    ]
+    found = motion_agreement(poses, scans, BEAM, CFG).scale
+    assert (found.n if found else 0) == n
 
 
 def test_without_odometry_there_is_nothing_to_say():
