@@ -1,4 +1,4 @@
-"""What the documentation tells people to type is what the command line takes, and tests it names are there."""
+"""What the documentation tells people to type is what the command line takes."""
 
 import json
 import re
@@ -12,7 +12,6 @@ from mapweave.cli import _run, make_app
 TOP = Path(__file__).parent.parent
 PAGES = sorted([*TOP.glob("docs/**/*.md"), TOP / "README.md"])
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-TEST = re.compile(r"`(tests/[\w/]+\.py)(?:::(\w+))?`")
 
 
 def commands(page):
@@ -48,16 +47,6 @@ def test_a_command_within_a_sentence_can_be_typed_as_it_stands(page):
         if "|" in code or len(words) < 2 or words[0].isupper() or (len(words) == 2 and words[1].isupper()):
             continue  # a verb alone, or one that stands for several
         make_app().parse_args(words, print_error=False, exit_on_error=False)
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_tests_that_a_page_names_are_there(page):
-    missing = []
-    for file, name in TEST.findall(page.read_text(encoding="utf-8")):
-        path = TOP / file
-        if not path.exists() or (name and f"def {name}(" not in path.read_text(encoding="utf-8")):
-            missing.append(f"{file}::{name}")
-    assert not missing
 
 
 def test_the_first_example_of_swarms_locates_every_robot_as_printed(tmp_path, monkeypatch):
