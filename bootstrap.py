@@ -26,9 +26,8 @@ def main() -> int:
         venv.create(home, with_pip=True)
     extra = "[test]" if job == "test" else ""
     print(f"installing into {home}: about 500 MB, half a minute where the packages are near", flush=True)
-    install = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-    if job == "demo":
-        install.append("--no-compile")  # a third of what is installed is imported: that alone becomes byte code
+    # a third of what is installed is imported: that alone becomes byte code
+    install = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile"]
     done = subprocess.run([*install, "-c", str(HERE / "constraints.txt"), "-e", f"{HERE}{extra}"], check=False)
     if done.returncode:
         return done.returncode

@@ -80,12 +80,9 @@ def data() -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def _parts_of_their_own(tmp_path_factory):
-    """What stopped work leaves is kept apart from the user's."""
-    from mapweave.kernels.own_folder import own_folder
+    """What stopped work leaves is kept apart from the user's; what is compiled is shared all the same."""
+    from .caches import own_cache
 
-    kernels = own_folder("kernels")
     with pytest.MonkeyPatch.context() as patch:
-        if kernels is not None and "NUMBA_CACHE_DIR" not in os.environ:
-            patch.setenv("NUMBA_CACHE_DIR", str(kernels))  # what is compiled is shared all the same
-        patch.setenv("MAPWEAVE_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("MAPWEAVE_CACHE_DIR", str(own_cache(tmp_path_factory.mktemp("own"))))
         yield

@@ -21,6 +21,7 @@ from mapweave.io.robot_graph import read_robot_graph
 from mapweave.io.table import read_table
 from mapweave.io.tum import read_tum
 
+from ..caches import own_cache
 from ..io.ros_logs import Recording, wall
 
 OWN = ("map.pgm", "map.yaml", "intensity.png", "scans.csv", "pose_graph.g2o", "grid.npz")
@@ -228,7 +229,7 @@ def test_one_robot_of_several_logs_can_be_asked_for(log):
 
 def test_robots_that_were_mapped_before_the_run_broke_off_are_not_mapped_again(log, monkeypatch, tmp_path):
     monkeypatch.setattr("mapweave.io.kept.LEAST", 0.0)
-    monkeypatch.setenv("MAPWEAVE_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setenv("MAPWEAVE_CACHE_DIR", str(own_cache(tmp_path)))
     mapped, broken, map_laser, metrics = [], [True], lasers.map_laser, lasers.laser_metrics
 
     def counted(*words):

@@ -15,6 +15,8 @@ from mapweave.core.errors import DataError
 from mapweave.io import kept
 from mapweave.io.kept import kept_parts, part, parts
 
+from ..caches import own_cache
+
 
 class BrokenError(Exception):
     pass
@@ -38,7 +40,7 @@ def size(path: Path, scale: float = 1.0) -> float:
 
 @pytest.fixture(autouse=True)
 def store(tmp_path, monkeypatch):
-    monkeypatch.setenv("MAPWEAVE_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setenv("MAPWEAVE_CACHE_DIR", str(own_cache(tmp_path)))
     monkeypatch.setattr(kept, "LEAST", 0.0)
     CALLS.clear()
     BREAK_AT.clear()
@@ -179,7 +181,7 @@ def told_of(out):
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
-    going = exploring(folder / "out", folder / "cache")
+    going = exploring(folder / "out", own_cache(folder))
     assert without_progress(going.communicate(timeout=240)[1]) == ""
     return told_of(folder / "out")
 
