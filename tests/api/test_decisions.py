@@ -61,8 +61,10 @@ def test_the_file_given_back_as_it_is_changes_no_byte(made, logs, tmp_path):
 
 
 def test_two_robots_said_to_be_apart_stay_apart_and_what_scans_say_is_told(made, logs, tmp_path):
+    """Given from the second robot's side; the file that is written tells it from the first's."""
     told = held(made)
-    with_word(told["pairs"], "apart", a="1", b="2")
+    row = with_word(told["pairs"], "apart", a="1", b="2")
+    row["a"], row["b"] = "2", "1"
     result = mapweave.map(logs, tmp_path / "apart", decisions=told)
     assert [c.robots for c in result.components] == [("1",), ("2",)]
     assert "merge-forbidden" in {f.code for f in result.findings}
@@ -71,12 +73,6 @@ def test_two_robots_said_to_be_apart_stay_apart_and_what_scans_say_is_told(made,
     again = mapweave.map(logs, tmp_path / "again", decisions=tmp_path / "apart" / "decisions.toml")
     assert [c.robots for c in again.components] == [("1",), ("2",)]
     assert (tmp_path / "again" / "decisions.toml").read_bytes() == (tmp_path / "apart" / "decisions.toml").read_bytes()
-
-
-@pytest.mark.slow
-def test_a_pair_said_to_be_apart_may_be_seen_from_either_robot(made, logs):
-    result = mapweave.map(logs, decisions={"pairs": [{"a": "2", "b": "1", "decision": "apart"}]})
-    assert len(result.components) == 2
 
 
 @pytest.mark.slow
@@ -197,9 +193,9 @@ def test_a_file_of_another_result_and_rows_of_nobody_are_refused(made, logs, tmp
         mapweave.map(logs, decisions=told)
     row = {"robot_a": "1", "stamp_a": 1.25e9, "robot_b": "1", "stamp_b": 1017.0, "decision": "apart"}
     with pytest.raises(ReaderError, match=r"robot 1 has no keyframe at 1250000000\.0 s"):
-        mapweave.map(logs, decisions={"places": [row]})
-    with pytest.raises(ReaderError, match="there is no robot 9 among 1, 2"):
-        mapweave.map(logs, decisions={"pairs": [{"a": "1", "b": "9", "decision": "apart"}]})
+        mapweave.map(logs[:1], decisions={"places": [row]})
+    with pytest.raises(ReaderError, match="there is no robot 9 among 1"):
+        mapweave.map(logs[:1], decisions={"pairs": [{"a": "1", "b": "9", "decision": "apart"}]})
     (tmp_path / "bad.toml").write_text("[[pairs", encoding="utf-8")
     with pytest.raises(ReaderError, match="expected TOML"):
         mapweave.map(logs, decisions=tmp_path / "bad.toml")

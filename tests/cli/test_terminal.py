@@ -72,7 +72,7 @@ def test_a_closed_stdout_ends_silently():
 )
 def test_a_job_is_done_whatever_its_caller_closed(end, tmp_path):
     table = tmp_path / "swarm.csv"
-    assert shell(f"{SHELL} simulate swarm --out {table} --robots 9").returncode == 0
+    assert _run(["simulate", "swarm", "--out", str(table), "--robots", "9"]) == 0
     done = shell(f"{SHELL} locate {table} --out {tmp_path / 'out'} {end}")
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "out" / "report.html").exists()

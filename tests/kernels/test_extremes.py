@@ -274,6 +274,9 @@ MADE_BY_US = {
 }  # fmt: skip
 
 
+@pytest.mark.skipif(
+    COMPILED and os.environ.get("NUMBA_BOUNDSCHECK", "0") == "0", reason="tells with NUMBA_BOUNDSCHECK=1 or uncompiled"
+)
 @pytest.mark.parametrize("fuzz", KERNELS, ids=lambda f: f.__name__)
 @pytest.mark.parametrize("finite", [True, False])
 def test_whatever_numbers_a_kernel_is_given_it_stays_within_its_arrays(fuzz, finite, monkeypatch):

@@ -8,7 +8,7 @@ from mapweave.swarm.locate import locate
 
 from .swarms import simulated
 
-DRAWS = 30
+DRAWS = 12
 BOUND_ONLY = SwarmConfig(max_iterations=0)
 
 

@@ -136,7 +136,7 @@ def test_gross_outliers_are_left_out_when_asked_for():
 
 @pytest.mark.slow
 def test_the_verdict_of_moving_robots_is_configured_as_that_of_standing_ones(tmp_path):
-    swarm, known = made(0, robots=16, steps=15, outliers=0.05)
+    swarm, known = made(0, robots=16, steps=6, outliers=0.05)
     anchors = {swarm.table.ids[k]: p for k, p in known.items()}
 
     def asked(**verdict):
