@@ -8,7 +8,7 @@ from mapweave.api.configuration import JOBS, configuration_class
 from mapweave.api.map_landmarks import LandmarkMapConfig
 from mapweave.api.map_laser import LaserMapConfig
 from mapweave.core.config import config, load
-from mapweave.core.errors import ConfigError
+from mapweave.core.errors import ConfigError, UsageError, expect_at_most
 from mapweave.exploration.landmarks.config import ExploreConfig
 from mapweave.exploration.laser.config import LaserTeamConfig
 
@@ -52,3 +52,10 @@ def test_the_defaults_are_what_a_file_that_says_nothing_gives(tmp_path, job, las
     nothing.write_text("", encoding="utf-8")
     kind = configuration_class(job, laser=laser)
     assert repr(load(kind, None)) == repr(load(kind, nothing))  # numbers of the same types too
+
+
+def test_as_much_as_is_allowed_may_be_asked_and_neither_more_nor_nan():
+    expect_at_most({"--beams": (5, 5), "--rooms": (-1, 0)})
+    for value, found in ((5.5, "5.5"), (float("nan"), "nan")):
+        with pytest.raises(UsageError, match=f"--rooms: expected at most 5, found {found}"):
+            expect_at_most({"--beams": (5, 5), "--rooms": (value, 5)})

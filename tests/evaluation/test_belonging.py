@@ -141,3 +141,17 @@ def test_evaluate_tells_it_on_the_terminal_in_json_and_in_the_page(tmp_path, cap
     assert BY_CHANCE in capsys.readouterr().out
     assert BY_CHANCE in (out / "report.html").read_text(encoding="utf-8")
     assert BY_CHANCE in json.loads((out / "metrics.json").read_text())["evaluation"]["warnings"][0]
+
+
+@pytest.mark.parametrize(("n", "as_good", "found"), [(4, 0, False), (4, 1, True), (6, 3, False), (6, 8, True)])
+def test_names_prove_nothing_where_more_than_one_order_in_a_hundred_fits_as_well(n, as_good, found):
+    """Of 23 other orders one is more; of five hundred that are drawn of six names, three are not."""
+    left = [as_good]
+
+    def error(order):
+        if np.array_equal(order, np.arange(n)):
+            return 1.0
+        left[0] -= 1
+        return 0.9 if left[0] >= 0 else 2.0
+
+    assert another_order_fits(n, error, 1.0) == found

@@ -13,4 +13,5 @@ def test_the_front_end_lets_worse_wheels_err_more_and_better_ones_as_before(fact
         assert getattr(made.team.front_end, name) == pytest.approx(wider * getattr(cfg.team.front_end, name))
     assert made.robots.odometry.factor == factor * cfg.robots.odometry.factor
     before, after = cfg.team.graph.keyframes.noise, made.team.graph.keyframes.noise
-    assert after.wheels_turn == pytest.approx(factor * before.wheels_turn)
+    for name in ("wheels_xy", "wheels_turn", "wheels_turn_per_m"):
+        assert getattr(after, name) == pytest.approx(factor * getattr(before, name))

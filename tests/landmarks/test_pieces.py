@@ -1,10 +1,11 @@
 """Pieces of one robot's map are tied into one, and a wrong piece does not push out those that are right."""
 
 import numpy as np
+import pytest
 
 from mapweave.core import se2
 from mapweave.landmarks.config import EkfSlamConfig
-from mapweave.landmarks.landmark_map import LandmarkMap
+from mapweave.landmarks.landmark_map import LandmarkMap, Submap
 from mapweave.landmarks.without_odometry import join_pieces
 
 NAMES = tuple("abcdefghij")
@@ -92,3 +93,10 @@ def test_a_piece_whose_fit_runs_away_is_left_out():
     assert list(tied.frames) == [0]
     assert np.isfinite(tied.cov).all()
     np.testing.assert_allclose(tied.mean[list(tied.ids).index("6")], [3.21, -1.67])
+
+
+@pytest.mark.parametrize(("n", "size"), [(1, 7), (2, 5)])
+def test_a_submap_whose_covariance_or_places_are_not_those_of_its_ids_is_refused(n, size):
+    assert Submap("r", np.zeros(3), ("a", "b"), np.zeros((2, 2)), np.eye(7), "local").landmarks.ids == ("a", "b")
+    with pytest.raises(ValueError, match="2 ids do not belong to"):
+        Submap("r", np.zeros(3), ("a", "b"), np.zeros((n, 2)), np.eye(size), "local")

@@ -3,7 +3,7 @@
 import numpy as np
 
 from mapweave.core import se2
-from mapweave.mapping.map_overlap import KeyframeMap, seen_alike
+from mapweave.mapping.map_overlap import KeyframeMap, seen_alike, wall_overlap
 from mapweave.mapping.merge import merge_maps
 
 from ..laser.test_merge import office_pair
@@ -25,3 +25,9 @@ def test_a_map_without_walls_is_refused_from_either_side():
     empty = KeyframeMap("empty", np.zeros((2, 3)), [np.zeros((0, 2))] * 2)
     assert not merge_maps(made.b, empty).merged
     assert not merge_maps(empty, made.b).merged
+
+
+def test_of_a_wall_and_half_of_it_all_of_the_half_overlaps_whichever_map_holds_it():
+    wall = np.column_stack([np.arange(0.0, 8.0, 0.2), np.full(40, 2.0)])
+    for held, other in ((wall, wall[:20]), (wall[:20], wall)):
+        assert wall_overlap(other, KeyframeMap("one", np.zeros((1, 3)), [held]), np.zeros(3)) == 1.0

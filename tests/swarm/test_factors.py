@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapweave.swarm.factors import apart_factor, bearing_factor, distance_factor, prior_factor, width
+from mapweave.swarm.factors import apart_factor, bearing_factor, distance_factor, heading_entries, prior_factor, width
 from mapweave.swarm.headings import mutual_pairs
 from mapweave.swarm.network import BearingNetwork, Distance
 
@@ -91,3 +91,8 @@ def test_who_is_seen_and_sees_nobody_is_no_mutual_pair():
         ("a", "b", "c"), 2, np.array([0, 1]), np.array([2, 2]), np.zeros(2), np.full(2, 0.1), axis=False
     )
     assert not len(mutual_pairs(net)[0])
+
+
+@pytest.mark.parametrize(("axis", "angles"), [(False, [2, 5, 8, 11, 14]), (True, [])])
+def test_the_last_entry_of_each_robot_is_its_heading_where_it_has_one(axis, angles):
+    assert heading_entries(a_network(2, axis)[0]).tolist() == angles
