@@ -168,6 +168,8 @@ def test_the_json_holds_the_documented_keys():
         "robots",
     ]
     assert set(keys) <= set(told)
+    assert told["ratio_to_naive"] == pytest.approx(told["landmark_rmse"] / told["naive_rmse"])
+    assert told["ratio_to_mean_single"] == pytest.approx(told["landmark_rmse"] / told["mean_single_rmse"])
     assert told["exchanged"] == []
     assert told["landmark_rmse_exchanged"] is None
     assert set(told["robots"]) == {"1", "2"}

@@ -3,10 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from mapweave.exploration.landmarks import laps as lap_search
 from mapweave.exploration.landmarks.config import ExploreConfig, LapSearchConfig
-from mapweave.exploration.landmarks.laps import LapJudge, LapTask, Past, find_laps, revise_laps
+from mapweave.exploration.landmarks.laps import LapJudge, LapTask, Past, _least_detour, find_laps, revise_laps
 from mapweave.landmarks.submap_slam import SubmapConfig
 
 TASK = LapTask(
@@ -82,3 +83,9 @@ def test_a_dead_robot_is_given_no_place():
     (first, second), _ = revise_laps(task, past, (laps[0], np.zeros((0, 2))))
     assert len(second) == 0
     assert len(first) > 0
+
+
+@pytest.mark.parametrize(("place", "k"), [([0.5, 0.1], 0), ([1.9, 1.0], 1), ([1.0, 2.1], 2), ([-1.0, 2.0], 3)])
+def test_a_place_is_put_in_where_it_makes_the_way_least_longer_or_last(place, k):
+    way = np.array([[2.0, 0.0], [2.0, 2.0], [0.0, 2.0]])
+    assert _least_detour(np.zeros(2), way, np.array(place)) == k
