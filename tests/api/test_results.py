@@ -157,6 +157,17 @@ def result(request, home):
     return made, file
 
 
+@pytest.fixture(scope="session")
+def written(result, tmp_path_factory):
+    """The folder of a result, where it has one."""
+    made, file = result
+    if file is None:
+        return None
+    out = tmp_path_factory.mktemp("written") / "out"
+    made.write(out)
+    return out
+
+
 def test_a_result_keeps_the_protocol(result):
     made, _ = result
     assert isinstance(made, mapweave.Result)
@@ -185,7 +196,7 @@ def test_a_results_picture_is_a_figure_with_something_on_it(result):
     assert any(ax.has_data() for ax in figure.axes)
 
 
-def test_a_result_writes_its_folder_whole_and_its_metrics_are_those_of_the_file(result, tmp_path):
+def test_a_result_writes_its_folder_whole_and_its_metrics_are_those_of_the_file(result, written, tmp_path):
     made, file = result
     if file is None:
         out = tmp_path / ("drive.mcap" if isinstance(made, mapweave.SimulatedDrive) else "swarm.csv")
@@ -197,14 +208,13 @@ def test_a_result_writes_its_folder_whole_and_its_metrics_are_those_of_the_file(
     (tmp_path / "mine" / "thesis.tex").write_text("years of work\n", encoding="utf-8")
     with pytest.raises(mapweave.UsageError):
         made.write(tmp_path / "mine")
-    made.write(tmp_path / "out")
-    told = json.loads((tmp_path / "out" / file).read_text(encoding="utf-8"))
+    told = json.loads((written / file).read_text(encoding="utf-8"))
     assert set(told) == set(made.metrics)
     if file != "simulation.json":
-        page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+        page = (written / "report.html").read_text(encoding="utf-8")
         assert '<figure class="scene">' in page or kept_figures(made)
         named = re.findall(r'<td><a href="([^"]+)">', page)
-        assert {name.rstrip("/") for name in named} == {p.name for p in (tmp_path / "out").iterdir()} - {"report.html"}
+        assert {name.rstrip("/") for name in named} == {p.name for p in written.iterdir()} - {"report.html"}
         assert kept_figures(made) or {name.rstrip("/") for name in named} <= set(HOLDS)
 
 
@@ -234,18 +244,17 @@ def bytes_of(folder):
     return out
 
 
-def test_a_result_is_loaded_as_it_was_written(result, tmp_path):
+def test_a_result_is_loaded_as_it_was_written(result, written, tmp_path):
     made, file = result
     if file is None:
         pytest.skip("a log and its truth, no folder")
-    made.write(tmp_path / "out")
-    again = mapweave.load(tmp_path / "out", type(made))
+    again = mapweave.load(written, type(made))
     assert again.summary() == made.summary()
     told = json.loads(json.dumps(plain(again.metrics)))
-    held = json.loads((tmp_path / "out" / file).read_text(encoding="utf-8"))
+    held = json.loads((written / file).read_text(encoding="utf-8"))
     assert {**told, "timing": 0} == {**held, "timing": 0}
     again.write(tmp_path / "again")
-    assert bytes_of(tmp_path / "again") == bytes_of(tmp_path / "out")
+    assert bytes_of(tmp_path / "again") == bytes_of(written)
 
 
 def broken(folder, how):
