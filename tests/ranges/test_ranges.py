@@ -8,6 +8,7 @@ import pytest
 import mapweave
 from mapweave.core import se2
 from mapweave.core.records import Track
+from mapweave.ranges import log as range_log
 from mapweave.ranges.estimate import RangeEstimate, estimate, lasting
 from mapweave.ranges.factors import motion_factor, range_factor
 from mapweave.ranges.log import RangeLog, network_of
@@ -171,3 +172,15 @@ def test_errors_that_last_are_told_from_those_that_do_not():
         slow[k] = 0.8 * slow[k - 1] + white[k]
     assert lasting(white) == pytest.approx(1.0, abs=0.2)
     assert lasting(slow) == pytest.approx((1 + 0.8) / (1 - 0.8), rel=0.25)
+
+
+def test_wheels_are_less_sure_of_a_step_by_its_way_by_its_turn_and_by_the_time_it_takes():
+    c = range_log
+    for step, dt, heading in (
+        ([2.0, 0.0, 0.0], 0.0, c.DRIFT**2 * 2.0),
+        ([0.0, 0.0, -0.5], 0.0, c.TURN**2 * 0.5),
+        ([0.0, 0.0, 0.0], 3.0, c.REST_THETA**2 * 3.0),
+    ):
+        *_, cov = c._steps(np.array([np.zeros(3), step]), np.array([0.0, dt]), 0)
+        along, across = (k**2 * step[0] + c.REST_XY**2 * dt for k in (c.ALONG, c.ACROSS))
+        np.testing.assert_allclose(cov[0], np.diag([along, across, heading]), atol=2e-8)
