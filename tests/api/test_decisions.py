@@ -60,6 +60,7 @@ def test_the_file_given_back_as_it_is_changes_no_byte(made, logs, tmp_path):
             assert one == other, name
 
 
+@pytest.mark.slow
 def test_two_robots_said_to_be_apart_stay_apart_and_what_scans_say_is_told(made, logs, tmp_path):
     """Given from the second robot's side; the file that is written tells it from the first's."""
     told = held(made)

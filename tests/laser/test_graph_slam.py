@@ -60,6 +60,7 @@ def test_a_loop_is_closed_and_the_way_round_it_ends_where_it_began(log_and_truth
     assert errors(mapped, truth)[ended].mean() < max(0.5 * errors(open_, truth)[ended].mean(), 0.1)
 
 
+@pytest.mark.slow
 def test_the_same_log_gives_the_same_bytes_whatever_seed_and_threads(log_and_truth, mapped):
     again = map_laser(log_and_truth[0], replace(GRAPH, threads=1), 5)
     assert np.array_equal(again.track.pose, mapped.track.pose)

@@ -65,7 +65,7 @@ def test_light_that_belongs_to_walls_steers_with_its_weight_and_nothing_is_warne
     assert feature.calibration.weight > 0.5
 
 
-@pytest.mark.parametrize("seed", range(80, 100))
+@pytest.mark.parametrize("seed", [80, 81, 82, *(pytest.param(k, marks=pytest.mark.slow) for k in range(83, 100))])
 def test_light_shuffled_along_walls_of_any_world_gets_no_weight(seed, tunnel):
     log = corridor(seed, 12.0)
     spoilt = (shuffled_along_walls, fixed_to_the_scanner, lambda log: of_another(log, tunnel.scans))
@@ -76,6 +76,7 @@ def test_light_shuffled_along_walls_of_any_world_gets_no_weight(seed, tunnel):
 
 
 @pytest.mark.data
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REAL)
 def test_light_of_real_logs_gets_no_weight_shuffled_or_of_another_log(data, name):
     log = read_laser(data / "light" / name)

@@ -241,7 +241,9 @@ def test_a_right_log_is_mapped_as_if_nothing_had_been_looked_for(office, right):
     assert right.track.pose.tobytes() == made.track.pose.tobytes()
 
 
-@pytest.mark.parametrize("name", ["lag", "sensor_x", "sensor_yaw"])
+@pytest.mark.parametrize(
+    "name", ["sensor_x", *(pytest.param(n, marks=pytest.mark.slow) for n in ("lag", "sensor_yaw"))]
+)
 def test_a_fault_that_matters_is_mapped_away_and_told(office, right, name):
     log = planted(office.log, at({name: PLANTED[name]}))
     made = map_laser(log, GRAPH, 0)

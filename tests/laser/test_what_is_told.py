@@ -42,7 +42,7 @@ def test_nothing_is_found_in_a_right_log(office):
     assert found(office) == {}
 
 
-@pytest.mark.parametrize("factor", [0.8, 1.2])
+@pytest.mark.parametrize("factor", [0.8, pytest.param(1.2, marks=pytest.mark.slow)])
 def test_ranges_of_another_scale_are_told_with_the_factor(office, factor):
     said = found(office, lambda raw: replace(raw, ranges=factor * raw.ranges, range_max=factor * raw.range_max))
     assert said["wheels-scale"].value["value"] == pytest.approx(factor, abs=0.06)
@@ -50,7 +50,7 @@ def test_ranges_of_another_scale_are_told_with_the_factor(office, factor):
     assert verdict(said.values()) == "doubtful"
 
 
-@pytest.mark.parametrize("degrees", [8, 20])
+@pytest.mark.parametrize("degrees", [8, pytest.param(20, marks=pytest.mark.slow)])
 def test_a_scanner_mounted_turned_is_told_once_with_the_angle_and_mapped_as_it_stands(office, degrees):
     said = found(office, lambda raw: replace(raw, T_robot_sensor=np.array([0.0, 0.0, np.radians(degrees)])))
     assert set(said) == {"wheels-calibrated"}
@@ -84,6 +84,7 @@ def test_scans_that_are_stamped_late_are_told_with_the_lag(office):
     assert float(late.split()[0]) == pytest.approx(0.5, abs=0.01)
 
 
+@pytest.mark.slow
 def test_odometry_that_never_turns_or_is_another_drives_makes_a_map_bad(office):
     other = simulate_office(OfficeConfig(rooms=2, visited=2), 6).log.odometry.pose.tolist()
     for rows in (
@@ -95,7 +96,7 @@ def test_odometry_that_never_turns_or_is_another_drives_makes_a_map_bad(office):
         assert verdict(said.values()) == "bad"
 
 
-@pytest.mark.parametrize("factor", [1e-3, 1e3])
+@pytest.mark.parametrize("factor", [pytest.param(1e-3, marks=pytest.mark.slow), 1e3])
 def test_wheels_that_tell_a_thousandth_or_a_thousand_times_of_the_way_are_told(office, factor):
     said = found(office, rows=lambda rows: [(t, factor * x, factor * y, a) for t, x, y, a in rows])
     if factor > 1:

@@ -142,6 +142,7 @@ def test_beams_of_a_fitted_law_keep_a_gain_of_their_own_that_neighbours_share():
 
 
 @pytest.mark.data
+@pytest.mark.slow
 def test_laws_of_real_scanners_are_what_their_logs_say(data, monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
     import light_laws
