@@ -8,6 +8,7 @@ import pytest
 import mapweave
 from mapweave.api.map_options import LaserOptions
 from mapweave.core import se2
+from mapweave.core.fixes import Fixes
 from mapweave.core.records import Track
 from mapweave.laser.pose_graph import PoseGraph
 from mapweave.laser.scan_odometry import blended
@@ -166,7 +167,9 @@ def test_two_buildings_in_one_file_are_two_components_and_keep_their_numbers_whe
 def test_a_log_cut_in_two_is_the_log():
     log, _ = office(5)
     t = float(log.scan_t[40])
-    before, after = replace(log, dropped={"odd": 2}).cut(t, "7")
+    fixes = Fixes(log.scan_t[::10], np.zeros((len(log.scan_t[::10]), 3)), np.zeros((len(log.scan_t[::10]), 2, 2)))
+    before, after = replace(log, dropped={"odd": 2}, fixes=fixes).cut(t, "7")
+    assert (before.fixes.t.tolist(), after.fixes.t.tolist()) == (fixes.t[:4].tolist(), fixes.t[4:].tolist())
     assert (before.robot, after.robot, before.dropped, after.dropped) == ("1", "7", {"odd": 2}, {})
     assert (before.scan_t < t).all()
     assert after.scan_t[0] == t

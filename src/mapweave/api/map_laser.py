@@ -15,7 +15,6 @@ from ..core.errors import DataError, UsageError
 from ..core.findings import Finding
 from ..core.laser_log import LaserLog
 from ..core.names import robot_name
-from ..core.records import Track
 from ..core.workers import Progress, no_progress, worker_pool
 from ..io.kept import part, parts
 from ..io.laser_logs import LaserSource, is_laser_log, read_laser, robots_of
@@ -167,12 +166,7 @@ def first_part(log: LaserLog, share: float) -> LaserLog:
         return log
     stamps = log.stamps()
     end = stamps[0] + share * (stamps[-1] - stamps[0])
-    scans = int(np.searchsorted(log.scan_t, end, side="right"))
-    rows = log.odometry
-    if rows is not None:
-        keep = rows.t <= end
-        rows = Track(rows.t[keep], rows.pose[keep], None, rows.frame)
-    return replace(log, scan_t=log.scan_t[:scans], scans=log.scans[:scans], odometry=rows)
+    return log.cut(float(np.nextafter(end, np.inf)), log.robot)[0]
 
 
 def _configured(options: MapOptions) -> LaserConfig:

@@ -101,14 +101,21 @@ class LaserLog:
         """
         at = int(np.searchsorted(self.scan_t, t))
 
-        def side(scans: slice, rows: Track | None) -> LaserLog:
+        def side(scans: slice, first: float, last: float) -> LaserLog:
+            rows, fixes = self.odometry, self.fixes
             if rows is not None:
-                early = rows.t < t
-                keep = early if scans.start is None else ~early
+                keep = (rows.t >= first) & (rows.t <= last)
                 rows = Track(rows.t[keep], rows.pose[keep], None, rows.frame)
-            return replace(self, scan_t=self.scan_t[scans], scans=self.scans[scans], odometry=rows, told_hash="")
+            return replace(
+                self,
+                scan_t=self.scan_t[scans],
+                scans=self.scans[scans],
+                odometry=rows,
+                fixes=None if fixes is None else fixes.within(first, last),
+                told_hash="",
+            )
 
-        before, after = side(slice(None, at), self.odometry), side(slice(at, None), self.odometry)
+        before, after = side(slice(None, at), -np.inf, np.nextafter(t, -np.inf)), side(slice(at, None), t, np.inf)
         return before, replace(after, robot=robot, dropped={}, unused=())
 
     def _packet(self, rows: Track, start: int, end: int) -> Event:
