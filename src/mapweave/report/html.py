@@ -32,6 +32,7 @@ HOLDS = {
     "decisions.toml": "what was decided on pairs of robots and on places, to be edited and given again",
     "dropped.csv": "rows that were left out, and why",
     "figures": "every figure as PNG",
+    "fixes.csv": "a row for each position fix: how far off it is, and whether it was used",
     "gone.pgm": "walls of the map before that are gone",
     "gone.yaml": "resolution and origin of gone.pgm",
     "grid.npz": "the occupancy grid as arrays",
@@ -42,6 +43,7 @@ HOLDS = {
     "graph.pyfg": "places found and ranges used, as PyFactorGraph reads it",
     "log": "the recordings, which map reads again",
     "map.pgm": "occupancy, as ROS navigation reads it",
+    "map.tif": "occupancy where it lies on earth, as GeoTIFF",
     "map.yaml": "resolution and origin of map.pgm",
     "metrics.json": "all that the page says, for programs",
     "new.pgm": "walls of the map after that are new",
@@ -58,6 +60,7 @@ HOLDS = {
     "scans.csv": "a row for each scan: pose, innovation, decision",
     "state": "what --resume needs to go on",
     "tables": "the tables of this page in Markdown",
+    "trajectories.geojson": "where each robot went on earth: longitude and latitude",
     "trajectories": "where each robot went: TUM or CSV, covariances beside",
 }
 _OPEN = "<details open>"  # of a figure
